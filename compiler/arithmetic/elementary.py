@@ -1,0 +1,261 @@
+"""Elementary functions with the same bits on every CPU.
+
+glibc, NumPy and numba pick code by CPU (FMA or not, AVX-512 or not), and the last bit of their
+``exp``, ``sin`` and ``pow`` changes with it. These are built from + - * /, sqrt, floor and exact
+scaling by powers of two, all correctly rounded by IEEE 754 and never contracted (no fast-math), so
+they are the only ones allowed in the compiler. They cost up to a few times the native ones; their
+error against exact values is tested in ``tests/compiler/test_elementary.py``:
+at most 1 ulp for exp, log, 2 ulp for sin, cos, atan, and a relative error of (1 + |y log x|) * 2e-16
+for pow.
+
+Scalar functions are numba-compiled; ``*_array`` maps them over a float64 array of any shape.
+
+Method: argument reduction after Cody and Waite (1980), then plain Taylor series, whose coefficients
+are rational numbers anyone can check.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike, NDArray
+
+# ln 2 and pi/2 in parts: the leading parts end in zero bits, so that their product with the small
+# integer of the reduction is exact.
+_LN2_HIGH = float.fromhex("0x1.62e42fee00000p-1")
+_LN2_LOW = float.fromhex("0x1.a39ef35793c76p-33")
+_LOG2_E = float.fromhex("0x1.71547652b82fep+0")
+_TWO_OVER_PI = float.fromhex("0x1.45f306dc9c883p-1")
+_HALF_PI_1 = float.fromhex("0x1.921fb54400000p+0")
+_HALF_PI_2 = float.fromhex("0x1.0b4611a600000p-34")
+_HALF_PI_3 = float.fromhex("0x1.3198a2e037073p-69")
+PI = float.fromhex("0x1.921fb54442d18p+1")
+_HALF_PI = PI / 2
+_QUARTER_PI = PI / 4
+_SQRT_HALF = float.fromhex("0x1.6a09e667f3bcdp-1")
+_TAN_PI_8 = float.fromhex("0x1.a827999fcef32p-2")
+
+_EXP = tuple(1.0 / math.factorial(n) for n in range(15))
+_SIN = tuple((-1.0) ** n / math.factorial(2 * n + 1) for n in range(10))
+_COS = tuple((-1.0) ** n / math.factorial(2 * n) for n in range(10))
+_ATANH = tuple(1.0 / (2 * n + 1) for n in range(13))
+_ATAN = tuple((-1.0) ** n / (2 * n + 1) for n in range(23))
+
+
+@njit(cache=True, error_model="numpy")
+def _horner(coefficients: tuple[float, ...], x: float) -> float:
+    value = 0.0
+    for i in range(len(coefficients) - 1, -1, -1):
+        value = value * x + coefficients[i]
+    return value
+
+
+@njit(cache=True, error_model="numpy")
+def exp(x: float) -> float:
+    """e**x; 0 below -745.2, inf above 709.8."""
+    if x != x:
+        return x
+    if x > 709.8:
+        return np.inf
+    if x < -745.2:
+        return 0.0
+    k = np.floor(x * _LOG2_E + 0.5)
+    r = (x - k * _LN2_HIGH) - k * _LN2_LOW
+    # 1 + (r + r^2/2 + ...): the small part is summed first to keep its bits.
+    tail = 0.0
+    for i in range(14, 0, -1):
+        tail = (tail + _EXP[i]) * r
+    value = 1.0 + tail
+    half = int(k) // 2
+    return math.ldexp(math.ldexp(value, half), int(k) - half)
+
+
+@njit(cache=True, error_model="numpy")
+def log(x: float) -> float:
+    """Natural logarithm; -inf at 0, NaN below."""
+    if x != x or x == np.inf:
+        return x
+    if x < 0.0:
+        return np.nan
+    if x == 0.0:
+        return -np.inf
+    m, e = math.frexp(x)
+    if m < _SQRT_HALF:
+        m = m * 2.0
+        e -= 1
+    f = m - 1.0
+    s = f / (m + 1.0)
+    # log(m) = f - s*(f - R) with R = log(m)/s - 2 ... the leading f carries no rounding error.
+    z = s * s
+    tail = 2.0 * z * _horner(_ATANH[1:], z)
+    return e * _LN2_HIGH + (f - (s * (f - tail) - e * _LN2_LOW))
+
+
+@njit(cache=True, error_model="numpy")
+def pow(x: float, y: float) -> float:
+    """x**y for x >= 0, as exp(y log x)."""
+    if y == 0.0:
+        return 1.0
+    if x == 0.0:
+        return 0.0 if y > 0.0 else np.inf
+    return exp(y * log(x))
+
+
+@njit(cache=True, error_model="numpy")
+def _sin_cos(x: float) -> tuple[float, float]:
+    n = np.floor(x * _TWO_OVER_PI + 0.5)
+    r = ((x - n * _HALF_PI_1) - n * _HALF_PI_2) - n * _HALF_PI_3
+    z = r * r
+    s = r + r * z * _horner(_SIN[1:], z)
+    c = 1.0 + z * _horner(_COS[1:], z)
+    quadrant = int(n) & 3
+    if quadrant == 0:
+        return s, c
+    if quadrant == 1:
+        return c, -s
+    if quadrant == 2:
+        return -s, -c
+    return -c, s
+
+
+@njit(cache=True, error_model="numpy")
+def sin(x: float) -> float:
+    """Sine of an angle in radians, |x| up to 1e6."""
+    return _sin_cos(x)[0]
+
+
+@njit(cache=True, error_model="numpy")
+def cos(x: float) -> float:
+    """Cosine of an angle in radians, |x| up to 1e6."""
+    return _sin_cos(x)[1]
+
+
+@njit(cache=True, error_model="numpy")
+def atan(x: float) -> float:
+    """Arctangent in [-pi/2, pi/2]."""
+    a = abs(x)
+    if a > 1.0 / _TAN_PI_8:
+        r = -1.0 / a
+        offset = _HALF_PI
+    elif a > _TAN_PI_8:
+        r = (a - 1.0) / (a + 1.0)
+        offset = _QUARTER_PI
+    else:
+        r = a
+        offset = 0.0
+    z = r * r
+    value = offset + (r + r * z * _horner(_ATAN[1:], z))
+    return -value if x < 0.0 else value
+
+
+@njit(cache=True, error_model="numpy")
+def atan2(y: float, x: float) -> float:
+    """Angle of the point (x, y) in (-pi, pi]; 0 at the origin."""
+    if x > 0.0:
+        return atan(y / x)
+    if x < 0.0:
+        return atan(y / x) + (PI if y >= 0.0 else -PI)
+    if y > 0.0:
+        return _HALF_PI
+    if y < 0.0:
+        return -_HALF_PI
+    return 0.0
+
+
+@njit(cache=True, error_model="numpy")
+def acos(x: float) -> float:
+    """Arccosine in [0, pi], for x in [-1, 1]."""
+    return atan2(np.sqrt((1.0 - x) * (1.0 + x)), x)
+
+
+@njit(cache=True, error_model="numpy")
+def asin(x: float) -> float:
+    """Arcsine in [-pi/2, pi/2], for x in [-1, 1]."""
+    return atan2(x, np.sqrt((1.0 - x) * (1.0 + x)))
+
+
+def _map(loop: Callable[[NDArray, NDArray], None], x: ArrayLike) -> NDArray[np.float64]:
+    values = np.ascontiguousarray(x, dtype=np.float64)
+    out = np.empty_like(values)
+    loop(values.reshape(-1), out.reshape(-1))
+    return out
+
+
+@njit(cache=True, error_model="numpy")
+def _exp_loop(x: NDArray, out: NDArray) -> None:
+    for i in range(x.size):
+        out[i] = exp(x[i])
+
+
+def exp_array(x: ArrayLike) -> NDArray[np.float64]:
+    """``exp`` of every element: float64 of the same shape."""
+    return _map(_exp_loop, x)
+
+
+@njit(cache=True, error_model="numpy")
+def _log_loop(x: NDArray, out: NDArray) -> None:
+    for i in range(x.size):
+        out[i] = log(x[i])
+
+
+def log_array(x: ArrayLike) -> NDArray[np.float64]:
+    """``log`` of every element: float64 of the same shape."""
+    return _map(_log_loop, x)
+
+
+@njit(cache=True, error_model="numpy")
+def _sin_loop(x: NDArray, out: NDArray) -> None:
+    for i in range(x.size):
+        out[i] = sin(x[i])
+
+
+def sin_array(x: ArrayLike) -> NDArray[np.float64]:
+    """``sin`` of every element: float64 of the same shape."""
+    return _map(_sin_loop, x)
+
+
+@njit(cache=True, error_model="numpy")
+def _cos_loop(x: NDArray, out: NDArray) -> None:
+    for i in range(x.size):
+        out[i] = cos(x[i])
+
+
+def cos_array(x: ArrayLike) -> NDArray[np.float64]:
+    """``cos`` of every element: float64 of the same shape."""
+    return _map(_cos_loop, x)
+
+
+@njit(cache=True, error_model="numpy")
+def _atan_loop(x: NDArray, out: NDArray) -> None:
+    for i in range(x.size):
+        out[i] = atan(x[i])
+
+
+def atan_array(x: ArrayLike) -> NDArray[np.float64]:
+    """``atan`` of every element: float64 of the same shape."""
+    return _map(_atan_loop, x)
+
+
+@njit(cache=True, error_model="numpy")
+def _acos_loop(x: NDArray, out: NDArray) -> None:
+    for i in range(x.size):
+        out[i] = acos(x[i])
+
+
+def acos_array(x: ArrayLike) -> NDArray[np.float64]:
+    """``acos`` of every element: float64 of the same shape."""
+    return _map(_acos_loop, x)
+
+
+@njit(cache=True, error_model="numpy")
+def _asin_loop(x: NDArray, out: NDArray) -> None:
+    for i in range(x.size):
+        out[i] = asin(x[i])
+
+
+def asin_array(x: ArrayLike) -> NDArray[np.float64]:
+    """``asin`` of every element: float64 of the same shape."""
+    return _map(_asin_loop, x)

@@ -1,0 +1,208 @@
+"""Plan to Scene: relief, ground, objects, light, cameras; a pure function."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenec.compiler.arithmetic import elementary
+from scenec.compiler.cameras.rigs import build_rigs
+from scenec.compiler.ground.merge import center_for_coverage
+from scenec.compiler.ground.tiles import build_tiles
+from scenec.compiler.light.sky import build_sky, sky_irradiance
+from scenec.compiler.plan import Plan, RigPlan, RocksPlan, TerrainPlan, TrackPlan
+from scenec.compiler.scatter.placement import align_to_normals, place, seat
+from scenec.compiler.scatter.rocks import build_prototypes
+from scenec.compiler.scene import Ground, Scatter, Scene, SunLight
+from scenec.compiler.terrain.grid import Grid, HeightField
+from scenec.schemas.errors import SceneError
+
+
+@dataclass
+class BuildLog:
+    """What building measured: deterministic facts, and seconds apart from them.
+
+    Attributes:
+        facts: For report.json.
+        seconds: For timings.json.
+    """
+
+    facts: dict[str, Any] = field(default_factory=dict)
+    seconds: dict[str, float] = field(default_factory=dict)
+
+    @contextmanager
+    def timed(self, name: str) -> Iterator[None]:
+        """Adds the time of a ``with`` block to ``seconds[name]``."""
+        start = time.perf_counter()
+        yield
+        self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
+
+
+def build(plan: Plan, log: BuildLog) -> Scene:
+    """The Scene of one batch.
+
+    Only what the outputs can show is made: without ``rgb`` there are no materials, weights, or
+    light; without ``label`` the ground is not cut.
+
+    Args:
+        plan: The batch.
+        log: Receives errors and times.
+
+    Raises:
+        SceneError: The cfg is valid, but what it asks for cannot be built.
+    """
+    outputs = tuple(dict.fromkeys(o for rig in plan.rigs for s in rig.sensors for o in s.outputs))
+    color, labels = "rgb" in outputs, "label" in outputs
+    with log.timed("relief"):
+        terrain = _relief(plan.terrain, log)
+    with log.timed("ground"):
+        ground = _ground(plan.terrain, terrain, color, labels, log)
+    scatters = []
+    for rocks in plan.objects:
+        with log.timed(f"objects/{rocks.name}"):
+            scatters.append(_rocks(rocks, terrain, log))
+    with log.timed("light"):
+        sun = plan.sun if color else None
+        sky = build_sky(plan.sky, plan.sun, plan.samples) if plan.sky and color else None
+        irradiance = sky_irradiance(sky, plan.samples) + _sun_irradiance(plan.sun, plan.samples)
+    with log.timed("cameras"):
+        rigs = build_rigs(plan.rigs, terrain, irradiance if color else None)
+    if not color:
+        _note_left_out(log, "materials, weights, lights", "no sensor asks for rgb")
+    if not labels:
+        _note_left_out(
+            log, "label primvars and the cut along label lines", "no output shows labels"
+        )
+    return Scene(
+        name=plan.name,
+        samples=plan.samples,
+        times=_times(plan.rigs, plan.samples),
+        label_table=plan.label_table if labels else {},
+        sky_labels=plan.sky_labels if labels else {},
+        materials=plan.materials if color else {},
+        ground=ground,
+        scatters=tuple(scatters),
+        sun=sun,
+        sky=sky,
+        rigs=rigs,
+        outputs=outputs,
+        bounds=_bounds(ground, tuple(scatters)),
+    )
+
+
+def _note_left_out(log: BuildLog, what: str, why: str) -> None:
+    log.facts.setdefault("left_out", []).append({"what": what, "why": why})
+
+
+def _relief(plan: TerrainPlan, log: BuildLog) -> HeightField:
+    grid = Grid.with_spacing(plan.size_m, plan.spacing_m)
+    height = np.zeros(grid.shape)
+    steps = []
+    for operator in plan.relief:
+        height, report = operator.apply(grid, height)
+        steps.append({"type": type(operator).__name__.lower(), **report})
+    if not np.isfinite(height).all():
+        raise SceneError(
+            "terrain: the relief overflows to infinity; lower amplitude, gain or octaves"
+        )
+    log.facts["relief"] = steps
+    return HeightField(grid, height)
+
+
+def _ground(
+    plan: TerrainPlan, field: HeightField, color: bool, labels: bool, log: BuildLog
+) -> Ground:
+    merges = []
+    for merge, coverage in zip(plan.merges, plan.coverage, strict=True):
+        if coverage is None:
+            merges.append(merge)
+        else:
+            center = center_for_coverage(merge.noise(*field.grid.points()), coverage)
+            merges.append(replace(merge, center=center))
+    key = plan.variation_key if color else None
+    tiles, log.facts["ground"] = build_tiles(field, merges, key, cut_labels=labels)
+    return Ground(plan.layers, tiles)
+
+
+def _rocks(plan: RocksPlan, field: HeightField, log: BuildLog) -> Scatter:
+    x, y = place(field, plan.density, plan.position_u, plan.name)
+    orientations = plan.orientations
+    if plan.align and len(x):
+        orientations = align_to_normals(orientations, _surface_normals(field, x, y))
+    prototypes = build_prototypes(plan.shapes)
+    # Rounded before seating: what stands in the stage is what is held against the ground.
+    half = orientations.astype(np.float16)
+    size = plan.size_m.astype(np.float32)
+    x32, y32 = x.astype(np.float32), y.astype(np.float32)
+    z = seat(
+        field,
+        prototypes,
+        plan.prototype,
+        x32.astype(np.float64),
+        y32.astype(np.float64),
+        half,
+        size.astype(np.float64),
+        plan.embed,
+    )
+    log.facts.setdefault("objects", {})[plan.name] = {
+        "count": len(x),
+        "prototypes": len(prototypes),
+        "triangles": int(sum(len(prototypes[p].faces) for p in plan.prototype)),
+        "float32_error_max_m": float(np.abs(z.astype(np.float32) - z).max(initial=0.0)),
+    }
+    return Scatter(
+        name=plan.name,
+        material=plan.material,
+        labels=plan.labels,
+        instances=plan.instances,
+        prototypes=prototypes,
+        prototype=plan.prototype,
+        positions=np.stack([x32, y32, z.astype(np.float32)], axis=1),
+        orientations=half,
+        scales=np.repeat(size[:, None], 3, axis=1),
+        variation=plan.variation.astype(np.float32),
+    )
+
+
+def _surface_normals(
+    field: HeightField, x: NDArray[np.float64], y: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    step_x, step_y = field.grid.spacing_m
+    gx = (field.height_at(x + step_x, y) - field.height_at(x - step_x, y)) / (2.0 * step_x)
+    gy = (field.height_at(x, y + step_y) - field.height_at(x, y - step_y)) / (2.0 * step_y)
+    length = np.sqrt(gx * gx + gy * gy + 1.0)
+    return np.stack([-gx / length, -gy / length, 1.0 / length], axis=1)
+
+
+def _sun_irradiance(sun: SunLight | None, samples: int) -> NDArray[np.float64]:
+    if sun is None:
+        return np.zeros(samples)
+    height = elementary.sin_array(sun.elevation_deg * (elementary.PI / 180.0))
+    return np.maximum(sun.irradiance * height, 0.0)
+
+
+def _times(rigs: tuple[RigPlan, ...], samples: int) -> NDArray[np.float64]:
+    for rig in rigs:
+        if isinstance(rig.pose, TrackPlan):
+            return rig.pose.times
+    return np.arange(samples, dtype=np.float64)
+
+
+def _bounds(ground: Ground, scatters: tuple[Scatter, ...]) -> NDArray[np.float64]:
+    low, high = np.full(3, np.inf), np.full(3, -np.inf)
+    for tile in ground.tiles:
+        low = np.minimum(low, tile.translate + tile.points.min(axis=0))
+        high = np.maximum(high, tile.translate + tile.points.max(axis=0))
+    for scatter in scatters:
+        if scatter.count:
+            # Prototypes fit into a ball of radius 1/2.
+            radius = 0.5 * scatter.scales.max(axis=1).astype(np.float64)[:, None]
+            low = np.minimum(low, (scatter.positions - radius).min(axis=0))
+            high = np.maximum(high, (scatter.positions + radius).max(axis=0))
+    return np.stack([low, high])

@@ -1,0 +1,1 @@
+"""Where cameras stand and look, as matrices over the samples."""

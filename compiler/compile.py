@@ -1,0 +1,216 @@
+"""The compiler's main call: cfg and seed in, stages and a manifest out."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from scenec.compiler.build import BuildLog, build
+from scenec.compiler.draw import draw
+from scenec.compiler.emit.batch import STAGE, write_batch
+from scenec.compiler.frontend.load import Spec, load
+from scenec.schemas.errors import OutputError, ScenecError
+from scenec.schemas.files import (
+    replace_folder,
+    same_tree,
+    sha256,
+    temporary_folder,
+    tree,
+    write_json,
+)
+
+MANIFEST = "manifest.json"
+TIMINGS = "timings.json"
+REPORT = "report.json"
+FRAMES = "frames"
+MANIFEST_FORMAT = 1
+#: Whose version can change the bytes of the output.
+_LIBRARIES = ("numpy", "numba", "scipy", "usd-core", "openexr")
+
+
+@dataclass(frozen=True)
+class CompileReport:
+    """What a compilation did.
+
+    Attributes:
+        out: Output folder.
+        batches: Indices of the batches compiled now.
+        unchanged: How many of them were there already, byte for byte.
+        seconds: Per batch, seconds of each pass.
+        facts: Per batch, the contents of its report.json.
+    """
+
+    out: Path
+    batches: tuple[int, ...]
+    unchanged: int
+    seconds: dict[str, dict[str, float]]
+    facts: dict[str, dict[str, Any]]
+
+
+def compile_cfg(
+    cfg: Path | str,
+    *,
+    seed: int,
+    out: Path | str,
+    batches: range | None = None,
+    progress: Callable[[str], None] | None = None,
+) -> CompileReport:
+    """Compiles a cfg into USD stages, one per batch.
+
+    The same cfg, seed and version give the same bytes in every file of the manifest. Batches that
+    are there already with the same bytes are left alone, and so are their frames.
+
+    Args:
+        cfg: The cfg's JSON file.
+        seed: 0 <= seed < 2**64; 0 is a seed like any other.
+        out: Output folder; made if it is not there.
+        batches: Which batches; None compiles all.
+        progress: Called with a line of text before each step.
+
+    Raises:
+        CfgError: The cfg has faults; all of them are in the error.
+        SceneError: The cfg is valid but what it asks for cannot be built.
+        OutputError: The output folder cannot be written, or holds another cfg's output.
+    """
+    say = progress or (lambda _text: None)
+    started = time.perf_counter()
+    spec = load(Path(cfg))
+    load_seconds = time.perf_counter() - started
+    out = Path(out)
+    chosen = _chosen(spec, batches)
+    manifest = _begin_manifest(spec, seed, out)
+    seconds: dict[str, dict[str, float]] = {}
+    facts: dict[str, dict[str, Any]] = {}
+    unchanged = 0
+    for batch in chosen:
+        name = f"batch_{batch:04d}"
+        say(f"compiling {name} of {spec.cfg['name']}, seed {seed}")
+        log = BuildLog(seconds={"load": load_seconds})
+        with log.timed("draw"):
+            plan = draw(spec, seed, batch)
+        scene = build(plan, log)
+        with temporary_folder(out / name) as folder:
+            with log.timed("emit"):
+                write_batch(folder, scene)
+            log.facts["bytes"] = sum((folder / path).stat().st_size for path in tree(folder))
+            write_json(folder / REPORT, {"batch": batch, **log.facts})
+            if (out / name).is_dir() and same_tree(folder, out / name, ignore=(FRAMES,)):
+                unchanged += 1
+            else:
+                replace_folder(folder, out / name, keep=(FRAMES,))
+        seconds[name], facts[name] = log.seconds, log.facts
+        _add_batch(manifest, out, name, batch, plan.samples)
+    _write_manifest(manifest, out, seconds)
+    return CompileReport(out, tuple(chosen), unchanged, seconds, facts)
+
+
+def _chosen(spec: Spec, batches: range | None) -> range:
+    count = int(spec.cfg["batches"])
+    if batches is None:
+        return range(count)
+    if batches.start < 0 or batches.stop > count or not len(batches):
+        raise ScenecError(
+            f"--batches {batches.start}:{batches.stop}: the cfg has batches 0 to {count - 1}; "
+            f"a range A:B holds A to B-1"
+        )
+    return batches
+
+
+def _begin_manifest(spec: Spec, seed: int, out: Path) -> dict[str, Any]:
+    """A manifest for this cfg and seed; batches of an earlier, equal run are kept.
+
+    Raises:
+        OutputError: The folder holds something else.
+    """
+    head = {
+        "format": MANIFEST_FORMAT,
+        "name": spec.cfg["name"],
+        "cfg": {
+            "sha256": spec.digest,
+            "inputs": {pointer: file.sha256 for pointer, file in spec.files.items()},
+        },
+        "seed": seed,
+        "scenec": version("scenec"),
+        "libraries": {name: version(name) for name in _LIBRARIES},
+    }
+    old = _read_manifest(out)
+    if old is not None:
+        same = all(old.get(key) == value for key, value in head.items())
+        return {
+            **head,
+            "batches": old["batches"] if same else [],
+            "files": old["files"] if same else {},
+        }
+    if out.exists() and (not out.is_dir() or any(out.glob("*"))):
+        raise OutputError(
+            f"{out}: is not empty and holds no scenec output (no {MANIFEST}); choose another folder"
+        )
+    return {**head, "batches": [], "files": {}}
+
+
+def _read_manifest(out: Path) -> dict[str, Any] | None:
+    path = out / MANIFEST
+    if not path.exists():
+        return None
+    try:
+        manifest = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise OutputError(f"{path}: is no manifest: {error}") from error
+    if not isinstance(manifest, dict) or not isinstance(manifest.get("batches"), list):
+        raise OutputError(f"{path}: is no scenec manifest; choose another folder")
+    return manifest
+
+
+def _add_batch(manifest: dict[str, Any], out: Path, name: str, index: int, samples: int) -> None:
+    manifest["batches"] = sorted(
+        [b for b in manifest["batches"] if b["index"] != index]
+        + [{"index": index, "path": name, "stage": f"{name}/{STAGE}", "samples": samples}],
+        key=lambda b: b["index"],
+    )
+    files = {
+        path: entry for path, entry in manifest["files"].items() if not path.startswith(f"{name}/")
+    }
+    for path in tree(out / name):
+        if path.parts[0] == FRAMES:
+            continue
+        file = out / name / path
+        files[f"{name}/{path.as_posix()}"] = {
+            "what": _role(path),
+            "bytes": file.stat().st_size,
+            "sha256": sha256(file),
+        }
+    manifest["files"] = dict(sorted(files.items()))
+
+
+def _role(path: Path) -> str:
+    roles = {
+        STAGE: "root layer: open this",
+        "terrain.usdc": "terrain",
+        "lights.usda": "sun and sky",
+        "cameras.usda": "rigs, cameras, render products",
+        REPORT: "error of every pass, counts, what was left out",
+    }
+    folders = {"objects": "object class", "looks": "material", "textures": "texture"}
+    return roles.get(path.name) or folders[path.parts[0]]
+
+
+def _write_manifest(
+    manifest: dict[str, Any], out: Path, seconds: dict[str, dict[str, float]]
+) -> None:
+    known = {b["path"] for b in manifest["batches"]}
+    timings: dict[str, Any] = {}
+    path = out / TIMINGS
+    if path.exists():
+        try:
+            timings = json.loads(path.read_text(encoding="utf-8")).get("compile", {})
+        except (ValueError, AttributeError):
+            # Timings promise nothing: a broken file is begun anew.
+            timings = {}
+    merged = {**{k: v for k, v in timings.items() if k in known}, **seconds}
+    write_json(path, {"compile": dict(sorted(merged.items()))})
+    write_json(out / MANIFEST, manifest)

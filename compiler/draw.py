@@ -1,0 +1,240 @@
+"""Spec and seed to Plan: every number drawn, and nothing random after it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenec.compiler.arithmetic import elementary
+from scenec.compiler.cameras.poses import compose, from_euler, from_quaternion
+from scenec.compiler.frontend.load import Spec
+from scenec.compiler.frontend.resolve import resolve
+from scenec.compiler.frontend.streams import Streams
+from scenec.compiler.frontend.track import read_track
+from scenec.compiler.ground.merge import Merge
+from scenec.compiler.light.latlong import luminance
+from scenec.compiler.plan import (
+    ClearSkyPlan,
+    ImageSkyPlan,
+    Plan,
+    RandomTargetPlan,
+    RigPlan,
+    SensorPlan,
+    TerrainPlan,
+    TrackPlan,
+)
+from scenec.compiler.scatter.draw import draw_rocks
+from scenec.compiler.scene import GroundLayer, Labels, Material, SunLight
+from scenec.compiler.terrain.operator import OPERATORS, ReliefOperator
+
+#: OpenCV axes (x right, y down, z forward) against USD's (y up, looking down -z).
+_HALF_TURN = np.diag([1.0, -1.0, -1.0, 1.0])
+
+
+def draw(spec: Spec, seed: int, batch: int) -> Plan:
+    """The plan of one batch.
+
+    Each number's stream is named by its place in the cfg, so a change in one place leaves what is
+    drawn for every other as it was.
+
+    Args:
+        spec: A validated cfg.
+        seed: 0 <= seed < 2**64.
+        batch: Index of the batch.
+
+    Raises:
+        ScenecError: The seed is out of range.
+    """
+    streams = Streams(seed, batch)
+    cfg, samples = spec.cfg, int(spec.cfg["samples"])
+    return Plan(
+        name=cfg["name"],
+        batch=batch,
+        samples=samples,
+        label_table=cfg["labels"],
+        sky_labels=_sky_labels(cfg),
+        materials={
+            name: _material(resolve(node, streams, f"materials/{name}"))
+            for name, node in cfg["materials"].items()
+        },
+        terrain=_terrain(spec, streams),
+        objects=tuple(
+            draw_rocks(name, node, label_ids(cfg, node["labels"]), streams)
+            for name, node in cfg["objects"].items()
+        ),
+        sun=_sun(cfg["light"]["sun"], streams, samples),
+        sky=_sky(spec, streams, samples),
+        rigs=tuple(_rig(spec, name, streams) for name in cfg["rigs"]),
+    )
+
+
+def label_ids(cfg: dict[str, Any], choice: dict[str, str]) -> Labels:
+    """Label ids of a choice of names, on every level; 0 where it chooses none."""
+    return {
+        level: table[choice[level]] if level in choice else 0
+        for level, table in cfg["labels"].items()
+    }
+
+
+def _sky_labels(cfg: dict[str, Any]) -> Labels:
+    sky = cfg["light"]["sky"]
+    return label_ids(cfg, (sky or {}).get("labels") or {})
+
+
+def _material(node: dict[str, Any]) -> Material:
+    red, green, blue = node["base_color"]
+    return Material((red, green, blue), node["roughness"], node["specular"], node["variation"])
+
+
+def _terrain(spec: Spec, streams: Streams) -> TerrainPlan:
+    cfg = spec.cfg["terrain"]
+    node = resolve({key: cfg[key] for key in ("size_m", "spacing_m", "ground")}, streams, "terrain")
+    layers = tuple(
+        GroundLayer(layer["material"], label_ids(spec.cfg, layer["labels"]))
+        for layer in node["ground"]
+    )
+    merges, coverage = [], []
+    for i, layer in enumerate(node["ground"][1:], start=1):
+        merges.append(
+            Merge(
+                key=streams.key(f"terrain/ground/{i}/noise"),
+                **layer["noise"],
+                sharpness=layer["sharpness"],
+                # Coverage is met at weight 1/2; the cfg gives one of the two.
+                threshold=0.5 if layer["threshold"] is None else layer["threshold"],
+            )
+        )
+        coverage.append(layer["coverage"])
+    return TerrainPlan(
+        size_m=(node["size_m"][0], node["size_m"][1]),
+        spacing_m=node["spacing_m"],
+        relief=tuple(_relief(spec, i, streams) for i in range(len(cfg["relief"]))),
+        layers=layers,
+        merges=tuple(merges),
+        coverage=tuple(coverage),
+        variation_key=streams.key("terrain/variation"),
+    )
+
+
+def _relief(spec: Spec, index: int, streams: Streams) -> ReliefOperator:
+    """One operator: its keys in the cfg are the fields of its class."""
+    path = f"terrain/relief/{index}"
+    node = resolve(spec.cfg["terrain"]["relief"][index], streams, path)
+    operator = OPERATORS[node.pop("type")]
+    if "file" in node:
+        node["file"] = spec.files[f"{path}/file"].path
+    if "key" in operator.__dataclass_fields__:
+        node["key"] = streams.key(path)
+    return operator(**{k: tuple(v) if isinstance(v, list) else v for k, v in node.items()})
+
+
+def _per_sample(node: Any, streams: Streams, path: str, samples: int) -> NDArray[np.float64]:
+    """A number, or a list of numbers, at every sample: float64 [samples, ...]."""
+    return np.array([resolve(node, streams, path, sample=i) for i in range(samples)], np.float64)
+
+
+def _sun(cfg: dict[str, Any] | None, streams: Streams, samples: int) -> SunLight | None:
+    if cfg is None:
+        return None
+    drawn = {
+        key: _per_sample(value, streams, f"light/sun/{key}", samples) for key, value in cfg.items()
+    }
+    level = luminance(drawn["color"])
+    drawn["color"] = drawn["color"] / np.where(level > 0.0, level, 1.0)[:, None]
+    return SunLight(**drawn)
+
+
+def _sky(spec: Spec, streams: Streams, samples: int) -> ClearSkyPlan | ImageSkyPlan | None:
+    cfg = spec.cfg["light"]["sky"]
+    kind = cfg["type"] if cfg else "none"
+    path = "light/sky"
+    if kind == "clear":
+        names = ("irradiance", "zenith_color", "horizon_color", "ground_color")
+        drawn = {n: _per_sample(cfg[n], streams, f"{path}/{n}", samples) for n in names}
+        resolution = resolve(cfg["resolution"], streams, f"{path}/resolution")
+        return ClearSkyPlan(resolution=int(resolution), **drawn)
+    if kind == "image":
+        return ImageSkyPlan(
+            files=tuple(_pick(spec, cfg, streams, i, samples) for i in range(samples)),
+            strength=_per_sample(cfg["strength"], streams, f"{path}/strength", samples),
+            rotation_deg=_per_sample(cfg["rotation_deg"], streams, f"{path}/rotation_deg", samples),
+        )
+    return None
+
+
+def _pick(spec: Spec, cfg: dict[str, Any], streams: Streams, sample: int, samples: int) -> Any:
+    count = len(cfg["files"])
+    if cfg["pick"] == "in_turn":
+        index = (streams.batch * samples + sample) % count
+    else:
+        index = int(streams.uniforms("light/sky/pick", 1, sample=sample)[0] * count)
+    return spec.files[f"light/sky/files/{index}"].path
+
+
+def _rig(spec: Spec, name: str, streams: Streams) -> RigPlan:
+    cfg = spec.cfg["rigs"][name]
+    samples = int(spec.cfg["samples"])
+    path = f"rigs/{name}/pose"
+    if cfg["pose"]["type"] == "track":
+        pose: RandomTargetPlan | TrackPlan = _track(spec, cfg["pose"], path, samples)
+    else:
+        pose = _random_target(cfg["pose"], path, streams, samples)
+    sensors = tuple(
+        _sensor(sensor, node, f"rigs/{name}/sensors/{sensor}", streams, samples)
+        for sensor, node in cfg["sensors"].items()
+    )
+    return RigPlan(name, pose, sensors)
+
+
+def _random_target(
+    cfg: dict[str, Any], path: str, streams: Streams, samples: int
+) -> RandomTargetPlan:
+    def drawn(*keys: str) -> NDArray[np.float64]:
+        node: Any = cfg
+        for key in keys:
+            node = node[key]
+        return _per_sample(node, streams, "/".join((path, *keys)), samples)
+
+    return RandomTargetPlan(
+        xy=np.stack([drawn("position", "x_m"), drawn("position", "y_m")], axis=1),
+        height_m=drawn("position", "height_m"),
+        distance_m=drawn("target", "distance_m"),
+        bearing_deg=drawn("target", "bearing_deg"),
+        target_height_m=drawn("target", "height_m"),
+        roll_deg=drawn("roll_deg"),
+    )
+
+
+def _track(spec: Spec, cfg: dict[str, Any], path: str, samples: int) -> TrackPlan:
+    track = read_track(spec.files[f"{path}/file"].path)
+    matrices = [from_quaternion(track.position_m[i], track.quaternion[i]) for i in range(samples)]
+    if cfg["convention"] == "usd":
+        matrices = [compose(m, _HALF_TURN) for m in matrices]
+    return TrackPlan(np.stack(matrices), track.time_s[:samples])
+
+
+def _sensor(
+    name: str, cfg: dict[str, Any], path: str, streams: Streams, samples: int
+) -> SensorPlan:
+    width, height = cfg["resolution"]
+    if cfg["intrinsics"] is not None:
+        k = resolve(cfg["intrinsics"], streams, f"{path}/intrinsics")
+        intrinsics = (k["fx"], k["fy"], k["cx"], k["cy"], k["skew"])
+    else:
+        half = resolve(cfg["fov_deg"], streams, f"{path}/fov_deg") * elementary.PI / 360.0
+        focal = 0.5 * width * elementary.cos(half) / elementary.sin(half)
+        intrinsics = (focal, focal, 0.5 * width, 0.5 * height, 0.0)
+    mount = resolve(cfg["mount"], streams, f"{path}/mount")
+    metered = cfg["exposure"]["type"] == "incident"
+    key = "ev_offset" if metered else "ev"
+    return SensorPlan(
+        name=name,
+        resolution=(width, height),
+        intrinsics=intrinsics,
+        to_rig=from_euler(tuple(mount["position_m"]), tuple(mount["rotation_deg"])),
+        metered=metered,
+        ev=_per_sample(cfg["exposure"][key], streams, f"{path}/exposure/{key}", samples),
+        outputs=tuple(cfg["outputs"]),
+    )

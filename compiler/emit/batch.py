@@ -1,0 +1,111 @@
+"""One batch on disk: the root layer and everything it is composed from."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from pxr import Sdf, Usd, UsdGeom, Vt
+
+from scenec.compiler.emit.cameras import write_cameras
+from scenec.compiler.emit.layer import author, constant_label_ids, label, new_layer
+from scenec.compiler.emit.lights import write_lights
+from scenec.compiler.emit.looks import write_look
+from scenec.compiler.emit.objects import OBJECTS, instancer_path, write_scatter
+from scenec.compiler.emit.terrain import write_terrain
+from scenec.compiler.scene import Labels, Scene
+from scenec.schemas import stage as names
+from scenec.schemas.errors import SceneError
+
+STAGE = "stage.usda"
+_LARGEST_ID = 2**32 - 1
+
+
+def write_batch(folder: Path, scene: Scene) -> None:
+    """Writes ``stage.usda`` and its sublayers and textures into an empty folder.
+
+    Each object class and each material has a layer of its own, so adding one leaves the bytes of
+    all other layers as they were; only the root layer, which lists them, changes.
+
+    Raises:
+        SceneError: More instances than ids.
+    """
+    layer_names = [_named(scene, layer.labels) for layer in scene.ground.layers]
+    write_terrain(folder / "terrain.usdc", scene.ground, scene.materials, layer_names)
+    sublayers = ["terrain.usdc"]
+    for scatter in scene.scatters:
+        sublayers.append(f"objects/{scatter.name}.usdc")
+        write_scatter(
+            folder / sublayers[-1],
+            scatter,
+            scene.materials.get(scatter.material),
+            {level: scatter.labels[level] for level in scene.label_table},
+            _named(scene, scatter.labels),
+        )
+    for name, material in scene.materials.items():
+        sublayers.append(f"looks/{name}.usda")
+        write_look(folder / sublayers[-1], name, material)
+    if scene.sun is not None or scene.sky is not None:
+        sublayers.append("lights.usda")
+        write_lights(folder / sublayers[-1], scene.sun, scene.sky)
+    sublayers.append("cameras.usda")
+    write_cameras(folder / sublayers[-1], scene)
+    _write_root(folder / STAGE, scene, sublayers)
+
+
+def _named(scene: Scene, labels: Labels) -> dict[str, str]:
+    """Label names per level, for the levels that the stage has."""
+    found = {}
+    for level, table in scene.label_table.items():
+        found.update({level: name for name, i in table.items() if i == labels.get(level)})
+    return found
+
+
+def _write_root(path: Path, scene: Scene, sublayers: list[str]) -> None:
+    with new_layer(path) as stage:
+        stage.GetRootLayer().subLayerPaths = [f"./{name}" for name in sublayers]
+        stage.SetStartTimeCode(0.0)
+        stage.SetEndTimeCode(float(scene.samples - 1))
+        stage.SetTimeCodesPerSecond(1.0)
+        stage.SetFramesPerSecond(1.0)
+        stage.SetMetadata("renderSettingsPrimPath", f"{names.RENDER_SCOPE}/Settings")
+        world = UsdGeom.Xform.Define(stage, names.ROOT).GetPrim()
+        Usd.ModelAPI(world).SetKind("assembly")
+        Usd.ColorSpaceAPI.Apply(world).CreateColorSpaceNameAttr("lin_rec709_scene")
+        world.CreateAttribute(
+            names.ATTR_SCHEMA_VERSION, Sdf.ValueTypeNames.String, custom=True
+        ).Set(names.SCHEMA_VERSION)
+        for level, table in scene.label_table.items():
+            world.CreateAttribute(
+                names.ATTR_LABEL_NAMES.format(level=level),
+                Sdf.ValueTypeNames.TokenArray,
+                custom=True,
+            ).Set(Vt.TokenArray(list(table)))
+            world.CreateAttribute(
+                names.ATTR_LABEL_IDS.format(level=level),
+                Sdf.ValueTypeNames.UIntArray,
+                custom=True,
+            ).Set(Vt.UIntArray(list(table.values())))
+        author(
+            world.CreateAttribute(names.ATTR_TIME, Sdf.ValueTypeNames.Double, custom=True),
+            scene.times.tolist(),
+        )
+        if scene.sky_labels:
+            sky = UsdGeom.Scope.Define(stage, names.SKY_PRIM).GetPrim()
+            constant_label_ids(sky, scene.sky_labels)
+            label(sky, _named(scene, scene.sky_labels))
+        _write_instance_bases(stage, scene)
+
+
+def _write_instance_bases(stage: Usd.Stage, scene: Scene) -> None:
+    """Where the frame ids of each class begin: running sums of the counts."""
+    base = 0
+    if scene.scatters:
+        stage.OverridePrim(OBJECTS)
+    for scatter in scene.scatters:
+        prim = stage.OverridePrim(instancer_path(scatter.name))
+        prim.CreateAttribute(names.ATTR_INSTANCE_ID_BASE, Sdf.ValueTypeNames.UInt, custom=True).Set(
+            base
+        )
+        base += scatter.count
+    if base > _LARGEST_ID:
+        raise SceneError(f"{base} instances: a frame has ids for {_LARGEST_ID} at most")

@@ -1,0 +1,110 @@
+"""The layer of rigs, cameras, and what is to be rendered.
+
+A rig's frame and a sensor's pose on it have OpenCV axes (x right, y down, z forward). A
+UsdGeomCamera looks down its -Z with y up: its prim carries the half turn about x that relates the
+two. ``camera_to_world`` of the contract is therefore (prim's local-to-world) * HALF_TURN.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdRender
+
+from scenec.compiler.emit.layer import author, new_layer
+from scenec.compiler.scene import Rig, Scene, Sensor
+from scenec.schemas import stage as names
+
+RIGS = f"{names.ROOT}/Rigs"
+#: Columns of a sensor's rotation get these signs: x stays, y and z turn round.
+HALF_TURN = np.array([1.0, -1.0, -1.0, 1.0])
+#: Full-frame width in stage units: USD counts apertures in tenths of a unit, and 36 mm are 0.36.
+_APERTURE = 0.36
+_NEAR_M = 0.01
+_VAR_TYPES = {
+    "rgb": "color3f",
+    "depth": "float",
+    "range": "float",
+    "normal": "normal3f",
+    "position": "point3f",
+    "instance": "int",
+    "face": "int",
+    "label": "int",
+}
+
+
+def write_cameras(path: Path, scene: Scene) -> None:
+    """Writes ``cameras.usda``: rigs, cameras, and a RenderProduct for each camera."""
+    with new_layer(path) as stage:
+        UsdGeom.Scope.Define(stage, RIGS)
+        products = []
+        for rig in scene.rigs:
+            xform = UsdGeom.Xform.Define(stage, f"{RIGS}/{rig.name}")
+            author(xform.AddTransformOp().GetAttr(), [_matrix(m) for m in rig.to_world])
+            far = _far(rig, scene.bounds)
+            for sensor in rig.sensors:
+                camera = _write_camera(stage, rig, sensor, far)
+                products.append(_write_product(stage, rig, sensor, camera, scene))
+        settings = UsdRender.Settings.Define(stage, f"{names.RENDER_SCOPE}/Settings")
+        settings.CreateProductsRel().SetTargets(products)
+
+
+def _matrix(columns: NDArray[np.float64]) -> Gf.Matrix4d:
+    """Gf's matrices act on row vectors: the transpose of ours."""
+    return Gf.Matrix4d(*columns.T.ravel().tolist())
+
+
+def _far(rig: Rig, bounds: NDArray[np.float64]) -> float:
+    """Distance beyond which the batch has nothing, from any pose of the rig, with some slack."""
+    position = rig.to_world[:, :3, 3]
+    reach = np.maximum(np.abs(position - bounds[0]), np.abs(position - bounds[1]))
+    return float(1.1 * np.sqrt((reach * reach).sum(axis=1)).max() + 1.0)
+
+
+def _write_camera(stage: Usd.Stage, rig: Rig, sensor: Sensor, far: float) -> UsdGeom.Camera:
+    camera = UsdGeom.Camera.Define(stage, f"{RIGS}/{rig.name}/{sensor.name}")
+    camera.AddTransformOp().Set(_matrix(sensor.to_rig * HALF_TURN[None, :]))
+    width, height = sensor.resolution
+    fx, fy, cx, cy, skew = sensor.intrinsics
+    focal = fx * _APERTURE / width
+    vertical = height * focal / fy
+    camera.CreateProjectionAttr(UsdGeom.Tokens.perspective)
+    camera.CreateFocalLengthAttr(focal)
+    camera.CreateHorizontalApertureAttr(_APERTURE)
+    camera.CreateVerticalApertureAttr(vertical)
+    camera.CreateHorizontalApertureOffsetAttr((0.5 * width - cx) * _APERTURE / width)
+    camera.CreateVerticalApertureOffsetAttr((cy - 0.5 * height) * vertical / height)
+    camera.CreateClippingRangeAttr(Gf.Vec2f(_NEAR_M, far))
+    if "rgb" in sensor.outputs:
+        author(camera.CreateExposureAttr(), sensor.exposure_ev.tolist())
+    camera.GetPrim().CreateAttribute(
+        names.ATTR_INTRINSICS, Sdf.ValueTypeNames.DoubleArray, custom=True
+    ).Set([fx, skew, cx, 0.0, fy, cy, 0.0, 0.0, 1.0])
+    return camera
+
+
+def _write_product(
+    stage: Usd.Stage, rig: Rig, sensor: Sensor, camera: UsdGeom.Camera, scene: Scene
+) -> Sdf.Path:
+    path = f"{names.RENDER_SCOPE}/Products/{rig.name}_{sensor.name}"
+    product = UsdRender.Product.Define(stage, path)
+    product.CreateResolutionAttr(Gf.Vec2i(*sensor.resolution))
+    product.CreateCameraRel().SetTargets([camera.GetPath()])
+    targets = []
+    for output in sensor.outputs:
+        levels = list(scene.label_table) if output == "label" else [None]
+        for level in levels:
+            targets.append(_write_var(stage, output, level))
+    product.CreateOrderedVarsRel().SetTargets(targets)
+    return product.GetPath()
+
+
+def _write_var(stage: Usd.Stage, output: str, level: str | None) -> Sdf.Path:
+    name = output if level is None else f"{output}_{level}"
+    var = UsdRender.Var.Define(stage, f"{names.RENDER_SCOPE}/Vars/{name}")
+    var.CreateDataTypeAttr(_VAR_TYPES[output])
+    var.CreateSourceNameAttr(output if level is None else f"{output}.{level}")
+    var.CreateSourceTypeAttr(UsdRender.Tokens.raw)
+    return var.GetPath()

@@ -1,0 +1,53 @@
+"""How a layer is begun, and how values over the samples are authored."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from pxr import Sdf, Usd, UsdGeom, UsdSemantics
+
+from scenec.compiler.scene import Labels
+from scenec.schemas import stage as names
+
+
+@contextmanager
+def new_layer(path: Path) -> Iterator[Usd.Stage]:
+    """A stage on a new layer in metres, Z up, with ``/World`` as default prim; saved on leaving."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    stage = Usd.Stage.CreateNew(str(path))
+    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
+    stage.SetDefaultPrim(stage.OverridePrim(names.ROOT))
+    yield stage
+    stage.GetRootLayer().Save()
+
+
+def author(attribute: Usd.Attribute, values: Sequence[Any]) -> None:
+    """Authors one value a sample.
+
+    The default is sample 0's, so that viewers at the default time show something; time samples are
+    left out where all are equal.
+    """
+    attribute.Set(values[0])
+    if any(value != values[0] for value in values[1:]):
+        for time_code, value in enumerate(values):
+            attribute.Set(value, float(time_code))
+
+
+def label(prim: Usd.Prim, labels: dict[str, str]) -> None:
+    """Standard semantic labels: one taxonomy a level, the label's name as its only entry."""
+    for level, name in labels.items():
+        UsdSemantics.LabelsAPI.Apply(prim, level).CreateLabelsAttr([name])
+
+
+def constant_label_ids(prim: Usd.Prim, labels: Labels) -> None:
+    """One label id for all faces below a prim, per level, as an inherited primvar."""
+    api = UsdGeom.PrimvarsAPI(prim)
+    for level, label_id in labels.items():
+        primvar = api.CreatePrimvar(
+            names.label_primvar(level), Sdf.ValueTypeNames.Int, UsdGeom.Tokens.constant
+        )
+        primvar.Set(label_id)

@@ -1,0 +1,161 @@
+"""The terrain's layer: one mesh a tile, labels on its faces, weights on its vertices."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade, Vt
+
+from scenec.compiler.emit.layer import label, new_layer
+from scenec.compiler.emit.looks import look_path
+from scenec.compiler.scene import Ground, Material, Tile
+from scenec.schemas import stage as names
+
+TERRAIN = f"{names.ROOT}/Terrain"
+
+
+def write_terrain(
+    path: Path,
+    ground: Ground,
+    materials: dict[str, Material],
+    label_names: list[dict[str, str]],
+) -> None:
+    """Writes the layer.
+
+    Args:
+        path: ``terrain.usdc``.
+        ground: What to write.
+        materials: By name; empty where no color is asked for.
+        label_names: For each ground layer, label name per level; empty where none are asked for.
+    """
+    with new_layer(path) as stage:
+        UsdGeom.Xform.Define(stage, TERRAIN)
+        for tile in ground.tiles:
+            _write_tile(stage, tile, ground, materials, label_names)
+
+
+def _write_tile(
+    stage: Usd.Stage,
+    tile: Tile,
+    ground: Ground,
+    materials: dict[str, Material],
+    label_names: list[dict[str, str]],
+) -> None:
+    mesh = UsdGeom.Mesh.Define(stage, f"{TERRAIN}/{tile.name}")
+    mesh.AddTranslateOp(UsdGeom.XformOp.PrecisionDouble).Set(Gf.Vec3d(*tile.translate.tolist()))
+    write_triangles(mesh, tile.points, tile.faces, tile.normals if materials else None)
+    prim = mesh.GetPrim()
+    primvars = UsdGeom.PrimvarsAPI(prim)
+    for level in label_names[0]:
+        ids = np.array([layer.labels[level] for layer in ground.layers], np.int32)
+        primvars.CreatePrimvar(
+            names.label_primvar(level), Sdf.ValueTypeNames.IntArray, UsdGeom.Tokens.uniform
+        ).Set(Vt.IntArray.FromNumpy(ids[tile.layer]))
+    if materials:
+        _write_appearance(prim, tile, ground, materials)
+    _write_subsets(mesh, tile, ground, materials, label_names)
+
+
+def _write_appearance(
+    prim: Usd.Prim, tile: Tile, ground: Ground, materials: dict[str, Material]
+) -> None:
+    targets = [Sdf.Path(look_path(layer.material)) for layer in ground.layers]
+    prim.CreateRelationship(names.REL_LAYERS, custom=True).SetTargets(targets)
+    primvars = UsdGeom.PrimvarsAPI(prim)
+    for merge, weight in enumerate(tile.weights, start=1):
+        write_vertex_floats(primvars, names.weight_primvar(merge), weight)
+    write_vertex_floats(primvars, names.PRIMVAR_VARIATION, tile.variation)
+    write_display_color(prim, blended_color(tile, ground, materials))
+
+
+def blended_color(
+    tile: Tile, ground: Ground, materials: dict[str, Material]
+) -> NDArray[np.float64]:
+    """Albedo at the vertices: the merges of the varied base colors, float64 [n, 3]."""
+    layers = [materials[layer.material] for layer in ground.layers]
+    color = varied_color(layers[0], tile.variation)
+    for material, weight in zip(layers[1:], tile.weights.astype(np.float64), strict=True):
+        alpha = weight[:, None]
+        color = alpha * varied_color(material, tile.variation) + (1.0 - alpha) * color
+    return color
+
+
+def varied_color(material: Material, variation: NDArray[np.float32]) -> NDArray[np.float64]:
+    """base_color * (1 + material.variation * variation), float64 [n, 3]."""
+    factor = 1.0 + material.variation * variation.astype(np.float64)
+    return np.array(material.base_color)[None, :] * factor[:, None]
+
+
+def _write_subsets(
+    mesh: UsdGeom.Mesh,
+    tile: Tile,
+    ground: Ground,
+    materials: dict[str, Material],
+    label_names: list[dict[str, str]],
+) -> None:
+    """One subset a material and label in use; a tile of a single one has none."""
+    used = np.unique(tile.layer).tolist()
+    if not materials and not label_names[0]:
+        return
+    for index in used:
+        name = ground.layers[index].material
+        if len(used) == 1:
+            prim = mesh.GetPrim()
+        else:
+            faces = np.flatnonzero(tile.layer == index).astype(np.int32)
+            subset = UsdGeom.Subset.CreateGeomSubset(
+                mesh,
+                f"layer_{index}_{name}",
+                UsdGeom.Tokens.face,
+                Vt.IntArray.FromNumpy(faces),
+                UsdShade.Tokens.materialBind,
+                UsdGeom.Tokens.partition,
+            )
+            prim = subset.GetPrim()
+        if materials:
+            bind(prim, name)
+        label(prim, label_names[index])
+
+
+def bind(prim: Usd.Prim, material: str) -> None:
+    """Binds a prim to a look that another layer of the stage defines."""
+    api = UsdShade.MaterialBindingAPI.Apply(prim)
+    api.GetDirectBindingRel().SetTargets([Sdf.Path(look_path(material))])
+
+
+def write_triangles(
+    mesh: UsdGeom.Mesh,
+    points: NDArray[np.float32],
+    faces: NDArray[np.int32],
+    normals: NDArray[np.float32] | None,
+) -> None:
+    """Points, triangles, extent, and shading normals where there is shading."""
+    mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
+    mesh.CreateDoubleSidedAttr(True)
+    mesh.CreateOrientationAttr(UsdGeom.Tokens.rightHanded)
+    mesh.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(points))
+    mesh.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(len(faces), 3, np.int32)))
+    mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(np.ascontiguousarray(faces).ravel()))
+    mesh.CreateExtentAttr(
+        Vt.Vec3fArray.FromNumpy(np.stack([points.min(axis=0), points.max(axis=0)]))
+    )
+    if normals is not None:
+        mesh.CreateNormalsAttr(Vt.Vec3fArray.FromNumpy(normals))
+        mesh.SetNormalsInterpolation(UsdGeom.Tokens.vertex)
+
+
+def write_vertex_floats(
+    primvars: UsdGeom.PrimvarsAPI, name: str, values: NDArray[np.float32]
+) -> None:
+    """A float primvar with one value a vertex (on an instancer: an instance)."""
+    primvars.CreatePrimvar(name, Sdf.ValueTypeNames.FloatArray, UsdGeom.Tokens.vertex).Set(
+        Vt.FloatArray.FromNumpy(np.ascontiguousarray(values))
+    )
+
+
+def write_display_color(prim: Usd.Prim, color: NDArray[np.float64]) -> None:
+    """displayColor at the vertices, which the looks' preview surfaces show."""
+    primvar = UsdGeom.Gprim(prim).CreateDisplayColorPrimvar(UsdGeom.Tokens.vertex)
+    primvar.Set(Vt.Vec3fArray.FromNumpy(color.astype(np.float32)))

@@ -1,0 +1,132 @@
+"""The files that a cfg names: that they are there, are what they must be, and what they hold."""
+
+from __future__ import annotations
+
+import hashlib
+import zipfile
+import zlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path as FilePath
+from typing import Any
+
+from scenec.compiler.frontend.faults import Finding, nearest, shown
+from scenec.compiler.frontend.json_positions import Path
+from scenec.compiler.frontend.resources import ResourceError, find_file
+from scenec.compiler.frontend.schema import Field
+from scenec.compiler.frontend.track import read_track
+from scenec.schemas.errors import SceneError
+
+_EXR_MAGIC = b"\x76\x2f\x31\x01"
+
+
+@dataclass(frozen=True)
+class InputFile:
+    """A file that the cfg names.
+
+    Attributes:
+        path: Where it is on this machine; never written to any output.
+        sha256: Of its bytes, in hexadecimal.
+    """
+
+    path: FilePath
+    sha256: str
+
+
+def check_file(
+    field: Field, document: Any, folder: FilePath
+) -> tuple[InputFile | None, list[Finding]]:
+    """Finds, checks and hashes one file.
+
+    Args:
+        field: The string that names it; its keyword "x-file" says what it must be.
+        document: The whole cfg, for the keys beside it.
+        folder: The cfg's folder.
+
+    Returns:
+        The file, or None where there is a finding.
+    """
+    try:
+        path = find_file(field.value, folder)
+        with path.open("rb") as stream:
+            digest = hashlib.file_digest(stream, "sha256").hexdigest()
+    except ResourceError as error:
+        return None, [Finding(field.path, str(error))]
+    except OSError as error:
+        return None, [Finding(field.path, f"{shown(field.value)}: {error.strerror or error}")]
+    owner = document
+    for key in field.path[:-1]:
+        owner = owner[key]
+    try:
+        findings = _CHECKS[field.keywords["x-file"]](path, field.path, owner, document)
+    except SceneError as error:
+        findings = [Finding(field.path, str(error))]
+    return (None if findings else InputFile(path, digest)), findings
+
+
+def _check_dem(file: FilePath, path: Path, owner: Any, document: Any) -> list[Finding]:
+    # Imported here: it compiles kernels, and most faults are found without it.
+    from scenec.compiler.terrain.dem import read_dem
+
+    array = owner.get("array")
+    member = array if isinstance(array, str) else None
+    try:
+        if member is not None and zipfile.is_zipfile(file):
+            with zipfile.ZipFile(file) as archive:
+                members = [name.removesuffix(".npy") for name in archive.namelist()]
+            if member not in members:
+                return [
+                    Finding(
+                        (*path[:-1], "array"),
+                        f"no array {shown(member)} in {file.name}{nearest(member, members)}",
+                    )
+                ]
+        read_dem(file, member)
+    except (zipfile.BadZipFile, zlib.error, NotImplementedError, MemoryError) as error:
+        return [Finding(path, f"{file.name}: a broken file: {error or type(error).__name__}")]
+    return []
+
+
+def _check_image(file: FilePath, path: Path, owner: Any, document: Any) -> list[Finding]:
+    with file.open("rb") as stream:
+        magic = stream.read(4)
+    if magic != _EXR_MAGIC:
+        return [Finding(path, f"{file.name}: not an OpenEXR file")]
+    import OpenEXR
+
+    try:
+        with OpenEXR.File(str(file), header_only=True) as picture:
+            header = picture.header()
+    except (RuntimeError, ValueError, OSError) as error:
+        return [Finding(path, f"{file.name}: not a readable OpenEXR file: {error}")]
+    channels = [channel.name for channel in header["channels"]]
+    missing = [name for name in "RGB" if name not in channels]
+    if missing:
+        return [
+            Finding(
+                path,
+                f"{file.name}: expected the channels R, G and B, found "
+                f"{', '.join(sorted(channels))}",
+            )
+        ]
+    return []
+
+
+def _check_track(file: FilePath, path: Path, owner: Any, document: Any) -> list[Finding]:
+    rows = len(read_track(file).time_s)
+    samples = document.get("samples", 1)
+    if isinstance(samples, int) and rows < samples:
+        return [
+            Finding(
+                path,
+                f"{file.name}: {rows} poses for {samples} samples: expected a row for each sample",
+            )
+        ]
+    return []
+
+
+_CHECKS: dict[str, Callable[[FilePath, Path, Any, Any], list[Finding]]] = {
+    "dem": _check_dem,
+    "image": _check_image,
+    "track": _check_track,
+}

@@ -1,0 +1,164 @@
+"""Names that the cfg gives, and names that it uses: labels and materials.
+
+These checks also run on a cfg that the schemas found fault with, so that all faults are told at
+once; they pass over what does not have the shape they look for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from scenec.compiler.frontend.faults import Finding, nearest, shown
+from scenec.compiler.frontend.json_positions import Path
+
+
+def check_names(document: Any, sound: bool) -> list[Finding]:
+    """Findings on label and material names.
+
+    Args:
+        document: A cfg, perhaps with faults.
+        sound: Whether the schemas found no fault. Where they did, a name counts as used as soon as
+            it stands anywhere: its user may have been misspelled.
+    """
+    cfg = _mapping(document)
+    users = list(_users(cfg))
+    findings = [*_check_materials(cfg, users), *_check_levels(cfg, users), *_check_ids(cfg)]
+    findings.extend(_check_unused(cfg, users, None if sound else _all_words(cfg)))
+    return findings
+
+
+def _mapping(value: Any) -> Mapping[str, Any]:
+    return value if isinstance(value, dict) else {}
+
+
+def _users(cfg: Mapping[str, Any]) -> Iterator[tuple[Path, Mapping[str, Any]]]:
+    """What has a material and labels: ground layers and objects."""
+    ground = _mapping(cfg.get("terrain")).get("ground")
+    for i, layer in enumerate(ground if isinstance(ground, list) else []):
+        if isinstance(layer, dict):
+            yield ("terrain", "ground", i), layer
+    for name, thing in _mapping(cfg.get("objects")).items():
+        if isinstance(thing, dict):
+            yield ("objects", name), thing
+
+
+def _sky(cfg: Mapping[str, Any]) -> Mapping[str, Any]:
+    return _mapping(_mapping(cfg.get("light")).get("sky"))
+
+
+def _check_materials(
+    cfg: Mapping[str, Any], users: list[tuple[Path, Mapping[str, Any]]]
+) -> Iterator[Finding]:
+    materials = cfg.get("materials")
+    if not isinstance(materials, dict):
+        return
+    for path, thing in users:
+        name = thing.get("material")
+        if isinstance(name, str) and name not in materials:
+            yield Finding(
+                (*path, "material"), f"no material {shown(name)}{nearest(name, materials)}"
+            )
+
+
+def _check_levels(
+    cfg: Mapping[str, Any], users: list[tuple[Path, Mapping[str, Any]]]
+) -> Iterator[Finding]:
+    if not isinstance(cfg.get("labels", {}), dict):
+        return
+    levels = _mapping(cfg.get("labels"))
+    for path, thing in users:
+        chosen = thing.get("labels", {})
+        if not isinstance(chosen, dict):
+            continue
+        at = (*path, "labels") if "labels" in thing else path
+        yield from _check_choice(levels, at, chosen)
+        unknown = [level for level in chosen if level not in levels]
+        for level in levels:
+            # A misspelled level is told once, as the unknown key that it is.
+            if level not in chosen and not nearest(level, unknown).startswith("; did"):
+                yield Finding(at, f"no label on the level {shown(level)}: give one")
+    chosen = _sky(cfg).get("labels", {})
+    if isinstance(chosen, dict):
+        yield from _check_choice(levels, ("light", "sky", "labels"), chosen)
+    outputs = cfg.get("outputs", ["label"])
+    if not levels and isinstance(outputs, list) and "label" in outputs:
+        yield Finding(
+            ("outputs",) if "outputs" in cfg else (),
+            'the output "label" needs at least one level in "labels"; define one, or leave '
+            '"label" out of "outputs"',
+        )
+
+
+def _check_choice(
+    levels: Mapping[str, Any], at: Path, chosen: Mapping[str, Any]
+) -> Iterator[Finding]:
+    for level, name in chosen.items():
+        if level not in levels:
+            yield Finding(
+                (*at, level), f"no label level {shown(level)}{nearest(level, levels)}", at_key=True
+            )
+        elif isinstance(name, str) and isinstance(levels[level], dict):
+            names = levels[level]
+            if name not in names:
+                yield Finding(
+                    (*at, level),
+                    f"no label {shown(name)} on the level {shown(level)}{nearest(name, names)}",
+                )
+
+
+def _check_ids(cfg: Mapping[str, Any]) -> Iterator[Finding]:
+    for level, names in _mapping(cfg.get("labels")).items():
+        first: dict[float, str] = {}
+        for name, number in _mapping(names).items():
+            if isinstance(number, bool) or not isinstance(number, (int, float)):
+                continue
+            if number in first:
+                yield Finding(
+                    ("labels", level, name),
+                    f"the id {shown(number)} is that of {shown(first[number])} already: ids are "
+                    "unique within a level",
+                )
+            first.setdefault(number, name)
+
+
+def _check_unused(
+    cfg: Mapping[str, Any],
+    users: list[tuple[Path, Mapping[str, Any]]],
+    words: frozenset[str] | None,
+) -> Iterator[Finding]:
+    used = {thing.get("material") for _, thing in users if isinstance(thing.get("material"), str)}
+    for name in _mapping(cfg.get("materials")):
+        if name not in used and (words is None or name not in words):
+            yield Finding(
+                ("materials", name),
+                f"the material {shown(name)} is not used: use it or take it away",
+                at_key=True,
+            )
+    choices = [_mapping(thing.get("labels")) for _, thing in users]
+    choices.append(_mapping(_sky(cfg).get("labels")))
+    for level, names in _mapping(cfg.get("labels")).items():
+        given = [choice[level] for choice in choices if level in choice]
+        for name in _mapping(names):
+            if name not in given and (words is None or name not in words):
+                yield Finding(
+                    ("labels", level, name),
+                    f"the label {shown(name)} is not used: use it or take it away",
+                    at_key=True,
+                )
+
+
+def _all_words(cfg: Mapping[str, Any]) -> frozenset[str]:
+    found: list[str] = []
+    pending: list[Any] = [
+        value for key, value in cfg.items() if key not in ("labels", "name", "description")
+    ]
+    while pending:
+        value = pending.pop()
+        if isinstance(value, str):
+            found.append(value)
+        elif isinstance(value, dict):
+            pending.extend(value.values())
+        elif isinstance(value, list):
+            pending.extend(value)
+    return frozenset(found)

@@ -1,0 +1,178 @@
+"""Numbers of the cfg: what the schemas cannot say of them, and what they are once they are sound.
+
+A key's bounds hold for the whole support of a distribution. A normal without min or max is
+truncated to the key's own bounds, where it has them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from scenec.compiler.frontend.faults import Finding, shown
+from scenec.compiler.frontend.normal import MAX_SIGMAS
+from scenec.compiler.frontend.numbers import Distribution, Number
+from scenec.compiler.frontend.schema import Field
+
+# Beyond it, whole numbers are no longer told apart by a double.
+_LARGEST_WHOLE = 2**53
+
+
+def check_number(field: Field) -> Iterator[Finding]:
+    """Findings on a number that its schemas find nothing wrong with."""
+    whole = _is_whole_key(field.keywords)
+    if not isinstance(field.value, dict):
+        if whole and not _is_whole(field.value):
+            yield Finding(field.path, f"{shown(field.value)}: expected a whole number")
+        return
+    yield from _check_per(field)
+    broken = list(_check_shape(field.value))
+    for key, message in broken:
+        yield Finding((*field.path, *key), message)
+    if broken:
+        return
+    yield from _check_support(field)
+    if whole:
+        yield from _check_whole(field)
+
+
+def read_number(value: Any, keywords: Mapping[str, Any]) -> Number:
+    """A sound number: a float (an int, where the key takes whole numbers) or a ``Distribution``."""
+    whole = _is_whole_key(keywords)
+    if not isinstance(value, dict):
+        # + 0.0 makes -0.0 into 0.0, so that equal cfgs have equal digests.
+        return int(value) if whole else float(value) + 0.0
+    kind = value["type"]
+    per = value.get("per", keywords["x-per"])
+    if kind == "choice":
+        values = tuple(float(v) + 0.0 for v in value["values"])
+        weights = tuple(float(w) for w in value.get("weights", [1.0] * len(values)))
+        return Distribution(
+            kind, per, whole, min(values), max(values), values=values, weights=weights
+        )
+    low, high = _support(value, keywords)
+    return Distribution(
+        kind,
+        per,
+        whole,
+        low + 0.0,
+        high + 0.0,
+        mean=float(value.get("mean", 0.0)) + 0.0,
+        std=float(value.get("std", 0.0)) + 0.0,
+    )
+
+
+def support(value: Any, keywords: Mapping[str, Any]) -> tuple[float, float]:
+    """The smallest and largest number that a sound number can be."""
+    number = read_number(value, keywords)
+    if isinstance(number, Distribution):
+        return number.min, number.max
+    return float(number), float(number)
+
+
+def _is_whole_key(keywords: Mapping[str, Any]) -> bool:
+    return keywords.get("x-kind") == "integer"
+
+
+def _is_whole(value: float) -> bool:
+    return float(value).is_integer() and abs(value) <= _LARGEST_WHOLE
+
+
+def _support(value: Mapping[str, Any], keywords: Mapping[str, Any]) -> tuple[float, float]:
+    low, high = -math.inf, math.inf
+    if value["type"] == "normal":
+        if "minimum" in keywords:
+            low = float(keywords["minimum"])
+        if "exclusiveMinimum" in keywords:
+            low = math.nextafter(float(keywords["exclusiveMinimum"]), math.inf)
+        if "maximum" in keywords:
+            high = float(keywords["maximum"])
+        if "exclusiveMaximum" in keywords:
+            high = math.nextafter(float(keywords["exclusiveMaximum"]), -math.inf)
+    return float(value.get("min", low)), float(value.get("max", high))
+
+
+def _check_per(field: Field) -> Iterator[Finding]:
+    allowed = field.keywords["x-per-allowed"]
+    per = field.value.get("per")
+    if per is not None and per not in allowed:
+        yield Finding(
+            (*field.path, "per"),
+            f"{shown(per)}: this number can be drawn per {' or '.join(allowed)} only",
+        )
+
+
+def _check_shape(value: Mapping[str, Any]) -> Iterator[tuple[tuple[str | int, ...], str]]:
+    """Faults inside the distribution, whatever key it stands at."""
+    low, high = value.get("min"), value.get("max")
+    if low is not None and high is not None and low > high:
+        yield ("min",), f"{shown(low)}: min is above max ({shown(high)}); swap them"
+    if value["type"] == "choice" and "weights" in value:
+        weights = value["weights"]
+        if len(weights) != len(value["values"]):
+            yield (
+                ("weights",),
+                f"{len(weights)} weights for {len(value['values'])} values: expected one for each",
+            )
+        elif not any(weights):
+            yield ("weights",), "all weights are 0: expected one that is more"
+
+
+def _check_support(field: Field) -> Iterator[Finding]:
+    value, keywords = field.value, field.keywords
+    broken = False
+    for key, bound in _bounds_given(value):
+        message = _outside(bound, keywords)
+        if message:
+            broken = True
+            yield Finding((*field.path, *key), f"{shown(bound)}: expected {message}")
+    if value["type"] != "normal" or broken:
+        return
+    low, high = _support(value, keywords)
+    mean, std = float(value["mean"]), float(value["std"])
+    if low > high:
+        at: tuple[str, ...] = ("min",) if "min" in value else ("max",)
+        yield Finding((*field.path, *at), f"nothing lies between {low:g} and {high:g}")
+    elif not low - MAX_SIGMAS * std <= mean <= high + MAX_SIGMAS * std:
+        yield Finding(
+            field.path,
+            f"mean {mean:g} with std {std:g} never falls between {low:g} and {high:g}: "
+            f"expected a mean within {MAX_SIGMAS:g} std of them",
+        )
+    elif (low == -math.inf or high == math.inf) and not math.isfinite(abs(mean) + 40.0 * std):
+        yield Finding((*field.path, "std"), f"{shown(value['std'])}: too large for a number")
+
+
+def _bounds_given(value: Mapping[str, Any]) -> Iterator[tuple[tuple[str | int, ...], float]]:
+    for key in ("min", "max"):
+        if key in value:
+            yield (key,), value[key]
+    for i, entry in enumerate(value.get("values", ())):
+        yield ("values", i), entry
+
+
+def _outside(value: float, keywords: Mapping[str, Any]) -> str:
+    unit = keywords.get("x-unit", "")
+    tests = (
+        ("minimum", "at least", lambda bound: value >= bound),
+        ("exclusiveMinimum", "more than", lambda bound: value > bound),
+        ("maximum", "at most", lambda bound: value <= bound),
+        ("exclusiveMaximum", "less than", lambda bound: value < bound),
+    )
+    for keyword, words, inside in tests:
+        if keyword in keywords and not inside(keywords[keyword]):
+            return f"{words} {keywords[keyword]} {unit}".rstrip()
+    return ""
+
+
+def _check_whole(field: Field) -> Iterator[Finding]:
+    value = field.value
+    if value["type"] in ("uniform", "choice"):
+        for key, bound in _bounds_given(value):
+            if not _is_whole(bound):
+                yield Finding((*field.path, *key), f"{shown(bound)}: expected a whole number")
+        return
+    low, high = _support(value, field.keywords)
+    if math.isfinite(low) and math.isfinite(high) and math.ceil(low) > math.floor(high):
+        yield Finding(field.path, f"no whole number lies between {low:g} and {high:g}")

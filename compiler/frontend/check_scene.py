@@ -1,0 +1,127 @@
+"""What must hold between the keys of a cfg: alternatives, and numbers that bound each other.
+
+Like ``check_names``, these checks pass over what does not have the shape they look for.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Any
+
+from scenec.compiler.frontend.check_numbers import support
+from scenec.compiler.frontend.faults import Finding, shown
+from scenec.compiler.frontend.json_positions import Path
+from scenec.compiler.frontend.schema import Field
+
+#: Height samples of a terrain at most (2 GiB of float64).
+MAX_HEIGHT_SAMPLES = 2**28
+
+_BASES = ("plane", "dem")
+
+
+def check_scene(document: Any, numbers: dict[Path, Field]) -> list[Finding]:
+    """Findings on keys that do not go together.
+
+    Args:
+        document: A cfg, perhaps with faults.
+        numbers: The numbers that nothing is wrong with, by path.
+    """
+    spans = {path: support(field.value, field.keywords) for path, field in numbers.items()}
+    return [
+        *_check_relief(document),
+        *_check_layers(document),
+        *_check_samples(spans),
+        *_check_sensors(document),
+        *_check_positions(document, spans),
+    ]
+
+
+def _at(document: Any, *path: str | int) -> Any:
+    for key in path:
+        if isinstance(key, int):
+            if not isinstance(document, list) or key >= len(document):
+                return None
+            document = document[key]
+        else:
+            document = document.get(key) if isinstance(document, dict) else None
+    return document
+
+
+def _entries(document: Any, *path: str | int) -> list[tuple[str | int, Any]]:
+    value = _at(document, *path)
+    if isinstance(value, dict):
+        return list(value.items())
+    return list(enumerate(value)) if isinstance(value, list) else []
+
+
+def _check_relief(document: Any) -> Iterator[Finding]:
+    kind = _at(document, "terrain", "relief", 0, "type")
+    if kind in ("multifractal", "smooth"):
+        yield Finding(
+            ("terrain", "relief", 0, "type"),
+            f"{shown(kind)}: the first operator is the base: expected one of {', '.join(_BASES)}",
+        )
+
+
+def _check_layers(document: Any) -> Iterator[Finding]:
+    for i, layer in _entries(document, "terrain", "ground")[1:]:
+        if isinstance(layer, dict) and "threshold" in layer and "coverage" in layer:
+            yield Finding(
+                ("terrain", "ground", i, "coverage"),
+                "threshold and coverage both say where the border lies: take one away",
+                at_key=True,
+            )
+
+
+def _check_samples(spans: dict[Path, tuple[float, float]]) -> Iterator[Finding]:
+    sizes = [spans.get(("terrain", "size_m", axis)) for axis in range(2)]
+    spacing = spans.get(("terrain", "spacing_m"))
+    if spacing is None or sizes[0] is None or sizes[1] is None:
+        return
+    counts = [math.ceil(min(size[1] / spacing[0], 1e18)) + 1 for size in sizes if size]
+    if counts[0] * counts[1] > MAX_HEIGHT_SAMPLES:
+        enough = math.sqrt(sizes[0][1] * sizes[1][1] / MAX_HEIGHT_SAMPLES)
+        yield Finding(
+            ("terrain", "spacing_m"),
+            f"{spacing[0]:g} m on {sizes[0][1]:g} m by {sizes[1][1]:g} m makes "
+            f"{counts[0] * counts[1]:.3g} height samples, at most {MAX_HEIGHT_SAMPLES:.3g} are "
+            f"taken: expected a spacing of {1.01 * enough:.3g} m or more, or a smaller terrain",
+        )
+
+
+def _sensors(document: Any) -> Iterator[tuple[Path, dict[str, Any]]]:
+    for rig, _ in _entries(document, "rigs"):
+        for name, sensor in _entries(document, "rigs", rig, "sensors"):
+            if isinstance(sensor, dict):
+                yield ("rigs", rig, "sensors", name), sensor
+
+
+def _check_sensors(document: Any) -> Iterator[Finding]:
+    for path, sensor in _sensors(document):
+        if "fov_deg" in sensor and "intrinsics" in sensor:
+            yield Finding(
+                (*path, "intrinsics"),
+                "fov_deg and intrinsics both say what the sensor sees: take one away",
+                at_key=True,
+            )
+        elif "fov_deg" not in sensor and "intrinsics" not in sensor:
+            yield Finding(path, "expected either the key fov_deg or the key intrinsics")
+
+
+def _check_positions(document: Any, spans: dict[Path, tuple[float, float]]) -> Iterator[Finding]:
+    for rig, _ in _entries(document, "rigs"):
+        for axis, key in enumerate(("x_m", "y_m")):
+            path = ("rigs", rig, "pose", "position", key)
+            size, span = spans.get(("terrain", "size_m", axis)), spans.get(path)
+            if size is None or span is None:
+                continue
+            half = 0.5 * size[0]
+            if span[0] < -half or span[1] > half:
+                unbounded = math.isinf(span[0]) or math.isinf(span[1])
+                yield Finding(
+                    path,
+                    f"reaches from {span[0]:g} m to {span[1]:g} m, but the terrain from "
+                    f"{-half:g} m to {half:g} m: expected a position on it"
+                    + (" (give the distribution min and max)" if unbounded else ""),
+                )

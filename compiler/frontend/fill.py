@@ -1,0 +1,69 @@
+"""A sound cfg with every default filled in."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from scenec.compiler.frontend import schema
+from scenec.compiler.frontend.check_numbers import read_number
+from scenec.compiler.frontend.schema import Field
+
+
+def fill(document: Any) -> dict[str, Any]:
+    """The cfg in full, as nested dicts and lists.
+
+    - Every key of the schemas is there, in their order; named things keep the file's order.
+    - A key that was left out has its default, or None where it has none.
+    - Every number is a float, an int (where whole numbers are taken) or a ``Distribution``.
+    - A sensor without outputs has the cfg's; a ground layer with a coverage has threshold None.
+
+    Args:
+        document: A cfg without faults.
+    """
+    cfg = _fill(schema.root(document))
+    for rig in cfg["rigs"].values():
+        for sensor in rig["sensors"].values():
+            if sensor["outputs"] is None:
+                sensor["outputs"] = list(cfg["outputs"])
+    for layer in cfg["terrain"]["ground"][1:]:
+        if layer["coverage"] is not None:
+            layer["threshold"] = None
+    return cfg
+
+
+def _fill(field: Field) -> Any:
+    value = field.value
+    if field.is_number and value is not None:
+        return read_number(value, field.keywords)
+    if isinstance(value, dict):
+        return _fill_object(field, value)
+    if isinstance(value, list):
+        return [_fill_below(field, i, entry) for i, entry in enumerate(value)]
+    if field.keywords.get("type") == "integer":
+        return int(value)
+    if field.keywords.get("type") == "number":
+        return float(value) + 0.0
+    return value
+
+
+def _fill_object(field: Field, value: dict[str, Any]) -> dict[str, Any]:
+    filled: dict[str, Any] = {}
+    properties = field.keywords.get("properties", {})
+    for key, below in properties.items():
+        if below.get("x-ignored"):
+            continue
+        if key in value:
+            filled[key] = _fill_below(field, key, value[key])
+            continue
+        # The default stands beside the reference, so it is there before any value is.
+        filled[key] = _fill_below(field, key, below["default"]) if "default" in below else None
+    for key, entry in value.items():
+        if key not in properties:
+            filled[key] = _fill_below(field, key, entry)
+    return filled
+
+
+def _fill_below(field: Field, key: str | int, value: Any) -> Any:
+    below = schema.child(field, key, value)
+    assert below is not None, f"no schema for {field.path} {key}"
+    return _fill(below)

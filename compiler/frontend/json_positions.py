@@ -1,0 +1,258 @@
+"""Strict JSON (RFC 8259) with the line and column of every value and key.
+
+The standard library's parser accepts NaN and duplicate keys and forgets where things stood; the
+faults of a cfg need both.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from dataclasses import dataclass, field
+from typing import Any
+
+#: Deeper nesting than this is refused; a cfg needs about eight levels.
+MAX_DEPTH = 64
+
+_SPACE = re.compile(r"[ \t\n\r]*")
+_STRING = re.compile(r'"(?:[^"\\\x00-\x1f]|\\(?:["\\/bfnrt]|u[0-9a-fA-F]{4}))*"')
+_NUMBER = re.compile(r"-?(?:0|[1-9][0-9]*)(\.[0-9]+)?([eE][+-]?[0-9]+)?")
+_WORD = re.compile(r"[A-Za-z_][A-Za-z_0-9]*")
+_LITERALS = {"true": True, "false": False, "null": None}
+# Longer runs of digits overflow a double; int() of them would cost quadratic time or raise.
+_MAX_INT_DIGITS = 310
+
+#: Keys and list indices from the root to a value.
+Path = tuple[str | int, ...]
+
+
+@dataclass(frozen=True)
+class Position:
+    """Line and column, both from 1, the column in characters."""
+
+    line: int
+    column: int
+
+
+@dataclass(frozen=True)
+class Document:
+    """A parsed JSON text.
+
+    Attributes:
+        value: The root value, in Python's types.
+        values: Where each value starts, by its path; ``()`` is the root.
+        keys: Where each key of an object stands, by the path of its value.
+        duplicates: Path and position of each key that its object had already.
+    """
+
+    value: Any
+    values: dict[Path, Position]
+    keys: dict[Path, Position]
+    duplicates: tuple[tuple[Path, Position], ...] = ()
+
+
+class JsonError(Exception):
+    """A text that is not JSON: message and position of the first fault."""
+
+    def __init__(self, message: str, position: Position):
+        super().__init__(message)
+        self.message = message
+        self.position = position
+
+
+def parse(data: bytes) -> Document:
+    """Parses a JSON text in UTF-8 (a byte order mark is skipped).
+
+    Raises:
+        JsonError: It is not UTF-8, not JSON, nested deeper than ``MAX_DEPTH``, or holds a number
+            that is too large for a double or a string with half a surrogate pair.
+    """
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        good = data[: error.start].decode("utf-8-sig", errors="replace")
+        raise JsonError(
+            f"byte 0x{data[error.start]:02x} is not UTF-8: save the file as UTF-8",
+            _position(good, len(good)),
+        ) from error
+    return _Parser(text).document()
+
+
+def _position(text: str, offset: int) -> Position:
+    line_start = text.rfind("\n", 0, offset) + 1
+    return Position(text.count("\n", 0, offset) + 1, offset - line_start + 1)
+
+
+@dataclass
+class _Parser:
+    text: str
+    offset: int = 0
+    values: dict[Path, Position] = field(default_factory=dict)
+    keys: dict[Path, Position] = field(default_factory=dict)
+    duplicates: list[tuple[Path, Position]] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        # Positions are asked for in rising order, so that lines are counted once.
+        self._line = 1
+        self._line_start = 0
+        self._counted = 0
+
+    def document(self) -> Document:
+        self._skip_space()
+        value = self._value((), 0)
+        self._skip_space()
+        if self.offset < len(self.text):
+            raise self._error(f"{self._found()} after the end of the document")
+        return Document(value, self.values, self.keys, tuple(self.duplicates))
+
+    def _here(self) -> Position:
+        newlines = self.text.count("\n", self._counted, self.offset)
+        if newlines:
+            self._line += newlines
+            self._line_start = self.text.rfind("\n", self._counted, self.offset) + 1
+        self._counted = self.offset
+        return Position(self._line, self.offset - self._line_start + 1)
+
+    def _error(self, message: str, offset: int | None = None) -> JsonError:
+        return JsonError(message, _position(self.text, self.offset if offset is None else offset))
+
+    def _found(self) -> str:
+        if self.offset >= len(self.text):
+            return "the end of the file"
+        word = _WORD.match(self.text, self.offset)
+        return repr(word.group()[:40] if word else self.text[self.offset])
+
+    def _skip_space(self) -> None:
+        match = _SPACE.match(self.text, self.offset)
+        assert match is not None
+        self.offset = match.end()
+
+    def _take(self, character: str) -> bool:
+        if self.text.startswith(character, self.offset):
+            self.offset += 1
+            return True
+        return False
+
+    def _value(self, path: Path, depth: int) -> Any:
+        if depth > MAX_DEPTH:
+            raise self._error(f"nested deeper than {MAX_DEPTH} levels")
+        self.values[path] = self._here()
+        if self._take("{"):
+            return self._object(path, depth)
+        if self._take("["):
+            return self._array(path, depth)
+        if self.text.startswith('"', self.offset):
+            return self._string()
+        number = _NUMBER.match(self.text, self.offset)
+        if number:
+            return self._number(number)
+        word = _WORD.match(self.text, self.offset)
+        if word and word.group() in _LITERALS:
+            self.offset = word.end()
+            return _LITERALS[word.group()]
+        if word and word.group().lower() in ("nan", "infinity"):
+            raise self._error(f"{word.group()} is not a JSON number")
+        if word and word.group().lower() in _LITERALS:
+            raise self._error(f"{word.group()!r}: write it as {word.group().lower()!r}")
+        raise self._error(f"expected a value, found {self._found()}")
+
+    def _object(self, path: Path, depth: int) -> dict[str, Any]:
+        result: dict[str, Any] = {}
+        self._skip_space()
+        if self._take("}"):
+            return result
+        while True:
+            if not self.text.startswith('"', self.offset):
+                raise self._error(f"expected a key in double quotes, found {self._found()}")
+            position = self._here()
+            key = self._string()
+            self._skip_space()
+            if not self._take(":"):
+                raise self._error(f"expected ':' after the key {key!r}, found {self._found()}")
+            self._skip_space()
+            at = (*path, key)
+            if key in result:
+                # The first one stays: its positions are those that later faults should name.
+                self.duplicates.append((at, position))
+                self._discard(depth)
+            else:
+                self.keys[at] = position
+                result[key] = self._value(at, depth + 1)
+            if not self._another("}", "the object"):
+                return result
+
+    def _discard(self, depth: int) -> None:
+        values, keys, duplicates = self.values, self.keys, self.duplicates
+        self.values, self.keys, self.duplicates = {}, {}, []
+        self._value((), depth + 1)
+        self.values, self.keys, self.duplicates = values, keys, duplicates
+
+    def _array(self, path: Path, depth: int) -> list[Any]:
+        result: list[Any] = []
+        self._skip_space()
+        if self._take("]"):
+            return result
+        while True:
+            result.append(self._value((*path, len(result)), depth + 1))
+            if not self._another("]", "the list"):
+                return result
+
+    def _another(self, closer: str, what: str) -> bool:
+        self._skip_space()
+        if self._take(closer):
+            return False
+        comma = self.offset
+        if not self._take(","):
+            raise self._error(f"expected ',' or '{closer}' in {what}, found {self._found()}")
+        self._skip_space()
+        if self.text.startswith(closer, self.offset):
+            raise self._error(f"a ',' before the '{closer}' of {what}: take it away", comma)
+        return True
+
+    def _string(self) -> str:
+        match = _STRING.match(self.text, self.offset)
+        if not match:
+            raise self._bad_string()
+        value = str(json.loads(match.group()))
+        if any("\ud800" <= character <= "\udfff" for character in value):
+            raise self._error("a string with half a surrogate pair")
+        self.offset = match.end()
+        return value
+
+    def _bad_string(self) -> JsonError:
+        at = self.offset + 1
+        while at < len(self.text) and self.text[at] != '"':
+            if self.text[at] < " ":
+                what = "a line break" if self.text[at] in "\r\n" else "a control character"
+                return self._error(f"{what} in a string: close it, or write the character as an "
+                                   "escape", at)  # fmt: skip
+            if self.text[at] == "\\":
+                if not _STRING.match(f'"{self._escape(at)}"'):
+                    return self._error(
+                        f"unknown escape {self._escape(at)!r} in a string; a backslash is '\\\\'",
+                        at,
+                    )
+                at += len(self._escape(at)) - 1
+            at += 1
+        return self._error("a string that is not closed")
+
+    def _escape(self, at: int) -> str:
+        return self.text[at : at + (6 if self.text.startswith("u", at + 1) else 2)]
+
+    def _number(self, match: re.Match[str]) -> int | float:
+        token = match.group()
+        following = self.text[match.end() : match.end() + 1]
+        if following and (following.isalnum() or following in "._+-"):
+            raise self._error(f"{(token + following)!r} does not begin a JSON number")
+        whole = match.group(1) is None and match.group(2) is None
+        if whole and len(token) < _MAX_INT_DIGITS:
+            value: int | float = int(token)
+            too_large = abs(value) >= 2**1023
+        else:
+            value = float(token)
+            too_large = math.isinf(value)
+        if too_large:
+            raise self._error(f"the number {token[:24]} is too large")
+        self.offset = match.end()
+        return value

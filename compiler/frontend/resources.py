@@ -1,0 +1,109 @@
+"""Files that a cfg names: beside it, or inside an installed Python package."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import importlib.util
+import re
+from pathlib import Path
+
+from scenec.compiler.frontend.faults import nearest, shown
+
+PREFIX = "package:"
+
+# Where the name that is imported is not the one that is installed.
+_DISTRIBUTIONS = {"warp": "warp-lang"}
+
+
+class ResourceError(Exception):
+    """A file that cannot be found; the message says what was looked for and what would help."""
+
+
+def find_file(reference: str, folder: Path) -> Path:
+    """The file that a cfg's string stands for.
+
+    A plain path is relative to the cfg's folder. ``package:NAME/path`` is a file of the installed
+    package NAME, which is found without importing it; in the path, ``*`` stands for any part of a
+    file's or folder's name, and exactly one file must match.
+
+    Args:
+        reference: The string in the cfg.
+        folder: The cfg's folder.
+
+    Raises:
+        ResourceError: There is no such file, or no such package, or more than one match.
+    """
+    if "\0" in reference:
+        raise ResourceError(f"{shown(reference)}: a path cannot hold a zero character")
+    try:
+        if reference.startswith(PREFIX):
+            return _find_in_package(reference)
+        return _find_beside(reference, folder)
+    except OSError as error:
+        raise ResourceError(f"{shown(reference)}: {error.strerror or error}") from error
+
+
+def _find_beside(reference: str, folder: Path) -> Path:
+    path = folder / reference
+    if path.is_file():
+        return path
+    if path.is_dir():
+        raise ResourceError(f"{shown(reference)} is a folder: expected a file")
+    guess = ""
+    if path.parent.is_dir():
+        guess = nearest(path.name, sorted(entry.name for entry in path.parent.iterdir()))
+        guess = guess if guess.startswith("; did") else ""
+    raise ResourceError(
+        f"no file {shown(reference)} (paths are relative to the cfg's folder){guess}"
+    )
+
+
+def _find_in_package(reference: str) -> Path:
+    name, _, pattern = reference.removeprefix(PREFIX).partition("/")
+    if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", name) or not pattern.strip("/"):
+        raise ResourceError(f'{shown(reference)}: expected "{PREFIX}NAME/path/in/the/package"')
+    parts = pattern.split("/")
+    if ".." in parts or "" in parts or "." in parts:
+        raise ResourceError(f"{shown(reference)}: expected a plain path below the package")
+    matches: list[Path] = []
+    for root in _package_folders(name):
+        matches.extend(path for path in sorted(root.glob(pattern)) if path.is_file())
+    if len(matches) == 1:
+        return matches[0]
+    if not matches:
+        raise ResourceError(f"no file {shown(pattern)} in the installed package {shown(name)}")
+    listed = ", ".join(match.name for match in matches[:4]) + (" …" if len(matches) > 4 else "")
+    raise ResourceError(
+        f"{shown(reference)} matches {len(matches)} files, expected exactly one: {listed}"
+    )
+
+
+def _package_folders(name: str) -> list[Path]:
+    # For a name without a dot, find_spec looks at files only and runs nothing of the package.
+    try:
+        spec = importlib.util.find_spec(name)
+    except (ImportError, ValueError, AttributeError):
+        spec = None
+    if spec is None or not spec.submodule_search_locations:
+        raise ResourceError(
+            f"the Python package {shown(name)} is not installed here: {_how_to_install(name)}"
+        )
+    return [Path(location) for location in spec.submodule_search_locations]
+
+
+def _how_to_install(name: str) -> str:
+    distribution = _DISTRIBUTIONS.get(name, name)
+    try:
+        requirements = importlib.metadata.requires("scenec") or []
+    except importlib.metadata.PackageNotFoundError:
+        requirements = []
+    for requirement in requirements:
+        required = re.match(r"[A-Za-z0-9._-]+", requirement)
+        extra = re.search(r"extra == ['\"]([^'\"]+)['\"]", requirement)
+        if required and extra and _canonical(required.group()) == _canonical(distribution):
+            return f"pip install 'scenec[{extra.group(1)}]'"
+    return f"pip install {distribution}"
+
+
+def _canonical(name: str) -> str:
+    return re.sub(r"[-_.]+", "-", name).lower()

@@ -1,0 +1,1 @@
+"""Ground: materials merged over the terrain, and the mesh cut along their label lines."""

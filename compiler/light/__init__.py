@@ -1,0 +1,1 @@
+"""Suns and skies: directions, lat-long pictures, irradiance."""

@@ -1,0 +1,70 @@
+"""A clear sky by the CIE's standard luminance distribution, colored by height."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit, prange
+from numpy.typing import NDArray
+
+from scenec.compiler.arithmetic import elementary
+from scenec.compiler.light.latlong import directions, horizontal_irradiance, luminance
+
+
+def clear_sky(
+    height: int,
+    to_sun: tuple[float, float, float],
+    irradiance: float,
+    zenith_color: tuple[float, float, float],
+    horizon_color: tuple[float, float, float],
+    ground_color: tuple[float, float, float],
+) -> NDArray[np.float32]:
+    """Radiance of a clear sky without the sun's disc.
+
+    The distribution is type 12 of ISO 15469:2004 (CIE S 011), standard clear sky:
+    L ~ f(chi) * phi(Z), phi(Z) = 1 + a exp(b / cos Z), f(chi) = 1 + c (exp(d chi) - exp(d pi/2))
+    + e cos^2 chi, a = -1, b = -0.32, c = 10, d = -3, e = 0.45, with Z the angle from the zenith and
+    chi that from the sun. The standard gives no colors: they go from ``horizon_color`` to
+    ``zenith_color`` with sqrt(cos Z). Below the horizon it is ``ground_color`` times the mean
+    radiance, which lights undersides as ground further off would.
+
+    Args:
+        height: Rows of the picture; it is twice as wide.
+        to_sun: Unit vector; a sun below the horizon counts as on it.
+        irradiance: Diffuse irradiance on level ground, of luminance, W/m^2.
+        zenith_color, horizon_color, ground_color: Linear Rec.709, relative.
+
+    Returns:
+        float32 [height, 2 * height, 3], W/(m^2 sr).
+    """
+    sun = np.array([to_sun[0], to_sun[1], max(to_sun[2], 0.0)])
+    sun /= np.sqrt((sun * sun).sum())
+    picture = _distribution(
+        directions(height), sun, np.array(zenith_color), np.array(horizon_color)
+    )
+    level = float(luminance(horizontal_irradiance(picture)))
+    picture *= irradiance / level if level > 0.0 else 0.0
+    picture[height // 2 :] = np.array(ground_color) * (irradiance / elementary.PI)
+    return picture.astype(np.float32)
+
+
+@njit(cache=True, error_model="numpy", parallel=True)
+def _distribution(to: NDArray, sun: NDArray, zenith: NDArray, horizon: NDArray) -> NDArray:
+    a, b, c, d, e = -1.0, -0.32, 10.0, -3.0, 0.45
+    h, w, _ = to.shape
+    out = np.zeros((h, w, 3))
+    at_right_angle = elementary.exp(d * elementary.PI / 2.0)
+    for j in prange(h // 2):
+        for i in range(w):
+            up = to[j, i, 2]
+            cos_chi = to[j, i, 0] * sun[0] + to[j, i, 1] * sun[1] + up * sun[2]
+            cos_chi = min(max(cos_chi, -1.0), 1.0)
+            chi = elementary.acos(cos_chi)
+            gradation = 1.0 + a * elementary.exp(b / max(up, 1e-3))
+            indicatrix = (
+                1.0 + c * (elementary.exp(d * chi) - at_right_angle) + e * cos_chi * cos_chi
+            )
+            mix = np.sqrt(up)
+            for k in range(3):
+                color = horizon[k] + mix * (zenith[k] - horizon[k])
+                out[j, i, k] = gradation * indicatrix * color
+    return out

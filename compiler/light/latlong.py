@@ -1,0 +1,74 @@
+"""Lat-long pictures of the sky, in the orientation that the stage gives them.
+
+Row 0 looks at the zenith. Column u in [0, 1) looks along the compass bearing 360 * u, clockwise from
+north (+y): this is USD's DomeLight picture after OrientToStageUpAxis on a Z-up stage (+x at
+u = 0.25, -y in the middle).
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenec.compiler.arithmetic import elementary
+from scenec.schemas.errors import SceneError
+
+#: Luminance of linear Rec.709.
+LUMINANCE = (0.2126, 0.7152, 0.0722)
+
+
+def directions(height: int) -> NDArray[np.float64]:
+    """Unit vectors of the texel centers of a 2h x h picture, float64 [h, 2h, 3]."""
+    polar = elementary.PI * (np.arange(height) + 0.5) / height
+    bearing = elementary.PI * (np.arange(2 * height) + 0.5) / height
+    up, level = elementary.cos_array(polar), elementary.sin_array(polar)
+    out = np.empty((height, 2 * height, 3))
+    out[..., 0] = level[:, None] * elementary.sin_array(bearing)[None, :]
+    out[..., 1] = level[:, None] * elementary.cos_array(bearing)[None, :]
+    out[..., 2] = up[:, None]
+    return out
+
+
+def horizontal_irradiance(picture: NDArray) -> NDArray[np.float64]:
+    """Irradiance of the upper half on level ground, per channel, float64 [3].
+
+    Each texel counts with its radiance at the center and its exact projected solid angle,
+    (sin^2 of its polar angles' difference) / 2 * its width in bearing.
+
+    Args:
+        picture: Radiance, [h, w, 3].
+    """
+    h, w = picture.shape[:2]
+    edge = elementary.sin_array(0.5 * elementary.PI * np.minimum(np.arange(h + 1) / (0.5 * h), 1.0))
+    projected = 0.5 * (edge[1:] ** 2 - edge[:-1] ** 2) * (2.0 * elementary.PI / w)
+    rows = picture.astype(np.float64).sum(axis=1)
+    return (rows * projected[:, None]).sum(axis=0)
+
+
+def luminance(rgb: NDArray) -> NDArray[np.float64]:
+    """Rec.709 luminance of linear colors [..., 3]."""
+    return LUMINANCE[0] * rgb[..., 0] + LUMINANCE[1] * rgb[..., 1] + LUMINANCE[2] * rgb[..., 2]
+
+
+def read_picture(file: Path) -> NDArray[np.float32]:
+    """An HDR lat-long picture, float32 [h, w, 3].
+
+    Raises:
+        SceneError: The file is no EXR with R, G, B.
+    """
+    import OpenEXR
+
+    try:
+        with OpenEXR.File(str(file), separate_channels=True) as source:
+            channels = source.channels()
+            planes = [channels[name].pixels for name in ("R", "G", "B")]
+    except (RuntimeError, OSError, KeyError, TypeError, ValueError) as error:
+        raise SceneError(
+            f"{file.name}: not an OpenEXR picture with channels R, G, B ({error})"
+        ) from error
+    picture = np.stack(planes, axis=-1).astype(np.float32)
+    if not np.isfinite(picture).all() or picture.min() < 0.0:
+        raise SceneError(f"{file.name}: radiance must be finite and not negative")
+    return picture

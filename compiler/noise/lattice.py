@@ -1,0 +1,40 @@
+"""Hashes of integer lattice points: the only source of variety in the noises."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+_C1 = np.uint64(0x9E3779B97F4A7C15)
+_C2 = np.uint64(0xBF58476D1CE4E5B9)
+_C3 = np.uint64(0x94D049BB133111EB)
+_S27 = np.uint64(27)
+_S30 = np.uint64(30)
+_S31 = np.uint64(31)
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def mix(x: np.uint64) -> np.uint64:
+    """Finalizer of SplitMix64 (Steele, Lea and Flood 2014): a bijection that avalanches."""
+    x = np.uint64(x) + _C1
+    x = (x ^ (x >> _S30)) * _C2
+    x = (x ^ (x >> _S27)) * _C3
+    return x ^ (x >> _S31)
+
+
+@njit(cache=True, error_model="numpy")
+def subkey(key: np.uint64, index: int) -> np.uint64:
+    """Key of part ``index`` (an octave, a component) of the thing that ``key`` stands for."""
+    return mix(np.uint64(key) ^ mix(np.uint64(index)))
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def hash2(key: np.uint64, i: int, j: int) -> np.uint64:
+    """Hash of the lattice point (i, j)."""
+    return mix(mix(key ^ np.uint64(i)) ^ np.uint64(j))
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def hash3(key: np.uint64, i: int, j: int, k: int) -> np.uint64:
+    """Hash of the lattice point (i, j, k)."""
+    return mix(mix(mix(key ^ np.uint64(i)) ^ np.uint64(j)) ^ np.uint64(k))

@@ -1,0 +1,161 @@
+"""Gradient noise after Perlin (2002), in two and three dimensions, and its fractal sums.
+
+One octave has zero mean, is C2, and lies in [-1, 1]; 2-D octaves have a root mean square of about
+0.3. Successive octaves are turned by the rational rotation (4/5, 3/5) against each other, so that
+no lattice direction adds up over octaves.
+
+Only + - * / and floor are used (hashes are integer): the same bits on every CPU and for any number
+of threads.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit, prange
+from numpy.typing import NDArray
+
+from scenec.compiler.arithmetic import elementary
+from scenec.compiler.noise.lattice import hash2, hash3, subkey
+
+_DIRECTIONS = 64
+_MASK = np.uint64(_DIRECTIONS - 1)
+_ANGLES = (np.arange(_DIRECTIONS) + 0.5) * (2.0 * elementary.PI / _DIRECTIONS)
+_GX = elementary.cos_array(_ANGLES)
+_GY = elementary.sin_array(_ANGLES)
+# With unit gradients the largest value is sqrt(2)/2 (all four gradients point at the cell center).
+_NORMALIZE_2D = np.sqrt(2.0)
+# Twelve edge directions of a cube in 3-D, as Perlin chose them, doubled up to sixteen.
+_G3 = np.array(
+    [
+        [1, 1, 0], [-1, 1, 0], [1, -1, 0], [-1, -1, 0],
+        [1, 0, 1], [-1, 0, 1], [1, 0, -1], [-1, 0, -1],
+        [0, 1, 1], [0, -1, 1], [0, 1, -1], [0, -1, -1],
+        [1, 1, 0], [-1, 1, 0], [0, -1, 1], [0, -1, -1],
+    ],
+    dtype=np.float64,
+)  # fmt: skip
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def _fade(t: float) -> float:
+    return t * t * t * (t * (t * 6.0 - 15.0) + 10.0)
+
+
+@njit(cache=True, error_model="numpy")
+def perlin2(key: np.uint64, x: float, y: float) -> float:
+    """Value of one octave at (x, y), in lattice units; shape-free scalar, in [-1, 1]."""
+    fi = np.floor(x)
+    fj = np.floor(y)
+    i = np.int64(fi)
+    j = np.int64(fj)
+    u = x - fi
+    v = y - fj
+    g00 = hash2(key, i, j) & _MASK
+    g10 = hash2(key, i + 1, j) & _MASK
+    g01 = hash2(key, i, j + 1) & _MASK
+    g11 = hash2(key, i + 1, j + 1) & _MASK
+    n00 = _GX[g00] * u + _GY[g00] * v
+    n10 = _GX[g10] * (u - 1.0) + _GY[g10] * v
+    n01 = _GX[g01] * u + _GY[g01] * (v - 1.0)
+    n11 = _GX[g11] * (u - 1.0) + _GY[g11] * (v - 1.0)
+    a = _fade(u)
+    bottom = n00 + a * (n10 - n00)
+    top = n01 + a * (n11 - n01)
+    return (bottom + _fade(v) * (top - bottom)) * _NORMALIZE_2D
+
+
+@njit(cache=True, error_model="numpy")
+def perlin3(key: np.uint64, x: float, y: float, z: float) -> float:
+    """Value of one octave at (x, y, z), in lattice units, in [-1, 1]."""
+    fi = np.floor(x)
+    fj = np.floor(y)
+    fk = np.floor(z)
+    i = np.int64(fi)
+    j = np.int64(fj)
+    k = np.int64(fk)
+    u = x - fi
+    v = y - fj
+    w = z - fk
+    a = _fade(u)
+    b = _fade(v)
+    c = _fade(w)
+    planes = (0.0, 0.0)
+    for dk in range(2):
+        rows = (0.0, 0.0)
+        for dj in range(2):
+            h0 = hash3(key, i, j + dj, k + dk) & np.uint64(15)
+            h1 = hash3(key, i + 1, j + dj, k + dk) & np.uint64(15)
+            n0 = _G3[h0, 0] * u + _G3[h0, 1] * (v - dj) + _G3[h0, 2] * (w - dk)
+            n1 = _G3[h1, 0] * (u - 1.0) + _G3[h1, 1] * (v - dj) + _G3[h1, 2] * (w - dk)
+            n = n0 + a * (n1 - n0)
+            rows = (n, rows[1]) if dj == 0 else (rows[0], n)
+        plane = rows[0] + b * (rows[1] - rows[0])
+        planes = (plane, planes[1]) if dk == 0 else (planes[0], plane)
+    # The extreme value of this gradient set is about 1.04 (Perlin 2002 leaves it unscaled).
+    return (planes[0] + c * (planes[1] - planes[0])) * 0.96
+
+
+@njit(cache=True, error_model="numpy")
+def fbm3(key: np.uint64, x: float, y: float, z: float, octaves: int, gain: float) -> float:
+    """Sum of ``octaves`` octaves of 3-D noise, lacunarity 2, amplitudes gain**o."""
+    total = 0.0
+    amplitude = 1.0
+    for octave in range(octaves):
+        total += amplitude * perlin3(subkey(key, octave), x, y, z)
+        amplitude *= gain
+        # Offset as well as scaled: octaves must not share the lattice point at the origin.
+        x = 2.0 * x + 17.31
+        y = 2.0 * y + 5.77
+        z = 2.0 * z + 11.13
+    return total
+
+
+@njit(cache=True, error_model="numpy")
+def fbm2(key: np.uint64, x: float, y: float, octaves: int, gain: float, lacunarity: float) -> float:
+    """Sum of ``octaves`` octaves of 2-D noise; octave o has amplitude gain**o, at (x, y)."""
+    total = 0.0
+    amplitude = 1.0
+    for octave in range(octaves):
+        total += amplitude * perlin2(subkey(key, octave), x, y)
+        amplitude *= gain
+        x, y = lacunarity * (0.8 * x - 0.6 * y), lacunarity * (0.6 * x + 0.8 * y)
+    return total
+
+
+@njit(cache=True, error_model="numpy", parallel=True)
+def fbm2_points(
+    key: np.uint64,
+    x: NDArray,
+    y: NDArray,
+    scale: float,
+    octaves: int,
+    gain: float,
+    lacunarity: float,
+    distortion: float,
+) -> NDArray:
+    """Distorted fBm at points.
+
+    Args:
+        key: Noise key.
+        x, y: Positions in metres, float64 [n].
+        scale: Size of the largest feature in metres.
+        octaves, gain, lacunarity: As in ``fbm2``.
+        distortion: Domain warp: the position is moved by up to about this many feature sizes by
+            two further octaves of noise.
+
+    Returns:
+        float64 [n], zero mean; one octave is in [-1, 1].
+    """
+    out = np.empty(x.size)
+    warp_x = subkey(key, 1 << 20)
+    warp_y = subkey(key, (1 << 20) + 1)
+    for n in prange(x.size):
+        u = x[n] / scale
+        v = y[n] / scale
+        if distortion != 0.0:
+            du = perlin2(warp_x, u, v)
+            dv = perlin2(warp_y, u, v)
+            u += distortion * du
+            v += distortion * dv
+        out[n] = fbm2(key, u, v, octaves, gain, lacunarity)
+    return out

@@ -1,0 +1,171 @@
+"""Plan: one batch with every number drawn. After this, no randomness is left.
+
+What the cfg leaves to chance stands here as numbers, arrays and noise keys (64-bit integers that
+noise functions take as an argument: a function of key and position, not a generator).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenec.compiler.ground.merge import Merge
+from scenec.compiler.scatter.placement import NoiseDensity, UniformDensity
+from scenec.compiler.scatter.rocks import RockShape
+from scenec.compiler.scene import GroundLayer, Labels, Material, SunLight
+from scenec.compiler.terrain.operator import ReliefOperator
+
+
+@dataclass(frozen=True)
+class TerrainPlan:
+    """Relief program and ground.
+
+    Attributes:
+        size_m, spacing_m: Of the grid.
+        relief: Operators in order.
+        layers: Ground layers from the base up.
+        merges: One for each layer after the base.
+        coverage: For each merge, the fraction it shall cover, or None (its center is given).
+        variation_key: Noise key of the albedo variation.
+    """
+
+    size_m: tuple[float, float]
+    spacing_m: float
+    relief: tuple[ReliefOperator, ...]
+    layers: tuple[GroundLayer, ...]
+    merges: tuple[Merge, ...]
+    coverage: tuple[float | None, ...]
+    variation_key: int
+
+
+@dataclass(frozen=True)
+class RocksPlan:
+    """One class of scattered rocks; n instances.
+
+    Attributes:
+        material, labels, instances: As in ``Scatter``.
+        shapes: The prototypes.
+        density: Where they lie.
+        position_u: Uniform numbers that pick the places, float64 [n, 3].
+        prototype: int32 [n].
+        orientations: Unit quaternions (x, y, z, w), float64 [n, 4].
+        align: Whether they then turn with the surface normal.
+        size_m: Diameter, float64 [n].
+        embed: Part of the height below ground, float64 [n].
+        variation: Albedo variation, float64 [n], in [-1, 1].
+    """
+
+    name: str
+    material: str
+    labels: Labels
+    instances: bool
+    shapes: tuple[RockShape, ...]
+    density: UniformDensity | NoiseDensity
+    position_u: NDArray[np.float64]
+    prototype: NDArray[np.int32]
+    orientations: NDArray[np.float64]
+    align: bool
+    size_m: NDArray[np.float64]
+    embed: NDArray[np.float64]
+    variation: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class ClearSkyPlan:
+    """A sky to be baked, one a sample.
+
+    Attributes:
+        resolution: Rows of the picture.
+        irradiance: Diffuse, on level ground, [s].
+        zenith_color, horizon_color, ground_color: [s, 3].
+    """
+
+    resolution: int
+    irradiance: NDArray[np.float64]
+    zenith_color: NDArray[np.float64]
+    horizon_color: NDArray[np.float64]
+    ground_color: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class ImageSkyPlan:
+    """A measured sky.
+
+    Attributes:
+        files: Picture of each sample.
+        strength, rotation_deg: [s].
+    """
+
+    files: tuple[Path, ...]
+    strength: NDArray[np.float64]
+    rotation_deg: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class RandomTargetPlan:
+    """Cameras at drawn places that look at drawn targets; all arrays over the samples.
+
+    Attributes:
+        xy: Position in plan, [s, 2].
+        height_m: Above the surface.
+        distance_m, bearing_deg: Of the target, in plan.
+        target_height_m: Of the target above the surface.
+        roll_deg: About the viewing axis.
+    """
+
+    xy: NDArray[np.float64]
+    height_m: NDArray[np.float64]
+    distance_m: NDArray[np.float64]
+    bearing_deg: NDArray[np.float64]
+    target_height_m: NDArray[np.float64]
+    roll_deg: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class TrackPlan:
+    """Given poses: world matrices with OpenCV axes, [s, 4, 4], and their times, [s]."""
+
+    to_world: NDArray[np.float64]
+    times: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class SensorPlan:
+    """A sensor; ``ev`` [s] is absolute, or relative to the incident light's if ``metered``."""
+
+    name: str
+    resolution: tuple[int, int]
+    intrinsics: tuple[float, float, float, float, float]
+    to_rig: NDArray[np.float64]
+    metered: bool
+    ev: NDArray[np.float64]
+    outputs: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class RigPlan:
+    """A rig, its motion and its sensors."""
+
+    name: str
+    pose: RandomTargetPlan | TrackPlan
+    sensors: tuple[SensorPlan, ...]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Everything about one batch; the fields shared with ``Scene`` mean the same there."""
+
+    name: str
+    batch: int
+    samples: int
+    label_table: dict[str, dict[str, int]]
+    sky_labels: Labels
+    materials: dict[str, Material]
+    terrain: TerrainPlan
+    objects: tuple[RocksPlan, ...]
+    sun: SunLight | None
+    sky: ClearSkyPlan | ImageSkyPlan | None
+    rigs: tuple[RigPlan, ...]

@@ -1,0 +1,1 @@
+"""Objects that come in numbers: their prototypes, and where each instance lies."""

@@ -1,0 +1,223 @@
+"""Scene: one batch as arrays, the vocabulary of all passes and of the emitter.
+
+World frame: metres, Z up, x east, y north, the terrain's center at the origin. Everything is plain
+data; nothing here draws, reads files or knows of USD.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+#: Label id per level.
+Labels = dict[str, int]
+
+
+@dataclass(frozen=True)
+class Material:
+    """Shared surface model: (1 - specular) * Lambert + specular * GGX(roughness**2).
+
+    Attributes:
+        base_color: Albedo, linear Rec.709.
+        variation: Albedo is base_color * (1 + variation * v), v in [-1, 1] given on the geometry.
+    """
+
+    base_color: tuple[float, float, float]
+    roughness: float
+    specular: float
+    variation: float
+
+
+@dataclass(frozen=True)
+class GroundLayer:
+    """One ground material and what it is called."""
+
+    material: str
+    labels: Labels
+
+
+@dataclass(frozen=True)
+class Tile:
+    """A piece of terrain.
+
+    Attributes:
+        name: Prim name.
+        translate: World position of the local origin, float64 [3].
+        points: Local, float32 [n, 3]; translate + points is exact in float64, and equal for a
+            vertex that two tiles share.
+        faces: int32 [m, 3].
+        normals: Shading normals, float32 [n, 3].
+        layer: Index of the ground layer that labels each face, int32 [m].
+        weights: Weight of each merge at the vertices, float32 [layers - 1, n].
+        variation: In [-1, 1], float32 [n].
+    """
+
+    name: str
+    translate: NDArray[np.float64]
+    points: NDArray[np.float32]
+    faces: NDArray[np.int32]
+    normals: NDArray[np.float32]
+    layer: NDArray[np.int32]
+    weights: NDArray[np.float32]
+    variation: NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Ground:
+    """The terrain: layers from the base up, and tiles that are cut along their label lines."""
+
+    layers: tuple[GroundLayer, ...]
+    tiles: tuple[Tile, ...]
+
+
+@dataclass(frozen=True)
+class Prototype:
+    """A mesh that instances share, of unit size; arrays as in ``Tile``."""
+
+    name: str
+    points: NDArray[np.float32]
+    faces: NDArray[np.int32]
+    normals: NDArray[np.float32]
+    variation: NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Scatter:
+    """Many instances of a few prototypes.
+
+    Attributes:
+        name: Class name, as in the cfg.
+        material: Name of the material.
+        labels: Label id per level.
+        instances: Whether instance ids are shown (off: they stay reserved).
+        prototypes: What is scattered.
+        prototype: Which one, int32 [n].
+        positions: float32 [n, 3], metres.
+        orientations: Quaternions (x, y, z, w), float16 [n, 4]: half precision, as USD stores them.
+        scales: float32 [n, 3].
+        variation: Albedo variation, float32 [n].
+    """
+
+    name: str
+    material: str
+    labels: Labels
+    instances: bool
+    prototypes: tuple[Prototype, ...]
+    prototype: NDArray[np.int32]
+    positions: NDArray[np.float32]
+    orientations: NDArray[np.float16]
+    scales: NDArray[np.float32]
+    variation: NDArray[np.float32]
+
+    @property
+    def count(self) -> int:
+        """Number of instances."""
+        return len(self.positions)
+
+
+@dataclass(frozen=True)
+class SunLight:
+    """The sun at every sample.
+
+    Attributes:
+        azimuth_deg, elevation_deg: Compass bearing (clockwise from north, +y) and height, [s].
+        irradiance: On a surface facing it, W/m^2, [s].
+        diameter_deg: Full angular diameter, [s].
+        color: Linear Rec.709, [s, 3], of luminance 1.
+    """
+
+    azimuth_deg: NDArray[np.float64]
+    elevation_deg: NDArray[np.float64]
+    irradiance: NDArray[np.float64]
+    diameter_deg: NDArray[np.float64]
+    color: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class SkyLight:
+    """The sky at every sample.
+
+    Attributes:
+        pictures: Lat-long pictures by file name: float32 [h, w, 3] made by us, or a file to copy.
+        texture: File name in ``pictures`` for each sample.
+        intensity: Factor on the picture, [s].
+        rotation_deg: Turn of the picture about the vertical, clockwise from above, [s].
+    """
+
+    pictures: dict[str, NDArray[np.float32] | Path]
+    texture: tuple[str, ...]
+    intensity: NDArray[np.float64]
+    rotation_deg: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """A camera on a rig.
+
+    Attributes:
+        name: Prim name.
+        resolution: (width, height), pixels.
+        intrinsics: (fx, fy, cx, cy, skew), pixels.
+        to_rig: Sensor-to-rig matrix, OpenCV axes on both sides, float64 [4, 4].
+        exposure_ev: Pictures show radiance * 2**ev, [s].
+        outputs: Passes asked for.
+    """
+
+    name: str
+    resolution: tuple[int, int]
+    intrinsics: tuple[float, float, float, float, float]
+    to_rig: NDArray[np.float64]
+    exposure_ev: NDArray[np.float64]
+    outputs: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Rig:
+    """Sensors that move together.
+
+    Attributes:
+        name: Prim name.
+        to_world: Rig-to-world matrices, OpenCV axes (x right, y down, z forward), [s, 4, 4].
+        sensors: What it carries.
+    """
+
+    name: str
+    to_world: NDArray[np.float64]
+    sensors: tuple[Sensor, ...]
+
+
+@dataclass(frozen=True)
+class Scene:
+    """One batch.
+
+    Attributes:
+        name: The cfg's name.
+        samples: Number of samples.
+        times: Real time of each sample, seconds, [samples].
+        label_table: Per level, name -> id.
+        sky_labels: Label id of the sky per level.
+        materials: By name; only those in use.
+        ground: The terrain.
+        scatters: Object classes in the cfg's order.
+        sun, sky: Light; None where there is none.
+        rigs: Cameras.
+        outputs: Union of all sensors' outputs.
+        bounds: World bounds of the geometry, float64 [2, 3].
+    """
+
+    name: str
+    samples: int
+    times: NDArray[np.float64]
+    label_table: dict[str, dict[str, int]]
+    sky_labels: Labels
+    materials: dict[str, Material]
+    ground: Ground
+    scatters: tuple[Scatter, ...]
+    sun: SunLight | None
+    sky: SkyLight | None
+    rigs: tuple[Rig, ...]
+    outputs: tuple[str, ...]
+    bounds: NDArray[np.float64]

@@ -1,0 +1,125 @@
+"""The grid that relief operators work on, and the surface it stands for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit, prange
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True)
+class Grid:
+    """A regular grid of height samples, centered on the origin.
+
+    Attributes:
+        size_m: Extent in x and y, metres.
+        shape: (ny, nx) samples; sample (j, i) lies at (x()[i], y()[j]).
+    """
+
+    size_m: tuple[float, float]
+    shape: tuple[int, int]
+
+    @classmethod
+    def with_spacing(cls, size_m: tuple[float, float], spacing_m: float) -> Grid:
+        """The grid whose cells are at most ``spacing_m`` wide (and no smaller than needed)."""
+        # A hair of slack: 100 / 0.2 must be 500 cells though 0.2 is not representable.
+        cells = [max(1, int(np.ceil(size / spacing_m * (1.0 - 1e-12)))) for size in size_m]
+        return cls((float(size_m[0]), float(size_m[1])), (cells[1] + 1, cells[0] + 1))
+
+    @property
+    def spacing_m(self) -> tuple[float, float]:
+        """Distance of neighboring samples in x and y, metres."""
+        return self.size_m[0] / (self.shape[1] - 1), self.size_m[1] / (self.shape[0] - 1)
+
+    def x(self) -> NDArray[np.float64]:
+        """Sample positions in x, metres, [nx], from west to east."""
+        return (np.arange(self.shape[1]) / (self.shape[1] - 1) - 0.5) * self.size_m[0]
+
+    def y(self) -> NDArray[np.float64]:
+        """Sample positions in y, metres, [ny], from south to north."""
+        return (np.arange(self.shape[0]) / (self.shape[0] - 1) - 0.5) * self.size_m[1]
+
+    def points(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """X and y of all samples, row-major, each [ny * nx]."""
+        y, x = np.meshgrid(self.y(), self.x(), indexing="ij")
+        return x.ravel(), y.ravel()
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def cuts_main_diagonal(h00: float, h10: float, h01: float, h11: float) -> bool:
+    """Whether a cell is split from (0, 0) to (1, 1): along the flatter of its two diagonals."""
+    return abs(h00 - h11) <= abs(h10 - h01)
+
+
+@njit(cache=True, error_model="numpy")
+def surface_height(
+    height: NDArray, x0: float, y0: float, dx: float, dy: float, x: float, y: float
+) -> float:
+    """Height of the triangulated surface at (x, y); outside it, of its nearest border point.
+
+    Args:
+        height: Samples, float64 [ny, nx].
+        x0, y0: Position of sample (0, 0).
+        dx, dy: Spacing.
+        x, y: Where.
+    """
+    ny, nx = height.shape
+    u = min(max((x - x0) / dx, 0.0), nx - 1.0)
+    v = min(max((y - y0) / dy, 0.0), ny - 1.0)
+    i = min(int(u), nx - 2)
+    j = min(int(v), ny - 2)
+    u -= i
+    v -= j
+    h00 = height[j, i]
+    h10 = height[j, i + 1]
+    h01 = height[j + 1, i]
+    h11 = height[j + 1, i + 1]
+    if cuts_main_diagonal(h00, h10, h01, h11):
+        if u >= v:
+            return h00 + u * (h10 - h00) + v * (h11 - h10)
+        return h00 + v * (h01 - h00) + u * (h11 - h01)
+    if u + v <= 1.0:
+        return h00 + u * (h10 - h00) + v * (h01 - h00)
+    return h11 + (1.0 - u) * (h01 - h11) + (1.0 - v) * (h10 - h11)
+
+
+@njit(cache=True, error_model="numpy", parallel=True)
+def _heights_at(
+    height: NDArray, x0: float, y0: float, dx: float, dy: float, x: NDArray, y: NDArray
+) -> NDArray:
+    out = np.empty(x.size)
+    for n in prange(x.size):
+        out[n] = surface_height(height, x0, y0, dx, dy, x[n], y[n])
+    return out
+
+
+@dataclass(frozen=True)
+class HeightField:
+    """A grid with heights, and the triangulated surface between them.
+
+    Attributes:
+        grid: Where the samples lie.
+        height: metres, float64 [ny, nx].
+    """
+
+    grid: Grid
+    height: NDArray[np.float64]
+
+    def frame(self) -> tuple[float, float, float, float]:
+        """(x0, y0, dx, dy): the arguments of ``surface_height``."""
+        dx, dy = self.grid.spacing_m
+        return -0.5 * self.grid.size_m[0], -0.5 * self.grid.size_m[1], dx, dy
+
+    def height_at(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Height of the surface at points: float64 [n] from two float64 [n], metres."""
+        return _heights_at(self.height, *self.frame(), np.asarray(x), np.asarray(y))
+
+    def normals(self) -> NDArray[np.float64]:
+        """Unit normals at the samples, from central differences: float64 [ny, nx, 3]."""
+        dx, dy = self.grid.spacing_m
+        gx = np.gradient(self.height, dx, axis=1)
+        gy = np.gradient(self.height, dy, axis=0)
+        length = np.sqrt(gx * gx + gy * gy + 1.0)
+        return np.stack([-gx / length, -gy / length, 1.0 / length], axis=-1)

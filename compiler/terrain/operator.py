@@ -1,0 +1,33 @@
+"""What a relief operator is, and how one is found by its name in a cfg."""
+
+from __future__ import annotations
+
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenec.compiler.terrain.dem import Dem
+from scenec.compiler.terrain.grid import Grid
+from scenec.compiler.terrain.multifractal import Multifractal
+from scenec.compiler.terrain.plane import Plane
+from scenec.compiler.terrain.smooth import Smooth
+
+
+class ReliefOperator(Protocol):
+    """One step of the relief program: plain numbers, no randomness."""
+
+    def apply(
+        self, grid: Grid, height: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], dict[str, Any]]:
+        """New heights, float64 [ny, nx], and what the step approximated (for report.json)."""
+        ...
+
+
+#: Cfg ``type`` -> operator.
+OPERATORS: dict[str, type[Any]] = {
+    "plane": Plane,
+    "dem": Dem,
+    "multifractal": Multifractal,
+    "smooth": Smooth,
+}

@@ -1,0 +1,64 @@
+"""The errors a user can meet, each with the place, the value and the mend.
+
+Every message is one that can be acted on without reading the code. The command line prints
+``str(error)`` and leaves with exit status 2; it never prints a traceback for one of these.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+
+class ScenecError(Exception):
+    """Base of every error caused by what scenec was given (not by a fault in scenec)."""
+
+
+@dataclass(frozen=True, order=True)
+class Fault:
+    """One thing wrong in a cfg.
+
+    Attributes:
+        file: The cfg's path as the user gave it.
+        line: Line, from 1.
+        column: Column, from 1, in characters.
+        pointer: JSON pointer (RFC 6901) of the value; "" is the whole document.
+        message: What is wrong with which value, what was expected, and the nearest valid spelling.
+    """
+
+    file: str
+    line: int
+    column: int
+    pointer: str
+    message: str
+
+    def __str__(self) -> str:
+        return f"{self.file}:{self.line}:{self.column}: {self.pointer or '/'}: {self.message}"
+
+
+class CfgError(ScenecError):
+    """A cfg with at least one fault; carries all of them, in the file's order."""
+
+    def __init__(self, faults: Sequence[Fault]):
+        self.faults = tuple(sorted(faults))
+        super().__init__("\n".join(str(fault) for fault in self.faults))
+
+
+class SceneError(ScenecError):
+    """A valid cfg that cannot be built: a density that is zero everywhere, a DEM with holes."""
+
+
+class StageError(ScenecError):
+    """A stage that cannot be read: not USD, an unknown schema version, broken arrays."""
+
+
+class FrameError(ScenecError):
+    """A frame on disk that is missing, truncated, or not of this contract."""
+
+
+class BackendError(ScenecError):
+    """A renderer that is not installed, cannot start, or failed on a frame."""
+
+
+class OutputError(ScenecError):
+    """An output folder or file that cannot be written."""

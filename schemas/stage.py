@@ -1,0 +1,55 @@
+"""Names in the stage that are ours: the one place where compiler and reader agree on them.
+
+Where USD has a schema the stage uses it, and its names are not repeated here. What stands here is
+documented for other writers in ``docs/stage.md``.
+"""
+
+from __future__ import annotations
+
+#: Version of this stage schema, authored on the root; a reader refuses a newer major one.
+SCHEMA_VERSION = "1.0"
+
+ATTR_SCHEMA_VERSION = "scenec:schemaVersion"
+#: double, time-sampled: real time of a sample in seconds.
+ATTR_TIME = "scenec:time"
+#: token[] and uint[]: the table name <-> id of one label level, on the root prim.
+ATTR_LABEL_NAMES = "scenec:labels:{level}:names"
+ATTR_LABEL_IDS = "scenec:labels:{level}:ids"
+#: uint on a PointInstancer (authored in the root layer): frame id = base + local id.
+ATTR_INSTANCE_ID_BASE = "scenec:instanceIdBase"
+#: bool on a PointInstancer: false leaves its range of ids free and resolves to 0.
+ATTR_INSTANCE_IDS_ENABLED = "scenec:instanceIdsEnabled"
+#: uint on an object that is not scattered: its frame id.
+ATTR_INSTANCE_ID = "scenec:instanceId"
+#: double[9], row-major, pixels: the authoritative intrinsics of a camera.
+ATTR_INTRINSICS = "scenec:intrinsics"
+
+#: Relationship of a mesh to its ordered ground materials; layer 0 is the base.
+REL_LAYERS = "scenec:layers"
+#: Vertex primvar: weight of merge i (layer i over all before it), i from 1.
+PRIMVAR_WEIGHT = "scenec_weight_{merge}"
+#: Vertex primvar in [-1, 1]: albedo of every material is base * (1 + variation * this).
+#: On a PointInstancer the same name is one value an instance.
+PRIMVAR_VARIATION = "scenec_variation"
+#: Uniform (or constant) int primvar: label id of each face, per level; 0 is "no label".
+PRIMVAR_LABEL = "scenec_label_{level}"
+
+#: Surface model on a Material: (1-s)*Lambert(base color) + s*GGX(alpha = roughness**2).
+ATTR_BASE_COLOR = "scenec:surface:baseColor"
+ATTR_SPECULAR = "scenec:surface:specular"
+ATTR_ROUGHNESS = "scenec:surface:roughness"
+ATTR_COLOR_VARIATION = "scenec:surface:variation"
+
+ROOT = "/World"
+SKY_PRIM = "/World/Sky"
+RENDER_SCOPE = "/Render"
+
+
+def label_primvar(level: str) -> str:
+    """Name (without ``primvars:``) of the label primvar of one level."""
+    return PRIMVAR_LABEL.format(level=level)
+
+
+def weight_primvar(merge: int) -> str:
+    """Name (without ``primvars:``) of the weight primvar of merge ``merge`` (from 1)."""
+    return PRIMVAR_WEIGHT.format(merge=merge)

@@ -1,0 +1,157 @@
+"""Rocks: sound meshes, exact counts, densities as asked, seated on the ground."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import trimesh
+
+from scenec.compiler.scatter.icosphere import icosphere
+from scenec.compiler.scatter.placement import (
+    NoiseDensity,
+    UniformDensity,
+    align_to_normals,
+    place,
+    rotation_rows,
+    seat,
+)
+from scenec.compiler.scatter.rocks import RockShape, build_prototypes
+from scenec.compiler.terrain.grid import Grid, HeightField
+from scenec.compiler.terrain.multifractal import Multifractal
+from scenec.schemas.errors import SceneError
+
+
+def shape(seed: int, **change) -> RockShape:
+    rng = np.random.default_rng(seed)
+    normals = rng.normal(size=(14, 3))
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    values = {
+        "key": seed,
+        "plane_normals": normals,
+        "plane_distances": rng.uniform(0.6, 1.0, 14),
+        "axes": (1.0, 0.8, 0.6),
+        "angularity": 0.6,
+        "bumpiness": 0.25,
+        "subdivisions": 3,
+    }
+    return RockShape(**(values | change))
+
+
+def relief() -> HeightField:
+    grid = Grid.with_spacing((40.0, 40.0), 0.4)
+    operator = Multifractal(1, 1.5, 8.0, 5, 2.0, 0.5, "hetero", 0.7)
+    return HeightField(grid, operator.apply(grid, np.zeros(grid.shape))[0])
+
+
+def quaternions(n: int, seed: int = 0) -> np.ndarray:
+    q = np.random.default_rng(seed).normal(size=(n, 4))
+    return q / np.linalg.norm(q, axis=1)[:, None]
+
+
+@pytest.mark.parametrize("subdivisions", [0, 1, 3])
+def test_the_icosphere_is_that_of_an_independent_library(subdivisions):
+    points, faces = icosphere(subdivisions)
+    ours = trimesh.Trimesh(points, faces, process=False)
+    theirs = trimesh.creation.icosphere(subdivisions)
+    assert ours.is_watertight
+    assert ours.is_winding_consistent
+    assert ours.volume == pytest.approx(theirs.volume, rel=1e-12)
+    assert ours.area == pytest.approx(theirs.area, rel=1e-12)
+    assert np.allclose(np.linalg.norm(points, axis=1), 1.0, atol=1e-15)
+
+
+@pytest.mark.parametrize("angularity", [0.0, 0.6, 1.0])
+@pytest.mark.parametrize("bumpiness", [0.0, 0.3, 1.0])
+def test_every_rock_is_closed_and_faces_outward(angularity, bumpiness):
+    for seed in range(4):
+        (rock,) = build_prototypes([shape(seed, angularity=angularity, bumpiness=bumpiness)])
+        mesh = trimesh.Trimesh(rock.points.astype(np.float64), rock.faces, process=False)
+        assert mesh.is_watertight
+        assert mesh.is_winding_consistent
+        assert mesh.volume > 0.02
+        assert 2 * np.linalg.norm(rock.points, axis=1).max() == pytest.approx(1.0, abs=1e-6)
+        assert np.allclose(np.linalg.norm(rock.normals, axis=1), 1.0, atol=1e-5)
+
+
+def test_angular_rocks_have_flatter_faces_than_rounded_ones():
+    def flatness(angularity: float) -> float:
+        (rock,) = build_prototypes([shape(3, angularity=angularity, bumpiness=0.0)])
+        mesh = trimesh.Trimesh(rock.points.astype(np.float64), rock.faces, process=False)
+        return float(np.median(mesh.face_adjacency_angles))
+
+    assert flatness(1.0) < 0.6 * flatness(0.0)
+
+
+def test_the_count_is_exact_and_the_first_points_stay_when_it_grows():
+    u = np.random.default_rng(0).random((1000, 3))
+    few = place(relief(), NoiseDensity(5, 6.0, 3, 4.0), u[:300], "rocks")
+    many = place(relief(), NoiseDensity(5, 6.0, 3, 4.0), u, "rocks")
+    assert len(many[0]) == 1000
+    assert np.array_equal(few[0], many[0][:300])
+    assert np.array_equal(few[1], many[1][:300])
+
+
+def test_positions_follow_the_density():
+    field = relief()
+    density = NoiseDensity(5, 6.0, 3, 2.0)
+    u = np.random.default_rng(1).random((200_000, 3))
+    x, y = place(field, density, u, "rocks")
+    found, _, _ = np.histogram2d(y, x, bins=20, range=[[-20, 20], [-20, 20]])
+    grid_y, grid_x = np.meshgrid(*[(np.arange(100) + 0.5) * 0.4 - 20.0] * 2, indexing="ij")
+    wanted = density.at(grid_x.ravel(), grid_y.ravel()).reshape(20, 5, 20, 5).sum(axis=(1, 3))
+    wanted *= len(x) / wanted.sum()
+    chi2 = ((found - wanted) ** 2 / np.maximum(wanted, 1.0)).sum()
+    # 399 degrees of freedom: mean 399, standard deviation 28.
+    assert 280 < chi2 < 540
+
+
+def test_uniform_density_fills_the_terrain_evenly():
+    u = np.random.default_rng(2).random((50_000, 3))
+    x, y = place(relief(), UniformDensity(), u, "rocks")
+    assert (np.abs(x) <= 20).all()
+    assert (np.abs(y) <= 20).all()
+    assert abs(x.mean()) < 0.2
+    assert x.std() == pytest.approx(40 / np.sqrt(12), rel=0.01)
+
+
+def test_a_density_of_zero_is_refused():
+    class Nowhere(UniformDensity):
+        def at(self, x, y):
+            return np.zeros(x.shape)
+
+    with pytest.raises(SceneError, match="zero everywhere"):
+        place(relief(), Nowhere(), np.zeros((1, 3)), "rocks")
+    x, _ = place(relief(), Nowhere(), np.zeros((0, 3)), "rocks")
+    assert len(x) == 0
+
+
+def test_aligned_objects_turn_their_up_axis_to_the_normal():
+    rng = np.random.default_rng(3)
+    normals = rng.normal(size=(200, 3))
+    normals[:, 2] = np.abs(normals[:, 2])
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    upright = np.zeros((200, 4))
+    spin = rng.uniform(0, np.pi, 200)
+    upright[:, 2], upright[:, 3] = np.sin(spin), np.cos(spin)
+    turned = align_to_normals(upright, normals)
+    up = np.array([rotation_rows(q)[2::3] for q in turned])
+    assert np.allclose(up, normals, atol=1e-12)
+
+
+def test_every_rock_is_in_the_ground_by_the_depth_asked_for():
+    field = relief()
+    rocks = build_prototypes([shape(1), shape(2)])
+    n = 200
+    rng = np.random.default_rng(4)
+    x, y = rng.uniform(-18, 18, (2, n))
+    half = quaternions(n).astype(np.float16)
+    size, embed = rng.uniform(0.05, 2.0, n), rng.uniform(0.0, 0.8, n)
+    which = rng.integers(0, 2, n).astype(np.int32)
+    z = seat(field, rocks, which, x, y, half, size, embed)
+    for i in range(n):
+        turn = np.array(rotation_rows(half[i].astype(np.float64))).reshape(3, 3)
+        points = rocks[which[i]].points.astype(np.float64) @ turn.T * size[i]
+        height = np.ptp(points[:, 2])
+        points += [x[i], y[i], z[i]]
+        gap = points[:, 2] - field.height_at(points[:, 0].copy(), points[:, 1].copy())
+        assert gap.min() == pytest.approx(-embed[i] * height, abs=1e-9)
