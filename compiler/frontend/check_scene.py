@@ -34,6 +34,7 @@ def check_scene(document: Any, numbers: dict[Path, Field]) -> list[Finding]:
         *_check_samples(spans),
         *_check_sensors(document),
         *_check_positions(document, spans),
+        *_check_colors(document, spans),
     ]
 
 
@@ -125,3 +126,20 @@ def _check_positions(document: Any, spans: dict[Path, tuple[float, float]]) -> I
                     f"{-half:g} m to {half:g} m: expected a position on it"
                     + (" (give the distribution min and max)" if unbounded else ""),
                 )
+
+
+def _check_colors(document: Any, spans: dict[Path, tuple[float, float]]) -> Iterator[Finding]:
+    """Colors that are scaled to an irradiance cannot be black."""
+    sky = ("light", "sky")
+    for paths in ((("light", "sun", "color"),), ((*sky, "zenith_color"), (*sky, "horizon_color"))):
+        given = [path for path in paths if len(_entries(document, *path)) == 3]
+        components = [spans.get((*path, i)) for path in given for i in range(3)]
+        # A color that was left out has a default that is not black.
+        if len(given) < len(paths) or None in components:
+            continue
+        if not any(span and span[0] > 0.0 for span in components):
+            yield Finding(
+                given[0],
+                "black cannot be scaled to an irradiance: expected a component that is always "
+                "above 0",
+            )

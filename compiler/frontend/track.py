@@ -28,7 +28,7 @@ class Track:
 
     Attributes:
         time_s: Strictly rising, float64 [n].
-        position_m: In the world frame, metres, float64 [n, 3].
+        position_m: In the world frame, meters, float64 [n, 3].
         quaternion: w, x, y, z of the rotation from the rig's frame to the world's, of unit length,
             float64 [n, 4]. Which axes the rig's frame has is said in the cfg ("convention").
     """

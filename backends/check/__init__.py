@@ -1,0 +1,1 @@
+"""Is an output sound: its files, its stages, its frames, and do backends agree on it."""

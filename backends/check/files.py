@@ -1,0 +1,52 @@
+"""Checks of the files on disk against the manifest."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from scenec.backends.check.finding import Finding
+from scenec.schemas.errors import OutputError
+from scenec.schemas.files import sha256, tree
+
+MANIFEST = "manifest.json"
+_NOT_IN_MANIFEST = ("timings.json", MANIFEST)
+
+
+def read_manifest(out: Path) -> dict[str, Any]:
+    """The manifest of an output folder.
+
+    Raises:
+        OutputError: There is none, or it is none.
+    """
+    path = out / MANIFEST
+    if not path.is_file():
+        raise OutputError(f"{out}: holds no {MANIFEST}; compile a cfg into it first")
+    try:
+        manifest = json.loads(path.read_text(encoding="utf-8"))
+        for batch in manifest["batches"]:
+            str(batch["stage"]), str(batch["path"])
+        manifest["files"].items()
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise OutputError(f"{path}: is no scenec manifest") from error
+    return manifest
+
+
+def check_files(out: Path, manifest: dict[str, Any]) -> Iterator[Finding]:
+    """Every file of the manifest is there with its bytes; what is not in it is named."""
+    for name, entry in manifest["files"].items():
+        path = out / name
+        if not path.is_file():
+            yield Finding("files", "error", name, "is in the manifest but not on disk")
+        elif sha256(path) != entry["sha256"]:
+            yield Finding("files", "error", name, "its bytes are not those of the manifest")
+    batches = {batch["path"] for batch in manifest["batches"]}
+    for path in tree(out):
+        name = path.as_posix()
+        frame = len(path.parts) > 2 and path.parts[1] == "frames" and path.parts[0] in batches
+        if name in manifest["files"] or name in _NOT_IN_MANIFEST or frame:
+            continue
+        if path.parts[0].startswith("batch_"):
+            yield Finding("files", "warning", name, "is not in the manifest")

@@ -1,0 +1,299 @@
+"""Checks of a stage: what public validators know, and what they miss.
+
+UsdValidation (30 validators) and usd-validation-nvidia check schemas, composition and topology.
+None of them looks at prototype indices, the lengths of instancers' arrays and primvars, duplicate
+ids, or NaN: the checks here do. Each is a function over one prim, with a sentence that says what it
+holds against it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pxr import Tf, Usd, UsdGeom, UsdRender, UsdValidation
+
+from scenec.backends.check.finding import Finding
+from scenec.backends.reader.cameras import intrinsics_from_apertures
+from scenec.backends.reader.labels import LabelTable, read_table
+from scenec.schemas import stage as names
+from scenec.schemas.errors import StageError
+
+#: Largest difference between K from a camera's apertures and the authoritative one, pixels.
+INTRINSICS_TOLERANCE_PX = 1e-3
+
+Rule = Callable[[Usd.Prim, LabelTable], Iterator[str]]
+
+
+def check_stage(path: Path) -> list[Finding]:
+    """All findings on one stage, none twice."""
+    where = path.name
+    try:
+        stage = Usd.Stage.Open(str(path))
+    except Tf.ErrorException as error:
+        return [Finding("opens", "error", where, f"USD cannot open it: {error}")]
+    findings = [
+        Finding(check, "error", where, message)
+        for check, message in [
+            *(("layout", message) for message in _layout(stage)),
+            *(("assets", message) for message in _assets(stage, path)),
+        ]
+    ]
+    try:
+        table = read_table(stage)
+    except StageError as error:
+        findings.append(Finding("labels", "error", where, str(error)))
+        table = LabelTable({})
+    for prim in Usd.PrimRange(stage.GetPseudoRoot(), Usd.TraverseInstanceProxies()):
+        for name, kind, rule in _RULES:
+            if prim.IsA(kind):
+                findings.extend(
+                    Finding(name, "error", str(prim.GetPath()), message)
+                    for message in rule(prim, table)
+                )
+    findings.extend(_id_ranges(stage))
+    findings.extend(_usd_validation(stage))
+    return findings
+
+
+def _layout(stage: Usd.Stage) -> Iterator[str]:
+    """Metres, Z up, a default prim with our schema version: what our own stages promise."""
+    root = stage.GetDefaultPrim()
+    if not root:
+        yield "has no defaultPrim"
+        return
+    version = root.GetAttribute(names.ATTR_SCHEMA_VERSION)
+    if not version or not version.HasValue():
+        # A foreign stage is free in its units.
+        return
+    if UsdGeom.GetStageMetersPerUnit(stage) != 1.0:
+        yield f"metersPerUnit is {UsdGeom.GetStageMetersPerUnit(stage):g}, expected 1"
+    if UsdGeom.GetStageUpAxis(stage) != UsdGeom.Tokens.z:
+        yield f"upAxis is {UsdGeom.GetStageUpAxis(stage)}, expected Z"
+
+
+def _assets(stage: Usd.Stage, path: Path) -> Iterator[str]:
+    """Every layer and picture is found, by a relative path."""
+    for prim in stage.TraverseAll():
+        for attribute in prim.GetAuthoredAttributes():
+            if str(attribute.GetTypeName()) != "asset":
+                continue
+            times = attribute.GetTimeSamples() or [Usd.TimeCode.Default()]
+            for asset in {attribute.Get(time) for time in times}:
+                if asset is None or not asset.path:
+                    continue
+                if Path(asset.path).is_absolute():
+                    yield f"{attribute.GetPath()} is the absolute path {asset.path}"
+                if not asset.resolvedPath:
+                    yield f"{attribute.GetPath()}: {asset.path} does not exist"
+    for layer in stage.GetUsedLayers():
+        for sublayer in layer.subLayerPaths:
+            if Path(sublayer).is_absolute():
+                yield f"{Path(layer.realPath).name} names the absolute path {sublayer}"
+            elif not (Path(layer.realPath).parent / sublayer).is_file():
+                yield f"{Path(layer.realPath).name}: sublayer {sublayer} does not exist"
+
+
+def _mesh_topology(prim: Usd.Prim, table: LabelTable) -> Iterator[str]:
+    """Finite points; counts and indices that fit them."""
+    mesh = UsdGeom.Mesh(prim)
+    points = _numbers(mesh.GetPointsAttr()).reshape(-1, 3)
+    counts = _numbers(mesh.GetFaceVertexCountsAttr())
+    indices = _numbers(mesh.GetFaceVertexIndicesAttr())
+    if not np.isfinite(points).all():
+        yield f"{int((~np.isfinite(points)).any(axis=1).sum())} points are not finite"
+    if counts.size and counts.min() < 3:
+        yield f"{int((counts < 3).sum())} faces have fewer than three vertices"
+    if counts.sum() != indices.size:
+        yield f"faceVertexCounts add up to {int(counts.sum())}, faceVertexIndices are {indices.size}"
+    if indices.size and (indices.min() < 0 or indices.max() >= len(points)):
+        yield (
+            f"faceVertexIndices go from {int(indices.min())} to {int(indices.max())}, there are "
+            f"{len(points)} points"
+        )
+
+
+def _mesh_labels(prim: Usd.Prim, table: LabelTable) -> Iterator[str]:
+    """Label primvars have one value a face, and each value is in the table."""
+    api = UsdGeom.PrimvarsAPI(prim)
+    faces = len(UsdGeom.Mesh(prim).GetFaceVertexCountsAttr().Get() or ())
+    for level, ids in table.ids.items():
+        primvar = api.FindPrimvarWithInheritance(names.label_primvar(level))
+        if not primvar or not primvar.HasValue():
+            continue
+        values = np.ravel(np.array(primvar.ComputeFlattened()))
+        expected = 1 if primvar.GetInterpolation() == UsdGeom.Tokens.constant else faces
+        if values.size != expected:
+            yield f"primvar {primvar.GetPrimvarName()} has {values.size} values for {faces} faces"
+        unknown = sorted(set(np.unique(values).tolist()) - {0, *ids.values()})
+        if unknown:
+            yield f"primvar {primvar.GetPrimvarName()} has ids {unknown[:5]} that the table lacks"
+
+
+def _vertex_primvars(prim: Usd.Prim, table: LabelTable) -> Iterator[str]:
+    """scenec's vertex primvars have one finite value a point; there is a weight for each merge."""
+    count = len(UsdGeom.Mesh(prim).GetPointsAttr().Get() or ())
+    wanted = [names.weight_primvar(i) for i in range(1, len(_targets(prim, names.REL_LAYERS)))]
+    api = UsdGeom.PrimvarsAPI(prim)
+    if api.HasPrimvar(names.PRIMVAR_VARIATION):
+        wanted.append(names.PRIMVAR_VARIATION)
+    for name in wanted:
+        values = _primvar(api, name)
+        if values.size != count:
+            yield f"primvar {name} has {values.size} values for {count} points"
+        if not np.isfinite(values).all():
+            yield f"primvar {name} holds values that are not finite"
+        elif values.size and np.abs(values).max() > 1.0:
+            yield f"primvar {name} leaves [-1, 1]"
+
+
+def _instancer_arrays(prim: Usd.Prim, table: LabelTable) -> Iterator[str]:
+    """Arrays of one length, finite; indices that name a prototype; turns that are rotations."""
+    instancer = UsdGeom.PointInstancer(prim)
+    indices = _numbers(instancer.GetProtoIndicesAttr())
+    targets = instancer.GetPrototypesRel().GetForwardedTargets()
+    if indices.size and (indices.min() < 0 or indices.max() >= len(targets)):
+        yield (
+            f"protoIndices go from {int(indices.min())} to {int(indices.max())}, there are "
+            f"{len(targets)} prototypes"
+        )
+    for target in targets:
+        if not prim.GetStage().GetPrimAtPath(target):
+            yield f"prototype {target} does not exist"
+    arrays = {
+        "positions": (instancer.GetPositionsAttr(), 3),
+        "orientations": (instancer.GetOrientationsAttr(), 4),
+        "orientationsf": (instancer.GetOrientationsfAttr(), 4),
+        "scales": (instancer.GetScalesAttr(), 3),
+        "velocities": (instancer.GetVelocitiesAttr(), 3),
+    }
+    for name, (attribute, width) in arrays.items():
+        values = _numbers(attribute).reshape(-1, width)
+        if (attribute.HasAuthoredValue() or name == "positions") and len(values) != indices.size:
+            yield f"{indices.size} protoIndices, but {len(values)} {name}"
+        if not np.isfinite(values).all():
+            yield f"{int((~np.isfinite(values)).any(axis=1).sum())} {name} are not finite"
+        elif width == 4 and len(values) and (np.abs(values).max(axis=1) == 0).any():
+            yield f"{name} hold zero quaternions"
+    api = UsdGeom.PrimvarsAPI(prim)
+    for primvar in api.GetPrimvarsWithAuthoredValues():
+        if primvar.GetInterpolation() == UsdGeom.Tokens.vertex:
+            values = np.array(primvar.ComputeFlattened())
+            if len(values) != indices.size:
+                yield (
+                    f"primvar {primvar.GetPrimvarName()} has {len(values)} values for "
+                    f"{indices.size} instances"
+                )
+
+
+def _instancer_ids(prim: Usd.Prim, table: LabelTable) -> Iterator[str]:
+    """Ids are there, one an instance, none twice, none below 1."""
+    instancer = UsdGeom.PointInstancer(prim)
+    ids = _numbers(instancer.GetIdsAttr()).astype(np.int64)
+    count = len(instancer.GetProtoIndicesAttr().Get() or ())
+    if not ids.size:
+        if count and prim.HasAttribute(names.ATTR_INSTANCE_ID_BASE):
+            yield "has no ids"
+        return
+    if ids.size != count:
+        yield f"{count} protoIndices, but {ids.size} ids"
+    unique, uses = np.unique(ids, return_counts=True)
+    if (uses > 1).any():
+        yield f"ids {unique[uses > 1][:5].tolist()} stand more than once"
+    if prim.HasAttribute(names.ATTR_INSTANCE_ID_BASE) and unique[0] < 1:
+        yield f"the lowest id is {unique[0]}, expected 1 or more"
+
+
+def _camera(prim: Usd.Prim, table: LabelTable) -> Iterator[str]:
+    """K from focal length and apertures agrees with the authoritative one."""
+    attribute = prim.GetAttribute(names.ATTR_INTRINSICS)
+    near, far = UsdGeom.Camera(prim).GetClippingRangeAttr().Get()
+    if not 0.0 < near < far:
+        yield f"clippingRange ({near:g}, {far:g}) is not 0 < near < far"
+    if not attribute or not attribute.HasValue():
+        return
+    exact = np.array(attribute.Get(), np.float64)
+    if exact.shape != (9,) or not np.isfinite(exact).all():
+        yield f"{names.ATTR_INTRINSICS} must hold 9 finite numbers"
+        return
+    size = _resolution_of(prim)
+    if size is None:
+        return
+    derived = intrinsics_from_apertures(prim, size, Usd.TimeCode.EarliestTime())
+    exact = exact.reshape(3, 3)
+    # Skew has no place in a UsdGeomCamera.
+    error = np.abs(derived - exact)[[0, 1, 0, 1], [0, 1, 2, 2]].max()
+    if not error <= INTRINSICS_TOLERANCE_PX:
+        yield (
+            f"focal length and apertures differ from {names.ATTR_INTRINSICS} by {error:.3g} pixels"
+        )
+
+
+def _resolution_of(camera: Usd.Prim) -> tuple[int, int] | None:
+    for prim in camera.GetStage().Traverse():
+        if prim.IsA(UsdRender.Product):
+            product = UsdRender.Product(prim)
+            if camera.GetPath() in product.GetCameraRel().GetForwardedTargets():
+                width, height = product.GetResolutionAttr().Get()
+                return int(width), int(height)
+    return None
+
+
+_RULES: tuple[tuple[str, Any, Rule], ...] = (
+    ("mesh-topology", UsdGeom.Mesh, _mesh_topology),
+    ("mesh-labels", UsdGeom.Mesh, _mesh_labels),
+    ("mesh-primvars", UsdGeom.Mesh, _vertex_primvars),
+    ("instancer-arrays", UsdGeom.PointInstancer, _instancer_arrays),
+    ("instancer-ids", UsdGeom.PointInstancer, _instancer_ids),
+    ("camera", UsdGeom.Camera, _camera),
+)
+
+
+def _id_ranges(stage: Usd.Stage) -> Iterator[Finding]:
+    """Frame ids of different classes do not overlap."""
+    ranges = []
+    for prim in stage.TraverseAll():
+        base = prim.GetAttribute(names.ATTR_INSTANCE_ID_BASE)
+        if prim.IsA(UsdGeom.PointInstancer) and base and base.HasValue():
+            ids = _numbers(UsdGeom.PointInstancer(prim).GetIdsAttr())
+            if ids.size:
+                first, last = int(base.Get() + ids.min()), int(base.Get() + ids.max())
+                ranges.append((first, last, str(prim.GetPath())))
+    ranges.sort()
+    for (_, end, path), (start, _, other) in zip(ranges, ranges[1:], strict=False):
+        if start <= end:
+            message = f"its frame ids begin at {start}, but those of {path} go up to {end}"
+            yield Finding("instance-ids", "error", other, message)
+
+
+def _usd_validation(stage: Usd.Stage) -> Iterator[Finding]:
+    registry = UsdValidation.ValidationRegistry()
+    context = UsdValidation.ValidationContext(registry.GetOrLoadAllValidators())
+    for error in context.Validate(stage):
+        sites = [str(s.GetPrim().GetPath()) for s in error.GetSites() if s.GetPrim()]
+        severe = error.GetType() == UsdValidation.ValidationErrorType.Error
+        yield Finding(
+            f"UsdValidation:{error.GetName()}",
+            "error" if severe else "warning",
+            sites[0] if sites else "stage",
+            " ".join(error.GetMessage().split()),
+        )
+
+
+def _targets(prim: Usd.Prim, name: str) -> list[Any]:
+    relationship = prim.GetRelationship(name)
+    return list(relationship.GetTargets()) if relationship else []
+
+
+def _primvar(api: UsdGeom.PrimvarsAPI, name: str) -> np.ndarray:
+    primvar = api.GetPrimvar(name)
+    values = primvar.ComputeFlattened() if primvar and primvar.HasValue() else None
+    return np.array(values if values is not None else (), np.float64)
+
+
+def _numbers(attribute: Usd.Attribute) -> np.ndarray:
+    """An array attribute at the first time, as float64; empty where it is not authored."""
+    value = attribute.Get(Usd.TimeCode.EarliestTime())
+    return np.array(value if value is not None else (), np.float64)

@@ -1,0 +1,162 @@
+"""Annotation from exact visibility: depth, labels, ids, normals, positions, in float64."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numba import njit, prange
+from numpy.typing import NDArray
+
+from scenec.backends.contract import Rays
+from scenec.backends.exact.intersect import world_normal
+from scenec.backends.exact.settle import Settled
+from scenec.backends.render_scene import RenderScene
+from scenec.schemas.errors import BackendError
+
+#: ``face`` where a ray meets nothing.
+NO_FACE = 0xFFFFFFFF
+
+
+@njit(cache=True, error_model="numpy", parallel=True, nogil=True)
+def _gather(start, row, face, values, missing, out):  # type: ignore[no-untyped-def]
+    """A value per face, or ``missing`` where nothing is hit."""
+    for k in prange(row.shape[0]):
+        out[k] = missing if row[k] < 0 else values[start[row[k]] + face[k]]
+
+
+@njit(cache=True, error_model="numpy", parallel=True, nogil=True)
+def _normals(g, directions, row, face, out):  # type: ignore[no-untyped-def]
+    """Geometric unit normals that face the ray, 0 where nothing is hit."""
+    for k in prange(row.shape[0]):
+        out[k, 0] = 0.0
+        out[k, 1] = 0.0
+        out[k, 2] = 0.0
+        if row[k] < 0:
+            continue
+        x, y, z = world_normal(g, row[k], face[k])
+        # Scaled first: the square of a normal of a tiny triangle may underflow.
+        scale = max(abs(x), max(abs(y), abs(z)))
+        x /= scale
+        y /= scale
+        z /= scale
+        length = math.sqrt(x * x + y * y + z * z)
+        if (x * directions[k, 0] + y * directions[k, 1]) + z * directions[k, 2] > 0.0:
+            length = -length
+        out[k, 0] = x / length
+        out[k, 1] = y / length
+        out[k, 2] = z / length
+
+
+@njit(cache=True, error_model="numpy", parallel=True, nogil=True)
+def _positions(origins, directions, t, out):  # type: ignore[no-untyped-def]
+    """Hit points, NaN where nothing is hit."""
+    for k in prange(t.shape[0]):
+        for i in range(3):
+            out[k, i] = origins[k, i] + t[k] * directions[k, i] if t[k] < math.inf else math.nan
+
+
+@njit(cache=True, error_model="numpy", parallel=True, nogil=True)
+def _ranges(directions, t, out):  # type: ignore[no-untyped-def]
+    """Distances along the ray, +inf where nothing is hit."""
+    for k in prange(t.shape[0]):
+        d = directions[k]
+        out[k] = t[k] * math.sqrt((d[0] * d[0] + d[1] * d[1]) + d[2] * d[2])
+
+
+def pass_names(scene: RenderScene, passes: Sequence[str]) -> list[str]:
+    """The annotation passes a list of passes stands for.
+
+    Args:
+        scene: The scene, for its label levels.
+        passes: Names as in DESIGN's frame contract; ``label`` stands for all levels, ``rgb`` is no
+            annotation and is skipped.
+
+    Returns:
+        Names out of ``depth``, ``range``, ``label.<level>``, ``instance``, ``normal``,
+        ``position``, ``face``, each once.
+
+    Raises:
+        BackendError: A name that is none of these.
+    """
+    labels = [f"label.{level}" for level in scene.levels]
+    known = ["depth", "range", *labels, "instance", "normal", "position", "face"]
+    names: dict[str, None] = {}
+    for name in passes:
+        if name == "label":
+            names.update(dict.fromkeys(labels))
+        elif name in known:
+            names[name] = None
+        elif name != "rgb":
+            raise BackendError(f'no pass "{name}"; expected one of: label, {", ".join(known)}')
+    return list(names)
+
+
+def annotate(
+    scene: RenderScene, settled: Settled, rays: Rays, passes: Sequence[str]
+) -> dict[str, NDArray]:
+    """All annotation that follows from exact visibility.
+
+    Args:
+        scene: The scene.
+        settled: Exact visibility of the rays.
+        rays: The rays; ``depth`` is their parameter, which is planar depth for a pinhole camera.
+        passes: What to compute, see ``pass_names``.
+
+    Returns:
+        Per pass (h, w of the rays' shape): ``depth`` and ``range`` float64 [h, w], +inf without a
+        hit; ``label.<level>`` uint32 [h, w], the sky's label without a hit; ``instance`` uint32
+        [h, w], 0 is none; ``normal`` float64 [h, w, 3], geometric, in the world frame, facing the
+        ray, 0 without a hit; ``position`` float64 [h, w, 3], world, NaN without a hit; ``face``
+        uint32 [h, w], the authored face, NO_FACE without a hit.
+
+    Raises:
+        BackendError: A pass that is not known.
+    """
+    g, row, face, t = settled.geometry, settled.row, settled.face, settled.t
+    n = len(t)
+    out: dict[str, NDArray] = {}
+    for name in pass_names(scene, passes):
+        if name == "depth":
+            out[name] = t.copy()
+        elif name == "range":
+            out[name] = np.empty(n)
+            _ranges(rays.directions, t, out[name])
+        elif name == "instance":
+            ids = np.append(scene.rows.instance_id, np.uint32(0))
+            out[name] = ids[row].astype(np.uint32)
+        elif name == "normal":
+            out[name] = np.empty((n, 3))
+            _normals(g, rays.directions, row, face, out[name])
+        elif name == "position":
+            out[name] = np.empty((n, 3))
+            _positions(rays.origins, rays.directions, t, out[name])
+        else:
+            missing = NO_FACE
+            tables = [np.empty(0, np.uint32)]
+            if name == "face":
+                for mesh in scene.meshes:
+                    authored = mesh.authored_face
+                    tables.append(
+                        np.arange(len(mesh.faces), dtype=np.uint32)
+                        if authored is None
+                        else authored.astype(np.uint32)
+                    )
+            else:
+                level = name.removeprefix("label.")
+                missing = scene.sky_labels.get(level, 0)
+                tables += [
+                    mesh.labels.get(level, np.zeros(len(mesh.faces), np.uint32))
+                    for mesh in scene.meshes
+                ]
+            out[name] = np.empty(n, np.uint32)
+            _gather(
+                g.row_face,
+                row,
+                face,
+                np.concatenate(tables).astype(np.uint32, copy=False),
+                np.uint32(missing),
+                out[name],
+            )
+    return {name: values.reshape(*rays.shape, *values.shape[1:]) for name, values in out.items()}

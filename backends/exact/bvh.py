@@ -1,0 +1,264 @@
+"""Two levels of bounding volumes over a RenderScene: triangles of each mesh, then rows.
+
+The lower trees stand in the meshes' local frames and are shared by all rows of a mesh; nothing is
+flattened. Boxes only ever discard: a triangle in a leaf is tested in the world frame by
+``intersect``. So the boxes need not be exact, they must be wide enough, and how wide follows from
+float64 rounding (see ``Geometry.pad``).
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit, prange
+from numpy.typing import NDArray
+
+from scenec.backends.exact.build import build_forest
+from scenec.backends.exact.twins import repeated_rows
+from scenec.backends.render_scene import RenderScene
+from scenec.schemas.errors import BackendError
+
+#: Rounding errors of a few hundred operations, in units of the magnitudes involved. What has to be
+#: covered is below 2**-43 (the error of barycentrics, see ``intersect``); the rest is reserve.
+ROUNDING = 2.0**-41
+#: Above this residual of M^-1 M - 1 a row's matrix counts as singular.
+_SINGULAR = 1e-3
+_LEAF_FACES = 4
+_LEAF_ROWS = 2
+#: Costs relative to visiting a node, which the heuristic weighs (measured, roughly).
+_FACE_COST = 2.0
+_ROW_COST = 4.0
+
+
+class Geometry(NamedTuple):
+    """All meshes and rows as flat arrays, with their hierarchies, as the kernels want them.
+
+    Attributes:
+        points: Local points of all meshes, float32 [n, 3].
+        faces: Vertex indices into ``points``, int32 [m, 3].
+        row_face: Index in ``faces`` of face 0 of each row's mesh, int32 [r].
+        row_faces: Number of faces of each row's mesh, int32 [r].
+        to_world: Local to world, float64 [r, 3, 4].
+        to_local: World to the frame of the row's tree, float64 [r, 3, 4].
+        pad: What widens the boxes of the row's tree, float64 [r, 2, 3]: along axis i by
+            pad[0, i] + pad[1, i] * (largest coordinate of the ray's origin).
+        row_root: Root node of each row's tree, int32 [r].
+        face_nodes, face_links, face_order: Trees over triangles (see ``build``);
+            ``face_order`` holds indices into ``faces``.
+        row_nodes, row_links, row_order: The one tree over rows; ``row_order`` holds rows.
+        row_tree: Root node of the tree over rows.
+        extent: Largest world coordinate of any row, metres.
+        row_spheres: A sphere around each row: center and radius, float64 [r, 4]; radius < 0 for
+            rows without surface.
+        row_twin: Rows of which there are several with the same mesh and matrix, bool [r].
+        face_twin: Faces of which there are several with the same vertices, bool [m].
+    """
+
+    points: NDArray[np.float32]
+    faces: NDArray[np.int32]
+    row_face: NDArray[np.int32]
+    row_faces: NDArray[np.int32]
+    to_world: NDArray[np.float64]
+    to_local: NDArray[np.float64]
+    pad: NDArray[np.float64]
+    row_root: NDArray[np.int32]
+    face_nodes: NDArray[np.float32]
+    face_links: NDArray[np.int32]
+    face_order: NDArray[np.int32]
+    row_nodes: NDArray[np.float32]
+    row_links: NDArray[np.int32]
+    row_order: NDArray[np.int32]
+    row_tree: int
+    extent: float
+    row_spheres: NDArray[np.float64]
+    row_twin: NDArray[np.bool_]
+    face_twin: NDArray[np.bool_]
+
+
+@njit(cache=True, error_model="numpy", parallel=True)
+def _face_boxes(points, faces, boxes):  # type: ignore[no-untyped-def]
+    """Boxes of triangles given in float32: exact."""
+    for k in prange(faces.shape[0]):
+        for i in range(3):
+            a = points[faces[k, 0], i]
+            b = points[faces[k, 1], i]
+            c = points[faces[k, 2], i]
+            boxes[k, i] = min(a, min(b, c))
+            boxes[k, i + 3] = max(a, max(b, c))
+
+
+def _outward(low: NDArray[np.float64], high: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Boxes in float32 that contain those in float64."""
+    low32 = low.astype(np.float32)
+    high32 = high.astype(np.float32)
+    low32 = np.where(low32 > low, np.nextafter(low32, np.float32(-np.inf)), low32)
+    high32 = np.where(high32 < high, np.nextafter(high32, np.float32(np.inf)), high32)
+    return np.concatenate([low32, high32], axis=-1)
+
+
+def _world_points(to_world: NDArray[np.float64], points: NDArray[np.float32]) -> NDArray:
+    """World positions in float64, in the order of operations of ``intersect``."""
+    p = points.astype(np.float64)
+    m = to_world
+    return np.stack(
+        [((m[i, 0] * p[:, 0] + m[i, 1] * p[:, 1]) + m[i, 2] * p[:, 2]) + m[i, 3] for i in range(3)],
+        axis=1,
+    )
+
+
+def _invert(to_world: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Inverses of the linear parts by cofactors, and |M^-1 M - 1|, both [r, 3, 3]."""
+    m = to_world[:, :, :3]
+    c0, c1, c2 = m[:, :, 0], m[:, :, 1], m[:, :, 2]
+    cofactors = np.stack([np.cross(c1, c2), np.cross(c2, c0), np.cross(c0, c1)], axis=1)
+    with np.errstate(all="ignore"):
+        determinant = (cofactors[:, 0] * c0).sum(axis=1)
+        inverse = cofactors / determinant[:, None, None]
+        residual = sum(inverse[:, :, k, None] * m[:, None, k, :] for k in range(3))
+        residual = np.abs(residual - np.eye(3))
+    return inverse, residual
+
+
+def build_geometry(scene: RenderScene) -> Geometry:
+    """Flatten a scene's meshes and rows and build the hierarchies.
+
+    A row whose matrix cannot be inverted (flattened along an axis, say) gets a tree of its own in
+    the world frame; a row scaled to a point has no surface and is left out.
+
+    Args:
+        scene: The scene; only ``meshes`` and ``rows`` are read.
+
+    Returns:
+        The geometry; ``points`` and ``faces`` are copies.
+
+    Raises:
+        BackendError: A point or matrix is not finite, or a face names a vertex that is not there.
+    """
+    counts = np.array([len(m.faces) for m in scene.meshes], np.int64)
+    point_start = np.cumsum([0] + [len(m.points) for m in scene.meshes])
+    face_start = np.concatenate([[0], np.cumsum(counts)])
+    for mesh in scene.meshes:
+        if not np.isfinite(mesh.points).all():
+            raise BackendError(f"{mesh.path}: points holds values that are not finite")
+        if len(mesh.faces) and not 0 <= mesh.faces.min() <= mesh.faces.max() < len(mesh.points):
+            raise BackendError(f"{mesh.path}: a face names a vertex beyond {len(mesh.points)}")
+    points = np.concatenate([m.points for m in scene.meshes] or [np.empty((0, 3), np.float32)])
+    faces = np.empty((int(face_start[-1]), 3), np.int32)
+    for mesh, start, first in zip(scene.meshes, face_start, point_start, strict=False):
+        np.add(mesh.faces, np.int32(first), out=faces[start : start + len(mesh.faces)])
+
+    to_world = np.ascontiguousarray(scene.rows.to_world, np.float64)
+    if not np.isfinite(to_world).all():
+        row = int(np.argmin(np.isfinite(to_world).all(axis=(1, 2))))
+        raise BackendError(f"row {row}: the local-to-world matrix holds values that are not finite")
+    row_mesh = scene.rows.mesh.astype(np.int64)
+    inverse, residual = _invert(to_world)
+    used = (counts[row_mesh] > 0) & (to_world[:, :, :3] != 0.0).any(axis=(1, 2))
+    with np.errstate(invalid="ignore"):
+        regular = (residual.sum(axis=(1, 2)) < _SINGULAR) & np.isfinite(inverse).all(axis=(1, 2))
+    own = np.flatnonzero(used & ~regular)
+
+    boxes = np.empty((len(faces) + int(counts[row_mesh[own]].sum()), 6), np.float32)
+    _face_boxes(points, faces, boxes)
+    ranges = [(int(a), int(b)) for a, b in pairwise(face_start)]
+    entry_face = [np.arange(len(faces), dtype=np.int32)]
+    low = np.zeros((len(scene.meshes), 3))
+    high = np.zeros((len(scene.meshes), 3))
+    sphere = np.zeros(len(scene.meshes))
+    for i, mesh in enumerate(scene.meshes):
+        if counts[i]:
+            # Only vertices that faces use: a stray point would widen every row's box.
+            p = mesh.points[np.unique(mesh.faces)].astype(np.float64)
+            low[i], high[i] = p.min(axis=0), p.max(axis=0)
+            sphere[i] = np.sqrt(((p - 0.5 * (low[i] + high[i])) ** 2).sum(axis=1).max())
+    center = 0.5 * (low + high)[row_mesh]
+    half = 0.5 * (high - low)[row_mesh]
+    magnitude = np.maximum(np.abs(low), np.abs(high))[row_mesh]
+
+    linear, offset = to_world[:, :, :3], to_world[:, :, 3]
+    reach = (np.abs(offset) + (np.abs(linear) * magnitude[:, None, :]).sum(axis=2)).max(
+        axis=1, initial=0.0
+    )
+    to_local = np.zeros_like(to_world)
+    to_local[:, :, :3] = np.where(regular[:, None, None], inverse, np.eye(3))
+    to_local[:, :, 3] = -(to_local[:, :, :3] * offset[:, None, :]).sum(axis=2)
+    to_local[~regular, :, 3] = 0.0
+    pad = np.zeros((len(row_mesh), 2, 3))
+    pad[:, 1] = ROUNDING * np.abs(to_local[:, :, :3]).sum(axis=2)
+    pad[:, 0] = pad[:, 1] * reach[:, None]
+    pad[regular, 0] += (residual * magnitude[:, None, :]).sum(axis=2)[regular]
+
+    # A box around the turned box and one around the turned sphere: what is in both holds the row.
+    world_center = _apply(to_world, center)
+    norms = np.sqrt((linear**2).sum(axis=2))
+    world_half = np.minimum(
+        (np.abs(linear) * half[:, None, :]).sum(axis=2), norms * sphere[row_mesh][:, None]
+    )
+    world_half = world_half * (1 + 1e-12) + ROUNDING * reach[:, None]
+    row_boxes = _outward(world_center - world_half, world_center + world_half)
+
+    row_root = np.full(len(row_mesh), -1, np.int32)
+    start = len(faces)
+    for row in own.tolist():
+        mesh_faces = faces[face_start[row_mesh[row]] : face_start[row_mesh[row] + 1]]
+        mesh = scene.meshes[row_mesh[row]]
+        corners = _world_points(to_world[row], mesh.points)[mesh.faces]
+        boxes[start : start + len(mesh_faces)] = _outward(corners.min(axis=1), corners.max(axis=1))
+        ranges.append((start, start + len(mesh_faces)))
+        first = face_start[row_mesh[row]]
+        entry_face.append(np.arange(first, first + len(mesh_faces), dtype=np.int32))
+        start += len(mesh_faces)
+
+    table = np.array(ranges, np.int64).reshape(-1, 2)
+    filled = np.flatnonzero(table[:, 1] > table[:, 0])
+    face_nodes, face_links, order, roots = build_forest(
+        boxes, table[filled], _LEAF_FACES, _FACE_COST
+    )
+    face_order = np.concatenate(entry_face)[order]
+    range_root = np.full(len(table), -1, np.int32)
+    range_root[filled] = roots
+    row_root[regular] = range_root[row_mesh[regular]]
+    row_root[own] = range_root[len(scene.meshes) :]
+
+    present = np.flatnonzero(used)
+    row_nodes, row_links, order, tree = build_forest(
+        row_boxes[present],
+        np.array([[0, len(present)]] if len(present) else [], np.int64).reshape(-1, 2),
+        _LEAF_ROWS,
+        _ROW_COST,
+    )
+    # |M x| <= |M| |x|, the Frobenius norm standing in for the largest singular value.
+    radius = np.sqrt((linear**2).sum(axis=(1, 2))) * sphere[row_mesh]
+    radius = np.minimum(radius, np.sqrt((world_half**2).sum(axis=1)))
+    radius = np.where(used, radius * (1 + 1e-12) + ROUNDING * reach, -1.0)
+    return Geometry(
+        points=points,
+        faces=faces,
+        row_face=face_start[row_mesh].astype(np.int32),
+        row_faces=counts[row_mesh].astype(np.int32),
+        to_world=to_world,
+        to_local=to_local,
+        pad=pad,
+        row_root=row_root,
+        face_nodes=face_nodes,
+        face_links=face_links,
+        face_order=face_order,
+        row_nodes=row_nodes,
+        row_links=row_links,
+        row_order=present[order].astype(np.int32),
+        row_tree=int(tree[0]) if len(tree) else -1,
+        extent=float(reach[used].max(initial=0.0)),
+        row_spheres=np.concatenate([world_center, radius[:, None]], axis=1),
+        row_twin=repeated_rows(
+            # Adding 0 makes -0 and 0 the same bits.
+            np.column_stack([row_mesh, (to_world.reshape(-1, 12) + 0.0).view(np.int64)])
+        ),
+        face_twin=repeated_rows(np.sort(faces, axis=1, kind="stable").astype(np.int64)),
+    )
+
+
+def _apply(matrices: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """One point through each affine matrix: [r, 3, 4] and [r, 3] to [r, 3]."""
+    return (matrices[:, :, :3] * points[:, None, :]).sum(axis=2) + matrices[:, :, 3]

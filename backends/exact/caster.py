@@ -1,0 +1,100 @@
+"""The exact ray caster: nearest hit of rays with a RenderScene, in float64."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit, prange
+from numpy.typing import NDArray
+
+from scenec.backends.contract import NO_ROW, Rays
+from scenec.backends.exact.bvh import Geometry, build_geometry
+from scenec.backends.exact.intersect import hit_parameter, ray_frame, row_matrix
+from scenec.backends.exact.trace import trace_all
+from scenec.backends.render_scene import RenderScene
+
+
+@njit(cache=True, error_model="numpy", parallel=True, nogil=True)
+def _test_all(g, origins, directions, index, row, face, t):  # type: ignore[no-untyped-def]
+    for k in prange(index.shape[0]):
+        t[k] = np.inf
+        if 0 <= row[k] < g.row_face.shape[0] and 0 <= face[k] < g.row_faces[row[k]]:
+            frame = ray_frame(origins[index[k]], directions[index[k]])
+            matrix = row_matrix(g.to_world, row[k], frame[0], frame[1], frame[2])
+            t[k] = hit_parameter(g.points, g.faces[g.row_face[row[k]] + face[k]], matrix, frame)
+
+
+class ExactCaster:
+    """Casts rays at a scene; what it answers is what annotation is defined to be.
+
+    Results do not depend on the number of threads. Holds no state but the scene's geometry.
+
+    Args:
+        scene: The scene; ``meshes`` and ``rows`` are read and copied.
+
+    Attributes:
+        geometry: Flat arrays and hierarchies, shared with the resolver's kernels.
+
+    Raises:
+        BackendError: The scene's arrays are broken (see ``bvh.build_geometry``).
+    """
+
+    def __init__(self, scene: RenderScene):
+        self.geometry: Geometry = build_geometry(scene)
+
+    def cast(
+        self, rays: Rays, index: NDArray[np.int64] | None = None
+    ) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.float64]]:
+        """First hit of each ray; of equal parameters the lowest (row, face).
+
+        Args:
+            rays: The table of rays.
+            index: Which rays to cast, int64 [k]; None: all.
+
+        Returns:
+            (row int32 [k], face int32 [k], t float64 [k]): NO_ROW, 0 and +inf where nothing is hit;
+            t is in units of the direction's length.
+        """
+        which = np.arange(len(rays.origins)) if index is None else index
+        row = np.full(len(which), NO_ROW, np.int32)
+        face = np.zeros(len(which), np.int32)
+        t = np.full(len(which), np.inf)
+        self.improve(rays, which, row, face, t)
+        return row, face, t
+
+    def improve(
+        self,
+        rays: Rays,
+        index: NDArray[np.int64],
+        row: NDArray[np.int32],
+        face: NDArray[np.int32],
+        t: NDArray[np.float64],
+    ) -> None:
+        """As ``cast``, from hits already known (each exact, or NO_ROW, 0 and +inf), in place.
+
+        The answer is the same, whatever was known; a known hit only spares work behind it.
+        """
+        trace_all(
+            self.geometry, rays.origins, rays.directions, np.asarray(index, np.int64), row, face, t
+        )
+
+    def test(
+        self,
+        rays: Rays,
+        index: NDArray[np.int64],
+        row: NDArray[np.int32],
+        face: NDArray[np.int32],
+    ) -> NDArray[np.float64]:
+        """Parameter at which each ray meets one given triangle.
+
+        Args:
+            rays: The table of rays.
+            index: Which rays, int64 [k].
+            row: Row of the triangle for each, int32 [k]; a row that is not there is not hit.
+            face: Its face, int32 [k]; likewise.
+
+        Returns:
+            t, float64 [k]; +inf where the triangle is missed.
+        """
+        t = np.empty(len(index))
+        _test_all(self.geometry, rays.origins, rays.directions, index, row, face, t)
+        return t

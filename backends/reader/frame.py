@@ -1,0 +1,56 @@
+"""From a stage's units and up axis to the contract's frame: metres, Z up."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from pxr import Gf, Usd, UsdGeom
+
+#: Y-up to Z-up: x stays, y becomes z, z becomes -y.
+_Y_TO_Z = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+
+
+@dataclass(frozen=True)
+class StageFrame:
+    """How the stage's world becomes the contract's.
+
+    Attributes:
+        meters_per_unit: Length of a stage unit.
+        turn: Rotation to Z up, float64 [3, 3].
+    """
+
+    meters_per_unit: float
+    turn: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, stage: Usd.Stage) -> StageFrame:
+        """The frame that the stage declares."""
+        y_up = UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.y
+        return cls(UsdGeom.GetStageMetersPerUnit(stage), _Y_TO_Z if y_up else np.eye(3))
+
+    def affine(self, matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Local-to-world in metres, Z up, from one in stage units: float64 [..., 3, 4]."""
+        return self.meters_per_unit * (self.turn @ matrix)
+
+    def axes(self, matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Unit axes (columns) of a local-to-world matrix [3, 4], turned to Z up: [3, 3]."""
+        axes = self.turn @ matrix[:, :3]
+        return axes / np.sqrt((axes * axes).sum(axis=0))
+
+    def point(self, matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Origin of a local-to-world matrix [3, 4], in metres, Z up: [3]."""
+        return self.meters_per_unit * (self.turn @ matrix[:, 3])
+
+
+def columns(matrix: Gf.Matrix4d) -> NDArray[np.float64]:
+    """A Gf matrix (row vectors) as affine columns, float64 [3, 4]."""
+    return np.array(matrix, dtype=np.float64).T[:3].copy()
+
+
+def composed(parent: NDArray[np.float64], child: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Parent * child for affine matrices [..., 3, 4], broadcast over leading axes."""
+    out = parent[..., :3] @ child
+    out[..., 3] += parent[..., 3]
+    return out

@@ -1,0 +1,174 @@
+"""Meshes of a stage as triangles, each with its labels and materials."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from pxr import Usd, UsdGeom, UsdShade
+
+from scenec.backends.reader.labels import LabelTable, face_labels, prim_labels
+from scenec.backends.reader.surfaces import (
+    SurfaceTable,
+    bound_surface,
+    read_layers,
+    read_variation,
+)
+from scenec.backends.render_scene import Mesh
+from scenec.schemas.errors import StageError
+
+
+class MeshTable:
+    """Meshes in the order in which they were first met; one that is met again is shared."""
+
+    def __init__(self, labels: LabelTable, time: Usd.TimeCode):
+        self.labels = labels
+        self.surfaces = SurfaceTable()
+        self.meshes: list[Mesh] = []
+        self._time = time
+        self._known: dict[tuple, list[int]] = {}
+
+    def add(self, prim: Usd.Prim, inherited: dict[str, int]) -> list[int]:
+        """Indices of a mesh prim's parts: one for each material bound to some of its faces.
+
+        Args:
+            prim: A UsdGeomMesh, an instance proxy perhaps.
+            inherited: Labels of the instancer around it.
+
+        Raises:
+            StageError: Its arrays contradict each other, or hold NaN.
+        """
+        source = prim.GetPrimInPrototype() if prim.IsInstanceProxy() else prim
+        bound = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial()[0]
+        key = (source.GetPath(), tuple(sorted(inherited.items())), str(bound.GetPath()))
+        if prim.IsInstanceProxy():
+            # Labels can come from above an instance: only equal ones can share.
+            key = (*key, tuple(sorted(prim_labels(prim, self.labels).items())))
+        if key not in self._known:
+            parts = self._read(UsdGeom.Mesh(prim), inherited)
+            self._known[key] = list(range(len(self.meshes), len(self.meshes) + len(parts)))
+            self.meshes.extend(parts)
+        return self._known[key]
+
+    def _read(self, mesh: UsdGeom.Mesh, inherited: dict[str, int]) -> list[Mesh]:
+        prim = mesh.GetPrim()
+        points = np.array(mesh.GetPointsAttr().Get(self._time) or (), np.float32).reshape(-1, 3)
+        counts = np.array(mesh.GetFaceVertexCountsAttr().Get(self._time) or (), np.int32)
+        indices = np.array(mesh.GetFaceVertexIndicesAttr().Get(self._time) or (), np.int32)
+        _require_sound(prim, points, counts, indices)
+        holes = np.array(mesh.GetHoleIndicesAttr().Get(self._time) or (), np.int64)
+        left_handed = mesh.GetOrientationAttr().Get(self._time) == UsdGeom.Tokens.leftHanded
+        faces, authored = triangulate(counts, indices, holes, left_handed)
+        labels = face_labels(mesh, self.labels, inherited, len(counts))
+        layers = read_layers(mesh, len(points))
+        weights = np.zeros((0, len(points)), np.float32)
+        if layers is not None:
+            surfaces, weights = layers
+            indices_of_layers = tuple(self.surfaces.add(surface) for surface in surfaces)
+        else:
+            indices_of_layers = (self.surfaces.add(bound_surface(prim)),)
+        same = len(counts) == len(faces) and bool((authored == np.arange(len(faces))).all())
+        whole = Mesh(
+            path=str(prim.GetPath()),
+            points=points,
+            faces=faces,
+            authored_face=None if same else authored,
+            normals=_normals(mesh, len(points), self._time),
+            labels={level: values[authored] for level, values in labels.items()},
+            layers=indices_of_layers,
+            weights=weights,
+            variation=read_variation(prim, len(points)),
+        )
+        return [whole] if layers is not None else self._by_material(mesh, whole, authored)
+
+    def _by_material(
+        self, mesh: UsdGeom.Mesh, whole: Mesh, authored: NDArray[np.int32]
+    ) -> list[Mesh]:
+        """Splits a mesh whose subsets are bound to several materials."""
+        subsets = UsdShade.MaterialBindingAPI(mesh.GetPrim()).GetMaterialBindSubsets()
+        count = int(authored.max(initial=-1)) + 1
+        surface = np.full(count, whole.layers[0], np.int32)
+        for subset in subsets:
+            chosen = np.array(subset.GetIndicesAttr().Get(self._time) or (), np.int64)
+            chosen = chosen[(chosen >= 0) & (chosen < count)]
+            surface[chosen] = self.surfaces.add(bound_surface(subset.GetPrim()))
+        of_triangle = surface[authored]
+        used = np.unique(of_triangle)
+        if len(used) <= 1:
+            return [replace(whole, layers=(int(used[0]),))] if len(used) else [whole]
+        return [_part(whole, authored, of_triangle == s, int(s)) for s in used]
+
+
+def _part(
+    whole: Mesh, authored: NDArray[np.int32], chosen: NDArray[np.bool_], surface: int
+) -> Mesh:
+    return replace(
+        whole,
+        faces=whole.faces[chosen],
+        authored_face=authored[chosen],
+        labels={level: values[chosen] for level, values in whole.labels.items()},
+        layers=(surface,),
+    )
+
+
+def triangulate(
+    counts: NDArray[np.int32],
+    indices: NDArray[np.int32],
+    holes: NDArray[np.int64],
+    left_handed: bool,
+) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """Fans of triangles from polygons.
+
+    Args:
+        counts: Vertices of each polygon, [f].
+        indices: Their vertices, one polygon after the other.
+        holes: Polygons to leave out.
+        left_handed: Whether polygons are wound clockwise; triangles come out counter-clockwise.
+
+    Returns:
+        int32 [m, 3], and the polygon each triangle comes from, int32 [m]. Polygons of fewer than
+        three vertices give none.
+    """
+    starts = np.cumsum(counts, dtype=np.int64) - counts
+    fans = np.maximum(counts - 2, 0)
+    fans[holes] = 0
+    authored = np.repeat(np.arange(len(counts), dtype=np.int32), fans)
+    first = np.repeat(np.cumsum(fans, dtype=np.int64) - fans, fans)
+    corner = np.arange(len(authored)) - first
+    at = starts[authored]
+    faces = np.stack([indices[at], indices[at + corner + 1], indices[at + corner + 2]], axis=1)
+    if left_handed:
+        faces = faces[:, [0, 2, 1]]
+    return np.ascontiguousarray(faces.reshape(-1, 3), np.int32), authored
+
+
+def _require_sound(prim: Usd.Prim, points: NDArray, counts: NDArray, indices: NDArray) -> None:
+    path = prim.GetPath()
+    if not np.isfinite(points).all():
+        raise StageError(f"{path}: points hold NaN or infinity")
+    if counts.size and counts.min() < 0:
+        raise StageError(f"{path}: a face has {counts.min()} vertices")
+    if int(counts.sum()) != indices.size:
+        raise StageError(
+            f"{path}: faceVertexCounts add up to {int(counts.sum())}, but there are {indices.size} "
+            "faceVertexIndices"
+        )
+    if indices.size and (indices.min() < 0 or indices.max() >= len(points)):
+        raise StageError(f"{path}: faceVertexIndices reach beyond the {len(points)} points")
+
+
+def _normals(
+    mesh: UsdGeom.Mesh, point_count: int, time: Usd.TimeCode
+) -> NDArray[np.float32] | None:
+    """Vertex normals; other interpolations are shaded flat."""
+    primvar = UsdGeom.PrimvarsAPI(mesh.GetPrim()).GetPrimvar("normals")
+    if primvar and primvar.HasValue():
+        values, interpolation = primvar.ComputeFlattened(time), primvar.GetInterpolation()
+    else:
+        values, interpolation = mesh.GetNormalsAttr().Get(time), mesh.GetNormalsInterpolation()
+    normals = np.array(values if values is not None else (), np.float32).reshape(-1, 3)
+    smooth = interpolation in (UsdGeom.Tokens.vertex, UsdGeom.Tokens.varying)
+    if not smooth or len(normals) != point_count or not np.isfinite(normals).all():
+        return None
+    return normals

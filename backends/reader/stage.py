@@ -1,0 +1,151 @@
+"""The way from a stage on disk to a RenderScene."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from pxr import Tf, Usd
+
+from scenec.backends.reader.cameras import read_cameras
+from scenec.backends.reader.frame import StageFrame
+from scenec.backends.reader.instancers import Expanded, Expander
+from scenec.backends.reader.labels import LabelTable, prim_labels, read_table
+from scenec.backends.reader.lights import read_lighting
+from scenec.backends.reader.meshes import MeshTable
+from scenec.backends.render_scene import Lighting, Mesh, RenderScene, Rows
+from scenec.schemas import stage as names
+from scenec.schemas.errors import StageError
+from scenec.schemas.files import sha256
+
+
+def read_stage(path: Path | str) -> RenderScene:
+    """Reads a stage of scenec's schema, or any other, into flat arrays.
+
+    Accepted of foreign stages: polygons (fan triangulation, with a map back), either handedness, Y or
+    Z up, any unit, nested instancers, native instances, mirrored and sheared transforms, visibility,
+    purpose, ``inactiveIds`` and ``invisibleIds``, UsdSemantics labels in place of label primvars,
+    UsdPreviewSurface constants in place of ours. Subdivision surfaces are taken as their cages.
+    Geometry is read at the first time code: animated meshes and transforms stand still.
+
+    Args:
+        path: ``.usda``, ``.usdc``, ``.usd`` or ``.usdz``.
+
+    Raises:
+        StageError: Not a stage, a newer schema, or arrays that contradict each other.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise StageError(f"{path}: no such file")
+    try:
+        stage = Usd.Stage.Open(str(path))
+    except Tf.ErrorException as error:
+        reason = str(error).strip().splitlines()[-1].strip(" '\"")
+        raise StageError(f"{path}: not a USD stage: {reason}") from error
+    _require_schema(stage, path)
+    frame = StageFrame.of(stage)
+    times = _time_codes(stage)
+    table = read_table(stage)
+    meshes = MeshTable(table, times[0])
+    expander = Expander(meshes, times[0])
+    expanded = expander.expand(stage.GetPseudoRoot(), np.eye(4)[:3], {})
+    rows = _rows(expanded, frame)
+    cameras, outputs = read_cameras(stage, frame, times)
+    lighting = tuple(read_lighting(stage, frame, time) for time in times)
+    return RenderScene(
+        source=path,
+        digest=_digest(stage, path, lighting),
+        samples=len(times),
+        meshes=tuple(meshes.meshes),
+        rows=rows,
+        surfaces=meshes.surfaces.surfaces(),
+        levels=table.levels,
+        label_names={
+            level: {number: name for name, number in ids.items()}
+            for level, ids in table.ids.items()
+        },
+        sky_labels=_sky_labels(stage, table),
+        cameras=cameras,
+        lighting=lighting,
+        bounds=_bounds(tuple(meshes.meshes), rows),
+        instance_paths=expander.bases,
+        outputs=outputs or ("rgb", "label", "instance", "depth"),
+        times=_times(stage, times),
+    )
+
+
+def _require_schema(stage: Usd.Stage, path: Path) -> None:
+    root = stage.GetDefaultPrim()
+    attribute = root.GetAttribute(names.ATTR_SCHEMA_VERSION) if root else None
+    if not attribute or not attribute.HasValue():
+        return
+    version = str(attribute.Get())
+    major = version.split(".")[0]
+    if not major.isdigit() or int(major) > int(names.SCHEMA_VERSION.split(".")[0]):
+        raise StageError(
+            f"{path}: its schema version is {version}; this scenec reads up to {names.SCHEMA_VERSION}"
+        )
+
+
+def _time_codes(stage: Usd.Stage) -> list[Usd.TimeCode]:
+    if not stage.HasAuthoredTimeCodeRange():
+        return [Usd.TimeCode.Default()]
+    first, last = stage.GetStartTimeCode(), stage.GetEndTimeCode()
+    count = int(np.floor(last - first)) + 1
+    if count < 1:
+        raise StageError(
+            f"{stage.GetRootLayer().identifier}: endTimeCode lies before startTimeCode"
+        )
+    return [Usd.TimeCode(first + i) for i in range(count)]
+
+
+def _rows(expanded: Expanded, frame: StageFrame) -> Rows:
+    return Rows(
+        mesh=expanded.mesh,
+        to_world=np.ascontiguousarray(frame.affine(expanded.matrix)),
+        instance_id=expanded.instance_id,
+        variation=expanded.variation,
+    )
+
+
+def _sky_labels(stage: Usd.Stage, table: LabelTable) -> dict[str, int]:
+    prim = stage.GetPrimAtPath(names.SKY_PRIM)
+    own = prim_labels(prim, table) if prim else {}
+    return {level: own.get(level, 0) for level in table.levels}
+
+
+def _bounds(meshes: tuple[Mesh, ...], rows: Rows) -> NDArray[np.float64]:
+    """World bounds: of the corners of each row's local bounds, so a little generous."""
+    if not len(rows.mesh):
+        return np.zeros((2, 3))
+    low = np.full((len(meshes), 3), 0.0)
+    high = np.full((len(meshes), 3), 0.0)
+    for index, mesh in enumerate(meshes):
+        if len(mesh.points):
+            low[index], high[index] = mesh.points.min(axis=0), mesh.points.max(axis=0)
+    center, half = 0.5 * (low + high)[rows.mesh], 0.5 * (high - low)[rows.mesh]
+    linear = rows.to_world[:, :, :3]
+    middle = (linear * center[:, None, :]).sum(axis=2) + rows.to_world[:, :, 3]
+    reach = (np.abs(linear) * half[:, None, :]).sum(axis=2)
+    return np.stack([(middle - reach).min(axis=0), (middle + reach).max(axis=0)])
+
+
+def _times(stage: Usd.Stage, times: list[Usd.TimeCode]) -> NDArray[np.float64]:
+    root = stage.GetDefaultPrim()
+    attribute = root.GetAttribute(names.ATTR_TIME) if root else None
+    if attribute and attribute.HasValue():
+        return np.array([float(attribute.Get(time)) for time in times])
+    rate = stage.GetTimeCodesPerSecond() or 1.0
+    return np.arange(len(times)) / rate
+
+
+def _digest(stage: Usd.Stage, path: Path, lighting: tuple[Lighting, ...]) -> str:
+    """sha256 over the bytes of all files the stage is composed from, and their relative places."""
+    folder = path.resolve().parent
+    files = {Path(layer.realPath) for layer in stage.GetUsedLayers() if layer.realPath}
+    files |= {d.texture for light in lighting for d in light.domes if d.texture is not None}
+    lines = [f"{os.path.relpath(f, folder)} {sha256(f)}" for f in files if f.is_file()]
+    return hashlib.sha256("\n".join(sorted(lines)).encode()).hexdigest()

@@ -1,0 +1,143 @@
+"""Materials of meshes: scenec's layers and weights, else the bound preview surface."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from pxr import Usd, UsdGeom, UsdShade
+
+from scenec.backends.render_scene import Surface
+from scenec.schemas import stage as names
+from scenec.schemas.errors import StageError
+
+_GREY = 0.5
+
+
+class SurfaceTable:
+    """Surfaces in the order in which they were first met."""
+
+    def __init__(self) -> None:
+        self._index: dict[Surface, int] = {}
+
+    def add(self, surface: Surface) -> int:
+        """Index of a surface."""
+        return self._index.setdefault(surface, len(self._index))
+
+    def surfaces(self) -> tuple[Surface, ...]:
+        """All of them."""
+        return tuple(self._index)
+
+
+def read_layers(
+    mesh: UsdGeom.Mesh, point_count: int
+) -> tuple[list[Surface], NDArray[np.float32]] | None:
+    """Ordered ground materials and the weights of their merges, [layers - 1, point_count].
+
+    Returns None for a mesh without ``scenec:layers``.
+
+    Raises:
+        StageError: A target is no material, or a weight is missing or of the wrong length.
+    """
+    prim = mesh.GetPrim()
+    relationship = prim.GetRelationship(names.REL_LAYERS)
+    targets = relationship.GetTargets() if relationship else []
+    if not targets:
+        return None
+    surfaces = []
+    for target in targets:
+        material = UsdShade.Material(prim.GetStage().GetPrimAtPath(target))
+        if not material:
+            raise StageError(f"{prim.GetPath()}: {names.REL_LAYERS} names {target}: no material")
+        surfaces.append(surface_of(material))
+    weights = np.zeros((len(targets) - 1, point_count), np.float32)
+    for merge in range(1, len(targets)):
+        weights[merge - 1] = _vertex_floats(prim, names.weight_primvar(merge), point_count)
+    return surfaces, weights
+
+
+def read_variation(prim: Usd.Prim, count: int) -> NDArray[np.float32] | None:
+    """The albedo variation's values, float32 [count], or None where none are authored."""
+    primvar = UsdGeom.PrimvarsAPI(prim).GetPrimvar(names.PRIMVAR_VARIATION)
+    if not primvar or not primvar.HasValue():
+        return None
+    return _vertex_floats(prim, names.PRIMVAR_VARIATION, count)
+
+
+def _vertex_floats(prim: Usd.Prim, name: str, count: int) -> NDArray[np.float32]:
+    primvar = UsdGeom.PrimvarsAPI(prim).GetPrimvar(name)
+    values = (
+        np.array(primvar.ComputeFlattened(), np.float32) if primvar else np.zeros(0, np.float32)
+    )
+    if values.shape != (count,) or not np.isfinite(values).all():
+        raise StageError(
+            f"{prim.GetPath()}: primvar {name} must hold {count} finite floats; it holds {values.size}"
+        )
+    return values
+
+
+def bound_surface(prim: Usd.Prim) -> Surface:
+    """The surface of the material bound to a prim; without one, a diffuse one of its displayColor."""
+    material, _ = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial()
+    if material:
+        return surface_of(material, _display_color(prim))
+    return Surface("", _display_color(prim), 0.0, 1.0, 0.0)
+
+
+def _display_color(prim: Usd.Prim) -> tuple[float, float, float]:
+    primvar = UsdGeom.PrimvarsAPI(prim).FindPrimvarWithInheritance("displayColor")
+    values = np.array(primvar.Get(), np.float64) if primvar and primvar.HasValue() else np.zeros(0)
+    if not values.size:
+        return (_GREY, _GREY, _GREY)
+    red, green, blue = values.reshape(-1, 3).mean(axis=0).tolist()
+    return (red, green, blue)
+
+
+def surface_of(
+    material: UsdShade.Material, fallback: tuple[float, float, float] = (_GREY, _GREY, _GREY)
+) -> Surface:
+    """The shared surface model's numbers of a material.
+
+    Ours stand in ``scenec:surface:*``. From a foreign UsdPreviewSurface the constants of diffuseColor,
+    roughness and the reflectance at normal incidence are taken; textures and metals are not.
+
+    Args:
+        material: The material.
+        fallback: Color where diffuseColor is connected to something that is not read.
+    """
+    prim = material.GetPrim()
+    path = str(prim.GetPath())
+    color = prim.GetAttribute(names.ATTR_BASE_COLOR)
+    if color and color.HasValue():
+        red, green, blue = (float(v) for v in color.Get())
+        return Surface(
+            path,
+            (red, green, blue),
+            float(prim.GetAttribute(names.ATTR_SPECULAR).Get() or 0.0),
+            float(prim.GetAttribute(names.ATTR_ROUGHNESS).Get() or 0.0),
+            float(prim.GetAttribute(names.ATTR_COLOR_VARIATION).Get() or 0.0),
+        )
+    shader, _, _ = material.ComputeSurfaceSource()
+    if not shader or shader.GetIdAttr().Get() != "UsdPreviewSurface":
+        return Surface(path, fallback, 0.0, 1.0, 0.0)
+    diffuse = shader.GetInput("diffuseColor")
+    if diffuse and not diffuse.HasConnectedSource() and diffuse.Get() is not None:
+        red, green, blue = (float(v) for v in diffuse.Get())
+        fallback = (red, green, blue)
+    return Surface(
+        path, fallback, _normal_reflectance(shader), _input(shader, "roughness", 0.5), 0.0
+    )
+
+
+def _normal_reflectance(shader: UsdShade.Shader) -> float:
+    if _input(shader, "useSpecularWorkflow", 0) == 1:
+        specular = shader.GetInput("specularColor")
+        color = specular.Get() if specular and not specular.HasConnectedSource() else None
+        return float(np.mean(color)) if color is not None else 0.0
+    ior = _input(shader, "ior", 1.5)
+    return ((ior - 1.0) / (ior + 1.0)) ** 2
+
+
+def _input(shader: UsdShade.Shader, name: str, default: float) -> float:
+    found = shader.GetInput(name)
+    value = found.Get() if found and not found.HasConnectedSource() else None
+    return default if value is None else float(value)

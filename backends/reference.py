@@ -1,0 +1,57 @@
+"""The ``reference`` backend: visibility by the exact ray caster, which defines annotation."""
+
+from __future__ import annotations
+
+from importlib.metadata import version
+
+from scenec.backends.contract import Radiance, Rays, Visibility
+from scenec.backends.exact import ExactCaster
+from scenec.backends.render_scene import Camera, RenderScene
+from scenec.schemas.errors import BackendError
+
+
+class Reference:
+    """A backend with exact visibility and no radiance. Implements ``contract.Backend``.
+
+    Attributes:
+        caster: The loaded scene's exact caster, or None before ``load``.
+    """
+
+    name = "reference"
+
+    def __init__(self) -> None:
+        self.caster: ExactCaster | None = None
+
+    def version(self) -> str:
+        """Name and version, for sidecars and resume keys."""
+        return f"reference (scenec {version('scenec')})"
+
+    def load(self, scene: RenderScene) -> None:
+        """Build the hierarchies of a scene.
+
+        Raises:
+            BackendError: The scene's arrays are broken.
+        """
+        self.caster = ExactCaster(scene)
+
+    def visibility(self, rays: Rays, sample: int) -> Visibility:
+        """First hits, exact; geometry is the same at every sample.
+
+        Raises:
+            BackendError: No scene is loaded.
+        """
+        if self.caster is None:
+            raise BackendError("reference: no scene is loaded; call load first")
+        row, face, _ = self.caster.cast(rays)
+        return Visibility(row, face)
+
+    def radiance(self, camera: Camera, sample: int, spp: int, seed: int) -> Radiance:
+        """Always an error: the exact ray caster carries no light.
+
+        Raises:
+            BackendError: Always.
+        """
+        raise BackendError(
+            "reference renders annotation only, no rgb; leave rgb out of --passes, "
+            "or use --backend mitsuba"
+        )

@@ -1,0 +1,84 @@
+"""Arguments that several commands share."""
+
+from __future__ import annotations
+
+import argparse
+
+PASSES = ("rgb", "label", "instance", "depth", "range", "normal", "position", "face")
+
+
+def seed(text: str) -> int:
+    """A whole number from 0 to 2^64 - 1."""
+    try:
+        value = int(text, 10)
+    except ValueError:
+        value = -1
+    if not 0 <= value < 2**64:
+        raise argparse.ArgumentTypeError(f"{text!r}: expected a whole number from 0 to 2^64 - 1")
+    return value
+
+
+def span(text: str) -> range:
+    """``A:B`` as the range A to B - 1; ``A`` alone is A:A+1."""
+    first, colon, last = text.partition(":")
+    try:
+        start = int(first, 10)
+        stop = int(last, 10) if colon else start + 1
+    except ValueError:
+        start, stop = 0, -1
+    if start < 0 or stop <= start:
+        raise argparse.ArgumentTypeError(
+            f"{text!r}: expected A:B with 0 <= A < B (it holds A to B-1), or one number"
+        )
+    return range(start, stop)
+
+
+def positive(text: str) -> int:
+    """A whole number from 1."""
+    try:
+        value = int(text, 10)
+    except ValueError:
+        value = 0
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"{text!r}: expected a whole number from 1")
+    return value
+
+
+def passes(text: str) -> tuple[str, ...]:
+    """A list such as ``rgb,depth``."""
+    chosen = tuple(dict.fromkeys(part.strip() for part in text.split(",") if part.strip()))
+    unknown = [name for name in chosen if name not in PASSES]
+    if unknown or not chosen:
+        raise argparse.ArgumentTypeError(
+            f"{text!r}: expected some of {','.join(PASSES)}, separated by commas"
+        )
+    return chosen
+
+
+def add_render_options(parser: argparse.ArgumentParser) -> None:
+    """What ``run`` and ``render`` share."""
+    parser.add_argument("--backend", default="mitsuba", help="renderer (default: mitsuba)")
+    parser.add_argument(
+        "--spp", type=positive, default=64, help="samples per pixel of rgb (default: 64)"
+    )
+    parser.add_argument(
+        "--passes", type=passes, metavar="A,B,…", help=f"of {','.join(PASSES)}; default: the cfg's"
+    )
+    parser.add_argument(
+        "--samples", type=span, metavar="A:B", help="only these samples of each batch"
+    )
+    parser.add_argument(
+        "--noise-seed", type=seed, default=0, help="seed of the renderer's noise (default: 0)"
+    )
+
+
+def add_batches(parser: argparse.ArgumentParser) -> None:
+    """A choice of batches."""
+    parser.add_argument("--batches", type=span, metavar="A:B", help="only batches A to B-1")
+
+
+def add_json(parser: argparse.ArgumentParser) -> None:
+    """Machine-readable output."""
+    parser.add_argument(
+        "--json", action="store_true", help="print the result as JSON on standard output"
+    )

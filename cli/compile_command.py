@@ -1,0 +1,46 @@
+"""``scenec compile``."""
+
+from __future__ import annotations
+
+import argparse
+
+from scenec.cli.output import print_json, say
+from scenec.compiler.compile import CompileReport, compile_cfg
+
+
+def run(options: argparse.Namespace) -> int:
+    """Compiles."""
+    report = compile_now(options)
+    if options.json:
+        print_json(as_json(report))
+    return 0
+
+
+def compile_now(options: argparse.Namespace) -> CompileReport:
+    """Compiles, and says what came of it."""
+    report = compile_cfg(
+        options.cfg, seed=options.seed, out=options.out, batches=options.batches, progress=say
+    )
+    for name, seconds in report.seconds.items():
+        facts = report.facts[name]
+        rocks = sum(entry["count"] for entry in facts.get("objects", {}).values())
+        say(
+            f"{name}: {facts['ground']['faces']:,} terrain faces, {rocks:,} rocks, "
+            f"{facts['bytes'] / 2**20:.1f} MiB in {sum(seconds.values()):.1f} s"
+        )
+    if report.unchanged:
+        say(
+            f"{report.unchanged} of {len(report.batches)} batches were there already, byte for byte"
+        )
+    say(f"stages: {report.out}/batch_*/stage.usda; list of files: {report.out}/manifest.json")
+    return report
+
+
+def as_json(report: CompileReport) -> dict[str, object]:
+    """The report for scripts."""
+    return {
+        "out": str(report.out),
+        "batches": list(report.batches),
+        "unchanged": report.unchanged,
+        "seconds": report.seconds,
+    }

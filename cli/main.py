@@ -1,0 +1,128 @@
+"""The ``scenec`` command. Heavy packages are imported by the commands that need them."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import os
+import sys
+from collections.abc import Sequence
+
+from scenec.cli.arguments import add_batches, add_json, add_render_options, seed
+from scenec.schemas.errors import ScenecError
+
+EXIT_FAILED = 1
+EXIT_BAD_INPUT = 2
+EXIT_INTERRUPTED = 130
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Runs one command.
+
+    Args:
+        arguments: Words of the command line; None takes the process's own.
+
+    Returns:
+        Exit status: 0 done, 1 a check failed, 2 bad input (said in one clear message), 130 Ctrl-C.
+    """
+    options = parser().parse_args(arguments)
+    command = importlib.import_module(f"scenec.cli.{options.module}")
+    try:
+        status: int = command.run(options)
+        sys.stdout.flush()
+    except ScenecError as error:
+        print(f"scenec: {error}" if "\n" not in str(error) else str(error), file=sys.stderr)
+        return EXIT_BAD_INPUT
+    except KeyboardInterrupt:
+        print("scenec: interrupted", file=sys.stderr)
+        return EXIT_INTERRUPTED
+    except BrokenPipeError:
+        # The reader of our output has gone (| head): nothing is wrong, and nobody listens.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return EXIT_FAILED
+    return status
+
+
+def parser() -> argparse.ArgumentParser:
+    """The parser of all commands."""
+    top = argparse.ArgumentParser(
+        prog="scenec",
+        description="A deterministic procedural scene compiler: a cfg and a seed become USD stages, "
+        "and renderers turn those into pictures with exact annotation.",
+        epilog="'scenec COMMAND --help' tells more. Documentation: docs/ and README.md.",
+    )
+    top.add_argument("--version", action=_Version, help="print the version and leave")
+    commands = top.add_subparsers(metavar="COMMAND", required=True)
+
+    run = _command(commands, "run", "compile a cfg and render it: the main job")
+    run.add_argument("cfg", metavar="CFG", help="the cfg, a JSON file")
+    run.add_argument("--seed", type=seed, required=True, help="whole number from 0 to 2^64 - 1")
+    run.add_argument("-o", "--out", metavar="OUT", required=True, help="output folder")
+    add_render_options(run)
+    add_batches(run)
+    add_json(run)
+
+    compile_ = _command(commands, "compile", "compile a cfg into USD stages, one per batch")
+    compile_.add_argument("cfg", metavar="CFG", help="the cfg, a JSON file")
+    compile_.add_argument("--seed", type=seed, required=True, help="whole number, 0 to 2^64 - 1")
+    compile_.add_argument("-o", "--out", metavar="OUT", required=True, help="output folder")
+    add_batches(compile_)
+    add_json(compile_)
+
+    render = _command(commands, "render", "render what was compiled, or any USD stage")
+    render.add_argument("out", metavar="OUT", help="output folder of compile, or a USD file")
+    add_render_options(render)
+    add_batches(render)
+    add_json(render)
+
+    check = _command(commands, "check", "is the output sound, and do backends agree on it")
+    check.add_argument("out", metavar="OUT", help="output folder of compile, or a USD file")
+    check.add_argument(
+        "--backends",
+        metavar="A,B,…",
+        type=lambda text: [name for name in text.split(",") if name],
+        default=[],
+        help="compare the annotation of these on every pixel; missing frames are rendered",
+    )
+    add_json(check)
+
+    sheet = _command(commands, "sheet", "one picture of all passes of some frames")
+    sheet.add_argument("out", metavar="OUT", help="output folder with frames")
+    sheet.add_argument("--backend", help="whose frames; default: the first there is")
+    sheet.add_argument("--frames", type=int, default=4, metavar="N", help="how many (default 4)")
+    sheet.add_argument("-o", "--output", metavar="PNG", help="default: OUT/contact_sheet.png")
+
+    explain = _command(commands, "explain", "what each pass cost and erred, what was left out")
+    explain.add_argument("out", metavar="OUT", help="output folder of compile")
+    add_json(explain)
+
+    doctor = _command(commands, "doctor", "which backends work here, and what to install if not")
+    add_json(doctor)
+    return top
+
+
+def _command(
+    commands: argparse._SubParsersAction[argparse.ArgumentParser], name: str, text: str
+) -> argparse.ArgumentParser:
+    command: argparse.ArgumentParser = commands.add_parser(
+        name, help=text, description=f"{text[0].upper()}{text[1:]}."
+    )
+    command.set_defaults(module=f"{name}_command")
+    return command
+
+
+class _Version(argparse.Action):
+    """Looks the version up only when it is asked for."""
+
+    def __init__(self, option_strings: Sequence[str], dest: str, **options: str):
+        super().__init__(option_strings, dest, nargs=0, help=options.get("help"))
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
+        from importlib.metadata import version
+
+        print(f"scenec {version('scenec')}")
+        parser.exit()
+
+
+if __name__ == "__main__":
+    sys.exit(main())
