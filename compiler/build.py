@@ -104,9 +104,11 @@ def _relief(plan: TerrainPlan, log: BuildLog) -> HeightField:
     grid = Grid.with_spacing(plan.size_m, plan.spacing_m)
     height = np.zeros(grid.shape)
     steps = []
-    for operator in plan.relief:
-        height, report = operator.apply(grid, height)
-        steps.append({"type": type(operator).__name__.lower(), **report})
+    # Overflow is found once, at the end, and said in the user's words.
+    with np.errstate(over="ignore", invalid="ignore"):
+        for operator in plan.relief:
+            height, report = operator.apply(grid, height)
+            steps.append({"type": type(operator).__name__.lower(), **report})
     if not np.isfinite(height).all():
         raise SceneError(
             "terrain: the relief overflows to infinity; lower amplitude, gain or octaves"

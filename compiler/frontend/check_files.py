@@ -96,10 +96,10 @@ def _check_image(file: FilePath, path: Path, owner: Any, document: Any) -> list[
 
     try:
         with OpenEXR.File(str(file), header_only=True) as picture:
-            header = picture.header()
+            # Closing the file empties its header.
+            channels = [channel.name for channel in picture.header()["channels"]]
     except (RuntimeError, ValueError, OSError) as error:
         return [Finding(path, f"{file.name}: not a readable OpenEXR file: {error}")]
-    channels = [channel.name for channel in header["channels"]]
     missing = [name for name in "RGB" if name not in channels]
     if missing:
         return [

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from scenec.compiler.frontend.faults import Finding, nearest, shown
+from scenec.compiler.frontend.faults import Finding, closest, nearest, shown
 from scenec.compiler.frontend.json_positions import Path
 
 
@@ -73,10 +73,10 @@ def _check_levels(
             continue
         at = (*path, "labels") if "labels" in thing else path
         yield from _check_choice(levels, at, chosen)
-        unknown = [level for level in chosen if level not in levels]
+        guesses = {closest(level, levels) for level in chosen if level not in levels}
         for level in levels:
             # A misspelled level is told once, as the unknown key that it is.
-            if level not in chosen and not nearest(level, unknown).startswith("; did"):
+            if level not in chosen and level not in guesses:
                 yield Finding(at, f"no label on the level {shown(level)}: give one")
     chosen = _sky(cfg).get("labels", {})
     if isinstance(chosen, dict):
@@ -127,8 +127,9 @@ def _check_unused(
     users: list[tuple[Path, Mapping[str, Any]]],
     words: frozenset[str] | None,
 ) -> Iterator[Finding]:
-    used = {thing.get("material") for _, thing in users if isinstance(thing.get("material"), str)}
-    for name in _mapping(cfg.get("materials")):
+    materials = _mapping(cfg.get("materials"))
+    used = _meant([thing.get("material") for _, thing in users], materials)
+    for name in materials:
         if name not in used and (words is None or name not in words):
             yield Finding(
                 ("materials", name),
@@ -138,7 +139,7 @@ def _check_unused(
     choices = [_mapping(thing.get("labels")) for _, thing in users]
     choices.append(_mapping(_sky(cfg).get("labels")))
     for level, names in _mapping(cfg.get("labels")).items():
-        given = [choice[level] for choice in choices if level in choice]
+        given = _meant([choice.get(level) for choice in choices], _mapping(names))
         for name in _mapping(names):
             if name not in given and (words is None or name not in words):
                 yield Finding(
@@ -146,6 +147,12 @@ def _check_unused(
                     f"the label {shown(name)} is not used: use it or take it away",
                     at_key=True,
                 )
+
+
+def _meant(given: list[Any], known: Mapping[str, Any]) -> frozenset[str | None]:
+    """The known names among the given ones, and those that a misspelled one is closest to."""
+    words = [word for word in given if isinstance(word, str)]
+    return frozenset(word if word in known else closest(word, known) for word in words)
 
 
 def _all_words(cfg: Mapping[str, Any]) -> frozenset[str]:

@@ -7,7 +7,7 @@ from typing import Any
 
 from jsonschema import ValidationError
 
-from scenec.compiler.frontend.faults import Finding, nearest, shown
+from scenec.compiler.frontend.faults import Finding, closest, nearest, shown
 from scenec.compiler.frontend.json_positions import Path
 from scenec.compiler.frontend.schema import validator
 
@@ -63,11 +63,9 @@ def _unknown_keys(error: ValidationError, path: Path) -> Iterator[Finding]:
         if key in reasons:
             message = f"unknown key {shown(key)}: {reasons[key]}"
         else:
-            guess = nearest(key, unused)
-            # A key that is there already is offered only as part of the list.
-            if guess.startswith("; known") or not guess:
-                guess = nearest(key, known)
-            message = f"unknown key {shown(key)}{guess}"
+            # A key that is missing is a likelier meaning than one that is there already.
+            likely = unused if closest(key, unused) else known
+            message = f"unknown key {shown(key)}{nearest(key, likely)}"
         yield Finding((*path, key), message, at_key=True)
 
 
@@ -95,9 +93,9 @@ def _type(error: ValidationError) -> str:
 
 def _enum(error: ValidationError) -> str:
     values = [str(value) for value in error.validator_value]
-    guess = nearest(error.instance, values) if isinstance(error.instance, str) else ""
     expected = "one of " + ", ".join(values) if len(values) > 1 else values[0]
-    return expected + (guess if guess.startswith("; did") else "")
+    guess = isinstance(error.instance, str) and closest(error.instance, values)
+    return expected + (f"; did you mean {shown(guess)}?" if guess else "")
 
 
 def _bound(words: str) -> Callable[[ValidationError], str]:

@@ -54,18 +54,24 @@ def shown(value: Any) -> str:
     return text if len(text) <= _LONGEST else text[: _LONGEST - 1] + "…"
 
 
+def closest(word: str, candidates: Iterable[str]) -> str | None:
+    """The candidate that ``word`` is likely a slip for; None where none is near."""
+    # Case is a common slip, which the matcher would weigh in full.
+    lowered = {name.lower(): name for name in reversed(list(candidates))}
+    match = difflib.get_close_matches(word[:200].lower(), lowered, n=1, cutoff=0.6)
+    return lowered[match[0]] if match else None
+
+
 def nearest(word: str, candidates: Iterable[str]) -> str:
-    """A question after the candidate that ``word`` is likely a slip for, or what there is.
+    """A question after the closest candidate, or where none is near, what there is.
 
     Returns:
         "; did you mean 'x'?", or "; known: a, b, c", or "" where there is no candidate.
     """
     known = list(candidates)
-    # An unlikely guess is worse than the list; case is a common slip that difflib weighs in full.
-    lowered = {name.lower(): name for name in reversed(known)}
-    match = difflib.get_close_matches(word[:200].lower(), lowered, n=1, cutoff=0.6)
-    if match:
-        return f"; did you mean {shown(lowered[match[0]])}?"
+    guess = closest(word, known)
+    if guess is not None:
+        return f"; did you mean {shown(guess)}?"
     if not known:
         return ""
     listed = ", ".join(known[:12]) + (" …" if len(known) > 12 else "")

@@ -35,6 +35,9 @@ def _fill(field: Field) -> Any:
     value = field.value
     if field.is_number and value is not None:
         return read_number(value, field.keywords)
+    if "const" in field.keywords:
+        # 1.0 equals 1, but is not written alike.
+        return field.keywords["const"]
     if isinstance(value, dict):
         return _fill_object(field, value)
     if isinstance(value, list):

@@ -61,9 +61,10 @@ def load(path: FilePath | str) -> Spec:
     fields = list(schema.walk(schema.root(document.value)))
     numbers, number_findings = _sound_numbers(fields, schema_findings)
     findings.extend(number_findings)
-    sound = not schema_findings and not document.duplicates
-    findings.extend(check_names(document.value, sound))
-    findings.extend(check_scene(document.value, numbers))
+    if isinstance(document.value, dict):
+        sound = not schema_findings and not document.duplicates
+        findings.extend(check_names(document.value, sound))
+        findings.extend(check_scene(document.value, numbers))
     files: dict[str, InputFile] = {}
     for field in fields:
         if "x-file" in field.keywords and isinstance(field.value, str) and field.value:

@@ -7,7 +7,7 @@ import importlib.util
 import re
 from pathlib import Path
 
-from scenec.compiler.frontend.faults import nearest, shown
+from scenec.compiler.frontend.faults import closest, shown
 
 PREFIX = "package:"
 
@@ -49,13 +49,11 @@ def _find_beside(reference: str, folder: Path) -> Path:
         return path
     if path.is_dir():
         raise ResourceError(f"{shown(reference)} is a folder: expected a file")
-    guess = ""
+    message = f"no file {shown(reference)} (paths are relative to the cfg's folder)"
     if path.parent.is_dir():
-        guess = nearest(path.name, sorted(entry.name for entry in path.parent.iterdir()))
-        guess = guess if guess.startswith("; did") else ""
-    raise ResourceError(
-        f"no file {shown(reference)} (paths are relative to the cfg's folder){guess}"
-    )
+        guess = closest(path.name, sorted(entry.name for entry in path.parent.iterdir()))
+        message += f"; did you mean {shown(guess)}?" if guess else ""
+    raise ResourceError(message)
 
 
 def _find_in_package(reference: str) -> Path:

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.frontend.faults import nearest, shown
+from scenec.compiler.frontend.faults import closest, shown
 from scenec.schemas.errors import SceneError
 
 COLUMNS = ("time_s", "x_m", "y_m", "z_m", "qw", "qx", "qy", "qz")
@@ -97,8 +97,8 @@ def _rows(file: Path) -> list[tuple[int, list[str]]]:
 def _header(file: Path, line: int, cells: list[str]) -> list[int]:
     for column in COLUMNS:
         if column not in cells:
-            guess = nearest(column, cells)
-            said = guess.replace("did you mean", "is it") if guess.startswith("; did") else ""
+            guess = closest(column, cells)
+            said = f" (is it {shown(guess)}?)" if guess else ""
             raise SceneError(
                 f"{file.name}:{line}: no column {shown(column)}{said}; expected the columns "
                 f"{', '.join(COLUMNS)}"

@@ -1,0 +1,73 @@
+# Every target sets up .venv first (tools/bootstrap.sh); the second time that costs nothing.
+
+export PYTHON
+DEMO := out/jacksboro
+WORKERS ?= 2
+
+.DEFAULT_GOAL := help
+.PHONY: help setup demo test lint types unit format bench docs lock wheel clean distclean
+
+help:  ## List the targets.
+	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  make \1\t\2/p' Makefile | expand -t 20
+
+setup:  ## Make .venv from requirements.lock.
+	@tools/bootstrap.sh
+
+demo: setup  ## Compile and render configs/jacksboro.json, end with a contact sheet.
+	@echo "== Compiling configs/jacksboro.json and rendering it with Mitsuba, 64 samples a pixel"
+	@.venv/bin/scenec run configs/jacksboro.json --seed 1 -o $(DEMO) --backend mitsuba --spp 64
+	@echo "== Laying out the contact sheet"
+	@.venv/bin/scenec sheet $(DEMO) -o $(DEMO)/contact_sheet.png
+
+test: lint types unit  ## Linter, formatter, type checker and all tests.
+
+lint: setup  ## Linter (with the layering) and formatter.
+	@echo "== Linting"
+	@.venv/bin/ruff check .
+	@echo "== Checking the format"
+	@.venv/bin/ruff format --check .
+
+types: setup  ## Type checker.
+	@echo "== Checking types"
+	@.venv/bin/mypy
+
+unit: setup  ## All tests (WORKERS=2 processes; PYTEST_ARGS for more).
+	@echo "== Testing, $(WORKERS) processes"
+	@.venv/bin/python -m pytest -n $(WORKERS) --dist loadfile $(PYTEST_ARGS)
+
+format: setup  ## Format the code.
+	@.venv/bin/ruff check --fix .
+	@.venv/bin/ruff format .
+
+bench: setup  ## Run every benchmark; each prints a table.
+	@set -e; for file in benchmarks/bench_*.py; do \
+	  echo "== $$file"; .venv/bin/python "$$file"; \
+	done
+
+docs: setup  ## Generate docs/cfg.md from the schemas.
+	@echo "== Generating docs/cfg.md"
+	@.venv/bin/python docs/make_cfg_reference.py
+
+# uv resolves in a folder of its own: uv.lock names hosts and must not come near the repository.
+lock: setup  ## Resolve pyproject.toml again into requirements.lock.
+	@echo "== Resolving requirements.lock"
+	@set -e; folder=$$(mktemp -d); trap 'rm -rf "$$folder"' EXIT; \
+	cp pyproject.toml README.md LICENSE "$$folder"; mkdir -p "$$folder/src/scenec"; \
+	root=$$(pwd); cd "$$folder"; \
+	"$$root/.venv/bin/uv" lock --quiet --python "$$root/.venv/bin/python"; \
+	"$$root/.venv/bin/uv" export --quiet --frozen --all-extras --all-groups --no-emit-project \
+	  --no-header --format requirements-txt --output-file requirements.lock; \
+	cp requirements.lock "$$root/requirements.lock"
+
+wheel: setup  ## Build the wheel into dist/.
+	@echo "== Building the wheel"
+	@.venv/bin/python -m build --wheel --no-isolation
+
+clean:  ## Remove caches (numba's too) and build results; keep .venv and out/.
+	@echo "== Removing caches and build results"
+	@rm -rf build dist src/scenec.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	@find . -path ./.venv -prune -o -path ./.git -prune -o -name __pycache__ -type d -print0 \
+	  | xargs -0 rm -rf
+
+distclean: clean  ## As clean, and remove .venv and out/ too.
+	@rm -rf .venv out

@@ -1,0 +1,122 @@
+"""From a backend's surface light to the picture: sky and suns drawn once, by shared code.
+
+No renderer shows the sky or a sun's disc, so none differs in them and none counts them twice.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenec.backends.contract import Radiance
+from scenec.backends.rays import camera_rays
+from scenec.backends.render_scene import Camera, RenderScene, Sun
+from scenec.backends.sky import MIN_SUN_DIAMETER_RAD, combine, lookup
+
+#: Sub-pixels per side at the rim of a sun's disc.
+DISC_SUBPIXELS = 16
+
+
+@dataclass(frozen=True)
+class Picture:
+    """Radiance with everything in it, and how far it is from converged.
+
+    Attributes:
+        rgb: Linear Rec.709 radiance, float32 [h, w, 3].
+        relative_error: sqrt(mean(((A - B) / 2)**2)) / mean(rgb of surfaces), over all pixels and
+            channels that surfaces cover; A and B are the two halves. ((A - B) / 2)**2 is an
+            unbiased estimate of the variance of the mean (A + B) / 2, so this estimates the rms
+            error over the mean. 0 where nothing is covered.
+        relative_mse: mean(((A - B) / 2)**2 / (m**2 + 0.01 * mean(m)**2)) with m = (A + B) / 2: the
+            usual relMSE, which weighs dark pixels as much as bright ones.
+    """
+
+    rgb: NDArray[np.float32]
+    relative_error: float
+    relative_mse: float
+
+
+def compose(radiance: Radiance, scene: RenderScene, camera: Camera, sample: int) -> Picture:
+    """Mean of the halves, plus (1 - coverage) * (sky + suns' discs)."""
+    halves = radiance.halves.astype(np.float64)
+    mean = 0.5 * (halves[0] + halves[1])
+    variance = (0.5 * (halves[0] - halves[1])) ** 2
+    open_sky = 1.0 - radiance.coverage.astype(np.float64)
+    rgb = mean + open_sky[..., None] * background(scene, camera, sample, open_sky > 0.0)
+
+    covered = radiance.coverage > 0.0
+    level = float(mean[covered].mean()) if covered.any() else 0.0
+    error = relative_mse = 0.0
+    if level > 0.0:
+        error = float(np.sqrt(variance[covered].mean())) / level
+        relative_mse = float((variance[covered] / (mean[covered] ** 2 + 0.01 * level**2)).mean())
+    return Picture(rgb.astype(np.float32), error, relative_mse)
+
+
+def background(
+    scene: RenderScene, camera: Camera, sample: int, wanted: NDArray[np.bool_]
+) -> NDArray[np.float64]:
+    """Radiance of sky and suns behind the wanted pixels, float64 [h, w, 3]; 0 elsewhere.
+
+    The sky is looked up at pixel centers; a sun's disc is uniform, E / (pi * sin(diameter/2)**2),
+    and is averaged over the pixel.
+    """
+    out = np.zeros((camera.height * camera.width, 3))
+    index = np.flatnonzero(wanted.ravel())
+    lighting = scene.lighting[sample]
+    if len(index) == 0 or not (lighting.domes or lighting.suns):
+        return out.reshape(camera.height, camera.width, 3)
+    directions = camera_rays(camera).directions[index]
+    sky = combine(lighting.domes)
+    if sky is not None:
+        out[index] = lookup(sky, directions)
+    for sun in lighting.suns:
+        near, fraction = disc_fraction(sun, camera, index, directions)
+        half = 0.5 * max(sun.diameter_rad, MIN_SUN_DIAMETER_RAD)
+        disc = np.asarray(sun.irradiance) / (np.pi * np.sin(half) ** 2)
+        out[index[near]] += fraction[:, None] * disc
+    return out.reshape(camera.height, camera.width, 3)
+
+
+def disc_fraction(
+    sun: Sun, camera: Camera, index: NDArray[np.int64], directions: NDArray[np.float64]
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Which of the pixels a sun's disc may touch, and what fraction of each it fills.
+
+    Args:
+        sun: The sun.
+        camera: The camera.
+        index: Row-major pixel numbers, int64 [n].
+        directions: Rays through their centers, float64 [n, 3], z = 1 in the camera's frame.
+
+    Returns:
+        (positions in ``index``, int64 [k]; fractions, float64 [k]).
+    """
+    half = 0.5 * max(sun.diameter_rad, MIN_SUN_DIAMETER_RAD)
+    k = camera.intrinsics
+    # No point of a pixel is farther from its center's ray than this angle (the image plane's
+    # distance is at least 1).
+    reach = np.hypot(0.5 / k[0, 0] * (1.0 + abs(k[0, 1] / k[1, 1])), 0.5 / k[1, 1])
+    near = np.flatnonzero(_angle(directions, sun.to_light) <= half + reach)
+    if len(near) == 0:
+        return near, np.zeros(0)
+    steps = (np.arange(DISC_SUBPIXELS) + 0.5) / DISC_SUBPIXELS - 0.5
+    dv, du = (a.ravel() for a in np.meshgrid(steps, steps, indexing="ij"))
+    pose = camera.camera_to_world
+    y = dv / k[1, 1]
+    x = (du - k[0, 1] * y) / k[0, 0]
+    offsets = x[:, None] * pose[:3, 0] + y[:, None] * pose[:3, 1]
+    fractions = np.empty(len(near))
+    for start in range(0, len(near), 4096):
+        part = near[start : start + 4096]
+        rays = directions[part][:, None, :] + offsets[None, :, :]
+        fractions[start : start + 4096] = (_angle(rays, sun.to_light) <= half).mean(axis=1)
+    return near, fractions
+
+
+def _angle(directions: NDArray[np.float64], axis: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Angle to a unit axis; atan2 of cross and dot keeps digits where acos has none."""
+    cross = np.cross(directions, axis)
+    return np.arctan2(np.sqrt((cross**2).sum(-1)), (directions * axis).sum(-1))

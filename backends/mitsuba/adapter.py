@@ -1,0 +1,260 @@
+"""The Mitsuba backend: visibility by ray queries, radiance by its path integrator."""
+
+from __future__ import annotations
+
+import hashlib
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenec.backends.contract import NO_ROW, Radiance, Rays, Visibility
+from scenec.backends.mitsuba import emitter, geometry, scalar, variant
+from scenec.backends.mitsuba.surfaces import make_look
+from scenec.backends.render_scene import Camera, Lighting, RenderScene
+from scenec.schemas.errors import BackendError
+
+#: Light paths end after this many bounces: sun or sky, up to four surfaces more, camera.
+BOUNCES = 4
+#: Samples in flight at once; above it a half is rendered in several passes (16 bytes a sample).
+MAX_WAVEFRONT = 1 << 25
+
+
+class Mitsuba:
+    """Implements ``contract.Backend``: ``load`` once, then any number of samples.
+
+    Light is built at the first radiance call, so annotation alone never pays for it; visibility
+    and radiance share one scene, in which sky and suns have no geometry.
+    """
+
+    name = "mitsuba"
+
+    def __init__(self, bounces: int = BOUNCES) -> None:
+        self._mi = variant.load_mitsuba()
+        self._bounces = bounces
+        self._scene: Any = None
+        self._meshes: list[Any] = []
+        self._render_scene: RenderScene | None = None
+        self._groups: tuple[geometry.Group, ...] = ()
+        self._center = np.zeros(3)
+        self._light: Any = None
+        self._lit_sample: int | None = None
+        self._integrator: Any = None
+
+    @property
+    def jit(self) -> bool:
+        """Whether the variant is vectorized (everything but ``scalar_rgb``)."""
+        return not self._mi.variant().startswith("scalar")
+
+    def version(self) -> str:
+        """Renderer, variant and integrator: whatever decides the picture."""
+        return f"mitsuba {self._mi.__version__} {self._mi.variant()} path{self._bounces}"
+
+    def warning(self) -> str | None:
+        """A line for the user if this runs slower than it could."""
+        return None if self.jit else variant.scalar_warning()
+
+    def load(self, scene: RenderScene) -> None:
+        """Flatten the scene and build Mitsuba's hierarchy over it.
+
+        Raises:
+            BackendError: The scene holds more than Mitsuba can address.
+        """
+        mi = self._mi
+        self._render_scene = scene
+        self._center = geometry.scene_center(scene)
+        self._groups = geometry.make_groups(scene)
+        self._lit_sample = None
+        self._meshes = [self._mesh(scene, group, i) for i, group in enumerate(self._groups)]
+        parts: dict[str, Any] = {"type": "scene"}
+        parts |= {f"mesh{i}": mesh for i, mesh in enumerate(self._meshes)}
+        if self.jit:
+            emitter.register(mi)
+            self._light = mi.load_dict({"type": emitter.PLUGIN})
+            parts["light"] = self._light
+            self._light.set_lighting(Lighting((), ()))
+        # Merging equal meshes would renumber the faces that visibility reports.
+        self._scene = mi.load_dict(parts, optimize=False)
+        self._integrator = mi.load_dict(
+            {
+                "type": "path",
+                "max_depth": self._bounces + 2,
+                # No Russian roulette before paths end anyway: it adds noise, saves little.
+                "rr_depth": self._bounces + 3,
+                "hide_emitters": True,
+            }
+        )
+
+    def visibility(self, rays: Rays, sample: int) -> Visibility:
+        """First hits in float32; geometry does not change over samples."""
+        scene = self._loaded()
+        if not self.jit:
+            return scalar.visibility(self._mi, self._scene, self._meshes, self._groups,
+                                     rays, self._center)  # fmt: skip
+        import drjit as dr
+
+        mi = self._mi
+        n = len(rays.directions)
+        origins = np.ascontiguousarray((rays.origins - self._center).T, np.float32)
+        directions = np.ascontiguousarray(rays.directions.T, np.float32)
+        ray = mi.Ray3f(mi.Point3f(origins), mi.Vector3f(directions))
+        hit = self._scene.ray_intersect_preliminary(ray, coherent=True)
+        shape = dr.reinterpret_array(mi.UInt32, dr.select(hit.is_valid(), hit.shape, None))
+        prim = mi.UInt32(hit.prim_index)
+        dr.eval(shape, prim)
+        shapes, prims = np.array(shape), np.array(prim)
+        row = np.full(n, NO_ROW, np.int32)
+        face = np.zeros(n, np.int32)
+        for mesh, group in zip(self._meshes, self._groups, strict=True):
+            own = dr.reinterpret_array(mi.UInt32, mi.ShapePtr(mesh))[0]
+            index = np.flatnonzero(shapes == own)
+            row[index], face[index] = group.locate(prims[index])
+        del scene
+        return Visibility(row, face)
+
+    def radiance(self, camera: Camera, sample: int, spp: int, seed: int) -> Radiance:
+        """Surface light in two independent halves of ceil(spp / 2) samples a pixel each.
+
+        Box filter: the plain mean of samples placed anywhere in the pixel. The camera may have any
+        K, skew included (in ``scalar_rgb``: square pixels only).
+
+        Raises:
+            BackendError: The camera is one that ``scalar_rgb`` cannot draw.
+        """
+        scene = self._loaded()
+        each = max(1, (spp + 1) // 2)
+        halves = np.empty((2, camera.height, camera.width, 3), np.float32)
+        coverage = np.zeros((camera.height, camera.width))
+        if self.jit and self._lit_sample != sample:
+            self._light.set_lighting(scene.lighting[sample])
+            self._lit_sample = sample
+        for half in range(2):
+            if self.jit:
+                halves[half], alpha = self._half(camera, each, seed, half)
+            else:
+                halves[half], alpha = scalar.half(
+                    self._mi, self._meshes, self._integrator, camera, scene.lighting[sample],
+                    self._center, scene.bounds, each, mix(seed, half, 0),
+                )  # fmt: skip
+            coverage += 0.5 * alpha
+        return Radiance(halves, np.minimum(coverage, 1.0).astype(np.float32), 2 * each)
+
+    def _half(
+        self, camera: Camera, spp: int, seed: int, half: int
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        light = np.zeros((camera.height, camera.width, 3))
+        alpha = np.zeros((camera.height, camera.width))
+        for part, count in enumerate(powers_of_two(spp, camera.width * camera.height)):
+            light_sum, alpha_sum = self._pass(camera, count, mix(seed, half, part))
+            light += light_sum
+            alpha += alpha_sum
+        return (light / spp).astype(np.float32), (alpha / spp).astype(np.float32)
+
+    def _pass(
+        self, camera: Camera, spp: int, seed: int
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Sums over ``spp`` samples of each pixel: light [h, w, 3] and surface hits [h, w]."""
+        import drjit as dr
+
+        mi = self._mi
+        pixels = camera.width * camera.height
+        sampler = _low_discrepancy(mi, spp)
+        # Opaque, or every seed is a kernel of its own to compile.
+        sampler.seed(dr.opaque(mi.UInt32, seed), pixels * spp)
+        pixel = dr.arange(mi.UInt32, pixels * spp) // spp
+        jitter = sampler.next_2d()
+        ray = self._camera_rays(camera, pixel, jitter)
+        light, valid, _ = self._integrator.sample(self._scene, sampler, ray)
+        light &= valid
+        hit = dr.select(valid, mi.Float(1.0), 0.0)
+        # In one go: block_sum evaluates its argument alone, which would trace every path again.
+        dr.eval(light, hit)
+        sums = [dr.block_sum(channel, spp) for channel in (light.x, light.y, light.z)]
+        hits = dr.block_sum(hit, spp)
+        shape = (camera.height, camera.width)
+        stacked = np.stack([np.array(channel).reshape(shape) for channel in sums], axis=-1)
+        return stacked, np.array(hits).reshape(shape)
+
+    def _camera_rays(self, camera: Camera, pixel: Any, jitter: Any) -> Any:
+        import drjit as dr
+
+        mi = self._mi
+        k, pose = camera.intrinsics, camera.camera_to_world
+
+        def number(value: float) -> Any:
+            # Opaque, so that another camera is not another kernel to compile.
+            return dr.opaque(mi.Float, float(value))
+
+        v = pixel // camera.width
+        u = pixel - v * camera.width
+        # The whole column minus cx first: exact, where u + jitter would round the jitter.
+        y = (mi.Float(v) - number(k[1, 2]) + jitter.y) * number(1.0 / k[1, 1])
+        x = (mi.Float(u) - number(k[0, 2]) + jitter.x - number(k[0, 1]) * y) * number(
+            1.0 / k[0, 0]
+        )
+        axes = [mi.Vector3f(*(number(value) for value in pose[:3, i])) for i in range(3)]
+        origin = mi.Point3f(*(number(value) for value in pose[:3, 3] - self._center))
+        direction = dr.normalize(axes[0] * x + axes[1] * y + axes[2])
+        return mi.RayDifferential3f(origin, direction)
+
+    def _mesh(self, scene: RenderScene, group: geometry.Group, index: int) -> Any:
+        mi = self._mi
+        vertices, faces = int(group.first_vertex[-1]), int(group.first_face[-1])
+        if max(3 * vertices, 3 * faces) >= 1 << 32:
+            raise BackendError(
+                f"mitsuba: {faces:,} triangles of one material are more than it can address; "
+                "use fewer or coarser objects"
+            )
+        flat = geometry.flatten(scene, group, self._center)
+        look = make_look(geometry.group_surfaces(scene, group), flat)
+        props = mi.Properties()
+        props["bsdf"] = mi.load_dict(look.bsdf)
+        mesh = mi.Mesh(f"mesh{index}", vertices, faces, props=props, has_vertex_normals=group.smooth)
+        params = mi.traverse(mesh)
+        params["vertex_positions"] = flat.points.ravel()
+        params["faces"] = flat.faces.ravel()
+        if flat.normals is not None:
+            params["vertex_normals"] = flat.normals.ravel()
+        params.update()
+        for name, values in look.attributes.items():
+            mesh.add_attribute(name, values.shape[1], np.ascontiguousarray(values).ravel())
+        return mesh
+
+    def _loaded(self) -> RenderScene:
+        if self._render_scene is None:
+            raise BackendError("mitsuba: no scene is loaded; call load first")
+        return self._render_scene
+
+
+def powers_of_two(spp: int, pixels: int) -> list[int]:
+    """Split a sample count into powers of two, largest first, that fit a wavefront each.
+
+    Low-discrepancy points come in powers of two; parts are independent of each other.
+    """
+    part = 1
+    while 2 * part <= spp and 2 * part * pixels <= MAX_WAVEFRONT:
+        part *= 2
+    parts = []
+    while spp > 0:
+        parts += [part] * (spp // part)
+        spp %= part
+        part //= 2
+    return parts
+
+
+def _low_discrepancy(mi: Any, spp: int) -> Any:
+    """Scrambled low-discrepancy points: unbiased, with far less noise than independent ones.
+
+    Measured at 32 samples a half under sun and sky: a quarter of the noise for an eighth more time.
+    Mitsuba has them in sets of 4**k; half a set is still better than two sets of half the size.
+    """
+    points = 1 << (spp.bit_length() - 1 + (spp.bit_length() - 1) % 2)
+    sampler = mi.load_dict({"type": "ldsampler", "sample_count": points})
+    sampler.set_samples_per_wavefront(spp)
+    return sampler
+
+
+def mix(seed: int, half: int, part: int) -> int:
+    """A 32-bit seed for one part of one half, unrelated to any other part's."""
+    digest = hashlib.blake2b(f"{seed}/{half}/{part}".encode(), digest_size=4).digest()
+    return int.from_bytes(digest, "little")

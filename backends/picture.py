@@ -1,0 +1,66 @@
+"""From linear radiance to an 8-bit picture: the one exposure and tone curve of all renderers."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenec.schemas.errors import OutputError
+from scenec.backends.storage import write_atomically
+
+#: The curve is linear below this and rolls off to 1 above it.
+SHOULDER = 0.6
+
+#: What sidecars say about the pictures beside them.
+DESCRIPTION = (
+    "x = radiance * 2**exposure_ev; t = x up to 0.6, 0.6 + 0.4 * (1 - exp(-(x - 0.6) / 0.4)) above; "
+    "sRGB transfer function (IEC 61966-2-1); rounded to 8 bits"
+)
+
+
+def tone_map(radiance: NDArray[np.floating], exposure_ev: float = 0.0) -> NDArray[np.float64]:
+    """Display-linear values in [0, 1): linear up to 0.6, then an exponential shoulder.
+
+    With x = radiance * 2**exposure_ev and a = 0.6: x for x <= a, else
+    a + (1 - a) * (1 - exp(-(x - a) / (1 - a))), which has slope 1 at a and tends to 1.
+
+    Args:
+        radiance: Linear Rec.709, any shape; what is not finite or negative shows as 0.
+        exposure_ev: Stops.
+    """
+    x = np.asarray(radiance, np.float64) * 2.0**exposure_ev
+    x = np.where(np.isfinite(x), np.maximum(x, 0.0), 0.0)
+    over = np.maximum(x - SHOULDER, 0.0)
+    rest = 1.0 - SHOULDER
+    return np.where(x <= SHOULDER, x, SHOULDER - rest * np.expm1(-over / rest))
+
+
+def srgb_encode(linear: NDArray[np.floating]) -> NDArray[np.float64]:
+    """The sRGB transfer function (IEC 61966-2-1), [0, 1] to [0, 1]."""
+    linear = np.asarray(linear, np.float64)
+    power = 1.055 * np.maximum(linear, 0.0031308) ** (1.0 / 2.4) - 0.055
+    return np.where(linear <= 0.0031308, 12.92 * linear, power)
+
+
+def develop(radiance: NDArray[np.floating], exposure_ev: float = 0.0) -> NDArray[np.uint8]:
+    """An 8-bit sRGB picture of linear radiance, the same shape."""
+    return np.rint(255.0 * srgb_encode(tone_map(radiance, exposure_ev))).astype(np.uint8)
+
+
+def write_png(path: Path, pixels: NDArray[np.uint8]) -> None:
+    """Write [h, w, 3] (or [h, w]) as PNG, by atomic rename.
+
+    Raises:
+        OutputError: The file cannot be written.
+    """
+    from PIL import Image
+
+    def save(temporary: Path) -> None:
+        Image.fromarray(pixels).save(temporary, format="PNG")
+
+    try:
+        write_atomically(path, save)
+    except OSError as error:
+        raise OutputError(f"{path}: cannot write the picture: {error.strerror or error}") from error

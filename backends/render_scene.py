@@ -1,0 +1,176 @@
+"""RenderScene: a stage as flat arrays, what every renderer and the resolver work on.
+
+World frame: the stage's own, in metres, Z up, right-handed. Triangles only. Every renderer
+addresses a surface point by (row, face): ``row`` indexes ``RenderScene.rows`` (one row for every
+instance of every mesh), ``face`` indexes the triangles of that row's mesh.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True)
+class Surface:
+    """One material of the shared surface model (1-s)*Lambert + s*GGX(alpha = roughness**2).
+
+    Attributes:
+        path: Prim path of the Material, or "" for the default one.
+        base_color: Albedo, linear Rec.709, shape [3].
+        specular: s, in [0, 1].
+        roughness: Perceptual roughness, in [0, 1].
+        variation: Albedo is base_color * (1 + variation * primvar), the primvar in [-1, 1].
+    """
+
+    path: str
+    base_color: tuple[float, float, float]
+    specular: float
+    roughness: float
+    variation: float
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """Triangles in a local frame: a terrain tile, a rock prototype.
+
+    Attributes:
+        path: Prim path.
+        points: Local positions as authored, float32 [n, 3], stage units already in metres.
+        faces: Vertex indices, int32 [m, 3].
+        authored_face: Index of the authored polygon each triangle comes from, int32 [m]; None
+            where they are the same.
+        normals: Shading normals at the vertices, float32 [n, 3], or None (flat).
+        labels: Per level, the label id of each triangle, uint32 [m].
+        layers: Indices into ``RenderScene.surfaces``; layer 0 is the base.
+        weights: Weight of merge i at the vertices, float32 [len(layers) - 1, n].
+        variation: Albedo variation at the vertices, float32 [n], or None.
+    """
+
+    path: str
+    points: NDArray[np.float32]
+    faces: NDArray[np.int32]
+    authored_face: NDArray[np.int32] | None
+    normals: NDArray[np.float32] | None
+    labels: dict[str, NDArray[np.uint32]]
+    layers: tuple[int, ...]
+    weights: NDArray[np.float32]
+    variation: NDArray[np.float32] | None = None
+
+
+@dataclass(frozen=True)
+class Rows:
+    """One row for every instance of every mesh, in the order that breaks ties.
+
+    Attributes:
+        mesh: Index into ``RenderScene.meshes``, int32 [r].
+        to_world: Affine local-to-world matrices, column vectors, float64 [r, 3, 4].
+        instance_id: Frame id, uint32 [r]; 0 is "no instance".
+        variation: Albedo variation of the whole instance, float32 [r].
+    """
+
+    mesh: NDArray[np.int32]
+    to_world: NDArray[np.float64]
+    instance_id: NDArray[np.uint32]
+    variation: NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A pinhole camera at one sample.
+
+    Attributes:
+        name: Name in file paths: ``<rig>_<sensor>``.
+        path: Prim path.
+        width, height: Pixels.
+        intrinsics: K, float64 [3, 3]: u = fx*X/Z + s*Y/Z + cx, v = fy*Y/Z + cy; pixel (0, 0) is
+            the top-left one, its center is at (0.5, 0.5).
+        camera_to_world: float64 [4, 4], camera axes x right, y down, z forward (OpenCV).
+        exposure_ev: Pictures show radiance * 2**exposure_ev.
+    """
+
+    name: str
+    path: str
+    width: int
+    height: int
+    intrinsics: NDArray[np.float64]
+    camera_to_world: NDArray[np.float64]
+    exposure_ev: float = 0.0
+
+
+@dataclass(frozen=True)
+class Sun:
+    """A distant disc light.
+
+    Attributes:
+        to_light: Unit vector from the scene to the light, float64 [3].
+        irradiance: On a surface facing it, linear Rec.709, float64 [3].
+        diameter_rad: Full angular diameter; 0 is a point.
+    """
+
+    to_light: NDArray[np.float64]
+    irradiance: NDArray[np.float64]
+    diameter_rad: float
+
+
+@dataclass(frozen=True)
+class Dome:
+    """Light from all around, as a lat-long picture.
+
+    Attributes:
+        texture: File of the lat-long picture, or None for a constant 1.
+        scale: Radiance of a texel of 1, linear Rec.709, float64 [3].
+        to_world: Rotation of the dome's frame (USD: pole +Y, center +Z) to world, float64 [3, 3].
+    """
+
+    texture: Path | None
+    scale: NDArray[np.float64]
+    to_world: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Lighting:
+    """All light of one sample."""
+
+    suns: tuple[Sun, ...]
+    domes: tuple[Dome, ...]
+
+
+@dataclass(frozen=True)
+class RenderScene:
+    """Everything a backend needs of one stage.
+
+    Attributes:
+        source: The stage's file.
+        digest: sha256 over the stage's root layer and everything composed from it, hex.
+        samples: Number of samples (time codes 0 .. samples - 1).
+        meshes, rows, surfaces: See their classes.
+        levels: Label levels in the table's order.
+        label_names: Per level, id -> name.
+        sky_labels: Per level, the label id of pixels that hit nothing.
+        cameras: Per sample, all cameras in stage order.
+        lighting: Per sample.
+        bounds: Axis-aligned world bounds of the geometry, float64 [2, 3].
+        instance_paths: Prim path of the class (or object) and first frame id, for the table of ids.
+        outputs: Passes the stage's RenderProducts ask for.
+    """
+
+    source: Path
+    digest: str
+    samples: int
+    meshes: tuple[Mesh, ...]
+    rows: Rows
+    surfaces: tuple[Surface, ...]
+    levels: tuple[str, ...]
+    label_names: dict[str, dict[int, str]]
+    sky_labels: dict[str, int]
+    cameras: tuple[tuple[Camera, ...], ...]
+    lighting: tuple[Lighting, ...]
+    bounds: NDArray[np.float64]
+    instance_paths: dict[str, int] = field(default_factory=dict)
+    outputs: tuple[str, ...] = ("rgb", "label", "instance", "depth")
+    #: Real time of each sample in seconds, float64 [samples].
+    times: NDArray[np.float64] = field(default_factory=lambda: np.zeros(1))

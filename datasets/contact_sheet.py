@@ -1,0 +1,181 @@
+"""One picture of several frames: RGB, every label level, instances, depth, with legends."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw, ImageFont
+
+from scenec.datasets.colors import (
+    NO_LABEL,
+    label_colors,
+    paint_depth,
+    paint_instances,
+    paint_labels,
+    viridis,
+)
+
+_INK = (34, 34, 34)
+_PAPER = (255, 255, 255)
+_GAP = 10
+_HEAD = 34
+_LEGEND_LINE = 24
+
+
+@dataclass(frozen=True)
+class SheetFrame:
+    """What the sheet shows of one frame.
+
+    Attributes:
+        title: Said beside the row.
+        picture: 8-bit RGB, uint8 [h, w, 3], or None.
+        labels: Per level, label ids [h, w].
+        instance: Ids [h, w], or None.
+        depth: Metres [h, w], +inf where nothing was hit, or None.
+    """
+
+    title: str
+    picture: NDArray[np.uint8] | None
+    labels: dict[str, NDArray[np.unsignedinteger]]
+    instance: NDArray[np.unsignedinteger] | None
+    depth: NDArray[np.floating] | None
+
+
+def contact_sheet(
+    frames: Sequence[SheetFrame],
+    label_names: dict[str, dict[int, str]],
+    heading: str,
+    tile_width: int = 480,
+) -> Image.Image:
+    """The sheet: a row a frame, a column a pass, a legend under each column.
+
+    Args:
+        frames: At least one.
+        label_names: Per level, id -> name.
+        heading: Said on top.
+        tile_width: Width of each picture on the sheet, pixels.
+    """
+    columns = _columns(frames[0])
+    height, width = _size(frames[0])
+    tile = (tile_width, max(1, round(tile_width * height / width)))
+    near, far = _depth_range(frames)
+    colors = {level: label_colors(list(names)) for level, names in label_names.items()}
+    legend = max([2] + [len(names) + 1 for names in label_names.values()]) * _LEGEND_LINE
+    size = (
+        _GAP + len(columns) * (tile[0] + _GAP),
+        2 * _HEAD + len(frames) * (tile[1] + _GAP) + legend + _GAP,
+    )
+    sheet = Image.new("RGB", size, _PAPER)
+    draw = ImageDraw.Draw(sheet)
+    draw.text((_GAP, 8), heading, _INK, _font(19))
+    bottom = 2 * _HEAD + len(frames) * (tile[1] + _GAP)
+    for i, column in enumerate(columns):
+        x = _GAP + i * (tile[0] + _GAP)
+        draw.text((x, _HEAD + 8), _title(column), _INK, _font(17))
+        for j, frame in enumerate(frames):
+            y = 2 * _HEAD + j * (tile[1] + _GAP)
+            picture = Image.fromarray(_paint(frame, column, colors, near, far))
+            # Ids must not be blended: only the photograph is filtered.
+            filtering = Image.Resampling.LANCZOS if column == "rgb" else Image.Resampling.NEAREST
+            sheet.paste(picture.resize(tile, filtering), (x, y))
+            if i == 0:
+                _tag(draw, (x, y), frame.title)
+        _legend(sheet, draw, (x, bottom), tile[0], column, label_names, colors, near, far)
+    return sheet
+
+
+def _columns(frame: SheetFrame) -> list[str]:
+    columns = ["rgb"] if frame.picture is not None else []
+    columns += [f"label.{level}" for level in frame.labels]
+    columns += ["instance"] if frame.instance is not None else []
+    columns += ["depth"] if frame.depth is not None else []
+    return columns
+
+
+def _size(frame: SheetFrame) -> tuple[int, int]:
+    for array in (frame.picture, *frame.labels.values(), frame.instance, frame.depth):
+        if array is not None:
+            return array.shape[0], array.shape[1]
+    return 1, 1
+
+
+def _title(column: str) -> str:
+    titles = {"rgb": "RGB", "instance": "instances", "depth": "depth (planar)"}
+    return titles.get(column, f"labels, level '{column.removeprefix('label.')}'")
+
+
+def _depth_range(frames: Sequence[SheetFrame]) -> tuple[float, float]:
+    """The depths between which 99 % of all hits lie, rounded outward to two digits."""
+    hits = [f.depth[np.isfinite(f.depth) & (f.depth > 0)] for f in frames if f.depth is not None]
+    all_hits = np.concatenate([*hits, np.zeros(0)])
+    if not all_hits.size:
+        return 1.0, 10.0
+    near, far = np.quantile(all_hits, [0.005, 0.995])
+    step = 10.0 ** (np.floor(np.log10([near, far])) - 1)
+    return float(np.floor(near / step[0]) * step[0]), float(np.ceil(far / step[1]) * step[1])
+
+
+def _paint(
+    frame: SheetFrame,
+    column: str,
+    colors: dict[str, dict[int, tuple[int, int, int]]],
+    near: float,
+    far: float,
+) -> NDArray[np.uint8]:
+    if column == "rgb" and frame.picture is not None:
+        return frame.picture
+    if column == "instance" and frame.instance is not None:
+        return paint_instances(frame.instance)
+    if column == "depth" and frame.depth is not None:
+        return paint_depth(frame.depth, near, far)
+    level = column.removeprefix("label.")
+    return paint_labels(frame.labels[level], colors.get(level, {}))
+
+
+@lru_cache
+def _font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
+    return ImageFont.load_default(size)
+
+
+def _tag(draw: ImageDraw.ImageDraw, corner: tuple[int, int], text: str) -> None:
+    """A small title inside of the picture's corner."""
+    at = (corner[0] + 8, corner[1] + 6)
+    box = draw.textbbox(at, text, _font(14))
+    draw.rectangle((box[0] - 5, box[1] - 4, box[2] + 5, box[3] + 4), _PAPER)
+    draw.text(at, text, _INK, _font(14))
+
+
+def _legend(
+    sheet: Image.Image,
+    draw: ImageDraw.ImageDraw,
+    corner: tuple[int, int],
+    width: int,
+    column: str,
+    label_names: dict[str, dict[int, str]],
+    colors: dict[str, dict[int, tuple[int, int, int]]],
+    near: float,
+    far: float,
+) -> None:
+    x, y = corner
+    if column.startswith("label."):
+        level = column.removeprefix("label.")
+        for number, name in sorted(label_names.get(level, {}).items()):
+            draw.rectangle((x, y + 3, x + 26, y + 19), colors[level].get(number, NO_LABEL))
+            draw.text((x + 36, y + 2), f"{name}  ({number})", _INK, _font(15))
+            y += _LEGEND_LINE
+    elif column == "depth":
+        bar = np.repeat(viridis(np.linspace(1.0, 0.0, width))[None], 16, axis=0)
+        sheet.paste(Image.fromarray(bar), (x, y + 3))
+        for part in (0.0, 0.25, 0.5, 0.75, 1.0):
+            text = f"{near * (far / near) ** part:.3g} m"
+            length = draw.textlength(text, _font(14))
+            draw.text((x + part * (width - length), y + 22), text, _INK, _font(14))
+        draw.text((x, y + 44), "logarithmic; white: nothing hit", _INK, _font(14))
+    elif column == "instance":
+        draw.text((x, y), "one color an instance, kept over all frames", _INK, _font(15))
+    else:
+        draw.text((x, y), "one stated exposure and tone curve", _INK, _font(15))

@@ -1,0 +1,267 @@
+"""The output as a whole: same bytes whatever the circumstances, nothing that is not needed."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from pxr import Usd, UsdGeom
+from small import small_cfg, write_cfg
+
+from scenec.backends.check.files import check_files, read_manifest
+from scenec.backends.check.stage import check_stage
+from scenec.compiler.compile import compile_cfg
+from scenec.schemas.errors import CfgError, OutputError, SceneError, ScenecError
+
+_COMPILE = """
+import sys
+from scenec.compiler.compile import compile_cfg
+compile_cfg(sys.argv[1], seed=11, out=sys.argv[2])
+"""
+
+
+def hashes(out: Path) -> dict[str, str]:
+    """sha256 of every file but the timings."""
+    return {
+        path.relative_to(out).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in sorted(out.rglob("*"))
+        if path.is_file() and path.name != "timings.json"
+    }
+
+
+def compiled(folder: Path, cfg: dict, seed: int = 11, name: str = "out") -> Path:
+    compile_cfg(write_cfg(folder, cfg, f"{name}.json"), seed=seed, out=folder / name)
+    return folder / name
+
+
+@pytest.fixture(scope="module")
+def reference(tmp_path_factory) -> Path:
+    return compiled(tmp_path_factory.mktemp("compile"), small_cfg(batches=2))
+
+
+CIRCUMSTANCES = {
+    "as it is": {},
+    "another hash seed": {"PYTHONHASHSEED": "4711"},
+    "one thread": {"NUMBA_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "PXR_WORK_THREAD_LIMIT": "1"},
+    "another locale": {"LC_ALL": "tr_TR.UTF-8", "LANG": "tr_TR.UTF-8", "TZ": "Asia/Kathmandu"},
+    "NumPy without AVX": {
+        "NPY_DISABLE_CPU_FEATURES": "AVX512F AVX512CD AVX512_SKX AVX512_CLX AVX512_CNL AVX512_ICL "
+        "AVX512_SPR AVX2 FMA3 X86_V3 X86_V4"
+    },
+    "glibc without FMA": {
+        "GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX2,-FMA,-FMA4,-AVX512F,-AVX2_Usable,-FMA_Usable"
+    },
+    "another BLAS kernel": {"OPENBLAS_CORETYPE": "Prescott"},
+    "numba for a generic CPU": {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""},
+}
+
+
+@pytest.mark.parametrize("name", list(CIRCUMSTANCES))
+def test_the_same_cfg_and_seed_give_the_same_bytes_with(name, reference, tmp_path):
+    out = tmp_path / "elsewhere" / "a folder with spaces ä"
+    cfg = write_cfg(tmp_path, small_cfg(batches=2))
+    # A machine without some feature warns about the name: only the bytes count.
+    environment = {**os.environ, **CIRCUMSTANCES[name]}
+    subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", _COMPILE, str(cfg), str(out)],
+        check=True,
+        cwd=tmp_path,
+        env=environment,
+        capture_output=True,
+    )
+    assert hashes(out) == hashes(reference)
+
+
+def test_another_seed_and_another_batch_give_other_scenes(reference, tmp_path):
+    other = compiled(tmp_path, small_cfg(batches=2), seed=12)
+    ours, theirs = hashes(reference), hashes(other)
+    for name in ("terrain.usdc", "objects/rocks.usdc", "cameras.usda", "lights.usda"):
+        assert ours[f"batch_0000/{name}"] != theirs[f"batch_0000/{name}"]
+        assert ours[f"batch_0000/{name}"] != ours[f"batch_0001/{name}"]
+
+
+def test_seed_zero_is_a_seed_like_any_other(tmp_path):
+    one = compiled(tmp_path, small_cfg(), seed=0, name="a")
+    two = compiled(tmp_path, small_cfg(), seed=0, name="b")
+    assert hashes(one) == hashes(two)
+
+
+def test_adding_an_object_class_leaves_every_other_file_of_the_stage_as_it_was(tmp_path):
+    cfg = small_cfg()
+    before = hashes(compiled(tmp_path, cfg, name="before"))
+    cfg["objects"] = {
+        "gems": cfg["objects"]["rocks"] | {"count": 40, "material": "gem"},
+        **cfg["objects"],
+    }
+    cfg["materials"]["gem"] = {"base_color": [0.1, 0.6, 0.3]}
+    after = hashes(compiled(tmp_path, cfg, name="after"))
+    added = {"batch_0000/objects/gems.usdc", "batch_0000/looks/gem.usda"}
+    assert set(after) - set(before) == added
+    changed = {name for name in before if before[name] != after[name]}
+    # The root layer lists the classes, the report counts them: neither is a file of content.
+    assert changed == {"batch_0000/stage.usda", "batch_0000/report.json", "manifest.json"}
+
+
+def test_raising_a_count_leaves_the_first_instances_where_they_were(tmp_path):
+    cfg = small_cfg()
+    few = compiled(tmp_path, cfg, name="few")
+    cfg["objects"]["rocks"]["count"] = 500
+    many = compiled(tmp_path, cfg, name="many")
+
+    def arrays(out: Path) -> list[list]:
+        stage = Usd.Stage.Open(str(out / "batch_0000/stage.usda"))
+        instancer = UsdGeom.PointInstancer(stage.GetPrimAtPath("/World/Objects/rocks"))
+        attributes = (
+            instancer.GetPositionsAttr(),
+            instancer.GetScalesAttr(),
+            instancer.GetOrientationsAttr(),
+            instancer.GetProtoIndicesAttr(),
+            instancer.GetIdsAttr(),
+        )
+        return [list(attribute.Get())[:300] for attribute in attributes]
+
+    assert arrays(few) == arrays(many)
+    assert hashes(few)["batch_0000/terrain.usdc"] == hashes(many)["batch_0000/terrain.usdc"]
+
+
+def test_the_stage_is_sound_to_us_and_to_usd(reference):
+    for batch in range(2):
+        findings = check_stage(reference / f"batch_{batch:04d}" / "stage.usda")
+        assert [str(finding) for finding in findings] == []
+    assert list(check_files(reference, read_manifest(reference))) == []
+
+
+def independent_findings(stage: Path, report: Path) -> set[tuple[str, str]]:
+    """(severity, rule) of everything that usd-validation-nvidia finds."""
+    # Its exit status is 1 for warnings, too: the report tells them apart.
+    subprocess.run(
+        [sys.executable, "-m", "usd_validation_nvidia", "--json-output", str(report), str(stage)],
+        check=False,
+        capture_output=True,
+    )
+    rules = json.loads(report.read_text())["rules"]
+    return {(i["severity"], i["rule"]["name"]) for rule in rules for i in rule.get("issues", [])}
+
+
+def test_the_stage_passes_an_independent_validator(reference, tmp_path):
+    found = independent_findings(
+        reference / "batch_0000" / "stage.usda", tmp_path / "findings.json"
+    )
+    # Its advice to index primvars that repeat values would cost more than it saves.
+    assert found <= {("WARNING", "IndexedPrimvarChecker")}
+
+
+def test_the_independent_validator_does_find_faults(tmp_path):
+    stage = Usd.Stage.CreateNew(str(tmp_path / "broken.usda"))
+    mesh = UsdGeom.Mesh.Define(stage, "/World")
+    mesh.CreatePointsAttr([(0, 0, 0), (1, 0, 0)])
+    mesh.CreateFaceVertexCountsAttr([3])
+    mesh.CreateFaceVertexIndicesAttr([0, 1, 9])
+    stage.Save()
+    found = independent_findings(tmp_path / "broken.usda", tmp_path / "findings.json")
+    assert {severity for severity, _ in found} & {"FAILURE", "ERROR"}
+
+
+def test_the_root_layer_is_small_and_everything_is_found_by_relative_paths(reference):
+    text = (reference / "batch_0000" / "stage.usda").read_text()
+    assert len(text) < 4000
+    for path in reference.rglob("*.usda"):
+        assert str(reference) not in path.read_text()
+    for path in reference.rglob("*.usdc"):
+        assert str(reference).encode() not in path.read_bytes()
+
+
+def test_instance_counts_are_met_exactly_and_ids_follow_the_classes(tmp_path):
+    cfg = small_cfg()
+    cfg["objects"]["more"] = cfg["objects"]["rocks"] | {"count": 17}
+    stage = Usd.Stage.Open(str(compiled(tmp_path, cfg) / "batch_0000/stage.usda"))
+    for name, count, base in (("rocks", 300, 0), ("more", 17, 300)):
+        prim = stage.GetPrimAtPath(f"/World/Objects/{name}")
+        assert list(UsdGeom.PointInstancer(prim).GetIdsAttr().Get()) == list(range(1, count + 1))
+        assert prim.GetAttribute("scenec:instanceIdBase").Get() == base
+
+
+def test_a_cfg_that_asks_for_depth_only_makes_no_material_light_or_label(tmp_path):
+    out = compiled(tmp_path, small_cfg(outputs=["depth"]))
+    names = set(hashes(out))
+    assert {name.split("/")[1] for name in names if "/" in name} == {
+        "stage.usda",
+        "terrain.usdc",
+        "objects",
+        "cameras.usda",
+        "report.json",
+    }
+    stage = Usd.Stage.Open(str(out / "batch_0000/stage.usda"))
+    for prim in stage.Traverse():
+        assert not UsdGeom.PrimvarsAPI(prim).GetPrimvarsWithAuthoredValues()
+        assert "Labels" not in str(prim.GetAppliedSchemas())
+    report = json.loads((out / "batch_0000/report.json").read_text())
+    assert len(report["left_out"]) == 2
+    assert check_stage(out / "batch_0000/stage.usda") == []
+
+
+def test_the_bytes_of_geometry_do_not_depend_on_what_else_is_asked_for(tmp_path):
+    with_color = compiled(tmp_path, small_cfg(outputs=["rgb", "depth"]), name="a")
+    without = compiled(tmp_path, small_cfg(outputs=["depth"]), name="b")
+
+    def points(out: Path) -> list:
+        stage = Usd.Stage.Open(str(out / "batch_0000/stage.usda"))
+        return [
+            list(UsdGeom.Mesh(prim).GetPointsAttr().Get())
+            for prim in stage.Traverse()
+            if prim.IsA(UsdGeom.Mesh)
+        ]
+
+    assert points(with_color) == points(without)
+
+
+def test_compiling_again_changes_nothing_and_keeps_frames(tmp_path):
+    cfg = write_cfg(tmp_path)
+    out = tmp_path / "out"
+    compile_cfg(cfg, seed=1, out=out)
+    frame = out / "batch_0000" / "frames" / "mitsuba" / "a" / "000000.png"
+    frame.parent.mkdir(parents=True)
+    frame.write_bytes(b"frame")
+    stamp = (out / "batch_0000" / "terrain.usdc").stat().st_mtime_ns
+    assert compile_cfg(cfg, seed=1, out=out).unchanged == 1
+    assert (out / "batch_0000" / "terrain.usdc").stat().st_mtime_ns == stamp
+    # Another seed replaces the stage; frames are kept for the renderer to judge.
+    assert compile_cfg(cfg, seed=2, out=out).unchanged == 0
+    assert frame.read_bytes() == b"frame"
+    assert read_manifest(out)["seed"] == 2
+
+
+def test_batches_can_be_compiled_in_parts(reference, tmp_path):
+    cfg = write_cfg(tmp_path, small_cfg(batches=2))
+    compile_cfg(cfg, seed=11, out=tmp_path / "out", batches=range(1, 2))
+    assert [b["index"] for b in read_manifest(tmp_path / "out")["batches"]] == [1]
+    compile_cfg(cfg, seed=11, out=tmp_path / "out", batches=range(1))
+    assert hashes(tmp_path / "out") == hashes(reference)
+
+
+def test_what_cannot_be_done_is_said_and_leaves_nothing_behind(tmp_path):
+    cfg = write_cfg(tmp_path)
+    with pytest.raises(ScenecError, match="batches 0 to 0"):
+        compile_cfg(cfg, seed=1, out=tmp_path / "out", batches=range(1, 3))
+    with pytest.raises(ScenecError, match="seed"):
+        compile_cfg(cfg, seed=2**64, out=tmp_path / "out")
+    full = tmp_path / "full"
+    full.mkdir()
+    (full / "notes.txt").write_text("mine")
+    with pytest.raises(OutputError, match="not empty"):
+        compile_cfg(cfg, seed=1, out=full)
+    (tmp_path / "file").write_text("")
+    with pytest.raises(OutputError):
+        compile_cfg(cfg, seed=1, out=tmp_path / "file")
+    broken = small_cfg()
+    broken["terrain"]["relief"][1] |= {"amplitude_m": 1e308, "gain": 2, "octaves": 24}
+    with pytest.raises(SceneError, match="overflows"):
+        compile_cfg(write_cfg(tmp_path, broken), seed=1, out=tmp_path / "out")
+    with pytest.raises(CfgError):
+        compile_cfg(write_cfg(tmp_path, {"version": 1}), seed=1, out=tmp_path / "out")
+    assert not (tmp_path / "out").exists() or not list((tmp_path / "out").glob("*"))

@@ -1,0 +1,107 @@
+"""What holds for every schema of the cfg, and for the page made out of them."""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+from pathlib import Path
+
+import pytest
+from jsonschema import Draft202012Validator
+
+from scenec.compiler.frontend.check_numbers import check_number
+from scenec.compiler.frontend.schema import NUMBER, ROOT, Field, load_schemas, validator
+
+_DOCS = Path(__file__).parents[2] / "docs"
+_NAMES = list(load_schemas())
+
+
+def _subschemas(schema, at=""):
+    """Every schema below one, with where it stands; conditions ("if") are left out."""
+    yield at, schema
+    for keyword in ("properties", "$defs"):
+        for key, below in schema.get(keyword, {}).items():
+            yield from _subschemas(below, f"{at}/{keyword}/{key}")
+    for keyword in ("items", "additionalProperties", "then", "else"):
+        if isinstance(schema.get(keyword), dict):
+            yield from _subschemas(schema[keyword], f"{at}/{keyword}")
+    for keyword in ("allOf", "prefixItems"):
+        for i, below in enumerate(schema.get(keyword, [])):
+            yield from _subschemas(below, f"{at}/{keyword}/{i}")
+
+
+@pytest.mark.parametrize("name", _NAMES)
+def test_a_schema_is_valid_draft_2020_12(name):
+    Draft202012Validator.check_schema(load_schemas()[name])
+
+
+@pytest.mark.parametrize("name", _NAMES)
+def test_every_property_is_described(name):
+    for at, schema in _subschemas(load_schemas()[name]):
+        for key, entry in schema.get("properties", {}).items():
+            assert entry.get("description", "").endswith("."), f"{at}/{key}"
+
+
+@pytest.mark.parametrize("name", _NAMES)
+def test_an_object_takes_no_unknown_keys(name):
+    for at, schema in _subschemas(load_schemas()[name]):
+        if "properties" in schema and "allOf" not in schema:
+            assert schema["additionalProperties"] is False, at
+        assert "oneOf" not in schema, at
+        assert "anyOf" not in schema, at
+
+
+@pytest.mark.parametrize("name", [name for name in _NAMES if name != NUMBER])
+def test_a_reference_is_to_a_file_that_is_there(name):
+    for at, schema in _subschemas(load_schemas()[name]):
+        assert schema.get("$ref", ROOT) in load_schemas(), at
+
+
+def test_every_number_says_when_it_is_drawn_and_every_default_is_valid():
+    count = 0
+    for name in _NAMES:
+        for at, schema in _subschemas(load_schemas()[name]):
+            if "default" in schema:
+                validator(schema).validate(schema["default"])
+            if schema.get("$ref") != NUMBER:
+                continue
+            count += 1
+            assert schema["x-per"] == schema["x-per-allowed"][0], f"{name}{at}"
+            assert schema["x-per-allowed"][-1] == "batch", f"{name}{at}"
+            if "default" in schema:
+                assert not list(check_number(Field((), schema["default"], schema, True)))
+    assert count > 50
+
+
+def test_every_schema_file_is_reached_from_the_root():
+    reached, pending = set(), [ROOT]
+    while pending:
+        name = pending.pop()
+        if name in reached:
+            continue
+        reached.add(name)
+        below = (s["$ref"] for _, s in _subschemas(load_schemas()[name]) if "$ref" in s)
+        pending.extend(ref for ref in below if not ref.startswith("#"))
+    assert sorted(reached) == _NAMES
+
+
+def _reference():
+    spec = importlib.util.spec_from_file_location("reference", _DOCS / "make_cfg_reference.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module.make()
+
+
+def test_the_reference_page_is_up_to_date():
+    page = (_DOCS / "cfg.md").read_text(encoding="utf-8")
+    assert page == _reference(), "run: python docs/make_cfg_reference.py"
+
+
+def test_the_reference_page_links_to_its_own_sections_only():
+    page = _reference()
+    titles = re.findall(r"^## (.*)$", page, re.MULTILINE)
+    anchors = {re.sub(r"[^a-z0-9 -]", "", title.lower()).replace(" ", "-") for title in titles}
+    assert set(re.findall(r"\]\(#([^)]*)\)", page)) <= anchors
+    assert len(titles) == len(_NAMES)

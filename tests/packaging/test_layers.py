@@ -1,0 +1,206 @@
+"""The layers and the determinism rules hold in the source, and each rule really fires."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from source_rules import (
+    determinism_violations,
+    kernel_violations,
+    python_files,
+    random_violations,
+)
+
+ROOT = Path(__file__).resolve().parents[2]
+LAYERS = ("schemas", "compiler", "backends", "datasets", "cli")
+#: What each layer may import of ours.
+ALLOWED = {
+    "schemas": (),
+    "compiler": ("schemas",),
+    "backends": ("schemas",),
+    "datasets": ("schemas",),
+    "cli": ("schemas", "compiler", "backends", "datasets"),
+}
+STREAMS = ROOT / "compiler" / "frontend" / "streams.py"
+
+
+def banned_lines(file: str, lines: list[str]) -> set[int]:
+    """Lines, from 1, that ruff refuses as banned imports if they stood in ``file``."""
+    options = ["--no-cache", "--select=TID", "--output-format=concise", "--stdin-filename"]
+    done = subprocess.run(
+        [sys.executable, "-m", "ruff", "check", *options, file, "-"],
+        input="\n".join(lines) + "\n",
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode in (0, 1), done.stderr
+    found = (line for line in done.stdout.splitlines() if ": TID" in line)
+    return {int(line.split(":")[1]) for line in found}
+
+
+@pytest.mark.parametrize("layer", LAYERS)
+def test_ruff_lets_a_layer_import_only_the_layers_under_it(layer: str) -> None:
+    others = [other for other in LAYERS if other != layer]
+    lines = [f"import scenec.{other}.anything" for other in others]
+    lines += [f"from scenec.{other} import anything" for other in others]
+    lines += [f"from scenec import {other}" for other in others]
+    expected = {n for n, line in enumerate(lines, 1) if not allows(layer, others[(n - 1) % 4])}
+    assert banned_lines(f"{layer}/scratch.py", lines) == expected
+    assert banned_lines(f"{layer}/deeper/scratch.py", lines) == expected
+
+
+def allows(layer: str, other: str) -> bool:
+    return other in ALLOWED[layer]
+
+
+@pytest.mark.parametrize("folder", [*LAYERS, "tests", "benchmarks", "docs"])
+def test_ruff_refuses_a_second_copy_of_a_module(folder: str) -> None:
+    lines = [f"import {layer}" for layer in LAYERS]
+    lines += [f"from {layer}.anything import other" for layer in LAYERS]
+    lines += ["from . import anything", "from ..schemas import errors"]
+    assert banned_lines(f"{folder}/scratch.py", lines) == set(range(1, len(lines) + 1))
+
+
+def test_ruff_refuses_machine_dependent_functions_in_the_compiler() -> None:
+    lines = ["import math", "import time", "import numpy as np"]
+    harmless = len(lines)
+    lines += ["import random", "from datetime import datetime", "from math import sin"]
+    lines += [
+        "from numpy.random import default_rng",
+        "import numpy.linalg",
+        "from numpy import dot",
+    ]
+    lines += ["import scipy.special", "import mitsuba"]
+    lines += [f"math.{name}(x)" for name in ("sin", "cos", "exp", "log", "pow", "atan2", "hypot")]
+    lines += [f"np.{name}(x)" for name in ("sin", "cos", "exp", "log", "power", "arctan2", "hypot")]
+    lines += [f"np.{name}(x, y)" for name in ("dot", "matmul", "einsum", "inner", "linalg.norm")]
+    lines += ["np.random.default_rng(0)", "np.argpartition(x, 3)", "time.time()"]
+    expected = set(range(harmless + 1, len(lines) + 1))
+    lines += ["math.sqrt(x)", "math.floor(x)", "np.sqrt(x)", "time.perf_counter()"]
+    assert banned_lines("compiler/terrain/scratch.py", lines) == expected
+    assert banned_lines("backends/scratch.py", lines) == set()
+
+
+def test_every_layer_has_its_bans_or_none_to_have() -> None:
+    with_file = {layer for layer in LAYERS if (ROOT / layer / "ruff.toml").exists()}
+    assert with_file == {"schemas", "compiler", "backends", "datasets"}
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "a @ b",
+        "a @= b",
+        "x ** 2",
+        "x ** 0.5",
+        "2.5 ** x",
+        "2 ** 0.5",
+        "x **= 3",
+        "np.sort(a)",
+        "np.argsort(a, axis=1)",
+        'np.argsort(a, kind="quicksort")',
+        "a.argsort()",
+        "a.sort()",
+        "a.partition(3)",
+        "a.argpartition(3)",
+        "a.dot(b)",
+        "os.listdir(folder)",
+        "list(folder.iterdir())",
+        "hash(name)",
+        "id(thing)",
+        "[f(x) for x in {1, 2}]",
+        "sorted(list(set(x)) for x in a)",
+        "[f(x) for x in set(a) | set(b)]",
+        "list(set(a))",
+        "tuple({x for x in a})",
+        "np.array(frozenset(a))",
+        '", ".join(a.union(b))',
+        "print(*set(a))",
+    ],
+)
+def test_a_machine_dependent_construction_is_found(line: str) -> None:
+    source = f"import numpy as np\n{line}\n"
+    assert [v.line for v in determinism_violations(source, "scratch.py")] == [2]
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "2**n",
+        "(-1.0) ** n",
+        "2.0**-53",
+        "f(**options)",
+        'np.sort(a, kind="stable")',
+        'np.argsort(a, kind="mergesort")',
+        'a.argsort(kind="stable")',
+        "sorted(set(a))",
+        'sorted(folder.glob("*"))',
+        "sorted(file.name for file in folder.iterdir() if file.name)",
+        'any(folder.glob("*"))',
+        "{f(x) for x in {1, 2}}",
+        'text.partition("=")',
+        "x in {1, 2}",
+        "elementary.pow(x, y)",
+        "len(set(a))",
+    ],
+)
+def test_a_harmless_construction_is_let_through(line: str) -> None:
+    assert determinism_violations(f"import numpy as np\n{line}\n", "scratch.py") == []
+
+
+@pytest.mark.parametrize(
+    ("decorator", "count"),
+    [
+        ('@njit(cache=True, error_model="numpy")', 0),
+        ('@njit(cache=True, error_model="numpy", parallel=True)', 0),
+        ("@njit", 2),
+        ('@njit(error_model="numpy")', 1),
+        ("@njit(cache=True)", 1),
+        ('@njit(cache=True, error_model="numpy", fastmath=True)', 1),
+        ("@contextmanager", 0),
+    ],
+)
+def test_a_kernel_is_cached_exact_and_divides_like_numpy(decorator: str, count: int) -> None:
+    source = f"from numba import njit\n{decorator}\ndef kernel(x):\n    return x\n"
+    assert len(kernel_violations(source, "scratch.py")) == count
+
+
+def test_a_random_source_apart_from_philox_is_found() -> None:
+    source = (
+        "import numpy as np\nimport random\nfrom numpy.random import Philox, default_rng\n"
+        "Philox(key=1)\nnp.random.Philox(key=1)\n"
+        "default_rng(1)\nnp.random.Generator(b)\nrandom.random()\n"
+    )
+    assert sorted(v.line for v in random_violations(source, "scratch.py")) == [6, 7, 8]
+
+
+def test_the_compiler_holds_no_machine_dependent_construction() -> None:
+    files = list(python_files(ROOT / "compiler"))
+    assert len(files) > 10
+    found = [
+        violation
+        for path in files
+        for violation in determinism_violations(path.read_text(), str(path.relative_to(ROOT)))
+    ]
+    assert not found, "\n".join(str(violation) for violation in found)
+
+
+def test_every_kernel_is_cached_and_exact() -> None:
+    files = [path for layer in LAYERS for path in python_files(ROOT / layer)]
+    found = [
+        violation
+        for path in files
+        for violation in kernel_violations(path.read_text(), str(path.relative_to(ROOT)))
+    ]
+    assert not found, "\n".join(str(violation) for violation in found)
+
+
+def test_streams_take_nothing_from_numpy_random_but_philox() -> None:
+    found = random_violations(STREAMS.read_text(), "compiler/frontend/streams.py")
+    assert not found, "\n".join(str(violation) for violation in found)
+    assert "Philox" in STREAMS.read_text()

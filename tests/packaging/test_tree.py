@@ -1,0 +1,115 @@
+"""What the repository's files must not hold, and what its lock file must."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import tomllib
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+#: Folders of one machine; a letter or a dot before the slash makes it a relative path.
+MACHINE_PATH = re.compile(r"(?<![\w.])/(?:work|root|home/[a-z]\w*|Users/[A-Za-z]\w*)/")
+REGISTRY_HOST = re.compile(r"\b(?:pypi|pythonhosted|crates|npmjs|anaconda)\.(?:org|io)\b", re.I)
+ADDRESS = re.compile(r"\w+://|^\s*(?:--(?:extra-)?index-url|--find-links|-[if])\b", re.M)
+LOCKS_WITH_ADDRESSES = re.compile(r"(?:^|/)(?:uv|pylock|poetry|pdm)[^/]*\.(?:lock|toml)$")
+
+
+def repository_files() -> list[Path]:
+    """Files that are tracked, or would be if added; in the order of git."""
+    done = subprocess.run(
+        ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    if done.returncode != 0:
+        pytest.fail(f"not a git checkout: {done.stderr.strip()}")
+    names = [ROOT / name for name in done.stdout.split("\0") if name]
+    return [path for path in names if path.is_file()]
+
+
+def texts() -> list[tuple[str, str]]:
+    """Name and text of every repository file that is text."""
+    found = []
+    for path in repository_files():
+        data = path.read_bytes()
+        if b"\0" not in data[:4096]:
+            found.append((str(path.relative_to(ROOT)), data.decode("utf-8")))
+    return found
+
+
+def test_the_patterns_know_a_machine_path_and_a_host() -> None:
+    slash, dot = "/", "."
+    assert MACHINE_PATH.search(f'open("{slash}home/ada/scenes")')
+    assert MACHINE_PATH.search(f"{slash}work{slash}main")
+    assert not MACHINE_PATH.search(f"out{slash}work{slash}main")
+    assert REGISTRY_HOST.search(f"files{dot}pythonhosted{dot}org")
+    assert ADDRESS.search("--index-url anything")
+    assert ADDRESS.search("a @ https:" + "//host/a.whl")
+    assert not ADDRESS.search("numba==0.68.1 \\\n    --hash=sha256:00\n    # via scenec")
+    assert LOCKS_WITH_ADDRESSES.search("docs/uv.lock")
+
+
+def test_no_file_holds_a_path_of_one_machine() -> None:
+    found = [name for name, text in texts() if MACHINE_PATH.search(text)]
+    assert not found
+
+
+def test_no_file_names_a_registry_host() -> None:
+    found = [name for name, text in texts() if REGISTRY_HOST.search(text)]
+    assert not found
+
+
+def test_no_lock_file_with_addresses_is_in_the_repository() -> None:
+    names = [name for name, _ in texts()]
+    assert "requirements.lock" in names
+    assert not [name for name in names if LOCKS_WITH_ADDRESSES.search(name)]
+    assert not ADDRESS.search((ROOT / "requirements.lock").read_text())
+
+
+def locked() -> dict[str, str]:
+    """Normalized name to the entry (version, marker, hashes) of each locked package."""
+    text = (ROOT / "requirements.lock").read_text().replace("\\\n", " ")
+    entries = [line for line in text.splitlines() if line and not line.lstrip().startswith("#")]
+    return {re.split(r"[=\s]", entry)[0]: entry for entry in entries}
+
+
+def test_every_locked_package_has_one_version_and_a_hash() -> None:
+    entries = locked()
+    assert len(entries) > 20
+    for entry in entries.values():
+        assert re.match(r"[a-z0-9-]+==\S+ ", entry), entry
+        assert re.search(r"--hash=sha256:[0-9a-f]{64}\b", entry), entry
+
+
+def test_the_lock_holds_every_declared_dependency_at_an_allowed_version() -> None:
+    from packaging.requirements import Requirement
+    from packaging.utils import canonicalize_name
+
+    table = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    declared = list(table["project"]["dependencies"]) + list(table["dependency-groups"]["dev"])
+    for extra in table["project"]["optional-dependencies"].values():
+        declared += extra
+    entries = locked()
+    requirements = [Requirement(text) for text in declared]
+    for requirement in requirements:
+        if requirement.name == "scenec":
+            continue
+        version = entries[canonicalize_name(requirement.name)].split("==")[1].split()[0]
+        assert requirement.specifier.contains(version), (requirement, version)
+
+
+def test_the_extra_all_is_all_extras() -> None:
+    table = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    extras = table["project"]["optional-dependencies"]
+    assert extras["all"] == [f"scenec[{','.join(name for name in extras if name != 'all')}]"]
+
+
+def test_the_source_links_are_relative_and_complete() -> None:
+    links = {path.name: path.readlink() for path in (ROOT / "src" / "scenec").iterdir()}
+    expected = ("schemas", "compiler", "backends", "datasets", "cli")
+    assert links == {name: Path("../..") / name for name in expected}

@@ -1,0 +1,105 @@
+"""A wheel built from the checkout is whole, and works outside it with its package data."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import sysconfig
+import tarfile
+import zipfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+LAYERS = ("schemas", "compiler", "backends", "datasets", "cli")
+#: What the source distribution and the build need of the checkout.
+SOURCES = (*LAYERS, "src", "pyproject.toml", "README.md", "LICENSE")
+PROGRAM = """
+import json, sys
+from importlib.resources import files
+import scenec.schemas.errors as errors
+schema = json.loads((files("scenec.schemas") / "cfg" / "cfg.schema.json").read_text())
+assert schema["$schema"].endswith("2020-12/schema"), schema["$schema"]
+import scenec.backends.contract, scenec.compiler.scene
+print(errors.__file__)
+"""
+
+pytestmark = pytest.mark.slow
+
+
+def run(*command: str | Path, cwd: Path, **environment: str) -> str:
+    done = subprocess.run(
+        [str(word) for word in command],
+        cwd=cwd,
+        env={**os.environ, **environment},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A wheel and an sdist, built from a copy so that no build/ stays in the checkout."""
+    copy = tmp_path_factory.mktemp("checkout")
+    for name in SOURCES:
+        source = ROOT / name
+        if source.is_dir():
+            ignored = shutil.ignore_patterns("__pycache__", "*.egg-info")
+            shutil.copytree(source, copy / name, symlinks=True, ignore=ignored)
+        else:
+            shutil.copy2(source, copy / name)
+    run(sys.executable, "-m", "build", "--no-isolation", "--wheel", "--sdist", cwd=copy)
+    return copy / "dist"
+
+
+def modules() -> set[str]:
+    """Every file that a wheel must hold, as its name inside the wheel."""
+    names = set()
+    for layer in LAYERS:
+        for path in (ROOT / layer).rglob("*"):
+            if path.suffix in (".py", ".json") and "__pycache__" not in path.parts:
+                names.add(f"scenec/{path.relative_to(ROOT)}")
+    return names
+
+
+def test_the_wheel_holds_every_module_and_schema_and_nothing_else(built: Path) -> None:
+    (wheel,) = built.glob("*.whl")
+    with zipfile.ZipFile(wheel) as archive:
+        names = {name for name in archive.namelist() if ".dist-info/" not in name}
+        metadata = {name.partition(".dist-info/")[2] for name in archive.namelist()}
+    assert names == modules()
+    assert "scenec/schemas/cfg/cfg.schema.json" in names
+    assert {"METADATA", "entry_points.txt", "licenses/LICENSE"} <= metadata
+
+
+def test_the_source_distribution_holds_every_module_and_schema(built: Path) -> None:
+    (sdist,) = built.glob("*.tar.gz")
+    with tarfile.open(sdist) as archive:
+        names = {member.name.split("/", 1)[-1] for member in archive.getmembers()}
+    assert {f"src/{name}" for name in modules()} <= names
+
+
+def test_the_installed_wheel_works_outside_the_checkout(built: Path, tmp_path: Path) -> None:
+    (wheel,) = built.glob("*.whl")
+    venv = tmp_path / "venv"
+    run(sys.executable, "-m", "venv", "--without-pip", venv, cwd=tmp_path)
+    site = venv / "lib" / "python3.13" / "site-packages"
+    install = ["-m", "pip", "--python", str(venv / "bin" / "python"), "install"]
+    options = ["--quiet", "--no-deps", "--no-index"]
+    run(sys.executable, *install, *options, wheel, cwd=tmp_path)
+    # The plain path, not site.addsitedir: the .pth files of the running environment, the editable
+    # install of scenec among them, are not followed.
+    (site / "dependencies.pth").write_text(sysconfig.get_path("purelib") + "\n")
+
+    isolated = {"PYTHONPATH": "", "NUMBA_CACHE_DIR": str(tmp_path / "numba")}
+    where = run(venv / "bin" / "python", "-c", PROGRAM, cwd=tmp_path, **isolated)
+    assert Path(where.strip()).is_relative_to(site)
+    usage = run(venv / "bin" / "scenec", "--help", cwd=tmp_path, **isolated)
+    assert "usage: scenec" in usage.lower()
+    assert "render" in usage

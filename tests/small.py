@@ -1,0 +1,101 @@
+"""A small cfg with everything in it, for tests that need an output to look at."""
+
+from __future__ import annotations
+
+import copy
+import json
+from pathlib import Path
+from typing import Any
+
+_CFG: dict[str, Any] = {
+    "version": 1,
+    "name": "small",
+    "samples": 3,
+    "labels": {
+        "class": {"sky": 1, "ground": 2, "rock": 3},
+        "surface": {"sky": 7, "sand": 20, "gravel": 21, "mud": 22, "stone": 30},
+    },
+    "terrain": {
+        "size_m": [20, 16],
+        "spacing_m": 0.2,
+        "relief": [
+            {"type": "plane", "slope": [0.05, -0.02]},
+            {
+                "type": "multifractal",
+                "amplitude_m": {"type": "uniform", "min": 0.3, "max": 0.6},
+                "scale_m": 6,
+                "octaves": 5,
+            },
+            {"type": "smooth", "length_m": 0.1},
+        ],
+        "ground": [
+            {"material": "sand", "labels": {"class": "ground", "surface": "sand"}},
+            {
+                "material": "gravel",
+                "labels": {"class": "ground", "surface": "gravel"},
+                "noise": {"scale_m": 5},
+            },
+            {
+                "material": "mud",
+                "labels": {"class": "ground", "surface": "mud"},
+                "noise": {"scale_m": 4, "octaves": 2, "distortion": 0.2},
+                "coverage": 0.3,
+            },
+        ],
+    },
+    "materials": {
+        "sand": {"base_color": [0.4, 0.3, 0.2], "variation": 0.2},
+        "gravel": {"base_color": [0.2, 0.2, 0.2], "specular": 0.05},
+        "mud": {"base_color": [0.3, 0.25, 0.2], "roughness": 0.5},
+        "stone": {"base_color": [0.15, 0.12, 0.1], "variation": 0.3},
+    },
+    "objects": {
+        "rocks": {
+            "type": "rocks",
+            "count": 300,
+            "material": "stone",
+            "labels": {"class": "rock", "surface": "stone"},
+            "prototypes": 4,
+            "subdivisions": 2,
+            "size_m": {"type": "log_uniform", "min": 0.05, "max": 0.7},
+            "density": {"type": "noise", "scale_m": 5},
+        }
+    },
+    "light": {
+        "sun": {
+            "elevation_deg": {"type": "uniform", "min": 20, "max": 60},
+            "azimuth_deg": {"type": "uniform", "min": 0, "max": 360},
+        },
+        "sky": {"type": "clear", "resolution": 32, "labels": {"class": "sky", "surface": "sky"}},
+    },
+    "rigs": {
+        "rover": {
+            "pose": {
+                "type": "random_target",
+                "position": {
+                    "x_m": {"type": "uniform", "min": -6, "max": 6},
+                    "y_m": {"type": "uniform", "min": -6, "max": 6},
+                    "height_m": 1.5,
+                },
+                "target": {
+                    "distance_m": {"type": "uniform", "min": 4, "max": 8},
+                    "bearing_deg": {"type": "uniform", "min": 0, "max": 360},
+                    "height_m": 0,
+                },
+            },
+            "sensors": {"front": {"resolution": [96, 64], "fov_deg": 70}},
+        }
+    },
+}
+
+
+def small_cfg(**change: Any) -> dict[str, Any]:
+    """The cfg as a dict of its own; keyword arguments replace top keys."""
+    return copy.deepcopy(_CFG) | change
+
+
+def write_cfg(folder: Path, cfg: dict[str, Any] | None = None, name: str = "small.json") -> Path:
+    """Writes a cfg (default: the small one) into a folder."""
+    path = folder / name
+    path.write_text(json.dumps(small_cfg() if cfg is None else cfg, indent=1), encoding="utf-8")
+    return path
