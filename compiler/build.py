@@ -69,7 +69,9 @@ def build(plan: Plan, log: BuildLog) -> Scene:
             scatters.append(_rocks(rocks, terrain, log))
     with log.timed("light"):
         sun = plan.sun if color else None
-        sky = build_sky(plan.sky, plan.sun, plan.samples) if plan.sky and color else None
+        sky = None
+        if plan.sky is not None and color:
+            sky, log.facts["sky"] = build_sky(plan.sky, plan.sun, plan.samples)
         irradiance = sky_irradiance(sky, plan.samples) + _sun_irradiance(plan.sun, plan.samples)
     with log.timed("cameras"):
         rigs = build_rigs(plan.rigs, terrain, irradiance if color else None)

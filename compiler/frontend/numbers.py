@@ -111,7 +111,9 @@ def _from_uniforms(number: Distribution, u: NDArray[np.float64]) -> NDArray[np.f
         values = np.full(u.shape, number.mean)
     else:
         below, above = (low - number.mean) / number.std, (high - number.mean) / number.std
-        values = number.mean + number.std * normal.truncated(u, below, above)
+        # A std near the largest double overflows to infinity, which the bounds then cut.
+        with np.errstate(over="ignore"):
+            values = number.mean + number.std * normal.truncated(u, below, above)
     if number.integer:
         values, low, high = np.floor(values + 0.5), np.ceil(low), np.floor(high)
     return np.minimum(np.maximum(values, low), high)

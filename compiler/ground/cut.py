@@ -160,7 +160,7 @@ def _snap(points: NDArray, edges: NDArray, fraction: NDArray, sign: NDArray) -> 
     to_high = fraction > 1.0 - SNAP
     sign[edges[to_low, 0]] = 0
     sign[edges[to_high, 1]] = 0
-    length = np.sqrt(((points[edges[:, 1], :2] - points[edges[:, 0], :2]) ** 2).sum(axis=1))
+    length = _lengths(points[edges[:, 1], :2] - points[edges[:, 0], :2])
     moved = np.where(to_low, fraction, np.where(to_high, 1.0 - fraction, 0.0)) * length
     return float(moved.max(initial=0.0))
 
@@ -242,7 +242,7 @@ def _chord_error(points: NDArray, segments: NDArray, field: Field) -> tuple[floa
     if not len(segments):
         return 0.0, 0.0, 0.0
     a, b = points[segments[:, 0], :2], points[segments[:, 1], :2]
-    length = np.sqrt(((b - a) ** 2).sum(axis=1))
+    length = _lengths(b - a)
     x, y = np.ascontiguousarray(0.5 * (a + b).T)
     step = 0.05 * float(length.max())
     value = field(x, y)
@@ -252,3 +252,7 @@ def _chord_error(points: NDArray, segments: NDArray, field: Field) -> tuple[floa
     # Where the field is flat, first order says nothing: a segment is no further off than its length.
     error = np.minimum(np.abs(value) / np.maximum(slope, 1e-300), length)
     return float(length.sum()), float(error.max()), float(np.sqrt((error * error).mean()))
+
+
+def _lengths(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.sqrt((vectors * vectors).sum(axis=1))

@@ -42,7 +42,8 @@ def horizontal_irradiance(picture: NDArray) -> NDArray[np.float64]:
     """
     h, w = picture.shape[:2]
     edge = elementary.sin_array(0.5 * elementary.PI * np.minimum(np.arange(h + 1) / (0.5 * h), 1.0))
-    projected = 0.5 * (edge[1:] ** 2 - edge[:-1] ** 2) * (2.0 * elementary.PI / w)
+    squared = edge * edge
+    projected = 0.5 * (squared[1:] - squared[:-1]) * (2.0 * elementary.PI / w)
     rows = picture.astype(np.float64).sum(axis=1)
     return (rows * projected[:, None]).sum(axis=0)
 
@@ -69,6 +70,6 @@ def read_picture(file: Path) -> NDArray[np.float32]:
             f"{file.name}: not an OpenEXR picture with channels R, G, B ({error})"
         ) from error
     picture = np.stack(planes, axis=-1).astype(np.float32)
-    if not np.isfinite(picture).all() or picture.min() < 0.0:
-        raise SceneError(f"{file.name}: radiance must be finite and not negative")
+    if not np.isfinite(picture).all():
+        raise SceneError(f"{file.name}: holds radiances that are NaN or infinite")
     return picture

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 from zipfile import BadZipFile
+from zlib import error as ZlibError
 
 import numpy as np
 from numba import njit, prange
@@ -14,6 +15,9 @@ from numpy.typing import NDArray
 
 from scenec.compiler.terrain.grid import Grid
 from scenec.schemas.errors import SceneError
+
+#: What NumPy raises for files that are none of its own, or broken ones.
+_BROKEN = (OSError, ValueError, EOFError, BadZipFile, ZlibError, NotImplementedError, MemoryError)
 
 
 @dataclass(frozen=True)
@@ -27,7 +31,7 @@ class Dem:
         array: Member of an ``.npz``; None takes the only two-dimensional one.
         pixel_m: Size that a pixel gets, in x and y, metres.
         height_scale: Factor on the file's heights.
-        height_offset_m: Added after scaling, metres.
+        height_offset_m: Added after scaling, metres; None puts the mean at 0.
         first_row: Whether the file's first row is the northern or the southern one.
         center: Fraction of the DEM's width and height that lies at the terrain's center.
         nodata: Value that marks holes, besides NaN and what the file itself declares.
@@ -38,7 +42,7 @@ class Dem:
     array: str | None
     pixel_m: tuple[float, float]
     height_scale: float
-    height_offset_m: float
+    height_offset_m: float | None
     first_row: Literal["north", "south"]
     center: tuple[float, float]
     nodata: float | None
@@ -74,7 +78,11 @@ class Dem:
                     )
         _refuse_holes(self.file, holes, u, v)
         base = _bicubic(np.ascontiguousarray(samples), u, v) * self.height_scale
-        return height + base + self.height_offset_m, {"pixels_used": _used(u, v, samples.shape)}
+        offset = -float(base.mean()) if self.height_offset_m is None else self.height_offset_m
+        return height + (base + offset), {
+            "height_offset_m": offset,
+            "pixels_used": _used(u, v, samples.shape),
+        }
 
 
 def read_dem(file: Path, array: str | None) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
@@ -111,13 +119,13 @@ def read_dem(file: Path, array: str | None) -> tuple[NDArray[np.float64], NDArra
 def _read_numpy(file: Path, array: str | None) -> NDArray[Any]:
     try:
         loaded = np.load(io.BytesIO(file.read_bytes()), allow_pickle=False)
-    except (OSError, ValueError, EOFError, BadZipFile) as error:
+    except _BROKEN as error:
         raise SceneError(f"{file.name}: not a NumPy file: {error}") from error
     if isinstance(loaded, np.ndarray):
         return loaded
     try:
         members = {name: loaded[name] for name in loaded.files}
-    except (OSError, ValueError, EOFError, BadZipFile) as error:
+    except _BROKEN as error:
         raise SceneError(f"{file.name}: a broken NumPy file: {error}") from error
     if array is not None:
         if array not in members:

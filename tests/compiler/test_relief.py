@@ -138,6 +138,7 @@ def test_scale_and_offset_act_in_metres(tmp_path):
     grid = Grid.with_spacing((9.0, 9.0), 1.0)
     scaled = apply(replace(dem, height_scale=0.5, height_offset_m=2.0), grid)
     assert np.allclose(scaled, 0.5 * apply(dem, grid) + 2.0)
+    assert apply(replace(dem, height_offset_m=None), grid).mean() == pytest.approx(0.0, abs=1e-12)
 
 
 def test_a_dem_of_one_row_is_constant_across(tmp_path):
