@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.schemas.errors import FrameError, OutputError
-from scenec.backends.storage import write_atomically
+from scenec.schemas.files import atomic
 
 _FIXED_CHANNELS: dict[str, tuple[str, ...]] = {
     "rgb": ("R", "G", "B"),
@@ -86,14 +86,11 @@ def write_exr(path: Path, passes: Mapping[str, NDArray]) -> None:
         }
         parts.append(OpenEXR.Part(header, data, name=name))
 
-    def save(temporary: Path) -> None:
-        OpenEXR.File(parts).write(str(temporary))
-
-    try:
-        write_atomically(path, save)
-    except (OSError, RuntimeError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise OutputError(f"{path}: cannot write the frame: {reason}") from error
+    with atomic(path) as temporary:
+        try:
+            OpenEXR.File(parts).write(str(temporary))
+        except RuntimeError as error:
+            raise OutputError(f"{path}: cannot be written: {error}") from error
 
 
 def read_exr(path: Path) -> dict[str, NDArray]:

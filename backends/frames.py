@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 from scenec.backends import picture
 from scenec.backends.exr import read_exr, write_exr
 from scenec.backends.render_scene import Camera, RenderScene
-from scenec.backends.storage import write_atomically
 from scenec.schemas.errors import FrameError, OutputError
+from scenec.schemas.files import sha256, write_json
 
 #: Version of the sidecar's shape.
 FRAME_VERSION = "1.0"
@@ -80,9 +80,8 @@ class FrameKey:
 
     def digest(self) -> str:
         """The resume key: sha256, hex."""
-        values = [FRAME_VERSION, self.stage_digest, list(self.passes), self.spp, self.noise_seed,
-                  self.backend, self.backend_version]  # fmt: skip
-        return hashlib.sha256(json.dumps(values).encode()).hexdigest()
+        values = {"frame": FRAME_VERSION, "scenec": version("scenec"), **asdict(self)}
+        return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
 
 
 def frame_stem(folder: Path, backend: str, camera: str, sample: int) -> Path:
@@ -160,16 +159,11 @@ def write_frame(
         "noise_seed": key.noise_seed,
         "stage_digest": key.stage_digest,
         "resume_key": key.digest(),
-        "exr": {"bytes": exr.stat().st_size, "sha256": _sha256(exr)},
+        "exr": {"bytes": exr.stat().st_size, "sha256": sha256(exr)},
         "png": "rgb" in passes,
         **details,
     }
-    text = json.dumps(plain(sidecar), indent=2, allow_nan=False, ensure_ascii=False) + "\n"
-    path = stem.with_suffix(".json")
-    try:
-        write_atomically(path, lambda temporary: _write_text(temporary, text))
-    except OSError as error:
-        raise OutputError(f"{path}: cannot write the sidecar: {error.strerror}") from error
+    write_json(stem.with_suffix(".json"), plain(sidecar))
 
 
 def read_frame(path: Path, passes: Sequence[str] | None = None) -> Frame:
@@ -195,7 +189,7 @@ def read_frame(path: Path, passes: Sequence[str] | None = None) -> Frame:
         raise FrameError(f"{json_path}: not a sidecar of scenec")
     if not exr_path.is_file():
         raise FrameError(f"{exr_path}: missing, though its sidecar is there; render it again")
-    if _sha256(exr_path) != sidecar["exr"].get("sha256"):
+    if sha256(exr_path) != sidecar["exr"].get("sha256"):
         raise FrameError(
             f"{exr_path}: truncated, damaged or changed since it was written (its checksum is not "
             "the sidecar's); render it again"
@@ -211,29 +205,16 @@ def read_frame(path: Path, passes: Sequence[str] | None = None) -> Frame:
 
 
 def plain(value: Any) -> Any:
-    """JSON values: arrays and NumPy scalars as numbers, what is not finite as null."""
+    """The same in plain Python types, as JSON has them: arrays as lists, paths as text."""
     if isinstance(value, Mapping):
         return {str(k): plain(v) for k, v in value.items()}
-    if isinstance(value, np.ndarray):
+    if isinstance(value, np.ndarray | np.generic):
         return plain(value.tolist())
-    if isinstance(value, (list, tuple)):
+    if isinstance(value, list | tuple):
         return [plain(v) for v in value]
-    if isinstance(value, np.generic):
-        return plain(value.item())
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
     if isinstance(value, Path):
         return value.as_posix()
     return value
-
-
-def _sha256(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-def _write_text(path: Path, text: str) -> None:
-    path.write_text(text, encoding="utf-8", newline="\n")
 
 
 def _unlink(path: Path) -> None:

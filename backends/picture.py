@@ -7,16 +7,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.schemas.errors import OutputError
-from scenec.backends.storage import write_atomically
+from scenec.schemas.files import atomic
 
 #: The curve is linear below this and rolls off to 1 above it.
 SHOULDER = 0.6
 
 #: What sidecars say about the pictures beside them.
 DESCRIPTION = (
-    "x = radiance * 2**exposure_ev; t = x up to 0.6, 0.6 + 0.4 * (1 - exp(-(x - 0.6) / 0.4)) above; "
-    "sRGB transfer function (IEC 61966-2-1); rounded to 8 bits"
+    "x = radiance * 2**exposure_ev; t = x up to 0.6, "
+    "0.6 + 0.4 * (1 - exp(-(x - 0.6) / 0.4)) above; sRGB transfer function (IEC 61966-2-1); rounded to 8 bits"
 )
 
 
@@ -57,10 +56,5 @@ def write_png(path: Path, pixels: NDArray[np.uint8]) -> None:
     """
     from PIL import Image
 
-    def save(temporary: Path) -> None:
+    with atomic(path) as temporary:
         Image.fromarray(pixels).save(temporary, format="PNG")
-
-    try:
-        write_atomically(path, save)
-    except OSError as error:
-        raise OutputError(f"{path}: cannot write the picture: {error.strerror or error}") from error

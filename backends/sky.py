@@ -91,10 +91,7 @@ def load_picture(path: Path) -> NDArray[np.float32]:
     Raises:
         StageError: The file is missing or is not a picture of these kinds.
     """
-    if path.suffix.lower() == ".exr":
-        picture = _load_exr(path)
-    else:
-        picture = _load_srgb(path)
+    picture = _load_exr(path) if path.suffix.lower() == ".exr" else _load_srgb(path)
     if not np.all(np.isfinite(picture)) or np.any(picture < 0):
         raise StageError(f"{path}: a sky picture must be finite and not negative")
     picture.setflags(write=False)

@@ -76,8 +76,7 @@ def _errors(report: dict[str, Any], seconds: dict[str, float]) -> str:
                 cost(f"objects/{name}"),
             ]
         )
-    for name in ("light", "cameras", "emit"):
-        rows.append([name, "", cost(name)])
+    rows.extend([name, "", cost(name)] for name in ("light", "cameras", "emit"))
     return table(rows, ["pass", "error", "seconds"])
 
 

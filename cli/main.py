@@ -9,7 +9,7 @@ import sys
 from collections.abc import Sequence
 
 from scenec.cli.arguments import add_batches, add_json, add_render_options, seed
-from scenec.schemas.errors import ScenecError
+from scenec.schemas.errors import CfgError, ScenecError
 
 EXIT_FAILED = 1
 EXIT_BAD_INPUT = 2
@@ -31,7 +31,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         status: int = command.run(options)
         sys.stdout.flush()
     except ScenecError as error:
-        print(f"scenec: {error}" if "\n" not in str(error) else str(error), file=sys.stderr)
+        text = str(error)
+        print(text if isinstance(error, CfgError) else f"scenec: {text}", file=sys.stderr)
         return EXIT_BAD_INPUT
     except KeyboardInterrupt:
         print("scenec: interrupted", file=sys.stderr)
@@ -47,8 +48,8 @@ def parser() -> argparse.ArgumentParser:
     """The parser of all commands."""
     top = argparse.ArgumentParser(
         prog="scenec",
-        description="A deterministic procedural scene compiler: a cfg and a seed become USD stages, "
-        "and renderers turn those into pictures with exact annotation.",
+        description="A deterministic procedural scene compiler: a cfg and a seed become USD "
+        "stages, and renderers turn those into pictures with exact annotation.",
         epilog="'scenec COMMAND --help' tells more. Documentation: docs/ and README.md.",
     )
     top.add_argument("--version", action=_Version, help="print the version and leave")

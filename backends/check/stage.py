@@ -9,6 +9,7 @@ holds against it.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -107,7 +108,7 @@ def _mesh_topology(prim: Usd.Prim, table: LabelTable) -> Iterator[str]:
     if counts.size and counts.min() < 3:
         yield f"{int((counts < 3).sum())} faces have fewer than three vertices"
     if counts.sum() != indices.size:
-        yield f"faceVertexCounts add up to {int(counts.sum())}, faceVertexIndices are {indices.size}"
+        yield f"faceVertexCounts add up to {int(counts.sum())}, there are {indices.size} indices"
     if indices.size and (indices.min() < 0 or indices.max() >= len(points)):
         yield (
             f"faceVertexIndices go from {int(indices.min())} to {int(indices.max())}, there are "
@@ -133,7 +134,7 @@ def _mesh_labels(prim: Usd.Prim, table: LabelTable) -> Iterator[str]:
 
 
 def _vertex_primvars(prim: Usd.Prim, table: LabelTable) -> Iterator[str]:
-    """scenec's vertex primvars have one finite value a point; there is a weight for each merge."""
+    """Scenec's vertex primvars have one finite value a point; there is a weight for each merge."""
     count = len(UsdGeom.Mesh(prim).GetPointsAttr().Get() or ())
     wanted = [names.weight_primvar(i) for i in range(1, len(_targets(prim, names.REL_LAYERS)))]
     api = UsdGeom.PrimvarsAPI(prim)
@@ -262,7 +263,7 @@ def _id_ranges(stage: Usd.Stage) -> Iterator[Finding]:
                 first, last = int(base.Get() + ids.min()), int(base.Get() + ids.max())
                 ranges.append((first, last, str(prim.GetPath())))
     ranges.sort()
-    for (_, end, path), (start, _, other) in zip(ranges, ranges[1:], strict=False):
+    for (_, end, path), (start, _, other) in pairwise(ranges):
         if start <= end:
             message = f"its frame ids begin at {start}, but those of {path} go up to {end}"
             yield Finding("instance-ids", "error", other, message)

@@ -106,7 +106,7 @@ class Mitsuba:
         row = np.full(n, NO_ROW, np.int32)
         face = np.zeros(n, np.int32)
         for mesh, group in zip(self._meshes, self._groups, strict=True):
-            own = dr.reinterpret_array(mi.UInt32, mi.ShapePtr(mesh))[0]
+            own = int(np.array(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(mesh)))[0])
             index = np.flatnonzero(shapes == own)
             row[index], face[index] = group.locate(prims[index])
         del scene
@@ -189,9 +189,7 @@ class Mitsuba:
         u = pixel - v * camera.width
         # The whole column minus cx first: exact, where u + jitter would round the jitter.
         y = (mi.Float(v) - number(k[1, 2]) + jitter.y) * number(1.0 / k[1, 1])
-        x = (mi.Float(u) - number(k[0, 2]) + jitter.x - number(k[0, 1]) * y) * number(
-            1.0 / k[0, 0]
-        )
+        x = (mi.Float(u) - number(k[0, 2]) + jitter.x - number(k[0, 1]) * y) * number(1.0 / k[0, 0])
         axes = [mi.Vector3f(*(number(value) for value in pose[:3, i])) for i in range(3)]
         origin = mi.Point3f(*(number(value) for value in pose[:3, 3] - self._center))
         direction = dr.normalize(axes[0] * x + axes[1] * y + axes[2])
@@ -209,7 +207,9 @@ class Mitsuba:
         look = make_look(geometry.group_surfaces(scene, group), flat)
         props = mi.Properties()
         props["bsdf"] = mi.load_dict(look.bsdf)
-        mesh = mi.Mesh(f"mesh{index}", vertices, faces, props=props, has_vertex_normals=group.smooth)
+        mesh = mi.Mesh(
+            f"mesh{index}", vertices, faces, props=props, has_vertex_normals=group.smooth
+        )
         params = mi.traverse(mesh)
         params["vertex_positions"] = flat.points.ravel()
         params["faces"] = flat.faces.ravel()

@@ -28,7 +28,10 @@ FAR = 1e7
 def dome_dict(mi: Any, sky: Sky) -> dict[str, Any]:
     """A dome as Mitsuba's own emitter: ``envmap`` without flips, or ``constant``."""
     if sky.constant:
-        return {"type": "constant", "radiance": {"type": "rgb", "value": sky.picture[0, 0].tolist()}}
+        return {
+            "type": "constant",
+            "radiance": {"type": "rgb", "value": sky.picture[0, 0].tolist()},
+        }
     to_world = np.eye(4)
     to_world[:3, :3] = sky.to_world
     return {
@@ -57,7 +60,7 @@ def register(mi: Any) -> Any:
     """Define the emitter for the variant that is set and register it; returns its class."""
     import drjit as dr
 
-    class SkySun(mi.Emitter):  # type: ignore[misc,name-defined]
+    class SkySun(mi.Emitter):
         """See the module. Driven by ``set_lighting``; never by Mitsuba's own parameters."""
 
         def __init__(self, props: Any) -> None:
@@ -122,7 +125,9 @@ def register(mi: Any) -> Any:
             x = dr.select(to_sun, sample.x / fraction, (sample.x - fraction) / (1.0 - fraction))
             w, drawn = mi.Vector3f(0.0, 0.0, 1.0), mi.Int32(-1)
             if self.dome is not None:
-                w = mi.Vector3f(self.dome.sample_direction(it, mi.Point2f(x, sample.y), active)[0].d)
+                w = mi.Vector3f(
+                    self.dome.sample_direction(it, mi.Point2f(x, sample.y), active)[0].d
+                )
             if self.suns:
                 x *= len(self.suns)
                 chosen = dr.minimum(mi.Int32(x), len(self.suns) - 1)

@@ -126,9 +126,7 @@ def flatten(scene: RenderScene, group: Group, center: NDArray[np.float64]) -> Fl
                 own = np.zeros(len(mesh.points), np.float32)
             row_variation = scene.rows.variation[rows]
             for layer in range(len(surfaces)):
-                _place_colors(
-                    base[layer], amount[layer], own, row_variation, first, colors[layer]
-                )
+                _place_colors(base[layer], amount[layer], own, row_variation, first, colors[layer])
         for merge in range(len(surfaces) - 1):
             _place_scalars(mesh.weights[merge], first, weights[merge])
     return FlatMesh(points, faces, normals, np.clip(colors, 0.0, 1.0, dtype=np.float32), weights)

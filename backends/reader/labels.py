@@ -111,7 +111,7 @@ def _uniform_primvar(prim: Usd.Prim, level: str, face_count: int) -> NDArray[np.
     if primvar.GetInterpolation() != UsdGeom.Tokens.uniform or values.shape != (face_count,):
         raise StageError(
             f"{prim.GetPath()}: primvar {primvar.GetPrimvarName()} must be uniform with "
-            f"{face_count} values, one a face; it is {primvar.GetInterpolation()} with {values.size}"
+            f"{face_count} values, one a face; it has {values.size} ({primvar.GetInterpolation()})"
         )
     if values.size and values.min() < 0:
         raise StageError(f"{prim.GetPath()}: primvar {primvar.GetPrimvarName()}: a label below 0")

@@ -41,7 +41,11 @@ class MeshTable:
         """
         source = prim.GetPrimInPrototype() if prim.IsInstanceProxy() else prim
         bound = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial()[0]
-        key = (source.GetPath(), tuple(sorted(inherited.items())), str(bound.GetPath()))
+        key: tuple[object, ...] = (
+            source.GetPath(),
+            tuple(sorted(inherited.items())),
+            str(bound.GetPath()),
+        )
         if prim.IsInstanceProxy():
             # Labels can come from above an instance: only equal ones can share.
             key = (*key, tuple(sorted(prim_labels(prim, self.labels).items())))

@@ -25,10 +25,11 @@ from scenec.schemas.files import sha256
 def read_stage(path: Path | str) -> RenderScene:
     """Reads a stage of scenec's schema, or any other, into flat arrays.
 
-    Accepted of foreign stages: polygons (fan triangulation, with a map back), either handedness, Y or
-    Z up, any unit, nested instancers, native instances, mirrored and sheared transforms, visibility,
-    purpose, ``inactiveIds`` and ``invisibleIds``, UsdSemantics labels in place of label primvars,
-    UsdPreviewSurface constants in place of ours. Subdivision surfaces are taken as their cages.
+    Accepted of foreign stages: polygons (fan triangulation, with a map back), either handedness,
+    Y or Z up, any unit, nested instancers, native instances, mirrored and sheared transforms,
+    visibility, purpose, ``inactiveIds`` and ``invisibleIds``, UsdSemantics labels in place of label
+    primvars, UsdPreviewSurface constants in place of ours. Subdivision surfaces are taken as their
+    cages.
     Geometry is read at the first time code: animated meshes and transforms stand still.
 
     Args:
@@ -86,13 +87,14 @@ def _require_schema(stage: Usd.Stage, path: Path) -> None:
     major = version.split(".")[0]
     if not major.isdigit() or int(major) > int(names.SCHEMA_VERSION.split(".")[0]):
         raise StageError(
-            f"{path}: its schema version is {version}; this scenec reads up to {names.SCHEMA_VERSION}"
+            f"{path}: its schema version is {version}; this scenec reads {names.SCHEMA_VERSION}"
         )
 
 
 def _time_codes(stage: Usd.Stage) -> list[Usd.TimeCode]:
     if not stage.HasAuthoredTimeCodeRange():
-        return [Usd.TimeCode.Default()]
+        # The first sample of whatever is animated, the default of all else.
+        return [Usd.TimeCode.EarliestTime()]
     first, last = stage.GetStartTimeCode(), stage.GetEndTimeCode()
     count = int(np.floor(last - first)) + 1
     if count < 1:

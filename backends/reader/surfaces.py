@@ -76,7 +76,7 @@ def _vertex_floats(prim: Usd.Prim, name: str, count: int) -> NDArray[np.float32]
 
 
 def bound_surface(prim: Usd.Prim) -> Surface:
-    """The surface of the material bound to a prim; without one, a diffuse one of its displayColor."""
+    """The surface of the bound material; without one, a diffuse one of displayColor."""
     material, _ = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial()
     if material:
         return surface_of(material, _display_color(prim))
@@ -97,8 +97,9 @@ def surface_of(
 ) -> Surface:
     """The shared surface model's numbers of a material.
 
-    Ours stand in ``scenec:surface:*``. From a foreign UsdPreviewSurface the constants of diffuseColor,
-    roughness and the reflectance at normal incidence are taken; textures and metals are not.
+    Ours stand in ``scenec:surface:*``. From a foreign UsdPreviewSurface the constants of
+    diffuseColor, roughness and the reflectance at normal incidence are taken; textures and metals
+    are not.
 
     Args:
         material: The material.

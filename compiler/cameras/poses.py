@@ -54,7 +54,7 @@ def from_quaternion(
 
 
 def from_euler(position: tuple[float, ...], degrees: tuple[float, ...]) -> NDArray[np.float64]:
-    """Matrix that turns about x, then y, then z (fixed axes), then moves to ``position``, [4, 4]."""
+    """Matrix that turns about x, y, z in turn (fixed axes), then moves to ``position``, [4, 4]."""
     matrix = np.eye(4)
     for axis, angle in enumerate(degrees):
         c = elementary.cos(angle * elementary.PI / 180.0)

@@ -56,7 +56,9 @@ def _named(scene: Scene, labels: Labels) -> dict[str, str]:
     """Label names per level, for the levels that the stage has."""
     found = {}
     for level, table in scene.label_table.items():
-        found.update({level: name for name, i in table.items() if i == labels.get(level)})
+        by_id = {number: name for name, number in table.items()}
+        if labels.get(level) in by_id:
+            found[level] = by_id[labels[level]]
     return found
 
 

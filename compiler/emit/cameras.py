@@ -92,11 +92,10 @@ def _write_product(
     product = UsdRender.Product.Define(stage, path)
     product.CreateResolutionAttr(Gf.Vec2i(*sensor.resolution))
     product.CreateCameraRel().SetTargets([camera.GetPath()])
-    targets = []
+    targets: list[Sdf.Path] = []
     for output in sensor.outputs:
         levels = list(scene.label_table) if output == "label" else [None]
-        for level in levels:
-            targets.append(_write_var(stage, output, level))
+        targets.extend(_write_var(stage, output, level) for level in levels)
     product.CreateOrderedVarsRel().SetTargets(targets)
     return product.GetPath()
 

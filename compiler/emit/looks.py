@@ -22,8 +22,8 @@ def write_look(path: Path, name: str, material: Material) -> None:
     """Writes ``looks/<material>.usda``.
 
     The numbers of the shared surface model stand as ``scenec:surface:*``, which backends read. The
-    UsdPreviewSurface is derived from them: it shows displayColor, where the merges of the ground are
-    already blended, with the GGX lobe as its specular color.
+    UsdPreviewSurface is derived from them: it shows displayColor, where the merges of the ground
+    are already blended, with the GGX lobe as its specular color.
     """
     with new_layer(path) as stage:
         UsdGeom.Scope.Define(stage, LOOKS)

@@ -156,6 +156,6 @@ def write_vertex_floats(
 
 
 def write_display_color(prim: Usd.Prim, color: NDArray[np.float64]) -> None:
-    """displayColor at the vertices, which the looks' preview surfaces show."""
+    """DisplayColor at the vertices, which the looks' preview surfaces show."""
     primvar = UsdGeom.Gprim(prim).CreateDisplayColorPrimvar(UsdGeom.Tokens.vertex)
     primvar.Set(Vt.Vec3fArray.FromNumpy(color.astype(np.float32)))

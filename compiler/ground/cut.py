@@ -32,7 +32,7 @@ class CutMesh:
         points: float64 [n, 3], metres.
         faces: int32 [m, 3], counter-clockwise from above.
         parents: Ends of the edge a vertex was cut from, int32 [n, 2]; (i, i) for a grid vertex i.
-        fraction: Place of a cut vertex on its edge, from parents[:, 0] to parents[:, 1], float64 [n].
+        fraction: Place of a cut vertex on its edge: 0 at parents[:, 0], 1 at the other, [n].
         cell: Grid cell that a face lies in, int32 [m].
         above: For each field so far, whether the face lies on its side >= 0, bool [k, m].
     """
@@ -249,7 +249,7 @@ def _chord_error(points: NDArray, segments: NDArray, field: Field) -> tuple[floa
     gx = (field(x + step, y) - field(x - step, y)) / (2.0 * step)
     gy = (field(x, y + step) - field(x, y - step)) / (2.0 * step)
     slope = np.sqrt(gx * gx + gy * gy)
-    # Where the field is flat, first order says nothing: a segment is no further off than its length.
+    # Where the field is flat, first order says nothing: a segment is off by its length at most.
     error = np.minimum(np.abs(value) / np.maximum(slope, 1e-300), length)
     return float(length.sum()), float(error.max()), float(np.sqrt((error * error).mean()))
 

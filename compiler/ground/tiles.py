@@ -32,7 +32,7 @@ def build_tiles(
     Args:
         field: Heights.
         merges: From the first merge up; empty for one material.
-        variation_key: Noise key of the albedo variation; None leaves it out (no color is asked for).
+        variation_key: Noise key of the albedo variation; None leaves color out.
         cut_labels: False where no output shows labels: the mesh then stays whole.
 
     Returns:
@@ -91,9 +91,9 @@ def _side_error_bound(side: NDArray[np.float64]) -> float:
     """Bound on |side| at points whose label differs from the merge function's.
 
     A label is wrong only where linear interpolation over a cell changes the sign, or where a
-    crossing was snapped. The first error is at most (|g_xx| h^2 + 2 |g_xy| h^2 + |g_yy| h^2) / 8, with
-    the second derivatives taken from differences on the grid; the second is SNAP of the largest
-    difference along an edge.
+    crossing was snapped. The first error is at most (|g_xx| h^2 + 2 |g_xy| h^2 + |g_yy| h^2) / 8,
+    with the second derivatives taken from differences on the grid; the second is SNAP of the
+    largest difference along an edge.
 
     Args:
         side: Signed field at the grid's samples, float64 [ny, nx].

@@ -58,7 +58,7 @@ def _image_sky(plan: ImageSkyPlan) -> tuple[SkyLight, dict[str, Any]]:
 
 
 def _clear_sky(plan: ClearSkyPlan, sun: SunLight | None, samples: int) -> SkyLight:
-    pictures: dict[str, NDArray[np.float32] | Path] = {}
+    pictures: dict[str, NDArray[np.float32]] = {}
     texture = []
     for i in range(samples):
         picture = clear_sky(
@@ -73,7 +73,7 @@ def _clear_sky(plan: ClearSkyPlan, sun: SunLight | None, samples: int) -> SkyLig
         name = same[0] if same else f"sky_{i:04d}.exr"
         pictures[name] = picture
         texture.append(name)
-    return SkyLight(pictures, tuple(texture), np.ones(samples), np.zeros(samples))
+    return SkyLight({**pictures}, tuple(texture), np.ones(samples), np.zeros(samples))
 
 
 def sun_direction(sun: SunLight, sample: int) -> tuple[float, float, float]:

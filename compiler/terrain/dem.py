@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import io
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 from zipfile import BadZipFile
-from zlib import error as ZlibError
 
 import numpy as np
 from numba import njit, prange
@@ -17,7 +17,7 @@ from scenec.compiler.terrain.grid import Grid
 from scenec.schemas.errors import SceneError
 
 #: What NumPy raises for files that are none of its own, or broken ones.
-_BROKEN = (OSError, ValueError, EOFError, BadZipFile, ZlibError, NotImplementedError, MemoryError)
+_BROKEN = (OSError, ValueError, EOFError, BadZipFile, zlib.error, NotImplementedError, MemoryError)
 
 
 @dataclass(frozen=True)

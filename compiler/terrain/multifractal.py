@@ -23,8 +23,8 @@ class Multifractal:
     With octaves n_o of Perlin noise and weights g_o = gain**o:
 
     - ``fbm``: sum of g_o n_o;
-    - ``hetero``: v = offset + n_0, then v += g_o (n_o + offset) v: rough where it is high, smooth in
-      the valleys; centered and scaled so that the first octave keeps its amplitude;
+    - ``hetero``: v = offset + n_0, then v += g_o (n_o + offset) v: rough where it is high, smooth
+      in the valleys; centered and scaled so that the first octave keeps its amplitude;
     - ``ridged``: sum of g_o (offset - |n_o|)^2, each octave weighted by the one before, centered.
 
     Octaves finer than two grid spacings cannot be represented and are left out (reported).

@@ -19,7 +19,7 @@ class Smooth:
 
     dh/dt = kappa * laplacian(h) until the heat kernel has the standard deviation ``length_m``
     (kappa * t = length_m**2 / 2). The semi-discrete problem (5-point Laplacian) is solved exactly:
-    the DCT-II diagonalizes it, and each mode decays by exp(-kappa * t * (2 - 2 cos(pi k / N)) / dx^2)
+    the DCT-II diagonalizes it, and mode k decays by exp(-kappa * t * (2 - 2 cos(pi k / N)) / dx^2)
     (Strang 1999). So the mean is kept, no new extrema appear, and there is no step limit; against
     continuous diffusion the error is second order in the spacing.
 

@@ -16,7 +16,7 @@ from small import small_cfg, write_cfg
 from scenec.backends.check.files import check_files, read_manifest
 from scenec.backends.check.stage import check_stage
 from scenec.compiler.compile import compile_cfg
-from scenec.schemas.errors import CfgError, OutputError, SceneError, ScenecError
+from scenec.schemas.errors import CfgError, OutputError, ScenecError, SceneError
 
 _COMPILE = """
 import sys

@@ -160,7 +160,7 @@ def test_a_dem_of_one_row_is_constant_across(tmp_path):
 )
 def test_a_bad_dem_is_refused_with_its_reason(tmp_path, samples, change, words):
     dem = replace(save_dem(tmp_path / "bad.npz", samples), **change)
-    with pytest.raises(SceneError, match="bad.npz.*") as caught:
+    with pytest.raises(SceneError, match="bad") as caught:
         apply(dem, Grid.with_spacing((8.0, 8.0), 1.0))
     assert words in str(caught.value)
 

@@ -1,0 +1,73 @@
+"""Backends by name: ours, and those of third parties through entry points.
+
+A package adds one with an entry point in the group ``scenec.backends``: its name is the backend's,
+its value the class, which takes no arguments and implements ``contract.Backend``. Nothing is
+imported before it is asked for.
+"""
+
+from __future__ import annotations
+
+import difflib
+import importlib
+from collections.abc import Callable
+from importlib.metadata import EntryPoint, entry_points
+
+from scenec.backends.contract import Backend
+from scenec.schemas.errors import BackendError
+
+GROUP = "scenec.backends"
+
+#: Name -> (module:class, extra of the package that brings what it needs).
+BUILT_IN: dict[str, tuple[str, str | None]] = {
+    "mitsuba": ("scenec.backends.mitsuba:Mitsuba", "mitsuba"),
+    "reference": ("scenec.backends.reference:Reference", None),
+}
+
+
+def backend_names() -> tuple[str, ...]:
+    """Names of all backends that could be asked for, installed or not; ours first."""
+    others = sorted({point.name for point in _points()} - BUILT_IN.keys())
+    return (*BUILT_IN, *others)
+
+
+def require_name(name: str) -> None:
+    """Check a name without importing anything.
+
+    Raises:
+        BackendError: There is no such backend; says the nearest name.
+    """
+    names = backend_names()
+    if name not in names:
+        near = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
+        hint = f"did you mean {near[0]!r}? " if near else ""
+        raise BackendError(f"no backend {name!r}: {hint}there are {', '.join(names)}")
+
+
+def open_backend(name: str) -> Backend:
+    """Import a backend and make one.
+
+    Raises:
+        BackendError: No such backend, not installed (says what to install), or it cannot start.
+    """
+    require_name(name)
+    if name in BUILT_IN:
+        target, extra = BUILT_IN[name]
+        mend = f"pip install 'scenec[{extra}]'" if extra else "pip install --force-reinstall scenec"
+        module, _, attribute = target.partition(":")
+        return _make(name, lambda: getattr(importlib.import_module(module), attribute), mend)
+    point = next(point for point in _points() if point.name == name)
+    package = point.dist.name if point.dist else name
+    return _make(name, point.load, f"pip install --force-reinstall {package}")
+
+
+def _make(name: str, load: Callable[[], Callable[[], Backend]], mend: str) -> Backend:
+    try:
+        return load()()
+    except (ImportError, AttributeError) as error:
+        raise BackendError(
+            f"backend {name} cannot be imported ({error}). Mend it with: {mend}"
+        ) from error
+
+
+def _points() -> list[EntryPoint]:
+    return list(entry_points(group=GROUP))

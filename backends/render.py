@@ -1,0 +1,235 @@
+"""Render what was compiled: every batch, camera and sample, each once."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+from scenec.backends.check.files import read_manifest
+from scenec.backends.frames import FrameKey, frame_stem, is_done
+from scenec.backends.pool import WorkerProcess
+from scenec.backends.registry import require_name
+from scenec.schemas.errors import BackendError, StageError
+
+#: Endings of a path that is a stage itself.
+STAGE_SUFFIXES = (".usda", ".usdc", ".usd", ".usdz")
+
+#: ``progress(done, total, text)``, called after each frame.
+Progress = Callable[[int, int, str], None]
+
+
+@dataclass
+class RenderReport:
+    """What came of a render.
+
+    Attributes:
+        frames: Paths of all sidecars asked for, without suffix ``.json``, in order.
+        rendered: Frames made now.
+        skipped: Frames that were there already, made with the same key.
+        deaths: Worker processes that died and were replaced.
+        seconds: Per step (open, load, radiance, compose, visibility, resolve, write), summed.
+        warnings: Lines a user should see, each once.
+    """
+
+    frames: list[Path] = field(default_factory=list)
+    rendered: int = 0
+    skipped: int = 0
+    deaths: int = 0
+    seconds: dict[str, float] = field(default_factory=dict)
+    warnings: list[str] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class Batch:
+    """A stage to render and the folder its frames go to (below ``frames/``)."""
+
+    name: str
+    stage: Path
+    folder: Path
+
+
+def render(
+    out: Path | str,
+    backend: str,
+    *,
+    spp: int = 64,
+    passes: Sequence[str] | None = None,
+    samples: range | None = None,
+    batches: range | None = None,
+    noise_seed: int = 0,
+    progress: Progress | None = None,
+    warn: Callable[[str], None] | None = None,
+) -> RenderReport:
+    """Render to ``<batch>/frames/<backend>/<camera>/<sample>.{exr,png,json}``.
+
+    Frames that are there and were made from the same stage with the same passes, samples per pixel,
+    noise seed and backend are not made again.
+
+    Args:
+        out: Output folder of a compile, or a USD file (its frames go beside it).
+        backend: Name, see ``registry``.
+        spp: Samples per pixel of ``rgb``.
+        passes: ``rgb``, ``depth``, ``range``, ``label`` (all levels) or ``label.<level>``,
+            ``instance``, ``normal``, ``position``, ``face``; None takes the stage's own choice.
+        samples: Only these time codes.
+        batches: Only these batches.
+        noise_seed: Renderings with different ones have independent noise.
+        progress: Called after each frame.
+        warn: Called with lines worth showing at once.
+
+    Raises:
+        StageError: Nothing to render, or a stage that cannot be read.
+        BackendError: The backend is not there, or failed on a frame for good.
+        OutputError: No manifest, or a frame cannot be written.
+    """
+    require_name(backend)
+    if spp < 1:
+        raise BackendError(f"samples per pixel must be at least 1, not {spp}")
+    report = RenderReport()
+
+    def note(line: str) -> None:
+        if line not in report.warnings:
+            report.warnings.append(line)
+            if warn:
+                warn(line)
+
+    chosen = find_batches(Path(out), batches)
+    for number, batch in enumerate(chosen):
+        # A process per batch: memory goes back, whatever the renderer keeps.
+        with WorkerProcess(on_death=note) as worker:
+            jobs = _Jobs(batch, backend, spp, passes, samples, noise_seed)
+            opened = jobs.open(worker)
+            if opened["warning"]:
+                note(opened["warning"])
+            for index, job in enumerate(jobs):
+                report.frames.append(job.stem)
+                if is_done(job.stem, jobs.key):
+                    report.skipped += 1
+                    text = f"{job.what}: there already"
+                else:
+                    answer = worker.ask(job.request, job.what)
+                    report.rendered += 1
+                    for step, seconds in answer["seconds"].items():
+                        report.seconds[step] = report.seconds.get(step, 0.0) + seconds
+                    text = f"{job.what}: {describe(answer)}"
+                if progress:
+                    before = number * jobs.count
+                    progress(before + index + 1, len(chosen) * jobs.count, text)
+            report.deaths += worker.deaths
+    if not report.frames:
+        raise StageError(f"{out}: no frame to render: no camera, or no sample in the range asked")
+    return report
+
+
+def find_batches(out: Path, batches: range | None = None) -> list[Batch]:
+    """The stages of an output folder, or the one stage of a USD file.
+
+    Raises:
+        OutputError: No manifest.
+        StageError: None of the batches asked for is there.
+    """
+    if out.suffix.lower() in STAGE_SUFFIXES and not out.is_dir():
+        if not out.is_file():
+            raise StageError(f"{out}: no such file")
+        return [Batch(out.stem, out, out.parent)]
+    entries: list[dict[str, Any]] = read_manifest(out)["batches"]
+    found = [
+        Batch(str(entry["path"]), out / entry["stage"], out / entry["path"])
+        for i, entry in enumerate(entries)
+        if batches is None or entry.get("index", i) in batches
+    ]
+    if not found:
+        raise StageError(f"{out}: holds none of the batches asked for (it has {len(entries)})")
+    return found
+
+
+def frame_seed(noise_seed: int, batch: str, camera: str, sample: int) -> int:
+    """Seed of one frame's noise, 32 bits: no two frames share their noise."""
+    text = f"{noise_seed}/{batch}/{camera}/{sample}"
+    return int.from_bytes(hashlib.blake2b(text.encode(), digest_size=4).digest(), "little")
+
+
+def describe(answer: dict[str, Any]) -> str:
+    """One line about a frame: seconds by step, and how far ``rgb`` is from converged."""
+    seconds = answer["seconds"]
+    parts = [f"{sum(seconds.values()):.2f} s"]
+    parts += [f"{step} {value:.2f}" for step, value in seconds.items() if value >= 0.005]
+    if answer.get("estimated_error"):
+        parts.append(f"error {100 * answer['estimated_error']['relative_rms']:.1f} %")
+    return ", ".join(parts)
+
+
+@dataclass(frozen=True)
+class _Job:
+    stem: Path
+    what: str
+    request: dict[str, Any]
+
+
+class _Jobs:
+    """The frames of one batch, once its stage has been opened."""
+
+    def __init__(
+        self,
+        batch: Batch,
+        backend: str,
+        spp: int,
+        passes: Sequence[str] | None,
+        samples: range | None,
+        noise_seed: int,
+    ) -> None:
+        self._batch = batch
+        self._backend = backend
+        self._spp = spp
+        self._passes = passes
+        self._wanted = samples
+        self._noise_seed = noise_seed
+        self._places: list[tuple[int, int, str]] = []
+
+    @property
+    def count(self) -> int:
+        return len(self._places)
+
+    def open(self, worker: WorkerProcess) -> dict[str, Any]:
+        opened = worker.open(
+            {
+                "op": "open",
+                "stage": str(self._batch.stage.resolve()),
+                "backend": self._backend,
+                "passes": None if self._passes is None else list(self._passes),
+            }
+        )
+        self.key = FrameKey(
+            stage_digest=opened["digest"],
+            passes=tuple(opened["passes"]),
+            spp=self._spp if "rgb" in opened["passes"] else 0,
+            noise_seed=self._noise_seed if "rgb" in opened["passes"] else 0,
+            backend=self._backend,
+            backend_version=opened["version"],
+        )
+        if not self.key.passes:
+            raise StageError(f"{self._batch.stage}: no passes asked for, and none in the stage")
+        wanted = range(opened["samples"]) if self._wanted is None else self._wanted
+        self._places = [
+            (sample, index, camera)
+            for sample in wanted
+            if 0 <= sample < opened["samples"]
+            for index, camera in enumerate(opened["cameras"][sample])
+        ]
+        return opened
+
+    def __iter__(self) -> Iterator[_Job]:
+        for sample, index, camera in self._places:
+            stem = frame_stem(self._batch.folder, self._backend, camera, sample)
+            request = {
+                "op": "render",
+                "stem": str(stem.resolve()),
+                "camera": index,
+                "sample": sample,
+                "key": asdict(self.key),
+                "seed": frame_seed(self._noise_seed, self._batch.name, camera, sample),
+            }
+            yield _Job(stem, f"{self._batch.name}/{camera}/{sample:06d}", request)

@@ -1,0 +1,130 @@
+"""A backend in a process of its own: ``python -m scenec.backends.worker``.
+
+One JSON document a line: requests on standard input, one answer to each on standard output.
+
+    {"op": "open", "stage": PATH, "backend": NAME}
+    {"op": "render", "stem": PATH, "camera": INDEX, "sample": N, "key": {...}, "seed": N}
+    {"op": "probe", "backend": NAME}
+    {"op": "quit"}
+
+Answers are ``{"ok": true, ...}`` or ``{"ok": false, "error": CLASS, "message": TEXT}`` for the
+errors a user can meet. Anything else ends the process; the parent (``scenec.backends.pool``) sees
+that, and starts another. The process ends when standard input does: with its parent.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import queue
+import signal
+import sys
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TextIO
+
+from scenec.schemas.errors import BackendError, ScenecError
+
+#: For tests: kill this process by SIGKILL at the render requests whose number (from 0) is listed
+#: in this file, one a line; each number works once.
+CRASH_VARIABLE = "SCENEC_TEST_CRASH_FILE"
+
+
+class Worker:
+    """Answers requests, one after the other."""
+
+    def __init__(self) -> None:
+        self._session: Any = None
+        self._operations: dict[str, Callable[[dict[str, Any]], dict[str, Any]]] = {
+            "open": self._open,
+            "render": self._render,
+            "probe": self._probe,
+        }
+
+    def answer(self, request: dict[str, Any]) -> dict[str, Any]:
+        """Do what is asked."""
+        operation = self._operations.get(request.get("op", ""))
+        try:
+            if operation is None:
+                raise BackendError(f"worker: unknown request {request.get('op')!r}")
+            return {"ok": True, **operation(request)}
+        except ScenecError as error:
+            return {"ok": False, "error": type(error).__name__, "message": str(error)}
+
+    def _open(self, request: dict[str, Any]) -> dict[str, Any]:
+        from scenec.backends.session import Session
+
+        self._session = Session.open(Path(request["stage"]), request["backend"])
+        scene, backend = self._session.scene, self._session.backend
+        warning = getattr(backend, "warning", None)
+        return {
+            "digest": scene.digest,
+            "samples": scene.samples,
+            "cameras": [[camera.name for camera in cameras] for cameras in scene.cameras],
+            "passes": self._session.passes(request.get("passes")),
+            "version": backend.version(),
+            "warning": warning() if warning else None,
+        }
+
+    def _render(self, request: dict[str, Any]) -> dict[str, Any]:
+        from scenec.backends.frames import FrameKey, plain
+
+        if self._session is None:
+            raise BackendError("worker: asked to render before a stage was opened")
+        _crash_if_told(request["sample"])
+        key = FrameKey(**{**request["key"], "passes": tuple(request["key"]["passes"])})
+        details = self._session.render_to(
+            Path(request["stem"]), request["camera"], request["sample"], key, request["seed"]
+        )
+        answer: dict[str, Any] = plain(details)
+        return answer
+
+    def _probe(self, request: dict[str, Any]) -> dict[str, Any]:
+        from scenec.backends.doctor import probe
+
+        return probe(request["backend"])
+
+
+def main() -> None:
+    """Serve until standard input ends."""
+    # Native libraries print to standard output as they like: the protocol gets a descriptor of
+    # its own, and what they print goes to standard error.
+    replies = os.fdopen(os.dup(1), "w", encoding="utf-8")
+    os.dup2(2, 1)
+    # Ctrl-C reaches the whole process group; the parent alone decides what becomes of it.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    requests: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
+    threading.Thread(target=_listen, args=(requests, sys.stdin), daemon=True).start()
+    worker = Worker()
+    while True:
+        request = requests.get()
+        if request.get("op") == "quit":
+            break
+        replies.write(json.dumps(worker.answer(request), allow_nan=False) + "\n")
+        replies.flush()
+    replies.flush()
+    # Renderers take their time to tear down, and some crash at it; nothing is left to lose.
+    os._exit(0)
+
+
+def _listen(requests: queue.SimpleQueue[dict[str, Any]], stream: TextIO) -> None:
+    """Pass requests on; a parent that is gone ends this process even amid a long render."""
+    for line in stream:
+        requests.put(json.loads(line))
+    os._exit(0)
+
+
+def _crash_if_told(sample: int) -> None:
+    path = os.environ.get(CRASH_VARIABLE)
+    if not path:
+        return
+    left = Path(path).read_text(encoding="utf-8").split()
+    if str(sample) in left:
+        left.remove(str(sample))
+        Path(path).write_text("\n".join(left), encoding="utf-8")
+        os.kill(os.getpid(), signal.SIGKILL)
+
+
+if __name__ == "__main__":
+    main()
