@@ -15,7 +15,8 @@ SHOULDER = 0.6
 #: What sidecars say about the pictures beside them.
 DESCRIPTION = (
     "x = radiance * 2**exposure_ev; t = x up to 0.6, "
-    "0.6 + 0.4 * (1 - exp(-(x - 0.6) / 0.4)) above; sRGB transfer function (IEC 61966-2-1); rounded to 8 bits"
+    "0.6 + 0.4 * (1 - exp(-(x - 0.6) / 0.4)) above; "
+    "sRGB transfer function (IEC 61966-2-1); rounded to 8 bits"
 )
 
 

@@ -11,15 +11,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.arithmetic import elementary
 from scenec.compiler.cameras.rigs import build_rigs
 from scenec.compiler.ground.merge import center_for_coverage
 from scenec.compiler.ground.tiles import build_tiles
-from scenec.compiler.light.sky import build_sky, sky_irradiance
+from scenec.compiler.light.latlong import luminance
+from scenec.compiler.light.sky import build_sky, level_sun_irradiance, sky_irradiance
 from scenec.compiler.plan import Plan, RigPlan, RocksPlan, TerrainPlan, TrackPlan
 from scenec.compiler.scatter.placement import align_to_normals, place, seat
 from scenec.compiler.scatter.rocks import build_prototypes
-from scenec.compiler.scene import Ground, Scatter, Scene, SunLight
+from scenec.compiler.scene import Ground, Scatter, Scene
 from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.schemas.errors import SceneError
 
@@ -72,7 +72,9 @@ def build(plan: Plan, log: BuildLog) -> Scene:
         sky = None
         if plan.sky is not None and color:
             sky, log.facts["sky"] = build_sky(plan.sky, plan.sun, plan.samples)
-        irradiance = sky_irradiance(sky, plan.samples) + _sun_irradiance(plan.sun, plan.samples)
+        irradiance = sky_irradiance(sky, plan.samples)
+        for i in range(plan.samples):
+            irradiance[i] += luminance(level_sun_irradiance(plan.sun, i))
     with log.timed("cameras"):
         rigs = build_rigs(plan.rigs, terrain, irradiance if color else None)
     if not color:
@@ -182,13 +184,6 @@ def _surface_normals(
     gy = (field.height_at(x, y + step_y) - field.height_at(x, y - step_y)) / (2.0 * step_y)
     length = np.sqrt(gx * gx + gy * gy + 1.0)
     return np.stack([-gx / length, -gy / length, 1.0 / length], axis=1)
-
-
-def _sun_irradiance(sun: SunLight | None, samples: int) -> NDArray[np.float64]:
-    if sun is None:
-        return np.zeros(samples)
-    height = elementary.sin_array(sun.elevation_deg * (elementary.PI / 180.0))
-    return np.maximum(sun.irradiance * height, 0.0)
 
 
 def _times(rigs: tuple[RigPlan, ...], samples: int) -> NDArray[np.float64]:

@@ -70,7 +70,7 @@ def _vertex_floats(prim: Usd.Prim, name: str, count: int) -> NDArray[np.float32]
     )
     if values.shape != (count,) or not np.isfinite(values).all():
         raise StageError(
-            f"{prim.GetPath()}: primvar {name} must hold {count} finite floats; it holds {values.size}"
+            f"{prim.GetPath()}: primvar {name} must hold {count} finite floats, has {values.size}"
         )
     return values
 

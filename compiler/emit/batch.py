@@ -67,8 +67,6 @@ def _write_root(path: Path, scene: Scene, sublayers: list[str]) -> None:
         stage.GetRootLayer().subLayerPaths = [f"./{name}" for name in sublayers]
         stage.SetStartTimeCode(0.0)
         stage.SetEndTimeCode(float(scene.samples - 1))
-        stage.SetTimeCodesPerSecond(1.0)
-        stage.SetFramesPerSecond(1.0)
         stage.SetMetadata("renderSettingsPrimPath", f"{names.RENDER_SCOPE}/Settings")
         world = UsdGeom.Xform.Define(stage, names.ROOT).GetPrim()
         Usd.ModelAPI(world).SetKind("assembly")

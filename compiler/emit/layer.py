@@ -20,6 +20,9 @@ def new_layer(path: Path) -> Iterator[Usd.Stage]:
     stage = Usd.Stage.CreateNew(str(path))
     UsdGeom.SetStageMetersPerUnit(stage, 1.0)
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
+    # In every layer alike: USD scales the time samples of a sublayer that differs from its root.
+    stage.SetTimeCodesPerSecond(1.0)
+    stage.SetFramesPerSecond(1.0)
     stage.SetDefaultPrim(stage.OverridePrim(names.ROOT))
     yield stage
     stage.GetRootLayer().Save()

@@ -19,9 +19,9 @@ from scenec.compiler.terrain.grid import HeightField, cuts_main_diagonal
 
 #: Grid cells along a tile's side.
 TILE_CELLS = 128
-_VARIATION_SCALE_M = 2.5
-_VARIATION_OCTAVES = 4
-_VARIATION_GAIN = 0.6
+_VARIATION_SCALE_M = 3.0
+_VARIATION_OCTAVES = 6
+_VARIATION_GAIN = 0.75
 
 
 def build_tiles(

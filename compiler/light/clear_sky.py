@@ -10,40 +10,54 @@ from scenec.compiler.arithmetic import elementary
 from scenec.compiler.light.latlong import directions, horizontal_irradiance, luminance
 
 
+#: Angle below the horizon over which far ground fades by 1/e into the horizon's haze.
+_HAZE_RAD = 2.0 * elementary.PI / 180.0
+
+
 def clear_sky(
     height: int,
     to_sun: tuple[float, float, float],
     irradiance: float,
-    zenith_color: tuple[float, float, float],
-    horizon_color: tuple[float, float, float],
-    ground_color: tuple[float, float, float],
+    zenith_color: NDArray[np.float64],
+    horizon_color: NDArray[np.float64],
+    ground_color: NDArray[np.float64],
+    sun_irradiance: NDArray[np.float64],
 ) -> NDArray[np.float32]:
-    """Radiance of a clear sky without the sun's disc.
+    """Radiance of a clear sky without the sun's disc, and of far ground below the horizon.
 
     The distribution is type 12 of ISO 15469:2004 (CIE S 011), standard clear sky:
     L ~ f(chi) * phi(Z), phi(Z) = 1 + a exp(b / cos Z), f(chi) = 1 + c (exp(d chi) - exp(d pi/2))
     + e cos^2 chi, a = -1, b = -0.32, c = 10, d = -3, e = 0.45, with Z the angle from the zenith and
     chi that from the sun. The standard gives no colors: they go from ``horizon_color`` to
-    ``zenith_color`` with sqrt(cos Z). Below the horizon it is ``ground_color`` times the mean
-    radiance, which lights undersides as ground further off would.
+    ``zenith_color`` with sqrt(cos Z). Below the horizon lies a diffuse plane of albedo
+    ``ground_color`` under this light, fading into the horizon's mean radiance (haze).
 
     Args:
         height: Rows of the picture; it is twice as wide.
         to_sun: Unit vector; a sun below the horizon counts as on it.
         irradiance: Diffuse irradiance on level ground, of luminance, W/m^2.
-        zenith_color, horizon_color, ground_color: Linear Rec.709, relative.
+        zenith_color: Linear Rec.709, relative, [3].
+        horizon_color: Likewise.
+        ground_color: Albedo of the far ground, [3].
+        sun_irradiance: Of the sun on level ground, [3], W/m^2.
 
     Returns:
         float32 [height, 2 * height, 3], W/(m^2 sr).
     """
     sun = np.array([to_sun[0], to_sun[1], max(to_sun[2], 0.0)])
     sun /= np.sqrt((sun * sun).sum())
-    picture = _distribution(
-        directions(height), sun, np.array(zenith_color), np.array(horizon_color)
-    )
-    level = float(luminance(horizontal_irradiance(picture)))
-    picture *= irradiance / level if level > 0.0 else 0.0
-    picture[height // 2 :] = np.array(ground_color) * (irradiance / elementary.PI)
+    picture = _distribution(directions(height), sun, zenith_color, horizon_color)
+    of_sky = horizontal_irradiance(picture)
+    level = float(luminance(of_sky))
+    scale = irradiance / level if level > 0.0 else 0.0
+    picture *= scale
+    sky_rows = height // 2
+    if sky_rows:
+        ground = ground_color * (of_sky * scale + sun_irradiance) / elementary.PI
+        horizon = picture[sky_rows - 1].mean(axis=0)
+        below = elementary.PI * ((np.arange(sky_rows, height) + 0.5) / height - 0.5)
+        haze = elementary.exp_array(-np.maximum(below, 0.0) / _HAZE_RAD)[:, None]
+        picture[sky_rows:] = (haze * horizon + (1.0 - haze) * ground)[:, None, :]
     return picture.astype(np.float32)
 
 

@@ -65,15 +65,24 @@ def _clear_sky(plan: ClearSkyPlan, sun: SunLight | None, samples: int) -> SkyLig
             plan.resolution,
             sun_direction(sun, i) if sun else (0.0, 0.0, 1.0),
             float(plan.irradiance[i]),
-            tuple(plan.zenith_color[i]),
-            tuple(plan.horizon_color[i]),
-            tuple(plan.ground_color[i]),
+            plan.zenith_color[i],
+            plan.horizon_color[i],
+            plan.ground_color[i],
+            level_sun_irradiance(sun, i),
         )
         same = [name for name, other in pictures.items() if np.array_equal(other, picture)]
         name = same[0] if same else f"sky_{i:04d}.exr"
         pictures[name] = picture
         texture.append(name)
     return SkyLight({**pictures}, tuple(texture), np.ones(samples), np.zeros(samples))
+
+
+def level_sun_irradiance(sun: SunLight | None, sample: int) -> NDArray[np.float64]:
+    """Irradiance of the sun on level ground, linear Rec.709, W/m^2, float64 [3]."""
+    if sun is None:
+        return np.zeros(3)
+    height = max(sun_direction(sun, sample)[2], 0.0)
+    return sun.color[sample] * (sun.irradiance[sample] * height)
 
 
 def sun_direction(sun: SunLight, sample: int) -> tuple[float, float, float]:

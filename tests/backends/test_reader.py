@@ -13,7 +13,11 @@ from small import write_cfg
 from scenec.backends.reader import read_stage
 from scenec.backends.reader.meshes import triangulate
 from scenec.backends.render_scene import RenderScene
+from scenec.compiler.build import BuildLog, build
 from scenec.compiler.compile import compile_cfg
+from scenec.compiler.draw import draw
+from scenec.compiler.frontend.load import load
+from scenec.compiler.light.sky import sun_direction
 from scenec.schemas.errors import StageError
 
 SQUARE = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)]
@@ -82,6 +86,24 @@ def test_our_own_stage_comes_back_whole(compiled):
     assert {len(lights.suns) for lights in scene.lighting} == {1}
     assert scene.outputs == ("rgb", "label", "instance", "depth")
     assert [camera.name for camera in scene.cameras[0]] == ["rover_front"]
+
+
+def test_cameras_and_lights_of_every_sample_are_those_of_the_scene(compiled):
+    scene = read_stage(compiled / "stage.usda")
+    spec = load(compiled.parent.parent / "small.json")
+    built = build(draw(spec, 3, 0), BuildLog())
+    (rig,) = built.rigs
+    for i in range(3):
+        (camera,) = scene.cameras[i]
+        assert np.allclose(camera.camera_to_world, rig.to_world[i], atol=1e-12)
+        assert camera.exposure_ev == rig.sensors[0].exposure_ev[i]
+        fx, fy, cx, cy, skew = rig.sensors[0].intrinsics
+        assert camera.intrinsics.tolist() == [[fx, skew, cx], [0, fy, cy], [0, 0, 1]]
+        (sun,) = scene.lighting[i].suns
+        assert np.allclose(sun.to_light, sun_direction(built.sun, i), atol=1e-12)
+        assert np.allclose(sun.irradiance, built.sun.irradiance[i] * built.sun.color[i], rtol=1e-6)
+        assert scene.lighting[i].domes[0].texture.name == built.sky.texture[i]
+    assert len({camera.camera_to_world.tobytes() for (camera,) in scene.cameras}) == 3
 
 
 def test_a_face_of_the_terrain_has_the_label_of_its_subset(compiled):

@@ -15,7 +15,9 @@ from scenec.compiler.light.latlong import directions, horizontal_irradiance, lum
 from scenec.compiler.light.sky import sun_direction
 from scenec.compiler.scene import SunLight
 
-COLORS = ((0.23, 0.42, 0.9), (0.72, 0.82, 0.95), (0.3, 0.26, 0.22))
+COLORS = tuple(
+    np.array(c) for c in [(0.23, 0.42, 0.9), (0.72, 0.82, 0.95), (0.3, 0.26, 0.22), (600, 500, 400)]
+)
 
 
 def test_the_picture_looks_where_usd_says():

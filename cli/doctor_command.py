@@ -1,0 +1,25 @@
+"""``scenec doctor``."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import asdict
+
+from scenec.backends.doctor import diagnose, library_versions
+from scenec.cli.output import print_json, table
+
+
+def run(options: argparse.Namespace) -> int:
+    """Prints what works here; 1 if a backend does not."""
+    found = diagnose()
+    libraries = library_versions()
+    if options.json:
+        print_json({"backends": [asdict(d) for d in found], "libraries": libraries})
+    else:
+        rows = [[d.name, "works" if d.works else "does not work", d.version] for d in found]
+        print(table(rows, ["backend", "here", "version"]))
+        for d in found:
+            if d.message:
+                print(f"{d.name}: {d.message}")
+        print("libraries: " + ", ".join(f"{name} {v}" for name, v in libraries.items()))
+    return 0 if all(d.works for d in found) else 1

@@ -1,0 +1,211 @@
+"""Light through Mitsuba has the radiance that the equations say, within Monte Carlo error."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import mitsuba_scenes as ms
+import numpy as np
+import OpenEXR
+import pytest
+import scenes
+from numpy.typing import NDArray
+
+from scenec.backends.contract import Radiance
+from scenec.backends.mitsuba import Mitsuba
+from scenec.backends.mitsuba.adapter import mix, powers_of_two
+from scenec.backends.render_scene import RenderScene
+from scenec.backends.sky import combine, texel_directions
+
+#: Standard errors allowed; two-sided odds of a false alarm are 6e-7 a test.
+Z = 5.0
+#: Float32 along the way, relative.
+ROUNDING = 1e-4
+
+
+def render(scene: RenderScene, spp: int = 64, seed: int = 1) -> Radiance:
+    backend = Mitsuba()
+    backend.load(scene)
+    return backend.radiance(scene.cameras[0][0], 0, spp, seed)
+
+
+def assert_mean(radiance: Radiance, expected: float) -> None:
+    """All pixels estimate the same number, independently: a Z-test on their mean."""
+    pixels = radiance.halves.astype(float).mean(axis=0)[..., 0].ravel()
+    error = pixels.std(ddof=1) / np.sqrt(len(pixels))
+    assert abs(pixels.mean() - expected) <= Z * error + ROUNDING * expected
+
+
+def over_plane(lights: list, albedo: float = 0.5) -> RenderScene:
+    surface = ms.surface((albedo,) * 3)
+    camera = ms.look_at((0, 0, 10), (0, 0, 0))
+    return ms.scene([ms.mesh(*ms.plane())], [surface], cameras=[camera], lights=lights)
+
+
+@pytest.mark.parametrize("elevation_deg", [90.0, 40.0, 8.0])
+def test_a_lambertian_plane_under_the_sun_has_radiance_albedo_e_cos_over_pi(elevation_deg):
+    expected = 0.5 * 1000.0 * np.sin(np.radians(elevation_deg)) / np.pi
+    assert_mean(render(over_plane([ms.sun(elevation_deg)])), expected)
+
+
+@pytest.mark.parametrize("diameter_deg", [0.0, 0.5, 10.0])
+def test_the_irradiance_of_a_sun_does_not_depend_on_its_diameter(diameter_deg):
+    # The mean cosine over a disc of half-angle h, weighted as irradiance is, is exactly that of its
+    # center while the whole disc is up: radiance is E / (pi sin(h)**2) for that very reason.
+    lit = render(over_plane([ms.sun(35.0, diameter_deg=diameter_deg)]))
+    assert_mean(lit, 0.5 * 1000.0 * np.sin(np.radians(35.0)) / np.pi)
+
+
+def test_suns_and_sky_add_up():
+    lights = [ms.sun(50, 0, 400, 5), ms.sun(30, 80, 600, 1), ms.dome(20.0)]
+    suns = 0.5 / np.pi * (400 * np.sin(np.radians(50)) + 600 * np.sin(np.radians(30)))
+    assert_mean(render(over_plane(lights), 128), suns + 0.5 * 20.0)
+
+
+def test_a_white_convex_body_vanishes_in_a_white_furnace():
+    # Convex, so light meets it once: no path is cut short by the limit on bounces.
+    points, faces = scenes.icosphere(2)
+    camera = ms.look_at((0, -1.7, 0), (0, 0, 0), 24, 24, 40)
+    furnace = ms.scene(
+        [ms.mesh(points, faces)], [ms.surface((1, 1, 1))], cameras=[camera], lights=[ms.dome(3.0)]
+    )
+    radiance = render(furnace)
+    assert radiance.coverage.min() == 1.0
+    assert_mean(radiance, 3.0)
+
+
+def test_a_white_cup_in_a_furnace_loses_only_what_the_bounce_limit_cuts():
+    # Five mirrors of a box with an open top; with more bounces the loss shrinks towards 0.
+    square = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    points = np.concatenate(
+        [np.column_stack([square, np.zeros(4)]), np.column_stack([square, np.full(4, 2.0)])]
+    )
+    quads = [(0, 1, 2, 3), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7)]
+    faces = [t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))]
+    camera = ms.look_at((0, 0, 6), (0, 0, 0), 16, 16, 12)
+    box = ms.scene(
+        [ms.mesh(points, faces)], [ms.surface((1, 1, 1))], cameras=[camera], lights=[ms.dome(1.0)]
+    )
+    loss = []
+    for bounces in (1, 4, 24):
+        backend = Mitsuba(bounces=bounces)
+        backend.load(box)
+        loss.append(1.0 - float(backend.radiance(camera, 0, 64, 3).halves.mean()))
+    assert loss[0] > 2 * loss[1] > 4 * loss[2]
+    assert abs(loss[2]) < 0.01
+
+
+def write_latlong(path: Path, picture: NDArray) -> Path:
+    header = {"type": OpenEXR.scanlineimage, "compression": OpenEXR.ZIP_COMPRESSION}
+    planes = {c: np.ascontiguousarray(picture[..., i], np.float32) for i, c in enumerate("RGB")}
+    OpenEXR.File(header, planes).write(str(path))
+    return path
+
+
+@pytest.mark.parametrize("rotation", range(2))
+def test_mitsubas_sky_is_the_shared_lookup_in_every_direction(tmp_path, rotation):
+    import mitsuba as mi
+
+    from scenec.backends.mitsuba.emitter import dome_dict
+    from scenec.backends.render_scene import Dome
+    from scenec.backends.sky import lookup
+
+    rng = np.random.default_rng(4)
+    file = write_latlong(tmp_path / "sky.exr", rng.uniform(0.1, 5, (7, 12, 3)))
+    to_world = ms.DOME_Z_UP if rotation == 0 else scenes.rotation(rng)
+    sky = combine((Dome(file, np.array([1.0, 2.0, 0.5]), to_world),))
+    assert sky is not None
+    Mitsuba()
+    directions = rng.normal(size=(5000, 3))
+    directions /= np.linalg.norm(directions, axis=1)[:, None]
+    # The poles, the seam and the centers of texels too.
+    texels = texel_directions(7, 12).reshape(-1, 3) @ to_world.T
+    directions = np.concatenate([directions, texels, to_world.T[1:2], -to_world.T[1:2]])
+    emitter = mi.load_dict(dome_dict(mi, sky))
+    si = mi.SurfaceInteraction3f()
+    si.wi = mi.Vector3f(np.ascontiguousarray(-directions.T, np.float32))
+    theirs = np.array(emitter.eval(si)).T
+    np.testing.assert_allclose(theirs, lookup(sky, directions), rtol=2e-4, atol=2e-4)
+
+
+def test_a_plane_under_a_textured_sky_has_the_radiance_of_its_integral(tmp_path):
+    rng = np.random.default_rng(5)
+    picture = rng.uniform(0.0, 4.0, (8, 16, 3))
+    picture[2, 3] = 60.0
+    file = write_latlong(tmp_path / "sky.exr", picture)
+    sky = combine((ms.dome(1.0, file),))
+    assert sky is not None
+    from scenec.backends.sky import lookup
+
+    # The integral of radiance * cosine over the upper half, by the midpoint rule.
+    theta = (np.arange(600) + 0.5) * (np.pi / 2 / 600)
+    phi = (np.arange(1200) + 0.5) * (2 * np.pi / 1200)
+    t, p = np.meshgrid(theta, phi, indexing="ij")
+    w = np.stack([np.sin(t) * np.cos(p), np.sin(t) * np.sin(p), np.cos(t)], -1).reshape(-1, 3)
+    weight = (np.sin(t) * np.cos(t)).ravel() * (np.pi / 2 / 600) * (2 * np.pi / 1200)
+    irradiance = float((lookup(sky, w)[:, 0].astype(float) * weight).sum())
+    radiance = render(over_plane([ms.dome(1.0, file)]), 256)
+    pixels = radiance.halves.astype(float).mean(axis=0)[..., 0].ravel()
+    error = pixels.std(ddof=1) / np.sqrt(len(pixels))
+    expected = 0.5 * irradiance / np.pi
+    assert abs(pixels.mean() - expected) <= Z * error + 5e-4 * expected
+
+
+def test_sky_and_sun_are_not_in_the_surface_light_and_have_no_coverage():
+    camera = ms.look_at((0, 0, 2), (1000, 0, 2), 16, 12)
+    scene = ms.scene(
+        [ms.mesh(*ms.plane(1e4))], cameras=[camera], lights=[ms.sun(5.0), ms.dome(7.0)]
+    )
+    radiance = render(scene)
+    assert np.all(radiance.coverage[:5] == 0.0)
+    assert np.all(radiance.halves[:, :5] == 0.0)
+    assert np.all(radiance.coverage[7:] == 1.0)
+
+
+def test_without_any_light_surfaces_are_black_and_still_there():
+    radiance = render(over_plane([]))
+    assert np.all(radiance.halves == 0.0)
+    assert np.all(radiance.coverage == 1.0)
+
+
+def test_light_may_change_from_sample_to_sample_without_loading_again():
+    import dataclasses
+
+    lit = over_plane([ms.sun(90.0)])
+    changing = dataclasses.replace(
+        lit,
+        samples=3,
+        cameras=lit.cameras * 3,
+        lighting=tuple(
+            over_plane(lights).lighting[0] for lights in ([ms.sun(90)], [ms.sun(30)], [ms.dome(2)])
+        ),
+    )
+    backend = Mitsuba()
+    backend.load(changing)
+    camera = lit.cameras[0][0]
+    for sample, expected in ((0, 500 / np.pi), (1, 250 / np.pi), (2, 1.0), (0, 500 / np.pi)):
+        assert_mean(backend.radiance(camera, sample, 64, 1), expected)
+
+
+def test_the_halves_differ_and_their_difference_estimates_the_error():
+    backend = Mitsuba()
+    scene = over_plane([ms.sun(40), ms.dome(300.0)])
+    backend.load(scene)
+    camera = scene.cameras[0][0]
+    radiances = [backend.radiance(camera, 0, 32, seed) for seed in range(12)]
+    means = np.array([r.halves.astype(float).mean(axis=0) for r in radiances])
+    predicted = np.mean([(0.5 * (r.halves[0].astype(float) - r.halves[1])) ** 2 for r in radiances])
+    assert predicted == pytest.approx(means.var(axis=0, ddof=1).mean(), rel=0.1)
+
+
+@pytest.mark.parametrize("spp", [1, 2, 7, 24, 64, 100])
+def test_sample_counts_split_into_powers_of_two_that_add_up(spp):
+    for pixels in (100, 640 * 480, 1 << 24, 1 << 26):
+        parts = powers_of_two(spp, pixels)
+        assert sum(parts) == spp
+        assert all(part & (part - 1) == 0 for part in parts)
+
+
+def test_seeds_of_parts_are_all_different():
+    seeds = {mix(seed, half, part) for seed in range(20) for half in range(2) for part in range(9)}
+    assert len(seeds) == 360
