@@ -8,11 +8,11 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from scenec.backends.check.files import read_manifest
 from scenec.backends.frames import FrameKey, frame_stem, is_done
 from scenec.backends.pool import WorkerProcess
 from scenec.backends.registry import require_name
 from scenec.schemas.errors import BackendError, StageError
+from scenec.schemas.manifest import read_manifest
 
 #: Endings of a path that is a stage itself.
 STAGE_SUFFIXES = (".usda", ".usdc", ".usd", ".usdz")

@@ -7,9 +7,9 @@ import json
 from pathlib import Path
 from typing import Any
 
-from scenec.backends.check.files import read_manifest
 from scenec.cli.output import print_json, table
 from scenec.schemas.errors import OutputError
+from scenec.schemas.manifest import read_manifest
 
 
 def run(options: argparse.Namespace) -> int:

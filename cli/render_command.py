@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 
-from scenec.backends.render import RenderReport, render
+from scenec.backends.registry import require_name
+from scenec.backends.render import RenderReport, find_batches, render
 from scenec.cli.output import Progress, print_json, say
 
 
@@ -18,6 +20,9 @@ def run(options: argparse.Namespace) -> int:
 
 def render_now(options: argparse.Namespace) -> RenderReport:
     """Renders, and says what came of it."""
+    # What is not there should be all that is said.
+    require_name(options.backend)
+    find_batches(Path(options.out), options.batches)
     say(f"rendering with {options.backend}, {options.spp} samples per pixel")
     report = render(
         options.out,

@@ -23,12 +23,11 @@ from scenec.schemas.files import (
     tree,
     write_json,
 )
+from scenec.schemas.manifest import MANIFEST, MANIFEST_FORMAT
 
-MANIFEST = "manifest.json"
 TIMINGS = "timings.json"
 REPORT = "report.json"
 FRAMES = "frames"
-MANIFEST_FORMAT = 1
 #: Whose version can change the bytes of the output.
 _LIBRARIES = ("numpy", "numba", "scipy", "usd-core", "openexr")
 

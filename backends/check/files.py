@@ -2,36 +2,15 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 from scenec.backends.check.finding import Finding
-from scenec.schemas.errors import OutputError
 from scenec.schemas.files import sha256, tree
+from scenec.schemas.manifest import MANIFEST
 
-MANIFEST = "manifest.json"
 _NOT_IN_MANIFEST = ("timings.json", MANIFEST)
-
-
-def read_manifest(out: Path) -> dict[str, Any]:
-    """The manifest of an output folder.
-
-    Raises:
-        OutputError: There is none, or it is none.
-    """
-    path = out / MANIFEST
-    if not path.is_file():
-        raise OutputError(f"{out}: holds no {MANIFEST}; compile a cfg into it first")
-    try:
-        manifest = json.loads(path.read_text(encoding="utf-8"))
-        for batch in manifest["batches"]:
-            str(batch["stage"]), str(batch["path"])
-        manifest["files"].items()
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise OutputError(f"{path}: is no scenec manifest") from error
-    return manifest
 
 
 def check_files(out: Path, manifest: dict[str, Any]) -> Iterator[Finding]:

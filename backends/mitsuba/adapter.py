@@ -144,7 +144,7 @@ class Mitsuba:
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         light = np.zeros((camera.height, camera.width, 3))
         alpha = np.zeros((camera.height, camera.width))
-        for part, count in enumerate(powers_of_two(spp, camera.width * camera.height)):
+        for part, count in enumerate(powers_of_four(spp, camera.width * camera.height)):
             light_sum, alpha_sum = self._pass(camera, count, mix(seed, half, part))
             light += light_sum
             alpha += alpha_sum
@@ -158,7 +158,7 @@ class Mitsuba:
 
         mi = self._mi
         pixels = camera.width * camera.height
-        sampler = _low_discrepancy(mi, spp)
+        sampler = _stratified(mi, spp)
         # Opaque, or every seed is a kernel of its own to compile.
         sampler.seed(dr.opaque(mi.UInt32, seed), pixels * spp)
         pixel = dr.arange(mi.UInt32, pixels * spp) // spp
@@ -226,30 +226,30 @@ class Mitsuba:
         return self._render_scene
 
 
-def powers_of_two(spp: int, pixels: int) -> list[int]:
-    """Split a sample count into powers of two, largest first, that fit a wavefront each.
+def powers_of_four(spp: int, pixels: int) -> list[int]:
+    """Split a sample count into powers of four, largest first, that fit a wavefront each.
 
-    Low-discrepancy points come in powers of two; parts are independent of each other.
+    A stratified set is square, and is stratified only when drawn whole; sets are independent.
     """
     part = 1
-    while 2 * part <= spp and 2 * part * pixels <= MAX_WAVEFRONT:
-        part *= 2
+    while 4 * part <= spp and 4 * part * pixels <= MAX_WAVEFRONT:
+        part *= 4
     parts = []
     while spp > 0:
         parts += [part] * (spp // part)
         spp %= part
-        part //= 2
+        part //= 4
     return parts
 
 
-def _low_discrepancy(mi: Any, spp: int) -> Any:
-    """Scrambled low-discrepancy points: unbiased, with far less noise than independent ones.
+def _stratified(mi: Any, spp: int) -> Any:
+    """Jittered strata, permuted anew in every dimension: a third of independent samples' noise.
 
-    Measured at 32 samples a half under sun and sky: a quarter of the noise for an eighth more time.
-    Mitsuba has them in sets of 4**k; half a set is still better than two sets of half the size.
+    Not ``ldsampler``: it has less noise still, but scrambles all dimensions of a pixel alike, which
+    biases long paths (0.47 % in a white box, 20 standard errors, in a bare script too), and a bias
+    that both halves share is one that their difference cannot show.
     """
-    points = 1 << (spp.bit_length() - 1 + (spp.bit_length() - 1) % 2)
-    sampler = mi.load_dict({"type": "ldsampler", "sample_count": points})
+    sampler = mi.load_dict({"type": "stratified", "sample_count": spp})
     sampler.set_samples_per_wavefront(spp)
     return sampler
 

@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.light.latlong import directions, horizontal_irradiance, luminance
 
-
 #: Angle below the horizon over which far ground fades by 1/e into the horizon's haze.
 _HAZE_RAD = 2.0 * elementary.PI / 180.0
 

@@ -10,10 +10,11 @@ import pytest
 from pxr import Gf, Sdf, Usd, UsdGeom, Vt
 from small import write_cfg
 
-from scenec.backends.check.files import check_files, read_manifest
+from scenec.backends.check.files import check_files
 from scenec.backends.check.stage import check_stage
 from scenec.compiler.compile import compile_cfg
 from scenec.schemas.errors import OutputError
+from scenec.schemas.manifest import read_manifest
 
 ROCKS = "/World/Objects/rocks"
 TILE = "/World/Terrain/tile_000_000"

@@ -13,10 +13,11 @@ import pytest
 from pxr import Usd, UsdGeom
 from small import small_cfg, write_cfg
 
-from scenec.backends.check.files import check_files, read_manifest
+from scenec.backends.check.files import check_files
 from scenec.backends.check.stage import check_stage
 from scenec.compiler.compile import compile_cfg
 from scenec.schemas.errors import CfgError, OutputError, ScenecError, SceneError
+from scenec.schemas.manifest import read_manifest
 
 _COMPILE = """
 import sys

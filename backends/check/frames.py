@@ -1,0 +1,80 @@
+"""Checks of frames: whole, of this stage, and consistent in themselves."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from scenec.backends.check.finding import Finding
+from scenec.backends.frames import Frame, read_frame
+from scenec.schemas.errors import FrameError
+
+_NO_FACE = 0xFFFFFFFF
+
+
+def check_frames(folder: Path, digest: str | None) -> Iterator[Finding]:
+    """Findings on all frames of a batch.
+
+    Args:
+        folder: The batch's folder.
+        digest: Digest of its stage; None where that cannot be read.
+    """
+    frames = folder / "frames"
+    for exr in sorted(frames.glob("*/*/*.exr")):
+        if not exr.with_suffix(".json").is_file():
+            yield Finding("frames", "error", _name(exr, folder), "has no sidecar: cut short?")
+    for path in sorted(frames.glob("*/*/*.json")):
+        where = _name(path, folder)
+        try:
+            frame = read_frame(path)
+        except FrameError as error:
+            yield Finding("frames", "error", where, str(error))
+            continue
+        if digest is not None and frame.sidecar.get("stage_digest") != digest:
+            message = "was rendered from another stage; render again"
+            yield Finding("frames", "warning", where, message)
+        for message in inconsistencies(frame):
+            yield Finding("frames", "error", where, message)
+
+
+def _name(path: Path, folder: Path) -> str:
+    return path.relative_to(folder.parent).as_posix()
+
+
+def inconsistencies(frame: Frame) -> Iterator[str]:
+    """What a frame's passes say against its sidecar and each other."""
+    width, height = frame.sidecar["resolution"]
+    passes = frame.passes
+    for name, array in passes.items():
+        if array.shape[:2] != (height, width):
+            yield f"{name} is {array.shape[1]} x {array.shape[0]}, expected {width} x {height}"
+            return
+    missing = [name for name in frame.sidecar["passes"] if name not in passes]
+    if missing:
+        yield f"lacks {', '.join(missing)}"
+    if "rgb" in passes and not (np.isfinite(passes["rgb"]).all() and passes["rgb"].min() >= 0.0):
+        yield "rgb holds values that are negative or not finite"
+    if "depth" in passes:
+        depth = passes["depth"]
+        if np.isnan(depth).any() or depth.min(initial=1.0) <= 0.0:
+            yield "depth holds NaN, or values that are not above 0"
+        for name in ("instance", "face"):
+            if name in passes:
+                nothing = 0 if name == "instance" else _NO_FACE
+                count = int((np.isinf(depth) & (passes[name] != nothing)).sum())
+                if count:
+                    yield f"{count} pixels have a {name} but no depth"
+    yield from _unknown_labels(passes, frame.sidecar)
+
+
+def _unknown_labels(passes: dict[str, Any], sidecar: dict[str, Any]) -> Iterator[str]:
+    for name, array in passes.items():
+        if not name.startswith("label."):
+            continue
+        known = {0, *map(int, sidecar["labels"].get(name.removeprefix("label."), {}))}
+        unknown = sorted(set(np.unique(array).tolist()) - known)
+        if unknown:
+            yield f"{name} holds ids {unknown[:5]} that the table lacks"

@@ -1,0 +1,215 @@
+"""The command line answers as people and scripts expect."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from small import small_cfg, write_cfg
+
+from scenec.cli.main import main, parser
+
+
+def small_and_fast() -> dict:
+    cfg = small_cfg(samples=2)
+    cfg["rigs"]["rover"]["sensors"]["front"]["resolution"] = [48, 32]
+    return cfg
+
+
+@pytest.fixture(scope="module")
+def output(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("cli")
+    cfg = write_cfg(folder, small_and_fast())
+    arguments = ["run", str(cfg), "--seed", "5", "-o", str(folder / "out"), "--spp", "4"]
+    assert main(arguments) == 0
+    return folder / "out"
+
+
+def test_run_leaves_stages_frames_and_a_manifest(output):
+    frames = output / "batch_0000" / "frames" / "mitsuba" / "rover_front"
+    assert sorted(path.name for path in frames.iterdir()) == [
+        f"{i:06d}.{ending}" for i in range(2) for ending in ("exr", "json", "png")
+    ]
+    manifest = json.loads((output / "manifest.json").read_text())
+    assert manifest["batches"][0]["stage"] == "batch_0000/stage.usda"
+    assert not any(path.name.startswith(".") for path in output.rglob("*"))
+
+
+def test_render_does_not_make_frames_again(output, capsys):
+    assert main(["render", str(output), "--spp", "4", "--json"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert (result["rendered"], result["skipped"]) == (0, 2)
+
+
+def test_check_finds_the_output_sound_and_the_backends_agreed(output, capsys):
+    assert main(["check", str(output), "--backends", "mitsuba,reference", "--json"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["findings"] == []
+    assert result["agreement"]["frames"] == 2
+    assert {c["channel"] for c in result["agreement"]["comparisons"]} == {
+        "label.class",
+        "label.surface",
+        "instance",
+        "depth",
+    }
+    assert all(c["differing"] == 0 for c in result["agreement"]["comparisons"])
+
+
+def test_check_fails_on_damage_and_names_it(output, tmp_path, capsys):
+    import shutil
+
+    damaged = tmp_path / "out"
+    shutil.copytree(output, damaged)
+    frame = damaged / "batch_0000" / "frames" / "mitsuba" / "rover_front" / "000001.exr"
+    frame.write_bytes(frame.read_bytes()[:1000])
+    (damaged / "batch_0000" / "looks" / "mud.usda").unlink()
+    assert main(["check", str(damaged)]) == 1
+    said = capsys.readouterr().out
+    assert "000001" in said
+    assert "looks/mud.usda" in said
+
+
+def test_sheet_writes_a_picture_and_says_where_things_lie(output, tmp_path, capsys):
+    from PIL import Image
+
+    target = tmp_path / "sheet.png"
+    assert main(["sheet", str(output), "--backend", "mitsuba", "-o", str(target)]) == 0
+    said = capsys.readouterr()
+    assert str(target) in said.out
+    assert "frames" in said.err
+    with Image.open(target) as picture:
+        # Five columns: RGB, two label levels, instances, depth.
+        assert picture.width > 5 * 480
+
+
+def test_explain_prints_errors_beside_seconds(output, capsys):
+    assert main(["explain", str(output)]) == 0
+    said = capsys.readouterr().out
+    assert "chord error" in said
+    assert "seconds" in said
+    assert main(["explain", str(output), "--json"]) == 0
+    report = json.loads(capsys.readouterr().out)["reports"]["batch_0000"]
+    assert report["objects"]["rocks"]["count"] == 300
+
+
+def test_doctor_says_what_works_here(capsys):
+    assert main(["doctor", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)["backends"]
+    assert {b["name"]: b["works"] for b in found} == {"mitsuba": True, "reference": True}
+
+
+def test_version_is_the_package_s(capsys):
+    from importlib.metadata import version
+
+    with pytest.raises(SystemExit) as left:
+        main(["--version"])
+    assert left.value.code == 0
+    assert capsys.readouterr().out.strip() == f"scenec {version('scenec')}"
+
+
+@pytest.mark.parametrize("command", list(parser()._subparsers._group_actions[0].choices))
+def test_every_command_explains_itself(command, capsys):
+    with pytest.raises(SystemExit) as left:
+        main([command, "--help"])
+    assert left.value.code == 0
+    assert "usage: scenec" in capsys.readouterr().out
+
+
+BAD = {
+    "no command": [],
+    "unknown command": ["compil"],
+    "seed below 0": ["compile", "CFG", "--seed", "-1", "-o", "OUT"],
+    "seed too large": ["compile", "CFG", "--seed", str(2**64), "-o", "OUT"],
+    "seed is no number": ["compile", "CFG", "--seed", "one", "-o", "OUT"],
+    "no seed": ["compile", "CFG", "-o", "OUT"],
+    "empty range": ["compile", "CFG", "--seed", "1", "-o", "OUT", "--batches", "2:2"],
+    "unknown pass": ["render", "OUT", "--passes", "rgb,colour"],
+    "no samples": ["render", "OUT", "--spp", "0"],
+}
+
+
+@pytest.mark.parametrize("name", list(BAD))
+def test_bad_usage_ends_with_status_2(name, capsys):
+    with pytest.raises(SystemExit) as left:
+        main(BAD[name])
+    assert left.value.code == 2
+    assert "usage:" in capsys.readouterr().err
+
+
+def test_all_faults_of_a_cfg_are_printed_at_once_with_their_places(tmp_path, capsys):
+    cfg = small_cfg()
+    cfg["terrain"]["spacing"] = 0.2
+    cfg["objects"]["rocks"]["material"] = "ston"
+    cfg["light"]["sun"]["elevation_deg"] = {"type": "uniform", "min": 60, "max": 20}
+    path = write_cfg(tmp_path, cfg)
+    assert main(["compile", str(path), "--seed", "1", "-o", str(tmp_path / "out")]) == 2
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) >= 3
+    assert all(line.startswith(f"{path}:") for line in lines)
+    assert any("/terrain/spacing" in line and "spacing_m" in line for line in lines)
+    assert any("/objects/rocks/material" in line and "stone" in line for line in lines)
+    assert any("/light/sun/elevation_deg" in line for line in lines)
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["compile", "none.json", "--seed", "1", "-o", "OUT"], "none.json"),
+        (["render", "nowhere"], "manifest"),
+        (["render", "none.usda"], "no such file"),
+        (["check", "nowhere"], "manifest"),
+        (["sheet", "nowhere"], "manifest"),
+        (["explain", "nowhere"], "manifest"),
+        (["render", "nowhere", "--backend", "mitsubi"], "mitsuba"),
+    ],
+)
+def test_what_is_not_there_is_named_in_one_line(arguments, words, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(arguments) == 2
+    said = capsys.readouterr().err
+    assert words in said
+    assert "Traceback" not in said
+    assert len(said.splitlines()) == 1
+
+
+def test_a_pipe_that_closes_early_is_no_error(output):
+    command = f"{sys.executable} -m scenec.cli.main explain {output} --json | head -c 1"
+    done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False)
+    assert "Traceback" not in done.stderr
+
+
+def test_interrupting_leaves_no_half_written_output(tmp_path):
+    cfg = small_cfg(batches=500)
+    out = tmp_path / "out"
+    process = subprocess.Popen(
+        [
+            sys.executable,
+            "-m",
+            "scenec.cli.main",
+            "compile",
+            str(write_cfg(tmp_path, cfg)),
+            "--seed",
+            "1",
+            "-o",
+            str(out),
+        ],
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    deadline = time.monotonic() + 120
+    while not (out / "batch_0001").exists() and time.monotonic() < deadline:
+        time.sleep(0.05)
+    process.send_signal(signal.SIGINT)
+    _, said = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert "Traceback" not in said
+    assert not [name for name in os.listdir(out) if name.startswith(".")]
+    for batch in out.glob("batch_*"):
+        assert (batch / "report.json").is_file()
