@@ -26,10 +26,6 @@ from typing import Any, TextIO
 
 from scenec.schemas.errors import BackendError, ScenecError
 
-#: For tests: kill this process by SIGKILL at the render requests whose number (from 0) is listed
-#: in this file, one a line; each number works once.
-CRASH_VARIABLE = "SCENEC_TEST_CRASH_FILE"
-
 
 class Worker:
     """Answers requests, one after the other."""
@@ -72,7 +68,6 @@ class Worker:
 
         if self._session is None:
             raise BackendError("worker: asked to render before a stage was opened")
-        _crash_if_told(request["sample"])
         key = FrameKey(**{**request["key"], "passes": tuple(request["key"]["passes"])})
         details = self._session.render_to(
             Path(request["stem"]), request["camera"], request["sample"], key, request["seed"]
@@ -113,17 +108,6 @@ def _listen(requests: queue.SimpleQueue[dict[str, Any]], stream: TextIO) -> None
     for line in stream:
         requests.put(json.loads(line))
     os._exit(0)
-
-
-def _crash_if_told(sample: int) -> None:
-    path = os.environ.get(CRASH_VARIABLE)
-    if not path:
-        return
-    left = Path(path).read_text(encoding="utf-8").split()
-    if str(sample) in left:
-        left.remove(str(sample))
-        Path(path).write_text("\n".join(left), encoding="utf-8")
-        os.kill(os.getpid(), signal.SIGKILL)
 
 
 if __name__ == "__main__":

@@ -2,8 +2,8 @@
 
     python benchmarks/bench_compile.py [CFG]
 
-Each row is a process of its own, after one that fills numba's cache. "Another seed" must cost what the
-first costs: nothing is remembered between compilations.
+Each row is a process of its own, after one that fills numba's cache. "Another seed" must cost what
+the first costs: nothing is remembered between compilations.
 """
 
 from __future__ import annotations

@@ -178,7 +178,7 @@ def main() -> None:
     parser.add_argument("--spp", type=int, default=64)
     parser.add_argument("--rounds", type=int, default=7)
     parser.add_argument(
-        "--sampler", default="stratified", help="of the bare script; the adapter has stratified"
+        "--sampler", default="independent", help="of the bare script; the adapter has independent"
     )
     args = parser.parse_args()
 

@@ -23,7 +23,7 @@ def render_now(options: argparse.Namespace) -> RenderReport:
     # What is not there should be all that is said.
     require_name(options.backend)
     find_batches(Path(options.out), options.batches)
-    say(f"rendering with {options.backend}, {options.spp} samples per pixel")
+    say(f"rendering with {options.backend} (rgb: {options.spp} samples per pixel)")
     report = render(
         options.out,
         options.backend,

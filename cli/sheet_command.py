@@ -12,9 +12,11 @@ from scenec.datasets.sheet import write_sheet
 def run(options: argparse.Namespace) -> int:
     """Writes the sheet and says where everything lies."""
     out = Path(options.out)
-    output = Path(options.output) if options.output else out / "contact_sheet.png"
+    folder = out if out.is_dir() else out.parent
+    output = Path(options.output) if options.output else folder / "contact_sheet.png"
     sheet = write_sheet(out, output, backend=options.backend, count=options.frames)
     say(f"frames (EXR with all passes, PNG picture, JSON sidecar): {sheet.folder}/")
-    say(f"stages for any USD viewer: {out}/batch_*/stage.usda")
+    stages = f"{out}/batch_*/stage.usda" if out.is_dir() else str(out)
+    say(f"stages for any USD viewer: {stages}")
     print(f"contact sheet: {sheet.path}")
     return 0

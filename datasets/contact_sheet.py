@@ -64,7 +64,7 @@ def contact_sheet(
     tile = (tile_width, max(1, round(tile_width * height / width)))
     near, far = _depth_range(frames)
     colors = {level: label_colors(list(names)) for level, names in label_names.items()}
-    legend = max([2] + [len(names) + 1 for names in label_names.values()]) * _LEGEND_LINE
+    legend = max([3] + [len(names) + 1 for names in label_names.values()]) * _LEGEND_LINE
     size = (
         _GAP + len(columns) * (tile[0] + _GAP),
         2 * _HEAD + len(frames) * (tile[1] + _GAP) + legend + _GAP,

@@ -144,7 +144,7 @@ class Mitsuba:
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         light = np.zeros((camera.height, camera.width, 3))
         alpha = np.zeros((camera.height, camera.width))
-        for part, count in enumerate(powers_of_four(spp, camera.width * camera.height)):
+        for part, count in enumerate(split_samples(spp, camera.width * camera.height)):
             light_sum, alpha_sum = self._pass(camera, count, mix(seed, half, part))
             light += light_sum
             alpha += alpha_sum
@@ -158,7 +158,7 @@ class Mitsuba:
 
         mi = self._mi
         pixels = camera.width * camera.height
-        sampler = _stratified(mi, spp)
+        sampler = _sampler(mi, spp)
         # Opaque, or every seed is a kernel of its own to compile.
         sampler.seed(dr.opaque(mi.UInt32, seed), pixels * spp)
         pixel = dr.arange(mi.UInt32, pixels * spp) // spp
@@ -226,32 +226,23 @@ class Mitsuba:
         return self._render_scene
 
 
-def powers_of_four(spp: int, pixels: int) -> list[int]:
-    """Split a sample count into powers of four, largest first, that fit a wavefront each.
+def split_samples(spp: int, pixels: int) -> list[int]:
+    """Split a sample count into near-equal passes that fit a wavefront each."""
+    passes = max(1, -(-spp * pixels // MAX_WAVEFRONT))
+    passes = min(passes, spp)
+    return [spp // passes + (i < spp % passes) for i in range(passes)]
 
-    A stratified set is square, and is stratified only when drawn whole; sets are independent.
+
+def _sampler(mi: Any, spp: int) -> Any:
+    """Independent samples: the only ones Mitsuba has that are unbiased.
+
+    Its structured samplers show far less noise in direct light (a third at 16 samples a half), but
+    their dimensions depend on each other, which biases indirect light. Measured in a white open
+    box, four bounces, 16 samples a half: stratified -2.1 %, ldsampler -0.37 %, multijitter -0.21 %
+    (3.7 to 37 standard errors); a bare script shows the same. The halves share such a bias, so
+    their difference would not show it.
     """
-    part = 1
-    while 4 * part <= spp and 4 * part * pixels <= MAX_WAVEFRONT:
-        part *= 4
-    parts = []
-    while spp > 0:
-        parts += [part] * (spp // part)
-        spp %= part
-        part //= 4
-    return parts
-
-
-def _stratified(mi: Any, spp: int) -> Any:
-    """Jittered strata, permuted anew in every dimension: a third of independent samples' noise.
-
-    Not ``ldsampler``: it has less noise still, but scrambles all dimensions of a pixel alike, which
-    biases long paths (0.47 % in a white box, 20 standard errors, in a bare script too), and a bias
-    that both halves share is one that their difference cannot show.
-    """
-    sampler = mi.load_dict({"type": "stratified", "sample_count": spp})
-    sampler.set_samples_per_wavefront(spp)
-    return sampler
+    return mi.load_dict({"type": "independent", "sample_count": spp})
 
 
 def mix(seed: int, half: int, part: int) -> int:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from scenec.backends.contract import Radiance
 from scenec.backends.mitsuba import Mitsuba
-from scenec.backends.mitsuba.adapter import mix, powers_of_two
+from scenec.backends.mitsuba.adapter import MAX_WAVEFRONT, mix, split_samples
 from scenec.backends.render_scene import RenderScene
 from scenec.backends.sky import combine, texel_directions
 
@@ -74,25 +74,32 @@ def test_a_white_convex_body_vanishes_in_a_white_furnace():
     assert_mean(radiance, 3.0)
 
 
-def test_a_white_cup_in_a_furnace_loses_only_what_the_bounce_limit_cuts():
-    # Five mirrors of a box with an open top; with more bounces the loss shrinks towards 0.
+def test_a_white_cup_in_a_furnace_returns_it_once_paths_are_long_enough():
+    # Five white walls and an open top: light is lost to the limit on bounces alone, some 17 % of
+    # what is left at each. Samplers whose dimensions depend on each other fail here: at these 16
+    # samples a half Mitsuba's stratified gives 1.058, its ldsampler 0.995.
     square = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
     points = np.concatenate(
         [np.column_stack([square, np.zeros(4)]), np.column_stack([square, np.full(4, 2.0)])]
     )
     quads = [(0, 1, 2, 3), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7)]
     faces = [t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))]
-    camera = ms.look_at((0, 0, 6), (0, 0, 0), 16, 16, 12)
+    camera = ms.look_at((0, 0, 6), (0, 0, 0), 32, 32, 12)
     box = ms.scene(
         [ms.mesh(points, faces)], [ms.surface((1, 1, 1))], cameras=[camera], lights=[ms.dome(1.0)]
     )
-    loss = []
-    for bounces in (1, 4, 24):
+    losses = []
+    for bounces in (1, 4, 100):
         backend = Mitsuba(bounces=bounces)
         backend.load(box)
-        loss.append(1.0 - float(backend.radiance(camera, 0, 64, 3).halves.mean()))
-    assert loss[0] > 2 * loss[1] > 4 * loss[2]
-    assert abs(loss[2]) < 0.01
+        # 10 seeds of 32 samples rather than one of 320: what is tested is small sets.
+        means = np.array([backend.radiance(camera, 0, 32, s).halves.mean() for s in range(10)])
+        losses.append(1.0 - means.mean())
+    error = means.std(ddof=1) / np.sqrt(len(means))
+    assert losses[0] > losses[1] + 0.1
+    assert losses[1] > 0.1
+    # Nine degrees of freedom: beyond 7 standard errors once in 15,000 runs.
+    assert abs(losses[2]) < 7 * error + ROUNDING
 
 
 def write_latlong(path: Path, picture: NDArray) -> Path:
@@ -104,9 +111,8 @@ def write_latlong(path: Path, picture: NDArray) -> Path:
 
 @pytest.mark.parametrize("rotation", range(2))
 def test_mitsubas_sky_is_the_shared_lookup_in_every_direction(tmp_path, rotation):
-    import mitsuba as mi
-
     from scenec.backends.mitsuba.emitter import dome_dict
+    from scenec.backends.mitsuba.variant import load_mitsuba
     from scenec.backends.render_scene import Dome
     from scenec.backends.sky import lookup
 
@@ -115,12 +121,15 @@ def test_mitsubas_sky_is_the_shared_lookup_in_every_direction(tmp_path, rotation
     to_world = ms.DOME_Z_UP if rotation == 0 else scenes.rotation(rng)
     sky = combine((Dome(file, np.array([1.0, 2.0, 0.5]), to_world),))
     assert sky is not None
-    Mitsuba()
+    mi = load_mitsuba()
     directions = rng.normal(size=(5000, 3))
     directions /= np.linalg.norm(directions, axis=1)[:, None]
-    # The poles, the seam and the centers of texels too.
-    texels = texel_directions(7, 12).reshape(-1, 3) @ to_world.T
-    directions = np.concatenate([directions, texels, to_world.T[1:2], -to_world.T[1:2]])
+    # Centers of texels too, and the neighborhoods of the poles; at a pole itself longitude, and
+    # with it the lookup, is undefined.
+    texels = texel_directions(7, 12).reshape(-1, 3)
+    poles = np.array([[0.01, 1, 0.02], [-0.02, 1, 0.01], [0.01, -1, -0.02], [-0.01, -1, 0.02]])
+    near = poles / np.linalg.norm(poles, axis=1)[:, None]
+    directions = np.concatenate([directions, texels @ to_world.T, near @ to_world.T])
     emitter = mi.load_dict(dome_dict(mi, sky))
     si = mi.SurfaceInteraction3f()
     si.wi = mi.Vector3f(np.ascontiguousarray(-directions.T, np.float32))
@@ -198,12 +207,13 @@ def test_the_halves_differ_and_their_difference_estimates_the_error():
     assert predicted == pytest.approx(means.var(axis=0, ddof=1).mean(), rel=0.1)
 
 
-@pytest.mark.parametrize("spp", [1, 2, 7, 24, 64, 100])
-def test_sample_counts_split_into_powers_of_two_that_add_up(spp):
+@pytest.mark.parametrize("spp", [1, 2, 7, 24, 64, 1000])
+def test_sample_counts_split_into_passes_that_fit_and_add_up(spp):
     for pixels in (100, 640 * 480, 1 << 24, 1 << 26):
-        parts = powers_of_two(spp, pixels)
+        parts = split_samples(spp, pixels)
         assert sum(parts) == spp
-        assert all(part & (part - 1) == 0 for part in parts)
+        assert min(parts) >= 1
+        assert max(parts) == 1 or (max(parts) - 1) * pixels < MAX_WAVEFRONT
 
 
 def test_seeds_of_parts_are_all_different():

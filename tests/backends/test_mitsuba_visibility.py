@@ -40,7 +40,7 @@ def field(offset: np.ndarray | None = None) -> RenderScene:
             linear = linear @ np.diag([-1.0, 1, 1])
         where = np.array([*rng.uniform(-12, 12, 2), rng.uniform(0, 1)]) + shift
         rows.append((1 + i % 2, scenes.affine(linear, where)))
-    camera = ms.look_at(shift + [0, -18, 5], shift + [0, 0, 0.5], 160, 120, 60)
+    camera = ms.look_at(np.add(shift, (0, -18, 5)), np.add(shift, (0, 0, 0.5)), 160, 120, 60)
     kept = [(m, a) for m, a in rows if m != 3]
     whole = ms.scene(meshes, rows=kept, cameras=[camera])
     return dataclasses.replace(

@@ -1,0 +1,169 @@
+"""Facts about finished annotation, from the cfg to the pixel."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pxr import Gf, Usd, UsdGeom
+from small import small_cfg, write_cfg
+
+from scenec.backends.session import Session
+from scenec.compiler.build import BuildLog, build
+from scenec.compiler.compile import compile_cfg
+from scenec.compiler.draw import draw
+from scenec.compiler.frontend.load import load
+from scenec.compiler.ground.merge import label_index
+
+PASSES = ("depth", "label", "instance", "normal", "position", "face")
+
+
+def compiled(folder: Path, cfg: dict, seed: int) -> Path:
+    compile_cfg(write_cfg(folder, cfg), seed=seed, out=folder / "out")
+    return folder / "out" / "batch_0000" / "stage.usda"
+
+
+def annotation(session: Session, sample: int) -> tuple[dict[str, np.ndarray], dict]:
+    camera = session.scene.cameras[sample][0]
+    return session.render(camera, sample, session.passes(PASSES), 0, 0)
+
+
+def drawn_cfg(seed: int) -> dict:
+    """A cfg whose terrain, rocks and cameras differ much from seed to seed."""
+    rng = np.random.default_rng(seed)
+    cfg = small_cfg(samples=1)
+    cfg["terrain"]["size_m"] = [float(rng.uniform(16, 60))] * 2
+    cfg["terrain"]["spacing_m"] = float(rng.uniform(0.1, 0.6))
+    cfg["terrain"]["relief"][1]["amplitude_m"] = float(rng.uniform(0.0, 2.5))
+    rocks = cfg["objects"]["rocks"]
+    rocks["count"] = int(10 ** rng.uniform(0, 4))
+    rocks["subdivisions"] = int(rng.integers(1, 4))
+    rocks["size_m"] = {"type": "log_uniform", "min": 0.01, "max": float(rng.uniform(0.1, 3.0))}
+    rocks["orientation"] = ("random", "upright", "normal")[seed % 3]
+    position = cfg["rigs"]["rover"]["pose"]["position"]
+    # Grazing views from 20 cm and steep ones from 10 m.
+    position["height_m"] = float(10 ** rng.uniform(-0.7, 1.0))
+    cfg["rigs"]["rover"]["pose"]["target"]["distance_m"] = float(rng.uniform(1, 12))
+    cfg["rigs"]["rover"]["pose"]["roll_deg"] = float(rng.uniform(-40, 40))
+    cfg["rigs"]["rover"]["sensors"]["front"] = {
+        "resolution": [320, 240],
+        "intrinsics": {"fx": 260, "fy": 240, "cx": 150.5, "cy": 127.2, "skew": float(seed % 2)},
+    }
+    return cfg
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_mitsuba_s_resolved_annotation_is_the_reference_on_every_pixel(seed, tmp_path):
+    stage = compiled(tmp_path, drawn_cfg(seed), seed)
+    found, details = annotation(Session.open(stage, "mitsuba"), 0)
+    # Not a tautology: the renderer's visibility was used, for most pixels unquestioned.
+    assert details["resolver"]["pixels"] == 320 * 240
+    assert not details["resolver"]["escalated"]
+    exact, _ = annotation(Session.open(stage, "reference"), 0)
+    assert set(found) == set(exact)
+    for name in exact:
+        same = (found[name] == exact[name]) | (np.isnan(exact[name]) & np.isnan(found[name]))
+        assert same.all(), f"{name}: {(~same).sum()} differ"
+
+
+def test_labels_are_those_of_the_merge_function_at_the_hit_points(tmp_path):
+    cfg = small_cfg(samples=4)
+    del cfg["terrain"]["ground"][2], cfg["materials"]["mud"], cfg["labels"]["surface"]["mud"]
+    stage = compiled(tmp_path, cfg, 3)
+    spec = load(tmp_path / "small.json")
+    plan = draw(spec, 3, 0)
+    log = BuildLog()
+    build(plan, log)
+    (merge,) = plan.terrain.merges
+    bound = log.facts["ground"]["cuts"][0]["side_error_bound"]
+    session = Session.open(stage, "mitsuba")
+    ids = cfg["labels"]["surface"]
+    ground, wrong = 0, 0
+    for sample in range(4):
+        found, _ = annotation(session, sample)
+        on_ground = (found["label.class"] == cfg["labels"]["class"]["ground"]).ravel()
+        x, y, _ = found["position"].reshape(-1, 3)[on_ground].T
+        side = merge.side(np.ascontiguousarray(x), np.ascontiguousarray(y))
+        expected = np.where(label_index([side]) == 1, ids["gravel"], ids["sand"])
+        differs = found["label.surface"].ravel()[on_ground] != expected
+        assert np.abs(side[differs]).max(initial=0.0) <= bound
+        ground += on_ground.sum()
+        wrong += differs.sum()
+    assert ground > 5000
+    assert wrong < 0.01 * ground
+
+
+def test_an_instance_keeps_its_id_over_a_batch(tmp_path):
+    cfg = small_cfg(samples=6)
+    cfg["objects"]["rocks"] |= {"count": 60, "size_m": {"type": "uniform", "min": 0.3, "max": 0.9}}
+    stage = compiled(tmp_path, cfg, 8)
+    opened = Usd.Stage.Open(str(stage))
+    instancer = UsdGeom.PointInstancer(opened.GetPrimAtPath("/World/Objects/rocks"))
+    center = np.array(instancer.GetPositionsAttr().Get(), np.float64)
+    radius = 0.5 * np.array(instancer.GetScalesAttr().Get(), np.float64)[:, 0]
+    session = Session.open(stage, "mitsuba")
+    seen: dict[int, set[int]] = {}
+    for sample in range(6):
+        found, _ = annotation(session, sample)
+        rock = found["label.class"] == cfg["labels"]["class"]["rock"]
+        assert ((found["instance"] > 0) == rock).all()
+        for number in np.unique(found["instance"][rock]).tolist():
+            hits = found["position"][found["instance"] == number]
+            distance = np.linalg.norm(hits - center[number - 1], axis=1)
+            # Whatever the camera, the pixels of an id lie on that very rock.
+            assert distance.max() <= radius[number - 1] * (1 + 1e-6)
+            seen.setdefault(number, set()).add(sample)
+    assert sum(len(samples) > 1 for samples in seen.values()) >= 5
+
+
+def test_a_class_without_ids_resolves_to_none_and_moves_no_others(tmp_path):
+    cfg = small_cfg(samples=1)
+    more = cfg["objects"]["rocks"] | {"count": 50}
+    cfg["objects"] = {"first": cfg["objects"]["rocks"], "second": more}
+    with_ids, _ = annotation(Session.open(compiled(tmp_path, cfg, 2), "reference"), 0)
+    cfg["objects"]["first"]["instances"] = False
+    without, _ = annotation(Session.open(compiled(tmp_path, cfg, 2), "reference"), 0)
+    first = (with_ids["instance"] > 0) & (with_ids["instance"] <= 300)
+    assert first.any()
+    assert (without["instance"][first] == 0).all()
+    assert (without["instance"][~first] == with_ids["instance"][~first]).all()
+
+
+def plane_stage(path: Path) -> Path:
+    """z = y / 4 with vertices that float32 holds exactly, seen from 8 m above."""
+    stage = Usd.Stage.CreateNew(str(path))
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
+    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    mesh = UsdGeom.Mesh.Define(stage, "/plane")
+    mesh.CreatePointsAttr([(-64, -64, -16), (64, -64, -16), (64, 64, 16), (-64, 64, 16)])
+    mesh.CreateFaceVertexCountsAttr([4])
+    mesh.CreateFaceVertexIndicesAttr([0, 1, 2, 3])
+    camera = UsdGeom.Camera.Define(stage, "/camera")
+    camera.AddTransformOp().Set(Gf.Matrix4d(1.0).SetTranslate(Gf.Vec3d(0, 0, 8)))
+    camera.CreateFocalLengthAttr(0.5)
+    camera.CreateHorizontalApertureAttr(0.5)
+    camera.CreateVerticalApertureAttr(0.375)
+    stage.SetDefaultPrim(mesh.GetPrim())
+    stage.Save()
+    return path
+
+
+@pytest.mark.parametrize("backend", ["reference", "mitsuba"])
+def test_depth_of_an_inclined_plane_is_exact_in_memory_and_on_disk(backend, tmp_path):
+    from scenec.backends.render import render
+    from scenec.backends.frames import read_frame
+
+    stage = plane_stage(tmp_path / "plane.usda")
+    session = Session.open(stage, backend)
+    camera = session.scene.cameras[0][0]
+    assert (camera.width, camera.height) == (640, 480)
+    # Looking down, the ray through (u, v) is (x, y, -1) * t from (0, 0, 8): z = y/4 at
+    # 8 - t = y t / 4.
+    v = (np.arange(480) + 0.5 - camera.intrinsics[1, 2]) / camera.intrinsics[1, 1]
+    expected = np.repeat(8.0 / (1.0 - v[:, None] / 4.0), 640, axis=1)
+    found, _ = annotation(session, 0)
+    assert np.abs(found["depth"] / expected - 1.0).max() <= 1e-12
+    report = render(stage, backend, passes=["depth"])
+    on_disk = read_frame(report.frames[0]).passes["depth"].astype(np.float64)
+    assert np.abs(on_disk / expected - 1.0).max() <= 1e-7

@@ -1,0 +1,253 @@
+"""Rendering survives its workers' deaths, resumes, and ends in one clear line when it cannot."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pxr import Gf, Usd, UsdGeom, UsdLux, Vt
+
+from scenec.backends import pool
+from scenec.backends.doctor import diagnose, library_versions
+from scenec.backends.frames import read_frame
+from scenec.backends.pool import WorkerProcess
+from scenec.backends.registry import backend_names, open_backend, require_name
+from scenec.backends.render import find_batches, frame_seed, render
+from scenec.schemas.errors import BackendError, OutputError, StageError
+
+
+@pytest.fixture
+def stage(tmp_path: Path) -> Path:
+    """A foreign stage: a square under a sun, two cameras, three samples."""
+    path = tmp_path / "square.usda"
+    made = Usd.Stage.CreateNew(str(path))
+    UsdGeom.SetStageUpAxis(made, UsdGeom.Tokens.z)
+    UsdGeom.SetStageMetersPerUnit(made, 1.0)
+    made.SetTimeCodesPerSecond(1.0)
+    made.SetStartTimeCode(0)
+    made.SetEndTimeCode(2)
+    made.SetDefaultPrim(UsdGeom.Xform.Define(made, "/World").GetPrim())
+    mesh = UsdGeom.Mesh.Define(made, "/World/Square")
+    corners = [(-5, -5, 0), (5, -5, 0), (5, 5, 0), (-5, 5, 0)]
+    mesh.CreatePointsAttr(Vt.Vec3fArray([Gf.Vec3f(*c) for c in corners]))
+    mesh.CreateFaceVertexCountsAttr([4])
+    mesh.CreateFaceVertexIndicesAttr([0, 1, 2, 3])
+    sun = UsdLux.DistantLight.Define(made, "/World/Sun")
+    sun.CreateIntensityAttr(10.0)
+    sun.CreateAngleAttr(0.53)
+    sun.CreateNormalizeAttr(True)
+    for name in ("left", "right"):
+        camera = UsdGeom.Camera.Define(made, f"/World/{name}")
+        camera.CreateHorizontalApertureAttr(0.36)
+        camera.CreateVerticalApertureAttr(0.27)
+        camera.CreateFocalLengthAttr(0.36)
+        op = camera.AddTranslateOp()
+        for sample in range(3):
+            op.Set(Gf.Vec3d(sample * 0.5, 0, 6), sample)
+    made.Save()
+    return path
+
+
+def run(stage: Path, **options):
+    options = {"spp": 2, "passes": ["rgb", "depth"], **options}
+    return render(stage, "mitsuba", **options)
+
+
+def assassin(monkeypatch: pytest.MonkeyPatch, sample: int, times: int) -> list[int]:
+    """Kill the worker by SIGKILL once it has a render request for this sample, ``times`` times."""
+    killed: list[int] = []
+    exchange = WorkerProcess._exchange
+
+    def deadly(self: WorkerProcess, request: dict) -> dict:
+        process = self._process
+        aimed = request["op"] == "render" and request["sample"] == sample
+        if aimed and len(killed) < times and process is not None and process.stdin is not None:
+            process.stdin.write(json.dumps(request) + "\n")
+            process.stdin.flush()
+            os.kill(process.pid, signal.SIGKILL)
+            killed.append(process.pid)
+        return exchange(self, request)
+
+    monkeypatch.setattr(WorkerProcess, "_exchange", deadly)
+    return killed
+
+
+def test_a_foreign_stage_renders_every_camera_and_sample(stage: Path):
+    steps = []
+    report = run(stage, progress=lambda done, total, text: steps.append((done, total)))
+    assert (report.rendered, report.skipped, report.deaths) == (6, 0, 0)
+    assert steps == [(i, 6) for i in range(1, 7)]
+    assert {"load", "radiance", "compose", "visibility", "resolve", "write"} <= set(report.seconds)
+    frame = read_frame(report.frames[0])
+    height, width = frame.passes["depth"].shape
+    assert frame.passes["depth"][height // 2, width // 2] == np.float32(6.0)
+    # The square's default color is not ours to know here; that it is lit is.
+    assert frame.passes["rgb"][height // 2, width // 2].min() > 0.0
+
+
+def test_a_worker_killed_amid_a_frame_costs_nothing_but_time(stage, monkeypatch):
+    calm = run(stage, noise_seed=5)
+    undisturbed = [read_frame(f).passes["depth"] for f in calm.frames]
+    killed = assassin(monkeypatch, sample=1, times=1)
+    lines: list[str] = []
+    report = run(stage, noise_seed=6, warn=lines.append)
+    assert len(killed) == 1
+    assert (report.rendered, report.deaths) == (6, 1)
+    assert any("SIGKILL" in line and "trying again" in line for line in lines)
+    for path, depth in zip(report.frames, undisturbed, strict=True):
+        np.testing.assert_array_equal(read_frame(path).passes["depth"], depth)
+
+
+def test_a_frame_that_kills_every_worker_is_named_after_a_bounded_number_of_tries(
+    stage, monkeypatch
+):
+    killed = assassin(monkeypatch, sample=2, times=99)
+    with pytest.raises(BackendError, match=r"000002.*died 3 times.*SIGKILL"):
+        run(stage)
+    assert len(killed) == pool.RETRIES + 1
+    monkeypatch.undo()
+    # What was finished before is kept, and the next run does the rest.
+    report = run(stage)
+    assert (report.rendered, report.skipped) == (2, 4)
+
+
+def test_frames_that_are_there_are_not_made_again_unless_something_changed(stage):
+    assert run(stage).rendered == 6
+    assert (run(stage).rendered, run(stage).skipped) == (0, 6)
+    assert run(stage, samples=range(1, 2), noise_seed=1).rendered == 2
+    assert run(stage, spp=4, samples=range(1)).rendered == 2
+    stage.write_text(stage.read_text() + "\n# touched\n")
+    assert run(stage).rendered == 6
+
+
+def test_without_rgb_no_light_is_worked_on_and_noise_does_not_matter(stage):
+    first = run(stage, passes=["depth", "instance"])
+    assert "radiance" not in first.seconds
+    assert not any(path.with_suffix(".png").exists() for path in first.frames)
+    assert run(stage, passes=["depth", "instance"], spp=99, noise_seed=9).skipped == 6
+
+
+def test_reference_and_mitsuba_annotate_alike_on_every_pixel(stage):
+    passes = ["depth", "instance", "face", "normal"]
+    pairs = zip(
+        render(stage, "mitsuba", passes=passes).frames,
+        render(stage, "reference", passes=passes).frames,
+        strict=True,
+    )
+    for a, b in pairs:
+        for name in passes:
+            np.testing.assert_array_equal(read_frame(a).passes[name], read_frame(b).passes[name])
+
+
+def test_bad_requests_end_in_one_line(stage, tmp_path):
+    with pytest.raises(BackendError, match="did you mean 'mitsuba'"):
+        render(stage, "mitsubo")
+    with pytest.raises(BackendError, match="deepth"):
+        run(stage, passes=["deepth"])
+    with pytest.raises(BackendError, match="annotation only"):
+        render(stage, "reference", passes=["rgb"])
+    with pytest.raises(StageError, match="no such file"):
+        run(tmp_path / "gone.usda")
+    with pytest.raises(StageError, match="no frame"):
+        run(stage, samples=range(7, 9))
+    with pytest.raises(OutputError, match="manifest"):
+        find_batches(tmp_path / "empty")
+    with pytest.raises(BackendError, match="at least 1"):
+        run(stage, spp=0)
+
+
+def test_a_broken_stage_is_the_stages_error_across_the_pipe(tmp_path):
+    broken = tmp_path / "broken.usda"
+    broken.write_text("#usda 1.0\n(\n")
+    with pytest.raises(StageError, match=r"broken\.usda"):
+        run(broken)
+
+
+def test_a_worker_goes_with_its_parent(stage):
+    code = (
+        "import sys, time\n"
+        "from scenec.backends.pool import WorkerProcess\n"
+        "w = WorkerProcess()\n"
+        f"w.open({{'op': 'open', 'stage': {str(stage)!r}, 'backend': 'reference'}})\n"
+        "print(w.pid, flush=True)\n"
+        "time.sleep(60)\n"
+    )
+    parent = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
+    assert parent.stdout is not None
+    worker = int(parent.stdout.readline())
+    parent.kill()
+    parent.wait()
+    parent.stdout.close()
+    for _ in range(200):
+        # A zombie is dead too: nobody here may reap it.
+        status = Path(f"/proc/{worker}/stat")
+        if not status.exists() or status.read_text().rsplit(")", 1)[1].split()[0] == "Z":
+            return
+        time.sleep(0.05)
+    pytest.fail(f"worker {worker} outlived its parent")
+
+
+def test_what_libraries_print_does_not_reach_the_protocol():
+    # At descriptor level, as native code does: it must land on standard error.
+    code = (
+        "import os, sys, runpy\n"
+        "import scenec.backends.worker as w\n"
+        "real = w.Worker.answer\n"
+        "def noisy(self, request):\n"
+        "    os.write(1, b'LLVM says hello\\n'); print('python too', flush=True)\n"
+        "    return real(self, request)\n"
+        "w.Worker.answer = noisy\n"
+        "w.main()\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        input='{"op": "nonsense"}\n{"op": "quit"}\n',
+        capture_output=True,
+        text=True,
+    )
+    lines = done.stdout.splitlines()
+    assert [json.loads(line)["ok"] for line in lines] == [False]
+    assert "LLVM says hello" in done.stderr
+
+
+def test_no_two_frames_share_their_noise():
+    seeds = {
+        frame_seed(n, b, c, s)
+        for n in range(3)
+        for b in ("batch_0000", "batch_0001")
+        for c in ("left", "right")
+        for s in range(20)
+    }
+    assert len(seeds) == 240
+
+
+def test_backends_are_found_by_name():
+    assert {"mitsuba", "reference"} <= set(backend_names())
+    require_name("reference")
+    assert open_backend("reference").name == "reference"
+
+
+def test_a_backend_that_is_not_installed_says_what_to_install(monkeypatch):
+    monkeypatch.setitem(
+        __import__("scenec.backends.registry", fromlist=["BUILT_IN"]).BUILT_IN,
+        "mitsuba",
+        ("scenec_no_such_module:Mitsuba", "mitsuba"),
+    )
+    with pytest.raises(BackendError, match=r"pip install 'scenec\[mitsuba\]'"):
+        open_backend("mitsuba")
+
+
+def test_doctor_renders_with_each_backend_and_knows_the_libraries():
+    found = {d.name: d for d in diagnose(("mitsuba", "reference"))}
+    assert found["mitsuba"].works
+    assert "llvm" in found["mitsuba"].version
+    assert found["reference"].works
+    versions = library_versions()
+    assert all(versions[name] for name in ("numba", "usd-core", "OpenEXR"))

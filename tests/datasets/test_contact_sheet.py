@@ -1,0 +1,85 @@
+"""The contact sheet shows each pass in colors that say what they should."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+
+from scenec.datasets.colors import (
+    NO_LABEL,
+    label_colors,
+    paint_depth,
+    paint_instances,
+    paint_labels,
+    viridis,
+)
+from scenec.datasets.contact_sheet import SheetFrame, contact_sheet
+
+
+def test_labels_get_colors_that_differ_clearly():
+    colors = label_colors(list(range(1, 10)))
+    for a, b in itertools.combinations(colors.values(), 2):
+        assert np.abs(np.subtract(a, b)).sum() > 60
+    assert colors[0] == NO_LABEL
+    assert len(set(label_colors(list(range(1, 28))).values())) == 28
+
+
+def test_a_label_has_the_same_color_wherever_it_is_seen():
+    labels = np.array([[1, 2], [0, 2]], np.uint32)
+    painted = paint_labels(labels, label_colors([1, 2, 3]))
+    assert (painted[0, 1] == painted[1, 1]).all()
+    assert tuple(painted[1, 0]) == NO_LABEL
+    assert not (painted[0, 0] == painted[0, 1]).all()
+
+
+def test_neighboring_instances_differ_and_keep_their_color_in_every_frame():
+    ids = np.arange(1, 2001, dtype=np.uint32)[None]
+    painted = paint_instances(ids)[0].astype(int)
+    assert (np.abs(np.diff(painted, axis=0)).sum(axis=1) > 40).mean() > 0.97
+    assert (paint_instances(ids[:, 1000:1001])[0, 0] == painted[1000]).all()
+    assert (paint_instances(np.zeros((1, 1), np.uint32)) > 230).all()
+
+
+def test_depth_is_brighter_when_nearer_and_white_where_nothing_is_hit():
+    depth = np.array([[1.0, 2.0, 5.0, 20.0, np.inf]])
+    painted = paint_depth(depth, 1.0, 20.0)[0].astype(int)
+    assert (np.diff(painted[:4].sum(axis=1)) < 0).all()
+    assert painted[4].tolist() == [255, 255, 255]
+
+
+def test_the_colormap_goes_from_dark_to_bright_without_a_step_back():
+    bright = viridis(np.linspace(0, 1, 200)).astype(float) @ [0.2126, 0.7152, 0.0722]
+    assert (np.diff(bright) > -1.0).all()
+    assert bright[-1] > bright[0] + 150
+
+
+def frame(**change) -> SheetFrame:
+    h, w = 30, 40
+    values = {
+        "title": "camera, sample 0",
+        "picture": np.full((h, w, 3), (10, 200, 30), np.uint8),
+        "labels": {"class": np.full((h, w), 2, np.uint32)},
+        "instance": np.full((h, w), 7, np.uint32),
+        "depth": np.full((h, w), 3.0, np.float32),
+    }
+    return SheetFrame(**(values | change))
+
+
+def test_the_sheet_has_a_column_a_pass_and_a_row_a_frame():
+    names = {"class": {1: "sky", 2: "ground"}}
+    one = contact_sheet([frame()], names, "heading", tile_width=100)
+    two = contact_sheet([frame(), frame()], names, "heading", tile_width=100)
+    assert one.size[0] == 10 + 4 * 110
+    assert two.size[1] - one.size[1] == 75 + 10
+    assert one.getpixel((60, 110)) == (10, 200, 30)
+    assert one.getpixel((170, 110)) == label_colors([1, 2])[2]
+
+
+def test_passes_that_are_not_there_take_no_room():
+    sheet = contact_sheet(
+        [frame(picture=None, labels={}, instance=None)], {}, "heading", tile_width=100
+    )
+    assert sheet.size[0] == 10 + 110
+    nothing = frame(depth=np.full((30, 40), np.inf))
+    assert contact_sheet([nothing], {}, "heading", tile_width=100).size[0] == 10 + 4 * 110

@@ -1,0 +1,40 @@
+"""What the README shows works as it stands."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+from scenec.compiler.frontend.load import load
+
+ROOT = Path(__file__).resolve().parents[2]
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+
+
+def test_the_cfg_that_is_explained_line_by_line_is_valid(tmp_path):
+    (block,) = re.findall(r"```jsonc\n(.*?)```", README, re.DOTALL)
+    path = tmp_path / "first.json"
+    path.write_text(re.sub(r"\s+//.*", "", block), encoding="utf-8")
+    json.loads(path.read_text())
+    assert load(path).cfg["name"] == "first"
+
+
+def test_every_file_that_it_links_is_there():
+    for target in re.findall(r"\]\(([^)#]+)\)", README):
+        assert (ROOT / target).exists(), target
+
+
+def test_every_command_that_it_names_exists():
+    from scenec.cli.main import parser
+
+    known = set(parser()._subparsers._group_actions[0].choices)
+    for line in re.findall(r"^    scenec (\w+)", README, re.MULTILINE):
+        assert line in known
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "configs").glob("*.json")), ids=lambda p: p.stem)
+def test_every_cfg_that_ships_is_valid(path):
+    assert load(path).cfg["name"] == path.stem
