@@ -92,6 +92,7 @@ def test_a_foreign_stage_renders_every_camera_and_sample(stage: Path):
     assert frame.passes["rgb"][height // 2, width // 2].min() > 0.0
 
 
+@pytest.mark.slow
 def test_a_worker_killed_amid_a_frame_costs_nothing_but_time(stage, monkeypatch):
     calm = run(stage, noise_seed=5)
     undisturbed = [read_frame(f).passes["depth"] for f in calm.frames]
@@ -105,6 +106,7 @@ def test_a_worker_killed_amid_a_frame_costs_nothing_but_time(stage, monkeypatch)
         np.testing.assert_array_equal(read_frame(path).passes["depth"], depth)
 
 
+@pytest.mark.slow
 def test_a_frame_that_kills_every_worker_is_named_after_a_bounded_number_of_tries(
     stage, monkeypatch
 ):
@@ -118,6 +120,7 @@ def test_a_frame_that_kills_every_worker_is_named_after_a_bounded_number_of_trie
     assert (report.rendered, report.skipped) == (2, 4)
 
 
+@pytest.mark.slow
 def test_frames_that_are_there_are_not_made_again_unless_something_changed(stage):
     assert run(stage).rendered == 6
     assert (run(stage).rendered, run(stage).skipped) == (0, 6)
@@ -134,6 +137,7 @@ def test_without_rgb_no_light_is_worked_on_and_noise_does_not_matter(stage):
     assert run(stage, passes=["depth", "instance"], spp=99, noise_seed=9).skipped == 6
 
 
+@pytest.mark.slow
 def test_reference_and_mitsuba_annotate_alike_on_every_pixel(stage):
     passes = ["depth", "instance", "face", "normal"]
     pairs = zip(
@@ -206,15 +210,25 @@ def test_what_libraries_print_does_not_reach_the_protocol():
         "w.Worker.answer = noisy\n"
         "w.main()\n"
     )
-    done = subprocess.run(
+    with subprocess.Popen(
         [sys.executable, "-c", code],
-        input='{"op": "nonsense"}\n{"op": "quit"}\n',
-        capture_output=True,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
         text=True,
-    )
-    lines = done.stdout.splitlines()
-    assert [json.loads(line)["ok"] for line in lines] == [False]
-    assert "LLVM says hello" in done.stderr
+    ) as process:
+        assert process.stdin is not None
+        assert process.stdout is not None
+        assert process.stderr is not None
+        # The pipe stays open until the answer is there: its end means that the parent is gone.
+        process.stdin.write('{"op": "nonsense"}\n')
+        process.stdin.flush()
+        assert json.loads(process.stdout.readline())["ok"] is False
+        process.stdin.close()
+        assert process.stdout.read() == ""
+        printed = process.stderr.read()
+    assert "LLVM says hello" in printed
+    assert "python too" in printed
 
 
 def test_no_two_frames_share_their_noise():
