@@ -8,14 +8,11 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from scenec.backends.frames import FrameKey, frame_stem, is_done
 from scenec.backends.pool import WorkerProcess
 from scenec.backends.registry import require_name
 from scenec.schemas.errors import BackendError, StageError
-from scenec.schemas.manifest import read_manifest
-
-#: Endings of a path that is a stage itself.
-STAGE_SUFFIXES = (".usda", ".usdc", ".usd", ".usdz")
+from scenec.schemas.frames import FrameKey, frame_stem, is_done
+from scenec.schemas.manifest import Batch, find_batches
 
 #: ``progress(done, total, text)``, called after each frame.
 Progress = Callable[[int, int, str], None]
@@ -40,15 +37,6 @@ class RenderReport:
     deaths: int = 0
     seconds: dict[str, float] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
-
-
-@dataclass(frozen=True)
-class Batch:
-    """A stage to render and the folder its frames go to (below ``frames/``)."""
-
-    name: str
-    stage: Path
-    folder: Path
 
 
 def render(
@@ -122,28 +110,6 @@ def render(
     if not report.frames:
         raise StageError(f"{out}: no frame to render: no camera, or no sample in the range asked")
     return report
-
-
-def find_batches(out: Path, batches: range | None = None) -> list[Batch]:
-    """The stages of an output folder, or the one stage of a USD file.
-
-    Raises:
-        OutputError: No manifest.
-        StageError: None of the batches asked for is there.
-    """
-    if out.suffix.lower() in STAGE_SUFFIXES and not out.is_dir():
-        if not out.is_file():
-            raise StageError(f"{out}: no such file")
-        return [Batch(out.stem, out, out.parent)]
-    entries: list[dict[str, Any]] = read_manifest(out)["batches"]
-    found = [
-        Batch(str(entry["path"]), out / entry["stage"], out / entry["path"])
-        for i, entry in enumerate(entries)
-        if batches is None or entry.get("index", i) in batches
-    ]
-    if not found:
-        raise StageError(f"{out}: holds none of the batches asked for (it has {len(entries)})")
-    return found
 
 
 def frame_seed(noise_seed: int, batch: str, camera: str, sample: int) -> int:

@@ -14,13 +14,14 @@ from numpy.typing import NDArray
 from scenec.backends.compose import compose
 from scenec.backends.contract import Backend
 from scenec.backends.exact import ExactCaster
-from scenec.backends.frames import FrameKey, write_frame
+from scenec.backends.frames import write_frame
 from scenec.backends.rays import camera_rays
 from scenec.backends.reader import read_stage
 from scenec.backends.registry import open_backend
 from scenec.backends.render_scene import Camera, RenderScene
 from scenec.backends.resolver import annotate, pass_names, settle
 from scenec.schemas.errors import BackendError
+from scenec.schemas.frames import FrameKey
 
 
 class Session:

@@ -64,7 +64,8 @@ class Worker:
         }
 
     def _render(self, request: dict[str, Any]) -> dict[str, Any]:
-        from scenec.backends.frames import FrameKey, plain
+        from scenec.backends.frames import plain
+        from scenec.schemas.frames import FrameKey
 
         if self._session is None:
             raise BackendError("worker: asked to render before a stage was opened")

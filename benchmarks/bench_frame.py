@@ -2,8 +2,9 @@
 
     python benchmarks/bench_frame.py [CFG]
 
-Everything is loaded; what is timed is what each further frame costs: visibility by the renderer, resolving
-it exactly, and all annotation the cfg asks for. The last columns say what the renderer itself had wrong.
+Everything is loaded; what is timed is what each further frame costs: visibility by the renderer,
+resolving it exactly, and all annotation the cfg asks for. The last column says how many pixels of a
+frame the renderer itself had wrong.
 """
 
 from __future__ import annotations

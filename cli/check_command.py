@@ -13,10 +13,9 @@ from scenec.backends.check.frames import check_frames
 from scenec.backends.check.stage import check_stage
 from scenec.backends.reader import read_stage
 from scenec.backends.registry import require_name
-from scenec.backends.render import find_batches
 from scenec.cli.output import print_json, say, table
 from scenec.schemas.errors import StageError
-from scenec.schemas.manifest import read_manifest
+from scenec.schemas.manifest import find_batches, read_manifest
 
 
 def run(options: argparse.Namespace) -> int:

@@ -6,8 +6,9 @@ import argparse
 from pathlib import Path
 
 from scenec.backends.registry import require_name
-from scenec.backends.render import RenderReport, find_batches, render
+from scenec.backends.render import RenderReport, render
 from scenec.cli.output import Progress, print_json, say
+from scenec.schemas.manifest import find_batches
 
 
 def run(options: argparse.Namespace) -> int:

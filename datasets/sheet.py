@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from scenec.backends.frames import Frame, read_frame
-from scenec.backends.picture import develop
-from scenec.backends.render import find_batches
 from scenec.datasets.contact_sheet import SheetFrame, contact_sheet
 from scenec.schemas.errors import FrameError
 from scenec.schemas.files import atomic
+from scenec.schemas.frames import Frame, read_frame
+from scenec.schemas.manifest import find_batches
+from scenec.schemas.picture import develop
 
 
 @dataclass(frozen=True)

@@ -1,11 +1,157 @@
-"""OpenEXR pictures of three float channels, with stable bytes."""
+"""Frames as multi-part OpenEXR: one part per pass, with full channel names.
+
+==================  =======================================  ==========
+pass (part name)    channels                                 type
+==================  =======================================  ==========
+``rgb``             ``R``, ``G``, ``B``                      float
+``depth``           ``Z``                                    float
+``range``           ``range.Z``                              float
+``label.<level>``   ``label.<level>.id``                     uint
+``instance``        ``instance.id``                          uint
+``face``            ``face.id``                              uint
+``normal``          ``normal.X``, ``normal.Y``, ``normal.Z``       float
+``position``        ``position.X``, ``position.Y``, ``position.Z``  float
+==================  =======================================  ==========
+
+ZIP compression, float32 where memory has float64. The same arrays give the same bytes.
+"""
 
 from __future__ import annotations
 
+import contextlib
+import os
+import tempfile
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+
+from scenec.schemas.errors import FrameError, OutputError
+from scenec.schemas.files import atomic
+
+_FIXED_CHANNELS: dict[str, tuple[str, ...]] = {
+    "rgb": ("R", "G", "B"),
+    "depth": ("Z",),
+    "range": ("range.Z",),
+    "instance": ("instance.id",),
+    "face": ("face.id",),
+    "normal": ("normal.X", "normal.Y", "normal.Z"),
+    "position": ("position.X", "position.Y", "position.Z"),
+}
+
+
+def channel_names(name: str) -> tuple[str, ...]:
+    """Channels of a pass, in the order of the array's last axis.
+
+    Raises:
+        FrameError: No such pass.
+    """
+    if name in _FIXED_CHANNELS:
+        return _FIXED_CHANNELS[name]
+    if name.startswith("label.") and len(name) > len("label."):
+        return (f"{name}.id",)
+    raise FrameError(f"unknown pass {name!r}")
+
+
+def is_id_pass(name: str) -> bool:
+    """Whether a pass holds ids (uint32) instead of floats."""
+    return name in ("instance", "face") or name.startswith("label.")
+
+
+def write_exr(path: Path, passes: Mapping[str, NDArray]) -> None:
+    """Write passes, in their order, by atomic rename.
+
+    Args:
+        path: Ends in ``.exr``.
+        passes: Pass name -> [h, w] or [h, w, channels]; ids unsigned, the rest floating.
+
+    Raises:
+        OutputError: The file cannot be written.
+        FrameError: A pass of unknown name or wrong shape.
+    """
+    import OpenEXR
+
+    parts = []
+    for name, array in passes.items():
+        channels = channel_names(name)
+        dtype = np.uint32 if is_id_pass(name) else np.float32
+        planes = array[..., None] if array.ndim == 2 else array
+        if planes.ndim != 3 or planes.shape[2] != len(channels):
+            raise FrameError(f"{path}: pass {name!r} has shape {array.shape}")
+        header = {"type": OpenEXR.scanlineimage, "compression": OpenEXR.ZIP_COMPRESSION}
+        data = {
+            channel: np.ascontiguousarray(planes[..., i], dtype)
+            for i, channel in enumerate(channels)
+        }
+        parts.append(OpenEXR.Part(header, data, name=name))
+
+    with atomic(path) as temporary:
+        try:
+            OpenEXR.File(parts).write(str(temporary))
+        except RuntimeError as error:
+            raise OutputError(f"{path}: cannot be written: {error}") from error
+
+
+def read_exr(path: Path) -> dict[str, NDArray]:
+    """Passes of a frame: floats as float32, ids as uint32, [h, w] or [h, w, channels].
+
+    Raises:
+        FrameError: The file is missing, truncated, corrupt, or not a frame of this contract.
+    """
+    if not path.is_file():
+        raise FrameError(f"{path}: no such frame")
+    with _captured_stderr() as noise:
+        passes = _read_passes(path)
+    if noise[0].strip():
+        raise FrameError(f"{path}: damaged: {noise[0].strip().splitlines()[0]}")
+    if len({array.shape[:2] for array in passes.values()}) != 1:
+        raise FrameError(f"{path}: passes differ in size, or there are none")
+    return passes
+
+
+def _read_passes(path: Path) -> dict[str, NDArray]:
+    import OpenEXR
+
+    try:
+        file = OpenEXR.File(str(path), separate_channels=True)
+    except (RuntimeError, ValueError, TypeError) as error:
+        raise FrameError(f"{path}: not an OpenEXR file, or cut short") from error
+    passes: dict[str, NDArray] = {}
+    for part in file.parts:
+        name = part.name()
+        try:
+            channels = channel_names(name)
+        except FrameError as error:
+            raise FrameError(f"{path}: {error}; not a frame of scenec") from error
+        planes = []
+        for channel in channels:
+            # A broken chunk leaves its channel out, with a line on stderr and no exception.
+            pixels = part.channels[channel].pixels if channel in part.channels else None
+            expected = np.uint32 if is_id_pass(name) else np.float32
+            if pixels is None or pixels.shape != (part.height(), part.width()):
+                raise FrameError(f"{path}: pass {name!r} is damaged or cut short")
+            if pixels.dtype != expected:
+                raise FrameError(f"{path}: channel {channel!r} has type {pixels.dtype}")
+            planes.append(pixels)
+        passes[name] = planes[0] if len(planes) == 1 else np.stack(planes, axis=-1)
+    return passes
+
+
+@contextlib.contextmanager
+def _captured_stderr() -> Iterator[list[str]]:
+    """Collect what the native library prints: its only sign of some kinds of damage."""
+    captured: list[str] = []
+    with tempfile.TemporaryFile() as store:
+        saved = os.dup(2)
+        os.dup2(store.fileno(), 2)
+        try:
+            yield captured
+        finally:
+            os.dup2(saved, 2)
+            os.close(saved)
+            store.seek(0)
+            captured.append(store.read().decode(errors="replace"))
 
 
 def write_rgb(path: Path, picture: NDArray[np.float32]) -> None:

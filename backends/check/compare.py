@@ -9,11 +9,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.backends.frames import Frame, frame_stem, read_frame
 from scenec.backends.reader import read_stage
-from scenec.backends.render import Batch, find_batches, render
+from scenec.backends.render import render
 from scenec.backends.resolver import pass_names
 from scenec.schemas.errors import FrameError
+from scenec.schemas.frames import Frame, frame_stem, read_frame
+from scenec.schemas.manifest import Batch, find_batches
 
 #: What is compared where the stage does not say what it wants.
 ANNOTATION = ("label", "instance", "depth")

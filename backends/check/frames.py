@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from scenec.backends.check.finding import Finding
-from scenec.backends.frames import Frame, read_frame
 from scenec.schemas.errors import FrameError
+from scenec.schemas.frames import Frame, read_frame
 
 _NO_FACE = 0xFFFFFFFF
 

@@ -15,11 +15,11 @@ from PIL import Image
 
 from scenec.backends.compose import compose, disc_fraction
 from scenec.backends.contract import Radiance
-from scenec.backends.picture import SHOULDER, develop, srgb_encode, tone_map, write_png
 from scenec.backends.rays import camera_rays
 from scenec.backends.render_scene import Dome, RenderScene
 from scenec.backends.sky import Sky, combine, load_picture, lookup, texel_directions
 from scenec.schemas.errors import StageError
+from scenec.schemas.picture import SHOULDER, develop, srgb_encode, tone_map, write_png
 
 
 def write_latlong(path: Path, picture: NDArray) -> Path:

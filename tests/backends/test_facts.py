@@ -131,7 +131,7 @@ def test_a_class_without_ids_resolves_to_none_and_moves_no_others(tmp_path):
 
 
 def plane_stage(path: Path) -> Path:
-    """z = y / 4 with vertices that float32 holds exactly, seen from 8 m above."""
+    """Z = y / 4 with vertices that float32 holds exactly, seen from 8 m above."""
     stage = Usd.Stage.CreateNew(str(path))
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
     UsdGeom.SetStageMetersPerUnit(stage, 1.0)
@@ -152,7 +152,7 @@ def plane_stage(path: Path) -> Path:
 @pytest.mark.parametrize("backend", ["reference", "mitsuba"])
 def test_depth_of_an_inclined_plane_is_exact_in_memory_and_on_disk(backend, tmp_path):
     from scenec.backends.render import render
-    from scenec.backends.frames import read_frame
+    from scenec.schemas.frames import read_frame
 
     stage = plane_stage(tmp_path / "plane.usda")
     session = Session.open(stage, backend)

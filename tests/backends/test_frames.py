@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from scenec.backends.exr import channel_names, read_exr, write_exr
-from scenec.backends.frames import FrameKey, frame_stem, is_done, read_frame, write_frame
+from scenec.backends.frames import write_frame
 from scenec.schemas.errors import FrameError, OutputError
+from scenec.schemas.exr import channel_names, read_exr, write_exr
+from scenec.schemas.frames import FrameKey, frame_stem, is_done, read_frame
 
 H, W = 24, 32
 KEY = FrameKey("d" * 64, ("rgb", "label.class", "instance", "depth"), 64, 0, "mitsuba", "m 1")

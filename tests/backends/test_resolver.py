@@ -15,6 +15,7 @@ import scenes
 
 from scenec.backends.contract import NO_ROW, Visibility
 from scenec.backends.exact import ExactCaster
+from scenec.backends.mitsuba.variant import load_mitsuba
 from scenec.backends.rays import camera_rays
 from scenec.backends.reference import Reference
 from scenec.backends.resolver import NO_FACE, annotate, resolve, settle
@@ -251,14 +252,13 @@ def test_reference_answers_the_definition_and_has_no_radiance(rocks):
 @pytest.mark.slow
 @pytest.mark.parametrize("offset", [0.0, 3000.0])
 def test_float32_visibility_of_mitsuba_is_settled_on_every_pixel(offset):
-    mi = pytest.importorskip("mitsuba")
+    mi = load_mitsuba()
     scene = scenes.rocky(2000, 150, 40.0, seed=2, subdivisions=2)
     shift = np.array([offset, -offset, 0.0])
     rows = dataclasses.replace(scene.rows, to_world=scene.rows.to_world.copy())
     rows.to_world[:, :, 3] += shift
     scene = dataclasses.replace(scene, rows=rows)
     caster = ExactCaster(scene)
-    mi.set_variant("scalar_rgb")
     view = scenes.camera(160, 120, 65.0, scene.cameras[0][0].camera_to_world[:3, 3] + shift,
                          np.add(shift, (9.0, -3.0, -0.5)))  # fmt: skip
     rays = camera_rays(view)
@@ -270,7 +270,7 @@ def test_float32_visibility_of_mitsuba_is_settled_on_every_pixel(offset):
 
 
 def mitsuba_visibility(mi, scene, rays):
-    """First hits by Mitsuba's scalar ray tracer, all rows flattened to one mesh in float32."""
+    """First hits by Mitsuba's ray tracer, all rows flattened to one mesh in float32."""
     points, faces, row_of, face_of, count = [], [], [], [], 0
     for row, (which, m) in enumerate(zip(scene.rows.mesh, scene.rows.to_world, strict=True)):
         mesh = scene.meshes[which]
@@ -286,10 +286,11 @@ def mitsuba_visibility(mi, scene, rays):
     parameters.update()
     tracer = mi.load_dict({"type": "scene", "shape": shape})
     row_of, face_of = np.concatenate(row_of), np.concatenate(face_of)
-    row = np.full(len(rays.origins), NO_ROW, np.int32)
-    face = np.zeros(len(rays.origins), np.int32)
-    for k, (o, d) in enumerate(zip(rays.origins.tolist(), rays.directions.tolist(), strict=True)):
-        hit = tracer.ray_intersect_preliminary(mi.Ray3f(o, mi.Vector3f(d)))
-        if hit.is_valid():
-            row[k], face[k] = row_of[hit.prim_index], face_of[hit.prim_index]
-    return row, face
+    ray = mi.Ray3f(mi.Point3f(rays.origins.T), mi.Vector3f(rays.directions.T))
+    hit = tracer.ray_intersect_preliminary(ray, coherent=True)
+    prim, valid = np.array(hit.prim_index), np.array(hit.is_valid())
+    index = np.where(valid, prim, 0)
+    return (
+        np.where(valid, row_of[index], NO_ROW).astype(np.int32),
+        np.where(valid, face_of[index], 0).astype(np.int32),
+    )

@@ -16,11 +16,12 @@ from pxr import Gf, Usd, UsdGeom, UsdLux, Vt
 
 from scenec.backends import pool
 from scenec.backends.doctor import diagnose, library_versions
-from scenec.backends.frames import read_frame
 from scenec.backends.pool import WorkerProcess
 from scenec.backends.registry import backend_names, open_backend, require_name
-from scenec.backends.render import find_batches, frame_seed, render
+from scenec.backends.render import frame_seed, render
 from scenec.schemas.errors import BackendError, OutputError, StageError
+from scenec.schemas.frames import read_frame
+from scenec.schemas.manifest import find_batches
 
 
 @pytest.fixture
