@@ -132,23 +132,6 @@ def flatten(scene: RenderScene, group: Group, center: NDArray[np.float64]) -> Fl
     return FlatMesh(points, faces, normals, np.clip(colors, 0.0, 1.0, dtype=np.float32), weights)
 
 
-def mix_colors(colors: NDArray[np.float32], weights: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Merge layers in order: t = w * layer + (1 - w) * t (equation (1) of the seed paper).
-
-    Args:
-        colors: Albedo per layer, float32 [layers, n, 3] or [layers, 1, 3].
-        weights: Weight of merge i (layer i + 1 over all before it), float32 [layers - 1, n].
-
-    Returns:
-        Albedo at the vertices, float32 [n, 3] (or [1, 3] for one constant layer).
-    """
-    mixed = colors[0]
-    for layer in range(1, len(colors)):
-        w = weights[layer - 1][:, None]
-        mixed = w * colors[layer] + (1.0 - w) * mixed
-    return np.ascontiguousarray(mixed, np.float32)
-
-
 def _parts_by_mesh(scene: RenderScene, group: Group) -> Iterator[tuple[int, NDArray[np.int64]]]:
     mesh_of = scene.rows.mesh[group.rows]
     order = np.argsort(mesh_of, kind="stable")

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.backends.mitsuba.geometry import FlatMesh, mix_colors
+from scenec.backends.mitsuba.geometry import FlatMesh
 from scenec.backends.render_scene import Surface
 
 #: GGX in float32 loses its digits below this; roughness under 0.032 is drawn as 0.032.
@@ -30,50 +30,81 @@ class Look:
 
 
 def make_look(surfaces: Sequence[Surface], flat: FlatMesh) -> Look:
-    """Choose the cheapest BSDF that equals the merge of the layers.
+    """The cheapest BSDF that equals the merge of the layers.
 
-    Lambert's albedo enters the model linearly, so layers that share s and roughness are one BSDF
-    with the merged color at the vertices. Others are blended BSDF by BSDF, in the order of merges.
+    The model is linear in its lobes. With the share W_i of layer i at a vertex, all Lambert lobes
+    are one, of albedo sum W_i (1 - s_i) c_i, and all GGX lobes of one roughness are one, of weight
+    sum W_i s_i: n layers take one diffuse BSDF and one per distinct roughness, not 2 n. Shares and
+    albedo stand on the vertices and are linear between them.
     """
-    lobes = {_lobe(s) for s in surfaces}
+    shares = layer_shares(flat.weights, len(surfaces))
+    lobes: dict[float, NDArray[np.float32]] = {}
+    for surface, share in zip(surfaces, shares, strict=True):
+        if surface.specular > 0.0:
+            alpha = max(surface.roughness**2, MIN_ALPHA)
+            lobes[alpha] = lobes.get(alpha, np.float32(0.0)) + np.float32(surface.specular) * share
+    gloss = sum(lobes.values(), np.zeros(1, np.float32))
+    dull = [np.float32(1.0 - surface.specular) * share[:, None] for surface, share in zip(
+        surfaces, shares, strict=True)]  # fmt: skip
+    color = sum((w * c for w, c in zip(dull, flat.colors, strict=True)), np.zeros((1, 3), "f4"))
+    left = np.maximum(1.0 - gloss, 1e-6)[:, None]
     attributes: dict[str, NDArray[np.float32]] = {}
-    if len(lobes) == 1:
-        colors = mix_colors(flat.colors, flat.weights) if len(surfaces) > 1 else flat.colors[0]
-        bsdf = _layer(surfaces[0], colors, "vertex_color", attributes)
-    else:
-        bsdf = _layer(surfaces[0], flat.colors[0], "vertex_color_0", attributes)
-        for i in range(1, len(surfaces)):
-            weight = f"vertex_weight_{i}"
-            attributes[weight] = flat.weights[i - 1][:, None]
-            bsdf = {
-                "type": "blendbsdf",
-                "weight": {"type": "mesh_attribute", "name": weight},
-                "below": bsdf,
-                "over": _layer(surfaces[i], flat.colors[i], f"vertex_color_{i}", attributes),
-            }
+    bsdf: dict[str, Any] = {
+        "type": "diffuse",
+        "reflectance": _texture(np.clip(color / left, 0.0, 1.0), "vertex_color", attributes),
+    }
+    if lobes:
+        # blendbsdf takes its children by name in alphabetical order: weight 0 is the first.
+        bsdf = {
+            "type": "blendbsdf",
+            "weight": _texture(gloss[:, None], "vertex_gloss", attributes),
+            "a": bsdf,
+            "b": _glossy(lobes, attributes),
+        }
     return Look({"type": "twosided", "bsdf": bsdf}, attributes)
 
 
-def _lobe(surface: Surface) -> tuple[float, float]:
-    return (surface.specular, surface.roughness if surface.specular > 0.0 else 0.0)
+def layer_shares(weights: NDArray[np.float32], layers: int) -> list[NDArray[np.float32]]:
+    """Share of each layer: w_i times all (1 - w_j) of later merges; [n] or [1] each."""
+    shares: list[NDArray[np.float32]] = []
+    rest = np.ones(1, np.float32)
+    for merge in range(layers - 2, -1, -1):
+        shares.append(weights[merge] * rest)
+        rest = (np.float32(1.0) - weights[merge]) * rest
+    return [rest, *reversed(shares)]
 
 
-def _layer(
-    surface: Surface,
-    colors: NDArray[np.float32],
-    name: str,
-    attributes: dict[str, NDArray[np.float32]],
+def _glossy(
+    lobes: dict[float, NDArray[np.float32]], attributes: dict[str, NDArray[np.float32]]
 ) -> dict[str, Any]:
-    if len(colors) == 1:
-        reflectance: dict[str, Any] = {"type": "rgb", "value": colors[0].tolist()}
-    else:
-        attributes[name] = colors
-        reflectance = {"type": "mesh_attribute", "name": name}
-    diffuse = {"type": "diffuse", "reflectance": reflectance}
-    if surface.specular <= 0.0:
-        return diffuse
-    alpha = max(surface.roughness**2, MIN_ALPHA)
-    # "none" is a perfect mirror: the lobe is single-scatter GGX with a white tint, no Fresnel.
-    gloss = {"type": "roughconductor", "material": "none", "distribution": "ggx", "alpha": alpha}
-    # blendbsdf takes its children by name in alphabetical order: weight 0 is the first.
-    return {"type": "blendbsdf", "weight": float(surface.specular), "a": diffuse, "b": gloss}
+    """All GGX lobes, each by its part of their sum."""
+    bsdf: dict[str, Any] = {}
+    total = np.zeros(1, np.float32)
+    for number, (alpha, weight) in enumerate(lobes.items()):
+        # "none" is a perfect mirror: the lobe is single-scatter GGX with a white tint, no Fresnel.
+        lobe = {
+            "type": "roughconductor",
+            "material": "none",
+            "distribution": "ggx",
+            "alpha": alpha,
+        }
+        total = total + weight
+        part = np.divide(weight, total, out=np.zeros_like(total), where=total > 0.0)
+        bsdf = lobe if not bsdf else {
+            "type": "blendbsdf",
+            "weight": _texture(part[:, None], f"vertex_gloss_{number}", attributes),
+            "a": bsdf,
+            "b": lobe,
+        }  # fmt: skip
+    return bsdf
+
+
+def _texture(
+    values: NDArray[np.float32], name: str, attributes: dict[str, NDArray[np.float32]]
+) -> Any:
+    """A constant where all vertices agree, else an attribute of that name."""
+    if len(values) == 1 or np.all(values == values[:1]):
+        first = values[0].tolist()
+        return float(first[0]) if len(first) == 1 else {"type": "rgb", "value": first}
+    attributes[name] = np.ascontiguousarray(values, np.float32)
+    return {"type": "mesh_attribute", "name": name}

@@ -8,7 +8,8 @@ import pytest
 from numpy.typing import NDArray
 
 from scenec.backends.mitsuba import Mitsuba
-from scenec.backends.mitsuba.geometry import flatten, make_groups, mix_colors
+from scenec.backends.mitsuba.geometry import flatten, make_groups
+from scenec.backends.mitsuba.surfaces import layer_shares
 from scenec.backends.render_scene import Mesh, RenderScene, Surface
 
 CAMERA = ms.look_at((0, 0, 10), (0, 0, 0), 24, 16)
@@ -125,9 +126,26 @@ def test_shading_normals_turn_with_their_rows_mirrors_included():
     assert np.all(winding[:, 2] > 0)
 
 
-def test_mixing_keeps_every_color_between_the_layers():
+def test_shares_of_layers_are_those_of_merging_one_after_the_other():
     rng = np.random.default_rng(1)
-    colors = rng.uniform(0, 1, (4, 50, 3)).astype(np.float32)
-    mixed = mix_colors(colors, rng.uniform(0, 1, (3, 50)).astype(np.float32))
-    assert np.all(mixed >= colors.min(axis=0) - 1e-6)
-    assert np.all(mixed <= colors.max(axis=0) + 1e-6)
+    colors = rng.uniform(0, 1, (4, 50, 3))
+    weights = rng.uniform(0, 1, (3, 50)).astype(np.float32)
+    shares = np.stack(layer_shares(weights, 4))
+    np.testing.assert_allclose(shares.sum(axis=0), 1.0, atol=1e-6)
+    merged = colors[0]
+    for w, color in zip(weights, colors[1:], strict=True):
+        merged = w[:, None] * color + (1 - w[:, None]) * merged
+    np.testing.assert_allclose((shares[:, :, None] * colors).sum(axis=0), merged, atol=1e-6)
+    assert layer_shares(np.zeros((0, 5), np.float32), 1)[0].tolist() == [1.0]
+
+
+def test_three_layers_of_three_roughnesses_are_their_pictures_mixed():
+    points, faces = ms.plane()
+    surfaces = [ms.surface((0.5, 0.3, 0.2), 0.2, 0.9), ms.surface((0.1, 0.2, 0.6), 0.5, 0.6),
+                ms.surface((0.7, 0.7, 0.1), 0.1, 0.75)]  # fmt: skip
+    pure = [picture(lit(ms.mesh(points, faces), [s]), 256).mean(axis=(0, 1)) for s in surfaces]
+    weights = np.repeat(np.array([[0.4], [0.3]]), len(points), axis=1)
+    mesh = ms.mesh(points, faces, (0, 1, 2), weights)
+    mixed = picture(lit(mesh, surfaces), 1024).mean(axis=(0, 1))
+    expected = 0.7 * (0.6 * pure[0] + 0.4 * pure[1]) + 0.3 * pure[2]
+    np.testing.assert_allclose(mixed, expected, rtol=1e-2)
