@@ -44,9 +44,11 @@ bench: setup  ## Run every benchmark; each prints a table.
 	  echo "== $$file"; .venv/bin/python "$$file"; \
 	done
 
-docs: setup  ## Generate docs/cfg.md from the schemas.
+docs: setup  ## Generate docs/cfg.md from the schemas, docs/numerics.md by measuring.
 	@echo "== Generating docs/cfg.md"
 	@.venv/bin/python docs/make_cfg_reference.py
+	@echo "== Measuring docs/numerics.md"
+	@.venv/bin/python docs/make_numerics.py
 
 # uv resolves in a folder of its own: uv.lock names hosts and must not come near the repository.
 lock: setup  ## Resolve pyproject.toml again into requirements.lock.
