@@ -44,7 +44,10 @@ def write_frame(
     _unlink(stem.with_suffix(".json"))
     exr = stem.with_suffix(".exr")
     write_exr(exr, passes)
-    if "rgb" in passes:
+    if "rgb" not in passes:
+        # A picture of an earlier frame does not belong to this one.
+        _unlink(stem.with_suffix(".png"))
+    else:
         picture.write_png(
             stem.with_suffix(".png"), picture.develop(passes["rgb"], camera.exposure_ev)
         )

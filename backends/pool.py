@@ -22,6 +22,10 @@ class WorkerDiedError(Exception):
     """The process ended without an answer; the text says how."""
 
 
+class FrameLostError(BackendError):
+    """Work over which fresh workers died again and again; other work may still succeed."""
+
+
 class WorkerProcess:
     """One worker; ends with the ``with`` block, or with this process.
 
@@ -47,7 +51,7 @@ class WorkerProcess:
 
         Raises:
             ScenecError: What the worker says, in its own class.
-            BackendError: Workers died over it, again and again.
+            FrameLostError: Workers died over it, again and again.
         """
         self._opened = None
         answer = self.ask(request, f"opening {request.get('stage', request.get('backend'))}")
@@ -63,7 +67,7 @@ class WorkerProcess:
 
         Raises:
             ScenecError: What the worker says, in its own class.
-            BackendError: RETRIES + 1 workers died over it.
+            FrameLostError: RETRIES + 1 workers died over it.
         """
         for attempt in range(RETRIES + 1):
             try:
@@ -76,7 +80,7 @@ class WorkerProcess:
                 self.deaths += 1
                 self.close()
                 if attempt == RETRIES:
-                    raise BackendError(
+                    raise FrameLostError(
                         f"{what}: the worker process died {RETRIES + 1} times ({death})"
                     ) from death
                 self._on_death(f"{what}: the worker process died ({death}); trying again")

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, field
+from collections.abc import Callable, Collection, Iterator, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from scenec.backends.pool import WorkerProcess
+from scenec.backends.pool import FrameLostError, WorkerProcess
 from scenec.backends.registry import require_name
 from scenec.schemas.errors import BackendError, StageError
 from scenec.schemas.frames import FrameKey, frame_stem, is_done
@@ -27,7 +27,8 @@ class RenderReport:
         rendered: Frames made now.
         skipped: Frames that were there already, made with the same key.
         deaths: Worker processes that died and were replaced.
-        seconds: Per step (open, load, radiance, compose, visibility, resolve, write), summed.
+        failed: A line about each frame that was given up; the others are there.
+        seconds: Per step (load, radiance, compose, visibility, resolve, write), summed.
         warnings: Lines a user should see, each once.
     """
 
@@ -35,6 +36,7 @@ class RenderReport:
     rendered: int = 0
     skipped: int = 0
     deaths: int = 0
+    failed: list[str] = field(default_factory=list)
     seconds: dict[str, float] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
 
@@ -45,9 +47,10 @@ def render(
     *,
     spp: int = 64,
     passes: Sequence[str] | None = None,
-    samples: range | None = None,
-    batches: range | None = None,
+    samples: Collection[int] | None = None,
+    batches: Collection[int] | None = None,
     noise_seed: int = 0,
+    folder: Path | None = None,
     progress: Progress | None = None,
     warn: Callable[[str], None] | None = None,
 ) -> RenderReport:
@@ -65,12 +68,17 @@ def render(
         samples: Only these time codes.
         batches: Only these batches.
         noise_seed: Renderings with different ones have independent noise.
+        folder: Where frames go (``<folder>/frames``; for several batches, a folder each in it);
+            None puts them into the batches' own.
         progress: Called after each frame.
         warn: Called with lines worth showing at once.
 
+    A frame that kills its worker again and again is given up, said in ``failed``, and costs no
+    other.
+
     Raises:
         StageError: Nothing to render, or a stage that cannot be read.
-        BackendError: The backend is not there, or failed on a frame for good.
+        BackendError: The backend is not there, or cannot do what is asked.
         OutputError: No manifest, or a frame cannot be written.
     """
     require_name(backend)
@@ -86,6 +94,8 @@ def render(
 
     chosen = find_batches(Path(out), batches)
     for number, batch in enumerate(chosen):
+        if folder is not None:
+            batch = replace(batch, folder=folder if len(chosen) == 1 else folder / batch.name)
         # A process per batch: memory goes back, whatever the renderer keeps.
         with WorkerProcess(on_death=note) as worker:
             jobs = _Jobs(batch, backend, spp, passes, samples, noise_seed)
@@ -94,15 +104,11 @@ def render(
                 note(opened["warning"])
             for index, job in enumerate(jobs):
                 report.frames.append(job.stem)
-                if is_done(job.stem, jobs.key):
+                if is_done(job.stem, job.key):
                     report.skipped += 1
                     text = f"{job.what}: there already"
                 else:
-                    answer = worker.ask(job.request, job.what)
-                    report.rendered += 1
-                    for step, seconds in answer["seconds"].items():
-                        report.seconds[step] = report.seconds.get(step, 0.0) + seconds
-                    text = f"{job.what}: {describe(answer)}"
+                    text = _render_one(worker, job, report, note)
                 if progress:
                     before = number * jobs.count
                     progress(before + index + 1, len(chosen) * jobs.count, text)
@@ -110,6 +116,22 @@ def render(
     if not report.frames:
         raise StageError(f"{out}: no frame to render: no camera, or no sample in the range asked")
     return report
+
+
+def _render_one(
+    worker: WorkerProcess, job: _Job, report: RenderReport, note: Callable[[str], None]
+) -> str:
+    """Makes one frame; what a renderer cannot survive costs that frame and no other."""
+    try:
+        answer = worker.ask(job.request, job.what)
+    except FrameLostError as error:
+        report.failed.append(str(error))
+        note(str(error))
+        return f"{job.what}: given up"
+    report.rendered += 1
+    for step, seconds in answer["seconds"].items():
+        report.seconds[step] = report.seconds.get(step, 0.0) + seconds
+    return f"{job.what}: {describe(answer)}"
 
 
 def frame_seed(noise_seed: int, batch: str, camera: str, sample: int) -> int:
@@ -132,6 +154,7 @@ def describe(answer: dict[str, Any]) -> str:
 class _Job:
     stem: Path
     what: str
+    key: FrameKey
     request: dict[str, Any]
 
 
@@ -144,7 +167,7 @@ class _Jobs:
         backend: str,
         spp: int,
         passes: Sequence[str] | None,
-        samples: range | None,
+        samples: Collection[int] | None,
         noise_seed: int,
     ) -> None:
         self._batch = batch
@@ -153,7 +176,8 @@ class _Jobs:
         self._passes = passes
         self._wanted = samples
         self._noise_seed = noise_seed
-        self._places: list[tuple[int, int, str]] = []
+        self._places: list[tuple[int, int]] = []
+        self._opened: dict[str, Any] = {}
 
     @property
     def count(self) -> int:
@@ -168,34 +192,45 @@ class _Jobs:
                 "passes": None if self._passes is None else list(self._passes),
             }
         )
-        self.key = FrameKey(
-            stage_digest=opened["digest"],
-            passes=tuple(opened["passes"]),
-            spp=self._spp if "rgb" in opened["passes"] else 0,
-            noise_seed=self._noise_seed if "rgb" in opened["passes"] else 0,
-            backend=self._backend,
-            backend_version=opened["version"],
-        )
-        if not self.key.passes:
-            raise StageError(f"{self._batch.stage}: no passes asked for, and none in the stage")
-        wanted = range(opened["samples"]) if self._wanted is None else self._wanted
+        self._opened = opened
+        there = range(opened["samples"])
+        beyond = [sample for sample in self._wanted or () if sample not in there]
+        if beyond:
+            raise StageError(
+                f"{self._batch.stage}: has samples 0 to {len(there) - 1}, not {beyond[0]}"
+            )
         self._places = [
-            (sample, index, camera)
-            for sample in wanted
-            if 0 <= sample < opened["samples"]
-            for index, camera in enumerate(opened["cameras"][sample])
+            (sample, index)
+            for sample in (there if self._wanted is None else sorted(self._wanted))
+            for index in range(len(opened["cameras"][sample]))
         ]
+        for sample, index in self._places:
+            if not opened["cameras"][sample][index]["passes"]:
+                raise StageError(f"{self._batch.stage}: no passes asked for, and none in the stage")
         return opened
 
+    def _key(self, passes: Sequence[str]) -> FrameKey:
+        pictures = "rgb" in passes
+        return FrameKey(
+            stage_digest=self._opened["digest"],
+            passes=tuple(passes),
+            spp=self._spp if pictures else 0,
+            noise_seed=self._noise_seed if pictures else 0,
+            backend=self._backend,
+            backend_version=self._opened["version"],
+        )
+
     def __iter__(self) -> Iterator[_Job]:
-        for sample, index, camera in self._places:
+        for sample, index in self._places:
+            camera = self._opened["cameras"][sample][index]["name"]
+            key = self._key(self._opened["cameras"][sample][index]["passes"])
             stem = frame_stem(self._batch.folder, self._backend, camera, sample)
             request = {
                 "op": "render",
                 "stem": str(stem.resolve()),
                 "camera": index,
                 "sample": sample,
-                "key": asdict(self.key),
+                "key": asdict(key),
                 "seed": frame_seed(self._noise_seed, self._batch.name, camera, sample),
             }
-            yield _Job(stem, f"{self._batch.name}/{camera}/{sample:06d}", request)
+            yield _Job(stem, f"{self._batch.name}/{camera}/{sample:06d}", key, request)

@@ -13,6 +13,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+#: Passes of a camera that no RenderProduct says more about.
+DEFAULT_OUTPUTS = ("rgb", "label", "instance", "depth")
+
 
 @dataclass(frozen=True)
 class Surface:
@@ -90,6 +93,7 @@ class Camera:
             the top-left one, its center is at (0.5, 0.5).
         camera_to_world: float64 [4, 4], camera axes x right, y down, z forward (OpenCV).
         exposure_ev: Pictures show radiance * 2**exposure_ev.
+        outputs: Passes that its RenderProduct asks for.
     """
 
     name: str
@@ -99,6 +103,7 @@ class Camera:
     intrinsics: NDArray[np.float64]
     camera_to_world: NDArray[np.float64]
     exposure_ev: float = 0.0
+    outputs: tuple[str, ...] = DEFAULT_OUTPUTS
 
 
 @dataclass(frozen=True)
@@ -148,14 +153,13 @@ class RenderScene:
         digest: sha256 over the stage's root layer and everything composed from it, hex.
         samples: Number of samples (time codes 0 .. samples - 1).
         meshes, rows, surfaces: See their classes.
-        levels: Label levels in the table's order.
+        levels: Label levels, in alphabetical order.
         label_names: Per level, id -> name.
         sky_labels: Per level, the label id of pixels that hit nothing.
         cameras: Per sample, all cameras in stage order.
         lighting: Per sample.
         bounds: Axis-aligned world bounds of the geometry, float64 [2, 3].
         instance_paths: Prim path of the class (or object) and first frame id, for the table of ids.
-        outputs: Passes the stage's RenderProducts ask for.
     """
 
     source: Path
@@ -171,6 +175,5 @@ class RenderScene:
     lighting: tuple[Lighting, ...]
     bounds: NDArray[np.float64]
     instance_paths: dict[str, int] = field(default_factory=dict)
-    outputs: tuple[str, ...] = ("rgb", "label", "instance", "depth")
     #: Real time of each sample in seconds, float64 [samples].
     times: NDArray[np.float64] = field(default_factory=lambda: np.zeros(1))

@@ -49,16 +49,17 @@ class Session:
         made = open_backend(backend)
         return cls(read_stage(stage), made)
 
-    def passes(self, wanted: Sequence[str] | None) -> tuple[str, ...]:
+    def passes(self, wanted: Sequence[str] | None, camera: Camera) -> tuple[str, ...]:
         """Passes as they are written: ``rgb`` first, ``label`` spelled out as its levels.
 
         Args:
-            wanted: As a user asks for them; None takes what the stage's render products ask for.
+            wanted: As a user asks for them; None takes what the camera's render product asks for.
+            camera: Whose frame it is.
 
         Raises:
             BackendError: A pass nobody knows.
         """
-        names = tuple(self.scene.outputs if wanted is None else wanted)
+        names = tuple(camera.outputs if wanted is None else wanted)
         return (*(["rgb"] if "rgb" in names else []), *pass_names(self.scene, names))
 
     def render(

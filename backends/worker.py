@@ -51,14 +51,19 @@ class Worker:
     def _open(self, request: dict[str, Any]) -> dict[str, Any]:
         from scenec.backends.session import Session
 
-        self._session = Session.open(Path(request["stage"]), request["backend"])
-        scene, backend = self._session.scene, self._session.backend
+        session = Session.open(Path(request["stage"]), request["backend"])
+        self._session, scene, backend = session, session.scene, session.backend
         warning = getattr(backend, "warning", None)
         return {
             "digest": scene.digest,
             "samples": scene.samples,
-            "cameras": [[camera.name for camera in cameras] for cameras in scene.cameras],
-            "passes": self._session.passes(request.get("passes")),
+            "cameras": [
+                [
+                    {"name": camera.name, "passes": session.passes(request.get("passes"), camera)}
+                    for camera in cameras
+                ]
+                for cameras in scene.cameras
+            ],
             "version": backend.version(),
             "warning": warning() if warning else None,
         }

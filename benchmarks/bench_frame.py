@@ -38,7 +38,7 @@ def main() -> None:
 def measure(stage: Path, backend: str) -> None:
     """Prints one row: medians over all frames but the first round, which compiles."""
     session = Session.open(stage, backend)
-    passes = session.passes(("label", "instance", "depth"))
+    passes = session.passes(("label", "instance", "depth"), session.scene.cameras[0][0])
     rows: list[tuple[float, float]] = []
     changed = 0
     for turn in range(REPEAT + 1):

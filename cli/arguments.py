@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 
+#: As in ``scenec.schemas.exr``, which would cost the import of NumPy here; a test holds them equal.
 PASSES = ("rgb", "label", "instance", "depth", "range", "normal", "position", "face")
 
 
@@ -47,12 +48,17 @@ def positive(text: str) -> int:
 def passes(text: str) -> tuple[str, ...]:
     """A list such as ``rgb,depth``."""
     chosen = tuple(dict.fromkeys(part.strip() for part in text.split(",") if part.strip()))
-    unknown = [name for name in chosen if name not in PASSES]
+    unknown = [n for n in chosen if n not in PASSES and not _is_level(n)]
     if unknown or not chosen:
         raise argparse.ArgumentTypeError(
-            f"{text!r}: expected some of {','.join(PASSES)}, separated by commas"
+            f"{text!r}: expected some of {','.join(PASSES)}, separated by commas "
+            "(label.NAME is one level of labels)"
         )
     return chosen
+
+
+def _is_level(name: str) -> bool:
+    return name.startswith("label.") and name.removeprefix("label.").isidentifier()
 
 
 def add_render_options(parser: argparse.ArgumentParser) -> None:

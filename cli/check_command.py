@@ -14,7 +14,7 @@ from scenec.backends.check.stage import check_stage
 from scenec.backends.reader import read_stage
 from scenec.backends.registry import require_name
 from scenec.cli.output import print_json, say, table
-from scenec.schemas.errors import StageError
+from scenec.schemas.errors import ScenecError, StageError
 from scenec.schemas.manifest import find_batches, read_manifest
 
 
@@ -22,11 +22,15 @@ def run(options: argparse.Namespace) -> int:
     """Checks; 1 if something is wrong."""
     for name in options.backends:
         require_name(name)
+    if len(options.backends) == 1:
+        raise ScenecError(f"--backends {options.backends[0]}: comparing takes two or more")
     out = Path(options.out)
     findings = find(out)
     bad = [f for f in findings if f.severity == "error"]
     agreement = None
-    if len(options.backends) > 1 and not bad:
+    if options.backends and bad:
+        say("backends are not compared before the errors are mended")
+    elif options.backends:
         agreement = compare(out, options.backends, say)
     differing = sum(c.differing for c in agreement.comparisons) if agreement else 0
     if options.json:

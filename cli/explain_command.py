@@ -9,15 +9,15 @@ from typing import Any
 
 from scenec.cli.output import print_json, table
 from scenec.schemas.errors import OutputError
-from scenec.schemas.manifest import read_manifest
+from scenec.schemas.manifest import REPORT, TIMINGS, read_manifest
 
 
 def run(options: argparse.Namespace) -> int:
     """Prints the reports of all batches."""
     out = Path(options.out)
     manifest = read_manifest(out)
-    timings = _read(out / "timings.json").get("compile", {}) if _has(out, "timings.json") else {}
-    reports = {b["path"]: _read(out / b["path"] / "report.json") for b in manifest["batches"]}
+    timings = _read(out / TIMINGS).get("compile", {}) if _has(out, TIMINGS) else {}
+    reports = {b["path"]: _read(out / b["path"] / REPORT) for b in manifest["batches"]}
     if options.json:
         print_json({"reports": reports, "seconds": timings})
         return 0

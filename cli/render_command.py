@@ -16,7 +16,7 @@ def run(options: argparse.Namespace) -> int:
     report = render_now(options)
     if options.json:
         print_json(as_json(report))
-    return 0
+    return 1 if report.failed else 0
 
 
 def render_now(options: argparse.Namespace) -> RenderReport:
@@ -38,6 +38,8 @@ def render_now(options: argparse.Namespace) -> RenderReport:
     )
     there = f", {report.skipped} were there already" if report.skipped else ""
     seconds = sum(report.seconds.values())
+    if report.failed:
+        say(f"{len(report.failed)} frames were given up; run again to try them again")
     say(f"{report.rendered} frames rendered in {seconds:.1f} s{there}: {report.frames[0].parent}/")
     return report
 
@@ -48,6 +50,7 @@ def as_json(report: RenderReport) -> dict[str, object]:
         "frames": [f"{stem}.json" for stem in report.frames],
         "rendered": report.rendered,
         "skipped": report.skipped,
+        "failed": report.failed,
         "worker_deaths": report.deaths,
         "seconds": report.seconds,
         "warnings": report.warnings,

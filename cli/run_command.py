@@ -23,4 +23,4 @@ def run(options: argparse.Namespace) -> int:
                 "render": render_command.as_json(rendered),
             }
         )
-    return 0
+    return 1 if rendered.failed else 0

@@ -23,11 +23,8 @@ from scenec.schemas.files import (
     tree,
     write_json,
 )
-from scenec.schemas.manifest import MANIFEST, MANIFEST_FORMAT
+from scenec.schemas.manifest import FRAMES, MANIFEST, MANIFEST_FORMAT, REPORT, TIMINGS
 
-TIMINGS = "timings.json"
-REPORT = "report.json"
-FRAMES = "frames"
 #: Whose version can change the bytes of the output.
 _LIBRARIES = ("numpy", "numba", "scipy", "usd-core", "openexr")
 
@@ -69,12 +66,13 @@ def compile_cfg(
         seed: 0 <= seed < 2**64; 0 is a seed like any other.
         out: Output folder; made if it is not there.
         batches: Which batches; None compiles all.
-        progress: Called with a line of text before each step.
+        progress: Called with a line of text before each batch.
 
     Raises:
         CfgError: The cfg has faults; all of them are in the error.
         SceneError: The cfg is valid but what it asks for cannot be built.
-        OutputError: The output folder cannot be written, or holds another cfg's output.
+        OutputError: The output folder cannot be written, or holds something that is not to be
+            replaced.
     """
     say = progress or (lambda _text: None)
     started = time.perf_counter()
@@ -82,7 +80,7 @@ def compile_cfg(
     load_seconds = time.perf_counter() - started
     out = Path(out)
     chosen = _chosen(spec, batches)
-    manifest = _begin_manifest(spec, seed, out)
+    manifest = _begin_manifest(spec, seed, out, chosen)
     seconds: dict[str, dict[str, float]] = {}
     facts: dict[str, dict[str, Any]] = {}
     unchanged = 0
@@ -104,7 +102,8 @@ def compile_cfg(
                 replace_folder(folder, out / name, keep=(FRAMES,))
         seconds[name], facts[name] = log.seconds, log.facts
         _add_batch(manifest, out, name, batch, plan.samples)
-    _write_manifest(manifest, out, seconds)
+        # After each batch: what an interrupted run has finished counts, and can be gone on with.
+        _write_manifest(manifest, out, seconds)
     return CompileReport(out, tuple(chosen), unchanged, seconds, facts)
 
 
@@ -120,11 +119,12 @@ def _chosen(spec: Spec, batches: range | None) -> range:
     return batches
 
 
-def _begin_manifest(spec: Spec, seed: int, out: Path) -> dict[str, Any]:
+def _begin_manifest(spec: Spec, seed: int, out: Path, chosen: range) -> dict[str, Any]:
     """A manifest for this cfg and seed; batches of an earlier, equal run are kept.
 
     Raises:
-        OutputError: The folder holds something else.
+        OutputError: The folder holds something else, or batches of another cfg or seed that would
+            be left over.
     """
     head = {
         "format": MANIFEST_FORMAT,
@@ -139,13 +139,19 @@ def _begin_manifest(spec: Spec, seed: int, out: Path) -> dict[str, Any]:
     }
     old = _read_manifest(out)
     if old is not None:
-        same = all(old.get(key) == value for key, value in head.items())
-        return {
-            **head,
-            "batches": old["batches"] if same else [],
-            "files": old["files"] if same else {},
-        }
-    if out.exists() and (not out.is_dir() or any(out.glob("*"))):
+        if all(old.get(key) == value for key, value in head.items()):
+            return {**head, "batches": old["batches"], "files": old["files"]}
+        left_over = [b["path"] for b in old["batches"] if b["index"] not in chosen]
+        if left_over:
+            raise OutputError(
+                f"{out}: holds {left_over[0]} of another cfg, seed or version, which would be left "
+                "beside the new batches; choose another folder, or delete this one"
+            )
+        return {**head, "batches": [], "files": {}}
+    # What a killed run left behind begins with a dot, and is ours.
+    if out.exists() and (
+        not out.is_dir() or any(not p.name.startswith(".") for p in out.iterdir())
+    ):
         raise OutputError(
             f"{out}: is not empty and holds no scenec output (no {MANIFEST}); choose another folder"
         )
@@ -187,15 +193,17 @@ def _add_batch(manifest: dict[str, Any], out: Path, name: str, index: int, sampl
 
 
 def _role(path: Path) -> str:
-    roles = {
+    """What a file of a batch is, by its place in it."""
+    folders = {"objects": "object class", "looks": "material", "textures": "texture"}
+    if len(path.parts) > 1:
+        return folders[path.parts[0]]
+    return {
         STAGE: "root layer: open this",
         "terrain.usdc": "terrain",
         "lights.usda": "sun and sky",
         "cameras.usda": "rigs, cameras, render products",
         REPORT: "error of every pass, counts, what was left out",
-    }
-    folders = {"objects": "object class", "looks": "material", "textures": "texture"}
-    return roles.get(path.name) or folders[path.parts[0]]
+    }[path.name]
 
 
 def _write_manifest(

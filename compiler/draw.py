@@ -28,9 +28,9 @@ from scenec.compiler.plan import (
 from scenec.compiler.scatter.draw import draw_rocks
 from scenec.compiler.scene import GroundLayer, Labels, Material, SunLight
 from scenec.compiler.terrain.operator import OPERATORS, ReliefOperator
+from scenec.schemas import stage as names
 
-#: OpenCV axes (x right, y down, z forward) against USD's (y up, looking down -z).
-_HALF_TURN = np.diag([1.0, -1.0, -1.0, 1.0])
+_HALF_TURN = np.diag([*names.HALF_TURN, 1.0])
 
 
 def draw(spec: Spec, seed: int, batch: int) -> Plan:
@@ -151,8 +151,8 @@ def _sky(spec: Spec, streams: Streams, samples: int) -> ClearSkyPlan | ImageSkyP
     kind = cfg["type"] if cfg else "none"
     path = "light/sky"
     if kind == "clear":
-        names = ("irradiance", "zenith_color", "horizon_color", "ground_color")
-        drawn = {n: _per_sample(cfg[n], streams, f"{path}/{n}", samples) for n in names}
+        keys = ("irradiance", "zenith_color", "horizon_color", "ground_color")
+        drawn = {key: _per_sample(cfg[key], streams, f"{path}/{key}", samples) for key in keys}
         resolution = resolve(cfg["resolution"], streams, f"{path}/resolution")
         return ClearSkyPlan(resolution=int(resolution), **drawn)
     if kind == "image":

@@ -59,7 +59,7 @@ def contact_sheet(
         heading: Said on top.
         tile_width: Width of each picture on the sheet, pixels.
     """
-    columns = _columns(frames[0])
+    columns = list(dict.fromkeys(column for frame in frames for column in _columns(frame)))
     height, width = _size(frames[0])
     tile = (tile_width, max(1, round(tile_width * height / width)))
     near, far = _depth_range(frames)
@@ -126,14 +126,17 @@ def _paint(
     near: float,
     far: float,
 ) -> NDArray[np.uint8]:
+    level = column.removeprefix("label.")
     if column == "rgb" and frame.picture is not None:
         return frame.picture
     if column == "instance" and frame.instance is not None:
         return paint_instances(frame.instance)
     if column == "depth" and frame.depth is not None:
         return paint_depth(frame.depth, near, far)
-    level = column.removeprefix("label.")
-    return paint_labels(frame.labels[level], colors.get(level, {}))
+    if level in frame.labels:
+        return paint_labels(frame.labels[level], colors.get(level, {}))
+    # Frames can differ in their passes: what one lacks stays blank.
+    return np.full((*_size(frame), 3), 255, np.uint8)
 
 
 @lru_cache

@@ -9,7 +9,7 @@ from scenec.datasets.contact_sheet import SheetFrame, contact_sheet
 from scenec.schemas.errors import FrameError
 from scenec.schemas.files import atomic
 from scenec.schemas.frames import Frame, read_frame
-from scenec.schemas.manifest import find_batches
+from scenec.schemas.manifest import FRAMES, find_batches
 from scenec.schemas.picture import develop
 
 
@@ -61,7 +61,7 @@ def find_frames(out: Path, backend: str | None = None) -> list[Path]:
     Raises:
         FrameError: There are none.
     """
-    folders = [batch.folder / "frames" for batch in find_batches(out)]
+    folders = [batch.folder / FRAMES for batch in find_batches(out)]
     backends = sorted({b.name for folder in folders if folder.is_dir() for b in folder.iterdir()})
     if backend is None and backends:
         backend = backends[0]

@@ -41,6 +41,10 @@ _FIXED_CHANNELS: dict[str, tuple[str, ...]] = {
 }
 
 
+#: Passes as they are asked for; "label" stands for all levels.
+PASSES = ("rgb", "label", "instance", "depth", "range", "normal", "position", "face")
+
+
 def channel_names(name: str) -> tuple[str, ...]:
     """Channels of a pass, in the order of the array's last axis.
 

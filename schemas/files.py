@@ -108,11 +108,12 @@ def replace_folder(new: Path, final: Path, keep: tuple[str, ...] = ()) -> None:
     try:
         if final.exists():
             old = final.with_name(f".{final.name}.{secrets.token_hex(4)}")
-            for name in keep:
-                if (final / name).is_dir():
-                    os.rename(final / name, new / name)
             os.rename(final, old)
             os.rename(new, final)
+            # Only then: ``new`` is temporary, and what is kept must never be inside of it.
+            for name in keep:
+                if (old / name).is_dir():
+                    os.rename(old / name, final / name)
             shutil.rmtree(old)
         else:
             os.rename(new, final)

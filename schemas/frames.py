@@ -20,9 +20,14 @@ from numpy.typing import NDArray
 from scenec.schemas.errors import FrameError
 from scenec.schemas.exr import read_exr
 from scenec.schemas.files import sha256
+from scenec.schemas.manifest import FRAMES
 
 #: Version of the sidecar's shape.
 FRAME_VERSION = "1.0"
+
+#: What a reader may rely on in every sidecar.
+REQUIRED_KEYS = ("camera", "sample", "resolution", "intrinsics", "camera_to_world", "passes",
+                 "labels", "backend", "exposure_ev", "stage_digest")  # fmt: skip
 
 CONVENTIONS = {
     "pixel": "column 0, row 0 is the top-left pixel; its center is at (0.5, 0.5)",
@@ -83,7 +88,7 @@ class FrameKey:
 
 def frame_stem(folder: Path, backend: str, camera: str, sample: int) -> Path:
     """Path of a frame without its suffix."""
-    return folder / "frames" / backend / camera / f"{sample:06d}"
+    return folder / FRAMES / backend / camera / f"{sample:06d}"
 
 
 def is_done(stem: Path, key: FrameKey) -> bool:
@@ -121,6 +126,9 @@ def read_frame(path: Path, passes: Sequence[str] | None = None) -> Frame:
         raise FrameError(f"{json_path}: not a sidecar: {error}") from error
     if not isinstance(sidecar, dict) or not isinstance(sidecar.get("exr"), dict):
         raise FrameError(f"{json_path}: not a sidecar of scenec")
+    lacking = [key for key in REQUIRED_KEYS if key not in sidecar]
+    if lacking:
+        raise FrameError(f"{json_path}: a sidecar without {', '.join(lacking)}; render it again")
     if not exr_path.is_file():
         raise FrameError(f"{exr_path}: missing, though its sidecar is there; render it again")
     if sha256(exr_path) != sidecar["exr"].get("sha256"):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,10 @@ from typing import Any
 from scenec.schemas.errors import OutputError, StageError
 
 MANIFEST = "manifest.json"
+TIMINGS = "timings.json"
+#: In each batch's folder.
+REPORT = "report.json"
+FRAMES = "frames"
 MANIFEST_FORMAT = 1
 #: Endings of a path that is a stage itself.
 STAGE_SUFFIXES = (".usda", ".usdc", ".usd", ".usdz")
@@ -27,7 +32,7 @@ def read_manifest(out: Path) -> dict[str, Any]:
     try:
         manifest = json.loads(path.read_text(encoding="utf-8"))
         for batch in manifest["batches"]:
-            str(batch["stage"]), str(batch["path"])
+            str(batch["stage"]), str(batch["path"]), int(batch["index"])
         manifest["files"].items()
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise OutputError(f"{path}: is no scenec manifest") from error
@@ -36,30 +41,41 @@ def read_manifest(out: Path) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Batch:
-    """A stage to render and the folder its frames go to (below ``frames/``)."""
+    """A stage, and the folder its frames go to (below ``frames/``).
 
+    Attributes:
+        index: Of the batch in the cfg; 0 for a stage of its own.
+        name: Folder name, or the stage's.
+        stage: The root layer.
+        folder: Where the batch lies.
+    """
+
+    index: int
     name: str
     stage: Path
     folder: Path
 
 
-def find_batches(out: Path, batches: range | None = None) -> list[Batch]:
+def find_batches(out: Path, batches: Collection[int] | None = None) -> list[Batch]:
     """The stages of an output folder, or the one stage of a USD file.
 
     Raises:
         OutputError: No manifest.
-        StageError: None of the batches asked for is there.
+        StageError: A batch that is asked for is not there.
     """
     if out.suffix.lower() in STAGE_SUFFIXES and not out.is_dir():
         if not out.is_file():
             raise StageError(f"{out}: no such file")
-        return [Batch(out.stem, out, out.parent)]
-    entries: list[dict[str, Any]] = read_manifest(out)["batches"]
-    found = [
-        Batch(str(entry["path"]), out / entry["stage"], out / entry["path"])
-        for i, entry in enumerate(entries)
-        if batches is None or entry.get("index", i) in batches
-    ]
-    if not found:
-        raise StageError(f"{out}: holds none of the batches asked for (it has {len(entries)})")
-    return found
+        return [Batch(0, out.stem, out, out.parent)]
+    found = {
+        int(entry["index"]): Batch(
+            int(entry["index"]), str(entry["path"]), out / entry["stage"], out / entry["path"]
+        )
+        for entry in read_manifest(out)["batches"]
+    }
+    missing = [index for index in batches or () if index not in found]
+    if missing or not found:
+        there = ", ".join(map(str, found)) or "none"
+        wanted = f"batch {missing[0]}" if missing else "a batch"
+        raise StageError(f"{out}: does not hold {wanted}; it holds {there}")
+    return [found[index] for index in (found if batches is None else sorted(batches))]

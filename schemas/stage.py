@@ -40,6 +40,10 @@ ATTR_SPECULAR = "scenec:surface:specular"
 ATTR_ROUGHNESS = "scenec:surface:roughness"
 ATTR_COLOR_VARIATION = "scenec:surface:variation"
 
+#: A UsdGeomCamera looks down -z with y up, the contract's camera (OpenCV) down +z with y down: they
+#: differ by a half turn about x, which gives the columns of a rotation these signs.
+HALF_TURN = (1.0, -1.0, -1.0)
+
 ROOT = "/World"
 SKY_PRIM = "/World/Sky"
 RENDER_SCOPE = "/Render"

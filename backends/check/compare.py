@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,8 +12,9 @@ from numpy.typing import NDArray
 
 from scenec.backends.reader import read_stage
 from scenec.backends.render import render
+from scenec.backends.render_scene import Camera, RenderScene
 from scenec.backends.resolver import pass_names
-from scenec.schemas.errors import FrameError
+from scenec.schemas.errors import BackendError, FrameError
 from scenec.schemas.frames import Frame, frame_stem, read_frame
 from scenec.schemas.manifest import Batch, find_batches
 
@@ -58,8 +60,10 @@ def compare(
 ) -> Agreement:
     """Compares the annotation of the first backend with that of each other.
 
-    Frames that are there and made from this very stage are taken, whatever else they hold; missing
-    ones are rendered, annotation only.
+    Frames that are there and made from this very stage are taken, whatever else they hold. Samples
+    that a backend has no frames of are rendered into the output, annotation only; where frames are
+    there but do not serve (stale, or without a pass), annotation is rendered aside: nothing that
+    is there is touched.
 
     Args:
         out: Output folder, or a USD file.
@@ -72,46 +76,67 @@ def compare(
     comparisons: dict[tuple[str, str], Comparison] = {}
     raw = dict.fromkeys(backends, 0)
     count = 0
-    for index, batch in enumerate(find_batches(out)):
+    for batch in find_batches(out):
         scene = read_stage(batch.stage)
-        wanted = tuple(name for name in scene.outputs if name != "rgb") or ANNOTATION
-        channels = pass_names(scene, wanted)
-        for backend in backends:
-            stems = _stems(batch, backend, scene.cameras)
-            if not all(_usable(stem, scene.digest, channels) for stem in stems):
-                say(f"rendering the annotation of {batch.name} with {backend}")
-                render(
-                    batch.stage if out.is_file() else out,
-                    backend,
-                    passes=wanted,
-                    batches=None if out.is_file() else range(index, index + 1),
-                )
-        for of_frame in zip(*(_stems(batch, b, scene.cameras) for b in backends), strict=True):
-            frames = [read_frame(stem, channels) for stem in of_frame]
-            count += 1
-            for backend, frame in zip(backends, frames, strict=True):
-                raw[backend] += int(frame.sidecar.get("resolver", {}).get("changed", 0))
-            for backend, frame in zip(backends[1:], frames[1:], strict=True):
-                for channel in channels:
-                    key = (backend, channel)
-                    entry = comparisons.setdefault(key, Comparison(channel, backends[0], backend))
-                    _count(entry, frames[0], frame)
+        with tempfile.TemporaryDirectory() as aside:
+            stems = [_ready(batch, name, scene, Path(aside) / name, say) for name in backends]
+            for of_frame in zip(*stems, strict=True):
+                frames = [read_frame(stem) for stem in of_frame]
+                count += 1
+                for backend, frame in zip(backends, frames, strict=True):
+                    raw[backend] += int(frame.sidecar.get("resolver", {}).get("changed", 0))
+                for backend, frame in zip(backends[1:], frames[1:], strict=True):
+                    for channel in (n for n in frames[0].passes if n in frame.passes):
+                        if channel != "rgb":
+                            pair = Comparison(channel, backends[0], backend)
+                            entry = comparisons.setdefault((backend, channel), pair)
+                            _count(entry, frames[0], frame)
     return Agreement(tuple(comparisons.values()), raw, count)
 
 
-def _stems(batch: Batch, backend: str, cameras: tuple) -> list[Path]:
-    return [
-        frame_stem(batch.folder, backend, camera.name, sample)
-        for sample, of_sample in enumerate(cameras)
-        for camera in of_sample
-    ]
+def _ready(
+    batch: Batch, backend: str, scene: RenderScene, aside: Path, say: Callable[[str], None]
+) -> list[Path]:
+    """Frames of one backend that can be compared, in order; missing ones are rendered first."""
+    missing, unusable = [], []
+    for sample, cameras in enumerate(scene.cameras):
+        stems = [frame_stem(batch.folder, backend, camera.name, sample) for camera in cameras]
+        if not any(stem.with_suffix(".json").is_file() for stem in stems):
+            missing.append(sample)
+        elif not all(
+            _usable(stem, scene, camera) for stem, camera in zip(stems, cameras, strict=True)
+        ):
+            unusable.append(sample)
+    wanted = _annotation(scene)
+    for samples, folder in ((missing, batch.folder), (unusable, aside)):
+        if samples:
+            say(
+                f"rendering the annotation of {len(samples)} samples of {batch.name} with {backend}"
+            )
+            # The stage itself, so that the folder is the one we say.
+            report = render(batch.stage, backend, passes=wanted, samples=samples, folder=folder)
+            if report.failed:
+                raise BackendError(report.failed[0])
+    found: list[Path] = []
+    for sample, cameras in enumerate(scene.cameras):
+        folder = aside if sample in unusable else batch.folder
+        found.extend(frame_stem(folder, backend, camera.name, sample) for camera in cameras)
+    return found
 
 
-def _usable(stem: Path, digest: str, channels: Sequence[str]) -> bool:
+def _annotation(scene: RenderScene) -> tuple[str, ...]:
+    """All annotation that any camera asks for."""
+    asked = [name for cameras in scene.cameras for camera in cameras for name in camera.outputs]
+    return tuple(dict.fromkeys(name for name in asked if name != "rgb")) or ANNOTATION
+
+
+def _usable(stem: Path, scene: RenderScene, camera: Camera) -> bool:
+    wanted = [name for name in camera.outputs if name != "rgb"] or ANNOTATION
     try:
-        return bool(read_frame(stem, channels).sidecar.get("stage_digest") == digest)
+        frame = read_frame(stem, pass_names(scene, wanted))
     except FrameError:
         return False
+    return bool(frame.sidecar.get("stage_digest") == scene.digest)
 
 
 def _count(entry: Comparison, first: Frame, second: Frame) -> None:

@@ -8,9 +8,9 @@ from typing import Any
 
 from scenec.backends.check.finding import Finding
 from scenec.schemas.files import sha256, tree
-from scenec.schemas.manifest import MANIFEST
+from scenec.schemas.manifest import FRAMES, MANIFEST, TIMINGS
 
-_NOT_IN_MANIFEST = ("timings.json", MANIFEST)
+_NOT_IN_MANIFEST = (TIMINGS, MANIFEST)
 
 
 def check_files(out: Path, manifest: dict[str, Any]) -> Iterator[Finding]:
@@ -24,7 +24,7 @@ def check_files(out: Path, manifest: dict[str, Any]) -> Iterator[Finding]:
     batches = {batch["path"] for batch in manifest["batches"]}
     for path in tree(out):
         name = path.as_posix()
-        frame = len(path.parts) > 2 and path.parts[1] == "frames" and path.parts[0] in batches
+        frame = len(path.parts) > 2 and path.parts[1] == FRAMES and path.parts[0] in batches
         if name in manifest["files"] or name in _NOT_IN_MANIFEST or frame:
             continue
         if path.parts[0].startswith("batch_"):

@@ -11,6 +11,7 @@ import numpy as np
 from scenec.backends.check.finding import Finding
 from scenec.schemas.errors import FrameError
 from scenec.schemas.frames import Frame, read_frame
+from scenec.schemas.manifest import FRAMES
 
 _NO_FACE = 0xFFFFFFFF
 
@@ -22,7 +23,7 @@ def check_frames(folder: Path, digest: str | None) -> Iterator[Finding]:
         folder: The batch's folder.
         digest: Digest of its stage; None where that cannot be read.
     """
-    frames = folder / "frames"
+    frames = folder / FRAMES
     for exr in sorted(frames.glob("*/*/*.exr")):
         if not exr.with_suffix(".json").is_file():
             yield Finding("frames", "error", _name(exr, folder), "has no sidecar: cut short?")

@@ -2,55 +2,69 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 from pxr import Usd, UsdGeom, UsdRender
 
 from scenec.backends.reader.frame import StageFrame, columns
-from scenec.backends.render_scene import Camera
+from scenec.backends.render_scene import DEFAULT_OUTPUTS, Camera
 from scenec.schemas import stage as names
 from scenec.schemas.errors import StageError
+from scenec.schemas.exr import PASSES
 
 _DEFAULT_RESOLUTION = (640, 480)
-#: USD cameras look down -Z with y up, OpenCV's down +z with y down: a half turn about x.
-_HALF_TURN = np.array([1.0, -1.0, -1.0])
 
 
 def read_cameras(
     stage: Usd.Stage, frame: StageFrame, times: list[Usd.TimeCode]
-) -> tuple[tuple[tuple[Camera, ...], ...], tuple[str, ...]]:
-    """Cameras at every sample, and the outputs that the stage asks for.
+) -> tuple[tuple[Camera, ...], ...]:
+    """Cameras at every sample.
 
-    RenderProducts say which cameras are rendered and how large. Without any, every camera is, 640
-    pixels wide.
+    RenderProducts say which cameras are rendered, how large, and with which passes. Without any,
+    every camera is, 640 pixels wide.
 
     Raises:
         StageError: A product without a camera, or a camera of no size.
     """
-    found: list[tuple[str, Usd.Prim, tuple[int, int]]] = []
-    outputs: dict[str, None] = {}
-    for prim in stage.Traverse():
-        if prim.IsA(UsdRender.Product):
-            product = UsdRender.Product(prim)
-            targets = product.GetCameraRel().GetForwardedTargets()
-            camera = stage.GetPrimAtPath(targets[0]) if targets else None
-            if not camera or not camera.IsA(UsdGeom.Camera):
-                raise StageError(f"{prim.GetPath()}: this RenderProduct names no camera")
-            width, height = product.GetResolutionAttr().Get()
-            found.append((prim.GetName(), camera, (int(width), int(height))))
-            for target in product.GetOrderedVarsRel().GetForwardedTargets():
-                var = UsdRender.Var(stage.GetPrimAtPath(target))
-                source = str(var.GetSourceNameAttr().Get() or "") if var else ""
-                outputs[source.split(".")[0]] = None
+    found = [_of_product(p) for p in stage.Traverse() if p.IsA(UsdRender.Product)]
     if not found:
         cameras = [p for p in stage.Traverse() if p.IsA(UsdGeom.Camera)]
-        found = [(name, p, _resolution(p)) for name, p in _distinct_names(cameras)]
-    samples = tuple(
-        tuple(_camera(name, prim, size, frame, time) for name, prim, size in found)
-        for time in times
-    )
-    outputs.pop("", None)
-    return samples, tuple(outputs)
+        found = [
+            _Request(name, p, _resolution(p), DEFAULT_OUTPUTS)
+            for name, p in _distinct_names(cameras)
+        ]
+    return tuple(tuple(_camera(request, frame, time) for request in found) for time in times)
+
+
+@dataclass(frozen=True)
+class _Request:
+    """What is to be rendered of a camera."""
+
+    name: str
+    prim: Usd.Prim
+    size: tuple[int, int]
+    outputs: tuple[str, ...]
+
+
+def _of_product(prim: Usd.Prim) -> _Request:
+    stage = prim.GetStage()
+    product = UsdRender.Product(prim)
+    targets = product.GetCameraRel().GetForwardedTargets()
+    camera = stage.GetPrimAtPath(targets[0]) if targets else None
+    if not camera or not camera.IsA(UsdGeom.Camera):
+        raise StageError(f"{prim.GetPath()}: this RenderProduct names no camera")
+    width, height = product.GetResolutionAttr().Get()
+    outputs: dict[str, None] = {}
+    for target in product.GetOrderedVarsRel().GetForwardedTargets():
+        var = UsdRender.Var(stage.GetPrimAtPath(target))
+        source = str(var.GetSourceNameAttr().Get() or "") if var else ""
+        # Foreign products name their renderer's own variables: those are not ours to make.
+        if source.split(".")[0] in PASSES:
+            outputs[source.split(".")[0]] = None
+    size = (int(width), int(height))
+    return _Request(prim.GetName(), camera, size, tuple(outputs) or DEFAULT_OUTPUTS)
 
 
 def _distinct_names(prims: list[Usd.Prim]) -> list[tuple[str, Usd.Prim]]:
@@ -74,12 +88,11 @@ def _resolution(prim: Usd.Prim) -> tuple[int, int]:
     return width, max(1, round(width * up / across)) if across > 0 else _DEFAULT_RESOLUTION[1]
 
 
-def _camera(
-    name: str, prim: Usd.Prim, size: tuple[int, int], frame: StageFrame, time: Usd.TimeCode
-) -> Camera:
+def _camera(request: _Request, frame: StageFrame, time: Usd.TimeCode) -> Camera:
+    prim, size = request.prim, request.size
     matrix = columns(UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(time))
     pose = np.eye(4)
-    pose[:3, :3] = frame.axes(matrix) * _HALF_TURN
+    pose[:3, :3] = frame.axes(matrix) * np.array(names.HALF_TURN)
     pose[:3, 3] = frame.point(matrix)
     if not np.isfinite(pose).all() or min(size) < 1:
         raise StageError(
@@ -87,13 +100,14 @@ def _camera(
         )
     exposure = UsdGeom.Camera(prim).GetExposureAttr().Get(time)
     return Camera(
-        name=name,
+        name=request.name,
         path=str(prim.GetPath()),
         width=size[0],
         height=size[1],
         intrinsics=_intrinsics(prim, size, time),
         camera_to_world=pose,
         exposure_ev=float(exposure or 0.0),
+        outputs=request.outputs,
     )
 
 

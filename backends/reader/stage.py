@@ -54,7 +54,7 @@ def read_stage(path: Path | str) -> RenderScene:
     expander = Expander(meshes, times[0])
     expanded = expander.expand(stage.GetPseudoRoot(), np.eye(4)[:3], {})
     rows = _rows(expanded, frame)
-    cameras, outputs = read_cameras(stage, frame, times)
+    cameras = read_cameras(stage, frame, times)
     lighting = tuple(read_lighting(stage, frame, time) for time in times)
     return RenderScene(
         source=path,
@@ -73,7 +73,6 @@ def read_stage(path: Path | str) -> RenderScene:
         lighting=lighting,
         bounds=_bounds(tuple(meshes.meshes), rows),
         instance_paths=expander.bases,
-        outputs=outputs or ("rgb", "label", "instance", "depth"),
         times=_times(stage, times),
     )
 

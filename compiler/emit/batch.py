@@ -6,11 +6,11 @@ from pathlib import Path
 
 from pxr import Sdf, Usd, UsdGeom, Vt
 
-from scenec.compiler.emit.cameras import write_cameras
+from scenec.compiler.emit.cameras import camera_path, clipping_range, write_cameras
 from scenec.compiler.emit.layer import author, constant_label_ids, label, new_layer
 from scenec.compiler.emit.lights import write_lights
 from scenec.compiler.emit.looks import write_look
-from scenec.compiler.emit.objects import OBJECTS, instancer_path, write_scatter
+from scenec.compiler.emit.objects import instancer_path, write_scatter
 from scenec.compiler.emit.terrain import write_terrain
 from scenec.compiler.scene import Labels, Scene
 from scenec.schemas import stage as names
@@ -94,18 +94,21 @@ def _write_root(path: Path, scene: Scene, sublayers: list[str]) -> None:
             constant_label_ids(sky, scene.sky_labels)
             label(sky, _named(scene, scene.sky_labels))
         _write_instance_bases(stage, scene)
+        for rig in scene.rigs:
+            for sensor in rig.sensors:
+                camera = UsdGeom.Camera(stage.OverridePrim(camera_path(rig, sensor)))
+                camera.CreateClippingRangeAttr(clipping_range(rig, sensor, scene.bounds))
 
 
 def _write_instance_bases(stage: Usd.Stage, scene: Scene) -> None:
     """Where the frame ids of each class begin: running sums of the counts."""
+    total = sum(scatter.count for scatter in scene.scatters)
+    if total > _LARGEST_ID:
+        raise SceneError(f"{total} instances: a frame has ids for {_LARGEST_ID} at most")
     base = 0
-    if scene.scatters:
-        stage.OverridePrim(OBJECTS)
     for scatter in scene.scatters:
         prim = stage.OverridePrim(instancer_path(scatter.name))
         prim.CreateAttribute(names.ATTR_INSTANCE_ID_BASE, Sdf.ValueTypeNames.UInt, custom=True).Set(
             base
         )
         base += scatter.count
-    if base > _LARGEST_ID:
-        raise SceneError(f"{base} instances: a frame has ids for {_LARGEST_ID} at most")

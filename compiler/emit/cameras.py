@@ -18,8 +18,7 @@ from scenec.compiler.scene import Rig, Scene, Sensor
 from scenec.schemas import stage as names
 
 RIGS = f"{names.ROOT}/Rigs"
-#: Columns of a sensor's rotation get these signs: x stays, y and z turn round.
-HALF_TURN = np.array([1.0, -1.0, -1.0, 1.0])
+HALF_TURN = np.array([*names.HALF_TURN, 1.0])
 #: Full-frame width in stage units: USD counts apertures in tenths of a unit, and 36 mm are 0.36.
 _APERTURE = 0.36
 _NEAR_M = 0.01
@@ -43,9 +42,8 @@ def write_cameras(path: Path, scene: Scene) -> None:
         for rig in scene.rigs:
             xform = UsdGeom.Xform.Define(stage, f"{RIGS}/{rig.name}")
             author(xform.AddTransformOp().GetAttr(), [_matrix(m) for m in rig.to_world])
-            far = _far(rig, scene.bounds)
             for sensor in rig.sensors:
-                camera = _write_camera(stage, rig, sensor, far)
+                camera = _write_camera(stage, rig, sensor)
                 products.append(_write_product(stage, rig, sensor, camera, scene))
         settings = UsdRender.Settings.Define(stage, f"{names.RENDER_SCOPE}/Settings")
         settings.CreateProductsRel().SetTargets(products)
@@ -56,15 +54,26 @@ def _matrix(columns: NDArray[np.float64]) -> Gf.Matrix4d:
     return Gf.Matrix4d(*columns.T.ravel().tolist())
 
 
-def _far(rig: Rig, bounds: NDArray[np.float64]) -> float:
-    """Distance beyond which the batch has nothing, from any pose of the rig, with some slack."""
-    position = rig.to_world[:, :3, 3]
-    reach = np.maximum(np.abs(position - bounds[0]), np.abs(position - bounds[1]))
-    return float(1.1 * np.sqrt((reach * reach).sum(axis=1)).max() + 1.0)
+def camera_path(rig: Rig, sensor: Sensor) -> str:
+    """Prim path of a camera."""
+    return f"{RIGS}/{rig.name}/{sensor.name}"
 
 
-def _write_camera(stage: Usd.Stage, rig: Rig, sensor: Sensor, far: float) -> UsdGeom.Camera:
-    camera = UsdGeom.Camera.Define(stage, f"{RIGS}/{rig.name}/{sensor.name}")
+def clipping_range(rig: Rig, sensor: Sensor, bounds: NDArray[np.float64]) -> Gf.Vec2f:
+    """Near and far for rasterizers: nothing of the batch lies beyond, from any pose of the rig.
+
+    It depends on all geometry, so it stands in the root layer: another object class must leave the
+    layer of cameras as it is.
+    """
+    mount = sensor.to_rig[:3, 3]
+    reach = np.maximum(*(np.abs(rig.to_world[:, :3, 3] - corner) for corner in bounds))
+    far = np.sqrt((reach * reach).sum(axis=1)).max() + np.sqrt((mount * mount).sum())
+    # 1 % beyond; float32 rounds by far less.
+    return Gf.Vec2f(min(_NEAR_M, 1e-3 * far), 1.01 * float(far))
+
+
+def _write_camera(stage: Usd.Stage, rig: Rig, sensor: Sensor) -> UsdGeom.Camera:
+    camera = UsdGeom.Camera.Define(stage, camera_path(rig, sensor))
     camera.AddTransformOp().Set(_matrix(sensor.to_rig * HALF_TURN[None, :]))
     width, height = sensor.resolution
     fx, fy, cx, cy, skew = sensor.intrinsics
@@ -76,7 +85,6 @@ def _write_camera(stage: Usd.Stage, rig: Rig, sensor: Sensor, far: float) -> Usd
     camera.CreateVerticalApertureAttr(vertical)
     camera.CreateHorizontalApertureOffsetAttr((0.5 * width - cx) * _APERTURE / width)
     camera.CreateVerticalApertureOffsetAttr((cy - 0.5 * height) * vertical / height)
-    camera.CreateClippingRangeAttr(Gf.Vec2f(_NEAR_M, far))
     if "rgb" in sensor.outputs:
         author(camera.CreateExposureAttr(), sensor.exposure_ev.tolist())
     camera.GetPrim().CreateAttribute(

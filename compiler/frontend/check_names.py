@@ -81,13 +81,26 @@ def _check_levels(
     chosen = _sky(cfg).get("labels", {})
     if isinstance(chosen, dict):
         yield from _check_choice(levels, ("light", "sky", "labels"), chosen)
-    outputs = cfg.get("outputs", ["label"])
-    if not levels and isinstance(outputs, list) and "label" in outputs:
-        yield Finding(
-            ("outputs",) if "outputs" in cfg else (),
-            'the output "label" needs at least one level in "labels"; define one, or leave '
-            '"label" out of "outputs"',
-        )
+    if not levels:
+        for at in _label_outputs(cfg):
+            yield Finding(
+                at,
+                'the output "label" needs at least one level in "labels"; define one, or leave '
+                '"label" out of "outputs"',
+            )
+
+
+def _label_outputs(cfg: Mapping[str, Any]) -> list[Path]:
+    """Where the output "label" is asked for: by sensors, or for those that say nothing."""
+    found: dict[Path, None] = {}
+    for rig, content in _mapping(cfg.get("rigs")).items():
+        for sensor, node in _mapping(_mapping(content).get("sensors")).items():
+            own = "outputs" in _mapping(node)
+            outputs = _mapping(node)["outputs"] if own else cfg.get("outputs", ["label"])
+            if isinstance(outputs, list) and "label" in outputs:
+                place: Path = ("rigs", rig, "sensors", sensor, "outputs")
+                found[place if own else (("outputs",) if "outputs" in cfg else ())] = None
+    return list(found)
 
 
 def _check_choice(

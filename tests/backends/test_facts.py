@@ -26,7 +26,7 @@ def compiled(folder: Path, cfg: dict, seed: int) -> Path:
 
 def annotation(session: Session, sample: int) -> tuple[dict[str, np.ndarray], dict]:
     camera = session.scene.cameras[sample][0]
-    return session.render(camera, sample, session.passes(PASSES), 0, 0)
+    return session.render(camera, sample, session.passes(PASSES, camera), 0, 0)
 
 
 def drawn_cfg(seed: int) -> dict:

@@ -84,7 +84,7 @@ def test_our_own_stage_comes_back_whole(compiled):
     assert sorted(scene.rows.instance_id[scene.rows.instance_id > 0]) == list(range(1, 301))
     assert {len(lights.domes) for lights in scene.lighting} == {1}
     assert {len(lights.suns) for lights in scene.lighting} == {1}
-    assert scene.outputs == ("rgb", "label", "instance", "depth")
+    assert scene.cameras[0][0].outputs == ("rgb", "label", "instance", "depth")
     assert [camera.name for camera in scene.cameras[0]] == ["rover_front"]
 
 
