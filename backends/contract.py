@@ -8,12 +8,15 @@ pixel? All annotation is resolved from visibility by shared code in float64
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scenec.backends.render_scene import Camera, RenderScene
+
+if TYPE_CHECKING:
+    from scenec.backends.exact import ExactCaster
 
 #: ``Visibility.row`` where a ray meets nothing.
 NO_ROW = -1
@@ -24,7 +27,7 @@ class Rays:
     """A table of rays, in the world frame.
 
     Attributes:
-        origins: float64 [n, 3], metres.
+        origins: float64 [n, 3], meters.
         directions: float64 [n, 3]; not normalized: its length is such that the ray parameter is
             planar depth for a pinhole camera (direction has z = 1 in the camera's frame).
         shape: (height, width) of the picture the rays belong to; n = height * width, row-major.
@@ -63,9 +66,16 @@ class Backend(Protocol):
 
     #: Name on the command line.
     name: str
+    #: Where the backend is exact itself (``reference``), the caster that settles nothing more; None
+    #: for renderers, whose visibility the resolver settles.
+    caster: ExactCaster | None
 
     def version(self) -> str:
         """Name and version of the renderer and its variant, for sidecars and resume keys."""
+        ...
+
+    def warning(self) -> str | None:
+        """A line the user should see before rendering, or None."""
         ...
 
     def load(self, scene: RenderScene) -> None:
@@ -77,5 +87,5 @@ class Backend(Protocol):
         ...
 
     def radiance(self, camera: Camera, sample: int, spp: int, seed: int) -> Radiance:
-        """Light that arrives, box-filtered over each pixel, in two halves of spp / 2."""
+        """Light that arrives, box-filtered over each pixel, in two halves of spp / 2 (up)."""
         ...

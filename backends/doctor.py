@@ -93,7 +93,7 @@ def probe(name: str) -> dict[str, Any]:
     hits = (seen.row != NO_ROW).reshape(camera.height, camera.width)
     if hits[0].any() or not hits[-1].all():
         raise BackendError(f"backend {name} starts, but sees the test scene wrongly")
-    if getattr(backend, "caster", None) is None:
+    if backend.caster is None:
         light = backend.radiance(camera, 0, 16, 0)
         value = float(light.halves.mean(axis=0)[-1].mean())
         expected = 0.5 * (np.pi + 1.0) / np.pi
@@ -102,12 +102,11 @@ def probe(name: str) -> dict[str, Any]:
                 f"backend {name} starts, but the test scene's ground has radiance {value:g} "
                 f"instead of {expected:g}"
             )
-    warning = getattr(backend, "warning", None)
-    return {"version": backend.version(), "warning": warning() if warning else None}
+    return {"version": backend.version(), "warning": backend.warning()}
 
 
 def tiny_scene() -> RenderScene:
-    """Grey ground to the horizon under a sun in the zenith (E = 1) and a sky of radiance 1."""
+    """Gray ground to the horizon under a sun in the zenith (E = 1) and a sky of radiance 1."""
     size = 1000.0
     points = np.array([[-size, -size, 0], [size, -size, 0], [size, size, 0], [-size, size, 0]])
     pose = np.eye(4)

@@ -11,7 +11,7 @@ from scenec.backends.render_scene import Camera
 def camera_rays(camera: Camera) -> Rays:
     """One ray per pixel, through its center, z = 1 in the camera's frame.
 
-    The ray parameter of a hit is therefore its planar depth in metres.
+    The ray parameter of a hit is therefore its planar depth in meters.
     """
     k = camera.intrinsics
     v, u = np.meshgrid(np.arange(camera.height) + 0.5, np.arange(camera.width) + 0.5, indexing="ij")

@@ -26,6 +26,10 @@ class Reference:
         """Name and version, for sidecars and resume keys."""
         return f"reference (scenec {version('scenec')})"
 
+    def warning(self) -> str | None:
+        """Nothing to warn of."""
+        return None
+
     def load(self, scene: RenderScene) -> None:
         """Build the hierarchies of a scene.
 

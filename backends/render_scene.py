@@ -1,6 +1,6 @@
 """RenderScene: a stage as flat arrays, what every renderer and the resolver work on.
 
-World frame: the stage's own, in metres, Z up, right-handed. Triangles only. Every renderer
+World frame: the stage's own, in meters, Z up, right-handed. Triangles only. Every renderer
 addresses a surface point by (row, face): ``row`` indexes ``RenderScene.rows`` (one row for every
 instance of every mesh), ``face`` indexes the triangles of that row's mesh.
 """
@@ -42,7 +42,7 @@ class Mesh:
 
     Attributes:
         path: Prim path.
-        points: Local positions as authored, float32 [n, 3], stage units already in metres.
+        points: Local positions as authored, float32 [n, 3], stage units already in meters.
         faces: Vertex indices, int32 [m, 3].
         authored_face: Index of the authored polygon each triangle comes from, int32 [m]; None
             where they are the same.

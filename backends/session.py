@@ -88,7 +88,7 @@ class Session:
                 self._loaded = True
             if annotation and self._caster is None:
                 # A backend that is exact itself lends its caster and needs no settling.
-                own = getattr(self.backend, "caster", None)
+                own = self.backend.caster
                 self._caster = own if own is not None else ExactCaster(self.scene)
         if "rgb" in passes:
             with _timed(seconds, "radiance"):
@@ -103,7 +103,7 @@ class Session:
             }
         if annotation and self._caster is not None:
             rays = camera_rays(camera)
-            exact = self._caster is getattr(self.backend, "caster", None)
+            exact = self._caster is self.backend.caster
             with _timed(seconds, "visibility"):
                 visibility = None if exact else self.backend.visibility(rays, sample)
             with _timed(seconds, "resolve"):

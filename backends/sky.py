@@ -1,6 +1,6 @@
 """Lat-long pictures as light from all around: loading, looking up, combining.
 
-Convention (USD's, see docs/conventions): pole +Y at the top row, center of the picture +Z, +X at
+Convention (USD's, see docs/stage.md): pole +Y at the top row, center of the picture +Z, +X at
 u = 0.25. Texel (row, column) has its center at ((column + 0.5) / width, (row + 0.5) / height).
 Between centers the picture is bilinear; columns wrap around the seam, rows beyond the first and
 last centers clamp.
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from scenec.backends.render_scene import Dome
 from scenec.schemas.errors import StageError
+from scenec.schemas.exr import read_rgb
 
 #: Suns narrower than this are drawn this wide (irradiance unchanged), in radians: float32
 #: directions resolve no less. 0.02 degrees, a 26th of the Sun's width from Earth.
@@ -92,23 +93,21 @@ def load_picture(path: Path) -> NDArray[np.float32]:
         StageError: The file is missing or is not a picture of these kinds.
     """
     picture = _load_exr(path) if path.suffix.lower() == ".exr" else _load_srgb(path)
-    if not np.all(np.isfinite(picture)) or np.any(picture < 0):
-        raise StageError(f"{path}: a sky picture must be finite and not negative")
+    if not np.all(np.isfinite(picture)):
+        raise StageError(f"{path}: a sky picture must be finite")
+    # Photographed panoramas hold slightly negative values where a color left the gamut.
+    picture = np.maximum(picture, np.float32(0.0))
     picture.setflags(write=False)
     return picture
 
 
 def _load_exr(path: Path) -> NDArray[np.float32]:
-    import OpenEXR
-
     if not path.is_file():
         raise StageError(f"{path}: the sky's texture is missing")
     try:
-        channels = OpenEXR.File(str(path), separate_channels=True).channels()
-        planes = [channels[c].pixels for c in ("R", "G", "B")]
-    except (RuntimeError, KeyError, TypeError, ValueError) as error:
-        raise StageError(f"{path}: not an OpenEXR picture with channels R, G, B") from error
-    return np.stack(planes, axis=-1).astype(np.float32)
+        return read_rgb(path)
+    except ValueError as error:
+        raise StageError(f"{path}: {error}") from error
 
 
 def _load_srgb(path: Path) -> NDArray[np.float32]:

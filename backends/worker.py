@@ -53,7 +53,6 @@ class Worker:
 
         session = Session.open(Path(request["stage"]), request["backend"])
         self._session, scene, backend = session, session.scene, session.backend
-        warning = getattr(backend, "warning", None)
         return {
             "digest": scene.digest,
             "samples": scene.samples,
@@ -65,7 +64,7 @@ class Worker:
                 for cameras in scene.cameras
             ],
             "version": backend.version(),
-            "warning": warning() if warning else None,
+            "warning": backend.warning(),
         }
 
     def _render(self, request: dict[str, Any]) -> dict[str, Any]:

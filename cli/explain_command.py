@@ -9,7 +9,7 @@ from typing import Any
 
 from scenec.cli.output import print_json, table
 from scenec.schemas.errors import OutputError
-from scenec.schemas.manifest import REPORT, TIMINGS, read_manifest
+from scenec.schemas.manifest import FRAMES, REPORT, TIMINGS, read_manifest
 
 
 def run(options: argparse.Namespace) -> int:
@@ -24,11 +24,33 @@ def run(options: argparse.Namespace) -> int:
     for name, report in reports.items():
         print(f"{name}: {report['bytes'] / 2**20:.1f} MiB")
         print(_errors(report, timings.get(name, {})))
+        frames = _frames(out / name)
+        if frames:
+            print(frames)
         left_out = report.get("left_out", [])
         print("left out:" if left_out else "left out: nothing")
         for entry in left_out:
             print(f"  {entry['what']}: {entry['why']}")
     return 0
+
+
+def _frames(folder: Path) -> str:
+    """Per backend: seconds of each step of a frame, and the estimated error of rgb."""
+    rows = []
+    for backend in sorted(path for path in (folder / FRAMES).glob("*") if path.is_dir()):
+        sidecars = [_read(path) for path in sorted(backend.glob("*/*.json"))]
+        if not sidecars:
+            continue
+        steps = {step for sidecar in sidecars for step in sidecar.get("seconds", {})}
+        costs = [
+            f"{step} {sum(s.get('seconds', {}).get(step, 0.0) for s in sidecars):.2f}"
+            for step in sorted(steps)
+        ]
+        errors = [s["estimated_error"]["relative_rms"] for s in sidecars if "estimated_error" in s]
+        error = f"{100 * sum(errors) / len(errors):.1f} %" if errors else ""
+        rows.append([backend.name, str(len(sidecars)), error, ", ".join(costs)])
+    header = ["frames of", "number", "mean error of rgb", "seconds in all"]
+    return table(rows, header) if rows else ""
 
 
 def _has(out: Path, name: str) -> bool:
@@ -46,7 +68,7 @@ def _read(path: Path) -> dict[str, Any]:
 
 
 def _errors(report: dict[str, Any], seconds: dict[str, float]) -> str:
-    """One row a pass: its error in metres (or what it counts) beside its run time."""
+    """One row a pass: its error in meters (or what it counts) beside its run time."""
 
     def cost(name: str) -> str:
         return f"{seconds[name]:.3f}" if name in seconds else "?"
@@ -57,7 +79,10 @@ def _errors(report: dict[str, Any], seconds: dict[str, float]) -> str:
         rows.append([f"relief: {step['type']}", rest, ""])
     rows.append(["relief, all steps", "", cost("relief")])
     for i, cut in enumerate(report["ground"]["cuts"], start=1):
-        chord = f"{cut['chord_error_rms_m']:.2g} m rms, {cut['chord_error_max_m']:.2g} m worst"
+        chord = (
+            f"{cut['chord_error_rms_m']:.2g} m rms, {cut['chord_error_max_m']:.2g} m worst, "
+            f"snapped {cut['snap_max_m']:.2g} m"
+        )
         rows.append([f"label line {i}", f"chord error {chord}", ""])
     ground = report["ground"]
     rows.append(
@@ -76,7 +101,11 @@ def _errors(report: dict[str, Any], seconds: dict[str, float]) -> str:
                 cost(f"objects/{name}"),
             ]
         )
-    rows.extend([name, "", cost(name)] for name in ("light", "cameras", "emit"))
+    for name, entry in report.get("sky", {}).get("set_to_zero", {}).items():
+        part = f"{100 * entry['negative_fraction']:.2g} % below 0 set to 0"
+        rows.append([f"sky: {name}", part, ""])
+    others = ("load", "draw", "light", "cameras", "emit")
+    rows.extend([name, "", cost(name)] for name in others)
     return table(rows, ["pass", "error", "seconds"])
 
 

@@ -1,6 +1,6 @@
 """Scene: one batch as arrays, the vocabulary of all passes and of the emitter.
 
-World frame: metres, Z up, x east, y north, the terrain's center at the origin. Everything is plain
+World frame: meters, Z up, x east, y north, the terrain's center at the origin. Everything is plain
 data; nothing here draws, reads files or knows of USD.
 """
 
@@ -95,7 +95,7 @@ class Scatter:
         instances: Whether instance ids are shown (off: they stay reserved).
         prototypes: What is scattered.
         prototype: Which one, int32 [n].
-        positions: float32 [n, 3], metres.
+        positions: float32 [n, 3], meters.
         orientations: Quaternions (x, y, z, w), float16 [n, 4]: half precision, as USD stores them.
         scales: float32 [n, 3].
         variation: Albedo variation, float32 [n].

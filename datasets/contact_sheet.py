@@ -35,7 +35,7 @@ class SheetFrame:
         picture: 8-bit RGB, uint8 [h, w, 3], or None.
         labels: Per level, label ids [h, w].
         instance: Ids [h, w], or None.
-        depth: Metres [h, w], +inf where nothing was hit, or None.
+        depth: Meters [h, w], +inf where nothing was hit, or None.
     """
 
     title: str

@@ -209,7 +209,7 @@ def wrong_area(tiles: tuple, merge: Merge) -> float:
 
 
 def extents() -> str:
-    """float32 positions from a millimetre to a thousand kilometres."""
+    """float32 positions from a millimeter to a thousand kilometers."""
     rows = []
     for exponent in range(-3, 7):
         size = 10.0**exponent

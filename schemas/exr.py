@@ -159,10 +159,34 @@ def _captured_stderr() -> Iterator[list[str]]:
 
 
 def write_rgb(path: Path, picture: NDArray[np.float32]) -> None:
-    """Writes a linear Rec.709 picture, float32 [h, w, 3], as R, G, B with ZIP compression."""
+    """Writes a linear Rec.709 picture, float32 [h, w, 3], as R, G, B with ZIP compression.
+
+    Raises:
+        OutputError: The file cannot be written.
+    """
     import OpenEXR
 
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     channels = {"RGB": np.ascontiguousarray(picture, dtype=np.float32)}
-    with OpenEXR.File(header, channels) as file:
-        file.write(str(path))
+    try:
+        with OpenEXR.File(header, channels) as file:
+            file.write(str(path))
+    except (RuntimeError, OSError) as error:
+        raise OutputError(f"{path}: cannot be written: {error}") from error
+
+
+def read_rgb(path: Path) -> NDArray[np.float32]:
+    """Channels R, G, B of an OpenEXR picture, float32 [h, w, 3].
+
+    Raises:
+        ValueError: It is none, or lacks one of them.
+    """
+    import OpenEXR
+
+    try:
+        with OpenEXR.File(str(path), separate_channels=True) as source:
+            channels = source.channels()
+            planes = [channels[name].pixels for name in ("R", "G", "B")]
+    except (RuntimeError, OSError, KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"not an OpenEXR picture with channels R, G, B ({error})") from error
+    return np.stack(planes, axis=-1).astype(np.float32)

@@ -33,15 +33,15 @@ CONVENTIONS = {
     "pixel": "column 0, row 0 is the top-left pixel; its center is at (0.5, 0.5)",
     "intrinsics": "K, row-major: u = fx*X/Z + s*Y/Z + cx, v = fy*Y/Z + cy, pixels",
     "camera_to_world": "4x4, row-major, column vectors; camera axes x right, y down, z forward "
-    "(OpenCV); world in metres, Z up, right-handed",
+    "(OpenCV); world in meters, Z up, right-handed",
     "rgb": "linear Rec.709 radiance, mean over the pixel's area (box filter)",
-    "depth": "metres along the optical axis, at the pixel's center; +inf without a hit",
-    "range": "metres along the ray, at the pixel's center; +inf without a hit",
+    "depth": "meters along the optical axis, at the pixel's center; +inf without a hit",
+    "range": "meters along the ray, at the pixel's center; +inf without a hit",
     "label": "id at the pixel's center; 0 is no label",
     "instance": "id at the pixel's center; 0 is no instance",
     "face": "index of the authored face; 4294967295 without a hit",
     "normal": "geometric, world frame, facing the camera; 0 without a hit",
-    "position": "world frame, metres; NaN without a hit",
+    "position": "world frame, meters; NaN without a hit",
 }
 
 

@@ -60,7 +60,7 @@ def check_stage(path: Path) -> list[Finding]:
 
 
 def _layout(stage: Usd.Stage) -> Iterator[str]:
-    """Metres, Z up, a default prim with our schema version: what our own stages promise."""
+    """Meters, Z up, a default prim with our schema version: what our own stages promise."""
     root = stage.GetDefaultPrim()
     if not root:
         yield "has no defaultPrim"
@@ -142,12 +142,13 @@ def _vertex_primvars(prim: Usd.Prim, table: LabelTable) -> Iterator[str]:
         wanted.append(names.PRIMVAR_VARIATION)
     for name in wanted:
         values = _primvar(api, name)
+        low = -1.0 if name == names.PRIMVAR_VARIATION else 0.0
         if values.size != count:
             yield f"primvar {name} has {values.size} values for {count} points"
         if not np.isfinite(values).all():
             yield f"primvar {name} holds values that are not finite"
-        elif values.size and np.abs(values).max() > 1.0:
-            yield f"primvar {name} leaves [-1, 1]"
+        elif values.size and (values.min() < low or values.max() > 1.0):
+            yield f"primvar {name} leaves [{low:g}, 1]"
 
 
 def _instancer_arrays(prim: Usd.Prim, table: LabelTable) -> Iterator[str]:
@@ -192,7 +193,7 @@ def _instancer_arrays(prim: Usd.Prim, table: LabelTable) -> Iterator[str]:
 def _instancer_ids(prim: Usd.Prim, table: LabelTable) -> Iterator[str]:
     """Ids are there, one an instance, none twice, none below 1."""
     instancer = UsdGeom.PointInstancer(prim)
-    ids = _numbers(instancer.GetIdsAttr()).astype(np.int64)
+    ids = np.array(instancer.GetIdsAttr().Get(Usd.TimeCode.EarliestTime()) or (), np.int64)
     count = len(instancer.GetProtoIndicesAttr().Get() or ())
     if not ids.size:
         if count and prim.HasAttribute(names.ATTR_INSTANCE_ID_BASE):

@@ -49,7 +49,7 @@ class Geometry(NamedTuple):
             ``face_order`` holds indices into ``faces``.
         row_nodes, row_links, row_order: The one tree over rows; ``row_order`` holds rows.
         row_tree: Root node of the tree over rows.
-        extent: Largest world coordinate of any row, metres.
+        extent: Largest world coordinate of any row, meters.
         row_spheres: A sphere around each row: center and radius, float64 [r, 4]; radius < 0 for
             rows without surface.
         row_twin: Rows of which there are several with the same mesh and matrix, bool [r].

@@ -57,7 +57,7 @@ def ray_frame(
     """Axes and shear of a ray.
 
     Args:
-        origin: float64 [3], metres.
+        origin: float64 [3], meters.
         direction: float64 [3], of any length but 0.
 
     Returns:
@@ -166,7 +166,7 @@ def hit_details(points, face, matrix, frame):  # type: ignore[no-untyped-def]
     Returns:
         (t, margin, size): ``t`` is bit for bit that of ``hit_parameter``; ``margin`` is the
         distance of the ray from the nearest edge's line and ``size`` the triangle's least altitude,
-        both in metres in the sheared plane (a plane of constant coordinate kz, so up to sqrt(3)
+        both in meters in the sheared plane (a plane of constant coordinate kz, so up to sqrt(3)
         of the distance across the ray). A missed triangle has (inf, 0, 0).
     """
     a = _project(points[face[0]], matrix, frame)

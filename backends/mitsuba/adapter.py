@@ -28,6 +28,7 @@ class Mitsuba:
     """
 
     name = "mitsuba"
+    caster = None
 
     def __init__(self, bounces: int = BOUNCES) -> None:
         self._mi = variant.load_mitsuba()
@@ -87,7 +88,7 @@ class Mitsuba:
 
     def visibility(self, rays: Rays, sample: int) -> Visibility:
         """First hits in float32; geometry does not change over samples."""
-        scene = self._loaded()
+        self._loaded()
         if not self.jit:
             return scalar.visibility(self._mi, self._scene, self._meshes, self._groups,
                                      rays, self._center)  # fmt: skip
@@ -109,7 +110,6 @@ class Mitsuba:
             own = int(np.array(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(mesh)))[0])
             index = np.flatnonzero(shapes == own)
             row[index], face[index] = group.locate(prims[index])
-        del scene
         return Visibility(row, face)
 
     def radiance(self, camera: Camera, sample: int, spp: int, seed: int) -> Radiance:

@@ -21,7 +21,7 @@ from scenec.backends.sky import MIN_SUN_DIAMETER_RAD, Sky, combine
 PLUGIN = "scenec_sky_sun"
 #: Bounds of the fraction of light samples that go to the suns where there is a sky too.
 SUN_FRACTION = (0.2, 0.8)
-#: Metres; farther than anything, so that shadow rays do not stop short.
+#: Meters; farther than anything, so that shadow rays do not stop short.
 FAR = 1e7
 
 

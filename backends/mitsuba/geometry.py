@@ -91,7 +91,7 @@ def make_groups(scene: RenderScene) -> tuple[Group, ...]:
 
 
 def group_surfaces(scene: RenderScene, group: Group) -> tuple[Surface, ...]:
-    """The materials of a group, base first; a mesh without one gets a plain grey."""
+    """The materials of a group, base first; a mesh without one gets a plain gray."""
     return tuple(scene.surfaces[i] for i in group.layers) or (DEFAULT_SURFACE,)
 
 

@@ -1,4 +1,4 @@
-"""From a stage's units and up axis to the contract's frame: metres, Z up."""
+"""From a stage's units and up axis to the contract's frame: meters, Z up."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class StageFrame:
         return cls(UsdGeom.GetStageMetersPerUnit(stage), _Y_TO_Z if y_up else np.eye(3))
 
     def affine(self, matrix: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Local-to-world in metres, Z up, from one in stage units: float64 [..., 3, 4]."""
+        """Local-to-world in meters, Z up, from one in stage units: float64 [..., 3, 4]."""
         return self.meters_per_unit * (self.turn @ matrix)
 
     def axes(self, matrix: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -40,7 +40,7 @@ class StageFrame:
         return axes / np.sqrt((axes * axes).sum(axis=0))
 
     def point(self, matrix: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Origin of a local-to-world matrix [3, 4], in metres, Z up: [3]."""
+        """Origin of a local-to-world matrix [3, 4], in meters, Z up: [3]."""
         return self.meters_per_unit * (self.turn @ matrix[:, 3])
 
 

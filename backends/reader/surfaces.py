@@ -10,7 +10,8 @@ from scenec.backends.render_scene import Surface
 from scenec.schemas import stage as names
 from scenec.schemas.errors import StageError
 
-_GREY = 0.5
+#: What UsdPreviewSurface shows without a color.
+_GRAY = 0.18
 
 
 class SurfaceTable:
@@ -87,13 +88,13 @@ def _display_color(prim: Usd.Prim) -> tuple[float, float, float]:
     primvar = UsdGeom.PrimvarsAPI(prim).FindPrimvarWithInheritance("displayColor")
     values = np.array(primvar.Get(), np.float64) if primvar and primvar.HasValue() else np.zeros(0)
     if not values.size:
-        return (_GREY, _GREY, _GREY)
+        return (_GRAY, _GRAY, _GRAY)
     red, green, blue = values.reshape(-1, 3).mean(axis=0).tolist()
     return (red, green, blue)
 
 
 def surface_of(
-    material: UsdShade.Material, fallback: tuple[float, float, float] = (_GREY, _GREY, _GREY)
+    material: UsdShade.Material, fallback: tuple[float, float, float] = (_GRAY, _GRAY, _GRAY)
 ) -> Surface:
     """The shared surface model's numbers of a material.
 

@@ -46,7 +46,8 @@ _ATAN = tuple((-1.0) ** n / (2 * n + 1) for n in range(23))
 
 
 @njit(cache=True, error_model="numpy")
-def _horner(coefficients: tuple[float, ...], x: float) -> float:
+def horner(coefficients: tuple[float, ...], x: float) -> float:
+    """A polynomial at x, its coefficients from the constant one up."""
     value = 0.0
     for i in range(len(coefficients) - 1, -1, -1):
         value = value * x + coefficients[i]
@@ -90,7 +91,7 @@ def log(x: float) -> float:
     s = f / (m + 1.0)
     # log(m) = f - s*(f - R) with R = log(m)/s - 2 ... the leading f carries no rounding error.
     z = s * s
-    tail = 2.0 * z * _horner(_ATANH[1:], z)
+    tail = 2.0 * z * horner(_ATANH[1:], z)
     return e * _LN2_HIGH + (f - (s * (f - tail) - e * _LN2_LOW))
 
 
@@ -109,8 +110,8 @@ def _sin_cos(x: float) -> tuple[float, float]:
     n = np.floor(x * _TWO_OVER_PI + 0.5)
     r = ((x - n * _HALF_PI_1) - n * _HALF_PI_2) - n * _HALF_PI_3
     z = r * r
-    s = r + r * z * _horner(_SIN[1:], z)
-    c = 1.0 + z * _horner(_COS[1:], z)
+    s = r + r * z * horner(_SIN[1:], z)
+    c = 1.0 + z * horner(_COS[1:], z)
     quadrant = int(n) & 3
     if quadrant == 0:
         return s, c
@@ -147,7 +148,7 @@ def atan(x: float) -> float:
         r = a
         offset = 0.0
     z = r * r
-    value = offset + (r + r * z * _horner(_ATAN[1:], z))
+    value = offset + (r + r * z * horner(_ATAN[1:], z))
     return -value if x < 0.0 else value
 
 

@@ -14,7 +14,7 @@ def look_at(
     """Camera-to-world matrix of a camera that looks at a point, float64 [4, 4].
 
     Args:
-        position, target: World, metres, [3]. A target straight above or below leaves north (+y) as
+        position, target: World, meters, [3]. A target straight above or below leaves north (+y) as
             the direction of the picture's top (below) or bottom (above).
         roll_deg: Turn about the viewing axis, clockwise as the camera sees itself.
     """
@@ -26,7 +26,7 @@ def look_at(
         right = np.array([forward[1] / level, -forward[0] / level, 0.0])
     else:
         right = np.array([1.0, 0.0, 0.0])
-    down = _cross(forward, right)
+    down = cross(forward, right)
     roll = roll_deg * elementary.PI / 180.0
     c, s = elementary.cos(roll), elementary.sin(roll)
     matrix = np.eye(4)
@@ -82,7 +82,8 @@ def compose(parent: NDArray[np.float64], child: NDArray[np.float64]) -> NDArray[
     return out
 
 
-def _cross(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+def cross(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Cross product of two vectors [3], written out: NumPy's own is not on our list."""
     return np.array(
         [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
     )

@@ -47,7 +47,7 @@ def incident_exposure(irradiance: NDArray[np.float64]) -> NDArray[np.float64]:
     """Exposure (log2 of the gain) that shows a level white Lambertian surface at 1.
 
     This is what an incident-light meter does: radiance E / pi of a perfect diffuser becomes 1, an
-    18 % grey card 0.18, whatever the scene's own albedo. Rounded to 1/64 of a stop, so that the
+    18 % gray card 0.18, whatever the scene's own albedo. Rounded to 1/64 of a stop, so that the
     stage's float32 holds it exactly. Without light it is 0.
     """
     ev = np.zeros(irradiance.shape)

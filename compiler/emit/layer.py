@@ -15,7 +15,7 @@ from scenec.schemas import stage as names
 
 @contextmanager
 def new_layer(path: Path) -> Iterator[Usd.Stage]:
-    """A stage on a new layer in metres, Z up, with ``/World`` as default prim; saved on leaving."""
+    """A stage on a new layer in meters, Z up, with ``/World`` as default prim; saved on leaving."""
     path.parent.mkdir(parents=True, exist_ok=True)
     stage = Usd.Stage.CreateNew(str(path))
     UsdGeom.SetStageMetersPerUnit(stage, 1.0)

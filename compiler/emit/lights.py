@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux
 
+from scenec.compiler.cameras.poses import cross
 from scenec.compiler.emit.layer import author, new_layer
 from scenec.compiler.light.sky import sun_direction
 from scenec.compiler.scene import SkyLight, SunLight
@@ -54,17 +55,11 @@ def _pointing_from(to_light: np.ndarray) -> Gf.Matrix4d:
     z = to_light
     # Any axis that is not parallel will do: a disc has no up.
     helper = np.array([0.0, 0.0, 1.0]) if abs(z[2]) < 0.9 else np.array([0.0, 1.0, 0.0])
-    x = _cross(helper, z)
+    x = cross(helper, z)
     x = x / np.sqrt((x * x).sum())
-    y = _cross(z, x)
+    y = cross(z, x)
     # Gf matrices act on row vectors: the axes are rows.
     return Gf.Matrix4d(*x, 0.0, *y, 0.0, *z, 0.0, 0.0, 0.0, 0.0, 1.0)
-
-
-def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    return np.array(
-        [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
-    )
 
 
 def _write_sky(stage: Usd.Stage, sky: SkyLight) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from scenec.compiler.arithmetic.elementary import PI, exp, log
+from scenec.compiler.arithmetic.elementary import PI, exp, horner, log
 
 #: Truncation farther out than this many standard deviations underflows.
 MAX_SIGMAS = 30.0
@@ -51,14 +51,6 @@ _F = (
 
 
 @njit(cache=True, error_model="numpy")
-def _horner(coefficients: tuple[float, ...], x: float) -> float:
-    value = 0.0
-    for i in range(len(coefficients) - 1, -1, -1):
-        value = value * x + coefficients[i]
-    return value
-
-
-@njit(cache=True, error_model="numpy")
 def lower_tail(x: float) -> float:
     """Probability of a standard normal number below ``x``, for x <= 0 to relative 1e-13."""
     density = exp(-0.5 * x * x) / _SQRT_2PI
@@ -84,11 +76,11 @@ def _quantile_below_half(p: float) -> float:
     q = p - 0.5
     if q > -0.425:
         r = 0.180625 - q * q
-        return q * _horner(_A, r) / _horner(_B, r)
+        return q * horner(_A, r) / horner(_B, r)
     r = np.sqrt(-log(p))
     if r <= 5.0:
-        return -_horner(_C, r - 1.6) / _horner(_D, r - 1.6)
-    return -_horner(_E, r - 5.0) / _horner(_F, r - 5.0)
+        return -horner(_C, r - 1.6) / horner(_D, r - 1.6)
+    return -horner(_E, r - 5.0) / horner(_F, r - 5.0)
 
 
 @njit(cache=True, error_model="numpy")

@@ -29,7 +29,7 @@ class CutMesh:
     """A mesh in the making.
 
     Attributes:
-        points: float64 [n, 3], metres.
+        points: float64 [n, 3], meters.
         faces: int32 [m, 3], counter-clockwise from above.
         parents: Ends of the edge a vertex was cut from, int32 [n, 2]; (i, i) for a grid vertex i.
         fraction: Place of a cut vertex on its edge: 0 at parents[:, 0], 1 at the other, [n].
@@ -51,7 +51,7 @@ class CutReport:
 
     Attributes:
         vertices, faces: Added by it.
-        line_m: Length of the cut line on the surface's plan, metres.
+        line_m: Length of the cut line on the surface's plan, meters.
         chord_error_max_m, chord_error_rms_m: Plan distance between the cut line's segments and the
             true line, at the segments' middles (to first order: |field| / |gradient|).
         snap_max_m: Largest plan distance by which a crossing was snapped.

@@ -27,7 +27,7 @@ class Merge:
 
     Attributes:
         key: Noise key.
-        scale_m: Size of the largest patches, metres.
+        scale_m: Size of the largest patches, meters.
         octaves, gain, lacunarity, distortion: Of the noise, see ``fbm2_points``.
         sharpness: Slope of the transition; larger is narrower.
         threshold: Weight at which the label changes, in (0, 1).

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
 from scenec.schemas.errors import SceneError
+from scenec.schemas.exr import read_rgb
 
 #: Luminance of linear Rec.709.
 LUMINANCE = (0.2126, 0.7152, 0.0722)
@@ -59,17 +60,10 @@ def read_picture(file: Path) -> NDArray[np.float32]:
     Raises:
         SceneError: The file is no EXR with R, G, B.
     """
-    import OpenEXR
-
     try:
-        with OpenEXR.File(str(file), separate_channels=True) as source:
-            channels = source.channels()
-            planes = [channels[name].pixels for name in ("R", "G", "B")]
-    except (RuntimeError, OSError, KeyError, TypeError, ValueError) as error:
-        raise SceneError(
-            f"{file.name}: not an OpenEXR picture with channels R, G, B ({error})"
-        ) from error
-    picture = np.stack(planes, axis=-1).astype(np.float32)
+        picture = read_rgb(file)
+    except ValueError as error:
+        raise SceneError(f"{file.name}: {error}") from error
     if not np.isfinite(picture).all():
         raise SceneError(f"{file.name}: holds radiances that are NaN or infinite")
     return picture

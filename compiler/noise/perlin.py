@@ -1,8 +1,8 @@
 """Gradient noise after Perlin (2002), in two and three dimensions, and its fractal sums.
 
 One octave has zero mean, is C2, and lies in [-1, 1]; 2-D octaves have a root mean square of about
-0.3. Successive octaves are turned by the rational rotation (4/5, 3/5) against each other, so that
-no lattice direction adds up over octaves.
+0.3. Successive 2-D octaves are turned by the rational rotation (4/5, 3/5) against each other, so
+that no lattice direction adds up over octaves.
 
 Only + - * / and floor are used (hashes are integer): the same bits on every CPU and for any number
 of threads.
@@ -137,8 +137,8 @@ def fbm2_points(
 
     Args:
         key: Noise key.
-        x, y: Positions in metres, float64 [n].
-        scale: Size of the largest feature in metres.
+        x, y: Positions in meters, float64 [n].
+        scale: Size of the largest feature in meters.
         octaves, gain, lacunarity: As in ``fbm2``.
         distortion: Domain warp: the position is moved by up to about this many feature sizes by
             two further octaves of noise.

@@ -29,7 +29,7 @@ class NoiseDensity:
 
     Attributes:
         key: Noise key.
-        scale_m: Size of the clusters, metres.
+        scale_m: Size of the clusters, meters.
         octaves: Of the noise.
         contrast: 0 is uniform; from about 1 on there are empty places.
     """
@@ -62,7 +62,7 @@ def place(
         name: Object class, for the message.
 
     Returns:
-        x and y, float64 [n], metres.
+        x and y, float64 [n], meters.
 
     Raises:
         SceneError: The density is zero everywhere.

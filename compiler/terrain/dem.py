@@ -29,9 +29,9 @@ class Dem:
     Attributes:
         file: ``.npz``, ``.npy`` or GeoTIFF.
         array: Member of an ``.npz``; None takes the only two-dimensional one.
-        pixel_m: Size that a pixel gets, in x and y, metres.
+        pixel_m: Size that a pixel gets, in x and y, meters.
         height_scale: Factor on the file's heights.
-        height_offset_m: Added after scaling, metres; None puts the mean at 0.
+        height_offset_m: Added after scaling, meters; None puts the mean at 0.
         first_row: Whether the file's first row is the northern or the southern one.
         center: Fraction of the DEM's width and height that lies at the terrain's center.
         nodata: Value that marks holes, besides NaN and what the file itself declares.

@@ -14,7 +14,7 @@ class Grid:
     """A regular grid of height samples, centered on the origin.
 
     Attributes:
-        size_m: Extent in x and y, metres.
+        size_m: Extent in x and y, meters.
         shape: (ny, nx) samples; sample (j, i) lies at (x()[i], y()[j]).
     """
 
@@ -30,15 +30,15 @@ class Grid:
 
     @property
     def spacing_m(self) -> tuple[float, float]:
-        """Distance of neighboring samples in x and y, metres."""
+        """Distance of neighboring samples in x and y, meters."""
         return self.size_m[0] / (self.shape[1] - 1), self.size_m[1] / (self.shape[0] - 1)
 
     def x(self) -> NDArray[np.float64]:
-        """Sample positions in x, metres, [nx], from west to east."""
+        """Sample positions in x, meters, [nx], from west to east."""
         return (np.arange(self.shape[1]) / (self.shape[1] - 1) - 0.5) * self.size_m[0]
 
     def y(self) -> NDArray[np.float64]:
-        """Sample positions in y, metres, [ny], from south to north."""
+        """Sample positions in y, meters, [ny], from south to north."""
         return (np.arange(self.shape[0]) / (self.shape[0] - 1) - 0.5) * self.size_m[1]
 
     def points(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -101,7 +101,7 @@ class HeightField:
 
     Attributes:
         grid: Where the samples lie.
-        height: metres, float64 [ny, nx].
+        height: meters, float64 [ny, nx].
     """
 
     grid: Grid
@@ -113,7 +113,7 @@ class HeightField:
         return -0.5 * self.grid.size_m[0], -0.5 * self.grid.size_m[1], dx, dy
 
     def height_at(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Height of the surface at points: float64 [n] from two float64 [n], metres."""
+        """Height of the surface at points: float64 [n] from two float64 [n], meters."""
         return _heights_at(self.height, *self.frame(), np.asarray(x), np.asarray(y))
 
     def normals(self) -> NDArray[np.float64]:

@@ -25,14 +25,16 @@ class Multifractal:
     - ``fbm``: sum of g_o n_o;
     - ``hetero``: v = offset + n_0, then v += g_o (n_o + offset) v: rough where it is high, smooth
       in the valleys; centered and scaled so that the first octave keeps its amplitude;
-    - ``ridged``: sum of g_o (offset - |n_o|)^2, each octave weighted by the one before, centered.
+    - ``ridged``: sum of g_o (offset - |n_o|)^2, each octave weighted by the one before; half of
+      what it comes to where all n_o are 0 is taken off, which about centers it.
 
     Octaves finer than two grid spacings cannot be represented and are left out (reported).
 
     Attributes:
         key: Noise key.
-        amplitude_m: Height of the first octave's extremes, metres.
-        scale_m: Size of the first octave's features, metres.
+        amplitude_m: Factor on all of it, meters: the extremes of the first octave of ``fbm`` and
+            ``hetero``.
+        scale_m: Size of the first octave's features, meters.
         octaves: Number of octaves at most.
         lacunarity: Ratio of successive frequencies.
         gain: Ratio of successive amplitudes.
@@ -94,7 +96,7 @@ def _relief(
     keys = np.empty(max(octaves, 1), np.uint64)
     for octave in range(octaves):
         keys[octave] = subkey(key, octave)
-    # What the sum comes to where every octave is zero: taken off, and the growth divided out.
+    # What the sums come to where every octave is zero, to center them by.
     growth = 1.0
     level = 0.0
     weight = 1.0

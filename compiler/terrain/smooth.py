@@ -24,7 +24,7 @@ class Smooth:
     continuous diffusion the error is second order in the spacing.
 
     Attributes:
-        length_m: Standard deviation of the equivalent Gaussian, metres.
+        length_m: Standard deviation of the equivalent Gaussian, meters.
     """
 
     length_m: float

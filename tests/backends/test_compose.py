@@ -173,7 +173,7 @@ def test_exposure_is_in_stops_and_broken_pixels_are_black():
 
 
 def test_srgb_has_its_published_values():
-    # IEC 61966-2-1: 18 % grey is 118 of 255, and the two branches meet.
+    # IEC 61966-2-1: 18 % gray is 118 of 255, and the two branches meet.
     assert round(255 * float(srgb_encode(np.array(0.18)))) == 118
     assert srgb_encode(np.array(0.0031308)) == pytest.approx(0.04045, abs=2e-5)
     assert srgb_encode(np.array(1.0)) == pytest.approx(1.0)

@@ -58,7 +58,7 @@ def test_mitsuba_s_resolved_annotation_is_the_reference_on_every_pixel(seed, tmp
     stage = compiled(tmp_path, drawn_cfg(seed), seed)
     found, details = annotation(Session.open(stage, "mitsuba"), 0)
     # Not a tautology: the renderer's visibility was used, for most pixels unquestioned.
-    assert details["resolver"]["pixels"] == 320 * 240
+    assert details["resolver"]["suspects"] < 0.75 * 320 * 240
     assert not details["resolver"]["escalated"]
     exact, _ = annotation(Session.open(stage, "reference"), 0)
     assert set(found) == set(exact)

@@ -190,7 +190,7 @@ def test_hidden_inactive_and_guide_things_are_left_out_and_ids_stay(tmp_path):
     assert scene.meshes[scene.rows.mesh[-1]].path == "/Root/shown"
 
 
-def test_centimetres_and_y_up_become_metres_and_z_up(tmp_path):
+def test_centimeters_and_y_up_become_metres_and_z_up(tmp_path):
     def build(stage):
         square(stage, "/Root/wall").AddTranslateOp().Set(Gf.Vec3d(100, 200, 300))
         camera = UsdGeom.Camera.Define(stage, "/Root/camera")

@@ -61,6 +61,45 @@ def test_check_finds_the_output_sound_and_the_backends_agreed(output, capsys):
     assert all(c["differing"] == 0 for c in result["agreement"]["comparisons"])
 
 
+def test_check_renders_what_is_missing_and_touches_nothing_else(output, tmp_path, capsys):
+    import shutil
+
+    out = tmp_path / "out"
+    shutil.copytree(output, out)
+    frames = out / "batch_0000" / "frames" / "mitsuba" / "rover_front"
+    for ending in ("exr", "json", "png"):
+        (frames / f"000001.{ending}").unlink()
+    kept = (frames / "000000.exr").read_bytes()
+    assert main(["check", str(out), "--backends", "mitsuba,reference"]) == 0
+    assert (frames / "000000.exr").read_bytes() == kept
+    assert (frames / "000001.exr").is_file()
+    # Frames that lack a pass are compared by others, made aside.
+    assert main(["render", str(out), "--passes", "rgb", "--spp", "2"]) == 0
+    kept = (frames / "000000.exr").read_bytes()
+    assert main(["check", str(out), "--backends", "mitsuba,reference"]) == 0
+    assert (frames / "000000.exr").read_bytes() == kept
+    assert "label.surface" in capsys.readouterr().out
+
+
+def test_a_frame_without_rgb_keeps_no_picture_of_an_earlier_one(output, tmp_path):
+    import shutil
+
+    out = tmp_path / "out"
+    shutil.copytree(output, out)
+    assert main(["render", str(out), "--passes", "depth,label.class"]) == 0
+    frames = out / "batch_0000" / "frames" / "mitsuba" / "rover_front"
+    assert not list(frames.glob("*.png"))
+    target = str(tmp_path / "sheet.png")
+    assert main(["sheet", str(out), "--backend", "mitsuba", "-o", target]) == 0
+
+
+def test_the_command_line_knows_all_passes():
+    from scenec.cli import arguments
+    from scenec.schemas.exr import PASSES
+
+    assert arguments.PASSES == PASSES
+
+
 def test_check_fails_on_damage_and_names_it(output, tmp_path, capsys):
     import shutil
 
@@ -163,6 +202,7 @@ def test_all_faults_of_a_cfg_are_printed_at_once_with_their_places(tmp_path, cap
     [
         (["compile", "none.json", "--seed", "1", "-o", "OUT"], "none.json"),
         (["render", "nowhere"], "manifest"),
+        (["check", "nowhere", "--backends", "mitsuba"], "two or more"),
         (["render", "none.usda"], "no such file"),
         (["check", "nowhere"], "manifest"),
         (["sheet", "nowhere"], "manifest"),

@@ -95,10 +95,9 @@ def test_seed_zero_is_a_seed_like_any_other(tmp_path):
 def test_adding_an_object_class_leaves_every_other_file_of_the_stage_as_it_was(tmp_path):
     cfg = small_cfg()
     before = hashes(compiled(tmp_path, cfg, name="before"))
-    cfg["objects"] = {
-        "gems": cfg["objects"]["rocks"] | {"count": 40, "material": "gem"},
-        **cfg["objects"],
-    }
+    # Larger than all else, so that the scene's bounds change, too.
+    gems = cfg["objects"]["rocks"] | {"count": 40, "material": "gem", "size_m": 4}
+    cfg["objects"] = {"gems": gems, **cfg["objects"]}
     cfg["materials"]["gem"] = {"base_color": [0.1, 0.6, 0.3]}
     after = hashes(compiled(tmp_path, cfg, name="after"))
     added = {"batch_0000/objects/gems.usdc", "batch_0000/looks/gem.usda"}
@@ -243,6 +242,73 @@ def test_batches_can_be_compiled_in_parts(reference, tmp_path):
     assert [b["index"] for b in read_manifest(tmp_path / "out")["batches"]] == [1]
     compile_cfg(cfg, seed=11, out=tmp_path / "out", batches=range(1))
     assert hashes(tmp_path / "out") == hashes(reference)
+
+
+def test_an_interrupted_run_can_be_gone_on_with(reference, tmp_path, monkeypatch):
+    from scenec.compiler import compile as module
+
+    cfg = write_cfg(tmp_path, small_cfg(batches=2))
+    out = tmp_path / "out"
+    original = module.write_batch
+
+    def interrupted(folder: Path, scene) -> None:
+        if (out / "batch_0000").exists():
+            raise KeyboardInterrupt
+        original(folder, scene)
+
+    monkeypatch.setattr(module, "write_batch", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        compile_cfg(cfg, seed=11, out=out)
+    monkeypatch.undo()
+    # The first batch is finished and listed; a killed run would leave a folder with a dot behind.
+    assert [b["index"] for b in read_manifest(out)["batches"]] == [0]
+    (out / ".batch_0001.0123abcd").mkdir()
+    assert compile_cfg(cfg, seed=11, out=out).unchanged == 1
+    (out / ".batch_0001.0123abcd").rmdir()
+    assert hashes(out) == hashes(reference)
+
+
+def test_batches_of_another_cfg_are_not_left_beside_new_ones(tmp_path):
+    compile_cfg(write_cfg(tmp_path, small_cfg(batches=2)), seed=1, out=tmp_path / "out")
+    with pytest.raises(OutputError, match="batch_0001 of another cfg"):
+        compile_cfg(write_cfg(tmp_path, small_cfg()), seed=2, out=tmp_path / "out")
+    assert read_manifest(tmp_path / "out")["seed"] == 1
+
+
+def test_files_are_called_what_they_are_whatever_their_names(tmp_path):
+    cfg = small_cfg()
+    cfg["materials"]["lights"] = cfg["materials"].pop("stone")
+    cfg["objects"] = {"terrain": cfg["objects"]["rocks"] | {"material": "lights"}}
+    files = read_manifest(compiled(tmp_path, cfg))["files"]
+    assert files["batch_0000/looks/lights.usda"]["what"] == "material"
+    assert files["batch_0000/objects/terrain.usdc"]["what"] == "object class"
+    assert files["batch_0000/lights.usda"]["what"] == "sun and sky"
+
+
+def test_each_sensor_asks_for_its_own_outputs(tmp_path):
+    from scenec.backends.reader import read_stage
+
+    cfg = small_cfg()
+    sensors = cfg["rigs"]["rover"]["sensors"]
+    sensors["left"] = sensors["front"] | {"outputs": ["depth"]}
+    sensors["right"] = sensors["front"] | {"outputs": ["instance", "label"]}
+    cameras = read_stage(compiled(tmp_path, cfg) / "batch_0000" / "stage.usda").cameras[0]
+    assert {camera.name: camera.outputs for camera in cameras} == {
+        "rover_front": ("rgb", "label", "instance", "depth"),
+        "rover_left": ("depth",),
+        "rover_right": ("instance", "label"),
+    }
+
+
+def test_nothing_of_the_batch_lies_beyond_a_camera_s_far_plane(reference):
+    stage = Usd.Stage.Open(str(reference / "batch_0000/stage.usda"))
+    camera = UsdGeom.Camera(stage.GetPrimAtPath("/World/Rigs/rover/front"))
+    far = camera.GetClippingRangeAttr().Get()[1]
+    box = UsdGeom.BBoxCache(0.0, ["default"]).ComputeWorldBound(stage.GetPrimAtPath("/World"))
+    corners = [box.ComputeAlignedRange().GetCorner(i) for i in range(8)]
+    for sample in range(3):
+        eye = camera.ComputeLocalToWorldTransform(sample).ExtractTranslation()
+        assert max((corner - eye).GetLength() for corner in corners) < far
 
 
 def test_what_cannot_be_done_is_said_and_leaves_nothing_behind(tmp_path):

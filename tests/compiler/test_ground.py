@@ -117,6 +117,19 @@ def test_the_chord_error_of_a_circle_falls_with_the_square_of_the_spacing():
     assert np.log2(errors[1] / errors[2]) == pytest.approx(2.0, abs=0.2)
 
 
+def test_cut_vertices_lie_on_the_true_line():
+    field = relief(spacing=0.4)
+    for merge in MERGES:
+        mesh, report = cut_mesh(_grid_mesh(field), merge.side)
+        cut_vertices = mesh.points[field.height.size :]
+        (side,) = side_of([merge], cut_vertices)
+        slope = 1.0 / merge.scale_m
+        assert len(cut_vertices) == report.vertices > 100
+        # In meters, to first order: five millionths of the spacing at worst.
+        assert np.abs(side).max() / slope < 2e-6
+        assert np.median(np.abs(side)) / slope < 1e-12
+
+
 def test_a_straight_line_is_cut_exactly():
     field = HeightField(Grid.with_spacing((4.0, 4.0), 0.5), np.zeros((9, 9)))
     mesh, report = cut_mesh(_grid_mesh(field), lambda x, y: x + 0.3 * y - 0.11)
