@@ -49,7 +49,10 @@ def compose(radiance: Radiance, scene: RenderScene, camera: Camera, sample: int)
     covered = radiance.coverage > 0.0
     level = float(mean[covered].mean()) if covered.any() else 0.0
     error = relative_mse = 0.0
-    if level > 0.0:
+    if not np.isfinite(level):
+        # Unknown, and never "none".
+        error = relative_mse = float("nan")
+    elif level > 0.0:
         error = float(np.sqrt(variance[covered].mean())) / level
         relative_mse = float((variance[covered] / (mean[covered] ** 2 + 0.01 * level**2)).mean())
     return Picture(rgb.astype(np.float32), error, relative_mse)

@@ -59,6 +59,8 @@ class Radiance:
     halves: NDArray[np.float32]
     coverage: NDArray[np.float32]
     spp: int
+    #: Samples whose light was negative or not finite (float32 slivers), counted as black.
+    dropped: int = 0
 
 
 class Backend(Protocol):

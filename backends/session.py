@@ -97,6 +97,7 @@ class Session:
                 picture = compose(radiance, self.scene, camera, sample)
             arrays["rgb"] = picture.rgb
             details["samples_per_pixel"] = radiance.spp
+            details["samples_dropped"] = radiance.dropped
             details["estimated_error"] = {
                 "relative_rms": picture.relative_error,
                 "relative_mse": picture.relative_mse,

@@ -34,14 +34,18 @@ def span(text: str) -> range:
     return range(start, stop)
 
 
+#: Far beyond what converges, and short of what overflows.
+_MOST = 2**20
+
+
 def positive(text: str) -> int:
-    """A whole number from 1."""
+    """A whole number from 1 to 2^20."""
     try:
         value = int(text, 10)
     except ValueError:
         value = 0
-    if value < 1:
-        raise argparse.ArgumentTypeError(f"{text!r}: expected a whole number from 1")
+    if not 1 <= value <= _MOST:
+        raise argparse.ArgumentTypeError(f"{text!r}: expected a whole number from 1 to {_MOST}")
     return value
 
 

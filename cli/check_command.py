@@ -22,8 +22,8 @@ def run(options: argparse.Namespace) -> int:
     """Checks; 1 if something is wrong."""
     for name in options.backends:
         require_name(name)
-    if len(options.backends) == 1:
-        raise ScenecError(f"--backends {options.backends[0]}: comparing takes two or more")
+    if options.backends and len(set(options.backends)) < 2:
+        raise ScenecError(f"--backends {','.join(options.backends)}: comparing takes two or more")
     out = Path(options.out)
     findings = find(out)
     bad = [f for f in findings if f.severity == "error"]

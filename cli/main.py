@@ -8,7 +8,13 @@ import os
 import sys
 from collections.abc import Sequence
 
-from scenec.cli.arguments import add_batches, add_json, add_render_options, seed
+from scenec.cli.arguments import (
+    add_batches,
+    add_json,
+    add_render_options,
+    positive,
+    seed,
+)
 from scenec.schemas.errors import CfgError, ScenecError
 
 EXIT_FAILED = 1
@@ -34,6 +40,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         text = str(error)
         print(text if isinstance(error, CfgError) else f"scenec: {text}", file=sys.stderr)
         return EXIT_BAD_INPUT
+    except MemoryError as error:
+        print(f"scenec: not enough memory: {error}; ask for less", file=sys.stderr)
+        return EXIT_BAD_INPUT
     except KeyboardInterrupt:
         print("scenec: interrupted", file=sys.stderr)
         return EXIT_INTERRUPTED
@@ -41,6 +50,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # The reader of our output has gone (| head): nothing is wrong, and nobody listens.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return EXIT_FAILED
+    except OSError as error:
+        # What no module foresaw of the file system: names too long, a disk that went away.
+        where = f"{error.filename}: " if error.filename else ""
+        print(f"scenec: {where}{error.strerror or error}", file=sys.stderr)
+        return EXIT_BAD_INPUT
     return status
 
 
@@ -90,7 +104,9 @@ def parser() -> argparse.ArgumentParser:
     sheet = _command(commands, "sheet", "one picture of all passes of some frames")
     sheet.add_argument("out", metavar="OUT", help="output folder with frames")
     sheet.add_argument("--backend", help="whose frames; default: the first there is")
-    sheet.add_argument("--frames", type=int, default=4, metavar="N", help="how many (default 4)")
+    sheet.add_argument(
+        "--frames", type=positive, default=4, metavar="N", help="how many (default 4)"
+    )
     sheet.add_argument("-o", "--output", metavar="PNG", help="default: OUT/contact_sheet.png")
 
     explain = _command(commands, "explain", "what each pass cost and erred, what was left out")

@@ -6,6 +6,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,7 @@ from scenec.compiler.light.sky import build_sky, level_sun_irradiance, sky_irrad
 from scenec.compiler.plan import Plan, RigPlan, RocksPlan, TerrainPlan, TrackPlan
 from scenec.compiler.scatter.placement import align_to_normals, place, seat
 from scenec.compiler.scatter.rocks import build_prototypes
-from scenec.compiler.scene import Ground, Scatter, Scene
+from scenec.compiler.scene import Ground, Rig, Scatter, Scene, SkyLight
 from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.schemas.errors import SceneError
 
@@ -83,6 +84,7 @@ def build(plan: Plan, log: BuildLog) -> Scene:
         _note_left_out(
             log, "label primvars and the cut along label lines", "no output shows labels"
         )
+    _require_finite(scatters, sky, rigs)
     return Scene(
         name=plan.name,
         samples=plan.samples,
@@ -98,6 +100,22 @@ def build(plan: Plan, log: BuildLog) -> Scene:
         outputs=outputs,
         bounds=_bounds(ground, tuple(scatters)),
     )
+
+
+def _require_finite(scatters: list[Scatter], sky: SkyLight | None, rigs: tuple[Rig, ...]) -> None:
+    """Numbers that are in range each can still multiply to what float32 cannot hold."""
+    arrays: dict[str, NDArray[Any]] = {}
+    for scatter in scatters:
+        arrays[f"objects/{scatter.name}: positions"] = scatter.positions
+        arrays[f"objects/{scatter.name}: sizes"] = scatter.scales
+    for name, picture in sky.pictures.items() if sky else ():
+        if not isinstance(picture, Path):
+            arrays[f"light/sky: {name}"] = picture
+    for rig in rigs:
+        arrays[f"rigs/{rig.name}: poses"] = rig.to_world
+    for name, array in arrays.items():
+        if not np.isfinite(array).all():
+            raise SceneError(f"{name} overflow; use smaller numbers")
 
 
 def _note_left_out(log: BuildLog, what: str, why: str) -> None:

@@ -10,10 +10,13 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from pxr import Tf
+
 from scenec.compiler.build import BuildLog, build
 from scenec.compiler.draw import draw
 from scenec.compiler.emit.batch import STAGE, write_batch
 from scenec.compiler.frontend.load import Spec, load
+from scenec.compiler.scene import Scene
 from scenec.schemas.errors import OutputError, ScenecError
 from scenec.schemas.files import (
     replace_folder,
@@ -93,7 +96,7 @@ def compile_cfg(
         scene = build(plan, log)
         with temporary_folder(out / name) as folder:
             with log.timed("emit"):
-                write_batch(folder, scene)
+                _write(folder, scene, out / name)
             log.facts["bytes"] = sum((folder / path).stat().st_size for path in tree(folder))
             write_json(folder / REPORT, {"batch": batch, **log.facts})
             if (out / name).is_dir() and same_tree(folder, out / name, ignore=(FRAMES,)):
@@ -105,6 +108,15 @@ def compile_cfg(
         # After each batch: what an interrupted run has finished counts, and can be gone on with.
         _write_manifest(manifest, out, seconds)
     return CompileReport(out, tuple(chosen), unchanged, seconds, facts)
+
+
+def _write(folder: Path, scene: Scene, final: Path) -> None:
+    try:
+        write_batch(folder, scene)
+    except Tf.ErrorException as error:
+        # A full disk reaches us as USD's own exception.
+        text = next((e.commentary for e in error.args), "USD gives no reason").splitlines()[0]
+        raise OutputError(f"{final}: cannot be written: {text}") from error
 
 
 def _chosen(spec: Spec, batches: range | None) -> range:
@@ -215,7 +227,8 @@ def _write_manifest(
     if path.exists():
         try:
             timings = json.loads(path.read_text(encoding="utf-8")).get("compile", {})
-        except (ValueError, AttributeError):
+            timings = dict(timings)
+        except (ValueError, AttributeError, TypeError):
             # Timings promise nothing: a broken file is begun anew.
             timings = {}
     merged = {**{k: v for k, v in timings.items() if k in known}, **seconds}

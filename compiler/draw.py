@@ -123,6 +123,9 @@ def _relief(spec: Spec, index: int, streams: Streams) -> ReliefOperator:
     path = f"terrain/relief/{index}"
     node = resolve(spec.cfg["terrain"]["relief"][index], streams, path)
     operator = OPERATORS[node.pop("type")]
+    if "pixel_m" in node and not isinstance(node["pixel_m"], list):
+        # One number stands for square pixels.
+        node["pixel_m"] = [node["pixel_m"]] * 2
     if "file" in node:
         node["file"] = spec.files[f"{path}/file"].path
     if "key" in operator.__dataclass_fields__:

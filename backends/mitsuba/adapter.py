@@ -41,6 +41,7 @@ class Mitsuba:
         self._light: Any = None
         self._lit_sample: int | None = None
         self._integrator: Any = None
+        self._dropped = 0
 
     @property
     def jit(self) -> bool:
@@ -128,6 +129,7 @@ class Mitsuba:
         if self.jit and self._lit_sample != sample:
             self._light.set_lighting(scene.lighting[sample])
             self._lit_sample = sample
+        self._dropped = 0
         for half in range(2):
             if self.jit:
                 halves[half], alpha = self._half(camera, each, seed, half)
@@ -137,7 +139,8 @@ class Mitsuba:
                     self._center, scene.bounds, each, mix(seed, half, 0),
                 )  # fmt: skip
             coverage += 0.5 * alpha
-        return Radiance(halves, np.minimum(coverage, 1.0).astype(np.float32), 2 * each)
+        covered = np.minimum(coverage, 1.0).astype(np.float32)
+        return Radiance(halves, covered, 2 * each, self._dropped)
 
     def _half(
         self, camera: Camera, spp: int, seed: int, half: int
@@ -166,9 +169,14 @@ class Mitsuba:
         ray = self._camera_rays(camera, pixel, jitter)
         light, valid, _ = self._integrator.sample(self._scene, sampler, ray)
         light &= valid
+        # On float32 slivers a path's light can overflow or come out negative: it counts as black,
+        # and is counted.
+        sound = dr.all(dr.isfinite(light) & (light >= 0.0))
+        light = dr.select(sound, light, 0.0)
         hit = dr.select(valid, mi.Float(1.0), 0.0)
         # In one go: block_sum evaluates its argument alone, which would trace every path again.
-        dr.eval(light, hit)
+        dr.eval(light, hit, sound)
+        self._dropped += pixels * spp - int(np.count_nonzero(np.array(sound)))
         sums = [dr.block_sum(channel, spp) for channel in (light.x, light.y, light.z)]
         hits = dr.block_sum(hit, spp)
         shape = (camera.height, camera.width)

@@ -90,6 +90,11 @@ def _resolution(prim: Usd.Prim) -> tuple[int, int]:
 
 def _camera(request: _Request, frame: StageFrame, time: Usd.TimeCode) -> Camera:
     prim, size = request.prim, request.size
+    projection = UsdGeom.Camera(prim).GetProjectionAttr().Get(time)
+    if projection != UsdGeom.Tokens.perspective:
+        raise StageError(
+            f"{prim.GetPath()}: is {projection}; only perspective cameras are rendered"
+        )
     matrix = columns(UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(time))
     pose = np.eye(4)
     pose[:3, :3] = frame.axes(matrix) * np.array(names.HALF_TURN)

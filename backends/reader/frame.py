@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pxr import Gf, Usd, UsdGeom
 
+from scenec.schemas.errors import StageError
+
 #: Y-up to Z-up: x stays, y becomes z, z becomes -y.
 _Y_TO_Z = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 
@@ -27,8 +29,12 @@ class StageFrame:
     @classmethod
     def of(cls, stage: Usd.Stage) -> StageFrame:
         """The frame that the stage declares."""
+        unit = UsdGeom.GetStageMetersPerUnit(stage)
+        if not 0.0 < unit < np.inf:
+            name = stage.GetRootLayer().GetDisplayName()
+            raise StageError(f"{name}: metersPerUnit is {unit:g}, expected a number above 0")
         y_up = UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.y
-        return cls(UsdGeom.GetStageMetersPerUnit(stage), _Y_TO_Z if y_up else np.eye(3))
+        return cls(unit, _Y_TO_Z if y_up else np.eye(3))
 
     def affine(self, matrix: NDArray[np.float64]) -> NDArray[np.float64]:
         """Local-to-world in meters, Z up, from one in stage units: float64 [..., 3, 4]."""

@@ -58,6 +58,8 @@ class Expander:
         self._meshes = meshes
         self._time = time
         self._next_id = 0
+        #: Instancers being expanded, the outermost first.
+        self._open: list[str] = []
         #: First frame id (less one) of each instancer, by path.
         self.bases: dict[str, int] = {}
 
@@ -97,7 +99,12 @@ class Expander:
                 instance_id = int(own.Get())
         if prim.IsA(UsdGeom.PointInstancer):
             instancer = UsdGeom.PointInstancer(prim)
+            path = str(prim.GetPath())
+            if path in self._open:
+                raise StageError(f"{path}: is a part of its own prototypes")
+            self._open.append(path)
             parts.append(self._expand_instancer(instancer, matrix, inherited, instance_id))
+            self._open.pop()
             return
         if prim.IsA(UsdGeom.Mesh):
             found = self._meshes.add(prim, inherited)

@@ -167,3 +167,19 @@ def test_depth_of_an_inclined_plane_is_exact_in_memory_and_on_disk(backend, tmp_
     report = render(stage, backend, passes=["depth"])
     on_disk = read_frame(report.frames[0]).passes["depth"].astype(np.float64)
     assert np.abs(on_disk / expected - 1.0).max() <= 1e-7
+
+
+def test_light_that_float32_cannot_hold_is_left_out_and_counted(tmp_path):
+    cfg = small_cfg(samples=1)
+    # Cliffs of kilometers around the camera: slivers whose barycentrics overflow.
+    cfg["terrain"]["relief"][1]["amplitude_m"] = 1e6
+    session = Session.open(compiled(tmp_path, cfg, 3), "mitsuba")
+    camera = session.scene.cameras[0][0]
+    arrays, details = session.render(camera, 0, ("rgb",), 8, 0)
+    assert np.isfinite(arrays["rgb"]).all()
+    assert arrays["rgb"].min() >= 0.0
+    assert details["samples_dropped"] >= 0
+    ordinary = Session.open(compiled(tmp_path, small_cfg(samples=1), 3), "mitsuba")
+    assert (
+        ordinary.render(ordinary.scene.cameras[0][0], 0, ("rgb",), 8, 0)[1]["samples_dropped"] == 0
+    )

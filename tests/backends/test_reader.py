@@ -399,3 +399,27 @@ def test_a_missing_file_and_a_newer_schema_are_refused(tmp_path):
 
     with pytest.raises(StageError, match="version is 2"):
         opened(tmp_path, build)
+
+
+def test_an_instancer_inside_of_its_own_prototypes_is_refused(tmp_path):
+    def build(stage):
+        many = instancer(stage, "/Root/many", 2)
+        many.CreatePrototypesRel().SetTargets(["/Root/many"])
+        many.CreateProtoIndicesAttr([0, 0])
+
+    with pytest.raises(StageError, match="part of its own prototypes"):
+        opened(tmp_path, build)
+
+
+def test_a_camera_without_perspective_is_refused(tmp_path):
+    def build(stage):
+        UsdGeom.Camera.Define(stage, "/Root/camera").CreateProjectionAttr("orthographic")
+
+    with pytest.raises(StageError, match="orthographic"):
+        opened(tmp_path, build)
+
+
+@pytest.mark.parametrize("unit", [0.0, -1.0])
+def test_units_of_no_length_are_refused(tmp_path, unit):
+    with pytest.raises(StageError, match="metersPerUnit"):
+        opened(tmp_path, lambda stage: square(stage, "/Root/mesh"), unit=unit)

@@ -9,6 +9,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 from pxr import Usd, UsdGeom
 from small import small_cfg, write_cfg
@@ -325,10 +326,39 @@ def test_what_cannot_be_done_is_said_and_leaves_nothing_behind(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(OutputError):
         compile_cfg(cfg, seed=1, out=tmp_path / "file")
+    np.save(tmp_path / "hole.npy", np.full((9, 9), np.nan))
     broken = small_cfg()
-    broken["terrain"]["relief"][1] |= {"amplitude_m": 1e308, "gain": 2, "octaves": 24}
-    with pytest.raises(SceneError, match="overflows"):
+    broken["terrain"]["relief"][0] = {"type": "dem", "file": "hole.npy", "pixel_m": 5}
+    with pytest.raises((SceneError, CfgError), match="hole"):
         compile_cfg(write_cfg(tmp_path, broken), seed=1, out=tmp_path / "out")
     with pytest.raises(CfgError):
         compile_cfg(write_cfg(tmp_path, {"version": 1}), seed=1, out=tmp_path / "out")
     assert not (tmp_path / "out").exists() or not list((tmp_path / "out").glob("*"))
+
+
+def test_a_dem_s_pixel_can_be_one_number_drawn_even(tmp_path):
+    np.save(tmp_path / "dem.npy", np.random.default_rng(0).normal(size=(60, 60)))
+    for pixel in (0.5, {"type": "uniform", "min": 0.4, "max": 0.6}):
+        cfg = small_cfg()
+        cfg["terrain"]["relief"][0] = {"type": "dem", "file": "dem.npy", "pixel_m": pixel}
+        assert (
+            check_stage(compiled(tmp_path, cfg, name=f"{type(pixel)}") / "batch_0000/stage.usda")
+            == []
+        )
+
+
+def test_a_disk_that_takes_no_more_ends_in_one_line_and_leaves_nothing(tmp_path):
+    import resource
+
+    def small_files() -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (100 * 1024, 100 * 1024))
+
+    done = subprocess.run(
+        [sys.executable, "-c", "from scenec.cli.main import main; raise SystemExit(main())",
+         "compile", str(write_cfg(tmp_path)), "--seed", "1", "-o", str(tmp_path / "out")],
+        preexec_fn=small_files, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 2
+    assert "Traceback" not in done.stderr
+    assert "cannot be written" in done.stderr
+    assert not list((tmp_path / "out").glob("*"))
