@@ -8,6 +8,7 @@ import os
 import sys
 from collections.abc import Sequence
 
+from scenec.cli import interrupt
 from scenec.cli.arguments import (
     add_batches,
     add_json,
@@ -32,8 +33,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         Exit status: 0 done, 1 a check failed, 2 bad input (said in one clear message), 130 Ctrl-C.
     """
     options = parser().parse_args(arguments)
-    command = importlib.import_module(f"scenec.cli.{options.module}")
+    interrupt.watch()
     try:
+        command = importlib.import_module(f"scenec.cli.{options.module}")
         status: int = command.run(options)
         sys.stdout.flush()
     except ScenecError as error:
@@ -55,6 +57,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         where = f"{error.filename}: " if error.filename else ""
         print(f"scenec: {where}{error.strerror or error}", file=sys.stderr)
         return EXIT_BAD_INPUT
+    except Exception:
+        # Compiled code turns an interrupt inside of its callbacks into errors of its own.
+        if not interrupt.happened():
+            raise
+        print("scenec: interrupted", file=sys.stderr)
+        return EXIT_INTERRUPTED
     return status
 
 

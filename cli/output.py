@@ -7,6 +7,8 @@ import sys
 import time
 from typing import Any
 
+from scenec.cli.interrupt import stop_if_pending
+
 
 def print_json(value: Any) -> None:
     """One JSON document on standard output."""
@@ -15,6 +17,7 @@ def print_json(value: Any) -> None:
 
 def say(text: str) -> None:
     """A line about what is being done, on standard error: standard output is for results."""
+    stop_if_pending()
     print(text, file=sys.stderr, flush=True)
 
 
@@ -28,6 +31,7 @@ class Progress:
 
     def __call__(self, done: int, total: int, text: str) -> None:
         """Reports that ``done`` of ``total`` steps are finished; ``text`` is about the last one."""
+        stop_if_pending()
         elapsed = time.perf_counter() - self._start
         left = elapsed / done * (total - done) if done else 0.0
         if not self._terminal:
