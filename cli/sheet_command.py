@@ -7,6 +7,7 @@ from pathlib import Path
 
 from scenec.cli.output import say
 from scenec.datasets.sheet import write_sheet
+from scenec.schemas.errors import OutputError
 
 
 def run(options: argparse.Namespace) -> int:
@@ -14,6 +15,8 @@ def run(options: argparse.Namespace) -> int:
     out = Path(options.out)
     folder = out if out.is_dir() else out.parent
     output = Path(options.output) if options.output else folder / "contact_sheet.png"
+    if output.suffix.lower() != ".png":
+        raise OutputError(f"{output}: the sheet is a PNG picture; end its name in .png")
     sheet = write_sheet(out, output, backend=options.backend, count=options.frames)
     say(f"frames (EXR with all passes, PNG picture, JSON sidecar): {sheet.folder}/")
     stages = f"{out}/batch_*/stage.usda" if out.is_dir() else str(out)

@@ -206,6 +206,7 @@ def test_all_faults_of_a_cfg_are_printed_at_once_with_their_places(tmp_path, cap
         (["render", "none.usda"], "no such file"),
         (["check", "nowhere"], "manifest"),
         (["sheet", "nowhere"], "manifest"),
+        (["sheet", "nowhere", "-o", "sheet.jpg"], "PNG"),
         (["explain", "nowhere"], "manifest"),
         (["render", "nowhere", "--backend", "mitsubi"], "mitsuba"),
     ],
