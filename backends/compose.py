@@ -28,14 +28,14 @@ class Picture:
         relative_error: sqrt(mean(((A - B) / 2)**2)) / mean(rgb of surfaces), over all pixels and
             channels that surfaces cover; A and B are the two halves. ((A - B) / 2)**2 is an
             unbiased estimate of the variance of the mean (A + B) / 2, so this estimates the rms
-            error over the mean. 0 where nothing is covered.
+            error over the mean. 0 where nothing is covered, None (unknown) where light overflowed.
         relative_mse: mean(((A - B) / 2)**2 / (m**2 + 0.01 * mean(m)**2)) with m = (A + B) / 2: the
             usual relMSE, which weighs dark pixels as much as bright ones.
     """
 
     rgb: NDArray[np.float32]
-    relative_error: float
-    relative_mse: float
+    relative_error: float | None
+    relative_mse: float | None
 
 
 def compose(radiance: Radiance, scene: RenderScene, camera: Camera, sample: int) -> Picture:
@@ -48,10 +48,10 @@ def compose(radiance: Radiance, scene: RenderScene, camera: Camera, sample: int)
 
     covered = radiance.coverage > 0.0
     level = float(mean[covered].mean()) if covered.any() else 0.0
-    error = relative_mse = 0.0
+    error: float | None = 0.0
+    relative_mse: float | None = 0.0
     if not np.isfinite(level):
-        # Unknown, and never "none".
-        error = relative_mse = float("nan")
+        error = relative_mse = None
     elif level > 0.0:
         error = float(np.sqrt(variance[covered].mean())) / level
         relative_mse = float((variance[covered] / (mean[covered] ** 2 + 0.01 * level**2)).mean())

@@ -146,7 +146,8 @@ def describe(answer: dict[str, Any]) -> str:
     parts = [f"{sum(seconds.values()):.2f} s"]
     parts += [f"{step} {value:.2f}" for step, value in seconds.items() if value >= 0.005]
     if answer.get("estimated_error"):
-        parts.append(f"error {100 * answer['estimated_error']['relative_rms']:.1f} %")
+        error = answer["estimated_error"]["relative_rms"]
+        parts.append("error unknown" if error is None else f"error {100 * error:.1f} %")
     return ", ".join(parts)
 
 

@@ -5,7 +5,6 @@ One JSON document a line: requests on standard input, one answer to each on stan
     {"op": "open", "stage": PATH, "backend": NAME}
     {"op": "render", "stem": PATH, "camera": INDEX, "sample": N, "key": {...}, "seed": N}
     {"op": "probe", "backend": NAME}
-    {"op": "quit"}
 
 Answers are ``{"ok": true, ...}`` or ``{"ok": false, "error": CLASS, "message": TEXT}`` for the
 errors a user can meet. Anything else ends the process; the parent (``scenec.backends.pool``) sees
@@ -99,19 +98,15 @@ def main() -> None:
     worker = Worker()
     while True:
         request = requests.get()
-        if request.get("op") == "quit":
-            break
         replies.write(json.dumps(worker.answer(request), allow_nan=False) + "\n")
         replies.flush()
-    replies.flush()
-    # Renderers take their time to tear down, and some crash at it; nothing is left to lose.
-    os._exit(0)
 
 
 def _listen(requests: queue.SimpleQueue[dict[str, Any]], stream: TextIO) -> None:
     """Pass requests on; a parent that is gone ends this process even amid a long render."""
     for line in stream:
         requests.put(json.loads(line))
+    # Renderers take their time to tear down, and some crash at it; nothing is left to lose.
     os._exit(0)
 
 

@@ -22,8 +22,13 @@ def run(options: argparse.Namespace) -> int:
         print_json({"reports": reports, "seconds": timings})
         return 0
     for name, report in reports.items():
-        print(f"{name}: {report['bytes'] / 2**20:.1f} MiB")
-        print(_errors(report, timings.get(name, {})))
+        try:
+            text = _errors(report, timings.get(name, {}))
+            size = report["bytes"] / 2**20
+        except (KeyError, TypeError, AttributeError) as error:
+            raise OutputError(f"{out / name / REPORT}: is no report of a compile") from error
+        print(f"{name}: {size:.1f} MiB")
+        print(text)
         frames = _frames(out / name)
         if frames:
             print(frames)
@@ -46,7 +51,8 @@ def _frames(folder: Path) -> str:
             f"{step} {sum(s.get('seconds', {}).get(step, 0.0) for s in sidecars):.2f}"
             for step in sorted(steps)
         ]
-        errors = [s["estimated_error"]["relative_rms"] for s in sidecars if "estimated_error" in s]
+        found = [s["estimated_error"]["relative_rms"] for s in sidecars if "estimated_error" in s]
+        errors = [value for value in found if value is not None]
         error = f"{100 * sum(errors) / len(errors):.1f} %" if errors else ""
         rows.append([backend.name, str(len(sidecars)), error, ", ".join(costs)])
     header = ["frames of", "number", "mean error of rgb", "seconds in all"]

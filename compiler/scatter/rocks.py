@@ -61,7 +61,7 @@ def _build(shape: RockShape, name: str) -> Prototype:
     points -= 0.5 * (points.min(axis=0) + points.max(axis=0))
     points /= 2.0 * np.sqrt((points * points).sum(axis=1).max())
     points = points.astype(np.float32)
-    normals = vertex_normals(points.astype(np.float64), faces).astype(np.float32)
+    normals = _vertex_normals(points.astype(np.float64), faces).astype(np.float32)
     return Prototype(name, points, faces, normals, variation.astype(np.float32))
 
 
@@ -97,13 +97,9 @@ def _radii(
     return radius, variation
 
 
-def vertex_normals(points: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.float64]:
-    """Area-weighted unit normals at the vertices, float64 [n, 3]."""
-    return _vertex_normals(points, faces)
-
-
 @njit(cache=True, error_model="numpy")
 def _vertex_normals(points: NDArray, faces: NDArray) -> NDArray:
+    """Area-weighted unit normals at the vertices, float64 [n, 3]."""
     normals = np.zeros((len(points), 3))
     for f in range(len(faces)):
         a, b, c = faces[f]

@@ -140,6 +140,16 @@ def test_the_estimated_error_is_the_error_of_the_mean():
     assert picture.relative_mse == pytest.approx(true**2 / 1.01, rel=0.1)
 
 
+def test_the_error_of_light_that_overflowed_is_unknown_and_not_none_at_all():
+    camera = ms.look_at((0, 0, 0), (1, 0, 0), 4, 1)
+    scene = ms.scene([ms.mesh(*ms.plane())], cameras=[camera])
+    halves = np.ones((2, 1, 4, 3), np.float32)
+    halves[0, 0, 0] = np.inf
+    picture = compose(Radiance(halves, np.ones((1, 4), np.float32), 2), scene, camera, 0)
+    assert picture.relative_error is None
+    assert picture.relative_mse is None
+
+
 def test_a_missing_or_broken_sky_picture_is_said_with_its_name(tmp_path: Path):
     with pytest.raises(StageError, match=r"gone\.exr.*missing"):
         load_picture(tmp_path / "gone.exr")

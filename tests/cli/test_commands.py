@@ -137,6 +137,17 @@ def test_explain_prints_errors_beside_seconds(output, capsys):
     assert report["objects"]["rocks"]["count"] == 300
 
 
+def test_explain_refuses_what_is_no_report(output, tmp_path, capsys):
+    import shutil
+
+    out = tmp_path / "out"
+    shutil.copytree(output, out)
+    for content in ("{}", "[]", "", '{"relief": 3}'):
+        (out / "batch_0000" / "report.json").write_text(content)
+        assert main(["explain", str(out)]) == 2
+        assert "report.json" in capsys.readouterr().err
+
+
 def test_doctor_says_what_works_here(capsys):
     assert main(["doctor", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)["backends"]
