@@ -76,7 +76,7 @@ def background(
     if sky is not None:
         out[index] = lookup(sky, directions)
     for sun in lighting.suns:
-        near, fraction = disc_fraction(sun, camera, index, directions)
+        near, fraction = disc_fraction(sun, camera, directions)
         half = 0.5 * max(sun.diameter_rad, MIN_SUN_DIAMETER_RAD)
         disc = np.asarray(sun.irradiance) / (np.pi * np.sin(half) ** 2)
         out[index[near]] += fraction[:, None] * disc
@@ -84,18 +84,17 @@ def background(
 
 
 def disc_fraction(
-    sun: Sun, camera: Camera, index: NDArray[np.int64], directions: NDArray[np.float64]
+    sun: Sun, camera: Camera, directions: NDArray[np.float64]
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     """Which of the pixels a sun's disc may touch, and what fraction of each it fills.
 
     Args:
         sun: The sun.
         camera: The camera.
-        index: Row-major pixel numbers, int64 [n].
-        directions: Rays through their centers, float64 [n, 3], z = 1 in the camera's frame.
+        directions: Rays through the pixels' centers, float64 [n, 3], z = 1 in the camera's frame.
 
     Returns:
-        (positions in ``index``, int64 [k]; fractions, float64 [k]).
+        (which of the rays, int64 [k]; fractions, float64 [k]).
     """
     half = 0.5 * max(sun.diameter_rad, MIN_SUN_DIAMETER_RAD)
     k = camera.intrinsics

@@ -31,5 +31,5 @@ def resolve(
     Returns:
         (arrays per pass, statistics).
     """
-    settled = settle(scene, caster, rays, visibility, camera)
+    settled = settle(caster, rays, visibility, camera)
     return annotate(scene, settled, rays, passes), settled.statistics

@@ -108,7 +108,7 @@ class Session:
             with _timed(seconds, "visibility"):
                 visibility = None if exact else self.backend.visibility(rays, sample)
             with _timed(seconds, "resolve"):
-                settled = settle(self.scene, self._caster, rays, visibility, camera)
+                settled = settle(self._caster, rays, visibility, camera)
                 arrays |= annotate(self.scene, settled, rays, annotation)
             details["resolver"] = asdict(settled.statistics)
         return arrays, details

@@ -108,8 +108,8 @@ def main() -> None:
     warm_up = scenes.rocky(20, 20)
     warm_rays = camera_rays(scenes.camera())
     warm_caster = ExactCaster(warm_up)
-    warm = settle(warm_up, warm_caster, warm_rays, corrupted(warm_caster)(warm_rays), None)
-    settle(warm_up, warm_caster, warm_rays, corrupted(warm_caster)(warm_rays), scenes.camera())
+    warm = settle(warm_caster, warm_rays, corrupted(warm_caster)(warm_rays), None)
+    settle(warm_caster, warm_rays, corrupted(warm_caster)(warm_rays), scenes.camera())
     annotate(warm_up, warm, warm_rays, ALL_PASSES)
 
     full = scenes.rocky(arguments.rocks)
@@ -137,7 +137,7 @@ def main() -> None:
         trace(rays)
         seen, visibility = timed(trace, rays)
         settling, settled = min(
-            (timed(settle, scene, caster, rays, visibility, view) for _ in range(arguments.repeat)),
+            (timed(settle, caster, rays, visibility, view) for _ in range(arguments.repeat)),
             key=lambda pair: pair[0],
         )
         some, _ = timed(annotate, scene, settled, rays, PASSES)

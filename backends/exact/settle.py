@@ -41,7 +41,7 @@ from scenec.backends.exact.intersect import (
     row_matrix,
     world_normal,
 )
-from scenec.backends.render_scene import Camera, RenderScene
+from scenec.backends.render_scene import Camera
 from scenec.schemas.errors import BackendError
 
 MISSED, HAIR, SLIVER, TWIN, DISCONTINUITY, SMALL_ROW, AUDIT = 1, 2, 4, 8, 16, 32, 64
@@ -260,7 +260,6 @@ def _mark_small_rows(spheres, intrinsics, pose, width, height, t, suspect):  # t
 
 
 def settle(
-    scene: RenderScene,
     caster: ExactCaster,
     rays: Rays,
     visibility: Visibility | None = None,
@@ -269,8 +268,7 @@ def settle(
     """Make a renderer's visibility exact.
 
     Args:
-        scene: The scene; its row count is what ``visibility`` must refer to.
-        caster: The exact caster of that scene.
+        caster: The exact caster of the scene that ``visibility`` refers to.
         rays: The rays of the picture, row-major.
         visibility: What a renderer reported; None: every ray is cast.
         camera: The pinhole camera the rays come from; None (a table of rays of another kind):

@@ -76,7 +76,7 @@ def test_what_is_left_settles_to_the_exact_answer_on_every_pixel():
     camera = scene.cameras[0][0]
     rays = camera_rays(camera)
     caster = ExactCaster(scene)
-    settled = settle(scene, caster, rays, backend.visibility(rays, 0), camera)
+    settled = settle(caster, rays, backend.visibility(rays, 0), camera)
     row, face, t = caster.cast(rays)
     hit = row != NO_ROW
     np.testing.assert_array_equal(settled.row, row)

@@ -50,8 +50,8 @@ def dithered(truth, shape, offset):
 
 
 def test_exact_visibility_stays_as_it_is(rocks):
-    scene, caster, view, rays, truth = rocks
-    settled = settle(scene, caster, rays, Visibility(truth[0], truth[1]), view)
+    _scene, caster, view, rays, truth = rocks
+    settled = settle(caster, rays, Visibility(truth[0], truth[1]), view)
     assert_exact(settled, truth)
     statistics = settled.statistics
     assert (statistics.changed, statistics.changed_rows, statistics.escalated) == (0, 0, False)
@@ -60,8 +60,8 @@ def test_exact_visibility_stays_as_it_is(rocks):
 
 @pytest.mark.parametrize("offset", [(0, 1), (1, 0), (-1, 1), (0, -2)])
 def test_a_picture_shifted_by_a_pixel_or_two_is_settled_on_every_pixel(rocks, offset):
-    scene, caster, view, rays, truth = rocks
-    settled = settle(scene, caster, rays, dithered(truth, rays.shape, offset), view)
+    _scene, caster, view, rays, truth = rocks
+    settled = settle(caster, rays, dithered(truth, rays.shape, offset), view)
     assert_exact(settled, truth)
     assert settled.statistics.changed > 1000
 
@@ -81,13 +81,13 @@ def test_rocks_under_two_pixels_that_a_renderer_missed_are_found(rocks):
     )
     row, face, _ = ExactCaster(dataclasses.replace(scene, rows=rows)).cast(rays)
     missed = Visibility(np.where(row >= 0, kept[row], NO_ROW).astype(np.int32), face)
-    settled = settle(scene, caster, rays, missed, view)
+    settled = settle(caster, rays, missed, view)
     assert_exact(settled, truth)
     assert settled.statistics.changed_rows > 20
 
 
 def test_errors_along_edges_are_settled_without_casting_everything(rocks):
-    scene, caster, view, rays, truth = rocks
+    _scene, caster, view, rays, truth = rocks
     rng = np.random.default_rng(1)
     beside = dithered(truth, rays.shape, (0, 1))
     # One in a hundred of the pixels at edges takes its neighbor's side, as float32 might.
@@ -95,7 +95,7 @@ def test_errors_along_edges_are_settled_without_casting_everything(rocks):
     edge &= rng.random(len(edge)) < 0.01
     row = np.where(edge, beside.row, truth[0])
     face = np.where(edge, beside.face, truth[1])
-    settled = settle(scene, caster, rays, Visibility(row, face), view)
+    settled = settle(caster, rays, Visibility(row, face), view)
     assert_exact(settled, truth)
     assert settled.statistics.changed > 30
     assert not settled.statistics.escalated
@@ -111,16 +111,16 @@ def test_random_wrong_faces_and_rows_and_hits_are_settled(rocks):
     face[some[200:400]] = rng.integers(-5, 40000, 200)
     row[some[400:500]] = NO_ROW
     row[some[500:]], face[some[500:]] = 0, 0
-    settled = settle(scene, caster, rays, Visibility(row, face), view)
+    settled = settle(caster, rays, Visibility(row, face), view)
     assert_exact(settled, truth)
     assert settled.statistics.changed >= 300
 
 
 def test_a_renderer_that_drops_whole_areas_is_caught_by_the_audit(rocks):
-    scene, caster, view, rays, truth = rocks
+    _scene, caster, view, rays, truth = rocks
     n = len(truth[0])
     nothing = Visibility(np.full(n, NO_ROW, np.int32), np.zeros(n, np.int32))
-    settled = settle(scene, caster, rays, nothing, view)
+    settled = settle(caster, rays, nothing, view)
     assert settled.statistics.escalated
     assert_exact(settled, truth)
 
@@ -141,7 +141,7 @@ def test_repeated_rows_and_faces_resolve_to_the_first_of_them():
         np.where(hit, 1, NO_ROW).astype(np.int32),
         np.where(hit, (truth[1] + len(faces)) % (2 * len(faces)), 0).astype(np.int32),
     )
-    settled = settle(scene, caster, rays, other, view)
+    settled = settle(caster, rays, other, view)
     assert_exact(settled, truth)
     assert settled.statistics.reasons["twin"] == hit.sum()
     assert not settled.statistics.escalated
@@ -160,13 +160,13 @@ def test_contact_lines_with_the_ground_are_settled():
     caster = ExactCaster(scene)
     truth = caster.cast(rays)
     for offset in ((1, 0), (0, 1)):
-        assert_exact(settle(scene, caster, rays, dithered(truth, rays.shape, offset), view), truth)
+        assert_exact(settle(caster, rays, dithered(truth, rays.shape, offset), view), truth)
 
 
 def test_without_a_camera_or_visibility_every_ray_is_cast(rocks):
-    scene, caster, _, rays, truth = rocks
-    assert_exact(settle(scene, caster, rays), truth)
-    settled = settle(scene, caster, rays, dithered(truth, rays.shape, (3, 3)), None)
+    _scene, caster, _, rays, truth = rocks
+    assert_exact(settle(caster, rays), truth)
+    settled = settle(caster, rays, dithered(truth, rays.shape, (3, 3)), None)
     assert_exact(settled, truth)
     assert settled.statistics.suspects == settled.statistics.pixels
 
@@ -223,7 +223,7 @@ def test_annotation_follows_from_the_hit():
 
 def test_only_the_passes_asked_for_are_computed_and_unknown_ones_are_errors(rocks):
     scene, caster, _, rays, _ = rocks
-    settled = settle(scene, caster, rays)
+    settled = settle(caster, rays)
     assert list(annotate(scene, settled, rays, ["rgb", "depth"])) == ["depth"]
     assert list(annotate(scene, settled, rays, ["label.class", "label"])) == ["label.class"]
     with pytest.raises(BackendError, match="dept"):
@@ -231,9 +231,9 @@ def test_only_the_passes_asked_for_are_computed_and_unknown_ones_are_errors(rock
 
 
 def test_visibility_of_another_size_is_an_error(rocks):
-    scene, caster, view, rays, truth = rocks
+    _scene, caster, view, rays, truth = rocks
     with pytest.raises(BackendError, match="one per ray"):
-        settle(scene, caster, rays, Visibility(truth[0][1:], truth[1][1:]), view)
+        settle(caster, rays, Visibility(truth[0][1:], truth[1][1:]), view)
 
 
 def test_reference_answers_the_definition_and_has_no_radiance(rocks):
@@ -263,7 +263,7 @@ def test_float32_visibility_of_mitsuba_is_settled_on_every_pixel(offset):
                          np.add(shift, (9.0, -3.0, -0.5)))  # fmt: skip
     rays = camera_rays(view)
     row, face = mitsuba_visibility(mi, scene, rays)
-    settled = settle(scene, caster, rays, Visibility(row, face), view)
+    settled = settle(caster, rays, Visibility(row, face), view)
     assert_exact(settled, caster.cast(rays))
     # Far from the origin float32 is coarse, and there is something to settle.
     assert settled.statistics.changed > (10 if offset else -1)
