@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 #: ``Visibility.row`` where a ray meets nothing.
 NO_ROW = -1
+#: What ``--device`` takes; each backend names those it has in ``Backend.devices``.
+DEVICES = ("auto", "cpu", "cuda", "optix")
 
 
 @dataclass(frozen=True)
@@ -54,20 +56,35 @@ class Radiance:
         halves: Light from surfaces (premultiplied by coverage), float32 [2, h, w, 3].
         coverage: Fraction of each pixel (box filter) that surfaces cover, float32 [h, w].
         spp: Samples per pixel in both halves together.
+        dropped: Samples whose light was negative or not finite (float32 slivers), counted as black.
+        denoised: The mean of the halves after denoising, float32 [h, w, 3]; None unless asked for.
+        stochastic: Whether the halves' difference estimates the error. A rasterizer has no noise to
+            estimate: its halves are equal, and its error is unknown.
     """
 
     halves: NDArray[np.float32]
     coverage: NDArray[np.float32]
     spp: int
-    #: Samples whose light was negative or not finite (float32 slivers), counted as black.
     dropped: int = 0
+    denoised: NDArray[np.float32] | None = None
+    stochastic: bool = True
 
 
 class Backend(Protocol):
-    """A renderer with a scene loaded. Made by ``scenec.backends.registry.open_backend``."""
+    """A renderer with a scene loaded. Made by ``scenec.backends.registry.open_backend``.
+
+    Its class takes one keyword, ``device``: one of its ``devices``, or "auto" for the fastest one
+    that works here. It raises ``BackendError`` if that device does not.
+    """
 
     #: Name on the command line.
     name: str
+    #: Devices that can be asked for beside "auto", such as ("cpu", "cuda").
+    devices: tuple[str, ...]
+    #: Where it runs: one of ``devices``.
+    device: str
+    #: Name of its denoiser; None if it has none.
+    denoiser: str | None
     #: Where the backend is exact itself (``reference``), the caster that settles nothing more; None
     #: for renderers, whose visibility the resolver settles.
     caster: ExactCaster | None
@@ -80,14 +97,43 @@ class Backend(Protocol):
         """A line the user should see before rendering, or None."""
         ...
 
+    def losses(self, scene: RenderScene) -> tuple[str, ...]:
+        """A line for each thing in the scene's materials and lights that ``radiance`` leaves out.
+
+        Asked once per batch, when ``rgb`` is wanted; shown as warnings and written to sidecars.
+        """
+        ...
+
     def load(self, scene: RenderScene) -> None:
         """Build the renderer's own scene, once per batch."""
         ...
 
-    def visibility(self, rays: Rays, sample: int) -> Visibility:
-        """First hits. Never culls back faces."""
+    def visibility(
+        self, rays: Rays, sample: int, camera: Camera | None = None
+    ) -> Visibility | None:
+        """First hits. Never culls back faces.
+
+        Args:
+            rays: One a pixel.
+            sample: Time code.
+            camera: The pinhole camera the rays come from; None for a table of another kind.
+
+        Returns:
+            The hits; None if the backend cannot follow such rays (a rasterizer and rays of no
+            pinhole): all of them are cast exactly then.
+        """
         ...
 
-    def radiance(self, camera: Camera, sample: int, spp: int, seed: int) -> Radiance:
-        """Light that arrives, box-filtered over each pixel, in two halves of spp / 2 (up)."""
+    def radiance(
+        self, camera: Camera, sample: int, spp: int, seed: int, denoise: bool = False
+    ) -> Radiance:
+        """Light that arrives, box-filtered over each pixel, in two halves of spp / 2 (up).
+
+        Args:
+            camera: The camera at this sample.
+            sample: Time code.
+            spp: Samples per pixel, at least 1.
+            seed: Of the noise, 32 bits.
+            denoise: Whether to fill ``Radiance.denoised``; only asked of backends with a denoiser.
+        """
         ...

@@ -89,7 +89,9 @@ def probe(name: str) -> dict[str, Any]:
     scene = tiny_scene()
     camera = scene.cameras[0][0]
     backend.load(scene)
-    seen = backend.visibility(camera_rays(camera), 0)
+    seen = backend.visibility(camera_rays(camera), 0, camera)
+    if seen is None:
+        raise BackendError(f"backend {name} starts, but sees nothing through a plain camera")
     hits = (seen.row != NO_ROW).reshape(camera.height, camera.width)
     if hits[0].any() or not hits[-1].all():
         raise BackendError(f"backend {name} starts, but sees the test scene wrongly")

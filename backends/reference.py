@@ -18,8 +18,11 @@ class Reference:
     """
 
     name = "reference"
+    devices = ("cpu",)
+    denoiser = None
 
-    def __init__(self) -> None:
+    def __init__(self, device: str = "auto") -> None:
+        self.device = "cpu"
         self.caster: ExactCaster | None = None
 
     def version(self) -> str:
@@ -30,6 +33,10 @@ class Reference:
         """Nothing to warn of."""
         return None
 
+    def losses(self, scene: RenderScene) -> tuple[str, ...]:
+        """Nothing: there is no light to lose any of."""
+        return ()
+
     def load(self, scene: RenderScene) -> None:
         """Build the hierarchies of a scene.
 
@@ -38,7 +45,7 @@ class Reference:
         """
         self.caster = ExactCaster(scene)
 
-    def visibility(self, rays: Rays, sample: int) -> Visibility:
+    def visibility(self, rays: Rays, sample: int, camera: Camera | None = None) -> Visibility:
         """First hits, exact; geometry is the same at every sample.
 
         Raises:
@@ -49,7 +56,9 @@ class Reference:
         row, face, _ = self.caster.cast(rays)
         return Visibility(row, face)
 
-    def radiance(self, camera: Camera, sample: int, spp: int, seed: int) -> Radiance:
+    def radiance(
+        self, camera: Camera, sample: int, spp: int, seed: int, denoise: bool = False
+    ) -> Radiance:
         """Always an error: the exact ray caster carries no light.
 
         Raises:

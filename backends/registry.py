@@ -1,7 +1,7 @@
 """Backends by name: ours, and those of third parties through entry points.
 
 A package adds one with an entry point in the group ``scenec.backends``: its name is the backend's,
-its value the class, which takes no arguments and implements ``contract.Backend``. Nothing is
+its value the class, which implements ``contract.Backend``. Nothing is
 imported before it is asked for.
 """
 
@@ -11,6 +11,7 @@ import difflib
 import importlib
 from collections.abc import Callable
 from importlib.metadata import EntryPoint, entry_points
+from typing import Any
 
 from scenec.backends.contract import Backend
 from scenec.schemas.errors import BackendError
@@ -20,6 +21,8 @@ GROUP = "scenec.backends"
 #: Name -> (module:class, extra of the package that brings what it needs).
 BUILT_IN: dict[str, tuple[str, str | None]] = {
     "mitsuba": ("scenec.backends.mitsuba:Mitsuba", "mitsuba"),
+    "cycles": ("scenec.backends.cycles:Cycles", "cycles"),
+    "pyrender": ("scenec.backends.pyrender:Pyrender", "pyrender"),
     "reference": ("scenec.backends.reference:Reference", None),
 }
 
@@ -43,30 +46,48 @@ def require_name(name: str) -> None:
         raise BackendError(f"no backend {name!r}: {hint}there are {', '.join(names)}")
 
 
-def open_backend(name: str) -> Backend:
+def open_backend(name: str, device: str = "auto") -> Backend:
     """Import a backend and make one.
 
+    Args:
+        name: One of ``backend_names``.
+        device: "auto", or one of the backend's own devices.
+
     Raises:
-        BackendError: No such backend, not installed (says what to install), or it cannot start.
+        BackendError: No such backend, not installed (says what to install), it has no such device,
+            or it cannot start.
     """
     require_name(name)
     if name in BUILT_IN:
         target, extra = BUILT_IN[name]
         mend = f"pip install 'scenec[{extra}]'" if extra else "pip install --force-reinstall scenec"
         module, _, attribute = target.partition(":")
-        return _make(name, lambda: getattr(importlib.import_module(module), attribute), mend)
+        return _make(
+            name, lambda: getattr(importlib.import_module(module), attribute), mend, device
+        )
     point = next(point for point in _points() if point.name == name)
     package = point.dist.name if point.dist else name
-    return _make(name, point.load, f"pip install --force-reinstall {package}")
+    return _make(name, point.load, f"pip install --force-reinstall {package}", device)
 
 
-def _make(name: str, load: Callable[[], Callable[[], Backend]], mend: str) -> Backend:
+def _make(name: str, load: Callable[[], Any], mend: str, device: str) -> Backend:
     try:
-        return load()()
+        made = load()
     except (ImportError, AttributeError) as error:
+        raise _not_imported(name, error, mend) from error
+    if device not in ("auto", *made.devices):
         raise BackendError(
-            f"backend {name} cannot be imported ({error}). Mend it with: {mend}"
-        ) from error
+            f"backend {name} has no device {device!r}; it has auto, {', '.join(made.devices)}"
+        )
+    try:
+        backend: Backend = made(device=device)
+        return backend
+    except ImportError as error:
+        raise _not_imported(name, error, mend) from error
+
+
+def _not_imported(name: str, error: Exception, mend: str) -> BackendError:
+    return BackendError(f"backend {name} cannot be imported ({error}). Mend it with: {mend}")
 
 
 def _points() -> list[EntryPoint]:

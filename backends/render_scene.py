@@ -18,15 +18,45 @@ DEFAULT_OUTPUTS = ("rgb", "label", "instance", "depth")
 
 
 @dataclass(frozen=True)
+class Maps:
+    """Pictures that vary a surface; ``scenec.backends.maps`` loads them.
+
+    They are projected along the world's Z axis and repeat: u = x / size_m, v = y / size_m, with
+    (u, v) = (0, 0) in the picture's lower left corner, bilinear between texel centers.
+
+    Attributes:
+        size_m: Side of one repeat, meters.
+        base_color: Multiplies ``Surface.base_color``; sRGB if 8 or 16 bits, linear if OpenEXR.
+        roughness: Perceptual roughness, raw, takes the place of ``Surface.roughness``.
+        metallic: Raw, takes the place of ``Surface.metallic``.
+        normal: Tangent-space normals n = 2 * rgb - 1, raw: x along +u, y along +v.
+        flip_green: Whether ``normal`` has y along -v (DirectX's handedness).
+    """
+
+    size_m: float
+    base_color: Path | None = None
+    roughness: Path | None = None
+    metallic: Path | None = None
+    normal: Path | None = None
+    flip_green: bool = False
+
+
+@dataclass(frozen=True)
 class Surface:
-    """One material of the shared surface model (1-s)*Lambert + s*GGX(alpha = roughness**2).
+    """One material of the shared surface model.
+
+    f = (1-m) * ((1-s) * Lambert(c) + s * GGX(white)) + m * GGX(c), each GGX a single-scatter
+    microfacet reflection with alpha = roughness**2, without Fresnel, scaled by its color.
 
     Attributes:
         path: Prim path of the Material, or "" for the default one.
-        base_color: Albedo, linear Rec.709, shape [3].
+        base_color: c, linear Rec.709, shape [3].
         specular: s, in [0, 1].
         roughness: Perceptual roughness, in [0, 1].
-        variation: Albedo is base_color * (1 + variation * primvar), the primvar in [-1, 1].
+        variation: c = base_color * (1 + variation * primvar) * (1 + variation * row's), clipped to
+            [0, 1]; the primvar and the row's value in [-1, 1].
+        metallic: m, in [0, 1].
+        maps: Pictures that vary it, or None.
     """
 
     path: str
@@ -34,6 +64,12 @@ class Surface:
     specular: float
     roughness: float
     variation: float
+    metallic: float = 0.0
+    maps: Maps | None = None
+
+
+#: What UsdPreviewSurface shows without a color.
+DEFAULT_SURFACE = Surface("", (0.18, 0.18, 0.18), 0.0, 0.5, 0.0)
 
 
 @dataclass(frozen=True)
@@ -48,8 +84,10 @@ class Mesh:
             where they are the same.
         normals: Shading normals at the vertices, float32 [n, 3], or None (flat).
         labels: Per level, the label id of each triangle, uint32 [m].
-        layers: Indices into ``RenderScene.surfaces``; layer 0 is the base.
-        weights: Weight of merge i at the vertices, float32 [len(layers) - 1, n].
+        layers: Indices into ``RenderScene.surfaces``; layer 0 is the base. Empty: a plain gray
+            (``DEFAULT_SURFACE``).
+        weights: Weight of merge i at the vertices, float32 [len(layers) - 1, n]: from the base up,
+            each merge i mixes BSDFs, (1 - w_i) * what is below + w_i * layer i + 1.
         variation: Albedo variation at the vertices, float32 [n], or None.
     """
 

@@ -106,7 +106,7 @@ class Session:
             rays = camera_rays(camera)
             exact = self._caster is self.backend.caster
             with _timed(seconds, "visibility"):
-                visibility = None if exact else self.backend.visibility(rays, sample)
+                visibility = None if exact else self.backend.visibility(rays, sample, camera)
             with _timed(seconds, "resolve"):
                 settled = settle(self._caster, rays, visibility, camera)
                 arrays |= annotate(self.scene, settled, rays, annotation)

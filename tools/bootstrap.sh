@@ -73,12 +73,13 @@ MESSAGE
 fi
 
 say "Installing the packages of requirements.lock, each checked against its hash (about 1 GB, once)"
-# Wheels only: building an sdist would fetch build tools that the lock does not pin.
+# Wheels only: building an sdist would fetch build tools that the lock does not pin. No dependencies
+# beyond the lock: it is complete, and leaves out on purpose what pyproject.toml overrides.
 if command -v uv >/dev/null 2>&1; then
-  uv pip install --python .venv/bin/python --require-hashes --only-binary :all: -r requirements.lock
+  uv pip install --python .venv/bin/python --require-hashes --no-deps --only-binary :all: -r requirements.lock
 else
   .venv/bin/python -m pip install --disable-pip-version-check --require-hashes \
-    --only-binary :all: -r requirements.lock
+    --no-deps --only-binary :all: -r requirements.lock
 fi
 
 say "Installing scenec itself, editable"

@@ -28,10 +28,12 @@ class Mitsuba:
     """
 
     name = "mitsuba"
+    devices = ("cpu", "cuda")
+    denoiser = None
     caster = None
 
-    def __init__(self, bounces: int = BOUNCES) -> None:
-        self._mi = variant.load_mitsuba()
+    def __init__(self, bounces: int = BOUNCES, device: str = "auto") -> None:
+        self._mi = variant.load_mitsuba(device)
         self._bounces = bounces
         self._scene: Any = None
         self._meshes: list[Any] = []
@@ -48,6 +50,11 @@ class Mitsuba:
         """Whether the variant is vectorized (everything but ``scalar_rgb``)."""
         return not self._mi.variant().startswith("scalar")
 
+    @property
+    def device(self) -> str:
+        """Where it runs."""
+        return "cuda" if self._mi.variant().startswith("cuda") else "cpu"
+
     def version(self) -> str:
         """Renderer, variant and integrator: whatever decides the picture."""
         return f"mitsuba {self._mi.__version__} {self._mi.variant()} path{self._bounces}"
@@ -55,6 +62,10 @@ class Mitsuba:
     def warning(self) -> str | None:
         """A line for the user if this runs slower than it could."""
         return None if self.jit else variant.scalar_warning()
+
+    def losses(self, scene: RenderScene) -> tuple[str, ...]:
+        """Nothing: Mitsuba honors the whole surface model."""
+        return ()
 
     def load(self, scene: RenderScene) -> None:
         """Flatten the scene and build Mitsuba's hierarchy over it.
@@ -87,7 +98,7 @@ class Mitsuba:
             }
         )
 
-    def visibility(self, rays: Rays, sample: int) -> Visibility:
+    def visibility(self, rays: Rays, sample: int, camera: Camera | None = None) -> Visibility:
         """First hits in float32; geometry does not change over samples."""
         self._loaded()
         if not self.jit:
@@ -113,7 +124,9 @@ class Mitsuba:
             row[index], face[index] = group.locate(prims[index])
         return Visibility(row, face)
 
-    def radiance(self, camera: Camera, sample: int, spp: int, seed: int) -> Radiance:
+    def radiance(
+        self, camera: Camera, sample: int, spp: int, seed: int, denoise: bool = False
+    ) -> Radiance:
         """Surface light in two independent halves of ceil(spp / 2) samples a pixel each.
 
         Box filter: the plain mean of samples placed anywhere in the pixel. The camera may have any

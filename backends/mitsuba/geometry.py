@@ -13,10 +13,7 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-from scenec.backends.render_scene import RenderScene, Surface
-
-#: What UsdPreviewSurface shows without a color.
-DEFAULT_SURFACE = Surface("", (0.18, 0.18, 0.18), 0.0, 0.5, 0.0)
+from scenec.backends.render_scene import DEFAULT_SURFACE, RenderScene, Surface
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes.util
 import importlib
 import importlib.metadata
 import os
@@ -13,6 +14,7 @@ from scenec.schemas.errors import BackendError
 #: Environment variable that names a variant, for those who want another one.
 VARIANT_VARIABLE = "SCENEC_MITSUBA_VARIANT"
 LLVM_VARIABLE = "DRJIT_LIBLLVM_PATH"
+GPU = "cuda_ad_rgb"
 FAST = "llvm_ad_rgb"
 SLOW = "scalar_rgb"
 #: 14 and 15 abort on rendering, 19 and 21 work (measured); between them nobody has tried, and a
@@ -42,13 +44,17 @@ def wheel_llvm() -> Path | None:
     return None
 
 
-def load_mitsuba() -> Any:
+def load_mitsuba(device: str = "auto") -> Any:
     """Import Mitsuba with the fastest variant that works here, and set it.
 
     A process has one variant; the second call returns what the first one set.
 
+    Args:
+        device: "cpu", "cuda" (which traces with OptiX), or "auto": cuda where there is a driver for
+            it and it works, cpu otherwise.
+
     Raises:
-        BackendError: Mitsuba is not installed, or the variant asked for does not work.
+        BackendError: Mitsuba is not installed, or the variant or device asked for does not work.
     """
     # Dr.Jit reads the variable when a JIT variant is first set, so it has to stand before that.
     if not os.environ.get(LLVM_VARIABLE):
@@ -61,22 +67,36 @@ def load_mitsuba() -> Any:
         raise BackendError(
             f"Mitsuba cannot be imported ({error}). Mend it with: pip install 'scenec[mitsuba]'"
         ) from error
-    if mi.variant() is not None:
-        return mi
     wanted = os.environ.get(VARIANT_VARIABLE)
-    for variant in [wanted] if wanted else [FAST, SLOW]:
+    if mi.variant() is not None:
+        if device != "auto" and mi.variant().startswith("cuda") != (device == "cuda"):
+            raise BackendError(
+                f"this process already runs Mitsuba as {mi.variant()}; it has no second device"
+            )
+        return mi
+    choices = [wanted] if wanted else _choices(device)
+    for variant in choices:
         try:
             mi.set_variant(variant)
             if variant != SLOW:
                 _probe(mi)
         except (ImportError, RuntimeError) as error:
-            if wanted:
+            if len(choices) == 1:
+                why = f" ({VARIANT_VARIABLE})" if wanted else f" (device {device})"
                 raise BackendError(
-                    f"Mitsuba cannot run as {wanted} ({VARIANT_VARIABLE}): {_first_line(error)}"
+                    f"Mitsuba cannot run as {variant}{why}: {_first_line(error)}"
                 ) from error
             continue
         return mi
     raise BackendError("no variant of Mitsuba works here: neither llvm_ad_rgb nor scalar_rgb")
+
+
+def _choices(device: str) -> list[str]:
+    if device == "cuda":
+        return [GPU]
+    # Dr.Jit's first touch of a missing driver costs nothing, but prints; so it is looked for.
+    gpu = [GPU] if device == "auto" and ctypes.util.find_library("cuda") else []
+    return [*gpu, FAST, SLOW]
 
 
 def scalar_warning() -> str:
