@@ -20,6 +20,9 @@ if TYPE_CHECKING:
 
 #: ``Visibility.row`` where a ray meets nothing.
 NO_ROW = -1
+#: Light paths end after this many bounces in every renderer: sun or sky, the surface that is seen,
+#: up to four surfaces between.
+BOUNCES = 4
 #: What ``--device`` takes; each backend names those it has in ``Backend.devices``.
 DEVICES = ("auto", "cpu", "cuda", "optix")
 

@@ -26,9 +26,10 @@ from scenec.compiler.plan import (
     TrackPlan,
 )
 from scenec.compiler.scatter.draw import draw_rocks
-from scenec.compiler.scene import GroundLayer, Labels, Material, SunLight
+from scenec.compiler.scene import GroundLayer, Labels, Material, MaterialMaps, SunLight
 from scenec.compiler.terrain.operator import OPERATORS, ReliefOperator
 from scenec.schemas import stage as names
+from scenec.schemas.maps import MAP_CHANNELS
 
 _HALF_TURN = np.diag([*names.HALF_TURN, 1.0])
 
@@ -56,7 +57,7 @@ def draw(spec: Spec, seed: int, batch: int) -> Plan:
         label_table=cfg["labels"],
         sky_labels=_sky_labels(cfg),
         materials={
-            name: _material(resolve(node, streams, f"materials/{name}"))
+            name: _material(spec, f"materials/{name}", resolve(node, streams, f"materials/{name}"))
             for name, node in cfg["materials"].items()
         },
         terrain=_terrain(spec, streams),
@@ -83,9 +84,28 @@ def _sky_labels(cfg: dict[str, Any]) -> Labels:
     return label_ids(cfg, (sky or {}).get("labels") or {})
 
 
-def _material(node: dict[str, Any]) -> Material:
-    red, green, blue = node["base_color"]
-    return Material((red, green, blue), node["roughness"], node["specular"], node["variation"])
+def _material(spec: Spec, path: str, node: dict[str, Any]) -> Material:
+    # Left out, it is a factor of 1 on a map's colors.
+    red, green, blue = node["base_color"] or (1.0, 1.0, 1.0)
+    maps = None
+    if node["maps"] is not None:
+        maps = MaterialMaps(
+            size_m=node["maps"]["size_m"],
+            files={
+                kind: spec.files[f"{path}/maps/{kind}"].path
+                for kind in MAP_CHANNELS
+                if node["maps"][kind] is not None
+            },
+            normal_convention=node["maps"]["normal_convention"],
+        )
+    return Material(
+        (red, green, blue),
+        node["roughness"],
+        node["specular"],
+        node["variation"],
+        node["metallic"],
+        maps,
+    )
 
 
 def _terrain(spec: Spec, streams: Streams) -> TerrainPlan:

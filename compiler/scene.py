@@ -17,18 +17,39 @@ Labels = dict[str, int]
 
 
 @dataclass(frozen=True)
+class MaterialMaps:
+    """Pictures laid over the ground from above.
+
+    Attributes:
+        size_m: Side of one repeat.
+        files: By kind (``schemas.maps.MAP_CHANNELS``).
+        normal_convention: "opengl" (y up in the picture) or "directx".
+    """
+
+    size_m: float
+    files: dict[str, Path]
+    normal_convention: str
+
+
+@dataclass(frozen=True)
 class Material:
-    """Shared surface model: (1 - specular) * Lambert + specular * GGX(roughness**2).
+    """Shared surface model: (1-m) * ((1-s) * Lambert + s * GGX) + m * GGX of the color.
 
     Attributes:
         base_color: Albedo, linear Rec.709.
+        roughness: GGX's alpha is its square.
+        specular: s.
         variation: Albedo is base_color * (1 + variation * v), v in [-1, 1] given on the geometry.
+        metallic: m.
+        maps: Pictures that vary it, or None.
     """
 
     base_color: tuple[float, float, float]
     roughness: float
     specular: float
     variation: float
+    metallic: float = 0.0
+    maps: MaterialMaps | None = None
 
 
 @dataclass(frozen=True)

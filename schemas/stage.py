@@ -34,11 +34,25 @@ PRIMVAR_VARIATION = "scenec_variation"
 #: Uniform (or constant) int primvar: label id of each face, per level; 0 is "no label".
 PRIMVAR_LABEL = "scenec_label_{level}"
 
-#: Surface model on a Material: (1-s)*Lambert(base color) + s*GGX(alpha = roughness**2).
+#: Surface model on a Material, alpha = roughness**2 for both lobes:
+#: (1-m) * ((1-s) * Lambert(base color) + s * GGX(white)) + m * GGX(base color).
 ATTR_BASE_COLOR = "scenec:surface:baseColor"
 ATTR_SPECULAR = "scenec:surface:specular"
 ATTR_ROUGHNESS = "scenec:surface:roughness"
+ATTR_METALLIC = "scenec:surface:metallic"
 ATTR_COLOR_VARIATION = "scenec:surface:variation"
+#: asset: pictures laid over the ground along Z, u = x / size, v = y / size; base color multiplies,
+#: the others take the place of the number. Keys as in ``schemas.maps.MAP_CHANNELS``.
+ATTR_MAPS = {
+    "base_color": "scenec:surface:maps:baseColor",
+    "roughness": "scenec:surface:maps:roughness",
+    "metallic": "scenec:surface:maps:metallic",
+    "normal": "scenec:surface:maps:normal",
+}
+#: double: side of one repeat, in stage units.
+ATTR_MAP_SIZE = "scenec:surface:maps:size"
+#: token: "opengl" (the normals' y points up in the picture) or "directx".
+ATTR_NORMAL_CONVENTION = "scenec:surface:maps:normalConvention"
 
 #: A UsdGeomCamera looks down -z with y up, the contract's camera (OpenCV) down +z with y down: they
 #: differ by a half turn about x, which gives the columns of a rotation these signs.

@@ -8,14 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.backends.contract import NO_ROW, Radiance, Rays, Visibility
+from scenec.backends.contract import BOUNCES, NO_ROW, Radiance, Rays, Visibility
 from scenec.backends.mitsuba import emitter, geometry, scalar, variant
 from scenec.backends.mitsuba.surfaces import make_look
 from scenec.backends.render_scene import Camera, Lighting, RenderScene
 from scenec.schemas.errors import BackendError
 
-#: Light paths end after this many bounces: sun or sky, up to four surfaces more, camera.
-BOUNCES = 4
 #: Samples in flight at once; above it a half is rendered in several passes (16 bytes a sample).
 MAX_WAVEFRONT = 1 << 25
 
@@ -225,17 +223,25 @@ class Mitsuba:
                 "use fewer or coarser objects"
             )
         flat = geometry.flatten(scene, group, self._center)
-        look = make_look(geometry.group_surfaces(scene, group), flat)
+        surfaces = geometry.group_surfaces(scene, group)
+        look = make_look(mi, surfaces, flat, self._center)
         props = mi.Properties()
         props["bsdf"] = mi.load_dict(look.bsdf)
         mesh = mi.Mesh(
-            f"mesh{index}", vertices, faces, props=props, has_vertex_normals=group.smooth
+            f"mesh{index}",
+            vertices,
+            faces,
+            props=props,
+            has_vertex_normals=group.smooth,
+            has_vertex_texcoords=flat.texcoords is not None,
         )
         params = mi.traverse(mesh)
         params["vertex_positions"] = flat.points.ravel()
         params["faces"] = flat.faces.ravel()
         if flat.normals is not None:
             params["vertex_normals"] = flat.normals.ravel()
+        if flat.texcoords is not None:
+            params["vertex_texcoords"] = flat.texcoords.ravel()
         params.update()
         for name, values in look.attributes.items():
             mesh.add_attribute(name, values.shape[1], np.ascontiguousarray(values).ravel())

@@ -53,6 +53,7 @@ class FlatMesh:
         colors: Per layer, albedo at the vertices, float32 [layers, n, 3]; or [layers, 1, 3] where
             nothing varies.
         weights: Per merge, float32 [layers - 1, n].
+        texcoords: x and y, float32 [n, 2], where a surface has maps; else None.
     """
 
     points: NDArray[np.float32]
@@ -60,6 +61,7 @@ class FlatMesh:
     normals: NDArray[np.float32] | None
     colors: NDArray[np.float32]
     weights: NDArray[np.float32]
+    texcoords: NDArray[np.float32] | None
 
 
 def scene_center(scene: RenderScene) -> NDArray[np.float64]:
@@ -126,7 +128,11 @@ def flatten(scene: RenderScene, group: Group, center: NDArray[np.float64]) -> Fl
                 _place_colors(base[layer], amount[layer], own, row_variation, first, colors[layer])
         for merge in range(len(surfaces) - 1):
             _place_scalars(mesh.weights[merge], first, weights[merge])
-    return FlatMesh(points, faces, normals, np.clip(colors, 0.0, 1.0, dtype=np.float32), weights)
+    # Colors above 1 are clipped, but after the map where there is one.
+    upper = np.array([np.inf if s.maps and s.maps.base_color else 1.0 for s in surfaces])
+    colors = np.clip(colors, 0.0, upper[:, None, None], dtype=np.float32)
+    texcoords = np.ascontiguousarray(points[:, :2]) if any(s.maps for s in surfaces) else None
+    return FlatMesh(points, faces, normals, colors, weights, texcoords)
 
 
 def _parts_by_mesh(scene: RenderScene, group: Group) -> Iterator[tuple[int, NDArray[np.int64]]]:

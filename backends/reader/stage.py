@@ -16,7 +16,7 @@ from scenec.backends.reader.instancers import Expanded, Expander
 from scenec.backends.reader.labels import LabelTable, prim_labels, read_table
 from scenec.backends.reader.lights import read_lighting
 from scenec.backends.reader.meshes import MeshTable
-from scenec.backends.render_scene import Lighting, Mesh, RenderScene, Rows
+from scenec.backends.render_scene import Lighting, Mesh, RenderScene, Rows, Surface
 from scenec.schemas import stage as names
 from scenec.schemas.errors import StageError
 from scenec.schemas.files import sha256
@@ -58,7 +58,7 @@ def read_stage(path: Path | str) -> RenderScene:
     lighting = tuple(read_lighting(stage, frame, time) for time in times)
     return RenderScene(
         source=path,
-        digest=_digest(stage, path, lighting),
+        digest=_digest(stage, path, [*_domes(lighting), *_maps(meshes.surfaces.surfaces())]),
         samples=len(times),
         meshes=tuple(meshes.meshes),
         rows=rows,
@@ -143,10 +143,23 @@ def _times(stage: Usd.Stage, times: list[Usd.TimeCode]) -> NDArray[np.float64]:
     return np.arange(len(times)) / rate
 
 
-def _digest(stage: Usd.Stage, path: Path, lighting: tuple[Lighting, ...]) -> str:
+def _domes(lighting: tuple[Lighting, ...]) -> list[Path]:
+    return [d.texture for light in lighting for d in light.domes if d.texture is not None]
+
+
+def _maps(surfaces: tuple[Surface, ...]) -> list[Path]:
+    files: list[Path] = []
+    for maps in (surface.maps for surface in surfaces):
+        if maps is not None:
+            chosen = (maps.base_color, maps.roughness, maps.metallic, maps.normal)
+            files.extend(file for file in chosen if file is not None)
+    return files
+
+
+def _digest(stage: Usd.Stage, path: Path, pictures: list[Path]) -> str:
     """sha256 over the bytes of all files the stage is composed from, and their relative places."""
     folder = path.resolve().parent
     files = {Path(layer.realPath) for layer in stage.GetUsedLayers() if layer.realPath}
-    files |= {d.texture for light in lighting for d in light.domes if d.texture is not None}
+    files |= set(pictures)
     lines = [f"{os.path.relpath(f, folder)} {sha256(f)}" for f in files if f.is_file()]
     return hashlib.sha256("\n".join(sorted(lines)).encode()).hexdigest()

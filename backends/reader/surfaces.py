@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
+from pathlib import Path
+
 import numpy as np
 from numpy.typing import NDArray
 from pxr import Usd, UsdGeom, UsdShade
 
-from scenec.backends.render_scene import Surface
+from scenec.backends.render_scene import Maps, Surface
 from scenec.schemas import stage as names
 from scenec.schemas.errors import StageError
 
@@ -99,7 +102,7 @@ def surface_of(
     """The shared surface model's numbers of a material.
 
     Ours stand in ``scenec:surface:*``. From a foreign UsdPreviewSurface the constants of
-    diffuseColor, roughness and the reflectance at normal incidence are taken; textures and metals
+    diffuseColor, roughness, metallic and the reflectance at normal incidence are taken; textures
     are not.
 
     Args:
@@ -117,6 +120,8 @@ def surface_of(
             float(prim.GetAttribute(names.ATTR_SPECULAR).Get() or 0.0),
             float(prim.GetAttribute(names.ATTR_ROUGHNESS).Get() or 0.0),
             float(prim.GetAttribute(names.ATTR_COLOR_VARIATION).Get() or 0.0),
+            float(prim.GetAttribute(names.ATTR_METALLIC).Get() or 0.0),
+            _maps(prim),
         )
     shader, _, _ = material.ComputeSurfaceSource()
     if not shader or shader.GetIdAttr().Get() != "UsdPreviewSurface":
@@ -125,8 +130,38 @@ def surface_of(
     if diffuse and not diffuse.HasConnectedSource() and diffuse.Get() is not None:
         red, green, blue = (float(v) for v in diffuse.Get())
         fallback = (red, green, blue)
+    specular = _input(shader, "useSpecularWorkflow", 0) == 1
     return Surface(
-        path, fallback, _normal_reflectance(shader), _input(shader, "roughness", 0.5), 0.0
+        path,
+        fallback,
+        _normal_reflectance(shader),
+        _input(shader, "roughness", 0.5),
+        0.0,
+        0.0 if specular else min(max(_input(shader, "metallic", 0.0), 0.0), 1.0),
+    )
+
+
+def _maps(prim: Usd.Prim) -> Maps | None:
+    files: dict[str, Path] = {}
+    for kind, name in names.ATTR_MAPS.items():
+        attribute = prim.GetAttribute(name)
+        asset = attribute.Get() if attribute else None
+        if asset is not None and asset.path:
+            files[kind] = Path(asset.resolvedPath or asset.path)
+            if not files[kind].is_file():
+                raise StageError(f"{prim.GetPath()}: its map {asset.path} does not exist")
+    if not files:
+        return None
+    size = prim.GetAttribute(names.ATTR_MAP_SIZE)
+    meters = UsdGeom.GetStageMetersPerUnit(prim.GetStage())
+    size_m = meters * float(size.Get() or 0.0) if size else 0.0
+    if not 0.0 < size_m < math.inf:
+        raise StageError(f"{prim.GetPath()}: {names.ATTR_MAP_SIZE} must be above 0")
+    convention = prim.GetAttribute(names.ATTR_NORMAL_CONVENTION)
+    return Maps(
+        size_m=size_m,
+        **files,
+        flip_green=bool(convention and convention.Get() == "directx"),
     )
 
 

@@ -10,6 +10,7 @@ from scenec.compiler.emit.cameras import camera_path, clipping_range, write_came
 from scenec.compiler.emit.layer import author, constant_label_ids, label, new_layer
 from scenec.compiler.emit.lights import write_lights
 from scenec.compiler.emit.looks import write_look
+from scenec.compiler.emit.maps import copy_maps
 from scenec.compiler.emit.objects import instancer_path, write_scatter
 from scenec.compiler.emit.terrain import write_terrain
 from scenec.compiler.scene import Labels, Scene
@@ -43,7 +44,8 @@ def write_batch(folder: Path, scene: Scene) -> None:
         )
     for name, material in scene.materials.items():
         sublayers.append(f"looks/{name}.usda")
-        write_look(folder / sublayers[-1], name, material)
+        maps = copy_maps(folder, name, material)
+        write_look(folder / sublayers[-1], name, material, maps)
     if scene.sun is not None or scene.sky is not None:
         sublayers.append("lights.usda")
         write_lights(folder / sublayers[-1], scene.sun, scene.sky)

@@ -10,13 +10,13 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux
 
 from scenec.compiler.cameras.poses import cross
 from scenec.compiler.emit.layer import author, new_layer
+from scenec.compiler.emit.maps import TEXTURES
 from scenec.compiler.light.sky import sun_direction
 from scenec.compiler.scene import SkyLight, SunLight
 from scenec.schemas import stage as names
 from scenec.schemas.exr import write_rgb
 
 LIGHTS = f"{names.ROOT}/Lights"
-TEXTURES = "textures"
 
 
 def write_lights(path: Path, sun: SunLight | None, sky: SkyLight | None) -> None:

@@ -10,6 +10,7 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade, Vt
 
 from scenec.compiler.emit.layer import label, new_layer
 from scenec.compiler.emit.looks import look_path
+from scenec.compiler.emit.maps import average_color
 from scenec.compiler.scene import Ground, Material, Tile
 from scenec.schemas import stage as names
 
@@ -83,9 +84,9 @@ def blended_color(
 
 
 def varied_color(material: Material, variation: NDArray[np.float32]) -> NDArray[np.float64]:
-    """base_color * (1 + material.variation * variation), float64 [n, 3]."""
+    """Average color * (1 + material.variation * variation), float64 [n, 3]."""
     factor = 1.0 + material.variation * variation.astype(np.float64)
-    return np.array(material.base_color)[None, :] * factor[:, None]
+    return np.array(average_color(material))[None, :] * factor[:, None]
 
 
 def _write_subsets(

@@ -16,6 +16,7 @@ from scenec.compiler.frontend.resources import ResourceError, find_file
 from scenec.compiler.frontend.schema import Field
 from scenec.compiler.frontend.track import read_track
 from scenec.schemas.errors import SceneError
+from scenec.schemas.maps import read_pixels
 
 _EXR_MAGIC = b"\x76\x2f\x31\x01"
 
@@ -125,8 +126,17 @@ def _check_track(file: FilePath, path: Path, owner: Any, document: Any) -> list[
     return []
 
 
+def _check_map(file: FilePath, path: Path, owner: Any, document: Any) -> list[Finding]:
+    try:
+        read_pixels(file)
+    except ValueError as error:
+        return [Finding(path, f"{file.name}: {error}")]
+    return []
+
+
 _CHECKS: dict[str, Callable[[FilePath, Path, Any, Any], list[Finding]]] = {
     "dem": _check_dem,
     "image": _check_image,
+    "map": _check_map,
     "track": _check_track,
 }

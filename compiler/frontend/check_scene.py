@@ -13,6 +13,7 @@ from scenec.compiler.frontend.check_numbers import support
 from scenec.compiler.frontend.faults import Finding, shown
 from scenec.compiler.frontend.json_positions import Path
 from scenec.compiler.frontend.schema import Field
+from scenec.schemas.maps import MAP_CHANNELS
 
 #: Height samples of a terrain at most (2 GiB of float64).
 MAX_HEIGHT_SAMPLES = 2**28
@@ -31,6 +32,7 @@ def check_scene(document: Any, numbers: dict[Path, Field]) -> list[Finding]:
     return [
         *_check_relief(document),
         *_check_layers(document),
+        *_check_materials(document),
         *_check_samples(spans),
         *_check_sensors(document),
         *_check_positions(document, spans),
@@ -72,6 +74,30 @@ def _check_layers(document: Any) -> Iterator[Finding]:
                 ("terrain", "ground", i, "coverage"),
                 "threshold and coverage both say where the border lies: take one away",
                 at_key=True,
+            )
+
+
+def _check_materials(document: Any) -> Iterator[Finding]:
+    mapped = set()
+    for name, material in _entries(document, "materials"):
+        if not isinstance(material, dict):
+            continue
+        maps = material.get("maps")
+        kinds = [kind for kind in MAP_CHANNELS if isinstance(maps, dict) and kind in maps]
+        if maps is not None:
+            mapped.add(name)
+        if isinstance(maps, dict) and not kinds:
+            yield Finding(
+                ("materials", name, "maps"), f"expected one of {', '.join(MAP_CHANNELS)}, or more"
+            )
+        if "base_color" not in material and "base_color" not in kinds:
+            yield Finding(("materials", name), "expected the key base_color, or one in maps")
+    for name, thing in _entries(document, "objects"):
+        used = thing.get("material") if isinstance(thing, dict) else None
+        if isinstance(used, str) and used in mapped:
+            yield Finding(
+                ("objects", name, "material"),
+                f"{shown(used)} has maps, which lie on the ground only: expected one without",
             )
 
 

@@ -1,0 +1,72 @@
+"""Surface maps on disk: copied beside the stage, and their average for viewers without them."""
+
+from __future__ import annotations
+
+import shutil
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from scenec.compiler.arithmetic import elementary
+from scenec.compiler.scene import Material
+from scenec.schemas.maps import read_pixels
+
+TEXTURES = "textures"
+
+
+def copy_maps(folder: Path, name: str, material: Material) -> dict[str, str]:
+    """Copies a material's maps into ``textures/``, under names that say what they are.
+
+    Args:
+        folder: Of the batch.
+        name: Of the material.
+        material: Its maps are copied as they are.
+
+    Returns:
+        Paths relative to the batch's folder, by kind.
+    """
+    copied = {}
+    for kind, source in material.maps.files.items() if material.maps else ():
+        copied[kind] = f"{TEXTURES}/{name}_{kind}{source.suffix.lower()}"
+        target = folder / copied[kind]
+        target.parent.mkdir(exist_ok=True)
+        shutil.copyfile(source, target)
+    return copied
+
+
+def average_color(material: Material) -> tuple[float, float, float]:
+    """base_color times the average of its map, linear Rec.709."""
+    file = material.maps.files.get("base_color") if material.maps else None
+    if file is None:
+        return material.base_color
+    average = _average(file)
+    red, green, blue = (c * a for c, a in zip(material.base_color, average, strict=True))
+    return (red, green, blue)
+
+
+@lru_cache(maxsize=32)
+def _average(path: Path) -> tuple[float, float, float]:
+    pixels = read_pixels(path)
+    if pixels.shape[2] == 1:
+        pixels = np.repeat(pixels, 3, axis=2)
+    if pixels.dtype.kind == "f":
+        red, green, blue = np.clip(pixels, 0.0, 1.0).astype(np.float64).mean(axis=(0, 1)).tolist()
+        return (red, green, blue)
+    largest = int(np.iinfo(pixels.dtype).max)
+    linear = _linear_codes(largest)
+    red, green, blue = (
+        float((np.bincount(pixels[..., i].ravel(), minlength=largest + 1) * linear).sum())
+        / pixels[..., i].size
+        for i in range(3)
+    )
+    return (red, green, blue)
+
+
+@lru_cache(maxsize=2)
+def _linear_codes(largest: int) -> np.ndarray:
+    """Linear value of each code of the sRGB transfer function (IEC 61966-2-1)."""
+    codes = np.arange(largest + 1) / largest
+    # As exp(2.4 log x): the same bits on every CPU.
+    power = elementary.exp_array(2.4 * elementary.log_array((codes + 0.055) / 1.055))
+    return np.where(codes <= 0.04045, codes / 12.92, power)

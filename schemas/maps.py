@@ -1,0 +1,90 @@
+"""Pictures that vary a surface: what files are taken, and what their values mean.
+
+8-bit PNG, JPEG and TIFF, 16-bit gray PNG and TIFF, OpenEXR. Colors are sRGB in the former and
+linear Rec.709 in OpenEXR; all other kinds are raw.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+#: Kinds of map, as they are named in cfgs; the channels of each.
+MAP_CHANNELS = {"base_color": 3, "roughness": 1, "metallic": 1, "normal": 3}
+_LARGEST = 16384
+
+
+def read_pixels(path: Path) -> NDArray:
+    """The pixels of a picture as they are stored: uint8, uint16 or float32, [h, w, 1 or 3].
+
+    Row 0 is the top. Alpha and palettes are resolved to gray or RGB.
+
+    Raises:
+        ValueError: Not a picture of these kinds, broken, or too large.
+    """
+    if path.suffix.lower() == ".exr":
+        return _read_exr(path)
+    from PIL import Image, UnidentifiedImageError
+
+    try:
+        with Image.open(path) as image:
+            if max(image.size) > _LARGEST:
+                raise ValueError(f"{image.size[0]} x {image.size[1]} pixels: at most {_LARGEST}")
+            if image.mode.startswith("I;16"):
+                return np.asarray(image, np.uint16)[..., None]
+            if image.mode in ("1", "L", "LA"):
+                return np.asarray(image.convert("L"))[..., None]
+            if image.mode in ("P", "PA", "RGB", "RGBA", "CMYK", "YCbCr"):
+                return np.asarray(image.convert("RGB"))
+            raise ValueError(f"pixels of the kind {image.mode} are not taken; use PNG or OpenEXR")
+    except (UnidentifiedImageError, OSError, SyntaxError, Image.DecompressionBombError) as error:
+        raise ValueError(f"not a readable picture: {error}") from error
+
+
+def _read_exr(path: Path) -> NDArray[np.float32]:
+    import OpenEXR
+
+    try:
+        with OpenEXR.File(str(path), separate_channels=True) as source:
+            channels = source.channels()
+            names = ["R", "G", "B"] if "R" in channels else ["Y"]
+            planes = [np.array(channels[name].pixels, np.float32) for name in names]
+    except (RuntimeError, OSError, KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"not an OpenEXR picture with channels R, G, B or Y ({error})") from error
+    picture = np.stack(planes, axis=-1)
+    if not np.isfinite(picture).all():
+        raise ValueError("holds values that are not finite")
+    return picture
+
+
+def decode(pixels: NDArray, kind: str, flip_green: bool = False) -> NDArray[np.float32]:
+    """What stored pixels mean, float32 [h, w, channels of the kind].
+
+    ``base_color``: linear Rec.709, decoded from sRGB (IEC 61966-2-1) unless floating.
+    ``roughness``, ``metallic``: in [0, 1]; of an RGB picture its red channel.
+    ``normal``: 2 * rgb - 1, unit length; floating pictures hold the same encoding.
+
+    Args:
+        pixels: From ``read_pixels``.
+        kind: One of ``MAP_CHANNELS``.
+        flip_green: Whether the y of ``normal`` points down the picture (DirectX's handedness).
+    """
+    floating = pixels.dtype.kind == "f"
+    values = pixels.astype(np.float64) if floating else pixels / float(np.iinfo(pixels.dtype).max)
+    if MAP_CHANNELS[kind] == 1:
+        return np.ascontiguousarray(np.clip(values[..., :1], 0.0, 1.0), np.float32)
+    if values.shape[2] == 1:
+        values = np.repeat(values, 3, axis=2)
+    if kind == "base_color":
+        if not floating:
+            values = np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)
+        return np.ascontiguousarray(np.clip(values, 0.0, 1.0), np.float32)
+    normal = 2.0 * values - 1.0
+    if flip_green:
+        normal[..., 1] = -normal[..., 1]
+    # Straight up where a picture holds no direction at all.
+    length = np.sqrt((normal * normal).sum(axis=2, keepdims=True))
+    normal = np.where(length > 0.0, normal / np.maximum(length, 1e-12), [0.0, 0.0, 1.0])
+    return np.ascontiguousarray(normal, np.float32)
