@@ -35,6 +35,11 @@ LIBRARIES = (
     "pillow",
     "mitsuba",
     "llvm-nanobind",
+    "bpy",
+    "pyrender-maintained",
+    "PyOpenGL",
+    "lavavu-osmesa",
+    "flip-evaluator",
 )
 
 
@@ -46,12 +51,14 @@ class Diagnosis:
         name: The backend's.
         works: Whether it rendered the test scene rightly.
         version: Renderer and variant; "" if it did not get that far.
+        device: Where it ran: the fastest device that works here; "" likewise.
         message: What is wrong, with the command that mends it; or a warning; or "".
     """
 
     name: str
     works: bool
     version: str
+    device: str
     message: str
 
 
@@ -62,9 +69,10 @@ def diagnose(names: tuple[str, ...] | None = None) -> list[Diagnosis]:
         with WorkerProcess() as worker:
             try:
                 answer = worker.ask({"op": "probe", "backend": name}, f"backend {name}")
-                found.append(Diagnosis(name, True, answer["version"], answer["warning"] or ""))
+                message = answer["warning"] or ""
+                found.append(Diagnosis(name, True, answer["version"], answer["device"], message))
             except BackendError as error:
-                found.append(Diagnosis(name, False, "", str(error)))
+                found.append(Diagnosis(name, False, "", "", str(error)))
     return found
 
 
@@ -104,7 +112,11 @@ def probe(name: str) -> dict[str, Any]:
                 f"backend {name} starts, but the test scene's ground has radiance {value:g} "
                 f"instead of {expected:g}"
             )
-    return {"version": backend.version(), "warning": backend.warning()}
+    return {
+        "version": backend.version(),
+        "device": backend.device,
+        "warning": backend.warning(),
+    }
 
 
 def tiny_scene() -> RenderScene:

@@ -27,6 +27,10 @@ BUILT_IN: dict[str, tuple[str, str | None]] = {
 }
 
 
+#: Backends that carry no light: they are never asked for ``rgb`` unless a user does so by name.
+ANNOTATION_ONLY = frozenset({"reference"})
+
+
 def backend_names() -> tuple[str, ...]:
     """Names of all backends that could be asked for, installed or not; ours first."""
     others = sorted({point.name for point in _points()} - BUILT_IN.keys())

@@ -1,15 +1,24 @@
-"""``scenec check``: files, stages, frames, and whether backends agree."""
+"""``scenec check``: files, stages, frames, exactness, and whether backends agree."""
 
 from __future__ import annotations
 
 import argparse
+import math
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
-from scenec.backends.check.compare import Agreement, compare
+from scenec.backends.check.compare import (
+    PICTURES,
+    Agreement,
+    CompareOptions,
+    check_exact,
+    compare,
+)
 from scenec.backends.check.files import check_files
 from scenec.backends.check.finding import Finding
 from scenec.backends.check.frames import check_frames
+from scenec.backends.check.radiance import RadianceComparison
 from scenec.backends.check.stage import check_stage
 from scenec.backends.reader import read_stage
 from scenec.backends.registry import require_name
@@ -27,26 +36,42 @@ def run(options: argparse.Namespace) -> int:
     out = Path(options.out)
     findings = find(out)
     bad = [f for f in findings if f.severity == "error"]
-    agreement = None
-    if options.backends and bad:
-        say("backends are not compared before the errors are mended")
-    elif options.backends:
-        agreement = compare(out, options.backends, say)
-    differing = sum(c.differing for c in agreement.comparisons) if agreement else 0
+    agreement = exact = None
+    if (options.backends or options.exact) and bad:
+        say("frames are not compared before the errors are mended")
+    else:
+        if options.backends:
+            agreement = compare(out, list(dict.fromkeys(options.backends)), say, _how(out, options))
+        if options.exact:
+            exact = check_exact(out, say)
     if options.json:
         print_json(
             {
                 "findings": [asdict(f) for f in findings],
-                "agreement": None if agreement is None else asdict(agreement),
+                "agreement": None if agreement is None else agreement_json(agreement),
+                "exact": None if exact is None else agreement_json(exact),
             }
         )
     else:
         for finding in findings:
             print(finding)
         print(f"{len(bad)} errors, {len(findings) - len(bad)} warnings")
-        if agreement:
-            print_agreement(agreement)
-    return 1 if bad or differing else 0
+        for found in (agreement, exact):
+            if found:
+                print_agreement(found)
+    wrong = sum(found.differing for found in (agreement, exact) if found)
+    return 1 if bad or wrong else 0
+
+
+def _how(out: Path, options: argparse.Namespace) -> CompareOptions:
+    return CompareOptions(
+        spp=options.spp,
+        passes=options.passes,
+        samples=options.samples,
+        floor=options.floor,
+        pictures=(out if out.is_dir() else out.parent) / PICTURES if options.pictures > 0 else None,
+        most_pictures=options.pictures,
+    )
 
 
 def find(out: Path) -> list[Finding]:
@@ -65,13 +90,68 @@ def find(out: Path) -> list[Finding]:
     return findings
 
 
+def agreement_json(agreement: Agreement) -> dict[str, Any]:
+    """For scripts; what is unknown is null."""
+    return {
+        "frames": agreement.frames,
+        "comparisons": [asdict(c) for c in agreement.comparisons],
+        "raw": {name: asdict(raw) for name, raw in agreement.raw.items()},
+        "radiance": [
+            {
+                "first": r.first,
+                "second": r.second,
+                "frames": r.frames,
+                "mean_ratio": r.mean_ratio,
+                "relative_mse": _known(r.relative_mse),
+                "noise_relative_mse": _known(r.noise),
+                "flip": _known(r.flip),
+                "flip_floor": _known(r.floor),
+            }
+            for r in agreement.radiance
+        ],
+        "pictures": [str(path) for path in agreement.pictures],
+    }
+
+
+def _known(values: list[float]) -> list[float | None]:
+    return [None if math.isnan(value) else value for value in values]
+
+
 def print_agreement(agreement: Agreement) -> None:
-    """Differing pixels of resolved annotation, and what the renderers themselves had wrong."""
+    """Tables: annotation as resolved, what renderers themselves had wrong, radiance."""
     rows = [
         [f"{c.first} : {c.second}", c.channel, f"{c.differing:,}", f"{c.pixels:,}"]
         for c in agreement.comparisons
     ]
-    print(f"annotation of {agreement.frames} frames, resolved:")
+    print(f"\nannotation of {agreement.frames} frames, resolved:")
     print(table(rows, ["backends", "channel", "differing", "pixels"]))
-    for backend, pixels in agreement.raw.items():
-        print(f"{backend}: {pixels:,} pixels were wrong before they were resolved")
+    raw = [
+        [name, f"{r.changed:,}", f"{r.changed_rows:,}", f"{r.cast:,}", f"{r.pixels:,}"]
+        for name, r in agreement.raw.items()
+        if r.pixels
+    ]
+    if raw:
+        print("\nraw, as the renderer saw it before its pixels were resolved:")
+        print(table(raw, ["backend", "other face", "other object", "cast exactly", "pixels"]))
+    if agreement.radiance:
+        print("\nradiance of surfaces (rgb):")
+        header = ["backends", "mean ratio R", "G", "B", "relMSE", "of it noise", "FLIP", "floor"]
+        print(table([_radiance_row(r) for r in agreement.radiance], header))
+        if any(math.isnan(v) for r in agreement.radiance for v in r.flip):
+            print("FLIP is not installed; mend it with: pip install 'scenec[flip]'")
+    if agreement.pictures:
+        print(f"\nwhere they differ: {len(agreement.pictures)} pictures in "
+              f"{agreement.pictures[0].parent}/")  # fmt: skip
+
+
+def _radiance_row(r: RadianceComparison) -> list[str]:
+    ratios = ["-" if ratio is None else f"{ratio:.4f}" for ratio in r.mean_ratio]
+    numbers = [_mean(r.relative_mse), _mean(r.noise), _mean(r.flip), _mean(r.floor)]
+    return [f"{r.first} : {r.second}", *ratios, *numbers]
+
+
+def _mean(values: list[float]) -> str:
+    if not values:
+        return "-"
+    mean = sum(values) / len(values)
+    return "unknown" if math.isnan(mean) else f"{mean:.3g}"

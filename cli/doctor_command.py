@@ -16,8 +16,11 @@ def run(options: argparse.Namespace) -> int:
     if options.json:
         print_json({"backends": [asdict(d) for d in found], "libraries": libraries})
     else:
-        rows = [[d.name, "works" if d.works else "does not work", d.version] for d in found]
-        print(table(rows, ["backend", "here", "version"]))
+        rows = [
+            [d.name, "works" if d.works else "does not work", d.device or "-", d.version or "-"]
+            for d in found
+        ]
+        print(table(rows, ["backend", "here", "device", "version"]))
         for d in found:
             if d.message:
                 print(f"{d.name}: {d.message}")

@@ -13,8 +13,10 @@ from scenec.cli.arguments import (
     add_batches,
     add_json,
     add_render_options,
+    passes,
     positive,
     seed,
+    span,
 )
 from scenec.schemas.errors import CfgError, ScenecError
 
@@ -105,7 +107,29 @@ def parser() -> argparse.ArgumentParser:
         metavar="A,B,…",
         type=lambda text: [name for name in text.split(",") if name],
         default=[],
-        help="compare the annotation of these on every pixel; missing frames are rendered",
+        help="compare the frames of these pixel by pixel; missing ones are rendered",
+    )
+    check.add_argument(
+        "--exact",
+        action="store_true",
+        help="cast every pixel of the frames there are through the exact ray caster",
+    )
+    check.add_argument(
+        "--spp", type=positive, default=64, help="of rgb that has to be rendered (default: 64)"
+    )
+    check.add_argument("--passes", type=passes, metavar="A,B,…", help="compare only these")
+    check.add_argument("--samples", type=span, metavar="A:B", help="compare only these samples")
+    check.add_argument(
+        "--floor",
+        action="store_true",
+        help="render the first backend with another noise seed too: the FLIP of noise alone",
+    )
+    check.add_argument(
+        "--pictures",
+        type=int,
+        default=8,
+        metavar="N",
+        help="pictures of where two backends differ, in OUT/check (default: 8 a pair)",
     )
     add_json(check)
 

@@ -1,34 +1,48 @@
-"""Do backends agree: annotation, pixel by pixel."""
+"""Do backends agree: annotation bit by bit, radiance as far as it goes; and is annotation exact."""
 
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from scenec.backends.check.radiance import (
+    RadianceComparison,
+    differing,
+    differing_pixels,
+    flip,
+    write_differences,
+)
+from scenec.backends.exact import ExactCaster
+from scenec.backends.rays import camera_rays
 from scenec.backends.reader import read_stage
+from scenec.backends.registry import ANNOTATION_ONLY
 from scenec.backends.render import render
 from scenec.backends.render_scene import Camera, RenderScene
-from scenec.backends.resolver import pass_names
+from scenec.backends.resolver import annotate, pass_names, settle
 from scenec.schemas.errors import BackendError, FrameError
+from scenec.schemas.exr import is_id_pass
 from scenec.schemas.frames import Frame, frame_stem, read_frame
-from scenec.schemas.manifest import Batch, find_batches
+from scenec.schemas.manifest import FRAMES, Batch, find_batches
 
 #: What is compared where the stage does not say what it wants.
 ANNOTATION = ("label", "instance", "depth")
+#: Where pictures of differences go, in the output folder.
+PICTURES = "check"
+
+Say = Callable[[str], None]
 
 
 @dataclass
 class Comparison:
-    """One channel of two backends, over all frames.
+    """One channel of annotation, over all frames.
 
     Attributes:
         channel: Pass name.
-        first, second: Backends.
+        first, second: Backends; "exact" is the exact ray caster, run here on every pixel.
         pixels: Compared.
         differing: With different bits.
     """
@@ -40,112 +54,316 @@ class Comparison:
     differing: int = 0
 
 
+@dataclass
+class Raw:
+    """What a renderer itself had wrong, before the resolver.
+
+    Attributes:
+        pixels: Of all frames whose annotation this renderer made.
+        changed: With another face (or object) than resolved.
+        changed_rows: With another object than resolved, or a hit instead of none.
+        cast: Pixels that were cast exactly.
+    """
+
+    pixels: int = 0
+    changed: int = 0
+    changed_rows: int = 0
+    cast: int = 0
+
+
 @dataclass(frozen=True)
 class Agreement:
     """What comparing found.
 
     Attributes:
-        comparisons: One a channel and pair.
-        raw: Per backend, pixels that the renderer itself had wrong before they were resolved.
-        frames: Frames compared.
+        comparisons: Annotation, one a channel and pair.
+        radiance: ``rgb``, one a pair.
+        raw: By backend. Complete only where resolved annotation proved exact: a wrong pixel that
+            the resolver overlooked is not in it.
+        frames: Samples and cameras compared.
+        pictures: Of where they differ: files.
     """
 
     comparisons: tuple[Comparison, ...]
-    raw: dict[str, int]
+    radiance: tuple[RadianceComparison, ...]
+    raw: dict[str, Raw]
     frames: int
+    pictures: tuple[Path, ...] = ()
+
+    @property
+    def differing(self) -> int:
+        """Differing pixels of all channels and pairs."""
+        return sum(comparison.differing for comparison in self.comparisons)
+
+
+@dataclass(frozen=True)
+class CompareOptions:
+    """How to compare.
+
+    Attributes:
+        spp: Samples per pixel of ``rgb`` that has to be rendered.
+        passes: Only these; None takes what each camera asks for.
+        samples: Only these time codes; None takes all.
+        floor: Whether to render the first backend again with another noise seed.
+        pictures: Folder for pictures of where they differ; None makes none.
+        most_pictures: For each pair with ``rgb``; where annotation differs there is always one.
+    """
+
+    spp: int = 64
+    passes: tuple[str, ...] | None = None
+    samples: Collection[int] | None = None
+    floor: bool = False
+    pictures: Path | None = None
+    most_pictures: int = 8
 
 
 def compare(
-    out: Path, backends: Sequence[str], say: Callable[[str], None] = lambda _text: None
+    out: Path,
+    backends: Sequence[str],
+    say: Say = lambda _text: None,
+    options: CompareOptions | None = None,
 ) -> Agreement:
-    """Compares the annotation of the first backend with that of each other.
+    """Compares the frames of the first backend with those of each other.
 
     Frames that are there and made from this very stage are taken, whatever else they hold. Samples
-    that a backend has no frames of are rendered into the output, annotation only; where frames are
-    there but do not serve (stale, or without a pass), annotation is rendered aside: nothing that
-    is there is touched.
+    that a backend has no frames of are rendered into the output; where frames are there but do not
+    serve (stale, or without a pass), they are rendered aside: nothing that is there is touched.
 
     Args:
         out: Output folder, or a USD file.
         backends: Two or more names.
         say: Told what is rendered.
+        options: See ``CompareOptions``.
 
     Raises:
         ScenecError: A stage cannot be read, or a backend fails.
     """
+    options = options or CompareOptions()
+    run = _Run(backends, options, say)
+    for batch in find_batches(out):
+        with tempfile.TemporaryDirectory() as aside:
+            run.batch(batch, Path(aside))
+    return Agreement(
+        tuple(run.comparisons.values()),
+        tuple(run.radiance.values()),
+        run.raw,
+        run.frames,
+        tuple(path for made in run.pictures.values() for path in made),
+    )
+
+
+def check_exact(out: Path, say: Say = lambda _text: None) -> Agreement:
+    """Casts every pixel of all frames there are through the exact ray caster.
+
+    The caster defines annotation, and knows nothing of renderers and resolver: what differs is
+    wrong.
+
+    Args:
+        out: Output folder, or a USD file.
+        say: Told what is cast.
+
+    Raises:
+        ScenecError: A stage or frame cannot be read.
+    """
     comparisons: dict[tuple[str, str], Comparison] = {}
-    raw = dict.fromkeys(backends, 0)
+    raw: dict[str, Raw] = {}
     count = 0
     for batch in find_batches(out):
         scene = read_stage(batch.stage)
-        with tempfile.TemporaryDirectory() as aside:
-            stems = [_ready(batch, name, scene, Path(aside) / name, say) for name in backends]
-            for of_frame in zip(*stems, strict=True):
-                frames = [read_frame(stem) for stem in of_frame]
-                count += 1
-                for backend, frame in zip(backends, frames, strict=True):
-                    raw[backend] += int(frame.sidecar.get("resolver", {}).get("changed", 0))
-                for backend, frame in zip(backends[1:], frames[1:], strict=True):
-                    for channel in (n for n in frames[0].passes if n in frame.passes):
-                        if channel != "rgb":
-                            pair = Comparison(channel, backends[0], backend)
-                            entry = comparisons.setdefault((backend, channel), pair)
-                            _count(entry, frames[0], frame)
-    return Agreement(tuple(comparisons.values()), raw, count)
+        caster = ExactCaster(scene)
+        backends = sorted(path.name for path in (batch.folder / FRAMES).glob("*") if path.is_dir())
+        if backends:
+            say(f"casting every pixel of {batch.name}'s frames ({', '.join(backends)})")
+        for sample, cameras in enumerate(scene.cameras):
+            for camera in cameras:
+                frames = dict(_current(batch, backends, scene, camera, sample))
+                wanted = [n for n in _union(frames.values()) if n != "rgb"]
+                if not wanted:
+                    continue
+                rays = camera_rays(camera)
+                truth = annotate(scene, settle(caster, rays), rays, wanted)
+                for backend, frame in frames.items():
+                    count += 1
+                    _add_raw(raw.setdefault(backend, Raw()), frame, backend)
+                    for channel in (n for n in wanted if n in frame.passes):
+                        entry = comparisons.setdefault(
+                            (backend, channel), Comparison(channel, "exact", backend)
+                        )
+                        # As frames store it.
+                        dtype = np.uint32 if is_id_pass(channel) else np.float32
+                        own = np.ascontiguousarray(truth[channel], dtype)
+                        entry.pixels += camera.width * camera.height
+                        entry.differing += int(differing(own, frame.passes[channel]).sum())
+    return Agreement(tuple(comparisons.values()), (), raw, count)
 
 
-def _ready(
-    batch: Batch, backend: str, scene: RenderScene, aside: Path, say: Callable[[str], None]
-) -> list[Path]:
-    """Frames of one backend that can be compared, in order; missing ones are rendered first."""
-    missing, unusable = [], []
-    for sample, cameras in enumerate(scene.cameras):
-        stems = [frame_stem(batch.folder, backend, camera.name, sample) for camera in cameras]
-        if not any(stem.with_suffix(".json").is_file() for stem in stems):
-            missing.append(sample)
-        elif not all(
-            _usable(stem, scene, camera) for stem, camera in zip(stems, cameras, strict=True)
-        ):
-            unusable.append(sample)
-    wanted = _annotation(scene)
-    for samples, folder in ((missing, batch.folder), (unusable, aside)):
-        if samples:
-            say(
-                f"rendering the annotation of {len(samples)} samples of {batch.name} with {backend}"
-            )
-            # The stage itself, so that the folder is the one we say.
-            report = render(batch.stage, backend, passes=wanted, samples=samples, folder=folder)
-            if report.failed:
-                raise BackendError(report.failed[0])
-    found: list[Path] = []
-    for sample, cameras in enumerate(scene.cameras):
-        folder = aside if sample in unusable else batch.folder
-        found.extend(frame_stem(folder, backend, camera.name, sample) for camera in cameras)
+def _current(
+    batch: Batch, backends: Sequence[str], scene: RenderScene, camera: Camera, sample: int
+) -> list[tuple[str, Frame]]:
+    """Frames of this sample that were made from this very stage."""
+    found = []
+    for backend in backends:
+        stem = frame_stem(batch.folder, backend, camera.name, sample)
+        if stem.with_suffix(".json").is_file():
+            frame = read_frame(stem)
+            if frame.sidecar.get("stage_digest") == scene.digest:
+                found.append((backend, frame))
     return found
 
 
-def _annotation(scene: RenderScene) -> tuple[str, ...]:
-    """All annotation that any camera asks for."""
-    asked = [name for cameras in scene.cameras for camera in cameras for name in camera.outputs]
-    return tuple(dict.fromkeys(name for name in asked if name != "rgb")) or ANNOTATION
+def _union(frames: Collection[Frame]) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(name for frame in frames for name in frame.passes))
 
 
-def _usable(stem: Path, scene: RenderScene, camera: Camera) -> bool:
-    wanted = [name for name in camera.outputs if name != "rgb"] or ANNOTATION
-    try:
-        frame = read_frame(stem, pass_names(scene, wanted))
-    except FrameError:
-        return False
-    return bool(frame.sidecar.get("stage_digest") == scene.digest)
+def _add_raw(raw: Raw, frame: Frame, backend: str) -> None:
+    """Add what the sidecar says about its renderer's own visibility, if that made it."""
+    statistics = frame.sidecar.get("resolver")
+    made_by = frame.sidecar.get("annotation", {}).get("backend", backend)
+    if isinstance(statistics, dict) and made_by == backend and backend not in ANNOTATION_ONLY:
+        raw.pixels += int(statistics["pixels"])
+        raw.changed += int(statistics["changed"])
+        raw.changed_rows += int(statistics["changed_rows"])
+        raw.cast += int(statistics["suspects"])
 
 
-def _count(entry: Comparison, first: Frame, second: Frame) -> None:
-    a, b = first.passes[entry.channel], second.passes[entry.channel]
-    entry.pixels += int(a.shape[0] * a.shape[1])
-    entry.differing += int(differing(a, b).sum())
+@dataclass
+class _Run:
+    """One comparison under way."""
 
+    backends: Sequence[str]
+    options: CompareOptions
+    say: Say
+    comparisons: dict[tuple[str, str], Comparison] = field(default_factory=dict)
+    radiance: dict[str, RadianceComparison] = field(default_factory=dict)
+    raw: dict[str, Raw] = field(default_factory=dict)
+    pictures: dict[str, list[Path]] = field(default_factory=dict)
+    frames: int = 0
 
-def differing(a: NDArray, b: NDArray) -> NDArray[np.bool_]:
-    """Pixels whose bits differ, bool [h, w]; NaN equals NaN."""
-    same = a.view(np.uint32) == b.view(np.uint32)
-    return ~(same.all(axis=2) if same.ndim == 3 else same)
+    def batch(self, batch: Batch, aside: Path) -> None:
+        scene = read_stage(batch.stage)
+        stems = {name: self._ready(batch, name, scene, aside / name) for name in self.backends}
+        for name in self.backends:
+            self.raw.setdefault(name, Raw())
+        floors = self._floor(batch, scene, aside / "floor")
+        for number, (sample, camera) in enumerate(self._places(scene)):
+            frames = {name: read_frame(of[number]) for name, of in stems.items()}
+            self.frames += 1
+            for name, frame in frames.items():
+                _add_raw(self.raw[name], frame, name)
+            first = frames[self.backends[0]]
+            for name in self.backends[1:]:
+                self._annotation(first, frames[name], name)
+                flip_map = self._radiance(first, frames[name], name, floors, number)
+                file = f"{batch.name}_{camera.name}_{sample:06d}_{self.backends[0]}_{name}.png"
+                self._picture(file, name, first, frames[name], flip_map)
+
+    def _picture(
+        self, file: str, name: str, first: Frame, second: Frame, flip_map: np.ndarray | None
+    ) -> None:
+        made = self.pictures.setdefault(name, [])
+        if self.options.pictures is None:
+            return
+        shown = "rgb" in second.passes and len(made) < self.options.most_pictures
+        if shown or differing_pixels(first, second).any():
+            path = self.options.pictures / file
+            write_differences(path, first, second, flip_map)
+            made.append(path)
+
+    def _annotation(self, first: Frame, second: Frame, name: str) -> None:
+        for channel in (n for n in first.passes if n in second.passes and n != "rgb"):
+            entry = self.comparisons.setdefault(
+                (name, channel), Comparison(channel, self.backends[0], name)
+            )
+            a, b = first.passes[channel], second.passes[channel]
+            entry.pixels += int(a.shape[0] * a.shape[1])
+            entry.differing += int(differing(a, b).sum())
+
+    def _radiance(
+        self, first: Frame, second: Frame, name: str, floors: list[Path], number: int
+    ) -> np.ndarray | None:
+        if "rgb" not in first.passes or "rgb" not in second.passes:
+            return None
+        entry = self.radiance.setdefault(name, RadianceComparison(self.backends[0], name))
+        if floors and floors[number].with_suffix(".json").is_file():
+            found = flip(first, read_frame(floors[number]))
+            entry.floor.append(np.nan if found is None else float(found.mean()))
+        return entry.add(first, second)
+
+    def _places(self, scene: RenderScene) -> list[tuple[int, Camera]]:
+        wanted = self.options.samples
+        return [
+            (sample, camera)
+            for sample, cameras in enumerate(scene.cameras)
+            for camera in cameras
+            if wanted is None or sample in wanted
+        ]
+
+    def _wanted(self, backend: str, camera: Camera) -> tuple[str, ...]:
+        """Passes of a camera that this backend is compared in."""
+        asked = self.options.passes or camera.outputs
+        kept = tuple(name for name in asked if name != "rgb" or backend not in ANNOTATION_ONLY)
+        return kept or ANNOTATION
+
+    def _ready(self, batch: Batch, backend: str, scene: RenderScene, aside: Path) -> list[Path]:
+        """Frames of one backend that can be compared, in order; missing ones are rendered first."""
+        missing, unusable = [], []
+        for sample in sorted({sample for sample, _ in self._places(scene)}):
+            cameras = scene.cameras[sample]
+            stems = [frame_stem(batch.folder, backend, camera.name, sample) for camera in cameras]
+            if not any(stem.with_suffix(".json").is_file() for stem in stems):
+                missing.append(sample)
+            elif not all(
+                self._usable(stem, backend, scene, camera)
+                for stem, camera in zip(stems, cameras, strict=True)
+            ):
+                unusable.append(sample)
+        cameras_asked = [camera for _, camera in self._places(scene)]
+        wanted: tuple[str, ...] | None = None
+        if any(self._wanted(backend, camera) != camera.outputs for camera in cameras_asked):
+            asked = [n for camera in cameras_asked for n in self._wanted(backend, camera)]
+            wanted = tuple(dict.fromkeys(asked))
+        for samples, folder in ((missing, batch.folder), (unusable, aside)):
+            if samples:
+                self._render(batch, backend, wanted, samples, folder)
+        return [
+            frame_stem(aside if sample in unusable else batch.folder, backend, camera.name, sample)
+            for sample, camera in self._places(scene)
+        ]
+
+    def _floor(self, batch: Batch, scene: RenderScene, aside: Path) -> list[Path]:
+        """The first backend's ``rgb`` once more, with other noise."""
+        first = self.backends[0]
+        places = self._places(scene)
+        asked = {n for _, camera in places for n in self._wanted(first, camera)}
+        if not self.options.floor or "rgb" not in asked:
+            return []
+        samples = sorted({sample for sample, _ in places})
+        self._render(batch, first, ("rgb",), samples, aside, noise_seed=1)
+        return [frame_stem(aside, first, camera.name, sample) for sample, camera in places]
+
+    def _render(
+        self,
+        batch: Batch,
+        backend: str,
+        passes: tuple[str, ...] | None,
+        samples: Collection[int],
+        folder: Path,
+        noise_seed: int = 0,
+    ) -> None:
+        self.say(f"rendering {len(samples)} samples of {batch.name} with {backend}")
+        # The stage itself, so that the folder is the one we say.
+        report = render(
+            batch.stage, backend, passes=passes, samples=samples, folder=folder,
+            spp=self.options.spp, noise_seed=noise_seed,
+        )  # fmt: skip
+        if report.failed:
+            raise BackendError(report.failed[0])
+
+    def _usable(self, stem: Path, backend: str, scene: RenderScene, camera: Camera) -> bool:
+        names = self._wanted(backend, camera)
+        wanted = [*(["rgb"] if "rgb" in names else []), *pass_names(scene, names)]
+        try:
+            frame = read_frame(stem, wanted)
+        except FrameError:
+            return False
+        return bool(frame.sidecar.get("stage_digest") == scene.digest)

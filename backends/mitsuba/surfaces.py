@@ -68,10 +68,9 @@ def _plain_look(surfaces: Sequence[Surface], flat: FlatMesh) -> Look:
         if white + metal > 0.0:
             alpha = max(surface.roughness**2, MIN_ALPHA)
             weight, tinted = lobes.get(alpha, (np.zeros(1, "f4"), np.zeros((1, 3), "f4")))
-            lobes[alpha] = (
-                weight + (white + metal) * share,
-                tinted + share[:, None] * (white + metal * color),
-            )
+            # A lobe without metal is white: no color a vertex for it.
+            tint = white + metal * color if metal > 0.0 else np.full((1, 3), white)
+            lobes[alpha] = (weight + (white + metal) * share, tinted + share[:, None] * tint)
     gloss = sum((weight for weight, _ in lobes.values()), np.zeros(1, np.float32))
     left = np.maximum(1.0 - gloss, 1e-6)[:, None]
     attributes: dict[str, NDArray[np.float32]] = {}
@@ -181,11 +180,10 @@ def _glossy(
     total = np.zeros(1, np.float32)
     for number, (alpha, (weight, tinted)) in enumerate(lobes.items()):
         # White where there is nothing to tint.
-        tint = np.divide(
-            tinted, weight[:, None], out=np.ones((len(weight), 3), "f4"), where=weight[:, None] > 0
-        )
+        of = weight[:, None]
+        tint = np.where(of > 0.0, tinted / np.maximum(of, np.float32(1e-30)), np.float32(1.0))
         tint = np.clip(tint, 0.0, 1.0)
-        white = bool(np.all(tint == 1.0))
+        white = bool(np.all(tint > 1.0 - 1e-6))
         lobe = _ggx(alpha, None if white else _texture(tint, f"vertex_tint_{number}", attributes))
         total = total + weight
         part = np.divide(weight, total, out=np.zeros_like(total), where=total > 0.0)
