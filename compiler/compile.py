@@ -27,6 +27,7 @@ from scenec.schemas.files import (
     write_json,
 )
 from scenec.schemas.manifest import FRAMES, MANIFEST, MANIFEST_FORMAT, REPORT, TIMINGS
+from scenec.schemas.materialx import LAYER_SUFFIX
 
 #: Whose version can change the bytes of the output.
 _LIBRARIES = ("numpy", "numba", "scipy", "usd-core", "openexr")
@@ -212,6 +213,7 @@ def _role(path: Path) -> str:
     return {
         STAGE: "root layer: open this",
         "terrain.usdc": "terrain",
+        f"terrain{LAYER_SUFFIX}": "mix of the ground's materials, for MaterialX",
         "lights.usda": "sun and sky",
         "cameras.usda": "rigs, cameras, render products",
         REPORT: "error of every pass, counts, what was left out",

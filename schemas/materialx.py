@@ -17,6 +17,9 @@ CONTEXT = "mtlx"
 LAYER_SUFFIX = ".mtlx.usda"
 #: Output of every node below.
 OUTPUT = "out"
+#: MaterialX's names of color spaces; it does not know all of USD's.
+LINEAR = "lin_rec709"
+SRGB = "srgb_texture"
 
 
 @dataclass(frozen=True)
@@ -31,7 +34,10 @@ class NodeType:
 NODES: dict[str, NodeType] = {
     "ND_surface": NodeType({"bsdf": "token"}, "token"),
     "ND_mix_bsdf": NodeType({"fg": "token", "bg": "token", "mix": "float"}, "token"),
-    "ND_oren_nayar_diffuse_bsdf": NodeType({"color": "color3f", "normal": "float3"}, "token"),
+    "ND_add_bsdf": NodeType({"in1": "token", "in2": "token"}, "token"),
+    "ND_oren_nayar_diffuse_bsdf": NodeType(
+        {"weight": "float", "color": "color3f", "normal": "float3"}, "token"
+    ),
     "ND_generalized_schlick_bsdf": NodeType(
         {"color0": "color3f", "color90": "color3f", "roughness": "float2", "normal": "float3"},
         "token",

@@ -14,11 +14,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pxr import Tf, Usd, UsdGeom, UsdRender, UsdValidation
+from pxr import Tf, Usd, UsdGeom, UsdRender, UsdShade, UsdValidation
 
 from scenec.backends.check.finding import Finding
 from scenec.backends.reader.cameras import intrinsics_from_apertures
 from scenec.backends.reader.labels import LabelTable, read_table
+from scenec.schemas import materialx
 from scenec.schemas import stage as names
 from scenec.schemas.errors import StageError
 
@@ -243,6 +244,29 @@ def _resolution_of(camera: Usd.Prim) -> tuple[int, int] | None:
     return None
 
 
+def _materialx(prim: Usd.Prim, table: LabelTable) -> Iterator[str]:
+    """Inputs and outputs of our MaterialX nodes are those of their kind, connected to the like."""
+    if not _is_our_materialx(prim):
+        # A foreign node may take what ours never do.
+        return
+    shader = UsdShade.Shader(prim)
+    kind = materialx.NODES[shader.GetShaderId()]
+    for plug in shader.GetInputs():
+        expected = kind.inputs.get(plug.GetBaseName())
+        if expected is None:
+            yield f"{shader.GetShaderId()} has no input {plug.GetBaseName()}"
+        elif str(plug.GetTypeName()) != expected:
+            yield f"input {plug.GetBaseName()} is {plug.GetTypeName()}, expected {expected}"
+        for attribute in plug.GetValueProducingAttributes():
+            if attribute.GetTypeName() != plug.GetTypeName():
+                yield f"input {plug.GetBaseName()} takes {attribute.GetPath()}, of another type"
+        if not plug.GetValueProducingAttributes():
+            yield f"input {plug.GetBaseName()} has neither a value nor a source"
+    for output in shader.GetOutputs():
+        if (output.GetBaseName(), str(output.GetTypeName())) != (materialx.OUTPUT, kind.output):
+            yield f"{shader.GetShaderId()} has no output {output.GetBaseName()} of that type"
+
+
 _RULES: tuple[tuple[str, Any, Rule], ...] = (
     ("mesh-topology", UsdGeom.Mesh, _mesh_topology),
     ("mesh-labels", UsdGeom.Mesh, _mesh_labels),
@@ -250,6 +274,7 @@ _RULES: tuple[tuple[str, Any, Rule], ...] = (
     ("instancer-arrays", UsdGeom.PointInstancer, _instancer_arrays),
     ("instancer-ids", UsdGeom.PointInstancer, _instancer_ids),
     ("camera", UsdGeom.Camera, _camera),
+    ("materialx", UsdShade.Shader, _materialx),
 )
 
 
@@ -274,14 +299,33 @@ def _usd_validation(stage: Usd.Stage) -> Iterator[Finding]:
     registry = UsdValidation.ValidationRegistry()
     context = UsdValidation.ValidationContext(registry.GetOrLoadAllValidators())
     for error in context.Validate(stage):
-        sites = [str(s.GetPrim().GetPath()) for s in error.GetSites() if s.GetPrim()]
+        prims = [
+            site.GetProperty().GetPrim() if site.IsProperty() else site.GetPrim()
+            for site in error.GetSites()
+            if site.IsProperty() or site.IsPrim()
+        ]
+        if error.GetName() == "MissingShaderIdInRegistry" and prims and _is_our_materialx(prims[0]):
+            continue
         severe = error.GetType() == UsdValidation.ValidationErrorType.Error
         yield Finding(
             f"UsdValidation:{error.GetName()}",
             "error" if severe else "warning",
-            sites[0] if sites else "stage",
+            str(prims[0].GetPath()) if prims else "stage",
             " ".join(error.GetMessage().split()),
         )
+
+
+def _is_our_materialx(prim: Usd.Prim) -> bool:
+    """Whether a shader is a node that the compiler writes, in a layer where it writes them.
+
+    usd-core has no MaterialX library and so takes every such node for unknown. This is all that is
+    allowed: a misspelled node, or one in another layer, stays an error. ``_materialx`` checks what
+    can be checked without the library.
+    """
+    if UsdShade.Shader(prim).GetShaderId() not in materialx.NODES:
+        return False
+    authored = prim.GetAttribute("info:id").GetPropertyStack(Usd.TimeCode.Default())
+    return bool(authored) and authored[0].layer.identifier.endswith(materialx.LAYER_SUFFIX)
 
 
 def _targets(prim: Usd.Prim, name: str) -> list[Any]:

@@ -11,11 +11,13 @@ from scenec.compiler.emit.layer import author, constant_label_ids, label, new_la
 from scenec.compiler.emit.lights import write_lights
 from scenec.compiler.emit.looks import write_look
 from scenec.compiler.emit.maps import copy_maps
+from scenec.compiler.emit.materialx import mixed_materials, write_ground_mix, write_material
 from scenec.compiler.emit.objects import instancer_path, write_scatter
 from scenec.compiler.emit.terrain import write_terrain
 from scenec.compiler.scene import Labels, Scene
 from scenec.schemas import stage as names
 from scenec.schemas.errors import SceneError
+from scenec.schemas.materialx import LAYER_SUFFIX
 
 STAGE = "stage.usda"
 _LARGEST_ID = 2**32 - 1
@@ -25,7 +27,8 @@ def write_batch(folder: Path, scene: Scene) -> None:
     """Writes ``stage.usda`` and its sublayers and textures into an empty folder.
 
     Each object class and each material has a layer of its own, so adding one leaves the bytes of
-    all other layers as they were; only the root layer, which lists them, changes.
+    all other layers as they were; only the root layer, which lists them, changes. The MaterialX
+    network of the mixed ground depends on all the ground's materials, and has a layer, too.
 
     Raises:
         SceneError: More instances than ids.
@@ -42,16 +45,30 @@ def write_batch(folder: Path, scene: Scene) -> None:
             {level: scatter.labels[level] for level in scene.label_table},
             _named(scene, scatter.labels),
         )
-    for name, material in scene.materials.items():
-        sublayers.append(f"looks/{name}.usda")
-        maps = copy_maps(folder, name, material)
-        write_look(folder / sublayers[-1], name, material, maps)
+    sublayers.extend(_write_looks(folder, scene))
     if scene.sun is not None or scene.sky is not None:
         sublayers.append("lights.usda")
         write_lights(folder / sublayers[-1], scene.sun, scene.sky)
     sublayers.append("cameras.usda")
     write_cameras(folder / sublayers[-1], scene)
     _write_root(folder / STAGE, scene, sublayers)
+
+
+def _write_looks(folder: Path, scene: Scene) -> list[str]:
+    """Writes what all is made of; returns the layers' names."""
+    sublayers = []
+    mixed = mixed_materials(scene.ground) if scene.materials else ()
+    maps = {name: copy_maps(folder, name, made) for name, made in scene.materials.items()}
+    for name, material in scene.materials.items():
+        sublayers.append(f"looks/{name}.usda")
+        write_look(folder / sublayers[-1], name, material, maps[name])
+        if name not in mixed:
+            sublayers.append(f"looks/{name}{LAYER_SUFFIX}")
+            write_material(folder / sublayers[-1], name, material, maps[name])
+    if mixed:
+        sublayers.append(f"terrain{LAYER_SUFFIX}")
+        write_ground_mix(folder / sublayers[-1], mixed, scene.materials, maps)
+    return sublayers
 
 
 def _named(scene: Scene, labels: Labels) -> dict[str, str]:

@@ -75,14 +75,18 @@ def write_look(path: Path, name: str, material: Material, maps: dict[str, str]) 
         )
 
 
+def is_encoded(kind: str, file: str) -> bool:
+    """Whether a map's values are colors in sRGB's transfer function."""
+    return kind == "base_color" and not file.endswith(".exr")
+
+
 def _write_maps(prim: Usd.Prim, maps: MaterialMaps, files: dict[str, str]) -> None:
     for kind, file in files.items():
         attribute = prim.CreateAttribute(
             names.ATTR_MAPS[kind], Sdf.ValueTypeNames.Asset, custom=True
         )
         attribute.Set(Sdf.AssetPath(f"../{file}"))
-        encoded = kind == "base_color" and not file.endswith(".exr")
-        attribute.SetColorSpace("srgb_rec709_scene" if encoded else _RAW[kind])
+        attribute.SetColorSpace("srgb_rec709_scene" if is_encoded(kind, file) else _RAW[kind])
     prim.CreateAttribute(names.ATTR_MAP_SIZE, Sdf.ValueTypeNames.Double, custom=True).Set(
         maps.size_m
     )

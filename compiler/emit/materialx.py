@@ -2,11 +2,11 @@
 
 They are derived from the numbers that backends read and say the same: the shared surface model
 (1-m) * ((1-s) * Lambert(c) + s * GGX(white)) + m * GGX(c) in nodes of MaterialX's physically based
-library, which every generator of MaterialX shaders knows (Storm's, and so usdview's, among them):
-its standard surface would have put a Fresnel term of its own on the glossy part. The diffuse node
-is Lambert's law at roughness 0; the Schlick node with equal colors at 0 and 90 degrees is a GGX
-lobe without Fresnel. What is left between the two is the energy that MaterialX gives back to rough
-lobes for light that bounces between facets.
+library, which every generator of MaterialX shaders knows (Storm's, and so usdview's, among them);
+its standard surface would put a Fresnel term of its own on the glossy part. The diffuse node is
+Lambert's law at roughness 0, the Schlick node with equal colors at 0 and 90 degrees a GGX lobe
+without Fresnel. What is left between the two is the energy that MaterialX gives back to rough lobes
+for light that bounces between facets.
 
 Materials of a mixed ground all show the same network, the mix of all layers by the weights on the
 vertices, whichever label a face has. It stands once, as a class that they inherit.
@@ -19,19 +19,20 @@ from pathlib import Path
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade
 
 from scenec.compiler.emit.layer import new_layer
-from scenec.compiler.emit.looks import LOOKS, look_path, map_asset
+from scenec.compiler.emit.looks import LOOKS, is_encoded, look_path
 from scenec.compiler.scene import Ground, Material
 from scenec.schemas import materialx as mtlx
 from scenec.schemas import stage as names
 
 #: Class that the ground's materials inherit; no child of LOOKS, where the cfg gives the names.
 GROUND_MIX = f"{names.ROOT}/GroundMix"
+_X_AXIS = Gf.Vec3f(1.0, 0.0, 0.0)
 
-Value = UsdShade.Output | Gf.Vec2f | Gf.Vec3f | Sdf.AssetPath | float | str
+type Value = UsdShade.Output | Gf.Vec2f | Gf.Vec3f | Sdf.AssetPath | float | str
 
 
 def mixed_materials(ground: Ground) -> tuple[str, ...]:
-    """Names of the ground's layers, base first, where there is something to mix."""
+    """Materials of the ground's layers, base first; none where there is nothing to mix."""
     layers = tuple(layer.material for layer in ground.layers)
     return layers if len(layers) > 1 else ()
 
@@ -47,11 +48,12 @@ def write_material(path: Path, name: str, material: Material, maps: dict[str, st
     """
     with new_layer(path) as stage:
         UsdGeom.Scope.Define(stage, LOOKS)
-        network = _Network(stage, stage.OverridePrim(look_path(name)))
-        network.end(_layer(network, "", material, {k: f"../{v}" for k, v in maps.items()}))
+        network = _Network(stage, UsdShade.Material.Define(stage, look_path(name)))
+        files = {kind: f"../{file}" for kind, file in maps.items()}
+        network.end(_Layer(network, "", material, files).bsdf())
 
 
-def write_ground(
+def write_ground_mix(
     path: Path,
     layers: tuple[str, ...],
     materials: dict[str, Material],
@@ -63,100 +65,207 @@ def write_ground(
         path: The layer, in the batch's folder.
         layers: Materials from the base up, two or more.
         materials: By name.
-        maps: By name of the material, its maps by kind, relative to the batch's folder.
+        maps: Of each material, its maps by kind, relative to the batch's folder.
     """
     with new_layer(path) as stage:
-        UsdGeom.Scope.Define(stage, LOOKS)
-        mix = UsdShade.Material.Define(stage, GROUND_MIX).GetPrim()
+        mix = UsdShade.Material.Define(stage, GROUND_MIX)
         stage.GetRootLayer().GetPrimAtPath(GROUND_MIX).specifier = Sdf.SpecifierClass
         network = _Network(stage, mix)
-        mixed = None
+        mixed: UsdShade.Output | None = None
         for i, name in enumerate(layers):
-            layer = _layer(
-                network, f"layer{i}_", materials[name], {k: f"./{v}" for k, v in maps[name].items()}
-            )
+            files = {kind: f"./{file}" for kind, file in maps[name].items()}
+            layer = _Layer(network, f"layer{i}_", materials[name], files).bsdf()
             if mixed is None:
                 mixed = layer
-                continue
-            weight = network.node(
-                f"weight{i}", "ND_geompropvalue_float", {"geomprop": names.weight_primvar(i)}
-            )
-            mixed = network.mix(f"merge{i}", mixed, layer, weight)
+            else:
+                mixed = network.mix(f"merge{i}", mixed, layer, network.weight(i))
         network.end(mixed)
         for name in dict.fromkeys(layers):
-            look = stage.OverridePrim(look_path(name))
-            look.GetInherits().AddInherit(GROUND_MIX)
-            # Where nothing is mixed, on a rock or a viewer's ball, a material shows itself.
+            stage.OverridePrim(look_path(name)).GetInherits().AddInherit(GROUND_MIX)
+            # Where there are no weights, on a rock or a viewer's ball, a material shows itself.
             own = max(i for i, layer in enumerate(layers) if layer == name)
             if own > 0:
-                weight = UsdShade.Shader(stage.OverridePrim(f"{look_path(name)}/weight{own}"))
-                weight.CreateInput("default", Sdf.ValueTypeNames.Float).Set(1.0)
+                weight = stage.OverridePrim(f"{look_path(name)}/{_weight_node(own)}")
+                UsdShade.Shader(weight).CreateInput("default", Sdf.ValueTypeNames.Float).Set(1.0)
+
+
+def _weight_node(merge: int) -> str:
+    return f"weight{merge}"
 
 
 class _Network:
-    """Nodes under a Material, each written when first asked for."""
+    """Nodes under a Material, each written when it is first asked for."""
 
-    def __init__(self, stage: Usd.Stage, prim: Usd.Prim) -> None:
+    def __init__(self, stage: Usd.Stage, material: UsdShade.Material) -> None:
         self._stage = stage
-        self._prim = prim
+        self._material = material
         self._made: dict[str, UsdShade.Output] = {}
 
-    def node(self, name: str, node_id: str, inputs: dict[str, Value]) -> UsdShade.Output:
-        """The output of a node; the one of that name if there is one."""
+    def node(self, name: str, node_id: str, **inputs: Value) -> UsdShade.Output:
+        """The output of a node; of that which has the name already, if there is one.
+
+        Args:
+            name: Of the prim.
+            node_id: Key of ``schemas.materialx.NODES``.
+            inputs: Constants, or outputs to connect; ``in_`` stands for the input "in".
+        """
         if name in self._made:
             return self._made[name]
         kind = mtlx.NODES[node_id]
-        shader = UsdShade.Shader.Define(self._stage, self._prim.GetPath().AppendChild(name))
+        shader = UsdShade.Shader.Define(self._stage, self._material.GetPath().AppendChild(name))
         shader.CreateIdAttr(node_id)
         for key, value in inputs.items():
+            key = key.rstrip("_")
             made = shader.CreateInput(key, Sdf.ValueTypeNames.Find(kind.inputs[key]))
             if isinstance(value, UsdShade.Output):
                 made.ConnectToSource(value)
             else:
                 made.Set(value)
-        self._made[name] = shader.CreateOutput(
-            mtlx.OUTPUT, Sdf.ValueTypeNames.Find(kind.output)
-        )
-        return self._made[name]
+                if kind.inputs[key] == "color3f":
+                    made.GetAttr().SetColorSpace(mtlx.LINEAR)
+        output = shader.CreateOutput(mtlx.OUTPUT, Sdf.ValueTypeNames.Find(kind.output))
+        self._made[name] = output
+        return output
 
     def mix(
-        self, name: str, below: UsdShade.Output, above: UsdShade.Output, amount: Value
+        self, name: str, below: UsdShade.Output | None, above: UsdShade.Output, amount: Value
     ) -> UsdShade.Output:
-        """(1 - amount) * below + amount * above."""
-        return self.node(name, "ND_mix_bsdf", {"bg": below, "fg": above, "mix": amount})
+        """(1 - amount) * below + amount * above; ``above`` alone on nothing."""
+        if below is None:
+            return above
+        return self.node(name, "ND_mix_bsdf", bg=below, fg=above, mix=amount)
+
+    def weight(self, merge: int) -> UsdShade.Output:
+        """Weight of a merge on the ground's vertices."""
+        return self.node(
+            _weight_node(merge), "ND_geompropvalue_float", geomprop=names.weight_primvar(merge)
+        )
 
     def end(self, bsdf: UsdShade.Output) -> None:
-        """The surface, as the material's output for MaterialX."""
-        surface = self.node("MaterialX", "ND_surface", {"bsdf": bsdf})
-        UsdShade.Material(self._prim).CreateSurfaceOutput(mtlx.CONTEXT).ConnectToSource(surface)
-        # The schema is UsdMtlx's, which usd-core lacks: its name and its one attribute are enough.
-        self._prim.AddAppliedSchema("MaterialXConfigAPI")
-        self._prim.CreateAttribute(
-            "config:mtlx:version", Sdf.ValueTypeNames.String, custom=False
-        ).Set(mtlx.VERSION)
+        """Makes a BSDF the material's surface for MaterialX."""
+        surface = self.node("MaterialX", "ND_surface", bsdf=bsdf)
+        self._material.CreateSurfaceOutput(mtlx.CONTEXT).ConnectToSource(surface)
+        # UsdMtlx's schema, which usd-core lacks. Without it the nodes pass for version 1.38.
+        prim = self._material.GetPrim()
+        prim.AddAppliedSchema("MaterialXConfigAPI")
+        prim.CreateAttribute("config:mtlx:version", Sdf.ValueTypeNames.String, custom=False).Set(
+            mtlx.VERSION
+        )
 
 
-def _layer(
-    network: _Network, prefix: str, material: Material, maps: dict[str, str]
-) -> UsdShade.Output:
-    """BSDF of one material; names of its nodes begin with ``prefix``."""
-    shared: dict[str, Value] = {}
-    if "normal" in maps:
-        shared["normal"] = _normal(network, prefix, material, maps["normal"])
-    metallic: Value = material.metallic
-    if "metallic" in maps:
-        metallic = _picture(network, prefix, "metallic", "ND_image_float", material, maps)
-    dielectric = not (isinstance(metallic, float) and metallic == 1.0)
-    color = _color(network, prefix, material, maps)
-    bsdf: UsdShade.Output | None = None
-    if dielectric and material.specular < 1.0:
-        inputs = {"color": color, **shared}
-        bsdf = network.node(f"{prefix}diffuse", "ND_oren_nayar_diffuse_bsdf", inputs)
-    if dielectric and material.specular > 0.0:
-        gloss = _ggx(network, prefix, "gloss", Gf.Vec3f(1.0), material, maps, shared)
-        bsdf = network.mix(f"{prefix}glossy", bsdf, gloss, material.specular) if bsdf else gloss
-    if "metallic" in maps or material.metallic > 0.0:
-        metal = _ggx(network, prefix, "metal", color, material, maps, shared)
-        bsdf = network.mix(f"{prefix}metallic", bsdf, metal, metallic) if bsdf else metal
-    assert bsdf is not None
-    return bsdf
+class _Layer:
+    """One material's part of a network; the names of its own nodes begin with a prefix."""
+
+    def __init__(
+        self, network: _Network, prefix: str, material: Material, files: dict[str, str]
+    ) -> None:
+        self._network = network
+        self._prefix = prefix
+        self._material = material
+        self._files = files
+
+    def bsdf(self) -> UsdShade.Output:
+        """The whole surface, lobes that have no part in it left out."""
+        material, mix = self._material, self._network.mix
+        mapped = "metallic" in self._files
+        metallic = self._picture("metallic", "ND_image_float") if mapped else material.metallic
+        color = self._color()
+        normal = {"normal": self._normal()} if "normal" in self._files else {}
+        found: UsdShade.Output | None = None
+        if mapped or material.metallic < 1.0:
+            found = self._dielectric(color, normal)
+        if mapped or material.metallic > 0.0:
+            metal = self._ggx("metal", color, normal)
+            found = mix(f"{self._prefix}metallic", found, metal, metallic)
+        return found
+
+    def _node(self, name: str, node_id: str, **inputs: Value) -> UsdShade.Output:
+        return self._network.node(f"{self._prefix}{name}", node_id, **inputs)
+
+    def _dielectric(self, color: Value, normal: dict[str, Value]) -> UsdShade.Output:
+        """(1-s) * Lambert(color) + s * GGX(white).
+
+        The share is the color of the lobe, not its weight: MaterialX then gives back energy in
+        proportion to the square of s, next to nothing, where a white lobe's would be far off.
+        """
+        specular = self._material.specular
+        weight = {"weight": 1.0 - specular} if specular > 0.0 else {}
+        diffuse = self._node(
+            "diffuse", "ND_oren_nayar_diffuse_bsdf", color=color, **weight, **normal
+        )
+        if specular == 0.0:
+            return diffuse
+        gloss = self._ggx("gloss", Gf.Vec3f(specular), normal)
+        return self._node("glossy", "ND_add_bsdf", in1=diffuse, in2=gloss)
+
+    def _ggx(self, name: str, color: Value, normal: dict[str, Value]) -> UsdShade.Output:
+        alpha: Value = Gf.Vec2f(self._material.roughness * self._material.roughness)
+        if "roughness" in self._files:
+            roughness = self._picture("roughness", "ND_image_float")
+            alpha = self._node("alpha", "ND_roughness_anisotropy", roughness=roughness)
+        return self._node(
+            name,
+            "ND_generalized_schlick_bsdf",
+            color0=color,
+            color90=color,
+            roughness=alpha,
+            **normal,
+        )
+
+    def _color(self) -> Value:
+        """base_color * map * (1 + variation * v), clipped to [0, 1] if it can leave that."""
+        material, file = self._material, self._files.get("base_color")
+        color: Value = Gf.Vec3f(*material.base_color)
+        if file is not None:
+            picture = self._picture("base_color", "ND_image_color3")
+            if material.base_color != (1.0, 1.0, 1.0):
+                picture = self._node("tinted", "ND_multiply_color3", in1=picture, in2=color)
+            color = picture
+        if material.variation > 0.0:
+            value = self._network.node(
+                "variation", "ND_geompropvalue_float", geomprop=names.PRIMVAR_VARIATION
+            )
+            part = self._node("part", "ND_multiply_float", in1=value, in2=material.variation)
+            factor = self._node("factor", "ND_add_float", in1=part, in2=1.0)
+            color = self._node("varied", "ND_multiply_color3FA", in1=color, in2=factor)
+        floating = file is not None and not is_encoded("base_color", file)
+        if floating or max(material.base_color) * (1.0 + material.variation) > 1.0:
+            color = self._node("clipped", "ND_clamp_color3", in_=color)
+        return color
+
+    def _picture(self, kind: str, node_id: str) -> UsdShade.Output:
+        """A map, laid over the ground from above: u = x / size, v = y / size."""
+        assert self._material.maps is not None
+        node = self._network.node
+        position = node("position", "ND_position_vector3", space="world")
+        xy = node("xy", "ND_convert_vector3_vector2", in_=position)
+        size = self._material.maps.size_m
+        uv = self._node("uv", "ND_divide_vector2FA", in1=xy, in2=size)
+        file = self._files[kind]
+        output = self._node(f"{kind}_map", node_id, file=Sdf.AssetPath(file), texcoord=uv)
+        if kind == "base_color":
+            attribute = UsdShade.Shader(output.GetPrim()).GetInput("file").GetAttr()
+            attribute.SetColorSpace(mtlx.SRGB if is_encoded(kind, file) else mtlx.LINEAR)
+        return output
+
+    def _normal(self) -> UsdShade.Output:
+        """Normal of the map in a frame of the surface whose tangent is the world's x axis in it."""
+        assert self._material.maps is not None
+        node = self._network.node
+        up = node("normal", "ND_normal_vector3", space="world")
+        along = node("normal_x", "ND_dotproduct_vector3", in1=up, in2=_X_AXIS)
+        lift = node("normal_part", "ND_multiply_vector3FA", in1=up, in2=along)
+        flat = node("tangent_part", "ND_subtract_vector3", in1=_X_AXIS, in2=lift)
+        tangent = node("tangent", "ND_normalize_vector3", in_=flat)
+        bitangent = node("bitangent", "ND_crossproduct_vector3", in1=up, in2=tangent)
+        flip = self._material.maps.normal_convention == "directx"
+        scale: dict[str, Value] = {"scale": Gf.Vec2f(1.0, -1.0)} if flip else {}
+        return self._node(
+            "bumped",
+            "ND_normalmap_vector2",
+            in_=self._picture("normal", "ND_image_vector3"),
+            **scale,
+            normal=up,
+            tangent=tangent,
+            bitangent=bitangent,
+        )
