@@ -28,7 +28,8 @@ class Picture:
         relative_error: sqrt(mean(((A - B) / 2)**2)) / mean(rgb of surfaces), over all pixels and
             channels that surfaces cover; A and B are the two halves. ((A - B) / 2)**2 is an
             unbiased estimate of the variance of the mean (A + B) / 2, so this estimates the rms
-            error over the mean. 0 where nothing is covered, None (unknown) where light overflowed.
+            error over the mean. 0 where nothing is covered, None (unknown) where light overflowed
+            or is no Monte Carlo estimate. Of a denoised picture it is the error before denoising.
         relative_mse: mean(((A - B) / 2)**2 / (m**2 + 0.01 * mean(m)**2)) with m = (A + B) / 2: the
             usual relMSE, which weighs dark pixels as much as bright ones.
     """
@@ -39,18 +40,19 @@ class Picture:
 
 
 def compose(radiance: Radiance, scene: RenderScene, camera: Camera, sample: int) -> Picture:
-    """Mean of the halves, plus (1 - coverage) * (sky + suns' discs)."""
+    """Mean of the halves (denoised, if it was), plus (1 - coverage) * (sky + suns' discs)."""
     halves = radiance.halves.astype(np.float64)
     mean = 0.5 * (halves[0] + halves[1])
     variance = (0.5 * (halves[0] - halves[1])) ** 2
     open_sky = 1.0 - radiance.coverage.astype(np.float64)
-    rgb = mean + open_sky[..., None] * background(scene, camera, sample, open_sky > 0.0)
+    light = mean if radiance.denoised is None else radiance.denoised.astype(np.float64)
+    rgb = light + open_sky[..., None] * background(scene, camera, sample, open_sky > 0.0)
 
     covered = radiance.coverage > 0.0
     level = float(mean[covered].mean()) if covered.any() else 0.0
     error: float | None = 0.0
     relative_mse: float | None = 0.0
-    if not np.isfinite(level):
+    if not radiance.stochastic or not np.isfinite(level):
         error = relative_mse = None
     elif level > 0.0:
         error = float(np.sqrt(variance[covered].mean())) / level

@@ -35,7 +35,7 @@ def write_frame(
         scene: The stage it shows.
         camera: The camera it was seen by.
         sample: Time code.
-        details: More for the sidecar: ``seconds``, ``estimated_error``, ``resolver`` ...
+        details: More for the sidecar: what ``Session.render`` returns.
 
     Raises:
         OutputError: A file cannot be written.

@@ -1,16 +1,21 @@
-"""The parent's side of a worker process: start, ask, notice its death, start again."""
+"""The parent's side of a worker process: start, ask, notice its end, start again."""
 
 from __future__ import annotations
 
 import contextlib
 import json
+import queue
 import signal
 import subprocess
 import sys
 import tempfile
+import threading
 from collections.abc import Callable
-from typing import Any, Self
+from dataclasses import replace
+from typing import IO, Any, Self
 
+from scenec.backends.memory import GB, default_limit
+from scenec.backends.watch import Growth, Limits, Watch
 from scenec.schemas import errors
 from scenec.schemas.errors import BackendError, ScenecError
 
@@ -19,7 +24,7 @@ RETRIES = 2
 
 
 class WorkerDiedError(Exception):
-    """The process ended without an answer; the text says how."""
+    """The process ended, or was ended, without an answer; the text says how."""
 
 
 class FrameLostError(BackendError):
@@ -29,16 +34,41 @@ class FrameLostError(BackendError):
 class WorkerProcess:
     """One worker; ends with the ``with`` block, or with this process.
 
+    A worker that crashes, hangs, takes too long or grows too large is ended and replaced, and its
+    request asked again; one that would grow too large is replaced before its next frame.
+
     Args:
         on_death: Called with one line whenever a worker dies and its request is tried again.
+        limits: What a worker may take.
+        on_replace: Called with one line whenever a worker is replaced before it grows too large.
+
+    Attributes:
+        deaths: Workers that died, or were ended amid a request.
+        replaced: Workers that were replaced between two frames.
     """
 
-    def __init__(self, on_death: Callable[[str], None] | None = None) -> None:
+    def __init__(
+        self,
+        on_death: Callable[[str], None] | None = None,
+        limits: Limits | None = None,
+        on_replace: Callable[[str], None] | None = None,
+    ) -> None:
         self._on_death = on_death or (lambda line: None)
+        self._on_replace = on_replace or (lambda line: None)
+        limits = limits or Limits()
+        if limits.memory_bytes is None:
+            limits = replace(limits, memory_bytes=default_limit())
+        self._limits = limits
         self._process: subprocess.Popen[str] | None = None
+        self._answers: queue.SimpleQueue[str] = queue.SimpleQueue()
         self._log: Any = None
+        self._watch: Watch | None = None
+        self._growth = Growth(None)
         self._opened: dict[str, Any] | None = None
+        self._frames = 0
+        self._peak = 0.0
         self.deaths = 0
+        self.replaced = 0
 
     def __enter__(self) -> Self:
         return self
@@ -69,21 +99,27 @@ class WorkerProcess:
             ScenecError: What the worker says, in its own class.
             FrameLostError: RETRIES + 1 workers died over it.
         """
+        self._replace_if_grown()
         for attempt in range(RETRIES + 1):
             try:
                 if self._process is None:
                     self._start()
                     if self._opened is not None:
                         _checked(self._exchange(self._opened))
-                return _checked(self._exchange(request))
+                answer = _checked(self._exchange(request))
+                self._frames += self._opened is not None
+                # The worker's own count misses nothing between two looks.
+                self._peak = GB * (answer.get("peak_memory_gb") or 0.0)
+                return answer
             except WorkerDiedError as death:
                 self.deaths += 1
                 self.close()
                 if attempt == RETRIES:
                     raise FrameLostError(
-                        f"{what}: the worker process died {RETRIES + 1} times ({death})"
+                        f"{what}: given up after {RETRIES + 1} tries: the last worker process "
+                        f"{death}"
                     ) from death
-                self._on_death(f"{what}: the worker process died ({death}); trying again")
+                self._on_death(f"{what}: the worker process {death}; trying again")
         raise AssertionError("unreachable")
 
     def close(self) -> None:
@@ -98,9 +134,9 @@ class WorkerProcess:
                 process.wait(timeout=5.0)
             except subprocess.TimeoutExpired:
                 process.kill()
+                if self._watch is not None:
+                    self._watch.kill()
                 process.wait()
-            if process.stdout is not None:
-                process.stdout.close()
         if self._log is not None:
             self._log.close()
             self._log = None
@@ -121,39 +157,91 @@ class WorkerProcess:
             text=True,
             encoding="utf-8",
         )
+        assert self._process.stdout is not None
+        self._answers = queue.SimpleQueue()
+        # A thread reads, so that waiting can be broken off to look at the process.
+        threading.Thread(
+            target=_pass_on, args=(self._process.stdout, self._answers), daemon=True
+        ).start()
+        self._watch = Watch(self._process.pid, self._limits)
+        self._growth = Growth(self._limits.memory_bytes)
+        self._frames = 0
+
+    def _replace_if_grown(self) -> None:
+        """Note what the last frame left behind; end a worker that should not make another."""
+        if self._process is None or self._watch is None or self._frames == 0:
+            return
+        peak = max(self._watch.peak, round(self._peak))
+        self._watch.measure()
+        self._growth.add(self._watch.memory, peak)
+        reason = self._growth.reason()
+        if reason is not None:
+            self.close()
+            self.replaced += 1
+            self._on_replace(f"the worker process {reason}: replaced by a fresh one")
 
     def _exchange(self, request: dict[str, Any]) -> dict[str, Any]:
-        process = self._process
+        process, watch = self._process, self._watch
         assert process is not None
         assert process.stdin is not None
-        assert process.stdout is not None
+        assert watch is not None
         try:
+            watch.begin(fresh=self._frames == 0)
             process.stdin.write(json.dumps(request) + "\n")
             process.stdin.flush()
-            line = process.stdout.readline()
+            line = self._wait(watch)
         except BrokenPipeError:
             line = ""
         except KeyboardInterrupt:
-            process.kill()
+            watch.kill()
+            process.wait()
             raise
         if not line.endswith("\n"):
             process.wait()
-            raise WorkerDiedError(self._cause(process.returncode))
+            raise WorkerDiedError(f"died ({self._cause(process.returncode, watch.memory)})")
         answer: dict[str, Any] = json.loads(line)
         return answer
 
-    def _cause(self, status: int) -> str:
+    def _wait(self, watch: Watch) -> str:
+        """The answer's line; without an end of line if the worker ended instead.
+
+        Raises:
+            WorkerDiedError: The worker is past its limits, and has been ended.
+        """
+        while True:
+            with contextlib.suppress(queue.Empty):
+                return self._answers.get(timeout=self._limits.poll_s)
+            verdict = watch.look()
+            if verdict is not None:
+                watch.kill()
+                raise WorkerDiedError(verdict)
+
+    def _cause(self, status: int, memory: int) -> str:
         if status < 0:
             try:
                 cause = f"signal {signal.Signals(-status).name}"
             except ValueError:
                 cause = f"signal {-status}"
+            if -status == signal.SIGKILL:
+                # The kernel leaves no word to the process it kills for its memory.
+                held = f", it held {memory / GB:.2f} GB" if memory else ""
+                cause += f", out of memory?{held}"
         else:
             cause = f"exit status {status}"
         self._log.seek(0, 2)
         self._log.seek(max(0, self._log.tell() - 4096))
         lines = self._log.read().decode(errors="replace").strip().splitlines()
         return f"{cause}: {lines[-1].strip()}" if lines else cause
+
+
+def _pass_on(stream: IO[str], answers: queue.SimpleQueue[str]) -> None:
+    """Read answers until the process ends; an empty one, or one cut short, says that it did."""
+    try:
+        with stream:
+            for line in stream:
+                answers.put(line)
+    finally:
+        answers.put("")
 
 
 def _checked(answer: dict[str, Any]) -> dict[str, Any]:

@@ -2,20 +2,30 @@
 
 from __future__ import annotations
 
-import hashlib
-from collections.abc import Callable, Collection, Iterator, Sequence
-from dataclasses import asdict, dataclass, field, replace
+import tempfile
+from collections.abc import Callable, Collection, Sequence
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from scenec.backends.jobs import Job, Jobs, Wanted, frame_seed
+from scenec.backends.memory import default_limit
 from scenec.backends.pool import FrameLostError, WorkerProcess
-from scenec.backends.registry import require_name
-from scenec.schemas.errors import BackendError, StageError
-from scenec.schemas.frames import FrameKey, frame_stem, is_done
+from scenec.backends.registry import backend_names, require_name
+from scenec.backends.watch import Limits
+from scenec.schemas.errors import BackendError, ScenecError, StageError
+from scenec.schemas.frames import is_done
 from scenec.schemas.manifest import Batch, find_batches
+
+__all__ = ["Limits", "RenderReport", "check_backend", "frame_seed", "render"]
 
 #: ``progress(done, total, text)``, called after each frame.
 Progress = Callable[[int, int, str], None]
+Say = Callable[[str], None]
+
+#: Annotators that need no process of their own: no renderer's libraries, nothing to collide with.
+_IN_PROCESS = ("reference",)
 
 
 @dataclass
@@ -26,19 +36,33 @@ class RenderReport:
         frames: Paths of all sidecars asked for, without suffix ``.json``, in order.
         rendered: Frames made now.
         skipped: Frames that were there already, made with the same key.
-        deaths: Worker processes that died and were replaced.
+        deaths: Worker processes that died (or hung, or took too much, and were ended) amid a frame
+            and were replaced.
+        replaced: Worker processes replaced between two frames, before they grew too large.
         failed: A line about each frame that was given up; the others are there.
         seconds: Per step (load, radiance, compose, visibility, resolve, write), summed.
         warnings: Lines a user should see, each once.
+        backend_version: Renderer, version and variant.
+        device: Where it ran.
+        denoiser: What denoised ``rgb``, or None.
+        losses: A line for each thing in the stages that ``rgb`` leaves out.
+        peak_memory_gb: The most that a worker held amid a frame made now, in 10^9 bytes; None if no
+            frame was made or the system does not say.
     """
 
     frames: list[Path] = field(default_factory=list)
     rendered: int = 0
     skipped: int = 0
     deaths: int = 0
+    replaced: int = 0
     failed: list[str] = field(default_factory=list)
     seconds: dict[str, float] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
+    backend_version: str = ""
+    device: str = ""
+    denoiser: str | None = None
+    losses: list[str] = field(default_factory=list)
+    peak_memory_gb: float | None = None
 
 
 def render(
@@ -51,13 +75,18 @@ def render(
     batches: Collection[int] | None = None,
     noise_seed: int = 0,
     folder: Path | None = None,
+    device: str = "auto",
+    denoise: bool = False,
+    annotate_with: str | None = None,
+    limits: Limits | None = None,
     progress: Progress | None = None,
-    warn: Callable[[str], None] | None = None,
+    warn: Say | None = None,
+    say: Say | None = None,
 ) -> RenderReport:
     """Render to ``<batch>/frames/<backend>/<camera>/<sample>.{exr,png,json}``.
 
     Frames that are there and were made from the same stage with the same passes, samples per pixel,
-    noise seed and backend are not made again.
+    noise seed, denoising and backend are not made again.
 
     Args:
         out: Output folder of a compile, or a USD file (its frames go beside it).
@@ -70,8 +99,14 @@ def render(
         noise_seed: Renderings with different ones have independent noise.
         folder: Where frames go (``<folder>/frames``; for several batches, a folder each in it);
             None puts them into the batches' own.
+        device: One of the backend's devices, or "auto" for the fastest that works here.
+        denoise: Whether to denoise ``rgb``; the error that remains is then unknown.
+        annotate_with: Backend whose visibility is taken for the annotation, which is the same to
+            the bit whichever it is; None takes that of ``backend``.
+        limits: What a worker may take: seconds without progress, seconds a frame, memory.
         progress: Called after each frame.
         warn: Called with lines worth showing at once.
+        say: Called with lines about what is being done.
 
     A frame that kills its worker again and again is given up, said in ``failed``, and costs no
     other.
@@ -81,63 +116,47 @@ def render(
         BackendError: The backend is not there, or cannot do what is asked.
         OutputError: No manifest, or a frame cannot be written.
     """
-    require_name(backend)
-    if spp < 1:
-        raise BackendError(f"samples per pixel must be at least 1, not {spp}")
-    report = RenderReport()
-
-    def note(line: str) -> None:
-        if line not in report.warnings:
-            report.warnings.append(line)
-            if warn:
-                warn(line)
-
+    wanted = Wanted(backend, spp, passes, samples, noise_seed, device, denoise, annotate_with)
+    _check_words(wanted, rgb=passes is None or "rgb" in passes)
     chosen = find_batches(Path(out), batches)
+    run = _Run(wanted, limits or Limits(), len(chosen), progress, warn, say)
     for number, batch in enumerate(chosen):
         if folder is not None:
             batch = replace(batch, folder=folder if len(chosen) == 1 else folder / batch.name)
-        # A process per batch: memory goes back, whatever the renderer keeps.
-        with WorkerProcess(on_death=note) as worker:
-            jobs = _Jobs(batch, backend, spp, passes, samples, noise_seed)
-            opened = jobs.open(worker)
-            if opened["warning"]:
-                note(opened["warning"])
-            for index, job in enumerate(jobs):
-                report.frames.append(job.stem)
-                if is_done(job.stem, job.key):
-                    report.skipped += 1
-                    text = f"{job.what}: there already"
-                else:
-                    text = _render_one(worker, job, report, note)
-                if progress:
-                    before = number * jobs.count
-                    progress(before + index + 1, len(chosen) * jobs.count, text)
-            report.deaths += worker.deaths
-    if not report.frames:
+        run.render(number, batch)
+    if not run.report.frames:
         raise StageError(f"{out}: no frame to render: no camera, or no sample in the range asked")
-    return report
+    return run.report
 
 
-def _render_one(
-    worker: WorkerProcess, job: _Job, report: RenderReport, note: Callable[[str], None]
-) -> str:
-    """Makes one frame; what a renderer cannot survive costs that frame and no other."""
-    try:
-        answer = worker.ask(job.request, job.what)
-    except FrameLostError as error:
-        report.failed.append(str(error))
-        note(str(error))
-        return f"{job.what}: given up"
-    report.rendered += 1
-    for step, seconds in answer["seconds"].items():
-        report.seconds[step] = report.seconds.get(step, 0.0) + seconds
-    return f"{job.what}: {describe(answer)}"
+def check_backend(
+    backend: str,
+    *,
+    device: str = "auto",
+    denoise: bool = False,
+    annotate_with: str | None = None,
+    rgb: bool = True,
+) -> None:
+    """Refuse what ``render`` would refuse, before there is a stage.
 
+    Starts each renderer that is asked for, in a process of its own.
 
-def frame_seed(noise_seed: int, batch: str, camera: str, sample: int) -> int:
-    """Seed of one frame's noise, 32 bits: no two frames share their noise."""
-    text = f"{noise_seed}/{batch}/{camera}/{sample}"
-    return int.from_bytes(hashlib.blake2b(text.encode(), digest_size=4).digest(), "little")
+    Args:
+        backend: As for ``render``.
+        device: As for ``render``.
+        denoise: As for ``render``.
+        annotate_with: As for ``render``.
+        rgb: Whether ``rgb`` will be among the passes.
+
+    Raises:
+        BackendError: A backend is not there, does not start, or cannot do what is asked.
+    """
+    _check_words(Wanted(backend, device=device, denoise=denoise, annotate_with=annotate_with), rgb)
+    found = _describe(backend, device, rgb)
+    if denoise and found["denoiser"] is None:
+        raise _no_denoiser(backend)
+    if annotate_with is not None and annotate_with not in (backend, *_IN_PROCESS):
+        _describe(annotate_with, "auto", False)
 
 
 def describe(answer: dict[str, Any]) -> str:
@@ -148,90 +167,185 @@ def describe(answer: dict[str, Any]) -> str:
     if answer.get("estimated_error"):
         error = answer["estimated_error"]["relative_rms"]
         parts.append("error unknown" if error is None else f"error {100 * error:.1f} %")
+        before = (answer.get("estimated_error_before_denoising") or {}).get("relative_rms")
+        if before is not None:
+            parts[-1] += f" ({100 * before:.1f} % before denoising)"
     return ", ".join(parts)
 
 
-@dataclass(frozen=True)
-class _Job:
-    stem: Path
-    what: str
-    key: FrameKey
-    request: dict[str, Any]
-
-
-class _Jobs:
-    """The frames of one batch, once its stage has been opened."""
+class _Run:
+    """One call of ``render``: what it wants, whom it tells, what came of it."""
 
     def __init__(
         self,
-        batch: Batch,
-        backend: str,
-        spp: int,
-        passes: Sequence[str] | None,
-        samples: Collection[int] | None,
-        noise_seed: int,
+        wanted: Wanted,
+        limits: Limits,
+        batches: int,
+        progress: Progress | None,
+        warn: Say | None,
+        say: Say | None,
     ) -> None:
-        self._batch = batch
+        self.report = RenderReport()
+        self._wanted = wanted
+        self._batches = batches
+        self._progress = progress
+        self._warn = warn
+        self._say = say or (lambda line: None)
+        other = wanted.annotate_with
+        alone = other is None or other in (wanted.backend, *_IN_PROCESS)
+        self._annotator = None if alone else other
+        if limits.memory_bytes is None:
+            share = default_limit() // (1 if self._annotator is None else 2)
+            limits = replace(limits, memory_bytes=share)
+        self._limits = limits
+
+    def render(self, number: int, batch: Batch) -> None:
+        """Renders one batch."""
+        report = self.report
+        with ExitStack() as stack:
+            # A process per batch: memory goes back, whatever the renderer keeps.
+            worker = stack.enter_context(self._worker())
+            annotator = None
+            if self._annotator is not None:
+                folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+                other = stack.enter_context(self._worker())
+                annotator = _Annotator(self._annotator, batch, other, folder)
+            jobs = Jobs(batch, self._wanted)
+            inside = None if annotator else self._wanted.annotate_with
+            opened = jobs.open(worker, inside)
+            self._opened(opened, rgb=jobs.rgb)
+            for index, job in enumerate(jobs):
+                report.frames.append(job.stem)
+                if is_done(job.stem, job.key):
+                    report.skipped += 1
+                    text = f"{job.what}: there already"
+                else:
+                    text = self._frame(worker, annotator, job)
+                if self._progress:
+                    before = number * jobs.count
+                    total = self._batches * jobs.count
+                    self._progress(before + index + 1, total, text)
+            for process in (worker, *([annotator.worker] if annotator else [])):
+                report.deaths += process.deaths
+                report.replaced += process.replaced
+
+    def _worker(self) -> WorkerProcess:
+        return WorkerProcess(self._note, self._limits, self._say)
+
+    def _opened(self, opened: dict[str, Any], rgb: bool) -> None:
+        """Tells what will render, and what it cannot."""
+        wanted, report = self._wanted, self.report
+        if wanted.denoise and not rgb:
+            raise _nothing_to_denoise()
+        if wanted.denoise and opened["denoiser"] is None:
+            raise _no_denoiser(wanted.backend)
+        if not report.backend_version:
+            report.backend_version = opened["version"]
+            report.device = opened["device"]
+            report.denoiser = opened["denoiser"] if wanted.denoise else None
+            parts = [f"rgb: {wanted.spp} samples per pixel"] if rgb else []
+            parts += [f"denoised by {report.denoiser}"] if report.denoiser else []
+            parts += [f"annotated with {wanted.annotate_with}"] if wanted.annotate_with else []
+            more = f" ({', '.join(parts)})" if parts else ""
+            self._say(f"rendering with {opened['version']} on {opened['device']}{more}")
+        if opened["warning"]:
+            self._note(opened["warning"])
+        for line in opened["losses"]:
+            if line not in report.losses:
+                report.losses.append(line)
+            self._note(line)
+
+    def _frame(self, worker: WorkerProcess, annotator: _Annotator | None, job: Job) -> str:
+        """Makes one frame; what a renderer cannot survive costs that frame and no other."""
+        report = self.report
+        whole = False
+        try:
+            seen = annotator.see(job) if annotator and job.annotated else None
+            deaths = worker.deaths
+            answer = worker.ask({**job.request, "seen": seen}, job.what)
+            whole = worker.deaths == deaths
+        except FrameLostError as error:
+            report.failed.append(str(error))
+            self._note(str(error))
+            return f"{job.what}: given up"
+        finally:
+            if not whole:
+                _sweep(job.stem)
+        report.rendered += 1
+        for step, seconds in answer["seconds"].items():
+            report.seconds[step] = report.seconds.get(step, 0.0) + seconds
+        peak = answer["peak_memory_gb"]
+        if peak is not None:
+            report.peak_memory_gb = max(peak, report.peak_memory_gb or 0.0)
+        return f"{job.what}: {describe(answer)}"
+
+    def _note(self, line: str) -> None:
+        if line not in self.report.warnings:
+            self.report.warnings.append(line)
+            if self._warn:
+                self._warn(line)
+
+
+class _Annotator:
+    """Another renderer, in a process of its own: two renderers do not share one well."""
+
+    def __init__(self, backend: str, batch: Batch, worker: WorkerProcess, folder: Path) -> None:
+        self.worker = worker
         self._backend = backend
-        self._spp = spp
-        self._passes = passes
-        self._wanted = samples
-        self._noise_seed = noise_seed
-        self._places: list[tuple[int, int]] = []
-        self._opened: dict[str, Any] = {}
+        self._stage = str(batch.stage.resolve())
+        self._file = folder / "visibility.npz"
+        self._version = ""
 
-    @property
-    def count(self) -> int:
-        return len(self._places)
-
-    def open(self, worker: WorkerProcess) -> dict[str, Any]:
-        opened = worker.open(
-            {
-                "op": "open",
-                "stage": str(self._batch.stage.resolve()),
-                "backend": self._backend,
-                "passes": None if self._passes is None else list(self._passes),
-            }
-        )
-        self._opened = opened
-        there = range(opened["samples"])
-        beyond = [sample for sample in self._wanted or () if sample not in there]
-        if beyond:
-            raise StageError(
-                f"{self._batch.stage}: has samples 0 to {len(there) - 1}, not {beyond[0]}"
+    def see(self, job: Job) -> dict[str, Any]:
+        """A frame's visibility, as ``Session.render`` takes it; good until the next call."""
+        if not self._version:
+            # Only now: a run that finds all its frames done does not need it.
+            opened = self.worker.open(
+                {"op": "open", "stage": self._stage, "backend": self._backend, "passes": []}
             )
-        self._places = [
-            (sample, index)
-            for sample in (there if self._wanted is None else sorted(self._wanted))
-            for index in range(len(opened["cameras"][sample]))
-        ]
-        for sample, index in self._places:
-            if not opened["cameras"][sample][index]["passes"]:
-                raise StageError(f"{self._batch.stage}: no passes asked for, and none in the stage")
-        return opened
+            self._version = opened["version"]
+        place = {name: job.request[name] for name in ("camera", "sample")}
+        answer = self.worker.ask({"op": "see", "file": str(self._file), **place}, job.what)
+        seen = {"backend": self._backend, "version": self._version}
+        return seen | {name: answer[name] for name in ("file", "seconds")}
 
-    def _key(self, passes: Sequence[str]) -> FrameKey:
-        pictures = "rgb" in passes
-        return FrameKey(
-            stage_digest=self._opened["digest"],
-            passes=tuple(passes),
-            spp=self._spp if pictures else 0,
-            noise_seed=self._noise_seed if pictures else 0,
-            backend=self._backend,
-            backend_version=self._opened["version"],
-        )
 
-    def __iter__(self) -> Iterator[_Job]:
-        for sample, index in self._places:
-            camera = self._opened["cameras"][sample][index]["name"]
-            key = self._key(self._opened["cameras"][sample][index]["passes"])
-            stem = frame_stem(self._batch.folder, self._backend, camera, sample)
-            request = {
-                "op": "render",
-                "stem": str(stem.resolve()),
-                "camera": index,
-                "sample": sample,
-                "key": asdict(key),
-                "seed": frame_seed(self._noise_seed, self._batch.name, camera, sample),
-            }
-            yield _Job(stem, f"{self._batch.name}/{camera}/{sample:06d}", key, request)
+def _check_words(wanted: Wanted, rgb: bool) -> None:
+    require_name(wanted.backend)
+    if wanted.annotate_with is not None:
+        require_name(wanted.annotate_with)
+    if wanted.spp < 1:
+        raise BackendError(f"samples per pixel must be at least 1, not {wanted.spp}")
+    if wanted.denoise and not rgb:
+        raise _nothing_to_denoise()
+
+
+def _describe(backend: str, device: str, rgb: bool) -> dict[str, Any]:
+    request = {"op": "describe", "backend": backend, "device": device, "rgb": rgb}
+    with WorkerProcess() as worker:
+        return worker.ask(request, f"backend {backend}")
+
+
+def _nothing_to_denoise() -> BackendError:
+    return BackendError("there is nothing to denoise without rgb; ask for rgb, or do not denoise")
+
+
+def _no_denoiser(backend: str) -> BackendError:
+    have = []
+    for name in backend_names():
+        try:
+            denoiser = None if name == backend else _describe(name, "auto", False)["denoiser"]
+        except ScenecError:
+            # Not installed, or does not start: no help here.
+            continue
+        if denoiser is not None:
+            have.append(f"{name} has one ({denoiser})")
+    others = "; " + ", ".join(have) if have else ", nor has any other that works here"
+    return BackendError(f"backend {backend} has no denoiser{others}")
+
+
+def _sweep(stem: Path) -> None:
+    """Removes what a process that was killed amid writing a frame left beside it."""
+    for path in sorted(stem.parent.glob(f".{stem.name}.*")):
+        with suppress(OSError):
+            path.unlink()

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
+from scenec.backends import memory
 from scenec.backends.compose import compose
-from scenec.backends.contract import Backend
+from scenec.backends.contract import Backend, Rays, Visibility
 from scenec.backends.exact import ExactCaster
 from scenec.backends.frames import write_frame
 from scenec.backends.rays import camera_rays
@@ -29,25 +32,42 @@ class Session:
 
     The backend's own scene and the exact caster are built when the first frame needs them, so that
     a run that finds all its frames done costs no more than reading the stage.
+
+    Args:
+        scene: The stage.
+        backend: The renderer.
+        annotator: Another backend, whose visibility is taken instead of the renderer's; one that
+            may share a process with it. The renderer then builds its scene for ``rgb`` alone.
     """
 
-    def __init__(self, scene: RenderScene, backend: Backend) -> None:
+    def __init__(
+        self, scene: RenderScene, backend: Backend, annotator: Backend | None = None
+    ) -> None:
         self.scene = scene
         self.backend = backend
+        self._annotator = backend if annotator is None else annotator
         self._caster: ExactCaster | None = None
-        self._loaded = False
+        self._loaded: set[str] = set()
 
     @classmethod
-    def open(cls, stage: Path, backend: str) -> Session:
+    def open(
+        cls, stage: Path, backend: str, device: str = "auto", annotator: str | None = None
+    ) -> Session:
         """Read a stage and start a backend.
 
         Raises:
             StageError: The stage cannot be read.
-            BackendError: The backend is not there or cannot start.
+            BackendError: A backend is not there or cannot start, or has no such device.
         """
         # First: a backend that is not installed should not cost the reading of a stage.
-        made = open_backend(backend)
-        return cls(read_stage(stage), made)
+        made = open_backend(backend, device)
+        other = None if annotator in (None, backend) else open_backend(annotator)
+        return cls(read_stage(stage), made, other)
+
+    @cached_property
+    def losses(self) -> tuple[str, ...]:
+        """A line for each thing in the stage that the backend's ``rgb`` leaves out."""
+        return tuple(self.backend.losses(self.scene))
 
     def passes(self, wanted: Sequence[str] | None, camera: Camera) -> tuple[str, ...]:
         """Passes as they are written: ``rgb`` first, ``label`` spelled out as its levels.
@@ -63,7 +83,14 @@ class Session:
         return (*(["rgb"] if "rgb" in names else []), *pass_names(self.scene, names))
 
     def render(
-        self, camera: Camera, sample: int, passes: Sequence[str], spp: int, seed: int
+        self,
+        camera: Camera,
+        sample: int,
+        passes: Sequence[str],
+        spp: int,
+        seed: int,
+        denoise: bool = False,
+        seen: Mapping[str, Any] | None = None,
     ) -> tuple[dict[str, NDArray], dict[str, Any]]:
         """Render one frame.
 
@@ -73,48 +100,46 @@ class Session:
             passes: As ``passes`` returns them.
             spp: Samples per pixel of ``rgb``.
             seed: Noise seed of this very frame.
+            denoise: Whether to denoise ``rgb``.
+            seen: What another process's backend saw (``see_to``), to annotate with: ``backend``,
+                ``version``, and what ``see_to`` returned.
 
         Returns:
-            (arrays by pass, details for the sidecar: ``seconds``, ``estimated_error``,
-            ``resolver``).
+            (arrays by pass, details for the sidecar: ``device``, ``seconds``, ``annotation`` (who
+            saw), ``denoised``, ``resolver``; ``losses``, ``estimated_error`` ... with ``rgb``).
+
+        Raises:
+            BackendError: The renderer failed, or cannot do what is asked.
         """
-        seconds: dict[str, float] = {}
-        details: dict[str, Any] = {"seconds": seconds}
+        seconds: dict[str, float] = dict(seen["seconds"]) if seen else {}
+        details: dict[str, Any] = {
+            "device": self.backend.device,
+            "annotation": None,
+            "denoised": None,
+            "seconds": seconds,
+        }
         arrays: dict[str, NDArray] = {}
         annotation = [name for name in passes if name != "rgb"]
-        with _timed(seconds, "load"):
-            if not self._loaded:
-                self.backend.load(self.scene)
-                self._loaded = True
-            if annotation and self._caster is None:
-                # A backend that is exact itself lends its caster and needs no settling.
-                own = self.backend.caster
-                self._caster = own if own is not None else ExactCaster(self.scene)
         if "rgb" in passes:
-            with _timed(seconds, "radiance"):
-                radiance = self.backend.radiance(camera, sample, spp, seed)
-            with _timed(seconds, "compose"):
-                picture = compose(radiance, self.scene, camera, sample)
-            arrays["rgb"] = picture.rgb
-            details["samples_per_pixel"] = radiance.spp
-            details["samples_dropped"] = radiance.dropped
-            details["estimated_error"] = {
-                "relative_rms": picture.relative_error,
-                "relative_mse": picture.relative_mse,
-            }
-        if annotation and self._caster is not None:
+            arrays["rgb"] = self._light(camera, sample, spp, seed, denoise, details)
+        if annotation:
             rays = camera_rays(camera)
-            exact = self._caster is self.backend.caster
-            with _timed(seconds, "visibility"):
-                visibility = None if exact else self.backend.visibility(rays, sample, camera)
+            visibility = self._seen(seen, rays, sample, camera, details)
+            caster = self._exact(seconds)
             with _timed(seconds, "resolve"):
-                settled = settle(self._caster, rays, visibility, camera)
+                settled = settle(caster, rays, visibility, camera)
                 arrays |= annotate(self.scene, settled, rays, annotation)
             details["resolver"] = asdict(settled.statistics)
         return arrays, details
 
     def render_to(
-        self, stem: Path, camera_index: int, sample: int, key: FrameKey, seed: int
+        self,
+        stem: Path,
+        camera_index: int,
+        sample: int,
+        key: FrameKey,
+        seed: int,
+        seen: Mapping[str, Any] | None = None,
     ) -> dict[str, Any]:
         """Render a frame and write it; returns its details, with the seconds of writing.
 
@@ -122,18 +147,113 @@ class Session:
             BackendError: There is no such camera or sample, or the renderer failed.
             OutputError: A file cannot be written.
         """
-        if not 0 <= sample < len(self.scene.cameras):
-            raise BackendError(f"{self.scene.source}: has no sample {sample}")
-        camera = self.scene.cameras[sample][camera_index]
-        arrays, details = self.render(camera, sample, key.passes, key.spp, seed)
+        camera = self._camera(camera_index, sample)
+        memory.reset_peak()
+        arrays, details = self.render(camera, sample, key.passes, key.spp, seed, key.denoise, seen)
+        peak = memory.peak()
+        details["peak_memory_gb"] = None if peak is None else round(peak / memory.GB, 3)
         start = time.perf_counter()
         write_frame(stem, arrays, key, self.scene, camera, sample, details)
         details["seconds"]["write"] = time.perf_counter() - start
         return details
 
+    def see_to(self, file: Path, camera_index: int, sample: int) -> dict[str, Any]:
+        """Leave a frame's visibility in a file, for a session of another backend to annotate with.
+
+        Returns:
+            ``file`` (None if the backend cannot follow this camera's rays) and ``seconds``.
+
+        Raises:
+            BackendError: There is no such camera or sample, or the renderer failed.
+        """
+        camera = self._camera(camera_index, sample)
+        seconds: dict[str, float] = {}
+        self._load(self._annotator, seconds)
+        with _timed(seconds, "visibility"):
+            seen = self._annotator.visibility(camera_rays(camera), sample, camera)
+        if seen is None:
+            return {"file": None, "seconds": seconds}
+        np.savez(file, row=seen.row, face=seen.face)
+        return {"file": str(file), "seconds": seconds}
+
+    def _light(
+        self,
+        camera: Camera,
+        sample: int,
+        spp: int,
+        seed: int,
+        denoise: bool,
+        details: dict[str, Any],
+    ) -> NDArray[np.float32]:
+        """``rgb``, with what there is to say of it."""
+        backend, seconds = self.backend, details["seconds"]
+        self._load(backend, seconds)
+        with _timed(seconds, "radiance"):
+            radiance = backend.radiance(camera, sample, spp, seed, denoise)
+        if denoise and radiance.denoised is None:
+            raise BackendError(f"backend {backend.name} was asked to denoise, and did not")
+        with _timed(seconds, "compose"):
+            picture = compose(radiance, self.scene, camera, sample)
+        noise = {"relative_rms": picture.relative_error, "relative_mse": picture.relative_mse}
+        details["losses"] = self.losses
+        details["samples_per_pixel"] = radiance.spp
+        details["samples_dropped"] = radiance.dropped
+        if radiance.denoised is None:
+            details["estimated_error"] = noise
+        else:
+            # Denoising trades noise for bias, which the difference of two halves does not show.
+            details["denoised"] = backend.denoiser
+            details["estimated_error"] = dict.fromkeys(noise)
+            details["estimated_error_before_denoising"] = noise
+        return picture.rgb
+
+    def _seen(
+        self,
+        seen: Mapping[str, Any] | None,
+        rays: Rays,
+        sample: int,
+        camera: Camera,
+        details: dict[str, Any],
+    ) -> Visibility | None:
+        """What the annotating backend saw; None leaves all to the exact caster."""
+        if seen is not None:
+            details["annotation"] = {"backend": seen["backend"], "version": seen["version"]}
+            return None if seen["file"] is None else _read_visibility(Path(seen["file"]))
+        backend, seconds = self._annotator, details["seconds"]
+        details["annotation"] = {"backend": backend.name, "version": backend.version()}
+        self._load(backend, seconds)
+        # A backend that is exact itself lends its caster and needs no settling.
+        self._caster = self._caster or backend.caster
+        with _timed(seconds, "visibility"):
+            return None if backend.caster else backend.visibility(rays, sample, camera)
+
+    def _exact(self, seconds: dict[str, float]) -> ExactCaster:
+        with _timed(seconds, "load"):
+            if self._caster is None:
+                self._caster = ExactCaster(self.scene)
+        return self._caster
+
+    def _load(self, backend: Backend, seconds: dict[str, float]) -> None:
+        """Builds the backend's own scene, once."""
+        with _timed(seconds, "load"):
+            if backend.name not in self._loaded:
+                backend.load(self.scene)
+                self._loaded.add(backend.name)
+
+    def _camera(self, index: int, sample: int) -> Camera:
+        if not 0 <= sample < len(self.scene.cameras):
+            raise BackendError(f"{self.scene.source}: has no sample {sample}")
+        return self.scene.cameras[sample][index]
+
 
 @contextmanager
 def _timed(seconds: dict[str, float], name: str) -> Iterator[None]:
+    """Adds what the block takes to the seconds of a step."""
     start = time.perf_counter()
     yield
-    seconds[name] = time.perf_counter() - start
+    seconds[name] = seconds.get(name, 0.0) + time.perf_counter() - start
+
+
+def _read_visibility(file: Path) -> Visibility:
+    with np.load(file) as arrays:
+        return Visibility(arrays["row"], arrays["face"])

@@ -2,9 +2,16 @@
 
 One JSON document a line: requests on standard input, one answer to each on standard output.
 
-    {"op": "open", "stage": PATH, "backend": NAME}
-    {"op": "render", "stem": PATH, "camera": INDEX, "sample": N, "key": {...}, "seed": N}
+    {"op": "open", "stage": PATH, "backend": NAME, "device": NAME, "annotator": NAME or null,
+     "passes": [...] or null}
+    {"op": "render", "stem": PATH, "camera": INDEX, "sample": N, "key": {...}, "seed": N,
+     "seen": {"file": PATH or null, "backend": NAME, "version": TEXT, "seconds": {...}} or null}
+    {"op": "see", "file": PATH, "camera": INDEX, "sample": N}
+    {"op": "describe", "backend": NAME, "device": NAME, "rgb": BOOL}
     {"op": "probe", "backend": NAME}
+
+``see`` leaves a frame's visibility in a file for another backend's worker, whose ``render`` then
+annotates with it.
 
 Answers are ``{"ok": true, ...}`` or ``{"ok": false, "error": CLASS, "message": TEXT}`` for the
 errors a user can meet. Anything else ends the process; the parent (``scenec.backends.pool``) sees
@@ -13,6 +20,7 @@ that, and starts another. The process ends when standard input does: with its pa
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import queue
@@ -34,6 +42,8 @@ class Worker:
         self._operations: dict[str, Callable[[dict[str, Any]], dict[str, Any]]] = {
             "open": self._open,
             "render": self._render,
+            "see": self._see,
+            "describe": self._describe,
             "probe": self._probe,
         }
 
@@ -50,39 +60,82 @@ class Worker:
     def _open(self, request: dict[str, Any]) -> dict[str, Any]:
         from scenec.backends.session import Session
 
-        session = Session.open(Path(request["stage"]), request["backend"])
-        self._session, scene, backend = session, session.scene, session.backend
+        session = Session.open(
+            Path(request["stage"]),
+            request["backend"],
+            device=request.get("device", "auto"),
+            annotator=request.get("annotator"),
+        )
+        self._session, scene = session, session.scene
+        cameras = [
+            [
+                {"name": camera.name, "passes": session.passes(request.get("passes"), camera)}
+                for camera in cameras
+            ]
+            for cameras in scene.cameras
+        ]
+        pictures = any("rgb" in c["passes"] for of_sample in cameras for c in of_sample)
         return {
             "digest": scene.digest,
             "samples": scene.samples,
-            "cameras": [
-                [
-                    {"name": camera.name, "passes": session.passes(request.get("passes"), camera)}
-                    for camera in cameras
-                ]
-                for cameras in scene.cameras
-            ],
-            "version": backend.version(),
-            "warning": backend.warning(),
+            "cameras": cameras,
+            "losses": session.losses if pictures else (),
+            **_facts(session.backend),
         }
 
     def _render(self, request: dict[str, Any]) -> dict[str, Any]:
         from scenec.backends.frames import plain
         from scenec.schemas.frames import FrameKey
 
-        if self._session is None:
-            raise BackendError("worker: asked to render before a stage was opened")
         key = FrameKey(**{**request["key"], "passes": tuple(request["key"]["passes"])})
-        details = self._session.render_to(
-            Path(request["stem"]), request["camera"], request["sample"], key, request["seed"]
+        details = self._opened().render_to(
+            Path(request["stem"]),
+            request["camera"],
+            request["sample"],
+            key,
+            request["seed"],
+            request.get("seen"),
         )
         answer: dict[str, Any] = plain(details)
         return answer
+
+    def _see(self, request: dict[str, Any]) -> dict[str, Any]:
+        answer: dict[str, Any] = self._opened().see_to(
+            Path(request["file"]), request["camera"], request["sample"]
+        )
+        return answer
+
+    def _opened(self) -> Any:
+        if self._session is None:
+            raise BackendError("worker: asked for a frame before a stage was opened")
+        return self._session
+
+    def _describe(self, request: dict[str, Any]) -> dict[str, Any]:
+        from scenec.backends.doctor import tiny_scene
+        from scenec.backends.registry import open_backend
+
+        backend = open_backend(request["backend"], request.get("device", "auto"))
+        if request.get("rgb"):
+            scene = tiny_scene()
+            backend.load(scene)
+            if backend.caster is not None:
+                # Exact itself: such a backend may have no light, and says so when it is asked.
+                backend.radiance(scene.cameras[0][0], 0, 1, 0)
+        return _facts(backend)
 
     def _probe(self, request: dict[str, Any]) -> dict[str, Any]:
         from scenec.backends.doctor import probe
 
         return probe(request["backend"])
+
+
+def _facts(backend: Any) -> dict[str, Any]:
+    return {
+        "version": backend.version(),
+        "device": backend.device,
+        "denoiser": backend.denoiser,
+        "warning": backend.warning(),
+    }
 
 
 def main() -> None:
@@ -93,6 +146,7 @@ def main() -> None:
     os.dup2(2, 1)
     # Ctrl-C reaches the whole process group; the parent alone decides what becomes of it.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    _offer_to_the_kernel()
     requests: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
     threading.Thread(target=_listen, args=(requests, sys.stdin), daemon=True).start()
     worker = Worker()
@@ -108,6 +162,12 @@ def _listen(requests: queue.SimpleQueue[dict[str, Any]], stream: TextIO) -> None
         requests.put(json.loads(line))
     # Renderers take their time to tear down, and some crash at it; nothing is left to lose.
     os._exit(0)
+
+
+def _offer_to_the_kernel() -> None:
+    """Out of memory, the kernel should end this process, which is replaced, and not its parent."""
+    with contextlib.suppress(OSError):
+        Path("/proc/self/oom_score_adj").write_text("500", encoding="ascii")
 
 
 if __name__ == "__main__":

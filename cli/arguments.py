@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import argparse
+import math
 
 #: As in ``scenec.schemas.exr``, which would cost the import of NumPy here; a test holds them equal.
 PASSES = ("rgb", "label", "instance", "depth", "range", "normal", "position", "face")
+
+#: As in ``scenec.backends.contract``, for the same reason.
+DEVICES = ("auto", "cpu", "cuda", "optix")
 
 
 def seed(text: str) -> int:
@@ -49,6 +53,17 @@ def positive(text: str) -> int:
     return value
 
 
+def amount(text: str) -> float:
+    """A number above 0."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 0.0 < value < math.inf:
+        raise argparse.ArgumentTypeError(f"{text!r}: expected a number above 0")
+    return value
+
+
 def passes(text: str) -> tuple[str, ...]:
     """A list such as ``rgb,depth``."""
     chosen = tuple(dict.fromkeys(part.strip() for part in text.split(",") if part.strip()))
@@ -79,6 +94,34 @@ def add_render_options(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--noise-seed", type=seed, default=0, help="seed of the renderer's noise (default: 0)"
+    )
+    parser.add_argument(
+        "--device",
+        choices=DEVICES,
+        default="auto",
+        help="where the renderer runs (default: auto, the fastest that works here)",
+    )
+    parser.add_argument(
+        "--denoise", action="store_true", help="denoise rgb, if the renderer has a denoiser"
+    )
+    parser.add_argument(
+        "--annotate-with",
+        metavar="BACKEND",
+        help="take the annotation from another backend, such as reference: the same to the bit",
+    )
+    parser.add_argument(
+        "--timeout",
+        type=amount,
+        metavar="SECONDS",
+        help="end and retry a frame that takes longer; a fresh process's first one may take 60 s "
+        "more (default: only what hangs is ended, after 120 s without progress)",
+    )
+    parser.add_argument(
+        "--memory-limit",
+        type=amount,
+        metavar="GB",
+        help="memory a renderer's process may hold before it is replaced "
+        "(default: 80 %% of what there is)",
     )
 
 

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 
-from scenec.backends.registry import require_name
-from scenec.backends.render import RenderReport, render
+from scenec.backends.memory import GB
+from scenec.backends.render import Limits, RenderReport, render
 from scenec.cli.output import Progress, print_json, say
-from scenec.schemas.manifest import find_batches
 
 
 def run(options: argparse.Namespace) -> int:
@@ -21,10 +19,10 @@ def run(options: argparse.Namespace) -> int:
 
 def render_now(options: argparse.Namespace) -> RenderReport:
     """Renders, and says what came of it."""
-    # What is not there should be all that is said.
-    require_name(options.backend)
-    find_batches(Path(options.out), options.batches)
-    say(f"rendering with {options.backend} (rgb: {options.spp} samples per pixel)")
+    limit = options.memory_limit
+    limits = Limits(
+        timeout_s=options.timeout, memory_bytes=None if limit is None else round(limit * GB)
+    )
     report = render(
         options.out,
         options.backend,
@@ -33,8 +31,13 @@ def render_now(options: argparse.Namespace) -> RenderReport:
         samples=options.samples,
         batches=options.batches,
         noise_seed=options.noise_seed,
+        device=options.device,
+        denoise=options.denoise,
+        annotate_with=options.annotate_with,
+        limits=limits,
         progress=Progress("frame"),
         warn=lambda line: say(f"warning: {line}"),
+        say=say,
     )
     there = f", {report.skipped} were there already" if report.skipped else ""
     seconds = sum(report.seconds.values())
@@ -47,11 +50,17 @@ def render_now(options: argparse.Namespace) -> RenderReport:
 def as_json(report: RenderReport) -> dict[str, object]:
     """The report for scripts."""
     return {
+        "backend_version": report.backend_version,
+        "device": report.device,
+        "denoiser": report.denoiser,
         "frames": [f"{stem}.json" for stem in report.frames],
         "rendered": report.rendered,
         "skipped": report.skipped,
         "failed": report.failed,
         "worker_deaths": report.deaths,
+        "workers_replaced": report.replaced,
+        "peak_memory_gb": report.peak_memory_gb,
         "seconds": report.seconds,
+        "losses": report.losses,
         "warnings": report.warnings,
     }

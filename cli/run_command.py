@@ -10,10 +10,7 @@ from scenec.cli.output import print_json
 
 def run(options: argparse.Namespace) -> int:
     """Compiles and renders."""
-    from scenec.backends.registry import require_name
-
-    # A misspelled backend should not cost a compilation.
-    require_name(options.backend)
+    _refuse_early(options)
     compiled = compile_command.compile_now(options)
     rendered = render_command.render_now(options)
     if options.json:
@@ -24,3 +21,26 @@ def run(options: argparse.Namespace) -> int:
             }
         )
     return 1 if rendered.failed else 0
+
+
+def _refuse_early(options: argparse.Namespace) -> None:
+    """What no renderer here can do should not cost a compilation.
+
+    Raises:
+        CfgError: The cfg has faults.
+        BackendError: The backend cannot render what is asked for.
+    """
+    from scenec.backends.render import check_backend
+    from scenec.compiler.frontend.load import load
+
+    wanted = options.passes
+    if wanted is None:
+        rigs = load(options.cfg).cfg["rigs"].values()
+        wanted = [name for rig in rigs for s in rig["sensors"].values() for name in s["outputs"]]
+    check_backend(
+        options.backend,
+        device=options.device,
+        denoise=options.denoise,
+        annotate_with=options.annotate_with,
+        rgb="rgb" in wanted,
+    )

@@ -23,7 +23,7 @@ from scenec.schemas.files import sha256
 from scenec.schemas.manifest import FRAMES
 
 #: Version of the sidecar's shape.
-FRAME_VERSION = "1.0"
+FRAME_VERSION = "1.1"
 
 #: What a reader may rely on in every sidecar.
 REQUIRED_KEYS = ("camera", "sample", "resolution", "intrinsics", "camera_to_world", "passes",
@@ -64,6 +64,11 @@ class Frame:
 class FrameKey:
     """What decides a frame's content, beside its place.
 
+    Two things are left out on purpose. *Which backend annotated*: annotation is defined, not
+    rendered, and so the same to the bit; the sidecar says which one it was (``annotation``), and
+    ``scenec check`` holds it against the definition. *The device*: where the picture depends on it,
+    ``backend_version`` says so (Mitsuba's variant, for one).
+
     Attributes:
         stage_digest: ``RenderScene.digest``.
         passes: Names asked for, in order.
@@ -71,6 +76,7 @@ class FrameKey:
         noise_seed: Seed of the renderer's noise.
         backend: Name.
         backend_version: ``Backend.version()``.
+        denoise: Whether ``rgb`` is denoised.
     """
 
     stage_digest: str
@@ -79,6 +85,7 @@ class FrameKey:
     noise_seed: int
     backend: str
     backend_version: str
+    denoise: bool = False
 
     def digest(self) -> str:
         """The resume key: sha256, hex."""

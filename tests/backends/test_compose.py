@@ -150,6 +150,30 @@ def test_the_error_of_light_that_overflowed_is_unknown_and_not_none_at_all():
     assert picture.relative_mse is None
 
 
+def test_a_denoised_picture_takes_the_place_of_the_mean_before_the_sky_and_keeps_the_estimate():
+    camera = ms.look_at((0, 0, 0), (1, 0, 0), 4, 1)
+    scene = ms.scene([ms.mesh(*ms.plane())], cameras=[camera], lights=[ms.dome(8.0)])
+    coverage = np.array([[0.0, 0.25, 0.75, 1.0]], np.float32)
+    halves = np.stack([np.full((1, 4, 3), 1.0), np.full((1, 4, 3), 3.0)]).astype(np.float32)
+    smooth = np.full((1, 4, 3), 5.0, np.float32)
+    noisy = compose(Radiance(halves, coverage, 4), scene, camera, 0)
+    picture = compose(Radiance(halves, coverage, 4, denoised=smooth), scene, camera, 0)
+    np.testing.assert_allclose(picture.rgb[0, :, 0], 5.0 + 8.0 * (1 - coverage[0]), rtol=1e-6)
+    # |A - B| / 2 over the mean: 1 / 2.
+    assert picture.relative_error == noisy.relative_error == pytest.approx(0.5)
+
+
+def test_a_picture_without_noise_has_an_unknown_error_and_not_none_at_all():
+    camera = ms.look_at((0, 0, 0), (1, 0, 0), 4, 1)
+    scene = ms.scene([ms.mesh(*ms.plane())], cameras=[camera])
+    halves = np.ones((2, 1, 4, 3), np.float32)
+    covered = np.ones((1, 4), np.float32)
+    picture = compose(Radiance(halves, covered, 1, stochastic=False), scene, camera, 0)
+    assert picture.relative_error is None
+    assert picture.relative_mse is None
+    assert compose(Radiance(halves, covered, 2), scene, camera, 0).relative_error == 0.0
+
+
 def test_a_missing_or_broken_sky_picture_is_said_with_its_name(tmp_path: Path):
     with pytest.raises(StageError, match=r"gone\.exr.*missing"):
         load_picture(tmp_path / "gone.exr")

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pxr import Gf, Usd, UsdGeom, UsdLux, Vt
+from third_party import square_stage
 
 from scenec.backends import pool
 from scenec.backends.doctor import diagnose, library_versions
@@ -26,34 +26,7 @@ from scenec.schemas.manifest import find_batches
 
 @pytest.fixture
 def stage(tmp_path: Path) -> Path:
-    """A foreign stage: a square under a sun, two cameras, three samples."""
-    path = tmp_path / "square.usda"
-    made = Usd.Stage.CreateNew(str(path))
-    UsdGeom.SetStageUpAxis(made, UsdGeom.Tokens.z)
-    UsdGeom.SetStageMetersPerUnit(made, 1.0)
-    made.SetTimeCodesPerSecond(1.0)
-    made.SetStartTimeCode(0)
-    made.SetEndTimeCode(2)
-    made.SetDefaultPrim(UsdGeom.Xform.Define(made, "/World").GetPrim())
-    mesh = UsdGeom.Mesh.Define(made, "/World/Square")
-    corners = [(-5, -5, 0), (5, -5, 0), (5, 5, 0), (-5, 5, 0)]
-    mesh.CreatePointsAttr(Vt.Vec3fArray([Gf.Vec3f(*c) for c in corners]))
-    mesh.CreateFaceVertexCountsAttr([4])
-    mesh.CreateFaceVertexIndicesAttr([0, 1, 2, 3])
-    sun = UsdLux.DistantLight.Define(made, "/World/Sun")
-    sun.CreateIntensityAttr(10.0)
-    sun.CreateAngleAttr(0.53)
-    sun.CreateNormalizeAttr(True)
-    for name in ("left", "right"):
-        camera = UsdGeom.Camera.Define(made, f"/World/{name}")
-        camera.CreateHorizontalApertureAttr(0.36)
-        camera.CreateVerticalApertureAttr(0.27)
-        camera.CreateFocalLengthAttr(0.36)
-        op = camera.AddTranslateOp()
-        for sample in range(3):
-            op.Set(Gf.Vec3d(sample * 0.5, 0, 6), sample)
-    made.Save()
-    return path
+    return square_stage(tmp_path / "square.usda")
 
 
 def run(stage: Path, **options):
@@ -115,7 +88,7 @@ def test_a_frame_that_kills_every_worker_is_named_and_costs_no_other(stage, monk
     assert len(killed) == 2 * (pool.RETRIES + 1)
     assert report.rendered == 4
     assert len(report.failed) == 2
-    assert all("000001" in line and "died 3 times" in line for line in report.failed)
+    assert all("000001" in line and "given up after 3 tries" in line for line in report.failed)
     assert all("SIGKILL" in line for line in report.failed)
     monkeypatch.undo()
     # What was finished before is kept, and the next run does the rest.

@@ -1,0 +1,151 @@
+"""The frames of a batch: which there are, where each goes, and what a worker is asked for it."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from scenec.backends.pool import WorkerProcess
+from scenec.schemas.errors import StageError
+from scenec.schemas.frames import FrameKey, frame_stem
+from scenec.schemas.manifest import Batch
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What is asked of a render; see ``scenec.backends.render.render``."""
+
+    backend: str
+    spp: int = 64
+    passes: Sequence[str] | None = None
+    samples: Collection[int] | None = None
+    noise_seed: int = 0
+    device: str = "auto"
+    denoise: bool = False
+    annotate_with: str | None = None
+
+
+@dataclass(frozen=True)
+class Job:
+    """One frame.
+
+    Attributes:
+        stem: Its path without a suffix.
+        what: Its name in messages.
+        key: What it is made with.
+        request: What a worker is asked.
+    """
+
+    stem: Path
+    what: str
+    key: FrameKey
+    request: dict[str, Any]
+
+    @property
+    def annotated(self) -> bool:
+        """Whether anything but ``rgb`` is asked for."""
+        return any(name != "rgb" for name in self.key.passes)
+
+
+class Jobs:
+    """The frames of one batch, once its stage has been opened."""
+
+    def __init__(self, batch: Batch, wanted: Wanted) -> None:
+        self._batch = batch
+        self._wanted = wanted
+        self._places: list[tuple[int, int]] = []
+        self._opened: dict[str, Any] = {}
+
+    @property
+    def count(self) -> int:
+        """Number of frames."""
+        return len(self._places)
+
+    @property
+    def rgb(self) -> bool:
+        """Whether any of them has ``rgb``."""
+        return any("rgb" in self._camera(*place)["passes"] for place in self._places)
+
+    def open(self, worker: WorkerProcess, annotator: str | None) -> dict[str, Any]:
+        """Open the stage in a worker, and find its frames.
+
+        Args:
+            worker: It will be asked for the frames.
+            annotator: A backend that annotates in the same process, or None.
+
+        Returns:
+            What the worker says about stage and backend.
+
+        Raises:
+            StageError: The stage cannot be read, or does not hold what is asked for.
+            BackendError: The backend cannot start.
+        """
+        wanted = self._wanted
+        opened = worker.open(
+            {
+                "op": "open",
+                "stage": str(self._batch.stage.resolve()),
+                "backend": wanted.backend,
+                "device": wanted.device,
+                "annotator": annotator,
+                "passes": None if wanted.passes is None else list(wanted.passes),
+            }
+        )
+        self._opened = opened
+        there = range(opened["samples"])
+        beyond = [sample for sample in wanted.samples or () if sample not in there]
+        if beyond:
+            raise StageError(
+                f"{self._batch.stage}: has samples 0 to {len(there) - 1}, not {beyond[0]}"
+            )
+        self._places = [
+            (sample, index)
+            for sample in (there if wanted.samples is None else sorted(wanted.samples))
+            for index in range(len(opened["cameras"][sample]))
+        ]
+        for place in self._places:
+            if not self._camera(*place)["passes"]:
+                raise StageError(f"{self._batch.stage}: no passes asked for, and none in the stage")
+        return opened
+
+    def __iter__(self) -> Iterator[Job]:
+        wanted, batch = self._wanted, self._batch
+        for sample, index in self._places:
+            camera = self._camera(sample, index)
+            name = camera["name"]
+            key = self._key(camera["passes"])
+            stem = frame_stem(batch.folder, wanted.backend, name, sample)
+            request = {
+                "op": "render",
+                "stem": str(stem.resolve()),
+                "camera": index,
+                "sample": sample,
+                "key": asdict(key),
+                "seed": frame_seed(wanted.noise_seed, batch.name, name, sample),
+            }
+            yield Job(stem, f"{batch.name}/{name}/{sample:06d}", key, request)
+
+    def _camera(self, sample: int, index: int) -> dict[str, Any]:
+        found: dict[str, Any] = self._opened["cameras"][sample][index]
+        return found
+
+    def _key(self, passes: Sequence[str]) -> FrameKey:
+        wanted, pictures = self._wanted, "rgb" in passes
+        return FrameKey(
+            stage_digest=self._opened["digest"],
+            passes=tuple(passes),
+            spp=wanted.spp if pictures else 0,
+            noise_seed=wanted.noise_seed if pictures else 0,
+            backend=wanted.backend,
+            backend_version=self._opened["version"],
+            denoise=wanted.denoise and pictures,
+        )
+
+
+def frame_seed(noise_seed: int, batch: str, camera: str, sample: int) -> int:
+    """Seed of one frame's noise, 32 bits: no two frames share their noise."""
+    text = f"{noise_seed}/{batch}/{camera}/{sample}"
+    return int.from_bytes(hashlib.blake2b(text.encode(), digest_size=4).digest(), "little")

@@ -1,0 +1,277 @@
+"""Device, denoiser, annotator and losses: refused early or done, and said in every sidecar."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from small import small_cfg, write_cfg
+from third_party import LEVEL, NOISE, faults_so_far, install, plan_fault, square_stage
+
+from scenec.backends.render import RenderReport, check_backend, render
+from scenec.cli import arguments, run_command
+from scenec.cli.main import main, parser
+from scenec.compiler.compile import compile_cfg
+from scenec.schemas.errors import BackendError
+from scenec.schemas.frames import Frame, read_frame
+
+ANNOTATION = ("depth", "range", "instance", "normal", "position", "face")
+
+
+@pytest.fixture
+def stage(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    install(tmp_path, monkeypatch)
+    return square_stage(tmp_path / "square.usda", width=32)
+
+
+def one(stage: Path, backend: str, **options) -> Frame:
+    """The first frame of a render of one sample."""
+    return read_frame(run(stage, backend, **options).frames[0])
+
+
+def run(stage: Path, backend: str, **options) -> RenderReport:
+    return render(stage, backend, **{"samples": range(1), "spp": 2, **options})
+
+
+def assert_same(a: Frame, b: Frame, passes: tuple[str, ...] = ANNOTATION) -> None:
+    for name in passes:
+        assert a.passes[name].tobytes() == b.passes[name].tobytes()
+
+
+def test_a_device_that_a_backend_lacks_is_refused_before_anything_else(tmp_path, monkeypatch):
+    install(tmp_path, monkeypatch)
+    # A stage that cannot be read: had it been looked at, the error would be about it.
+    broken = tmp_path / "broken.usda"
+    broken.write_text("#usda 1.0\n(\n")
+    with pytest.raises(BackendError, match=r"plain has no device 'cuda'; it has auto, cpu, optix$"):
+        render(broken, "plain", device="cuda")
+    with pytest.raises(BackendError, match="no driver for optix"):
+        render(broken, "plain", device="optix")
+
+
+def test_the_command_refuses_a_device_in_one_line_with_status_2(stage, capsys):
+    assert main(["render", str(stage), "--backend", "plain", "--device", "cuda"]) == 2
+    said = capsys.readouterr().err
+    assert said == "scenec: backend plain has no device 'cuda'; it has auto, cpu, optix\n"
+    assert not (stage.parent / "frames").exists()
+    with pytest.raises(SystemExit) as left:
+        main(["render", str(stage), "--device", "tpu"])
+    assert left.value.code == 2
+
+
+def test_the_command_line_knows_all_devices():
+    from scenec.backends.contract import DEVICES
+
+    assert arguments.DEVICES == DEVICES
+
+
+def test_sidecar_and_report_say_where_it_ran_and_who_annotated(stage):
+    report = run(stage, "plain", device="cpu")
+    sidecar = read_frame(report.frames[0]).sidecar
+    assert sidecar["device"] == report.device == "cpu"
+    assert report.backend_version == "plain 1.0"
+    assert sidecar["annotation"] == {"backend": "plain", "version": "plain 1.0"}
+    assert sidecar["denoised"] is None
+    assert sidecar["peak_memory_gb"] > 0.01
+    assert one(stage, "plain", passes=["rgb"]).sidecar["annotation"] is None
+
+
+def test_a_denoised_frame_states_its_denoiser_and_that_its_error_is_unknown(stage):
+    texts: list[str] = []
+    lines: list[str] = []
+    denoised = one(
+        stage,
+        "smooth",
+        denoise=True,
+        progress=lambda done, total, text: texts.append(text),
+        say=lines.append,
+    )
+    noisy = one(stage, "smooth", denoise=False)
+    # The denoiser's answer is the picture's mean: the standard error is NOISE / sqrt(2 n).
+    rgb = denoised.passes["rgb"]
+    assert np.ptp(rgb) == 0.0
+    assert rgb[0, 0, 0] == pytest.approx(LEVEL, abs=5 * NOISE / np.sqrt(2 * rgb.size))
+    assert noisy.passes["rgb"].std() == pytest.approx(NOISE / np.sqrt(2), rel=0.1)
+    assert denoised.sidecar["denoised"] == "mean"
+    assert denoised.sidecar["estimated_error"] == {"relative_rms": None, "relative_mse": None}
+    before = denoised.sidecar["estimated_error_before_denoising"]
+    assert before["relative_rms"] == pytest.approx(NOISE / np.sqrt(2) / LEVEL, rel=0.1)
+    assert noisy.sidecar["denoised"] is None
+    assert noisy.sidecar["estimated_error"] == before
+    assert "estimated_error_before_denoising" not in noisy.sidecar
+    assert "error unknown (17." in texts[0] or "error unknown (18." in texts[0]
+    assert "denoised by mean" in lines[0]
+
+
+def test_denoised_and_noisy_frames_are_not_taken_for_each_other(stage):
+    assert run(stage, "smooth").rendered == 2
+    assert run(stage, "smooth", denoise=True).rendered == 2
+    assert run(stage, "smooth", denoise=True).skipped == 2
+
+
+def test_there_is_nothing_to_denoise_without_rgb(stage):
+    with pytest.raises(BackendError, match="without rgb"):
+        run(stage, "smooth", denoise=True, passes=["depth"])
+    with pytest.raises(BackendError, match="without rgb"):
+        check_backend("smooth", denoise=True, rgb=False)
+    check_backend("smooth", denoise=True)
+
+
+@pytest.mark.slow
+def test_a_backend_without_a_denoiser_names_those_that_have_one(stage):
+    with pytest.raises(BackendError, match=r"plain has no denoiser; .*smooth has one \(mean\)"):
+        run(stage, "plain", denoise=True)
+    assert not (stage.parent / "frames").exists()
+
+
+def test_the_error_of_a_picture_without_noise_is_unknown_and_not_zero(stage):
+    texts: list[str] = []
+    report = run(stage, "raster", progress=lambda done, total, text: texts.append(text))
+    frame = read_frame(report.frames[0])
+    assert np.all(frame.passes["rgb"] == LEVEL)
+    assert frame.sidecar["estimated_error"] == {"relative_rms": None, "relative_mse": None}
+    assert all(text.endswith("error unknown") for text in texts)
+
+
+@pytest.mark.slow
+def test_annotation_taken_from_reference_is_the_same_to_the_bit(tmp_path):
+    cfg = write_cfg(tmp_path, small_cfg(samples=1))
+    stage = tmp_path / "out" / "batch_0000" / "stage.usda"
+    compile_cfg(cfg, seed=3, out=tmp_path / "out")
+    passes = ["rgb", "label", *ANNOTATION]
+    own = one(stage, "mitsuba", passes=passes)
+    other = one(stage, "mitsuba", passes=passes, annotate_with="reference", noise_seed=1)
+    assert_same(own, other, ("label.class", "label.surface", *ANNOTATION))
+    assert len(np.unique(own.passes["instance"])) > 10
+    assert own.sidecar["annotation"]["backend"] == "mitsuba"
+    assert own.sidecar["resolver"]["suspects"] < own.sidecar["resolver"]["pixels"]
+    assert other.sidecar["annotation"]["backend"] == "reference"
+    assert other.sidecar["annotation"]["version"].startswith("reference")
+    assert other.sidecar["resolver"]["suspects"] == other.sidecar["resolver"]["pixels"]
+    assert other.sidecar["backend"] == "mitsuba"
+
+
+def test_the_renderer_sees_and_loads_nothing_that_another_annotates(stage, tmp_path, monkeypatch):
+    plan_fault(tmp_path, monkeypatch, "exit", where="visibility")
+    report = run(stage, "plain", annotate_with="reference")
+    assert (report.rendered, report.deaths) == (2, 0)
+    plan_fault(tmp_path, monkeypatch, "exit", where="load")
+    report = run(stage, "plain", annotate_with="reference", passes=ANNOTATION)
+    assert (report.rendered, report.deaths) == (2, 0)
+    assert faults_so_far(tmp_path) == 0
+    assert np.all(read_frame(report.frames[0]).passes["depth"] == 6.0)
+
+
+def test_another_renderer_annotates_from_a_process_of_its_own(stage):
+    passes = ["rgb", *ANNOTATION]
+    own = one(stage, "smooth", passes=passes)
+    report = run(stage, "smooth", passes=passes, annotate_with="mitsuba", noise_seed=1)
+    other = read_frame(report.frames[0])
+    assert_same(own, other)
+    assert other.sidecar["annotation"]["backend"] == "mitsuba"
+    assert other.sidecar["annotation"]["version"].startswith("mitsuba")
+    assert {"load", "radiance", "visibility", "resolve"} <= set(other.sidecar["seconds"])
+    # Who annotated is no part of the key: the frame is the same.
+    assert run(stage, "smooth", passes=passes, noise_seed=1).skipped == 2
+
+
+@pytest.mark.slow
+def test_an_annotator_that_dies_is_tried_again_like_any_worker(stage, tmp_path, monkeypatch):
+    plan_fault(tmp_path, monkeypatch, "kill", where="visibility", times=1)
+    lines: list[str] = []
+    report = run(stage, "smooth", annotate_with="plain", warn=lines.append)
+    assert faults_so_far(tmp_path) == 1
+    assert (report.rendered, report.deaths) == (2, 1)
+    assert any("SIGKILL" in line and "trying again" in line for line in lines)
+    plan_fault(tmp_path, monkeypatch, "kill", where="visibility", times=3)
+    report = run(stage, "smooth", annotate_with="plain", noise_seed=1)
+    assert (report.rendered, len(report.failed), report.deaths) == (1, 1, 3)
+
+
+def test_what_a_backend_leaves_out_is_said_once_and_written_to_every_sidecar(stage):
+    line = "plain: every surface shines alike"
+    lines: list[str] = []
+    report = run(stage, "plain", samples=None, warn=lines.append)
+    assert lines == [line]
+    assert (report.losses, report.warnings) == ([line], [line])
+    for path in report.frames:
+        assert read_frame(path).sidecar["losses"] == [line]
+    report = run(stage, "plain", samples=None, passes=["depth"])
+    assert (report.losses, report.warnings) == ([], [])
+    assert "losses" not in read_frame(report.frames[0]).sidecar
+
+
+def test_json_tells_scripts_the_same(stage, tmp_path, monkeypatch, capsys):
+    plan_fault(tmp_path, monkeypatch, "exit", sample=0, times=1)
+    command = ["render", str(stage), "--backend", "smooth", "--denoise", "--annotate-with",
+               "reference", "--timeout", "600", "--memory-limit", "8", "--json"]  # fmt: skip
+    assert main(command) == 0
+    said = capsys.readouterr()
+    result = json.loads(said.out)
+    assert (result["device"], result["backend_version"]) == ("cpu", "smooth 1.0")
+    assert result["denoiser"] == "mean"
+    assert (result["worker_deaths"], result["workers_replaced"]) == (1, 0)
+    assert result["losses"] == ["smooth: every surface shines alike"]
+    assert result["peak_memory_gb"] > 0.01
+    assert said.err.startswith(
+        "rendering with smooth 1.0 on cpu (rgb: 64 samples per pixel, denoised by mean, "
+        "annotated with reference)\n"
+    )
+    assert "warning: smooth: every surface shines alike\n" in said.err
+
+
+@pytest.mark.parametrize("limit", ["0", "-1", "nan", "inf", "much"])
+@pytest.mark.parametrize("option", ["--timeout", "--memory-limit"])
+def test_limits_are_numbers_above_0(option, limit, capsys):
+    with pytest.raises(SystemExit) as left:
+        parser().parse_args(["render", "OUT", option, limit])
+    assert left.value.code == 2
+    assert "above 0" in capsys.readouterr().err
+
+
+def test_a_limit_below_what_any_worker_holds_ends_in_one_line(stage, capsys):
+    command = ["render", str(stage), "--backend", "plain", "--memory-limit", "0.01"]
+    assert main(command) == 2
+    said = capsys.readouterr().err.splitlines()
+    assert "opening" in said[-1]
+    assert "grew beyond 0.01 GB" in said[-1]
+    assert "--memory-limit" in said[-1]
+
+
+REFUSED = {
+    "annotation only": ["--backend", "reference"],
+    "has no device 'cuda'": ["--backend", "reference", "--device", "cuda", "--passes", "depth"],
+    "without rgb": ["--backend", "smooth", "--denoise", "--passes", "depth"],
+    "did you mean 'reference'": ["--annotate-with", "refrence"],
+    "no driver for optix": ["--backend", "plain", "--device", "optix"],
+}
+
+
+@pytest.mark.parametrize("words", list(REFUSED))
+def test_run_refuses_before_it_compiles(words, tmp_path, monkeypatch, capsys):
+    install(tmp_path, monkeypatch)
+    cfg = write_cfg(tmp_path, small_cfg())
+    out = tmp_path / "out"
+    command = ["run", str(cfg), "--seed", "1", "-o", str(out), *REFUSED[words]]
+    assert main(command) == 2
+    said = capsys.readouterr().err
+    assert words in said
+    assert len(said.splitlines()) == 1
+    assert not out.exists()
+
+
+def test_run_asks_for_light_only_where_a_sensor_does(tmp_path):
+    cfg = small_cfg(outputs=["depth"])
+    words = ["run", str(write_cfg(tmp_path, cfg)), "--seed", "1", "-o", "OUT"]
+    options = parser().parse_args([*words, "--backend", "reference"])
+    run_command._refuse_early(options)
+    cfg["rigs"]["rover"]["sensors"]["front"]["outputs"] = ["rgb"]
+    write_cfg(tmp_path, cfg)
+    with pytest.raises(BackendError, match="annotation only"):
+        run_command._refuse_early(options)
+    # What is asked for on the command line goes before the cfg.
+    run_command._refuse_early(
+        parser().parse_args([*words, "--backend", "reference", "--passes", "depth"])
+    )
