@@ -151,7 +151,9 @@ def test_explain_refuses_what_is_no_report(output, tmp_path, capsys):
 def test_doctor_says_what_works_here(capsys):
     assert main(["doctor", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)["backends"]
-    assert {b["name"]: b["works"] for b in found} == {"mitsuba": True, "reference": True}
+    assert {b["name"] for b in found} == {"mitsuba", "cycles", "pyrender", "reference"}
+    assert all(b["works"] for b in found)
+    assert all(b["device"] in ("cpu", "cuda", "optix") for b in found)
 
 
 def test_version_is_the_package_s(capsys):
