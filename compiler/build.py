@@ -22,6 +22,7 @@ from scenec.compiler.scatter.placement import align_to_normals, place, seat
 from scenec.compiler.scatter.rocks import build_prototypes
 from scenec.compiler.scene import Ground, Rig, Scatter, Scene, SkyLight
 from scenec.compiler.terrain.grid import Grid, HeightField
+from scenec.compiler.terrain.operator import operator_type
 from scenec.schemas.errors import SceneError
 
 
@@ -130,7 +131,7 @@ def _relief(plan: TerrainPlan, log: BuildLog) -> HeightField:
     with np.errstate(over="ignore", invalid="ignore"):
         for operator in plan.relief:
             height, report = operator.apply(grid, height)
-            steps.append({"type": type(operator).__name__.lower(), **report})
+            steps.append({"type": operator_type(operator), **report})
     if not np.isfinite(height).all():
         raise SceneError(
             "terrain: the relief overflows to infinity; lower amplitude, gain or octaves"

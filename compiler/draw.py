@@ -27,10 +27,13 @@ from scenec.compiler.plan import (
 )
 from scenec.compiler.scatter.draw import draw_rocks
 from scenec.compiler.scene import GroundLayer, Labels, Material, MaterialMaps, SunLight
+from scenec.compiler.terrain.draw_craters import draw_craters
 from scenec.compiler.terrain.operator import OPERATORS, ReliefOperator
 from scenec.schemas import stage as names
 from scenec.schemas.maps import MAP_CHANNELS
 
+#: Relief operators that are many things, each drawn.
+_SCATTERED = {"craters": draw_craters}
 _HALF_TURN = np.diag([*names.HALF_TURN, 1.0])
 
 
@@ -130,7 +133,10 @@ def _terrain(spec: Spec, streams: Streams) -> TerrainPlan:
     return TerrainPlan(
         size_m=(node["size_m"][0], node["size_m"][1]),
         spacing_m=node["spacing_m"],
-        relief=tuple(_relief(spec, i, streams) for i in range(len(cfg["relief"]))),
+        relief=tuple(
+            _relief(spec, i, streams, (node["size_m"][0], node["size_m"][1]))
+            for i in range(len(cfg["relief"]))
+        ),
         layers=layers,
         merges=tuple(merges),
         coverage=tuple(coverage),
@@ -138,10 +144,15 @@ def _terrain(spec: Spec, streams: Streams) -> TerrainPlan:
     )
 
 
-def _relief(spec: Spec, index: int, streams: Streams) -> ReliefOperator:
-    """One operator: its keys in the cfg are the fields of its class."""
+def _relief(
+    spec: Spec, index: int, streams: Streams, size_m: tuple[float, float]
+) -> ReliefOperator:
+    """One operator: its keys in the cfg are the fields of its class, but for scattered ones."""
     path = f"terrain/relief/{index}"
-    node = resolve(spec.cfg["terrain"]["relief"][index], streams, path)
+    cfg = spec.cfg["terrain"]["relief"][index]
+    if cfg["type"] in _SCATTERED:
+        return _SCATTERED[cfg["type"]](cfg, streams, path, size_m)
+    node = resolve(cfg, streams, path)
     operator = OPERATORS[node.pop("type")]
     if "pixel_m" in node and not isinstance(node["pixel_m"], list):
         # One number stands for square pixels.

@@ -12,7 +12,7 @@ from typing import Any
 from scenec.compiler.frontend.check_numbers import support
 from scenec.compiler.frontend.faults import Finding, shown
 from scenec.compiler.frontend.json_positions import Path
-from scenec.compiler.frontend.schema import Field
+from scenec.compiler.frontend.schema import Field, load_schemas
 from scenec.schemas.maps import MAP_CHANNELS
 
 #: Height samples of a terrain at most (2 GiB of float64).
@@ -31,6 +31,7 @@ def check_scene(document: Any, numbers: dict[Path, Field]) -> list[Finding]:
     spans = {path: support(field.value, field.keywords) for path, field in numbers.items()}
     return [
         *_check_relief(document),
+        *_check_craters(document, spans),
         *_check_layers(document),
         *_check_materials(document),
         *_check_samples(spans),
@@ -60,11 +61,23 @@ def _entries(document: Any, *path: str | int) -> list[tuple[str | int, Any]]:
 
 def _check_relief(document: Any) -> Iterator[Finding]:
     kind = _at(document, "terrain", "relief", 0, "type")
-    if kind in ("multifractal", "smooth"):
+    known = load_schemas()["relief.schema.json"]["properties"]["type"]["enum"]
+    if kind in known and kind not in _BASES:
         yield Finding(
             ("terrain", "relief", 0, "type"),
             f"{shown(kind)}: the first operator is the base: expected one of {', '.join(_BASES)}",
         )
+
+
+def _check_craters(document: Any, spans: dict[Path, tuple[float, float]]) -> Iterator[Finding]:
+    for i, _ in _entries(document, "terrain", "relief"):
+        path = ("terrain", "relief", i)
+        low, high = (spans.get((*path, f"{end}_diameter_m")) for end in ("min", "max"))
+        if low and high and low[1] > high[0]:
+            yield Finding(
+                (*path, "min_diameter_m"),
+                f"{low[1]:g} m can be above max_diameter_m ({high[0]:g} m): expected it below",
+            )
 
 
 def _check_layers(document: Any) -> Iterator[Finding]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 _C1 = np.uint64(0x9E3779B97F4A7C15)
 _C2 = np.uint64(0xBF58476D1CE4E5B9)
@@ -26,6 +27,15 @@ def mix(x: np.uint64) -> np.uint64:
 def subkey(key: np.uint64, index: int) -> np.uint64:
     """Key of part ``index`` (an octave, a component) of the thing that ``key`` stands for."""
     return mix(np.uint64(key) ^ mix(np.uint64(index)))
+
+
+@njit(cache=True, error_model="numpy")
+def subkeys(key: np.uint64, n: int) -> NDArray[np.uint64]:
+    """Keys of the parts 0 to n - 1: uint64 [n]."""
+    out = np.empty(n, np.uint64)
+    for index in range(n):
+        out[index] = subkey(key, index)
+    return out
 
 
 @njit(cache=True, error_model="numpy", inline="always")

@@ -18,7 +18,8 @@ from scenec.compiler.arithmetic import elementary
 from scenec.compiler.noise.lattice import hash2, hash3, subkey
 
 _DIRECTIONS = 64
-_MASK = np.uint64(_DIRECTIONS - 1)
+#: The bits of a lattice point's hash that are its gradient's direction in 2-D.
+DIRECTION_MASK = np.uint64(_DIRECTIONS - 1)
 _ANGLES = (np.arange(_DIRECTIONS) + 0.5) * (2.0 * elementary.PI / _DIRECTIONS)
 _GX = elementary.cos_array(_ANGLES)
 _GY = elementary.sin_array(_ANGLES)
@@ -50,10 +51,19 @@ def perlin2(key: np.uint64, x: float, y: float) -> float:
     j = np.int64(fj)
     u = x - fi
     v = y - fj
-    g00 = hash2(key, i, j) & _MASK
-    g10 = hash2(key, i + 1, j) & _MASK
-    g01 = hash2(key, i, j + 1) & _MASK
-    g11 = hash2(key, i + 1, j + 1) & _MASK
+    return perlin2_of_directions(
+        hash2(key, i, j) & DIRECTION_MASK,
+        hash2(key, i + 1, j) & DIRECTION_MASK,
+        hash2(key, i, j + 1) & DIRECTION_MASK,
+        hash2(key, i + 1, j + 1) & DIRECTION_MASK,
+        u,
+        v,
+    )
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def perlin2_of_directions(g00: int, g10: int, g01: int, g11: int, u: float, v: float) -> float:
+    """Value at (u, v) in [0, 1]^2 of a cell, from the gradient directions of its corners."""
     n00 = _GX[g00] * u + _GY[g00] * v
     n10 = _GX[g10] * (u - 1.0) + _GY[g10] * v
     n01 = _GX[g01] * u + _GY[g01] * (v - 1.0)

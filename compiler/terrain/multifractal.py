@@ -1,4 +1,4 @@
-"""Fractal relief on Perlin noise: fBm, heterogeneous and ridged multifractals."""
+"""Fractal relief on Perlin noise: fBm, Musgrave's multifractals, billow, and their domain warps."""
 
 from __future__ import annotations
 
@@ -10,10 +10,12 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from scenec.compiler.noise.lattice import subkey
-from scenec.compiler.noise.perlin import perlin2
+from scenec.compiler.noise.rows import Octaves, fbm_row, next_octave, octave_row, tabulate
 from scenec.compiler.terrain.grid import Grid
 
-_VARIANTS = {"fbm": 0, "hetero": 1, "ridged": 2}
+_VARIANTS = {"fbm": 0, "hetero": 1, "ridged": 2, "hybrid": 3, "billow": 4}
+_WARP_GAIN = 0.5
+_WARP_LACUNARITY = 2.0
 
 
 @dataclass(frozen=True)
@@ -25,10 +27,17 @@ class Multifractal:
     - ``fbm``: sum of g_o n_o;
     - ``hetero``: v = offset + n_0, then v += g_o (n_o + offset) v: rough where it is high, smooth
       in the valleys; centered and scaled so that the first octave keeps its amplitude;
+    - ``hybrid``: sum of w_o g_o (n_o + offset), w_0 = 1, w_(o+1) = min(w_o, 1) g_o (n_o + offset):
+      valleys smooth at every height; what it comes to where all n_o are 0 is taken off;
     - ``ridged``: sum of g_o (offset - |n_o|)^2, each octave weighted by the one before; half of
-      what it comes to where all n_o are 0 is taken off, which about centers it.
+      what it comes to where all n_o are 0 is taken off, which about centers it;
+    - ``billow``: sum of g_o (2 |n_o| - 1/2): round hills between sharp creases, about centered.
 
-    Octaves finer than two grid spacings cannot be represented and are left out (reported).
+    With a distortion, the noise at p is that at p + distortion * (fBm(p), fBm'(p)): a domain warp
+    (Quilez 2002), all in units of ``scale_m``.
+
+    Octaves finer than two grid spacings cannot be represented and are left out (reported). A warp
+    shortens wavelengths where it compresses; that is not followed.
 
     Attributes:
         key: Noise key.
@@ -38,8 +47,10 @@ class Multifractal:
         octaves: Number of octaves at most.
         lacunarity: Ratio of successive frequencies.
         gain: Ratio of successive amplitudes.
-        variant: Which of the three.
-        offset: The multifractal offset; 0 makes ``hetero`` smoothest in the valleys.
+        variant: Which of the five.
+        offset: The multifractal offset; 0 makes ``hetero`` and ``hybrid`` smoothest in the valleys.
+        distortion: Strength of the domain warp.
+        distortion_octaves: Octaves of the noise that warps; their gain is 1/2.
     """
 
     key: int
@@ -48,23 +59,34 @@ class Multifractal:
     octaves: int
     lacunarity: float
     gain: float
-    variant: Literal["fbm", "hetero", "ridged"]
+    variant: Literal["fbm", "hetero", "hybrid", "ridged", "billow"]
     offset: float
+    distortion: float = 0.0
+    distortion_octaves: int = 2
 
     def apply(
         self, grid: Grid, height: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], dict[str, Any]]:
         """Heights plus relief."""
-        octaves = self._octaves(max(grid.spacing_m))
+        spacing = max(grid.spacing_m)
+        octaves = octaves_shown(self.octaves, self.scale_m, self.lacunarity, spacing)
+        x, y = grid.x() / self.scale_m, grid.y() / self.scale_m
+        warps = 0
+        if self.distortion != 0.0 and octaves > 0:
+            warps = octaves_shown(self.distortion_octaves, self.scale_m, _WARP_LACUNARITY, spacing)
+        # One octave is in [-1, 1], so their sum is in [-2, 2].
+        margin = 2.0 * abs(self.distortion) if warps else 0.0
         relief = _relief(
-            np.uint64(self.key),
-            grid.x() / self.scale_m,
-            grid.y() / self.scale_m,
-            octaves,
+            tabulate(self.key, x, y, octaves, self.lacunarity, margin),
+            tabulate(subkey(np.uint64(self.key), 1 << 20), x, y, warps, _WARP_LACUNARITY),
+            tabulate(subkey(np.uint64(self.key), (1 << 20) + 1), x, y, warps, _WARP_LACUNARITY),
+            x,
+            y,
             self.gain,
             self.lacunarity,
             _VARIANTS[self.variant],
             self.offset,
+            self.distortion,
         )
         relief *= self.amplitude_m
         return height + relief, {
@@ -73,66 +95,99 @@ class Multifractal:
             "relief_rms_m": float(np.sqrt((relief * relief).mean())),
         }
 
-    def _octaves(self, spacing_m: float) -> int:
-        wavelength = self.scale_m
-        for octave in range(self.octaves):
-            if wavelength < 2.0 * spacing_m:
-                return octave
-            wavelength /= self.lacunarity
-        return self.octaves
+
+def octaves_shown(octaves: int, scale_m: float, lacunarity: float, spacing_m: float) -> int:
+    """How many of a noise's octaves are at least two grid spacings wide."""
+    wavelength = scale_m
+    for octave in range(octaves):
+        if wavelength < 2.0 * spacing_m:
+            return octave
+        wavelength /= lacunarity
+    return octaves
 
 
 @njit(cache=True, error_model="numpy", parallel=True)
 def _relief(
-    key: np.uint64,
+    octaves: Octaves,
+    warp_x: Octaves,
+    warp_y: Octaves,
     x: NDArray,
     y: NDArray,
-    octaves: int,
     gain: float,
     lacunarity: float,
     variant: int,
     offset: float,
+    distortion: float,
 ) -> NDArray:
-    keys = np.empty(max(octaves, 1), np.uint64)
-    for octave in range(octaves):
-        keys[octave] = subkey(key, octave)
-    # What the sums come to where every octave is zero, to center them by.
+    count = octaves.keys.size
+    growth, level = _at_zero(count, gain, variant, offset)
+    out = np.empty((y.size, x.size))
+    for j in prange(y.size):
+        u = x.copy()
+        v = np.full(x.size, y[j])
+        if warp_x.keys.size > 0:
+            _warp(warp_x, u, v, distortion, warp_y)
+        value = out[j]
+        value[:] = 0.0
+        noise = np.empty(x.size)
+        signal = np.ones(x.size)
+        weight = 1.0
+        for octave in range(count):
+            octave_row(octaves, octave, u, v, noise)
+            for i in range(x.size):
+                n = noise[i]
+                if variant == 0:
+                    value[i] += weight * n
+                elif variant == 1:
+                    if octave == 0:
+                        value[i] = offset + n
+                    else:
+                        value[i] += weight * (n + offset) * value[i]
+                elif variant == 2:
+                    ridge = offset - abs(n)
+                    signal[i] = ridge * ridge * min(max(2.0 * signal[i], 0.0), 1.0)
+                    value[i] += weight * signal[i]
+                elif variant == 3:
+                    signal[i] = min(signal[i], 1.0) * (weight * (n + offset))
+                    value[i] += signal[i]
+                else:
+                    value[i] += weight * (2.0 * abs(n) - 0.5)
+            weight *= gain
+            next_octave(u, v, lacunarity)
+        if count > 0:
+            for i in range(x.size):
+                if variant == 1:
+                    value[i] = value[i] / growth - offset
+                elif variant == 2 or variant == 3:
+                    value[i] -= level
+    return out
+
+
+@njit(cache=True, error_model="numpy")
+def _at_zero(octaves: int, gain: float, variant: int, offset: float) -> tuple[float, float]:
+    """What the sums are centered by: where every octave is zero, hetero's growth, others' level."""
     growth = 1.0
     level = 0.0
     weight = 1.0
+    signal = 1.0
     for octave in range(octaves):
         if variant == 1 and octave > 0:
             growth *= 1.0 + weight * offset
-        level += weight * offset * offset
+        if variant == 2:
+            level += weight * offset * offset
+        if variant == 3:
+            signal = min(signal, 1.0) * (weight * offset)
+            level += signal
         weight *= gain
-    out = np.empty((y.size, x.size))
-    for j in prange(y.size):
-        for i in range(x.size):
-            u = x[i]
-            v = y[j]
-            value = 0.0
-            weight = 1.0
-            signal = 1.0
-            for octave in range(octaves):
-                n = perlin2(keys[octave], u, v)
-                if variant == 0:
-                    value += weight * n
-                elif variant == 1:
-                    if octave == 0:
-                        value = offset + n
-                    else:
-                        value += weight * (n + offset) * value
-                else:
-                    ridge = offset - abs(n)
-                    signal = ridge * ridge * min(max(2.0 * signal, 0.0), 1.0)
-                    value += weight * signal
-                weight *= gain
-                u, v = lacunarity * (0.8 * u - 0.6 * v), lacunarity * (0.6 * u + 0.8 * v)
-            if octaves == 0:
-                value = 0.0
-            elif variant == 1:
-                value = value / growth - offset
-            elif variant == 2:
-                value -= 0.5 * level
-            out[j, i] = value
-    return out
+    return growth, 0.5 * level if variant == 2 else level
+
+
+@njit(cache=True, error_model="numpy")
+def _warp(warp_x: Octaves, u: NDArray, v: NDArray, distortion: float, warp_y: Octaves) -> None:
+    du = np.empty(u.size)
+    dv = np.empty(u.size)
+    fbm_row(warp_x, u.copy(), v.copy(), _WARP_GAIN, _WARP_LACUNARITY, du)
+    fbm_row(warp_y, u.copy(), v.copy(), _WARP_GAIN, _WARP_LACUNARITY, dv)
+    for i in range(u.size):
+        u[i] += distortion * du[i]
+        v[i] += distortion * dv[i]

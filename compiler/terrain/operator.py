@@ -7,11 +7,13 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.compiler.terrain.craters import Craters
 from scenec.compiler.terrain.dem import Dem
 from scenec.compiler.terrain.grid import Grid
 from scenec.compiler.terrain.multifractal import Multifractal
 from scenec.compiler.terrain.plane import Plane
 from scenec.compiler.terrain.smooth import Smooth
+from scenec.compiler.terrain.worley import Worley
 
 
 class ReliefOperator(Protocol):
@@ -29,5 +31,12 @@ OPERATORS: dict[str, type[Any]] = {
     "plane": Plane,
     "dem": Dem,
     "multifractal": Multifractal,
+    "worley": Worley,
+    "craters": Craters,
     "smooth": Smooth,
 }
+
+
+def operator_type(operator: ReliefOperator) -> str:
+    """The cfg's ``type`` of an operator."""
+    return next(name for name, kind in OPERATORS.items() if isinstance(operator, kind))

@@ -35,15 +35,7 @@ class Smooth:
         """Smoothed heights."""
         if self.length_m == 0.0:
             return height, {}
-        dx, dy = grid.spacing_m
-        # The mean is carried apart: it then keeps every bit whatever the transform rounds.
-        mean = height.mean()
-        modes = scipy.fft.dctn(height - mean, type=2)
-        decay_y = _decay(grid.shape[0], dy, self.length_m)
-        decay_x = _decay(grid.shape[1], dx, self.length_m)
-        modes *= decay_y[:, None]
-        modes *= decay_x[None, :]
-        smoothed = scipy.fft.idctn(modes, type=2) + mean
+        smoothed = diffuse(grid, height, self.length_m)
         change = smoothed - height
         return smoothed, {
             "change_rms_m": float(np.sqrt((change * change).mean())),
@@ -51,7 +43,51 @@ class Smooth:
         }
 
 
-def _decay(n: int, spacing: float, length: float) -> NDArray[np.float64]:
+@dataclass(frozen=True)
+class Diffusion:
+    """Hillslope diffusion: soil creep that rounds crests and fills hollows (Culling 1960).
+
+    The same step as ``Smooth``, with length_m = sqrt(2 * kappa * t).
+
+    Attributes:
+        diffusivity_m2_per_a: kappa, square meters a year.
+        duration_a: t, years.
+    """
+
+    diffusivity_m2_per_a: float
+    duration_a: float
+
+    def apply(
+        self, grid: Grid, height: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], dict[str, Any]]:
+        """Diffused heights."""
+        length = float(np.sqrt(2.0 * self.diffusivity_m2_per_a * self.duration_a))
+        out, report = Smooth(length).apply(grid, height)
+        spacing = min(grid.spacing_m)
+        number = self.diffusivity_m2_per_a * self.duration_a / (spacing * spacing)
+        return out, {"length_m": length, "diffusion_number": number, **report}
+
+
+def diffuse(grid: Grid, height: NDArray[np.float64], length_m: float) -> NDArray[np.float64]:
+    """Heights diffused to a standard deviation of ``length_m``: float64 [ny, nx]."""
+    dx, dy = grid.spacing_m
+    # The mean is carried apart: it then keeps every bit whatever the transform rounds.
+    mean = height.mean()
+    modes = scipy.fft.dctn(height - mean, type=2)
+    modes *= _decay(grid.shape[0], dy, length_m)[:, None]
+    modes *= _decay(grid.shape[1], dx, length_m)[None, :]
+    smoothed: NDArray[np.float64] = scipy.fft.idctn(modes, type=2) + mean
+    return smoothed
+
+
+def laplacian_eigenvalues(n: int, spacing: float) -> NDArray[np.float64]:
+    """Of minus the second difference with insulated ends, by the modes of the DCT-II: float64 [n].
+
+    (2 - 2 cos(pi k / n)) / spacing^2, from half the angle, which keeps the bits of the small ones.
+    """
     half_angle = elementary.sin_array(0.5 * elementary.PI * np.arange(n) / n)
-    eigenvalue = 4.0 * half_angle * half_angle / (spacing * spacing)
-    return elementary.exp_array(-0.5 * length * length * eigenvalue)
+    return 4.0 * half_angle * half_angle / (spacing * spacing)
+
+
+def _decay(n: int, spacing: float, length: float) -> NDArray[np.float64]:
+    return elementary.exp_array(-0.5 * length * length * laplacian_eigenvalues(n, spacing))

@@ -1,0 +1,194 @@
+"""Relief made of noise: each variant against its formula, cells against a search of all points."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numba
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial import cKDTree
+
+from scenec.compiler.noise.lattice import subkey
+from scenec.compiler.noise.perlin import fbm2, perlin2
+from scenec.compiler.noise.rows import fbm_grid, tabulate
+from scenec.compiler.noise.worley import feature_point, worley2
+from scenec.compiler.terrain.grid import Grid
+from scenec.compiler.terrain.multifractal import Multifractal
+from scenec.compiler.terrain.worley import Worley
+
+VARIANTS = ["fbm", "hetero", "hybrid", "ridged", "billow"]
+FRACTAL = Multifractal(7, 3.0, 25.0, 6, 2.13, 0.6, "fbm", 0.7)
+CELLS = Worley(9, 2.0, 8.0, "f1", 1.0, 1, 2.0, 0.5)
+GRID = Grid((60.0, 40.0), (41, 61))
+
+
+def apply(operator, grid: Grid = GRID) -> np.ndarray:
+    return operator.apply(grid, np.zeros(grid.shape))[0]
+
+
+def part(key: int, index: int) -> np.uint64:
+    return np.uint64(subkey(np.uint64(key), index))
+
+
+def musgrave(operator: Multifractal, x: float, y: float) -> float:
+    """A variant as its docstring has it, one point at a time."""
+    u, v = x / operator.scale_m, y / operator.scale_m
+    if operator.distortion:
+        moved = [fbm2(part(operator.key, (1 << 20) + i), u, v, 2, 0.5, 2.0) for i in (0, 1)]
+        u, v = u + operator.distortion * moved[0], v + operator.distortion * moved[1]
+    n, g = [], [operator.gain**o for o in range(operator.octaves)]
+    for octave in range(operator.octaves):
+        n.append(perlin2(part(operator.key, octave), u, v))
+        turned = 0.8 * u - 0.6 * v, 0.6 * u + 0.8 * v
+        u, v = operator.lacunarity * turned[0], operator.lacunarity * turned[1]
+
+    def total(n: list[float]) -> float:
+        b = operator.offset
+        if operator.variant == "fbm":
+            return sum(w * s for w, s in zip(g, n, strict=True))
+        if operator.variant == "billow":
+            return sum(w * (2 * abs(s) - 0.5) for w, s in zip(g, n, strict=True))
+        if operator.variant == "hetero":
+            value = b + n[0]
+            for w, s in zip(g[1:], n[1:], strict=True):
+                value += w * (s + b) * value
+            return value
+        value, weight = 0.0, 1.0
+        for w, s in zip(g, n, strict=True):
+            if operator.variant == "hybrid":
+                weight = min(weight, 1.0) * w * (s + b)
+                value += weight
+            else:
+                weight = (b - abs(s)) ** 2 * min(max(2.0 * weight, 0.0), 1.0)
+                value += w * weight
+        return value
+
+    flat = total([0.0] * len(n))
+    if operator.variant == "hetero":
+        return operator.amplitude_m * (total(n) * operator.offset / flat - operator.offset)
+    if operator.variant == "ridged":
+        return operator.amplitude_m * (total(n) - 0.5 * sum(w * operator.offset**2 for w in g))
+    return operator.amplitude_m * (total(n) - (flat if operator.variant == "hybrid" else 0.0))
+
+
+@pytest.mark.parametrize("distortion", [0.0, 0.8])
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_relief_is_its_formula_at_every_sample(variant, distortion):
+    operator = replace(FRACTAL, octaves=4, variant=variant, distortion=distortion)
+    height = apply(operator)
+    x, y = GRID.x(), GRID.y()
+    for j, i in [(0, 0), (40, 60), (0, 60), (17, 23), (31, 5), (20, 30)]:
+        assert height[j, i] == pytest.approx(musgrave(operator, x[i], y[j]), rel=1e-12, abs=1e-12)
+
+
+def test_tabulated_noise_has_the_bits_of_the_plain_one():
+    x, y = np.linspace(-7.3, 11.1, 57), np.linspace(-2.0, 3.0, 31)
+    grid = fbm_grid(tabulate(5, x, y, 7, 2.1), x, y, 0.6, 2.1)
+    plain = [[fbm2(np.uint64(5), u, v, 7, 0.6, 2.1) for u in x] for v in y]
+    assert np.array_equal(grid, np.array(plain))
+
+
+def test_a_table_that_would_be_too_large_is_left_out_without_a_trace():
+    # Two rows, ten thousand cells apart: turned, they lie in a box of a hundred million cells.
+    x, y = np.linspace(0.0, 10_000.0, 40), np.array([0.0, 10_000.0])
+    octaves = tabulate(5, x, y, 2, 2.0)
+    assert octaves.start.tolist() == [-1, -1]
+    plain = [[fbm2(np.uint64(5), u, v, 2, 0.5, 2.0) for u in x] for v in y]
+    assert np.array_equal(fbm_grid(octaves, x, y, 0.5, 2.0), np.array(plain))
+
+
+@pytest.mark.parametrize("operator", [replace(FRACTAL, distortion=0.4), CELLS])
+def test_relief_does_not_depend_on_the_number_of_threads(operator):
+    before = numba.get_num_threads()
+    try:
+        numba.set_num_threads(1)
+        alone = apply(operator)
+    finally:
+        numba.set_num_threads(before)
+    assert np.array_equal(alone, apply(operator))
+
+
+def test_hybrid_relief_is_smooth_in_its_valleys_and_billow_has_creases():
+    grid = Grid.with_spacing((400.0, 400.0), 0.8)
+    hybrid = apply(replace(FRACTAL, scale_m=80.0, variant="hybrid", offset=0.4), grid)
+    rough = np.abs(np.diff(hybrid, 2, axis=1))
+    middle = hybrid[:, 1:-1]
+    high, low = middle > np.quantile(middle, 0.8), middle < np.quantile(middle, 0.2)
+    assert rough[high].mean() > 2.0 * rough[low].mean()
+    # Creases are bottoms: bends are far sharper upward than downward.
+    billow = apply(replace(FRACTAL, scale_m=80.0, octaves=1, variant="billow"), grid)
+    bend = np.diff(billow, 2, axis=1)
+    assert bend.max() > 3.0 * -bend.min()
+
+
+def test_a_warp_moves_the_noise_by_its_strength_at_most():
+    plain = replace(FRACTAL, octaves=1, distortion=0.0)
+    warped = apply(replace(plain, distortion=0.01))
+    # One octave of unit noise rises by less than 3 in a unit; the warp is 0.02 at most.
+    assert 0.0 < np.abs(warped - apply(plain)).max() < 3.0 * 0.02 * plain.amplitude_m
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    octaves=st.integers(0, 24),
+    lacunarity=st.floats(1.0, 8.0),
+    gain=st.floats(0.0, 2.0),
+    amplitude=st.sampled_from([0.0, 1e-3, 1.0, 1e6]),
+    size=st.sampled_from([1e-3, 1.0, 1e3, 1e6]),
+    variant=st.sampled_from([*VARIANTS, "f1", "f2-f1"]),
+    offset=st.floats(-2.0, 2.0),
+    distortion=st.sampled_from([0.0, 0.5, 10.0]),
+)
+def test_noise_is_finite_over_the_whole_range(
+    octaves, lacunarity, gain, amplitude, size, variant, offset, distortion
+):
+    grid = Grid.with_spacing((size, size), size / 16)
+    if variant in VARIANTS:
+        operator = Multifractal(
+            3, amplitude, size / 3, octaves, lacunarity, gain, variant, offset, distortion
+        )
+    else:
+        operator = Worley(3, amplitude, size / 3, variant, 1.0, octaves, lacunarity, gain)
+    height = apply(operator, grid)
+    assert np.isfinite(height).all()
+    if amplitude == 0.0 or octaves == 0:
+        assert np.abs(height).max() == 0.0
+
+
+@pytest.mark.parametrize("jitter", [0.0, 0.5, 1.0])
+def test_cells_are_the_distances_to_the_two_nearest_feature_points(jitter):
+    key = np.uint64(3)
+    points = [feature_point(key, i, j, jitter) for i in range(-13, 13) for j in range(-13, 13)]
+    at = np.random.default_rng(0).uniform(-9.0, 9.0, (20_000, 2))
+    expected = cKDTree(points).query(at, k=2)[0]
+    got = [worley2(key, x, y, jitter) for x, y in at]
+    assert np.allclose(got, expected, rtol=0, atol=1e-12)
+
+
+def test_a_feature_point_lies_in_its_cell_and_nowhere_in_particular():
+    points = np.array([feature_point(np.uint64(1), i, 5, 1.0) for i in range(20_000)])
+    inside = points - np.stack([np.arange(20_000), np.full(20_000, 5)], axis=1)
+    assert inside.min() > 0.0
+    assert inside.max() < 1.0
+    assert np.allclose(inside.mean(axis=0), 0.5, atol=0.01)
+    assert np.allclose(inside.std(axis=0), np.sqrt(1.0 / 12.0), atol=0.01)
+    assert abs(np.corrcoef(inside.T)[0, 1]) < 0.03
+
+
+def test_cellular_relief_is_its_distance_in_cells_times_its_amplitude():
+    key = part(CELLS.key, 0)
+    for distance in ("f1", "f2-f1"):
+        height = apply(replace(CELLS, distance=distance))
+        first, second = worley2(key, GRID.x()[11] / 8.0, GRID.y()[7] / 8.0, 1.0)
+        assert height[7, 11] == 2.0 * (second - first if distance == "f2-f1" else first)
+        assert height.min() >= 0.0
+        assert height.max() <= 2.0 * 1.6
+
+
+def test_cells_finer_than_the_grid_are_left_out_and_counted():
+    height, report = replace(CELLS, octaves=5).apply(GRID, np.zeros(GRID.shape))
+    assert (report["octaves"], report["octaves_below_grid"]) == (3, 2)
+    assert np.array_equal(height, apply(replace(CELLS, octaves=3)))
