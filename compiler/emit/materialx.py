@@ -114,9 +114,7 @@ class _Network:
                 made.ConnectToSource(value)
             else:
                 made.Set(value)
-        self._made[name] = shader.CreateOutput(
-            mtlx.OUTPUT, Sdf.ValueTypeNames.Find(kind.output)
-        )
+        self._made[name] = shader.CreateOutput(mtlx.OUTPUT, Sdf.ValueTypeNames.Find(kind.output))
         return self._made[name]
 
     def mix(
