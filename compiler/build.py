@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.cameras.rigs import build_rigs
+from scenec.compiler.cameras.sight import pixels_per_meter
 from scenec.compiler.ground.merge import center_for_coverage
 from scenec.compiler.ground.tiles import build_tiles
 from scenec.compiler.light.latlong import luminance
@@ -63,8 +64,6 @@ def build(plan: Plan, log: BuildLog) -> Scene:
     color, labels = "rgb" in outputs, "label" in outputs
     with log.timed("relief"):
         terrain = _relief(plan.terrain, log)
-    with log.timed("ground"):
-        ground = _ground(plan.terrain, terrain, color, labels, log)
     scatters = []
     for rocks in plan.objects:
         with log.timed(f"objects/{rocks.name}"):
@@ -79,6 +78,8 @@ def build(plan: Plan, log: BuildLog) -> Scene:
             irradiance[i] += luminance(level_sun_irradiance(plan.sun, i))
     with log.timed("cameras"):
         rigs = build_rigs(plan.rigs, terrain, irradiance if color else None)
+    with log.timed("ground"):
+        ground = _ground(plan.terrain, terrain, rigs, color, labels, log)
     if not color:
         _note_left_out(log, "materials, weights, lights", "no sensor asks for rgb")
     if not labels:
@@ -141,7 +142,12 @@ def _relief(plan: TerrainPlan, log: BuildLog) -> HeightField:
 
 
 def _ground(
-    plan: TerrainPlan, field: HeightField, color: bool, labels: bool, log: BuildLog
+    plan: TerrainPlan,
+    field: HeightField,
+    rigs: tuple[Rig, ...],
+    color: bool,
+    labels: bool,
+    log: BuildLog,
 ) -> Ground:
     merges = []
     for merge, coverage in zip(plan.merges, plan.coverage, strict=True):
@@ -150,8 +156,16 @@ def _ground(
         else:
             center = center_for_coverage(merge.noise(*field.grid.points()), coverage)
             merges.append(replace(merge, center=center))
-    key = plan.variation_key if color else None
-    tiles, log.facts["ground"] = build_tiles(field, merges, key, cut_labels=labels)
+    tiles, log.facts["ground"] = build_tiles(
+        field,
+        merges,
+        plan.variation_key,
+        plan.meshing,
+        # Without a view nothing says what is too small to see.
+        pixels_per_meter(field, rigs, plan.meshing.unseen) if rigs else None,
+        color=color,
+        cut_labels=labels,
+    )
     return Ground(plan.layers, tiles)
 
 

@@ -14,6 +14,7 @@ from scenec.compiler.frontend.resolve import resolve
 from scenec.compiler.frontend.streams import Streams
 from scenec.compiler.frontend.track import read_track
 from scenec.compiler.ground.merge import Merge
+from scenec.compiler.ground.mesh import Meshing
 from scenec.compiler.light.latlong import luminance
 from scenec.compiler.plan import (
     ClearSkyPlan,
@@ -141,6 +142,12 @@ def _terrain(spec: Spec, streams: Streams) -> TerrainPlan:
         merges=tuple(merges),
         coverage=tuple(coverage),
         variation_key=streams.key("terrain/variation"),
+        meshing=Meshing(
+            # 0 asks for the grid as it is.
+            tolerance_px=cfg["mesh"]["tolerance_px"] or None,
+            max_triangles=cfg["mesh"]["max_triangles"],
+            unseen=cfg["mesh"]["unseen"],
+        ),
     )
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.ground.merge import Merge
+from scenec.compiler.ground.mesh import Meshing
 from scenec.compiler.scatter.placement import NoiseDensity, UniformDensity
 from scenec.compiler.scatter.rocks import RockShape
 from scenec.compiler.scene import GroundLayer, Labels, Material, SunLight
@@ -30,6 +31,7 @@ class TerrainPlan:
         merges: One for each layer after the base.
         coverage: For each merge, the fraction it shall cover, or None (its center is given).
         variation_key: Noise key of the albedo variation.
+        meshing: How fine the mesh is.
     """
 
     size_m: tuple[float, float]
@@ -39,6 +41,7 @@ class TerrainPlan:
     merges: tuple[Merge, ...]
     coverage: tuple[float | None, ...]
     variation_key: int
+    meshing: Meshing
 
 
 @dataclass(frozen=True)

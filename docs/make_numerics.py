@@ -155,7 +155,7 @@ def label_lines() -> str:
         field = HeightField(Grid.with_spacing((40.0, 40.0), spacing), np.zeros((1, 1)))
         field = HeightField(field.grid, np.zeros(field.grid.shape))
         start = time.perf_counter()
-        tiles, report = build_tiles(field, (merge,), None)
+        tiles, report = build_tiles(field, (merge,), 1, color=False)
         seconds = time.perf_counter() - start
         cut = report["cuts"][0]
         rows.append(
@@ -216,7 +216,7 @@ def extents() -> str:
         grid = Grid.with_spacing((size, size), size / 300)
         relief = Multifractal(3, size / 20, size / 4, 6, 2.0, 0.5, "hetero", 0.7)
         field = HeightField(grid, relief.apply(grid, np.zeros(grid.shape))[0])
-        _, report = build_tiles(field, (), None)
+        _, report = build_tiles(field, (), 1, color=False)
         error = report["float32_error_max_m"]
         rows.append([f"1e{exponent}", f"{size / 300:.1e}", f"{error:.1e}", f"{error / size:.1e}"])
     return (

@@ -31,10 +31,11 @@ class CutMesh:
     Attributes:
         points: float64 [n, 3], meters.
         faces: int32 [m, 3], counter-clockwise from above.
-        parents: Ends of the edge a vertex was cut from, int32 [n, 2]; (i, i) for a grid vertex i.
+        parents: Ends of the edge a vertex was cut from, int32 [n, 2]; (i, i) for an uncut vertex i.
         fraction: Place of a cut vertex on its edge: 0 at parents[:, 0], 1 at the other, [n].
         cell: Grid cell that a face lies in, int32 [m].
         above: For each field so far, whether the face lies on its side >= 0, bool [k, m].
+        samples: Grid sample that each uncut vertex is, ascending, int64 [g]; the first g vertices.
     """
 
     points: NDArray[np.float64]
@@ -43,6 +44,7 @@ class CutMesh:
     fraction: NDArray[np.float64]
     cell: NDArray[np.int32]
     above: NDArray[np.bool_]
+    samples: NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -115,6 +117,7 @@ def cut(mesh: CutMesh, field: Field) -> tuple[CutMesh, CutReport]:
         fraction=np.concatenate([mesh.fraction, fraction]),
         cell=np.concatenate([mesh.cell[whole], mesh.cell[crossed][origin]]),
         above=above,
+        samples=mesh.samples,
     )
     line, worst, rms = _chord_error(all_points, segments, field)
     return result, CutReport(len(edges), len(result.faces) - len(faces), line, worst, rms, snap)

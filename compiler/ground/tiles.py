@@ -11,61 +11,82 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from scenec.compiler.ground.adaptive import ROOT_CELLS
 from scenec.compiler.ground.cut import SNAP, CutMesh, cut
 from scenec.compiler.ground.merge import Merge
+from scenec.compiler.ground.mesh import (
+    Appearance,
+    Meshing,
+    adaptive_mesh,
+    grid_mesh,
+    label_error,
+)
 from scenec.compiler.noise.perlin import fbm2_points
 from scenec.compiler.scene import Tile
-from scenec.compiler.terrain.grid import HeightField, cuts_main_diagonal
+from scenec.compiler.terrain.grid import HeightField
 
-#: Grid cells along a tile's side.
-TILE_CELLS = 128
+#: Grid cells along a tile's side: no triangle reaches over its border.
+TILE_CELLS = ROOT_CELLS
+#: As the plain grid.
+WHOLE_GRID = Meshing(None, 0, 0.0)
 _VARIATION_SCALE_M = 3.0
 _VARIATION_OCTAVES = 6
 _VARIATION_GAIN = 0.75
 
 
 def build_tiles(
-    field: HeightField, merges: Sequence[Merge], variation_key: int | None, cut_labels: bool = True
+    field: HeightField,
+    merges: Sequence[Merge],
+    variation_key: int,
+    meshing: Meshing = WHOLE_GRID,
+    pixels_per_m: NDArray[np.float64] | None = None,
+    *,
+    color: bool = True,
+    cut_labels: bool = True,
 ) -> tuple[tuple[Tile, ...], dict[str, Any]]:
     """The terrain's tiles.
 
     Args:
         field: Heights.
         merges: From the first merge up; empty for one material.
-        variation_key: Noise key of the albedo variation; None leaves color out.
+        variation_key: Noise key of the albedo variation.
+        meshing: How fine the mesh is.
+        pixels_per_m: See ``cameras.sight``; taken where the mesh is adaptive.
+        color: False where no output shows color: weights and variation are then left out.
         cut_labels: False where no output shows labels: the mesh then stays whole.
 
     Returns:
-        Tiles in row order, and the report: errors of the cuts and of float32.
+        Tiles in row order, and the report: errors of the mesh, of the cuts and of float32.
     """
-    mesh = _grid_mesh(field)
+    report: dict[str, Any] = {}
+    x, y = field.grid.points()
+    if meshing.tolerance_px is None or pixels_per_m is None:
+        mesh = grid_mesh(field)
+    else:
+        # The same whatever the outputs: what is left out must not move what stays.
+        appearance = Appearance(
+            tuple(merge.side(x, y) for merge in merges), _variation(variation_key, x, y)
+        )
+        mesh, report["mesh"] = adaptive_mesh(field, merges, appearance, pixels_per_m, meshing)
     reports = []
     for merge in merges if cut_labels else ():
-        bound = _side_error_bound(merge.side(*field.grid.points()).reshape(field.grid.shape))
-        mesh, report = cut(mesh, merge.side)
-        reports.append({**asdict(report), "side_error_bound": bound})
+        bound = _side_error_bound(merge.side(x, y).reshape(field.grid.shape))
+        mesh, cut_report = cut(mesh, merge.side)
+        reports.append({**asdict(cut_report), "side_error_bound": bound})
     layer = np.zeros(len(mesh.faces), np.int32)
     for i, above in enumerate(mesh.above, start=1):
         layer[above] = i
+    if "mesh" in report and pixels_per_m is not None and reports:
+        sides = [merge.side(x, y).reshape(field.grid.shape) for merge in merges]
+        report["mesh"]["label_error_max_px"] = label_error(field, mesh, layer, sides, pixels_per_m)
 
     x, y = (np.ascontiguousarray(mesh.points[:, axis]) for axis in (0, 1))
-    want_color = variation_key is not None
-    weights = np.zeros((len(merges) if want_color else 0, len(x)), np.float32)
+    weights = np.zeros((len(merges) if color else 0, len(x)), np.float32)
     for i in range(len(weights)):
         weights[i] = merges[i].weight_of_side(merges[i].side(x, y))
     variation = np.zeros(len(x), np.float32)
-    if variation_key is not None:
-        noise = fbm2_points(
-            np.uint64(variation_key),
-            x,
-            y,
-            _VARIATION_SCALE_M,
-            _VARIATION_OCTAVES,
-            _VARIATION_GAIN,
-            2.0,
-            0.4,
-        )
-        variation = np.clip(noise, -1.0, 1.0).astype(np.float32)
+    if color:
+        variation = _variation(variation_key, x, y).astype(np.float32)
 
     normals = _vertex_normals(field, mesh)
     cells = (field.grid.shape[1] - 1, field.grid.shape[0] - 1)
@@ -83,8 +104,17 @@ def build_tiles(
         "vertices": len(points),
         "tiles": len(tiles),
         "float32_error_max_m": float(moved),
+        **report,
         "cuts": reports,
     }
+
+
+def _variation(key: int, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Albedo variation at points, in [-1, 1]."""
+    noise = fbm2_points(
+        np.uint64(key), x, y, _VARIATION_SCALE_M, _VARIATION_OCTAVES, _VARIATION_GAIN, 2.0, 0.4
+    )
+    return np.clip(noise, -1.0, 1.0)
 
 
 def _side_error_bound(side: NDArray[np.float64]) -> float:
@@ -111,50 +141,13 @@ def _side_error_bound(side: NDArray[np.float64]) -> float:
     )
 
 
-def _grid_mesh(field: HeightField) -> CutMesh:
-    ny, nx = field.grid.shape
-    x, y = field.grid.points()
-    faces = _grid_faces(field.height)
-    vertices = np.arange(nx * ny, dtype=np.int32)
-    return CutMesh(
-        points=np.stack([x, y, field.height.ravel()], axis=1),
-        faces=faces,
-        parents=np.stack([vertices, vertices], axis=1),
-        fraction=np.zeros(nx * ny),
-        cell=np.repeat(np.arange((nx - 1) * (ny - 1), dtype=np.int32), 2),
-        above=np.zeros((0, len(faces)), bool),
-    )
-
-
-@njit(cache=True, error_model="numpy")
-def _grid_faces(height: NDArray) -> NDArray:
-    ny, nx = height.shape
-    faces = np.empty((2 * (nx - 1) * (ny - 1), 3), np.int32)
-    n = 0
-    for j in range(ny - 1):
-        for i in range(nx - 1):
-            a = j * nx + i
-            b, c, d = a + 1, a + nx, a + nx + 1
-            if cuts_main_diagonal(
-                height[j, i], height[j, i + 1], height[j + 1, i], height[j + 1, i + 1]
-            ):
-                first, second = (a, b, d), (a, d, c)
-            else:
-                first, second = (a, b, c), (b, d, c)
-            for k in range(3):
-                faces[n, k] = first[k]
-                faces[n + 1, k] = second[k]
-            n += 2
-    return faces
-
-
 def _vertex_normals(field: HeightField, mesh: CutMesh) -> NDArray[np.float32]:
     """Normals of the grid samples; cut vertices take those between their edge's ends."""
-    grid = field.normals().reshape(-1, 3)
     normals = np.empty((len(mesh.points), 3))
-    normals[: len(grid)] = grid
+    count = len(mesh.samples)
+    normals[:count] = field.normals().reshape(-1, 3)[mesh.samples]
     # A cut vertex's parents can be cut vertices of an earlier cut, which lie before it.
-    _interpolate_in_order(normals, mesh.parents, mesh.fraction, len(grid))
+    _interpolate_in_order(normals, mesh.parents, mesh.fraction, count)
     return normals.astype(np.float32)
 
 

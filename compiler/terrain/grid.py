@@ -48,9 +48,13 @@ class Grid:
 
 
 @njit(cache=True, error_model="numpy", inline="always")
-def cuts_main_diagonal(h00: float, h10: float, h01: float, h11: float) -> bool:
-    """Whether a cell is split from (0, 0) to (1, 1): along the flatter of its two diagonals."""
-    return abs(h00 - h11) <= abs(h10 - h01)
+def cuts_main_diagonal(i: int, j: int) -> bool:
+    """Whether the cell in column i, row j is split from (0, 0) to (1, 1).
+
+    Diagonals alternate like the squares of a chessboard: the finest level of a hierarchy of right
+    triangles (see ``ground.adaptive``).
+    """
+    return (i + j) % 2 == 0
 
 
 @njit(cache=True, error_model="numpy")
@@ -76,7 +80,7 @@ def surface_height(
     h10 = height[j, i + 1]
     h01 = height[j + 1, i]
     h11 = height[j + 1, i + 1]
-    if cuts_main_diagonal(h00, h10, h01, h11):
+    if cuts_main_diagonal(i, j):
         if u >= v:
             return h00 + u * (h10 - h00) + v * (h11 - h10)
         return h00 + v * (h01 - h00) + u * (h11 - h01)

@@ -7,7 +7,8 @@ import pytest
 
 from scenec.compiler.ground.cut import cut as cut_mesh
 from scenec.compiler.ground.merge import Merge, center_for_coverage, label_index
-from scenec.compiler.ground.tiles import _grid_mesh, build_tiles
+from scenec.compiler.ground.mesh import grid_mesh
+from scenec.compiler.ground.tiles import build_tiles
 from scenec.compiler.scene import Tile
 from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.compiler.terrain.multifractal import Multifractal
@@ -68,7 +69,7 @@ def test_the_cut_keeps_the_area_and_folds_nothing(cut):
 
 def test_cut_vertices_stay_on_the_uncut_surface():
     field = relief()
-    tiles, report = build_tiles(field, MERGES, None)
+    tiles, report = build_tiles(field, MERGES, 1, color=False)
     points, _ = welded(tiles)
     height = field.height_at(points[:, 0].copy(), points[:, 1].copy())
     # Moving a vertex by float32 rounding also moves it along the slope.
@@ -109,7 +110,7 @@ def test_the_chord_error_of_a_circle_falls_with_the_square_of_the_spacing():
     errors = []
     for cells in (16, 32, 64):
         field = HeightField(Grid((4.0, 4.0), (cells + 1, cells + 1)), np.zeros((cells + 1,) * 2))
-        _, report = cut_mesh(_grid_mesh(field), lambda x, y: x * x + y * y - 1.7)
+        _, report = cut_mesh(grid_mesh(field), lambda x, y: x * x + y * y - 1.7)
         # A chord no longer than a cell's diagonal d is at most d^2 / (8 r) off its arc.
         assert report.chord_error_max_m <= 1.01 * (2 * (4.0 / cells) ** 2) / (8 * np.sqrt(1.7))
         errors.append(report.chord_error_rms_m)
@@ -120,7 +121,7 @@ def test_the_chord_error_of_a_circle_falls_with_the_square_of_the_spacing():
 def test_cut_vertices_lie_on_the_true_line():
     field = relief(spacing=0.4)
     for merge in MERGES:
-        mesh, report = cut_mesh(_grid_mesh(field), merge.side)
+        mesh, report = cut_mesh(grid_mesh(field), merge.side)
         cut_vertices = mesh.points[field.height.size :]
         (side,) = side_of([merge], cut_vertices)
         slope = 1.0 / merge.scale_m
@@ -132,7 +133,7 @@ def test_cut_vertices_lie_on_the_true_line():
 
 def test_a_straight_line_is_cut_exactly():
     field = HeightField(Grid.with_spacing((4.0, 4.0), 0.5), np.zeros((9, 9)))
-    mesh, report = cut_mesh(_grid_mesh(field), lambda x, y: x + 0.3 * y - 0.11)
+    mesh, report = cut_mesh(grid_mesh(field), lambda x, y: x + 0.3 * y - 0.11)
     # On a straight line roots are exact; what is left is snapping.
     assert report.chord_error_max_m <= report.snap_max_m
     area = 0.0
@@ -165,7 +166,7 @@ def test_coverage_is_met(coverage):
 
 def test_without_labels_the_mesh_is_not_cut_and_without_color_there_are_no_weights():
     field = relief()
-    whole, report = build_tiles(field, MERGES, None, cut_labels=False)
+    whole, report = build_tiles(field, MERGES, 1, color=False, cut_labels=False)
     assert report["faces"] == 2 * 100 * 100
     assert all(tile.weights.shape[0] == 0 for tile in whole)
 
