@@ -50,8 +50,8 @@ class FlatMesh:
         points: World positions relative to the scene's center, float32 [n, 3].
         faces: Vertex indices, uint32 [m, 3]; same order as the rows' own faces.
         normals: Unit shading normals, float32 [n, 3], or None.
-        colors: Per layer, albedo at the vertices, float32 [layers, n, 3]; or [layers, 1, 3] where
-            nothing varies.
+        variation, row_variation: Albedo variation of vertices and of rows, at the vertices, float32
+            [n]; None where no surface asks for it.
         weights: Per merge, float32 [layers - 1, n].
         texcoords: x and y, float32 [n, 2], where a surface has maps; else None.
     """
@@ -59,7 +59,8 @@ class FlatMesh:
     points: NDArray[np.float32]
     faces: NDArray[np.uint32]
     normals: NDArray[np.float32] | None
-    colors: NDArray[np.float32]
+    variation: NDArray[np.float32] | None
+    row_variation: NDArray[np.float32] | None
     weights: NDArray[np.float32]
     texcoords: NDArray[np.float32] | None
 
@@ -101,13 +102,13 @@ def flatten(scene: RenderScene, group: Group, center: NDArray[np.float64]) -> Fl
     faces = np.empty((int(group.first_face[-1]), 3), np.uint32)
     normals = np.empty((n, 3), np.float32) if group.smooth else None
     surfaces = group_surfaces(scene, group)
-    varies = any(s.variation != 0.0 for s in surfaces) and (
-        any(scene.meshes[m].variation is not None for m in np.unique(scene.rows.mesh[group.rows]))
-        or bool(np.any(scene.rows.variation[group.rows]))
-    )
-    base = np.array([s.base_color for s in surfaces], np.float64)
-    amount = np.array([s.variation for s in surfaces], np.float64)
-    colors = np.empty((len(surfaces), n, 3), np.float32) if varies else base[:, None, :]
+    varies = any(s.variation != 0.0 for s in surfaces)
+    present = [
+        scene.meshes[m].variation is not None for m in np.unique(scene.rows.mesh[group.rows])
+    ]
+    variation = np.zeros(n, np.float32) if varies and any(present) else None
+    by_row = varies and bool(np.any(scene.rows.variation[group.rows]))
+    row_variation = np.empty(n, np.float32) if by_row else None
     weights = np.empty((len(surfaces) - 1, n), np.float32)
 
     for mesh_index, parts in _parts_by_mesh(scene, group):
@@ -119,20 +120,14 @@ def flatten(scene: RenderScene, group: Group, center: NDArray[np.float64]) -> Fl
         _place_faces(mesh.faces, to_world, first, group.first_face[parts], faces)
         if normals is not None and mesh.normals is not None:
             _place_normals(mesh.normals, to_world, first, normals)
-        if varies:
-            own = mesh.variation
-            if own is None:
-                own = np.zeros(len(mesh.points), np.float32)
-            row_variation = scene.rows.variation[rows]
-            for layer in range(len(surfaces)):
-                _place_colors(base[layer], amount[layer], own, row_variation, first, colors[layer])
+        if variation is not None and mesh.variation is not None:
+            _place_scalars(mesh.variation, first, variation)
+        if row_variation is not None:
+            _place_rows(scene.rows.variation[rows], len(mesh.points), first, row_variation)
         for merge in range(len(surfaces) - 1):
             _place_scalars(mesh.weights[merge], first, weights[merge])
-    # Colors above 1 are clipped, but after the map where there is one.
-    upper = np.array([np.inf if s.maps and s.maps.base_color else 1.0 for s in surfaces])
-    colors = np.clip(colors, 0.0, upper[:, None, None], dtype=np.float32)
     texcoords = np.ascontiguousarray(points[:, :2]) if any(s.maps for s in surfaces) else None
-    return FlatMesh(points, faces, normals, colors, weights, texcoords)
+    return FlatMesh(points, faces, normals, variation, row_variation, weights, texcoords)
 
 
 def _parts_by_mesh(scene: RenderScene, group: Group) -> Iterator[tuple[int, NDArray[np.int64]]]:
@@ -202,14 +197,10 @@ def _place_normals(normals, to_world, first, out):  # type: ignore[no-untyped-de
 
 
 @njit(cache=True, error_model="numpy", parallel=True)
-def _place_colors(base, amount, own, row_variation, first, out):  # type: ignore[no-untyped-def]
+def _place_rows(values, count, first, out):  # type: ignore[no-untyped-def]
     for part in prange(len(first)):
-        whole = 1.0 + amount * row_variation[part]
-        o = first[part]
-        for i in range(len(own)):
-            factor = whole * (1.0 + amount * own[i])
-            for k in range(3):
-                out[o + i, k] = base[k] * factor
+        for i in range(count):
+            out[first[part] + i] = values[part]
 
 
 @njit(cache=True, error_model="numpy", parallel=True)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.backends.maps import load_map
-from scenec.backends.mitsuba import product
+from scenec.backends.mitsuba import ggx, mix, product
 from scenec.backends.mitsuba.geometry import FlatMesh
 from scenec.backends.render_scene import Maps, Surface
 
@@ -42,56 +42,58 @@ def make_look(
         flat: The mesh; its texture coordinates are x and y relative to ``center``.
         center: Of the scene, meters.
     """
-    if any(surface.maps for surface in surfaces):
-        return _mapped_look(mi, surfaces, flat, center)
-    return _plain_look(surfaces, flat)
+    # Textures of ours are compiled into the kernel, but call Python at each point in scalar_rgb.
+    if any(surface.maps for surface in surfaces) or mi.variant().startswith("scalar"):
+        return _nested_look(mi, surfaces, flat, center)
+    return _merged_look(mi, surfaces, flat)
 
 
-def _plain_look(surfaces: Sequence[Surface], flat: FlatMesh) -> Look:
+def _merged_look(mi: Any, surfaces: Sequence[Surface], flat: FlatMesh) -> Look:
     """Layers without maps: the model is linear in its lobes, so equal ones add up.
 
-    With the share W_i of layer i at a vertex, all Lambert lobes are one, of albedo
+    With the share W_i of layer i, all Lambert lobes are one, of albedo
     sum W_i (1 - m_i) (1 - s_i) c_i, and all GGX lobes of one roughness are one, of weight
     sum W_i ((1 - m_i) s_i + m_i) and a color that is the mean of white and c_i in these parts: n
-    layers take one diffuse BSDF and one per distinct roughness, not 3 n. Shares and colors stand on
-    the vertices and are linear between them; where layers differ in gloss, products of the two are
-    not, an error of second order in the change of weight across a triangle (a tenth of one albedo
-    against another's if it goes from 0 to 1 in one step, nothing where all are equally glossy).
+    layers take one diffuse BSDF and one per distinct roughness, not 3 n.
     """
-    shares = layer_shares(flat.weights, len(surfaces))
-    lobes: dict[float, tuple[NDArray[np.float32], NDArray[np.float32]]] = {}
-    dull = np.zeros((1, 3), np.float32)
-    for surface, share, color in zip(surfaces, shares, flat.colors, strict=True):
-        white = np.float32((1.0 - surface.metallic) * surface.specular)
-        metal = np.float32(surface.metallic)
-        dull = dull + (np.float32(1.0) - metal - white) * share[:, None] * color
-        if white + metal > 0.0:
-            alpha = max(surface.roughness**2, MIN_ALPHA)
-            weight, tinted = lobes.get(alpha, (np.zeros(1, "f4"), np.zeros((1, 3), "f4")))
-            # A lobe without metal is white: no color a vertex for it.
-            tint = white + metal * color if metal > 0.0 else np.full((1, 3), white)
-            lobes[alpha] = (weight + (white + metal) * share, tinted + share[:, None] * tint)
-    gloss = sum((weight for weight, _ in lobes.values()), np.zeros(1, np.float32))
-    left = np.maximum(1.0 - gloss, 1e-6)[:, None]
-    attributes: dict[str, NDArray[np.float32]] = {}
-    bsdf: dict[str, Any] = {
-        "type": "diffuse",
-        "reflectance": _texture(np.clip(dull / left, 0.0, 1.0), "vertex_color", attributes),
-    }
+    layers, attributes = mix.pack(surfaces, flat.weights, flat.variation, flat.row_variation)
+    alphas = [max(surface.roughness**2, MIN_ALPHA) for surface in surfaces]
+    lobes = mix.lobes_of(surfaces, alphas)
+
+    def quantity(kind: str, lobe: int = 0) -> Any:
+        made = mix.texture(mi, layers, alphas, kind, lobe)
+        if not layers.constant:
+            return made
+        # The same everywhere: a number, which Mitsuba compiles better.
+        point = mi.SurfaceInteraction3f()
+        if kind in ("diffuse", "tint"):
+            return {"type": "rgb", "value": np.array(made.eval(point)).ravel().tolist()}
+        return float(np.array(made.eval_1(point)).ravel()[0])
+
+    bsdf: dict[str, Any] = {"type": "diffuse", "reflectance": quantity("diffuse")}
     if lobes:
-        bsdf = _blend(_texture(gloss[:, None], "vertex_gloss", attributes), bsdf,
-                      _glossy(lobes, attributes))  # fmt: skip
+        glossy: dict[str, Any] = {}
+        for number, alpha in enumerate(lobes):
+            metal = any(
+                surface.metallic > 0.0 and own == alpha
+                for surface, own in zip(surfaces, alphas, strict=True)
+            )
+            lobe = ggx.lobe(mi, alpha, quantity("tint", number) if metal else None)
+            glossy = _blend(quantity("part", number), glossy, lobe) if glossy else lobe
+        bsdf = _blend(quantity("gloss"), bsdf, glossy)
     return Look({"type": "twosided", "bsdf": bsdf}, attributes)
 
 
-def _mapped_look(
+def _nested_look(
     mi: Any, surfaces: Sequence[Surface], flat: FlatMesh, center: NDArray[np.float64]
 ) -> Look:
-    """Layers with maps: each a BSDF of its own, mixed from the base up by their weights."""
-    product.register(mi)
+    """Each layer a BSDF of its own, mixed from the base up by their weights."""
+    if any(surface.maps for surface in surfaces):
+        product.register(mi)
     attributes: dict[str, NDArray[np.float32]] = {}
     bsdf: dict[str, Any] | None = None
-    for number, (surface, color) in enumerate(zip(surfaces, flat.colors, strict=True)):
+    colors = vertex_colors(surfaces, flat)
+    for number, (surface, color) in enumerate(zip(surfaces, colors, strict=True)):
         layer = _layer(mi, surface, _texture(color, f"vertex_color_{number}", attributes), center)
         if bsdf is None:
             bsdf = layer
@@ -100,6 +102,20 @@ def _mapped_look(
             bsdf = _blend(_texture(weight, f"vertex_weight_{number}", attributes), bsdf, layer)
     assert bsdf is not None
     return Look({"type": "twosided", "bsdf": bsdf}, attributes)
+
+
+def vertex_colors(surfaces: Sequence[Surface], flat: FlatMesh) -> list[NDArray[np.float32]]:
+    """Base color of each layer at the vertices, [n, 3] or [1, 3]."""
+    colors = []
+    for surface in surfaces:
+        color = np.array(surface.base_color, np.float64)[None, :]
+        for variation in (flat.variation, flat.row_variation):
+            if variation is not None and surface.variation > 0.0:
+                color = color * (1.0 + surface.variation * variation.astype(np.float64)[:, None])
+        # Above 1 it is clipped, but after the map where there is one.
+        upper = np.inf if surface.maps and surface.maps.base_color else 1.0
+        colors.append(np.clip(color, 0.0, upper).astype(np.float32))
+    return colors
 
 
 def _layer(mi: Any, surface: Surface, color: Any, center: NDArray[np.float64]) -> dict[str, Any]:
@@ -136,9 +152,9 @@ def _layer(mi: Any, surface: Surface, color: Any, center: NDArray[np.float64]) -
         metallic = bitmap(maps.metallic, "metallic")
     bsdf: dict[str, Any] = {"type": "diffuse", "reflectance": color}
     if surface.specular > 0.0:
-        bsdf = _blend(surface.specular, bsdf, _ggx(alpha))
+        bsdf = _blend(surface.specular, bsdf, ggx.lobe(mi, alpha))
     if maps.metallic is not None or surface.metallic > 0.0:
-        bsdf = _blend(metallic, bsdf, _ggx(alpha, color))
+        bsdf = _blend(metallic, bsdf, ggx.lobe(mi, alpha, color))
     if maps.normal is not None:
         bsdf = {
             "type": "normalmap",
@@ -153,46 +169,6 @@ def _layer(mi: Any, surface: Surface, color: Any, center: NDArray[np.float64]) -
 def _blend(weight: Any, below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
     # blendbsdf takes its children by name in alphabetical order: weight 0 is the first.
     return {"type": "blendbsdf", "weight": weight, "a": below, "b": above}
-
-
-def _ggx(alpha: Any, color: Any = None) -> dict[str, Any]:
-    # "none" is a perfect mirror: the lobe is single-scatter GGX, no Fresnel.
-    lobe = {"type": "roughconductor", "material": "none", "distribution": "ggx", "alpha": alpha}
-    return lobe if color is None else {**lobe, "specular_reflectance": color}
-
-
-def layer_shares(weights: NDArray[np.float32], layers: int) -> list[NDArray[np.float32]]:
-    """Share of each layer: w_i times all (1 - w_j) of later merges; [n] or [1] each."""
-    shares: list[NDArray[np.float32]] = []
-    rest = np.ones(1, np.float32)
-    for merge in range(layers - 2, -1, -1):
-        shares.append(weights[merge] * rest)
-        rest = (np.float32(1.0) - weights[merge]) * rest
-    return [rest, *reversed(shares)]
-
-
-def _glossy(
-    lobes: dict[float, tuple[NDArray[np.float32], NDArray[np.float32]]],
-    attributes: dict[str, NDArray[np.float32]],
-) -> dict[str, Any]:
-    """All GGX lobes, each by its part of their sum, each with its color."""
-    bsdf: dict[str, Any] = {}
-    total = np.zeros(1, np.float32)
-    for number, (alpha, (weight, tinted)) in enumerate(lobes.items()):
-        # White where there is nothing to tint.
-        of = weight[:, None]
-        tint = np.where(of > 0.0, tinted / np.maximum(of, np.float32(1e-30)), np.float32(1.0))
-        tint = np.clip(tint, 0.0, 1.0)
-        white = bool(np.all(tint > 1.0 - 1e-6))
-        lobe = _ggx(alpha, None if white else _texture(tint, f"vertex_tint_{number}", attributes))
-        total = total + weight
-        part = np.divide(weight, total, out=np.zeros_like(total), where=total > 0.0)
-        bsdf = (
-            _blend(_texture(part[:, None], f"vertex_gloss_{number}", attributes), bsdf, lobe)
-            if bsdf
-            else lobe
-        )
-    return bsdf
 
 
 def _texture(

@@ -87,7 +87,7 @@ def metal_scene(folder: Path | None) -> RenderScene:
 
 
 def expected_metal(camera: Camera) -> NDArray[np.float64]:
-    """Closed form of the GGX lobe under a point-like sun (Walter et al. 2007), [h, w, 3]."""
+    """Closed form of the GGX lobe under a point-like sun (Heitz 2014), [h, w, 3]."""
     k, pose = camera.intrinsics, camera.camera_to_world
     v, u = np.meshgrid(np.arange(HEIGHT) + 0.5, np.arange(WIDTH) + 0.5, indexing="ij")
     d = np.stack([(u - k[0, 2]) / k[0, 0], (v - k[1, 2]) / k[1, 1], np.ones_like(u)], -1)
@@ -99,11 +99,11 @@ def expected_metal(camera: Camera) -> NDArray[np.float64]:
     half /= np.linalg.norm(half, axis=-1, keepdims=True)
     a2 = 0.6**4
 
-    def masking(cosine: NDArray) -> NDArray:
-        return 2 * cosine / (cosine + np.sqrt(a2 + (1 - a2) * cosine**2))
+    def hidden(cosine: NDArray) -> NDArray:
+        return (np.sqrt(1 + a2 * (1 / cosine**2 - 1)) - 1) / 2
 
     spread = a2 / (np.pi * (half[..., 2] ** 2 * (a2 - 1) + 1) ** 2)
-    g = masking(out[..., 2]) * masking(np.asarray(light[2]))
+    g = 1 / (1 + hidden(out[..., 2]) + hidden(np.asarray(light[2])))
     lobe = spread * g / (4 * out[..., 2])
     return IRRADIANCE * lobe[..., None] * np.array([0.8, 0.5, 0.2])
 
