@@ -1,0 +1,151 @@
+"""The Cycles backend: visibility from one ray a pixel, radiance by its path tracer."""
+
+from __future__ import annotations
+
+import hashlib
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenec.backends.contract import BOUNCES, Radiance, Rays, Visibility
+from scenec.backends.cycles import blender, render
+from scenec.backends.cycles.built import PASSES, Built
+from scenec.backends.cycles.camera import find_lens, place
+from scenec.backends.render_scene import Camera, RenderScene
+from scenec.schemas.errors import BackendError
+
+
+class Cycles:
+    """Implements ``contract.Backend``: ``load`` once, then any number of samples.
+
+    One Blender scene serves both questions. Lights come at the first radiance call, so annotation
+    alone never pays for them.
+    """
+
+    name = "cycles"
+    devices = ("cpu", "cuda", "optix")
+    denoiser = "OpenImageDenoise"
+    caster = None
+
+    def __init__(self, bounces: int = BOUNCES, device: str = "auto") -> None:
+        self._bpy = blender.load_bpy()
+        self.device = blender.choose_device(self._bpy, device, self._works)
+        self._bounces = bounces
+        self._loaded: Built | None = None
+
+    def version(self) -> str:
+        """Renderer, device and length of paths: whatever decides the picture."""
+        return f"cycles {self._bpy.app.version_string} {self.device} path{self._bounces}"
+
+    def warning(self) -> str | None:
+        """Nothing to warn of."""
+        return None
+
+    def losses(self, scene: RenderScene) -> tuple[str, ...]:
+        """Nothing: Cycles honors the whole surface model."""
+        return ()
+
+    def load(self, scene: RenderScene) -> None:
+        """Build Blender's scene; that of an earlier batch goes.
+
+        Raises:
+            BackendError: Faces that name points which are not there.
+            StageError: A map that cannot be read.
+        """
+        self._loaded = None
+        self._loaded = Built(self._bpy, scene, self.device, self._bounces)
+
+    def visibility(
+        self, rays: Rays, sample: int, camera: Camera | None = None
+    ) -> Visibility | None:
+        """First hits in float32; None for rays of no camera that Blender has, such as skewed ones.
+
+        Geometry does not change over samples.
+        """
+        loaded = self._require_loaded()
+        lens = None if camera is None else find_lens(camera)
+        if camera is None or lens is None or isinstance(lens, str):
+            return None
+        place(loaded.scene, loaded.camera, camera, lens, loaded.frame)
+        render.for_visibility(loaded.scene)
+        row, face = (
+            _whole(picture[: camera.height, : camera.width])
+            for picture in render.draw(self._bpy, loaded.scene, PASSES)
+        )
+        # Rows count from 1: 0 is where no ray hits.
+        return Visibility(row - 1, np.where(row > 0, face, 0).astype(np.int32))
+
+    def radiance(
+        self, camera: Camera, sample: int, spp: int, seed: int, denoise: bool = False
+    ) -> Radiance:
+        """Surface light in two independent halves of ceil(spp / 2) samples a pixel each.
+
+        Box filter: the plain mean of samples placed anywhere in the pixel.
+
+        Raises:
+            BackendError: The camera is one that Blender does not have.
+        """
+        loaded = self._require_loaded()
+        lens = find_lens(camera)
+        if isinstance(lens, str):
+            raise BackendError(f"cycles: cannot draw {camera.path}: it has {lens}")
+        loaded.set_light(sample)
+        place(loaded.scene, loaded.camera, camera, lens, loaded.frame)
+        each = max(1, (spp + 1) // 2)
+        noisy, clean = [], []
+        for half in range(2):
+            render.for_radiance(loaded.scene, self._bounces, each, mix(seed, half), denoise)
+            wanted = (render.NOISY, render.COMBINED) if denoise else (render.COMBINED,)
+            pictures = [
+                picture[: camera.height, : camera.width]
+                for picture in render.draw(self._bpy, loaded.scene, wanted)
+            ]
+            noisy.append(pictures[0])
+            clean.append(pictures[-1])
+        halves = np.stack([picture[..., :3] for picture in noisy])
+        # A sample covers its pixel or does not; float32 sums of their shares miss 1 by a hair.
+        hits = sum(np.rint(picture[..., 3].astype(np.float64) * each) for picture in noisy)
+        coverage = np.asarray(np.clip(hits / (2 * each), 0.0, 1.0), np.float32)
+        denoised = None
+        if denoise:
+            denoised = 0.5 * (clean[0][..., :3] + clean[1][..., :3])
+            # The denoiser knows no coverage: it smears a silhouette's light over the sky, and
+            # leaves an eighth too little along it.
+            rim = _near_sky(coverage)
+            denoised[rim] = halves.mean(axis=0)[rim]
+        return Radiance(halves, coverage, 2 * each, denoised=denoised)
+
+    def _works(self, device: str) -> bool:
+        """Whether a device renders an empty picture."""
+        nothing = Built(self._bpy, None, device, 0)
+        render.for_visibility(nothing.scene)
+        try:
+            render.draw(self._bpy, nothing.scene, PASSES)
+        except BackendError:
+            return False
+        return True
+
+    def _require_loaded(self) -> Built:
+        if self._loaded is None:
+            raise BackendError("cycles: no scene is loaded; call load first")
+        return self._loaded
+
+
+def _whole(picture: NDArray[np.float32]) -> NDArray[np.int32]:
+    """Whole numbers from two halves of 16 bits, [h, w, 4] -> int32 [h * w]."""
+    low, high = (picture[..., i].astype(np.int64) for i in range(2))
+    return (low + (high << 16)).ravel().astype(np.int32)
+
+
+def _near_sky(coverage: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """Pixels in whose 3x3 window some pixel is not covered altogether."""
+    height, width = coverage.shape
+    wide = np.pad(coverage < 1.0, 1)
+    shifted = [wide[y : y + height, x : x + width] for y in range(3) for x in range(3)]
+    return np.logical_or.reduce(shifted)
+
+
+def mix(seed: int, half: int) -> int:
+    """A 31-bit seed for one half, unrelated to any other's."""
+    digest = hashlib.blake2b(f"{seed}/{half}".encode(), digest_size=4).digest()
+    return int.from_bytes(digest, "little") >> 1

@@ -1,0 +1,94 @@
+"""A RenderScene in Blender: what is made once a batch, and the light that changes with samples."""
+
+from __future__ import annotations
+
+import weakref
+from typing import Any
+
+from scenec.backends.cycles import blender, geometry, light, materials, render
+from scenec.backends.render_scene import RenderScene
+from scenec.backends.sky import combine
+
+#: What materials write for visibility.
+PASSES = (materials.ROW_PASS, materials.FACE_PASS)
+
+
+class Built:
+    """Blender's scene for a RenderScene; leaves Blender's data as it was when it goes.
+
+    Args:
+        bpy: Blender.
+        scene: What to build; without one, a camera that sees nothing.
+        device: See ``render.set_up``.
+        bounces: See ``contract.BOUNCES``.
+
+    Attributes:
+        scene: Blender's scene.
+        camera: The object that holds its camera.
+        frame: Of Blender's coordinates.
+
+    Raises:
+        BackendError: Faces that name points which are not there.
+        StageError: A map that cannot be read.
+    """
+
+    def __init__(self, bpy: Any, scene: RenderScene | None, device: str, bounces: int) -> None:
+        self._bpy = bpy
+        self._render_scene = scene
+        self._made = _Made(bpy)
+        weakref.finalize(self, self._made.remove).atexit = False
+        self._light = _Made(bpy)
+        weakref.finalize(self, self._light.remove).atexit = False
+        self._lit_sample: int | None = None
+        with self._made:
+            self.scene = bpy.data.scenes.new("scenec")
+            render.set_up(self.scene, device, bounces, PASSES)
+            self.camera = bpy.data.objects.new("scenec_camera", bpy.data.cameras.new("scenec"))
+            self.scene.collection.objects.link(self.camera)
+            self.scene.camera = self.camera
+            if scene is not None:
+                self.frame = geometry.scene_frame(scene)
+                looks = materials.make_materials(bpy, scene, self.frame)
+                rows = geometry.build(bpy, scene, self.frame, looks)
+                self.scene.collection.objects.link(rows)
+
+    def set_light(self, sample: int) -> None:
+        """Light the scene as at a sample. Geometry stays as it is.
+
+        Raises:
+            StageError: A sky's picture that cannot be read.
+        """
+        if self._render_scene is None or sample == self._lit_sample:
+            return
+        lighting = self._render_scene.lighting[sample]
+        sky = combine(lighting.domes)
+        self._light.remove()
+        with self._light:
+            self.scene.world = light.make_world(self._bpy, sky)
+            for sun in lighting.suns:
+                if sun.irradiance.max() > 0.0:
+                    self.scene.collection.objects.link(light.make_sun(self._bpy, sun))
+        self._lit_sample = sample
+
+
+class _Made:
+    """Notes what a ``with`` block makes in Blender, to remove it later.
+
+    By kind and name: Blender's own objects turn invalid when what they stand for goes.
+    """
+
+    def __init__(self, bpy: Any) -> None:
+        self._bpy = bpy
+        self._names: list[tuple[str, str]] = []
+        self._before: set[tuple[str, str]] = set()
+
+    def __enter__(self) -> None:
+        self._before = blender.everything(self._bpy)
+
+    def __exit__(self, *_: object) -> None:
+        self._names += sorted(blender.everything(self._bpy) - self._before)
+
+    def remove(self) -> None:
+        """Remove it all."""
+        names, self._names = self._names, []
+        blender.remove(self._bpy, names)

@@ -1,0 +1,310 @@
+"""The shared surface model as shader nodes: Lambert and GGX closures, alpha = roughness**2."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache, partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from scenec.backends.cycles.geometry import FACE, ROW, VARIATION, Frame, weight_name
+from scenec.backends.cycles.graph import BLACK, Graph, Scalar, Vector
+from scenec.backends.maps import load_map
+from scenec.backends.render_scene import DEFAULT_SURFACE, Maps, RenderScene, Surface
+
+#: Passes that carry row + 1 and face, each as two halves of 16 bits.
+ROW_PASS, FACE_PASS = "scenec_row", "scenec_face"
+#: GGX in float32 loses its digits below this; roughness under 0.032 is drawn as 0.032.
+MIN_ALPHA = 1e-3
+
+_SMOOTHEST = MIN_ALPHA**0.5
+
+
+@dataclass
+class Lobe:
+    """All closures of a mixture that share roughness and normal: their colors mix as they do.
+
+    Attributes:
+        roughness: Perceptual; None for Lambertian ones.
+        normal: Socket of a mapped normal, or None.
+        color: Of them all.
+    """
+
+    roughness: Scalar | None
+    normal: Any
+    color: Vector
+
+
+@dataclass(frozen=True)
+class Reach:
+    """What occurs on the meshes of a material.
+
+    Attributes:
+        vertex, row: The largest variation, absolute.
+        smooth: Whether there are shading normals.
+    """
+
+    vertex: float = 0.0
+    row: float = 0.0
+    smooth: bool = False
+
+
+def make_materials(bpy: Any, scene: RenderScene, frame: Frame) -> dict[tuple[int, ...], Any]:
+    """Blender's material for each ``Mesh.layers`` of the meshes that rows show.
+
+    Args:
+        bpy: Blender.
+        scene: The scene.
+        frame: Of Blender's coordinates, for maps, which are projected in the world.
+
+    Raises:
+        StageError: A map that cannot be read.
+    """
+    made = {}
+    image = lru_cache(maxsize=None)(partial(make_image, bpy))
+    for layers, reach in _reaches(scene).items():
+        material = bpy.data.materials.new("scenec_look")
+        material.node_tree.nodes.clear()
+        # It would bend shading normals at grazing angles, which no other renderer does.
+        material.cycles.use_bump_map_correction = False
+        surfaces = tuple(scene.surfaces[i] for i in layers) or (DEFAULT_SURFACE,)
+        _Look(Graph(material.node_tree), frame, image, reach).write(surfaces)
+        made[layers] = material
+    return made
+
+
+def _reaches(scene: RenderScene) -> dict[tuple[int, ...], Reach]:
+    """How far colors vary, for each ``Mesh.layers`` that occurs."""
+    of_rows = np.zeros(len(scene.meshes))
+    np.maximum.at(of_rows, scene.rows.mesh, np.abs(scene.rows.variation))
+    reaches: dict[tuple[int, ...], Reach] = {}
+    for index in np.unique(scene.rows.mesh).tolist():
+        mesh = scene.meshes[index]
+        if len(mesh.faces):
+            known = reaches.get(mesh.layers, Reach())
+            own = 0.0 if mesh.variation is None else float(np.abs(mesh.variation).max())
+            reaches[mesh.layers] = Reach(
+                max(known.vertex, own),
+                max(known.row, float(of_rows[index])),
+                known.smooth or mesh.normals is not None,
+            )
+    return reaches
+
+
+class _Look:
+    """One material in the making."""
+
+    def __init__(
+        self, graph: Graph, frame: Frame, image: Callable[[Path, str, bool], Any], reach: Reach
+    ) -> None:
+        self._graph, self._frame, self._image, self._reach = graph, frame, image, reach
+
+    def write(self, surfaces: tuple[Surface, ...]) -> None:
+        """The merge of the layers, base first, and the passes for visibility.
+
+        The model is linear in its lobes: those of one roughness and normal are one closure with a
+        mixed color, so that n layers without maps take two closures instead of 3 n.
+        """
+        graph = self._graph
+        merged: dict[tuple[object, ...], Lobe] = {}
+        for number, surface in enumerate(surfaces):
+            own = self._lobes(surface)
+            for key, lobe in own.items():
+                merged.setdefault(key, Lobe(lobe.roughness, lobe.normal, BLACK))
+            for key, lobe in merged.items():
+                color = own[key].color if key in own else BLACK
+                if number == 0:
+                    lobe.color = color
+                else:
+                    weight = graph.attribute(weight_name(number - 1)).outputs["Fac"]
+                    lobe.color = graph.mixed(lobe.color, color, weight)
+        self._close(list(merged.values()))
+        for name, attribute, kind in ((ROW_PASS, ROW, "INSTANCER"), (FACE_PASS, FACE, "GEOMETRY")):
+            out = graph.node("ShaderNodeOutputAOV")
+            out.aov_name = name
+            graph.feed(out.inputs["Color"], graph.attribute(attribute, kind).outputs["Vector"])
+
+    def _close(self, lobes: list[Lobe]) -> None:
+        """Closures, added up; one at least, or rays would pass through."""
+        graph = self._graph
+        total: Any = None
+        lit = [
+            lobe for lobe in lobes if not (isinstance(lobe.color, tuple) and lobe.color == BLACK)
+        ]
+        for lobe in lit or lobes[:1]:
+            diffuse = lobe.roughness is None
+            closure = graph.node("ShaderNodeBsdfDiffuse" if diffuse else "ShaderNodeBsdfGlossy")
+            graph.feed(closure.inputs["Color"], lobe.color)
+            graph.feed(closure.inputs["Roughness"], lobe.roughness or 0.0)
+            if not diffuse:
+                closure.distribution = "GGX"
+            if lobe.normal is not None:
+                graph.feed(closure.inputs["Normal"], lobe.normal)
+            if total is None:
+                total = closure.outputs[0]
+            else:
+                both = graph.node("ShaderNodeAddShader")
+                graph.feed(both.inputs[0], total)
+                graph.feed(both.inputs[1], closure.outputs[0])
+                total = both.outputs[0]
+        graph.feed(graph.node("ShaderNodeOutputMaterial").inputs["Surface"], total)
+
+    def _lobes(self, surface: Surface) -> dict[tuple[object, ...], Lobe]:
+        """A surface by kinds of lobe.
+
+        (1-m) * ((1-s) * Lambert(c) + s * GGX(white)) + m * GGX(c).
+        """
+        graph, maps = self._graph, surface.maps
+        color = self._color(surface)
+        white = surface.specular
+        normal, normal_key = None, None
+        if maps is not None and maps.normal is not None:
+            normal = self._mapped_normal(maps)
+            normal_key = (maps.normal, maps.size_m, maps.flip_green)
+        elif self._reach.smooth:
+            normal = self._facing()
+        roughness: Scalar = max(surface.roughness, _SMOOTHEST)
+        roughness_key: object = roughness
+        if maps is not None and maps.roughness is not None:
+            value = self._texture(maps, maps.roughness, "roughness")
+            roughness = graph.math("MAXIMUM", value, _SMOOTHEST)
+            roughness_key = (maps.roughness, maps.size_m)
+        metallic: Scalar = surface.metallic
+        dull: Scalar = 1.0 - surface.metallic
+        if maps is not None and maps.metallic is not None:
+            metallic = self._texture(maps, maps.metallic, "metallic")
+            dull = graph.math("SUBTRACT", 1.0, metallic)
+        lambert = graph.scaled(color, graph.product(dull, 1.0 - white))
+        sheen = graph.scaled((white, white, white), dull)
+        gloss = graph.sum(sheen, graph.scaled(color, metallic))
+        return {
+            (None, normal_key): Lobe(None, normal, lambert),
+            (roughness_key, normal_key): Lobe(roughness, normal, gloss),
+        }
+
+    def _color(self, surface: Surface) -> Vector:
+        """base_color * (1 + variation * vertex) * (1 + variation * row) * map, in [0, 1]."""
+        graph, amount, maps = self._graph, surface.variation, surface.maps
+        factor: Scalar = 1.0
+        if amount != 0.0 and self._reach.vertex > 0.0:
+            own = graph.attribute(VARIATION).outputs["Fac"]
+            factor = graph.math("MULTIPLY_ADD", own, amount, 1.0)
+        if amount != 0.0 and self._reach.row > 0.0:
+            row = graph.once(
+                "row variation",
+                lambda: graph.separate(graph.attribute(ROW, "INSTANCER").outputs["Vector"])[2],
+            )
+            whole = graph.math("MULTIPLY_ADD", row, amount, 1.0)
+            factor = graph.product(factor, whole)
+        color = graph.scaled(surface.base_color, factor)
+        if maps is not None and maps.base_color is not None:
+            picture = self._texture(maps, maps.base_color, "base_color")
+            color = graph.vector("MULTIPLY", color, picture)
+        swing = [abs(amount) * self._reach.vertex, abs(amount) * self._reach.row]
+        brightest = max(surface.base_color) * (1.0 + swing[0]) * (1.0 + swing[1])
+        if max(swing) > 1.0 or min(surface.base_color) < 0.0 or brightest > 1.0:
+            color = graph.clipped(color)
+        return color
+
+    def _texture(self, maps: Maps, path: Path, kind: str, flip_green: bool = False) -> Any:
+        """The picture's value at the point shaded: bilinear, repeating, projected along Z."""
+        graph = self._graph
+
+        def make() -> Any:
+            node = graph.node("ShaderNodeTexImage")
+            node.image = self._image(path, kind, flip_green)
+            node.interpolation, node.extension = "Linear", "REPEAT"
+            graph.feed(node.inputs["Vector"], self._texcoord(maps.size_m))
+            return node.outputs["Color"]
+
+        return graph.once(f"{kind} {maps.size_m!r} {flip_green} {path}", make)
+
+    def _texcoord(self, size_m: float) -> Any:
+        """(x, y) / size_m of the world, less whole repeats."""
+        graph, frame = self._graph, self._frame
+
+        def make() -> Any:
+            step = 1.0 / (frame.scale * size_m)
+            start = np.mod(frame.center[:2] / size_m, 1.0)
+            return graph.vector(
+                "MULTIPLY_ADD",
+                graph.geometry("Position"),
+                (step, step, 0.0),
+                (float(start[0]), float(start[1]), 0.0),
+            )
+
+        return graph.once(f"texcoord {size_m!r}", make)
+
+    def _facing(self) -> Any:
+        """The shading normal, turned to the viewer, as Mitsuba's ``twosided`` has it.
+
+        Cycles turns it as the face is turned, which is not the same near silhouettes, where an
+        interpolated normal may point away though its face does not.
+        """
+        graph = self._graph
+
+        def make() -> Any:
+            away = graph.scaled(graph.geometry("Incoming"), -1.0)
+            normal = graph.geometry("Normal")
+            return graph.vector("FACEFORWARD", normal, away, normal)
+
+        return graph.once("facing", make)
+
+    def _mapped_normal(self, maps: Maps) -> Any:
+        """The mapped normal: x along the surface's u, y along its v, z along its shading normal.
+
+        u runs in the surface, across the world's Y: along dP/du, as texture coordinates that are
+        the world's x and y have it. Where the result points away from the viewer its tangential
+        part is turned round.
+        """
+        graph, path = self._graph, maps.normal
+        assert path is not None
+
+        def make() -> Any:
+            x, y, z = graph.separate(self._texture(maps, path, "normal", maps.flip_green))
+            normal, facing = graph.geometry("Normal"), self._facing()
+            fx, _, fz = graph.separate(graph.geometry("True Normal"))
+            # dP/du = (1, 0, -nx / nz), times |nz|.
+            down = graph.math("MULTIPLY", fx, graph.math("MULTIPLY", graph.math("SIGN", fz), -1.0))
+            along = graph.combine(graph.math("ABSOLUTE", fz), 0.0, down)
+            lift = graph.scaled(normal, graph.vector("DOT_PRODUCT", normal, along))
+            u = graph.vector("NORMALIZE", graph.vector("SUBTRACT", along, lift))
+            # v belongs to the normal as it was before Blender turned it to the viewer.
+            side = graph.math("MULTIPLY_ADD", graph.geometry("Backfacing"), -2.0, 1.0)
+            v = graph.scaled(graph.vector("CROSS_PRODUCT", normal, u), side)
+            tangent = graph.vector("ADD", graph.scaled(u, x), graph.scaled(v, y))
+            upright = graph.scaled(facing, z)
+            seen = graph.vector(
+                "DOT_PRODUCT", graph.vector("ADD", tangent, upright), graph.geometry("Incoming")
+            )
+            tangent = graph.scaled(tangent, graph.math("SIGN", seen))
+            return graph.vector("NORMALIZE", graph.vector("ADD", tangent, upright))
+
+        return graph.once(f"normal {maps.size_m!r} {maps.flip_green} {path}", make)
+
+
+def make_image(bpy: Any, path: Path, kind: str, flip_green: bool) -> Any:
+    """A map as Blender's image, its values as they are.
+
+    Raises:
+        StageError: It cannot be read.
+    """
+    return picture_image(bpy, load_map(path, kind, flip_green))
+
+
+def picture_image(bpy: Any, picture: Any) -> Any:
+    """An array [h, w, 1 or 3], row 0 at the top, as a float32 image without a color space."""
+    height, width = picture.shape[:2]
+    made = bpy.data.images.new(
+        "scenec_picture", width, height, alpha=False, float_buffer=True, is_data=True
+    )
+    made.colorspace_settings.name = "Non-Color"
+    pixels = np.ones((height, width, 4), np.float32)
+    # Blender's row 0 is the bottom one.
+    pixels[..., :3] = picture[::-1]
+    made.pixels.foreach_set(pixels.ravel())
+    made.update()
+    return made
