@@ -67,8 +67,8 @@ class Mitsuba:
         if self.jit or not glossy:
             return ()
         return (
-            "mitsuba (scalar_rgb) masks gloss as if its two directions were independent: up to 10 % "
-            "darker at roughness 0.9",
+            "mitsuba (scalar_rgb) masks gloss as if its two directions were independent: up to "
+            "10 % darker at roughness 0.9",
         )
 
     def load(self, scene: RenderScene) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.backends.maps import load_map
-from scenec.backends.mitsuba import ggx, mix, product
+from scenec.backends.mitsuba import ggx, mix, product, sided
 from scenec.backends.mitsuba.geometry import FlatMesh
 from scenec.backends.render_scene import Maps, Surface
 
@@ -81,7 +81,7 @@ def _merged_look(mi: Any, surfaces: Sequence[Surface], flat: FlatMesh) -> Look:
             lobe = ggx.lobe(mi, alpha, quantity("tint", number) if metal else None)
             glossy = _blend(quantity("part", number), glossy, lobe) if glossy else lobe
         bsdf = _blend(quantity("gloss"), bsdf, glossy)
-    return Look({"type": "twosided", "bsdf": bsdf}, attributes)
+    return Look(sided.both_sides(mi, bsdf), attributes)
 
 
 def _nested_look(
@@ -101,7 +101,7 @@ def _nested_look(
             weight = flat.weights[number - 1][:, None]
             bsdf = _blend(_texture(weight, f"vertex_weight_{number}", attributes), bsdf, layer)
     assert bsdf is not None
-    return Look({"type": "twosided", "bsdf": bsdf}, attributes)
+    return Look(sided.both_sides(mi, bsdf), attributes)
 
 
 def vertex_colors(surfaces: Sequence[Surface], flat: FlatMesh) -> list[NDArray[np.float32]]:
