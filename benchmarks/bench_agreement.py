@@ -7,7 +7,7 @@ Each scene is a cfg drawn from its number: 1 to 100,000 rocks, hills and plains,
 hand's breadth above the ground to 60 m, fields of view from 20 to 110 degrees, one to four ground
 materials, metals, gloss, suns from 3 degrees up, with and without a sky. Annotation (every pass
 there is) is compared at 640 x 480 with the first backend; radiance of the path tracers at
-160 x 120.
+96 x 72.
 """
 
 from __future__ import annotations
@@ -144,7 +144,7 @@ def drawn_cfg(number: int) -> dict[str, Any]:
     fov = uniform(20, 110)
     sensors = cfg["rigs"]["rig"]["sensors"]
     sensors["eye"] = {"resolution": [640, 480], "fov_deg": fov, "outputs": ANNOTATION}
-    sensors["small"] = {"resolution": [160, 120], "fov_deg": fov, "outputs": ["rgb", "depth"]}
+    sensors["small"] = {"resolution": [96, 72], "fov_deg": fov, "outputs": ["rgb", "depth"]}
     return cfg
 
 

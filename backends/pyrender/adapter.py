@@ -1,0 +1,266 @@
+"""The pyrender backend: visibility by drawn ids, radiance as a quick preview."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenec.backends.contract import NO_ROW, Radiance, Rays, Visibility
+from scenec.backends.pyrender import geometry, platforms
+from scenec.backends.pyrender.ambience import (
+    CELLS,
+    Ambience,
+    Ground,
+    is_flat,
+    light_ground,
+    make_ground,
+    view_from_above,
+    world_bounds,
+)
+from scenec.backends.pyrender.camera import camera_view, pixel_rays
+from scenec.backends.pyrender.detail import add_levels
+from scenec.backends.pyrender.lighting import DARK, fit_shadow_maps, losses, smooth_sky
+from scenec.backends.pyrender.tables import Tables, make_tables, place_maps
+from scenec.backends.render_scene import Camera, RenderScene, Sun
+from scenec.schemas.errors import BackendError
+
+if TYPE_CHECKING:
+    from scenec.backends.pyrender.renderer import Renderer
+
+#: Most samples on a side of a pixel.
+MAX_SIDE = 4
+#: Samples drawn at once, 12 bytes each; of larger pictures one band of rows after the other.
+MAX_SAMPLES = 1 << 23
+#: What makes no difference to a preview, in pixels.
+DETAIL = 1.0
+
+
+class Pyrender:
+    """Implements ``contract.Backend``: ``load`` once, then any number of samples.
+
+    Args:
+        device: "cpu" (software), "cuda" (an NVIDIA GPU), or "auto".
+        culling: Whether to leave out what is not in view; for benchmarks and tests.
+
+    Raises:
+        BackendError: No OpenGL here, or not on this device.
+    """
+
+    name = "pyrender"
+    devices = ("cpu", "cuda")
+    denoiser = None
+    caster = None
+
+    def __init__(self, device: str = "auto", culling: bool = True) -> None:
+        self._context = platforms.acquire(device)
+        self._culling = culling
+        self._scene: RenderScene | None = None
+        self._geometry = geometry.EMPTY
+        self._renderer: Renderer | None = None
+        self._tables: Tables | None = None
+        self._ground: Ground | None = None
+        self._ambience: tuple[int, Ambience] | None = None
+
+    @property
+    def device(self) -> str:
+        """Where it runs."""
+        return self._context.device
+
+    def version(self) -> str:
+        """pyrender, how its context came about, and what OpenGL calls itself."""
+        import pyrender
+
+        return f"pyrender {pyrender.__version__} {self._context.name} {self._context.renderer}"
+
+    def warning(self) -> str | None:
+        """Nothing to warn of."""
+        return None
+
+    def losses(self, scene: RenderScene) -> tuple[str, ...]:
+        """What the preview leaves out of this scene."""
+        return losses(scene)
+
+    def load(self, scene: RenderScene) -> None:
+        """Cut the scene up and bring its meshes to OpenGL.
+
+        Raises:
+            BackendError: OpenGL is too old, or has no room for the scene.
+        """
+        self._use(scene, geometry.prepare(scene))
+        self._tables = None
+
+    def visibility(
+        self, rays: Rays, sample: int, camera: Camera | None = None
+    ) -> Visibility | None:
+        """First hits at pixel centers, but for float32 and rounding of edges to 1/256 pixel.
+
+        Raises:
+            BackendError: No scene is loaded, or OpenGL failed.
+        """
+        renderer, scene = self._loaded()
+        if camera is None:
+            return None
+        from scenec.backends.pyrender.resources import gl_errors
+
+        parts = []
+        with gl_errors():
+            for first, rows in bands(camera, 1, renderer.largest):
+                view, _ = camera_view(camera, self._reach(camera), first, rows)
+                selection = geometry.select(scene, self._geometry, view, self._culling)
+                renderer.draw_ids("pixels", view, selection, camera.width, rows)
+                parts.append(self._visibility(renderer.read_ids("pixels"), selection))
+        return Visibility(
+            np.concatenate([part.row for part in parts]),
+            np.concatenate([part.face for part in parts]),
+        )
+
+    def radiance(
+        self, camera: Camera, sample: int, spp: int, seed: int, denoise: bool = False
+    ) -> Radiance:
+        """Surface light of n x n samples a pixel on a grid, n = sqrt(spp) rounded, at most 4.
+
+        Nothing in it is random: both halves are the same, and the error is unknown.
+
+        Raises:
+            BackendError: No scene is loaded, or OpenGL failed.
+            StageError: A map or a sky's picture cannot be read.
+        """
+        renderer, scene = self._loaded()
+        from scenec.backends.pyrender.resources import gl_errors
+
+        side = int(np.clip(np.rint(np.sqrt(spp)), 1, MAX_SIDE))
+        with gl_errors():
+            if self._tables is None:
+                # Only now, so that annotation alone never pays for it.
+                self._use(scene, add_levels(scene, self._geometry))
+                renderer, _ = self._loaded()
+                self._tables = make_tables(scene, self._geometry)
+                renderer.set_tables(self._tables)
+                self._ground = self._find_ground(renderer, self._tables)
+                self._ambience = None
+            light = np.concatenate(
+                [
+                    self._band(renderer, self._tables, camera, sample, side, first, rows)
+                    for first, rows in bands(camera, side, renderer.largest)
+                ]
+            )
+        rgb = np.ascontiguousarray(light[..., :3])
+        coverage = np.ascontiguousarray(light[..., 3])
+        return Radiance(np.stack([rgb, rgb]), coverage, side * side, stochastic=False)
+
+    def _band(
+        self,
+        renderer: Renderer,
+        tables: Tables,
+        camera: Camera,
+        sample: int,
+        side: int,
+        first: int,
+        rows: int,
+    ) -> NDArray[np.float32]:
+        """Light and coverage of some rows of a picture, float32 [rows, w, 4]."""
+        _, scene = self._loaded()
+        lighting = scene.lighting[sample]
+        view, near = camera_view(camera, self._reach(camera), first, rows, DETAIL)
+        selection = geometry.select(scene, self._geometry, view, self._culling)
+        renderer.draw_ids("samples", view, selection, camera.width * side, rows * side)
+        rays = pixel_rays(camera)
+        rays[:, 2] += first * rays[:, 1]
+        surfaces = place_maps(tables, view.origin)
+        sky = smooth_sky(lighting, ground=self._ground is not None)
+        if self._ground is not None:
+            if self._ambience is None or self._ambience[0] != sample:
+                self._ambience = (sample, light_ground(self._ground, lighting))
+            renderer.set_ground(self._ground, self._ambience[1], view.origin)
+        suns = [sun for sun in lighting.suns if np.any(np.asarray(sun.irradiance) > 0.0)]
+        depth = renderer.read_depth("samples") if suns else np.zeros((1, 1), np.float32)
+        total: NDArray[np.float32] | None = None
+        # Each further sun adds a picture of its own light alone.
+        for sun in suns or [Sun(np.array([0.0, 0.0, 1.0]), np.zeros(3), 0.0)]:
+            shadows = fit_shadow_maps(
+                depth, near, rays / [side, side, 1.0], view.origin, sun, renderer.shadow_size
+            )
+            for layer, shadow in enumerate(shadows):
+                casters = geometry.select(scene, self._geometry, shadow.view, self._culling)
+                renderer.draw_shadow(layer, shadow, casters)
+            light = renderer.shade("samples", selection, surfaces, rays, side, sky, sun, shadows)
+            if total is None:
+                total = light
+            else:
+                total[..., :3] += light[..., :3]
+            sky = DARK
+        assert total is not None
+        return total
+
+    def _find_ground(self, renderer: Renderer, tables: Tables) -> Ground | None:
+        """The scene's height field, if it is ground with things on it."""
+        _, scene = self._loaded()
+        bounds = world_bounds(scene)
+        if not is_flat(bounds):
+            return None
+        view = view_from_above(bounds)
+        selection = geometry.select(scene, self._geometry, view)
+        renderer.draw_ids("above", view, selection, CELLS, CELLS)
+        return make_ground(
+            scene, self._geometry, tables, bounds, selection,
+            renderer.read_ids("above"), renderer.read_depth("above"),
+        )  # fmt: skip
+
+    def _use(self, scene: RenderScene, parts: geometry.Geometry) -> None:
+        from scenec.backends.pyrender.renderer import Renderer
+        from scenec.backends.pyrender.resources import gl_errors
+
+        self._context.platform.make_current()
+        if self._renderer is not None:
+            self._renderer.delete()
+            self._renderer = None
+        with gl_errors():
+            self._renderer = Renderer(scene, parts)
+        self._scene, self._geometry = scene, parts
+
+    def _visibility(self, ids: NDArray[np.uint32], selection: geometry.Selection) -> Visibility:
+        """From slots and drawn faces, [h, w, 2], to rows and faces."""
+        items, found = self._geometry.items, ids.reshape(-1, 2)
+        row = np.full(len(found), NO_ROW, np.int32)
+        face = np.zeros(len(found), np.int32)
+        hit = np.flatnonzero(found[:, 0])
+        item = selection.items[found[hit, 0].astype(np.int64) - 1]
+        first = self._geometry.first_face[items.group_mesh[items.group[item]]]
+        row[hit] = items.row[item]
+        face[hit] = self._geometry.order[first + found[hit, 1]]
+        return Visibility(row, face)
+
+    def _reach(self, camera: Camera) -> float:
+        """A distance that nothing lies beyond, meters."""
+        spheres = self._geometry.items.spheres
+        away = np.sqrt(((spheres[:, :3] - camera.camera_to_world[:3, 3]) ** 2).sum(axis=1))
+        away += spheres[:, 3]
+        return float(np.max(away[np.isfinite(away)], initial=1e-30))
+
+    def _loaded(self) -> tuple[Renderer, RenderScene]:
+        if self._renderer is None or self._scene is None:
+            raise BackendError("pyrender: no scene is loaded; call load first")
+        self._context.platform.make_current()
+        return self._renderer, self._scene
+
+
+def bands(camera: Camera, side: int, largest: int) -> list[tuple[int, int]]:
+    """(first row, rows) of the parts that a picture is drawn in.
+
+    Args:
+        camera: Whose picture it is.
+        side: Samples on a side of a pixel.
+        largest: Width or height that OpenGL can draw.
+
+    Raises:
+        BackendError: The picture is wider than that.
+    """
+    if camera.width * side > largest:
+        raise BackendError(
+            f"pyrender: {camera.width} pixels of {side} samples across are more than this OpenGL's "
+            f"{largest}; use fewer samples or a narrower picture"
+        )
+    rows = max(1, min(largest, MAX_SAMPLES // (camera.width * side)) // side)
+    return [(first, min(rows, camera.height - first)) for first in range(0, camera.height, rows)]

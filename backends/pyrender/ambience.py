@@ -1,0 +1,343 @@
+"""What hills leave of the sky, and what light they give back, on a coarse height field.
+
+Only for scenes that are ground with things on it: wide, flat and closed from above. Their heights
+are drawn once from above. For each cell the horizon in a few directions says which part of the sky
+it sees; the rest, and all below the horizon, is ground, as bright as its own light makes it (one
+bounce). After "horizon mapping" (Max 1988) and "bent" ambient light in games; coarse, but the light
+of a valley is no longer that of a plain.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit, prange
+from numpy.typing import NDArray
+
+from scenec.backends.pyrender.geometry import Geometry, Selection, View
+from scenec.backends.pyrender.tables import Tables
+from scenec.backends.render_scene import Lighting, RenderScene
+from scenec.backends.sky import combine, lookup
+
+#: Cells on a side of the height field.
+CELLS = 192
+#: Directions in which horizons are looked for, and elevations from 0 to 90 degrees.
+AZIMUTHS, ELEVATIONS = 16, 24
+#: A scene is ground where it is no higher than this share of its width, and closed over this share.
+FLATNESS, CLOSURE = 0.25, 0.5
+#: Distances at which horizons are looked for, cells.
+STEPS = np.concatenate([np.arange(1.0, 9.0), np.rint(8.0 * 1.15 ** np.arange(1, 24))])
+
+
+@dataclass(frozen=True)
+class Ground:
+    """A scene's height field.
+
+    Attributes:
+        low: Its least x and y, float64 [2].
+        size: Its extent in x and y, float64 [2].
+        normals: Of its cells, float32 [n, n, 3]; rows along y.
+        albedo: Of what is seen from above, float32 [n, n, 3].
+        horizon: Tangent of the elevation of the horizon, at least 0, by direction, float32
+            [n, n, AZIMUTHS].
+        own: Elevation above which the cell's own plane leaves the sky open, as a share of a right
+            angle, float32 [n, n, AZIMUTHS].
+        over: The same for its horizon, no less than ``own``.
+        seen: Cell (row * n + column) at each horizon, int32 [n, n, AZIMUTHS].
+    """
+
+    low: NDArray[np.float64]
+    size: NDArray[np.float64]
+    normals: NDArray[np.float32]
+    albedo: NDArray[np.float32]
+    horizon: NDArray[np.float32]
+    own: NDArray[np.float32]
+    over: NDArray[np.float32]
+    seen: NDArray[np.int32]
+
+
+def world_bounds(scene: RenderScene) -> NDArray[np.float64]:
+    """Box around all rows, float64 [2, 3]; not finite if there are none."""
+    low, high = np.full(3, np.inf), np.full(3, -np.inf)
+    for index, mesh in enumerate(scene.meshes):
+        to_world = scene.rows.to_world[scene.rows.mesh == index]
+        if len(mesh.faces) == 0 or len(to_world) == 0:
+            continue
+        points = mesh.points.astype(np.float64)
+        center = 0.5 * (points.min(axis=0) + points.max(axis=0))
+        half = 0.5 * (points.max(axis=0) - points.min(axis=0))
+        middle = (to_world[:, :, :3] * center).sum(axis=2) + to_world[:, :, 3]
+        reach = (np.abs(to_world[:, :, :3]) * half).sum(axis=2)
+        low = np.minimum(low, (middle - reach).min(axis=0))
+        high = np.maximum(high, (middle + reach).max(axis=0))
+    return np.stack([low, high])
+
+
+def view_from_above(bounds: NDArray[np.float64]) -> View:
+    """The whole scene from above: row 0 is the least y, depth 1 the highest point."""
+    low, high = bounds
+    origin = np.array([0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1]), low[2]])
+    size = high - low
+    # A little room, so that the lowest point is not taken for nothing.
+    room = 0.01 * size[2] + 1e-6 * max(size[0], size[1])
+    clip = np.diag([2.0 / size[0], 2.0 / size[1], 1.0 / (size[2] + 2.0 * room), 1.0])
+    clip[2, 3] = room / (size[2] + 2.0 * room)
+    planes = np.zeros((1, 4))
+    return View(origin, clip.astype(np.float32), planes, (max(size[0], size[1]) / CELLS, 0.0), 1.0)
+
+
+def make_ground(
+    scene: RenderScene,
+    geometry: Geometry,
+    tables: Tables,
+    bounds: NDArray[np.float64],
+    selection: Selection,
+    ids: NDArray[np.uint32],
+    depth: NDArray[np.float32],
+) -> Ground | None:
+    """The height field of a scene, or None if it is no ground.
+
+    Args:
+        scene, geometry, tables: The scene.
+        bounds: ``world_bounds``.
+        selection: What was drawn from above,
+        ids: and what is seen of it, uint32 [n, n, 2],
+        depth: and its depth, float32 [n, n].
+    """
+    size = bounds[1] - bounds[0]
+    room = 0.01 * size[2] + 1e-6 * max(size[0], size[1])
+    heights = depth.astype(np.float64) * (size[2] + 2.0 * room)
+    there = ids[..., 0] > 0
+    if there.mean() < CLOSURE:
+        return None
+    heights = np.where(there, heights, np.nan)
+    step = size[:2] / CELLS
+    horizon = np.zeros((CELLS, CELLS, AZIMUTHS), np.float32)
+    seen = np.zeros((CELLS, CELLS, AZIMUTHS), np.int32)
+    _horizons(heights, step, STEPS, _directions(), horizon, seen)
+    filled = np.where(there, heights, np.nanmean(heights))
+    dy, dx = np.gradient(filled, step[1], step[0])
+    normals = np.stack([-dx, -dy, np.ones_like(dx)], axis=-1)
+    normals /= np.sqrt((normals**2).sum(axis=-1, keepdims=True))
+    along = (normals[..., None, :2] * _directions()).sum(axis=-1)
+    own = np.arctan(np.maximum(-along / normals[..., 2:], 0.0)) / (0.5 * np.pi)
+    over = np.maximum(np.arctan(horizon) / (0.5 * np.pi), own)
+    return Ground(
+        low=bounds[0, :2],
+        size=size[:2],
+        normals=normals.astype(np.float32),
+        albedo=_albedo(scene, geometry, tables, selection, ids),
+        horizon=horizon,
+        own=own.astype(np.float32),
+        over=over.astype(np.float32),
+        seen=seen,
+    )
+
+
+def _directions() -> NDArray[np.float64]:
+    """Unit vectors of the azimuths, from +X towards +Y, float64 [AZIMUTHS, 2]."""
+    phi = 2.0 * np.pi * np.arange(AZIMUTHS) / AZIMUTHS
+    return np.stack([np.cos(phi), np.sin(phi)], axis=-1)
+
+
+def is_flat(bounds: NDArray[np.float64]) -> bool:
+    """Whether a scene's box is that of ground with things on it."""
+    size = bounds[1] - bounds[0]
+    return bool(np.all(np.isfinite(size)) and 0.0 < min(size[:2]) * FLATNESS >= size[2])
+
+
+def _albedo(
+    scene: RenderScene,
+    geometry: Geometry,
+    tables: Tables,
+    selection: Selection,
+    ids: NDArray[np.uint32],
+) -> NDArray[np.float32]:
+    """Mixed base colors at a corner of each face that is seen, float32 [n, n, 3]."""
+    found = ids.reshape(-1, 2)
+    out = np.zeros((len(found), 3), np.float32)
+    hit = np.flatnonzero(found[:, 0])
+    drawn = selection.poses[found[hit, 0].astype(np.int64) - 1, 3, 0].astype(np.int64)
+    for index in np.unique(drawn):
+        where = hit[drawn == index]
+        mesh = scene.meshes[geometry.meshes[index].mesh]
+        first = geometry.first_face[index]
+        corner = tables.faces[first + found[where, 1], 0]
+        layer, count = tables.meshes[2 * index + 1, :2].tolist()
+        base = [tables.surfaces[4 * s, :3] for s in tables.layers[layer : layer + count].tolist()]
+        color = np.broadcast_to(base[0], (len(where), 3))
+        for merge in range(count - 1):
+            weight = mesh.weights[merge][corner][:, None]
+            color = color + weight * (base[merge + 1] - color)
+        out[where] = color
+    return out.reshape(*ids.shape[:2], 3)
+
+
+@njit(cache=True, error_model="numpy", parallel=True)
+def _horizons(heights, step, steps, directions, horizon, seen):  # type: ignore[no-untyped-def]
+    n = heights.shape[0]
+    for row in prange(n):
+        for column in range(n):
+            here = heights[row, column]
+            for a in range(len(directions)):
+                right, up = directions[a]
+                length = np.sqrt((step[0] * right) ** 2 + (step[1] * up) ** 2)
+                best = 0.0
+                found = row * n + column
+                for s in range(len(steps)):
+                    x = column + steps[s] * right
+                    y = row + steps[s] * up
+                    if x < 0.0 or y < 0.0 or x > n - 1.0 or y > n - 1.0:
+                        break
+                    c = min(int(x), n - 2)
+                    r = min(int(y), n - 2)
+                    u, v = x - c, y - r
+                    low = (1.0 - u) * heights[r, c] + u * heights[r, c + 1]
+                    high = (1.0 - u) * heights[r + 1, c] + u * heights[r + 1, c + 1]
+                    rise = (1.0 - v) * low + v * high - here
+                    # False for what is no number: nothing is there.
+                    if rise > best * steps[s] * length:
+                        best = rise / (steps[s] * length)
+                        found = int(y + 0.5) * n + int(x + 0.5)
+                horizon[row, column, a] = best
+                seen[row, column, a] = found
+
+
+@dataclass(frozen=True)
+class Ambience:
+    """A ground in some light.
+
+    Attributes:
+        sky: Share of the sky's irradiance that arrives, by color, then share of the cosine over the
+            upper half that is taken by ground, float32 [n, n, 4].
+        ground: Radiance of the ground that is seen, float32 [n, n, 4] (the last is 0).
+    """
+
+    sky: NDArray[np.float32]
+    ground: NDArray[np.float32]
+
+
+def light_ground(ground: Ground, lighting: Lighting) -> Ambience:
+    """What arrives at each cell of a ground in some light."""
+    radiance = _sky_table(lighting)
+    n = CELLS
+    share = np.zeros((n, n, 4), np.float32)
+    irradiance = np.zeros((n, n, 3))
+    _sky_share(
+        ground.normals, ground.own, ground.over, _directions(), _from_above(radiance), share,
+        irradiance,
+    )  # fmt: skip
+    for sun in lighting.suns:
+        irradiance += _sunlit(ground, np.asarray(sun.to_light))[..., None] * sun.irradiance
+    bright = (ground.albedo / np.pi * irradiance).astype(np.float32)
+    seen = np.zeros((n, n, 4), np.float32)
+    _gather(ground.horizon, ground.seen, bright, seen)
+    return Ambience(share, seen)
+
+
+def _sky_table(lighting: Lighting) -> NDArray[np.float64]:
+    """Radiance of the sky by azimuth and elevation, float64 [AZIMUTHS, ELEVATIONS, 3]."""
+    out = np.zeros((AZIMUTHS, ELEVATIONS, 3))
+    sky = combine(lighting.domes)
+    if sky is None:
+        return out
+    fine = 4
+    phi = 2.0 * np.pi * (np.arange(AZIMUTHS * fine) - 0.5 * (fine - 1)) / (AZIMUTHS * fine)
+    elevation = 0.5 * np.pi * (np.arange(ELEVATIONS * fine) + 0.5) / (ELEVATIONS * fine)
+    p, e = np.meshgrid(phi, elevation, indexing="ij")
+    directions = np.stack([np.cos(e) * np.cos(p), np.cos(e) * np.sin(p), np.sin(e)], -1)
+    values = lookup(sky, directions.reshape(-1, 3)).astype(np.float64)
+    values = values.reshape(AZIMUTHS, fine, ELEVATIONS, fine, 3)
+    result: NDArray[np.float64] = values.mean(axis=(1, 3))
+    return result
+
+
+def _from_above(radiance: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Integrals from each elevation up: of (L, 1) sin cos, then of (L, 1) cos^2.
+
+    Returns:
+        float32 [AZIMUTHS, ELEVATIONS + 1, 8], times the width of an azimuth.
+    """
+    high = 0.5 * np.pi / ELEVATIONS
+    middle = (np.arange(ELEVATIONS) + 0.5) * high
+    kinds = np.stack([np.sin(middle) * np.cos(middle), np.cos(middle) ** 2])
+    values = np.concatenate([radiance, np.ones((*radiance.shape[:2], 1))], axis=-1)
+    parts = kinds[:, None, :, None] * values * high * (2.0 * np.pi / AZIMUTHS)
+    sums = np.zeros((AZIMUTHS, ELEVATIONS + 1, 8), np.float32)
+    for kind in range(2):
+        # From the zenith down.
+        above = np.cumsum(parts[kind][:, ::-1], axis=1)[:, ::-1]
+        sums[:, :-1, 4 * kind : 4 * kind + 4] = above
+    return sums
+
+
+@njit(cache=True, error_model="numpy", parallel=True)
+def _sky_share(normals, own, over, directions, up, share, irradiance):  # type: ignore[no-untyped-def]
+    n = normals.shape[0]
+    last = up.shape[1] - 2
+    for row in prange(n):
+        arrives = np.empty(4, np.float32)
+        whole = np.empty(4, np.float32)
+        for column in range(n):
+            nx, ny, nz = normals[row, column]
+            arrives[:] = 0.0
+            whole[:] = 0.0
+            for a in range(len(directions)):
+                along = np.float32(nx * directions[a, 0] + ny * directions[a, 1])
+                place = own[row, column, a] * (last + 1)
+                e = min(int(place), last)
+                part = np.float32(place - e)
+                for k in range(4):
+                    low = nz * up[a, e, k] + along * up[a, e, 4 + k]
+                    high = nz * up[a, e + 1, k] + along * up[a, e + 1, 4 + k]
+                    whole[k] += low + part * (high - low)
+                place = over[row, column, a] * (last + 1)
+                e = min(int(place), last)
+                part = np.float32(place - e)
+                for k in range(4):
+                    low = nz * up[a, e, k] + along * up[a, e, 4 + k]
+                    high = nz * up[a, e + 1, k] + along * up[a, e + 1, 4 + k]
+                    arrives[k] += low + part * (high - low)
+            for k in range(3):
+                irradiance[row, column, k] = max(arrives[k], 0.0)
+                share[row, column, k] = 1.0
+                if whole[k] > 0.0:
+                    share[row, column, k] = min(max(arrives[k] / whole[k], 0.0), 1.0)
+            share[row, column, 3] = min(max((whole[3] - arrives[3]) / np.pi, 0.0), 1.0)
+
+
+def _sunlit(ground: Ground, to_sun: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Cosine of the sun at each cell, 0 where the ground hides it, float64 [n, n]."""
+    cosine = np.maximum((ground.normals * to_sun).sum(axis=-1), 0.0).astype(np.float64)
+    azimuth = np.arctan2(to_sun[1], to_sun[0]) / (2.0 * np.pi) * AZIMUTHS
+    first = int(np.floor(azimuth))
+    part = azimuth - first
+    horizon = (1.0 - part) * ground.horizon[..., first % AZIMUTHS] + part * ground.horizon[
+        ..., (first + 1) % AZIMUTHS
+    ]
+    flat = np.sqrt(to_sun[0] ** 2 + to_sun[1] ** 2)
+    return np.where(horizon * flat < to_sun[2], cosine, 0.0)
+
+
+@njit(cache=True, error_model="numpy", parallel=True)
+def _gather(horizon, seen, bright, out):  # type: ignore[no-untyped-def]
+    n, azimuths = horizon.shape[0], horizon.shape[2]
+    for row in prange(n):
+        for column in range(n):
+            total = 0.0
+            for r in range(max(row - 2, 0), min(row + 3, n)):
+                for c in range(max(column - 2, 0), min(column + 3, n)):
+                    for k in range(3):
+                        out[row, column, k] += 0.01 * bright[r, c, k]
+                    total += 0.01
+            for a in range(azimuths):
+                # sin^2 of the horizon: the share of the cosine below it.
+                t2 = horizon[row, column, a] ** 2
+                weight = t2 / (1.0 + t2)
+                cell = seen[row, column, a]
+                for k in range(3):
+                    out[row, column, k] += weight * bright[cell // n, cell % n, k]
+                total += weight
+            for k in range(3):
+                out[row, column, k] /= total

@@ -1,0 +1,270 @@
+"""Light as the shading program takes it: sky as spherical harmonics, suns' shadow maps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from scenec.backends.pyrender.geometry import View
+from scenec.backends.render_scene import Lighting, RenderScene, Sun
+from scenec.backends.sky import combine, texel_directions
+
+#: GGX in float32 loses its digits below this; roughness under 0.032 is drawn as 0.032.
+MIN_ALPHA = 1e-3
+#: Radians; suns wider than this, three times ours, throw visibly soft shadows.
+_WIDE_SUN = 0.03
+#: Shadow maps of a sun: the nearer what is seen, the finer.
+CASCADES = 3
+#: Samples a picture's shadow maps are fitted to, at most.
+_FIT_SAMPLES = 1 << 17
+#: Of a shadow map's extent, on each side, for what lies between those samples.
+_FIT_MARGIN = 0.03
+
+# Constants of the real spherical harmonics, times what a cosine lobe leaves of each band
+# (Ramamoorthi and Hanrahan 2001).
+_BAND = np.pi * np.array([1.0] + 3 * [2.0 / 3.0] + 5 * [0.25])
+_NORM = np.array(
+    [0.28209479, 0.48860251, 0.48860251, 0.48860251, 1.09254843, 1.09254843, 0.31539157,
+     1.09254843, 0.54627421]
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class SmoothSky:
+    """A sky to the second order in the direction: sums of these times ``polynomials``.
+
+    Attributes:
+        irradiance: Of a surface, by its normal, float64 [9, 3].
+        mirrored: Radiance by direction, float64 [9, 3]; over ground, what is below the horizon is
+            the mirror image of what is above, so that a glossy lobe does not end there.
+        dark: Whether there is no light at all.
+    """
+
+    irradiance: NDArray[np.float64]
+    mirrored: NDArray[np.float64]
+    dark: bool = False
+
+
+DARK = SmoothSky(np.zeros((9, 3)), np.zeros((9, 3)), True)
+
+
+def smooth_sky(lighting: Lighting, ground: bool = False) -> SmoothSky:
+    """The domes of a sample.
+
+    Args:
+        lighting: The light.
+        ground: Whether ground hides what is below the world's horizon.
+    """
+    sky = combine(lighting.domes)
+    if sky is None:
+        return SmoothSky(np.zeros((9, 3)), np.zeros((9, 3)))
+    picture = sky.picture
+    if sky.constant:
+        # Fine enough for the step at the horizon.
+        picture = np.broadcast_to(picture, (64, 128, 3))
+    height, width = picture.shape[:2]
+    # The exact solid angle of each row's texels.
+    solid = -np.diff(np.cos(np.arange(height + 1) * (np.pi / height))) * (2.0 * np.pi / width)
+    world = texel_directions(height, width).reshape(-1, 3) @ sky.to_world.T
+    light = (picture * solid[:, None, None]).reshape(-1, 3).astype(np.float64)
+    if ground:
+        light = light * (world[:, 2:] >= 0.0)
+    moments = polynomials(world).T @ light
+    mirrored = moments
+    if ground:
+        mirrored = moments + polynomials(world * [1.0, 1.0, -1.0]).T @ light
+    norm = (_NORM**2)[:, None]
+    return SmoothSky(_BAND[:, None] * norm * moments, norm * mirrored)
+
+
+def polynomials(n: NDArray[np.float64]) -> NDArray[np.float64]:
+    """1, y, z, x, xy, yz, 3z^2 - 1, xz, x^2 - y^2 of unit vectors [k, 3], float64 [k, 9]."""
+    x, y, z = n[:, 0], n[:, 1], n[:, 2]
+    return np.stack(
+        [np.ones_like(x), y, z, x, x * y, y * z, 3.0 * z * z - 1.0, x * z, x * x - y * y], axis=1
+    )
+
+
+@lru_cache(maxsize=1)
+def gloss_albedo(size: int = 32) -> NDArray[np.float32]:
+    """Albedo of a white single-scatter GGX lobe, float32 [roughness, cosine], from 0 to 1 each.
+
+    The mean over normals visible from the viewer (Heitz 2018) of G2 / G1, which is what the lobe
+    over the density of those normals leaves; G2 is height-correlated.
+    """
+    node = np.maximum(np.arange(size) / (size - 1), 1e-3)
+    u, v = (a.ravel() for a in np.meshgrid(*2 * [(np.arange(24) + 0.5) / 24], indexing="ij"))
+    rough, cosine = (a[..., None] for a in np.meshgrid(node, node, indexing="ij"))
+    alpha = np.maximum(rough**2, 1e-3)
+    sine = np.sqrt(1.0 - cosine**2)
+    # The viewer's direction over the stretched hemisphere, and a frame about it.
+    length = np.sqrt((alpha * sine) ** 2 + cosine**2)
+    sx, sz = alpha * sine / length, cosine / length
+    r, phi = np.sqrt(u), 2.0 * np.pi * v
+    t1 = r * np.cos(phi)
+    t2 = (1.0 - 0.5 * (1.0 + sz)) * np.sqrt(1.0 - t1**2) + 0.5 * (1.0 + sz) * r * np.sin(phi)
+    t3 = np.sqrt(np.maximum(0.0, 1.0 - t1**2 - t2**2))
+    # Frame: (sx, 0, sz), T1 = y, T2 = s x T1 = (-sz, 0, sx).
+    hx, hy, hz = alpha * (-sz * t2 + sx * t3), alpha * t1, np.maximum(0.0, sx * t2 + sz * t3)
+    scale = 1.0 / np.sqrt(hx**2 + hy**2 + hz**2)
+    hx, hz = hx * scale, hz * scale
+    lz = 2.0 * (sine * hx + cosine * hz) * hz - cosine
+    up = np.clip(lz, 1e-6, 1.0)
+
+    def hidden(c: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Smith's Lambda of a cosine."""
+        result: NDArray[np.float64] = 0.5 * np.sqrt(1.0 + alpha**2 * (1.0 - c**2) / c**2) - 0.5
+        return result
+
+    left = (1.0 + hidden(cosine)) / (1.0 + hidden(cosine) + hidden(up))
+    return np.where(lz > 0.0, left, 0.0).mean(axis=-1).astype(np.float32)
+
+
+def losses(scene: RenderScene) -> tuple[str, ...]:
+    """What the preview leaves out of a scene, a line each."""
+    lines = []
+    suns = [sun for lighting in scene.lighting for sun in lighting.suns]
+    domes = [dome for lighting in scene.lighting for dome in lighting.domes]
+    surfaces = [scene.surfaces[i] for i in sorted({i for m in scene.meshes for i in m.layers})]
+    if suns or domes:
+        lines.append(
+            "pyrender draws a preview: light from ground to ground and the sky that hills hide are "
+            "estimates on a coarse height field, other light from surface to surface is left out"
+        )
+    if domes:
+        lines.append("pyrender's sky is smooth (second order); small things hide nothing of it")
+    if any(s.specular or s.metallic or (s.maps and s.maps.metallic) for s in surfaces):
+        lines.append("pyrender's gloss and metals mirror suns and a blurred sky, no surfaces")
+    if any(sun.diameter_rad > _WIDE_SUN for sun in suns):
+        lines.append("pyrender's shadows are sharp, however wide the sun")
+    return tuple(lines)
+
+
+@dataclass(frozen=True)
+class ShadowMap:
+    """One cascade.
+
+    Attributes:
+        view: How it is drawn; depth is 1 at the sun's side of what it covers, 0 at the other.
+        texel_m: Size of its texels, meters.
+        depth_m: Depth that it covers.
+    """
+
+    view: View
+    texel_m: float
+    depth_m: float
+
+
+def fit_shadow_maps(
+    depth: NDArray[np.float32],
+    near: float,
+    rays: NDArray[np.float64],
+    origin: NDArray[np.float64],
+    sun: Sun,
+    size: int,
+) -> list[ShadowMap]:
+    """Shadow maps that just cover what a picture shows (Lauritzen et al. 2011).
+
+    Args:
+        depth: near / planar depth of each sample, 0 where there is nothing, [h, w].
+        near: See ``depth``.
+        rays: From (column, row, 1) of that picture, centers at + 0.5, to directions with z = 1.
+        origin: The camera's position; the views are relative to it.
+        sun: The sun.
+        size: Texels a side.
+
+    Returns:
+        The finest first; [] if nothing is seen.
+    """
+    stride = max(1, int(np.sqrt(depth.size / _FIT_SAMPLES)))
+    low, high = _range(depth, stride)
+    if high <= 0.0:
+        return []
+    nearest, farthest = near / high, near / low
+    edges = nearest * (farthest / nearest) ** (np.arange(1, CASCADES + 1) / CASCADES)
+    edges[-1] = np.inf
+    forward = rays @ np.array([0.5 * depth.shape[1], 0.5 * depth.shape[0], 1.0])
+    axes = sun_axes(sun.to_light, forward)
+    bounds = _bounds(depth, near, rays, axes, edges, stride)
+    found = []
+    for box in bounds:
+        if not np.all(np.isfinite(box)):
+            continue
+        low3, high3 = box
+        reach = np.maximum((high3 - low3) * _FIT_MARGIN, 1e-6 * farthest)
+        found.append(_shadow_map(axes, low3 - reach, high3 + reach, origin, size))
+    return found
+
+
+def sun_axes(to_sun: NDArray[np.float64], forward: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Right, up, to the sun, as rows; right lies along the picture's forward where it can."""
+    right = forward - to_sun * (forward * to_sun).sum()
+    if np.sqrt((right**2).sum()) < 1e-3 * np.sqrt((forward**2).sum()):
+        right = np.cross(to_sun, np.eye(3)[np.argmin(np.abs(to_sun))])
+    right = right / np.sqrt((right**2).sum())
+    return np.stack([right, np.cross(to_sun, right), to_sun])
+
+
+def _shadow_map(
+    axes: NDArray[np.float64],
+    low: NDArray[np.float64],
+    high: NDArray[np.float64],
+    origin: NDArray[np.float64],
+    size: int,
+) -> ShadowMap:
+    extent = high - low
+    clip = np.zeros((4, 4))
+    clip[:3, :3] = axes * (np.array([2.0, 2.0, 1.0]) / extent)[:, None]
+    clip[:3, 3] = -low * (np.array([2.0, 2.0, 1.0]) / extent) - np.array([1.0, 1.0, 0.0])
+    clip[3, 3] = 1.0
+    # What lies beyond towards the sun throws its shadow too: no plane there.
+    planes = np.array(
+        [
+            [*axes[0], -low[0]],
+            [*-axes[0], high[0]],
+            [*axes[1], -low[1]],
+            [*-axes[1], high[1]],
+            [*axes[2], -low[2]],
+        ]
+    )
+    texel = float(max(extent[:2])) / size
+    view = View(origin, clip.astype(np.float32), planes, (1.4 * texel, 0.0), np.inf)
+    return ShadowMap(view, texel, float(extent[2]))
+
+
+@njit(cache=True, error_model="numpy")
+def _range(depth, stride):  # type: ignore[no-untyped-def]
+    low, high = np.inf, 0.0
+    for y in range(0, depth.shape[0], stride):
+        for x in range(0, depth.shape[1], stride):
+            if depth[y, x] > 0.0:
+                low = min(low, depth[y, x])
+                high = max(high, depth[y, x])
+    return low, high
+
+
+@njit(cache=True, error_model="numpy")
+def _bounds(depth, near, rays, axes, edges, stride):  # type: ignore[no-untyped-def]
+    out = np.empty((len(edges), 2, 3))
+    out[:, 0] = np.inf
+    out[:, 1] = -np.inf
+    for y in range(0, depth.shape[0], stride):
+        for x in range(0, depth.shape[1], stride):
+            if not depth[y, x] > 0.0:
+                continue
+            t = near / depth[y, x]
+            cascade = 0
+            while t > edges[cascade]:
+                cascade += 1
+            for k in range(3):
+                value = 0.0
+                for j in range(3):
+                    direction = rays[j, 0] * (x + 0.5) + rays[j, 1] * (y + 0.5) + rays[j, 2]
+                    value += axes[k, j] * direction * t
+                out[cascade, 0, k] = min(out[cascade, 0, k], value)
+                out[cascade, 1, k] = max(out[cascade, 1, k], value)
+    return out

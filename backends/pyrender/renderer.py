@@ -1,0 +1,306 @@
+"""Drawing: pyrender's renderer with passes of its own for ids, shadow maps and light.
+
+pyrender brings context, vertex buffers and programs. Its own passes draw 8-bit colors into
+multisampled buffers with a depth of 24 bits and know no ids; these draw integers and floats with a
+float depth.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyrender
+from numpy.typing import NDArray
+from OpenGL import GL
+from OpenGL.GL.ARB.clip_control import glClipControl, glInitClipControlARB
+from pyrender.shader_program import ShaderProgramCache
+
+from scenec.backends.pyrender import platforms, resources
+from scenec.backends.pyrender.ambience import Ambience, Ground
+from scenec.backends.pyrender.geometry import Geometry, Selection, View
+from scenec.backends.pyrender.lighting import (
+    CASCADES,
+    MIN_ALPHA,
+    ShadowMap,
+    SmoothSky,
+    gloss_albedo,
+)
+from scenec.backends.pyrender.tables import Tables
+from scenec.backends.render_scene import RenderScene, Sun
+from scenec.schemas.errors import BackendError
+
+SHADERS = Path(__file__).parent / "shaders"
+#: Texture units, by the numbers that the programs name them with.
+UNITS = (
+    "ids", "poses", "faces", "vertices", "normals", "weights", "meshes", "layers", "surfaces",
+    "gloss_albedo", "maps", "shadows", "ground_sky", "ground_light",
+)  # fmt: skip
+#: Share of a shadow map's texel that a surface may lie farther from the sun than itself.
+_BIAS = 0.25
+
+
+_PROGRAMS = ShaderProgramCache(shader_dir=str(SHADERS))
+
+
+class Part(pyrender.Primitive):
+    """A pyrender primitive whose vertex indices are not rounded to float32 on their way."""
+
+    def __init__(self, points: NDArray[np.float32], faces: NDArray[np.uint32]) -> None:
+        super().__init__(positions=points)
+        self._indices = faces
+
+
+class Renderer(pyrender.Renderer):
+    """Draws one scene.
+
+    Args:
+        scene: The scene.
+        geometry: Of the same scene.
+
+    Raises:
+        BackendError: This OpenGL is too old.
+    """
+
+    #: Texels on a side of a shadow map.
+    shadow_size = 2048
+
+    def __init__(self, scene: RenderScene, geometry: Geometry) -> None:
+        super().__init__(1, 1)
+        self._freed = False
+        self._tables: dict[str, resources.Table] = {}
+        self._targets: dict[str, resources.Target] = {}
+        self._pictures: dict[str, int] = {}
+        numbers = (GL.GL_MAJOR_VERSION, GL.GL_MINOR_VERSION)
+        found = tuple(int(GL.glGetIntegerv(number)) for number in numbers)
+        if found < (4, 2) or not glInitClipControlARB():
+            raise BackendError(
+                f"pyrender: this OpenGL is of version {found[0]}.{found[1]}, it takes 4.2 and "
+                "ARB_clip_control (part of 4.5); update the graphics driver, or use --device cpu"
+            )
+        self.largest = int(GL.glGetIntegerv(GL.GL_MAX_TEXTURE_SIZE))
+        self._program_cache = _PROGRAMS
+        self._defines: dict[str, int] = {}
+        self._parts = [Part(scene.meshes[m.mesh].points, m.faces) for m in geometry.meshes]
+        # What pyrender frees when it is deleted.
+        self._meshes = {pyrender.Mesh(primitives=self._parts)}
+        for part in self._parts:
+            part._add_to_context()
+        self._tables["poses"] = resources.Table()
+        # OpenGL draws nothing without one, even where there are no attributes.
+        self._no_attributes = int(GL.glGenVertexArrays(1))
+
+    def delete(self) -> None:
+        """Free everything that OpenGL holds for it."""
+        # Names of what is gone may be those of another's by now.
+        if self._freed or not platforms.alive():
+            return
+        self._freed = True
+        # All renderers share the programs, which take longer to compile than a small scene to draw.
+        self._program_cache = ShaderProgramCache()
+        super().delete()
+        for table in self._tables.values():
+            table.delete()
+        for target in self._targets.values():
+            target.delete()
+        GL.glDeleteVertexArrays(1, [self._no_attributes])
+        if self._pictures:
+            GL.glDeleteTextures(len(self._pictures), list(self._pictures.values()))
+        self._tables, self._targets, self._pictures = {}, {}, {}
+
+    def draw_ids(
+        self, name: str, view: View, selection: Selection, width: int, height: int
+    ) -> None:
+        """Draw (slot + 1, face) of what is nearest, 0 where nothing is.
+
+        Args:
+            name: Of the target that is drawn into, kept for the other methods.
+            view, selection: What is drawn.
+            width, height: Of the picture.
+        """
+        target = self._target(name, width, height, GL.GL_RG32UI, depth=True)
+        self._set_state()
+        target.bind()
+        GL.glClearBufferuiv(GL.GL_COLOR, 0, np.zeros(4, np.uint32))
+        self._draw("ids.frag", view, selection)
+
+    def read_ids(self, name: str) -> NDArray[np.uint32]:
+        """What ``draw_ids`` drew, uint32 [h, w, 2], the view's first row first."""
+        target = self._targets[name]
+        out = np.empty((target.height, target.width, 2), np.uint32)
+        target.read(GL.GL_RG_INTEGER, GL.GL_UNSIGNED_INT, out)
+        return out
+
+    def read_depth(self, name: str) -> NDArray[np.float32]:
+        """Depth of what ``draw_ids`` drew, float32 [h, w]."""
+        target = self._targets[name]
+        out = np.empty((target.height, target.width), np.float32)
+        target.read(GL.GL_DEPTH_COMPONENT, GL.GL_FLOAT, out)
+        return out
+
+    def draw_shadow(self, layer: int, shadow: ShadowMap, selection: Selection) -> None:
+        """Draw a shadow map into its layer."""
+        self._set_state()
+        resources.bind_layer(self._shadows(), layer)
+        # What lies between the sun and the map's box is drawn onto its near side.
+        GL.glEnable(GL.GL_DEPTH_CLAMP)
+        self._draw("depth.frag", shadow.view, selection)
+
+    def _draw(self, fragment_shader: str, view: View, selection: Selection) -> None:
+        program = self._program("ids.vert", fragment_shader, {})
+        GL.glEnable(GL.GL_DEPTH_TEST)
+        GL.glDepthMask(GL.GL_TRUE)
+        GL.glDepthFunc(GL.GL_GREATER)
+        GL.glClearDepth(0.0)
+        GL.glClear(GL.GL_DEPTH_BUFFER_BIT)
+        self._tables["poses"].fill(selection.poses.reshape(-1, 4), GL.GL_STREAM_DRAW)
+        _bind("poses", GL.GL_TEXTURE_BUFFER, self._tables["poses"].texture)
+        program.set_uniform("clip", view.clip)
+        first_slot = GL.glGetUniformLocation(program._program_id, "first_slot")
+        first_face = GL.glGetUniformLocation(program._program_id, "first_face")
+        bound = -1
+        for mesh, face, faces, slot, slots in selection.draws.tolist():
+            if mesh != bound:
+                bound = mesh
+                self._parts[mesh]._bind()
+            GL.glUniform1i(first_slot, slot)
+            if first_face >= 0:
+                GL.glUniform1i(first_face, face)
+            GL.glDrawElementsInstanced(
+                GL.GL_TRIANGLES, 3 * faces, GL.GL_UNSIGNED_INT, ctypes.c_void_p(12 * face), slots
+            )
+        GL.glBindVertexArray(0)
+        program._unbind()
+
+    def set_tables(self, tables: Tables) -> None:
+        """Bring what the shading program looks up, once per scene."""
+        for name in ("faces", "vertices", "normals", "weights", "meshes", "layers", "surfaces"):
+            self._tables[name] = resources.Table()
+            self._tables[name].fill(getattr(tables, name))
+        self._pictures["gloss_albedo"] = resources.lookup_texture(gloss_albedo())
+        self._pictures["maps"] = resources.map_texture(tables.maps)
+        self._defines = {"CASCADES": CASCADES} | dict.fromkeys(tables.features, 1)
+
+    def set_ground(self, ground: Ground, ambience: Ambience, origin: NDArray[np.float64]) -> None:
+        """Bring what ``shade`` is to know of the ground, seen from an origin."""
+        for name, values in (("ground_sky", ambience.sky), ("ground_light", ambience.ground)):
+            if name in self._pictures:
+                GL.glDeleteTextures(1, [self._pictures[name]])
+            self._pictures[name] = resources.lookup_texture(values)
+        offset = (origin[:2] - ground.low) / ground.size
+        self._ground_place = np.array([*(1.0 / ground.size), *offset])
+        self._defines["WITH_GROUND"] = 1
+
+    def shade(
+        self,
+        name: str,
+        selection: Selection,
+        surfaces: NDArray[np.float32],
+        rays: NDArray[np.float64],
+        samples: int,
+        sky: SmoothSky,
+        sun: Sun,
+        shadows: Sequence[ShadowMap],
+    ) -> NDArray[np.float32]:
+        """The light of what ``draw_ids`` drew, the mean over samples x samples of each pixel.
+
+        Args:
+            name: Of the target that was drawn into.
+            selection: What was drawn.
+            surfaces: ``tables.place_maps`` for this camera.
+            rays: From (u, v, 1) in pixels to directions.
+            samples: On a side of a pixel.
+            sky: The sky; a dark one leaves out the ground's light too.
+            sun: The sun.
+            shadows: What ``draw_shadow`` drew for it, by layer.
+
+        Returns:
+            Light and coverage, float32 [h, w, 4].
+        """
+        ids = self._targets[name]
+        target = self._target(
+            "light", ids.width // samples, ids.height // samples, GL.GL_RGBA32F, depth=False
+        )
+        # Made before the target is bound: making it binds it.
+        shadow_maps = self._shadows().depth
+        program = self._program("full.vert", "shade.frag", self._defines)
+        self._set_state()
+        target.bind()
+        self._tables["poses"].fill(selection.poses.reshape(-1, 4), GL.GL_STREAM_DRAW)
+        self._tables["surfaces"].fill(surfaces, GL.GL_STREAM_DRAW)
+        for unit, table in self._tables.items():
+            _bind(unit, GL.GL_TEXTURE_BUFFER, table.texture)
+        _bind("ids", GL.GL_TEXTURE_2D, ids.color)
+        _bind("gloss_albedo", GL.GL_TEXTURE_2D, self._pictures["gloss_albedo"])
+        _bind("maps", GL.GL_TEXTURE_2D_ARRAY, self._pictures["maps"])
+        _bind("shadows", GL.GL_TEXTURE_2D_ARRAY, shadow_maps)
+        if "ground_sky" in self._pictures:
+            _bind("ground_sky", GL.GL_TEXTURE_2D, self._pictures["ground_sky"])
+            _bind("ground_light", GL.GL_TEXTURE_2D, self._pictures["ground_light"])
+            program.set_uniform("ground_place", self._ground_place)
+        program.set_uniform("samples", samples)
+        program.set_uniform("rays", rays)
+        program.set_uniform("ground_share", float(not sky.dark))
+        for name, values in (("sky", sky.irradiance), ("sky_mirrored", sky.mirrored)):
+            for index, coefficient in enumerate(values):
+                program.set_uniform(f"{name}[{index}]", coefficient)
+        program.set_uniform("to_sun", np.asarray(sun.to_light, np.float64))
+        program.set_uniform("sun", np.asarray(sun.irradiance, np.float64))
+        # Half vectors turn by half of what directions to the disc do, half of its width each way.
+        program.set_uniform("sun_alpha", max(MIN_ALPHA, 0.25 * float(sun.diameter_rad)))
+        program.set_uniform("cascades", len(shadows))
+        for index, shadow in enumerate(shadows):
+            program.set_uniform(f"shadow_clip[{index}]", shadow.view.clip)
+            bias = _BIAS * shadow.texel_m / shadow.depth_m
+            program.set_uniform(f"shadow_texel[{index}]", np.array([shadow.texel_m, bias]))
+        GL.glBindVertexArray(self._no_attributes)
+        GL.glDrawArrays(GL.GL_TRIANGLES, 0, 3)
+        GL.glBindVertexArray(0)
+        program._unbind()
+        out = np.empty((target.height, target.width, 4), np.float32)
+        target.read(GL.GL_RGBA, GL.GL_FLOAT, out)
+        return out
+
+    def _program(self, vertex: str, fragment: str, defines: dict[str, int]) -> Any:
+        program = self._program_cache.get_program(vertex, fragment, defines=defines)
+        if not program._in_context():
+            program._add_to_context()
+        program._bind()
+        return program
+
+    def _target(
+        self, name: str, width: int, height: int, color: int, depth: bool
+    ) -> resources.Target:
+        target = self._targets.get(name)
+        if target is None or (target.width, target.height) != (width, height):
+            if target is not None:
+                target.delete()
+            target = self._targets[name] = resources.picture_target(width, height, color, depth)
+        return target
+
+    def _shadows(self) -> resources.Target:
+        if "shadows" not in self._targets:
+            self._targets["shadows"] = resources.shadow_target(self.shadow_size, CASCADES)
+        return self._targets["shadows"]
+
+    @staticmethod
+    def _set_state() -> None:
+        """OpenGL's state as all passes begin with it, whoever used the context before."""
+        for feature in (
+            GL.GL_BLEND, GL.GL_CULL_FACE, GL.GL_DEPTH_TEST, GL.GL_DEPTH_CLAMP, GL.GL_MULTISAMPLE,
+            GL.GL_SCISSOR_TEST,
+        ):  # fmt: skip
+            GL.glDisable(feature)
+        # Depth in [0, 1] as it is, so that a reversed one keeps all of float32's digits.
+        glClipControl(GL.GL_LOWER_LEFT, GL.GL_ZERO_TO_ONE)
+        GL.glDepthRange(0.0, 1.0)
+        GL.glPolygonMode(GL.GL_FRONT_AND_BACK, GL.GL_FILL)
+        GL.glColorMask(GL.GL_TRUE, GL.GL_TRUE, GL.GL_TRUE, GL.GL_TRUE)
+
+
+def _bind(unit: str, kind: int, texture: int) -> None:
+    GL.glActiveTexture(GL.GL_TEXTURE0 + UNITS.index(unit))
+    GL.glBindTexture(kind, texture)

@@ -1,0 +1,6 @@
+#version 420 core
+// Depth alone.
+
+void main()
+{
+}

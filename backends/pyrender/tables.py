@@ -1,0 +1,210 @@
+"""What the shading program looks up: meshes, layers, surfaces and maps as flat tables."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenec.backends.maps import load_map
+from scenec.backends.pyrender.geometry import Geometry
+from scenec.backends.render_scene import DEFAULT_SURFACE, Maps, RenderScene, Surface
+
+#: Maps are brought to one size, at most this, in texels.
+LARGEST_MAP = 4096
+_HAS_NORMALS = 1
+
+
+@dataclass(frozen=True)
+class Tables:
+    """Arrays as they go to the GPU.
+
+    Attributes:
+        faces: Vertex indices of the drawn meshes, one mesh after the other, uint32 [f, 3].
+        vertices: x, y, z and variation, float32 [v, 4].
+        normals: float32 [v, 3]; zero where a mesh has none.
+        weights: float32 [w].
+        meshes: Per drawn mesh (first vertex, first face, first weight, flags), then (first layer,
+            number of layers, number of vertices, 0), uint32 [2 m, 4].
+        layers: Indices of surfaces, uint32 [l].
+        surfaces: Per surface (base color, specular), (roughness, variation, metallic, 0), (first
+            layer of its maps or -1, 0, 1 / size of the maps, 0), (what to add to texture
+            coordinates, 0, 0), float32 [4 s, 4].
+        sizes: Of the maps of each surface, meters, float64 [s]; 0 without maps.
+        maps: Two layers a surface that has any: base color and roughness, then normal and metallic;
+            row 0 at the bottom, float16 [2 k, h, w, 4].
+        features: What the shading program has to know: "WITH_MAPS", "WITH_GLOSS", and "WITH_MIXED"
+            where layers of a mesh differ in more than color.
+    """
+
+    faces: NDArray[np.uint32]
+    vertices: NDArray[np.float32]
+    normals: NDArray[np.float32]
+    weights: NDArray[np.float32]
+    meshes: NDArray[np.uint32]
+    layers: NDArray[np.uint32]
+    surfaces: NDArray[np.float32]
+    sizes: NDArray[np.float64]
+    maps: NDArray[np.float16]
+    features: tuple[str, ...]
+
+
+def make_tables(scene: RenderScene, geometry: Geometry) -> Tables:
+    """Tables of a scene.
+
+    Raises:
+        StageError: A map cannot be read.
+    """
+    surfaces = (*scene.surfaces, DEFAULT_SURFACE)
+    meshes = np.zeros((2 * len(geometry.meshes), 4), np.uint32)
+    vertices, normals, weights = [], [], []
+    layers: list[int] = []
+    first_vertex = first_weight = first_layer = 0
+    for index, drawn in enumerate(geometry.meshes):
+        mesh = scene.meshes[drawn.mesh]
+        n = len(mesh.points)
+        own_layers = mesh.layers or (len(scene.surfaces),)
+        vertex = np.zeros((n, 4), np.float32)
+        vertex[:, :3] = mesh.points
+        if mesh.variation is not None:
+            vertex[:, 3] = mesh.variation
+        smooth = mesh.normals is not None
+        own_weights = mesh.weights[: len(own_layers) - 1].ravel()
+        meshes[2 * index] = (
+            first_vertex,
+            geometry.first_face[index],
+            first_weight,
+            _HAS_NORMALS * smooth,
+        )
+        meshes[2 * index + 1] = (first_layer, len(own_layers), n, 0)
+        vertices.append(vertex)
+        normals.append(mesh.normals if smooth else np.zeros((n, 3), np.float32))
+        weights.append(own_weights)
+        layers.extend(own_layers)
+        first_vertex += n
+        first_weight += len(own_weights)
+        first_layer += len(own_layers)
+    rows, sizes, maps = _surface_rows(surfaces)
+    return Tables(
+        faces=np.concatenate([np.zeros((0, 3), np.uint32), *(m.faces for m in geometry.meshes)]),
+        vertices=np.concatenate([np.zeros((0, 4), np.float32), *vertices]),
+        normals=np.concatenate([np.zeros((0, 3), np.float32), *normals]).astype(np.float32),
+        weights=np.concatenate([np.zeros(1, np.float32)[:0], *weights]).astype(np.float32),
+        meshes=meshes,
+        layers=np.array(layers, np.uint32),
+        surfaces=rows,
+        sizes=sizes,
+        maps=maps,
+        features=_features(scene),
+    )
+
+
+def place_maps(tables: Tables, origin: NDArray[np.float64]) -> NDArray[np.float32]:
+    """``Tables.surfaces`` for positions relative to an origin.
+
+    The whole repeats between the stage's origin and this one leave no trace.
+    """
+    surfaces = tables.surfaces.copy()
+    mapped = np.flatnonzero(tables.sizes)
+    surfaces[4 * mapped + 3, :2] = np.mod(origin[:2] / tables.sizes[mapped, None], 1.0)
+    return surfaces
+
+
+def _features(scene: RenderScene) -> tuple[str, ...]:
+    """What the surfaces in use have, so that programs do not compute what none has."""
+    features = set()
+    for mesh in scene.meshes:
+        surfaces = [scene.surfaces[i] for i in mesh.layers]
+        mapped = [s.maps for s in surfaces if s.maps and any(_files(s.maps))]
+        if mapped:
+            features.add("WITH_MAPS")
+        glossy = any(s.specular or s.metallic for s in surfaces) or any(m.metallic for m in mapped)
+        if glossy:
+            features.add("WITH_GLOSS")
+        differ = glossy and len({s.roughness for s in surfaces}) > 1
+        if differ or any(m.normal or m.roughness or m.metallic for m in mapped):
+            features.add("WITH_MIXED")
+    return tuple(sorted(features))
+
+
+def _surface_rows(
+    surfaces: Sequence[Surface],
+) -> tuple[NDArray[np.float32], NDArray[np.float64], NDArray[np.float16]]:
+    rows = np.zeros((len(surfaces), 4, 4), np.float32)
+    sizes = np.zeros(len(surfaces))
+    pictures: list[NDArray[np.float32]] = []
+    for row, surface in zip(rows, surfaces, strict=True):
+        row[0] = (*surface.base_color, surface.specular)
+        row[1] = (surface.roughness, surface.variation, surface.metallic, 0.0)
+        row[2] = (-1.0, 0.0, 0.0, 0.0)
+        if surface.maps is not None and any(_files(surface.maps)):
+            row[2] = (len(pictures), 0.0, 1.0 / surface.maps.size_m, 0.0)
+            pictures.extend(_pictures(surface, surface.maps))
+    for index, surface in enumerate(surfaces):
+        if rows[index, 2, 0] >= 0.0 and surface.maps is not None:
+            sizes[index] = surface.maps.size_m
+    height = min(max([1, *(p.shape[0] for p in pictures)]), LARGEST_MAP)
+    width = min(max([1, *(p.shape[1] for p in pictures)]), LARGEST_MAP)
+    stack = np.zeros((max(len(pictures), 1), height, width, 4), np.float16)
+    for layer, picture in zip(stack, pictures, strict=False):
+        layer[:] = resample(picture, height, width)[::-1]
+    return rows.reshape(-1, 4), sizes, stack
+
+
+def _files(maps: Maps) -> tuple[object, ...]:
+    return (maps.base_color, maps.roughness, maps.metallic, maps.normal)
+
+
+def _pictures(surface: Surface, maps: Maps) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """The two layers of a surface; what has no map of its own is constant."""
+    color = _load(maps.base_color, "base_color", np.ones(3))
+    rough = _load(maps.roughness, "roughness", np.array([surface.roughness]))
+    normal = _load(maps.normal, "normal", np.array([0.0, 0.0, 1.0]), maps.flip_green)
+    metal = _load(maps.metallic, "metallic", np.array([surface.metallic]))
+    return _joined(color, rough), _joined(normal, metal)
+
+
+def _load(path, kind, constant, flip_green=False):  # type: ignore[no-untyped-def]
+    if path is None:
+        return np.asarray(constant, np.float32).reshape(1, 1, -1)
+    return load_map(path, kind, flip_green)
+
+
+def _joined(first: NDArray[np.float32], second: NDArray[np.float32]) -> NDArray[np.float32]:
+    height, width = (max(first.shape[axis], second.shape[axis]) for axis in (0, 1))
+    return np.concatenate([resample(first, height, width), resample(second, height, width)], axis=2)
+
+
+def resample(picture: NDArray[np.float32], height: int, width: int) -> NDArray[np.float32]:
+    """A repeating picture at another size: means of texels when smaller, bilinear when larger."""
+    for axis, size in ((0, height), (1, width)):
+        picture = _resample_axis(picture, axis, size)
+    return picture
+
+
+def _resample_axis(picture: NDArray[np.float32], axis: int, size: int) -> NDArray[np.float32]:
+    old = picture.shape[axis]
+    if old == size:
+        return picture
+    if size < old:
+        # The integral over each new texel, from running sums.
+        sums = np.cumsum(picture, axis=axis, dtype=np.float64)
+        sums = np.concatenate([np.zeros_like(np.take(sums, [0], axis)), sums], axis=axis)
+        edges = np.linspace(0.0, old, size + 1)
+        low = np.minimum(edges.astype(int), old - 1)
+        shape = [1] * picture.ndim
+        shape[axis] = -1
+        part = (edges - low).reshape(shape)
+        at = np.take(sums, low, axis) * (1.0 - part) + np.take(sums, low + 1, axis) * part
+        return (np.diff(at, axis=axis) * (size / old)).astype(np.float32)
+    place = (np.arange(size) + 0.5) * (old / size) - 0.5
+    low = np.floor(place).astype(int)
+    shape = [1] * picture.ndim
+    shape[axis] = -1
+    part = (place - low).astype(np.float32).reshape(shape)
+    return (
+        np.take(picture, low % old, axis) * (1 - part)
+        + np.take(picture, (low + 1) % old, axis) * part
+    )
