@@ -72,6 +72,7 @@ class Bare:
 
         self.gl = GL
         self.parts = []
+        self.rows = []
         for index, mesh in enumerate(scene.meshes):
             rows = np.flatnonzero(scene.rows.mesh == index)
             if len(rows) == 0 or len(mesh.faces) == 0:
@@ -82,6 +83,9 @@ class Bare:
             part = pyrender.Primitive(positions=mesh.points, indices=mesh.faces, poses=poses)
             part._add_to_context()
             self.parts.append(part)
+            self.rows.append(rows)
+        self.all_rows = np.concatenate(self.rows).astype(np.int32)
+        self.first_row = np.cumsum([0, *(len(rows) for rows in self.rows)])
         (folder / "ids.vert").write_text(VERTEX, encoding="utf-8")
         (folder / "ids.frag").write_text(FRAGMENT, encoding="utf-8")
         self.program = ShaderProgramCache(shader_dir=str(folder)).get_program(
@@ -103,8 +107,8 @@ class Bare:
             gl.glRenderbufferStorage(gl.GL_RENDERBUFFER, kind, width, height)
             gl.glFramebufferRenderbuffer(gl.GL_FRAMEBUFFER, attachment, gl.GL_RENDERBUFFER, buffer)
 
-    def visibility(self, camera: Camera) -> NDArray[np.uint32]:
-        """(mesh, instance, face) of each pixel."""
+    def visibility(self, camera: Camera) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+        """Row and face of each pixel."""
         from OpenGL.GL.ARB.clip_control import glClipControl
         from OpenGL.raw.GL.VERSION.GL_1_1 import glReadPixels
 
@@ -137,7 +141,13 @@ class Bare:
         glReadPixels(
             0, 0, camera.width, camera.height, gl.GL_RGBA_INTEGER, gl.GL_UNSIGNED_INT, pointer
         )
-        return out
+        found = out.reshape(-1, 4)
+        hit = np.flatnonzero(found[:, 0])
+        row = np.full(len(found), -1, np.int32)
+        face = np.zeros(len(found), np.int32)
+        row[hit] = self.all_rows[self.first_row[found[hit, 0] - 1] + found[hit, 1]]
+        face[hit] = found[hit, 2]
+        return row, face
 
 
 def timed(work: Callable[[], Any]) -> tuple[float, Any]:

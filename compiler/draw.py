@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -28,13 +29,18 @@ from scenec.compiler.plan import (
 )
 from scenec.compiler.scatter.draw import draw_rocks
 from scenec.compiler.scene import GroundLayer, Labels, Material, MaterialMaps, SunLight
+from scenec.compiler.terrain.barchans import draw_barchans
 from scenec.compiler.terrain.draw_craters import draw_craters
+from scenec.compiler.terrain.mask import CONDITIONS, Masked
 from scenec.compiler.terrain.operator import OPERATORS, ReliefOperator
 from scenec.schemas import stage as names
 from scenec.schemas.maps import MAP_CHANNELS
 
 #: Relief operators that are many things, each drawn.
-_SCATTERED = {"craters": draw_craters}
+_SCATTERED: dict[str, Callable[..., ReliefOperator]] = {
+    "barchans": draw_barchans,
+    "craters": draw_craters,
+}
 _HALF_TURN = np.diag([*names.HALF_TURN, 1.0])
 
 
@@ -156,19 +162,38 @@ def _relief(
 ) -> ReliefOperator:
     """One operator: its keys in the cfg are the fields of its class, but for scattered ones."""
     path = f"terrain/relief/{index}"
-    cfg = spec.cfg["terrain"]["relief"][index]
+    cfg = dict(spec.cfg["terrain"]["relief"][index])
+    mask = cfg.pop("mask")
+    operator: ReliefOperator
     if cfg["type"] in _SCATTERED:
-        return _SCATTERED[cfg["type"]](cfg, streams, path, size_m)
-    node = resolve(cfg, streams, path)
-    operator = OPERATORS[node.pop("type")]
-    if "pixel_m" in node and not isinstance(node["pixel_m"], list):
-        # One number stands for square pixels.
-        node["pixel_m"] = [node["pixel_m"]] * 2
-    if "file" in node:
-        node["file"] = spec.files[f"{path}/file"].path
-    if "key" in operator.__dataclass_fields__:
-        node["key"] = streams.key(path)
-    return operator(**{k: tuple(v) if isinstance(v, list) else v for k, v in node.items()})
+        operator = _SCATTERED[cfg["type"]](cfg, streams, path, size_m)
+    else:
+        node = resolve(cfg, streams, path)
+        if isinstance(node.get("pixel_m"), float):
+            # One number stands for square pixels.
+            node["pixel_m"] = [node["pixel_m"]] * 2
+        operator = _of_keys(spec, OPERATORS, node, streams, path)
+    if mask is None:
+        return operator
+    conditions = (
+        _of_keys(spec, CONDITIONS, resolve(node, streams, f"{path}/mask/{i}"), streams,
+                 f"{path}/mask/{i}")
+        for i, node in enumerate(mask)
+    )  # fmt: skip
+    return Masked(operator, tuple(conditions))
+
+
+def _of_keys(
+    spec: Spec, kinds: dict[str, type[Any]], node: dict[str, Any], streams: Streams, path: str
+) -> Any:
+    """What a node's ``type`` names, with the node's other keys as its fields."""
+    values = {k: tuple(v) if isinstance(v, list) else v for k, v in node.items() if k != "type"}
+    kind = kinds[node["type"]]
+    if "file" in values:
+        values["file"] = spec.files[f"{path}/file"].path
+    if "key" in kind.__dataclass_fields__:
+        values["key"] = streams.key(path)
+    return kind(**values)
 
 
 def _per_sample(node: Any, streams: Streams, path: str, samples: int) -> NDArray[np.float64]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from scenec.backends.contract import NO_ROW, Radiance, Rays, Visibility
@@ -222,14 +223,12 @@ class Pyrender:
 
     def _visibility(self, ids: NDArray[np.uint32], selection: geometry.Selection) -> Visibility:
         """From slots and drawn faces, [h, w, 2], to rows and faces."""
-        items, found = self._geometry.items, ids.reshape(-1, 2)
-        row = np.full(len(found), NO_ROW, np.int32)
-        face = np.zeros(len(found), np.int32)
-        hit = np.flatnonzero(found[:, 0])
-        item = selection.items[found[hit, 0].astype(np.int64) - 1]
-        first = self._geometry.first_face[items.group_mesh[items.group[item]]]
-        row[hit] = items.row[item]
-        face[hit] = self._geometry.order[first + found[hit, 1]]
+        items = self._geometry.items
+        rows = items.row[selection.items]
+        firsts = self._geometry.first_face[items.group_mesh[items.group[selection.items]]]
+        row = np.empty(ids.shape[0] * ids.shape[1], np.int32)
+        face = np.empty_like(row)
+        _decode(ids.reshape(-1, 2), rows, firsts, self._geometry.order, row, face)
         return Visibility(row, face)
 
     def _reach(self, camera: Camera) -> float:
@@ -264,3 +263,13 @@ def bands(camera: Camera, side: int, largest: int) -> list[tuple[int, int]]:
         )
     rows = max(1, min(largest, MAX_SAMPLES // (camera.width * side)) // side)
     return [(first, min(rows, camera.height - first)) for first in range(0, camera.height, rows)]
+
+
+@njit(cache=True, error_model="numpy")
+def _decode(ids, rows, firsts, order, row, face):  # type: ignore[no-untyped-def]
+    for k in range(len(ids)):
+        row[k], face[k] = NO_ROW, 0
+        if ids[k, 0] > 0:
+            slot = np.int64(ids[k, 0]) - 1
+            row[k] = rows[slot]
+            face[k] = order[firsts[slot] + np.int64(ids[k, 1])]

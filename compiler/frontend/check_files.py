@@ -82,9 +82,18 @@ def _check_dem(file: FilePath, path: Path, owner: Any, document: Any) -> list[Fi
                         f"no array {shown(member)} in {file.name}{nearest(member, members)}",
                     )
                 ]
-        read_dem(file, member)
+        span = owner.get("height_range_m")
+        given = isinstance(span, list) and len(span) == 2
+        dem = read_dem(file, member, height_range_m=(0.0, 1.0) if given else None)
     except (zipfile.BadZipFile, zlib.error, NotImplementedError, MemoryError) as error:
         return [Finding(path, f"{file.name}: a broken file: {error or type(error).__name__}")]
+    if "pixel_m" not in owner and (dem.reference is None or dem.reference.pixel_m() is None):
+        return [
+            Finding(
+                path[:-1],
+                f'the key "pixel_m" is missing: {file.name} does not give its pixels in meters',
+            )
+        ]
     return []
 
 
@@ -134,9 +143,17 @@ def _check_map(file: FilePath, path: Path, owner: Any, document: Any) -> list[Fi
     return []
 
 
+def _check_polyline(file: FilePath, path: Path, owner: Any, document: Any) -> list[Finding]:
+    from scenec.compiler.terrain.polyline import read_polyline
+
+    read_polyline(file)
+    return []
+
+
 _CHECKS: dict[str, Callable[[FilePath, Path, Any, Any], list[Finding]]] = {
     "dem": _check_dem,
     "image": _check_image,
     "map": _check_map,
+    "polyline": _check_polyline,
     "track": _check_track,
 }

@@ -32,6 +32,7 @@ def check_scene(document: Any, numbers: dict[Path, Field]) -> list[Finding]:
     return [
         *_check_relief(document),
         *_check_craters(document, spans),
+        *_check_masks(document, spans),
         *_check_layers(document),
         *_check_materials(document),
         *_check_samples(spans),
@@ -78,6 +79,28 @@ def _check_craters(document: Any, spans: dict[Path, tuple[float, float]]) -> Ite
                 (*path, "min_diameter_m"),
                 f"{low[1]:g} m can be above max_diameter_m ({high[0]:g} m): expected it below",
             )
+
+
+def _check_masks(document: Any, spans: dict[Path, tuple[float, float]]) -> Iterator[Finding]:
+    known = load_schemas()["relief_mask.schema.json"]["properties"]["type"]["enum"]
+    for i, _ in _entries(document, "terrain", "relief"):
+        for k, condition in _entries(document, "terrain", "relief", i, "mask"):
+            if not isinstance(condition, dict) or condition.get("type") not in known:
+                continue
+            path = ("terrain", "relief", i, "mask", k)
+            low, high = (
+                next((key for key in condition if key == end or key.startswith(f"{end}_")), None)
+                for end in ("min", "max")
+            )
+            if low is None and high is None:
+                yield Finding(path, "no bounds: expected a smallest value, a largest one, or both")
+            elif low is not None and high is not None:
+                least, most = spans.get((*path, low)), spans.get((*path, high))
+                if least and most and least[1] > most[0]:
+                    yield Finding(
+                        (*path, low),
+                        f"{least[1]:g} can be above {high} ({most[0]:g}): expected it below",
+                    )
 
 
 def _check_layers(document: Any) -> Iterator[Finding]:

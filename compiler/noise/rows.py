@@ -43,19 +43,21 @@ def tabulate(
     octaves: int,
     lacunarity: float,
     margin: float = 0.0,
+    samples: int | None = None,
 ) -> Octaves:
-    """Octaves over the grid of points (x, y), both rising, in units of the first octave's lattice.
+    """Octaves over a rectangle, in units of the first octave's lattice.
 
     Args:
         key: Noise key; octave o has ``subkey(key, o)``.
-        x, y: Positions of columns and rows, float64 [nx], [ny].
+        x, y: Positions of columns and rows, rising, or the rectangle's ends; float64 [nx], [ny].
         octaves: How many.
         lacunarity: Ratio of successive frequencies.
-        margin: How far points may lie outside of the grid, in both axes.
+        margin: How far points may lie outside of the rectangle, in both axes.
+        samples: How many points will be asked for; None for every column in every row.
     """
     u = np.array([x[0] - margin, x[-1] + margin] * 2)
     v = np.repeat([y[0] - margin, y[-1] + margin], 2)
-    limit = 2 * x.size * y.size + (1 << 16)
+    limit = 2 * (x.size * y.size if samples is None else samples) + (1 << 16)
     start = np.full(octaves, -1, np.int64)
     first = np.zeros((octaves, 2), np.int64)
     width = np.zeros(octaves, np.int64)

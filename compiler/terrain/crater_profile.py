@@ -74,7 +74,7 @@ def profile_table(largest_state: float) -> ProfileTable:
     while states[-1] < largest_state:
         # Eight rows and sixteen steps for each doubling.
         states.append(states[-1] * 1.0905077326652577)
-    x: NDArray[np.float64] = (np.arange(round(_BORDER / _STEP)) + 0.5) * _STEP
+    x = (np.arange(round(_BORDER / _STEP), dtype=np.float64) + 0.5) * _STEP
     rim, depth = fresh(x)
     shown = round(REACH / _STEP)
     rims, depths = np.empty((len(states), shown)), np.empty((len(states), shown))

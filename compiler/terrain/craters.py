@@ -151,10 +151,8 @@ def _excavate(
 @njit(cache=True, error_model="numpy")
 def _span(at: NDArray, center: float, reach: float) -> tuple[int, int]:
     """Indices [first, last) of the samples within reach of a center."""
-    return (
-        np.searchsorted(at, center - reach, side="left"),
-        np.searchsorted(at, center + reach, side="right"),
-    )
+    first = int(np.searchsorted(at, center - reach, side="left"))
+    return first, int(np.searchsorted(at, center + reach, side="right"))
 
 
 @njit(cache=True, error_model="numpy")

@@ -2,51 +2,55 @@
 
 from __future__ import annotations
 
-import io
-import zlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
-from zipfile import BadZipFile
 
 import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
+from scenec.compiler.terrain.dem_file import GeoReference, read_dem
+from scenec.compiler.terrain.fill_holes import fill_holes
 from scenec.compiler.terrain.grid import Grid
 from scenec.schemas.errors import SceneError
 
-#: What NumPy raises for files that are none of its own, or broken ones.
-_BROKEN = (OSError, ValueError, EOFError, BadZipFile, zlib.error, NotImplementedError, MemoryError)
+# Holes are filled from what lies within so many pixels of the terrain.
+_FILL_MARGIN = 256
 
 
 @dataclass(frozen=True)
 class Dem:
     """A DEM laid over the terrain, at a scale of one's choice, interpolated smoothly.
 
-    Interpolation is bicubic (Catmull-Rom): it passes through the samples and is C1.
+    Interpolation is bicubic (Catmull-Rom): it passes through the samples and is C1. Where the file
+    says where on a planet it lies, that is reported, and heights do not depend on it by one bit.
 
     Attributes:
-        file: ``.npz``, ``.npy`` or GeoTIFF.
+        file: ``.npz``, ``.npy``, GeoTIFF, or a gray picture.
         array: Member of an ``.npz``; None takes the only two-dimensional one.
-        pixel_m: Size that a pixel gets, in x and y, meters.
+        pixel_m: Size that a pixel gets, in x and y, meters; None takes that of a GeoTIFF in meters.
         height_scale: Factor on the file's heights.
         height_offset_m: Added after scaling, meters; None puts the mean at 0.
         first_row: Whether the file's first row is the northern or the southern one.
         center: Fraction of the DEM's width and height that lies at the terrain's center.
         nodata: Value that marks holes, besides NaN and what the file itself declares.
         edge: What happens where the terrain is larger than the DEM.
+        holes: What happens where there is no data: an error, or a membrane over the hole.
+        height_range_m: Heights of black and of white, for pictures.
     """
 
     file: Path
     array: str | None
-    pixel_m: tuple[float, float]
+    pixel_m: tuple[float, float] | None
     height_scale: float
     height_offset_m: float | None
     first_row: Literal["north", "south"]
     center: tuple[float, float]
     nodata: float | None
     edge: Literal["error", "clamp"]
+    holes: Literal["error", "fill"] = "error"
+    height_range_m: tuple[float, float] | None = None
 
     def apply(
         self, grid: Grid, height: NDArray[np.float64]
@@ -54,121 +58,87 @@ class Dem:
         """Heights plus the DEM's.
 
         Raises:
-            SceneError: The file cannot be read, has holes under the terrain, or is too small.
+            SceneError: The file cannot be read, has holes under the terrain that are not to be
+                filled, is too small, or lies the other way round; or nothing says how large its
+                pixels are.
         """
-        samples, holes = read_dem(self.file, self.array)
-        if self.nodata is not None:
-            holes |= samples == self.nodata
+        dem = read_dem(self.file, self.array, self.nodata, self.height_range_m)
+        samples, holes = dem.values, dem.holes
+        pixel = self.pixel_m or (dem.reference.pixel_m() if dem.reference else None)
+        if pixel is None:
+            raise SceneError(f"{self.file.name}: does not say its pixels' size: give pixel_m")
+        if dem.reference and dem.reference.first_row() != self.first_row:
+            raise SceneError(
+                f"{self.file.name}: its georeference puts the first row in the "
+                f'{dem.reference.first_row()}: say "first_row": "{dem.reference.first_row()}"'
+            )
         if self.first_row == "north":
             samples, holes = samples[::-1], holes[::-1]
         ny, nx = samples.shape
         # Pixel-is-area: the DEM spans nx pixels, sample i stands at the center of its pixel.
-        u = grid.x() / self.pixel_m[0] + self.center[0] * nx - 0.5
-        v = grid.y() / self.pixel_m[1] + self.center[1] * ny - 0.5
+        u = grid.x() / pixel[0] + self.center[0] * nx - 0.5
+        v = grid.y() / pixel[1] + self.center[1] * ny - 0.5
         if self.edge == "error":
-            for axis, at, n, size, pixel in (
-                ("wide", u, nx, grid.size_m[0], self.pixel_m[0]),
-                ("high", v, ny, grid.size_m[1], self.pixel_m[1]),
+            for axis, at, n, size, width in (
+                ("wide", u, nx, grid.size_m[0], pixel[0]),
+                ("high", v, ny, grid.size_m[1], pixel[1]),
             ):
                 if at[0] < -0.5 or at[-1] > n - 0.5:
                     raise SceneError(
                         f"{self.file.name}: the terrain ({size:g} m {axis}) reaches over the DEM's "
-                        f"border ({n} pixels of {pixel:g} m = {n * pixel:g} m); make pixel_m at "
+                        f"border ({n} pixels of {width:g} m = {n * width:g} m); make pixel_m at "
                         f'least {size / n:g} or move center, or say "edge": "clamp"'
                     )
-        _refuse_holes(self.file, holes, u, v)
+        samples, report = self._filled(samples, holes, u, v)
         base = _bicubic(np.ascontiguousarray(samples), u, v) * self.height_scale
         offset = -float(base.mean()) if self.height_offset_m is None else self.height_offset_m
+        if dem.reference is not None:
+            row = (1.0 - self.center[1]) * ny if self.first_row == "north" else self.center[1] * ny
+            report["georeference"] = _place(dem.reference, self.center[0] * nx, row)
         return height + (base + offset), {
             "height_offset_m": offset,
             "pixels_used": _used(u, v, samples.shape),
+            **report,
+        }
+
+    def _filled(
+        self, samples: NDArray, holes: NDArray, u: NDArray, v: NDArray
+    ) -> tuple[NDArray[np.float64], dict[str, Any]]:
+        """Samples without holes under the terrain, and how many were filled."""
+        rows, columns = _under(v, holes.shape[0], 0), _under(u, holes.shape[1], 0)
+        count = int(holes[rows, columns].sum())
+        if count == 0:
+            return samples, {}
+        if self.holes == "error":
+            raise SceneError(
+                f"{self.file.name}: {count} samples under the terrain have no data (NaN or nodata);"
+                ' say "holes": "fill", or move the terrain with center'
+            )
+        wide = (
+            _under(v, holes.shape[0], _FILL_MARGIN),
+            _under(u, holes.shape[1], _FILL_MARGIN),
+        )
+        if holes[wide].all():
+            raise SceneError(f"{self.file.name}: there is no data under or near the terrain")
+        filled = samples.copy()
+        filled[wide], residual = fill_holes(
+            np.ascontiguousarray(samples[wide]), np.ascontiguousarray(holes[wide])
+        )
+        return filled, {
+            "holes_filled": count,
+            "holes_residual_m": residual * abs(self.height_scale),
         }
 
 
-def read_dem(file: Path, array: str | None) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Heights (scale and offset of the file applied) and where there are none.
-
-    Returns:
-        float64 [ny, nx] in file order, with 0 in holes; bool [ny, nx].
-
-    Raises:
-        SceneError: The file is not a two-dimensional field of numbers.
-    """
-    suffix = file.suffix.lower()
-    if suffix in (".npz", ".npy"):
-        samples = _read_numpy(file, array)
-        missing = None
-    elif suffix in (".tif", ".tiff"):
-        samples, missing = _read_geotiff(file)
-    else:
-        raise SceneError(
-            f"{file.name}: a DEM is a .npz, .npy, .tif or .tiff file, not {suffix or 'this'}"
-        )
-    if samples.ndim != 2 or samples.shape[0] < 1 or samples.shape[1] < 1:
-        raise SceneError(f"{file.name}: expected a two-dimensional array, got {samples.shape}")
-    if samples.dtype.kind not in "iuf":
-        raise SceneError(f"{file.name}: expected numbers, got {samples.dtype}")
-    values = samples.astype(np.float64)
-    holes = ~np.isfinite(values)
-    if missing is not None:
-        holes |= missing
-    values[holes] = 0.0
-    return values, holes
+def _place(reference: GeoReference, column: float, row: float) -> dict[str, Any]:
+    """For the report: the reference system, and the terrain's center in it."""
+    return {"crs": reference.crs, "center": list(reference.at(column, row))}
 
 
-def _read_numpy(file: Path, array: str | None) -> NDArray[Any]:
-    try:
-        loaded = np.load(io.BytesIO(file.read_bytes()), allow_pickle=False)
-    except _BROKEN as error:
-        raise SceneError(f"{file.name}: not a NumPy file: {error}") from error
-    if isinstance(loaded, np.ndarray):
-        return loaded
-    try:
-        members = {name: loaded[name] for name in loaded.files}
-    except _BROKEN as error:
-        raise SceneError(f"{file.name}: a broken NumPy file: {error}") from error
-    if array is not None:
-        if array not in members:
-            raise SceneError(
-                f"{file.name}: no array {array!r}; it holds {', '.join(sorted(members))}"
-            )
-        return members[array]
-    fields = [name for name, value in members.items() if value.ndim == 2]
-    if len(fields) != 1:
-        raise SceneError(
-            f"{file.name}: say which array to use: it holds {', '.join(sorted(members)) or 'none'}"
-        )
-    return members[fields[0]]
-
-
-def _read_geotiff(file: Path) -> tuple[NDArray[Any], NDArray[np.bool_]]:
-    try:
-        import rasterio
-        from rasterio.errors import RasterioError
-    except ModuleNotFoundError as error:
-        raise SceneError(
-            f"{file.name}: reading GeoTIFF needs the extra 'geotiff': pip install 'scenec[geotiff]'"
-        ) from error
-    try:
-        with rasterio.open(file) as source:
-            samples = source.read(1)
-            missing = source.read_masks(1) == 0
-            scaled = samples.astype(np.float64) * source.scales[0] + source.offsets[0]
-    except (RasterioError, OSError) as error:
-        raise SceneError(f"{file.name}: not a readable GeoTIFF: {error}") from error
-    return scaled, missing
-
-
-def _refuse_holes(file: Path, holes: NDArray[np.bool_], u: NDArray, v: NDArray) -> None:
-    ny, nx = holes.shape
-    low_x, high_x = int(max(np.floor(u[0]) - 1, 0)), int(min(np.floor(u[-1]) + 3, nx))
-    low_y, high_y = int(max(np.floor(v[0]) - 1, 0)), int(min(np.floor(v[-1]) + 3, ny))
-    count = int(holes[low_y:high_y, low_x:high_x].sum())
-    if count:
-        raise SceneError(
-            f"{file.name}: {count} samples under the terrain have no data (NaN or nodata); "
-            "fill them, or move the terrain with center"
-        )
+def _under(at: NDArray, n: int, margin: int) -> slice:
+    """Samples that interpolation reads along one axis, and some more."""
+    low = max(int(np.floor(at[0])) - 1 - margin, 0)
+    return slice(min(low, n - 1), max(min(int(np.floor(at[-1])) + 3 + margin, n), 1))
 
 
 def _used(u: NDArray, v: NDArray, shape: tuple[int, int]) -> list[int]:

@@ -1,9 +1,10 @@
-"""Where water runs on a height field: filled depressions, receivers, drainage area.
+"""Where water runs on a height field, through depressions as well.
 
-Depressions are filled by Priority-Flood with an epsilon (Barnes et al. 2014): from the outlets
-inward, no sample stays at or below the one that water leaves it by, the epsilon being the next
-larger number. So the filled field has no pit and no flat, and every sample drains. Everything is
-sequential or per sample, and ties go to the first neighbor: one result for any number of threads.
+From the outlets inward, the lowest sample next to what is known is taken next (Priority-Flood,
+Barnes et al. 2014, with heights as they are: Metz et al. 2011). It drains down its steepest descent
+to a sample of lower water level, or where there is none, in a depression, to the sample it was
+found from. So lakes drain along the valleys at their bottom to their lowest pass, and every sample
+to an outlet. Ties go to what was found first: one result for any number of threads.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 SIDES = ("west", "east", "south", "north")
@@ -25,11 +26,13 @@ class Drainage(NamedTuple):
             into the raveled field.
         distance: To the receiver, meters; 0 at outlets; float64 [n].
         order: Every sample after its receiver, int32 [n].
+        level: Height of the water if depressions were full, float64 [n].
     """
 
     receiver: NDArray[np.int32]
     distance: NDArray[np.float64]
     order: NDArray[np.int32]
+    level: NDArray[np.float64]
 
 
 def outlet_samples(shape: tuple[int, int], sides: tuple[str, ...]) -> NDArray[np.bool_]:
@@ -81,123 +84,63 @@ def _drop_first(keys: NDArray, items: NDArray, size: int) -> None:
 
 
 @njit(cache=True, error_model="numpy")
-def fill_depressions(height: NDArray, outlets: NDArray) -> NDArray:
-    """Heights with every depression filled: float64 [ny, nx].
+def drain(height: NDArray, outlets: NDArray, dx: float, dy: float) -> Drainage:
+    """Drainage of a field.
 
     Args:
         height: Finite, float64 [ny, nx].
         outlets: Where water leaves, bool [ny, nx], at least one.
+        dx, dy: Spacing.
     """
     ny, nx = height.shape
     source = height.reshape(-1)
-    filled = source.copy()
-    keys = np.empty(source.size + 1)
-    items = np.empty(source.size + 1, np.int32)
+    n = source.size
+    receiver = np.empty(n, np.int32)
+    distance = np.zeros(n)
+    order = np.empty(n, np.int32)
+    level = np.empty(n)
+    keys = np.empty(n + 1)
+    items = np.empty(n + 1, np.int32)
     size = 0
-    seen = outlets.reshape(-1).copy()
-    for at in range(source.size):
-        if seen[at]:
+    found = outlets.reshape(-1).copy()
+    for at in range(n):
+        if found[at]:
+            receiver[at] = at
+            level[at] = source[at]
             _push(keys, items, size, source[at], at)
             size += 1
-    # Samples that were raised are dealt with at once, in the order in which they were met.
-    raised = np.empty(source.size, np.int32)
-    first = 0
-    last = 0
-    while size > 0 or first < last:
-        if first < last:
-            at = raised[first]
-            first += 1
         else:
-            at = items[0]
-            size -= 1
-            _drop_first(keys, items, size)
-        least = np.nextafter(filled[at], np.inf)
+            level[at] = np.inf
+    diagonal = np.sqrt(dx * dx + dy * dy)
+    count = 0
+    while size > 0:
+        at = items[0]
+        size -= 1
+        _drop_first(keys, items, size)
+        order[count] = at
+        count += 1
         j = at // nx
         i = at - j * nx
+        steepest = 0.0
+        descends = receiver[at] != at
         for b in range(max(j - 1, 0), min(j + 2, ny)):
             for a in range(max(i - 1, 0), min(i + 2, nx)):
                 other = b * nx + a
-                if seen[other]:
-                    continue
-                seen[other] = True
-                if source[other] <= least:
-                    filled[other] = least
-                    raised[last] = other
-                    last += 1
-                else:
+                length = dx if b == j else (dy if a == i else diagonal)
+                if not found[other]:
+                    found[other] = True
+                    receiver[other] = at
+                    distance[other] = length
+                    level[other] = max(source[other], level[at])
                     _push(keys, items, size, source[other], other)
                     size += 1
-    return filled.reshape((ny, nx))
-
-
-def drain(
-    filled: NDArray[np.float64], outlets: NDArray[np.bool_], dx: float, dy: float
-) -> Drainage:
-    """Drainage of a field without pits.
-
-    Args:
-        filled: From ``fill_depressions``.
-        outlets: As there.
-        dx, dy: Spacing.
-    """
-    receiver, distance = _receivers(filled, outlets, dx, dy)
-    return Drainage(receiver, distance, _order(receiver))
-
-
-@njit(cache=True, error_model="numpy", parallel=True)
-def _receivers(filled: NDArray, outlets: NDArray, dx: float, dy: float) -> tuple[NDArray, NDArray]:
-    """The neighbor down the steepest descent, the first of equals."""
-    ny, nx = filled.shape
-    receiver = np.empty(ny * nx, np.int32)
-    distance = np.zeros(ny * nx)
-    diagonal = np.sqrt(dx * dx + dy * dy)
-    for j in prange(ny):
-        for i in range(nx):
-            at = j * nx + i
-            receiver[at] = at
-            if outlets[j, i]:
-                continue
-            steepest = 0.0
-            for b in range(max(j - 1, 0), min(j + 2, ny)):
-                for a in range(max(i - 1, 0), min(i + 2, nx)):
-                    length = dx if b == j else (dy if a == i else diagonal)
-                    slope = (filled[j, i] - filled[b, a]) / length
+                elif descends and level[other] < level[at]:
+                    slope = (source[at] - source[other]) / length
                     if slope > steepest:
                         steepest = slope
-                        receiver[at] = b * nx + a
+                        receiver[at] = other
                         distance[at] = length
-    return receiver, distance
-
-
-@njit(cache=True, error_model="numpy")
-def _order(receiver: NDArray) -> NDArray:
-    """Each sample after its receiver (Braun and Willett 2013): outlets, their donors, theirs."""
-    n = receiver.size
-    first = np.zeros(n + 1, np.int32)
-    for at in range(n):
-        if receiver[at] != at:
-            first[receiver[at] + 1] += 1
-    for at in range(n):
-        first[at + 1] += first[at]
-    donors = np.empty(n, np.int32)
-    used = first[:-1].copy()
-    order = np.empty(n, np.int32)
-    count = 0
-    for at in range(n):
-        if receiver[at] == at:
-            order[count] = at
-            count += 1
-        else:
-            donors[used[receiver[at]]] = at
-            used[receiver[at]] += 1
-    done = 0
-    while done < count:
-        at = order[done]
-        done += 1
-        for k in range(first[at], first[at + 1]):
-            order[count] = donors[k]
-            count += 1
-    return order[:count]
+    return Drainage(receiver, distance, order, level)
 
 
 @njit(cache=True, error_model="numpy")

@@ -7,12 +7,19 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.compiler.terrain.barchans import Barchans
 from scenec.compiler.terrain.craters import Craters
 from scenec.compiler.terrain.dem import Dem
+from scenec.compiler.terrain.dunes import Dunes, Ripples
 from scenec.compiler.terrain.grid import Grid
+from scenec.compiler.terrain.mask import Masked
 from scenec.compiler.terrain.multifractal import Multifractal
 from scenec.compiler.terrain.plane import Plane
-from scenec.compiler.terrain.smooth import Smooth
+from scenec.compiler.terrain.smooth import Diffusion, Smooth
+from scenec.compiler.terrain.stream_power import StreamPower
+from scenec.compiler.terrain.terraces import Terraces
+from scenec.compiler.terrain.thermal import Thermal
+from scenec.compiler.terrain.tracks import Tracks
 from scenec.compiler.terrain.worley import Worley
 
 
@@ -33,10 +40,20 @@ OPERATORS: dict[str, type[Any]] = {
     "multifractal": Multifractal,
     "worley": Worley,
     "craters": Craters,
+    "dunes": Dunes,
+    "barchans": Barchans,
+    "ripples": Ripples,
+    "terraces": Terraces,
+    "stream_power": StreamPower,
+    "thermal": Thermal,
+    "diffusion": Diffusion,
     "smooth": Smooth,
+    "tracks": Tracks,
 }
 
 
 def operator_type(operator: ReliefOperator) -> str:
-    """The cfg's ``type`` of an operator."""
-    return next(name for name, kind in OPERATORS.items() if isinstance(operator, kind))
+    """The cfg's ``type`` of an operator, behind a mask or not."""
+    if isinstance(operator, Masked):
+        return operator_type(operator.operator)
+    return next(name for name, kind in OPERATORS.items() if type(operator) is kind)

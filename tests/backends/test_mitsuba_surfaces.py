@@ -75,7 +75,7 @@ def test_layers_of_different_gloss_mix_as_pictures_do(weight):
 
 
 def test_a_glossy_plane_shows_the_ggx_lobe():
-    # Radiance of a point-like sun: E cos_i f, with f of single-scatter GGX and the height-correlated
+    # Radiance of a point-like sun: E cos_i f, with f of single-scatter GGX and the correlated
     # masking and shadowing of Heitz 2014.
     s, roughness = 0.4, 0.7
     points, faces = ms.plane()

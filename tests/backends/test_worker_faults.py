@@ -157,7 +157,8 @@ def test_a_worker_that_leaks_is_replaced_between_frames_and_none_is_lost(tmp_pat
     assert not any("replaced by a fresh one" in line for line in report.warnings)
     sidecars = [json.loads(path.with_suffix(".json").read_text()) for path in report.frames]
     peaks = [sidecar["peak_memory_gb"] for sidecar in sidecars]
-    assert max(peaks) == report.peak_memory_gb < 0.7
+    # Rounded to a megabyte.
+    assert max(peaks) == report.peak_memory_gb <= 0.7
     # The peak is the frame's own: with each replacement it falls.
     falls = sum(b < a for a, b in itertools.pairwise(peaks))
     assert falls == report.replaced

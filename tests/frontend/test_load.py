@@ -42,7 +42,9 @@ def test_defaults_are_filled_in_at_every_depth(tmp_path):
     assert sensor["mount"] == {"position_m": [0.0] * 3, "rotation_deg": [0.0] * 3}
     assert sensor["intrinsics"] is None
     assert sensor["outputs"] == cfg["outputs"] == ["rgb", "label", "instance", "depth"]
-    assert cfg["terrain"]["relief"] == [{"type": "plane", "height_m": 0.0, "slope": [0.0, 0.0]}]
+    assert cfg["terrain"]["relief"] == [
+        {"type": "plane", "height_m": 0.0, "slope": [0.0, 0.0], "mask": None}
+    ]
 
 
 def test_no_sun_and_no_offset_stay_null(tmp_path):

@@ -63,7 +63,8 @@ def modules() -> set[str]:
     names = set()
     for layer in LAYERS:
         for path in (ROOT / layer).rglob("*"):
-            if path.suffix in (".py", ".json") and "__pycache__" not in path.parts:
+            shipped = path.suffix in (".py", ".json", ".vert", ".frag")
+            if shipped and "__pycache__" not in path.parts:
                 names.add(f"scenec/{path.relative_to(ROOT)}")
     return names
 

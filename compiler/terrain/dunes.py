@@ -1,0 +1,213 @@
+"""Bedforms of the wind: transverse dunes and ripples."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+from numba import njit, prange
+from numpy.typing import NDArray
+
+from scenec.compiler.arithmetic import elementary
+from scenec.compiler.noise.lattice import subkey
+from scenec.compiler.noise.rows import Octaves, octave_row, tabulate
+from scenec.compiler.terrain.grid import Grid
+from scenec.schemas.errors import SceneError
+
+#: Wavelengths of fewer grid spacings cannot be represented.
+_FINEST = 4.0
+# Where crests lie farther apart than a wavelength they rise by this factor at most.
+_TALLEST = 1.4
+# Envelope of the noise below which crests fade toward a defect, and cosine of the angle to the wind
+# from which on crests are full; there are none along it.
+_FADE = 0.2
+_FULL = 0.6
+# Wavelengths over which crests wander, along the wind and across it.
+_ALONG = 4.0
+_ACROSS = 6.0
+
+
+@dataclass(frozen=True)
+class Dunes:
+    """Adds crests across the wind: a gentle side to windward, a slip face at the angle of repose.
+
+    The phase is that of a plane wave times a complex noise (phasor noise: Tricard et al. 2019):
+    phi = k . p + arg(order + n1(p) + i n2(p)). Where the noise is zero, crests end or fork: the
+    defects of real dune fields. Heights follow the distance of crests, H * |k| / |grad phi|, so
+    that slip faces keep their slope and heights vanish at defects.
+
+    Attributes:
+        key: Noise key.
+        height_m: H, of a crest at the mean wavelength.
+        wavelength_m: Mean distance of crests.
+        wind_deg: Where the wind blows to: 0 is east (+x), 90 north (+y).
+        repose_deg: Slope of the slip face.
+        order: How regular: 0 has the most defects, above 1 there are none, only winding crests.
+    """
+
+    key: int
+    height_m: float
+    wavelength_m: float
+    wind_deg: float
+    repose_deg: float
+    order: float
+
+    #: Whether the lee is rounded at its brink and foot.
+    rounded: ClassVar[bool] = False
+
+    def apply(
+        self, grid: Grid, height: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], dict[str, Any]]:
+        """Heights plus bedforms.
+
+        Raises:
+            SceneError: The slip faces would take more than half of the wavelength.
+        """
+        lee = self._lee()
+        if self.wavelength_m < _FINEST * max(grid.spacing_m):
+            return height, {"below_grid": True}
+        wind = self.wind_deg * (elementary.PI / 180.0)
+        along, across = elementary.cos(wind), elementary.sin(wind)
+        x, y = grid.x() / self.wavelength_m, grid.y() / self.wavelength_m
+        noises = [self._noise(i, x, y, along, across) for i in range(2)]
+        real, imaginary = _envelope(*noises, x, y, along, across, self.order)
+        relief = _bedforms(
+            real,
+            imaginary,
+            x,
+            y,
+            along,
+            across,
+            lee,
+            self.rounded,
+        )
+        relief *= self.height_m
+        return height + relief, {
+            "below_grid": False,
+            "lee_fraction": lee,
+            "highest_m": float(relief.max()),
+            "mean_m": float(relief.mean()),
+        }
+
+    def _lee(self) -> float:
+        angle = self.repose_deg * (elementary.PI / 180.0)
+        slope = elementary.sin(angle) / elementary.cos(angle)
+        # The steepest part of a rounded face is half as steep again as its mean.
+        lee = (1.5 if self.rounded else 1.0) * self.height_m / (self.wavelength_m * slope)
+        if lee > 0.5:
+            raise SceneError(
+                f"bedforms {self.height_m:g} m high at every {self.wavelength_m:g} m have slip "
+                f"faces wider than half of that; lower height_m below "
+                f"{0.5 * self.height_m / lee:.3g} or raise wavelength_m"
+            )
+        return lee
+
+    def _noise(self, part: int, x: NDArray, y: NDArray, along: float, across: float) -> Octaves:
+        # The rectangle turned into the wind's axes, in its own.
+        u = [(along * a + across * b) / _ALONG for a in (x[0], x[-1]) for b in (y[0], y[-1])]
+        v = [(along * b - across * a) / _ACROSS for a in (x[0], x[-1]) for b in (y[0], y[-1])]
+        return tabulate(
+            subkey(np.uint64(self.key), part),
+            np.array([min(u), max(u)]),
+            # Two noises on one lattice would both be zero at its points.
+            np.array([min(v), max(v)]) + 0.5 * part,
+            1,
+            1.0,
+            1e-9,
+            x.size * y.size,
+        )
+
+
+@dataclass(frozen=True)
+class Ripples(Dunes):
+    """Adds wind ripples: ``Dunes`` with rounded lee sides, whose steepest slope is that given."""
+
+    rounded: ClassVar[bool] = True
+
+
+@njit(cache=True, error_model="numpy", parallel=True)
+def _envelope(
+    first: Octaves,
+    second: Octaves,
+    x: NDArray,
+    y: NDArray,
+    along: float,
+    across: float,
+    order: float,
+) -> tuple[NDArray, NDArray]:
+    """The complex noise of which the phase is a part: order + n1 + i n2, n of unit range."""
+    real = np.empty((y.size, x.size))
+    imaginary = np.empty((y.size, x.size))
+    for j in prange(y.size):
+        u = (along * x + across * y[j]) / _ALONG
+        v = (along * y[j] - across * x) / _ACROSS
+        octave_row(first, 0, u, v, real[j])
+        octave_row(second, 0, u, v + 0.5, imaginary[j])
+        for i in range(x.size):
+            real[j, i] += order
+    return real, imaginary
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def _difference(field: NDArray, j: int, i: int, axis: int, spacing: float) -> float:
+    """Central difference, one-sided at the border."""
+    if axis == 0:
+        low = max(j - 1, 0)
+        high = min(j + 1, field.shape[0] - 1)
+        return (field[high, i] - field[low, i]) / ((high - low) * spacing)
+    low = max(i - 1, 0)
+    high = min(i + 1, field.shape[1] - 1)
+    return (field[j, high] - field[j, low]) / ((high - low) * spacing)
+
+
+@njit(cache=True, error_model="numpy", parallel=True)
+def _bedforms(
+    real: NDArray,
+    imaginary: NDArray,
+    x: NDArray,
+    y: NDArray,
+    along: float,
+    across: float,
+    lee: float,
+    rounded: bool,
+) -> NDArray:
+    """Heights in units of the mean crest's, from positions in wavelengths: float64 [ny, nx]."""
+    dx = x[1] - x[0]
+    dy = y[1] - y[0]
+    turn = 0.5 / elementary.PI
+    out = np.empty(real.shape)
+    for j in prange(y.size):
+        for i in range(x.size):
+            a = real[j, i]
+            b = imaginary[j, i]
+            square = a * a + b * b
+            # Phase in turns, and its gradient in turns a wavelength, times the squared envelope.
+            phase = along * x[i] + across * y[j] + turn * elementary.atan2(b, a)
+            gx = along * square + turn * (
+                a * _difference(imaginary, j, i, 1, dx) - b * _difference(real, j, i, 1, dx)
+            )
+            gy = across * square + turn * (
+                a * _difference(imaginary, j, i, 0, dy) - b * _difference(real, j, i, 0, dy)
+            )
+            gradient = np.sqrt(gx * gx + gy * gy)
+            tall = 0.0
+            if gradient > 0.0:
+                tall = square / gradient
+                # min(tall, _TALLEST), rounded.
+                excess = tall * tall / (_TALLEST * _TALLEST)
+                tall /= np.sqrt(np.sqrt(1.0 + excess * excess))
+                t = min(max((along * gx + across * gy) / (_FULL * gradient), 0.0), 1.0)
+                tall *= t * t * (3.0 - 2.0 * t)
+                t = min(square / (_FADE * _FADE), 1.0)
+                tall *= t * t * (3.0 - 2.0 * t)
+            t = phase - np.floor(phase)
+            if t < 1.0 - lee:
+                t /= 1.0 - lee
+                profile = t * t * (3.0 - 2.0 * t)
+            else:
+                t = (1.0 - t) / lee
+                profile = t * t * (3.0 - 2.0 * t) if rounded else t
+            # Between ripples the sand lies at their middle, between dunes at their feet.
+            out[j, i] = tall * (profile - 0.5) + 0.5 if rounded else tall * profile
+    return out

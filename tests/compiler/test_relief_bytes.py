@@ -1,0 +1,63 @@
+"""Every relief operator gives the same bytes on every CPU and with any number of threads."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from test_compile import CIRCUMSTANCES
+from test_relief_masks import MASK, PROGRAM, write_program
+
+_HEIGHTS = """
+import hashlib, sys
+import numpy as np
+from scenec.compiler.draw import draw
+from scenec.compiler.frontend.load import load
+from scenec.compiler.terrain.grid import Grid
+from scenec.compiler.terrain.operator import operator_type
+plan = draw(load(sys.argv[1]), 11, 0).terrain
+grid = Grid.with_spacing(plan.size_m, plan.spacing_m)
+height = np.zeros(grid.shape)
+for operator in plan.relief:
+    height, report = operator.apply(grid, height)
+    content = height.tobytes() + repr(report).encode()
+    print(operator_type(operator), hashlib.sha256(content).hexdigest())
+"""
+
+
+def heights(cfg: Path, name: str) -> list[str]:
+    """Hash of heights and report after each operator."""
+    done = subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", _HEIGHTS, str(cfg)],
+        check=True,
+        env={**os.environ, **CIRCUMSTANCES[name]},
+        capture_output=True,
+        text=True,
+    )
+    return done.stdout.splitlines()
+
+
+@pytest.fixture(scope="module")
+def program(tmp_path_factory) -> Path:
+    """Every operator, and every condition behind one."""
+    masked = [{**node, "mask": MASK} for node in PROGRAM[:2]]
+    powers = {
+        "type": "stream_power", "erodibility": 1e-5, "slope_exponent": 1.4, "area_exponent": 0.6,
+        "duration_a": 1e4, "uplift_m_per_a": 1e-5, "steps": 2,
+    }  # fmt: skip
+    return write_program(tmp_path_factory.mktemp("bytes"), [*PROGRAM, powers, *masked])
+
+
+@pytest.fixture(scope="module")
+def reference(program) -> list[str]:
+    return heights(program, "as it is")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", list(CIRCUMSTANCES))
+def test_every_operator_gives_the_same_bytes_with(name, program, reference):
+    assert len(reference) == len(PROGRAM) + 4
+    assert heights(program, name) == reference

@@ -1,0 +1,267 @@
+"""DEMs: GeoTIFF and pictures, holes, places on a planet."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from small import small_cfg, write_cfg
+
+from scenec.compiler.frontend.load import load
+from scenec.compiler.terrain.dem import Dem
+from scenec.compiler.terrain.dem_file import read_dem
+from scenec.compiler.terrain.fill_holes import fill_holes
+from scenec.compiler.terrain.grid import Grid
+from scenec.schemas.errors import CfgError, SceneError
+
+rasterio = pytest.importorskip("rasterio")
+
+DEM = Dem(Path(), None, (1.0, 1.0), 1.0, 0.0, "north", (0.5, 0.5), None, "clamp")
+GRID = Grid.with_spacing((20.0, 16.0), 0.5)
+
+
+def apply(operator: Dem, grid: Grid = GRID) -> np.ndarray:
+    return operator.apply(grid, np.zeros(grid.shape))[0]
+
+
+def write_geotiff(
+    path: Path,
+    samples: np.ndarray,
+    *,
+    crs: str | None = "EPSG:32617",
+    origin: tuple[float, float] = (500.0, 700.0),
+    pixel: float = 1.0,
+    scale: float = 1.0,
+    offset: float = 0.0,
+    **options,
+) -> Path:
+    transform = rasterio.transform.from_origin(*origin, pixel, pixel)
+    with rasterio.open(
+        path, "w", driver="GTiff", width=samples.shape[1], height=samples.shape[0], count=1,
+        dtype=samples.dtype, crs=crs, transform=transform, **options,
+    ) as file:  # fmt: skip
+        file.write(samples, 1)
+        file.scales, file.offsets = (scale,), (offset,)
+    return path
+
+
+def field(seed: int = 0, shape: tuple[int, int] = (40, 50)) -> np.ndarray:
+    y, x = np.mgrid[: shape[0], : shape[1]].astype(float)
+    rng = np.random.default_rng(seed)
+    return 20 * np.sin(0.2 * x + seed) * np.cos(0.15 * y) + rng.normal(size=shape)
+
+
+@pytest.mark.parametrize("dtype", ["uint8", "uint16", "int16", "int32", "float32", "float64"])
+def test_a_geotiff_s_scale_offset_and_nodata_hold_for_every_kind_of_number(tmp_path, dtype):
+    samples = (field() + 40).astype(dtype)
+    samples[0, 0] = 99
+    path = write_geotiff(tmp_path / "a.tif", samples, scale=0.25, offset=-3.0, nodata=99)
+    dem = read_dem(path)
+    assert np.array_equal(dem.holes, samples == 99)
+    assert np.allclose(dem.values[~dem.holes], samples[~dem.holes] * 0.25 - 3.0, rtol=0, atol=1e-12)
+
+
+def test_a_place_on_a_planet_is_reported_and_moves_no_bit_of_the_heights(tmp_path):
+    reports, heights = [], []
+    for i, origin in enumerate([(3.0, 5.0), (1e7, -1e7), (123456.7, 9876543.2)]):
+        path = write_geotiff(tmp_path / f"{i}.tif", field(), origin=origin)
+        out, report = replace(DEM, file=path, center=(0.4, 0.6)).apply(GRID, np.zeros(GRID.shape))
+        heights.append(out)
+        reports.append(report["georeference"])
+        # The terrain's center: 0.4 * 50 columns to the east, 0.4 * 40 rows to the south.
+        assert report["georeference"]["center"] == pytest.approx([origin[0] + 20, origin[1] - 16])
+    assert np.array_equal(heights[0], heights[1])
+    assert np.array_equal(heights[0], heights[2])
+    assert {r["crs"] for r in reports} == {"EPSG:32617"}
+    np.save(tmp_path / "a.npy", field())
+    out, report = replace(DEM, file=tmp_path / "a.npy", center=(0.4, 0.6)).apply(
+        GRID, np.zeros(GRID.shape)
+    )
+    assert "georeference" not in report
+    assert np.array_equal(out, heights[0])
+
+
+def test_the_pixel_of_a_geotiff_in_meters_is_the_default(tmp_path):
+    for origin in ((3.0, 5.0), (1e7, 1e7)):
+        path = write_geotiff(tmp_path / "a.tif", field(), pixel=0.7, origin=origin)
+        given = apply(replace(DEM, file=path, pixel_m=(0.7, 0.7)))
+        assert np.array_equal(apply(replace(DEM, file=path, pixel_m=None)), given)
+    degrees = write_geotiff(tmp_path / "b.tif", field(), crs="EPSG:4326", pixel=1e-3)
+    with pytest.raises(SceneError, match="give pixel_m"):
+        apply(replace(DEM, file=degrees, pixel_m=None))
+    assert apply(replace(DEM, file=degrees)).shape == GRID.shape
+    feet = write_geotiff(tmp_path / "c.tif", field(), crs="EPSG:2225")
+    assert read_dem(feet).reference.pixel_m() is None
+
+
+def test_a_file_whose_rows_run_north_is_not_laid_upside_down(tmp_path):
+    path = write_geotiff(tmp_path / "a.tif", field(), crs="EPSG:32617")
+    with rasterio.open(path, "r+") as file:
+        file.transform = rasterio.Affine(1.0, 0.0, 500.0, 0.0, 1.0, 700.0)
+    with pytest.raises(SceneError, match='"first_row": "south"'):
+        apply(replace(DEM, file=path))
+    assert apply(replace(DEM, file=path, first_row="south")).shape == GRID.shape
+
+
+@pytest.mark.parametrize(("bits", "kind"), [(8, "png"), (16, "png"), (8, "bmp"), (8, "jpg")])
+def test_a_gray_picture_holds_heights_between_those_of_black_and_white(tmp_path, bits, kind):
+    samples = np.clip(0.5 + field() / 60.0, 0.0, 1.0)
+    top = 2**bits - 1
+    pixels = np.round(samples * top).astype(f"uint{bits}")
+    Image.fromarray(pixels).save(
+        tmp_path / f"a.{kind}", **({"quality": 100} if kind == "jpg" else {})
+    )
+    dem = read_dem(tmp_path / f"a.{kind}", height_range_m=(-5.0, 15.0))
+    lossy = 3.0 / top if kind == "jpg" else 0.0
+    assert np.allclose(dem.values, -5.0 + 20.0 * pixels / top, rtol=0, atol=1e-12 + 20 * lossy)
+    assert not dem.holes.any()
+    if bits == 16:
+        assert len(np.unique(dem.values)) > 500
+
+
+def test_gray_is_gray_however_a_picture_stores_it(tmp_path):
+    pixels = np.arange(48, dtype=np.uint8).reshape(6, 8)
+    gray = Image.fromarray(pixels)
+    for i, mode in enumerate(("L", "LA", "RGB", "RGBA")):
+        gray.convert(mode).save(tmp_path / f"{i}.png")
+        values = read_dem(tmp_path / f"{i}.png", height_range_m=(0.0, 255.0)).values
+        assert np.array_equal(values, pixels)
+    holes = read_dem(tmp_path / "0.png", nodata=7.0, height_range_m=(0.0, 255.0)).holes
+    assert holes.sum() == 1
+    colors = np.zeros((6, 8, 3), np.uint8)
+    colors[..., 1] = pixels
+    Image.fromarray(colors).save(tmp_path / "c.png")
+    with pytest.raises(SceneError, match="gray"):
+        read_dem(tmp_path / "c.png", height_range_m=(0.0, 1.0))
+    with pytest.raises(SceneError, match="height_range_m"):
+        read_dem(tmp_path / "0.png")
+    np.save(tmp_path / "a.npy", pixels)
+    with pytest.raises(SceneError, match="height_scale"):
+        read_dem(tmp_path / "a.npy", height_range_m=(0.0, 1.0))
+    (tmp_path / "b.png").write_bytes(b"no picture")
+    with pytest.raises(SceneError, match=r"b\.png"):
+        read_dem(tmp_path / "b.png", height_range_m=(0.0, 1.0))
+
+
+# Holes.
+
+
+def disk(shape: tuple[int, int], radius: float) -> np.ndarray:
+    y, x = np.mgrid[: shape[0], : shape[1]]
+    return np.hypot(y - shape[0] / 2.2, x - shape[1] / 2) < radius
+
+
+def test_a_filled_hole_in_a_plane_is_the_plane():
+    y, x = np.mgrid[:90, :120].astype(float)
+    plane = 3.0 * x - 2.0 * y + 7.0
+    holes = disk(plane.shape, 30.0) | (np.random.default_rng(0).random(plane.shape) < 0.2)
+    holes[[0, -1]] = holes[:, [0, -1]] = False
+    filled, residual = fill_holes(np.where(holes, 0.0, plane), holes)
+    assert np.array_equal(filled[~holes], plane[~holes])
+    assert np.abs(filled - plane).max() < 0.01 * 60 * 3
+    assert residual < 0.01
+
+
+def test_a_filled_hole_solves_laplace_s_equation():
+    # The exact solution of the same equations, by a direct solver.
+    from scipy.sparse import lil_matrix
+    from scipy.sparse.linalg import spsolve
+
+    values, holes = field(1, (24, 30)), disk((24, 30), 7.0)
+    holes[0, 3:6] = True
+    index = np.full(holes.shape, -1)
+    index[holes] = np.arange(holes.sum())
+    matrix, right = lil_matrix((holes.sum(), holes.sum())), np.zeros(holes.sum())
+    for j, i in np.argwhere(holes):
+        for b, a in ((j - 1, i), (j + 1, i), (j, i - 1), (j, i + 1)):
+            if 0 <= b < 24 and 0 <= a < 30:
+                matrix[index[j, i], index[j, i]] += 1.0
+                if holes[b, a]:
+                    matrix[index[j, i], index[b, a]] -= 1.0
+                else:
+                    right[index[j, i]] += values[b, a]
+    filled, _ = fill_holes(values, holes)
+    assert np.allclose(filled[holes], spsolve(matrix.tocsr(), right), rtol=0, atol=0.05)
+    # Between the heights at the rim, since solutions have no extrema inside.
+    assert (
+        values[~holes].min() <= filled[holes].min() <= filled[holes].max() <= values[~holes].max()
+    )
+
+
+@pytest.mark.parametrize("keep", [1, 5])
+def test_almost_all_can_be_missing(keep):
+    holes = np.ones((37, 53), bool)
+    holes.ravel()[np.random.default_rng(0).choice(holes.size, keep, replace=False)] = False
+    filled, _ = fill_holes(np.where(holes, 0.0, 8.0), holes)
+    assert np.allclose(filled, 8.0)
+
+
+def test_holes_under_the_terrain_are_filled_if_asked_and_counted(tmp_path):
+    samples = field()
+    samples[18:22, 20:30] = np.nan
+    np.save(tmp_path / "a.npy", samples)
+    broken = replace(DEM, file=tmp_path / "a.npy")
+    with pytest.raises(SceneError, match=r'40 samples .* "holes": "fill"'):
+        apply(broken)
+    out, report = replace(broken, holes="fill").apply(GRID, np.zeros(GRID.shape))
+    assert np.isfinite(out).all()
+    assert report["holes_filled"] == 40
+    whole = tmp_path / "whole.npy"
+    np.save(whole, fill_holes(np.nan_to_num(samples), np.isnan(samples))[0])
+    assert np.allclose(out, apply(replace(DEM, file=whole)), rtol=0, atol=0.01)
+    # Elsewhere holes do not matter.
+    aside = replace(broken, center=(0.5, 0.9))
+    assert (
+        "holes_filled" not in aside.apply(Grid.with_spacing((9.0, 2.0), 1.0), np.zeros((3, 10)))[1]
+    )
+    np.save(tmp_path / "a.npy", np.full((40, 50), np.nan))
+    with pytest.raises(SceneError, match="no data"):
+        apply(replace(broken, holes="fill"))
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 30), (30, 1), (2, 2)])
+def test_thin_dems_with_holes_are_taken(tmp_path, shape):
+    samples = np.arange(float(np.prod(shape))).reshape(shape)
+    if samples.size > 2:
+        samples.ravel()[1] = np.nan
+    np.save(tmp_path / "a.npy", samples)
+    out = apply(replace(DEM, file=tmp_path / "a.npy", holes="fill"))
+    assert np.isfinite(out).all()
+
+
+# In a cfg.
+
+
+def cfg_with(folder: Path, **keys) -> Path:
+    cfg = small_cfg()
+    cfg["terrain"]["relief"][0] = {"type": "dem", **keys}
+    return write_cfg(folder, cfg)
+
+
+def test_a_cfg_can_leave_the_pixel_to_the_file_and_give_a_picture_s_range(tmp_path):
+    write_geotiff(tmp_path / "a.tif", field())
+    Image.fromarray(np.zeros((40, 50), np.uint8)).save(tmp_path / "a.png")
+    assert load(cfg_with(tmp_path, file="a.tif")).cfg["terrain"]["relief"][0]["pixel_m"] is None
+    load(cfg_with(tmp_path, file="a.png", pixel_m=1, height_range_m=[0, 5], holes="fill"))
+
+
+@pytest.mark.parametrize(
+    ("keys", "pointer", "words"),
+    [
+        ({"file": "a.npy"}, "", '"pixel_m" is missing'),
+        ({"file": "a.png", "pixel_m": 1}, "/file", "height_range_m"),
+        ({"file": "a.npy", "pixel_m": 1, "height_range_m": [0, 1]}, "/file", "height_scale"),
+        ({"file": "a.npy", "pixel_m": 1, "holes": "fil"}, "/holes", 'did you mean "fill"?'),
+    ],
+)
+def test_what_a_dem_lacks_is_said_where_it_is_missing(tmp_path, keys, pointer, words):
+    np.save(tmp_path / "a.npy", field())
+    Image.fromarray(np.zeros((40, 50), np.uint8)).save(tmp_path / "a.png")
+    with pytest.raises(CfgError) as caught:
+        load(cfg_with(tmp_path, **keys))
+    (fault,) = caught.value.faults
+    assert fault.pointer == f"/terrain/relief/0{pointer}"
+    assert words in fault.message

@@ -1,0 +1,123 @@
+"""All operators on everything: extents from a millimeter to a thousand kilometers, any ground."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from scenec.compiler.frontend.streams import Streams
+from scenec.compiler.terrain.barchans import draw_barchans
+from scenec.compiler.terrain.craters import Craters
+from scenec.compiler.terrain.drainage import SIDES
+from scenec.compiler.terrain.draw_craters import draw_craters
+from scenec.compiler.terrain.dunes import Dunes, Ripples
+from scenec.compiler.terrain.grid import Grid
+from scenec.compiler.terrain.mask import HeightCondition, Masked, NoiseCondition, SlopeCondition
+from scenec.compiler.terrain.multifractal import Multifractal
+from scenec.compiler.terrain.operator import OPERATORS, operator_type
+from scenec.compiler.terrain.plane import Plane
+from scenec.compiler.terrain.smooth import Diffusion, Smooth
+from scenec.compiler.terrain.stream_power import StreamPower
+from scenec.compiler.terrain.terraces import Terraces
+from scenec.compiler.terrain.thermal import Thermal
+from scenec.compiler.terrain.tracks import Tracks
+from scenec.compiler.terrain.worley import Worley
+
+EXTENTS = [1e-3, 1.0, 1e3, 1e6]
+
+
+def operators(size: float, folder) -> list:
+    """One of each, about as large as the terrain."""
+    (folder / "path.csv").write_text(f"{-0.4 * size},0\n{0.1 * size},{0.2 * size}\n")
+    pits = {
+        "min_diameter_m": 0.1 * size, "max_diameter_m": size, "density_per_m2": 10.0,
+        "reference_diameter_m": 0.1 * size, "exponent": 2.0, "depth_ratio": 0.2, "rim_ratio": 0.04,
+        "degradation": 1.0, "irregularity": 0.1,
+    }  # fmt: skip
+    pits["density_per_m2"] = 20.0 / (size * size)
+    heaps = {"count": 5, "height_m": 0.03 * size, "wind_deg": 20.0, "repose_deg": 33.0}
+    streams = Streams(1, 0)
+    return [
+        Plane(size, (0.3, -1e6)),
+        Multifractal(1, 0.1 * size, 0.3 * size, 24, 2.0, 2.0, "hybrid", 0.7, 2.0),
+        Worley(2, -size, 0.2 * size, "f2-f1", 1.0, 4, 2.0, 0.5),
+        draw_craters(pits, streams, "craters", (size, 0.7 * size)),
+        Dunes(3, 0.01 * size, 0.2 * size, 70.0, 33.0, 0.2),
+        draw_barchans(heaps, streams, "barchans", (size, 0.7 * size)),
+        Ripples(3, 0.004 * size, 0.12 * size, 70.0, 30.0, 0.2),
+        Terraces(4, 0.03 * size, 0.2, 0.1, 1.0, 0.1 * size, 0.3 * size),
+        StreamPower(1e-3, 0.4, 1.3, 0.0, 1e-3, size, 1e5, 2, SIDES),
+        Thermal(33.0),
+        Diffusion(1e6, 1e6),
+        Smooth(0.02 * size),
+        Tracks(folder / "path.csv", 0.3 * size, 0.12 * size, 0.01 * size, 0.1 * size,
+               0.01 * size, "bars"),
+    ]  # fmt: skip
+
+
+def grounds(grid: Grid) -> dict[str, np.ndarray]:
+    rng = np.random.default_rng(0)
+    flat = np.zeros(grid.shape)
+    return {
+        "flat": flat,
+        "a million meters up": flat + 1e6,
+        "a cliff": flat + np.where(grid.x() > 0.0, 1e6, -1e6)[None, :],
+        "rough": 1e6 * rng.normal(size=grid.shape),
+        "a needle": np.where((np.indices(grid.shape) == 7).all(axis=0), 1e6, 0.0),
+        "tiny": 1e-300 * rng.normal(size=grid.shape),
+    }
+
+
+@pytest.mark.parametrize("size", EXTENTS)
+def test_every_operator_takes_every_ground_at_every_extent(size, tmp_path):
+    grid = Grid.with_spacing((size, 0.7 * size), size / 40)
+    ops = operators(size, tmp_path)
+    assert {operator_type(operator) for operator in ops} == set(OPERATORS) - {"dem"}
+    for name, ground in grounds(grid).items():
+        for operator in ops:
+            before = ground.copy()
+            out, report = operator.apply(grid, ground)
+            assert np.isfinite(out).all(), (name, operator)
+            assert np.array_equal(ground, before), "the input is not to be changed"
+            json.dumps(report, allow_nan=False)
+
+
+@pytest.mark.parametrize("size", EXTENTS)
+def test_every_operator_is_the_same_at_every_extent(size, tmp_path):
+    # Lengths in units of the extent: powers of two keep every bit but for squares of lengths.
+    unit = 2.0 ** round(np.log2(size))
+    results = []
+    for scale in (1.0, unit):
+        grid = Grid.with_spacing((scale, 0.7 * scale), scale / 40)
+        ops = [op for op in operators(scale, tmp_path) if operator_type(op) in SCALE_FREE]
+        base = Multifractal(1, 0.1 * scale, 0.3 * scale, 6, 2.0, 0.5, "fbm", 0.7)
+        ground = base.apply(grid, np.zeros(grid.shape))[0]
+        results.append([op.apply(grid, ground)[0] / scale for op in ops])
+    for a, b in zip(*results, strict=True):
+        assert np.allclose(a, b, rtol=0, atol=1e-9)
+
+
+#: Operators without a physical constant of their own, and whose draws do not depend on a scale.
+SCALE_FREE = ("multifractal", "worley", "dunes", "barchans", "ripples", "terraces", "thermal",
+              "smooth", "tracks")  # fmt: skip
+
+
+@pytest.mark.parametrize("size", EXTENTS)
+def test_masks_take_every_ground(size):
+    grid = Grid.with_spacing((size, 0.7 * size), size / 40)
+    conditions = (
+        HeightCondition(-1e6, 1e6, 0.0),
+        SlopeCondition(0.0, 89.0, 5.0),
+        NoiseCondition(1, 0.3 * size, 24, 2.0, 0.5, -0.5, None, 0.0),
+    )
+    for ground in grounds(grid).values():
+        out, _ = Masked(Thermal(30.0), conditions).apply(grid, ground)
+        assert np.isfinite(out).all()
+
+
+def test_craters_without_any_are_nothing():
+    empty = Craters(*(np.zeros(0) for _ in range(6)), np.zeros(0, np.uint64), 0.1)
+    grid = Grid((4.0, 4.0), (5, 5))
+    assert np.array_equal(empty.apply(grid, np.ones((5, 5)))[0], np.ones((5, 5)))
