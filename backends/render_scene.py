@@ -46,8 +46,8 @@ class Surface:
     """One material of the shared surface model.
 
     f = (1-m) * ((1-s) * Lambert(c) + s * GGX(white)) + m * GGX(c), each GGX a single-scatter
-    microfacet reflection with alpha = roughness**2 and height-correlated Smith masking (Heitz 2014),
-    without Fresnel, scaled by its color.
+    microfacet reflection with alpha = roughness**2 and height-correlated Smith masking (Heitz
+    2014), without Fresnel, scaled by its color.
 
     Attributes:
         path: Prim path of the Material, or "" for the default one.

@@ -16,7 +16,7 @@ import numpy as np
 import pyrender
 from numpy.typing import NDArray
 from OpenGL import GL
-from OpenGL.GL.ARB.clip_control import glClipControl, glInitClipControlARB
+from OpenGL.GL.ARB.clip_control import glClipControl
 from pyrender.shader_program import ShaderProgramCache
 
 from scenec.backends.pyrender import platforms, resources
@@ -76,7 +76,11 @@ class Renderer(pyrender.Renderer):
         self._pictures: dict[str, int] = {}
         numbers = (GL.GL_MAJOR_VERSION, GL.GL_MINOR_VERSION)
         found = tuple(int(GL.glGetIntegerv(number)) for number in numbers)
-        if found < (4, 2) or not glInitClipControlARB():
+        # Either may be missing where OpenGL has it: PyOpenGL keeps the list of extensions of the
+        # first context it met, and finds functions of the version not at all in OSMesa.
+        named = (glClipControl, GL.glClipControl)
+        self._clip_control = next((function for function in named if bool(function)), None)
+        if found < (4, 2) or self._clip_control is None:
             raise BackendError(
                 f"pyrender: this OpenGL is of version {found[0]}.{found[1]}, it takes 4.2 and "
                 "ARB_clip_control (part of 4.5); update the graphics driver, or use --device cpu"
@@ -286,8 +290,7 @@ class Renderer(pyrender.Renderer):
             self._targets["shadows"] = resources.shadow_target(self.shadow_size, CASCADES)
         return self._targets["shadows"]
 
-    @staticmethod
-    def _set_state() -> None:
+    def _set_state(self) -> None:
         """OpenGL's state as all passes begin with it, whoever used the context before."""
         for feature in (
             GL.GL_BLEND, GL.GL_CULL_FACE, GL.GL_DEPTH_TEST, GL.GL_DEPTH_CLAMP, GL.GL_MULTISAMPLE,
@@ -295,7 +298,8 @@ class Renderer(pyrender.Renderer):
         ):  # fmt: skip
             GL.glDisable(feature)
         # Depth in [0, 1] as it is, so that a reversed one keeps all of float32's digits.
-        glClipControl(GL.GL_LOWER_LEFT, GL.GL_ZERO_TO_ONE)
+        assert self._clip_control is not None
+        self._clip_control(GL.GL_LOWER_LEFT, GL.GL_ZERO_TO_ONE)
         GL.glDepthRange(0.0, 1.0)
         GL.glPolygonMode(GL.GL_FRONT_AND_BACK, GL.GL_FILL)
         GL.glColorMask(GL.GL_TRUE, GL.GL_TRUE, GL.GL_TRUE, GL.GL_TRUE)
