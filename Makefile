@@ -44,11 +44,13 @@ bench: setup  ## Run every benchmark; each prints a table.
 	  echo "== $$file"; .venv/bin/python "$$file"; \
 	done
 
-docs: setup  ## Generate docs/cfg.md from the schemas, docs/numerics.md by measuring.
+docs: setup  ## Generate docs/cfg.md from the schemas; docs/numerics.md, docs/relief.md by measuring.
 	@echo "== Generating docs/cfg.md"
 	@.venv/bin/python docs/make_cfg_reference.py
 	@echo "== Measuring docs/numerics.md"
 	@.venv/bin/python docs/make_numerics.py
+	@echo "== Measuring docs/relief.md"
+	@.venv/bin/python docs/make_relief.py
 
 # uv resolves in a folder of its own: uv.lock names hosts and must not come near the repository.
 lock: setup  ## Resolve pyproject.toml again into requirements.lock.
