@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from scenec.compiler.cameras.rigs import build_rigs
 from scenec.compiler.cameras.sight import pixels_per_meter
-from scenec.compiler.ground.merge import center_for_coverage
+from scenec.compiler.ground.cover import lay
+from scenec.compiler.ground.merge import Merge
 from scenec.compiler.ground.tiles import build_tiles
 from scenec.compiler.light.latlong import luminance
 from scenec.compiler.light.sky import build_sky, level_sun_irradiance, sky_irradiance
@@ -64,6 +65,8 @@ def build(plan: Plan, log: BuildLog) -> Scene:
     color, labels = "rgb" in outputs, "label" in outputs
     with log.timed("relief"):
         terrain = _relief(plan.terrain, log)
+    with log.timed("cover"):
+        merges = lay(plan.terrain.merges, plan.terrain.coverage, terrain)
     scatters = []
     for rocks in plan.objects:
         with log.timed(f"objects/{rocks.name}"):
@@ -79,7 +82,7 @@ def build(plan: Plan, log: BuildLog) -> Scene:
     with log.timed("cameras"):
         rigs = build_rigs(plan.rigs, terrain, irradiance if color else None)
     with log.timed("ground"):
-        ground = _ground(plan.terrain, terrain, rigs, color, labels, log)
+        ground = _ground(plan.terrain, terrain, merges, rigs, color, labels, log)
     if not color:
         _note_left_out(log, "materials, weights, lights", "no sensor asks for rgb")
     if not labels:
@@ -144,18 +147,12 @@ def _relief(plan: TerrainPlan, log: BuildLog) -> HeightField:
 def _ground(
     plan: TerrainPlan,
     field: HeightField,
+    merges: tuple[Merge, ...],
     rigs: tuple[Rig, ...],
     color: bool,
     labels: bool,
     log: BuildLog,
 ) -> Ground:
-    merges = []
-    for merge, coverage in zip(plan.merges, plan.coverage, strict=True):
-        if coverage is None:
-            merges.append(merge)
-        else:
-            center = center_for_coverage(merge.noise(*field.grid.points()), coverage)
-            merges.append(replace(merge, center=center))
     tiles, log.facts["ground"] = build_tiles(
         field,
         merges,

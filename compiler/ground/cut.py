@@ -35,7 +35,7 @@ class CutMesh:
         fraction: Place of a cut vertex on its edge: 0 at parents[:, 0], 1 at the other, [n].
         cell: Grid cell that a face lies in, int32 [m].
         above: For each field so far, whether the face lies on its side >= 0, bool [k, m].
-        samples: Grid sample that each uncut vertex is, ascending, int64 [g]; the first g vertices.
+        normals: Of the first g vertices, float64 [g, 3]; the others lie on edges, between parents.
     """
 
     points: NDArray[np.float64]
@@ -44,7 +44,7 @@ class CutMesh:
     fraction: NDArray[np.float64]
     cell: NDArray[np.int32]
     above: NDArray[np.bool_]
-    samples: NDArray[np.int64]
+    normals: NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -117,7 +117,7 @@ def cut(mesh: CutMesh, field: Field) -> tuple[CutMesh, CutReport]:
         fraction=np.concatenate([mesh.fraction, fraction]),
         cell=np.concatenate([mesh.cell[whole], mesh.cell[crossed][origin]]),
         above=above,
-        samples=mesh.samples,
+        normals=mesh.normals,
     )
     line, worst, rms = _chord_error(all_points, segments, field)
     return result, CutReport(len(edges), len(result.faces) - len(faces), line, worst, rms, snap)

@@ -195,7 +195,7 @@ def _mesh(field: HeightField, faces: NDArray[np.int32]) -> CutMesh:
         fraction=np.zeros(len(samples)),
         cell=_cells(faces, nx),
         above=np.zeros((0, len(faces)), bool),
-        samples=samples,
+        normals=field.normals().reshape(-1, 3)[samples],
     )
 
 

@@ -88,7 +88,7 @@ def build_tiles(
     if color:
         variation = _variation(variation_key, x, y).astype(np.float32)
 
-    normals = _vertex_normals(field, mesh)
+    normals = _vertex_normals(mesh)
     cells = (field.grid.shape[1] - 1, field.grid.shape[0] - 1)
     tile_of_face, tile_counts = _tile_of(mesh.cell, cells)
     span = _largest_span(mesh, tile_of_face)
@@ -141,11 +141,11 @@ def _side_error_bound(side: NDArray[np.float64]) -> float:
     )
 
 
-def _vertex_normals(field: HeightField, mesh: CutMesh) -> NDArray[np.float32]:
-    """Normals of the grid samples; cut vertices take those between their edge's ends."""
+def _vertex_normals(mesh: CutMesh) -> NDArray[np.float32]:
+    """The mesh's normals; cut vertices take those between their edge's ends."""
     normals = np.empty((len(mesh.points), 3))
-    count = len(mesh.samples)
-    normals[:count] = field.normals().reshape(-1, 3)[mesh.samples]
+    count = len(mesh.normals)
+    normals[:count] = mesh.normals
     # A cut vertex's parents can be cut vertices of an earlier cut, which lie before it.
     _interpolate_in_order(normals, mesh.parents, mesh.fraction, count)
     return normals.astype(np.float32)
