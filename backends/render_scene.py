@@ -27,7 +27,8 @@ class Maps:
     Attributes:
         size_m: Side of one repeat, meters.
         base_color: Multiplies ``Surface.base_color``; sRGB if 8 or 16 bits, linear if OpenEXR.
-        roughness: Perceptual roughness, raw, takes the place of ``Surface.roughness``.
+        roughness: Perceptual roughness, raw, takes the place of ``Surface.roughness`` and varies as
+            that does.
         metallic: Raw, takes the place of ``Surface.metallic``.
         normal: Tangent-space normals n = 2 * rgb - 1, raw: x along +u, y along +v.
         flip_green: Whether ``normal`` has y along -v (DirectX's handedness).
@@ -58,6 +59,8 @@ class Surface:
             [0, 1]; the primvar and the row's value in [-1, 1].
         metallic: m, in [0, 1].
         maps: Pictures that vary it, or None.
+        roughness_variation: r = roughness * (1 + roughness_variation * primvar) *
+            (1 + roughness_variation * row's), clipped to [0, 1]; both lobes have it.
     """
 
     path: str
@@ -67,6 +70,18 @@ class Surface:
     variation: float
     metallic: float = 0.0
     maps: Maps | None = None
+    roughness_variation: float = 0.0
+
+    @property
+    def glossy(self) -> bool:
+        """Whether it has a GGX lobe anywhere."""
+        mapped = self.maps is not None and self.maps.metallic is not None
+        return mapped or self.specular > 0.0 or self.metallic > 0.0
+
+    @property
+    def varies(self) -> bool:
+        """Whether it looks different where the variation of vertices or rows is."""
+        return self.variation != 0.0 or (self.glossy and self.roughness_variation != 0.0)
 
 
 #: What UsdPreviewSurface shows without a color.
@@ -89,7 +104,7 @@ class Mesh:
             (``DEFAULT_SURFACE``).
         weights: Weight of merge i at the vertices, float32 [len(layers) - 1, n]: from the base up,
             each merge i mixes BSDFs, (1 - w_i) * what is below + w_i * layer i + 1.
-        variation: Albedo variation at the vertices, float32 [n], or None.
+        variation: Variation of albedo and roughness at the vertices, float32 [n], or None.
     """
 
     path: str
@@ -111,7 +126,7 @@ class Rows:
         mesh: Index into ``RenderScene.meshes``, int32 [r].
         to_world: Affine local-to-world matrices, column vectors, float64 [r, 3, 4].
         instance_id: Frame id, uint32 [r]; 0 is "no instance".
-        variation: Albedo variation of the whole instance, float32 [r].
+        variation: Variation of the whole instance, float32 [r].
     """
 
     mesh: NDArray[np.int32]

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import argparse
 
+from scenec.cli.explain_command import precision_text
 from scenec.cli.output import print_json, say
 from scenec.compiler.compile import CompileReport, compile_cfg
+from scenec.compiler.precision import WARN_PX
 
 
 def run(options: argparse.Namespace) -> int:
@@ -26,8 +28,16 @@ def compile_now(options: argparse.Namespace) -> CompileReport:
         rocks = sum(entry["count"] for entry in facts.get("objects", {}).values())
         say(
             f"{name}: {facts['ground']['faces']:,} terrain faces, {rocks:,} rocks, "
-            f"{facts['bytes'] / 2**20:.1f} MiB in {sum(seconds.values()):.1f} s"
+            f"{facts['bytes'] / 2**20:.1f} MiB in {sum(seconds.values()):.1f} s; "
+            f"positions in float32: {precision_text(facts['precision'])}"
         )
+        off = facts["precision"]["float32_error_max_px"]
+        if off is not None and off > WARN_PX:
+            say(
+                f"{name}: warning: float32 moves vertices by up to {off:.2g} pixels of the nearest "
+                f"view, over {facts['precision']['extent_m']:g} m; make the terrain smaller, or "
+                "keep cameras farther from it"
+            )
     if report.unchanged:
         say(
             f"{report.unchanged} of {len(report.batches)} batches were there already, byte for byte"

@@ -84,6 +84,15 @@ def _errors(report: dict[str, Any], seconds: dict[str, float]) -> str:
         rest = ", ".join(f"{key} {_short(value)}" for key, value in step.items() if key != "type")
         rows.append([f"relief: {step['type']}", rest, ""])
     rows.append(["relief, all steps", "", cost("relief")])
+    for layer in report.get("cover", []):
+        rest = f"covers {100 * layer['covers']:.3g} %, shows on {100 * layer['shows']:.3g} %"
+        for condition in layer["conditions"]:
+            rest += f"; {condition['type']} holds on {100 * condition['holds']:.3g} %"
+            if condition.get("smoothed_over_m"):
+                rest += f" (smoothed over {_short(condition['smoothed_over_m'])} m)"
+        rows.append([f"ground layer {layer['layer']}", rest, ""])
+    if "cover" in seconds:
+        rows.append(["ground layers, all", "", cost("cover")])
     for i, cut in enumerate(report["ground"]["cuts"], start=1):
         chord = (
             f"{cut['chord_error_rms_m']:.2g} m rms, {cut['chord_error_max_m']:.2g} m worst, "
@@ -98,6 +107,8 @@ def _errors(report: dict[str, Any], seconds: dict[str, float]) -> str:
             cost("ground"),
         ]
     )
+    if "mesh" in ground:
+        rows.extend([name, error, ""] for name, error in _mesh_errors(ground["mesh"]))
     for name, entry in report.get("objects", {}).items():
         rows.append(
             [
@@ -107,12 +118,39 @@ def _errors(report: dict[str, Any], seconds: dict[str, float]) -> str:
                 cost(f"objects/{name}"),
             ]
         )
+    if "precision" in report:
+        rows.append(["positions in float32", precision_text(report["precision"]), ""])
     for name, entry in report.get("sky", {}).get("set_to_zero", {}).items():
         part = f"{100 * entry['negative_fraction']:.2g} % below 0 set to 0"
         rows.append([f"sky: {name}", part, ""])
     others = ("load", "draw", "light", "cameras", "emit")
     rows.extend([name, "", cost(name)] for name in others)
     return table(rows, ["pass", "error", "seconds"])
+
+
+def _mesh_errors(mesh: dict[str, Any]) -> list[tuple[str, str]]:
+    """What the adaptive mesh left out, in pixels of the nearest view."""
+    asked = f"{mesh['tolerance_px']:g} px asked"
+    if mesh["budget_bound"]:
+        asked += f", {mesh['tolerance_reached_px']:.2g} px within max_triangles"
+    rows = [("ground mesh, at samples", f"{mesh['height_error_max_px']:.2g} px worst; {asked}")]
+    finer = mesh.get("finer")
+    if finer:
+        error = f"{finer['surface_error_max_px']:.2g} px worst, "
+        error += f"{finer['surface_error_rms_px']:.2g} px rms"
+        rows.append(("ground mesh, between", f"{error}; legs from {finer['finest_leg_m']:.2g} m"))
+    return rows
+
+
+def precision_text(precision: dict[str, Any]) -> str:
+    """Precision promised and error made, in meters and in pixels of the nearest view."""
+
+    def part(meters: float, pixels: float | None) -> str:
+        return f"{meters:.2g} m" + ("" if pixels is None else f" ({pixels:.2g} px)")
+
+    promised = part(precision["promised_m"], precision["promised_px"])
+    made = part(precision["float32_error_max_m"], precision["float32_error_max_px"])
+    return f"promised {promised}, largest error {made}"
 
 
 def _short(value: object) -> str:

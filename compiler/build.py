@@ -13,18 +13,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.cameras.rigs import build_rigs
-from scenec.compiler.cameras.sight import pixels_per_meter
-from scenec.compiler.ground.cover import lay
-from scenec.compiler.ground.merge import Merge
+from scenec.compiler.cameras.sight import pixels_per_meter, views_of
+from scenec.compiler.ground.cover import cover_report, lay
+from scenec.compiler.ground.surface import Surface
 from scenec.compiler.ground.tiles import build_tiles
 from scenec.compiler.light.latlong import luminance
 from scenec.compiler.light.sky import build_sky, level_sun_irradiance, sky_irradiance
-from scenec.compiler.plan import Plan, RigPlan, RocksPlan, TerrainPlan, TrackPlan
+from scenec.compiler.plan import Plan, RigPlan, RocksPlan, TrackPlan
+from scenec.compiler.precision import precision
+from scenec.compiler.scatter.on_mesh import place_on_mesh, seat_on_mesh
 from scenec.compiler.scatter.placement import align_to_normals, place, seat
 from scenec.compiler.scatter.rocks import build_prototypes
-from scenec.compiler.scene import Ground, Rig, Scatter, Scene, SkyLight
+from scenec.compiler.scene import Georeference, Ground, Rig, Scatter, Scene, SkyLight
 from scenec.compiler.terrain.grid import Grid, HeightField
-from scenec.compiler.terrain.operator import operator_type
+from scenec.compiler.terrain.mesh_surface import MeshSurface
+from scenec.compiler.terrain.program import run
 from scenec.schemas.errors import SceneError
 
 
@@ -64,13 +67,26 @@ def build(plan: Plan, log: BuildLog) -> Scene:
     outputs = tuple(dict.fromkeys(o for rig in plan.rigs for s in rig.sensors for o in s.outputs))
     color, labels = "rgb" in outputs, "label" in outputs
     with log.timed("relief"):
-        terrain = _relief(plan.terrain, log)
+        grid = Grid.with_spacing(plan.terrain.size_m, plan.terrain.spacing_m)
+        relief = run(plan.terrain.relief, grid, plan.terrain.meshing.max_triangles)
+        terrain, log.facts["relief"] = relief.field, relief.steps
     with log.timed("cover"):
         merges = lay(plan.terrain.merges, plan.terrain.coverage, terrain)
+        log.facts["cover"] = cover_report(merges, terrain)
+        surface = Surface(
+            terrain,
+            merges,
+            relief.details,
+            plan.terrain.displacements,
+            # Without a view nothing says what is too small to see.
+            smooth=plan.terrain.meshing.tolerance_px is not None
+            and bool(plan.rigs)
+            and not isinstance(terrain, MeshSurface),
+        )
     scatters = []
     for rocks in plan.objects:
         with log.timed(f"objects/{rocks.name}"):
-            scatters.append(_rocks(rocks, terrain, log))
+            scatters.append(_rocks(rocks, surface, log))
     with log.timed("light"):
         sun = plan.sun if color else None
         sky = None
@@ -80,11 +96,28 @@ def build(plan: Plan, log: BuildLog) -> Scene:
         for i in range(plan.samples):
             irradiance[i] += luminance(level_sun_irradiance(plan.sun, i))
     with log.timed("cameras"):
-        rigs = build_rigs(plan.rigs, terrain, irradiance if color else None)
+        rigs = build_rigs(plan.rigs, surface, irradiance if color else None)
     with log.timed("ground"):
-        ground = _ground(plan.terrain, terrain, merges, rigs, color, labels, log)
+        # Under an overhang one sees what its roof would hide.
+        hills = None if isinstance(terrain, MeshSurface) else terrain
+        views = views_of(rigs, hills, surface.amplitude_m())
+        near = pixels_per_meter(terrain, views, plan.terrain.meshing.unseen) if rigs else None
+        tiles, log.facts["ground"] = build_tiles(
+            surface,
+            plan.terrain.variation_key,
+            plan.terrain.meshing,
+            near,
+            views,
+            color=color,
+            cut_labels=labels,
+        )
+        ground = Ground(plan.terrain.layers, tiles)
+    bounds = _bounds(ground, tuple(scatters))
+    log.facts["precision"] = precision(bounds, log.facts, near)
     if not color:
         _note_left_out(log, "materials, weights, lights", "no sensor asks for rgb")
+    if isinstance(terrain, MeshSurface) and any(plan.terrain.displacements):
+        _note_left_out(log, "the materials' displacement", "the terrain is a mesh")
     if not labels:
         _note_left_out(
             log, "label primvars and the cut along label lines", "no output shows labels"
@@ -103,7 +136,8 @@ def build(plan: Plan, log: BuildLog) -> Scene:
         sky=sky,
         rigs=rigs,
         outputs=outputs,
-        bounds=_bounds(ground, tuple(scatters)),
+        bounds=bounds,
+        georeference=_georeference(log.facts["relief"]),
     )
 
 
@@ -127,57 +161,35 @@ def _note_left_out(log: BuildLog, what: str, why: str) -> None:
     log.facts.setdefault("left_out", []).append({"what": what, "why": why})
 
 
-def _relief(plan: TerrainPlan, log: BuildLog) -> HeightField:
-    grid = Grid.with_spacing(plan.size_m, plan.spacing_m)
-    height = np.zeros(grid.shape)
-    steps = []
-    # Overflow is found once, at the end, and said in the user's words.
-    with np.errstate(over="ignore", invalid="ignore"):
-        for operator in plan.relief:
-            height, report = operator.apply(grid, height)
-            steps.append({"type": operator_type(operator), **report})
-    if not np.isfinite(height).all():
-        raise SceneError(
-            "terrain: the relief overflows to infinity; lower amplitude, gain or octaves"
-        )
-    log.facts["relief"] = steps
-    return HeightField(grid, height)
+def _georeference(steps: list[dict[str, Any]]) -> Georeference | None:
+    """Of the first DEM that says where it lies, from the reports of the relief's steps."""
+    for step in steps:
+        if "georeference" in step:
+            place = step["georeference"]
+            east, north = place["center"]
+            return Georeference(place["crs"], (east, north), step["height_offset_m"])
+    return None
 
 
-def _ground(
-    plan: TerrainPlan,
-    field: HeightField,
-    merges: tuple[Merge, ...],
-    rigs: tuple[Rig, ...],
-    color: bool,
-    labels: bool,
-    log: BuildLog,
-) -> Ground:
-    tiles, log.facts["ground"] = build_tiles(
-        field,
-        merges,
-        plan.variation_key,
-        plan.meshing,
-        # Without a view nothing says what is too small to see.
-        pixels_per_meter(field, rigs, plan.meshing.unseen) if rigs else None,
-        color=color,
-        cut_labels=labels,
-    )
-    return Ground(plan.layers, tiles)
-
-
-def _rocks(plan: RocksPlan, field: HeightField, log: BuildLog) -> Scatter:
-    x, y = place(field, plan.density, plan.position_u, plan.name)
+def _rocks(plan: RocksPlan, surface: Surface, log: BuildLog) -> Scatter:
+    field = surface.field
+    spots = None
+    if isinstance(field, MeshSurface):
+        spots = place_on_mesh(field, plan.density, plan.position_u, plan.name)
+        x, y = spots.points[:, 0], spots.points[:, 1]
+    else:
+        x, y = place(field, plan.density, plan.position_u, plan.name)
     orientations = plan.orientations
     if plan.align and len(x):
-        orientations = align_to_normals(orientations, _surface_normals(field, x, y))
+        orientations = align_to_normals(
+            orientations, spots.normals if spots else _surface_normals(field, x, y)
+        )
     prototypes = build_prototypes(plan.shapes)
     # Rounded before seating: what stands in the stage is what is held against the ground.
     half = orientations.astype(np.float16)
     size = plan.size_m.astype(np.float32)
     x32, y32 = x.astype(np.float32), y.astype(np.float32)
-    z = seat(
-        field,
+    rest = (
         prototypes,
         plan.prototype,
         x32.astype(np.float64),
@@ -186,6 +198,12 @@ def _rocks(plan: RocksPlan, field: HeightField, log: BuildLog) -> Scatter:
         size.astype(np.float64),
         plan.embed,
     )
+    if isinstance(field, MeshSurface) and spots:
+        z = seat_on_mesh(field, spots, *rest)
+    else:
+        z = seat(field, *rest)
+    # Rocks follow what is finer than the grid as a whole: by what it is at their middles.
+    z += surface.lift_at(x32.astype(np.float64), y32.astype(np.float64))
     log.facts.setdefault("objects", {})[plan.name] = {
         "count": len(x),
         "prototypes": len(prototypes),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,7 @@ from scenec.compiler.frontend.load import Spec
 from scenec.compiler.frontend.resolve import resolve
 from scenec.compiler.frontend.streams import Streams
 from scenec.compiler.frontend.track import read_track
-from scenec.compiler.ground.merge import Merge
+from scenec.compiler.ground.draw import draw_mask, draw_merges
 from scenec.compiler.ground.mesh import Meshing
 from scenec.compiler.light.latlong import luminance
 from scenec.compiler.plan import (
@@ -30,8 +30,10 @@ from scenec.compiler.plan import (
 from scenec.compiler.scatter.draw import draw_rocks
 from scenec.compiler.scene import GroundLayer, Labels, Material, MaterialMaps, SunLight
 from scenec.compiler.terrain.barchans import draw_barchans
+from scenec.compiler.terrain.detail import Detail, Sum
 from scenec.compiler.terrain.draw_craters import draw_craters
-from scenec.compiler.terrain.mask import CONDITIONS, Masked
+from scenec.compiler.terrain.mask import Masked
+from scenec.compiler.terrain.mesh_base import Roughness
 from scenec.compiler.terrain.operator import OPERATORS, ReliefOperator
 from scenec.schemas import stage as names
 from scenec.schemas.maps import MAP_CHANNELS
@@ -115,6 +117,7 @@ def _material(spec: Spec, path: str, node: dict[str, Any]) -> Material:
         node["variation"],
         node["metallic"],
         maps,
+        node["roughness_variation"],
     )
 
 
@@ -125,42 +128,51 @@ def _terrain(spec: Spec, streams: Streams) -> TerrainPlan:
         GroundLayer(layer["material"], label_ids(spec.cfg, layer["labels"]))
         for layer in node["ground"]
     )
-    merges, coverage = [], []
-    for i, layer in enumerate(node["ground"][1:], start=1):
-        merges.append(
-            Merge(
-                key=streams.key(f"terrain/ground/{i}/noise"),
-                **layer["noise"],
-                sharpness=layer["sharpness"],
-                # Coverage is met at weight 1/2; the cfg gives one of the two.
-                threshold=0.5 if layer["threshold"] is None else layer["threshold"],
-            )
-        )
-        coverage.append(layer["coverage"])
+    relief: list[ReliefOperator] = []
+    for i in range(len(cfg["relief"])):
+        relief.append(_relief(spec, i, streams, relief, node))
+    merges, coverage = draw_merges(node["ground"], streams, spec.files, relief)
     return TerrainPlan(
         size_m=(node["size_m"][0], node["size_m"][1]),
         spacing_m=node["spacing_m"],
-        relief=tuple(
-            _relief(spec, i, streams, (node["size_m"][0], node["size_m"][1]))
-            for i in range(len(cfg["relief"]))
-        ),
+        relief=tuple(relief),
         layers=layers,
-        merges=tuple(merges),
-        coverage=tuple(coverage),
+        merges=merges,
+        coverage=coverage,
         variation_key=streams.key("terrain/variation"),
         meshing=Meshing(
             # 0 asks for the grid as it is.
             tolerance_px=cfg["mesh"]["tolerance_px"] or None,
             max_triangles=cfg["mesh"]["max_triangles"],
             unseen=cfg["mesh"]["unseen"],
+            finest_m=cfg["mesh"]["finest_m"],
+        ),
+        displacements=tuple(
+            _displacement(spec, layer["material"], streams) for layer in node["ground"]
         ),
     )
 
 
+def _displacement(spec: Spec, material: str, streams: Streams) -> Detail | None:
+    """What a ground material adds to the relief, at any fineness."""
+    path = f"materials/{material}/displacement"
+    nodes = spec.cfg["materials"][material]["displacement"] or []
+    parts = []
+    for i, node in enumerate(nodes):
+        drawn = resolve(node, streams, f"{path}/{i}")
+        parts.append(_of_keys(spec, OPERATORS, drawn, streams, f"{path}/{i}").everywhere())
+    return Sum(tuple(parts)) if parts else None
+
+
 def _relief(
-    spec: Spec, index: int, streams: Streams, size_m: tuple[float, float]
+    spec: Spec,
+    index: int,
+    streams: Streams,
+    before: Sequence[ReliefOperator],
+    terrain: dict[str, Any],
 ) -> ReliefOperator:
     """One operator: its keys in the cfg are the fields of its class, but for scattered ones."""
+    size_m = (terrain["size_m"][0], terrain["size_m"][1])
     path = f"terrain/relief/{index}"
     cfg = dict(spec.cfg["terrain"]["relief"][index])
     mask = cfg.pop("mask")
@@ -172,15 +184,14 @@ def _relief(
         if isinstance(node.get("pixel_m"), float):
             # One number stands for square pixels.
             node["pixel_m"] = [node["pixel_m"]] * 2
+        if isinstance(node.get("roughness"), dict):
+            node["roughness"] = Roughness(streams.key(f"{path}/roughness"), **node["roughness"])
         operator = _of_keys(spec, OPERATORS, node, streams, path)
     if mask is None:
         return operator
-    conditions = (
-        _of_keys(spec, CONDITIONS, resolve(node, streams, f"{path}/mask/{i}"), streams,
-                 f"{path}/mask/{i}")
-        for i, node in enumerate(mask)
-    )  # fmt: skip
-    return Masked(operator, tuple(conditions))
+    path = f"{path}/mask"
+    nodes = resolve(mask, streams, path)
+    return Masked(operator, draw_mask(nodes, streams, path, spec.files, before, terrain["ground"]))
 
 
 def _of_keys(

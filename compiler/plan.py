@@ -17,6 +17,7 @@ from scenec.compiler.ground.mesh import Meshing
 from scenec.compiler.scatter.placement import NoiseDensity, UniformDensity
 from scenec.compiler.scatter.rocks import RockShape
 from scenec.compiler.scene import GroundLayer, Labels, Material, SunLight
+from scenec.compiler.terrain.detail import Detail
 from scenec.compiler.terrain.operator import ReliefOperator
 
 
@@ -32,6 +33,7 @@ class TerrainPlan:
         coverage: For each merge, the fraction it shall cover, or None (its center is given).
         variation_key: Noise key of the albedo variation.
         meshing: How fine the mesh is.
+        displacements: Of each layer's material, or None.
     """
 
     size_m: tuple[float, float]
@@ -42,6 +44,7 @@ class TerrainPlan:
     coverage: tuple[float | None, ...]
     variation_key: int
     meshing: Meshing
+    displacements: tuple[Detail | None, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -42,6 +42,7 @@ class Material:
         variation: Albedo is base_color * (1 + variation * v), v in [-1, 1] given on the geometry.
         metallic: m.
         maps: Pictures that vary it, or None.
+        roughness_variation: Roughness is roughness * (1 + roughness_variation * v), of the same v.
     """
 
     base_color: tuple[float, float, float]
@@ -50,6 +51,7 @@ class Material:
     variation: float
     metallic: float = 0.0
     maps: MaterialMaps | None = None
+    roughness_variation: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -96,13 +98,18 @@ class Ground:
 
 @dataclass(frozen=True)
 class Prototype:
-    """A mesh that instances share, of unit size; arrays as in ``Tile``."""
+    """A mesh that instances share, of unit size; arrays as in ``Tile``.
+
+    Attributes:
+        error: How far it is from the finest mesh of its shape, relative to its size.
+    """
 
     name: str
     points: NDArray[np.float32]
     faces: NDArray[np.int32]
     normals: NDArray[np.float32]
     variation: NDArray[np.float32]
+    error: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -211,6 +218,21 @@ class Rig:
 
 
 @dataclass(frozen=True)
+class Georeference:
+    """Where on a planet the terrain lies; recorded, and never part of any arithmetic.
+
+    Attributes:
+        crs: Coordinate reference system: an authority's code, or WKT.
+        center: The world's origin in it, in its units.
+        height_offset_m: Added to the (scaled) heights of the DEM.
+    """
+
+    crs: str
+    center: tuple[float, float]
+    height_offset_m: float
+
+
+@dataclass(frozen=True)
 class Scene:
     """One batch.
 
@@ -227,6 +249,7 @@ class Scene:
         rigs: Cameras.
         outputs: Union of all sensors' outputs.
         bounds: World bounds of the geometry, float64 [2, 3].
+        georeference: Of the first DEM that has one; None without.
     """
 
     name: str
@@ -242,3 +265,4 @@ class Scene:
     rigs: tuple[Rig, ...]
     outputs: tuple[str, ...]
     bounds: NDArray[np.float64]
+    georeference: Georeference | None = None

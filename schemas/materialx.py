@@ -55,6 +55,7 @@ NODES: dict[str, NodeType] = {
     "ND_add_float": NodeType({"in1": "float", "in2": "float"}, "float"),
     "ND_multiply_color3": NodeType({"in1": "color3f", "in2": "color3f"}, "color3f"),
     "ND_multiply_color3FA": NodeType({"in1": "color3f", "in2": "float"}, "color3f"),
+    "ND_clamp_float": NodeType({"in": "float"}, "float"),
     "ND_clamp_color3": NodeType({"in": "color3f"}, "color3f"),
     "ND_dotproduct_vector3": NodeType({"in1": "float3", "in2": "float3"}, "float"),
     "ND_multiply_vector3FA": NodeType({"in1": "float3", "in2": "float"}, "float3"),

@@ -7,7 +7,7 @@ documented for other writers in ``docs/stage.md``.
 from __future__ import annotations
 
 #: Version of this stage schema, authored on the root; a reader refuses a newer major one.
-SCHEMA_VERSION = "1.1"
+SCHEMA_VERSION = "1.2"
 
 ATTR_SCHEMA_VERSION = "scenec:schemaVersion"
 #: double, time-sampled: real time of a sample in seconds.
@@ -23,6 +23,14 @@ ATTR_INSTANCE_IDS_ENABLED = "scenec:instanceIdsEnabled"
 ATTR_INSTANCE_ID = "scenec:instanceId"
 #: double[9], row-major, pixels: the authoritative intrinsics of a camera.
 ATTR_INTRINSICS = "scenec:intrinsics"
+
+#: On the root, where a DEM says on which place of a planet it lies. Nothing reads it: no number of
+#: the scene depends on it. string: coordinate reference system, an authority's code or WKT.
+ATTR_GEOREFERENCE_CRS = "scenec:georeference:crs"
+#: double2: the stage's origin in that system, first axis first (easting, northing).
+ATTR_GEOREFERENCE_CENTER = "scenec:georeference:center"
+#: double: what was added to the DEM's (scaled) heights, meters.
+ATTR_GEOREFERENCE_HEIGHT_OFFSET = "scenec:georeference:heightOffset"
 
 #: Relationship of a mesh to its ordered ground materials; layer 0 is the base.
 REL_LAYERS = "scenec:layers"
@@ -41,6 +49,8 @@ ATTR_SPECULAR = "scenec:surface:specular"
 ATTR_ROUGHNESS = "scenec:surface:roughness"
 ATTR_METALLIC = "scenec:surface:metallic"
 ATTR_COLOR_VARIATION = "scenec:surface:variation"
+#: float, 0 where not authored: roughness at a point is roughness * (1 + this * the same primvar).
+ATTR_ROUGHNESS_VARIATION = "scenec:surface:roughnessVariation"
 #: asset: pictures laid over the ground along Z, u = x / size, v = y / size; base color multiplies,
 #: the others take the place of the number. Keys as in ``schemas.maps.MAP_CHANNELS``.
 ATTR_MAPS = {

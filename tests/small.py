@@ -94,6 +94,18 @@ def small_cfg(**change: Any) -> dict[str, Any]:
     return copy.deepcopy(_CFG) | change
 
 
+def scaled(node: Any, factor: float, length: bool = False) -> Any:
+    """A cfg (or a part of one) with every length multiplied."""
+    if isinstance(node, dict):
+        return {
+            key: scaled(value, factor, key.endswith("_m") or (length and key != "type"))
+            for key, value in node.items()
+        }
+    if isinstance(node, list):
+        return [scaled(value, factor, length) for value in node]
+    return node * factor if length and isinstance(node, int | float) else node
+
+
 def write_cfg(folder: Path, cfg: dict[str, Any] | None = None, name: str = "small.json") -> Path:
     """Writes a cfg (default: the small one) into a folder."""
     path = folder / name

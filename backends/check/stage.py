@@ -26,6 +26,16 @@ from scenec.schemas.errors import StageError
 #: Largest difference between K from a camera's apertures and the authoritative one, pixels.
 INTRINSICS_TOLERANCE_PX = 1e-3
 
+#: Least and greatest value of the numbers on a Material.
+_SURFACE_RANGES = {
+    names.ATTR_BASE_COLOR: (0.0, 1.0),
+    names.ATTR_SPECULAR: (0.0, 1.0),
+    names.ATTR_ROUGHNESS: (0.0, 1.0),
+    names.ATTR_METALLIC: (0.0, 1.0),
+    names.ATTR_COLOR_VARIATION: (0.0, 1.0),
+    names.ATTR_ROUGHNESS_VARIATION: (-1.0, 1.0),
+}
+
 Rule = Callable[[Usd.Prim, LabelTable], Iterator[str]]
 
 
@@ -234,6 +244,20 @@ def _camera(prim: Usd.Prim, table: LabelTable) -> Iterator[str]:
         )
 
 
+def _surface(prim: Usd.Prim, table: LabelTable) -> Iterator[str]:
+    """The numbers of our surface model are finite and in their ranges."""
+    for name, (low, high) in _SURFACE_RANGES.items():
+        attribute = prim.GetAttribute(name)
+        try:
+            values = _numbers(attribute).ravel()
+        except (TypeError, ValueError):
+            yield f"{name} is of type {attribute.GetTypeName()}, expected numbers"
+            continue
+        if not np.isfinite(values).all() or (values < low).any() or (values > high).any():
+            told = ", ".join(f"{value:g}" for value in values)
+            yield f"{name} is {told}, expected {low:g} to {high:g}"
+
+
 def _resolution_of(camera: Usd.Prim) -> tuple[int, int] | None:
     for prim in camera.GetStage().Traverse():
         if prim.IsA(UsdRender.Product):
@@ -274,6 +298,7 @@ _RULES: tuple[tuple[str, Any, Rule], ...] = (
     ("instancer-arrays", UsdGeom.PointInstancer, _instancer_arrays),
     ("instancer-ids", UsdGeom.PointInstancer, _instancer_ids),
     ("camera", UsdGeom.Camera, _camera),
+    ("surface", UsdShade.Material, _surface),
     ("materialx", UsdShade.Shader, _materialx),
 )
 

@@ -43,7 +43,7 @@ class Reach:
     """What occurs on the meshes of a material.
 
     Attributes:
-        vertex, row: The largest variation, absolute.
+        vertex, row: The largest variation, absolute; 0 where there is none.
         smooth: Whether there are shading normals.
     """
 
@@ -166,12 +166,7 @@ class _Look:
             normal_key = (maps.normal, maps.size_m, maps.flip_green)
         elif self._reach.smooth:
             normal = self._facing()
-        roughness: Scalar = max(surface.roughness, _SMOOTHEST)
-        roughness_key: object = roughness
-        if maps is not None and maps.roughness is not None:
-            value = self._texture(maps, maps.roughness, "roughness")
-            roughness = graph.math("MAXIMUM", value, _SMOOTHEST)
-            roughness_key = (maps.roughness, maps.size_m)
+        roughness, roughness_key = self._roughness(surface)
         metallic: Scalar = surface.metallic
         dull: Scalar = 1.0 - surface.metallic
         if maps is not None and maps.metallic is not None:
@@ -185,9 +180,28 @@ class _Look:
             (roughness_key, normal_key): Lobe(roughness, normal, gloss),
         }
 
-    def _color(self, surface: Surface) -> Vector:
-        """base_color * (1 + variation * vertex) * (1 + variation * row) * map, in [0, 1]."""
-        graph, amount, maps = self._graph, surface.variation, surface.maps
+    def _roughness(self, surface: Surface) -> tuple[Scalar, object]:
+        """Number or map, times the factor of its variation; and what tells it from others."""
+        graph, maps = self._graph, surface.maps
+        factor = self._factor(surface.roughness_variation)
+        amount = 0.0 if isinstance(factor, float) else surface.roughness_variation
+        if maps is not None and maps.roughness is not None:
+            value = self._texture(maps, maps.roughness, "roughness")
+            varied = graph.product(value, factor)
+            key: object = (maps.roughness, maps.size_m, amount)
+        elif isinstance(factor, float):
+            smooth = max(surface.roughness, _SMOOTHEST)
+            return smooth, smooth
+        else:
+            varied = graph.product(surface.roughness, factor)
+            key = (surface.roughness, amount)
+        if amount != 0.0:
+            varied = graph.math("MINIMUM", varied, 1.0)
+        return graph.math("MAXIMUM", varied, _SMOOTHEST), key
+
+    def _factor(self, amount: float) -> Scalar:
+        """(1 + amount * vertex) * (1 + amount * row)."""
+        graph = self._graph
         factor: Scalar = 1.0
         if amount != 0.0 and self._reach.vertex > 0.0:
             own = graph.attribute(VARIATION).outputs["Fac"]
@@ -199,7 +213,12 @@ class _Look:
             )
             whole = graph.math("MULTIPLY_ADD", row, amount, 1.0)
             factor = graph.product(factor, whole)
-        color = graph.scaled(surface.base_color, factor)
+        return factor
+
+    def _color(self, surface: Surface) -> Vector:
+        """base_color * (1 + variation * vertex) * (1 + variation * row) * map, in [0, 1]."""
+        graph, amount, maps = self._graph, surface.variation, surface.maps
+        color = graph.scaled(surface.base_color, self._factor(amount))
         if maps is not None and maps.base_color is not None:
             picture = self._texture(maps, maps.base_color, "base_color")
             color = graph.vector("MULTIPLY", color, picture)

@@ -62,14 +62,20 @@ class Mitsuba:
         return None if self.jit else variant.scalar_warning()
 
     def losses(self, scene: RenderScene) -> tuple[str, ...]:
-        """Nothing in the vectorized variants; another masking of gloss in ``scalar_rgb``."""
-        glossy = any(s.specular > 0.0 or s.metallic > 0.0 for s in scene.surfaces)
+        """Nothing in the vectorized variants; cheaper gloss in ``scalar_rgb``."""
+        glossy = [s for s in scene.surfaces if s.glossy]
         if self.jit or not glossy:
             return ()
-        return (
+        found = [
             "mitsuba (scalar_rgb) masks gloss as if its two directions were independent: up to "
-            "10 % darker at roughness 0.9",
-        )
+            "10 % darker at roughness 0.9"
+        ]
+        if any(s.roughness_variation != 0.0 for s in glossy):
+            found.append(
+                "mitsuba (scalar_rgb) squares a roughness that varies at the vertices and not "
+                "between them"
+            )
+        return tuple(found)
 
     def load(self, scene: RenderScene) -> None:
         """Flatten the scene and build Mitsuba's hierarchy over it.

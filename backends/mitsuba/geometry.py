@@ -50,8 +50,8 @@ class FlatMesh:
         points: World positions relative to the scene's center, float32 [n, 3].
         faces: Vertex indices, uint32 [m, 3]; same order as the rows' own faces.
         normals: Unit shading normals, float32 [n, 3], or None.
-        variation, row_variation: Albedo variation of vertices and of rows, at the vertices, float32
-            [n]; None where no surface asks for it.
+        variation, row_variation: Variation of vertices and of rows, at the vertices, float32 [n];
+            None where no surface asks for it.
         weights: Per merge, float32 [layers - 1, n].
         texcoords: x and y, float32 [n, 2], where a surface has maps; else None.
     """
@@ -102,7 +102,7 @@ def flatten(scene: RenderScene, group: Group, center: NDArray[np.float64]) -> Fl
     faces = np.empty((int(group.first_face[-1]), 3), np.uint32)
     normals = np.empty((n, 3), np.float32) if group.smooth else None
     surfaces = group_surfaces(scene, group)
-    varies = any(s.variation != 0.0 for s in surfaces)
+    varies = any(s.varies for s in surfaces)
     present = [
         scene.meshes[m].variation is not None for m in np.unique(scene.rows.mesh[group.rows])
     ]

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,25 @@ from scenec.backends.render_scene import Surface
 PLUGIN = "scenec_layer_mix"
 #: Largest number of channels that one mesh attribute holds.
 _PACK = 3
+#: GGX in float32 loses its digits below this; roughness under 0.032 is drawn as 0.032.
+MIN_ALPHA = 1e-3
+
+
+class Gloss(NamedTuple):
+    """What tells GGX lobes apart: layers of one share a lobe.
+
+    Attributes:
+        roughness: As authored.
+        variation: ``Surface.roughness_variation``, or 0 where nothing varies.
+    """
+
+    roughness: float
+    variation: float
+
+    @property
+    def alpha(self) -> float:
+        """GGX's, where nothing varies."""
+        return max(self.roughness**2, MIN_ALPHA)
 
 
 @dataclass(frozen=True)
@@ -84,27 +103,32 @@ def pack(
     return mix, attributes
 
 
-def texture(mi: Any, mix: Mix, alphas: Sequence[float], kind: str, lobe: int = 0) -> Any:
+def glosses_of(mix: Mix) -> list[Gloss]:
+    """Kind of lobe of each layer."""
+    varies = mix.own is not None or mix.row is not None
+    return [Gloss(s.roughness, s.roughness_variation * varies) for s in mix.surfaces]
+
+
+def texture(mi: Any, mix: Mix, kind: str, lobe: int = 0) -> Any:
     """One quantity of a mix as a texture object.
 
     Args:
         mi: Mitsuba.
         mix: The layers.
-        alphas: Of each layer, GGX's; equal ones are one lobe.
         kind: "diffuse": albedo of the Lambert lobe, as a share of what the GGX lobes leave.
             "gloss": weight of all GGX lobes. "part": weight of lobe ``lobe`` among those up to it.
-            "tint": its color.
+            "tint": its color. "alpha": its GGX's.
         lobe: Number of a lobe, in the order in which layers first have them.
     """
     made = mi.load_dict({"type": register(mi)})
-    made.prepare(mix, alphas, kind, lobe)
+    made.prepare(mix, kind, lobe)
     return made
 
 
-def lobes_of(surfaces: Sequence[Surface], alphas: Sequence[float]) -> list[float]:
-    """Distinct alphas of the layers that have a GGX lobe, in order."""
-    glossy = [a for s, a in zip(surfaces, alphas, strict=True) if s.specular > 0 or s.metallic > 0]
-    return list(dict.fromkeys(glossy))
+def lobes_of(mix: Mix) -> list[Gloss]:
+    """Distinct GGX lobes of the layers that have one, in order."""
+    kinds = zip(mix.surfaces, glosses_of(mix), strict=True)
+    return list(dict.fromkeys(gloss for surface, gloss in kinds if surface.glossy))
 
 
 @lru_cache(maxsize=1)
@@ -115,11 +139,13 @@ def register(mi: Any) -> str:
     class LayerMix(mi.Texture):
         """See the module. Set up by ``prepare``, never by Mitsuba's own parameters."""
 
-        def prepare(self, mix: Mix, alphas: Sequence[float], kind: str, lobe: int) -> None:
+        def prepare(self, mix: Mix, kind: str, lobe: int) -> None:
             self.mix, self.kind = mix, kind
-            self.lobe_of = [lobes_of(mix.surfaces, alphas).index(a)
-                            if s.specular > 0 or s.metallic > 0 else -1
-                            for s, a in zip(mix.surfaces, alphas, strict=True)]  # fmt: skip
+            lobes = lobes_of(mix)
+            self.lobe_of = [
+                lobes.index(gloss) if surface.glossy else -1
+                for surface, gloss in zip(mix.surfaces, glosses_of(mix), strict=True)
+            ]
             self.lobe = lobe
 
             def number(value: float) -> Any:
@@ -131,6 +157,8 @@ def register(mi: Any) -> str:
             self.amounts = [number(s.variation) for s in mix.surfaces]
             self.metals = [number(s.metallic) for s in mix.surfaces]
             self.whites = [number((1.0 - s.metallic) * s.specular) for s in mix.surfaces]
+            if kind == "alpha":
+                self.roughness, self.swing = (number(value) for value in lobes[lobe])
 
         def _channels(self, si: Any, active: Any) -> list[Any]:
             found: list[Any] = []
@@ -158,11 +186,17 @@ def register(mi: Any) -> str:
 
         def _color(self, layer: int, channels: list[Any]) -> Any:
             factor = mi.Float(1.0)
-            for place in (self.mix.own, self.mix.row):
-                if place is not None and self.mix.surfaces[layer].variation > 0.0:
-                    factor *= 1.0 + self.amounts[layer] * channels[place]
+            if self.mix.surfaces[layer].variation != 0.0:
+                factor = self._factor(self.amounts[layer], channels)
             red, green, blue = self.colors[layer]
             return dr.clip(mi.Color3f(red, green, blue) * factor, 0.0, 1.0)
+
+        def _factor(self, amount: Any, channels: list[Any]) -> Any:
+            factor = mi.Float(1.0)
+            for place in (self.mix.own, self.mix.row):
+                if place is not None:
+                    factor *= 1.0 + amount * channels[place]
+            return factor
 
         def _gloss(self, layer: int, shares: list[Any]) -> Any:
             return shares[layer] * (self.whites[layer] + self.metals[layer])
@@ -198,7 +232,11 @@ def register(mi: Any) -> str:
             return mi.Color3f(self.eval_1(si, active))
 
         def eval_1(self, si: Any, active: Any = True) -> Any:
-            shares = self._shares(self._channels(si, active))
+            channels = self._channels(si, active)
+            if self.kind == "alpha":
+                varied = self.roughness * self._factor(self.swing, channels)
+                return dr.maximum(dr.square(dr.clip(varied, 0.0, 1.0)), MIN_ALPHA)
+            shares = self._shares(channels)
             if self.kind == "gloss":
                 return dr.clip(self._sum(shares, len(self.lobe_of)), 0.0, 1.0) & active
             below = self._sum(shares, self.lobe)

@@ -1,4 +1,4 @@
-"""A texture that is the product of two, which Mitsuba lacks: a map times a vertex color."""
+"""A texture that is the product of two, which Mitsuba lacks: a map times what varies."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ PLUGIN = "scenec_product"
 def texture(
     mi: Any, first: Any, second: Any, lower: float = 0.0, upper: float = 1e9
 ) -> dict[str, Any]:
-    """Dictionary of first * second, clamped; each a texture's dictionary."""
+    """Dictionary of first * second, clamped; each a texture's dictionary, or second a number."""
     return {
         "type": PLUGIN,
         "first": first,
@@ -23,11 +23,12 @@ def texture(
     }
 
 
-def _nested(mi: Any, value: dict[str, Any]) -> dict[str, Any]:
-    if value["type"] != "rgb":
+def _nested(mi: Any, value: dict[str, Any] | float) -> dict[str, Any]:
+    if isinstance(value, dict) and value["type"] != "rgb":
         return value
     # As a factor a color may lie beyond the range of reflectances, which "rgb" refuses.
-    pixel = mi.Bitmap(np.array(value["value"], np.float32).reshape(1, 1, 3))
+    constant = value["value"] if isinstance(value, dict) else value
+    pixel = mi.Bitmap(np.array(constant, np.float32).reshape(1, 1, -1))
     return {"type": "bitmap", "bitmap": pixel, "raw": True, "filter_type": "nearest"}
 
 

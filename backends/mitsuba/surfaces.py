@@ -12,10 +12,8 @@ from numpy.typing import NDArray
 from scenec.backends.maps import load_map
 from scenec.backends.mitsuba import ggx, mix, product, sided
 from scenec.backends.mitsuba.geometry import FlatMesh
+from scenec.backends.mitsuba.mix import MIN_ALPHA
 from scenec.backends.render_scene import Maps, Surface
-
-#: GGX in float32 loses its digits below this; roughness under 0.032 is drawn as 0.032.
-MIN_ALPHA = 1e-3
 
 
 @dataclass(frozen=True)
@@ -52,16 +50,15 @@ def _merged_look(mi: Any, surfaces: Sequence[Surface], flat: FlatMesh) -> Look:
     """Layers without maps: the model is linear in its lobes, so equal ones add up.
 
     With the share W_i of layer i, all Lambert lobes are one, of albedo
-    sum W_i (1 - m_i) (1 - s_i) c_i, and all GGX lobes of one roughness are one, of weight
+    sum W_i (1 - m_i) (1 - s_i) c_i, and all GGX lobes of one ``mix.Gloss`` are one, of weight
     sum W_i ((1 - m_i) s_i + m_i) and a color that is the mean of white and c_i in these parts: n
-    layers take one diffuse BSDF and one per distinct roughness, not 3 n.
+    layers take one diffuse BSDF and one per distinct gloss, not 3 n.
     """
     layers, attributes = mix.pack(surfaces, flat.weights, flat.variation, flat.row_variation)
-    alphas = [max(surface.roughness**2, MIN_ALPHA) for surface in surfaces]
-    lobes = mix.lobes_of(surfaces, alphas)
+    glosses, lobes = mix.glosses_of(layers), mix.lobes_of(layers)
 
     def quantity(kind: str, lobe: int = 0) -> Any:
-        made = mix.texture(mi, layers, alphas, kind, lobe)
+        made = mix.texture(mi, layers, kind, lobe)
         if not layers.constant:
             return made
         # The same everywhere: a number, which Mitsuba compiles better.
@@ -73,11 +70,12 @@ def _merged_look(mi: Any, surfaces: Sequence[Surface], flat: FlatMesh) -> Look:
     bsdf: dict[str, Any] = {"type": "diffuse", "reflectance": quantity("diffuse")}
     if lobes:
         glossy: dict[str, Any] = {}
-        for number, alpha in enumerate(lobes):
+        for number, gloss in enumerate(lobes):
             metal = any(
-                surface.metallic > 0.0 and own == alpha
-                for surface, own in zip(surfaces, alphas, strict=True)
+                surface.metallic > 0.0 and own == gloss
+                for surface, own in zip(surfaces, glosses, strict=True)
             )
+            alpha = gloss.alpha if gloss.variation == 0.0 else quantity("alpha", number)
             lobe = ggx.lobe(mi, alpha, quantity("tint", number) if metal else None)
             glossy = _blend(quantity("part", number), glossy, lobe) if glossy else lobe
         bsdf = _blend(quantity("gloss"), bsdf, glossy)
@@ -93,8 +91,10 @@ def _nested_look(
     attributes: dict[str, NDArray[np.float32]] = {}
     bsdf: dict[str, Any] | None = None
     colors = vertex_colors(surfaces, flat)
-    for number, (surface, color) in enumerate(zip(surfaces, colors, strict=True)):
-        layer = _layer(mi, surface, _texture(color, f"vertex_color_{number}", attributes), center)
+    for number, (surface, values) in enumerate(zip(surfaces, colors, strict=True)):
+        color = _texture(values, f"vertex_color_{number}", attributes)
+        gloss = _gloss(mi, surface, flat, f"vertex_rough_{number}", attributes)
+        layer = _layer(mi, surface, color, gloss, center)
         if bsdf is None:
             bsdf = layer
         else:
@@ -108,18 +108,46 @@ def vertex_colors(surfaces: Sequence[Surface], flat: FlatMesh) -> list[NDArray[n
     """Base color of each layer at the vertices, [n, 3] or [1, 3]."""
     colors = []
     for surface in surfaces:
-        color = np.array(surface.base_color, np.float64)[None, :]
-        for variation in (flat.variation, flat.row_variation):
-            if variation is not None and surface.variation > 0.0:
-                color = color * (1.0 + surface.variation * variation.astype(np.float64)[:, None])
+        color = np.array(surface.base_color) * _vertex_factors(flat, surface.variation)[:, None]
         # Above 1 it is clipped, but after the map where there is one.
         upper = np.inf if surface.maps and surface.maps.base_color else 1.0
         colors.append(np.clip(color, 0.0, upper).astype(np.float32))
     return colors
 
 
-def _layer(mi: Any, surface: Surface, color: Any, center: NDArray[np.float64]) -> dict[str, Any]:
-    """One surface, with its maps if it has any."""
+def _vertex_factors(flat: FlatMesh, amount: float) -> NDArray[np.float64]:
+    """(1 + amount * vertex's) * (1 + amount * row's) at the vertices, [n] or [1]."""
+    factors = np.ones(1)
+    for variation in (flat.variation, flat.row_variation):
+        if variation is not None and amount != 0.0:
+            factors = factors * (1.0 + amount * variation.astype(np.float64))
+    return factors
+
+
+def _gloss(
+    mi: Any,
+    surface: Surface,
+    flat: FlatMesh,
+    name: str,
+    attributes: dict[str, NDArray[np.float32]],
+) -> Any:
+    """Alpha; of a surface with a map of roughness, the factor on that. A number or a texture."""
+    values = _vertex_factors(flat, surface.roughness_variation if surface.glossy else 0.0)
+    if surface.maps is not None and surface.maps.roughness is not None:
+        return _texture(values[:, None], name, attributes)
+    values = surface.roughness * values
+    if mi.variant().startswith("scalar") or np.all(values == values[0]):
+        alpha = np.maximum(np.clip(values, 0.0, 1.0) ** 2, MIN_ALPHA)
+        return _texture(alpha[:, None], name, attributes)
+    rough = _texture(values[:, None], name, attributes)
+    # Squared after it was interpolated, as in every renderer.
+    return product.texture(mi, rough, rough, lower=MIN_ALPHA, upper=1.0)
+
+
+def _layer(
+    mi: Any, surface: Surface, color: Any, gloss: Any, center: NDArray[np.float64]
+) -> dict[str, Any]:
+    """One surface, with its maps if it has any; ``gloss`` as ``_gloss`` gives it."""
     maps = surface.maps or Maps(1.0)
 
     def bitmap(path: Any, kind: str, flip_green: bool = False) -> dict[str, Any]:
@@ -142,10 +170,11 @@ def _layer(mi: Any, surface: Surface, color: Any, center: NDArray[np.float64]) -
 
     if maps.base_color is not None:
         color = product.texture(mi, bitmap(maps.base_color, "base_color"), color, upper=1.0)
-    alpha: Any = max(surface.roughness**2, MIN_ALPHA)
+    alpha: Any = gloss
     if maps.roughness is not None:
         rough = bitmap(maps.roughness, "roughness")
-        # Squared after it was interpolated, as in every renderer.
+        if gloss != 1.0:
+            rough = product.texture(mi, rough, gloss, upper=1.0)
         alpha = product.texture(mi, rough, rough, lower=MIN_ALPHA)
     metallic: Any = surface.metallic
     if maps.metallic is not None:
@@ -172,7 +201,7 @@ def _blend(weight: Any, below: dict[str, Any], above: dict[str, Any]) -> dict[st
 
 
 def _texture(
-    values: NDArray[np.float32], name: str, attributes: dict[str, NDArray[np.float32]]
+    values: NDArray[np.floating], name: str, attributes: dict[str, NDArray[np.float32]]
 ) -> Any:
     """A constant where all vertices agree, else an attribute of that name."""
     if len(values) == 1 or np.all(values == values[:1]):

@@ -29,9 +29,9 @@ class Tables:
         meshes: Per drawn mesh (first vertex, first face, first weight, flags), then (first layer,
             number of layers, number of vertices, 0), uint32 [2 m, 4].
         layers: Indices of surfaces, uint32 [l].
-        surfaces: Per surface (base color, specular), (roughness, variation, metallic, 0), (first
-            layer of its maps or -1, 0, 1 / size of the maps, 0), (what to add to texture
-            coordinates, 0, 0), float32 [4 s, 4].
+        surfaces: Per surface (base color, specular), (roughness, variation, metallic,
+            roughness_variation), (first layer of its maps or -1, 0, 1 / size of the maps, 0), (what
+            to add to texture coordinates, 0, 0), float32 [4 s, 4].
         sizes: Of the maps of each surface, meters, float64 [s]; 0 without maps.
         maps: Two layers a surface that has any: base color and roughness, then normal and metallic;
             row 0 at the bottom, float16 [2 k, h, w, 4].
@@ -120,10 +120,10 @@ def _features(scene: RenderScene) -> tuple[str, ...]:
         mapped = [s.maps for s in surfaces if s.maps and any(_files(s.maps))]
         if mapped:
             features.add("WITH_MAPS")
-        glossy = any(s.specular or s.metallic for s in surfaces) or any(m.metallic for m in mapped)
+        glossy = any(s.glossy for s in surfaces)
         if glossy:
             features.add("WITH_GLOSS")
-        differ = glossy and len({s.roughness for s in surfaces}) > 1
+        differ = glossy and len({(s.roughness, s.roughness_variation) for s in surfaces}) > 1
         if differ or any(m.normal or m.roughness or m.metallic for m in mapped):
             features.add("WITH_MIXED")
     return tuple(sorted(features))
@@ -137,7 +137,12 @@ def _surface_rows(
     pictures: list[NDArray[np.float32]] = []
     for row, surface in zip(rows, surfaces, strict=True):
         row[0] = (*surface.base_color, surface.specular)
-        row[1] = (surface.roughness, surface.variation, surface.metallic, 0.0)
+        row[1] = (
+            surface.roughness,
+            surface.variation,
+            surface.metallic,
+            surface.roughness_variation,
+        )
         row[2] = (-1.0, 0.0, 0.0, 0.0)
         if surface.maps is not None and any(_files(surface.maps)):
             row[2] = (len(pictures), 0.0, 1.0 / surface.maps.size_m, 0.0)

@@ -60,7 +60,7 @@ def read_layers(
 
 
 def read_variation(prim: Usd.Prim, count: int) -> NDArray[np.float32] | None:
-    """The albedo variation's values, float32 [count], or None where none are authored."""
+    """The variation's values, float32 [count], or None where none are authored."""
     primvar = UsdGeom.PrimvarsAPI(prim).GetPrimvar(names.PRIMVAR_VARIATION)
     if not primvar or not primvar.HasValue():
         return None
@@ -108,6 +108,9 @@ def surface_of(
     Args:
         material: The material.
         fallback: Color where diffuseColor is connected to something that is not read.
+
+    Raises:
+        StageError: One of our numbers is none, or not finite; or a map does not exist.
     """
     prim = material.GetPrim()
     path = str(prim.GetPath())
@@ -117,11 +120,12 @@ def surface_of(
         return Surface(
             path,
             (red, green, blue),
-            float(prim.GetAttribute(names.ATTR_SPECULAR).Get() or 0.0),
-            float(prim.GetAttribute(names.ATTR_ROUGHNESS).Get() or 0.0),
-            float(prim.GetAttribute(names.ATTR_COLOR_VARIATION).Get() or 0.0),
-            float(prim.GetAttribute(names.ATTR_METALLIC).Get() or 0.0),
+            _number(prim, names.ATTR_SPECULAR),
+            _number(prim, names.ATTR_ROUGHNESS),
+            _number(prim, names.ATTR_COLOR_VARIATION),
+            _number(prim, names.ATTR_METALLIC),
             _maps(prim),
+            _number(prim, names.ATTR_ROUGHNESS_VARIATION),
         )
     shader, _, _ = material.ComputeSurfaceSource()
     if not shader or shader.GetIdAttr().Get() != "UsdPreviewSurface":
@@ -139,6 +143,18 @@ def surface_of(
         0.0,
         0.0 if specular else min(max(_input(shader, "metallic", 0.0), 0.0), 1.0),
     )
+
+
+def _number(prim: Usd.Prim, name: str) -> float:
+    """An attribute of the surface model, 0 where it is not authored."""
+    value = prim.GetAttribute(name).Get()
+    try:
+        number = float(value or 0.0)
+    except (TypeError, ValueError):
+        number = math.nan
+    if not math.isfinite(number):
+        raise StageError(f"{prim.GetPath()}: {name} is {value}, expected a finite number")
+    return number
 
 
 def _maps(prim: Usd.Prim) -> Maps | None:

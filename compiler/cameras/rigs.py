@@ -7,25 +7,25 @@ from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.cameras.poses import bearing_vector, look_at
+from scenec.compiler.ground.surface import Surface
 from scenec.compiler.plan import RandomTargetPlan, RigPlan, SensorPlan
 from scenec.compiler.scene import Rig, Sensor
-from scenec.compiler.terrain.grid import HeightField
 
 
 def build_rigs(
-    plans: tuple[RigPlan, ...], field: HeightField, irradiance: NDArray[np.float64] | None
+    plans: tuple[RigPlan, ...], surface: Surface, irradiance: NDArray[np.float64] | None
 ) -> tuple[Rig, ...]:
     """All rigs.
 
     Args:
         plans: What was drawn.
-        field: The terrain they stand on.
+        surface: The terrain they stand on.
         irradiance: On level ground at every sample, for metered exposures; None without pictures.
     """
     return tuple(
         Rig(
             plan.name,
-            _random_target(plan.pose, field)
+            _random_target(plan.pose, surface)
             if isinstance(plan.pose, RandomTargetPlan)
             else plan.pose.to_world,
             tuple(_sensor(sensor, irradiance) for sensor in plan.sensors),
@@ -57,12 +57,12 @@ def incident_exposure(irradiance: NDArray[np.float64]) -> NDArray[np.float64]:
     return ev
 
 
-def _random_target(plan: RandomTargetPlan, field: HeightField) -> NDArray[np.float64]:
+def _random_target(plan: RandomTargetPlan, surface: Surface) -> NDArray[np.float64]:
     x, y = np.ascontiguousarray(plan.xy.T)
-    position = np.stack([x, y, field.height_at(x, y) + plan.height_m], axis=1)
+    position = np.stack([x, y, surface.height_at(x, y) + plan.height_m], axis=1)
     offset = np.array([bearing_vector(float(b)) for b in plan.bearing_deg])
     target = position + plan.distance_m[:, None] * offset
-    ground = field.height_at(target[:, 0].copy(), target[:, 1].copy())
+    ground = surface.height_at(target[:, 0].copy(), target[:, 1].copy())
     target[:, 2] = ground + plan.target_height_m
     return np.stack(
         [look_at(position[i], target[i], float(plan.roll_deg[i])) for i in range(len(position))]

@@ -2,86 +2,189 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
+from scenec.compiler.cameras.hidden import hidden_blocks
+from scenec.compiler.cameras.poses import compose
 from scenec.compiler.scene import Rig
 from scenec.compiler.terrain.grid import HeightField
 
 #: Views reach this far beyond their picture's border, in parts of its size: what lies just outside
 #: is seen from the next pixel's corner, and casts the nearest shadows.
 MARGIN = 0.05
-#: No sample counts as nearer than this, meters.
+#: No sample counts as nearer than this, meters, or than the grid's spacing where that is finer.
 NEAREST_M = 0.05
 
 
-def pixels_per_meter(
-    field: HeightField, rigs: tuple[Rig, ...], unseen: float
-) -> NDArray[np.float64]:
+class Views(NamedTuple):
+    """All cameras at all samples.
+
+    Attributes:
+        poses: Camera-to-world, OpenCV axes, float64 [c, 3, 4].
+        numbers: fx, fy, cx, cy, skew, width, height in pixels, float64 [c, 7].
+        hidden: Blocks of ground that lie behind others, bool [c, by, bx]; one of no size: none is
+            known to.
+        blocks: x and y of the first block's corner, and a block's width in both, float64 [4].
+    """
+
+    poses: NDArray[np.float64]
+    numbers: NDArray[np.float64]
+    hidden: NDArray[np.bool_]
+    blocks: NDArray[np.float64]
+
+
+#: Of a batch without cameras.
+NO_VIEWS = Views(np.zeros((0, 3, 4)), np.zeros((0, 7)), np.zeros((0, 0, 0), np.bool_), np.zeros(4))
+
+
+def views_of(
+    rigs: tuple[Rig, ...], field: HeightField | None = None, margin_m: float = 0.0
+) -> Views:
+    """The views of all rigs' sensors at every sample.
+
+    Args:
+        rigs: The cameras.
+        field: The terrain, for what hides behind it; None: nothing does.
+        margin_m: How far the ground may lie above or below that.
+    """
+    poses, numbers = [], []
+    for rig in rigs:
+        for sensor in rig.sensors:
+            for pose in rig.to_world:
+                poses.append(compose(pose, sensor.to_rig)[:3])
+                numbers.append((*sensor.intrinsics, *map(float, sensor.resolution)))
+    if not poses:
+        return NO_VIEWS
+    cameras = np.array(poses, np.float64)
+    views = NO_VIEWS._replace(poses=cameras, numbers=np.array(numbers, np.float64))
+    if field is None:
+        return views
+    hidden, blocks = hidden_blocks(field, cameras[:, :, 3], margin_m)
+    return views._replace(hidden=hidden, blocks=blocks)
+
+
+def pixels_per_meter(field: HeightField, views: Views, unseen: float) -> NDArray[np.float64]:
     """Pixels that a meter across the view takes at each sample, in the view that shows it largest.
 
-    A sample outside of a view counts with a fraction of that: its shadows and the light it sends
-    on may still be seen. What hides behind hills counts as seen.
+    A sample outside of a view, or behind a hill, counts with a fraction of that: its shadows and
+    the light it sends on may still be seen.
 
     Args:
         field: The terrain.
-        rigs: Cameras at every sample; none: 0 everywhere.
+        views: Cameras at every sample; none: 0 everywhere.
         unseen: The fraction, in [0, 1].
 
     Returns:
         float64 [ny, nx].
     """
-    views = []
-    for rig in rigs:
-        for sensor in rig.sensors:
-            for pose in rig.to_world:
-                camera = np.zeros((3, 4))
-                for i in range(3):
-                    for j in range(3):
-                        for k in range(3):
-                            camera[i, j] += pose[i, k] * sensor.to_rig[k, j]
-                    camera[i, 3] = pose[i, 3] + sum(
-                        pose[i, k] * sensor.to_rig[k, 3] for k in range(3)
-                    )
-                views.append((camera, (*sensor.intrinsics, *map(float, sensor.resolution))))
     out = np.zeros(field.grid.shape)
-    if views:
+    if len(views.poses):
         _nearest_views(
-            np.stack([camera for camera, _ in views]),
-            np.array([numbers for _, numbers in views]),
+            *views,
             field.grid.x(),
             field.grid.y(),
             field.height,
             unseen,
+            min(NEAREST_M, *field.grid.spacing_m),
             out,
         )
     return out
 
 
+def pixels_of_balls(
+    views: Views,
+    points: NDArray[np.float64],
+    radius: NDArray[np.float64],
+    unseen: float,
+    nearest_m: float,
+) -> NDArray[np.float64]:
+    """Pixels that a meter takes at most anywhere in balls, in the view that shows it largest.
+
+    Args:
+        views: The cameras.
+        points, radius: The balls, float64 [n, 3] and [n].
+        unseen: As in ``pixels_per_meter``.
+        nearest_m: No point counts as nearer than this.
+
+    Returns:
+        float64 [n].
+    """
+    out = np.zeros(len(points))
+    _of_balls(*views, points, radius, unseen, nearest_m, out)
+    return out
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def _is_hidden(hidden, blocks, c, x, y, radius):  # type: ignore[no-untyped-def]
+    """Whether all blocks that a ball touches hide from view c."""
+    if hidden.shape[0] == 0:
+        return False
+    i0 = int(np.floor((x - radius - blocks[0]) / blocks[2]))
+    i1 = int(np.floor((x + radius - blocks[0]) / blocks[2]))
+    j0 = int(np.floor((y - radius - blocks[1]) / blocks[3]))
+    j1 = int(np.floor((y + radius - blocks[1]) / blocks[3]))
+    # A large one seldom hides as a whole.
+    if (i1 - i0) * (j1 - j0) > 16:
+        return False
+    for j in range(max(j0, 0), min(j1, hidden.shape[1] - 1) + 1):
+        for i in range(max(i0, 0), min(i1, hidden.shape[2] - 1) + 1):
+            if not hidden[c, j, i]:
+                return False
+    return True
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def _pixels(poses, numbers, hidden, blocks, x, y, z, radius, unseen, nearest):  # type: ignore[no-untyped-def]
+    """Pixels a meter of a ball in the view that shows it largest."""
+    best = 0.0
+    for c in range(poses.shape[0]):
+        m = poses[c]
+        fx, fy, cx, cy, skew, width, rows = numbers[c]
+        px = x - m[0, 3]
+        py = y - m[1, 3]
+        pz = z - m[2, 3]
+        distance = max(np.sqrt(px * px + py * py + pz * pz) - radius, nearest)
+        value = max(fx, fy) / distance
+        # Most views lose here, which spares the rest.
+        if value <= best:
+            continue
+        depth = m[0, 2] * px + m[1, 2] * py + m[2, 2] * pz
+        seen = False
+        if depth > radius:
+            # A ball spreads over the picture as it does at its nearest depth, and no farther.
+            spread = radius / (depth - radius)
+            right = (m[0, 0] * px + m[1, 0] * py + m[2, 0] * pz) / depth
+            down = (m[0, 1] * px + m[1, 1] * py + m[2, 1] * pz) / depth
+            u = fx * right + skew * down + cx
+            v = fy * down + cy
+            tall = 1.0 + abs(down)
+            wide = MARGIN * width + (fx * (1.0 + abs(right)) + abs(skew) * tall) * spread
+            high = MARGIN * rows + fy * tall * spread
+            seen = -wide <= u <= width + wide and -high <= v <= rows + high
+        elif depth > -radius:
+            # The picture's plane through the eye cuts the ball.
+            seen = True
+        if not seen or _is_hidden(hidden, blocks, c, x, y, radius):
+            value *= unseen
+        best = max(best, value)
+    return best
+
+
 @njit(cache=True, error_model="numpy", parallel=True)
-def _nearest_views(cameras, numbers, x, y, height, unseen, out):  # type: ignore[no-untyped-def]
+def _of_balls(poses, numbers, hidden, blocks, points, radius, unseen, nearest, out):  # type: ignore[no-untyped-def]
+    for n in prange(len(points)):
+        x, y, z = points[n]
+        out[n] = _pixels(poses, numbers, hidden, blocks, x, y, z, radius[n], unseen, nearest)
+
+
+@njit(cache=True, error_model="numpy", parallel=True)
+def _nearest_views(poses, numbers, hidden, blocks, x, y, height, unseen, nearest, out):  # type: ignore[no-untyped-def]
     for j in prange(y.size):
         for i in range(x.size):
-            best = 0.0
-            for c in range(cameras.shape[0]):
-                m = cameras[c]
-                fx, fy, cx, cy, skew, width, rows = numbers[c]
-                px, py, pz = x[i] - m[0, 3], y[j] - m[1, 3], height[j, i] - m[2, 3]
-                distance = max(np.sqrt(px * px + py * py + pz * pz), 0.05)
-                value = max(fx, fy) / distance
-                # Most views lose here, which spares the rest.
-                if value <= best:
-                    continue
-                depth = m[0, 2] * px + m[1, 2] * py + m[2, 2] * pz
-                seen = False
-                if depth > 0.0:
-                    right = (m[0, 0] * px + m[1, 0] * py + m[2, 0] * pz) / depth
-                    down = (m[0, 1] * px + m[1, 1] * py + m[2, 1] * pz) / depth
-                    u = fx * right + skew * down + cx
-                    v = fy * down + cy
-                    seen = -0.05 * width <= u <= 1.05 * width and -0.05 * rows <= v <= 1.05 * rows
-                if not seen:
-                    value *= unseen
-                best = max(best, value)
-            out[j, i] = best
+            out[j, i] = _pixels(
+                poses, numbers, hidden, blocks, x[i], y[j], height[j, i], 0.0, unseen, nearest
+            )

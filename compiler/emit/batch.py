@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from pxr import Sdf, Usd, UsdGeom, Vt
+from pxr import Gf, Sdf, Usd, UsdGeom, Vt
 
 from scenec.compiler.emit.cameras import camera_path, clipping_range, write_cameras
 from scenec.compiler.emit.layer import author, constant_label_ids, label, new_layer
@@ -112,11 +112,25 @@ def _write_root(path: Path, scene: Scene, sublayers: list[str]) -> None:
             sky = UsdGeom.Scope.Define(stage, names.SKY_PRIM).GetPrim()
             constant_label_ids(sky, scene.sky_labels)
             label(sky, _named(scene, scene.sky_labels))
+        _write_georeference(world, scene)
         _write_instance_bases(stage, scene)
         for rig in scene.rigs:
             for sensor in rig.sensors:
                 camera = UsdGeom.Camera(stage.OverridePrim(camera_path(rig, sensor)))
                 camera.CreateClippingRangeAttr(clipping_range(rig, sensor, scene.bounds))
+
+
+def _write_georeference(world: Usd.Prim, scene: Scene) -> None:
+    place = scene.georeference
+    if place is None:
+        return
+    types = Sdf.ValueTypeNames
+    for name, kind, value in (
+        (names.ATTR_GEOREFERENCE_CRS, types.String, place.crs),
+        (names.ATTR_GEOREFERENCE_CENTER, types.Double2, Gf.Vec2d(*place.center)),
+        (names.ATTR_GEOREFERENCE_HEIGHT_OFFSET, types.Double, place.height_offset_m),
+    ):
+        world.CreateAttribute(name, kind, custom=True).Set(value)
 
 
 def _write_instance_bases(stage: Usd.Stage, scene: Scene) -> None:

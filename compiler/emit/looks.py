@@ -28,6 +28,7 @@ def write_look(path: Path, name: str, material: Material, maps: dict[str, str]) 
     The numbers of the shared surface model stand as ``scenec:surface:*``, which backends read. The
     UsdPreviewSurface is derived from them: it shows displayColor, where the merges of the ground
     are already blended, with the GGX lobe as its specular color (of a metal: its metallic part).
+    Its roughness is the material's number, without maps and variation.
 
     Args:
         path: The layer, in a folder of the batch's folder.
@@ -49,6 +50,10 @@ def write_look(path: Path, name: str, material: Material, maps: dict[str, str]) 
             (names.ATTR_COLOR_VARIATION, material.variation),
         ):
             prim.CreateAttribute(attribute, Sdf.ValueTypeNames.Float, custom=True).Set(value)
+        if material.roughness_variation != 0.0:
+            prim.CreateAttribute(
+                names.ATTR_ROUGHNESS_VARIATION, Sdf.ValueTypeNames.Float, custom=True
+            ).Set(material.roughness_variation)
         if material.maps is not None:
             _write_maps(prim, material.maps, maps)
         color = UsdShade.Shader.Define(stage, f"{look_path(name)}/Color")

@@ -199,10 +199,12 @@ class _Layer:
         return self._node("glossy", "ND_add_bsdf", in1=diffuse, in2=gloss)
 
     def _ggx(self, name: str, color: Value, normal: dict[str, Value]) -> UsdShade.Output:
-        alpha: Value = Gf.Vec2f(self._material.roughness * self._material.roughness)
-        if "roughness" in self._files:
-            roughness = self._picture("roughness", "ND_image_float")
+        roughness = self._roughness()
+        alpha: Value
+        if isinstance(roughness, UsdShade.Output):
             alpha = self._node("alpha", "ND_roughness_anisotropy", roughness=roughness)
+        else:
+            alpha = Gf.Vec2f(roughness * roughness)
         return self._node(
             name,
             "ND_generalized_schlick_bsdf",
@@ -210,6 +212,29 @@ class _Layer:
             color90=color,
             roughness=alpha,
             **normal,
+        )
+
+    def _roughness(self) -> UsdShade.Output | float:
+        """Number or map * (1 + roughness_variation * v), clipped if it can pass 1."""
+        material = self._material
+        roughness: UsdShade.Output | float = material.roughness
+        mapped = "roughness" in self._files
+        if mapped:
+            roughness = self._picture("roughness", "ND_image_float")
+        amount = material.roughness_variation
+        if amount == 0.0:
+            return roughness
+        part = self._node("rough_part", "ND_multiply_float", in1=self._variation(), in2=amount)
+        factor = self._node("rough_factor", "ND_add_float", in1=part, in2=1.0)
+        varied = self._node("rough_varied", "ND_multiply_float", in1=factor, in2=roughness)
+        if mapped or material.roughness * (1.0 + abs(amount)) > 1.0:
+            varied = self._node("rough_clipped", "ND_clamp_float", in_=varied)
+        return varied
+
+    def _variation(self) -> UsdShade.Output:
+        """v, on the vertices."""
+        return self._network.node(
+            "variation", "ND_geompropvalue_float", geomprop=names.PRIMVAR_VARIATION
         )
 
     def _color(self) -> Value:
@@ -222,10 +247,9 @@ class _Layer:
                 picture = self._node("tinted", "ND_multiply_color3", in1=picture, in2=color)
             color = picture
         if material.variation > 0.0:
-            value = self._network.node(
-                "variation", "ND_geompropvalue_float", geomprop=names.PRIMVAR_VARIATION
+            part = self._node(
+                "part", "ND_multiply_float", in1=self._variation(), in2=material.variation
             )
-            part = self._node("part", "ND_multiply_float", in1=value, in2=material.variation)
             factor = self._node("factor", "ND_add_float", in1=part, in2=1.0)
             color = self._node("varied", "ND_multiply_color3FA", in1=color, in2=factor)
         floating = file is not None and not is_encoded("base_color", file)

@@ -97,6 +97,23 @@ def _check_dem(file: FilePath, path: Path, owner: Any, document: Any) -> list[Fi
     return []
 
 
+def _check_mesh(file: FilePath, path: Path, owner: Any, document: Any) -> list[Finding]:
+    from scenec.compiler.assets.mesh_file import finish_mesh, missing_keys, parse_mesh
+
+    keys = ("unit_m", "up", "part")
+    unit_m, up, part = (owner.get(key) for key in keys)
+    # Values that the schema finds fault with count as given.
+    parsed = parse_mesh(file)
+    missing = missing_keys(parsed, unit_m, up)
+    if missing:
+        return [
+            Finding(path[:-1], f'the key "{key}" is missing: {file.name} does not say it')
+            for key in missing
+        ]
+    finish_mesh(file, parsed, part=part if isinstance(part, str) else None)
+    return []
+
+
 def _check_image(file: FilePath, path: Path, owner: Any, document: Any) -> list[Finding]:
     with file.open("rb") as stream:
         magic = stream.read(4)
@@ -154,6 +171,7 @@ _CHECKS: dict[str, Callable[[FilePath, Path, Any, Any], list[Finding]]] = {
     "dem": _check_dem,
     "image": _check_image,
     "map": _check_map,
+    "mesh": _check_mesh,
     "polyline": _check_polyline,
     "track": _check_track,
 }

@@ -24,6 +24,7 @@ def check_names(document: Any, sound: bool) -> list[Finding]:
     cfg = _mapping(document)
     users = list(_users(cfg))
     findings = [*_check_materials(cfg, users), *_check_levels(cfg, users), *_check_ids(cfg)]
+    findings.extend(_check_masks(cfg))
     findings.extend(_check_unused(cfg, users, None if sound else _all_words(cfg)))
     return findings
 
@@ -59,6 +60,37 @@ def _check_materials(
             yield Finding(
                 (*path, "material"), f"no material {shown(name)}{nearest(name, materials)}"
             )
+
+
+def _check_masks(cfg: Mapping[str, Any]) -> Iterator[Finding]:
+    """Masks by material name one that lies on the ground, and a layer of it."""
+    terrain = _mapping(cfg.get("terrain"))
+    ground, relief = terrain.get("ground"), terrain.get("relief")
+    if not isinstance(ground, list) or not isinstance(relief, list):
+        return
+    lies = [_mapping(layer).get("material") for layer in ground]
+    known = list(dict.fromkeys(name for name in lies if isinstance(name, str)))
+    for i, operator in enumerate(relief):
+        mask = _mapping(operator).get("mask")
+        for k, condition in enumerate(mask if isinstance(mask, list) else []):
+            node = _mapping(condition)
+            name, layer = node.get("material"), node.get("layer")
+            if node.get("type") != "material" or not isinstance(name, str):
+                continue
+            path = ("terrain", "relief", i, "mask", k)
+            if name not in known:
+                yield Finding(
+                    (*path, "material"),
+                    f"no ground layer of the material {shown(name)}{nearest(name, known)}",
+                )
+                continue
+            own = [n for n, other in enumerate(lies) if other == name]
+            if isinstance(layer, int) and layer not in own:
+                yield Finding(
+                    (*path, "layer"),
+                    f"{shown(layer)} is no layer of {shown(name)}: expected "
+                    f"{' or '.join(map(str, own))}",
+                )
 
 
 def _check_levels(

@@ -18,7 +18,7 @@ from scenec.schemas.maps import MAP_CHANNELS
 #: Height samples of a terrain at most (2 GiB of float64).
 MAX_HEIGHT_SAMPLES = 2**28
 
-_BASES = ("plane", "dem")
+_BASES = ("plane", "dem", "mesh")
 
 
 def check_scene(document: Any, numbers: dict[Path, Field]) -> list[Finding]:
@@ -31,8 +31,10 @@ def check_scene(document: Any, numbers: dict[Path, Field]) -> list[Finding]:
     spans = {path: support(field.value, field.keywords) for path, field in numbers.items()}
     return [
         *_check_relief(document),
+        *_check_mesh_bases(document),
         *_check_craters(document, spans),
-        *_check_masks(document, spans),
+        *_check_conditions(document, spans),
+        *_check_freshness(document),
         *_check_layers(document),
         *_check_materials(document),
         *_check_samples(spans),
@@ -70,6 +72,34 @@ def _check_relief(document: Any) -> Iterator[Finding]:
         )
 
 
+def _check_mesh_bases(document: Any) -> Iterator[Finding]:
+    """What goes with a mesh that is kept, and what with one that becomes heights."""
+    for i, node in _entries(document, "terrain", "relief"):
+        if not isinstance(node, dict) or node.get("type") != "mesh":
+            continue
+        path = ("terrain", "relief", i)
+        if node.get("surface", "mesh") == "mesh":
+            if i != 0:
+                yield Finding(
+                    (*path, "surface") if "surface" in node else path,
+                    'a mesh can be kept by the first operator only: expected "surface": "heights"',
+                )
+            if "mask" in node:
+                yield Finding(
+                    (*path, "mask"),
+                    "a mask blends heights, and the mesh is kept as it is: take it away, or say "
+                    '"surface": "heights"',
+                    at_key=True,
+                )
+        elif "roughness" in node and node.get("surface") == "heights":
+            yield Finding(
+                (*path, "roughness"),
+                "roughness moves a mesh along its normals, and heights have none: take it away "
+                'and add another operator, or say "surface": "mesh"',
+                at_key=True,
+            )
+
+
 def _check_craters(document: Any, spans: dict[Path, tuple[float, float]]) -> Iterator[Finding]:
     for i, _ in _entries(document, "terrain", "relief"):
         path = ("terrain", "relief", i)
@@ -81,47 +111,82 @@ def _check_craters(document: Any, spans: dict[Path, tuple[float, float]]) -> Ite
             )
 
 
-def _check_masks(document: Any, spans: dict[Path, tuple[float, float]]) -> Iterator[Finding]:
-    known = load_schemas()["relief_mask.schema.json"]["properties"]["type"]["enum"]
-    for i, _ in _entries(document, "terrain", "relief"):
-        for k, condition in _entries(document, "terrain", "relief", i, "mask"):
-            if not isinstance(condition, dict) or condition.get("type") not in known:
-                continue
-            path = ("terrain", "relief", i, "mask", k)
-            low, high = (
-                next((key for key in condition if key == end or key.startswith(f"{end}_")), None)
-                for end in ("min", "max")
+def _conditions(document: Any) -> Iterator[tuple[Path, dict[str, Any]]]:
+    """Conditions of operators' masks and of the ground's layers."""
+    for group, key in (("relief", "mask"), ("ground", "where")):
+        for i, _ in _entries(document, "terrain", group):
+            for k, condition in _entries(document, "terrain", group, i, key):
+                if isinstance(condition, dict):
+                    yield ("terrain", group, i, key, k), condition
+
+
+def _check_conditions(document: Any, spans: dict[Path, tuple[float, float]]) -> Iterator[Finding]:
+    known = load_schemas()["ground_where.schema.json"]["properties"]["type"]["enum"]
+    for path, condition in _conditions(document):
+        if condition.get("type") not in known:
+            continue
+        low, high = (
+            next((key for key in condition if key == end or key.startswith(f"{end}_")), None)
+            for end in ("min", "max")
+        )
+        if low is None and high is None:
+            yield Finding(path, "no bounds: expected a smallest value, a largest one, or both")
+        elif low is not None and high is not None:
+            least, most = spans.get((*path, low)), spans.get((*path, high))
+            if least and most and least[1] > most[0]:
+                yield Finding(
+                    (*path, low),
+                    f"{least[1]:g} can be above {high} ({most[0]:g}): expected it below",
+                )
+
+
+def _check_freshness(document: Any) -> Iterator[Finding]:
+    """Only craters leave fresh ground; a mask sees those laid before it."""
+    kinds = [_at(node, "type") for _, node in _entries(document, "terrain", "relief")]
+    for path, condition in _conditions(document):
+        masks = path[1] == "relief" and isinstance(path[2], int)
+        before = kinds[: int(path[2])] if masks else kinds
+        if condition.get("type") == "crater_freshness" and "craters" not in before:
+            where = " before this one" if masks else ""
+            yield Finding(
+                (*path, "type"),
+                f'no craters in the relief{where}: expected an operator of the type "craters"',
             )
-            if low is None and high is None:
-                yield Finding(path, "no bounds: expected a smallest value, a largest one, or both")
-            elif low is not None and high is not None:
-                least, most = spans.get((*path, low)), spans.get((*path, high))
-                if least and most and least[1] > most[0]:
-                    yield Finding(
-                        (*path, low),
-                        f"{least[1]:g} can be above {high} ({most[0]:g}): expected it below",
-                    )
 
 
 def _check_layers(document: Any) -> Iterator[Finding]:
     for i, layer in _entries(document, "terrain", "ground")[1:]:
-        if isinstance(layer, dict) and "threshold" in layer and "coverage" in layer:
+        if not isinstance(layer, dict):
+            continue
+        path = ("terrain", "ground", i)
+        if "threshold" in layer and "coverage" in layer:
             yield Finding(
-                ("terrain", "ground", i, "coverage"),
+                (*path, "coverage"),
                 "threshold and coverage both say where the border lies: take one away",
                 at_key=True,
             )
+        if "where" in layer and "noise" not in layer:
+            for key in ("sharpness", "coverage"):
+                if key in layer:
+                    yield Finding(
+                        (*path, key),
+                        f"{key} is of the noise, and a layer with where has none of its own: give "
+                        "noise, too, or take it away",
+                        at_key=True,
+                    )
 
 
 def _check_materials(document: Any) -> Iterator[Finding]:
-    mapped = set()
+    laid: dict[str | int, str] = {}
     for name, material in _entries(document, "materials"):
         if not isinstance(material, dict):
             continue
         maps = material.get("maps")
         kinds = [kind for kind in MAP_CHANNELS if isinstance(maps, dict) and kind in maps]
         if maps is not None:
-            mapped.add(name)
+            laid[name] = "maps"
+        elif material.get("displacement"):
+            laid[name] = "a displacement"
         if isinstance(maps, dict) and not kinds:
             yield Finding(
                 ("materials", name, "maps"), f"expected one of {', '.join(MAP_CHANNELS)}, or more"
@@ -130,10 +195,10 @@ def _check_materials(document: Any) -> Iterator[Finding]:
             yield Finding(("materials", name), "expected the key base_color, or one in maps")
     for name, thing in _entries(document, "objects"):
         used = thing.get("material") if isinstance(thing, dict) else None
-        if isinstance(used, str) and used in mapped:
+        if isinstance(used, str) and used in laid:
             yield Finding(
                 ("objects", name, "material"),
-                f"{shown(used)} has maps, which lie on the ground only: expected one without",
+                f"{shown(used)} has {laid[used]}, for the ground only: expected one without",
             )
 
 

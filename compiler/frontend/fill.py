@@ -15,7 +15,8 @@ def fill(document: Any) -> dict[str, Any]:
     - Every key of the schemas is there, in their order; named things keep the file's order.
     - A key that was left out has its default, or None where it has none.
     - Every number is a float, an int (where whole numbers are taken) or a ``Distribution``.
-    - A sensor without outputs has the cfg's; a ground layer with a coverage has threshold None.
+    - A sensor without outputs has the cfg's; a ground layer with a coverage has threshold None, one
+      with conditions and without a noise has noise None.
 
     Args:
         document: A cfg without faults.
@@ -25,9 +26,12 @@ def fill(document: Any) -> dict[str, Any]:
         for sensor in rig["sensors"].values():
             if sensor["outputs"] is None:
                 sensor["outputs"] = list(cfg["outputs"])
-    for layer in cfg["terrain"]["ground"][1:]:
+    given = document["terrain"]["ground"]
+    for layer, own in zip(cfg["terrain"]["ground"][1:], given[1:], strict=True):
         if layer["coverage"] is not None:
             layer["threshold"] = None
+        if layer["where"] is not None and "noise" not in own:
+            layer["noise"] = None
     return cfg
 
 

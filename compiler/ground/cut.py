@@ -257,7 +257,8 @@ def _chord_error(points: NDArray, segments: NDArray, field: Field) -> tuple[floa
     a, b = points[segments[:, 0], :2], points[segments[:, 1], :2]
     length = _lengths(b - a)
     x, y = np.ascontiguousarray(0.5 * (a + b).T)
-    step = 0.05 * float(length.max())
+    # Down a vertical wall a line has no length in plan.
+    step = max(0.05 * float(length.max()), 1e-9)
     value = field(x, y)
     gx = (field(x + step, y) - field(x - step, y)) / (2.0 * step)
     gy = (field(x, y + step) - field(x, y - step)) / (2.0 * step)

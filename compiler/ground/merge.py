@@ -4,6 +4,9 @@ Merge i lays material i over the result so far with a weight alpha_i(x, y) in [0
 
     t_i = alpha_i * material_i + (1 - alpha_i) * t_(i-1)
 
+alpha = smoothstep(t), t clamped to [0, 1]. A noise gives t = 1/2 + sharpness * (noise - center),
+conditions on the place give theirs (``ground.limit``), and the smallest counts.
+
 Colors blend by alpha. The label at a point is that of the last merge with alpha_i >= threshold_i,
 or of the base: an outcome of the merges in order, not an argmax.
 """
@@ -16,14 +19,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
+from scenec.compiler.ground.limit import Limit
 from scenec.compiler.noise.perlin import fbm2_points
+from scenec.compiler.terrain.condition import Interval
 
 
 @dataclass(frozen=True)
 class Merge:
     """One merge: where its material lies.
-
-    alpha = smoothstep(1/2 + sharpness * (noise - center)), clamped.
 
     Attributes:
         key: Noise key.
@@ -32,6 +35,9 @@ class Merge:
         sharpness: Slope of the transition; larger is narrower.
         threshold: Weight at which the label changes, in (0, 1).
         center: Noise value at which the weight is 1/2.
+        noisy: Whether the noise has a say; it must have where there are no conditions.
+        where: Conditions that must hold as well. ``cover.lay`` makes ``limits`` of them.
+        limits: The conditions on the relief that the merge is laid on.
     """
 
     key: int
@@ -43,6 +49,9 @@ class Merge:
     sharpness: float
     threshold: float
     center: float = 0.0
+    noisy: bool = True
+    where: tuple[Interval, ...] = ()
+    limits: tuple[Limit, ...] = ()
 
     def noise(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
         """The noise at points, float64 [n]."""
@@ -57,19 +66,49 @@ class Merge:
             self.distortion,
         )
 
-    def level(self) -> float:
-        """Noise value at which the weight reaches the threshold: the label line's."""
+    def level_t(self) -> float:
+        """The t at which the weight is the threshold: the label line's."""
         # Inverse of the smoothstep s(t) = 3t^2 - 2t^3 in [0, 1]: t = 1/2 - sin(asin(1 - 2s) / 3).
-        t = 0.5 - elementary.sin(elementary.asin(1.0 - 2.0 * self.threshold) / 3.0)
-        return self.center + (t - 0.5) / self.sharpness
+        return 0.5 - elementary.sin(elementary.asin(1.0 - 2.0 * self.threshold) / 3.0)
+
+    def level(self) -> float:
+        """Noise value at which the weight reaches the threshold."""
+        return self.center + (self.level_t() - 0.5) / self.sharpness
 
     def side(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Signed distance to the label line in noise units, float64 [n]: >= 0 is this material."""
-        return self.noise(x, y) - self.level()
+        """Signed distance to the label line, float64 [n]: >= 0 is this material.
+
+        In units of t where there are conditions, of the noise where there are none.
+
+        Raises:
+            ValueError: The merge has conditions and is not laid.
+        """
+        if not self.where:
+            return self.noise(x, y) - self.level()
+        return self.t(x, y) - self.level_t()
+
+    def t(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Where alpha is within its fade, 0 to 1, and beyond: not clamped, float64 [n].
+
+        Raises:
+            ValueError: The merge has conditions and is not laid.
+        """
+        if len(self.limits) != len(self.where):
+            raise ValueError("a merge with conditions is laid on a relief first: cover.lay")
+        parts = [limit.t(x, y) for limit in self.limits]
+        if self.noisy:
+            parts.append(0.5 + self.sharpness * (self.noise(x, y) - self.center))
+        least = parts[0]
+        for part in parts[1:]:
+            np.minimum(least, part, out=least)
+        return least
 
     def weight_of_side(self, side: NDArray[np.float64]) -> NDArray[np.float64]:
         """alpha, from what ``side`` returned."""
-        t = np.clip(0.5 + self.sharpness * (side + self.level() - self.center), 0.0, 1.0)
+        if self.where:
+            t = np.clip(side + self.level_t(), 0.0, 1.0)
+        else:
+            t = np.clip(0.5 + self.sharpness * (side + self.level() - self.center), 0.0, 1.0)
         return t * t * (3.0 - 2.0 * t)
 
 

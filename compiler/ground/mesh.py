@@ -10,13 +10,19 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from scenec.compiler.cameras.sight import Views
 from scenec.compiler.ground import adaptive
 from scenec.compiler.ground.cut import CutMesh
 from scenec.compiler.ground.merge import Merge, label_index
+from scenec.compiler.ground.refine import Limits, refine
+from scenec.compiler.ground.surface import Surface
 from scenec.compiler.terrain.grid import HeightField, cuts_main_diagonal
 
 #: What a shading deviation is allowed to be: of a weight, of the albedo variation, of a slope.
 WEIGHT_STEP, VARIATION_STEP, SLOPE_STEP = 0.15, 0.2, 0.1
+# Shortest legs in parts of the grid's spacing; how the tolerance grows while over the budget.
+_FINEST = 32.0
+_RELAX = 1.189207115002721
 
 
 @dataclass(frozen=True)
@@ -27,11 +33,13 @@ class Meshing:
         tolerance_px: Error that may show in any view, pixels; None keeps the whole grid.
         max_triangles: Budget before the cut; where it binds the tolerance is raised, and said.
         unseen: Part that pixels count where no view shows the ground.
+        finest_m: Shortest leg that may be halved; None: a 32nd of the grid's spacing.
     """
 
     tolerance_px: float | None
     max_triangles: int
     unseen: float
+    finest_m: float | None = None
 
 
 @dataclass(frozen=True)
@@ -48,32 +56,48 @@ def grid_mesh(field: HeightField) -> CutMesh:
 
 
 def adaptive_mesh(
-    field: HeightField,
-    merges: Sequence[Merge],
+    surface: Surface,
     appearance: Appearance,
     pixels_per_m: NDArray[np.float64],
+    views: Views,
     meshing: Meshing,
 ) -> tuple[CutMesh, dict[str, Any]]:
     """Triangles as large as the tolerance lets them be.
 
     Args:
-        field: Heights.
-        merges: Ground merges.
+        surface: What the mesh stands for.
         appearance: What lies on the ground.
         pixels_per_m: See ``cameras.sight``.
+        views: The cameras, for triangles finer than the grid.
         meshing: The tolerance and the budget.
 
     Returns:
-        The mesh, and what it left out, measured against the grid's samples.
+        The mesh, and what it left out, measured against the grid's samples and against the surface.
     """
     assert meshing.tolerance_px is not None
-    channels = _channels(field, merges, appearance)
-    errors = adaptive.vertex_errors(
-        channels, pixels_per_m, max(field.grid.spacing_m), meshing.tolerance_px
-    )
-    tolerance, faces = _within_budget(errors, field.grid.shape, meshing)
+    field = surface.field
+    channels = _channels(field, surface.merges, appearance)
+    spacing = max(field.grid.spacing_m)
+    errors = adaptive.vertex_errors(channels, pixels_per_m, spacing, meshing.tolerance_px)
+    tolerance = meshing.tolerance_px
+    while True:
+        tolerance, faces = _within_budget(errors, field.grid.shape, meshing, tolerance)
+        mesh, finer = _mesh(field, faces), None
+        if not surface.smooth:
+            break
+        limits = Limits(
+            tolerance,
+            spacing / _FINEST if meshing.finest_m is None else meshing.finest_m,
+            # Where not even the coarsest mesh is within the budget it is not made finer.
+            max(meshing.max_triangles, len(faces)),
+            meshing.unseen,
+        )
+        result = refine(mesh, surface, views, limits)
+        if result is not None:
+            mesh, finer = result
+            break
+        tolerance *= _RELAX * _RELAX
     reached, worst_m, rms_m = _measured(field, faces, pixels_per_m)
-    mesh = _mesh(field, faces)
     return mesh, {
         "tolerance_px": meshing.tolerance_px,
         "budget_bound": tolerance > meshing.tolerance_px,
@@ -81,8 +105,9 @@ def adaptive_mesh(
         "height_error_max_px": reached,
         "height_error_max_m": worst_m,
         "height_error_rms_m": rms_m,
-        "triangles": len(faces),
+        "triangles": len(mesh.faces),
         "triangles_of_grid": 2 * (field.grid.shape[0] - 1) * (field.grid.shape[1] - 1),
+        **({"finer": finer} if finer else {}),
     }
 
 
@@ -165,18 +190,16 @@ def _mark_right(points, faces, layer, truth, right):  # type: ignore[no-untyped-
 
 
 def _within_budget(
-    errors: NDArray[np.float32], shape: tuple[int, int], meshing: Meshing
+    errors: NDArray[np.float32], shape: tuple[int, int], meshing: Meshing, tolerance: float
 ) -> tuple[float, NDArray[np.int32]]:
-    """The tolerance asked for, or the smallest power of 2^(1/4) of it that the budget allows."""
-    assert meshing.tolerance_px is not None
-    tolerance = meshing.tolerance_px
+    """A tolerance, or the smallest power of 2^(1/4) of it that the budget allows."""
     while True:
         faces = adaptive.triangles(adaptive.activate(errors, tolerance), shape)
         # The coarsest mesh there is may be over the budget: then it is what comes out.
         coarsest = not (errors[np.isfinite(errors)] > tolerance).any()
         if len(faces) <= meshing.max_triangles or coarsest:
             return tolerance, faces
-        tolerance *= 1.189207115002721
+        tolerance *= _RELAX
 
 
 def _mesh(field: HeightField, faces: NDArray[np.int32]) -> CutMesh:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
@@ -11,9 +10,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from scenec.compiler.cameras.sight import NO_VIEWS, Views
 from scenec.compiler.ground.adaptive import ROOT_CELLS
+from scenec.compiler.ground.base_mesh import base_mesh
 from scenec.compiler.ground.cut import SNAP, CutMesh, cut
-from scenec.compiler.ground.merge import Merge
 from scenec.compiler.ground.mesh import (
     Appearance,
     Meshing,
@@ -21,9 +21,10 @@ from scenec.compiler.ground.mesh import (
     grid_mesh,
     label_error,
 )
+from scenec.compiler.ground.surface import Surface
 from scenec.compiler.noise.perlin import fbm2_points
 from scenec.compiler.scene import Tile
-from scenec.compiler.terrain.grid import HeightField
+from scenec.compiler.terrain.mesh_surface import MeshSurface
 
 #: Grid cells along a tile's side: no triangle reaches over its border.
 TILE_CELLS = ROOT_CELLS
@@ -35,11 +36,11 @@ _VARIATION_GAIN = 0.75
 
 
 def build_tiles(
-    field: HeightField,
-    merges: Sequence[Merge],
+    surface: Surface,
     variation_key: int,
     meshing: Meshing = WHOLE_GRID,
     pixels_per_m: NDArray[np.float64] | None = None,
+    views: Views = NO_VIEWS,
     *,
     color: bool = True,
     cut_labels: bool = True,
@@ -47,11 +48,10 @@ def build_tiles(
     """The terrain's tiles.
 
     Args:
-        field: Heights.
-        merges: From the first merge up; empty for one material.
+        surface: Heights, and merges from the first one up; none for one material.
         variation_key: Noise key of the albedo variation.
         meshing: How fine the mesh is.
-        pixels_per_m: See ``cameras.sight``; taken where the mesh is adaptive.
+        pixels_per_m, views: See ``cameras.sight``; taken where the mesh is adaptive.
         color: False where no output shows color: weights and variation are then left out.
         cut_labels: False where no output shows labels: the mesh then stays whole.
 
@@ -59,25 +59,29 @@ def build_tiles(
         Tiles in row order, and the report: errors of the mesh, of the cuts and of float32.
     """
     report: dict[str, Any] = {}
+    field, merges = surface.field, surface.merges
     x, y = field.grid.points()
-    if meshing.tolerance_px is None or pixels_per_m is None:
+    sides = [merge.side(x, y).reshape(field.grid.shape) for merge in merges]
+    if isinstance(field, MeshSurface):
+        mesh = base_mesh(field)
+    elif meshing.tolerance_px is None or pixels_per_m is None:
         mesh = grid_mesh(field)
     else:
         # The same whatever the outputs: what is left out must not move what stays.
-        appearance = Appearance(
-            tuple(merge.side(x, y) for merge in merges), _variation(variation_key, x, y)
-        )
-        mesh, report["mesh"] = adaptive_mesh(field, merges, appearance, pixels_per_m, meshing)
+        appearance = Appearance(tuple(sides), _variation(variation_key, x, y))
+        mesh, report["mesh"] = adaptive_mesh(surface, appearance, pixels_per_m, views, meshing)
     reports = []
-    for merge in merges if cut_labels else ():
-        bound = _side_error_bound(merge.side(x, y).reshape(field.grid.shape))
+    for merge, side in zip(merges, sides, strict=True) if cut_labels else ():
+        bound = _side_error_bound(side)
+        # Where one condition takes over from another a field has a kink, and interpolation errs by
+        # a quarter of its jump in slope times the spacing, four times what differences say.
+        bound *= 4.0 if merge.where else 1.0
         mesh, cut_report = cut(mesh, merge.side)
         reports.append({**asdict(cut_report), "side_error_bound": bound})
     layer = np.zeros(len(mesh.faces), np.int32)
     for i, above in enumerate(mesh.above, start=1):
         layer[above] = i
     if "mesh" in report and pixels_per_m is not None and reports:
-        sides = [merge.side(x, y).reshape(field.grid.shape) for merge in merges]
         report["mesh"]["label_error_max_px"] = label_error(field, mesh, layer, sides, pixels_per_m)
 
     x, y = (np.ascontiguousarray(mesh.points[:, axis]) for axis in (0, 1))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numba import njit
@@ -51,6 +51,9 @@ class Barchans:
     horns: NDArray[np.float64]
     wind_deg: float
     repose_deg: float
+
+    #: Adds to the heights whatever they are (``program``).
+    adds: ClassVar[bool] = True
 
     def apply(
         self, grid: Grid, height: NDArray[np.float64]

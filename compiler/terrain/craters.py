@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scenec.compiler.noise.perlin import perlin2
 from scenec.compiler.terrain.crater_profile import REACH, blend_row, height_at, profile_table
 from scenec.compiler.terrain.grid import Grid
+from scenec.schemas.errors import SceneError
 
 #: Craters narrower than this many grid spacings are not shown.
 _FINEST = 3.0
@@ -20,6 +21,8 @@ _BURIED = 0.8
 _UNTOUCHED = 1.5
 # Lattice units of the circle on which the outline's noise is read: about nine lobes.
 _OUTLINE = 1.5
+# Samples that all craters together may reach: some minutes' work.
+_MOST_SAMPLES = 1e10
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,8 +58,13 @@ class Craters:
     def apply(
         self, grid: Grid, height: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], dict[str, Any]]:
-        """Heights with craters."""
-        shown = self.diameter_m >= _FINEST * max(grid.spacing_m)
+        """Heights with craters.
+
+        Raises:
+            SceneError: They reach over too many samples to be done in minutes.
+        """
+        shown = shown_on(self, grid)
+        _require_doable(self.diameter_m[shown], grid)
         out = height.copy()
         touched = 0
         if shown.any():
@@ -89,6 +97,46 @@ class Craters:
         }
 
 
+def _require_doable(diameter_m: NDArray[np.float64], grid: Grid) -> None:
+    """Few craters can be as much work as many: what counts is the samples that each reaches."""
+    reached = np.ones(len(diameter_m))
+    for count, spacing in zip(grid.shape[::-1], grid.spacing_m, strict=True):
+        reached *= np.minimum(5.0 * diameter_m / spacing, count)
+    if reached.sum() > _MOST_SAMPLES:
+        raise SceneError(
+            f"{len(diameter_m):,} craters reach over {reached.sum():.2g} samples in all, at most "
+            f"{_MOST_SAMPLES:g} are taken; lower density_per_m2 or max_diameter_m"
+        )
+
+
+def shown_on(craters: Craters, grid: Grid) -> NDArray[np.bool_]:
+    """Which craters are wide enough for a grid to show: bool [n]."""
+    return craters.diameter_m >= _FINEST * max(grid.spacing_m)
+
+
+@njit(cache=True, error_model="numpy")
+def uneven_distance(
+    dx: float, dy: float, outline: np.uint64, irregularity: float, state: float
+) -> float:
+    """Distance from a crater's center at (dx, dy), in its radii: 1 on its outline.
+
+    Args:
+        dx, dy: From the center, in mean radii.
+        outline: Noise key.
+        irregularity: How far the outline is from a circle when fresh.
+        state: Wear.
+    """
+    away = np.sqrt(dx * dx + dy * dy)
+    # Wear rounds outlines off.
+    uneven = irregularity / (1.0 + 8.0 * state)
+    if uneven > 0.0 and away > 0.0:
+        lobe = perlin2(outline, _OUTLINE * dx / away, _OUTLINE * dy / away)
+        # A floor has no outline: its middle stays smooth.
+        lobe *= away * away / (away * away + 0.5)
+        away /= 1.0 + uneven * lobe
+    return away
+
+
 @njit(cache=True, error_model="numpy")
 def _excavate(
     height: NDArray,
@@ -112,8 +160,8 @@ def _excavate(
         r = radius[n]
         # An outline reaches out by its irregularity.
         reach = REACH * r * (1.0 + irregularity)
-        i0, i1 = _span(x, center_x[n], reach)
-        j0, j1 = _span(y, center_y[n], reach)
+        i0, i1 = span(x, center_x[n], reach)
+        j0, j1 = span(y, center_y[n], reach)
         if i0 >= i1 or j0 >= j1:
             continue
         level, slope_x, slope_y = _plane(height, x, y, center_x[n], center_y[n], r)
@@ -125,18 +173,11 @@ def _excavate(
             2.0 * r * rim_ratio[n],
             2.0 * r * depth_ratio[n],
         )
-        # Wear rounds outlines off.
-        uneven = irregularity / (1.0 + 8.0 * state[n])
         for j in range(j0, j1):
             dy = (y[j] - center_y[n]) / r
             for i in range(i0, i1):
                 dx = (x[i] - center_x[n]) / r
-                away = np.sqrt(dx * dx + dy * dy)
-                if uneven > 0.0 and away > 0.0:
-                    lobe = perlin2(outline[n], _OUTLINE * dx / away, _OUTLINE * dy / away)
-                    # A floor has no outline: its middle stays smooth.
-                    lobe *= away * away / (away * away + 0.5)
-                    away /= 1.0 + uneven * lobe
+                away = uneven_distance(dx, dy, outline[n], irregularity, state[n])
                 if away >= REACH:
                     continue
                 touched += 1
@@ -149,7 +190,7 @@ def _excavate(
 
 
 @njit(cache=True, error_model="numpy")
-def _span(at: NDArray, center: float, reach: float) -> tuple[int, int]:
+def span(at: NDArray, center: float, reach: float) -> tuple[int, int]:
     """Indices [first, last) of the samples within reach of a center."""
     first = int(np.searchsorted(at, center - reach, side="left"))
     return first, int(np.searchsorted(at, center + reach, side="right"))
@@ -163,8 +204,8 @@ def _plane(
 
     The height is NaN where the disk holds no sample; slopes are 0 where it holds too few.
     """
-    i0, i1 = _span(x, center_x, radius)
-    j0, j1 = _span(y, center_y, radius)
+    i0, i1 = span(x, center_x, radius)
+    j0, j1 = span(y, center_y, radius)
     count = 0
     sx = sy = sz = 0.0
     for j in range(j0, j1):

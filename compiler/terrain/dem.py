@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numba import njit, prange
@@ -52,6 +52,9 @@ class Dem:
     holes: Literal["error", "fill"] = "error"
     height_range_m: tuple[float, float] | None = None
 
+    #: Adds to the heights whatever they are (``program``).
+    adds: ClassVar[bool] = True
+
     def apply(
         self, grid: Grid, height: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], dict[str, Any]]:
@@ -71,6 +74,11 @@ class Dem:
             raise SceneError(
                 f"{self.file.name}: its georeference puts the first row in the "
                 f'{dem.reference.first_row()}: say "first_row": "{dem.reference.first_row()}"'
+            )
+        if dem.reference and dem.reference.transform[0] < 0.0:
+            raise SceneError(
+                f"{self.file.name}: its georeference puts the first column in the east: mirror the "
+                "file (gdalwarp does)"
             )
         if self.first_row == "north":
             samples, holes = samples[::-1], holes[::-1]

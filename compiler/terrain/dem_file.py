@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import io
+import tokenize
+import warnings
 import zlib
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +17,12 @@ from numpy.typing import NDArray
 from scenec.schemas.errors import SceneError
 
 #: What NumPy raises for files that are none of its own, or broken ones.
-_BROKEN = (OSError, ValueError, EOFError, BadZipFile, zlib.error, NotImplementedError, MemoryError)
+_BROKEN = (
+    OSError, ValueError, EOFError, BadZipFile, zlib.error, NotImplementedError, MemoryError,
+    SyntaxError, TypeError, OverflowError, KeyError, RuntimeError, tokenize.TokenError,
+)  # fmt: skip
+#: Farther than any coordinate on a planet, and small enough that sums of products are numbers.
+_FARTHEST = 1e15
 _NUMPY = (".npz", ".npy")
 _GEOTIFF = (".tif", ".tiff")
 PICTURES = (".png", ".jpg", ".jpeg", ".bmp")
@@ -115,14 +122,21 @@ def read_dem(
         raise SceneError(f"{file.name}: expected a two-dimensional array, got {samples.shape}")
     if samples.dtype.kind not in "iuf":
         raise SceneError(f"{file.name}: expected numbers, got {samples.dtype}")
-    values = samples.astype(np.float64)
+    # Signaling NaN, and what is beyond float64: neither is a height.
+    with np.errstate(over="ignore", invalid="ignore"):
+        values = samples.astype(np.float64)
     holes = ~np.isfinite(values)
     if missing is not None:
         holes |= missing
     if nodata is not None:
         holes |= values == nodata
     if (scale, offset) != (1.0, 0.0):
-        values = values * scale + offset
+        if not np.isfinite([scale, offset]).all():
+            raise SceneError(f"{file.name}: its scale {scale:g} or offset {offset:g} is not finite")
+        with np.errstate(over="ignore", invalid="ignore"):
+            values = values * scale + offset
+        # What overflows is no height.
+        holes |= ~np.isfinite(values)
     values[holes] = 0.0
     return DemFile(values, holes, reference)
 
@@ -131,13 +145,13 @@ def _read_numpy(file: Path, array: str | None) -> NDArray[Any]:
     try:
         loaded = np.load(io.BytesIO(file.read_bytes()), allow_pickle=False)
     except _BROKEN as error:
-        raise SceneError(f"{file.name}: not a NumPy file: {error}") from error
+        raise SceneError(f"{file.name}: not a NumPy file: {_reason(error)}") from error
     if isinstance(loaded, np.ndarray):
         return loaded
     try:
         members = {name: loaded[name] for name in loaded.files}
     except _BROKEN as error:
-        raise SceneError(f"{file.name}: a broken NumPy file: {error}") from error
+        raise SceneError(f"{file.name}: a broken NumPy file: {_reason(error)}") from error
     if array is not None:
         if array not in members:
             raise SceneError(
@@ -152,13 +166,21 @@ def _read_numpy(file: Path, array: str | None) -> NDArray[Any]:
     return members[fields[0]]
 
 
+def _reason(error: Exception) -> str:
+    """What NumPy holds against a file, where that is a sentence for users."""
+    text = " ".join(str(error).split())
+    if isinstance(error, MemoryError):
+        return "it says that it is larger than memory"
+    said = isinstance(error, (ValueError, OSError, EOFError, BadZipFile, zlib.error))
+    # NumPy parses a header as Python, and shows the parser's objects.
+    return text if said and text and " at 0x" not in text else "its header or data are broken"
+
+
 def _read_geotiff(
     file: Path,
 ) -> tuple[NDArray[Any], NDArray[np.bool_], float, float, GeoReference | None]:
     """Samples, holes, scale, offset, place."""
     try:
-        import warnings
-
         import rasterio
         from rasterio.errors import NotGeoreferencedWarning, RasterioError
     except ModuleNotFoundError as error:
@@ -178,6 +200,11 @@ def _read_geotiff(
                         source.crs.linear_units_factor if source.crs.is_projected else ("", 0.0)
                     )
                     t = source.transform
+                    if not np.abs([t.a, t.b, t.c, t.d, t.e, t.f]).max() <= _FARTHEST:
+                        raise SceneError(
+                            f"{file.name}: its transform holds numbers that are not finite or "
+                            f"beyond {_FARTHEST:g}"
+                        )
                     reference = GeoReference(
                         source.crs.to_string(),
                         bool(unit) and to_m == 1.0,
@@ -193,22 +220,28 @@ def _read_picture(file: Path) -> NDArray[Any]:
     from PIL import Image, UnidentifiedImageError
 
     try:
-        with Image.open(file) as image:
-            if image.mode.startswith("I;16"):
-                return np.asarray(image).astype(np.uint16)
-            if image.mode == "I":
-                # How Pillow opens some 16-bit pictures.
-                wide = np.asarray(image)
-                if wide.min() >= 0 and wide.max() <= 0xFFFF:
-                    return wide.astype(np.uint16)
-            if image.mode in ("1", "L", "LA"):
-                return np.asarray(image.convert("L"))
-            if image.mode in ("P", "RGB", "RGBA"):
-                colors = np.asarray(image.convert("RGB"))
-                if (colors == colors[..., :1]).all():
-                    return np.ascontiguousarray(colors[..., 0])
-            raise SceneError(
-                f"{file.name}: expected a gray picture of 8 or 16 bits, got {image.mode}"
-            )
+        with warnings.catch_warnings():
+            # Large is no fault; what is too large is an error of Pillow's own.
+            warnings.simplefilter("ignore", Image.DecompressionBombWarning)
+            with Image.open(file) as image:
+                return _gray(file, image)
     except (UnidentifiedImageError, OSError, SyntaxError, Image.DecompressionBombError) as error:
         raise SceneError(f"{file.name}: not a readable picture: {error}") from error
+
+
+def _gray(file: Path, image: Any) -> NDArray[Any]:
+    """Gray values of an open picture: uint8 or uint16 [ny, nx]."""
+    if image.mode.startswith("I;16"):
+        return np.asarray(image).astype(np.uint16)
+    if image.mode == "I":
+        # How Pillow opens some 16-bit pictures.
+        wide = np.asarray(image)
+        if wide.min() >= 0 and wide.max() <= 0xFFFF:
+            return wide.astype(np.uint16)
+    if image.mode in ("1", "L", "LA"):
+        return np.asarray(image.convert("L"))
+    if image.mode in ("P", "RGB", "RGBA"):
+        colors = np.asarray(image.convert("RGB"))
+        if (colors == colors[..., :1]).all():
+            return np.ascontiguousarray(colors[..., 0])
+    raise SceneError(f"{file.name}: expected a gray picture of 8 or 16 bits, got {image.mode}")

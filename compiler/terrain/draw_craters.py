@@ -56,7 +56,8 @@ def draw_craters(
     )
     if not expected <= MAX_CRATERS:
         raise SceneError(
-            f"{path}: {expected:.3g} craters are expected, at most {MAX_CRATERS:,} are taken; "
+            f"{path}: {f'{expected:.3g}' if math.isfinite(expected) else 'countless'} craters are "
+            f"expected, at most {MAX_CRATERS:,} are taken; "
             "raise min_diameter_m or lower density_per_m2"
         )
     parts = [_octave(cfg, node, streams, f"{path}/octave/{k}", size_m, law, k) for k in octaves]

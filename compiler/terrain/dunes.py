@@ -56,6 +56,9 @@ class Dunes:
     #: Whether the lee is rounded at its brink and foot.
     rounded: ClassVar[bool] = False
 
+    #: Adds to the heights whatever they are (``program``).
+    adds: ClassVar[bool] = True
+
     def apply(
         self, grid: Grid, height: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], dict[str, Any]]:
@@ -94,14 +97,15 @@ class Dunes:
         angle = self.repose_deg * (elementary.PI / 180.0)
         slope = elementary.sin(angle) / elementary.cos(angle)
         # The steepest part of a rounded face is half as steep again as its mean.
-        lee = (1.5 if self.rounded else 1.0) * self.height_m / (self.wavelength_m * slope)
-        if lee > 0.5:
+        steepness = 1.5 if self.rounded else 1.0
+        highest = 0.5 * self.wavelength_m * slope / steepness
+        if self.height_m > highest:
+            lower = f"lower height_m below {highest:.3g} or " if highest > 0.0 else ""
             raise SceneError(
                 f"bedforms {self.height_m:g} m high at every {self.wavelength_m:g} m have slip "
-                f"faces wider than half of that; lower height_m below "
-                f"{0.5 * self.height_m / lee:.3g} or raise wavelength_m"
+                f"faces wider than half of that; {lower}raise wavelength_m"
             )
-        return lee
+        return steepness * self.height_m / (self.wavelength_m * slope)
 
     def _noise(self, part: int, x: NDArray, y: NDArray, along: float, across: float) -> Octaves:
         # The rectangle turned into the wind's axes, in its own.

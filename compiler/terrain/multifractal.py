@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any, Literal
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-from scenec.compiler.noise.lattice import subkey
+from scenec.compiler.noise.lattice import subkey, subkeys
+from scenec.compiler.noise.perlin import fbm2, perlin2
 from scenec.compiler.noise.rows import Octaves, fbm_row, next_octave, octave_row, tabulate
+from scenec.compiler.terrain.detail import Spectrum, octave_spectrum
 from scenec.compiler.terrain.grid import Grid
 
 _VARIANTS = {"fbm": 0, "hetero": 1, "ridged": 2, "hybrid": 3, "billow": 4}
 _WARP_GAIN = 0.5
 _WARP_LACUNARITY = 2.0
+
+#: Largest extent that a cfg can give a terrain.
+LARGEST_M = 1e6
 
 
 @dataclass(frozen=True)
@@ -36,8 +41,8 @@ class Multifractal:
     With a distortion, the noise at p is that at p + distortion * (fBm(p), fBm'(p)): a domain warp
     (Quilez 2002), all in units of ``scale_m``.
 
-    Octaves finer than two grid spacings cannot be represented and are left out (reported). A warp
-    shortens wavelengths where it compresses; that is not followed.
+    Octaves finer than two grid spacings cannot be represented there: they are ``detail`` (counted
+    in the report). A warp shortens wavelengths where it compresses; that is not followed.
 
     Attributes:
         key: Noise key.
@@ -63,6 +68,9 @@ class Multifractal:
     offset: float
     distortion: float = 0.0
     distortion_octaves: int = 2
+
+    #: Adds to the heights whatever they are (``program``).
+    adds: ClassVar[bool] = True
 
     def apply(
         self, grid: Grid, height: NDArray[np.float64]
@@ -95,6 +103,71 @@ class Multifractal:
             "relief_rms_m": float(np.sqrt((relief * relief).mean())),
         }
 
+    def detail(self, grid: Grid) -> MultifractalDetail | None:
+        """The octaves that a grid is too coarse for."""
+        spacing = max(grid.spacing_m)
+        shown = octaves_shown(self.octaves, self.scale_m, self.lacunarity, spacing)
+        held = octaves_held(self.octaves, self.scale_m, self.lacunarity, max(grid.size_m))
+        if shown >= held or self.amplitude_m == 0.0:
+            return None
+        return MultifractalDetail(replace(self, octaves=held), shown, spacing)
+
+    def everywhere(self) -> MultifractalDetail:
+        """All of it as detail."""
+        held = octaves_held(self.octaves, self.scale_m, self.lacunarity, LARGEST_M)
+        return MultifractalDetail(replace(self, octaves=held), 0, 0.0)
+
+
+@dataclass(frozen=True)
+class MultifractalDetail:
+    """All octaves less those of a grid.
+
+    Attributes:
+        relief: The relief.
+        shown: Octaves that the grid holds.
+        spacing_m: Of the grid; 0 if it holds none.
+    """
+
+    relief: Multifractal
+    shown: int
+    spacing_m: float
+
+    def at(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Meters to add at points, float64 [n]."""
+        relief = self.relief
+        warps = 0
+        if relief.distortion != 0.0:
+            # Those of the grid's octaves: its samples must not move.
+            warps = relief.distortion_octaves
+            if self.shown > 0:
+                warps = octaves_shown(warps, relief.scale_m, _WARP_LACUNARITY, self.spacing_m)
+        return relief.amplitude_m * _difference(
+            subkeys(np.uint64(relief.key), relief.octaves),
+            x,
+            y,
+            relief.scale_m,
+            self.shown,
+            relief.gain,
+            relief.lacunarity,
+            _VARIANTS[relief.variant],
+            relief.offset,
+            relief.distortion,
+            warps,
+            np.uint64(relief.key),
+        )
+
+    def spectrum(self) -> Spectrum:
+        """Of the octaves; those of the multifractals as large as they get where they are rough."""
+        relief = self.relief
+        rough = {"fbm": 1.0, "billow": 2.0}.get(relief.variant, 1.0 + abs(relief.offset))
+        return octave_spectrum(
+            relief.scale_m,
+            range(self.shown, relief.octaves),
+            relief.lacunarity,
+            relief.gain,
+            rough * relief.amplitude_m,
+        )
+
 
 def octaves_shown(octaves: int, scale_m: float, lacunarity: float, spacing_m: float) -> int:
     """How many of a noise's octaves are at least two grid spacings wide."""
@@ -104,6 +177,15 @@ def octaves_shown(octaves: int, scale_m: float, lacunarity: float, spacing_m: fl
             return octave
         wavelength /= lacunarity
     return octaves
+
+
+def octaves_held(octaves: int, scale_m: float, lacunarity: float, extent_m: float) -> int:
+    """How many of a noise's octaves have a place: float64 knows where in its lattice a point lies.
+
+    Beyond 2**45 wavelengths from the origin too few bits are left of the place between two points
+    of the lattice, and soon none; whole numbers of it then overflow.
+    """
+    return octaves_shown(octaves, scale_m, lacunarity, 2.0**-46 * extent_m)
 
 
 @njit(cache=True, error_model="numpy", parallel=True)
@@ -191,3 +273,59 @@ def _warp(warp_x: Octaves, u: NDArray, v: NDArray, distortion: float, warp_y: Oc
     for i in range(u.size):
         u[i] += distortion * du[i]
         v[i] += distortion * dv[i]
+
+
+@njit(cache=True, error_model="numpy", parallel=True)
+def _difference(  # type: ignore[no-untyped-def]
+    keys, x, y, scale, shown, gain, lacunarity, variant, offset, distortion, warps, key
+):
+    """All octaves less the first ``shown`` ones, in units of the amplitude: float64 [n]."""
+    growth, level = _at_zero(keys.size, gain, variant, offset)
+    growth_shown, level_shown = _at_zero(shown, gain, variant, offset)
+    warp_x = subkey(key, 1 << 20)
+    warp_y = subkey(key, (1 << 20) + 1)
+    out = np.empty(x.size)
+    for n in prange(x.size):
+        u = x[n] / scale
+        v = y[n] / scale
+        if warps > 0:
+            du = fbm2(warp_x, u, v, warps, _WARP_GAIN, _WARP_LACUNARITY)
+            dv = fbm2(warp_y, u, v, warps, _WARP_GAIN, _WARP_LACUNARITY)
+            u += distortion * du
+            v += distortion * dv
+        value = 0.0
+        coarse = 0.0
+        signal = 1.0
+        weight = 1.0
+        for octave in range(keys.size):
+            # fBm and billow are sums: what is shown cancels.
+            if octave >= shown or (variant != 0 and variant != 4):
+                noise = perlin2(keys[octave], u, v)
+                if variant == 0:
+                    value += weight * noise
+                elif variant == 1:
+                    if octave == 0:
+                        value = offset + noise
+                    else:
+                        value += weight * (noise + offset) * value
+                elif variant == 2:
+                    ridge = offset - abs(noise)
+                    signal = ridge * ridge * min(max(2.0 * signal, 0.0), 1.0)
+                    value += weight * signal
+                elif variant == 3:
+                    signal = min(signal, 1.0) * (weight * (noise + offset))
+                    value += signal
+                else:
+                    value += weight * (2.0 * abs(noise) - 0.5)
+            if octave == shown - 1:
+                coarse = value
+            weight *= gain
+            u, v = lacunarity * (0.8 * u - 0.6 * v), lacunarity * (0.6 * u + 0.8 * v)
+        if variant == 1:
+            value = value / growth - offset
+            coarse = coarse / growth_shown - offset if shown > 0 else 0.0
+        elif variant == 2 or variant == 3:
+            value -= level
+            coarse = coarse - level_shown if shown > 0 else 0.0
+        out[n] = value - coarse
+    return out

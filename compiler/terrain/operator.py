@@ -13,6 +13,7 @@ from scenec.compiler.terrain.dem import Dem
 from scenec.compiler.terrain.dunes import Dunes, Ripples
 from scenec.compiler.terrain.grid import Grid
 from scenec.compiler.terrain.mask import Masked
+from scenec.compiler.terrain.mesh_base import MeshBase
 from scenec.compiler.terrain.multifractal import Multifractal
 from scenec.compiler.terrain.plane import Plane
 from scenec.compiler.terrain.smooth import Diffusion, Smooth
@@ -37,6 +38,7 @@ class ReliefOperator(Protocol):
 OPERATORS: dict[str, type[Any]] = {
     "plane": Plane,
     "dem": Dem,
+    "mesh": MeshBase,
     "multifractal": Multifractal,
     "worley": Worley,
     "craters": Craters,

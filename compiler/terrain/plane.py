@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,9 @@ class Plane:
 
     height_m: float
     slope: tuple[float, float]
+
+    #: Adds to the heights whatever they are (``program``).
+    adds: ClassVar[bool] = True
 
     def apply(
         self, grid: Grid, height: NDArray[np.float64]

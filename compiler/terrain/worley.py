@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any, Literal
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numba import njit, prange
@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from scenec.compiler.noise.lattice import subkeys
 from scenec.compiler.noise.worley import worley2
+from scenec.compiler.terrain.detail import Spectrum, octave_spectrum
 from scenec.compiler.terrain.grid import Grid
-from scenec.compiler.terrain.multifractal import octaves_shown
+from scenec.compiler.terrain.multifractal import LARGEST_M, octaves_held, octaves_shown
 
 
 @dataclass(frozen=True)
@@ -21,8 +22,8 @@ class Worley:
 
     F is the distance to the nearest feature point (``f1``: cones that meet in ridges) or what the
     second nearest is farther away (``f2-f1``: plateaus between grooves), in cells. It is 0 at the
-    points, or on the cells' borders, and at most 1.6. Octaves finer than two grid spacings are left
-    out (reported).
+    points, or on the cells' borders, and at most 1.6. Octaves finer than two grid spacings are
+    ``detail`` (counted in the report).
 
     Attributes:
         key: Noise key.
@@ -43,6 +44,9 @@ class Worley:
     octaves: int
     lacunarity: float
     gain: float
+
+    #: Adds to the heights whatever they are (``program``).
+    adds: ClassVar[bool] = True
 
     def apply(
         self, grid: Grid, height: NDArray[np.float64]
@@ -65,6 +69,83 @@ class Worley:
             "octaves_below_grid": self.octaves - octaves,
             "relief_rms_m": float(np.sqrt((relief * relief).mean())),
         }
+
+    def detail(self, grid: Grid) -> WorleyDetail | None:
+        """The octaves that a grid is too coarse for."""
+        shown = octaves_shown(self.octaves, self.scale_m, self.lacunarity, max(grid.spacing_m))
+        held = octaves_held(self.octaves, self.scale_m, self.lacunarity, max(grid.size_m))
+        if shown >= held or self.amplitude_m == 0.0:
+            return None
+        return WorleyDetail(replace(self, octaves=held), shown)
+
+    def everywhere(self) -> WorleyDetail:
+        """All of it as detail."""
+        held = octaves_held(self.octaves, self.scale_m, self.lacunarity, LARGEST_M)
+        return WorleyDetail(replace(self, octaves=held), 0)
+
+
+@dataclass(frozen=True)
+class WorleyDetail:
+    """All octaves but those of a grid.
+
+    Attributes:
+        relief: The relief.
+        shown: Octaves that the grid holds.
+    """
+
+    relief: Worley
+    shown: int
+
+    def at(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Meters to add at points, float64 [n]."""
+        relief = self.relief
+        if self.shown >= relief.octaves:
+            return np.zeros(x.shape)
+        out: NDArray[np.float64] = relief.amplitude_m * _points(
+            np.uint64(relief.key),
+            x / relief.scale_m,
+            y / relief.scale_m,
+            self.shown,
+            relief.octaves,
+            relief.gain,
+            relief.lacunarity,
+            relief.jitter,
+            relief.distance == "f2-f1",
+        )
+        return out
+
+    def spectrum(self) -> Spectrum:
+        """Of the octaves; cones have no wavelength, so cells count as half as wide."""
+        relief = self.relief
+        return octave_spectrum(
+            0.5 * relief.scale_m,
+            range(self.shown, relief.octaves),
+            relief.lacunarity,
+            relief.gain,
+            relief.amplitude_m,
+        )
+
+
+@njit(cache=True, error_model="numpy", parallel=True)
+def _points(  # type: ignore[no-untyped-def]
+    key, x, y, shown, octaves, gain, lacunarity, jitter, difference
+):
+    """Octaves from ``shown`` on at points in units of the first one's cells: float64 [n]."""
+    keys = subkeys(key, octaves)
+    out = np.empty(x.size)
+    for n in prange(x.size):
+        u = x[n]
+        v = y[n]
+        value = 0.0
+        weight = 1.0
+        for octave in range(octaves):
+            if octave >= shown:
+                first, second = worley2(keys[octave], u, v, jitter)
+                value += weight * (second - first if difference else first)
+            weight *= gain
+            u, v = lacunarity * (0.8 * u - 0.6 * v), lacunarity * (0.6 * u + 0.8 * v)
+        out[n] = value
+    return out
 
 
 @njit(cache=True, error_model="numpy", parallel=True)

@@ -12,10 +12,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from scenec.compiler.cameras.poses import look_at
-from scenec.compiler.cameras.sight import pixels_per_meter
+from scenec.compiler.cameras.sight import pixels_per_meter, views_of
 from scenec.compiler.ground import adaptive
 from scenec.compiler.ground.merge import Merge
 from scenec.compiler.ground.mesh import Meshing, grid_mesh
+from scenec.compiler.ground.surface import Surface
 from scenec.compiler.ground.tiles import build_tiles
 from scenec.compiler.scene import Rig, Sensor
 from scenec.compiler.terrain.grid import Grid, HeightField
@@ -50,7 +51,7 @@ def field() -> HeightField:
 
 @pytest.fixture(scope="module")
 def sight(field) -> np.ndarray:
-    return pixels_per_meter(field, (one_rig(field),), 0.125)
+    return pixels_per_meter(field, views_of((one_rig(field),)), 0.125)
 
 
 def faces_of(errors: np.ndarray, tolerance: float, shape: tuple[int, int]) -> np.ndarray:
@@ -108,7 +109,9 @@ def test_all_samples_give_the_grid_s_own_triangles():
 
 def test_the_height_error_stays_below_the_tolerance_in_pixels(field, sight):
     for tolerance in (0.25, 0.5, 2.0):
-        tiles, report = build_tiles(field, (), 1, Meshing(tolerance, 10**9, 0.125), sight)
+        tiles, report = build_tiles(
+            Surface(field, (), smooth=False), 1, Meshing(tolerance, 10**9, 0.125), sight
+        )
         points = np.concatenate([t.translate + t.points.astype(float) for t in tiles])
         faces = np.concatenate(
             [t.faces + n for t, n in zip(
@@ -136,7 +139,9 @@ def _height_of_mesh(points, faces, field) -> np.ndarray:
 
 
 def test_labels_stray_no_farther_than_the_tolerance(field, sight):
-    _, report = build_tiles(field, MERGES, 1, Meshing(0.5, 10**9, 0.125), sight)
+    _, report = build_tiles(
+        Surface(field, MERGES, smooth=False), 1, Meshing(0.5, 10**9, 0.125), sight
+    )
     # Snapping may add a thirty-second of an edge, which the finest edges near the camera show.
     assert report["mesh"]["label_error_max_px"] <= 0.5 + SNAPPED_PX(field, sight)
     assert report["mesh"]["triangles"] < 0.7 * report["mesh"]["triangles_of_grid"]
@@ -147,9 +152,13 @@ def SNAPPED_PX(field, sight) -> float:  # noqa: N802
 
 
 def test_a_budget_that_binds_is_kept_and_the_error_it_cost_is_said(field, sight):
-    free = build_tiles(field, (), 1, Meshing(0.5, 10**9, 0.125), sight)[1]["mesh"]
+    free = build_tiles(Surface(field, (), smooth=False), 1, Meshing(0.5, 10**9, 0.125), sight)[1][
+        "mesh"
+    ]
     assert not free["budget_bound"]
-    bound = build_tiles(field, (), 1, Meshing(0.5, free["triangles"] // 3, 0.125), sight)[1]["mesh"]
+    bound = build_tiles(
+        Surface(field, (), smooth=False), 1, Meshing(0.5, free["triangles"] // 3, 0.125), sight
+    )[1]["mesh"]
     assert bound["budget_bound"]
     assert bound["triangles"] <= free["triangles"] // 3
     assert bound["tolerance_reached_px"] > 0.5
@@ -159,7 +168,10 @@ def test_a_budget_that_binds_is_kept_and_the_error_it_cost_is_said(field, sight)
 def test_ground_near_a_camera_is_finer_than_far_and_seen_finer_than_unseen(field):
     rig = one_rig(field)
     tiles, _ = build_tiles(
-        field, (), 1, Meshing(0.5, 10**9, 0.05), pixels_per_meter(field, (rig,), 0.05)
+        Surface(field, (), smooth=False),
+        1,
+        Meshing(0.5, 10**9, 0.05),
+        pixels_per_meter(field, views_of((rig,)), 0.05),
     )
     middles = np.concatenate([(t.translate + t.points[t.faces].mean(axis=1)) for t in tiles])
 
@@ -173,8 +185,8 @@ def test_ground_near_a_camera_is_finer_than_far_and_seen_finer_than_unseen(field
 
 def test_pixels_per_meter_are_those_of_the_nearest_view(field):
     rigs = (one_rig(field), one_rig(field, (-10.0, 10.0), (0.0, 10.0)))
-    both = pixels_per_meter(field, rigs, 0.125)
-    single = [pixels_per_meter(field, (rig,), 0.125) for rig in rigs]
+    both = pixels_per_meter(field, views_of(rigs), 0.125)
+    single = [pixels_per_meter(field, views_of((rig,)), 0.125) for rig in rigs]
     np.testing.assert_array_equal(both, np.maximum(*single))
     # By hand, for a sample in the middle of the first picture.
     x, y = field.grid.x(), field.grid.y()
@@ -188,12 +200,13 @@ _HASH = """
 import hashlib, sys
 sys.path.insert(0, sys.argv[1])
 import test_adaptive as t
+from scenec.compiler.ground.surface import Surface
 from scenec.compiler.ground.tiles import build_tiles
 from scenec.compiler.ground.mesh import Meshing
-from scenec.compiler.cameras.sight import pixels_per_meter
+from scenec.compiler.cameras.sight import pixels_per_meter, views_of
 field = t.relief(30.0)
-sight = pixels_per_meter(field, (t.one_rig(field, (3.0, -10.0)),), 0.125)
-tiles, _ = build_tiles(field, t.MERGES, 1, Meshing(0.5, 10**9, 0.125), sight)
+sight = pixels_per_meter(field, views_of((t.one_rig(field, (3.0, -10.0)),)), 0.125)
+tiles, _ = build_tiles(Surface(field, t.MERGES, smooth=False), 1, Meshing(0.5, 10**9, 0.125), sight)
 digest = hashlib.sha256()
 for tile in tiles:
     for array in (tile.points, tile.faces, tile.normals, tile.layer, tile.weights):

@@ -8,6 +8,7 @@ import pytest
 from scenec.compiler.ground.cut import cut as cut_mesh
 from scenec.compiler.ground.merge import Merge, center_for_coverage, label_index
 from scenec.compiler.ground.mesh import grid_mesh
+from scenec.compiler.ground.surface import Surface
 from scenec.compiler.ground.tiles import build_tiles
 from scenec.compiler.scene import Tile
 from scenec.compiler.terrain.grid import Grid, HeightField
@@ -43,7 +44,7 @@ def side_of(merges, points: np.ndarray) -> list[np.ndarray]:
 @pytest.fixture(scope="module")
 def cut():
     # 40 m at 0.2 m are 200 cells: four tiles.
-    return build_tiles(relief(spacing=0.2), MERGES, 77)
+    return build_tiles(Surface(relief(spacing=0.2), MERGES), 77)
 
 
 def test_the_cut_mesh_has_neither_cracks_nor_t_junctions(cut):
@@ -69,7 +70,7 @@ def test_the_cut_keeps_the_area_and_folds_nothing(cut):
 
 def test_cut_vertices_stay_on_the_uncut_surface():
     field = relief()
-    tiles, report = build_tiles(field, MERGES, 1, color=False)
+    tiles, report = build_tiles(Surface(field, MERGES), 1, color=False)
     points, _ = welded(tiles)
     height = field.height_at(points[:, 0].copy(), points[:, 1].copy())
     # Moving a vertex by float32 rounding also moves it along the slope.
@@ -166,7 +167,7 @@ def test_coverage_is_met(coverage):
 
 def test_without_labels_the_mesh_is_not_cut_and_without_color_there_are_no_weights():
     field = relief()
-    whole, report = build_tiles(field, MERGES, 1, color=False, cut_labels=False)
+    whole, report = build_tiles(Surface(field, MERGES), 1, color=False, cut_labels=False)
     assert report["faces"] == 2 * 100 * 100
     assert all(tile.weights.shape[0] == 0 for tile in whole)
 
@@ -174,7 +175,7 @@ def test_without_labels_the_mesh_is_not_cut_and_without_color_there_are_no_weigh
 def test_constant_relief_and_a_field_without_line_make_a_plain_grid():
     field = HeightField(Grid.with_spacing((4.0, 4.0), 1.0), np.full((5, 5), 3.25))
     never = Merge(5, 9.0, 3, 0.5, 2.0, 0.0, 5.0, 0.5, center=99.0)
-    (tile,), report = build_tiles(field, (never,), 1)
+    (tile,), report = build_tiles(Surface(field, (never,)), 1)
     assert report["faces"] == 32
     assert report["cuts"][0]["line_m"] == 0.0
     assert (tile.layer == 0).all()

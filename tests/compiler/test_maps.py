@@ -175,4 +175,4 @@ def test_a_material_needs_a_color_from_somewhere_and_maps_need_a_picture(tmp_pat
     told = {f.pointer: f.message for f in caught.value.faults}
     assert "expected one of base_color, roughness" in told["/materials/gravel/maps"]
     assert "expected the key base_color" in told["/materials/gravel"]
-    assert "on the ground only" in told["/objects/rocks/material"]
+    assert "for the ground only" in told["/objects/rocks/material"]

@@ -15,6 +15,7 @@ from scenec.compiler.terrain.dem import Dem
 from scenec.compiler.terrain.dem_file import read_dem
 from scenec.compiler.terrain.fill_holes import fill_holes
 from scenec.compiler.terrain.grid import Grid
+from scenec.compiler.terrain.program import run
 from scenec.schemas.errors import CfgError, SceneError
 
 rasterio = pytest.importorskip("rasterio")
@@ -265,3 +266,92 @@ def test_what_a_dem_lacks_is_said_where_it_is_missing(tmp_path, keys, pointer, w
     (fault,) = caught.value.faults
     assert fault.pointer == f"/terrain/relief/0{pointer}"
     assert words in fault.message
+
+
+# What files can hold.
+
+
+def test_a_file_whose_columns_run_west_is_not_laid_mirrored(tmp_path):
+    path = write_geotiff(tmp_path / "a.tif", field())
+    with rasterio.open(path, "r+") as file:
+        file.transform = rasterio.Affine(-1.0, 0.0, 500.0, 0.0, -1.0, 700.0)
+    with pytest.raises(SceneError, match="first column in the east"):
+        apply(replace(DEM, file=path))
+
+
+@pytest.mark.parametrize("place", [np.nan, np.inf, 1e300])
+def test_a_transform_that_is_no_place_is_refused(tmp_path, place):
+    path = write_geotiff(tmp_path / "a.tif", field(), origin=(place, 0.0))
+    with pytest.raises(SceneError, match=r"a\.tif: its transform"):
+        read_dem(path)
+
+
+@pytest.mark.parametrize("numbers", [(np.nan, 0.0), (np.inf, 0.0), (1.0, -np.inf)])
+def test_a_scale_or_offset_that_is_no_number_is_refused(tmp_path, numbers):
+    path = write_geotiff(tmp_path / "a.tif", field(), scale=numbers[0], offset=numbers[1])
+    with pytest.raises(SceneError, match="not finite"):
+        read_dem(path)
+
+
+@pytest.mark.filterwarnings("error")
+def test_what_a_scale_makes_overflow_is_a_hole(tmp_path):
+    samples = np.array([[1.0, 1e10], [-1e10, 2.0]])
+    dem = read_dem(write_geotiff(tmp_path / "a.tif", samples, scale=1e300))
+    assert np.array_equal(dem.holes, [[False, True], [True, False]])
+    assert np.array_equal(dem.values, [[1e300, 0.0], [0.0, 2e300]])
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("kind", ["npy", "npz", "tif", "png"])
+def test_a_damaged_file_is_read_or_refused_with_one_line(tmp_path, kind):
+    rng = np.random.default_rng(3)
+    path = tmp_path / f"a.{kind}"
+    if kind == "npy":
+        np.save(path, field())
+    elif kind == "npz":
+        np.savez_compressed(path, a=field())
+    elif kind == "tif":
+        write_geotiff(path, field().astype(np.float32), compress="deflate")
+    else:
+        Image.fromarray((100 * (field() + 60)).astype(np.uint16)).save(path)
+    whole = path.read_bytes()
+    refused = 0
+    for n in range(120):
+        data = bytearray(whole)
+        # The header is where most of the ways to be wrong are.
+        end = len(data) if n % 2 else 128
+        for at in rng.integers(0, end, 3):
+            data[at] ^= int(rng.integers(1, 256))
+        path.write_bytes(bytes(data[: rng.integers(1, len(data))]) if n % 3 == 0 else bytes(data))
+        try:
+            read_dem(path, height_range_m=(0.0, 1.0) if kind == "png" else None)
+        except SceneError as error:
+            refused += 1
+            text = str(error)
+            assert text.startswith(f"a.{kind}: ")
+            assert "\n" not in text
+            assert " at 0x" not in text
+    assert refused > 30
+
+
+@pytest.mark.parametrize("dtype", [bool, complex, "U3", "M8[s]", object])
+def test_samples_that_are_no_numbers_are_refused(tmp_path, dtype):
+    samples = np.ones((3, 4), np.int64).astype(dtype)
+    np.save(tmp_path / "a.npy", samples, allow_pickle=True)
+    with pytest.raises(SceneError, match=r"a\.npy"):
+        read_dem(tmp_path / "a.npy")
+
+
+@pytest.mark.parametrize("shape", [(0, 4), (4, 0), (), (4,), (1, 3, 4)])
+def test_samples_that_are_no_field_are_refused(tmp_path, shape):
+    np.save(tmp_path / "a.npy", np.ones(shape))
+    with pytest.raises(SceneError, match="two-dimensional"):
+        read_dem(tmp_path / "a.npy")
+
+
+@pytest.mark.filterwarnings("error")
+def test_heights_that_no_renderer_can_hold_are_refused(tmp_path):
+    np.save(tmp_path / "a.npy", np.where(field() > 0.0, 1e19, 0.0))
+    operators = (replace(DEM, file=tmp_path / "a.npy"),)
+    with pytest.raises(SceneError, match=r"heights reach 1\.\d+e\+19 m"):
+        run(operators, GRID)

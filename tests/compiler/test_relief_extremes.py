@@ -18,12 +18,14 @@ from scenec.compiler.terrain.mask import HeightCondition, Masked, NoiseCondition
 from scenec.compiler.terrain.multifractal import Multifractal
 from scenec.compiler.terrain.operator import OPERATORS, operator_type
 from scenec.compiler.terrain.plane import Plane
+from scenec.compiler.terrain.program import run
 from scenec.compiler.terrain.smooth import Diffusion, Smooth
 from scenec.compiler.terrain.stream_power import StreamPower
 from scenec.compiler.terrain.terraces import Terraces
 from scenec.compiler.terrain.thermal import Thermal
 from scenec.compiler.terrain.tracks import Tracks
 from scenec.compiler.terrain.worley import Worley
+from scenec.schemas.errors import SceneError
 
 EXTENTS = [1e-3, 1.0, 1e3, 1e6]
 
@@ -74,7 +76,7 @@ def grounds(grid: Grid) -> dict[str, np.ndarray]:
 def test_every_operator_takes_every_ground_at_every_extent(size, tmp_path):
     grid = Grid.with_spacing((size, 0.7 * size), size / 40)
     ops = operators(size, tmp_path)
-    assert {operator_type(operator) for operator in ops} == set(OPERATORS) - {"dem"}
+    assert {operator_type(operator) for operator in ops} == set(OPERATORS) - {"dem", "mesh"}
     for name, ground in grounds(grid).items():
         for operator in ops:
             before = ground.copy()
@@ -121,3 +123,57 @@ def test_craters_without_any_are_nothing():
     empty = Craters(*(np.zeros(0) for _ in range(6)), np.zeros(0, np.uint64), 0.1)
     grid = Grid((4.0, 4.0), (5, 5))
     assert np.array_equal(empty.apply(grid, np.ones((5, 5)))[0], np.ones((5, 5)))
+
+
+def test_craters_that_would_take_hours_are_refused():
+    n = 500_000
+    grid = Grid.with_spacing((1e6, 1e6), 5e3)
+    everywhere = Craters(
+        np.zeros(n), np.zeros(n), np.full(n, 1e6), *(np.full(n, 0.1) for _ in range(3)),
+        np.zeros(n, np.uint64), 0.1,
+    )  # fmt: skip
+    with pytest.raises(SceneError, match=r"500,000 craters reach over 2e\+10 samples"):
+        everywhere.apply(grid, np.zeros(grid.shape))
+
+
+@pytest.mark.parametrize("kind", [Dunes, Ripples])
+@pytest.mark.parametrize("wavelength", [5e-324, 1e-300, 1.0])
+def test_bedforms_too_high_for_their_distance_are_refused(kind, wavelength):
+    grid = Grid.with_spacing((20.0, 20.0), 1.0)
+    with pytest.raises(SceneError, match="raise wavelength_m"):
+        kind(1, 10.0, wavelength, 0.0, 33.0, 0.3).apply(grid, np.zeros(grid.shape))
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("scale", [5e-324, 1e-300, 1e-30, 1e-9, 1.0, 1e9])
+@pytest.mark.parametrize("lacunarity", [1.0, 2.0, 8.0])
+def test_detail_finer_than_float64_can_place_is_left_out(scale, lacunarity):
+    # 8^24 wavelengths to one: the whole numbers of such a lattice overflow.
+    grid = Grid.with_spacing((20.0, 14.0), 0.5)
+    x = np.linspace(-10.0, 10.0, 101)
+    found = []
+    for kind, variants in ((Multifractal, FRACTALS), (Worley, ("f1", "f2-f1"))):
+        for variant in variants:
+            if kind is Worley:
+                noise = Worley(2, 1.0, scale, variant, 1.0, 24, lacunarity, 0.5)
+            else:
+                noise = Multifractal(1, 1.0, scale, 24, lacunarity, 0.5, variant, 0.7, 0.5)
+            details = (noise.detail(grid), noise.everywhere())
+            found += [detail.at(x, 0.3 * x) for detail in details if detail is not None]
+    # A few cells, or wavelengths, of height; coordinates would be 1e18 of them.
+    assert found
+    assert np.abs(np.array(found)).max() < 10.0
+
+
+#: The kinds of fractals.
+FRACTALS = ("fbm", "hetero", "hybrid", "ridged", "billow")
+
+
+@pytest.mark.filterwarnings("error")
+def test_detail_that_no_renderer_can_hold_is_refused():
+    # Below the grid, octave upon octave of twice the amplitude of the one before.
+    grid = Grid.with_spacing((20.0, 20.0), 5.0)
+    wild = Multifractal(1, 1e6, 5.0, 24, 2.0, 2.0, "hybrid", 0.7)
+    assert np.abs(wild.apply(grid, np.zeros(grid.shape))[0]).max() < 1e9
+    with pytest.raises(SceneError, match=r"heights reach .*e\+\d\d m, at most 1e\+18 m"):
+        run((wild,), grid)

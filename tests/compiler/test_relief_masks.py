@@ -27,6 +27,7 @@ from scenec.compiler.terrain.mask import (
 from scenec.compiler.terrain.operator import OPERATORS, operator_type
 from scenec.compiler.terrain.plane import Plane
 from scenec.compiler.terrain.polyline import project, read_polyline
+from scenec.compiler.terrain.program import run
 from scenec.compiler.terrain.smooth import Smooth
 from scenec.compiler.terrain.tracks import Tracks
 from scenec.schemas.errors import CfgError, SceneError
@@ -265,6 +266,9 @@ MASK = [
     {"type": "noise", "scale_m": 6, "min": {"type": "uniform", "min": -0.3, "max": -0.2}},
     {"type": "point", "x_m": 1, "y_m": 0, "max_m": 9, "softness_m": 1},
     {"type": "path", "file": "path.csv", "min_m": 0.5},
+    {"type": "curvature", "min_per_m": -2, "softness_per_m": 0.3, "over_m": 0.5},
+    {"type": "flow", "max_m2": 30, "ragged": {"amplitude": 1, "scale_m": 2}},
+    {"type": "material", "material": "gravel"},
 ]
 
 
@@ -278,16 +282,12 @@ def write_program(folder: Path, operators: list[dict]) -> Path:
 def relief(folder: Path, operators: list[dict], seed: int = 7) -> tuple[np.ndarray, list[dict]]:
     """Heights and reports of a program out of a cfg."""
     plan = draw(load(write_program(folder, operators)), seed, 0).terrain
-    grid = Grid.with_spacing(plan.size_m, plan.spacing_m)
-    height, reports = np.zeros(grid.shape), []
-    for operator in plan.relief:
-        height, report = operator.apply(grid, height)
-        reports.append({"type": operator_type(operator), **report})
-    return height, reports
+    made = run(plan.relief, Grid.with_spacing(plan.size_m, plan.spacing_m))
+    return made.field.height, made.steps
 
 
 def test_the_program_names_every_operator():
-    assert {node["type"] for node in PROGRAM} == set(OPERATORS) - {"plane", "dem"}
+    assert {node["type"] for node in PROGRAM} == set(OPERATORS) - {"plane", "dem", "mesh"}
 
 
 @pytest.mark.parametrize("order", ["forward", "backward", "shuffled"])
@@ -297,7 +297,7 @@ def test_operators_work_in_any_order_with_and_without_masks(tmp_path, order):
         operators = operators[::-1]
     elif order == "shuffled":
         operators = [operators[i] for i in np.random.default_rng(1).permutation(len(operators))]
-    masked = [{**node, "mask": MASK[i % 5 : i % 5 + 2]} for i, node in enumerate(operators)]
+    masked = [{**node, "mask": (MASK * 2)[i % len(MASK) :][:2]} for i, node in enumerate(operators)]
     for program in (operators, masked):
         height, reports = relief(tmp_path, program)
         assert np.isfinite(height).all()
@@ -348,6 +348,19 @@ def test_an_operator_s_draws_do_not_depend_on_what_stands_behind_it(tmp_path):
             "mask/0/min_deg",
             "below",
         ),
+        ({"type": "smooth", "length_m": 1, "mask": [{"type": "flow", "min_m2": 9, "max_m2": 3}]},
+         "mask/0/min_m2", "below"),
+        ({"type": "smooth", "length_m": 1, "mask": [{"type": "flow", "min_m2": 0}]},
+         "mask/0/min_m2", "more than 0"),
+        ({"type": "smooth", "length_m": 1, "mask": [{"type": "material"}]}, "mask/0", "material"),
+        ({"type": "smooth", "length_m": 1, "mask": [{"type": "material", "material": "sandd"}]},
+         "mask/0/material", 'did you mean "sand"'),
+        ({"type": "smooth", "length_m": 1, "mask": [{"type": "material", "material": "stone"}]},
+         "mask/0/material", "no ground layer"),
+        ({"type": "smooth", "length_m": 1, "mask": [{"type": "material", "material": "mud",
+          "layer": 1}]}, "mask/0/layer", "expected 2"),
+        ({"type": "smooth", "length_m": 1, "mask": [{"type": "crater_freshness", "min": 0.5}]},
+         "mask/0/type", "before this one"),
         ({"type": "tracks", "file": "pth.csv"}, "file", "path.csv"),
         ({"type": "tracks", "file": "small.json"}, "file", 'no column "x_m"'),
         (
@@ -371,7 +384,30 @@ def test_faults_in_operators_and_masks_are_found_in_the_cfg(tmp_path, node, poin
     assert words in fault.message
 
 
-@pytest.mark.parametrize("name", sorted(set(OPERATORS) - {"plane", "dem"}))
+def test_a_mask_of_freshness_sees_the_craters_before_it_and_no_later_ones(tmp_path):
+    pits = {"type": "craters", "min_diameter_m": 2, "max_diameter_m": 6, "degradation": 0}
+    fresh = {"type": "crater_freshness", "min": 0.5}
+    smooth = {"type": "smooth", "length_m": 0.5, "mask": [fresh]}
+    _, reports = relief(tmp_path, [pits, smooth, pits, smooth])
+    shares = [r["mask_mean"] for r in reports if r["type"] == "smooth"]
+    assert 0.02 < shares[0] < shares[1] < 1.0
+
+
+def test_a_mask_s_slope_is_that_of_the_heights_as_they_are_unless_it_says_otherwise(tmp_path):
+    def slope(**change):
+        node = {
+            "type": "smooth",
+            "length_m": 1,
+            "mask": [{"type": "slope", "min_deg": 9, **change}],
+        }
+        masked = draw(load(write_program(tmp_path, [node])), 3, 0).terrain.relief[1]
+        return masked.conditions[0].over_m
+
+    assert slope() == 0.0
+    assert slope(over_m=0.7) == 0.7
+
+
+@pytest.mark.parametrize("name", sorted(set(OPERATORS) - {"plane", "dem", "mesh"}))
 def test_only_a_base_can_come_first(tmp_path, name):
     cfg = small_cfg()
     (tmp_path / "path.csv").write_text("0,0\n1,1\n")

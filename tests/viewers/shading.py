@@ -108,6 +108,8 @@ def _reflected(
     roughness, metallic = surface.roughness, surface.metallic
     if maps.roughness:
         roughness = _bilinear(load_map(maps.roughness, "roughness"), maps, position)[:, 0]
+    swing = np.ravel(1 + surface.roughness_variation * variation)
+    roughness = np.clip(roughness * swing, 0, 1)
     if maps.metallic:
         metallic = _bilinear(load_map(maps.metallic, "metallic"), maps, position)
     if maps.normal:

@@ -95,6 +95,7 @@ def network_of(folder: Path, **numbers) -> dict[str, str]:
 LAMBERT = {"diffuse", "MaterialX"}
 GLOSSY = LAMBERT | {"gloss", "glossy"}
 VARIED = {"variation", "part", "factor", "varied"}
+ROUGH = {"variation", "rough_part", "rough_factor", "rough_varied", "alpha"}
 
 
 @pytest.mark.parametrize(
@@ -106,6 +107,12 @@ VARIED = {"variation", "part", "factor", "varied"}
         # Only colors that can pass 1 are clipped.
         ({"specular": 0.0, "variation": 1.0, "base_color": (0.6, 0.4, 0.3)},
          LAMBERT | VARIED | {"clipped"}),
+        # What has no gloss needs no roughness, and only what can pass 1 is clipped.
+        ({"specular": 0.0, "roughness_variation": 0.9}, LAMBERT),
+        ({"roughness_variation": -0.9}, GLOSSY | ROUGH),
+        ({"roughness": 0.6, "roughness_variation": -0.9}, GLOSSY | ROUGH | {"rough_clipped"}),
+        ({"metallic": 1.0, "variation": 0.1, "roughness_variation": 0.9},
+         {"metal", "MaterialX"} | VARIED | ROUGH),
         ({"metallic": 0.5}, GLOSSY | {"metal", "metallic"}),
         ({"metallic": 1.0}, {"metal", "MaterialX"}),
     ],

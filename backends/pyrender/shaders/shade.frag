@@ -265,6 +265,10 @@ Look look_of(int index, Hit hit)
     }
 #endif
     color = min(color, 1.0);
+#ifdef WITH_GLOSS
+    roughness *= (1.0 + second.w * hit.variation) * (1.0 + second.w * hit.row);
+    roughness = clamp(roughness, 0.0, 1.0);
+#endif
     Look look;
     look.dull = (1.0 - metallic) * (1.0 - specular) * color;
     look.shine = vec3((1.0 - metallic) * specular) + metallic * color;

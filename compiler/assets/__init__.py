@@ -1,0 +1,1 @@
+"""What comes in from files made elsewhere: triangle meshes in the formats of the field."""

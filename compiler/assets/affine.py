@@ -1,0 +1,70 @@
+"""Affine maps of mesh files: composed and applied without BLAS and without libm."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenec.compiler.arithmetic import elementary
+
+#: Rows of the rotation that turns each upward axis to +z.
+TO_Z_UP: dict[str, tuple[tuple[float, ...], ...]] = {
+    "x": ((0, 1, 0), (0, 0, 1), (1, 0, 0)),
+    "y": ((1, 0, 0), (0, 0, -1), (0, 1, 0)),
+    "z": ((1, 0, 0), (0, 1, 0), (0, 0, 1)),
+    "-x": ((0, 0, 1), (0, 1, 0), (-1, 0, 0)),
+    "-y": ((1, 0, 0), (0, 0, 1), (0, -1, 0)),
+    "-z": ((1, 0, 0), (0, -1, 0), (0, 0, -1)),
+}
+
+
+def sin_cos(degrees: float) -> tuple[float, float]:
+    """Sine and cosine of an angle in degrees, exact at multiples of 90."""
+    quarters = round(degrees / 90.0)
+    angle = (degrees - 90.0 * quarters) * (elementary.PI / 180.0)
+    s, c = float(elementary.sin(angle)), float(elementary.cos(angle))
+    for _ in range(quarters % 4):
+        s, c = c, -s
+    return s, c
+
+
+def about_axis(axis: int, degrees: float) -> NDArray[np.float64]:
+    """Rotation about x, y or z (0, 1, 2) by the right-hand rule, float64 [4, 4]."""
+    s, c = sin_cos(degrees)
+    out = np.eye(4)
+    i, j = (axis + 1) % 3, (axis + 2) % 3
+    out[i, i], out[i, j], out[j, i], out[j, j] = c, -s, s, c
+    return out
+
+
+def of_quaternion(x: float, y: float, z: float, w: float) -> NDArray[np.float64]:
+    """Rotation of a quaternion of any length but 0, float64 [4, 4]."""
+    s = 2.0 / (x * x + y * y + z * z + w * w)
+    out = np.eye(4)
+    out[:3, :3] = [
+        [1.0 - s * (y * y + z * z), s * (x * y - z * w), s * (x * z + y * w)],
+        [s * (x * y + z * w), 1.0 - s * (x * x + z * z), s * (y * z - x * w)],
+        [s * (x * z - y * w), s * (y * z + x * w), 1.0 - s * (x * x + y * y)],
+    ]
+    return out
+
+
+def composed(outer: NDArray[np.float64], inner: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The map that does ``inner`` first; both [4, 4], for columns."""
+    out = np.zeros((4, 4))
+    for k in range(4):
+        out += outer[:, k, None] * inner[None, k, :]
+    return out
+
+
+def applied(matrix: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Points under a map: float64 [n, 3]."""
+    x, y, z = points[:, 0], points[:, 1], points[:, 2]
+    rows = [m[0] * x + m[1] * y + m[2] * z + m[3] for m in matrix[:3]]
+    return np.stack(rows, axis=1)
+
+
+def mirrors(matrix: NDArray[np.float64]) -> bool:
+    """Whether a map turns right into left."""
+    (a, b, c), (d, e, f), (g, h, i) = matrix[:3, :3]
+    return bool(a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g) < 0.0)

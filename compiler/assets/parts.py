@@ -1,0 +1,64 @@
+"""What the readers of mesh files have in common: parts, and polygons as fans of triangles."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+class MeshFileError(Exception):
+    """What is wrong with a mesh file, in words that follow its name."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """One mesh of a file, placed where the file puts it, in the file's axes and unit.
+
+    Attributes:
+        path: Its name; in files with a hierarchy, the names down to it, joined by ``/``.
+        points: float64 [n, 3].
+        faces: int64 [m, 3]; indices as the file has them, in range or not.
+    """
+
+    path: str
+    points: NDArray[np.float64]
+    faces: NDArray[np.int64]
+
+    def is_of(self, name: str) -> bool:
+        """Whether ``name`` is this part, or stands above it in the file's hierarchy."""
+        above = self.path.startswith(name.rstrip("/") + "/")
+        return name == self.path or above or name in self.path.split("/")
+
+
+@dataclass(frozen=True)
+class Parsed:
+    """A mesh file as it is.
+
+    Attributes:
+        parts: Its meshes, in the file's order.
+        unit_m: Meters per unit, where the format or the file says so.
+        up: Upward axis ("x", "y" or "z"), where the format or the file says so.
+    """
+
+    parts: tuple[Part, ...]
+    unit_m: float | None
+    up: str | None
+
+
+def fans(counts: NDArray[np.int64], corners: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Polygons as triangles around their first corners; what has fewer than three is left out.
+
+    Args:
+        counts: Corners of each polygon, [p].
+        corners: All their corners, one polygon after the other, [sum of counts].
+
+    Returns:
+        int64 [m, 3].
+    """
+    start = np.cumsum(counts) - counts
+    triangles = np.maximum(counts - 2, 0)
+    first = np.repeat(start, triangles)
+    step = np.arange(len(first)) - np.repeat(np.cumsum(triangles) - triangles, triangles)
+    return np.stack([corners[first], corners[first + step + 1], corners[first + step + 2]], axis=1)

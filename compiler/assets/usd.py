@@ -1,0 +1,144 @@
+"""USD: polygon meshes of a stage, each where its transforms put it.
+
+Unit and upward axis are the stage's, where it says them: the schema's fall-backs (centimeters, y)
+stand for "nobody said" in many files. Rotations are evaluated here, since USD takes their sines
+from libm, whose last bit changes with the CPU.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from pxr import Sdf, Tf, Usd, UsdGeom
+
+from scenec.compiler.assets import affine
+from scenec.compiler.assets.parts import MeshFileError, Parsed, Part, fans
+
+#: Purposes of geometry that stands in for other geometry, or helps to edit it.
+_NOT_RENDERED = (UsdGeom.Tokens.proxy, UsdGeom.Tokens.guide)
+_TIME = Usd.TimeCode.EarliestTime()
+
+
+def read_usd(file: Path) -> Parsed:
+    """Reads a ``.usd``, ``.usda``, ``.usdc`` or ``.usdz`` file.
+
+    A part's path is its prim's. Instances count as what they are instances of; subdivision surfaces
+    are taken as their cages; moving ones at their first time code.
+
+    Raises:
+        MeshFileError: It is not USD, refers to other files, or holds point instancers.
+    """
+    try:
+        return _read(Usd.Stage.Open(str(file)))
+    except Tf.ErrorException as error:
+        reason = _reason(error).replace(f"{file}:", "line ")
+        raise MeshFileError(f"not a sound USD file: {reason}") from error
+    except (TypeError, ValueError, OverflowError) as error:
+        # An attribute of another type than the schema's.
+        raise MeshFileError(f"not a sound USD file: {error}") from error
+
+
+def _reason(error: Tf.ErrorException) -> str:
+    try:
+        lines = next((e.commentary for e in error.args), "").splitlines()
+    except UnicodeDecodeError:
+        # USD quotes what it cannot read.
+        lines = []
+    return lines[0] if lines else "USD gives no reason"
+
+
+def _read(stage: Usd.Stage) -> Parsed:
+    _require_one_file(stage)
+    parts = []
+    for prim in stage.Traverse(Usd.TraverseInstanceProxies()):
+        if prim.IsA(UsdGeom.PointInstancer) and _is_shown(UsdGeom.Imageable(prim)):
+            raise MeshFileError(f"{prim.GetPath()} is a point instancer: expected meshes")
+        if prim.IsA(UsdGeom.Mesh) and _is_shown(UsdGeom.Imageable(prim)):
+            parts.append(_mesh(UsdGeom.Mesh(prim)))
+    unit = up = None
+    if UsdGeom.StageHasAuthoredMetersPerUnit(stage):
+        unit = float(UsdGeom.GetStageMetersPerUnit(stage))
+    if stage.HasAuthoredMetadata(UsdGeom.Tokens.upAxis):
+        up = str(UsdGeom.GetStageUpAxis(stage)).lower()
+    return Parsed(tuple(parts), unit, up)
+
+
+def _require_one_file(stage: Usd.Stage) -> None:
+    """One file's hash must cover all that is read."""
+    root = stage.GetRootLayer()
+    for layer in stage.GetUsedLayers():
+        if not layer.anonymous and layer.realPath != root.realPath:
+            outside = Sdf.Layer.SplitIdentifier(layer.identifier)[0]
+            if not outside.startswith(f"{root.realPath}["):
+                raise MeshFileError(
+                    f"takes in another file ({Path(outside).name}): flatten it (usdcat --flatten)"
+                )
+    broken = stage.GetCompositionErrors()
+    if broken:
+        raise MeshFileError(f"does not compose: {str(broken[0]).splitlines()[0]}")
+
+
+def _is_shown(prim: UsdGeom.Imageable) -> bool:
+    return (
+        prim.ComputeVisibility(_TIME) != UsdGeom.Tokens.invisible
+        and prim.ComputePurpose() not in _NOT_RENDERED
+    )
+
+
+def _mesh(mesh: UsdGeom.Mesh) -> Part:
+    path = str(mesh.GetPath())
+    points = np.array(mesh.GetPointsAttr().Get(_TIME) or (), np.float64).reshape(-1, 3)
+    counts = np.array(mesh.GetFaceVertexCountsAttr().Get(_TIME) or (), np.int64)
+    corners = np.array(mesh.GetFaceVertexIndicesAttr().Get(_TIME) or (), np.int64)
+    if (counts < 0).any() or counts.sum() != len(corners):
+        raise MeshFileError(f"{path}: faceVertexCounts and faceVertexIndices do not go together")
+    holes = np.array(mesh.GetHoleIndicesAttr().Get(_TIME) or (), np.int64)
+    holes = holes[(holes >= 0) & (holes < len(counts))]
+    if len(holes):
+        kept = np.ones(len(counts), bool)
+        kept[holes] = False
+        corners, counts = corners[np.repeat(kept, counts)], counts[kept]
+    faces = fans(counts, corners)
+    matrix = _local_to_world(mesh.GetPrim())
+    left_handed = mesh.GetOrientationAttr().Get(_TIME) == UsdGeom.Tokens.leftHanded
+    if left_handed != affine.mirrors(matrix):
+        faces = faces[:, ::-1]
+    return Part(path, affine.applied(matrix, points), faces)
+
+
+def _local_to_world(prim: Usd.Prim) -> NDArray[np.float64]:
+    out = np.eye(4)
+    while prim and not prim.IsPseudoRoot():
+        xformable = UsdGeom.Xformable(prim)
+        if xformable:
+            local = np.eye(4)
+            for op in xformable.GetOrderedXformOps():
+                local = affine.composed(local, _op(op))
+            out = affine.composed(local, out)
+            if xformable.GetResetXformStack():
+                break
+        prim = prim.GetParent()
+    return out
+
+
+def _op(op: UsdGeom.XformOp) -> NDArray[np.float64]:
+    """The matrix of one operation, for columns."""
+    kind = str(op.GetOpType()).rpartition("Type")[2]
+    axes = kind.removeprefix("Rotate")
+    if axes == kind:
+        # No angle, so no sine.
+        return np.array(op.GetOpTransform(_TIME), np.float64).T
+    value = op.Get(_TIME)
+    degrees = {
+        axis: float(value if value is not None else 0.0) if len(axes) == 1 else float(value[i])
+        for i, axis in enumerate("XYZ")
+        if axis in axes and (len(axes) == 1 or value is not None)
+    }
+    out = np.eye(4)
+    # The first axis turns first.
+    for axis in axes:
+        out = affine.composed(affine.about_axis("XYZ".index(axis), degrees.get(axis, 0.0)), out)
+    # What turns back is the transpose.
+    return out.T if op.IsInverseOp() else out

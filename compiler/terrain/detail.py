@@ -1,0 +1,128 @@
+"""Relief finer than the grid: what an operator's samples leave out, at any point.
+
+A grid holds no wavelength below two of its spacings. Operators that are functions of position know
+the rest of themselves; the mesh shows it where a camera is near enough. Detail outlives operators
+that add to the heights, and ends at one that reshapes them (erosion, smoothing, craters ...): what
+these would do to it is not known.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenec.compiler.terrain.grid import Grid, HeightField
+
+
+@dataclass(frozen=True)
+class Spectrum:
+    """About how large detail is, by size; it decides where to look closer, never how high it is.
+
+    Attributes:
+        wavelength_m: float64 [k].
+        amplitude_m: Of each, float64 [k].
+    """
+
+    wavelength_m: NDArray[np.float64]
+    amplitude_m: NDArray[np.float64]
+
+    def finer_than(self, length_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Amplitude of all that is finer than given lengths, meters, like ``length_m``."""
+        order = np.argsort(self.wavelength_m, kind="stable")
+        square = self.amplitude_m[order] * self.amplitude_m[order]
+        total = np.concatenate([[0.0], np.cumsum(square)])
+        below = np.searchsorted(self.wavelength_m[order], length_m, side="left")
+        amplitude: NDArray[np.float64] = np.sqrt(total[below])
+        return amplitude
+
+
+class Detail(Protocol):
+    """What to add between a grid's samples."""
+
+    def at(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Meters to add at points, float64 [n]."""
+        ...
+
+    def spectrum(self) -> Spectrum:
+        """How large it is."""
+        ...
+
+
+@runtime_checkable
+class Detailed(Protocol):
+    """An operator that knows what a grid leaves out of it."""
+
+    def detail(self, grid: Grid) -> Detail | None:
+        """What to add, or None if the grid holds it all."""
+        ...
+
+
+@dataclass(frozen=True)
+class Weighted:
+    """Detail behind a mask.
+
+    Attributes:
+        detail: What to add.
+        weight: The mask's weights at a grid's samples.
+    """
+
+    detail: Detail
+    weight: HeightField
+
+    def at(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Meters to add at points, float64 [n]."""
+        weight = self.weight.height_at(x, y)
+        out = np.zeros(x.shape)
+        inside = np.flatnonzero(weight)
+        out[inside] = weight[inside] * self.detail.at(x[inside], y[inside])
+        return out
+
+    def spectrum(self) -> Spectrum:
+        """As where the mask is 1."""
+        return self.detail.spectrum()
+
+
+@dataclass(frozen=True)
+class Sum:
+    """Several details, one upon the other."""
+
+    parts: tuple[Detail, ...]
+
+    def at(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Meters to add at points, float64 [n]."""
+        out = np.zeros(x.shape)
+        for part in self.parts:
+            out += part.at(x, y)
+        return out
+
+    def spectrum(self) -> Spectrum:
+        """Of all parts."""
+        return joined([part.spectrum() for part in self.parts])
+
+
+def joined(spectra: Sequence[Spectrum]) -> Spectrum:
+    """All of them together."""
+    if not spectra:
+        return Spectrum(np.zeros(0), np.zeros(0))
+    return Spectrum(
+        np.concatenate([s.wavelength_m for s in spectra]),
+        np.concatenate([s.amplitude_m for s in spectra]),
+    )
+
+
+def octave_spectrum(
+    scale_m: float, octaves: range, lacunarity: float, gain: float, amplitude_m: float
+) -> Spectrum:
+    """Of some octaves of a noise whose first one has a given size and amplitude."""
+    wavelength, amplitude = [], []
+    for octave in range(octaves.stop):
+        if octave >= octaves.start:
+            wavelength.append(scale_m)
+            amplitude.append(abs(amplitude_m))
+        scale_m /= lacunarity
+        amplitude_m *= gain
+    return Spectrum(np.array(wavelength), np.array(amplitude))

@@ -1,0 +1,121 @@
+"""How fresh the ground is that craters have left: bright blankets of the youngest of them.
+
+A crater's freshness is the part of its depth that wear has left, 1 when new. Its blanket covers the
+ground about it: wholly within the rim, and outside, at x radii from the center, by
+
+    c(x) = (1 - exp(-k / x^3)) / (1 - exp(-k)),
+
+what lies under ejecta whose mean thickness falls with x^-3 (McGetchin et al. 1973) where they fall
+at random; k makes it half at 2.3 radii, where continuous ejecta end (Moore et al. 1974). It fades
+out from 4 to 5 radii, as the blanket's relief does. What was there, of freshness F, becomes
+F + c (f - F): the newest lies over the oldest, and where no crater reaches F is 0.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from scenec.compiler.arithmetic import elementary
+from scenec.compiler.terrain.crater_profile import REACH, profile_table
+from scenec.compiler.terrain.craters import Craters, shown_on, span, uneven_distance
+from scenec.compiler.terrain.grid import Grid
+
+# ln 2 * 2.3^3: half is covered at 2.3 radii.
+_COVER = 0.6931471805599453 * 12.167
+_FADE = 4.0
+
+
+def crater_freshness(
+    grid: Grid, layers: Sequence[tuple[Craters, NDArray[np.float64] | None]]
+) -> NDArray[np.float64]:
+    """Freshness of the ground in [0, 1]: float64 [ny, nx].
+
+    Args:
+        grid: The samples.
+        layers: Craters in the order in which they were laid, each with the weights of its mask,
+            float64 [ny, nx], or None.
+    """
+    fresh = np.zeros(grid.shape)
+    for craters, mask in layers:
+        shown = shown_on(craters, grid)
+        if not shown.any():
+            continue
+        state = craters.state[shown]
+        table = profile_table(float(state.max()))
+        _cover(
+            fresh,
+            np.ones((1, 1)) if mask is None else mask,
+            grid.x(),
+            grid.y(),
+            craters.x_m[shown],
+            craters.y_m[shown],
+            0.5 * craters.diameter_m[shown],
+            state,
+            craters.outline[shown],
+            craters.irregularity,
+            table.states,
+            table.depth[:, 0] / table.depth[0, 0],
+        )
+    return fresh
+
+
+@njit(cache=True, error_model="numpy")
+def cover(x: float) -> float:
+    """Part of the ground that a crater's ejecta cover at x radii, in [0, 1]."""
+    if x <= 1.0:
+        return 1.0
+    if x >= REACH:
+        return 0.0
+    whole = 1.0 - elementary.exp(-_COVER)
+    t = min(max((x - _FADE) / (REACH - _FADE), 0.0), 1.0)
+    return (1.0 - elementary.exp(-_COVER / (x * x * x))) / whole * (1.0 - t * t * (3.0 - 2.0 * t))
+
+
+@njit(cache=True, error_model="numpy")
+def _cover(
+    fresh: NDArray,
+    mask: NDArray,
+    x: NDArray,
+    y: NDArray,
+    center_x: NDArray,
+    center_y: NDArray,
+    radius: NDArray,
+    state: NDArray,
+    outline: NDArray,
+    irregularity: float,
+    states: NDArray,
+    left_table: NDArray,
+) -> None:
+    # A table: four million craters ask for many more values than it has.
+    steps = 1024
+    covers = np.empty(steps + 2)
+    for k in range(covers.size):
+        covers[k] = cover(REACH * k / steps)
+    masked = mask.size > 1
+    for n in range(radius.size):
+        r = radius[n]
+        reach = REACH * r * (1.0 + irregularity)
+        i0, i1 = span(x, center_x[n], reach)
+        j0, j1 = span(y, center_y[n], reach)
+        row = 1
+        while row < states.size - 1 and states[row] < state[n]:
+            row += 1
+        t = min(max((state[n] - states[row - 1]) / (states[row] - states[row - 1]), 0.0), 1.0)
+        left = left_table[row - 1] + t * (left_table[row] - left_table[row - 1])
+        for j in range(j0, j1):
+            dy = (y[j] - center_y[n]) / r
+            for i in range(i0, i1):
+                dx = (x[i] - center_x[n]) / r
+                away = uneven_distance(dx, dy, outline[n], irregularity, state[n])
+                if away >= REACH:
+                    continue
+                at = away * (steps / REACH)
+                k = int(at)
+                part = covers[k] + (at - k) * (covers[k + 1] - covers[k])
+                if masked:
+                    part *= mask[j, i]
+                fresh[j, i] += part * (left - fresh[j, i])

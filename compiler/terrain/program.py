@@ -1,0 +1,110 @@
+"""Runs a relief program: operators one after the other, and the detail that outlives them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenec.compiler.terrain.detail import Detail, Detailed, Weighted
+from scenec.compiler.terrain.grid import Grid, HeightField
+from scenec.compiler.terrain.mask import Masked
+from scenec.compiler.terrain.mesh_base import DEFAULT_TRIANGLES, MeshBase
+from scenec.compiler.terrain.mesh_surface import MeshSurface
+from scenec.compiler.terrain.operator import ReliefOperator, operator_type
+from scenec.schemas.errors import SceneError
+
+#: Squares of heights must be numbers in float32 too: renderers take them.
+HIGHEST_M = 1e18
+
+
+@dataclass(frozen=True)
+class Relief:
+    """What a program made.
+
+    Attributes:
+        field: Heights.
+        details: What is finer than the grid and still holds.
+        steps: What each operator reports.
+    """
+
+    field: HeightField
+    details: tuple[Detail, ...]
+    steps: list[dict[str, Any]]
+
+
+def run(
+    operators: Sequence[ReliefOperator], grid: Grid, max_triangles: int = DEFAULT_TRIANGLES
+) -> Relief:
+    """Applies operators in order to level ground.
+
+    Args:
+        operators: The program.
+        grid: Where heights are sampled.
+        max_triangles: Budget of a base that is kept as a mesh.
+
+    Raises:
+        SceneError: An operator cannot do its work, or heights overflow.
+    """
+    height = np.zeros(grid.shape)
+    base: MeshSurface | None = None
+    details: list[Detail] = []
+    steps = []
+    # Overflow is found once, at the end, and said in the user's words.
+    with np.errstate(over="ignore", invalid="ignore"):
+        for operator in operators:
+            detail = _detail(operator, grid, height)
+            if isinstance(operator, MeshBase) and operator.surface == "mesh":
+                base, report = operator.stage(grid, max_triangles)
+                height = base.height
+            else:
+                height, report = operator.apply(grid, height)
+            if not _adds(operator) and details:
+                report = {**report, "finer_detail_ended": len(details)}
+                details = []
+            if detail is not None:
+                details.append(detail)
+            steps.append({"type": operator_type(operator), **report})
+    if not np.isfinite(height).all():
+        raise SceneError(
+            "terrain: the relief overflows to infinity; lower amplitude, gain or octaves"
+        )
+    highest = max(float(np.abs(height).max()), _highest(details, grid))
+    if not highest <= HIGHEST_M:
+        raise SceneError(
+            f"terrain: heights reach {highest:.3g} m, at most {HIGHEST_M:g} m can be held; lower "
+            "amplitude, gain or octaves"
+        )
+    field = HeightField(grid, height) if base is None else base.lifted(height)
+    return Relief(field, tuple(details), steps)
+
+
+def _highest(details: Sequence[Detail], grid: Grid) -> float:
+    """The largest of all detail at some hundred points between the grid's samples, meters."""
+    if not details:
+        return 0.0
+    x, y = (
+        (grid.size_m[axis] - grid.spacing_m[axis]) * (np.arange(16) / 15.0 - 0.5) * 0.999
+        for axis in (0, 1)
+    )
+    at_x, at_y = (np.ascontiguousarray(a).ravel() for a in np.meshgrid(x, y))
+    with np.errstate(over="ignore", invalid="ignore"):
+        found = np.abs([detail.at(at_x, at_y) for detail in details])
+    return float(np.nan_to_num(found, nan=np.inf).max())
+
+
+def _adds(operator: ReliefOperator) -> bool:
+    """Whether an operator adds to the heights whatever they are: detail then stays as it was."""
+    inner = operator.operator if isinstance(operator, Masked) else operator
+    return bool(getattr(inner, "adds", False))
+
+
+def _detail(operator: ReliefOperator, grid: Grid, height: NDArray[np.float64]) -> Detail | None:
+    inner = operator.operator if isinstance(operator, Masked) else operator
+    detail = inner.detail(grid) if isinstance(inner, Detailed) else None
+    if detail is not None and isinstance(operator, Masked):
+        return Weighted(detail, HeightField(grid, operator.weight(grid, height)))
+    return detail

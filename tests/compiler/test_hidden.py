@@ -1,0 +1,78 @@
+"""What hides behind hills: never too much."""
+
+from __future__ import annotations
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from test_adaptive import one_rig
+
+from scenec.compiler.cameras.hidden import hidden_blocks
+from scenec.compiler.cameras.sight import pixels_per_meter, views_of
+from scenec.compiler.terrain.grid import Grid, HeightField
+from scenec.compiler.terrain.multifractal import Multifractal
+
+
+def block_of(field: HeightField, hidden: np.ndarray, blocks: np.ndarray) -> np.ndarray:
+    """Whether each sample's block is hidden, [ny, nx]."""
+    i = np.floor((field.grid.x() - blocks[0]) / blocks[2]).astype(int)
+    j = np.floor((field.grid.y() - blocks[1]) / blocks[3]).astype(int)
+    last = hidden.shape[1] - 1, hidden.shape[2] - 1
+    return hidden[0][np.clip(j, 0, last[0])[:, None], np.clip(i, 0, last[1])[None, :]]
+
+
+def visible(field: HeightField, eye: np.ndarray, j: int, i: int) -> bool:
+    """Whether the straight line from an eye to a sample stays above the surface."""
+    end = np.array([field.grid.x()[i], field.grid.y()[j], field.height[j, i]])
+    t = np.linspace(0.0, 1.0, 600)[1:-1, None]
+    line = eye + t * (end - eye)
+    below = field.height_at(line[:, 0].copy(), line[:, 1].copy())
+    return bool((line[:, 2] > below - 1e-9).all())
+
+
+@settings(max_examples=12, deadline=None)
+@given(st.integers(0, 1000), st.floats(-18.0, 18.0), st.floats(-18.0, 18.0), st.floats(0.1, 6.0))
+def test_nothing_that_can_be_seen_counts_as_hidden(key, x, y, height):
+    grid = Grid((40.0, 40.0), (161, 161))
+    relief = Multifractal(key, 4.0, 14.0, 5, 2.0, 0.5, "fbm", 0.7)
+    field = HeightField(grid, relief.apply(grid, np.zeros(grid.shape))[0])
+    ground = field.height_at(np.array([x]), np.array([y]))[0]
+    eye = np.array([x, y, ground + height])
+    hidden = block_of(field, *hidden_blocks(field, eye[None]))
+    behind = np.argwhere(hidden)
+    rng = np.random.default_rng(key)
+    for j, i in behind[rng.permutation(len(behind))[:150]]:
+        assert not visible(field, eye, j, i)
+
+
+def wall(height: float) -> HeightField:
+    grid = Grid((40.0, 40.0), (161, 161))
+    ridge = np.where(np.abs(grid.y()) < 4.0, height, 0.0)
+    return HeightField(grid, np.repeat(ridge[:, None], 161, axis=1))
+
+
+def test_a_wall_hides_what_lies_behind_it():
+    field = wall(5.0)
+    eye = np.array([[0.0, -15.0, 1.5]])
+    hidden = block_of(field, *hidden_blocks(field, eye))
+    behind = field.grid.y() > 9.0
+    assert hidden[behind].all()
+    # The near side and the crest's near edge are in view.
+    assert not hidden[field.grid.y() < -4.0].any()
+    # From high above one sees all.
+    high = block_of(field, *hidden_blocks(field, np.array([[0.0, -15.0, 60.0]])))
+    assert not high.any()
+    # A margin that may raise the ground behind it, or lower the wall, hides nothing.
+    assert not hidden_blocks(field, eye, 3.0)[0].any()
+
+
+def test_hidden_ground_counts_as_out_of_view():
+    field = wall(5.0)
+    rig = one_rig(field, (0.0, -15.0), (0.0, 0.0), 1.5)
+    plain = pixels_per_meter(field, views_of((rig,)), 0.125)
+    told = pixels_per_meter(field, views_of((rig,), field), 0.125)
+    seen = plain / told
+    # In the view and behind the wall: an eighth.
+    i = 80
+    assert seen[150, i] == 8.0
+    assert seen[40, i] == 1.0
