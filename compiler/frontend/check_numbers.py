@@ -7,9 +7,12 @@ truncated to the key's own bounds, where it has them.
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Iterator, Mapping
+from itertools import pairwise
 from typing import Any
 
+from scenec.compiler.arithmetic import elementary
 from scenec.compiler.frontend.faults import Finding, shown
 from scenec.compiler.frontend.normal import MAX_SIGMAS
 from scenec.compiler.frontend.numbers import Distribution, Number
@@ -51,15 +54,24 @@ def read_number(value: Any, keywords: Mapping[str, Any]) -> Number:
         return Distribution(
             kind, per, whole, min(values), max(values), values=values, weights=weights
         )
+    if kind == "histogram":
+        edges = tuple(float(v) + 0.0 for v in value["edges"])
+        weights = tuple(float(w) for w in value["weights"])
+        return Distribution(kind, per, whole, edges[0], edges[-1], values=edges, weights=weights)
     low, high = _support(value, keywords)
+    mean, std = value.get("mean", 0.0), value.get("std", 0.0)
+    if kind == "log_normal":
+        mean, std = elementary.log(float(value["median"])), value["sigma"]
+    shape = next((value[key] for key in ("scale", "exponent", "k") if key in value), 0.0)
     return Distribution(
         kind,
         per,
         whole,
         low + 0.0,
         high + 0.0,
-        mean=float(value.get("mean", 0.0)) + 0.0,
-        std=float(value.get("std", 0.0)) + 0.0,
+        mean=float(mean) + 0.0,
+        std=float(std) + 0.0,
+        shape=float(shape) + 0.0,
     )
 
 
@@ -81,7 +93,7 @@ def _is_whole(value: float) -> bool:
 
 def _support(value: Mapping[str, Any], keywords: Mapping[str, Any]) -> tuple[float, float]:
     low, high = -math.inf, math.inf
-    if value["type"] == "normal":
+    if value["type"] in ("normal", "log_normal"):
         if "minimum" in keywords:
             low = float(keywords["minimum"])
         if "exclusiveMinimum" in keywords:
@@ -90,6 +102,9 @@ def _support(value: Mapping[str, Any], keywords: Mapping[str, Any]) -> tuple[flo
             high = float(keywords["maximum"])
         if "exclusiveMaximum" in keywords:
             high = math.nextafter(float(keywords["exclusiveMaximum"]), -math.inf)
+    if value["type"] == "log_normal":
+        # None is 0 or less; the smallest double is far below any that can be drawn.
+        low = max(low, math.ulp(0.0))
     return float(value.get("min", low)), float(value.get("max", high))
 
 
@@ -108,6 +123,19 @@ def _check_shape(value: Mapping[str, Any]) -> Iterator[tuple[tuple[str | int, ..
     low, high = value.get("min"), value.get("max")
     if low is not None and high is not None and low > high:
         yield ("min",), f"{shown(low)}: min is above max ({shown(high)}); swap them"
+    edges = value.get("edges", [0.0, 1.0])
+    for i, (before, after) in enumerate(pairwise(edges), start=1):
+        if after <= before:
+            yield ("edges", i), f"{shown(after)}: expected more than the edge before it"
+    if value["type"] == "histogram":
+        if len(value["weights"]) != len(edges) - 1:
+            yield (
+                ("weights",),
+                f"{len(value['weights'])} weights for {len(edges)} edges: expected one for each "
+                "interval between them",
+            )
+        elif not any(value["weights"]):
+            yield ("weights",), "all weights are 0: expected one that is more"
     if value["type"] == "choice" and "weights" in value:
         weights = value["weights"]
         if len(weights) != len(value["values"]):
@@ -127,9 +155,12 @@ def _check_support(field: Field) -> Iterator[Finding]:
         if message:
             broken = True
             yield Finding((*field.path, *key), f"{shown(bound)}: expected {message}")
-    if value["type"] != "normal" or broken:
+    if value["type"] not in ("normal", "log_normal") or broken:
         return
     low, high = _support(value, keywords)
+    if value["type"] == "log_normal":
+        yield from _check_log_normal(field, low, high)
+        return
     mean, std = float(value["mean"]), float(value["std"])
     if low > high:
         at: tuple[str, ...] = ("min",) if "min" in value else ("max",)
@@ -144,12 +175,28 @@ def _check_support(field: Field) -> Iterator[Finding]:
         yield Finding((*field.path, "std"), f"{shown(value['std'])}: too large for a number")
 
 
+def _check_log_normal(field: Field, low: float, high: float) -> Iterator[Finding]:
+    median, sigma = float(field.value["median"]), float(field.value["sigma"])
+    if low > high:
+        at = "min" if "min" in field.value else "max"
+        yield Finding((*field.path, at), f"nothing lies between {low:g} and {high:g}")
+        return
+    ends = [elementary.log(min(max(end, math.ulp(0.0)), sys.float_info.max)) for end in (low, high)]
+    if not ends[0] - MAX_SIGMAS * sigma <= elementary.log(median) <= ends[1] + MAX_SIGMAS * sigma:
+        yield Finding(
+            field.path,
+            f"median {median:g} with sigma {sigma:g} never falls between {low:g} and {high:g}: "
+            f"expected a median within {MAX_SIGMAS:g} sigma of them",
+        )
+
+
 def _bounds_given(value: Mapping[str, Any]) -> Iterator[tuple[tuple[str | int, ...], float]]:
     for key in ("min", "max"):
         if key in value:
             yield (key,), value[key]
-    for i, entry in enumerate(value.get("values", ())):
-        yield ("values", i), entry
+    for name in ("values", "edges"):
+        for i, entry in enumerate(value.get(name, ())):
+            yield (name, i), entry
 
 
 def _outside(value: float, keywords: Mapping[str, Any]) -> str:
@@ -169,6 +216,7 @@ def _outside(value: float, keywords: Mapping[str, Any]) -> str:
 def _check_whole(field: Field) -> Iterator[Finding]:
     value = field.value
     if value["type"] in ("uniform", "choice"):
+        # The others are rounded.
         for key, bound in _bounds_given(value):
             if not _is_whole(bound):
                 yield Finding((*field.path, *key), f"{shown(bound)}: expected a whole number")

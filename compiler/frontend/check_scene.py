@@ -37,6 +37,7 @@ def check_scene(document: Any, numbers: dict[Path, Field]) -> list[Finding]:
         *_check_freshness(document),
         *_check_layers(document),
         *_check_materials(document),
+        *_check_rocks(document),
         *_check_samples(spans),
         *_check_sensors(document),
         *_check_positions(document, spans),
@@ -199,6 +200,22 @@ def _check_materials(document: Any) -> Iterator[Finding]:
             yield Finding(
                 ("objects", name, "material"),
                 f"{shown(used)} has {laid[used]}, for the ground only: expected one without",
+            )
+
+
+def _check_rocks(document: Any) -> Iterator[Finding]:
+    """Keys that only some families of rocks read."""
+    for name, thing in _entries(document, "objects"):
+        if not isinstance(thing, dict) or thing.get("type") != "rocks":
+            continue
+        weathered = thing.get("family", "weathered") == "weathered"
+        key, other = ("wear", "angularity") if weathered else ("angularity", "wear")
+        if key in thing:
+            yield Finding(
+                ("objects", name, key),
+                f"rocks of the family {shown(thing.get('family', 'weathered'))} have no {key}: "
+                f"expected {other}",
+                at_key=True,
             )
 
 

@@ -9,10 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
-from scenec.compiler.frontend import normal
+from scenec.compiler.frontend import laws, normal
 from scenec.compiler.frontend.streams import Streams
 
 Per = Literal["batch", "sample", "instance"]
+Kind = Literal[
+    "uniform", "log_uniform", "normal", "choice", "log_normal", "exponential", "power_law",
+    "golombek_rapp", "histogram",
+]  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -20,18 +24,20 @@ class Distribution:
     """What a number of the cfg is drawn from, validated, with every default filled in.
 
     Attributes:
-        type: uniform, log_uniform, normal or choice.
+        type: Which.
         per: Once a batch, once a sample, or once for each instance.
         integer: Whether the drawn numbers are whole.
         min: Lower bound of what is drawn, inclusive; -inf for a normal without one.
         max: Upper bound of what is drawn, inclusive; inf for a normal without one.
         mean: Mean of a normal before truncation.
         std: Standard deviation of a normal before truncation.
-        values: What ``choice`` chooses from.
-        weights: How likely each of the values is; empty for the other types.
+        values: What ``choice`` chooses from, or the edges of a ``histogram``.
+        weights: How likely each of the values, or of the intervals, is; empty for the other types.
+        shape: What else shapes it: median and sigma of log_normal's become ``mean`` and ``std`` of
+            its logarithm; this is exponential's scale, power_law's exponent, golombek_rapp's k.
     """
 
-    type: Literal["uniform", "log_uniform", "normal", "choice"]
+    type: Kind
     per: Per
     integer: bool
     min: float
@@ -40,6 +46,7 @@ class Distribution:
     std: float = 0.0
     values: tuple[float, ...] = ()
     weights: tuple[float, ...] = ()
+    shape: float = 0.0
 
     def as_dict(self) -> dict[str, Any]:
         """The fields as JSON values, infinite bounds as None."""
@@ -53,6 +60,8 @@ class Distribution:
             "std": self.std,
             "values": list(self.values),
             "weights": list(self.weights),
+            # Left out where it says nothing: digests of older cfgs stay.
+            **({"shape": self.shape} if self.shape else {}),
         }
 
 
@@ -107,6 +116,12 @@ def _from_uniforms(number: Distribution, u: NDArray[np.float64]) -> NDArray[np.f
     elif number.type == "log_uniform":
         log_low, log_high = elementary.log(low), elementary.log(high)
         values = elementary.exp_array(log_low + u * (log_high - log_low))
+    elif number.type in laws.LAWS:
+        values = laws.LAWS[number.type](u, low, high, number.shape)
+    elif number.type == "histogram":
+        values = laws.histogram(u, number.values, number.weights)
+    elif number.type == "log_normal":
+        values = laws.log_normal(u, low, high, number.mean, number.std)
     elif number.std == 0.0:
         values = np.full(u.shape, number.mean)
     else:

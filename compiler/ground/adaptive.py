@@ -23,6 +23,8 @@ from numpy.typing import NDArray
 ROOT_CELLS = 128
 #: Kinds of channel: what a deviation from the plane through a triangle's corners means.
 HEIGHT, LINE, SHADE = 0, 1, 2
+#: Shading is followed in triangles whose legs are longer than so many tolerances.
+SHADE_LEGS = 6.0
 
 
 @dataclass(frozen=True)
@@ -33,7 +35,7 @@ class Channels:
         values: float64 [ny, nx, c]: all that is known of a sample lies together.
         kind: HEIGHT: meters; shown in pixels as they are. LINE: a signed field whose zero line must
             stay in its place. SHADE: units of what the eye may miss (1: the tolerance is reached),
-            in triangles whose legs have more than three pixels.
+            in triangles whose legs are longer than SHADE_LEGS tolerances.
         lateral: Distance of each sample to a LINE channel's zero line, meters, [ny, nx, k]: of the
             channels up to the last LINE.
     """
@@ -52,7 +54,7 @@ def vertex_errors(
         channels: What the mesh must follow.
         pixels_per_m: Of the nearest view, at each sample, [ny, nx].
         cell_m: Larger side of a cell, meters.
-        tolerance_px: What one unit of SHADE counts as.
+        tolerance_px: The one asked for: what one unit of SHADE counts as.
 
     Returns:
         float32, [ny, nx] grown to whole root triangles; infinite where a triangle straddles the
@@ -138,7 +140,7 @@ def _triangle_error(values, kind, lateral, ppm, cell, tol, ax, ay, bx, by, cx, c
                 continue
             u, v = p / area, q / area
             scale = ppm[y, x]
-            shades = legs * scale > 3.0
+            shades = legs * scale > SHADE_LEGS * tol
             for c in range(kind.size):
                 if kind[c] == 2 and not shades:
                     continue
