@@ -5,7 +5,7 @@ DEMO := out/jacksboro
 WORKERS ?= 2
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test lint types unit format bench docs lock wheel clean distclean
+.PHONY: help setup demo test lint types unit format bench docs pictures lock wheel clean distclean
 
 help:  ## List the targets.
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  make \1\t\2/p' Makefile | expand -t 20
@@ -51,6 +51,10 @@ docs: setup  ## Generate docs/cfg.md from the schemas; docs/numerics.md, docs/re
 	@.venv/bin/python docs/make_numerics.py
 	@echo "== Measuring docs/relief.md"
 	@.venv/bin/python docs/make_relief.py
+
+pictures: setup  ## Render the shipped cfgs into docs/pictures/ and the README's table of them.
+	@echo "== Rendering configs/ with Mitsuba, 64 samples a pixel"
+	@.venv/bin/python docs/make_gallery.py
 
 # uv resolves in a folder of its own: uv.lock names hosts and must not come near the repository.
 lock: setup  ## Resolve pyproject.toml again into requirements.lock.

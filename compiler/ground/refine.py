@@ -13,11 +13,12 @@ from scenec.compiler.cameras.sight import NEAREST_M, Views, pixels_of_balls
 from scenec.compiler.ground.bisect import Bisectable, Halved, halve, newest_first
 from scenec.compiler.ground.cut import CutMesh
 from scenec.compiler.ground.surface import Surface
-from scenec.compiler.terrain.detail import Spectrum
 
 #: Part of the amplitude of what is finer than a triangle that it may be wrong by: octaves of noise
 #: have a root mean square of 0.3, and the middles of edges show some of it.
 _UNRESOLVED = 0.35
+#: Part of the tolerance that the middles of edges may use up: the worst point lies elsewhere.
+_SLACK = 0.9
 #: Slope, from crest to trough, beyond which such detail is taken for rough no more.
 _STEEP = 0.5
 # Fractions of the golden ratio's plastic cousin: where a triangle is checked differs from the next.
@@ -86,12 +87,11 @@ def refine(
         The mesh, and the error left: measured at points inside of its faces. None if it has more
         triangles than are allowed.
     """
-    spectrum = surface.spectrum()
     work = _start(mesh, surface, views, limits)
     while len(work.mesh.faces) <= limits.max_triangles:
         new = np.flatnonzero(work.new)
         wanted = np.zeros(len(work.new), bool)
-        wanted[new] = _wanted(work, new, surface, spectrum, views, limits)
+        wanted[new] = _wanted(work, new, surface, views, limits)
         if not wanted.any():
             return _finish(mesh, work, surface, views, limits)
         work = _halved(work, halve(work.mesh, wanted), surface)
@@ -126,7 +126,7 @@ def _doubtful(work: _Work, surface: Surface, views: Views, limits: Limits) -> ND
     pixels = pixels_of_balls(views, center, radius, limits.unseen, min(NEAREST_M, limits.finest_m))
     field = surface.field
     bend = _bends(field.height, work.points, work.mesh.faces, *field.frame())
-    off = surface.amplitude_m() + bend
+    off = _finer(work, work.mesh.faces, np.full(len(leg), np.inf), surface) + bend
     crossed = np.zeros(len(leg), bool)
     for side in work.sides.T:
         above = side[work.mesh.faces] >= 0.0
@@ -163,7 +163,6 @@ def _wanted(
     work: _Work,
     faces: NDArray[np.int64],
     surface: Surface,
-    spectrum: Spectrum,
     views: Views,
     limits: Limits,
 ) -> NDArray[np.bool_]:
@@ -174,7 +173,8 @@ def _wanted(
         work.points, work.sides, work.middles, work.middle_sides,
         work.mesh.faces[faces], work.mesh.face_edges[faces], leg,
     )  # fmt: skip
-    finer = np.minimum(_UNRESOLVED * spectrum.finer_than(2.0 * leg), _STEEP * leg)
+    finer = _finer(work, work.mesh.faces[faces], 2.0 * leg, surface)
+    finer = np.minimum(_UNRESOLVED * finer, _STEEP * leg)
     error = np.maximum(error, finer)
     # What is coarse enough needs no view.
     error[leg <= limits.finest_m] = 0.0
@@ -183,8 +183,19 @@ def _wanted(
     pixels = pixels_of_balls(
         views, center[some], radius[some], limits.unseen, min(NEAREST_M, limits.finest_m)
     )
-    out[some] = error[some] * pixels > limits.tolerance_px
+    out[some] = error[some] * pixels > _SLACK * limits.tolerance_px
     return out
+
+
+def _finer(
+    work: _Work, faces: NDArray[np.int32], length: NDArray[np.float64], surface: Surface
+) -> NDArray[np.float64]:
+    """Amplitude of the detail finer than a length, the largest at a face's corners, float64 [m]."""
+    largest = np.zeros(len(faces))
+    for k in range(3):
+        sides = [np.ascontiguousarray(side) for side in work.sides[faces[:, k]].T]
+        np.maximum(largest, surface.finer_than(length, sides), out=largest)
+    return largest
 
 
 def _halved(work: _Work, halved: Halved, surface: Surface) -> _Work:

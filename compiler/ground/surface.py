@@ -14,7 +14,7 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from scenec.compiler.ground.merge import Merge
-from scenec.compiler.terrain.detail import Detail, Spectrum, joined
+from scenec.compiler.terrain.detail import Detail, joined
 from scenec.compiler.terrain.grid import HeightField
 
 
@@ -56,14 +56,31 @@ class Surface:
             return np.zeros(x.shape)
         return self.height_at(x, y) - self.field.height_at(x, y)
 
-    def spectrum(self) -> Spectrum:
-        """How large all detail is, by size."""
-        shown = [d for d in (*self.details, *self.displacements) if d is not None]
-        return joined([detail.spectrum() for detail in shown] if self.smooth else [])
+    def finer_than(
+        self, length_m: NDArray[np.float64], sides: Sequence[NDArray[np.float64]]
+    ) -> NDArray[np.float64]:
+        """About how large the detail is that is finer than given lengths, meters, float64 [n].
+
+        Args:
+            length_m: float64 [n].
+            sides: Of the merges there, float64 [n] each: they say which displacement counts.
+        """
+        out = np.zeros(length_m.shape)
+        if not self.smooth:
+            return out
+        if self.details:
+            out += joined([detail.spectrum() for detail in self.details]).finer_than(length_m)
+        if any(self.displacements):
+            for layer, share in zip(self.displacements, self._shares(sides, length_m), strict=True):
+                if layer is not None:
+                    out += share * layer.spectrum().finer_than(length_m)
+        return out
 
     def amplitude_m(self) -> float:
         """About how far the surface gets from the grid's samples, meters."""
-        return float(self.spectrum().amplitude_m.sum())
+        shown = [d for d in (*self.details, *self.displacements) if d is not None]
+        spectra = [detail.spectrum() for detail in shown] if self.smooth else []
+        return float(joined(spectra).amplitude_m.sum())
 
     def _height(
         self, x: NDArray[np.float64], y: NDArray[np.float64], sides: Sequence[NDArray[np.float64]]

@@ -115,14 +115,14 @@ class WorleyDetail:
         return out
 
     def spectrum(self) -> Spectrum:
-        """Of the octaves; cones have no wavelength, so cells count as half as wide."""
+        """Of the octaves, up and down from their mean; cells count as two waves, a cone each."""
         relief = self.relief
         return octave_spectrum(
             0.5 * relief.scale_m,
             range(self.shown, relief.octaves),
             relief.lacunarity,
             relief.gain,
-            relief.amplitude_m,
+            0.75 * relief.amplitude_m,
         )
 
 

@@ -1,0 +1,61 @@
+"""The cfgs that ship, made coarse: each builds a sound scene in which every label turns up."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from scenec.compiler.build import BuildLog, build
+from scenec.compiler.draw import draw
+from scenec.compiler.frontend.load import load
+from scenec.compiler.scene import Scene
+
+_ROOT = Path(__file__).parents[2]
+_CFGS = sorted((_ROOT / "configs").glob("*.json"))
+_EXTRAS = {"bpy": "cycles", "matplotlib": "demo"}
+
+
+def coarse(file: Path, folder: Path) -> Path:
+    """A copy with samples four times as far apart, small pictures, and a tenth of the objects."""
+    cfg: dict[str, Any] = json.loads(file.read_text())
+    cfg["terrain"]["spacing_m"] *= 4
+    for group in cfg["objects"].values():
+        group["count"] = max(1, group["count"] // 10)
+    for rig in cfg["rigs"].values():
+        for sensor in rig["sensors"].values():
+            sensor["resolution"] = [64, 48]
+    (folder / "assets").symlink_to(_ROOT / "assets")
+    (folder / "configs").mkdir()
+    copy = folder / "configs" / file.name
+    copy.write_text(json.dumps(cfg))
+    return copy
+
+
+def scene_of(file: Path, folder: Path, seed: int) -> Scene:
+    for package, extra in _EXTRAS.items():
+        if f'"package:{package}/' in file.read_text() and not importlib.util.find_spec(package):
+            pytest.skip(f"needs the extra {extra}")
+    return build(draw(load(coarse(file, folder)), seed, 0), BuildLog())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("file", _CFGS, ids=lambda file: file.stem)
+def test_a_shipped_cfg_builds_a_finite_scene_with_all_of_its_labels(file, tmp_path):
+    scene = scene_of(file, tmp_path, seed=5)
+    cfg = json.loads(file.read_text())
+    seen = [scene.sky_labels]
+    for tile in scene.ground.tiles:
+        for array in (tile.translate, tile.points, tile.normals, tile.weights, tile.variation):
+            assert np.isfinite(array).all()
+        seen += [scene.ground.layers[i].labels for i in np.unique(tile.layer).tolist()]
+    for scatter in scene.scatters:
+        assert np.isfinite(scatter.positions).all()
+        assert len(scatter.positions) == max(1, cfg["objects"][scatter.name]["count"] // 10)
+        seen.append(scatter.labels)
+    for level, names in cfg["labels"].items():
+        assert {labels.get(level, 0) for labels in seen} - {0} == set(names.values()), level
