@@ -33,6 +33,7 @@ LIBRARIES = (
     "usd-core",
     "OpenEXR",
     "pillow",
+    "trimesh",
     "mitsuba",
     "llvm-nanobind",
     "bpy",

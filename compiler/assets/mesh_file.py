@@ -9,11 +9,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.assets import affine
-from scenec.compiler.assets.gltf import read_gltf
-from scenec.compiler.assets.obj import read_obj
+from scenec.compiler.assets import affine, trimesh_file
 from scenec.compiler.assets.parts import MeshFileError, Parsed, Part
-from scenec.compiler.assets.ply import read_ply
 from scenec.schemas.errors import SceneError
 
 _USD = (".usd", ".usda", ".usdc", ".usdz")
@@ -53,10 +50,11 @@ class MeshFile:
 def read_mesh(
     file: Path, *, unit_m: float | None = None, up: str | None = None, part: str | None = None
 ) -> MeshFile:
-    """Reads OBJ, PLY, glTF or USD.
+    """Reads OBJ, PLY, STL, OFF, glTF or USD.
 
     Args:
-        file: ``.obj``, ``.ply``, ``.glb``, ``.gltf``, ``.usd``, ``.usda``, ``.usdc``, ``.usdz``.
+        file: ``.obj``, ``.ply``, ``.stl``, ``.off``, ``.glb``, ``.gltf``, ``.usd``, ``.usda``,
+            ``.usdc``, ``.usdz``. All but USD need the extra ``meshes``.
         unit_m: Meters per unit; None takes what the file says.
         up: Upward axis: x, y, z, -x, -y or -z; None takes what the file says.
         part: One of its meshes, or a name above some of them; None takes all.
@@ -121,7 +119,8 @@ def parse_mesh(file: Path) -> Parsed:
     except MeshFileError as fault:
         raise SceneError(f"{file.name}: {fault}") from fault
     except (OSError, MemoryError) as error:
-        raise SceneError(f"{file.name}: cannot be read: {error}") from error
+        reason = str(error) or "it does not fit into memory"
+        raise SceneError(f"{file.name}: cannot be read: {reason}") from error
 
 
 def _reader(file: Path) -> Callable[[Path], Parsed]:
@@ -131,20 +130,16 @@ def _reader(file: Path) -> Callable[[Path], Parsed]:
     for magic, true_suffix in _MAGIC.items():
         if head.startswith(magic) and not _fits(suffix, true_suffix):
             raise MeshFileError(f"its content is that of a {true_suffix} file: rename it")
-    if suffix == ".obj":
-        return read_obj
-    if suffix == ".ply":
-        if not head.startswith((b"ply\n", b"ply\r")):
-            raise MeshFileError("not a PLY file: it does not begin with 'ply'")
-        return read_ply
-    if suffix in (".glb", ".gltf"):
-        return read_gltf
+    if suffix == ".ply" and not head.startswith((b"ply\n", b"ply\r")):
+        raise MeshFileError("not a PLY file: it does not begin with 'ply'")
+    if suffix in trimesh_file.SUFFIXES:
+        return trimesh_file.read
     if suffix in _USD:
         # Imported here: not every mesh is USD.
         from scenec.compiler.assets.usd import read_usd
 
         return read_usd
-    known = ", ".join((".obj", ".ply", ".glb", ".gltf", *_USD))
+    known = ", ".join((*trimesh_file.SUFFIXES, *_USD))
     raise MeshFileError(f"expected a mesh ({known}), not {suffix or 'a file without an ending'}")
 
 
@@ -170,7 +165,7 @@ def _finished(parts: list[Part], unit_m: float, up: str) -> MeshFile:
     if not 0.0 < unit_m < np.inf:
         raise MeshFileError(f"its unit is {unit_m:g} m, expected one above 0")
     blocks: list[NDArray[np.float64]] = []
-    corners, total, first = [], 0, 0
+    corners, total = [], 0
     for part in parts:
         count = len(part.points)
         bad = (part.faces < 0) | (part.faces >= count)
@@ -178,11 +173,9 @@ def _finished(parts: list[Part], unit_m: float, up: str) -> MeshFile:
             raise MeshFileError(
                 f"{part.path or 'a face'} uses vertex {int(part.faces[bad][0])} (from 0) of {count}"
             )
-        # Parts of one OBJ file share their vertices.
-        if not blocks or part.points is not blocks[-1]:
-            blocks.append(part.points)
-            first, total = total, total + count
-        corners.append(part.faces + first)
+        blocks.append(part.points)
+        corners.append(part.faces + total)
+        total += count
     points, faces = np.concatenate(blocks), np.concatenate(corners)
     used = np.zeros(len(points), bool)
     used[faces.ravel()] = True

@@ -25,4 +25,4 @@ def test_help_imports_no_heavy_package() -> None:
     assert "usage: scenec" in done.stdout.lower()
     loaded = set(done.stdout.split("\nLOADED")[1].split())
     assert "scenec" in loaded
-    assert loaded.isdisjoint({*HEAVY, "bpy", "matplotlib", "rasterio", "referencing"})
+    assert loaded.isdisjoint({*HEAVY, "bpy", "matplotlib", "rasterio", "referencing", "trimesh"})
