@@ -114,7 +114,7 @@ def _errors(report: dict[str, Any], seconds: dict[str, float]) -> str:
             [
                 f"objects: {name}",
                 f"{entry['count']:,} of {entry['triangles']:,} triangles, "
-                f"float32 error {entry['float32_error_max_m']:.2g} m",
+                f"{_levels(entry)}float32 error {entry['float32_error_max_m']:.2g} m",
                 cost(f"objects/{name}"),
             ]
         )
@@ -126,6 +126,16 @@ def _errors(report: dict[str, Any], seconds: dict[str, float]) -> str:
     others = ("load", "draw", "light", "cameras", "emit")
     rows.extend([name, "", cost(name)] for name in others)
     return table(rows, ["pass", "error", "seconds"])
+
+
+def _levels(entry: dict[str, Any]) -> str:
+    """What levels of detail left out, and how much of it shows."""
+    if entry["triangles"] == entry["triangles_finest"]:
+        return ""
+    return (
+        f"{entry['triangles_finest']:,} at the finest level, "
+        f"{entry['lod_error_max_px']:.2g} px worst; {entry['lod_px']:g} px asked, "
+    )
 
 
 def _mesh_errors(mesh: dict[str, Any]) -> list[tuple[str, str]]:

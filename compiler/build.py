@@ -21,9 +21,10 @@ from scenec.compiler.light.latlong import luminance
 from scenec.compiler.light.sky import build_sky, level_sun_irradiance, sky_irradiance
 from scenec.compiler.plan import Plan, RigPlan, RocksPlan, TrackPlan
 from scenec.compiler.precision import precision
+from scenec.compiler.scatter.lod import choose_levels, finest
 from scenec.compiler.scatter.on_mesh import place_on_mesh, seat_on_mesh
 from scenec.compiler.scatter.placement import align_to_normals, place, seat
-from scenec.compiler.scatter.rocks import build_prototypes
+from scenec.compiler.scatter.rocks import Chain, build_chains
 from scenec.compiler.scene import Georeference, Ground, Rig, Scatter, Scene, SkyLight
 from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.compiler.terrain.mesh_surface import MeshSurface
@@ -83,10 +84,12 @@ def build(plan: Plan, log: BuildLog) -> Scene:
             and bool(plan.rigs)
             and not isinstance(terrain, MeshSurface),
         )
-    scatters = []
+    scatters, chains = [], []
     for rocks in plan.objects:
         with log.timed(f"objects/{rocks.name}"):
-            scatters.append(_rocks(rocks, surface, log))
+            scatter, levels = _rocks(rocks, surface, log)
+            scatters.append(scatter)
+            chains.append(levels)
     with log.timed("light"):
         sun = plan.sun if color else None
         sky = None
@@ -97,6 +100,12 @@ def build(plan: Plan, log: BuildLog) -> Scene:
             irradiance[i] += luminance(level_sun_irradiance(plan.sun, i))
     with log.timed("cameras"):
         rigs = build_rigs(plan.rigs, surface, irradiance if color else None)
+    for i, rocks in enumerate(plan.objects):
+        with log.timed(f"objects/{rocks.name}"):
+            scatters[i], facts = choose_levels(
+                scatters[i], chains[i], views_of(rigs), plan.terrain.meshing.unseen, rocks.lod_px
+            )
+            log.facts["objects"][rocks.name].update(facts)
     with log.timed("ground"):
         # Under an overhang one sees what its roof would hide.
         hills = None if isinstance(terrain, MeshSurface) else terrain
@@ -171,7 +180,8 @@ def _georeference(steps: list[dict[str, Any]]) -> Georeference | None:
     return None
 
 
-def _rocks(plan: RocksPlan, surface: Surface, log: BuildLog) -> Scatter:
+def _rocks(plan: RocksPlan, surface: Surface, log: BuildLog) -> tuple[Scatter, tuple[Chain, ...]]:
+    """The rocks at their finest level, and their levels."""
     field = surface.field
     spots = None
     if isinstance(field, MeshSurface):
@@ -184,7 +194,10 @@ def _rocks(plan: RocksPlan, surface: Surface, log: BuildLog) -> Scatter:
         orientations = align_to_normals(
             orientations, spots.normals if spots else _surface_normals(field, x, y)
         )
-    prototypes = build_prototypes(plan.shapes)
+    # A tolerance of 0 asks for the finest level only.
+    chains = build_chains(plan.shapes, coarser=plan.lod_px > 0.0)
+    # Seated by the finest level: which one is shown then moves no rock.
+    prototypes = finest(chains)
     # Rounded before seating: what stands in the stage is what is held against the ground.
     half = orientations.astype(np.float16)
     size = plan.size_m.astype(np.float32)
@@ -206,11 +219,9 @@ def _rocks(plan: RocksPlan, surface: Surface, log: BuildLog) -> Scatter:
     z += surface.lift_at(x32.astype(np.float64), y32.astype(np.float64))
     log.facts.setdefault("objects", {})[plan.name] = {
         "count": len(x),
-        "prototypes": len(prototypes),
-        "triangles": int(sum(len(prototypes[p].faces) for p in plan.prototype)),
         "float32_error_max_m": float(np.abs(z.astype(np.float32) - z).max(initial=0.0)),
     }
-    return Scatter(
+    scatter = Scatter(
         name=plan.name,
         material=plan.material,
         labels=plan.labels,
@@ -222,6 +233,7 @@ def _rocks(plan: RocksPlan, surface: Surface, log: BuildLog) -> Scatter:
         scales=np.repeat(size[:, None], 3, axis=1),
         variation=plan.variation.astype(np.float32),
     )
+    return scatter, chains
 
 
 def _surface_normals(

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from scenec.compiler.ground.merge import Merge
 from scenec.compiler.ground.mesh import Meshing
+from scenec.compiler.scatter.families.shape import Shape
 from scenec.compiler.scatter.placement import NoiseDensity, UniformDensity
-from scenec.compiler.scatter.rocks import RockShape
 from scenec.compiler.scene import GroundLayer, Labels, Material, SunLight
 from scenec.compiler.terrain.detail import Detail
 from scenec.compiler.terrain.operator import ReliefOperator
@@ -62,13 +62,14 @@ class RocksPlan:
         size_m: Diameter, float64 [n].
         embed: Part of the height below ground, float64 [n].
         variation: Albedo variation, float64 [n], in [-1, 1].
+        lod_px: Largest error of a level of detail, in pixels of the nearest view.
     """
 
     name: str
     material: str
     labels: Labels
     instances: bool
-    shapes: tuple[RockShape, ...]
+    shapes: tuple[Shape, ...]
     density: UniformDensity | NoiseDensity
     position_u: NDArray[np.float64]
     prototype: NDArray[np.int32]
@@ -77,6 +78,7 @@ class RocksPlan:
     size_m: NDArray[np.float64]
     embed: NDArray[np.float64]
     variation: NDArray[np.float64]
+    lod_px: float
 
 
 @dataclass(frozen=True)

@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 from numpy.typing import NDArray
 
+#: Angle between two neighbors of the icosahedron, radians; each subdivision halves it.
+EDGE = 1.1071487177940904
 
+
+@cache
 def icosphere(subdivisions: int) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
     """Vertices on the unit sphere and faces, counter-clockwise from outside.
+
+    The vertices of a coarser one come first; face f of it is split into the faces 4 f to 4 f + 3.
 
     Args:
         subdivisions: Each splits every face into four; 20 * 4**subdivisions faces result.
 
     Returns:
-        float64 [n, 3] and int32 [m, 3].
+        float64 [n, 3] and int32 [m, 3], which are not to be written to.
     """
     g = 0.5 * (1.0 + np.sqrt(5.0))
     points = np.array(
@@ -42,7 +50,37 @@ def icosphere(subdivisions: int) -> tuple[NDArray[np.float64], NDArray[np.int32]
             [np.stack(f, axis=1) for f in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))],
             axis=1,
         ).reshape(-1, 3)
-    return points, faces.astype(np.int32)
+    faces = faces.astype(np.int32)
+    points.flags.writeable = faces.flags.writeable = False
+    return points, faces
+
+
+@cache
+def face_neighbors(subdivisions: int) -> NDArray[np.int32]:
+    """The face beyond each edge (0-1, 1-2, 2-0) of each face, int32 [m, 3]."""
+    _, faces = icosphere(subdivisions)
+    ends = np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2).astype(np.int64)
+    count = int(faces.max()) + 1
+    # Every edge is there twice, once in each direction.
+    there = ends[:, 0] * count + ends[:, 1]
+    back = ends[:, 1] * count + ends[:, 0]
+    order = np.argsort(there, kind="stable")
+    found = order[np.searchsorted(there[order], back)]
+    out = (found // 3).astype(np.int32).reshape(-1, 3)
+    out.flags.writeable = False
+    return out
+
+
+@cache
+def vertex_faces(subdivisions: int) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
+    """The faces around each vertex: vertex v has those from start[v] to start[v + 1]."""
+    _, faces = icosphere(subdivisions)
+    corners = faces.ravel()
+    order = np.argsort(corners, kind="stable")
+    start = np.searchsorted(corners[order], np.arange(int(faces.max()) + 2))
+    around = (order // 3).astype(np.int32)
+    start.flags.writeable = around.flags.writeable = False
+    return start, around
 
 
 def _unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:

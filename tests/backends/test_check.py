@@ -51,8 +51,8 @@ def ids(values) -> Vt.Int64Array:
 
 FAULTS = {
     "instancer-arrays: prototypes": (
-        broken(f"{ROCKS}.protoIndices", lambda v: [*list(v)[:-1], 4]),
-        "protoIndices go from 0 to 4, there are 4 prototypes",
+        broken(f"{ROCKS}.protoIndices", lambda v: [*list(v)[:-1], 99]),
+        "protoIndices go from 0 to 99, there are",
     ),
     "instancer-arrays: positions": (
         broken(f"{ROCKS}.positions", lambda v: list(v)[:-1]),

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from scenec.compiler.scatter.families.weathered import Weathered
 from scenec.compiler.scatter.icosphere import icosphere
 from scenec.compiler.scatter.placement import (
     NoiseDensity,
@@ -15,13 +16,13 @@ from scenec.compiler.scatter.placement import (
     rotation_rows,
     seat,
 )
-from scenec.compiler.scatter.rocks import RockShape, build_prototypes
+from scenec.compiler.scatter.rocks import build_prototypes
 from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.compiler.terrain.multifractal import Multifractal
 from scenec.schemas.errors import SceneError
 
 
-def shape(seed: int, **change) -> RockShape:
+def shape(seed: int, **change) -> Weathered:
     rng = np.random.default_rng(seed)
     normals = rng.normal(size=(14, 3))
     normals /= np.linalg.norm(normals, axis=1)[:, None]
@@ -34,7 +35,7 @@ def shape(seed: int, **change) -> RockShape:
         "bumpiness": 0.25,
         "subdivisions": 3,
     }
-    return RockShape(**(values | change))
+    return Weathered(**(values | change))
 
 
 def relief() -> HeightField:

@@ -1,0 +1,393 @@
+"""Families of rocks: sound meshes, known shapes, levels of detail whose error is as stated."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from functools import cache
+
+import numpy as np
+import pytest
+import trimesh
+from small import small_cfg
+
+from scenec.compiler.cameras.sight import NO_VIEWS, Views
+from scenec.compiler.frontend.fill import fill
+from scenec.compiler.frontend.streams import Streams
+from scenec.compiler.plan import RocksPlan
+from scenec.compiler.scatter.creases import along_creases
+from scenec.compiler.scatter.draw import draw_rocks
+from scenec.compiler.scatter.families.shape import Shape
+from scenec.compiler.scatter.icosphere import EDGE, face_neighbors, icosphere, vertex_faces
+from scenec.compiler.scatter.lod import choose_levels
+from scenec.compiler.scatter.rocks import Chain, build_chains, build_prototypes
+from scenec.compiler.scene import Prototype, Scatter
+
+FAMILIES = ("weathered", "angular", "rounded", "slab", "vesicular")
+
+
+def plan(seed: int = 1, **change) -> RocksPlan:
+    cfg = small_cfg()
+    cfg["objects"]["rocks"] |= {"prototypes": 6, "subdivisions": 3, "count": 40} | change
+    return draw_rocks("rocks", fill(cfg)["objects"]["rocks"], {}, Streams(seed, 0))
+
+
+def shapes(family: str, seed: int = 1, **change) -> tuple[Shape, ...]:
+    return plan(seed, family=family, **change).shapes
+
+
+@cache
+def chains(family: str) -> tuple[Chain, ...]:
+    return build_chains(shapes(family))
+
+
+def mesh_of(rock: Prototype) -> trimesh.Trimesh:
+    return trimesh.Trimesh(rock.points.astype(np.float64), rock.faces, process=False)
+
+
+def meshes(family: str) -> Iterator[trimesh.Trimesh]:
+    for chain in chains(family):
+        for rock in chain:
+            yield mesh_of(rock)
+
+
+def crossings(mesh: trimesh.Trimesh) -> int:
+    """Pairs of faces without a common vertex whose edges pierce one another."""
+    corners, found = mesh.triangles, 0
+    low, high = corners.min(axis=1), corners.max(axis=1)
+    for f in range(len(corners)):
+        near = ((low <= high[f]) & (high >= low[f])).all(axis=1)
+        near &= ~np.isin(mesh.faces, mesh.faces[f]).any(axis=1)
+        others = corners[near]
+        normal = np.cross(others[:, 1] - others[:, 0], others[:, 2] - others[:, 0])
+        for a, b in ((0, 1), (1, 2), (2, 0)):
+            p, q = corners[f, a], corners[f, b]
+            up = (normal * (p - others[:, 0])).sum(axis=1)
+            down = (normal * (q - others[:, 0])).sum(axis=1)
+            with np.errstate(invalid="ignore", divide="ignore"):
+                at = p + (up / (up - down))[:, None] * (q - p)
+            inside = up * down < 0
+            for i, j in ((0, 1), (1, 2), (2, 0)):
+                edge = np.cross(others[:, j] - others[:, i], at - others[:, i])
+                inside &= (edge * normal).sum(axis=1) > 0
+            found += int(inside.sum())
+    return found
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_every_level_is_closed_manifold_and_faces_outward(family):
+    for mesh in meshes(family):
+        assert mesh.is_watertight
+        assert mesh.is_winding_consistent
+        assert mesh.euler_number == 2
+        assert mesh.volume > 0.01
+        assert len(np.unique(mesh.faces)) == len(mesh.vertices)
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_no_two_faces_cross(family):
+    for chain in chains(family)[:2]:
+        for rock in chain[1:]:
+            assert crossings(mesh_of(rock)) == 0
+
+
+def test_faces_that_cross_would_be_found():
+    mesh = mesh_of(chains("weathered")[0][1])
+    mesh.vertices[5] = -1.5 * mesh.vertices[5]
+    assert crossings(mesh) > 0
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+@pytest.mark.parametrize("bumpiness", [0.0, 1.0])
+@pytest.mark.parametrize("subdivisions", [1, 4])
+def test_from_a_point_inside_every_face_is_seen_from_behind(family, bumpiness, subdivisions):
+    # Star-shaped: each ray from that point leaves once, so the surface cannot meet itself.
+    for edge in (0.0, 1.0):
+        key = "angularity" if family == "weathered" else "wear"
+        change = {"bumpiness": bumpiness, "subdivisions": subdivisions, "prototypes": 3, key: edge}
+        for shape in shapes(family, **change):
+            directions = along_creases(subdivisions, *shape.creases())
+            radius, variation = shape.surface(directions, EDGE * 0.5**subdivisions)
+            corners = (directions * radius[:, None])[icosphere(subdivisions)[1]]
+            sides = (np.cross(corners[:, 0], corners[:, 1]) * corners[:, 2]).sum(axis=1)
+            assert (sides > 0.0).all()
+            assert radius.min() > 0.05
+            assert radius.max() < 3.0
+            assert np.abs(variation).max() <= 1.0
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_no_triangle_is_a_sliver(family):
+    for mesh in meshes(family):
+        sides = np.linalg.norm(mesh.triangles - np.roll(mesh.triangles, 1, axis=1), axis=2)
+        quality = 4.0 * np.sqrt(3.0) * mesh.area_faces / (sides**2).sum(axis=1)
+        # A fifth of the length high or more, but for what stands steep in a step or a pit.
+        assert np.quantile(quality, 0.02) > 0.12
+        assert quality.min() > 1e-3
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_meshes_fit_the_ball_of_diameter_1_and_the_finest_fills_it(family):
+    for chain in chains(family):
+        radii = [np.linalg.norm(rock.points, axis=1).max() for rock in chain]
+        assert radii[0] == pytest.approx(0.5, abs=1e-6)
+        assert max(radii) <= 0.5 + 1e-6
+        middle = 0.5 * (chain[0].points.min(axis=0) + chain[0].points.max(axis=0))
+        assert np.abs(middle).max() < 1e-6
+
+
+@pytest.mark.parametrize(("family", "elongation", "flatness"), [
+    ("angular", 1 - 1 / np.sqrt(2), 0.5),
+    ("rounded", 0.22, 0.45),
+    ("slab", 0.25, 0.8),
+    ("vesicular", 0.2, 0.35),
+])  # fmt: skip
+def test_axis_ratios_are_on_average_those_of_the_family(family, elongation, flatness):
+    many = build_prototypes(shapes(family, prototypes=64, subdivisions=1))
+    extents = np.array([np.ptp(rock.points, axis=0) for rock in many])
+    ratios = extents / extents[:, :1]
+    assert ratios[:, 1].mean() == pytest.approx(1 - elongation, abs=0.03)
+    assert ratios[:, 2].mean() == pytest.approx(1 - flatness, abs=0.03)
+    assert (ratios[:, 2] <= ratios[:, 1] + 1e-6).all()
+    assert (ratios[:, 1] <= 1 + 1e-6).all()
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_elongation_and_flatness_of_the_cfg_count(family):
+    def ratios(**change) -> np.ndarray:
+        many = build_prototypes(shapes(family, prototypes=24, subdivisions=1, **change))
+        extents = np.array([np.ptp(rock.points, axis=0) for rock in many])
+        return (extents / extents[:, :1]).mean(axis=0)
+
+    assert ratios(elongation=0.6)[1] < 0.7 * ratios(elongation=0.0)[1]
+    assert ratios(flatness=0.8, elongation=0.1)[2] < 0.5 * ratios(flatness=0.1, elongation=0.1)[2]
+
+
+@pytest.mark.parametrize("family", ["angular", "rounded", "slab", "vesicular"])
+def test_wear_takes_from_edges_and_adds_nowhere(family):
+    directions, _ = icosphere(4)
+
+    def radii(wear: float) -> np.ndarray:
+        # So coarse a mesh would have no bubbles, whose places go with the worn surface.
+        return np.array([
+            shape.surface(directions, 1.0)[0]
+            for shape in shapes(family, wear=wear, bumpiness=0.0, subdivisions=4)
+        ])  # fmt: skip
+
+    fresh, worn = radii(0.0), radii(1.0)
+    assert (worn <= fresh + 1e-12).all()
+    # Corners are what is farthest from the middle.
+    far = fresh > np.quantile(fresh, 0.95, axis=1)[:, None]
+    assert (worn / fresh)[far].mean() < (worn / fresh)[~far].mean() - 0.03
+
+
+def test_without_wear_and_bumps_angular_rocks_have_plane_faces_that_meet_along_edges():
+    shape = shapes("angular", wear=0.0, bumpiness=0.0, subdivisions=4)[0]
+    normals, distances = shape.creases()
+    directions = along_creases(4, normals, distances)
+    # By the definition: which planes a direction meets first.
+    inverse = directions @ (normals / distances[:, None]).T
+    ordered = np.sort(inverse, axis=1)
+    on_crease = ordered[:, -1] - ordered[:, -2] < 1e-12
+    first = inverse.argmax(axis=1)
+    start, end = icosphere(4)[1].T[:2]
+    crosses = (first[start] != first[end]) & ~on_crease[start] & ~on_crease[end]
+    plain, _ = icosphere(4)
+    first = (plain @ (normals / distances[:, None]).T).argmax(axis=1)
+    # Edges of the mesh that run across a crease, against those of the plain icosphere.
+    assert crosses.sum() < 0.12 * (first[start] != first[end]).sum()
+
+
+def test_pits_are_darker_than_what_is_around_them():
+    for shape in shapes("vesicular", subdivisions=5, prototypes=2, bumpiness=0.0):
+        directions, _ = icosphere(5)
+        spacing = EDGE * 0.5**5
+        radius, variation = shape.surface(directions, spacing)
+        # A mesh too coarse for any bubble has none.
+        smooth, _ = shape.surface(directions, 10.0)
+        deep = smooth - radius > 0.03
+        assert 0.02 < deep.mean() < 0.6
+        assert variation[deep].mean() < variation[~deep].mean() - 0.4
+
+
+def distances(points: np.ndarray, mesh: trimesh.Trimesh) -> np.ndarray:
+    """From each point to the nearest of all triangles."""
+    n, m = len(points), len(mesh.faces)
+    nearest = trimesh.triangles.closest_point(
+        np.tile(mesh.triangles, (n, 1, 1)), np.repeat(points, m, axis=0)
+    ).reshape(n, m, 3)
+    return np.linalg.norm(nearest - points[:, None], axis=2).min(axis=1)
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_the_error_of_a_level_is_its_distance_from_the_finest(family):
+    chain = chains(family)[1]
+    fine = mesh_of(chain[0])
+    errors = [rock.error for rock in chain]
+    assert errors[0] == 0.0
+    assert errors == sorted(errors)
+    assert [len(rock.faces) for rock in chain] == [1280, 320, 80, 20]
+    for level, rock in enumerate(chain[1:], start=1):
+        coarse = mesh_of(rock)
+        there = np.concatenate([fine.vertices, fine.triangles_center])
+        back = trimesh.sample.sample_surface(coarse, 300, seed=2)[0]
+        hausdorff = max(distances(there, coarse).max(), distances(back, fine).max())
+        assert rock.error > 0.97 * hausdorff
+        # It is an upper bound, but no idle one; no level counts as better than a finer one.
+        assert rock.error < max(2.0 * hausdorff + 0.01, 1.001 * errors[level - 1])
+
+
+class Ball:
+    """A shape that is a sphere, as of ``Shape``."""
+
+    subdivisions = 5
+    axes = (1.0, 1.0, 1.0)
+    fits_axes = True
+
+    def creases(self) -> tuple[np.ndarray, np.ndarray]:
+        """None."""
+        return np.zeros((0, 3)), np.zeros(0)
+
+    def surface(self, directions: np.ndarray, spacing: float) -> tuple[np.ndarray, np.ndarray]:
+        """Of radius 1."""
+        return np.ones(len(directions)), np.zeros(len(directions))
+
+
+def test_levels_of_a_ball_are_off_by_the_height_of_their_largest_cap():
+    def cap(subdivisions: int) -> float:
+        points, faces = icosphere(subdivisions)
+        a, b, c = np.moveaxis(points[faces], 1, 0)
+        normal = np.cross(b - a, c - a)
+        return 0.5 * (1.0 - ((normal * a).sum(axis=1) / np.linalg.norm(normal, axis=1)).min())
+
+    (chain,) = build_chains([Ball()])
+    for level, rock in enumerate(chain[1:], start=1):
+        assert rock.error == pytest.approx(cap(5 - level), abs=cap(5))
+
+
+def test_neighbors_share_the_edge_they_are_listed_for():
+    for subdivisions in (0, 2):
+        _, faces = icosphere(subdivisions)
+        for f, row in enumerate(face_neighbors(subdivisions)):
+            for k, other in enumerate(row):
+                edge = {faces[f, k], faces[f, (k + 1) % 3]}
+                assert other != f
+                assert edge <= set(faces[other])
+        start, around = vertex_faces(subdivisions)
+        for v in range(start.size - 1):
+            assert set(around[start[v] : start[v + 1]]) == set(np.flatnonzero((faces == v).any(1)))
+
+
+def scatter(n: int, family: str = "angular") -> tuple[Scatter, tuple[Chain, ...]]:
+    rng = np.random.default_rng(3)
+    size = rng.uniform(0.05, 1.0, n).astype(np.float32)
+    return Scatter(
+        name="rocks",
+        material="stone",
+        labels={},
+        instances=True,
+        prototypes=tuple(chain[0] for chain in chains(family)),
+        prototype=rng.integers(0, 6, n).astype(np.int32),
+        positions=rng.uniform(-20, 20, (n, 3)).astype(np.float32),
+        orientations=np.tile(np.array([0, 0, 0, 1], np.float16), (n, 1)),
+        scales=np.repeat(size[:, None], 3, axis=1),
+        variation=np.zeros(n, np.float32),
+    ), chains(family)
+
+
+def view(focal: float = 500.0) -> Views:
+    """One camera at the origin that looks along +x and sees half of the world."""
+    pose = np.array([[0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0]], np.float64)
+    numbers = np.array([focal, focal, 1e6, 1e6, 0.0, 2e6, 2e6])
+    return NO_VIEWS._replace(poses=pose[None], numbers=numbers[None])
+
+
+@pytest.mark.parametrize("tolerance", [0.1, 0.5, 4.0])
+def test_each_instance_gets_the_coarsest_level_within_the_tolerance(tolerance):
+    before, levels = scatter(400)
+    after, facts = choose_levels(before, levels, view(), 1.0, tolerance)
+    size = before.scales[:, 0].astype(np.float64)
+    distance = np.linalg.norm(before.positions.astype(np.float64), axis=1)
+    pixels = 500.0 / np.maximum(distance - 0.5 * size, 0.05)
+    seen = set()
+    for i in range(400):
+        chain = levels[before.prototype[i]]
+        errors = np.array([rock.error for rock in chain]) * size[i] * pixels[i]
+        coarsest = int(np.flatnonzero(errors <= tolerance)[-1])
+        assert after.prototypes[after.prototype[i]] is chain[coarsest]
+        seen.add((before.prototype[i], coarsest))
+    assert len(after.prototypes) == len(seen)
+    assert 0.0 < facts["lod_error_max_px"] <= tolerance
+    assert facts["triangles"] == sum(len(after.prototypes[p].faces) for p in after.prototype)
+    assert facts["triangles_finest"] == 400 * 1280
+    for name in ("positions", "orientations", "scales", "variation"):
+        assert np.array_equal(getattr(before, name), getattr(after, name))
+
+
+def test_without_cameras_or_tolerance_rocks_are_at_their_finest():
+    before, levels = scatter(30)
+    for views, tolerance in ((NO_VIEWS, 0.5), (view(), 0.0)):
+        after, facts = choose_levels(before, levels, views, 1.0, tolerance)
+        assert all(len(after.prototypes[p].faces) == 1280 for p in after.prototype)
+        assert facts["lod_error_max_m"] == 0.0
+
+
+def test_no_instances_need_no_prototypes():
+    after, facts = choose_levels(*scatter(0), view(), 1.0, 0.5)
+    assert after.prototypes == ()
+    assert facts["triangles"] == 0
+
+
+def test_prototypes_that_no_instance_has_are_not_written():
+    before, levels = scatter(1)
+    after, _ = choose_levels(before, levels, NO_VIEWS, 1.0, 0.5)
+    assert len(after.prototypes) == 1
+    assert after.prototypes[0] is levels[before.prototype[0]][0]
+
+
+def test_another_family_leaves_everything_but_the_shapes():
+    one, other = plan(family="angular"), plan(family="rounded")
+    for name in ("position_u", "prototype", "orientations", "size_m", "embed", "variation"):
+        assert np.array_equal(getattr(one, name), getattr(other, name))
+
+
+def test_slabs_lie_unless_told_otherwise():
+    assert plan(family="slab").align
+    assert not plan(family="slab", orientation="random").align
+    assert not plan(family="rounded").align
+
+
+_BYTES = """
+import hashlib, sys
+sys.path.insert(0, sys.argv[1])
+import test_rocks
+digest = hashlib.sha256()
+for family in test_rocks.FAMILIES:
+    for chain in test_rocks.chains(family):
+        for rock in chain:
+            digest.update(rock.points.tobytes() + rock.normals.tobytes() + rock.variation.tobytes())
+            digest.update(repr(rock.error).encode())
+print(digest.hexdigest())
+"""
+
+
+@pytest.mark.slow
+def test_bytes_do_not_depend_on_threads_or_the_cpu_s_extras():
+    here = os.path.dirname(__file__)
+    found = set()
+    for change in (
+        {},
+        {"NUMBA_NUM_THREADS": "1"},
+        {"NUMBA_CPU_NAME": "generic", "NUMBA_CACHE_DIR": ""},
+        {"GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX2,-FMA,-FMA4,-AVX512F"},
+        {"NPY_DISABLE_CPU_FEATURES": "AVX2 FMA3 AVX512F"},
+    ):
+        env = os.environ | {"PYTHONPATH": os.path.dirname(here)} | change
+        run = subprocess.run(
+            [sys.executable, "-W", "ignore", "-c", _BYTES, here],
+            env=env, capture_output=True, text=True, check=True,
+        )  # fmt: skip
+        found.add(run.stdout.strip())
+    assert len(found) == 1
