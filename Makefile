@@ -52,9 +52,11 @@ docs: setup  ## Generate docs/cfg.md from the schemas; docs/numerics.md, docs/re
 	@echo "== Measuring docs/relief.md"
 	@.venv/bin/python docs/make_relief.py
 
-pictures: setup  ## Render the shipped cfgs into docs/pictures/ and the README's table of them.
+pictures: setup  ## Render the README's table of shipped cfgs, and docs/rocks.md.
 	@echo "== Rendering configs/ with Mitsuba, 64 samples a pixel"
 	@.venv/bin/python docs/make_gallery.py
+	@echo "== Rendering docs/rocks.md"
+	@.venv/bin/python docs/make_rocks.py
 
 # uv resolves in a folder of its own: uv.lock names hosts and must not come near the repository.
 lock: setup  ## Resolve pyproject.toml again into requirements.lock.
