@@ -41,8 +41,10 @@ def choose_levels(
     size = scatter.scales.max(axis=1, initial=0.0).astype(np.float64)
     near = np.zeros(scatter.count)
     if len(views.poses) and tolerance_px > 0.0:
+        # Small rocks can be looked at from nearer.
+        nearest = min(NEAREST_M, 0.5 * float(size.min(initial=NEAREST_M)))
         near = pixels_of_balls(
-            views, scatter.positions.astype(np.float64), 0.5 * size, unseen, NEAREST_M
+            views, scatter.positions.astype(np.float64), 0.5 * size, unseen, nearest
         )
         # Errors do not fall along a chain: the last level that passes is the coarsest.
         for level in range(1, int(lengths.max(initial=1))):
