@@ -67,7 +67,7 @@ ENTRIES = (
     ),
     Entry(
         "lunar_mare",
-        1,
+        2,
         "surface",
         "craters in equilibrium and young ones, whose ejecta are brighter; no sky light",
     ),
