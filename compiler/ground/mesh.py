@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import count
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,8 @@ WEIGHT_STEP, VARIATION_STEP, SLOPE_STEP = 0.15, 0.2, 0.1
 # Shortest legs in parts of the grid's spacing; how the tolerance grows while over the budget.
 _FINEST = 32.0
 _RELAX = 1.189207115002721
+_TRIES = 16
+_LEAP = 1e60
 
 
 @dataclass(frozen=True)
@@ -80,6 +83,7 @@ def adaptive_mesh(
     spacing = max(field.grid.spacing_m)
     errors = adaptive.vertex_errors(channels, pixels_per_m, spacing, meshing.tolerance_px)
     tolerance = meshing.tolerance_px
+    factor = _RELAX * _RELAX
     while True:
         tolerance, faces = _within_budget(errors, field.grid.shape, meshing, tolerance)
         mesh, finer = _mesh(field, faces), None
@@ -96,7 +100,9 @@ def adaptive_mesh(
         if result is not None:
             mesh, finer = result
             break
-        tolerance *= _RELAX * _RELAX
+        tolerance *= factor
+        # Each try is a whole mesh: far off, their number must stay small.
+        factor = min(factor * factor, _LEAP)
     reached, worst_m, rms_m = _measured(field, faces, pixels_per_m)
     return mesh, {
         "tolerance_px": meshing.tolerance_px,
@@ -192,14 +198,21 @@ def _mark_right(points, faces, layer, truth, right):  # type: ignore[no-untyped-
 def _within_budget(
     errors: NDArray[np.float32], shape: tuple[int, int], meshing: Meshing, tolerance: float
 ) -> tuple[float, NDArray[np.int32]]:
-    """A tolerance, or the smallest power of 2^(1/4) of it that the budget allows."""
-    while True:
+    """A tolerance, or the smallest of 2^(1/4) times it and so on that the budget allows.
+
+    From sixteen times on the steps grow.
+    """
+    factor = _RELAX
+    for tries in count(1):
         faces = adaptive.triangles(adaptive.activate(errors, tolerance), shape)
         # The coarsest mesh there is may be over the budget: then it is what comes out.
         coarsest = not (errors[np.isfinite(errors)] > tolerance).any()
         if len(faces) <= meshing.max_triangles or coarsest:
             return tolerance, faces
-        tolerance *= _RELAX
+        tolerance *= factor
+        if tries >= _TRIES:
+            factor = min(factor * factor, _LEAP)
+    raise AssertionError("the coarsest mesh is always taken")
 
 
 def _mesh(field: HeightField, faces: NDArray[np.int32]) -> CutMesh:
