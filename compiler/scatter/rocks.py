@@ -8,6 +8,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from scenec.compiler.arithmetic.normals import vertex_normals
 from scenec.compiler.scatter.creases import along_creases
 from scenec.compiler.scatter.deviation import deviation
 from scenec.compiler.scatter.families.shape import Shape
@@ -117,36 +118,3 @@ def _into_ball(points: NDArray, middle: NDArray) -> None:
         points[n, 0] = mx + s * x
         points[n, 1] = my + s * y
         points[n, 2] = mz + s * z
-
-
-@njit(cache=True, error_model="numpy")
-def vertex_normals(points: NDArray, faces: NDArray) -> NDArray:
-    """Area-weighted unit normals at the vertices, float64 [n, 3]."""
-    normals = np.zeros((len(points), 3))
-    for f in range(len(faces)):
-        a, b, c = faces[f]
-        ux, uy, uz = (
-            points[b, 0] - points[a, 0],
-            points[b, 1] - points[a, 1],
-            points[b, 2] - points[a, 2],
-        )
-        vx, vy, vz = (
-            points[c, 0] - points[a, 0],
-            points[c, 1] - points[a, 1],
-            points[c, 2] - points[a, 2],
-        )
-        nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-        for v in (a, b, c):
-            normals[v, 0] += nx
-            normals[v, 1] += ny
-            normals[v, 2] += nz
-    for n in range(len(normals)):
-        x, y, z = normals[n]
-        length = np.sqrt(x * x + y * y + z * z)
-        if length > 0.0:
-            normals[n, 0] = x / length
-            normals[n, 1] = y / length
-            normals[n, 2] = z / length
-        else:
-            normals[n, 2] = 1.0
-    return normals

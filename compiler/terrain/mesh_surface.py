@@ -9,6 +9,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from scenec.compiler.arithmetic.normals import vertex_normals
 from scenec.compiler.ground.bisect import bisectable, halve
 from scenec.compiler.noise.perlin import fbm3
 from scenec.compiler.terrain.grid import HeightField
@@ -146,38 +147,6 @@ def _roughen(points, normals, key, amplitude, scale, octaves, gain):  # type: ig
         move = amplitude * fbm3(key, x / scale, y / scale, z / scale, octaves, gain)
         for k in range(3):
             points[n, k] += move * normals[n, k]
-
-
-@njit(cache=True, error_model="numpy")
-def vertex_normals(points: NDArray, faces: NDArray) -> NDArray:
-    """Unit normals at vertices, the faces' weighted by area; +z where they cancel out."""
-    out = np.zeros((len(points), 3))
-    for f in range(len(faces)):
-        a, b, c = faces[f]
-        ux, uy, uz = (
-            points[b, 0] - points[a, 0],
-            points[b, 1] - points[a, 1],
-            points[b, 2] - points[a, 2],
-        )
-        vx, vy, vz = (
-            points[c, 0] - points[a, 0],
-            points[c, 1] - points[a, 1],
-            points[c, 2] - points[a, 2],
-        )
-        nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-        for v in (a, b, c):
-            out[v, 0] += nx
-            out[v, 1] += ny
-            out[v, 2] += nz
-    for n in range(len(out)):
-        x, y, z = out[n]
-        length = np.sqrt(x * x + y * y + z * z)
-        if length > 0.0:
-            for k in range(3):
-                out[n, k] /= length
-        else:
-            out[n, 2] = 1.0
-    return out
 
 
 @njit(cache=True, error_model="numpy", inline="always")
