@@ -140,7 +140,7 @@ def build(plan: Plan, log: BuildLog) -> Scene:
         sky_labels=plan.sky_labels if labels else {},
         materials=plan.materials if color else {},
         ground=ground,
-        scatters=tuple(scatters),
+        objects=tuple(scatters),
         sun=sun,
         sky=sky,
         rigs=rigs,
@@ -232,6 +232,8 @@ def _rocks(plan: RocksPlan, surface: Surface, log: BuildLog) -> tuple[Scatter, t
         orientations=half,
         scales=np.repeat(size[:, None], 3, axis=1),
         variation=plan.variation.astype(np.float32),
+        ids=np.arange(1, len(x) + 1),
+        drawn=len(x),
     )
     return scatter, chains
 
@@ -260,8 +262,7 @@ def _bounds(ground: Ground, scatters: tuple[Scatter, ...]) -> NDArray[np.float64
         high = np.maximum(high, tile.translate + tile.points.max(axis=0))
     for scatter in scatters:
         if scatter.count:
-            # Prototypes fit into a ball of radius 1/2.
-            radius = 0.5 * scatter.scales.max(axis=1).astype(np.float64)[:, None]
+            radius = scatter.radii()[:, None]
             low = np.minimum(low, (scatter.positions - radius).min(axis=0))
             high = np.maximum(high, (scatter.positions + radius).max(axis=0))
     return np.stack([low, high])

@@ -17,18 +17,34 @@ Labels = dict[str, int]
 
 
 @dataclass(frozen=True)
-class MaterialMaps:
-    """Pictures laid over the ground from above.
+class Picture:
+    """A picture that came inside of another file, as it stood there.
 
     Attributes:
-        size_m: Side of one repeat.
+        suffix: Of a file that holds these bytes: ".png", ".jpg".
+        data: The encoded picture.
+    """
+
+    suffix: str
+    data: bytes
+
+
+@dataclass(frozen=True)
+class MaterialMaps:
+    """Pictures that vary a surface.
+
+    Attributes:
+        size_m: Side of one repeat, meters; of no meaning with the projection "uv".
         files: By kind (``schemas.maps.MAP_CHANNELS``).
         normal_convention: "opengl" (y up in the picture) or "directx".
+        projection: "above" (along the world's z), "triplanar" (along its three axes, mixed by the
+            normal) or "uv" (the mesh's texture coordinates).
     """
 
     size_m: float
-    files: dict[str, Path]
+    files: dict[str, Path | Picture]
     normal_convention: str
+    projection: str = "above"
 
 
 @dataclass(frozen=True)
@@ -52,6 +68,16 @@ class Material:
     metallic: float = 0.0
     maps: MaterialMaps | None = None
     roughness_variation: float = 0.0
+
+    @property
+    def varies(self) -> bool:
+        """Whether it shows the variation of vertices and instances."""
+        return self.variation != 0.0 or self.roughness_variation != 0.0
+
+    @property
+    def needs_uv(self) -> bool:
+        """Whether it shows pictures by texture coordinates."""
+        return self.maps is not None and self.maps.projection == "uv"
 
 
 @dataclass(frozen=True)
@@ -97,11 +123,33 @@ class Ground:
 
 
 @dataclass(frozen=True)
-class Prototype:
-    """A mesh that instances share, of unit size; arrays as in ``Tile``.
+class MeshPart:
+    """Faces of a prototype that have a material or labels of their own.
 
     Attributes:
-        error: How far it is from the finest mesh of its shape, relative to its size.
+        name: Of the part, a prim name.
+        faces: Indices, ascending, int32 [k]; no face is in two parts.
+        material: Name of the material; None: the class's.
+        labels: Label id per level; None: the class's.
+    """
+
+    name: str
+    faces: NDArray[np.int32]
+    material: str | None
+    labels: Labels | None
+
+
+@dataclass(frozen=True)
+class Prototype:
+    """A mesh that instances share; arrays as in ``Tile``.
+
+    Attributes:
+        error: How far it is from the finest mesh of its shape, in its own unit.
+        radius: Of a ball around its origin that holds it, in its own unit: procedural rocks fit
+            into one of radius 1/2, so that an instance's scale is its diameter; meshes of files
+            are in meters.
+        uv: Texture coordinates of the faces' corners, float32 [m, 3, 2], or None.
+        parts: What differs from the class; empty where nothing does.
     """
 
     name: str
@@ -110,6 +158,9 @@ class Prototype:
     normals: NDArray[np.float32]
     variation: NDArray[np.float32]
     error: float = 0.0
+    radius: float = 0.5
+    uv: NDArray[np.float32] | None = None
+    parts: tuple[MeshPart, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -118,7 +169,7 @@ class Scatter:
 
     Attributes:
         name: Class name, as in the cfg.
-        material: Name of the material.
+        material: Name of the material; None where each prototype's parts have theirs.
         labels: Label id per level.
         instances: Whether instance ids are shown (off: they stay reserved).
         prototypes: What is scattered.
@@ -127,10 +178,12 @@ class Scatter:
         orientations: Quaternions (x, y, z, w), float16 [n, 4]: half precision, as USD stores them.
         scales: float32 [n, 3].
         variation: Albedo variation, float32 [n].
+        ids: Local instance ids, ascending, int64 [n]: gaps where something could not be placed.
+        drawn: How many ids are reserved, at least the largest one.
     """
 
     name: str
-    material: str
+    material: str | None
     labels: Labels
     instances: bool
     prototypes: tuple[Prototype, ...]
@@ -139,11 +192,45 @@ class Scatter:
     orientations: NDArray[np.float16]
     scales: NDArray[np.float32]
     variation: NDArray[np.float32]
+    ids: NDArray[np.int64]
+    drawn: int
 
     @property
     def count(self) -> int:
         """Number of instances."""
         return len(self.positions)
+
+    def radii(self) -> NDArray[np.float64]:
+        """Radius of a ball around each instance's position that holds it, meters, [n]."""
+        of_prototype = np.array([p.radius for p in self.prototypes], np.float64)
+        return of_prototype[self.prototype] * self.scales.max(axis=1, initial=0.0)
+
+
+@dataclass(frozen=True)
+class Placed:
+    """Single objects of one class, each where it is told to be; they may move.
+
+    Attributes:
+        name, material, labels, instances, prototypes, prototype, drawn: As in ``Scatter``.
+        to_world: Local-to-world matrices, column vectors, float64 [n, s, 3, 4]: s is 1 where
+            nothing moves, else the number of samples.
+        ids: Local instance ids, ascending, int64 [n].
+    """
+
+    name: str
+    material: str | None
+    labels: Labels
+    instances: bool
+    prototypes: tuple[Prototype, ...]
+    prototype: NDArray[np.int32]
+    to_world: NDArray[np.float64]
+    ids: NDArray[np.int64]
+    drawn: int
+
+    @property
+    def count(self) -> int:
+        """Number of objects."""
+        return len(self.to_world)
 
 
 @dataclass(frozen=True)
@@ -244,7 +331,7 @@ class Scene:
         sky_labels: Label id of the sky per level.
         materials: By name; only those in use.
         ground: The terrain.
-        scatters: Object classes in the cfg's order.
+        objects: Object classes in the cfg's order.
         sun, sky: Light; None where there is none.
         rigs: Cameras.
         outputs: Union of all sensors' outputs.
@@ -259,7 +346,7 @@ class Scene:
     sky_labels: Labels
     materials: dict[str, Material]
     ground: Ground
-    scatters: tuple[Scatter, ...]
+    objects: tuple[Scatter | Placed, ...]
     sun: SunLight | None
     sky: SkyLight | None
     rigs: tuple[Rig, ...]

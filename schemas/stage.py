@@ -7,7 +7,7 @@ documented for other writers in ``docs/stage.md``.
 from __future__ import annotations
 
 #: Version of this stage schema, authored on the root; a reader refuses a newer major one.
-SCHEMA_VERSION = "1.2"
+SCHEMA_VERSION = "1.3"
 
 ATTR_SCHEMA_VERSION = "scenec:schemaVersion"
 #: double, time-sampled: real time of a sample in seconds.
@@ -21,6 +21,8 @@ ATTR_INSTANCE_ID_BASE = "scenec:instanceIdBase"
 ATTR_INSTANCE_IDS_ENABLED = "scenec:instanceIdsEnabled"
 #: uint on an object that is not scattered: its frame id.
 ATTR_INSTANCE_ID = "scenec:instanceId"
+#: uint on an object below a prim that has an instanceIdBase: frame id = base + this, from 1.
+ATTR_LOCAL_INSTANCE_ID = "scenec:localInstanceId"
 #: double[9], row-major, pixels: the authoritative intrinsics of a camera.
 ATTR_INTRINSICS = "scenec:intrinsics"
 
@@ -51,15 +53,21 @@ ATTR_METALLIC = "scenec:surface:metallic"
 ATTR_COLOR_VARIATION = "scenec:surface:variation"
 #: float, 0 where not authored: roughness at a point is roughness * (1 + this * the same primvar).
 ATTR_ROUGHNESS_VARIATION = "scenec:surface:roughnessVariation"
-#: asset: pictures laid over the ground along Z, u = x / size, v = y / size; base color multiplies,
-#: the others take the place of the number. Keys as in ``schemas.maps.MAP_CHANNELS``.
+#: asset: pictures that vary a surface; base color multiplies, the others take the place of the
+#: number. Keys as in ``schemas.maps.MAP_CHANNELS``.
 ATTR_MAPS = {
     "base_color": "scenec:surface:maps:baseColor",
     "roughness": "scenec:surface:maps:roughness",
     "metallic": "scenec:surface:maps:metallic",
     "normal": "scenec:surface:maps:normal",
 }
-#: double: side of one repeat, in stage units.
+#: token, "above" where not authored: along the world's z (u = x / size, v = y / size), along its
+#: three axes, mixed by the shading normal's fourth powers, or by the mesh's primvar ``st``.
+ATTR_MAP_PROJECTION = "scenec:surface:maps:projection"
+MAP_PROJECTIONS = ("above", "triplanar", "uv")
+#: Texture coordinates of a mesh, texCoord2f[], v up: vertex or faceVarying.
+PRIMVAR_UV = "st"
+#: double: side of one repeat, in stage units; not authored with the projection "uv".
 ATTR_MAP_SIZE = "scenec:surface:maps:size"
 #: token: "opengl" (the normals' y points up in the picture) or "directx".
 ATTR_NORMAL_CONVENTION = "scenec:surface:maps:normalConvention"

@@ -7,14 +7,14 @@ from pathlib import Path
 from pxr import Gf, Sdf, Usd, UsdGeom, Vt
 
 from scenec.compiler.emit.cameras import camera_path, clipping_range, write_cameras
-from scenec.compiler.emit.layer import author, constant_label_ids, label, new_layer
+from scenec.compiler.emit.layer import author, constant_label_ids, label, label_names, new_layer
 from scenec.compiler.emit.lights import write_lights
 from scenec.compiler.emit.looks import write_look
 from scenec.compiler.emit.maps import copy_maps
 from scenec.compiler.emit.materialx import mixed_materials, write_ground_mix, write_material
-from scenec.compiler.emit.objects import instancer_path, write_scatter
+from scenec.compiler.emit.objects import class_path, write_placed, write_scatter
 from scenec.compiler.emit.terrain import write_terrain
-from scenec.compiler.scene import Labels, Scene
+from scenec.compiler.scene import Placed, Scene
 from scenec.schemas import stage as names
 from scenec.schemas.errors import SceneError
 from scenec.schemas.materialx import LAYER_SUFFIX
@@ -33,18 +33,16 @@ def write_batch(folder: Path, scene: Scene) -> None:
     Raises:
         SceneError: More instances than ids.
     """
-    layer_names = [_named(scene, layer.labels) for layer in scene.ground.layers]
+    table = scene.label_table
+    layer_names = [label_names(table, layer.labels) for layer in scene.ground.layers]
     write_terrain(folder / "terrain.usdc", scene.ground, scene.materials, layer_names)
     sublayers = ["terrain.usdc"]
-    for scatter in scene.scatters:
-        sublayers.append(f"objects/{scatter.name}.usdc")
-        write_scatter(
-            folder / sublayers[-1],
-            scatter,
-            scene.materials.get(scatter.material),
-            {level: scatter.labels[level] for level in scene.label_table},
-            _named(scene, scatter.labels),
-        )
+    for objects in scene.objects:
+        sublayers.append(f"objects/{objects.name}.usdc")
+        if isinstance(objects, Placed):
+            write_placed(folder / sublayers[-1], objects, scene.materials, table)
+        else:
+            write_scatter(folder / sublayers[-1], objects, scene.materials, table)
     sublayers.extend(_write_looks(folder, scene))
     if scene.sun is not None or scene.sky is not None:
         sublayers.append("lights.usda")
@@ -69,16 +67,6 @@ def _write_looks(folder: Path, scene: Scene) -> list[str]:
         sublayers.append(f"terrain{LAYER_SUFFIX}")
         write_ground_mix(folder / sublayers[-1], mixed, scene.materials, maps)
     return sublayers
-
-
-def _named(scene: Scene, labels: Labels) -> dict[str, str]:
-    """Label names per level, for the levels that the stage has."""
-    found = {}
-    for level, table in scene.label_table.items():
-        by_id = {number: name for name, number in table.items()}
-        if labels.get(level) in by_id:
-            found[level] = by_id[labels[level]]
-    return found
 
 
 def _write_root(path: Path, scene: Scene, sublayers: list[str]) -> None:
@@ -111,7 +99,7 @@ def _write_root(path: Path, scene: Scene, sublayers: list[str]) -> None:
         if scene.sky_labels:
             sky = UsdGeom.Scope.Define(stage, names.SKY_PRIM).GetPrim()
             constant_label_ids(sky, scene.sky_labels)
-            label(sky, _named(scene, scene.sky_labels))
+            label(sky, label_names(scene.label_table, scene.sky_labels))
         _write_georeference(world, scene)
         _write_instance_bases(stage, scene)
         for rig in scene.rigs:
@@ -135,13 +123,13 @@ def _write_georeference(world: Usd.Prim, scene: Scene) -> None:
 
 def _write_instance_bases(stage: Usd.Stage, scene: Scene) -> None:
     """Where the frame ids of each class begin: running sums of the counts."""
-    total = sum(scatter.count for scatter in scene.scatters)
+    total = sum(objects.drawn for objects in scene.objects)
     if total > _LARGEST_ID:
         raise SceneError(f"{total} instances: a frame has ids for {_LARGEST_ID} at most")
     base = 0
-    for scatter in scene.scatters:
-        prim = stage.OverridePrim(instancer_path(scatter.name))
+    for objects in scene.objects:
+        prim = stage.OverridePrim(class_path(objects.name))
         prim.CreateAttribute(names.ATTR_INSTANCE_ID_BASE, Sdf.ValueTypeNames.UInt, custom=True).Set(
             base
         )
-        base += scatter.count
+        base += objects.drawn

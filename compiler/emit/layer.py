@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -44,6 +44,16 @@ def label(prim: Usd.Prim, labels: dict[str, str]) -> None:
     """Standard semantic labels: one taxonomy a level, the label's name as its only entry."""
     for level, name in labels.items():
         UsdSemantics.LabelsAPI.Apply(prim, level).CreateLabelsAttr([name])
+
+
+def label_names(table: Mapping[str, Mapping[str, int]], labels: Labels) -> dict[str, str]:
+    """Names of label ids, on the levels of a table (name -> id) that know them."""
+    found = {}
+    for level, ids in table.items():
+        by_id = {number: name for name, number in ids.items()}
+        if labels.get(level) in by_id:
+            found[level] = by_id[labels[level]]
+    return found
 
 
 def constant_label_ids(prim: Usd.Prim, labels: Labels) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from scenec.compiler.arithmetic import elementary
-from scenec.compiler.scene import Material
+from scenec.compiler.scene import Material, Picture
 from scenec.schemas.maps import read_pixels
 
 TEXTURES = "textures"
@@ -31,7 +31,10 @@ def copy_maps(folder: Path, name: str, material: Material) -> dict[str, str]:
         copied[kind] = f"{TEXTURES}/{name}_{kind}{source.suffix.lower()}"
         target = folder / copied[kind]
         target.parent.mkdir(exist_ok=True)
-        shutil.copyfile(source, target)
+        if isinstance(source, Picture):
+            target.write_bytes(source.data)
+        else:
+            shutil.copyfile(source, target)
     return copied
 
 

@@ -1,27 +1,30 @@
-"""One layer an object class: a PointInstancer and its prototypes."""
+"""One layer an object class: a PointInstancer and its prototypes, or single objects."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
-from pxr import Sdf, Usd, UsdGeom, Vt
+from numpy.typing import NDArray
+from pxr import Gf, Sdf, Usd, UsdGeom, Vt
 
-from scenec.compiler.emit.layer import constant_label_ids, label, new_layer
-from scenec.compiler.emit.terrain import (
-    bind,
-    varied_color,
-    write_display_color,
-    write_triangles,
-    write_vertex_floats,
+from scenec.compiler.emit.layer import (
+    author,
+    constant_label_ids,
+    label,
+    label_names,
+    new_layer,
 )
-from scenec.compiler.scene import Labels, Material, Prototype, Scatter
+from scenec.compiler.emit.prototypes import write_prototype
+from scenec.compiler.emit.terrain import bind, write_vertex_floats
+from scenec.compiler.scene import Material, Placed, Scatter
 from scenec.schemas import stage as names
 
 OBJECTS = f"{names.ROOT}/Objects"
 
 
-def instancer_path(name: str) -> str:
+def class_path(name: str) -> str:
     """Prim path of an object class."""
     return f"{OBJECTS}/{name}"
 
@@ -29,68 +32,122 @@ def instancer_path(name: str) -> str:
 def write_scatter(
     path: Path,
     scatter: Scatter,
-    material: Material | None,
-    label_ids: Labels,
-    label_names: dict[str, str],
+    materials: Mapping[str, Material],
+    table: Mapping[str, Mapping[str, int]],
 ) -> None:
-    """Writes the layer.
+    """Writes the layer of a class of scattered objects.
 
     Args:
         path: ``objects/<class>.usdc``.
         scatter: What to write.
-        material: Its material; None where no color is asked for.
-        label_ids: Label id per level; empty where none are asked for.
-        label_names: Label name per level, likewise.
+        materials: By name; empty where no color is asked for.
+        table: Per level, label name -> id; empty where no labels are asked for.
     """
     with new_layer(path) as stage:
         UsdGeom.Xform.Define(stage, OBJECTS)
-        instancer = UsdGeom.PointInstancer.Define(stage, instancer_path(scatter.name))
+        instancer = UsdGeom.PointInstancer.Define(stage, class_path(scatter.name))
         prim = instancer.GetPrim()
         holder = UsdGeom.Scope.Define(stage, f"{prim.GetPath()}/Prototypes")
-        targets = []
-        for prototype in scatter.prototypes:
-            target = holder.GetPath().AppendChild(prototype.name)
-            _write_prototype(stage, target, prototype, material)
-            targets.append(target)
+        targets = _write_prototypes(stage, holder.GetPath(), scatter, materials, table)
         instancer.CreatePrototypesRel().SetTargets(targets)
         instancer.CreateProtoIndicesAttr(Vt.IntArray.FromNumpy(scatter.prototype))
         instancer.CreatePositionsAttr(Vt.Vec3fArray.FromNumpy(scatter.positions))
         instancer.CreateOrientationsAttr(Vt.QuathArray.FromNumpy(scatter.orientations))
         instancer.CreateScalesAttr(Vt.Vec3fArray.FromNumpy(scatter.scales))
-        ids = np.arange(1, scatter.count + 1, dtype=np.int64)
-        instancer.CreateIdsAttr(Vt.Int64Array.FromNumpy(ids))
+        instancer.CreateIdsAttr(Vt.Int64Array.FromNumpy(scatter.ids))
         instancer.CreateExtentAttr(Vt.Vec3fArray.FromNumpy(_extent(scatter)))
-        if not scatter.instances:
-            prim.CreateAttribute(
-                names.ATTR_INSTANCE_IDS_ENABLED, Sdf.ValueTypeNames.Bool, custom=True
-            ).Set(False)
-        constant_label_ids(prim, label_ids)
-        label(prim, label_names)
-        if material:
+        _write_class(prim, scatter, materials, table)
+        if any(materials[name].varies for name in _materials_of(scatter) if materials):
             write_vertex_floats(
                 UsdGeom.PrimvarsAPI(prim), names.PRIMVAR_VARIATION, scatter.variation
             )
-            bind(prim, scatter.material)
 
 
-def _write_prototype(
-    stage: Usd.Stage, path: Sdf.Path, prototype: Prototype, material: Material | None
+def write_placed(
+    path: Path,
+    placed: Placed,
+    materials: Mapping[str, Material],
+    table: Mapping[str, Mapping[str, int]],
 ) -> None:
-    mesh = UsdGeom.Mesh.Define(stage, path)
-    write_triangles(
-        mesh, prototype.points, prototype.faces, prototype.normals if material else None
-    )
-    if material:
-        prim = mesh.GetPrim()
-        write_vertex_floats(UsdGeom.PrimvarsAPI(prim), names.PRIMVAR_VARIATION, prototype.variation)
-        write_display_color(prim, varied_color(material, prototype.variation))
+    """Writes the layer of a class of single objects: native instances of its prototypes.
+
+    Args:
+        path: ``objects/<class>.usdc``.
+        placed: What to write.
+        materials, table: As for ``write_scatter``.
+    """
+    with new_layer(path) as stage:
+        UsdGeom.Xform.Define(stage, OBJECTS)
+        prim = UsdGeom.Xform.Define(stage, class_path(placed.name)).GetPrim()
+        # A class: nothing of it is drawn but where it is instanced.
+        holder = stage.CreateClassPrim(f"{prim.GetPath()}/Prototypes")
+        targets = _write_prototypes(stage, holder.GetPath(), placed, materials, table)
+        _write_class(prim, placed, materials, table)
+        for i, local_id in enumerate(placed.ids.tolist()):
+            one = UsdGeom.Xform.Define(stage, f"{prim.GetPath()}/instance_{local_id}")
+            one.GetPrim().CreateAttribute(
+                names.ATTR_LOCAL_INSTANCE_ID, Sdf.ValueTypeNames.UInt, custom=True
+            ).Set(local_id)
+            author(one.AddTransformOp().GetAttr(), [_matrix(m) for m in placed.to_world[i]])
+            one.GetPrim().GetReferences().AddInternalReference(targets[placed.prototype[i]])
+            one.GetPrim().SetInstanceable(True)
+
+
+def _matrix(to_world: NDArray[np.float64]) -> Gf.Matrix4d:
+    rows = np.eye(4)
+    # USD multiplies row vectors from the left.
+    rows[:, :3] = to_world.T
+    return Gf.Matrix4d(*rows.ravel().tolist())
+
+
+def _write_prototypes(
+    stage: Usd.Stage,
+    holder: Sdf.Path,
+    objects: Scatter | Placed,
+    materials: Mapping[str, Material],
+    table: Mapping[str, Mapping[str, int]],
+) -> list[Sdf.Path]:
+    targets = []
+    for prototype in objects.prototypes:
+        target = holder.AppendChild(prototype.name)
+        if isinstance(objects, Placed):
+            # An instance's root is an Xform of its own: the mesh stands below it.
+            stage.DefinePrim(target, "Xform")
+            target = target.AppendChild("Mesh")
+        write_prototype(
+            stage, target, prototype, materials, objects.material, objects.labels, table
+        )
+        targets.append(target.GetParentPath() if isinstance(objects, Placed) else target)
+    return targets
+
+
+def _write_class(
+    prim: Usd.Prim,
+    objects: Scatter | Placed,
+    materials: Mapping[str, Material],
+    table: Mapping[str, Mapping[str, int]],
+) -> None:
+    """What all objects of a class have in common."""
+    if not objects.instances:
+        prim.CreateAttribute(
+            names.ATTR_INSTANCE_IDS_ENABLED, Sdf.ValueTypeNames.Bool, custom=True
+        ).Set(False)
+    constant_label_ids(prim, {level: objects.labels[level] for level in table})
+    label(prim, label_names(table, objects.labels))
+    if materials and objects.material is not None:
+        bind(prim, objects.material)
+
+
+def _materials_of(objects: Scatter | Placed) -> set[str]:
+    own = {part.material for mesh in objects.prototypes for part in mesh.parts}
+    return {name for name in (objects.material, *own) if name is not None}
 
 
 def _extent(scatter: Scatter) -> np.ndarray:
-    """Bounds of all instances; prototypes fit into a ball of radius 1/2."""
+    """Bounds of all instances' balls."""
     if not scatter.count:
         return np.zeros((2, 3), np.float32)
-    radius = (0.5 * scatter.scales.max(axis=1))[:, None]
+    radius = scatter.radii()[:, None]
     return np.stack(
         [(scatter.positions - radius).min(axis=0), (scatter.positions + radius).max(axis=0)]
     ).astype(np.float32)

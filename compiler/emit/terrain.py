@@ -156,7 +156,9 @@ def write_vertex_floats(
     )
 
 
-def write_display_color(prim: Usd.Prim, color: NDArray[np.float64]) -> None:
-    """DisplayColor at the vertices, which the looks' preview surfaces show."""
-    primvar = UsdGeom.Gprim(prim).CreateDisplayColorPrimvar(UsdGeom.Tokens.vertex)
+def write_display_color(
+    prim: Usd.Prim, color: NDArray[np.float64], interpolation: str = UsdGeom.Tokens.vertex
+) -> None:
+    """DisplayColor at the vertices or faces, which the looks' preview surfaces show."""
+    primvar = UsdGeom.Gprim(prim).CreateDisplayColorPrimvar(interpolation)
     primvar.Set(Vt.Vec3fArray.FromNumpy(color.astype(np.float32)))

@@ -19,6 +19,8 @@ from scenec.compiler.terrain.quantities import Quantities
 #: Narrowest softness, as a part of what the quantity changes by over a spacing at its bound: below
 #: it the colors of a cell are on one side or the other whatever it is.
 SHARPEST = 0.125
+#: Narrowest softness of all: quantities that change by less are divided by it without overflow.
+_LEAST = 1e-200
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +74,7 @@ def _shown(value: NDArray[np.float64], bound: float | None, softness: float) -> 
         total += float(steps.sum())
         count += steps.size
     if count:
-        return max(softness, SHARPEST * total / count)
+        return max(softness, SHARPEST * total / count, _LEAST)
     # No sample beyond the bound: any width that keeps the samples out of the fade.
     away = float(np.abs(value - bound).min())
-    return softness or away or 1.0
+    return max(softness or away or 1.0, _LEAST)

@@ -44,7 +44,7 @@ def choose_levels(
         # Small rocks can be looked at from nearer.
         nearest = min(NEAREST_M, 0.5 * float(size.min(initial=NEAREST_M)))
         near = pixels_of_balls(
-            views, scatter.positions.astype(np.float64), 0.5 * size, unseen, nearest
+            views, scatter.positions.astype(np.float64), scatter.radii(), unseen, nearest
         )
         # Errors do not fall along a chain: the last level that passes is the coarsest.
         for level in range(1, int(lengths.max(initial=1))):

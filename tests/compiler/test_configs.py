@@ -53,7 +53,7 @@ def test_a_shipped_cfg_builds_a_finite_scene_with_all_of_its_labels(file, tmp_pa
         for array in (tile.translate, tile.points, tile.normals, tile.weights, tile.variation):
             assert np.isfinite(array).all()
         seen += [scene.ground.layers[i].labels for i in np.unique(tile.layer).tolist()]
-    for scatter in scene.scatters:
+    for scatter in scene.objects:
         assert np.isfinite(scatter.positions).all()
         assert len(scatter.positions) == max(1, cfg["objects"][scatter.name]["count"] // 10)
         seen.append(scatter.labels)

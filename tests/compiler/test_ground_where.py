@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from test_ground import MERGES, relief, welded
 
@@ -269,7 +269,12 @@ _LAYERS = st.lists(
 )
 
 
+#: Bounds that no sample is beyond by more than the smallest numbers there are.
+_TINY = [([HeightCondition(0.0, None, 0.0, Ragged(8, 5e-324, 3.0, 2))], False, 0.5)]
+
+
 @settings(max_examples=25, deadline=None)
+@example(drawn=_TINY, ground="flat")
 @given(drawn=_LAYERS, ground=st.sampled_from(["rough", "flat", "cliff", "steps"]))
 def test_any_layers_on_any_ground_make_a_sound_mesh_with_one_label_a_face(drawn, ground):
     grid = Grid((10.0, 8.0), (21, 26))

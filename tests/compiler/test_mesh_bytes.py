@@ -20,7 +20,7 @@ from scenec.compiler.draw import draw
 from scenec.compiler.frontend.load import load
 log = BuildLog()
 scene = build(draw(load(sys.argv[1]), 11, 0), log)
-rocks = scene.scatters[0]
+rocks = scene.objects[0]
 for tile in scene.ground.tiles:
     for key in ("translate", "points", "faces", "normals", "layer", "weights", "variation"):
         print(tile.name, key, hashlib.sha256(getattr(tile, key).tobytes()).hexdigest())

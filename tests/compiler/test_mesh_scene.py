@@ -157,7 +157,7 @@ def test_a_scene_on_a_mesh_is_built_and_reported(tmp_path):
     assert step["overhang_fraction"] > 0.02
     assert step["edge_max_m"] <= 0.4
     assert step["roughness_octaves"] == 2
-    assert scene.scatters[0].count == 60
+    assert scene.objects[0].count == 60
     assert sum(len(tile.faces) for tile in scene.ground.tiles) == log.facts["ground"]["faces"]
     again = build(draw(load(cfg), 3, 0), BuildLog())
     for a, b in zip(scene.ground.tiles, again.ground.tiles, strict=True):

@@ -294,6 +294,8 @@ def scatter(n: int, family: str = "angular") -> tuple[Scatter, tuple[Chain, ...]
         orientations=np.tile(np.array([0, 0, 0, 1], np.float16), (n, 1)),
         scales=np.repeat(size[:, None], 3, axis=1),
         variation=np.zeros(n, np.float32),
+        ids=np.arange(1, n + 1),
+        drawn=n,
     ), chains(family)
 
 

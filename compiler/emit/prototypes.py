@@ -1,0 +1,121 @@
+"""Meshes that objects share: a prototype as a prim, its parts as subsets."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+from pxr import Sdf, Usd, UsdGeom, UsdShade, Vt
+
+from scenec.compiler.emit.layer import label, label_names
+from scenec.compiler.emit.terrain import (
+    bind,
+    varied_color,
+    write_display_color,
+    write_triangles,
+    write_vertex_floats,
+)
+from scenec.compiler.scene import Labels, Material, Prototype
+from scenec.schemas import stage as names
+
+#: Primvar of texture coordinates, USD's customary name.
+ST = "st"
+
+
+def write_prototype(
+    stage: Usd.Stage,
+    path: Sdf.Path,
+    prototype: Prototype,
+    materials: Mapping[str, Material],
+    material: str | None,
+    labels: Labels,
+    table: Mapping[str, Mapping[str, int]],
+) -> Usd.Prim:
+    """Writes a mesh; what its parts have of their own stands on subsets, or on it if all have it.
+
+    Args:
+        stage: Receives the prim.
+        path: Of the prim.
+        prototype: What to write.
+        materials: By name; empty where no color is asked for.
+        material: Of the class.
+        labels: Of the class.
+        table: Per level, label name -> id; empty where no labels are asked for.
+    """
+    mesh = UsdGeom.Mesh.Define(stage, path)
+    prim = mesh.GetPrim()
+    write_triangles(
+        mesh, prototype.points, prototype.faces, prototype.normals if materials else None
+    )
+    if materials:
+        _write_appearance(prim, prototype, materials, material)
+    _write_label_ids(prim, prototype, labels, table)
+    whole = len(prototype.parts) == 1 and len(prototype.parts[0].faces) == len(prototype.faces)
+    for part in prototype.parts:
+        own = prim if whole else _subset(mesh, part.name, part.faces)
+        if materials and part.material is not None:
+            bind(own, part.material)
+        if part.labels is not None:
+            label(own, label_names(table, part.labels))
+    return prim
+
+
+def _write_appearance(
+    prim: Usd.Prim,
+    prototype: Prototype,
+    materials: Mapping[str, Material],
+    material: str | None,
+) -> None:
+    used = {part.material for part in prototype.parts if part.material is not None}
+    used |= {material} if material is not None else set()
+    if any(materials[name].varies for name in used):
+        write_vertex_floats(UsdGeom.PrimvarsAPI(prim), names.PRIMVAR_VARIATION, prototype.variation)
+    if prototype.uv is not None and any(materials[name].needs_uv for name in used):
+        primvar = UsdGeom.PrimvarsAPI(prim).CreatePrimvar(
+            ST, Sdf.ValueTypeNames.TexCoord2fArray, UsdGeom.Tokens.faceVarying
+        )
+        primvar.Set(Vt.Vec2fArray.FromNumpy(prototype.uv.reshape(-1, 2)))
+    if not any(part.material for part in prototype.parts):
+        if material is not None:
+            write_display_color(prim, varied_color(materials[material], prototype.variation))
+        return
+    # Parts meet in vertices: one color a face.
+    color = np.full((len(prototype.faces), 3), 0.18)
+    own = prototype.variation[prototype.faces].mean(axis=1)
+    if material is not None:
+        color[:] = varied_color(materials[material], own)
+    for part in prototype.parts:
+        if part.material is not None:
+            color[part.faces] = varied_color(materials[part.material], own[part.faces])
+    write_display_color(prim, color, UsdGeom.Tokens.uniform)
+
+
+def _write_label_ids(
+    prim: Usd.Prim,
+    prototype: Prototype,
+    labels: Labels,
+    table: Mapping[str, Mapping[str, int]],
+) -> None:
+    """One id a face, on the levels where a part's differs from the class's."""
+    for level in table:
+        own = [part for part in prototype.parts if part.labels is not None]
+        if all((part.labels or {}).get(level, 0) == labels.get(level, 0) for part in own):
+            continue
+        ids: NDArray[np.int32] = np.full(len(prototype.faces), labels.get(level, 0), np.int32)
+        for part in own:
+            ids[part.faces] = (part.labels or {}).get(level, 0)
+        UsdGeom.PrimvarsAPI(prim).CreatePrimvar(
+            names.label_primvar(level), Sdf.ValueTypeNames.IntArray, UsdGeom.Tokens.uniform
+        ).Set(Vt.IntArray.FromNumpy(ids))
+
+
+def _subset(mesh: UsdGeom.Mesh, name: str, faces: NDArray[np.int32]) -> Usd.Prim:
+    return UsdGeom.Subset.CreateGeomSubset(
+        mesh,
+        name,
+        UsdGeom.Tokens.face,
+        Vt.IntArray.FromNumpy(faces),
+        UsdShade.Tokens.materialBind,
+        UsdGeom.Tokens.nonOverlapping,
+    ).GetPrim()
