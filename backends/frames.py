@@ -15,6 +15,7 @@ from scenec.schemas.errors import OutputError
 from scenec.schemas.exr import write_exr
 from scenec.schemas.files import sha256, write_json
 from scenec.schemas.frames import CONVENTIONS, FRAME_VERSION, FrameKey
+from scenec.schemas.instances import frame_table_path, write_frame_table
 
 
 def write_frame(
@@ -25,8 +26,9 @@ def write_frame(
     camera: Camera,
     sample: int,
     details: Mapping[str, Any],
+    table: dict[str, NDArray] | None = None,
 ) -> None:
-    """Write EXR, PNG (if there is ``rgb``) and sidecar, each by atomic rename.
+    """Write EXR, PNG (if there is ``rgb``), table and sidecar, each by atomic rename.
 
     Args:
         stem: See ``frame_stem``.
@@ -36,6 +38,7 @@ def write_frame(
         camera: The camera it was seen by.
         sample: Time code.
         details: More for the sidecar: what ``Session.render`` returns.
+        table: What it shows of instances (``schemas.instances``), if it has that pass.
 
     Raises:
         OutputError: A file cannot be written.
@@ -51,6 +54,11 @@ def write_frame(
         picture.write_png(
             stem.with_suffix(".png"), picture.develop(passes["rgb"], camera.exposure_ev)
         )
+    listed = frame_table_path(stem)
+    if table is None:
+        _unlink(listed)
+    else:
+        write_frame_table(listed, table)
     sidecar = {
         "version": FRAME_VERSION,
         "camera": camera.name,
@@ -78,6 +86,9 @@ def write_frame(
         "resume_key": key.digest(),
         "exr": {"bytes": exr.stat().st_size, "sha256": sha256(exr)},
         "png": "rgb" in passes,
+        "instance_table": None
+        if table is None
+        else {"bytes": listed.stat().st_size, "sha256": sha256(listed)},
         **details,
     }
     write_json(stem.with_suffix(".json"), plain(sidecar))

@@ -11,7 +11,7 @@ from typing import Any
 from scenec.backends.pool import WorkerProcess
 from scenec.schemas.errors import StageError
 from scenec.schemas.frames import FrameKey, frame_stem
-from scenec.schemas.manifest import Batch
+from scenec.schemas.manifest import FRAMES, Batch
 
 
 @dataclass(frozen=True)
@@ -92,6 +92,7 @@ class Jobs:
                 "device": wanted.device,
                 "annotator": annotator,
                 "passes": None if wanted.passes is None else list(wanted.passes),
+                "frames": str((self._batch.folder / FRAMES).resolve()),
             }
         )
         self._opened = opened

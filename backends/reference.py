@@ -46,13 +46,14 @@ class Reference:
         self.caster = ExactCaster(scene)
 
     def visibility(self, rays: Rays, sample: int, camera: Camera | None = None) -> Visibility:
-        """First hits, exact; geometry is the same at every sample.
+        """First hits, exact.
 
         Raises:
             BackendError: No scene is loaded.
         """
         if self.caster is None:
             raise BackendError("reference: no scene is loaded; call load first")
+        self.caster.pose(sample)
         row, face, _ = self.caster.cast(rays)
         return Visibility(row, face)
 

@@ -7,7 +7,7 @@ instance of every mesh), ``face`` indexes the triangles of that row's mesh.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -18,20 +18,46 @@ DEFAULT_OUTPUTS = ("rgb", "label", "instance", "depth")
 
 
 @dataclass(frozen=True)
-class Maps:
-    """Pictures that vary a surface; ``scenec.backends.maps`` loads them.
-
-    They are projected along the world's Z axis and repeat: u = x / size_m, v = y / size_m, with
-    (u, v) = (0, 0) in the picture's lower left corner, bilinear between texel centers.
+class Reading:
+    """How a picture's numbers are meant where that is not as ``Maps`` says: UsdUVTexture's inputs.
 
     Attributes:
-        size_m: Side of one repeat, meters.
+        channel: "r", "g" or "b": where a single number stands.
+        srgb: Whether they are in sRGB's transfer function; None: as ``Maps`` says.
+        scale, bias: value * scale + bias is what is meant; of each channel, [3].
+    """
+
+    channel: str = "r"
+    srgb: bool | None = None
+    scale: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    bias: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Maps:
+    """Pictures that vary a surface; ``scenec.backends.maps`` loads them and defines projections.
+
+    They repeat, (u, v) = (0, 0) is the picture's lower left corner, and between texel centers they
+    are bilinear. Where (u, v) lie is the projection's matter:
+
+    - "above": along the world's z, u = x / size_m, v = y / size_m.
+    - "triplanar": along the world's x, y and z, (u, v) = (y, z), (x, z) and (x, y) / size_m, mixed
+      by the shading normal (``maps.triplanar_weights``).
+    - "uv": the mesh's texture coordinates, ``Mesh.uv``.
+
+    Attributes:
+        size_m: Side of one repeat, meters; of no meaning with the projection "uv".
         base_color: Multiplies ``Surface.base_color``; sRGB if 8 or 16 bits, linear if OpenEXR.
         roughness: Perceptual roughness, raw, takes the place of ``Surface.roughness`` and varies as
             that does.
         metallic: Raw, takes the place of ``Surface.metallic``.
         normal: Tangent-space normals n = 2 * rgb - 1, raw: x along +u, y along +v.
         flip_green: Whether ``normal`` has y along -v (DirectX's handedness).
+        projection: "above", "triplanar" or "uv".
+        readings: (kind, how its picture is meant), of those that are not as said here.
+        primvar: Which texture coordinates ("uv").
+        uv_transform: What they are multiplied with first, (a, b, c, d, e, f):
+            u' = a u + b v + c, v' = d u + e v + f; done by the reader.
     """
 
     size_m: float
@@ -40,6 +66,10 @@ class Maps:
     metallic: Path | None = None
     normal: Path | None = None
     flip_green: bool = False
+    projection: str = "above"
+    readings: tuple[tuple[str, Reading], ...] = ()
+    primvar: str = "st"
+    uv_transform: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -105,6 +135,8 @@ class Mesh:
         weights: Weight of merge i at the vertices, float32 [len(layers) - 1, n]: from the base up,
             each merge i mixes BSDFs, (1 - w_i) * what is below + w_i * layer i + 1.
         variation: Variation of albedo and roughness at the vertices, float32 [n], or None.
+        uv: Texture coordinates at the corners of the triangles, v up, float32 [m, 3, 2], where a
+            surface has maps that are projected by them; else None.
     """
 
     path: str
@@ -116,6 +148,21 @@ class Mesh:
     layers: tuple[int, ...]
     weights: NDArray[np.float32]
     variation: NDArray[np.float32] | None = None
+    uv: NDArray[np.float32] | None = None
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Rows that are not where they were at the first sample.
+
+    Attributes:
+        rows: Which, ascending, int32 [k].
+        to_world: Their matrices at each sample, float64 [samples, k, 3, 4]. Where a row is hidden
+            its linear part is 0: a row scaled to a point has no surface.
+    """
+
+    rows: NDArray[np.int32]
+    to_world: NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -124,15 +171,21 @@ class Rows:
 
     Attributes:
         mesh: Index into ``RenderScene.meshes``, int32 [r].
-        to_world: Affine local-to-world matrices, column vectors, float64 [r, 3, 4].
+        to_world: Affine local-to-world matrices, column vectors, float64 [r, 3, 4]; of the first
+            sample where they move.
         instance_id: Frame id, uint32 [r]; 0 is "no instance".
         variation: Variation of the whole instance, float32 [r].
+        motion: Of the rows that move, or None where none does.
+        part: Index into ``RenderScene.parts`` of the row's place within its instance, int32 [r]; -1
+            where that changes over the samples. None: each row is its instance's frame.
     """
 
     mesh: NDArray[np.int32]
     to_world: NDArray[np.float64]
     instance_id: NDArray[np.uint32]
     variation: NDArray[np.float32]
+    motion: Motion | None = None
+    part: NDArray[np.int32] | None = None
 
 
 @dataclass(frozen=True)
@@ -212,8 +265,10 @@ class RenderScene:
         sky_labels: Per level, the label id of pixels that hit nothing.
         cameras: Per sample, all cameras in stage order.
         lighting: Per sample.
-        bounds: Axis-aligned world bounds of the geometry, float64 [2, 3].
-        instance_paths: Prim path of the class (or object) and first frame id, for the table of ids.
+        bounds: Axis-aligned world bounds of the geometry over all samples, float64 [2, 3].
+        instance_paths: Prim path of the class (or object) and what is added to a local id to get
+            the frame id; ascending.
+        parts: Places of meshes within their instances, float64 [p, 3, 4]; see ``Rows.part``.
     """
 
     source: Path
@@ -231,3 +286,13 @@ class RenderScene:
     instance_paths: dict[str, int] = field(default_factory=dict)
     #: Real time of each sample in seconds, float64 [samples].
     times: NDArray[np.float64] = field(default_factory=lambda: np.zeros(1))
+    parts: NDArray[np.float64] = field(default_factory=lambda: np.eye(4)[None, :3])
+
+    def rows_at(self, sample: int) -> Rows:
+        """The rows with the matrices of a sample; the very same object where nothing moves."""
+        motion = self.rows.motion
+        if motion is None:
+            return self.rows
+        to_world = self.rows.to_world.copy()
+        to_world[motion.rows] = motion.to_world[sample]
+        return replace(self.rows, to_world=to_world)

@@ -18,6 +18,7 @@ from scenec.backends.compose import compose
 from scenec.backends.contract import Backend, Rays, Visibility
 from scenec.backends.exact import ExactCaster
 from scenec.backends.frames import write_frame
+from scenec.backends.instances import Instances
 from scenec.backends.rays import camera_rays
 from scenec.backends.reader import read_stage
 from scenec.backends.registry import open_backend
@@ -25,6 +26,7 @@ from scenec.backends.render_scene import Camera, RenderScene
 from scenec.backends.resolver import annotate, pass_names, settle
 from scenec.schemas.errors import BackendError
 from scenec.schemas.frames import FrameKey
+from scenec.schemas.instances import BATCH_TABLE, table_digest, write_table
 
 
 class Session:
@@ -82,6 +84,11 @@ class Session:
         names = tuple(camera.outputs if wanted is None else wanted)
         return (*(["rgb"] if "rgb" in names else []), *pass_names(self.scene, names))
 
+    @cached_property
+    def instances(self) -> Instances:
+        """What there is to say of the stage's instances."""
+        return Instances(self.scene)
+
     def render(
         self,
         camera: Camera,
@@ -111,6 +118,19 @@ class Session:
         Raises:
             BackendError: The renderer failed, or cannot do what is asked.
         """
+        return self._render(camera, sample, passes, spp, seed, denoise, seen)[:2]
+
+    def _render(
+        self,
+        camera: Camera,
+        sample: int,
+        passes: Sequence[str],
+        spp: int,
+        seed: int,
+        denoise: bool,
+        seen: Mapping[str, Any] | None,
+    ) -> tuple[dict[str, NDArray], dict[str, Any], dict[str, NDArray] | None]:
+        """As ``render``, and the table of instances where ``instance`` is among the passes."""
         seconds: dict[str, float] = dict(seen["seconds"]) if seen else {}
         details: dict[str, Any] = {
             "device": self.backend.device,
@@ -119,6 +139,7 @@ class Session:
             "seconds": seconds,
         }
         arrays: dict[str, NDArray] = {}
+        table = None
         annotation = [name for name in passes if name != "rgb"]
         if "rgb" in passes:
             arrays["rgb"] = self._light(camera, sample, spp, seed, denoise, details)
@@ -127,10 +148,27 @@ class Session:
             visibility = self._seen(seen, rays, sample, camera, details)
             caster = self._exact(seconds)
             with _timed(seconds, "resolve"):
+                caster.pose(sample)
                 settled = settle(caster, rays, visibility, camera)
                 arrays |= annotate(self.scene, settled, rays, annotation)
             details["resolver"] = asdict(settled.statistics)
-        return arrays, details
+            if "instance" in annotation:
+                with _timed(seconds, "instances"):
+                    table = self.instances.seen(settled.row, settled.t, camera, sample)
+        return arrays, details, table
+
+    def write_instances(self, folder: Path) -> None:
+        """Write the batch's table of instances, unless it is there.
+
+        Args:
+            folder: Where the batch's frames go.
+
+        Raises:
+            OutputError: It cannot be written.
+        """
+        path = folder / BATCH_TABLE
+        if table_digest(path) != self.scene.digest:
+            write_table(path, self.instances.table())
 
     def render_to(
         self,
@@ -149,11 +187,13 @@ class Session:
         """
         camera = self._camera(camera_index, sample)
         memory.reset_peak()
-        arrays, details = self.render(camera, sample, key.passes, key.spp, seed, key.denoise, seen)
+        arrays, details, table = self._render(
+            camera, sample, key.passes, key.spp, seed, key.denoise, seen
+        )
         peak = memory.peak()
         details["peak_memory_gb"] = None if peak is None else round(peak / memory.GB, 3)
         start = time.perf_counter()
-        write_frame(stem, arrays, key, self.scene, camera, sample, details)
+        write_frame(stem, arrays, key, self.scene, camera, sample, details, table)
         details["seconds"]["write"] = time.perf_counter() - start
         return details
 

@@ -3,13 +3,14 @@
 One JSON document a line: requests on standard input, one answer to each on standard output.
 
     {"op": "open", "stage": PATH, "backend": NAME, "device": NAME, "annotator": NAME or null,
-     "passes": [...] or null}
+     "passes": [...] or null, "frames": PATH or null}
     {"op": "render", "stem": PATH, "camera": INDEX, "sample": N, "key": {...}, "seed": N,
      "seen": {"file": PATH or null, "backend": NAME, "version": TEXT, "seconds": {...}} or null}
     {"op": "see", "file": PATH, "camera": INDEX, "sample": N}
     {"op": "describe", "backend": NAME, "device": NAME, "rgb": BOOL}
     {"op": "probe", "backend": NAME}
 
+``open`` leaves the batch's table of instances in ``frames``, where their ids are among the passes.
 ``see`` leaves a frame's visibility in a file for another backend's worker, whose ``render`` then
 annotates with it.
 
@@ -74,6 +75,9 @@ class Worker:
             ]
             for cameras in scene.cameras
         ]
+        folder = request.get("frames")
+        if folder and any("instance" in c["passes"] for of_sample in cameras for c in of_sample):
+            session.write_instances(Path(folder))
         pictures = any("rgb" in c["passes"] for of_sample in cameras for c in of_sample)
         return {
             "digest": scene.digest,

@@ -25,9 +25,9 @@ def compile_now(options: argparse.Namespace) -> CompileReport:
     )
     for name, seconds in report.seconds.items():
         facts = report.facts[name]
-        rocks = sum(entry["count"] for entry in facts.get("objects", {}).values())
+        objects = sum(entry["count"] for entry in facts.get("objects", {}).values())
         say(
-            f"{name}: {facts['ground']['faces']:,} terrain faces, {rocks:,} rocks, "
+            f"{name}: {facts['ground']['faces']:,} terrain faces, {objects:,} objects, "
             f"{facts['bytes'] / 2**20:.1f} MiB in {sum(seconds.values()):.1f} s; "
             f"positions in float32: {precision_text(facts['precision'])}"
         )

@@ -19,14 +19,13 @@ from scenec.compiler.ground.surface import Surface
 from scenec.compiler.ground.tiles import build_tiles
 from scenec.compiler.light.latlong import luminance
 from scenec.compiler.light.sky import build_sky, level_sun_irradiance, sky_irradiance
-from scenec.compiler.plan import Plan, RigPlan, RocksPlan, TrackPlan
+from scenec.compiler.objects.build import build_objects
+from scenec.compiler.objects.prototypes import Looks
+from scenec.compiler.plan import Plan, RigPlan, TrackPlan
 from scenec.compiler.precision import precision
-from scenec.compiler.scatter.lod import choose_levels, finest
-from scenec.compiler.scatter.on_mesh import place_on_mesh, seat_on_mesh
-from scenec.compiler.scatter.placement import align_to_normals, place, seat
-from scenec.compiler.scatter.rocks import Chain, build_chains
-from scenec.compiler.scene import Georeference, Ground, Rig, Scatter, Scene, SkyLight
-from scenec.compiler.terrain.grid import Grid, HeightField
+from scenec.compiler.scatter.surroundings import Surroundings
+from scenec.compiler.scene import Georeference, Ground, Placed, Rig, Scatter, Scene, SkyLight
+from scenec.compiler.terrain.grid import Grid
 from scenec.compiler.terrain.mesh_surface import MeshSurface
 from scenec.compiler.terrain.program import run
 from scenec.schemas.errors import SceneError
@@ -84,12 +83,6 @@ def build(plan: Plan, log: BuildLog) -> Scene:
             and bool(plan.rigs)
             and not isinstance(terrain, MeshSurface),
         )
-    scatters, chains = [], []
-    for rocks in plan.objects:
-        with log.timed(f"objects/{rocks.name}"):
-            scatter, levels = _rocks(rocks, surface, log)
-            scatters.append(scatter)
-            chains.append(levels)
     with log.timed("light"):
         sun = plan.sun if color else None
         sky = None
@@ -100,12 +93,20 @@ def build(plan: Plan, log: BuildLog) -> Scene:
             irradiance[i] += luminance(level_sun_irradiance(plan.sun, i))
     with log.timed("cameras"):
         rigs = build_rigs(plan.rigs, surface, irradiance if color else None)
-    for i, rocks in enumerate(plan.objects):
-        with log.timed(f"objects/{rocks.name}"):
-            scatters[i], facts = choose_levels(
-                scatters[i], chains[i], views_of(rigs), plan.terrain.meshing.unseen, rocks.lod_px
-            )
-            log.facts["objects"][rocks.name].update(facts)
+    times = _times(plan.rigs, plan.samples)
+    views = views_of(rigs)
+    around = Surroundings(surface, views.poses[:, :, 3].copy(), views, plan.terrain.meshing.unseen)
+    looks = Looks(dict(plan.materials)) if color else None
+    objects = build_objects(
+        plan.objects,
+        around,
+        views,
+        plan.terrain.meshing.unseen,
+        times,
+        looks,
+        plan.object_triangles,
+        log,
+    )
     with log.timed("ground"):
         # Under an overhang one sees what its roof would hide.
         hills = None if isinstance(terrain, MeshSurface) else terrain
@@ -121,7 +122,7 @@ def build(plan: Plan, log: BuildLog) -> Scene:
             cut_labels=labels,
         )
         ground = Ground(plan.terrain.layers, tiles)
-    bounds = _bounds(ground, tuple(scatters))
+    bounds = _bounds(ground, objects)
     log.facts["precision"] = precision(bounds, log.facts, near)
     if not color:
         _note_left_out(log, "materials, weights, lights", "no sensor asks for rgb")
@@ -131,16 +132,16 @@ def build(plan: Plan, log: BuildLog) -> Scene:
         _note_left_out(
             log, "label primvars and the cut along label lines", "no output shows labels"
         )
-    _require_finite(scatters, sky, rigs)
+    _require_finite(objects, sky, rigs)
     return Scene(
         name=plan.name,
         samples=plan.samples,
-        times=_times(plan.rigs, plan.samples),
+        times=times,
         label_table=plan.label_table if labels else {},
         sky_labels=plan.sky_labels if labels else {},
-        materials=plan.materials if color else {},
+        materials=looks.materials if looks is not None else {},
         ground=ground,
-        objects=tuple(scatters),
+        objects=objects,
         sun=sun,
         sky=sky,
         rigs=rigs,
@@ -150,12 +151,17 @@ def build(plan: Plan, log: BuildLog) -> Scene:
     )
 
 
-def _require_finite(scatters: list[Scatter], sky: SkyLight | None, rigs: tuple[Rig, ...]) -> None:
+def _require_finite(
+    objects: tuple[Scatter | Placed, ...], sky: SkyLight | None, rigs: tuple[Rig, ...]
+) -> None:
     """Numbers that are in range each can still multiply to what float32 cannot hold."""
     arrays: dict[str, NDArray[Any]] = {}
-    for scatter in scatters:
-        arrays[f"objects/{scatter.name}: positions"] = scatter.positions
-        arrays[f"objects/{scatter.name}: sizes"] = scatter.scales
+    for one in objects:
+        if isinstance(one, Placed):
+            arrays[f"objects/{one.name}: poses"] = one.to_world
+            continue
+        arrays[f"objects/{one.name}: positions"] = one.positions
+        arrays[f"objects/{one.name}: sizes"] = one.scales
     for name, picture in sky.pictures.items() if sky else ():
         if not isinstance(picture, Path):
             arrays[f"light/sky: {name}"] = picture
@@ -180,74 +186,6 @@ def _georeference(steps: list[dict[str, Any]]) -> Georeference | None:
     return None
 
 
-def _rocks(plan: RocksPlan, surface: Surface, log: BuildLog) -> tuple[Scatter, tuple[Chain, ...]]:
-    """The rocks at their finest level, and their levels."""
-    field = surface.field
-    spots = None
-    if isinstance(field, MeshSurface):
-        spots = place_on_mesh(field, plan.density, plan.position_u, plan.name)
-        x, y = spots.points[:, 0], spots.points[:, 1]
-    else:
-        x, y = place(field, plan.density, plan.position_u, plan.name)
-    orientations = plan.orientations
-    if plan.align and len(x):
-        orientations = align_to_normals(
-            orientations, spots.normals if spots else _surface_normals(field, x, y)
-        )
-    # A tolerance of 0 asks for the finest level only.
-    chains = build_chains(plan.shapes, coarser=plan.lod_px > 0.0)
-    # Seated by the finest level: which one is shown then moves no rock.
-    prototypes = finest(chains)
-    # Rounded before seating: what stands in the stage is what is held against the ground.
-    half = orientations.astype(np.float16)
-    size = plan.size_m.astype(np.float32)
-    x32, y32 = x.astype(np.float32), y.astype(np.float32)
-    rest = (
-        prototypes,
-        plan.prototype,
-        x32.astype(np.float64),
-        y32.astype(np.float64),
-        half,
-        size.astype(np.float64),
-        plan.embed,
-    )
-    if isinstance(field, MeshSurface) and spots:
-        z = seat_on_mesh(field, spots, *rest)
-    else:
-        z = seat(field, *rest)
-    # Rocks follow what is finer than the grid as a whole: by what it is at their middles.
-    z += surface.lift_at(x32.astype(np.float64), y32.astype(np.float64))
-    log.facts.setdefault("objects", {})[plan.name] = {
-        "count": len(x),
-        "float32_error_max_m": float(np.abs(z.astype(np.float32) - z).max(initial=0.0)),
-    }
-    scatter = Scatter(
-        name=plan.name,
-        material=plan.material,
-        labels=plan.labels,
-        instances=plan.instances,
-        prototypes=prototypes,
-        prototype=plan.prototype,
-        positions=np.stack([x32, y32, z.astype(np.float32)], axis=1),
-        orientations=half,
-        scales=np.repeat(size[:, None], 3, axis=1),
-        variation=plan.variation.astype(np.float32),
-        ids=np.arange(1, len(x) + 1),
-        drawn=len(x),
-    )
-    return scatter, chains
-
-
-def _surface_normals(
-    field: HeightField, x: NDArray[np.float64], y: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    step_x, step_y = field.grid.spacing_m
-    gx = (field.height_at(x + step_x, y) - field.height_at(x - step_x, y)) / (2.0 * step_x)
-    gy = (field.height_at(x, y + step_y) - field.height_at(x, y - step_y)) / (2.0 * step_y)
-    length = np.sqrt(gx * gx + gy * gy + 1.0)
-    return np.stack([-gx / length, -gy / length, 1.0 / length], axis=1)
-
-
 def _times(rigs: tuple[RigPlan, ...], samples: int) -> NDArray[np.float64]:
     for rig in rigs:
         if isinstance(rig.pose, TrackPlan):
@@ -255,14 +193,14 @@ def _times(rigs: tuple[RigPlan, ...], samples: int) -> NDArray[np.float64]:
     return np.arange(samples, dtype=np.float64)
 
 
-def _bounds(ground: Ground, scatters: tuple[Scatter, ...]) -> NDArray[np.float64]:
+def _bounds(ground: Ground, objects: tuple[Scatter | Placed, ...]) -> NDArray[np.float64]:
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
     for tile in ground.tiles:
         low = np.minimum(low, tile.translate + tile.points.min(axis=0))
         high = np.maximum(high, tile.translate + tile.points.max(axis=0))
-    for scatter in scatters:
-        if scatter.count:
-            radius = scatter.radii()[:, None]
-            low = np.minimum(low, (scatter.positions - radius).min(axis=0))
-            high = np.maximum(high, (scatter.positions + radius).max(axis=0))
+    for one in objects:
+        if one.count:
+            middles, radii = one.balls()
+            low = np.minimum(low, (middles - radii[:, None]).min(axis=0))
+            high = np.maximum(high, (middles + radii[:, None]).max(axis=0))
     return np.stack([low, high])

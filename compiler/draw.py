@@ -17,17 +17,21 @@ from scenec.compiler.frontend.track import read_track
 from scenec.compiler.ground.draw import draw_mask, draw_merges
 from scenec.compiler.ground.mesh import Meshing
 from scenec.compiler.light.latlong import luminance
+from scenec.compiler.objects.draw import draw_meshes, draw_placed
+from scenec.compiler.objects.poses import PlacedPlan
 from scenec.compiler.plan import (
     ClearSkyPlan,
     ImageSkyPlan,
     Plan,
     RandomTargetPlan,
     RigPlan,
+    ScatterPlan,
     SensorPlan,
     TerrainPlan,
     TrackPlan,
 )
 from scenec.compiler.scatter.draw import draw_rocks
+from scenec.compiler.scatter.draw_scatter import Setting
 from scenec.compiler.scene import GroundLayer, Labels, Material, MaterialMaps, SunLight
 from scenec.compiler.terrain.barchans import draw_barchans
 from scenec.compiler.terrain.detail import Detail, Sum
@@ -62,6 +66,9 @@ def draw(spec: Spec, seed: int, batch: int) -> Plan:
     """
     streams = Streams(seed, batch)
     cfg, samples = spec.cfg, int(spec.cfg["samples"])
+    worn = _worn(cfg["objects"])
+    terrain = _terrain(spec, streams)
+    setting = _setting(spec, terrain)
     return Plan(
         name=cfg["name"],
         batch=batch,
@@ -69,18 +76,37 @@ def draw(spec: Spec, seed: int, batch: int) -> Plan:
         label_table=cfg["labels"],
         sky_labels=_sky_labels(cfg),
         materials={
-            name: _material(spec, f"materials/{name}", resolve(node, streams, f"materials/{name}"))
+            name: _material(
+                spec, f"materials/{name}", resolve(node, streams, f"materials/{name}"), name in worn
+            )
             for name, node in cfg["materials"].items()
         },
-        terrain=_terrain(spec, streams),
+        terrain=terrain,
         objects=tuple(
-            draw_rocks(name, node, label_ids(cfg, node["labels"]), streams)
+            _objects(name, node, label_ids(cfg, node["labels"]), cfg["labels"], streams, setting)
             for name, node in cfg["objects"].items()
         ),
+        object_triangles=cfg["object_detail"]["max_triangles"],
         sun=_sun(cfg["light"]["sun"], streams, samples),
         sky=_sky(spec, streams, samples),
         rigs=tuple(_rig(spec, name, streams) for name in cfg["rigs"]),
     )
+
+
+def _objects(
+    name: str,
+    node: dict[str, Any],
+    labels: Labels,
+    table: dict[str, dict[str, int]],
+    streams: Streams,
+    setting: Setting,
+) -> ScatterPlan | PlacedPlan:
+    """One class of objects."""
+    if node["type"] == "rocks":
+        return draw_rocks(name, node, labels, streams, setting)
+    if node["type"] == "meshes":
+        return draw_meshes(name, node, labels, table, streams, setting)
+    return draw_placed(name, node, labels, table, streams, setting.files)
 
 
 def label_ids(cfg: dict[str, Any], choice: dict[str, str]) -> Labels:
@@ -96,19 +122,29 @@ def _sky_labels(cfg: dict[str, Any]) -> Labels:
     return label_ids(cfg, (sky or {}).get("labels") or {})
 
 
-def _material(spec: Spec, path: str, node: dict[str, Any]) -> Material:
+def _worn(objects: dict[str, Any]) -> set[str]:
+    """Materials that the cfg gives to objects, or parts of them."""
+    users = [
+        *objects.values(),
+        *(p for o in objects.values() for p in (o.get("parts") or {}).values()),
+    ]
+    return {user["material"] for user in users if user.get("material")}
+
+
+def _material(spec: Spec, path: str, node: dict[str, Any], worn: bool) -> Material:
     # Left out, it is a factor of 1 on a map's colors.
     red, green, blue = node["base_color"] or (1.0, 1.0, 1.0)
     maps = None
     if node["maps"] is not None:
         maps = MaterialMaps(
-            size_m=node["maps"]["size_m"],
+            size_m=node["maps"]["size_m"] or 1.0,
             files={
                 kind: spec.files[f"{path}/maps/{kind}"].path
                 for kind in MAP_CHANNELS
                 if node["maps"][kind] is not None
             },
             normal_convention=node["maps"]["normal_convention"],
+            projection=node["maps"]["projection"] or ("triplanar" if worn else "above"),
         )
     return Material(
         (red, green, blue),
@@ -151,6 +187,11 @@ def _terrain(spec: Spec, streams: Streams) -> TerrainPlan:
             _displacement(spec, layer["material"], streams) for layer in node["ground"]
         ),
     )
+
+
+def _setting(spec: Spec, terrain: TerrainPlan) -> Setting:
+    """What objects refer to."""
+    return Setting(terrain.size_m, terrain.relief, spec.cfg["terrain"]["ground"], spec.files)
 
 
 def _displacement(spec: Spec, material: str, streams: Streams) -> Detail | None:

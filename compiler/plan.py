@@ -8,14 +8,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.ground.merge import Merge
 from scenec.compiler.ground.mesh import Meshing
+from scenec.compiler.objects.poses import PlacedPlan
+from scenec.compiler.objects.prototypes import ModelPlan, PartRule
+from scenec.compiler.scatter.density import Density
 from scenec.compiler.scatter.families.shape import Shape
-from scenec.compiler.scatter.placement import NoiseDensity, UniformDensity
+from scenec.compiler.scatter.where import Place
 from scenec.compiler.scene import GroundLayer, Labels, Material, SunLight
 from scenec.compiler.terrain.detail import Detail
 from scenec.compiler.terrain.operator import ReliefOperator
@@ -48,34 +52,107 @@ class TerrainPlan:
 
 
 @dataclass(frozen=True)
-class RocksPlan:
-    """One class of scattered rocks; n instances.
+class RockShapes:
+    """Procedural rocks: each fits into a ball of diameter 1, so that a scale is a diameter.
+
+    Attributes:
+        shapes: One for each prototype.
+    """
+
+    shapes: tuple[Shape, ...]
+    #: They are let down until a vertex touches the ground.
+    touch: ClassVar[bool] = True
+
+
+@dataclass(frozen=True)
+class ModelSource:
+    """Models from files, in meters: a scale is a factor.
+
+    Attributes:
+        models: One for each prototype.
+        rules: For their parts.
+        variation: How much the files' own materials vary from instance to instance.
+        touch: Whether they are let down until a vertex touches the ground, or stand on it with
+            their origin.
+    """
+
+    models: tuple[ModelPlan, ...]
+    rules: tuple[PartRule, ...]
+    variation: float
+    touch: bool
+
+
+@dataclass(frozen=True)
+class Count:
+    """How many there are: a number, or one to the square meter of terrain in plan.
+
+    Attributes:
+        exact: The number, or None.
+        per_m2: Of the terrain without ``where``; None with ``exact``.
+        rounding_u: Uniform in [0, 1): whether what is left of a whole one counts.
+    """
+
+    exact: int | None
+    per_m2: float | None
+    rounding_u: float
+
+
+@dataclass(frozen=True)
+class Apart:
+    """Distances that are kept in plan.
+
+    Attributes:
+        gap_m: Between circles.
+        radius: A circle's, in radii of the ball around its object.
+        of: Names of the classes that are kept away from; the own one may be among them.
+    """
+
+    gap_m: float
+    radius: float
+    of: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class ScatterPlan:
+    """One class of scattered objects; n instances at most, see ``Count``.
 
     Attributes:
         material, labels, instances: As in ``Scatter``.
-        shapes: The prototypes.
-        density: Where they lie.
-        position_u: Uniform numbers that pick the places, float64 [n, 3].
+        source: What the prototypes are made of.
+        count: How many there are.
+        density: How many lie in one place compared with another.
+        where: Conditions that the density is multiplied with.
+        apart: What is kept between objects, or None.
+        fewer: Whether those that find no place are left out; else they are an error.
+        clearance_m: Between cameras and balls around objects; 0: none, not even outside of them.
+        place_key: Of the hash that gives an instance its further candidate places.
+        position_u: Uniform numbers that pick the first candidate, float64 [n, 3].
         prototype: int32 [n].
         orientations: Unit quaternions (x, y, z, w), float64 [n, 4].
         align: Whether they then turn with the surface normal.
-        size_m: Diameter, float64 [n].
+        scale: Factor on the prototype, float64 [n]: for rocks the diameter in meters.
         embed: Part of the height below ground, float64 [n].
         variation: Albedo variation, float64 [n], in [-1, 1].
         lod_px: Largest error of a level of detail, in pixels of the nearest view.
     """
 
     name: str
-    material: str
+    material: str | None
     labels: Labels
     instances: bool
-    shapes: tuple[Shape, ...]
-    density: UniformDensity | NoiseDensity
+    source: RockShapes | ModelSource
+    count: Count
+    density: Density
+    where: tuple[Place, ...]
+    apart: Apart | None
+    fewer: bool
+    clearance_m: float
+    place_key: int
     position_u: NDArray[np.float64]
     prototype: NDArray[np.int32]
     orientations: NDArray[np.float64]
     align: bool
-    size_m: NDArray[np.float64]
+    scale: NDArray[np.float64]
     embed: NDArray[np.float64]
     variation: NDArray[np.float64]
     lod_px: float
@@ -173,7 +250,8 @@ class Plan:
     sky_labels: Labels
     materials: dict[str, Material]
     terrain: TerrainPlan
-    objects: tuple[RocksPlan, ...]
+    objects: tuple[ScatterPlan | PlacedPlan, ...]
+    object_triangles: int | None
     sun: SunLight | None
     sky: ClearSkyPlan | ImageSkyPlan | None
     rigs: tuple[RigPlan, ...]

@@ -205,6 +205,10 @@ class Scatter:
         of_prototype = np.array([p.radius for p in self.prototypes], np.float64)
         return of_prototype[self.prototype] * self.scales.max(axis=1, initial=0.0)
 
+    def balls(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Balls that hold the instances: middles [n, 3] and radii [n], meters."""
+        return self.positions.astype(np.float64), self.radii()
+
 
 @dataclass(frozen=True)
 class Placed:
@@ -231,6 +235,13 @@ class Placed:
     def count(self) -> int:
         """Number of objects."""
         return len(self.to_world)
+
+    def balls(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Balls that hold the objects at any sample: middles [n * s, 3], radii [n * s], meters."""
+        of_prototype = np.array([p.radius for p in self.prototypes], np.float64)[self.prototype]
+        columns = self.to_world[:, :, :, :3]
+        stretch = np.sqrt((columns * columns).sum(axis=2)).max(axis=2, initial=0.0)
+        return self.to_world[:, :, :, 3].reshape(-1, 3), (of_prototype[:, None] * stretch).ravel()
 
 
 @dataclass(frozen=True)

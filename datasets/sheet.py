@@ -62,7 +62,9 @@ def find_frames(out: Path, backend: str | None = None) -> list[Path]:
         FrameError: There are none.
     """
     folders = [batch.folder / FRAMES for batch in find_batches(out)]
-    backends = sorted({b.name for folder in folders if folder.is_dir() for b in folder.iterdir()})
+    backends = sorted(
+        {b.name for folder in folders if folder.is_dir() for b in folder.iterdir() if b.is_dir()}
+    )
     if backend is None and backends:
         backend = backends[0]
     found = [p for f in folders for p in sorted((f / str(backend)).glob("*/*.json"))]

@@ -74,6 +74,9 @@ def _section(name: str) -> str:
         lines.append("")
     elif "properties" in schema:
         lines += _table(schema)
+        if "$ref" in schema:
+            title = load_schemas()[schema["$ref"]]["title"]
+            lines += [f"And all keys of [{title}](#{_anchor(title)}).", ""]
     else:
         entry = schema["additionalProperties"]
         lines += [

@@ -1,7 +1,8 @@
-"""Frames on disk: OUT/batch_0000/frames/<backend>/<camera>/000000.{exr,png,json}.
+"""Frames on disk: OUT/batch_0000/frames/<backend>/<camera>/000000.{exr,png,json,instances.csv}.
 
 The EXR holds the passes (``scenec.schemas.exr``), the PNG is a picture of ``rgb``
-(``scenec.schemas.picture``), the JSON sidecar says what they are. The sidecar is written last: a
+(``scenec.schemas.picture``), the CSV a table of the instances that it shows
+(``scenec.schemas.instances``), the JSON sidecar says what they are. The sidecar is written last: a
 frame without one does not exist.
 """
 
@@ -20,10 +21,11 @@ from numpy.typing import NDArray
 from scenec.schemas.errors import FrameError
 from scenec.schemas.exr import read_exr
 from scenec.schemas.files import sha256
+from scenec.schemas.instances import frame_table_path
 from scenec.schemas.manifest import FRAMES
 
 #: Version of the sidecar's shape.
-FRAME_VERSION = "1.1"
+FRAME_VERSION = "1.2"
 
 #: What a reader may rely on in every sidecar.
 REQUIRED_KEYS = ("camera", "sample", "resolution", "intrinsics", "camera_to_world", "passes",
@@ -106,6 +108,10 @@ def is_done(stem: Path, key: FrameKey) -> bool:
             sidecar["resume_key"] == key.digest()
             and stem.with_suffix(".exr").stat().st_size == sidecar["exr"]["bytes"]
             and (not sidecar["png"] or stem.with_suffix(".png").is_file())
+            and (
+                sidecar["instance_table"] is None
+                or frame_table_path(stem).stat().st_size == sidecar["instance_table"]["bytes"]
+            )
         )
     except (OSError, ValueError, KeyError, TypeError):
         return False

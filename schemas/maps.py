@@ -6,6 +6,7 @@ linear Rec.709 in OpenEXR; all other kinds are raw.
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
 
 import numpy as np
@@ -16,20 +17,23 @@ MAP_CHANNELS = {"base_color": 3, "roughness": 1, "metallic": 1, "normal": 3}
 _LARGEST = 16384
 
 
-def read_pixels(path: Path) -> NDArray:
+def read_pixels(path: Path | bytes) -> NDArray:
     """The pixels of a picture as they are stored: uint8, uint16 or float32, [h, w, 1 or 3].
 
     Row 0 is the top. Alpha and palettes are resolved to gray or RGB.
 
+    Args:
+        path: The file, or the bytes of one that is no OpenEXR.
+
     Raises:
         ValueError: Not a picture of these kinds, broken, or too large.
     """
-    if path.suffix.lower() == ".exr":
+    if isinstance(path, Path) and path.suffix.lower() == ".exr":
         return _read_exr(path)
     from PIL import Image, UnidentifiedImageError
 
     try:
-        with Image.open(path) as image:
+        with Image.open(io.BytesIO(path) if isinstance(path, bytes) else path) as image:
             if max(image.size) > _LARGEST:
                 raise ValueError(f"{image.size[0]} x {image.size[1]} pixels: at most {_LARGEST}")
             if image.mode.startswith("I;16"):

@@ -181,6 +181,7 @@ def check_exact(out: Path, say: Say = lambda _text: None) -> Agreement:
                 if not wanted:
                     continue
                 rays = camera_rays(camera)
+                caster.pose(sample)
                 truth = annotate(scene, settle(caster, rays), rays, wanted)
                 for backend, frame in frames.items():
                     count += 1

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from scenec.backends.check.finding import Finding
+from scenec.backends.check.instances import check_batch_table, table_faults
 from scenec.schemas.errors import FrameError
 from scenec.schemas.frames import Frame, read_frame
 from scenec.schemas.manifest import FRAMES
@@ -24,6 +25,7 @@ def check_frames(folder: Path, digest: str | None) -> Iterator[Finding]:
         digest: Digest of its stage; None where that cannot be read.
     """
     frames = folder / FRAMES
+    yield from check_batch_table(frames, digest, _name(frames, folder))
     for exr in sorted(frames.glob("*/*/*.exr")):
         if not exr.with_suffix(".json").is_file():
             yield Finding("frames", "error", _name(exr, folder), "has no sidecar: cut short?")
@@ -37,7 +39,7 @@ def check_frames(folder: Path, digest: str | None) -> Iterator[Finding]:
         if digest is not None and frame.sidecar.get("stage_digest") != digest:
             message = "was rendered from another stage; render again"
             yield Finding("frames", "warning", where, message)
-        for message in inconsistencies(frame):
+        for message in (*inconsistencies(frame), *table_faults(frame)):
             yield Finding("frames", "error", where, message)
 
 

@@ -308,8 +308,12 @@ def _id_ranges(stage: Usd.Stage) -> Iterator[Finding]:
     ranges = []
     for prim in stage.TraverseAll():
         base = prim.GetAttribute(names.ATTR_INSTANCE_ID_BASE)
-        if prim.IsA(UsdGeom.PointInstancer) and base and base.HasValue():
-            ids = _numbers(UsdGeom.PointInstancer(prim).GetIdsAttr())
+        if base and base.HasValue():
+            if prim.IsA(UsdGeom.PointInstancer):
+                ids = _numbers(UsdGeom.PointInstancer(prim).GetIdsAttr())
+            else:
+                ids = _local_ids(prim)
+                yield from _repeated_ids(prim, ids)
             if ids.size:
                 first, last = int(base.Get() + ids.min()), int(base.Get() + ids.max())
                 ranges.append((first, last, str(prim.GetPath())))
@@ -318,6 +322,24 @@ def _id_ranges(stage: Usd.Stage) -> Iterator[Finding]:
         if start <= end:
             message = f"its frame ids begin at {start}, but those of {path} go up to {end}"
             yield Finding("instance-ids", "error", other, message)
+
+
+def _local_ids(prim: Usd.Prim) -> np.ndarray:
+    """Local ids of the single objects below a class's prim."""
+    attributes = [p.GetAttribute(names.ATTR_LOCAL_INSTANCE_ID) for p in Usd.PrimRange(prim)]
+    found = [int(a.Get() or 0) for a in attributes if a and a.HasAuthoredValue()]
+    return np.array(found, np.int64)
+
+
+def _repeated_ids(prim: Usd.Prim, ids: np.ndarray) -> Iterator[Finding]:
+    """Single objects of a class have ids of their own, from 1."""
+    unique, uses = np.unique(ids, return_counts=True)
+    if (uses > 1).any():
+        message = f"local ids {unique[uses > 1][:5].tolist()} stand more than once"
+        yield Finding("instance-ids", "error", str(prim.GetPath()), message)
+    if unique.size and unique[0] < 1:
+        message = f"the lowest local id is {unique[0]}, expected 1 or more"
+        yield Finding("instance-ids", "error", str(prim.GetPath()), message)
 
 
 def _usd_validation(stage: Usd.Stage) -> Iterator[Finding]:

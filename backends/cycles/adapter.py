@@ -58,14 +58,12 @@ class Cycles:
     def visibility(
         self, rays: Rays, sample: int, camera: Camera | None = None
     ) -> Visibility | None:
-        """First hits in float32; None for rays of no camera that Blender has, such as skewed ones.
-
-        Geometry does not change over samples.
-        """
+        """First hits in float32; None for rays of no camera that Blender has: skewed ones."""
         loaded = self._require_loaded()
         lens = None if camera is None else find_lens(camera)
         if camera is None or lens is None or isinstance(lens, str):
             return None
+        loaded.pose(sample)
         place(loaded.scene, loaded.camera, camera, lens, loaded.frame)
         render.for_visibility(loaded.scene)
         row, face = (
@@ -90,6 +88,7 @@ class Cycles:
         if isinstance(lens, str):
             raise BackendError(f"cycles: cannot draw {camera.path}: it has {lens}")
         loaded.set_light(sample)
+        loaded.pose(sample)
         place(loaded.scene, loaded.camera, camera, lens, loaded.frame)
         each = max(1, (spp + 1) // 2)
         noisy, clean = [], []

@@ -6,6 +6,7 @@ import weakref
 from typing import Any
 
 from scenec.backends.cycles import blender, geometry, light, materials, render
+from scenec.backends.posing import posable, pose
 from scenec.backends.render_scene import RenderScene
 from scenec.backends.sky import combine
 
@@ -34,7 +35,8 @@ class Built:
 
     def __init__(self, bpy: Any, scene: RenderScene | None, device: str, bounces: int) -> None:
         self._bpy = bpy
-        self._render_scene = scene
+        self._render_scene = scene = None if scene is None else posable(scene)
+        self._posed = 0
         self._made = _Made(bpy)
         weakref.finalize(self, self._made.remove).atexit = False
         self._light = _Made(bpy)
@@ -49,8 +51,19 @@ class Built:
             if scene is not None:
                 self.frame = geometry.scene_frame(scene)
                 looks = materials.make_materials(bpy, scene, self.frame)
-                rows = geometry.build(bpy, scene, self.frame, looks)
-                self.scene.collection.objects.link(rows)
+                self._rows = geometry.build(bpy, scene, self.frame, looks)
+                for rows in self._rows.objects:
+                    self.scene.collection.objects.link(rows)
+
+    def pose(self, sample: int) -> None:
+        """Put what moves where it is at a sample."""
+        scene = self._render_scene
+        if scene is None or scene.rows.motion is None or sample == self._posed:
+            return
+        pose(scene, sample)
+        if len(self._rows.moving):
+            geometry.pose(scene, self.frame, self._rows)
+        self._posed = sample
 
     def set_light(self, sample: int) -> None:
         """Light the scene as at a sample. Geometry stays as it is.

@@ -14,11 +14,15 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
+from scenec.backends.maps import face_tangents
+from scenec.backends.posing import moving
 from scenec.backends.render_scene import Mesh, RenderScene
 from scenec.schemas.errors import BackendError
 
 #: Names of the attributes that shaders read.
 ROW, FACE, VARIATION = "scenec_row", "scenec_face", "scenec_variation"
+#: Texture coordinates of the corners, and dP/du and dP/dv of the faces, of meshes that have them.
+UV, ALONG_U, ALONG_V = "scenec_uv", "scenec_along_u", "scenec_along_v"
 _MATRIX, _MESH = "scenec_matrix", "scenec_mesh"
 #: Half the extent of a scene as Cycles sees it, to within a factor of two: its shortest clipping
 #: distance, 1e-6, is then next to nothing in a scene of any size.
@@ -70,8 +74,20 @@ def _bounds(scene: RenderScene) -> tuple[NDArray[np.float64], NDArray[np.float64
     rows = np.flatnonzero(filled[scene.rows.mesh])
     if not len(rows):
         return np.zeros(3), np.zeros(3)
-    matrix = scene.rows.to_world[rows]
-    box = boxes[scene.rows.mesh[rows]]
+    found = [_box(scene.rows.to_world[rows], boxes[scene.rows.mesh[rows]])]
+    motion = scene.rows.motion
+    if motion is not None:
+        there = filled[scene.rows.mesh[motion.rows]]
+        moved = boxes[scene.rows.mesh[motion.rows[there]]]
+        found += [_box(at[there], moved) for at in motion.to_world if there.any()]
+    boxes = np.array(found)
+    return boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)
+
+
+def _box(
+    matrix: NDArray[np.float64], box: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Bounds of local boxes [n, 2, 3] in the world."""
     middle = 0.5 * (box[:, 0] + box[:, 1])
     half = 0.5 * (box[:, 1] - box[:, 0])
     center = (matrix[:, :, :3] * middle[:, None, :]).sum(axis=2) + matrix[:, :, 3]
@@ -84,17 +100,31 @@ def _exponent(size: float) -> int:
     return round(np.log2(size)) if 0.0 < size < np.inf else 0
 
 
-def build(bpy: Any, scene: RenderScene, frame: Frame, materials: dict[tuple[int, ...], Any]) -> Any:
-    """Make the meshes and the instancer.
+@dataclass(frozen=True)
+class Rows:
+    """What shows the rows.
+
+    Attributes:
+        objects: Instancers that are in no scene yet: of what stands, and of what moves if any does.
+        moving: Rows of the latter's points, int64 [m].
+        stretch: From a mesh's frame in Blender to Blender's world, for each of them, float64 [m].
+    """
+
+    objects: tuple[Any, ...]
+    moving: NDArray[np.int64]
+    stretch: NDArray[np.float64]
+
+
+def build(
+    bpy: Any, scene: RenderScene, frame: Frame, materials: dict[tuple[int, ...], Any]
+) -> Rows:
+    """Make the meshes and the instancers.
 
     Args:
         bpy: Blender.
         scene: What to build.
         frame: From ``scene_frame``.
         materials: Blender's material for each ``Mesh.layers`` that occurs.
-
-    Returns:
-        The instancer, an object that is in no scene yet.
 
     Raises:
         BackendError: Faces that name points which are not there (Blender would crash over them).
@@ -113,7 +143,17 @@ def build(bpy: Any, scene: RenderScene, frame: Frame, materials: dict[tuple[int,
         data = _make_mesh(bpy, name, mesh, float(local_scale[index]))
         data.materials.append(materials[mesh.layers])
         prototypes.objects.link(_make_object(bpy, name, data))
-    return _make_instancer(bpy, scene, frame, number, local_scale, prototypes)
+    filled = number[scene.rows.mesh] >= 0
+    moves = moving(scene)
+    nodes = _make_nodes(bpy, prototypes)
+    stretch = frame.scale / local_scale[scene.rows.mesh]
+    objects = [
+        _make_instancer(bpy, scene, frame, number, rows, stretch[rows], nodes)
+        for rows in (np.flatnonzero(filled & ~moves), np.flatnonzero(filled & moves))
+        if len(rows) or not moves.any()
+    ]
+    there = np.flatnonzero(filled & moves)
+    return Rows(tuple(objects), there, stretch[there])
 
 
 def _make_object(bpy: Any, name: str, data: Any) -> Any:
@@ -147,6 +187,12 @@ def _make_mesh(bpy: Any, name: str, mesh: Mesh, scale: float) -> Any:
         _attribute(made, weight_name(merge), "FLOAT", "POINT", "value", weights)
     if mesh.variation is not None:
         _attribute(made, VARIATION, "FLOAT", "POINT", "value", mesh.variation)
+    if mesh.uv is not None:
+        turned = corners[:, 1] != mesh.faces[:, 1]
+        uv = np.where(turned[:, None, None], mesh.uv[:, [0, 2, 1]], mesh.uv)
+        _attribute(made, UV, "FLOAT2", "CORNER", "vector", uv)
+        for name_of, along in zip((ALONG_U, ALONG_V), face_tangents(mesh), strict=True):
+            _attribute(made, name_of, "FLOAT_VECTOR", "FACE", "vector", along)
     if mesh.normals is None:
         made.shade_flat()
     else:
@@ -192,18 +238,12 @@ def _make_instancer(
     scene: RenderScene,
     frame: Frame,
     number: NDArray[np.int32],
-    local_scale: NDArray[np.float64],
-    prototypes: Any,
+    rows: NDArray[np.int64],
+    stretch: NDArray[np.float64],
+    nodes: Any,
 ) -> Any:
-    rows = np.flatnonzero(number[scene.rows.mesh] >= 0)
     mesh_of = scene.rows.mesh[rows]
-    to_world = scene.rows.to_world[rows]
-    matrices = np.zeros((len(rows), 4, 4), np.float32)
-    linear = to_world[:, :, :3] * (frame.scale / local_scale[mesh_of])[:, None, None]
-    # Column by column, as Blender keeps them.
-    matrices[:, :3, :3] = linear.transpose(0, 2, 1)
-    matrices[:, 3, :3] = frame.place(to_world[:, :, 3])
-    matrices[:, 3, 3] = 1.0
+    matrices = _matrices(scene, frame, rows, stretch)
     points = bpy.data.meshes.new("scenec_rows")
     points.vertices.add(len(rows))
     # From 1: what no ray hits is 0.
@@ -212,8 +252,35 @@ def _make_instancer(
     _attribute(points, _MESH, "INT", "POINT", "value", number[mesh_of])
     _attribute(points, ROW, "FLOAT_VECTOR", "POINT", "vector", about.astype(np.float32))
     made = bpy.data.objects.new("scenec_rows", points)
-    made.modifiers.new("scenec_rows", "NODES").node_group = _make_nodes(bpy, prototypes)
+    made.modifiers.new("scenec_rows", "NODES").node_group = nodes
     return made
+
+
+def pose(scene: RenderScene, frame: Frame, rows: Rows) -> None:
+    """Put what moves where the scene's rows now are.
+
+    Args:
+        scene: The scene, posed as at a sample.
+        frame: From ``scene_frame``.
+        rows: What ``build`` made of it.
+    """
+    points = rows.objects[-1].data
+    matrices = _matrices(scene, frame, rows.moving, rows.stretch)
+    points.attributes[_MATRIX].data.foreach_set("value", matrices.ravel())
+    points.update()
+
+
+def _matrices(
+    scene: RenderScene, frame: Frame, rows: NDArray[np.int64], stretch: NDArray[np.float64]
+) -> NDArray[np.float32]:
+    """Matrices of rows as Blender has them, float32 [n, 4, 4]."""
+    to_world = scene.rows.to_world[rows]
+    matrices = np.zeros((len(rows), 4, 4), np.float32)
+    # Column by column, as Blender keeps them.
+    matrices[:, :3, :3] = (to_world[:, :, :3] * stretch[:, None, None]).transpose(0, 2, 1)
+    matrices[:, 3, :3] = frame.place(to_world[:, :, 3])
+    matrices[:, 3, 3] = 1.0
+    return matrices
 
 
 def _make_nodes(bpy: Any, prototypes: Any) -> Any:

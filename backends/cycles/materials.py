@@ -5,15 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache, partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from scenec.backends.cycles.geometry import FACE, ROW, VARIATION, Frame, weight_name
 from scenec.backends.cycles.graph import BLACK, Graph, Scalar, Vector
-from scenec.backends.maps import load_map
-from scenec.backends.render_scene import DEFAULT_SURFACE, Maps, RenderScene, Surface
+from scenec.backends.cycles.projection import Pictures
+from scenec.backends.maps import load_map, map_key
+from scenec.backends.render_scene import DEFAULT_SURFACE, RenderScene, Surface
 
 #: Passes that carry row + 1 and face, each as two halves of 16 bits.
 ROW_PASS, FACE_PASS = "scenec_row", "scenec_face"
@@ -97,10 +97,9 @@ def _reaches(scene: RenderScene) -> dict[tuple[int, ...], Reach]:
 class _Look:
     """One material in the making."""
 
-    def __init__(
-        self, graph: Graph, frame: Frame, image: Callable[[Path, str, bool], Any], reach: Reach
-    ) -> None:
-        self._graph, self._frame, self._image, self._reach = graph, frame, image, reach
+    def __init__(self, graph: Graph, frame: Frame, image: Callable[..., Any], reach: Reach) -> None:
+        self._graph, self._reach = graph, reach
+        self._pictures = Pictures(graph, frame, image)
 
     def write(self, surfaces: tuple[Surface, ...]) -> None:
         """The merge of the layers, base first, and the passes for visibility.
@@ -162,15 +161,15 @@ class _Look:
         white = surface.specular
         normal, normal_key = None, None
         if maps is not None and maps.normal is not None:
-            normal = self._mapped_normal(maps)
-            normal_key = (maps.normal, maps.size_m, maps.flip_green)
+            normal = self._pictures.normal(maps)
+            normal_key = map_key(maps, "normal")
         elif self._reach.smooth:
-            normal = self._facing()
+            normal = self._pictures.facing()
         roughness, roughness_key = self._roughness(surface)
         metallic: Scalar = surface.metallic
         dull: Scalar = 1.0 - surface.metallic
         if maps is not None and maps.metallic is not None:
-            metallic = self._texture(maps, maps.metallic, "metallic")
+            metallic = self._pictures.value(maps, "metallic")
             dull = graph.math("SUBTRACT", 1.0, metallic)
         lambert = graph.scaled(color, graph.product(dull, 1.0 - white))
         sheen = graph.scaled((white, white, white), dull)
@@ -186,9 +185,9 @@ class _Look:
         factor = self._factor(surface.roughness_variation)
         amount = 0.0 if isinstance(factor, float) else surface.roughness_variation
         if maps is not None and maps.roughness is not None:
-            value = self._texture(maps, maps.roughness, "roughness")
+            value = self._pictures.value(maps, "roughness")
             varied = graph.product(value, factor)
-            key: object = (maps.roughness, maps.size_m, amount)
+            key: object = (map_key(maps, "roughness"), amount)
         elif isinstance(factor, float):
             smooth = max(surface.roughness, _SMOOTHEST)
             return smooth, smooth
@@ -220,7 +219,7 @@ class _Look:
         graph, amount, maps = self._graph, surface.variation, surface.maps
         color = graph.scaled(surface.base_color, self._factor(amount))
         if maps is not None and maps.base_color is not None:
-            picture = self._texture(maps, maps.base_color, "base_color")
+            picture = self._pictures.value(maps, "base_color")
             color = graph.vector("MULTIPLY", color, picture)
         swing = [abs(amount) * self._reach.vertex, abs(amount) * self._reach.row]
         brightest = max(surface.base_color) * (1.0 + swing[0]) * (1.0 + swing[1])
@@ -228,90 +227,14 @@ class _Look:
             color = graph.clipped(color)
         return color
 
-    def _texture(self, maps: Maps, path: Path, kind: str, flip_green: bool = False) -> Any:
-        """The picture's value at the point shaded: bilinear, repeating, projected along Z."""
-        graph = self._graph
 
-        def make() -> Any:
-            node = graph.node("ShaderNodeTexImage")
-            node.image = self._image(path, kind, flip_green)
-            node.interpolation, node.extension = "Linear", "REPEAT"
-            graph.feed(node.inputs["Vector"], self._texcoord(maps.size_m))
-            return node.outputs["Color"]
-
-        return graph.once(f"{kind} {maps.size_m!r} {flip_green} {path}", make)
-
-    def _texcoord(self, size_m: float) -> Any:
-        """(x, y) / size_m of the world, less whole repeats."""
-        graph, frame = self._graph, self._frame
-
-        def make() -> Any:
-            step = 1.0 / (frame.scale * size_m)
-            start = np.mod(frame.center[:2] / size_m, 1.0)
-            return graph.vector(
-                "MULTIPLY_ADD",
-                graph.geometry("Position"),
-                (step, step, 0.0),
-                (float(start[0]), float(start[1]), 0.0),
-            )
-
-        return graph.once(f"texcoord {size_m!r}", make)
-
-    def _facing(self) -> Any:
-        """The shading normal, turned to the viewer, as Mitsuba's ``twosided`` has it.
-
-        Cycles turns it as the face is turned, which is not the same near silhouettes, where an
-        interpolated normal may point away though its face does not.
-        """
-        graph = self._graph
-
-        def make() -> Any:
-            away = graph.scaled(graph.geometry("Incoming"), -1.0)
-            normal = graph.geometry("Normal")
-            return graph.vector("FACEFORWARD", normal, away, normal)
-
-        return graph.once("facing", make)
-
-    def _mapped_normal(self, maps: Maps) -> Any:
-        """The mapped normal: x along the surface's u, y along its v, z along its shading normal.
-
-        u runs in the surface, across the world's Y: along dP/du, as texture coordinates that are
-        the world's x and y have it. Where the result points away from the viewer its tangential
-        part is turned round.
-        """
-        graph, path = self._graph, maps.normal
-        assert path is not None
-
-        def make() -> Any:
-            x, y, z = graph.separate(self._texture(maps, path, "normal", maps.flip_green))
-            normal, facing = graph.geometry("Normal"), self._facing()
-            fx, _, fz = graph.separate(graph.geometry("True Normal"))
-            # dP/du = (1, 0, -nx / nz), times |nz|.
-            down = graph.math("MULTIPLY", fx, graph.math("MULTIPLY", graph.math("SIGN", fz), -1.0))
-            along = graph.combine(graph.math("ABSOLUTE", fz), 0.0, down)
-            lift = graph.scaled(normal, graph.vector("DOT_PRODUCT", normal, along))
-            u = graph.vector("NORMALIZE", graph.vector("SUBTRACT", along, lift))
-            # v belongs to the normal as it was before Blender turned it to the viewer.
-            side = graph.math("MULTIPLY_ADD", graph.geometry("Backfacing"), -2.0, 1.0)
-            v = graph.scaled(graph.vector("CROSS_PRODUCT", normal, u), side)
-            tangent = graph.vector("ADD", graph.scaled(u, x), graph.scaled(v, y))
-            upright = graph.scaled(facing, z)
-            seen = graph.vector(
-                "DOT_PRODUCT", graph.vector("ADD", tangent, upright), graph.geometry("Incoming")
-            )
-            tangent = graph.scaled(tangent, graph.math("SIGN", seen))
-            return graph.vector("NORMALIZE", graph.vector("ADD", tangent, upright))
-
-        return graph.once(f"normal {maps.size_m!r} {maps.flip_green} {path}", make)
-
-
-def make_image(bpy: Any, path: Path, kind: str, flip_green: bool) -> Any:
-    """A map as Blender's image, its values as they are.
+def make_image(bpy: Any, *source: Any) -> Any:
+    """A map (the arguments of ``maps.load_map``) as Blender's image, its values as they are.
 
     Raises:
         StageError: It cannot be read.
     """
-    return picture_image(bpy, load_map(path, kind, flip_green))
+    return picture_image(bpy, load_map(*source))
 
 
 def picture_image(bpy: Any, picture: Any) -> Any:

@@ -253,6 +253,11 @@ def build_tasks(boxes, order, tasks, nodes, links, leaf_size, leaf_cost):  # typ
             links[parent, 14 + side] = 0
 
 
+def forest_room(entries: int) -> int:
+    """Nodes that ``build_forest`` takes room for with one tree over so many entries."""
+    return entries + STACK_SIZE * (1 + entries // TASK_SIZE)
+
+
 def build_forest(
     boxes: NDArray[np.float32],
     ranges: NDArray[np.int64],

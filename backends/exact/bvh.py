@@ -26,10 +26,12 @@ ROUNDING = 2.0**-41
 #: Above this residual of M^-1 M - 1 a row's matrix counts as singular.
 _SINGULAR = 1e-3
 _LEAF_FACES = 4
-_LEAF_ROWS = 2
+LEAF_ROWS = 2
+#: Rows whose inverses and bounds are computed at once.
+_PART = 1 << 13
 #: Costs relative to visiting a node, which the heuristic weighs (measured, roughly).
 _FACE_COST = 2.0
-_ROW_COST = 4.0
+ROW_COST = 4.0
 
 
 class Geometry(NamedTuple):
@@ -47,8 +49,9 @@ class Geometry(NamedTuple):
         row_root: Root node of each row's tree, int32 [r].
         face_nodes, face_links, face_order: Trees over triangles (see ``build``);
             ``face_order`` holds indices into ``faces``.
-        row_nodes, row_links, row_order: The one tree over rows; ``row_order`` holds rows.
-        row_tree: Root node of the tree over rows.
+        row_nodes, row_links, row_order: The trees over rows; ``row_order`` holds rows.
+        row_tree: Root node of the tree over rows that stand; -1 without any.
+        moving_tree: Root node of the tree over rows that move (``moving``); -1 without any.
         extent: Largest world coordinate of any row, meters.
         row_spheres: A sphere around each row: center and radius, float64 [r, 4]; radius < 0 for
             rows without surface.
@@ -71,6 +74,7 @@ class Geometry(NamedTuple):
     row_links: NDArray[np.int32]
     row_order: NDArray[np.int32]
     row_tree: int
+    moving_tree: int
     extent: float
     row_spheres: NDArray[np.float64]
     row_twin: NDArray[np.bool_]
@@ -150,55 +154,24 @@ def build_geometry(scene: RenderScene) -> Geometry:
         np.add(mesh.faces, np.int32(first), out=faces[start : start + len(mesh.faces)])
 
     to_world = np.ascontiguousarray(scene.rows.to_world, np.float64)
+    if scene.rows.motion is not None:
+        # Posed in place later on.
+        to_world = to_world.copy()
     if not np.isfinite(to_world).all():
         row = int(np.argmin(np.isfinite(to_world).all(axis=(1, 2))))
         raise BackendError(f"row {row}: the local-to-world matrix holds values that are not finite")
     row_mesh = scene.rows.mesh.astype(np.int64)
-    inverse, residual = _invert(to_world)
-    used = (counts[row_mesh] > 0) & (to_world[:, :, :3] != 0.0).any(axis=(1, 2))
-    with np.errstate(invalid="ignore"):
-        regular = (residual.sum(axis=(1, 2)) < _SINGULAR) & np.isfinite(inverse).all(axis=(1, 2))
-    own = np.flatnonzero(used & ~regular)
+    balls = mesh_balls(scene)
+    placed = place_rows(to_world, row_mesh, balls)
+    stands = np.ones(len(row_mesh), bool)
+    if scene.rows.motion is not None:
+        stands[scene.rows.motion.rows] = False
+    own = np.flatnonzero(placed.used & ~placed.regular & stands)
 
     boxes = np.empty((len(faces) + int(counts[row_mesh[own]].sum()), 6), np.float32)
     _face_boxes(points, faces, boxes)
     ranges = [(int(a), int(b)) for a, b in pairwise(face_start)]
     entry_face = [np.arange(len(faces), dtype=np.int32)]
-    low = np.zeros((len(scene.meshes), 3))
-    high = np.zeros((len(scene.meshes), 3))
-    sphere = np.zeros(len(scene.meshes))
-    for i, mesh in enumerate(scene.meshes):
-        if counts[i]:
-            # Only vertices that faces use: a stray point would widen every row's box.
-            p = mesh.points[np.unique(mesh.faces)].astype(np.float64)
-            low[i], high[i] = p.min(axis=0), p.max(axis=0)
-            sphere[i] = np.sqrt(((p - 0.5 * (low[i] + high[i])) ** 2).sum(axis=1).max())
-    center = 0.5 * (low + high)[row_mesh]
-    half = 0.5 * (high - low)[row_mesh]
-    magnitude = np.maximum(np.abs(low), np.abs(high))[row_mesh]
-
-    linear, offset = to_world[:, :, :3], to_world[:, :, 3]
-    reach = (np.abs(offset) + (np.abs(linear) * magnitude[:, None, :]).sum(axis=2)).max(
-        axis=1, initial=0.0
-    )
-    to_local = np.zeros_like(to_world)
-    to_local[:, :, :3] = np.where(regular[:, None, None], inverse, np.eye(3))
-    to_local[:, :, 3] = -(to_local[:, :, :3] * offset[:, None, :]).sum(axis=2)
-    to_local[~regular, :, 3] = 0.0
-    pad = np.zeros((len(row_mesh), 2, 3))
-    pad[:, 1] = ROUNDING * np.abs(to_local[:, :, :3]).sum(axis=2)
-    pad[:, 0] = pad[:, 1] * reach[:, None]
-    pad[regular, 0] += (residual * magnitude[:, None, :]).sum(axis=2)[regular]
-
-    # A box around the turned box and one around the turned sphere: what is in both holds the row.
-    world_center = _apply(to_world, center)
-    norms = np.sqrt((linear**2).sum(axis=2))
-    world_half = np.minimum(
-        (np.abs(linear) * half[:, None, :]).sum(axis=2), norms * sphere[row_mesh][:, None]
-    )
-    world_half = world_half * (1 + 1e-12) + ROUNDING * reach[:, None]
-    row_boxes = _outward(world_center - world_half, world_center + world_half)
-
     row_root = np.full(len(row_mesh), -1, np.int32)
     start = len(faces)
     for row in own.tolist():
@@ -219,28 +192,26 @@ def build_geometry(scene: RenderScene) -> Geometry:
     face_order = np.concatenate(entry_face)[order]
     range_root = np.full(len(table), -1, np.int32)
     range_root[filled] = roots
-    row_root[regular] = range_root[row_mesh[regular]]
+    # Those of rows that move are walked with boxes without end where they cannot be inverted.
+    shared = placed.regular | ~stands
+    row_root[shared] = range_root[row_mesh[shared]]
     row_root[own] = range_root[len(scene.meshes) :]
 
-    present = np.flatnonzero(used)
+    present = np.flatnonzero(placed.used & stands)
     row_nodes, row_links, order, tree = build_forest(
-        row_boxes[present],
+        placed.boxes[present],
         np.array([[0, len(present)]] if len(present) else [], np.int64).reshape(-1, 2),
-        _LEAF_ROWS,
-        _ROW_COST,
+        LEAF_ROWS,
+        ROW_COST,
     )
-    # |M x| <= |M| |x|, the Frobenius norm standing in for the largest singular value.
-    radius = np.sqrt((linear**2).sum(axis=(1, 2))) * sphere[row_mesh]
-    radius = np.minimum(radius, np.sqrt((world_half**2).sum(axis=1)))
-    radius = np.where(used, radius * (1 + 1e-12) + ROUNDING * reach, -1.0)
     return Geometry(
         points=points,
         faces=faces,
         row_face=face_start[row_mesh].astype(np.int32),
         row_faces=counts[row_mesh].astype(np.int32),
         to_world=to_world,
-        to_local=to_local,
-        pad=pad,
+        to_local=placed.to_local,
+        pad=placed.pad,
         row_root=row_root,
         face_nodes=face_nodes,
         face_links=face_links,
@@ -249,14 +220,128 @@ def build_geometry(scene: RenderScene) -> Geometry:
         row_links=row_links,
         row_order=present[order].astype(np.int32),
         row_tree=int(tree[0]) if len(tree) else -1,
-        extent=float(reach[used].max(initial=0.0)),
-        row_spheres=np.concatenate([world_center, radius[:, None]], axis=1),
-        row_twin=repeated_rows(
-            # Adding 0 makes -0 and 0 the same bits.
-            np.column_stack([row_mesh, (to_world.reshape(-1, 12) + 0.0).view(np.int64)])
-        ),
+        moving_tree=-1,
+        extent=float(placed.reach[placed.used & stands].max(initial=0.0)),
+        row_spheres=placed.spheres,
+        row_twin=repeated_rows(twin_keys(row_mesh, to_world)),
         face_twin=repeated_rows(np.sort(faces, axis=1, kind="stable").astype(np.int64)),
     )
+
+
+class Balls(NamedTuple):
+    """What bounds each mesh.
+
+    Attributes:
+        low, high: Corners of its box, float64 [m, 3].
+        radius: Of a ball around the box's middle, float64 [m].
+        faces: Number of its faces, int64 [m].
+    """
+
+    low: NDArray[np.float64]
+    high: NDArray[np.float64]
+    radius: NDArray[np.float64]
+    faces: NDArray[np.int64]
+
+
+def mesh_balls(scene: RenderScene) -> Balls:
+    """Bounds of all meshes."""
+    count = len(scene.meshes)
+    balls = Balls(
+        np.zeros((count, 3)), np.zeros((count, 3)), np.zeros(count), np.zeros(count, np.int64)
+    )
+    for i, mesh in enumerate(scene.meshes):
+        balls.faces[i] = len(mesh.faces)
+        if len(mesh.faces):
+            # Only vertices that faces use: a stray point would widen every row's box.
+            p = mesh.points[np.unique(mesh.faces)].astype(np.float64)
+            low, high = p.min(axis=0), p.max(axis=0)
+            balls.low[i], balls.high[i] = low, high
+            balls.radius[i] = np.sqrt(((p - 0.5 * (low + high)) ** 2).sum(axis=1).max())
+    return balls
+
+
+class PlacedRows(NamedTuple):
+    """What follows from rows' matrices; see ``Geometry`` for the arrays it has too.
+
+    Attributes:
+        used: Whether a row has a surface, bool [r].
+        regular: Whether its matrix can be inverted, bool [r].
+        boxes: Around rows in the world, float32 [r, 6].
+        reach: Largest world coordinate of each, float64 [r].
+    """
+
+    used: NDArray[np.bool_]
+    regular: NDArray[np.bool_]
+    to_local: NDArray[np.float64]
+    pad: NDArray[np.float64]
+    boxes: NDArray[np.float32]
+    reach: NDArray[np.float64]
+    spheres: NDArray[np.float64]
+
+
+def place_rows(
+    to_world: NDArray[np.float64], row_mesh: NDArray[np.int64], balls: Balls
+) -> PlacedRows:
+    """Inverses and bounds of rows.
+
+    Args:
+        to_world: Local to world, float64 [r, 3, 4], finite.
+        row_mesh: Mesh of each, int64 [r].
+        balls: Of the meshes.
+    """
+    # In parts that fit a processor's cache.
+    parts = [
+        _place_some(to_world[start : start + _PART], row_mesh[start : start + _PART], balls)
+        for start in range(0, max(len(row_mesh), 1), _PART)
+    ]
+    if len(parts) == 1:
+        return parts[0]
+    return PlacedRows(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
+
+
+def _place_some(
+    to_world: NDArray[np.float64], row_mesh: NDArray[np.int64], balls: Balls
+) -> PlacedRows:
+    inverse, residual = _invert(to_world)
+    used = (balls.faces[row_mesh] > 0) & (to_world[:, :, :3] != 0.0).any(axis=(1, 2))
+    with np.errstate(invalid="ignore"):
+        regular = (residual.sum(axis=(1, 2)) < _SINGULAR) & np.isfinite(inverse).all(axis=(1, 2))
+    center = 0.5 * (balls.low + balls.high)[row_mesh]
+    half = 0.5 * (balls.high - balls.low)[row_mesh]
+    magnitude = np.maximum(np.abs(balls.low), np.abs(balls.high))[row_mesh]
+    ball = balls.radius[row_mesh]
+
+    linear, offset = to_world[:, :, :3], to_world[:, :, 3]
+    reach = (np.abs(offset) + (np.abs(linear) * magnitude[:, None, :]).sum(axis=2)).max(
+        axis=1, initial=0.0
+    )
+    to_local = np.zeros_like(to_world)
+    to_local[:, :, :3] = np.where(regular[:, None, None], inverse, np.eye(3))
+    to_local[:, :, 3] = -(to_local[:, :, :3] * offset[:, None, :]).sum(axis=2)
+    to_local[~regular, :, 3] = 0.0
+    pad = np.zeros((len(row_mesh), 2, 3))
+    pad[:, 1] = ROUNDING * np.abs(to_local[:, :, :3]).sum(axis=2)
+    pad[:, 0] = pad[:, 1] * reach[:, None]
+    pad[regular, 0] += (residual * magnitude[:, None, :]).sum(axis=2)[regular]
+
+    # A box around the turned box and one around the turned sphere: what is in both holds the row.
+    world_center = _apply(to_world, center)
+    norms = np.sqrt((linear**2).sum(axis=2))
+    world_half = np.minimum((np.abs(linear) * half[:, None, :]).sum(axis=2), norms * ball[:, None])
+    world_half = world_half * (1 + 1e-12) + ROUNDING * reach[:, None]
+    boxes = _outward(world_center - world_half, world_center + world_half)
+    # |M x| <= |M| |x|, the Frobenius norm standing in for the largest singular value.
+    radius = np.sqrt((linear**2).sum(axis=(1, 2))) * ball
+    radius = np.minimum(radius, np.sqrt((world_half**2).sum(axis=1)))
+    radius = np.where(used, radius * (1 + 1e-12) + ROUNDING * reach, -1.0)
+    spheres = np.concatenate([world_center, radius[:, None]], axis=1)
+    return PlacedRows(used, regular, to_local, pad, boxes, reach, spheres)
+
+
+def twin_keys(row_mesh: NDArray[np.int64], to_world: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Lines that are equal where rows have the same mesh and matrix, int64 [r, 13]."""
+    # Adding 0 makes -0 and 0 the same bits.
+    return np.column_stack([row_mesh, (to_world.reshape(-1, 12) + 0.0).view(np.int64)])
 
 
 def _apply(matrices: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scenec.backends.contract import NO_ROW, Rays
 from scenec.backends.exact.bvh import Geometry, build_geometry
 from scenec.backends.exact.intersect import hit_parameter, ray_frame, row_matrix
+from scenec.backends.exact.moving import MovingRows
 from scenec.backends.exact.trace import trace_all
 from scenec.backends.render_scene import RenderScene
 
@@ -26,7 +27,8 @@ def _test_all(g, origins, directions, index, row, face, t):  # type: ignore[no-u
 class ExactCaster:
     """Casts rays at a scene; what it answers is what annotation is defined to be.
 
-    Results do not depend on the number of threads. Holds no state but the scene's geometry.
+    Results do not depend on the number of threads. Holds no state but the scene's geometry, posed
+    as at one sample: the first, until ``pose`` is told another.
 
     Args:
         scene: The scene; ``meshes`` and ``rows`` are read and copied.
@@ -40,6 +42,19 @@ class ExactCaster:
 
     def __init__(self, scene: RenderScene):
         self.geometry: Geometry = build_geometry(scene)
+        self._moving = MovingRows.of(scene, self.geometry)
+        self._sample = 0
+        if self._moving is not None:
+            self.geometry = self._moving.pose(self.geometry, 0)
+
+    def pose(self, sample: int) -> None:
+        """Take everything as it is at a sample. What was settled before can no longer be annotated.
+
+        Costs nothing where nothing moves, and else what the rows that move cost.
+        """
+        if self._moving is not None and sample != self._sample:
+            self.geometry = self._moving.pose(self.geometry, sample)
+            self._sample = sample
 
     def cast(
         self, rays: Rays, index: NDArray[np.int64] | None = None

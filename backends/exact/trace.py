@@ -158,15 +158,21 @@ def trace(g, origin, direction, t, best_row, best_face, stack, keys):  # type: i
     Returns:
         (t, row, face): that hit or a better one.
     """
-    if g.row_order.shape[0] == 0:
+    if g.row_tree < 0 and g.moving_tree < 0:
         return t, best_row, best_face
     frame = ray_frame(origin, direction)
     size = max(abs(origin[0]), max(abs(origin[1]), abs(origin[2])))
     wide = ROUNDING * (size + g.extent)
     s = _slabs(origin, direction, (wide, wide, wide))
-    top = 1
-    stack[0] = g.row_tree
-    keys[0] = 0.0
+    top = 0
+    if g.row_tree >= 0:
+        stack[top] = g.row_tree
+        keys[top] = 0.0
+        top += 1
+    if g.moving_tree >= 0:
+        stack[top] = g.moving_tree
+        keys[top] = 0.0
+        top += 1
     while top > 0:
         top -= 1
         if keys[top] > t:

@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 
 from scenec.backends.contract import BOUNCES, NO_ROW, Radiance, Rays, Visibility
 from scenec.backends.mitsuba import emitter, geometry, scalar, variant
+from scenec.backends.mitsuba.corners import split_corners
 from scenec.backends.mitsuba.surfaces import make_look
+from scenec.backends.posing import posable, pose
 from scenec.backends.render_scene import Camera, Lighting, RenderScene
 from scenec.schemas.errors import BackendError
 
@@ -40,6 +42,7 @@ class Mitsuba:
         self._center = np.zeros(3)
         self._light: Any = None
         self._lit_sample: int | None = None
+        self._posed = 0
         self._integrator: Any = None
         self._dropped = 0
 
@@ -84,8 +87,11 @@ class Mitsuba:
             BackendError: The scene holds more than Mitsuba can address.
         """
         mi = self._mi
-        self._render_scene = scene
+        scene = split_corners(scene)
+        # The center is that of all samples.
         self._center = geometry.scene_center(scene)
+        self._render_scene = scene = posable(scene)
+        self._posed = 0
         self._groups = geometry.make_groups(scene)
         self._lit_sample = None
         self._meshes = [self._mesh(scene, group, i) for i, group in enumerate(self._groups)]
@@ -109,8 +115,8 @@ class Mitsuba:
         )
 
     def visibility(self, rays: Rays, sample: int, camera: Camera | None = None) -> Visibility:
-        """First hits in float32; geometry does not change over samples."""
-        self._loaded()
+        """First hits in float32."""
+        self._pose(self._loaded(), sample)
         if not self.jit:
             return scalar.visibility(self._mi, self._scene, self._meshes, self._groups,
                                      rays, self._center)  # fmt: skip
@@ -146,6 +152,7 @@ class Mitsuba:
             BackendError: The camera is one that ``scalar_rgb`` cannot draw.
         """
         scene = self._loaded()
+        self._pose(scene, sample)
         each = max(1, (spp + 1) // 2)
         halves = np.empty((2, camera.height, camera.width, 3), np.float32)
         coverage = np.zeros((camera.height, camera.width))
@@ -258,6 +265,25 @@ class Mitsuba:
         for name, values in look.attributes.items():
             mesh.add_attribute(name, values.shape[1], np.ascontiguousarray(values).ravel())
         return mesh
+
+    def _pose(self, scene: RenderScene, sample: int) -> None:
+        """Put what moves where it is at a sample; other meshes stay."""
+        if scene.rows.motion is None or sample == self._posed:
+            return
+        pose(scene, sample)
+        moving = [i for i, group in enumerate(self._groups) if group.moving]
+        params = self._mi.traverse(self._scene)
+        for index in moving:
+            flat = geometry.flatten(scene, self._groups[index], self._center)
+            params[f"mesh{index}.vertex_positions"] = flat.points.ravel()
+            # A mirror image turns the winding.
+            params[f"mesh{index}.faces"] = flat.faces.ravel()
+            if flat.normals is not None:
+                params[f"mesh{index}.vertex_normals"] = flat.normals.ravel()
+            if flat.texcoords is not None:
+                params[f"mesh{index}.vertex_texcoords"] = flat.texcoords.ravel()
+        params.update()
+        self._posed = sample
 
     def _loaded(self) -> RenderScene:
         if self._render_scene is None:

@@ -13,6 +13,8 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
+from scenec.backends.mitsuba.corners import vertex_uv
+from scenec.backends.posing import moving
 from scenec.backends.render_scene import DEFAULT_SURFACE, RenderScene, Surface
 
 
@@ -23,6 +25,7 @@ class Group:
     Attributes:
         layers: Indices into ``RenderScene.surfaces``, as in ``Mesh.layers``.
         smooth: Whether the meshes bring shading normals.
+        moving: Whether the rows move over the samples.
         rows: Row of each part, int64 [p], ascending.
         first_face: First face of each part in the flattened mesh, int64 [p + 1]. The row of a
             flattened face is found by bisection, so no per-triangle table is kept.
@@ -31,6 +34,7 @@ class Group:
 
     layers: tuple[int, ...]
     smooth: bool
+    moving: bool
     rows: NDArray[np.int64]
     first_face: NDArray[np.int64]
     first_vertex: NDArray[np.int64]
@@ -53,7 +57,8 @@ class FlatMesh:
         variation, row_variation: Variation of vertices and of rows, at the vertices, float32 [n];
             None where no surface asks for it.
         weights: Per merge, float32 [layers - 1, n].
-        texcoords: x and y, float32 [n, 2], where a surface has maps; else None.
+        texcoords: x and y, float32 [n, 2], where a surface has maps from above; the mesh's texture
+            coordinates, where one has maps by those; else None.
     """
 
     points: NDArray[np.float32]
@@ -72,21 +77,25 @@ def scene_center(scene: RenderScene) -> NDArray[np.float64]:
 
 
 def make_groups(scene: RenderScene) -> tuple[Group, ...]:
-    """Sort rows into groups, in the order of their first row."""
-    members: dict[tuple[tuple[int, ...], bool], list[int]] = {}
-    keys = [(mesh.layers, mesh.normals is not None) for mesh in scene.meshes]
-    for row, mesh in enumerate(scene.rows.mesh.tolist()):
-        if len(scene.meshes[mesh].faces):
-            members.setdefault(keys[mesh], []).append(row)
+    """Sort rows into groups, in the order of their first row; those that move apart."""
+    kinds: dict[tuple[tuple[int, ...], bool], int] = {}
+    kind_of = np.array(
+        [kinds.setdefault((m.layers, m.normals is not None), len(kinds)) for m in scene.meshes],
+        np.int64,
+    )
     face_counts = np.array([len(mesh.faces) for mesh in scene.meshes], np.int64)
     vertex_counts = np.array([len(mesh.points) for mesh in scene.meshes], np.int64)
+    filled = np.flatnonzero(face_counts[scene.rows.mesh] > 0)
+    kind_of_row = 2 * kind_of[scene.rows.mesh[filled]] + moving(scene)[filled]
+    present, first = np.unique(kind_of_row, return_index=True)
     groups = []
-    for (layers, smooth), rows_list in members.items():
-        rows = np.array(rows_list, np.int64)
+    for kind in present[np.argsort(first)].tolist():
+        layers, smooth = list(kinds)[kind // 2]
+        rows = filled[kind_of_row == kind]
         mesh_of = scene.rows.mesh[rows]
         first_face = np.concatenate([[0], np.cumsum(face_counts[mesh_of])])
         first_vertex = np.concatenate([[0], np.cumsum(vertex_counts[mesh_of])])
-        groups.append(Group(layers, smooth, rows, first_face, first_vertex))
+        groups.append(Group(layers, smooth, kind % 2 == 1, rows, first_face, first_vertex))
     return tuple(groups)
 
 
@@ -126,8 +135,25 @@ def flatten(scene: RenderScene, group: Group, center: NDArray[np.float64]) -> Fl
             _place_rows(scene.rows.variation[rows], len(mesh.points), first, row_variation)
         for merge in range(len(surfaces) - 1):
             _place_scalars(mesh.weights[merge], first, weights[merge])
-    texcoords = np.ascontiguousarray(points[:, :2]) if any(s.maps for s in surfaces) else None
+    projections = {s.maps.projection for s in surfaces if s.maps is not None}
+    texcoords = None
+    if "uv" in projections:
+        texcoords = _place_uv(scene, group)
+    elif "above" in projections:
+        texcoords = np.ascontiguousarray(points[:, :2])
     return FlatMesh(points, faces, normals, variation, row_variation, weights, texcoords)
+
+
+def _place_uv(scene: RenderScene, group: Group) -> NDArray[np.float32]:
+    """Texture coordinates of the parts' vertices, [n, 2]."""
+    columns = np.empty((2, int(group.first_vertex[-1])), np.float32)
+    for mesh_index, parts in _parts_by_mesh(scene, group):
+        uv = vertex_uv(scene.meshes[mesh_index])
+        for axis in range(2):
+            _place_scalars(
+                np.ascontiguousarray(uv[:, axis]), group.first_vertex[parts], columns[axis]
+            )
+    return np.ascontiguousarray(columns.T)
 
 
 def _parts_by_mesh(scene: RenderScene, group: Group) -> Iterator[tuple[int, NDArray[np.int64]]]:

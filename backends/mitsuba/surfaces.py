@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.backends.maps import load_map
-from scenec.backends.mitsuba import ggx, mix, product, sided
+from scenec.backends.mitsuba import ggx, mix, product, projection, sided
 from scenec.backends.mitsuba.geometry import FlatMesh
 from scenec.backends.mitsuba.mix import MIN_ALPHA
 from scenec.backends.render_scene import Maps, Surface
@@ -37,7 +36,8 @@ def make_look(
     Args:
         mi: Mitsuba.
         surfaces: The layers, base first.
-        flat: The mesh; its texture coordinates are x and y relative to ``center``.
+        flat: The mesh; its texture coordinates are x and y relative to ``center``, unless a surface
+            has maps by the mesh's own.
         center: Of the scene, meters.
     """
     # Textures of ours are compiled into the kernel, but call Python at each point in scalar_rgb.
@@ -90,11 +90,12 @@ def _nested_look(
         product.register(mi)
     attributes: dict[str, NDArray[np.float32]] = {}
     bsdf: dict[str, Any] | None = None
+    by_uv = any(s.maps is not None and s.maps.projection == "uv" for s in surfaces)
     colors = vertex_colors(surfaces, flat)
     for number, (surface, values) in enumerate(zip(surfaces, colors, strict=True)):
         color = _texture(values, f"vertex_color_{number}", attributes)
         gloss = _gloss(mi, surface, flat, f"vertex_rough_{number}", attributes)
-        layer = _layer(mi, surface, color, gloss, center)
+        layer = _layer(mi, surface, color, gloss, center, by_uv)
         if bsdf is None:
             bsdf = layer
         else:
@@ -145,40 +146,30 @@ def _gloss(
 
 
 def _layer(
-    mi: Any, surface: Surface, color: Any, gloss: Any, center: NDArray[np.float64]
+    mi: Any,
+    surface: Surface,
+    color: Any,
+    gloss: Any,
+    center: NDArray[np.float64],
+    by_uv: bool,
 ) -> dict[str, Any]:
     """One surface, with its maps if it has any; ``gloss`` as ``_gloss`` gives it."""
     maps = surface.maps or Maps(1.0)
 
-    def bitmap(path: Any, kind: str, flip_green: bool = False) -> dict[str, Any]:
-        values = load_map(path, kind, flip_green)
-        if kind == "normal":
-            # As the plugin decodes it.
-            values = 0.5 * (values + np.float32(1.0))
-        size = maps.size_m
-        to_uv = np.eye(3)
-        to_uv[0, 0] = to_uv[1, 1] = 1.0 / size
-        # The whole repeats between the stage's origin and the scene's center leave no trace.
-        to_uv[:2, 2] = np.mod(center[:2] / size, 1.0)
-        return {
-            "type": "bitmap",
-            # Mitsuba's v runs down the picture. A copy: it takes no read-only arrays.
-            "bitmap": mi.Bitmap(np.array(values[::-1], np.float32)),
-            "raw": True,
-            "to_uv": mi.ScalarTransform3f(to_uv),
-        }
+    def picture(kind: str) -> dict[str, Any]:
+        return projection.texture(mi, maps, kind, center, by_uv)
 
     if maps.base_color is not None:
-        color = product.texture(mi, bitmap(maps.base_color, "base_color"), color, upper=1.0)
+        color = product.texture(mi, picture("base_color"), color, upper=1.0)
     alpha: Any = gloss
     if maps.roughness is not None:
-        rough = bitmap(maps.roughness, "roughness")
+        rough = picture("roughness")
         if gloss != 1.0:
             rough = product.texture(mi, rough, gloss, upper=1.0)
         alpha = product.texture(mi, rough, rough, lower=MIN_ALPHA)
     metallic: Any = surface.metallic
     if maps.metallic is not None:
-        metallic = bitmap(maps.metallic, "metallic")
+        metallic = picture("metallic")
     bsdf: dict[str, Any] = {"type": "diffuse", "reflectance": color}
     if surface.specular > 0.0:
         bsdf = _blend(surface.specular, bsdf, ggx.lobe(mi, alpha))
@@ -187,7 +178,7 @@ def _layer(
     if maps.normal is not None:
         bsdf = {
             "type": "normalmap",
-            "normalmap": bitmap(maps.normal, "normal", maps.flip_green),
+            "normalmap": picture("normal"),
             # Cycles knows no such shadowing, and its like is off there.
             "use_shadowing_function": False,
             "bsdf": bsdf,

@@ -8,6 +8,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from scenec.backends import posing
 from scenec.backends.contract import NO_ROW, Radiance, Rays, Visibility
 from scenec.backends.pyrender import geometry, platforms
 from scenec.backends.pyrender.ambience import (
@@ -60,6 +61,7 @@ class Pyrender:
         self._scene: RenderScene | None = None
         self._geometry = geometry.EMPTY
         self._renderer: Renderer | None = None
+        self._posed = 0
         self._tables: Tables | None = None
         self._ground: Ground | None = None
         self._ambience: tuple[int, Ambience] | None = None
@@ -89,7 +91,9 @@ class Pyrender:
         Raises:
             BackendError: OpenGL is too old, or has no room for the scene.
         """
+        scene = posing.posable(scene)
         self._use(scene, geometry.prepare(scene))
+        self._posed = 0
         self._tables = None
 
     def visibility(
@@ -103,6 +107,7 @@ class Pyrender:
         renderer, scene = self._loaded()
         if camera is None:
             return None
+        self._pose(sample)
         from scenec.backends.pyrender.resources import gl_errors
 
         parts = []
@@ -131,6 +136,7 @@ class Pyrender:
         renderer, scene = self._loaded()
         from scenec.backends.pyrender.resources import gl_errors
 
+        self._pose(sample)
         side = int(np.clip(np.rint(np.sqrt(spp)), 1, MAX_SIDE))
         with gl_errors():
             if self._tables is None:
@@ -196,18 +202,25 @@ class Pyrender:
         return total
 
     def _find_ground(self, renderer: Renderer, tables: Tables) -> Ground | None:
-        """The scene's height field, if it is ground with things on it."""
+        """The scene's height field, if it is ground with things on it; without what moves."""
         _, scene = self._loaded()
         bounds = world_bounds(scene)
         if not is_flat(bounds):
             return None
         view = view_from_above(bounds)
-        selection = geometry.select(scene, self._geometry, view)
+        selection = geometry.select(scene, self._geometry, view, standing=True)
         renderer.draw_ids("above", view, selection, CELLS, CELLS)
         return make_ground(
             scene, self._geometry, tables, bounds, selection,
             renderer.read_ids("above"), renderer.read_depth("above"),
         )  # fmt: skip
+
+    def _pose(self, sample: int) -> None:
+        """Put what moves where it is at a sample."""
+        scene = self._scene
+        if scene is not None and scene.rows.motion is not None and sample != self._posed:
+            geometry.pose(scene, self._geometry, sample)
+            self._posed = sample
 
     def _use(self, scene: RenderScene, parts: geometry.Geometry) -> None:
         from scenec.backends.pyrender.renderer import Renderer

@@ -15,6 +15,7 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
+from scenec.backends.posing import moving
 from scenec.backends.pyrender.geometry import Geometry, Selection, View
 from scenec.backends.pyrender.tables import Tables
 from scenec.backends.render_scene import Lighting, RenderScene
@@ -58,10 +59,11 @@ class Ground:
 
 
 def world_bounds(scene: RenderScene) -> NDArray[np.float64]:
-    """Box around all rows, float64 [2, 3]; not finite if there are none."""
+    """Box around all rows that stand, float64 [2, 3]; not finite if there are none."""
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
+    stands = ~moving(scene)
     for index, mesh in enumerate(scene.meshes):
-        to_world = scene.rows.to_world[scene.rows.mesh == index]
+        to_world = scene.rows.to_world[(scene.rows.mesh == index) & stands]
         if len(mesh.faces) == 0 or len(to_world) == 0:
             continue
         points = mesh.points.astype(np.float64)

@@ -13,6 +13,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from scenec.backends import posing
 from scenec.backends.render_scene import Mesh, RenderScene
 
 #: Faces a group; fewer would cost more calls than they save triangles.
@@ -49,6 +50,8 @@ class Items:
         row: int32 [i], ascending within a group.
         spheres: Center and radius around it in the world, float64 [i, 4].
         stretch: How much longer its row makes a vector at most, float64 [i].
+        moving: Items of rows that move, int64 [m]; ``pose`` changes what is said of them.
+        group_ball: Center and radius around the group in its mesh's frame, float64 [g, 4].
         group_mesh: Index into the drawn meshes, int32 [g].
         group_faces: Per level, first face and number of faces, int32 [g, LEVELS, 2]; level 0 is
             the faces as they are, and all levels are until ``detail.add_levels`` adds some.
@@ -60,6 +63,8 @@ class Items:
     row: NDArray[np.int32]
     spheres: NDArray[np.float64]
     stretch: NDArray[np.float64]
+    moving: NDArray[np.int64]
+    group_ball: NDArray[np.float64]
     group_mesh: NDArray[np.int32]
     group_faces: NDArray[np.int32]
     group_error: NDArray[np.float64]
@@ -96,6 +101,7 @@ def prepare(scene: RenderScene) -> Geometry:
     group, row, spheres, stretches = [], [], [], []
     group_mesh: list[int] = []
     group_faces: list[tuple[int, int]] = []
+    group_ball: list[tuple[float, ...]] = []
     for index, rows in _rows_by_mesh(scene):
         mesh = scene.meshes[index]
         cut = len(rows) <= GROUPED_ROWS and len(mesh.faces) > GROUP_FACES
@@ -107,9 +113,8 @@ def prepare(scene: RenderScene) -> Geometry:
         for first in range(0, len(faces), step):
             part = faces[first : first + step]
             center, radius = _sphere(mesh.points, part)
-            sphere = np.empty((len(rows), 4))
-            sphere[:, :3] = (to_world[:, :, :3] * center).sum(axis=2) + to_world[:, :, 3]
-            sphere[:, 3] = radius * stretch
+            group_ball.append((*center.tolist(), radius))
+            sphere = _around(np.array([group_ball[-1]]), to_world, stretch)
             group.append(np.full(len(rows), len(group_mesh), np.int32))
             row.append(rows)
             spheres.append(sphere)
@@ -117,12 +122,15 @@ def prepare(scene: RenderScene) -> Geometry:
             group_mesh.append(len(meshes))
             group_faces.append((first, len(part)))
         meshes.append(DrawnMesh(index, faces, order))
+    all_rows = np.concatenate([np.zeros(0, np.int32), *row])
     levels = np.array(group_faces, np.int32).reshape(-1, 1, 2)
     items = Items(
         group=np.concatenate([np.zeros(0, np.int32), *group]),
-        row=np.concatenate([np.zeros(0, np.int32), *row]),
+        row=all_rows,
         spheres=np.concatenate([np.zeros((0, 4)), *spheres]),
         stretch=np.concatenate([np.zeros(0), *stretches]),
+        moving=np.flatnonzero(posing.moving(scene)[all_rows]),
+        group_ball=np.array(group_ball).reshape(-1, 4),
         group_mesh=np.array(group_mesh, np.int32),
         group_faces=np.repeat(levels, LEVELS, axis=1),
         group_error=np.zeros((len(levels), LEVELS)),
@@ -135,10 +143,38 @@ EMPTY = Geometry.of(
     (),
     Items(
         np.zeros(0, np.int32), np.zeros(0, np.int32), np.zeros((0, 4)), np.zeros(0),
+        np.zeros(0, np.int64), np.zeros((0, 4)),
         np.zeros(0, np.int32), np.zeros((0, LEVELS, 2), np.int32), np.zeros((0, LEVELS)),
         np.zeros((0, LEVELS)),
     ),
 )  # fmt: skip
+
+
+def pose(scene: RenderScene, geometry: Geometry, sample: int) -> None:
+    """Put the rows that move where they are at a sample, in place.
+
+    Args:
+        scene: From ``posing.posable``.
+        geometry: Of it.
+        sample: Time code.
+    """
+    items = geometry.items
+    posing.pose(scene, sample)
+    to_world = scene.rows.to_world[items.row[items.moving]]
+    stretch = _stretch(to_world)
+    balls = items.group_ball[items.group[items.moving]]
+    items.stretch[items.moving] = stretch
+    items.spheres[items.moving] = _around(balls, to_world, stretch)
+
+
+def _around(
+    balls: NDArray[np.float64], to_world: NDArray[np.float64], stretch: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Balls [1 or n, 4] of groups in the world, float64 [n, 4]."""
+    sphere = np.empty((len(to_world), 4))
+    sphere[:, :3] = (to_world[:, :, :3] * balls[:, None, :3]).sum(axis=2) + to_world[:, :, 3]
+    sphere[:, 3] = balls[:, 3] * stretch
+    return sphere
 
 
 def _rows_by_mesh(scene: RenderScene) -> list[tuple[int, NDArray[np.int32]]]:
@@ -156,7 +192,16 @@ def _rows_by_mesh(scene: RenderScene) -> list[tuple[int, NDArray[np.int32]]]:
 
 def _stretch(to_world: NDArray[np.float64]) -> NDArray[np.float64]:
     """How much longer each row makes a vector at most (its largest singular value), float64 [r]."""
-    norms: NDArray[np.float64] = np.linalg.norm(to_world[:, :, :3], ord=2, axis=(1, 2))
+    linear = to_world[:, :, :3]
+    x, y, z = (np.ascontiguousarray(linear[:, :, k]) for k in range(3))
+    lengths = [(v * v).sum(axis=1) for v in (x, y, z)]
+    skew = sum(np.abs((a * b).sum(axis=1)) for a, b in ((x, y), (y, z), (z, x)))
+    longest = np.maximum(np.maximum(lengths[0], lengths[1]), lengths[2])
+    # No eigenvalue of M^T M is beyond its largest sum of a row (Gershgorin).
+    norms: NDArray[np.float64] = np.sqrt(longest + skew)
+    # Decomposing a million matrices takes seconds, and few are sheared.
+    sheared = np.flatnonzero(~(skew <= 1e-12 * longest))
+    norms[sheared] = np.linalg.norm(linear[sheared], ord=2, axis=(1, 2))
     return norms * (1.0 + 1e-12)
 
 
@@ -232,7 +277,13 @@ class Selection:
         return int((self.draws[:, 2] * self.draws[:, 4]).sum())
 
 
-def select(scene: RenderScene, geometry: Geometry, view: View, culling: bool = True) -> Selection:
+def select(
+    scene: RenderScene,
+    geometry: Geometry,
+    view: View,
+    culling: bool = True,
+    standing: bool = False,
+) -> Selection:
     """What of a scene may be in view, and at which level.
 
     Args:
@@ -240,6 +291,7 @@ def select(scene: RenderScene, geometry: Geometry, view: View, culling: bool = T
         geometry: Of the same scene.
         view: Where it is seen from.
         culling: False takes everything, as it is.
+        standing: Whether to leave out what moves.
     """
     items = geometry.items
     level = np.full(len(items.row), 0 if not culling else -1, np.int8)
@@ -248,6 +300,8 @@ def select(scene: RenderScene, geometry: Geometry, view: View, culling: bool = T
             items.spheres, items.stretch, items.group, items.group_error, items.group_cell,
             view.origin, view.planes, np.array([*view.detail, view.cell]), level,
         )  # fmt: skip
+    if standing:
+        level[items.moving] = -1
     kept = np.flatnonzero(level >= 0)
     key = items.group[kept].astype(np.int64) * LEVELS + level[kept]
     # By group and level; stable, so that nothing moves where levels do not differ.

@@ -37,7 +37,7 @@ SHADERS = Path(__file__).parent / "shaders"
 #: Texture units, by the numbers that the programs name them with.
 UNITS = (
     "ids", "poses", "faces", "vertices", "normals", "weights", "meshes", "layers", "surfaces",
-    "gloss_albedo", "maps", "shadows", "ground_sky", "ground_light",
+    "gloss_albedo", "maps", "shadows", "ground_sky", "ground_light", "uvs",
 )  # fmt: skip
 #: Share of a shadow map's texel that a surface may lie farther from the sun than itself.
 _BIAS = 0.25
@@ -181,7 +181,9 @@ class Renderer(pyrender.Renderer):
 
     def set_tables(self, tables: Tables) -> None:
         """Bring what the shading program looks up, once per scene."""
-        for name in ("faces", "vertices", "normals", "weights", "meshes", "layers", "surfaces"):
+        for name in (
+            "faces", "vertices", "normals", "weights", "meshes", "layers", "surfaces", "uvs",
+        ):  # fmt: skip
             self._tables[name] = resources.Table()
             self._tables[name].fill(getattr(tables, name))
         self._pictures["gloss_albedo"] = resources.lookup_texture(gloss_albedo())

@@ -8,13 +8,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.backends.maps import load_map
-from scenec.backends.pyrender.geometry import Geometry
-from scenec.backends.render_scene import DEFAULT_SURFACE, Maps, RenderScene, Surface
+from scenec.backends.maps import map_file, map_values
+from scenec.backends.pyrender.geometry import DrawnMesh, Geometry
+from scenec.backends.render_scene import DEFAULT_SURFACE, Maps, Mesh, RenderScene, Surface
+from scenec.schemas.maps import MAP_CHANNELS
 
 #: Maps are brought to one size, at most this, in texels.
 LARGEST_MAP = 4096
 _HAS_NORMALS = 1
+#: Projections by the numbers that the program knows them by, and what it is to know of them.
+_PROJECTIONS = {"above": 0.0, "triplanar": 1.0, "uv": 2.0}
+_FEATURES = {"above": "WITH_ABOVE", "triplanar": "WITH_TRIPLANAR", "uv": "WITH_UV"}
 
 
 @dataclass(frozen=True)
@@ -27,16 +31,18 @@ class Tables:
         normals: float32 [v, 3]; zero where a mesh has none.
         weights: float32 [w].
         meshes: Per drawn mesh (first vertex, first face, first weight, flags), then (first layer,
-            number of layers, number of vertices, 0), uint32 [2 m, 4].
+            number of layers, number of vertices, first face in ``uvs`` or 0), uint32 [2 m, 4].
         layers: Indices of surfaces, uint32 [l].
         surfaces: Per surface (base color, specular), (roughness, variation, metallic,
-            roughness_variation), (first layer of its maps or -1, 0, 1 / size of the maps, 0), (what
-            to add to texture coordinates, 0, 0), float32 [4 s, 4].
-        sizes: Of the maps of each surface, meters, float64 [s]; 0 without maps.
+            roughness_variation), (first layer of its maps or -1, projection, 1 / size of the maps,
+            0), (what to add to positions / size, 0), float32 [4 s, 4].
+        sizes: Of the maps of each surface, meters, float64 [s]; 0 without maps that have one.
+        uvs: Texture coordinates of faces' corners, two rows each, of the meshes that have them;
+            first a face of those that have none, float32 [2 u, 3].
         maps: Two layers a surface that has any: base color and roughness, then normal and metallic;
             row 0 at the bottom, float16 [2 k, h, w, 4].
-        features: What the shading program has to know: "WITH_MAPS", "WITH_GLOSS", and "WITH_MIXED"
-            where layers of a mesh differ in more than color.
+        features: What the shading program has to know: "WITH_MAPS" and their projections,
+            "WITH_GLOSS", and "WITH_MIXED" where layers of a mesh differ in more than color.
     """
 
     faces: NDArray[np.uint32]
@@ -47,6 +53,7 @@ class Tables:
     layers: NDArray[np.uint32]
     surfaces: NDArray[np.float32]
     sizes: NDArray[np.float64]
+    uvs: NDArray[np.float32]
     maps: NDArray[np.float16]
     features: tuple[str, ...]
 
@@ -62,6 +69,8 @@ def make_tables(scene: RenderScene, geometry: Geometry) -> Tables:
     vertices, normals, weights = [], [], []
     layers: list[int] = []
     first_vertex = first_weight = first_layer = 0
+    uvs = [np.zeros((2, 3), np.float32)]
+    first_uv = 1
     for index, drawn in enumerate(geometry.meshes):
         mesh = scene.meshes[drawn.mesh]
         n = len(mesh.points)
@@ -78,7 +87,15 @@ def make_tables(scene: RenderScene, geometry: Geometry) -> Tables:
             first_weight,
             _HAS_NORMALS * smooth,
         )
-        meshes[2 * index + 1] = (first_layer, len(own_layers), n, 0)
+        meshes[2 * index + 1] = (
+            first_layer,
+            len(own_layers),
+            n,
+            first_uv if mesh.uv is not None else 0,
+        )
+        if mesh.uv is not None:
+            uvs.append(_corner_uv(mesh, mesh.uv, drawn))
+            first_uv += len(drawn.faces)
         vertices.append(vertex)
         normals.append(mesh.normals if smooth else np.zeros((n, 3), np.float32))
         weights.append(own_weights)
@@ -96,9 +113,26 @@ def make_tables(scene: RenderScene, geometry: Geometry) -> Tables:
         layers=np.array(layers, np.uint32),
         surfaces=rows,
         sizes=sizes,
+        uvs=np.concatenate(uvs),
         maps=maps,
         features=_features(scene),
     )
+
+
+def _corner_uv(mesh: Mesh, uv: NDArray[np.float32], drawn: DrawnMesh) -> NDArray[np.float32]:
+    """Rows of ``Tables.uvs`` for the faces of a mesh as they are drawn.
+
+    Coarser faces take for each vertex what one of its faces has there: across a seam of the
+    coordinates they are wrong, by no more than faces of a few pixels show.
+    """
+    own = drawn.order >= 0
+    found = np.empty((len(drawn.faces), 3, 2), np.float32)
+    found[own] = uv[drawn.order[own]]
+    if not own.all():
+        of_vertex = np.zeros((len(mesh.points), 2), np.float32)
+        of_vertex[mesh.faces.ravel()] = uv.reshape(-1, 2)
+        found[~own] = of_vertex[drawn.faces[~own]]
+    return found.reshape(-1, 3)
 
 
 def place_maps(tables: Tables, origin: NDArray[np.float64]) -> NDArray[np.float32]:
@@ -108,7 +142,7 @@ def place_maps(tables: Tables, origin: NDArray[np.float64]) -> NDArray[np.float3
     """
     surfaces = tables.surfaces.copy()
     mapped = np.flatnonzero(tables.sizes)
-    surfaces[4 * mapped + 3, :2] = np.mod(origin[:2] / tables.sizes[mapped, None], 1.0)
+    surfaces[4 * mapped + 3, :3] = np.mod(origin / tables.sizes[mapped, None], 1.0)
     return surfaces
 
 
@@ -118,8 +152,8 @@ def _features(scene: RenderScene) -> tuple[str, ...]:
     for mesh in scene.meshes:
         surfaces = [scene.surfaces[i] for i in mesh.layers]
         mapped = [s.maps for s in surfaces if s.maps and any(_files(s.maps))]
-        if mapped:
-            features.add("WITH_MAPS")
+        for maps in mapped:
+            features |= {"WITH_MAPS", _FEATURES[maps.projection]}
         glossy = any(s.glossy for s in surfaces)
         if glossy:
             features.add("WITH_GLOSS")
@@ -145,11 +179,13 @@ def _surface_rows(
         )
         row[2] = (-1.0, 0.0, 0.0, 0.0)
         if surface.maps is not None and any(_files(surface.maps)):
-            row[2] = (len(pictures), 0.0, 1.0 / surface.maps.size_m, 0.0)
+            projection = _PROJECTIONS[surface.maps.projection]
+            row[2] = (len(pictures), projection, 1.0 / surface.maps.size_m, 0.0)
             pictures.extend(_pictures(surface, surface.maps))
     for index, surface in enumerate(surfaces):
-        if rows[index, 2, 0] >= 0.0 and surface.maps is not None:
-            sizes[index] = surface.maps.size_m
+        maps = surface.maps
+        if rows[index, 2, 0] >= 0.0 and maps is not None and maps.projection != "uv":
+            sizes[index] = maps.size_m
     height = min(max([1, *(p.shape[0] for p in pictures)]), LARGEST_MAP)
     width = min(max([1, *(p.shape[1] for p in pictures)]), LARGEST_MAP)
     stack = np.zeros((max(len(pictures), 1), height, width, 4), np.float16)
@@ -159,22 +195,22 @@ def _surface_rows(
 
 
 def _files(maps: Maps) -> tuple[object, ...]:
-    return (maps.base_color, maps.roughness, maps.metallic, maps.normal)
+    return tuple(map_file(maps, kind) for kind in MAP_CHANNELS)
 
 
 def _pictures(surface: Surface, maps: Maps) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """The two layers of a surface; what has no map of its own is constant."""
-    color = _load(maps.base_color, "base_color", np.ones(3))
-    rough = _load(maps.roughness, "roughness", np.array([surface.roughness]))
-    normal = _load(maps.normal, "normal", np.array([0.0, 0.0, 1.0]), maps.flip_green)
-    metal = _load(maps.metallic, "metallic", np.array([surface.metallic]))
+    color = _load(maps, "base_color", [1.0, 1.0, 1.0])
+    rough = _load(maps, "roughness", [surface.roughness])
+    normal = _load(maps, "normal", [0.0, 0.0, 1.0])
+    metal = _load(maps, "metallic", [surface.metallic])
     return _joined(color, rough), _joined(normal, metal)
 
 
-def _load(path, kind, constant, flip_green=False):  # type: ignore[no-untyped-def]
-    if path is None:
-        return np.asarray(constant, np.float32).reshape(1, 1, -1)
-    return load_map(path, kind, flip_green)
+def _load(maps: Maps, kind: str, constant: list[float]) -> NDArray[np.float32]:
+    if map_file(maps, kind) is None:
+        return np.array(constant, np.float32).reshape(1, 1, -1)
+    return map_values(maps, kind)
 
 
 def _joined(first: NDArray[np.float32], second: NDArray[np.float32]) -> NDArray[np.float32]:

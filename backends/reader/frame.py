@@ -38,6 +38,8 @@ class StageFrame:
 
     def affine(self, matrix: NDArray[np.float64]) -> NDArray[np.float64]:
         """Local-to-world in meters, Z up, from one in stage units: float64 [..., 3, 4]."""
+        if self.meters_per_unit == 1.0 and (self.turn == np.eye(3)).all():
+            return matrix
         return self.meters_per_unit * (self.turn @ matrix)
 
     def axes(self, matrix: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pxr import Usd, UsdGeom, UsdShade
 
+from scenec.backends.reader.coordinates import Coordinates
 from scenec.backends.reader.labels import LabelTable, face_labels, prim_labels
 from scenec.backends.reader.surfaces import (
     SurfaceTable,
@@ -72,6 +73,13 @@ class MeshTable:
             indices_of_layers = tuple(self.surfaces.add(surface) for surface in surfaces)
         else:
             indices_of_layers = (self.surfaces.add(bound_surface(prim)),)
+
+        def corners() -> NDArray[np.int32]:
+            order = np.arange(len(indices), dtype=np.int32)
+            return triangulate(counts, order, holes, left_handed)[0]
+
+        sizes = (len(points), len(indices), len(counts))
+        coordinates = Coordinates(mesh, corners, faces, authored, sizes, self._time)
         same = len(counts) == len(faces) and bool((authored == np.arange(len(faces))).all())
         whole = Mesh(
             path=str(prim.GetPath()),
@@ -84,10 +92,16 @@ class MeshTable:
             weights=weights,
             variation=read_variation(prim, len(points)),
         )
-        return [whole] if layers is not None else self._by_material(mesh, whole, authored)
+        if layers is not None:
+            return [replace(whole, uv=coordinates.of(surfaces))]
+        return self._by_material(mesh, whole, authored, coordinates)
 
     def _by_material(
-        self, mesh: UsdGeom.Mesh, whole: Mesh, authored: NDArray[np.int32]
+        self,
+        mesh: UsdGeom.Mesh,
+        whole: Mesh,
+        authored: NDArray[np.int32],
+        coordinates: Coordinates,
     ) -> list[Mesh]:
         """Splits a mesh whose subsets are bound to several materials."""
         subsets = UsdShade.MaterialBindingAPI(mesh.GetPrim()).GetMaterialBindSubsets()
@@ -99,13 +113,19 @@ class MeshTable:
             surface[chosen] = self.surfaces.add(bound_surface(subset.GetPrim()))
         of_triangle = surface[authored]
         used = np.unique(of_triangle)
+        known = self.surfaces.surfaces()
+        uv = {s: coordinates.of([known[s]]) for s in used.tolist()}
         if len(used) <= 1:
-            return [replace(whole, layers=(int(used[0]),))] if len(used) else [whole]
-        return [_part(whole, authored, of_triangle == s, int(s)) for s in used]
+            return [replace(whole, layers=(s,), uv=uv[s]) for s in uv] or [whole]
+        return [_part(whole, authored, of_triangle == s, s, uv[s]) for s in uv]
 
 
 def _part(
-    whole: Mesh, authored: NDArray[np.int32], chosen: NDArray[np.bool_], surface: int
+    whole: Mesh,
+    authored: NDArray[np.int32],
+    chosen: NDArray[np.bool_],
+    surface: int,
+    uv: NDArray[np.float32] | None,
 ) -> Mesh:
     return replace(
         whole,
@@ -113,6 +133,7 @@ def _part(
         authored_face=authored[chosen],
         labels={level: values[chosen] for level, values in whole.labels.items()},
         layers=(surface,),
+        uv=None if uv is None else uv[chosen],
     )
 
 

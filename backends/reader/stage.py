@@ -16,7 +16,7 @@ from scenec.backends.reader.instancers import Expanded, Expander
 from scenec.backends.reader.labels import LabelTable, prim_labels, read_table
 from scenec.backends.reader.lights import read_lighting
 from scenec.backends.reader.meshes import MeshTable
-from scenec.backends.render_scene import Lighting, Mesh, RenderScene, Rows, Surface
+from scenec.backends.render_scene import Lighting, Mesh, Motion, RenderScene, Rows, Surface
 from scenec.schemas import stage as names
 from scenec.schemas.errors import StageError
 from scenec.schemas.files import sha256
@@ -30,7 +30,9 @@ def read_stage(path: Path | str) -> RenderScene:
     visibility, purpose, ``inactiveIds`` and ``invisibleIds``, UsdSemantics labels in place of label
     primvars, UsdPreviewSurface constants in place of ours. Subdivision surfaces are taken as their
     cages.
-    Geometry is read at the first time code: animated meshes and transforms stand still.
+    Topology and points are those of the first time code: meshes do not deform. Transforms, an
+    instancer's positions, orientations and scales, and visibility are taken as they are at each
+    sample's time code (between authored codes as USD has them).
 
     Args:
         path: ``.usda``, ``.usdc``, ``.usd`` or ``.usdz``.
@@ -51,9 +53,8 @@ def read_stage(path: Path | str) -> RenderScene:
     times = _time_codes(stage)
     table = read_table(stage)
     meshes = MeshTable(table, times[0])
-    expander = Expander(meshes, times[0])
-    expanded = expander.expand(stage.GetPseudoRoot(), np.eye(4)[:3], {})
-    rows = _rows(expanded, frame)
+    expander = Expander(meshes, times)
+    rows = _rows(expander.expand(stage.GetPseudoRoot()).settled(), frame)
     cameras = read_cameras(stage, frame, times)
     lighting = tuple(read_lighting(stage, frame, time) for time in times)
     return RenderScene(
@@ -74,6 +75,7 @@ def read_stage(path: Path | str) -> RenderScene:
         bounds=_bounds(tuple(meshes.meshes), rows),
         instance_paths=expander.bases,
         times=_times(stage, times),
+        parts=expander.parts,
     )
 
 
@@ -104,11 +106,17 @@ def _time_codes(stage: Usd.Stage) -> list[Usd.TimeCode]:
 
 
 def _rows(expanded: Expanded, frame: StageFrame) -> Rows:
+    motion = None
+    if expanded.path is not None:
+        path = np.ascontiguousarray(frame.affine(expanded.path))
+        motion = Motion(expanded.moving.astype(np.int32), path)
     return Rows(
         mesh=expanded.mesh,
         to_world=np.ascontiguousarray(frame.affine(expanded.matrix)),
         instance_id=expanded.instance_id,
         variation=expanded.variation,
+        motion=motion,
+        part=expanded.part,
     )
 
 
@@ -119,7 +127,7 @@ def _sky_labels(stage: Usd.Stage, table: LabelTable) -> dict[str, int]:
 
 
 def _bounds(meshes: tuple[Mesh, ...], rows: Rows) -> NDArray[np.float64]:
-    """World bounds: of the corners of each row's local bounds, so a little generous."""
+    """World bounds at all samples: of the corners of each row's local bounds, a little generous."""
     if not len(rows.mesh):
         return np.zeros((2, 3))
     low = np.full((len(meshes), 3), 0.0)
@@ -127,11 +135,30 @@ def _bounds(meshes: tuple[Mesh, ...], rows: Rows) -> NDArray[np.float64]:
     for index, mesh in enumerate(meshes):
         if len(mesh.points):
             low[index], high[index] = mesh.points.min(axis=0), mesh.points.max(axis=0)
-    center, half = 0.5 * (low + high)[rows.mesh], 0.5 * (high - low)[rows.mesh]
-    linear = rows.to_world[:, :, :3]
-    middle = (linear * center[:, None, :]).sum(axis=2) + rows.to_world[:, :, 3]
-    reach = (np.abs(linear) * half[:, None, :]).sum(axis=2)
-    return np.stack([(middle - reach).min(axis=0), (middle + reach).max(axis=0)])
+    center, half = 0.5 * (low + high), 0.5 * (high - low)
+    boxes = [_world_box(rows.to_world, rows.mesh, center, half)]
+    if rows.motion is not None:
+        mesh_of = rows.mesh[rows.motion.rows]
+        boxes += [_world_box(at, mesh_of, center, half) for at in rows.motion.to_world]
+    return np.stack([np.min(boxes, axis=0)[0], np.max(boxes, axis=0)[1]])
+
+
+def _world_box(
+    to_world: NDArray[np.float64],
+    mesh: NDArray[np.int32],
+    center: NDArray[np.float64],
+    half: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    box = np.array([np.full(3, np.inf), np.full(3, -np.inf)])
+    # In parts: the products of a million rows at once would be most of what reading takes.
+    for start in range(0, len(mesh), 1 << 16):
+        part = slice(start, start + (1 << 16))
+        linear, index = to_world[part, :, :3], mesh[part]
+        middle = (linear * center[index][:, None, :]).sum(axis=2) + to_world[part, :, 3]
+        reach = (np.abs(linear) * half[index][:, None, :]).sum(axis=2)
+        box[0] = np.minimum(box[0], (middle - reach).min(axis=0))
+        box[1] = np.maximum(box[1], (middle + reach).max(axis=0))
+    return box
 
 
 def _times(stage: Usd.Stage, times: list[Usd.TimeCode]) -> NDArray[np.float64]:

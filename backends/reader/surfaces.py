@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pxr import Usd, UsdGeom, UsdShade
 
+from scenec.backends.reader.textures import texture_maps
 from scenec.backends.render_scene import Maps, Surface
 from scenec.schemas import stage as names
 from scenec.schemas.errors import StageError
@@ -101,9 +102,9 @@ def surface_of(
 ) -> Surface:
     """The shared surface model's numbers of a material.
 
-    Ours stand in ``scenec:surface:*``. From a foreign UsdPreviewSurface the constants of
-    diffuseColor, roughness, metallic and the reflectance at normal incidence are taken; textures
-    are not.
+    Ours stand in ``scenec:surface:*``. From a foreign UsdPreviewSurface diffuseColor, roughness,
+    metallic and normal are taken, constants or textures (``texture_maps``), and the reflectance at
+    normal incidence.
 
     Args:
         material: The material.
@@ -135,13 +136,15 @@ def surface_of(
         red, green, blue = (float(v) for v in diffuse.Get())
         fallback = (red, green, blue)
     specular = _input(shader, "useSpecularWorkflow", 0) == 1
+    maps = texture_maps(shader, specular)
     return Surface(
         path,
-        fallback,
+        (1.0, 1.0, 1.0) if maps is not None and maps.base_color is not None else fallback,
         _normal_reflectance(shader),
         _input(shader, "roughness", 0.5),
         0.0,
         0.0 if specular else min(max(_input(shader, "metallic", 0.0), 0.0), 1.0),
+        maps,
     )
 
 
@@ -168,17 +171,32 @@ def _maps(prim: Usd.Prim) -> Maps | None:
                 raise StageError(f"{prim.GetPath()}: its map {asset.path} does not exist")
     if not files:
         return None
+    asked = prim.GetAttribute(names.ATTR_MAP_PROJECTION)
+    projection = (asked.Get() if asked else None) or names.MAP_PROJECTIONS[0]
+    if projection not in names.MAP_PROJECTIONS:
+        expected = ", ".join(names.MAP_PROJECTIONS)
+        raise StageError(
+            f'{prim.GetPath()}: {names.ATTR_MAP_PROJECTION} is "{projection}", expected {expected}'
+        )
+    convention = prim.GetAttribute(names.ATTR_NORMAL_CONVENTION)
+    return Maps(
+        size_m=1.0 if projection == "uv" else _map_size(prim),
+        base_color=files.get("base_color"),
+        roughness=files.get("roughness"),
+        metallic=files.get("metallic"),
+        normal=files.get("normal"),
+        flip_green=bool(convention and convention.Get() == "directx"),
+        projection=projection,
+    )
+
+
+def _map_size(prim: Usd.Prim) -> float:
     size = prim.GetAttribute(names.ATTR_MAP_SIZE)
     meters = UsdGeom.GetStageMetersPerUnit(prim.GetStage())
     size_m = meters * float(size.Get() or 0.0) if size else 0.0
     if not 0.0 < size_m < math.inf:
         raise StageError(f"{prim.GetPath()}: {names.ATTR_MAP_SIZE} must be above 0")
-    convention = prim.GetAttribute(names.ATTR_NORMAL_CONVENTION)
-    return Maps(
-        size_m=size_m,
-        **files,
-        flip_green=bool(convention and convention.Get() == "directx"),
-    )
+    return size_m
 
 
 def _normal_reflectance(shader: UsdShade.Shader) -> float:

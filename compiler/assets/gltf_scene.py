@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import json
 import struct
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -41,16 +42,8 @@ class GltfScene:
     def __init__(self, data: bytes, binary: bool):
         text: bytes
         self._rest: bytes | None
-        text, self._rest = _chunks(data) if binary else (data, None)
-        self._document: dict[str, Any] = json.loads(text)
-        if not isinstance(self._document, dict):
-            raise MeshFileError("not a glTF file: its JSON is no object")
-        version = str(self._document.get("asset", {}).get("version", ""))
-        if not version.startswith("2"):
-            raise MeshFileError(f"glTF of version {version or 'unknown'}: expected version 2")
-        for extension in self._document.get("extensionsRequired", []):
-            if not str(extension).startswith(_HARMLESS):
-                raise MeshFileError(f"needs the extension {extension}: export it without")
+        text, self._rest = chunks(data) if binary else (data, None)
+        self._document: dict[str, Any] = required_version(json.loads(text))
         for buffer in self._document.get("buffers", []):
             uri = str(buffer.get("uri", "data:"))
             if not uri.startswith("data:"):
@@ -92,36 +85,11 @@ class GltfScene:
         """
         rest = iter(zip(self._primitives, read, strict=True))
         meshes = [[self._scaled(*next(rest)) for _ in mesh] for mesh in self._meshes]
-        nodes = self._document.get("nodes", [])
-        scenes = self._document.get("scenes")
-        if scenes:
-            roots = scenes[self._document.get("scene", 0)].get("nodes", [])
-        else:
-            children = {c for node in nodes for c in node.get("children", [])}
-            roots = [i for i in range(len(nodes)) if i not in children]
         found: list[Part] = []
-        seen: set[int] = set()
-        waiting = [(root, np.eye(4), "") for root in reversed(roots)]
-        while waiting:
-            index, parent, path = waiting.pop()
-            if index in seen:
-                raise MeshFileError(f"a broken glTF file: node {index} is in two places")
-            seen.add(index)
-            node = nodes[_natural(index)]
-            if "EXT_mesh_gpu_instancing" in node.get("extensions", {}):
-                raise MeshFileError("holds GPU instances: export them as meshes")
-            matrix = affine.composed(parent, _local(node))
-            own = _natural(node["mesh"]) if "mesh" in node else None
-            name = node.get("name")
-            if own is not None:
-                name = name or self._document["meshes"][own].get("name")
-                path = f"{path}/{name or f'node_{index}'}"
-                for points, faces in meshes[own]:
-                    turned = faces[:, ::-1] if affine.mirrors(matrix) else faces
-                    found.append(Part(path, affine.applied(matrix, points), turned))
-            else:
-                path = f"{path}/{name or f'node_{index}'}"
-            waiting += [(child, matrix, path) for child in reversed(node.get("children", []))]
+        for path, own, matrix in placed_meshes(self._document):
+            for points, faces in meshes[own]:
+                turned = faces[:, ::-1] if affine.mirrors(matrix) else faces
+                found.append(Part(path, affine.applied(matrix, points), turned))
         return tuple(found)
 
     def _is_surface(self, primitive: dict[str, Any]) -> bool:
@@ -142,18 +110,18 @@ class GltfScene:
 
     def _accessor(self, index: Any, kind: str) -> int:
         if (index, kind) not in self._own:
-            accessor = self._document["accessors"][_natural(index)]
+            accessor = self._document["accessors"][natural(index)]
             if accessor["type"] != kind:
                 raise MeshFileError(f"an accessor of type {accessor['type']}, expected {kind}")
             if "sparse" in accessor or "bufferView" not in accessor:
                 raise MeshFileError("holds sparse accessors or empty ones: export it without")
-            view = self._document["bufferViews"][_natural(accessor["bufferView"])]
+            view = self._document["bufferViews"][natural(accessor["bufferView"])]
             for holder, keys in (
                 (accessor, ("count", "byteOffset")),
                 (view, ("buffer", "byteOffset", "byteLength", "byteStride")),
             ):
                 for key in keys:
-                    _natural(holder.get(key, 0))
+                    natural(holder.get(key, 0))
             self._own[index, kind] = len(self._accessors)
             self._accessors.append(accessor)
         return self._own[index, kind]
@@ -170,8 +138,66 @@ class GltfScene:
         return points, faces
 
 
-def _chunks(data: bytes) -> tuple[bytes, bytes]:
-    """The JSON of a ``.glb``, and what comes after it."""
+def required_version(document: Any) -> dict[str, Any]:
+    """A glTF document of version 2 that needs no extension which is not known here.
+
+    Raises:
+        MeshFileError: It is another.
+    """
+    if not isinstance(document, dict):
+        raise MeshFileError("not a glTF file: its JSON is no object")
+    version = str(document.get("asset", {}).get("version", ""))
+    if not version.startswith("2"):
+        raise MeshFileError(f"glTF of version {version or 'unknown'}: expected version 2")
+    for extension in document.get("extensionsRequired", []):
+        if not str(extension).startswith(_HARMLESS):
+            raise MeshFileError(f"needs the extension {extension}: export it without")
+    return document
+
+
+def placed_meshes(document: dict[str, Any]) -> Iterator[tuple[str, int, NDArray[np.float64]]]:
+    """The meshes of the default scene, in the order of its nodes.
+
+    Yields:
+        Names of the nodes down to it, joined by ``/``; its index; where it stands, [4, 4].
+
+    Raises:
+        MeshFileError: The nodes are no tree, or hold instances.
+    """
+    nodes = document.get("nodes", [])
+    scenes = document.get("scenes")
+    if scenes:
+        roots = scenes[document.get("scene", 0)].get("nodes", [])
+    else:
+        children = {c for node in nodes for c in node.get("children", [])}
+        roots = [i for i in range(len(nodes)) if i not in children]
+    seen: set[int] = set()
+    waiting = [(root, np.eye(4), "") for root in reversed(roots)]
+    while waiting:
+        index, parent, path = waiting.pop()
+        if index in seen:
+            raise MeshFileError(f"a broken glTF file: node {index} is in two places")
+        seen.add(index)
+        node = nodes[natural(index)]
+        if "EXT_mesh_gpu_instancing" in node.get("extensions", {}):
+            raise MeshFileError("holds GPU instances: export them as meshes")
+        matrix = affine.composed(parent, _local(node))
+        own = natural(node["mesh"]) if "mesh" in node else None
+        name = node.get("name")
+        if own is not None:
+            name = name or document["meshes"][own].get("name")
+        path = f"{path}/{name or f'node_{index}'}"
+        if own is not None:
+            yield path, own, matrix
+        waiting += [(child, matrix, path) for child in reversed(node.get("children", []))]
+
+
+def chunks(data: bytes) -> tuple[bytes, bytes]:
+    """The JSON of a ``.glb``, and what comes after it.
+
+    Raises:
+        MeshFileError: It is none, or cut short.
+    """
     if data[:4] != b"glTF" or len(data) < 20:
         raise MeshFileError("not a binary glTF file: it does not begin with 'glTF'")
     version, length, chunk, kind = struct.unpack_from("<III4s", data, 4)
@@ -184,7 +210,12 @@ def _chunks(data: bytes) -> tuple[bytes, bytes]:
     return data[20 : 20 + chunk], data[20 + chunk : length]
 
 
-def _natural(value: Any) -> int:
+def natural(value: Any) -> int:
+    """A JSON value that is a whole number from 0.
+
+    Raises:
+        MeshFileError: It is something else.
+    """
     if not isinstance(value, int) or isinstance(value, bool) or value < 0:
         raise MeshFileError(f"a broken glTF file: {value!r} where an index or a count belongs")
     return value

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +15,7 @@ from scenec.compiler.assets import affine, trimesh_file
 from scenec.compiler.assets.parts import MeshFileError, Parsed, Part
 from scenec.schemas.errors import SceneError
 
-_USD = (".usd", ".usda", ".usdc", ".usdz")
+USD_SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
 #: What files of each format begin with, to tell a wrong ending.
 _MAGIC = {
     b"ply\n": ".ply", b"ply\r": ".ply", b"glTF": ".glb", b"PXR-USDC": ".usdc", b"#usda": ".usda",
@@ -65,7 +67,7 @@ def read_mesh(
     """
     parsed = parse_mesh(file)
     for missing in missing_keys(parsed, unit_m, up):
-        raise SceneError(f"{file.name}: does not say {_MEANING[missing]}: give {missing}")
+        raise SceneError(f"{file.name}: does not say {MEANING[missing]}: give {missing}")
     return finish_mesh(file, parsed, unit_m=unit_m, up=up, part=part)
 
 
@@ -83,19 +85,40 @@ def finish_mesh(
         SceneError: It is no sound mesh, or has no such part.
     """
     try:
-        return _finished(
-            _chosen(parsed.parts, part),
-            (1.0 if parsed.unit_m is None else parsed.unit_m) if unit_m is None else unit_m,
-            (parsed.up or "z") if up is None else up,
-        )
+        chosen = chosen_parts(parsed.parts, part)
+        joined = join(chosen, *unit_and_up(parsed, unit_m, up))
     except MeshFileError as fault:
         raise SceneError(f"{file.name}: {fault}") from fault
+    return MeshFile(
+        joined.points,
+        joined.faces,
+        joined.owner,
+        tuple(part.path for part in chosen),
+        int((~joined.sound).sum()),
+        joined.welded,
+    )
 
 
-_MEANING = {"unit_m": "how long its unit is", "up": "which axis points upward"}
+MEANING = {"unit_m": "how long its unit is", "up": "which axis points upward"}
 
 
-def missing_keys(parsed: Parsed, unit_m: float | None, up: str | None) -> list[str]:
+class Measured(Protocol):
+    """A parsed file that may say its unit and its upward axis, as ``Parsed`` does."""
+
+    @property
+    def unit_m(self) -> float | None: ...  # noqa: D102
+
+    @property
+    def up(self) -> str | None: ...  # noqa: D102
+
+
+def unit_and_up(parsed: Measured, unit_m: float | None, up: str | None) -> tuple[float, str]:
+    """What is given, else what the file says, else 1 m and z."""
+    unit = parsed.unit_m if unit_m is None else unit_m
+    return 1.0 if unit is None else unit, (parsed.up if up is None else up) or "z"
+
+
+def missing_keys(parsed: Measured, unit_m: float | None, up: str | None) -> list[str]:
     """Which of ``unit_m`` and ``up`` the file leaves open and nobody gives."""
     given = {
         "unit_m": parsed.unit_m if unit_m is None else unit_m,
@@ -110,12 +133,23 @@ def parse_mesh(file: Path) -> Parsed:
     Raises:
         SceneError: The file cannot be read, or is none of the formats.
     """
+    with faults_of(file):
+        return _reader(file)(file)
+
+
+@contextmanager
+def faults_of(file: Path) -> Iterator[None]:
+    """Checks that there is something to read, and names the file in what goes wrong within.
+
+    Raises:
+        SceneError: There is nothing to read, or what the block raises as ``MeshFileError``.
+    """
     try:
         if not file.is_file():
             raise MeshFileError("not a file" if file.exists() else "there is no such file")
         if file.stat().st_size == 0:
             raise MeshFileError("the file is empty")
-        return _reader(file)(file)
+        yield
     except MeshFileError as fault:
         raise SceneError(f"{file.name}: {fault}") from fault
     except (OSError, MemoryError) as error:
@@ -123,7 +157,12 @@ def parse_mesh(file: Path) -> Parsed:
         raise SceneError(f"{file.name}: cannot be read: {reason}") from error
 
 
-def _reader(file: Path) -> Callable[[Path], Parsed]:
+def checked_suffix(file: Path) -> str:
+    """The file's ending in lower case, once its first bytes do not speak against it.
+
+    Raises:
+        MeshFileError: They are those of another format.
+    """
     suffix = file.suffix.lower()
     with file.open("rb") as stream:
         head = stream.read(8)
@@ -132,22 +171,32 @@ def _reader(file: Path) -> Callable[[Path], Parsed]:
             raise MeshFileError(f"its content is that of a {true_suffix} file: rename it")
     if suffix == ".ply" and not head.startswith((b"ply\n", b"ply\r")):
         raise MeshFileError("not a PLY file: it does not begin with 'ply'")
+    return suffix
+
+
+def _reader(file: Path) -> Callable[[Path], Parsed]:
+    suffix = checked_suffix(file)
     if suffix in trimesh_file.SUFFIXES:
         return trimesh_file.read
-    if suffix in _USD:
+    if suffix in USD_SUFFIXES:
         # Imported here: not every mesh is USD.
         from scenec.compiler.assets.usd import read_usd
 
         return read_usd
-    known = ", ".join((*trimesh_file.SUFFIXES, *_USD))
+    known = ", ".join((*trimesh_file.SUFFIXES, *USD_SUFFIXES))
     raise MeshFileError(f"expected a mesh ({known}), not {suffix or 'a file without an ending'}")
 
 
 def _fits(suffix: str, true_suffix: str) -> bool:
-    return suffix == true_suffix or (suffix == ".usd" and true_suffix in _USD)
+    return suffix == true_suffix or (suffix == ".usd" and true_suffix in USD_SUFFIXES)
 
 
-def _chosen(parts: tuple[Part, ...], name: str | None) -> list[Part]:
+def chosen_parts[P: Part](parts: tuple[P, ...], name: str | None) -> list[P]:
+    """The parts of a name; all of them without one.
+
+    Raises:
+        MeshFileError: There are none, or they have no faces.
+    """
     if name is None:
         chosen = list(parts)
     else:
@@ -161,7 +210,31 @@ def _chosen(parts: tuple[Part, ...], name: str | None) -> list[Part]:
     return chosen
 
 
-def _finished(parts: list[Part], unit_m: float, up: str) -> MeshFile:
+@dataclass(frozen=True)
+class Joined:
+    """Parts as one mesh, as ``MeshFile`` describes it.
+
+    Attributes:
+        points: float64 [n, 3].
+        faces: int32 [m, 3].
+        owner: Index of each face's part, int32 [m].
+        sound: Which of the parts' faces, one part after the other, are in ``faces``: bool.
+        welded: Vertices that were copies.
+    """
+
+    points: NDArray[np.float64]
+    faces: NDArray[np.int32]
+    owner: NDArray[np.int32]
+    sound: NDArray[np.bool_]
+    welded: int
+
+
+def join(parts: Sequence[Part], unit_m: float, up: str) -> Joined:
+    """One mesh of several parts: in meters, z up, welded, without faces that have no area.
+
+    Raises:
+        MeshFileError: They are no sound mesh.
+    """
     if not 0.0 < unit_m < np.inf:
         raise MeshFileError(f"its unit is {unit_m:g} m, expected one above 0")
     blocks: list[NDArray[np.float64]] = []
@@ -204,12 +277,11 @@ def _finished(parts: list[Part], unit_m: float, up: str) -> MeshFile:
     faces, owner, welded = faces[sound], owner[sound], total - len(points)
     used = np.zeros(len(points), bool)
     used[faces.ravel()] = True
-    return MeshFile(
+    return Joined(
         np.ascontiguousarray(points[used]),
         np.ascontiguousarray(_number(used)[faces], np.int32),
         owner,
-        tuple(part.path for part in parts),
-        int((~sound).sum()),
+        sound,
         welded,
     )
 

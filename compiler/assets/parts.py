@@ -47,6 +47,24 @@ class Parsed:
     up: str | None
 
 
+def fan_corners(counts: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Polygons as triangles around their first corners; what has fewer than three is left out.
+
+    Args:
+        counts: Corners of each polygon, [p].
+
+    Returns:
+        Where each triangle's corners are among all corners, one polygon after the other, int64
+        [m, 3]; the polygon of each triangle, int64 [m].
+    """
+    start = np.cumsum(counts) - counts
+    triangles = np.maximum(counts - 2, 0)
+    first = np.repeat(start, triangles)
+    step = np.arange(len(first)) - np.repeat(np.cumsum(triangles) - triangles, triangles)
+    polygon = np.repeat(np.arange(len(counts)), triangles)
+    return np.stack([first, first + step + 1, first + step + 2], axis=1), polygon
+
+
 def fans(counts: NDArray[np.int64], corners: NDArray[np.int64]) -> NDArray[np.int64]:
     """Polygons as triangles around their first corners; what has fewer than three is left out.
 
@@ -57,8 +75,4 @@ def fans(counts: NDArray[np.int64], corners: NDArray[np.int64]) -> NDArray[np.in
     Returns:
         int64 [m, 3].
     """
-    start = np.cumsum(counts) - counts
-    triangles = np.maximum(counts - 2, 0)
-    first = np.repeat(start, triangles)
-    step = np.arange(len(first)) - np.repeat(np.cumsum(triangles) - triangles, triangles)
-    return np.stack([corners[first], corners[first + step + 1], corners[first + step + 2]], axis=1)
+    return corners[fan_corners(counts)[0]]

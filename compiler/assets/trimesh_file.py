@@ -16,10 +16,12 @@ import struct
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from scenec.compiler.assets.gltf_scene import GltfScene
 from scenec.compiler.assets.parts import MeshFileError, Parsed, Part, fans
@@ -66,6 +68,38 @@ def read(file: Path) -> Parsed:
             polygons, or refers to other files for them.
     """
     suffix = file.suffix.lower()
+    load = _loader(suffix)
+    with sound(suffix):
+        data = file.read_bytes()
+        if suffix == ".obj":
+            return Parsed(_obj(data, load), None, None)
+        if suffix == ".ply":
+            return Parsed((_ply(data, load),), None, None)
+        if suffix == ".stl":
+            return Parsed(_stl(data, load), None, None)
+        if suffix == ".off":
+            text = data.decode("utf-8", errors="replace")
+            if "OFF" not in text[:4096]:
+                raise MeshFileError("not an OFF file: it does not begin with 'OFF'")
+            return Parsed((_part("", load(text)),), None, None)
+        scene = GltfScene(data, suffix == ".glb")
+        loaded = load(scene.geometry())["geometry"].values()
+        parts = [_part("", mesh) for mesh in loaded]
+        return Parsed(scene.placed([(p.points, p.faces) for p in parts]), 1.0, "y")
+
+
+def read_ply(file: Path) -> PlyMesh:
+    """Reads a ``.ply`` file.
+
+    Raises:
+        MeshFileError: As ``read``.
+    """
+    load = _loader(".ply")
+    with sound(".ply"):
+        return _ply_mesh(file.read_bytes(), load)
+
+
+def _loader(suffix: str) -> Callable[..., dict[str, Any]]:
     try:
         from trimesh.exchange.load import mesh_loaders
     except ModuleNotFoundError as error:
@@ -79,25 +113,20 @@ def read(file: Path) -> Parsed:
         loader: Callable[..., dict[str, Any]] = mesh_loaders[suffix[1:]]
         return loader(file_obj=stream, file_type=suffix[1:], resolver=_NoOtherFiles(), **choices)
 
+    return load
+
+
+@contextmanager
+def sound(suffix: str) -> Iterator[None]:
+    """What a broken file of this ending can raise within, as one fault.
+
+    Raises:
+        MeshFileError: For ``FAULTS`` and endless recursion.
+    """
     name = "glTF" if suffix == ".glb" else suffix[1:].upper().replace("GLTF", "glTF")
     try:
         with _strict_and_silent():
-            data = file.read_bytes()
-            if suffix == ".obj":
-                return Parsed(_obj(data, load), None, None)
-            if suffix == ".ply":
-                return Parsed((_ply(data, load),), None, None)
-            if suffix == ".stl":
-                return Parsed(_stl(data, load), None, None)
-            if suffix == ".off":
-                text = data.decode("utf-8", errors="replace")
-                if "OFF" not in text[:4096]:
-                    raise MeshFileError("not an OFF file: it does not begin with 'OFF'")
-                return Parsed((_part("", load(text)),), None, None)
-            scene = GltfScene(data, suffix == ".glb")
-            loaded = load(scene.geometry())["geometry"].values()
-            parts = [_part("", mesh) for mesh in loaded]
-            return Parsed(scene.placed([(p.points, p.faces) for p in parts]), 1.0, "y")
+            yield
     except RecursionError as error:
         raise MeshFileError(f"not a sound {name} file: nested without end") from error
     except FAULTS as error:
@@ -161,7 +190,12 @@ def _part(path: str, loaded: dict[str, Any]) -> Part:
     return Part(path, points.astype(np.float64), fans(counts, faces.ravel().astype(np.int64)))
 
 
-def _obj(data: bytes, load: Callable[..., dict[str, Any]]) -> tuple[Part, ...]:
+def obj_text(data: bytes) -> str:
+    """An OBJ file with one statement a line, words separated by spaces, between line feeds.
+
+    Raises:
+        MeshFileError: A vertex or a face is malformed, or there are free-form surfaces.
+    """
     # What is not ASCII can stand in names and comments only.
     text = data.decode("utf-8-sig", errors="replace").replace("\r\n", "\n").replace("\r", "\n")
     text = "\n" + text.replace("\\\n", " ").replace("\t", " ") + "\n"
@@ -181,6 +215,11 @@ def _obj(data: bytes, load: Callable[..., dict[str, Any]]) -> tuple[Part, ...]:
             f"{_line(text, fault)}: {fault[0].strip()[:60]!r} is no {kind} of an OBJ file: "
             f"expected {expected}"
         )
+    return text
+
+
+def _obj(data: bytes, load: Callable[..., dict[str, Any]]) -> tuple[Part, ...]:
+    text = obj_text(data)
     backward = _BACKWARD.search(text)
     if backward and text.rfind("\nv ") > backward.start():
         raise MeshFileError(
@@ -216,7 +255,31 @@ def _line(text: str, place: re.Match[str]) -> str:
     return f"line {text.count('\n', 0, place.start()) + 1}"
 
 
+@dataclass(frozen=True)
+class PlyMesh:
+    """A PLY file as it is.
+
+    Attributes:
+        points: float64 [n, 3].
+        counts: Corners of each polygon, int64 [p].
+        corners: All their corners, int64 [sum of counts].
+        values: Single numbers of the vertices, by name, each [n].
+        face_keys: Names of what the faces have.
+    """
+
+    points: NDArray[np.float64]
+    counts: NDArray[np.int64]
+    corners: NDArray[np.int64]
+    values: dict[str, NDArray]
+    face_keys: tuple[str, ...]
+
+
 def _ply(data: bytes, load: Callable[..., dict[str, Any]]) -> Part:
+    mesh = _ply_mesh(data, load)
+    return Part("", mesh.points, fans(mesh.counts, mesh.corners))
+
+
+def _ply_mesh(data: bytes, load: Callable[..., dict[str, Any]]) -> PlyMesh:
     head, *body = data.split(b"end_header", 1)
     if not body:
         raise MeshFileError("not a PLY file: its header has no end_header")
@@ -229,7 +292,8 @@ def _ply(data: bytes, load: Callable[..., dict[str, Any]]) -> Part:
         raise MeshFileError("a PLY file without the element 'face': expected a mesh")
     vertices, faces = raw["vertex"], raw["face"]
     if not vertices["length"] or not faces["length"]:
-        return _part("", {})
+        empty = np.zeros(0, np.int64)
+        return PlyMesh(np.zeros((0, 3)), empty, empty, {}, ())
     points = np.column_stack([np.ravel(vertices["data"][axis]) for axis in "xyz"])
     name = next((n for n in ("vertex_indices", "vertex_index") if n in faces["properties"]), None)
     if name is None:
@@ -252,7 +316,12 @@ def _ply(data: bytes, load: Callable[..., dict[str, Any]]) -> Part:
         rows = rows.reshape(len(rows), -1)
         counts = np.full(len(rows), rows.shape[1], np.int64)
         corners = rows.ravel().astype(np.int64)
-    return Part("", points.astype(np.float64), fans(counts, corners))
+    values = {
+        key: np.ravel(vertices["data"][key])
+        for key, kind in vertices["properties"].items()
+        if "LIST" not in kind
+    }
+    return PlyMesh(points.astype(np.float64), counts, corners, values, tuple(faces["properties"]))
 
 
 def _stl(data: bytes, load: Callable[..., dict[str, Any]]) -> tuple[Part, ...]:

@@ -7,6 +7,9 @@ from libm, whose last bit changes with the CPU.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +21,8 @@ from scenec.compiler.assets.parts import MeshFileError, Parsed, Part, fans
 
 #: Purposes of geometry that stands in for other geometry, or helps to edit it.
 _NOT_RENDERED = (UsdGeom.Tokens.proxy, UsdGeom.Tokens.guide)
-_TIME = Usd.TimeCode.EarliestTime()
+#: When moving things are read.
+TIME = Usd.TimeCode.EarliestTime()
 
 
 def read_usd(file: Path) -> Parsed:
@@ -30,8 +34,22 @@ def read_usd(file: Path) -> Parsed:
     Raises:
         MeshFileError: It is not USD, refers to other files, or holds point instancers.
     """
+    with sound_stage(file) as stage:
+        parts = [_mesh(mesh) for mesh in shown_meshes(stage)]
+        return Parsed(tuple(parts), *unit_and_axis(stage))
+
+
+@contextmanager
+def sound_stage(file: Path) -> Iterator[Usd.Stage]:
+    """A stage of one file, and what a broken one can raise within, as one fault.
+
+    Raises:
+        MeshFileError: It is not USD, or refers to other layers.
+    """
     try:
-        return _read(Usd.Stage.Open(str(file)))
+        stage = Usd.Stage.Open(str(file))
+        _require_one_file(stage)
+        yield stage
     except Tf.ErrorException as error:
         reason = _reason(error).replace(f"{file}:", "line ")
         raise MeshFileError(f"not a sound USD file: {reason}") from error
@@ -49,20 +67,27 @@ def _reason(error: Tf.ErrorException) -> str:
     return lines[0] if lines else "USD gives no reason"
 
 
-def _read(stage: Usd.Stage) -> Parsed:
-    _require_one_file(stage)
-    parts = []
+def shown_meshes(stage: Usd.Stage) -> Iterator[UsdGeom.Mesh]:
+    """The meshes that a renderer would show, instances among them.
+
+    Raises:
+        MeshFileError: There is a point instancer.
+    """
     for prim in stage.Traverse(Usd.TraverseInstanceProxies()):
         if prim.IsA(UsdGeom.PointInstancer) and _is_shown(UsdGeom.Imageable(prim)):
             raise MeshFileError(f"{prim.GetPath()} is a point instancer: expected meshes")
         if prim.IsA(UsdGeom.Mesh) and _is_shown(UsdGeom.Imageable(prim)):
-            parts.append(_mesh(UsdGeom.Mesh(prim)))
+            yield UsdGeom.Mesh(prim)
+
+
+def unit_and_axis(stage: Usd.Stage) -> tuple[float | None, str | None]:
+    """Meters per unit and upward axis, where the stage says so."""
     unit = up = None
     if UsdGeom.StageHasAuthoredMetersPerUnit(stage):
         unit = float(UsdGeom.GetStageMetersPerUnit(stage))
     if stage.HasAuthoredMetadata(UsdGeom.Tokens.upAxis):
         up = str(UsdGeom.GetStageUpAxis(stage)).lower()
-    return Parsed(tuple(parts), unit, up)
+    return unit, up
 
 
 def _require_one_file(stage: Usd.Stage) -> None:
@@ -82,30 +107,70 @@ def _require_one_file(stage: Usd.Stage) -> None:
 
 def _is_shown(prim: UsdGeom.Imageable) -> bool:
     return (
-        prim.ComputeVisibility(_TIME) != UsdGeom.Tokens.invisible
+        prim.ComputeVisibility(TIME) != UsdGeom.Tokens.invisible
         and prim.ComputePurpose() not in _NOT_RENDERED
     )
 
 
-def _mesh(mesh: UsdGeom.Mesh) -> Part:
+@dataclass(frozen=True)
+class UsdPolygons:
+    """A mesh's polygons, without its holes.
+
+    Attributes:
+        points: float64 [n, 3].
+        counts: Corners of each polygon, int64 [p].
+        corners: All their corners, int64 [sum of counts].
+        polygon: Which of the prim's polygons each is, int64 [p].
+        corner: Which of the prim's corners each is, int64 [sum of counts].
+        to_world: float64 [4, 4], for columns.
+        turned: Whether their corners run clockwise once they are in the world.
+    """
+
+    points: NDArray[np.float64]
+    counts: NDArray[np.int64]
+    corners: NDArray[np.int64]
+    polygon: NDArray[np.int64]
+    corner: NDArray[np.int64]
+    to_world: NDArray[np.float64]
+    turned: bool
+
+
+def polygons_of(mesh: UsdGeom.Mesh) -> UsdPolygons:
+    """The polygons of a prim.
+
+    Raises:
+        MeshFileError: Its arrays do not go together.
+    """
     path = str(mesh.GetPath())
-    points = np.array(mesh.GetPointsAttr().Get(_TIME) or (), np.float64).reshape(-1, 3)
-    counts = np.array(mesh.GetFaceVertexCountsAttr().Get(_TIME) or (), np.int64)
-    corners = np.array(mesh.GetFaceVertexIndicesAttr().Get(_TIME) or (), np.int64)
+    points = np.array(mesh.GetPointsAttr().Get(TIME) or (), np.float64).reshape(-1, 3)
+    counts = np.array(mesh.GetFaceVertexCountsAttr().Get(TIME) or (), np.int64)
+    corners = np.array(mesh.GetFaceVertexIndicesAttr().Get(TIME) or (), np.int64)
     if (counts < 0).any() or counts.sum() != len(corners):
         raise MeshFileError(f"{path}: faceVertexCounts and faceVertexIndices do not go together")
-    holes = np.array(mesh.GetHoleIndicesAttr().Get(_TIME) or (), np.int64)
-    holes = holes[(holes >= 0) & (holes < len(counts))]
-    if len(holes):
-        kept = np.ones(len(counts), bool)
-        kept[holes] = False
-        corners, counts = corners[np.repeat(kept, counts)], counts[kept]
-    faces = fans(counts, corners)
+    kept = np.ones(len(counts), bool)
+    holes = np.array(mesh.GetHoleIndicesAttr().Get(TIME) or (), np.int64)
+    kept[holes[(holes >= 0) & (holes < len(counts))]] = False
+    of_kept = np.repeat(kept, counts)
     matrix = _local_to_world(mesh.GetPrim())
-    left_handed = mesh.GetOrientationAttr().Get(_TIME) == UsdGeom.Tokens.leftHanded
-    if left_handed != affine.mirrors(matrix):
+    left_handed = mesh.GetOrientationAttr().Get(TIME) == UsdGeom.Tokens.leftHanded
+    return UsdPolygons(
+        points,
+        counts[kept],
+        corners[of_kept],
+        np.flatnonzero(kept),
+        np.flatnonzero(of_kept),
+        matrix,
+        bool(left_handed != affine.mirrors(matrix)),
+    )
+
+
+def _mesh(mesh: UsdGeom.Mesh) -> Part:
+    polygons = polygons_of(mesh)
+    faces = fans(polygons.counts, polygons.corners)
+    if polygons.turned:
         faces = faces[:, ::-1]
-    return Part(path, affine.applied(matrix, points), faces)
+    path = str(mesh.GetPath())
+    return Part(path, affine.applied(polygons.to_world, polygons.points), faces)
 
 
 def _local_to_world(prim: Usd.Prim) -> NDArray[np.float64]:
@@ -129,8 +194,8 @@ def _op(op: UsdGeom.XformOp) -> NDArray[np.float64]:
     axes = kind.removeprefix("Rotate")
     if axes == kind:
         # No angle, so no sine.
-        return np.array(op.GetOpTransform(_TIME), np.float64).T
-    value = op.Get(_TIME)
+        return np.array(op.GetOpTransform(TIME), np.float64).T
+    value = op.Get(TIME)
     degrees = {
         axis: float(value if value is not None else 0.0) if len(axes) == 1 else float(value[i])
         for i, axis in enumerate("XYZ")

@@ -7,7 +7,7 @@ from pathlib import Path
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade
 
 from scenec.compiler.emit.layer import new_layer
-from scenec.compiler.emit.maps import average_color
+from scenec.compiler.emit.preview import is_encoded, write_preview
 from scenec.compiler.scene import Material, MaterialMaps
 from scenec.schemas import stage as names
 
@@ -26,9 +26,7 @@ def write_look(path: Path, name: str, material: Material, maps: dict[str, str]) 
     """Writes ``looks/<material>.usda``.
 
     The numbers of the shared surface model stand as ``scenec:surface:*``, which backends read. The
-    UsdPreviewSurface is derived from them: it shows displayColor, where the merges of the ground
-    are already blended, with the GGX lobe as its specular color (of a metal: its metallic part).
-    Its roughness is the material's number, without maps and variation.
+    UsdPreviewSurface is derived from them (``write_preview``).
 
     Args:
         path: The layer, in a folder of the batch's folder.
@@ -56,33 +54,7 @@ def write_look(path: Path, name: str, material: Material, maps: dict[str, str]) 
             ).Set(material.roughness_variation)
         if material.maps is not None:
             _write_maps(prim, material.maps, maps)
-        color = UsdShade.Shader.Define(stage, f"{look_path(name)}/Color")
-        color.CreateIdAttr("UsdPrimvarReader_float3")
-        color.CreateInput("varname", Sdf.ValueTypeNames.String).Set("displayColor")
-        color.CreateInput("fallback", Sdf.ValueTypeNames.Float3).Set(
-            Gf.Vec3f(*average_color(material))
-        )
-        surface = UsdShade.Shader.Define(stage, f"{look_path(name)}/Surface")
-        surface.CreateIdAttr("UsdPreviewSurface")
-        surface.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f).ConnectToSource(
-            color.CreateOutput("result", Sdf.ValueTypeNames.Float3)
-        )
-        if material.metallic > 0.0:
-            surface.CreateInput("metallic", Sdf.ValueTypeNames.Float).Set(material.metallic)
-        else:
-            surface.CreateInput("useSpecularWorkflow", Sdf.ValueTypeNames.Int).Set(1)
-            surface.CreateInput("specularColor", Sdf.ValueTypeNames.Color3f).Set(
-                Gf.Vec3f(material.specular)
-            )
-        surface.CreateInput("roughness", Sdf.ValueTypeNames.Float).Set(material.roughness)
-        look.CreateSurfaceOutput().ConnectToSource(
-            surface.CreateOutput("surface", Sdf.ValueTypeNames.Token)
-        )
-
-
-def is_encoded(kind: str, file: str) -> bool:
-    """Whether a map's values are colors in sRGB's transfer function."""
-    return kind == "base_color" and not file.endswith(".exr")
+        write_preview(look, material, {kind: f"../{file}" for kind, file in maps.items()})
 
 
 def _write_maps(prim: Usd.Prim, maps: MaterialMaps, files: dict[str, str]) -> None:
@@ -92,9 +64,14 @@ def _write_maps(prim: Usd.Prim, maps: MaterialMaps, files: dict[str, str]) -> No
         )
         attribute.Set(Sdf.AssetPath(f"../{file}"))
         attribute.SetColorSpace("srgb_rec709_scene" if is_encoded(kind, file) else _RAW[kind])
-    prim.CreateAttribute(names.ATTR_MAP_SIZE, Sdf.ValueTypeNames.Double, custom=True).Set(
-        maps.size_m
-    )
+    if maps.projection != names.MAP_PROJECTIONS[0]:
+        prim.CreateAttribute(names.ATTR_MAP_PROJECTION, Sdf.ValueTypeNames.Token, custom=True).Set(
+            maps.projection
+        )
+    if maps.projection != "uv":
+        prim.CreateAttribute(names.ATTR_MAP_SIZE, Sdf.ValueTypeNames.Double, custom=True).Set(
+            maps.size_m
+        )
     if "normal" in files:
         prim.CreateAttribute(
             names.ATTR_NORMAL_CONVENTION, Sdf.ValueTypeNames.Token, custom=True

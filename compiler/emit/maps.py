@@ -49,8 +49,8 @@ def average_color(material: Material) -> tuple[float, float, float]:
 
 
 @lru_cache(maxsize=32)
-def _average(path: Path) -> tuple[float, float, float]:
-    pixels = read_pixels(path)
+def _average(source: Path | Picture) -> tuple[float, float, float]:
+    pixels = read_pixels(source.data if isinstance(source, Picture) else source)
     if pixels.shape[2] == 1:
         pixels = np.repeat(pixels, 3, axis=2)
     if pixels.dtype.kind == "f":

@@ -19,7 +19,8 @@ from pathlib import Path
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade
 
 from scenec.compiler.emit.layer import new_layer
-from scenec.compiler.emit.looks import LOOKS, is_encoded, look_path
+from scenec.compiler.emit.looks import LOOKS, look_path
+from scenec.compiler.emit.preview import is_encoded
 from scenec.compiler.scene import Ground, Material
 from scenec.schemas import materialx as mtlx
 from scenec.schemas import stage as names
@@ -27,8 +28,11 @@ from scenec.schemas import stage as names
 #: Class that the ground's materials inherit; no child of LOOKS, where the cfg gives the names.
 GROUND_MIX = f"{names.ROOT}/GroundMix"
 _X_AXIS = Gf.Vec3f(1.0, 0.0, 0.0)
+#: The axes across which pictures are laid from three sides, and the world's axes that are u and v
+#: there, as ``scenec.backends.maps`` has them.
+_PLANES = (("x", 1, 2), ("y", 0, 2), ("z", 0, 1))
 
-type Value = UsdShade.Output | Gf.Vec2f | Gf.Vec3f | Sdf.AssetPath | float | str
+type Value = UsdShade.Output | Gf.Vec2f | Gf.Vec3f | Sdf.AssetPath | float | int | str
 
 
 def mixed_materials(ground: Ground) -> tuple[str, ...]:
@@ -258,23 +262,79 @@ class _Layer:
         return color
 
     def _picture(self, kind: str, node_id: str) -> UsdShade.Output:
-        """A map, laid over the ground from above: u = x / size, v = y / size."""
+        """A map's value, by the material's projection."""
         assert self._material.maps is not None
-        node = self._network.node
-        position = node("position", "ND_position_vector3", space="world")
-        xy = node("xy", "ND_convert_vector3_vector2", in_=position)
-        size = self._material.maps.size_m
-        uv = self._node("uv", "ND_divide_vector2FA", in1=xy, in2=size)
+        projection = self._material.maps.projection
+        if projection == "uv":
+            place = self._network.node("st", "ND_geompropvalue_vector2", geomprop=names.PRIMVAR_UV)
+            return self._image(kind, node_id, "", place)
+        if projection == "above":
+            return self._image(kind, node_id, "", self._place("xy", 0, 1))
+        kind_of = node_id.removeprefix("ND_image_")
+        times = "ND_multiply_float" if kind_of == "float" else f"ND_multiply_{kind_of}FA"
+        total: UsdShade.Output | None = None
+        for index, (axis, u, v) in enumerate(_PLANES):
+            image = self._image(kind, node_id, f"_{axis}", self._place(axis, u, v))
+            part = self._node(f"{kind}_part_{axis}", times, in1=image, in2=self._share(index))
+            total = self._sum(f"{kind}_sum_{axis}", f"ND_add_{kind_of}", total, part)
+        assert total is not None
+        return total
+
+    def _sum(
+        self, name: str, node_id: str, total: UsdShade.Output | None, part: UsdShade.Output
+    ) -> UsdShade.Output:
+        return part if total is None else self._node(name, node_id, in1=total, in2=part)
+
+    def _image(
+        self, kind: str, node_id: str, suffix: str, place: UsdShade.Output
+    ) -> UsdShade.Output:
         file = self._files[kind]
-        output = self._node(f"{kind}_map", node_id, file=Sdf.AssetPath(file), texcoord=uv)
+        output = self._node(
+            f"{kind}_map{suffix}", node_id, file=Sdf.AssetPath(file), texcoord=place
+        )
         if kind == "base_color":
             attribute = UsdShade.Shader(output.GetPrim()).GetInput("file").GetAttr()
             attribute.SetColorSpace(mtlx.SRGB if is_encoded(kind, file) else mtlx.LINEAR)
         return output
 
-    def _normal(self) -> UsdShade.Output:
-        """Normal of the map in a frame of the surface whose tangent is the world's x axis in it."""
+    def _place(self, name: str, u: int, v: int) -> UsdShade.Output:
+        """Two axes of the world / size."""
         assert self._material.maps is not None
+        node = self._network.node
+        position = node("position", "ND_position_vector3", space="world")
+        size = self._material.maps.size_m
+        if name == "xy":
+            flat = node("xy", "ND_convert_vector3_vector2", in_=position)
+            return self._node("uv", "ND_divide_vector2FA", in1=flat, in2=size)
+        parts = [node(f"position_{a}", "ND_extract_vector3", in_=position, index=a) for a in (u, v)]
+        flat = node(f"across_{name}", "ND_combine2_vector2", in1=parts[0], in2=parts[1])
+        return self._node(f"uv_{name}", "ND_divide_vector2FA", in1=flat, in2=size)
+
+    def _share(self, axis: int) -> UsdShade.Output:
+        """Weight of the plane across an axis: the normal's fourth powers over their sum."""
+        node = self._network.node
+        normal = node("normal", "ND_normal_vector3", space="world")
+        squares = node("normal_2", "ND_multiply_vector3", in1=normal, in2=normal)
+        fourth = node("normal_4", "ND_multiply_vector3", in1=squares, in2=squares)
+        total = node("normal_4_sum", "ND_dotproduct_vector3", in1=fourth, in2=Gf.Vec3f(1.0))
+        shares = node("shares", "ND_divide_vector3FA", in1=fourth, in2=total)
+        return node(f"share_{axis}", "ND_extract_vector3", in_=shares, index=axis)
+
+    def _normal(self) -> UsdShade.Output:
+        """Normal of the map, in the world."""
+        assert self._material.maps is not None
+        flip = self._material.maps.normal_convention == "directx"
+        if self._material.maps.projection == "triplanar":
+            return self._triplanar_normal(-1.0 if flip else 1.0)
+        frame: dict[str, Value] = {"scale": Gf.Vec2f(1.0, -1.0)} if flip else {}
+        if self._material.maps.projection == "above":
+            frame |= self._level_frame()
+        # By texture coordinates the frame is the viewer's own.
+        picture = self._picture("normal", "ND_image_vector3")
+        return self._node("bumped", "ND_normalmap_vector2", in_=picture, **frame)
+
+    def _level_frame(self) -> dict[str, Value]:
+        """A frame of the surface whose tangent is the world's x axis in it."""
         node = self._network.node
         up = node("normal", "ND_normal_vector3", space="world")
         along = node("normal_x", "ND_dotproduct_vector3", in1=up, in2=_X_AXIS)
@@ -282,14 +342,39 @@ class _Layer:
         flat = node("tangent_part", "ND_subtract_vector3", in1=_X_AXIS, in2=lift)
         tangent = node("tangent", "ND_normalize_vector3", in_=flat)
         bitangent = node("bitangent", "ND_crossproduct_vector3", in1=up, in2=tangent)
-        flip = self._material.maps.normal_convention == "directx"
-        scale: dict[str, Value] = {"scale": Gf.Vec2f(1.0, -1.0)} if flip else {}
-        return self._node(
-            "bumped",
-            "ND_normalmap_vector2",
-            in_=self._picture("normal", "ND_image_vector3"),
-            **scale,
-            normal=up,
-            tangent=tangent,
-            bitangent=bitangent,
-        )
+        return {"normal": up, "tangent": tangent, "bitangent": bitangent}
+
+    def _triplanar_normal(self, up: float) -> UsdShade.Output:
+        """The whiteout blend of three planes (Golus 2017); ``up``: sign of the picture's y."""
+        node, own = self._network.node, self._node
+        normal = node("normal", "ND_normal_vector3", space="world")
+        total: UsdShade.Output | None = None
+        for index, (axis, u, v) in enumerate(_PLANES):
+            image = self._image("normal", "ND_image_vector3", f"_{axis}", self._place(axis, u, v))
+            doubled = own(
+                f"lean_2_{axis}", "ND_multiply_vector3", in1=image, in2=Gf.Vec3f(2.0, 2.0 * up, 2.0)
+            )
+            mapped = own(
+                f"lean_{axis}", "ND_subtract_vector3", in1=doubled, in2=Gf.Vec3f(1.0, up, 1.0)
+            )
+            x, y, z = (
+                own(f"lean_{axis}_{i}", "ND_extract_vector3", in_=mapped, index=i) for i in range(3)
+            )
+            more: list[Value] = [0.0, 0.0, 0.0]
+            more[u], more[v] = x, y
+            scale: list[Value] = [1.0, 1.0, 1.0]
+            scale[index] = z
+            factors = own(f"lean_scale_{axis}", "ND_combine3_vector3", **_inputs(scale))
+            added = own(f"lean_more_{axis}", "ND_combine3_vector3", **_inputs(more))
+            scaled = own(f"lean_up_{axis}", "ND_multiply_vector3", in1=normal, in2=factors)
+            whole = own(f"lean_whole_{axis}", "ND_add_vector3", in1=scaled, in2=added)
+            part = own(
+                f"lean_part_{axis}", "ND_multiply_vector3FA", in1=whole, in2=self._share(index)
+            )
+            total = self._sum(f"lean_sum_{axis}", "ND_add_vector3", total, part)
+        assert total is not None
+        return own("bumped", "ND_normalize_vector3", in_=total)
+
+
+def _inputs(values: list[Value]) -> dict[str, Value]:
+    return {f"in{i}": value for i, value in enumerate(values, start=1)}

@@ -147,7 +147,7 @@ def _extent(scatter: Scatter) -> np.ndarray:
     """Bounds of all instances' balls."""
     if not scatter.count:
         return np.zeros((2, 3), np.float32)
-    radius = scatter.radii()[:, None]
+    middles, radii = scatter.balls()
     return np.stack(
-        [(scatter.positions - radius).min(axis=0), (scatter.positions + radius).max(axis=0)]
+        [(middles - radii[:, None]).min(axis=0), (middles + radii[:, None]).max(axis=0)]
     ).astype(np.float32)

@@ -53,11 +53,14 @@ def write_prototype(
     _write_label_ids(prim, prototype, labels, table)
     whole = len(prototype.parts) == 1 and len(prototype.parts[0].faces) == len(prototype.faces)
     for part in prototype.parts:
+        material_shows = bool(materials) and part.material is not None
+        names_shown = label_names(table, part.labels or {})
+        if not material_shows and not names_shown:
+            continue
         own = prim if whole else _subset(mesh, part.name, part.faces)
-        if materials and part.material is not None:
+        if material_shows and part.material is not None:
             bind(own, part.material)
-        if part.labels is not None:
-            label(own, label_names(table, part.labels))
+        label(own, names_shown)
     return prim
 
 

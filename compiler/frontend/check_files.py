@@ -10,8 +10,10 @@ from dataclasses import dataclass
 from pathlib import Path as FilePath
 from typing import Any
 
+from scenec.compiler.assets.affine import TO_Z_UP
 from scenec.compiler.frontend.faults import Finding, nearest, shown
 from scenec.compiler.frontend.json_positions import Path
+from scenec.compiler.frontend.pose_table import read_poses
 from scenec.compiler.frontend.resources import ResourceError, find_file
 from scenec.compiler.frontend.schema import Field
 from scenec.compiler.frontend.track import read_track
@@ -27,7 +29,7 @@ class InputFile:
 
     Attributes:
         path: Where it is on this machine; never written to any output.
-        sha256: Of its bytes, in hexadecimal.
+        sha256: Of its bytes, in hexadecimal; with those of the files that belong to a model.
     """
 
     path: FilePath
@@ -58,8 +60,11 @@ def check_file(
     owner = document
     for key in field.path[:-1]:
         owner = owner[key]
+    kind = field.keywords["x-file"]
     try:
-        findings = _CHECKS[field.keywords["x-file"]](path, field.path, owner, document)
+        findings = _CHECKS[kind](path, field.path, owner, document)
+        if kind == "model" and not findings:
+            digest = _with_companions(path, digest)
     except SceneError as error:
         findings = [Finding(field.path, str(error))]
     return (None if findings else InputFile(path, digest)), findings
@@ -111,6 +116,46 @@ def _check_mesh(file: FilePath, path: Path, owner: Any, document: Any) -> list[F
             for key in missing
         ]
     finish_mesh(file, parsed, part=part if isinstance(part, str) else None)
+    return []
+
+
+def _check_model(file: FilePath, path: Path, owner: Any, document: Any) -> list[Finding]:
+    from scenec.compiler.assets.cache import cached_model, parsed_model
+    from scenec.compiler.assets.mesh_file import missing_keys
+
+    unit_m, up, part = (owner.get(key) for key in ("unit_m", "up", "part"))
+    missing = missing_keys(parsed_model(file), unit_m, up)
+    if missing:
+        return [
+            Finding(path[:-1], f'the key "{key}" is missing: {file.name} does not say it')
+            for key in missing
+        ]
+    # Values that the schema finds fault with count as not given.
+    unit_m = float(unit_m) if isinstance(unit_m, (int, float)) and unit_m > 0 else None
+    cached_model(file, unit_m, up if up in TO_Z_UP else None, _text(part))
+    return []
+
+
+def _text(value: Any) -> str | None:
+    return value if isinstance(value, str) else None
+
+
+def _with_companions(file: FilePath, digest: str) -> str:
+    """A model's digest with those of the files that belong to it, in the model's order."""
+    from scenec.compiler.assets.cache import parsed_model
+
+    digests = [digest]
+    for path in parsed_model(file).companions:
+        with path.open("rb") as stream:
+            digests.append(hashlib.file_digest(stream, "sha256").hexdigest())
+    if len(digests) == 1:
+        return digest
+    return hashlib.sha256("\n".join(digests).encode("ascii")).hexdigest()
+
+
+def _check_poses(file: FilePath, path: Path, owner: Any, document: Any) -> list[Finding]:
+    models = owner.get("models")
+    read_poses(file, max(len(models), 1) if isinstance(models, list) else 1)
     return []
 
 
@@ -167,11 +212,21 @@ def _check_polyline(file: FilePath, path: Path, owner: Any, document: Any) -> li
     return []
 
 
+def _check_density(file: FilePath, path: Path, owner: Any, document: Any) -> list[Finding]:
+    from scenec.compiler.scatter.density import read_gray
+
+    read_gray(file)
+    return []
+
+
 _CHECKS: dict[str, Callable[[FilePath, Path, Any, Any], list[Finding]]] = {
     "dem": _check_dem,
+    "density": _check_density,
     "image": _check_image,
     "map": _check_map,
     "mesh": _check_mesh,
+    "model": _check_model,
     "polyline": _check_polyline,
+    "poses": _check_poses,
     "track": _check_track,
 }

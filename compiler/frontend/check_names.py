@@ -22,10 +22,11 @@ def check_names(document: Any, sound: bool) -> list[Finding]:
             it stands anywhere: its user may have been misspelled.
     """
     cfg = _mapping(document)
-    users = list(_users(cfg))
-    findings = [*_check_materials(cfg, users), *_check_levels(cfg, users), *_check_ids(cfg)]
-    findings.extend(_check_masks(cfg))
-    findings.extend(_check_unused(cfg, users, None if sound else _all_words(cfg)))
+    users, parts = list(_users(cfg)), list(_parts(cfg))
+    findings = [*_check_materials(cfg, users + parts), *_check_levels(cfg, users)]
+    findings.extend(_check_parts(cfg, parts))
+    findings.extend([*_check_ids(cfg), *_check_masks(cfg)])
+    findings.extend(_check_unused(cfg, users + parts, None if sound else _all_words(cfg)))
     return findings
 
 
@@ -42,6 +43,14 @@ def _users(cfg: Mapping[str, Any]) -> Iterator[tuple[Path, Mapping[str, Any]]]:
     for name, thing in _mapping(cfg.get("objects")).items():
         if isinstance(thing, dict):
             yield ("objects", name), thing
+
+
+def _parts(cfg: Mapping[str, Any]) -> Iterator[tuple[Path, Mapping[str, Any]]]:
+    """Parts of models that have a material or labels of their own."""
+    for name, thing in _mapping(cfg.get("objects")).items():
+        for part, node in _mapping(_mapping(thing).get("parts")).items():
+            if isinstance(node, dict):
+                yield ("objects", name, "parts", part), node
 
 
 def _sky(cfg: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -119,6 +128,17 @@ def _check_levels(
                 at,
                 'the output "label" needs at least one level in "labels"; define one, or leave '
                 '"label" out of "outputs"',
+            )
+
+
+def _check_parts(
+    cfg: Mapping[str, Any], parts: list[tuple[Path, Mapping[str, Any]]]
+) -> Iterator[Finding]:
+    """A part has labels on any levels, and the class's on the others."""
+    if isinstance(cfg.get("labels", {}), dict):
+        for path, part in parts:
+            yield from _check_choice(
+                _mapping(cfg.get("labels")), (*path, "labels"), _mapping(part.get("labels"))
             )
 
 

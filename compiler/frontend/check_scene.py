@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from scenec.compiler.frontend.check_numbers import support
+from scenec.compiler.frontend.check_objects import check_objects
 from scenec.compiler.frontend.faults import Finding, shown
 from scenec.compiler.frontend.json_positions import Path
 from scenec.compiler.frontend.schema import Field, load_schemas
@@ -38,6 +39,7 @@ def check_scene(document: Any, numbers: dict[Path, Field]) -> list[Finding]:
         *_check_layers(document),
         *_check_materials(document),
         *_check_rocks(document),
+        *check_objects(document, spans),
         *_check_samples(spans),
         *_check_sensors(document),
         *_check_positions(document, spans),
@@ -113,7 +115,11 @@ def _check_craters(document: Any, spans: dict[Path, tuple[float, float]]) -> Ite
 
 
 def _conditions(document: Any) -> Iterator[tuple[Path, dict[str, Any]]]:
-    """Conditions of operators' masks and of the ground's layers."""
+    """Conditions of operators' masks, of the ground's layers and of objects."""
+    for name, _ in _entries(document, "objects"):
+        for k, condition in _entries(document, "objects", name, "where"):
+            if isinstance(condition, dict):
+                yield ("objects", name, "where", k), condition
     for group, key in (("relief", "mask"), ("ground", "where")):
         for i, _ in _entries(document, "terrain", group):
             for k, condition in _entries(document, "terrain", group, i, key):
@@ -122,9 +128,9 @@ def _conditions(document: Any) -> Iterator[tuple[Path, dict[str, Any]]]:
 
 
 def _check_conditions(document: Any, spans: dict[Path, tuple[float, float]]) -> Iterator[Finding]:
-    known = load_schemas()["ground_where.schema.json"]["properties"]["type"]["enum"]
+    known = load_schemas()["objects_where.schema.json"]["properties"]["type"]["enum"]
     for path, condition in _conditions(document):
-        if condition.get("type") not in known:
+        if condition.get("type") not in known or condition["type"] == "material":
             continue
         low, high = (
             next((key for key in condition if key == end or key.startswith(f"{end}_")), None)
@@ -178,29 +184,61 @@ def _check_layers(document: Any) -> Iterator[Finding]:
 
 
 def _check_materials(document: Any) -> Iterator[Finding]:
-    laid: dict[str | int, str] = {}
+    ground = {
+        layer.get("material")
+        for _, layer in _entries(document, "terrain", "ground")
+        if isinstance(layer, dict) and isinstance(layer.get("material"), str)
+    }
+    rocks = {
+        thing.get("material")
+        for _, thing in _entries(document, "objects")
+        if isinstance(thing, dict) and thing.get("type") == "rocks"
+        if isinstance(thing.get("material"), str)
+    }
+    displaced = set()
     for name, material in _entries(document, "materials"):
         if not isinstance(material, dict):
             continue
         maps = material.get("maps")
         kinds = [kind for kind in MAP_CHANNELS if isinstance(maps, dict) and kind in maps]
-        if maps is not None:
-            laid[name] = "maps"
-        elif material.get("displacement"):
-            laid[name] = "a displacement"
-        if isinstance(maps, dict) and not kinds:
-            yield Finding(
-                ("materials", name, "maps"), f"expected one of {', '.join(MAP_CHANNELS)}, or more"
-            )
+        if material.get("displacement"):
+            displaced.add(name)
+        if isinstance(maps, dict):
+            users = [
+                user for user, names in (("ground", ground), ("rocks", rocks)) if name in names
+            ]
+            yield from _check_maps(("materials", name, "maps"), maps, kinds, users)
         if "base_color" not in material and "base_color" not in kinds:
             yield Finding(("materials", name), "expected the key base_color, or one in maps")
     for name, thing in _entries(document, "objects"):
         used = thing.get("material") if isinstance(thing, dict) else None
-        if isinstance(used, str) and used in laid:
+        if isinstance(used, str) and used in displaced:
             yield Finding(
                 ("objects", name, "material"),
-                f"{shown(used)} has {laid[used]}, for the ground only: expected one without",
+                f"{shown(used)} has a displacement, for the ground only: expected one without",
             )
+
+
+def _check_maps(
+    path: Path, maps: dict[str, Any], kinds: list[str], users: list[str]
+) -> Iterator[Finding]:
+    if not kinds:
+        yield Finding(path, f"expected one of {', '.join(MAP_CHANNELS)}, or more")
+    by_uv = maps.get("projection") == "uv"
+    if by_uv and "size_m" in maps:
+        yield Finding(
+            (*path, "size_m"),
+            "with the projection uv the mesh says how large the pictures are: take it away",
+            at_key=True,
+        )
+    if not by_uv and "size_m" not in maps:
+        yield Finding(path, "expected the key size_m")
+    if by_uv and users:
+        yield Finding(
+            (*path, "projection"),
+            f"{' and '.join(users)} of this material have no texture coordinates: expected "
+            '"triplanar" or "above"',
+        )
 
 
 def _check_rocks(document: Any) -> Iterator[Finding]:

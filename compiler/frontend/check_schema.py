@@ -9,7 +9,7 @@ from jsonschema import ValidationError
 
 from scenec.compiler.frontend.faults import Finding, closest, nearest, shown
 from scenec.compiler.frontend.json_positions import Path
-from scenec.compiler.frontend.schema import validator
+from scenec.compiler.frontend.schema import describe, validator
 
 _TYPES = {
     "array": "a list",
@@ -33,7 +33,7 @@ def check_schema(document: Any) -> list[Finding]:
 def _findings(error: ValidationError) -> Iterator[Finding]:
     path: Path = tuple(error.absolute_path)
     keyword = str(error.validator)
-    if keyword == "additionalProperties":
+    if keyword in ("additionalProperties", "unevaluatedProperties"):
         yield from _unknown_keys(error, path)
     elif keyword == "required":
         yield from _missing_keys(error, path)
@@ -53,7 +53,8 @@ _IDENTIFIER = "expected a name of letters, digits and underscores, with no digit
 
 
 def _unknown_keys(error: ValidationError, path: Path) -> Iterator[Finding]:
-    schema = error.schema
+    # With those of the schemas that it refers to.
+    schema = describe(error.schema, error.instance).keywords
     known = [name for name, entry in schema["properties"].items() if not entry.get("x-ignored")]
     reasons = schema.get("x-unknown", {})
     unused = [name for name in known if name not in error.instance]

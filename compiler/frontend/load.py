@@ -11,6 +11,7 @@ from typing import Any
 
 from scenec.compiler.frontend import schema
 from scenec.compiler.frontend.check_files import InputFile, check_file
+from scenec.compiler.frontend.check_models import check_models
 from scenec.compiler.frontend.check_names import check_names
 from scenec.compiler.frontend.check_numbers import check_number
 from scenec.compiler.frontend.check_scene import check_scene
@@ -72,6 +73,7 @@ def load(path: FilePath | str) -> Spec:
             findings.extend(file_findings)
             if file:
                 files["/".join(map(str, field.path))] = file
+    findings.extend(check_models(document.value, files))
     faults = locate(findings, document, name)
     if faults:
         raise CfgError(faults)

@@ -1,7 +1,8 @@
 """The cfg's JSON Schemas: loading them, and walking a document along them.
 
 The schemas of ``schemas/cfg/`` keep to a part of draft 2020-12 that can be walked: ``$ref`` to
-another file, ``properties``, ``additionalProperties``, ``items``, ``prefixItems``, and ``if``,
+another file, ``properties``, ``additionalProperties``, ``unevaluatedProperties`` (beside a
+``$ref`` to keys that schemas share, which has "x-shared"), ``items``, ``prefixItems``, and ``if``,
 ``then``, ``else`` (alone or in ``allOf``). So defaults, the reference page and the drawing of
 numbers come from the same files as the validation.
 """
@@ -80,10 +81,6 @@ def _flatten(schema: Mapping[str, Any], value: Any) -> tuple[dict[str, Any], boo
     is_number = False
     own = {key: entry for key, entry in schema.items() if key not in _APPLICATORS}
     parts: list[Mapping[str, Any]] = []
-    if schema.get("$ref") == NUMBER:
-        is_number = True
-    elif "$ref" in schema:
-        parts.append(load_schemas()[schema["$ref"]])
     for branch in (schema, *schema.get("allOf", ())):
         if "if" in branch:
             taken = "then" if validator(branch["if"]).is_valid(value) else "else"
@@ -93,9 +90,21 @@ def _flatten(schema: Mapping[str, Any], value: Any) -> tuple[dict[str, Any], boo
         _merge(merged, keywords)
         is_number = is_number or number
     _merge(merged, own)
+    if schema.get("$ref") == NUMBER:
+        is_number = True
+    elif "$ref" in schema:
+        keywords, number = _flatten(load_schemas()[schema["$ref"]], value)
+        # What is said here goes before what is referred to.
+        _merge(
+            merged,
+            {key: entry for key, entry in keywords.items() if key not in merged or key in _JOINED},
+        )
+        is_number = is_number or number
     return merged, is_number
 
 
+#: Keywords of which both sides count.
+_JOINED = frozenset({"properties", "required"})
 _APPLICATORS = frozenset({"$ref", "$schema", "$defs", "allOf", "if", "then", "else"})
 
 

@@ -48,7 +48,7 @@ def read_track(file: Path) -> Track:
         SceneError: The file cannot be read, a column is missing, a value is not a finite number, a
             quaternion is not of unit length, or time does not rise.
     """
-    rows = _rows(file)
+    rows = read_rows(file)
     if rows and not all(_NUMBER.fullmatch(cell) for cell in rows[0][1]):
         order = _header(file, *rows[0])
         width = len(rows[0][1])
@@ -65,7 +65,7 @@ def read_track(file: Path) -> Track:
                 + ("" if width > len(COLUMNS) else f": {', '.join(COLUMNS)}")
             )
         for column, cell in enumerate(cells[k] for k in order):
-            table[i, column] = _number(file, line, COLUMNS[column], cell)
+            table[i, column] = read_number(file, line, COLUMNS[column], cell)
     lines = [line for line, _ in rows]
     _check_time(file, lines, table[:, 0])
     quaternion = table[:, 4:]
@@ -79,7 +79,12 @@ def read_track(file: Path) -> Track:
     return Track(table[:, 0].copy(), table[:, 1:4].copy(), quaternion / length[:, None])
 
 
-def _rows(file: Path) -> list[tuple[int, list[str]]]:
+def read_rows(file: Path) -> list[tuple[int, list[str]]]:
+    """Lines and cells of a CSV file, comments and empty lines left out.
+
+    Raises:
+        SceneError: It cannot be read.
+    """
     try:
         text = file.read_bytes().decode("utf-8-sig")
         reader = csv.reader(io.StringIO(text, newline=""), strict=True)
@@ -108,7 +113,12 @@ def _header(file: Path, line: int, cells: list[str]) -> list[int]:
     return [cells.index(column) for column in COLUMNS]
 
 
-def _number(file: Path, line: int, column: str, cell: str) -> float:
+def read_number(file: Path, line: int, column: str, cell: str) -> float:
+    """A cell's number.
+
+    Raises:
+        SceneError: It is none, or not finite.
+    """
     value = float(cell) if _NUMBER.fullmatch(cell) else np.nan
     if not np.isfinite(value):
         raise SceneError(f"{file.name}:{line}: {column} is {shown(cell)}, expected a number")

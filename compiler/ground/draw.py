@@ -79,12 +79,13 @@ def draw_condition(
     if "key" in kind.__dataclass_fields__:
         values["key"] = streams.key(path)
     if kind is FreshnessCondition:
-        values["craters"] = tuple(laid for operator in relief for laid in _craters(operator))
+        values["craters"] = tuple(laid for operator in relief for laid in craters_of(operator))
     condition: Interval = kind(**values)
     return condition
 
 
-def _craters(operator: ReliefOperator) -> list[tuple[Craters, tuple[Condition, ...]]]:
+def craters_of(operator: ReliefOperator) -> list[tuple[Craters, tuple[Condition, ...]]]:
+    """The craters that an operator lays, with the conditions of its mask; most lay none."""
     if isinstance(operator, Craters):
         return [(operator, ())]
     if isinstance(operator, Masked) and isinstance(operator.operator, Craters):

@@ -1,25 +1,20 @@
-"""What is drawn for a class of rocks: shapes once, sizes and turns for each."""
+"""What is drawn for a class of rocks: its shapes."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
-from scenec.compiler.arithmetic import elementary
-from scenec.compiler.frontend.numbers import draw_number
 from scenec.compiler.frontend.resolve import resolve
 from scenec.compiler.frontend.streams import Streams
-from scenec.compiler.plan import RocksPlan
+from scenec.compiler.plan import RockShapes, ScatterPlan
+from scenec.compiler.scatter.draw_scatter import Setting, draw_scattered, uniforms
 from scenec.compiler.scatter.families.angular import draw_angular
 from scenec.compiler.scatter.families.rounded import draw_rounded
 from scenec.compiler.scatter.families.shape import Shape, unit_vectors
 from scenec.compiler.scatter.families.slab import draw_slab
 from scenec.compiler.scatter.families.vesicular import draw_vesicular
 from scenec.compiler.scatter.families.weathered import Weathered
-from scenec.compiler.scatter.placement import NoiseDensity, UniformDensity
 from scenec.compiler.scene import Labels
 
 _PLANES = 14
@@ -56,7 +51,9 @@ _USUAL = {
 _FLATNESS = 0.35
 
 
-def draw_rocks(name: str, cfg: dict[str, Any], labels: Labels, streams: Streams) -> RocksPlan:
+def draw_rocks(
+    name: str, cfg: dict[str, Any], labels: Labels, streams: Streams, setting: Setting | None = None
+) -> ScatterPlan:
     """The plan of one class.
 
     Args:
@@ -64,51 +61,26 @@ def draw_rocks(name: str, cfg: dict[str, Any], labels: Labels, streams: Streams)
         cfg: Its part of the cfg.
         labels: Its label ids.
         streams: The batch's streams.
+        setting: What it refers to beyond its own part.
     """
     path = f"objects/{name}"
     node = resolve(cfg, streams, path)
-    n = int(node["count"])
-    # Plates lie.
-    orientation = cfg["orientation"] or ("normal" if cfg["family"] == "slab" else "random")
-    align = orientation == "normal"
-    return RocksPlan(
-        name=name,
+    prototypes = int(node["prototypes"])
+    return draw_scattered(
+        name,
+        cfg,
+        node,
+        labels,
+        streams,
+        setting or Setting(),
+        source=RockShapes(
+            tuple(_shape(f"{path}/prototypes/{i}", node, streams) for i in range(prototypes))
+        ),
+        weights=[1.0] * prototypes,
         material=cfg["material"],
-        labels=labels,
-        instances=cfg["instances"],
-        shapes=tuple(
-            _shape(f"{path}/prototypes/{i}", node, streams) for i in range(int(node["prototypes"]))
-        ),
-        density=_density(node["density"], streams, path),
-        position_u=_uniforms(streams, f"{path}/position", n, 3),
-        prototype=np.minimum(
-            (streams.uniforms(f"{path}/prototype", n) * node["prototypes"]).astype(np.int32),
-            int(node["prototypes"]) - 1,
-        ),
-        orientations=(
-            _random_turns(streams, path, n) if orientation == "random" else _spins(streams, path, n)
-        ),
-        align=align,
-        size_m=draw_number(cfg["size_m"], streams, f"{path}/size_m", n),
-        embed=draw_number(cfg["embed"], streams, f"{path}/embed", n),
-        variation=2.0 * streams.uniforms(f"{path}/variation", n) - 1.0,
-        lod_px=cfg["lod_px"],
-    )
-
-
-def _uniforms(streams: Streams, path: str, n: int, columns: int) -> NDArray[np.float64]:
-    """[n, columns]; a larger n leaves the first rows as they are."""
-    return streams.uniforms(path, n * columns).reshape(n, columns)
-
-
-def _density(cfg: dict[str, Any], streams: Streams, path: str) -> UniformDensity | NoiseDensity:
-    if cfg["type"] == "uniform":
-        return UniformDensity()
-    return NoiseDensity(
-        key=streams.key(f"{path}/density"),
-        scale_m=cfg["scale_m"],
-        octaves=int(cfg["octaves"]),
-        contrast=cfg["contrast"],
+        # Plates lie.
+        orientation="normal" if cfg["family"] == "slab" else "random",
+        size_key="size_m",
     )
 
 
@@ -136,7 +108,7 @@ def _shape(path: str, cfg: dict[str, Any], streams: Streams) -> Shape:
 
 
 def _weathered(path: str, cfg: dict[str, Any], streams: Streams) -> Weathered:
-    u = _uniforms(streams, f"{path}/planes", _PLANES, 3)
+    u = uniforms(streams, f"{path}/planes", _PLANES, 3)
     middle, low = streams.uniforms(f"{path}/axes", 2)
     flat = _FLATNESS if cfg["flatness"] is None else cfg["flatness"]
     long = 0.6 * flat * middle
@@ -151,26 +123,3 @@ def _weathered(path: str, cfg: dict[str, Any], streams: Streams) -> Weathered:
         bumpiness=cfg["bumpiness"],
         subdivisions=int(cfg["subdivisions"]),
     )
-
-
-def _random_turns(streams: Streams, path: str, n: int) -> NDArray[np.float64]:
-    """Rotations uniform over SO(3) (Shoemake 1992), as quaternions (x, y, z, w), [n, 4]."""
-    u = _uniforms(streams, f"{path}/orientation", n, 3)
-    a, b = 2.0 * elementary.PI * u[:, 1], 2.0 * elementary.PI * u[:, 2]
-    p, q = np.sqrt(1.0 - u[:, 0]), np.sqrt(u[:, 0])
-    return np.stack(
-        [
-            p * elementary.sin_array(a),
-            p * elementary.cos_array(a),
-            q * elementary.sin_array(b),
-            q * elementary.cos_array(b),
-        ],
-        axis=1,
-    )
-
-
-def _spins(streams: Streams, path: str, n: int) -> NDArray[np.float64]:
-    """Rotations about the vertical, as quaternions (x, y, z, w), [n, 4]."""
-    half = elementary.PI * _uniforms(streams, f"{path}/orientation", n, 3)[:, 0]
-    zero = np.zeros(n)
-    return np.stack([zero, zero, elementary.sin_array(half), elementary.cos_array(half)], axis=1)

@@ -6,13 +6,18 @@ point, so that a rock on a cave's floor knows nothing of the cave's roof.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from scenec.compiler.scatter.placement import NoiseDensity, UniformDensity, rotation_rows
+from scenec.compiler.scatter.density import Density, Everywhere
+from scenec.compiler.scatter.placement import lattice_of, require_somewhere, rotation_rows
+from scenec.compiler.scatter.places import Places
+from scenec.compiler.scatter.surroundings import Surroundings
+from scenec.compiler.scatter.where import Place
 from scenec.compiler.scene import Prototype
 from scenec.compiler.terrain.mesh_plan import hit, square_of
 from scenec.compiler.terrain.mesh_surface import MeshSurface
@@ -38,64 +43,97 @@ class Spots:
     face: NDArray[np.int32]
     normals: NDArray[np.float64]
 
+    def some(self, index: NDArray[np.int64]) -> Spots:
+        """Some of them."""
+        return Spots(self.points[index], self.face[index], self.normals[index])
 
-def place_on_mesh(
-    surface: MeshSurface,
-    density: UniformDensity | NoiseDensity,
-    u: NDArray[np.float64],
-    name: str,
-) -> Spots:
-    """Places with a given density in plan: exactly one for each row of ``u``.
+
+class MeshPlaces:
+    """Places with a given density in plan.
 
     Every surface that faces upward (``STANDING``) within the terrain's rectangle takes part: under
     an overhang there are as many to the square meter as on it. The density is taken as constant
     over a face; a face is picked by inverting the cumulative sum, the place in it is uniform.
-
-    Args:
-        surface: The terrain.
-        density: Relative density.
-        u: Uniform numbers in [0, 1), float64 [n, 3].
-        name: Object class, for the message.
-
-    Raises:
-        SceneError: The density is zero everywhere, or no face can carry anything.
     """
-    corners = surface.points[surface.faces]
-    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
-    normals = _cross(b - a, c - a)
-    length = np.sqrt((normals * normals).sum(axis=1))
-    middle = corners.mean(axis=1)
-    half = 0.5 * np.array(surface.grid.size_m)
-    standing = (normals[:, 2] >= STANDING * length) & (length > 0.0)
-    standing &= (np.abs(middle[:, :2]) <= half).all(axis=1)
-    faces = np.flatnonzero(standing)
-    if len(u) and not len(faces):
-        raise SceneError(
-            f"objects/{name}: no face of the terrain's mesh is flat enough to put anything on: "
-            "expected one of 60 degrees of slope at most whose middle lies within the terrain"
+
+    def __init__(
+        self,
+        surface: MeshSurface,
+        density: Density,
+        where: Sequence[Place],
+        around: Surroundings,
+        name: str,
+    ):
+        """Weighs the faces.
+
+        Args:
+            surface: The terrain.
+            density: Relative density.
+            where: What it is multiplied with.
+            around: What it may depend on.
+            name: Object class, for messages.
+
+        Raises:
+            SceneError: The density is zero everywhere, or no face can carry anything.
+        """
+        self._surface = surface
+        corners = surface.points[surface.faces]
+        a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
+        normals = _cross(b - a, c - a)
+        length = np.sqrt((normals * normals).sum(axis=1))
+        middle = corners.mean(axis=1)
+        half = 0.5 * np.array(surface.grid.size_m)
+        standing = (normals[:, 2] >= STANDING * length) & (length > 0.0)
+        standing &= (np.abs(middle[:, :2]) <= half).all(axis=1)
+        faces = np.flatnonzero(standing)
+        if not len(faces):
+            raise SceneError(
+                f"objects/{name}: no face of the terrain's mesh is flat enough to put anything on: "
+                "expected one of 60 degrees of slope at most whose middle lies within the terrain"
+            )
+        self._faces, self._corners, self._normals, self._length = faces, corners, normals, length
+        x, y = (np.ascontiguousarray(middle[faces, axis]) for axis in (0, 1))
+        dense = 0.5 * normals[faces, 2]
+        lattice = lattice_of(surface, density, where, around)
+        cells = lattice.index_at(x, y)
+        if isinstance(density, Everywhere):
+            dense = dense * density.at(x, y)
+        else:
+            dense = dense * density.on(lattice, around).ravel()[cells]
+        whole = float(dense.sum())
+        for place in where:
+            dense = dense * place.weight(lattice, around).ravel()[cells]
+        cumulative = np.cumsum(dense)
+        require_somewhere(whole, float(cumulative[-1]), name)
+        share = 1.0 if not where else float(dense.sum()) / whole
+        #: As points in plan.
+        self.places: Places = Places(
+            lattice, cumulative, np.ascontiguousarray(corners[faces, :, :2]), share
         )
-    x, y = (np.ascontiguousarray(middle[faces, axis]) for axis in (0, 1))
-    cumulative = np.cumsum(0.5 * normals[faces, 2] * density.at(x, y))
-    if len(u) and not cumulative[-1] > 0.0:
-        raise SceneError(f"objects/{name}: its density is zero everywhere; lower its contrast")
-    if not len(u):
-        return Spots(np.zeros((0, 3)), np.zeros(0, np.int32), np.zeros((0, 3)))
-    picked = np.searchsorted(cumulative, u[:, 0] * cumulative[-1], side="right")
-    # u < 1, yet u * total can round up to total itself.
-    face = faces[np.minimum(picked, len(faces) - 1)]
-    # Uniform over a triangle (Turk 1990).
-    root = np.sqrt(u[:, 1])
-    weights = np.stack([1.0 - root, root * (1.0 - u[:, 2]), root * u[:, 2]], axis=1)[:, :, None]
-    own = normals[face] / length[face, None]
-    smooth = (weights * surface.vertex_normals[surface.faces[face]]).sum(axis=1)
-    # At a sharp edge the normals between the vertices need not point out of the face.
-    size = np.sqrt((smooth * smooth).sum(axis=1))[:, None]
-    good = (smooth * own).sum(axis=1)[:, None] > STANDING * size
-    return Spots(
-        (weights * corners[face]).sum(axis=1),
-        face.astype(np.int32),
-        np.where(good, smooth / np.where(good, size, 1.0), own),
-    )
+
+    def spots(self, u: NDArray[np.float64]) -> Spots:
+        """The places that uniform numbers in [0, 1), float64 [n, 3], lead to."""
+        if not len(u):
+            return Spots(np.zeros((0, 3)), np.zeros(0, np.int32), np.zeros((0, 3)))
+        corners, normals, length = self._corners, self._normals, self._length
+        surface, cumulative = self._surface, self.places.cumulative
+        picked = np.searchsorted(cumulative, u[:, 0] * cumulative[-1], side="right")
+        # u < 1, yet u * total can round up to total itself.
+        face = self._faces[np.minimum(picked, len(cumulative) - 1)]
+        # Uniform over a triangle (Turk 1990).
+        root = np.sqrt(u[:, 1])
+        weights = np.stack([1.0 - root, root * (1.0 - u[:, 2]), root * u[:, 2]], axis=1)
+        weights = weights[:, :, None]
+        own = normals[face] / length[face, None]
+        smooth = (weights * surface.vertex_normals[surface.faces[face]]).sum(axis=1)
+        # At a sharp edge the normals between the vertices need not point out of the face.
+        size = np.sqrt((smooth * smooth).sum(axis=1))[:, None]
+        good = (smooth * own).sum(axis=1)[:, None] > STANDING * size
+        return Spots(
+            (weights * corners[face]).sum(axis=1),
+            face.astype(np.int32),
+            np.where(good, smooth / np.where(good, size, 1.0), own),
+        )
 
 
 def _cross(u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -120,7 +158,7 @@ def seat_on_mesh(
     size_m: NDArray[np.float64],
     embed: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Heights at which instances sit in the ground, as ``placement.seat`` has them.
+    """Heights at which instances sit in the ground, as ``seat.seat`` has them.
 
     A rock's vertices are held against the patch that it lies on: the faces that can be reached from
     its own under the rock, over faces that are no walls (``CARRYING``). Where a vertex hangs over
@@ -130,7 +168,7 @@ def seat_on_mesh(
     Args:
         surface: The terrain.
         spots: As placed.
-        prototypes, prototype, orientations, size_m, embed: As for ``placement.seat``.
+        prototypes, prototype, orientations, size_m, embed: As for ``seat.seat``.
         x, y: The spots' positions as the stage has them, float64 [n].
 
     Returns:

@@ -1,85 +1,76 @@
-"""Where instances lie: positions by density, orientations, seating on the surface."""
+"""Where instances lie on heights: places by density, and how they turn with the ground."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
-from scenec.compiler.noise.perlin import fbm2_points
-from scenec.compiler.scene import Prototype
-from scenec.compiler.terrain.grid import HeightField, surface_height
+from scenec.compiler.scatter.density import Density, UniformDensity
+from scenec.compiler.scatter.lattice import Lattice
+from scenec.compiler.scatter.places import Places
+from scenec.compiler.scatter.surroundings import Surroundings
+from scenec.compiler.scatter.where import Place
+from scenec.compiler.terrain.grid import HeightField
 from scenec.schemas.errors import SceneError
 
 
-@dataclass(frozen=True)
-class UniformDensity:
-    """The same everywhere."""
-
-    def at(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Relative density at points, float64 [n]."""
-        return np.ones(x.shape)
-
-
-@dataclass(frozen=True)
-class NoiseDensity:
-    """Clusters: density = max(0, 1 + contrast * fBm)^2.
-
-    Attributes:
-        key: Noise key.
-        scale_m: Size of the clusters, meters.
-        octaves: Of the noise.
-        contrast: 0 is uniform; from about 1 on there are empty places.
-    """
-
-    key: int
-    scale_m: float
-    octaves: int
-    contrast: float
-
-    def at(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Relative density at points, float64 [n]."""
-        noise = fbm2_points(np.uint64(self.key), x, y, self.scale_m, self.octaves, 0.5, 2.0, 0.0)
-        density = np.maximum(0.0, 1.0 + self.contrast * noise)
-        return density * density
-
-
-def place(
-    field: HeightField, density: UniformDensity | NoiseDensity, u: NDArray[np.float64], name: str
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Positions with a given density: exactly one for each row of ``u``.
-
-    The density is taken as constant over each grid cell; a cell is picked by inverting the
-    cumulative sum over cells, the place in it is uniform. No point is rejected, so the count is
-    exact, and raising it leaves the first points where they are.
+def places_on(
+    field: HeightField, density: Density, where: Sequence[Place], around: Surroundings, name: str
+) -> Places:
+    """Where objects of a density lie on heights: it is taken as constant over each cell.
 
     Args:
         field: The terrain.
         density: Relative density.
-        u: Uniform numbers in [0, 1), float64 [n, 3].
-        name: Object class, for the message.
-
-    Returns:
-        x and y, float64 [n], meters.
+        where: What it is multiplied with.
+        around: What it may depend on.
+        name: Object class, for messages.
 
     Raises:
-        SceneError: The density is zero everywhere.
+        SceneError: It is zero everywhere.
     """
-    grid = field.grid
-    ny, nx = grid.shape[0] - 1, grid.shape[1] - 1
-    dx, dy = grid.spacing_m
-    x0, y0 = -0.5 * grid.size_m[0], -0.5 * grid.size_m[1]
-    cy, cx = np.meshgrid(np.arange(ny) + 0.5, np.arange(nx) + 0.5, indexing="ij")
-    cumulative = np.cumsum(density.at(x0 + dx * cx.ravel(), y0 + dy * cy.ravel()))
-    total = cumulative[-1]
-    if len(u) and not total > 0.0:
-        raise SceneError(f"objects/{name}: its density is zero everywhere; lower its contrast")
-    cell = np.searchsorted(cumulative, u[:, 0] * total, side="right")
-    # u < 1, yet u * total can round up to total itself.
-    cell = np.minimum(cell, len(cumulative) - 1)
-    return x0 + dx * (cell % nx + u[:, 1]), y0 + dy * (cell // nx + u[:, 2])
+    if isinstance(density, UniformDensity) and not where:
+        return Places(Lattice.over(field.grid), np.zeros(0), np.zeros((0, 3, 2)), 1.0)
+    lattice = lattice_of(field, density, where, around)
+    dense = density.on(lattice, around)
+    whole = float(dense.sum())
+    for place in where:
+        dense = dense * place.weight(lattice, around)
+    cumulative = np.cumsum(dense.ravel())
+    require_somewhere(whole, float(cumulative[-1]), name)
+    share = 1.0 if not where else float(dense.sum()) / whole
+    return Places(lattice, cumulative, np.zeros((0, 3, 2)), share)
+
+
+def lattice_of(
+    field: HeightField, density: Density, where: Sequence[Place], around: Surroundings
+) -> Lattice:
+    """Cells fine enough for a density and its conditions."""
+    finest = [density.finest_m(around), *(place.finest_m(around) for place in where)]
+    return Lattice.over(field.grid, min((f for f in finest if f is not None), default=None))
+
+
+def require_somewhere(whole: float, left: float, name: str) -> None:
+    """Refuses a density that is zero everywhere.
+
+    Raises:
+        SceneError: It is.
+    """
+    if not whole > 0.0:
+        raise SceneError(
+            f"objects/{name}: its density is zero everywhere; lower its contrast, widen it, "
+            "or give it a background"
+        )
+    if not np.isfinite(left):
+        raise SceneError(f"objects/{name}: its density overflows; use smaller numbers")
+    if not left > 0.0:
+        raise SceneError(
+            f"objects/{name}: nowhere on the terrain do density and where both allow anything; "
+            "widen the bounds"
+        )
 
 
 def align_to_normals(
@@ -107,40 +98,6 @@ def align_to_normals(
     )
 
 
-def seat(
-    field: HeightField,
-    prototypes: tuple[Prototype, ...],
-    prototype: NDArray[np.int32],
-    x: NDArray[np.float64],
-    y: NDArray[np.float64],
-    orientations: NDArray[np.float16],
-    size_m: NDArray[np.float64],
-    embed: NDArray[np.float64],
-) -> NDArray[np.float64]:
-    """Heights at which instances sit in the ground by a given part of their own height.
-
-    Every vertex of the turned and scaled rock is held against the surface below it; the rock is let
-    down until the deepest of them is ``embed`` times the rock's height under the ground.
-
-    Returns:
-        z of each instance's origin, float64 [n].
-    """
-    offsets = np.cumsum([0] + [len(p.points) for p in prototypes])
-    points = np.concatenate([p.points for p in prototypes]).astype(np.float64)
-    return _seat(
-        field.height,
-        *field.frame(),
-        points,
-        offsets,
-        prototype,
-        x,
-        y,
-        orientations.astype(np.float64),
-        size_m,
-        embed,
-    )
-
-
 @njit(cache=True, error_model="numpy")
 def rotation_rows(q: NDArray) -> tuple[float, ...]:
     """The nine entries, row by row, of the rotation of a quaternion (x, y, z, w) of any length."""
@@ -151,37 +108,3 @@ def rotation_rows(q: NDArray) -> tuple[float, ...]:
         s * (x * y + z * w), 1.0 - s * (x * x + z * z), s * (y * z - x * w),
         s * (x * z - y * w), s * (y * z + x * w), 1.0 - s * (x * x + y * y),
     )  # fmt: skip
-
-
-@njit(cache=True, error_model="numpy", parallel=True)
-def _seat(
-    height: NDArray,
-    x0: float,
-    y0: float,
-    dx: float,
-    dy: float,
-    points: NDArray,
-    offsets: NDArray,
-    prototype: NDArray,
-    x: NDArray,
-    y: NDArray,
-    orientations: NDArray,
-    size: NDArray,
-    embed: NDArray,
-) -> NDArray:
-    out = np.empty(x.size)
-    for n in prange(x.size):
-        r = rotation_rows(orientations[n])
-        low = np.inf
-        high = -np.inf
-        clearance = np.inf
-        for p in range(offsets[prototype[n]], offsets[prototype[n] + 1]):
-            a, b, c = points[p]
-            px = x[n] + size[n] * (r[0] * a + r[1] * b + r[2] * c)
-            py = y[n] + size[n] * (r[3] * a + r[4] * b + r[5] * c)
-            pz = size[n] * (r[6] * a + r[7] * b + r[8] * c)
-            low = min(low, pz)
-            high = max(high, pz)
-            clearance = min(clearance, pz - surface_height(height, x0, y0, dx, dy, px, py))
-        out[n] = -clearance - embed[n] * (high - low)
-    return out

@@ -90,9 +90,20 @@ def project(
         Signed distance in meters, above 0 on the left of the path, infinite out of reach; length
         along the path to the nearest point. float64 [ny, nx] each.
     """
-    offset = np.full(grid.shape, np.inf)
-    along = np.zeros(grid.shape)
-    _project(grid.x(), grid.y(), path, reach_m, round_ends, offset, along)
+    return project_on(grid.x(), grid.y(), path, reach_m, round_ends)
+
+
+def project_on(
+    x: NDArray[np.float64],
+    y: NDArray[np.float64],
+    path: NDArray[np.float64],
+    reach_m: float,
+    round_ends: bool,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """``project`` for points in columns ``x`` and rows ``y``, rising."""
+    offset = np.full((y.size, x.size), np.inf)
+    along = np.zeros(offset.shape)
+    _project(x, y, path, reach_m, round_ends, offset, along)
     return offset, along
 
 

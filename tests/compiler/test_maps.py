@@ -154,6 +154,7 @@ def test_compiling_twice_gives_the_same_bytes(out, tmp_path):
             "/materials/gravel/maps/normal_convention",
             "opengl, directx",
         ),
+        ({"projection": "box"}, "/materials/gravel/maps/projection", "above, triplanar, uv"),
     ],
 )
 def test_what_is_wrong_with_maps_is_said_where_it_stands(tmp_path, change, pointer, message):
@@ -169,10 +170,54 @@ def test_what_is_wrong_with_maps_is_said_where_it_stands(tmp_path, change, point
 def test_a_material_needs_a_color_from_somewhere_and_maps_need_a_picture(tmp_path):
     cfg = mapped_cfg(tmp_path)
     cfg["materials"]["gravel"] = {"maps": {"size_m": 1}}
-    cfg["materials"]["stone"] = {"maps": {"size_m": 1, "base_color": "c.PNG"}}
+    cfg["materials"]["mud"]["maps"] = {"base_color": "c.PNG"}
+    cfg["materials"]["stone"]["displacement"] = {"amplitude_m": 0.1, "wavelength_m": 1}
     with pytest.raises(CfgError) as caught:
         compile_cfg(write_cfg(tmp_path, cfg), seed=0, out=tmp_path / "out")
     told = {f.pointer: f.message for f in caught.value.faults}
     assert "expected one of base_color, roughness" in told["/materials/gravel/maps"]
     assert "expected the key base_color" in told["/materials/gravel"]
+    assert "expected the key size_m" in told["/materials/mud/maps"]
     assert "for the ground only" in told["/objects/rocks/material"]
+
+
+def test_ground_and_rocks_have_no_texture_coordinates(tmp_path):
+    cfg = mapped_cfg(tmp_path)
+    uv = {"projection": "uv", "base_color": "c.PNG"}
+    cfg["materials"]["gravel"]["maps"] = uv | {"size_m": 1}
+    cfg["materials"]["stone"]["maps"] = uv
+    with pytest.raises(CfgError) as caught:
+        compile_cfg(write_cfg(tmp_path, cfg), seed=0, out=tmp_path / "out")
+    told = {f.pointer: f.message for f in caught.value.faults}
+    assert told.keys() == {
+        "/materials/gravel/maps/projection",
+        "/materials/gravel/maps/size_m",
+        "/materials/stone/maps/projection",
+    }
+    assert told["/materials/gravel/maps/projection"].startswith("ground of this material")
+    assert told["/materials/stone/maps/projection"].startswith("rocks of this material")
+    assert "take it away" in told["/materials/gravel/maps/size_m"]
+
+
+def test_what_rocks_are_of_is_triplanar_unless_said_and_the_ground_alone_seen_from_above(tmp_path):
+    cfg = mapped_cfg(tmp_path)
+    maps = {"size_m": 0.5, "base_color": "c.PNG", "normal": "n.png"}
+    cfg["materials"]["stone"]["maps"] = maps
+    cfg["materials"]["mud"]["maps"] = maps | {"projection": "triplanar"}
+    # One material for both works on both.
+    cfg["materials"]["sand"]["maps"] = maps
+    cfg["objects"]["pebbles"] = cfg["objects"]["rocks"] | {"material": "sand"}
+    compile_cfg(write_cfg(tmp_path, cfg), seed=3, out=tmp_path / "out")
+    scene = read_stage(tmp_path / "out/batch_0000/stage.usda")
+    found = {s.path.rsplit("/", 1)[1]: s.maps.projection for s in scene.surfaces if s.maps}
+    assert found == {
+        "gravel": "above",
+        "mud": "triplanar",
+        "sand": "triplanar",
+        "stone": "triplanar",
+    }
+    assert all(mesh.uv is None for mesh in scene.meshes)
+    assert not list(check_stage(tmp_path / "out/batch_0000/stage.usda"))
+    # What was so before stands as it stood.
+    look = (tmp_path / "out/batch_0000/looks/gravel.usda").read_text()
+    assert "projection" not in look

@@ -16,9 +16,12 @@ from test_scatter import quaternions, shape
 from scenec.compiler.build import BuildLog, build
 from scenec.compiler.draw import draw
 from scenec.compiler.frontend.load import load
-from scenec.compiler.scatter.on_mesh import STANDING, Spots, place_on_mesh, seat_on_mesh
-from scenec.compiler.scatter.placement import NoiseDensity, UniformDensity, rotation_rows
+from scenec.compiler.ground.surface import Surface
+from scenec.compiler.scatter.density import Density, NoiseDensity, UniformDensity
+from scenec.compiler.scatter.on_mesh import STANDING, MeshPlaces, Spots, seat_on_mesh
+from scenec.compiler.scatter.placement import rotation_rows
 from scenec.compiler.scatter.rocks import build_prototypes
+from scenec.compiler.scatter.surroundings import Surroundings
 from scenec.compiler.terrain.mesh_surface import MeshSurface
 from scenec.compiler.terrain.multifractal import Multifractal
 from scenec.compiler.terrain.program import run
@@ -29,6 +32,12 @@ PROTOTYPES = build_prototypes([shape(1, subdivisions=2), shape(2, subdivisions=2
 PROTOTYPE = (np.arange(N) % 2).astype(np.int32)
 TURNS = quaternions(N).astype(np.float16)
 EMBED = np.linspace(0.0, 0.5, N)
+
+
+def place_on_mesh(surface: MeshSurface, density: Density, u: np.ndarray, name: str) -> Spots:
+    """Spots that uniform numbers lead to."""
+    around = Surroundings(Surface(surface), np.zeros((0, 3)))
+    return MeshPlaces(surface, density, (), around, name).spots(u)
 
 
 def table(folder: Path) -> Path:

@@ -16,26 +16,27 @@ from small import small_cfg
 from scenec.compiler.cameras.sight import NO_VIEWS, Views
 from scenec.compiler.frontend.fill import fill
 from scenec.compiler.frontend.streams import Streams
-from scenec.compiler.plan import RocksPlan
+from scenec.compiler.plan import ScatterPlan
 from scenec.compiler.scatter.creases import along_creases
 from scenec.compiler.scatter.draw import draw_rocks
 from scenec.compiler.scatter.families.shape import Shape
 from scenec.compiler.scatter.icosphere import EDGE, face_neighbors, icosphere, vertex_faces
-from scenec.compiler.scatter.lod import choose_levels
+from scenec.compiler.scatter.lod import budget_factor, choose_levels, see_levels
 from scenec.compiler.scatter.rocks import Chain, build_chains, build_prototypes
 from scenec.compiler.scene import Prototype, Scatter
+from scenec.schemas.errors import SceneError
 
 FAMILIES = ("weathered", "angular", "rounded", "slab", "vesicular")
 
 
-def plan(seed: int = 1, **change) -> RocksPlan:
+def plan(seed: int = 1, **change) -> ScatterPlan:
     cfg = small_cfg()
     cfg["objects"]["rocks"] |= {"prototypes": 6, "subdivisions": 3, "count": 40} | change
     return draw_rocks("rocks", fill(cfg)["objects"]["rocks"], {}, Streams(seed, 0))
 
 
 def shapes(family: str, seed: int = 1, **change) -> tuple[Shape, ...]:
-    return plan(seed, family=family, **change).shapes
+    return plan(seed, family=family, **change).source.shapes
 
 
 @cache
@@ -299,6 +300,32 @@ def scatter(n: int, family: str = "angular") -> tuple[Scatter, tuple[Chain, ...]
     ), chains(family)
 
 
+@pytest.mark.parametrize("views", ["one", "none"])
+@pytest.mark.parametrize("part", [0.9, 0.3, 0.05])
+def test_a_budget_is_kept_by_the_least_factor_on_all_errors(views, part):
+    seen = view() if views == "one" else NO_VIEWS
+    classes = [see_levels(*scatter(400, f), seen, 1.0, 0.2) for f in ("angular", "rounded")]
+    asked = sum(choose_levels(c)[1]["triangles"] for c in classes)
+    budget = int(part * asked)
+    factor = budget_factor(classes, budget)
+    chosen = [choose_levels(c, factor) for c in classes]
+    total = sum(facts["triangles"] for _, facts in chosen)
+    assert total <= budget
+    assert views == "none" or factor > 1.0
+    for (after, facts), levels in zip(chosen, classes, strict=True):
+        assert np.array_equal(after.ids, levels.scatter.ids)
+        if views == "one":
+            assert facts["lod_error_max_px"] <= 0.2 * factor
+    # A little less would be too much.
+    less = [choose_levels(c, factor * 0.999999)[1]["triangles"] for c in classes]
+    assert sum(less) > budget
+    assert budget_factor(classes, asked) is None
+    coarsest = sum(20 * c.scatter.count for c in classes)
+    assert budget_factor(classes, coarsest) > factor
+    with pytest.raises(SceneError, match=rf"{coarsest + 7:,} triangles at their coarsest"):
+        budget_factor(classes, coarsest + 6, others=7)
+
+
 def view(focal: float = 500.0) -> Views:
     """One camera at the origin that looks along +x and sees half of the world."""
     pose = np.array([[0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0]], np.float64)
@@ -309,7 +336,7 @@ def view(focal: float = 500.0) -> Views:
 @pytest.mark.parametrize("tolerance", [0.1, 0.5, 4.0])
 def test_each_instance_gets_the_coarsest_level_within_the_tolerance(tolerance):
     before, levels = scatter(400)
-    after, facts = choose_levels(before, levels, view(), 1.0, tolerance)
+    after, facts = choose_levels(see_levels(before, levels, view(), 1.0, tolerance))
     size = before.scales[:, 0].astype(np.float64)
     distance = np.linalg.norm(before.positions.astype(np.float64), axis=1)
     pixels = 500.0 / np.maximum(distance - 0.5 * size, 0.05)
@@ -331,27 +358,27 @@ def test_each_instance_gets_the_coarsest_level_within_the_tolerance(tolerance):
 def test_without_cameras_or_tolerance_rocks_are_at_their_finest():
     before, levels = scatter(30)
     for views, tolerance in ((NO_VIEWS, 0.5), (view(), 0.0)):
-        after, facts = choose_levels(before, levels, views, 1.0, tolerance)
+        after, facts = choose_levels(see_levels(before, levels, views, 1.0, tolerance))
         assert all(len(after.prototypes[p].faces) == 1280 for p in after.prototype)
         assert facts["lod_error_max_m"] == 0.0
 
 
 def test_no_instances_need_no_prototypes():
-    after, facts = choose_levels(*scatter(0), view(), 1.0, 0.5)
+    after, facts = choose_levels(see_levels(*scatter(0), view(), 1.0, 0.5))
     assert after.prototypes == ()
     assert facts["triangles"] == 0
 
 
 def test_prototypes_that_no_instance_has_are_not_written():
     before, levels = scatter(1)
-    after, _ = choose_levels(before, levels, NO_VIEWS, 1.0, 0.5)
+    after, _ = choose_levels(see_levels(before, levels, NO_VIEWS, 1.0, 0.5))
     assert len(after.prototypes) == 1
     assert after.prototypes[0] is levels[before.prototype[0]][0]
 
 
 def test_another_family_leaves_everything_but_the_shapes():
     one, other = plan(family="angular"), plan(family="rounded")
-    for name in ("position_u", "prototype", "orientations", "size_m", "embed", "variation"):
+    for name in ("position_u", "prototype", "orientations", "scale", "embed", "variation"):
         assert np.array_equal(getattr(one, name), getattr(other, name))
 
 

@@ -6,17 +6,14 @@ import numpy as np
 import pytest
 import trimesh
 
+from scenec.compiler.ground.surface import Surface
+from scenec.compiler.scatter.density import Density, NoiseDensity, UniformDensity
 from scenec.compiler.scatter.families.weathered import Weathered
 from scenec.compiler.scatter.icosphere import icosphere
-from scenec.compiler.scatter.placement import (
-    NoiseDensity,
-    UniformDensity,
-    align_to_normals,
-    place,
-    rotation_rows,
-    seat,
-)
+from scenec.compiler.scatter.placement import align_to_normals, places_on, rotation_rows
 from scenec.compiler.scatter.rocks import build_prototypes
+from scenec.compiler.scatter.seat import seat
+from scenec.compiler.scatter.surroundings import Surroundings
 from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.compiler.terrain.multifractal import Multifractal
 from scenec.schemas.errors import SceneError
@@ -42,6 +39,14 @@ def relief() -> HeightField:
     grid = Grid.with_spacing((40.0, 40.0), 0.4)
     operator = Multifractal(1, 1.5, 8.0, 5, 2.0, 0.5, "hetero", 0.7)
     return HeightField(grid, operator.apply(grid, np.zeros(grid.shape))[0])
+
+
+def place(
+    field: HeightField, density: Density, u: np.ndarray, name: str
+) -> tuple[np.ndarray, np.ndarray]:
+    """Where uniform numbers lead to."""
+    around = Surroundings(Surface(field), np.zeros((0, 3)))
+    return places_on(field, density, (), around, name).at(u)[:2]
 
 
 def quaternions(n: int, seed: int = 0) -> np.ndarray:
@@ -116,14 +121,24 @@ def test_uniform_density_fills_the_terrain_evenly():
 
 
 def test_a_density_of_zero_is_refused():
-    class Nowhere(UniformDensity):
+    class Nowhere(NoiseDensity):
         def at(self, x, y):
             return np.zeros(x.shape)
 
     with pytest.raises(SceneError, match="zero everywhere"):
-        place(relief(), Nowhere(), np.zeros((1, 3)), "rocks")
-    x, _ = place(relief(), Nowhere(), np.zeros((0, 3)), "rocks")
-    assert len(x) == 0
+        place(relief(), Nowhere(1, 1.0, 1, 1.0), np.zeros((1, 3)), "rocks")
+
+
+def test_a_uniform_density_needs_no_cells_and_places_as_equal_cells_would():
+    class Even(NoiseDensity):
+        def at(self, x, y):
+            return np.ones(x.shape)
+
+    u = np.random.default_rng(5).random((5000, 3))
+    quick = place(relief(), UniformDensity(), u, "rocks")
+    cells = place(relief(), Even(1, 1.0, 1, 1.0), u, "rocks")
+    assert np.array_equal(quick[0], cells[0])
+    assert np.array_equal(quick[1], cells[1])
 
 
 def test_aligned_objects_turn_their_up_axis_to_the_normal():
@@ -156,3 +171,22 @@ def test_every_rock_is_in_the_ground_by_the_depth_asked_for():
         points += [x[i], y[i], z[i]]
         gap = points[:, 2] - field.height_at(points[:, 0].copy(), points[:, 1].copy())
         assert gap.min() == pytest.approx(-embed[i] * height, abs=1e-9)
+
+
+def test_seats_on_one_cell_a_border_and_huge_rocks_are_those_of_every_vertex():
+    rng = np.random.default_rng(8)
+    (rock,) = build_prototypes([shape(3)])
+    for shape_of_grid, scale in (((1, 1), 1.0), ((40, 30), 1.0), ((40, 30), 60.0)):
+        grid = Grid((30.0, 20.0), (shape_of_grid[1] + 1, shape_of_grid[0] + 1))
+        field = HeightField(grid, rng.normal(0.0, 3.0, grid.shape) - 50.0)
+        n = 60
+        x, y = rng.uniform(-20, 20, (2, n))
+        half = quaternions(n, 2).astype(np.float16)
+        size, embed = scale * rng.uniform(0.01, 2.0, n), rng.uniform(0.0, 1.0, n)
+        z = seat(field, (rock,), np.zeros(n, np.int32), x, y, half, size, embed)
+        for i in range(n):
+            turn = np.array(rotation_rows(half[i].astype(np.float64))).reshape(3, 3)
+            points = rock.points.astype(np.float64) @ turn.T * size[i]
+            ground = field.height_at(points[:, 0] + x[i], points[:, 1] + y[i])
+            wanted = -(points[:, 2] - ground).min() - embed[i] * np.ptp(points[:, 2])
+            assert z[i] == pytest.approx(wanted, abs=1e-9)

@@ -23,13 +23,20 @@ needs_bpy = pytest.mark.skipif(
     importlib.util.find_spec("bpy") is None, reason="needs bpy (its USD has a MaterialX library)"
 )
 MIX = "/World/GroundMix"
+COORDINATES = "ND_geompropvalue_vector2"
 
 
 @pytest.fixture(scope="module")
 def stage(tmp_path_factory) -> Path:
-    """A stage with maps and metals: every kind of node stands in it."""
+    """A stage with maps and metals: every kind of node stands in it but that of coordinates."""
     folder = tmp_path_factory.mktemp("materialx")
-    return viewer_scene.compiled(folder, viewer_scene.mapped_cfg(folder))
+    cfg = viewer_scene.mapped_cfg(folder)
+    cfg["materials"]["mud"]["maps"] |= {
+        "projection": "triplanar",
+        "base_color": "color.png",
+        "normal": "normal.png",
+    }
+    return viewer_scene.compiled(folder, cfg)
 
 
 @pytest.fixture(scope="module")
@@ -74,7 +81,7 @@ def shaders(stage: Usd.Stage, under: str) -> dict[str, str]:
 def test_the_stage_uses_every_kind_of_node_and_all_ground_materials_show_one_network(stage):
     opened = Usd.Stage.Open(str(stage))
     mix = shaders(opened, MIX)
-    assert set(mix.values()) == set(materialx.NODES)
+    assert set(mix.values()) == set(materialx.NODES) - {COORDINATES}
     for name in ("sand", "gravel", "mud"):
         look = f"/World/Looks/{name}"
         assert shaders(opened, look) == mix
@@ -131,6 +138,36 @@ def test_a_normal_map_alone_brings_its_frame_and_nothing_else(tmp_path):
     assert set(shaders(opened, "/World/Looks/m")) == LAMBERT | frame | place | {"bumped"}
     file = opened.GetAttributeAtPath("/World/Looks/m/normal_map.inputs:file").Get().path
     assert file == "../textures/n.png"
+
+
+def test_maps_by_texture_coordinates_are_read_there_in_the_viewer_s_own_frame(tmp_path):
+    maps = MaterialMaps(1.0, {}, "directx", "uv")
+    material = Material((1.0, 1.0, 1.0), 0.5, 0.0, 0.0, maps=maps)
+    files = {"base_color": "textures/c.png", "normal": "textures/n.png"}
+    write_material(tmp_path / "looks" / "m.mtlx.usda", "m", material, files)
+    opened = Usd.Stage.Open(str(tmp_path / "looks" / "m.mtlx.usda"))
+    found = shaders(opened, "/World/Looks/m")
+    assert set(found) == LAMBERT | {"st", "base_color_map", "normal_map", "bumped"}
+    assert found["st"] == COORDINATES
+    geomprop = opened.GetAttributeAtPath("/World/Looks/m/st.inputs:geomprop").Get()
+    assert geomprop == "st"
+    scale = opened.GetAttributeAtPath("/World/Looks/m/bumped.inputs:scale").Get()
+    assert tuple(scale) == (1.0, -1.0)
+
+
+def test_a_triplanar_picture_is_read_on_three_planes(tmp_path):
+    maps = MaterialMaps(2.0, {}, "opengl", "triplanar")
+    material = Material((1.0, 1.0, 1.0), 0.5, 0.0, 0.0, maps=maps)
+    write_material(tmp_path / "looks" / "m.mtlx.usda", "m", material, {"base_color": "c.png"})
+    opened = Usd.Stage.Open(str(tmp_path / "looks" / "m.mtlx.usda"))
+    found = shaders(opened, "/World/Looks/m")
+    assert [n for n, i in found.items() if i == "ND_image_color3"] == [
+        "base_color_map_x", "base_color_map_y", "base_color_map_z",
+    ]  # fmt: skip
+    for axis, u, v in (("x", 1, 2), ("y", 0, 2), ("z", 0, 1)):
+        node = opened.GetPrimAtPath(f"/World/Looks/m/across_{axis}")
+        read = [UsdShade.Shader(node).GetInput(f"in{i}").GetConnectedSources()[0] for i in (1, 2)]
+        assert [c[0].source.GetPath().name for c in read] == [f"position_{u}", f"position_{v}"]
 
 
 def test_nothing_is_mixed_on_a_ground_of_one_material(tmp_path):

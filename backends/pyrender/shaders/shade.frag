@@ -19,6 +19,9 @@ layout(binding = 9) uniform sampler2D gloss_albedo;    // Albedo of a white GGX 
 layout(binding = 10) uniform sampler2DArray maps;
 layout(binding = 11) uniform sampler2DArrayShadow shadows;
 
+#ifdef WITH_UV
+layout(binding = 14) uniform samplerBuffer uvs;        // Two texels a face: its corners' coordinates.
+#endif
 #ifdef WITH_GROUND
 layout(binding = 12) uniform sampler2D ground_sky;    // Share of the sky, and of ground above.
 layout(binding = 13) uniform sampler2D ground_light;  // Radiance of the ground about.
@@ -49,7 +52,15 @@ struct Hit {
     float variation;   // Of the vertices,
     float row;         // and of the row.
     int number;        // Which sample of its pixel it is.
-    vec2 footprint;    // Of the sample on the face, in x and y of the picture, meters.
+    vec3 right;        // Edges of the sample on the face,
+    vec3 down;         // meters.
+#ifdef WITH_UV
+    vec2 uv;
+    vec2 uv_right;     // The edges in the picture.
+    vec2 uv_down;
+    vec3 along_u;      // dP/du and dP/dv, of any length.
+    vec3 along_v;
+#endif
 };
 
 vec3 placed(int slot, vec3 point)
@@ -61,6 +72,30 @@ vec3 placed(int slot, vec3 point)
         dot(texelFetch(poses, 4 * slot + 2), p)
     );
 }
+
+#ifdef WITH_UV
+// What a vector on a face is in the picture.
+vec2 across(vec3 edge, vec3 ab, vec3 ac, vec3 area, vec2 first, vec2 second)
+{
+    vec2 bary = vec2(dot(cross(edge, ac), area), dot(cross(ab, edge), area)) / dot(area, area);
+    return bary.x * first + bary.y * second;
+}
+
+void find_uv(inout Hit hit, int at, vec3 ab, vec3 ac)
+{
+    vec3 one = texelFetch(uvs, 2 * at).xyz;
+    vec3 two = texelFetch(uvs, 2 * at + 1).xyz;
+    hit.uv = hit.share.x * one.xy + hit.share.y * vec2(one.z, two.x) + hit.share.z * two.yz;
+    vec2 first = vec2(one.z, two.x) - one.xy;
+    vec2 second = two.yz - one.xy;
+    float turn = sign(first.x * second.y - first.y * second.x);
+    hit.along_u = turn * (second.y * ab - first.y * ac);
+    hit.along_v = turn * (first.x * ac - second.x * ab);
+    vec3 area = cross(ab, ac);
+    hit.uv_right = across(hit.right, ab, ac, area, first, second);
+    hit.uv_down = across(hit.down, ab, ac, area, first, second);
+}
+#endif
 
 Hit find(uvec2 id, vec3 direction)
 {
@@ -110,8 +145,13 @@ Hit find(uvec2 id, vec3 direction)
     vec3 dy = rays[1] / float(samples);
     float along = dot(outward, direction);
     float t = dot(hit.position, direction) / dot(direction, direction);
-    hit.footprint.x = t * length((dx - direction * (dot(outward, dx) / along)).xy);
-    hit.footprint.y = t * length((dy - direction * (dot(outward, dy) / along)).xy);
+    hit.right = t * (dx - direction * (dot(outward, dx) / along));
+    hit.down = t * (dy - direction * (dot(outward, dy) / along));
+#endif
+#ifdef WITH_UV
+    // 0 in the table: the mesh has no coordinates, and all its corners are at (0, 0).
+    int first_uv = int(texelFetch(meshes, 2 * int(hit.mesh) + 1).w);
+    find_uv(hit, first_uv == 0 ? 0 : first_uv + int(id.y), ab, ac);
 #endif
     hit.variation = dot(hit.share, vec3(va.w, vb.w, vc.w));
     return hit;
@@ -236,6 +276,24 @@ struct Look {
     vec3 normal;  // Towards the camera.
 };
 
+#ifdef WITH_MAPS
+// Level of the pictures for a sample's edges in repeats: the shorter side of what it covers, and at
+// most four times that.
+float level_of(vec2 right, vec2 down)
+{
+    float a = length(right);
+    float b = length(down);
+    float fine = min(a, b);
+    return log2(max(min(max(a, b), 4.0 * fine) * float(textureSize(maps, 0).x), 1e-6));
+}
+
+// The coordinates of a point or a vector on the plane across an axis.
+vec2 on_plane(vec3 point, int axis)
+{
+    return axis == 0 ? point.yz : axis == 1 ? point.xz : point.xy;
+}
+#endif
+
 Look look_of(int index, Hit hit)
 {
     vec4 first = texelFetch(surfaces, 4 * index);
@@ -249,19 +307,62 @@ Look look_of(int index, Hit hit)
 #ifdef WITH_MAPS
     vec4 third = texelFetch(surfaces, 4 * index + 2);
     if (third.x >= 0.0) {
-        vec2 uv = hit.position.xy * third.z + texelFetch(surfaces, 4 * index + 3).xy;
-        // Of what a sample covers, the shorter side and at most four times that.
-        float fine = min(hit.footprint.x, hit.footprint.y);
-        float wide = min(max(hit.footprint.x, hit.footprint.y), 4.0 * fine) * third.z;
-        float level = log2(max(wide * float(textureSize(maps, 0).x), 1e-6));
-        vec4 paint = textureLod(maps, vec3(uv, third.x), level);
-        vec4 relief = textureLod(maps, vec3(uv, third.x + 1.0), level);
+        vec3 at = hit.position * third.z + texelFetch(surfaces, 4 * index + 3).xyz;
+        vec4 paint = vec4(1.0);
+        vec4 relief = vec4(0.0);
+#ifdef WITH_ABOVE
+        if (third.y == 0.0) {
+            float level = level_of(hit.right.xy * third.z, hit.down.xy * third.z);
+            paint = textureLod(maps, vec3(at.xy, third.x), level);
+            relief = textureLod(maps, vec3(at.xy, third.x + 1.0), level);
+            vec3 t = vec3(hit.normal.z, 0.0, -hit.normal.x);
+            t *= inversesqrt(max(dot(t, t), 1e-30));
+            n = normalize(relief.x * t + relief.y * cross(hit.normal, t) + relief.z * n);
+        }
+#endif
+#ifdef WITH_TRIPLANAR
+        if (third.y == 1.0) {
+            vec3 shares = hit.normal * hit.normal;
+            shares *= shares;
+            shares /= shares.x + shares.y + shares.z;
+            vec3 leaned = vec3(0.0);
+            paint = vec4(0.0);
+            for (int axis = 0; axis < 3; axis++) {
+                vec3 place = vec3(on_plane(at, axis), third.x);
+                float level = level_of(on_plane(hit.right, axis) * third.z,
+                                       on_plane(hit.down, axis) * third.z);
+                paint += shares[axis] * textureLod(maps, place, level);
+                vec4 own = textureLod(maps, place + vec3(0.0, 0.0, 1.0), level);
+                relief.a += shares[axis] * own.a;
+                // Whiteout blend, Golus 2017.
+                vec3 add = axis == 0 ? vec3(0.0, own.xy) : axis == 1 ? vec3(own.x, 0.0, own.y)
+                                                                     : vec3(own.xy, 0.0);
+                vec3 scale = vec3(1.0);
+                scale[axis] = own.z;
+                leaned += shares[axis] * (hit.normal * scale + add);
+            }
+            leaned = normalize(leaned);
+            // From behind it is mirrored in the surface.
+            n = side < 0.0 ? leaned - 2.0 * dot(leaned, hit.normal) * hit.normal : leaned;
+        }
+#endif
+#ifdef WITH_UV
+        if (third.y == 2.0) {
+            float level = level_of(hit.uv_right, hit.uv_down);
+            paint = textureLod(maps, vec3(hit.uv, third.x), level);
+            relief = textureLod(maps, vec3(hit.uv, third.x + 1.0), level);
+            vec3 t = hit.along_u - dot(hit.along_u, hit.normal) * hit.normal;
+            if (dot(t, t) > 0.0) {
+                t = normalize(t);
+                vec3 b = cross(hit.normal, t);
+                b *= sign(dot(b, hit.along_v));
+                n = normalize(relief.x * t + relief.y * b + relief.z * n);
+            }
+        }
+#endif
         color *= paint.rgb;
         roughness = paint.a;
         metallic = relief.a;
-        vec3 t = vec3(hit.normal.z, 0.0, -hit.normal.x);
-        t *= inversesqrt(max(dot(t, t), 1e-30));
-        n = normalize(relief.x * t + relief.y * cross(hit.normal, t) + relief.z * n);
     }
 #endif
     color = min(color, 1.0);

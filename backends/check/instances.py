@@ -1,0 +1,111 @@
+"""Checks of the tables of instances against the frames they stand beside."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from scenec.backends.check.finding import Finding
+from scenec.schemas.errors import FrameError
+from scenec.schemas.files import sha256
+from scenec.schemas.frames import Frame
+from scenec.schemas.instances import (
+    BATCH_TABLE,
+    InstanceTable,
+    frame_table_path,
+    read_frame_table,
+    read_table,
+)
+
+#: Tables hold 9 digits, frames float32.
+_RELATIVE = 1e-6
+
+
+def check_batch_table(frames: Path, digest: str | None, where: str) -> Iterator[Finding]:
+    """Findings on a batch's table.
+
+    Args:
+        frames: The batch's folder of frames.
+        digest: Of its stage; None where that cannot be read.
+        where: Of the folder, in messages.
+    """
+    if not (frames / BATCH_TABLE).is_file():
+        return
+    name = f"{where}/{BATCH_TABLE}"
+    try:
+        table = read_table(frames)
+    except FrameError as error:
+        yield Finding("instances", "error", name, str(error))
+        return
+    if digest is not None and table.stage_digest != digest:
+        message = "is of another stage; render again"
+        yield Finding("instances", "warning", name, message)
+    for message in _broken(table):
+        yield Finding("instances", "error", name, message)
+
+
+def _broken(table: InstanceTable) -> Iterator[str]:
+    count = len(table.id)
+    if (np.diff(table.id.astype(np.int64)) <= 0).any():
+        yield "ids do not ascend"
+    for name in ("position", "quaternion", "scale", "box"):
+        values = getattr(table, name)
+        if len(values) != count or not np.isfinite(values).all():
+            yield f"{name} holds values that are not finite, or not one line for each id"
+
+
+def table_faults(frame: Frame) -> Iterator[str]:
+    """What a frame's table says against its EXR and sidecar."""
+    entry = frame.sidecar.get("instance_table")
+    if not isinstance(entry, dict):
+        if "instance" in frame.sidecar["passes"]:
+            yield "has the pass instance but no table of instances; render it again"
+        return
+    path = frame_table_path(frame.path.with_suffix(""))
+    try:
+        if path.is_file() and sha256(path) != entry.get("sha256"):
+            yield f"{path.name} is truncated, damaged or changed since it was written"
+            return
+        table = read_frame_table(path)
+    except FrameError as error:
+        yield str(error)
+        return
+    if "instance" in frame.passes:
+        yield from _against_pixels(frame, table)
+    turn = np.array(frame.sidecar["camera_to_world"], np.float64)
+    world, seen = (
+        np.stack([table[f"{kind}{axis}"] for axis in "xyz"], axis=1) for kind in ("", "cam_")
+    )
+    again = (seen[:, None, :] * turn[:3, :3]).sum(axis=2) + turn[:3, 3]
+    size = np.abs(world).max(initial=1.0) + np.abs(seen).max(initial=1.0)
+    if not (np.abs(again - world) <= _RELATIVE * size).all():
+        yield f"{path.name}: poses in the camera's frame are not those in the world"
+
+
+def _against_pixels(frame: Frame, table: dict[str, np.ndarray]) -> Iterator[str]:
+    ids = frame.passes["instance"]
+    shown, index = np.unique(ids, return_inverse=True)
+    index = index.reshape(ids.shape)
+    wanted = {name: np.zeros(len(shown), np.int64) for name in ("x_min", "y_min", "x_max", "y_max")}
+    rows, columns = np.indices(ids.shape)
+    for name, values in (("x", columns), ("y", rows)):
+        wanted[f"{name}_min"][:] = max(ids.shape)
+        np.minimum.at(wanted[f"{name}_min"], index.ravel(), values.ravel())
+        np.maximum.at(wanted[f"{name}_max"], index.ravel(), values.ravel())
+    wanted = {"id": shown, "pixels": np.bincount(index.ravel(), minlength=len(shown)), **wanted}
+    for name, own in wanted.items():
+        if not np.array_equal(table[name], own[shown > 0]):
+            yield f"its table of instances has other values of {name} than its pass instance"
+            return
+    if "depth" not in frame.passes:
+        return
+    depth = frame.passes["depth"].astype(np.float64).ravel()
+    least = np.full(len(shown), np.inf)
+    np.minimum.at(least, index.ravel(), depth)
+    total = np.bincount(index.ravel(), np.where(np.isfinite(depth), depth, 0.0), len(shown))
+    mean = total / wanted["pixels"]
+    for name, of_depth in (("depth_min", least), ("depth_mean", mean)):
+        if not np.allclose(table[name], of_depth[shown > 0], rtol=_RELATIVE, atol=0.0):
+            yield f"its table of instances has other values of {name} than its pass depth"

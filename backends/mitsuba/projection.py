@@ -1,0 +1,175 @@
+"""Textures that Mitsuba lacks: pictures along the axes of the world, and normals of maps.
+
+The arithmetic is that of ``scenec.backends.maps``. What only multiplies texture coordinates is left
+to Mitsuba's own bitmap.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenec.backends.maps import PLANES, map_values
+from scenec.backends.render_scene import Maps
+
+PLUGIN = "scenec_projected"
+
+
+def texture(
+    mi: Any, maps: Maps, kind: str, center: NDArray[np.float64], by_uv: bool
+) -> dict[str, Any]:
+    """Dictionary of a map's texture; of a map of normals, as ``normalmap`` takes it.
+
+    Args:
+        mi: Mitsuba.
+        maps: A surface's.
+        kind: Of map.
+        center: Of the scene, meters.
+        by_uv: Whether the mesh's texture coordinates are the scene's, not x and y.
+    """
+    values = map_values(maps, kind)
+    normal = kind == "normal"
+    bare = maps.projection == "uv" or (maps.projection == "above" and not by_uv)
+    if normal:
+        # As the plugin decodes it.
+        values = 0.5 * (values + np.float32(1.0))
+    to_uv = np.eye(3)
+    # The whole repeats between the stage's origin and the scene's center leave no trace.
+    start = np.mod(center / maps.size_m, 1.0)
+    if maps.projection == "above" and bare:
+        to_uv[0, 0] = to_uv[1, 1] = 1.0 / maps.size_m
+        to_uv[:2, 2] = start[:2]
+    picture = {
+        "type": "bitmap",
+        # Mitsuba's v runs down the picture. A copy: it takes no read-only arrays.
+        "bitmap": mi.Bitmap(np.array(values[::-1], np.float32)),
+        "raw": True,
+        "to_uv": mi.ScalarTransform3f(to_uv),
+    }
+    if bare and not (normal and maps.projection == "uv"):
+        return picture
+    register(mi)
+    return {
+        "type": PLUGIN,
+        "picture": picture,
+        "projection": maps.projection,
+        "normal": normal,
+        "step": 1.0 / maps.size_m,
+        "start": mi.ScalarPoint3f(start.tolist()),
+    }
+
+
+@lru_cache(maxsize=1)
+def register(mi: Any) -> None:
+    """Define the texture for the variant that is set, and register it."""
+    import drjit as dr
+
+    scalar = mi.variant().startswith("scalar")
+
+    def parts(vector: Any) -> list[Any]:
+        return [vector.x, vector.y, vector.z]
+
+    class Projected(mi.Texture):
+        """See the module."""
+
+        def __init__(self, props: Any) -> None:
+            super().__init__(props)
+            self.picture = props["picture"]
+            self.projection = str(props["projection"])
+            self.normal = bool(props["normal"])
+
+            def number(value: float) -> Any:
+                # Opaque: another scene's numbers are no other kernel to compile.
+                return float(value) if scalar else dr.opaque(mi.Float, float(value))
+
+            self.step = number(props["step"])
+            self.start = [number(value) for value in parts(props["start"])]
+
+        def _planes(self, si: Any) -> list[Any]:
+            """The interaction with the coordinates of each plane."""
+            at = [p * self.step + s for p, s in zip(parts(si.p), self.start, strict=True)]
+            found = []
+            for u, v in PLANES:
+                moved = mi.SurfaceInteraction3f(si)
+                moved.uv = mi.Point2f(at[u], at[v])
+                found.append(moved)
+            return found
+
+        def _shares(self, si: Any) -> list[Any]:
+            fourth = [dr.square(dr.square(n)) for n in parts(si.sh_frame.n)]
+            total = fourth[0] + fourth[1] + fourth[2]
+            return [f / total for f in fourth]
+
+        def _value(self, si: Any, evaluate: Any) -> Any:
+            if self.projection == "uv":
+                return evaluate(si)
+            planes = self._planes(si)
+            if self.projection == "above":
+                return evaluate(planes[2])
+            shares = self._shares(si)
+            total = evaluate(planes[0]) * shares[0]
+            for axis in (1, 2):
+                total = total + evaluate(planes[axis]) * shares[axis]
+            return total
+
+        def eval(self, si: Any, active: Any = True) -> Any:
+            return self._value(si, lambda at: self.picture.eval(at, active))
+
+        def eval_1(self, si: Any, active: Any = True) -> Any:
+            return self._value(si, lambda at: self.picture.eval_1(at, active))
+
+        def eval_3(self, si: Any, active: Any = True) -> Any:
+            if not self.normal:
+                return self._value(si, lambda at: self.picture.eval_3(at, active))
+            if self.projection == "triplanar":
+                local = self._triplanar(si, active)
+            else:
+                local = self._framed(si, active)
+            return mi.Color3f(*(0.5 * component + 0.5 for component in local))
+
+        def _mapped(self, si: Any, active: Any) -> list[Any]:
+            return [2.0 * value - 1.0 for value in parts_of(self.picture.eval_3(si, active))]
+
+        def _triplanar(self, si: Any, active: Any) -> list[Any]:
+            outward = parts(si.sh_frame.n)
+            total = [mi.Float(0.0)] * 3
+            shares = self._shares(si)
+            for axis, (plane, (u, v)) in enumerate(zip(self._planes(si), PLANES, strict=True)):
+                x, y, z = self._mapped(plane, active)
+                part = list(outward)
+                part[u] = part[u] + x
+                part[v] = part[v] + y
+                part[axis] = part[axis] * z
+                total = [t + shares[axis] * p for t, p in zip(total, part, strict=True)]
+            leaned = dr.normalize(mi.Vector3f(*total))
+            return parts(si.to_local(leaned))
+
+        def _framed(self, si: Any, active: Any) -> list[Any]:
+            """In the frame of the coordinates' dP/du, and on dP/dv's side of it."""
+            n = si.sh_frame.n
+            if self.projection == "uv":
+                x, y, z = self._mapped(si, active)
+                side = dr.sign(dr.dot(dr.cross(si.dp_du, si.dp_dv), n))
+                return [x, y * side, z]
+            x, y, z = self._mapped(self._planes(si)[2], active)
+            along = mi.Vector3f(dr.abs(si.n.z), 0.0, -dr.sign(si.n.z) * si.n.x)
+            u = dr.normalize(along - n * dr.dot(n, along))
+            leaned = u * x + dr.cross(n, u) * y + n * z
+            return parts(si.to_local(mi.Vector3f(leaned)))
+
+        def mean(self) -> Any:
+            return self.picture.mean()
+
+        def is_spatially_varying(self) -> bool:
+            return True
+
+        def to_string(self) -> str:
+            return f"Projected[{self.projection}]"
+
+    def parts_of(color: Any) -> list[Any]:
+        return [color[0], color[1], color[2]]
+
+    mi.register_texture(PLUGIN, Projected)

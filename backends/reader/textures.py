@@ -1,0 +1,177 @@
+"""Textures of a foreign UsdPreviewSurface as maps."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import NamedTuple
+
+from pxr import Ar, Sdf, UsdShade
+
+from scenec.backends.render_scene import Maps, Reading
+from scenec.schemas.errors import StageError
+
+#: Inputs of UsdPreviewSurface by the kind of map they are.
+_INPUTS = {
+    "base_color": "diffuseColor",
+    "roughness": "roughness",
+    "metallic": "metallic",
+    "normal": "normal",
+}
+_CHANNELS = {"r": "r", "g": "g", "b": "b", "rgb": "r"}
+_IDENTITY: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0)
+#: Of links from node to node: a network that goes in circles ends.
+_DEEPEST = 8
+
+
+class _Coordinates(NamedTuple):
+    """Where a texture is read: a primvar, and what it is multiplied with."""
+
+    primvar: str
+    transform: tuple[float, ...]
+
+
+def texture_maps(shader: UsdShade.Shader, specular: bool) -> Maps | None:
+    """Maps of the textures that a UsdPreviewSurface reads, or None.
+
+    A mesh has one set of texture coordinates here: textures at others than the first one's are left
+    out. They repeat, whatever their wrap modes.
+
+    Args:
+        shader: The surface.
+        specular: Whether it is of the specular workflow, where ``metallic`` says nothing.
+
+    Raises:
+        StageError: A texture's file does not exist, or stands inside a package (usdz).
+    """
+    files: dict[str, Path] = {}
+    readings: list[tuple[str, Reading]] = []
+    coordinates: _Coordinates | None = None
+    flip_green = False
+    for kind, name in _INPUTS.items():
+        if kind == "metallic" and specular:
+            continue
+        texture, output = _connected(shader, name)
+        if texture is None or texture.GetIdAttr().Get() != "UsdUVTexture":
+            continue
+        own = _coordinates(texture)
+        file = _file(texture)
+        if file is None or output not in _CHANNELS or coordinates not in (None, own):
+            continue
+        coordinates = own
+        files[kind] = file
+        if kind == "normal":
+            # Scale and bias say how 8 bits hold [-1, 1], and so which way y is.
+            flip_green = _numbers(texture, "scale", (1.0, 1.0, 1.0))[1] < 0.0
+        else:
+            reading = _reading(texture, kind, _CHANNELS[output])
+            if reading != Reading():
+                readings.append((kind, reading))
+    if not files or coordinates is None:
+        return None
+    return Maps(
+        size_m=1.0,
+        base_color=files.get("base_color"),
+        roughness=files.get("roughness"),
+        metallic=files.get("metallic"),
+        normal=files.get("normal"),
+        flip_green=flip_green,
+        projection="uv",
+        readings=tuple(readings),
+        primvar=coordinates.primvar,
+        uv_transform=coordinates.transform,
+    )
+
+
+def _reading(texture: UsdShade.Shader, kind: str, channel: str) -> Reading:
+    space = _constant(texture, "sourceColorSpace")
+    srgb = {"raw": False, "sRGB": True}.get(str(space))
+    # Numbers are raw unless it is said that they are not; colors are where they are not floating.
+    if srgb == (False if kind != "base_color" else None):
+        srgb = None
+    return Reading(
+        channel,
+        srgb,
+        _numbers(texture, "scale", (1.0, 1.0, 1.0)),
+        _numbers(texture, "bias", (0.0, 0.0, 0.0)),
+    )
+
+
+def _file(texture: UsdShade.Shader) -> Path | None:
+    asset = _constant(texture, "file")
+    if not isinstance(asset, Sdf.AssetPath) or not asset.path:
+        return None
+    if Ar.IsPackageRelativePath(asset.resolvedPath):
+        raise StageError(
+            f"{texture.GetPath()}: its texture {asset.path} stands inside a package: unpack that, "
+            "a zip archive, and render the stage in it"
+        )
+    file = Path(asset.resolvedPath or asset.path)
+    if not file.is_file():
+        raise StageError(f"{texture.GetPath()}: its texture {asset.path} does not exist")
+    return file
+
+
+def _coordinates(texture: UsdShade.Shader) -> _Coordinates:
+    """The primvar that a texture's ``st`` comes from, through any UsdTransform2d."""
+    transform = _IDENTITY
+    node, _ = _connected(texture, "st")
+    for _ in range(_DEEPEST):
+        if node is None:
+            break
+        kind = node.GetIdAttr().Get()
+        if kind == "UsdTransform2d":
+            transform = _after(transform, _transform(node))
+            node, _ = _connected(node, "in")
+        elif kind == "UsdPrimvarReader_float2":
+            return _Coordinates(str(_constant(node, "varname") or "st"), transform)
+        else:
+            break
+    return _Coordinates("st", transform)
+
+
+def _transform(node: UsdShade.Shader) -> tuple[float, ...]:
+    """Its input * scale, turned counter-clockwise by rotation (degrees), + translation."""
+    angle = math.radians(_numbers(node, "rotation", (0.0,))[0])
+    across, up = _numbers(node, "scale", (1.0, 1.0))
+    x, y = _numbers(node, "translation", (0.0, 0.0))
+    cosine, sine = math.cos(angle), math.sin(angle)
+    return (cosine * across, -sine * up, x, sine * across, cosine * up, y)
+
+
+def _after(last: tuple[float, ...], first: tuple[float, ...]) -> tuple[float, ...]:
+    a, b, c, d, e, f = last
+    p, q, r, s, t, u = first
+    return (a * p + b * s, a * q + b * t, a * r + b * u + c,
+            d * p + e * s, d * q + e * t, d * r + e * u + f)  # fmt: skip
+
+
+def _connected(shader: UsdShade.Shader, name: str) -> tuple[UsdShade.Shader | None, str]:
+    """The node that an input reads, and which output of it."""
+    found = shader.GetInput(name)
+    for attribute in UsdShade.Utils.GetValueProducingAttributes(found) if found else ():
+        if UsdShade.Utils.GetType(attribute.GetName()) == UsdShade.AttributeType.Output:
+            node = UsdShade.Shader(attribute.GetPrim())
+            return (node or None), UsdShade.Utils.GetBaseNameAndType(attribute.GetName())[0]
+    return None, ""
+
+
+def _constant(shader: UsdShade.Shader, name: str) -> object:
+    """Value of an input, or of the input of a material or node graph that it is connected to."""
+    found = shader.GetInput(name)
+    for attribute in UsdShade.Utils.GetValueProducingAttributes(found) if found else ():
+        if UsdShade.Utils.GetType(attribute.GetName()) == UsdShade.AttributeType.Input:
+            value: object = attribute.Get()
+            return value
+    return None
+
+
+def _numbers[T: tuple[float, ...]](shader: UsdShade.Shader, name: str, default: T) -> T:
+    """As many numbers of an input as the default has; it, where they are no such."""
+    value = _constant(shader, name)
+    try:
+        numbers = (float(value),) if isinstance(value, float | int) else tuple(map(float, value))  # type: ignore[call-overload]
+    except TypeError:
+        return default
+    sound = len(numbers) >= len(default) and all(map(math.isfinite, numbers))
+    return numbers[: len(default)] if sound else default  # type: ignore[return-value]

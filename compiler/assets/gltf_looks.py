@@ -1,0 +1,142 @@
+"""Materials of glTF files: metallic and roughness, with the extensions that have a place here."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from scenec.compiler.arithmetic import elementary
+from scenec.compiler.assets import affine
+from scenec.compiler.assets.gltf_scene import natural
+from scenec.compiler.assets.looks import SAME_UV, Look, Slot, UvMap, reflectance
+from scenec.compiler.assets.parts import MeshFileError
+from scenec.compiler.assets.pictures import Source, embedded
+
+if TYPE_CHECKING:
+    from scenec.compiler.assets.gltf_model import GltfFile
+
+_REPEAT = 10497
+#: Extensions of materials that are read; of the others only their names are told.
+_READ = ("KHR_materials_ior", "KHR_materials_specular", "KHR_materials_pbrSpecularGlossiness",
+         "KHR_materials_emissive_strength")  # fmt: skip
+
+
+class GltfLooks:
+    """The materials of a document, each read when a mesh first uses it."""
+
+    def __init__(self, file: GltfFile):
+        self._file = file
+        self._numbers: dict[int, int] = {}
+        self._looks: list[Look] = []
+        self._pictures: dict[int, tuple[Source, str]] = {}
+
+    def number(self, index: Any) -> int:
+        """Position of a document's material in ``known``."""
+        if natural(index) not in self._numbers:
+            material = self._file.document["materials"][index]
+            self._looks.append(self._look(material))
+            self._numbers[index] = len(self._looks) - 1
+        return self._numbers[index]
+
+    def known(self) -> tuple[Look, ...]:
+        """The materials in use."""
+        return tuple(self._looks)
+
+    def _look(self, material: dict[str, Any]) -> Look:
+        name = str(material.get("name", ""))
+        notes: list[str] = []
+        clamps: list[bool] = []
+        pbr = material.get("pbrMetallicRoughness", {})
+        extensions = material.get("extensions", {})
+        slots: dict[str, Slot] = {}
+
+        def slot(kind: str, info: Any, channel: int = 0, scale: float = 1.0) -> None:
+            found = self._slot(info, channel, scale, clamps)
+            if found is None:
+                notes.append(f"its {kind} picture is of a kind that is not known")
+            else:
+                slots[kind] = found
+
+        red, green, blue = map(float, list(pbr.get("baseColorFactor", (1.0, 1.0, 1.0)))[:3])
+        metallic = float(pbr.get("metallicFactor", 1.0))
+        roughness = float(pbr.get("roughnessFactor", 1.0))
+        if "baseColorTexture" in pbr:
+            slot("base_color", pbr["baseColorTexture"])
+        if "metallicRoughnessTexture" in pbr:
+            slot("roughness", pbr["metallicRoughnessTexture"], 1, roughness)
+            slot("metallic", pbr["metallicRoughnessTexture"], 2, metallic)
+        gloss = extensions.get("KHR_materials_pbrSpecularGlossiness")
+        if gloss is not None and not pbr:
+            red, green, blue = map(float, list(gloss.get("diffuseFactor", (1.0, 1.0, 1.0)))[:3])
+            metallic, roughness = 0.0, 1.0 - float(gloss.get("glossinessFactor", 1.0))
+            if "diffuseTexture" in gloss:
+                slot("base_color", gloss["diffuseTexture"])
+            notes.append("its specular color and glossiness picture are left out")
+        if "normalTexture" in material:
+            slot("normal", material["normalTexture"])
+            if material["normalTexture"].get("scale", 1) != 1:
+                notes.append("the strength of its map of normals is taken as 1")
+        notes += self._left_out(material)
+        specular = reflectance(float(extensions.get("KHR_materials_ior", {}).get("ior", 1.5)))
+        specular *= float(extensions.get("KHR_materials_specular", {}).get("specularFactor", 1.0))
+        base = (red, green, blue)
+        repeats = not any(clamps)
+        return Look(name, base, roughness, metallic, specular, slots, tuple(notes), repeats)
+
+    @staticmethod
+    def _left_out(material: dict[str, Any]) -> list[str]:
+        notes = []
+        if material.get("alphaMode", "OPAQUE") != "OPAQUE":
+            notes.append("its opacity is not shown")
+        if any(material.get("emissiveFactor", ())) or "emissiveTexture" in material:
+            notes.append("its emission is left out")
+        if "occlusionTexture" in material:
+            notes.append("its occlusion picture is left out: light is traced")
+        notes += [
+            f"its {name} is left out"
+            for name in material.get("extensions", {})
+            if name not in _READ
+        ]
+        return notes
+
+    def _slot(self, info: Any, channel: int, scale: float, clamps: list[bool]) -> Slot | None:
+        document = self._file.document
+        texture = document["textures"][natural(info["index"])]
+        webp = texture.get("extensions", {}).get("EXT_texture_webp", {}).get("source")
+        index = texture.get("source", webp)
+        if index is None:
+            return None
+        sampler = document["samplers"][natural(texture["sampler"])] if "sampler" in texture else {}
+        clamps.append(any(sampler.get(k, _REPEAT) != _REPEAT for k in ("wrapS", "wrapT")))
+        moved = info.get("extensions", {}).get("KHR_texture_transform", {})
+        uv_set = natural(moved.get("texCoord", info.get("texCoord", 0)))
+        source, label = self._picture(natural(index))
+        uv_map = _uv_map(moved) if moved else SAME_UV
+        return Slot(source, label, channel, scale, 0.0, f"TEXCOORD_{uv_set}", uv_map)
+
+    def _picture(self, index: int) -> tuple[Source, str]:
+        if index not in self._pictures:
+            image = self._file.document["images"][index]
+            uri = image.get("uri")
+            if uri is None:
+                label = str(image.get("name") or f"of image {index}")
+                source: Source = embedded(self._file.view(image["bufferView"]))
+            elif str(uri).startswith("data:"):
+                label = str(image.get("name") or f"of image {index}")
+                source = embedded(self._file.fetch(str(uri), "picture"))
+            else:
+                label = str(uri)
+                source = self._file.beside(label, "picture")
+            self._pictures[index] = source, label
+        return self._pictures[index]
+
+
+def _uv_map(moved: dict[str, Any]) -> UvMap:
+    """KHR_texture_transform for coordinates whose v runs up."""
+    across, down = map(float, moved.get("offset", (0.0, 0.0)))
+    wide, high = map(float, moved.get("scale", (1.0, 1.0)))
+    angle = float(moved.get("rotation", 0.0))
+    if not all(abs(value) < 1e6 for value in (across, down, wide, high, angle)):
+        raise MeshFileError("a texture transform is not finite, or above 1e6")
+    s, c = affine.sin_cos(angle * (180.0 / elementary.PI))
+    # The extension's, about the lower left corner instead of the upper left one.
+    return (c * wide, -s * high, across + s * high, s * wide, c * high, 1.0 - down - c * high)

@@ -1,0 +1,200 @@
+"""glTF files as models: attributes of their primitives, beside or inside of the file."""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenec.compiler.assets.gltf_looks import GltfLooks
+from scenec.compiler.assets.gltf_scene import chunks, natural, placed_meshes, required_version
+from scenec.compiler.assets.parts import MeshFileError
+from scenec.compiler.assets.pictures import companion
+from scenec.compiler.assets.shells import ParsedModel, Shell, compact, placed
+from scenec.compiler.assets.trimesh_file import sound
+
+_TRIANGLES, _STRIP, _FAN = 4, 5, 6
+_KINDS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+_WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
+#: Items that all reads of accessors together may take, in terms of the buffers' bytes.
+_MOST_SHARED = 32
+
+
+def read_gltf(file: Path) -> ParsedModel:
+    """Reads a ``.glb`` or ``.gltf`` file with its buffers and pictures.
+
+    A part's path is the names of the nodes down to it. Skins, morph targets and animations are left
+    at rest.
+
+    Raises:
+        MeshFileError: It is not sound, needs what is not known, or a file is missing.
+    """
+    with sound(file.suffix.lower()):
+        return GltfFile(file).model()
+
+
+class GltfFile:
+    """A glTF document with its buffers.
+
+    Attributes:
+        document: Its JSON.
+        companions: Files beside it that were read.
+    """
+
+    def __init__(self, file: Path):
+        self._file = file
+        data = file.read_bytes()
+        binary: bytes | None = None
+        text: bytes = data
+        if file.suffix.lower() == ".glb":
+            text, rest = chunks(data)
+            if len(rest) >= 8 and rest[4:8] == b"BIN\0":
+                binary = rest[8 : 8 + int.from_bytes(rest[:4], "little")]
+        self.document = required_version(json.loads(text))
+        self.companions: list[Path] = []
+        self._buffers = [
+            binary
+            if i == 0 and binary is not None and "uri" not in buffer
+            else self.fetch(str(buffer.get("uri", "")), "buffer")
+            for i, buffer in enumerate(self.document.get("buffers", []))
+        ]
+        self._left = _MOST_SHARED * (len(data) + sum(map(len, self._buffers)))
+
+    def fetch(self, uri: str, what: str) -> bytes:
+        """What a URI stands for."""
+        if uri.startswith("data:"):
+            head, _, content = uri.partition(",")
+            if not head.endswith(";base64"):
+                raise MeshFileError(f"a {what} in a data URI that is not base64: {head[:60]}")
+            try:
+                return base64.b64decode(content, validate=True)
+            except binascii.Error as error:
+                raise MeshFileError(f"a {what} in a broken data URI: {error}") from error
+        return self.beside(uri, what).read_bytes()
+
+    def beside(self, uri: str, what: str) -> Path:
+        """A file beside it."""
+        path = companion(self._file, uri, what, escaped=True)
+        if path not in self.companions:
+            self.companions.append(path)
+        return path
+
+    def view(self, index: Any) -> bytes:
+        """The bytes of a buffer view."""
+        view = self.document["bufferViews"][natural(index)]
+        buffer = self._buffers[natural(view["buffer"])]
+        start, length = natural(view.get("byteOffset", 0)), natural(view["byteLength"])
+        if start + length > len(buffer):
+            raise MeshFileError("its header and its data do not fit: a view beyond its buffer")
+        return buffer[start : start + length]
+
+    def values(self, index: Any, *kinds: str) -> NDArray:
+        """An accessor's values, [n, width]; normalized integers as fractions.
+
+        Args:
+            index: Of the accessor.
+            kinds: Types that are right, such as "VEC3".
+        """
+        accessor = self.document["accessors"][natural(index)]
+        if accessor["type"] not in kinds:
+            raise MeshFileError(
+                f"an accessor of type {accessor['type']}, expected {' or '.join(kinds)}"
+            )
+        if "sparse" in accessor or "bufferView" not in accessor:
+            raise MeshFileError("holds sparse accessors or empty ones: export it without")
+        component, count = accessor["componentType"], natural(accessor["count"])
+        width, kind = _WIDTHS[accessor["type"]], np.dtype(_KINDS[component])
+        self._left -= count
+        if self._left < 0:
+            raise MeshFileError(f"a broken glTF file: an accessor of {count} items")
+        data = self.view(accessor["bufferView"])
+        view = self.document["bufferViews"][accessor["bufferView"]]
+        item = width * kind.itemsize
+        step = natural(view.get("byteStride", 0)) or item
+        start = natural(accessor.get("byteOffset", 0))
+        if step < item or (count and start + (count - 1) * step + item > len(data)):
+            raise MeshFileError("its header and its data do not fit: an accessor beyond its view")
+        rows = np.ndarray((count, width), kind, data, start, (step, kind.itemsize))
+        if accessor.get("normalized") and kind.kind in "iu":
+            return np.maximum(rows / float(np.iinfo(kind).max), -1.0)
+        return rows.astype(np.float64 if kind.kind == "f" else np.int64)
+
+    def model(self) -> ParsedModel:
+        """Its parts and materials."""
+        document = self.document
+        notes = [
+            f"its {what} are left out: it stands as at rest"
+            for key, what in (("animations", "animations"), ("skins", "skins"))
+            if document.get(key)
+        ]
+        looks = GltfLooks(self)
+        shells: dict[int, list[Shell]] = {}
+        parts: list[Shell] = []
+        for path, own, matrix in placed_meshes(document):
+            if own not in shells:
+                mesh = document["meshes"][own]
+                shells[own] = [s for p in mesh["primitives"] for s in self._shell(p, looks, notes)]
+            parts += [
+                placed(
+                    Shell(path, s.points, s.faces, s.uv, s.normals, s.colors, s.material), matrix
+                )
+                for s in shells[own]
+            ]
+        notes = list(dict.fromkeys(notes))
+        companions = tuple(self.companions)
+        return ParsedModel(tuple(parts), looks.known(), 1.0, "y", companions, tuple(notes))
+
+    def _shell(self, primitive: dict[str, Any], looks: GltfLooks, notes: list[str]) -> list[Shell]:
+        if "KHR_draco_mesh_compression" in primitive.get("extensions", {}):
+            raise MeshFileError("compressed by KHR_draco_mesh_compression: export it without")
+        mode, attributes = primitive.get("mode", _TRIANGLES), primitive["attributes"]
+        if mode not in (_TRIANGLES, _STRIP, _FAN) or "POSITION" not in attributes:
+            return []
+        if primitive.get("targets"):
+            notes.append("its morph targets are left out: it stands as at rest")
+        points = self.values(attributes["POSITION"], "VEC3").astype(np.float64)
+        if "indices" in primitive:
+            corners = self.values(primitive["indices"], "SCALAR")[:, 0].astype(np.int64)
+        else:
+            corners = np.arange(len(points))
+        faces = _triangles(corners, mode)
+        if len(faces) and faces.max() >= len(points):
+            raise MeshFileError(f"a face uses vertex {faces.max()} (from 0) of {len(points)}")
+        uv: dict[str, NDArray] = {}
+        sets = sorted(k for k in attributes if k.startswith("TEXCOORD_"))
+        for key in sets:
+            stored = self._per_point(attributes[key], len(points), "VEC2")
+            # Theirs run down the picture.
+            uv[key] = np.stack([stored[:, 0], 1.0 - stored[:, 1]], axis=1)[faces]
+        normals = colors = None
+        if "NORMAL" in attributes:
+            normals = self._per_point(attributes["NORMAL"], len(points), "VEC3")[faces]
+        if "COLOR_0" in attributes:
+            colors = self._per_point(attributes["COLOR_0"], len(points), "VEC3", "VEC4")
+            colors = np.clip(np.nan_to_num(colors[:, :3]), 0.0, 1.0)[faces]
+        number = looks.number(primitive["material"]) if "material" in primitive else -1
+        owners = np.full(len(faces), number, np.int64)
+        return [compact(Shell("", points, faces, uv, normals, colors, owners))]
+
+    def _per_point(self, index: Any, count: int, *kinds: str) -> NDArray[np.float64]:
+        values = self.values(index, *kinds).astype(np.float64)
+        if len(values) != count:
+            raise MeshFileError(
+                f"a broken glTF file: {len(values)} values of an attribute for {count} vertices"
+            )
+        return values
+
+
+def _triangles(corners: NDArray[np.int64], mode: int) -> NDArray[np.int64]:
+    if mode == _TRIANGLES:
+        return corners[: len(corners) - len(corners) % 3].reshape(-1, 3)
+    i = np.arange(max(len(corners) - 2, 0))
+    if mode == _STRIP:
+        # Every other one is turned (glTF 2.0, 3.7.2.1).
+        return np.stack([corners[i], corners[i + 1 + i % 2], corners[i + 2 - i % 2]], axis=1)
+    return np.stack([corners[i + 1], corners[i + 2], corners[0 * i]], axis=1)

@@ -1,0 +1,176 @@
+"""Materials of models: as a file has them, and what becomes of them here.
+
+A file's material has numbers and pictures, each picture with a channel, a factor, a set of texture
+coordinates and a map of these. Here a material has numbers, at most one picture of each kind, and
+one set of coordinates for all of them.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from scenec.compiler.arithmetic import elementary
+from scenec.compiler.assets.parts import MeshFileError
+from scenec.compiler.assets.pictures import Source, channel_of, pixels_of, plain
+from scenec.schemas.maps import MAP_CHANNELS
+
+#: Rows of a map of texture coordinates: u' = a u + b v + c, v' = d u + e v + f.
+UvMap = tuple[float, float, float, float, float, float]
+SAME_UV: UvMap = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0)
+#: Reflectance at normal incidence of most of what is no metal: an index of refraction of 1.5.
+DIELECTRIC = 0.04
+Color = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class ModelMaterial:
+    """A material of a model, in the shared surface model (``scene.Material``).
+
+    Attributes:
+        name: As in the file; "" if it has none there.
+        base_color: Linear Rec.709, in [0, 1]; multiplies its picture.
+        roughness, metallic: In [0, 1]; beside their pictures, which hold all factors and stand in
+            their places, the averages of these.
+        specular: Share s of the glossy lobe of what is no metal: the reflectance at normal
+            incidence.
+        pictures: By kind (``schemas.maps.MAP_CHANNELS``): beside the model, or inside of it.
+        normal_convention: "opengl" or "directx".
+    """
+
+    name: str
+    base_color: Color
+    roughness: float
+    metallic: float
+    specular: float
+    pictures: dict[str, Source] = field(default_factory=dict)
+    normal_convention: str = "opengl"
+
+
+@dataclass(frozen=True)
+class Slot:
+    """A picture as a material uses it.
+
+    Attributes:
+        source: The picture.
+        label: What messages call it.
+        channel: Of roughness and metallic: which one, from 0.
+        scale, offset: Of roughness and metallic: value = channel * scale + offset.
+        uv_set: Name of the texture coordinates; "" is the first set.
+        uv_map: Done to them before the picture is looked up.
+    """
+
+    source: Source
+    label: str
+    channel: int = 0
+    scale: float = 1.0
+    offset: float = 0.0
+    uv_set: str = ""
+    uv_map: UvMap = SAME_UV
+
+
+@dataclass(frozen=True)
+class Look:
+    """A material as a file has it; numbers as in ``ModelMaterial``.
+
+    Attributes:
+        slots: Pictures by kind.
+        notes: What of it is left out.
+        repeats: Whether its pictures repeat outside of the unit square.
+    """
+
+    name: str
+    base_color: Color = (0.8, 0.8, 0.8)
+    roughness: float = 0.5
+    metallic: float = 0.0
+    specular: float = DIELECTRIC
+    slots: dict[str, Slot] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+    repeats: bool = True
+    normal_convention: str = "opengl"
+
+    @property
+    def shown(self) -> str:
+        """What messages call it."""
+        return f"material {self.name!r}" if self.name else "a material without a name"
+
+    def coordinates(self) -> tuple[str, UvMap]:
+        """The set of texture coordinates that its pictures share, and what is done to it."""
+        for kind in MAP_CHANNELS:
+            if kind in self.slots:
+                return self.slots[kind].uv_set, self.slots[kind].uv_map
+        return "", SAME_UV
+
+
+def finished_look(look: Look) -> tuple[ModelMaterial, list[str]]:
+    """A material as it is used, and what is left out of it.
+
+    Raises:
+        MeshFileError: A number is not finite, or a picture cannot be read.
+    """
+    numbers: dict[str, float] = {
+        "roughness": look.roughness, "metallic": look.metallic, "specular": look.specular
+    }  # fmt: skip
+    for key, value in (*numbers.items(), *(("base color", c) for c in look.base_color)):
+        if not math.isfinite(value):
+            raise MeshFileError(f"{look.shown}: its {key} is {value}: expected a finite number")
+    numbers = {key: min(max(float(value), 0.0), 1.0) for key, value in numbers.items()}
+    notes = [f"{look.shown}: {note}" for note in look.notes]
+    pictures: dict[str, Source] = {}
+    shared = look.coordinates()
+    for kind in MAP_CHANNELS:
+        if kind not in look.slots:
+            continue
+        slot = look.slots[kind]
+        if (slot.uv_set, slot.uv_map) != shared:
+            notes.append(
+                f"{look.shown}: its {kind} picture {slot.label} is left out: it lies on other "
+                "texture coordinates than the first picture"
+            )
+            continue
+        pixels = pixels_of(slot.source, slot.label)
+        if MAP_CHANNELS[kind] == 3:
+            pictures[kind] = plain(slot.source, pixels)
+            continue
+        numbers[kind], picture = channel_of(
+            slot.source, pixels, slot.channel, slot.scale, slot.offset
+        )
+        if picture is not None:
+            pictures[kind] = picture
+    red, green, blue = (min(max(float(c), 0.0), 1.0) for c in look.base_color)
+    if (red, green, blue) != tuple(map(float, look.base_color)):
+        notes.append(f"{look.shown}: its base color is clipped to [0, 1]")
+    material = ModelMaterial(
+        look.name,
+        (red, green, blue),
+        numbers["roughness"],
+        numbers["metallic"],
+        numbers["specular"],
+        pictures,
+        look.normal_convention,
+    )
+    return material, notes
+
+
+def reflectance(ior: float) -> float:
+    """Of an index of refraction, at normal incidence, against air (Fresnel)."""
+    if not ior > 0.0:
+        return 1.0
+    ratio = (ior - 1.0) / (ior + 1.0)
+    return ratio * ratio
+
+
+def linear(code: float) -> float:
+    """Linear value of an sRGB one in [0, 1] (IEC 61966-2-1)."""
+    if code <= 0.04045:
+        return code / 12.92
+    return float(elementary.pow((code + 0.055) / 1.055, 2.4))
+
+
+def linear_array(codes: np.ndarray) -> np.ndarray:
+    """As ``linear``, of an array."""
+    codes = np.clip(codes, 0.0, 1.0).astype(np.float64)
+    steep = elementary.exp_array(2.4 * elementary.log_array((codes + 0.055) / 1.055))
+    return np.where(codes <= 0.04045, codes / 12.92, steep)

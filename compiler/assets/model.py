@@ -1,0 +1,308 @@
+"""Models from files: a mesh with texture coordinates, parts and materials, for objects.
+
+What is read of each format:
+
+- OBJ: groups, objects, texture coordinates, normals, ``usemtl`` with its MTL files; Kd is linear,
+  Ns is (1 - roughness)^2 * 1000, map_Kd replaces Kd, all as Blender writes and reads them.
+- glTF: pbrMetallicRoughness with its pictures, KHR_texture_transform, ior, specular.
+- PLY: texture coordinates of vertices with ``comment TextureFile``; vertex colors as one average.
+- USD: UsdPreviewSurface and UsdUVTexture, by prim or GeomSubset.
+- STL and OFF: geometry only.
+- ``.blend``: see ``blend``.
+
+Opacity, emission, displacement, coats and the like have no place in the surface model: each that a
+file asks for is named in the notes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenec.compiler.assets import affine, trimesh_file
+from scenec.compiler.assets.looks import Look, ModelMaterial, finished_look
+from scenec.compiler.assets.mesh_file import (
+    MEANING,
+    USD_SUFFIXES,
+    checked_suffix,
+    chosen_parts,
+    faults_of,
+    join,
+    missing_keys,
+    unit_and_up,
+)
+from scenec.compiler.assets.parts import MeshFileError
+from scenec.compiler.assets.shells import ParsedModel, Shell
+from scenec.schemas.errors import SceneError
+
+BLEND_SUFFIX = ".blend"
+#: Endings of the files that ``read_model`` takes.
+SUFFIXES = (*trimesh_file.SUFFIXES, *USD_SUFFIXES, BLEND_SUFFIX)
+
+
+@dataclass(frozen=True)
+class Model:
+    """A model from a file: meters, Z up, right-handed; welded and cleaned as ``MeshFile``.
+
+    Points are welded by position alone: texture coordinates and normals stand at the corners of
+    faces, so that their seams do not split the surface.
+
+    Attributes:
+        points: float64 [n, 3].
+        faces: int32 [m, 3], counter-clockwise seen from outside.
+        uv: Texture coordinates of the faces' corners, v up as USD's ``st``, float32 [m, 3, 2]; 0
+            where a part has none; None where none has. What a material does to its coordinates
+            is done.
+        part_of_face: Index into ``parts``, int32 [m].
+        parts: Names of the file's meshes, with those above them; each once.
+        material_of_face: Index into ``materials``, int32 [m]; -1 for none.
+        materials: Those in use, in the file's order; their names are unique.
+        normals: Shading normals of the faces' corners, unit, float32 [m, 3, 3]; None where the
+            file has none. A face without them has its geometric one.
+        notes: What of the file is left out, in words for a user.
+    """
+
+    points: NDArray[np.float64]
+    faces: NDArray[np.int32]
+    uv: NDArray[np.float32] | None
+    part_of_face: NDArray[np.int32]
+    parts: tuple[str, ...]
+    material_of_face: NDArray[np.int32]
+    materials: tuple[ModelMaterial, ...]
+    normals: NDArray[np.float32] | None
+    notes: tuple[str, ...]
+
+
+def read_model(
+    file: Path, *, unit_m: float | None = None, up: str | None = None, part: str | None = None
+) -> Model:
+    """Reads a file of one of ``SUFFIXES``.
+
+    Args:
+        file: PLY, STL and OFF need the extra ``meshes``, ``.blend`` the extra ``cycles``.
+        unit_m: Meters per unit; None takes what the file says.
+        up: Upward axis: x, y, z, -x, -y or -z; None takes what the file says.
+        part: One of its meshes, or a name above some of them; None takes all.
+
+    Raises:
+        SceneError: The file, or one that belongs to it, cannot be read; it is no mesh; it has no
+            such part; or neither the arguments nor the file say the unit or the axis.
+    """
+    parsed = parse_model(file)
+    for missing in missing_keys(parsed, unit_m, up):
+        raise SceneError(f"{file.name}: does not say {MEANING[missing]}: give {missing}")
+    return finish_model(file, parsed, unit_m=unit_m, up=up, part=part)
+
+
+def companions(file: Path) -> tuple[Path, ...]:
+    """The files beside a model that belong to it: materials, pictures, buffers.
+
+    Raises:
+        SceneError: As ``read_model``; one of them is missing, or named by an absolute path.
+    """
+    return parse_model(file).companions
+
+
+def parse_model(file: Path) -> ParsedModel:
+    """A file's parts and materials as it has them, unchecked; ``missing_keys`` takes it, too.
+
+    Raises:
+        SceneError: The file cannot be read, is none of the formats, or refers to what is not there.
+    """
+    with faults_of(file):
+        return _reader(file)(file)
+
+
+def finish_model(
+    file: Path,
+    parsed: ParsedModel,
+    *,
+    unit_m: float | None = None,
+    up: str | None = None,
+    part: str | None = None,
+) -> Model:
+    """What ``read_model`` makes of a parsed file; where nobody says them, 1 m and z.
+
+    Raises:
+        SceneError: It is no sound mesh, has no such part, or a picture is broken.
+    """
+    with faults_of(file):
+        return _finished(chosen_parts(parsed.parts, part), parsed, *unit_and_up(parsed, unit_m, up))
+
+
+def _reader(file: Path) -> Callable[[Path], ParsedModel]:
+    # Imported where they are used: each brings a library of its own.
+    suffix = checked_suffix(file)
+    if suffix == ".obj":
+        from scenec.compiler.assets.obj_model import read_obj
+
+        return read_obj
+    if suffix in (".glb", ".gltf"):
+        from scenec.compiler.assets.gltf_model import read_gltf
+
+        return read_gltf
+    if suffix == ".ply":
+        from scenec.compiler.assets.ply_model import read_ply_model
+
+        return read_ply_model
+    if suffix in trimesh_file.SUFFIXES:
+        return _bare
+    if suffix in USD_SUFFIXES:
+        from scenec.compiler.assets.usd_model import read_usd_model
+
+        return read_usd_model
+    if suffix == BLEND_SUFFIX:
+        from scenec.compiler.assets.blend import read_blend
+
+        return read_blend
+    known = ", ".join(SUFFIXES)
+    raise MeshFileError(f"expected a model ({known}), not {suffix or 'a file without an ending'}")
+
+
+def _bare(file: Path) -> ParsedModel:
+    parsed = trimesh_file.read(file)
+    shells = tuple(Shell(part.path, part.points, part.faces) for part in parsed.parts)
+    return ParsedModel(shells, (), parsed.unit_m, parsed.up)
+
+
+def _finished(shells: list[Shell], parsed: ParsedModel, unit_m: float, up: str) -> Model:
+    joined = join(shells, unit_m, up)
+    notes = list(parsed.notes)
+    shells, looks = _with_averages(shells, parsed.looks, notes)
+    owner = np.concatenate([shell.owners() for shell in shells])[joined.sound]
+    used = [i for i in range(len(looks)) if (owner == i).any()]
+    uv = _texture_coordinates(shells, looks, used, notes)
+    materials = []
+    taken: set[str] = set()
+    for i in used:
+        material, left_out = finished_look(looks[i])
+        notes += left_out
+        name, number = material.name, 2
+        while name in taken:
+            name, number = f"{material.name}_{number}", number + 1
+        taken.add(name)
+        materials.append(replace(material, name=name))
+    numbers = np.full(len(looks) + 1, -1, np.int32)
+    numbers[used] = np.arange(len(used))
+    parts = {path: i for i, path in enumerate(dict.fromkeys(shell.path for shell in shells))}
+    part_numbers = np.array([parts[shell.path] for shell in shells], np.int32)
+    return Model(
+        joined.points,
+        joined.faces,
+        None if uv is None else np.ascontiguousarray(uv[joined.sound], np.float32),
+        part_numbers[joined.owner],
+        tuple(parts),
+        numbers[owner],
+        tuple(materials),
+        _normals(shells, joined.points, joined.faces, joined.sound, up),
+        tuple(dict.fromkeys(notes)),
+    )
+
+
+def _with_averages(
+    shells: list[Shell], looks: tuple[Look, ...], notes: list[str]
+) -> tuple[list[Shell], list[Look]]:
+    """Colors at corners become factors of materials: one for each part and material."""
+    out, known = [], list(looks)
+    for shell in shells:
+        if shell.colors is None or not len(shell.faces):
+            out.append(shell)
+            continue
+        owners = shell.owners().copy()
+        new = owners.copy()
+        for owner in sorted({int(i) for i in owners}):
+            of_owner = owners == owner
+            corners = np.asarray(shell.colors, np.float64)[of_owner]
+            average = corners.reshape(-1, 3).mean(axis=0).tolist()
+            if average == [1.0, 1.0, 1.0] and owner >= 0:
+                continue
+            base = known[owner] if owner >= 0 else Look("", base_color=(1.0, 1.0, 1.0))
+            red, green, blue = (c * a for c, a in zip(base.base_color, average, strict=True))
+            new[of_owner] = len(known)
+            known.append(replace(base, base_color=(red, green, blue)))
+            if not (corners == corners[:1, :1]).all():
+                name = shell.path or "the mesh"
+                notes.append(f"{name}: the colors of its vertices are shown as their average")
+        out.append(replace(shell, material=new))
+    return out, known
+
+
+def _texture_coordinates(
+    shells: list[Shell], looks: list[Look], used: list[int], notes: list[str]
+) -> NDArray[np.float64] | None:
+    if not any(shell.uv for shell in shells):
+        notes += [
+            f"{looks[i].shown}: its pictures lie on no texture coordinates"
+            for i in used
+            if looks[i].slots
+        ]
+        return None
+    blocks = []
+    for shell in shells:
+        block = np.zeros((len(shell.faces), 3, 2))
+        first = next(iter(shell.uv.values()), None)
+        if first is not None:
+            block[...] = first
+        owners = shell.owners()
+        for i in used:
+            of_look = owners == i
+            if not (looks[i].slots and of_look.any()):
+                continue
+            name, (a, b, c, d, e, f) = looks[i].coordinates()
+            chosen = shell.uv.get(name) if name else first
+            if chosen is None:
+                notes.append(
+                    f"{looks[i].shown}: {shell.path or 'the mesh'} does not have its texture "
+                    "coordinates"
+                )
+                continue
+            u, v = np.asarray(chosen, np.float64)[of_look][..., 0], chosen[of_look][..., 1]
+            block[of_look] = np.stack([a * u + b * v + c, d * u + e * v + f], axis=-1)
+            outside = (block[of_look] < -1e-6) | (block[of_look] > 1.0 + 1e-6)
+            if not looks[i].repeats and outside.any():
+                notes.append(f"{looks[i].shown}: its pictures repeat, where it asks for their edge")
+        blocks.append(block)
+    uv = np.concatenate(blocks)
+    if not (np.abs(uv) < 1e9).all():
+        raise MeshFileError("a texture coordinate is not finite, or above 1e9")
+    return uv
+
+
+def _normals(
+    shells: list[Shell],
+    points: NDArray[np.float64],
+    faces: NDArray[np.int32],
+    sound: NDArray[np.bool_],
+    up: str,
+) -> NDArray[np.float32] | None:
+    if all(shell.normals is None for shell in shells):
+        return None
+    given = np.concatenate(
+        [
+            np.zeros((len(shell.faces), 3, 3))
+            if shell.normals is None
+            else np.asarray(shell.normals, np.float64)
+            for shell in shells
+        ]
+    )[sound]
+    turn = np.eye(4)
+    turn[:3, :3] = affine.TO_Z_UP[up]
+    given = affine.applied(turn, given.reshape(-1, 3)).reshape(-1, 3, 3)
+    a, b, c = (points[faces[:, k]] for k in range(3))
+    u, v = b - a, c - a
+    flat = np.stack(
+        [u[:, i] * v[:, j] - u[:, j] * v[:, i] for i, j in ((1, 2), (2, 0), (0, 1))], axis=1
+    )
+    given = np.where(np.isfinite(given).all(axis=2, keepdims=True), given, 0.0)
+    # Largest first, so that squares neither vanish nor overflow.
+    largest = np.abs(given).max(axis=2, keepdims=True)
+    missing = largest[..., 0] == 0.0
+    given = np.where(missing[..., None], flat[:, None, :], given)
+    given = given / np.abs(given).max(axis=2, keepdims=True)
+    x, y, z = given[..., 0], given[..., 1], given[..., 2]
+    length = np.sqrt(x * x + y * y + z * z)
+    return np.ascontiguousarray(given / length[..., None], np.float32)

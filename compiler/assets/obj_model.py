@@ -1,0 +1,179 @@
+"""OBJ files as models: parts, texture coordinates, normals, and which material each face has."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenec.compiler.assets.looks import Look, linear_array
+from scenec.compiler.assets.mtl import read_mtl
+from scenec.compiler.assets.parts import MeshFileError, fan_corners
+from scenec.compiler.assets.pictures import companion
+from scenec.compiler.assets.shells import ParsedModel, Shell, compact
+from scenec.compiler.assets.trimesh_file import obj_text, sound
+
+
+def read_obj(file: Path) -> ParsedModel:
+    """Reads an ``.obj`` file and its libraries of materials.
+
+    Parts are its objects (``o``) or, where it has none, its groups (``g``).
+
+    Raises:
+        MeshFileError: It is not sound; a library or a picture is missing.
+    """
+    with sound(".obj"):
+        return _Reader(file).model()
+
+
+class _Reader:
+    """One pass over the lines; what a face names is resolved where it stands."""
+
+    def __init__(self, file: Path):
+        self._file = file
+        text = obj_text(file.read_bytes())
+        self._keyword = "o" if "\no " in text else "g"
+        self._positions: list[str] = []
+        self._coordinates: list[str] = []
+        self._directions: list[str] = []
+        self._faces: list[str] = []
+        #: First face, part and material of each stretch of faces that share them.
+        self._runs: list[tuple[int, int, int]] = []
+        self._parts: dict[str, int] = {}
+        self._looks: dict[str, int] = {}
+        self._libraries: list[str] = []
+        part, look, changed = "", -1, True
+        for line in text.split("\n"):
+            key, _, rest = line.partition(" ")
+            if key == "f":
+                if changed:
+                    number = self._parts.setdefault(part, len(self._parts))
+                    self._runs.append((len(self._faces), number, look))
+                    changed = False
+                if "-" in rest:
+                    rest = " ".join(map(self._forward, rest.split()))
+                self._faces.append(rest)
+            elif key == "v":
+                self._positions.append(rest)
+            elif key == "vt":
+                self._coordinates.append(rest)
+            elif key == "vn":
+                self._directions.append(rest)
+            elif key == self._keyword:
+                part, changed = rest.strip(), True
+            elif key == "usemtl":
+                look, changed = self._looks.setdefault(rest.strip(), len(self._looks)), True
+            elif key == "mtllib" and rest.strip() not in self._libraries:
+                self._libraries.append(rest.strip())
+
+    def _forward(self, word: str) -> str:
+        lists = (self._positions, self._coordinates, self._directions)
+        out = []
+        for spelled, values in zip(word.split("/"), lists, strict=False):
+            number = int(spelled) if spelled else 0
+            if number < 0 and number + len(values) < 0:
+                raise MeshFileError(f"a face uses vertex {number} of {len(values)}")
+            out.append(str(number + len(values) + 1 if number < 0 else number))
+        return "/".join(out)
+
+    def model(self) -> ParsedModel:
+        """The parts and materials."""
+        points, tints = self._points()
+        words = " ".join(self._faces).split()
+        counts = np.array([len(face.split()) for face in self._faces], np.int64)
+        triangles, polygon = fan_corners(counts)
+        # Corners are mostly spelled several times: each spelling is read once.
+        distinct = {word: i for i, word in enumerate(dict.fromkeys(words))}
+        corners = np.fromiter(map(distinct.__getitem__, words), np.int64, len(words))
+        keys = [self._key(word) for word in distinct]
+        spelled = np.array(keys, np.int64).reshape(-1, 3)[corners]
+        spelled = spelled[triangles] - 1
+        faces = spelled[..., 0]
+        if len(faces) and faces.max() >= len(points):
+            raise MeshFileError(f"a face uses vertex {faces.max()} (from 0) of {len(points)}")
+        uv = self._at_corners(self._coordinates, spelled[..., 1], 2, "texture coordinate")
+        normals = self._at_corners(self._directions, spelled[..., 2], 3, "normal")
+        looks, companions, notes = self._materials()
+        runs = np.array(self._runs, np.int64).reshape(-1, 3)
+        lengths = np.diff(np.append(runs[:, 0], len(self._faces)))
+        part_of, look_of = (np.repeat(runs[:, k], lengths)[polygon] for k in (1, 2))
+        shells = []
+        order = np.argsort(part_of, kind="stable")
+        ends = np.cumsum(np.bincount(part_of, minlength=len(self._parts))).tolist()
+        for name, start, end in zip(self._parts, [0, *ends], ends, strict=False):
+            own = order[start:end]
+            shells.append(
+                compact(
+                    Shell(
+                        name,
+                        points,
+                        faces[own],
+                        {"vt": uv[own]}
+                        if uv is not None and (spelled[own, :, 1] >= 0).any()
+                        else {},
+                        normals[own] if normals is not None else None,
+                        tints[faces[own]] if tints is not None else None,
+                        look_of[own],
+                    )
+                )
+            )
+        return ParsedModel(tuple(shells), looks, None, None, companions, notes)
+
+    def _points(self) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
+        rows = [line.split() for line in self._positions]
+        points = _numbers(rows, 3)
+        # Three more numbers are a color, as MeshLab and others write it; one more is a weight.
+        if not rows or any(len(row) < 6 for row in rows):
+            return points, None
+        return points, linear_array(np.nan_to_num(_numbers([row[3:] for row in rows], 3)))
+
+    @staticmethod
+    def _key(word: str) -> tuple[int, int, int]:
+        first, second, third = [*word.split("/"), "", ""][:3]
+        return int(first), int(second or 0), int(third or 0)
+
+    def _at_corners(
+        self, lines: list[str], index: NDArray[np.int64], width: int, what: str
+    ) -> NDArray[np.float64] | None:
+        """Values at the corners; 0 where a face names none."""
+        if not lines or not index.size or index.max() < 0:
+            return None
+        if index.max() >= len(lines):
+            raise MeshFileError(f"a face uses {what} {index.max()} (from 0) of {len(lines)}")
+        zeros = ["0"] * width
+        return _numbers([*((line.split() + zeros)[:width] for line in lines), zeros], width)[index]
+
+    def _materials(self) -> tuple[tuple[Look, ...], tuple[Path, ...], tuple[str, ...]]:
+        found: list[Path] = []
+        known: dict[str, Look] = {}
+        for library in self._libraries:
+            for path in self._library(library):
+                if path not in found:
+                    found.append(path)
+                for name, look in read_mtl(path, found.append).items():
+                    known.setdefault(name, look)
+        notes = []
+        looks = []
+        for name in self._looks:
+            if name not in known:
+                where = "its libraries do not have" if self._libraries else "it has no library for"
+                notes.append(f"{where} the material {name!r}, which is shown in gray")
+            looks.append(known.get(name, Look(name)))
+        return tuple(looks), tuple(dict.fromkeys(found)), tuple(notes)
+
+    def _library(self, words: str) -> list[Path]:
+        """One name with spaces, or several without."""
+        try:
+            return [companion(self._file, words, "material library")]
+        except MeshFileError:
+            names = words.split()
+            if len(names) < 2:
+                raise
+            return [companion(self._file, name, "material library") for name in names]
+
+
+def _numbers(rows: list[list[str]], width: int) -> NDArray[np.float64]:
+    """The first words of each row as numbers, [rows, width]."""
+    words = (float(word) for row in rows for word in row[:width])
+    return np.fromiter(words, np.float64, width * len(rows)).reshape(-1, width)

@@ -1,0 +1,157 @@
+"""Pictures that models refer to: found, checked, taken apart.
+
+What is of a kind that all renderers read stays as it is. The rest becomes a PNG whose bytes depend
+on its pixels alone: it is stored without compression, since compressors differ between machines.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+import tempfile
+import zlib
+from pathlib import Path
+from urllib.parse import unquote
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenec.compiler.assets.parts import MeshFileError
+from scenec.compiler.scene import Picture
+from scenec.schemas.maps import read_pixels
+
+#: Where a picture is: beside the model or inside of it.
+Source = Path | Picture
+#: Endings of pictures that are taken as they are.
+_COMMON = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr")
+_BLOCK = 65535
+#: What decoders raise for broken pictures.
+_FAULTS = (
+    ValueError, TypeError, LookupError, ArithmeticError, RuntimeError, AttributeError, EOFError,
+    OSError, MemoryError, SyntaxError, struct.error, zlib.error,
+)  # fmt: skip
+_MAGIC = {
+    b"\x89PNG": ".png", b"\xff\xd8\xff": ".jpg", b"II*\0": ".tif", b"MM\0*": ".tif",
+    b"v/1\x01": ".exr", b"BM": ".bmp", b"RIFF": ".webp", b"GIF8": ".gif",
+}  # fmt: skip
+
+
+def companion(file: Path, reference: str, what: str, *, escaped: bool = False) -> Path:
+    r"""The file that a model refers to.
+
+    Args:
+        file: Which refers to it.
+        reference: As it stands there: relative to its folder, ``/`` or ``\`` between names.
+        what: Of what kind it is, for messages.
+        escaped: Whether it is a URI, with ``%20`` for a space.
+
+    Raises:
+        MeshFileError: It is not there, or the path is absolute.
+    """
+    name = " ".join((unquote(reference) if escaped else reference).split("\0")).replace("\\", "/")
+    if name.startswith("/") or re.match(r"[A-Za-z][A-Za-z0-9+.-]*:", name):
+        raise MeshFileError(
+            f"refers to the {what} {reference[:100]!r}: expected a path relative to {file.name}"
+        )
+    path = file.parent / name
+    try:
+        there = bool(name) and path.is_file()
+    except (OSError, ValueError):
+        there = False
+    if not there:
+        raise MeshFileError(
+            f"refers to the {what} {reference[:100]!r}, which is not there; it is sought from the "
+            f"folder of {file.name}"
+        )
+    return path
+
+
+def embedded(data: bytes) -> Picture:
+    """A picture that stands inside of another file; its first bytes tell its kind."""
+    for magic, suffix in _MAGIC.items():
+        if data.startswith(magic):
+            return Picture(suffix, data)
+    # Targa has no magic number; what it is not, the decoder says.
+    return Picture(".tga", data)
+
+
+def pixels_of(source: Source, label: str) -> NDArray:
+    """Pixels of a picture as ``read_pixels`` gives them.
+
+    Raises:
+        MeshFileError: It is none that can be read.
+    """
+    try:
+        if isinstance(source, Path):
+            return read_pixels(source)
+        with tempfile.TemporaryDirectory(prefix="scenec-") as folder:
+            path = Path(folder) / f"picture{source.suffix}"
+            path.write_bytes(source.data)
+            return read_pixels(path)
+    except _FAULTS as error:
+        reason = " ".join(str(error).split())
+        if "identify" in reason or not reason or "picture" not in reason:
+            reason = "not a readable picture"
+        raise MeshFileError(f"the picture {label}: {reason[:160]}") from error
+
+
+def plain(source: Source, pixels: NDArray) -> Source:
+    """The picture itself where all renderers read its kind, else the same pixels as PNG."""
+    if source.suffix.lower() in _COMMON:
+        return source
+    return Picture(".png", png(pixels))
+
+
+def channel_of(
+    source: Source, pixels: NDArray, channel: int, scale: float, offset: float = 0.0
+) -> tuple[float, Source | None]:
+    """One channel of a picture, times a factor, plus an offset, clipped to [0, 1].
+
+    Returns:
+        Its average; the picture itself where a reader of its first channel sees just that, else a
+        gray PNG, but None where all pixels are equal.
+    """
+    plane = pixels[..., min(channel, pixels.shape[2] - 1)]
+    floating = plane.dtype.kind == "f"
+    largest = 65535 if floating or plane.dtype == np.uint16 else 255
+    values = plane.astype(np.float64) if floating else plane / float(np.iinfo(plane.dtype).max)
+    values = np.clip(values * scale + offset, 0.0, 1.0)
+    if values.min() == values.max():
+        return float(values.flat[0]), None
+    average = float(values.mean())
+    first = channel == 0 or pixels.shape[2] == 1
+    if first and scale == 1.0 and offset == 0.0:
+        return average, plain(source, pixels)
+    codes = np.floor(values * largest + 0.5).astype(np.uint16 if largest > 255 else np.uint8)
+    return average, Picture(".png", png(codes[..., None]))
+
+
+def png(pixels: NDArray) -> bytes:
+    """A PNG file without compression: the same bytes everywhere (ISO/IEC 15948, RFC 1950, 1951).
+
+    Args:
+        pixels: uint8 or uint16, [h, w, 1 or 3]; floating ones in [0, 1] become uint16 if gray,
+            else uint8.
+    """
+    if pixels.dtype.kind == "f":
+        kind = np.uint16 if pixels.shape[2] == 1 else np.uint8
+        codes = np.clip(pixels, 0.0, 1.0) * float(np.iinfo(kind).max)
+        pixels = np.floor(codes + 0.5).astype(kind)
+    height, width, channels = pixels.shape
+    big = np.ascontiguousarray(pixels.astype(pixels.dtype.newbyteorder(">")))
+    rows = np.zeros((height, 1 + width * channels * big.itemsize), np.uint8)
+    rows[:, 1:] = big.view(np.uint8).reshape(height, -1)
+    raw = rows.tobytes()
+    blocks = [
+        struct.pack("<BHH", start + _BLOCK >= len(raw), len(part), len(part) ^ 0xFFFF) + part
+        for start in range(0, len(raw), _BLOCK)
+        for part in (raw[start : start + _BLOCK],)
+    ]
+    stream = b"\x78\x01" + b"".join(blocks) + struct.pack(">I", zlib.adler32(raw))
+    color = 0 if channels == 1 else 2
+    header = struct.pack(">IIBBBBB", width, height, 8 * big.itemsize, color, 0, 0, 0)
+    chunks = ((b"IHDR", header), (b"IDAT", stream), (b"IEND", b""))
+    return b"\x89PNG\r\n\x1a\n" + b"".join(
+        struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))
+        for name, data in chunks
+    )

@@ -1,0 +1,231 @@
+"""Materials of USD files: UsdPreviewSurface, with UsdUVTexture and UsdTransform2d before it."""
+
+from __future__ import annotations
+
+import zipfile
+from pathlib import Path
+from typing import Any
+
+from pxr import Sdf, UsdShade
+
+from scenec.compiler.assets import affine
+from scenec.compiler.assets.looks import SAME_UV, Look, Slot, UvMap, reflectance
+from scenec.compiler.assets.parts import MeshFileError
+from scenec.compiler.assets.pictures import Source, companion, embedded
+from scenec.compiler.assets.usd import TIME
+
+_KINDS = {
+    "base_color": "diffuseColor", "roughness": "roughness", "metallic": "metallic",
+    "normal": "normal",
+}  # fmt: skip
+_CHANNELS = {"r": 0, "g": 1, "b": 2, "a": 3}
+
+
+class UsdLooks:
+    """The materials of a stage, each read when a mesh first uses it.
+
+    Attributes:
+        known: Those in use.
+        companions: Pictures beside the file.
+        notes: What of the stage is left out.
+    """
+
+    def __init__(self, file: Path):
+        self._file = file
+        self._numbers: dict[str, int] = {}
+        self.known: list[Look] = []
+        self.companions: list[Path] = []
+        self.notes: list[str] = []
+
+    def number(self, material: UsdShade.Material | None) -> int:
+        """Position of a material in ``known``; -1 for none."""
+        if material is None:
+            return -1
+        prim = material.GetPrim()
+        # Of instances, the one that they share.
+        path = str((prim.GetPrimInPrototype() if prim.IsInstanceProxy() else prim).GetPath())
+        if path not in self._numbers:
+            self._numbers[path] = len(self.known)
+            self.known.append(self._look(material))
+        return self._numbers[path]
+
+    def _look(self, material: UsdShade.Material) -> Look:
+        name = str(material.GetPrim().GetName())
+        shader = material.ComputeSurfaceSource()[0]
+        kind = str(shader.GetIdAttr().Get()) if shader else ""
+        if kind != "UsdPreviewSurface":
+            what = f"its shader {kind}" if shader else "a material without a UsdPreviewSurface"
+            return Look(name, notes=(f"{what} is not known: it is shown in gray",))
+        notes: list[str] = []
+        clamps: list[bool] = []
+        slots: dict[str, Slot] = {}
+        values: dict[str, Any] = {"diffuseColor": (0.18, 0.18, 0.18)}
+        for kind, key in _KINDS.items():
+            producer = _producer(shader.GetInput(key))
+            if producer is None:
+                continue
+            if isinstance(producer, UsdShade.Output):
+                slot = self._slot(name, kind, producer, notes, clamps, values)
+                if slot is not None:
+                    slots[kind] = slot
+            else:
+                values[key] = producer.Get(TIME)
+        ior = _number(shader, "ior", 1.5)
+        specular = reflectance(ior)
+        if _number(shader, "useSpecularWorkflow", 0) == 1:
+            producer = _producer(shader.GetInput("specularColor"))
+            color = producer.Get(TIME) if producer and _is_value(producer) else None
+            specular = sum(map(float, color)) / 3.0 if color is not None else 0.0
+            values["metallic"] = 0.0
+            slots.pop("metallic", None)
+            notes.append("the tint of its highlight is left out")
+        for key, what, default in (
+            ("opacity", "its opacity is not shown", 1.0),
+            ("clearcoat", "its coat is left out", 0.0),
+            ("displacement", "its displacement is left out", 0.0),
+        ):
+            if _is_textured(shader, key) or _number(shader, key, default) != default:
+                notes.append(what)
+        glow = _producer(shader.GetInput("emissiveColor"))
+        if glow is not None and (not _is_value(glow) or any(glow.Get(TIME) or ())):
+            notes.append("its emission is left out")
+        red, green, blue = map(float, values["diffuseColor"])
+        return Look(
+            name,
+            (red, green, blue),
+            float(values.get("roughness", 0.5)),
+            float(values.get("metallic", 0.0)),
+            specular,
+            slots,
+            tuple(dict.fromkeys(notes)),
+            not any(clamps),
+            "directx" if values.get("normal") == "directx" else "opengl",
+        )
+
+    def _slot(
+        self,
+        name: str,
+        kind: str,
+        output: UsdShade.Output,
+        notes: list[str],
+        clamps: list[bool],
+        values: dict[str, Any],
+    ) -> Slot | None:
+        texture = UsdShade.Shader(output.GetPrim())
+        shader = str(texture.GetIdAttr().Get()) if texture else ""
+        if shader != "UsdUVTexture":
+            notes.append(f"what gives its {kind} ({shader or 'a node'}) is not known")
+            return None
+        producer = _producer(texture.GetInput("file"))
+        asset = producer.Get(TIME) if producer is not None and _is_value(producer) else None
+        if not isinstance(asset, Sdf.AssetPath) or not asset.path:
+            raise MeshFileError(f"material {name!r}: its {kind} picture has no file")
+        if "<UDIM>" in asset.path:
+            notes.append(f"its {kind} picture in UDIM tiles is left out")
+            return None
+        channel = _CHANNELS.get(str(output.GetBaseName()), 0)
+        if channel == 3:
+            notes.append(f"its {kind}, which is the alpha of {asset.path}, is left out")
+            return None
+        scale = [float(x) for x in _tuple(texture, "scale", (1.0,) * 4)]
+        bias = [float(x) for x in _tuple(texture, "bias", (0.0,) * 4)]
+        space = _token(texture, "sourceColorSpace", "auto")
+        if kind == "base_color":
+            values["diffuseColor"] = tuple(scale[:3])
+            if any(bias[:3]):
+                notes.append("what is added to its base color picture is left out")
+            if space == "raw":
+                notes.append(f"its base color picture {asset.path} is taken as sRGB, not as raw")
+        elif kind == "normal":
+            if scale[:2] not in ([2.0, 2.0], [1.0, 1.0], [2.0, -2.0]):
+                notes.append("the strength of its map of normals is taken as 1")
+            if scale[1] < 0.0:
+                values["normal"] = "directx"
+        elif space == "sRGB":
+            notes.append(f"its {kind} picture {asset.path} is taken as raw, not as sRGB")
+        clamps += [
+            _token(texture, key, "useMetadata") in ("clamp", "black", "mirror")
+            for key in ("wrapS", "wrapT")
+        ]
+        uv_set, uv_map = _coordinates(texture, notes)
+        source = self._picture(asset)
+        return Slot(source, asset.path, channel, scale[channel], bias[channel], uv_set, uv_map)
+
+    def _picture(self, asset: Sdf.AssetPath) -> Source:
+        package, inner = Sdf.Layer.SplitIdentifier(asset.path)[0], asset.resolvedPath
+        if inner.endswith("]") and "[" in inner:
+            # Inside of a package.
+            member = inner[inner.rindex("[") + 1 : -1]
+            try:
+                with zipfile.ZipFile(self._file) as archive:
+                    return embedded(archive.read(member))
+            except (zipfile.BadZipFile, KeyError, OSError, NotImplementedError) as error:
+                raise MeshFileError(f"the picture {member} in it cannot be read") from error
+        path = companion(self._file, package, "picture")
+        if path not in self.companions:
+            self.companions.append(path)
+        return path
+
+
+def _producer(source: UsdShade.Input | None) -> Any:
+    """Where an input's value comes from: an attribute, a shader's output, or None."""
+    if not source:
+        return None
+    attributes = source.GetValueProducingAttributes()
+    if not attributes:
+        return None
+    if UsdShade.Output.IsOutput(attributes[0]):
+        return UsdShade.Output(attributes[0])
+    return attributes[0] if attributes[0].Get(TIME) is not None else None
+
+
+def _is_value(producer: Any) -> bool:
+    return not isinstance(producer, UsdShade.Output)
+
+
+def _is_textured(shader: UsdShade.Shader, key: str) -> bool:
+    producer = _producer(shader.GetInput(key))
+    return producer is not None and not _is_value(producer)
+
+
+def _value(shader: UsdShade.Shader, key: str) -> Any:
+    producer = _producer(shader.GetInput(key))
+    return producer.Get(TIME) if producer is not None and _is_value(producer) else None
+
+
+def _number(shader: UsdShade.Shader, key: str, default: float) -> float:
+    value = _value(shader, key)
+    return default if value is None else float(value)
+
+
+def _token(shader: UsdShade.Shader, key: str, default: str) -> str:
+    value = _value(shader, key)
+    return default if value is None else str(value)
+
+
+def _tuple(shader: UsdShade.Shader, key: str, default: tuple[float, ...]) -> tuple[float, ...]:
+    value = _value(shader, key)
+    return default if value is None else tuple(float(x) for x in value)
+
+
+def _coordinates(texture: UsdShade.Shader, notes: list[str]) -> tuple[str, UvMap]:
+    """Primvar that a picture lies on, and what is done to it."""
+    uv_map = SAME_UV
+    producer = _producer(texture.GetInput("st"))
+    if producer is None or _is_value(producer):
+        return "st", uv_map
+    node = UsdShade.Shader(producer.GetPrim())
+    if str(node.GetIdAttr().Get()) == "UsdTransform2d":
+        # First scale, then rotation, then translation, as its specification says.
+        s, c = affine.sin_cos(_number(node, "rotation", 0.0))
+        wide, high = _tuple(node, "scale", (1.0, 1.0))
+        x, y = _tuple(node, "translation", (0.0, 0.0))
+        uv_map = (c * wide, -s * high, x, s * wide, c * high, y)
+        producer = _producer(node.GetInput("in"))
+        if producer is None or _is_value(producer):
+            return "st", uv_map
+        node = UsdShade.Shader(producer.GetPrim())
+    if str(node.GetIdAttr().Get()) != "UsdPrimvarReader_float2":
+        notes.append("its texture coordinates come from what is not known: st is taken")
+        return "st", uv_map
+    return _token(node, "varname", "st"), uv_map

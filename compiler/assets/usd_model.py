@@ -1,0 +1,188 @@
+"""USD files as models: primvars and bindings of their meshes.
+
+A part is a prim or, within it, a GeomSubset of faces. Materials are read by ``usd_looks``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from pxr import Sdf, Usd, UsdGeom, UsdShade
+
+from scenec.compiler.assets.parts import MeshFileError, fan_corners
+from scenec.compiler.assets.shells import ParsedModel, Shell, compact, placed
+from scenec.compiler.assets.usd import (
+    TIME,
+    UsdPolygons,
+    polygons_of,
+    shown_meshes,
+    sound_stage,
+    unit_and_axis,
+)
+from scenec.compiler.assets.usd_looks import UsdLooks
+
+_PAIRS = (
+    Sdf.ValueTypeNames.TexCoord2fArray, Sdf.ValueTypeNames.TexCoord2dArray,
+    Sdf.ValueTypeNames.TexCoord2hArray, Sdf.ValueTypeNames.Float2Array,
+)  # fmt: skip
+#: Values of a primvar that there have to be, by interpolation.
+_WIDTHS = {"constant": "one", "uniform": "a face", "vertex": "a point", "faceVarying": "a corner"}
+
+
+def read_usd_model(file: Path) -> ParsedModel:
+    """Reads a ``.usd``, ``.usda``, ``.usdc`` or ``.usdz`` file and its pictures.
+
+    Raises:
+        MeshFileError: It is not sound, takes in other layers, or a picture is missing.
+    """
+    with sound_stage(file) as stage:
+        looks = UsdLooks(file)
+        shells = [shell for mesh in shown_meshes(stage) for shell in _shells(mesh, looks)]
+        return ParsedModel(
+            tuple(shells),
+            tuple(looks.known),
+            *unit_and_axis(stage),
+            tuple(looks.companions),
+            tuple(dict.fromkeys(looks.notes)),
+        )
+
+
+def _shells(mesh: UsdGeom.Mesh, looks: UsdLooks) -> list[Shell]:
+    polygons = polygons_of(mesh)
+    triangles, polygon = fan_corners(polygons.counts)
+    faces = polygons.corners[triangles]
+    path = str(mesh.GetPath())
+    if len(faces) and (faces.min() < 0 or faces.max() >= len(polygons.points)):
+        bad = faces[(faces < 0) | (faces >= len(polygons.points))]
+        raise MeshFileError(f"{path} uses vertex {int(bad[0])} (from 0) of {len(polygons.points)}")
+    reader = _Primvars(mesh, polygons, triangles, polygon, faces)
+    normals = None
+    scheme = mesh.GetSubdivisionSchemeAttr().Get()
+    if scheme == UsdGeom.Tokens.none:
+        normals = reader.normals()
+    elif mesh.GetSubdivisionSchemeAttr().HasAuthoredValue():
+        looks.notes.append(f"{path}: its subdivision ({scheme}) is left out")
+    whole = Shell(
+        path,
+        polygons.points,
+        faces,
+        reader.coordinates(),
+        normals,
+        reader.color(),
+        np.full(len(faces), looks.number(_bound(mesh.GetPrim())), np.int64),
+    )
+    whole = placed(whole, polygons.to_world, turned=polygons.turned)
+    return _split(mesh, whole, polygons.polygon[polygon], looks)
+
+
+def _bound(prim: Usd.Prim) -> UsdShade.Material | None:
+    material = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial()[0]
+    return material if material else None
+
+
+def _split(
+    mesh: UsdGeom.Mesh, whole: Shell, polygon: NDArray[np.int64], looks: UsdLooks
+) -> list[Shell]:
+    """A mesh by its subsets of faces; where several have a face, the first names it."""
+    count = int(polygon.max()) + 1 if len(polygon) else 0
+    owners, part = whole.owners().copy(), np.full(len(whole.faces), -1, np.int64)
+    subsets = [
+        subset
+        for subset in UsdGeom.Subset.GetAllGeomSubsets(UsdGeom.Imageable(mesh.GetPrim()))
+        if subset.GetElementTypeAttr().Get() == UsdGeom.Tokens.face
+    ]
+    for i, subset in enumerate(subsets):
+        indices = np.array(subset.GetIndicesAttr().Get(TIME) or (), np.int64)
+        chosen = np.zeros(count, bool)
+        chosen[indices[(indices >= 0) & (indices < count)]] = True
+        of_subset = chosen[polygon]
+        part[of_subset & (part < 0)] = i
+        if subset.GetFamilyNameAttr().Get() == UsdShade.Tokens.materialBind:
+            owners[of_subset] = looks.number(_bound(subset.GetPrim()))
+    whole = replace(whole, material=owners)
+    if (part < 0).all():
+        return [whole]
+    paths = [str(subset.GetPath()) for subset in subsets]
+    shells = []
+    for i in range(-1, len(subsets)):
+        own = part == i
+        if own.any():
+            shell = Shell(
+                whole.path if i < 0 else paths[i],
+                whole.points,
+                whole.faces[own],
+                {name: uv[own] for name, uv in whole.uv.items()},
+                None if whole.normals is None else whole.normals[own],
+                None if whole.colors is None else whole.colors[own],
+                owners[own],
+            )
+            shells.append(compact(shell))
+    return shells
+
+
+class _Primvars:
+    """Values of one mesh at the corners of its triangles."""
+
+    def __init__(
+        self,
+        mesh: UsdGeom.Mesh,
+        polygons: UsdPolygons,
+        triangles: NDArray[np.int64],
+        polygon: NDArray[np.int64],
+        faces: NDArray[np.int64],
+    ):
+        self._mesh = mesh
+        self._api = UsdGeom.PrimvarsAPI(mesh.GetPrim())
+        self._index = {
+            "constant": np.zeros_like(faces),
+            "uniform": np.repeat(polygons.polygon[polygon][:, None], 3, axis=1),
+            "vertex": faces,
+            "varying": faces,
+            "faceVarying": polygons.corner[triangles],
+        }
+
+    def coordinates(self) -> dict[str, NDArray]:
+        """All that are pairs of numbers, "st" first."""
+        found = {}
+        for primvar in self._api.FindPrimvarsWithInheritance():
+            if primvar.GetTypeName() in _PAIRS and primvar.HasValue():
+                name = str(primvar.GetPrimvarName())
+                values = primvar.ComputeFlattened(TIME)
+                found[name] = self._spread(name, values, primvar.GetInterpolation(), 2)
+        first = sorted(found, key=lambda name: (name != "st", name))
+        return {name: found[name] for name in first}
+
+    def normals(self) -> NDArray[np.float64] | None:
+        primvar = self._api.GetPrimvar("normals")
+        if primvar and primvar.HasValue():
+            values, interpolation = primvar.ComputeFlattened(TIME), primvar.GetInterpolation()
+        else:
+            values = self._mesh.GetNormalsAttr().Get(TIME)
+            interpolation = self._mesh.GetNormalsInterpolation()
+        if values is None or not len(values):
+            return None
+        return self._spread("normals", values, interpolation, 3)
+
+    def color(self) -> NDArray[np.float64] | None:
+        """displayColor, which stands in for a material; USD's colors are linear."""
+        primvar = self._mesh.GetDisplayColorPrimvar()
+        if _bound(self._mesh.GetPrim()) is not None or not primvar or not primvar.HasValue():
+            return None
+        values = primvar.ComputeFlattened(TIME)
+        if values is None or not len(values):
+            return None
+        spread = self._spread("displayColor", values, primvar.GetInterpolation(), 3)
+        return np.clip(np.nan_to_num(spread), 0.0, 1.0)
+
+    def _spread(self, name: str, values: object, kind: str, width: int) -> NDArray[np.float64]:
+        array = np.array(values, np.float64).reshape(-1, width)
+        index = self._index.get(str(kind))
+        if index is None or (index.size and int(index.max()) >= len(array)):
+            raise MeshFileError(
+                f"{self._mesh.GetPath()}: {len(array)} values of {name} ({kind}): expected "
+                f"{_WIDTHS.get(str(kind), 'one for each ' + str(kind))}"
+            )
+        return array[index]

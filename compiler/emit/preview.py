@@ -1,0 +1,106 @@
+"""UsdPreviewSurface of a material, for viewers: what they can show of the shared surface model."""
+
+from __future__ import annotations
+
+from pxr import Gf, Sdf, Usd, UsdShade
+
+from scenec.compiler.emit.maps import average_color
+from scenec.compiler.scene import Material
+from scenec.schemas import stage as names
+
+_TYPES = Sdf.ValueTypeNames
+
+
+def is_encoded(kind: str, file: str) -> bool:
+    """Whether a map's values are colors in sRGB's transfer function."""
+    return kind == "base_color" and not file.endswith(".exr")
+
+
+def write_preview(look: UsdShade.Material, material: Material, files: dict[str, str]) -> None:
+    """Writes the nodes under a Material.
+
+    It shows displayColor, where the merges of the ground are already blended, with the GGX lobe as
+    its specular color (of a metal: its metallic part), and the material's number of roughness. A
+    material whose maps lie by texture coordinates shows those, without variation: viewers can read
+    them. Maps in the world are left out.
+
+    Args:
+        look: The Material.
+        material: What to write.
+        files: Its maps by kind, relative to the layer.
+    """
+    stage, path = look.GetPrim().GetStage(), look.GetPath()
+    surface = UsdShade.Shader.Define(stage, path.AppendChild("Surface"))
+    surface.CreateIdAttr("UsdPreviewSurface")
+    by_uv = material.maps is not None and material.maps.projection == "uv"
+    pictures = _Pictures(stage, path, material, files if by_uv else {})
+    diffuse = surface.CreateInput("diffuseColor", _TYPES.Color3f)
+    if "base_color" in pictures.files:
+        diffuse.ConnectToSource(pictures.output("base_color"))
+    else:
+        diffuse.ConnectToSource(_display_color(stage, path, material))
+    if "metallic" in pictures.files:
+        surface.CreateInput("metallic", _TYPES.Float).ConnectToSource(pictures.output("metallic"))
+    elif material.metallic > 0.0:
+        surface.CreateInput("metallic", _TYPES.Float).Set(material.metallic)
+    else:
+        surface.CreateInput("useSpecularWorkflow", _TYPES.Int).Set(1)
+        surface.CreateInput("specularColor", _TYPES.Color3f).Set(Gf.Vec3f(material.specular))
+    roughness = surface.CreateInput("roughness", _TYPES.Float)
+    if "roughness" in pictures.files:
+        roughness.ConnectToSource(pictures.output("roughness"))
+    else:
+        roughness.Set(material.roughness)
+    if "normal" in pictures.files:
+        surface.CreateInput("normal", _TYPES.Normal3f).ConnectToSource(pictures.output("normal"))
+    look.CreateSurfaceOutput().ConnectToSource(surface.CreateOutput("surface", _TYPES.Token))
+
+
+def _display_color(stage: Usd.Stage, path: Sdf.Path, material: Material) -> UsdShade.Output:
+    color = UsdShade.Shader.Define(stage, path.AppendChild("Color"))
+    color.CreateIdAttr("UsdPrimvarReader_float3")
+    color.CreateInput("varname", _TYPES.String).Set("displayColor")
+    color.CreateInput("fallback", _TYPES.Float3).Set(Gf.Vec3f(*average_color(material)))
+    return color.CreateOutput("result", _TYPES.Float3)
+
+
+class _Pictures:
+    """UsdUVTexture nodes, all at the mesh's texture coordinates."""
+
+    def __init__(
+        self, stage: Usd.Stage, path: Sdf.Path, material: Material, files: dict[str, str]
+    ) -> None:
+        self.files = files
+        self._stage, self._path, self._material = stage, path, material
+
+    def output(self, kind: str) -> UsdShade.Output:
+        """What a picture gives."""
+        name = "".join(part.capitalize() for part in kind.split("_"))
+        texture = UsdShade.Shader.Define(self._stage, self._path.AppendChild(f"{name}Texture"))
+        texture.CreateIdAttr("UsdUVTexture")
+        file = self.files[kind]
+        texture.CreateInput("file", _TYPES.Asset).Set(Sdf.AssetPath(file))
+        texture.CreateInput("st", _TYPES.Float2).ConnectToSource(self._coordinates())
+        for side in ("wrapS", "wrapT"):
+            texture.CreateInput(side, _TYPES.Token).Set("repeat")
+        texture.CreateInput("sourceColorSpace", _TYPES.Token).Set(
+            "sRGB" if is_encoded(kind, file) else "raw"
+        )
+        if kind == "base_color" and self._material.base_color != (1.0, 1.0, 1.0):
+            texture.CreateInput("scale", _TYPES.Float4).Set(
+                Gf.Vec4f(*self._material.base_color, 1.0)
+            )
+        if kind == "normal":
+            assert self._material.maps is not None
+            up = -1.0 if self._material.maps.normal_convention == "directx" else 1.0
+            texture.CreateInput("scale", _TYPES.Float4).Set(Gf.Vec4f(2.0, 2.0 * up, 2.0, 1.0))
+            texture.CreateInput("bias", _TYPES.Float4).Set(Gf.Vec4f(-1.0, -up, -1.0, 0.0))
+        if kind in ("roughness", "metallic"):
+            return texture.CreateOutput("r", _TYPES.Float)
+        return texture.CreateOutput("rgb", _TYPES.Float3)
+
+    def _coordinates(self) -> UsdShade.Output:
+        reader = UsdShade.Shader.Define(self._stage, self._path.AppendChild("Coordinates"))
+        reader.CreateIdAttr("UsdPrimvarReader_float2")
+        reader.CreateInput("varname", _TYPES.String).Set(names.PRIMVAR_UV)
+        return reader.CreateOutput("result", _TYPES.Float2)

@@ -1,0 +1,1 @@
+"""Objects that are models from files: their prototypes, and single ones at given poses."""

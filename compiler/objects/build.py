@@ -1,0 +1,142 @@
+"""All classes of objects of a batch, from their plans to what stands in the Scene."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenec.compiler.cameras.sight import Views
+from scenec.compiler.objects.placed import place_objects
+from scenec.compiler.objects.poses import PlacedPlan
+from scenec.compiler.objects.prototypes import Looks, ModelPlan, build_prototype, load_model
+from scenec.compiler.plan import ModelSource, ScatterPlan
+from scenec.compiler.scatter.lay import lay
+from scenec.compiler.scatter.lod import Levels, budget_factor, choose_levels, see_levels
+from scenec.compiler.scatter.rocks import Chain, build_chains
+from scenec.compiler.scatter.surroundings import Surroundings, footprints
+from scenec.compiler.scene import Placed, Prototype, Scatter
+
+
+class _Log(Protocol):
+    facts: dict[str, Any]
+
+    def timed(self, name: str) -> AbstractContextManager[None]: ...
+
+
+def build_objects(
+    plans: Sequence[ScatterPlan | PlacedPlan],
+    around: Surroundings,
+    views: Views,
+    unseen: float,
+    times: NDArray[np.float64],
+    looks: Looks | None,
+    max_triangles: int | None,
+    log: _Log,
+) -> tuple[Scatter | Placed, ...]:
+    """The objects, in the plans' order; each class sees those before it.
+
+    Args:
+        plans: What was drawn.
+        around: Ground and cameras; receives what is laid.
+        views: The cameras.
+        unseen: Part that a pixel counts where no view shows an instance.
+        times: Of the samples, seconds.
+        looks: Receives the materials of models; None where no color is asked for.
+        max_triangles: Most triangles of all objects together, or None.
+        log: Receives what was done, and how long it took.
+
+    Raises:
+        SceneError: Something cannot be built or placed, or the budget cannot be kept.
+    """
+    found: list[Levels | Placed] = []
+    facts: dict[str, dict[str, Any]] = log.facts.setdefault("objects", {})
+    for plan in plans:
+        with log.timed(f"objects/{plan.name}"):
+            own = facts[plan.name] = {}
+            if isinstance(plan, PlacedPlan):
+                models = _prototypes(plan, plan, looks, own)
+                placed = place_objects(plan, models, around.surface, times)
+                own |= _report(placed)
+                found.append(placed)
+                around.objects[plan.name] = footprints(placed)
+            else:
+                chains = _chains(plan, looks, own)
+                laid = lay(plan, chains, around, own)
+                found.append(see_levels(laid, chains, views, unseen, plan.lod_px))
+                around.objects[plan.name] = footprints(laid)
+    scattered = [levels for levels in found if isinstance(levels, Levels)]
+    single = sum(facts[one.name]["triangles"] for one in found if isinstance(one, Placed))
+    factor = None
+    if max_triangles is not None:
+        factor = budget_factor(scattered, max_triangles, single)
+        log.facts["object_budget"] = {"max_triangles": max_triangles, "error_factor": factor or 1.0}
+    objects: list[Scatter | Placed] = []
+    for one in found:
+        if isinstance(one, Placed):
+            objects.append(one)
+            continue
+        with log.timed(f"objects/{one.scatter.name}"):
+            scatter, chosen = choose_levels(one, factor)
+            facts[scatter.name] |= chosen
+            objects.append(scatter)
+    return tuple(objects)
+
+
+def _chains(plan: ScatterPlan, looks: Looks | None, facts: dict[str, Any]) -> tuple[Chain, ...]:
+    """The levels of each of a class's prototypes."""
+    if isinstance(plan.source, ModelSource):
+        return tuple((model,) for model in _prototypes(plan, plan.source, looks, facts))
+    # A tolerance of 0 asks for the finest level only.
+    return build_chains(plan.source.shapes, coarser=plan.lod_px > 0.0)
+
+
+def _prototypes(
+    plan: ScatterPlan | PlacedPlan,
+    source: ModelSource | PlacedPlan,
+    looks: Looks | None,
+    facts: dict[str, Any],
+) -> tuple[Prototype, ...]:
+    """A class's models; what of their files is left out is noted."""
+    found = []
+    notes: list[str] = []
+    for index, model in enumerate(source.models):
+        loaded = load_model(model)
+        notes.extend(f"{model.file.name}: {note}" for note in loaded.notes)
+        found.append(
+            build_prototype(
+                plan.name,
+                _prim_name(index, model),
+                loaded,
+                source.rules,
+                plan.material,
+                plan.labels,
+                source.variation,
+                looks,
+            )
+        )
+    if notes:
+        facts["left_out"] = list(dict.fromkeys(notes))
+    return tuple(found)
+
+
+def _prim_name(index: int, model: ModelPlan) -> str:
+    stem = re.sub(r"\W", "_", model.file.stem, flags=re.ASCII)
+    return f"model_{index:02d}_{stem}"
+
+
+def _report(placed: Placed) -> dict[str, Any]:
+    """Of single objects, for report.json."""
+    triangles = np.array([len(p.faces) for p in placed.prototypes], np.int64)
+    return {
+        "count": placed.count,
+        "samples": placed.to_world.shape[1],
+        "prototypes": len(placed.prototypes),
+        "triangles": int(triangles[placed.prototype].sum()),
+        # Their places stand in doubles.
+        "float32_error_max_m": 0.0,
+    }

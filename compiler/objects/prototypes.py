@@ -1,0 +1,213 @@
+"""Models from files as prototypes: vertices split along edges, parts with materials and labels."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenec.compiler.assets.cache import cached_model
+from scenec.compiler.assets.looks import ModelMaterial
+from scenec.compiler.assets.model import Model
+from scenec.compiler.objects.corners import corner_normals, split
+from scenec.compiler.scene import Labels, Material, MaterialMaps, MeshPart, Prototype
+from scenec.schemas.errors import SceneError
+
+#: Faces that meet at a larger angle have an edge between them, where a file gives no normals.
+CREASE_DEG = 40.0
+
+
+@dataclass(frozen=True)
+class PartRule:
+    """What the cfg says of one part of a class's models.
+
+    Attributes:
+        name: Of a part, of what stands above it, or of a material of the file.
+        material: The cfg's material that it gets, or None.
+        labels: Label ids, on the levels where they differ from the class's.
+    """
+
+    name: str
+    material: str | None
+    labels: Labels
+
+
+@dataclass(frozen=True)
+class ModelPlan:
+    """One model of a class.
+
+    Attributes:
+        file: The file.
+        unit_m, up, part: See ``assets.model.read_model``.
+    """
+
+    file: Path
+    unit_m: float | None
+    up: str | None
+    part: str | None
+
+
+@dataclass
+class Looks:
+    """Materials of the scene: those of the cfg, and those that come with models.
+
+    Attributes:
+        materials: By name.
+    """
+
+    materials: dict[str, Material]
+    _made: list[tuple[str, str]] = field(default_factory=list)
+
+    def add(self, owner: str, wanted: str, material: Material) -> str:
+        """The name of a model's material: ``<class>_<material>``, numbered if another has it."""
+        for other, name in self._made:
+            if other == owner and self.materials[name] == material:
+                return name
+        base = re.sub(r"\W", "_", f"{owner}_{wanted or 'surface'}", flags=re.ASCII)
+        name, number = base, 1
+        while name in self.materials:
+            number += 1
+            name = f"{base}_{number}"
+        self.materials[name] = material
+        self._made.append((owner, name))
+        return name
+
+
+def load_model(plan: ModelPlan) -> Model:
+    """The model of a plan; read once for all batches.
+
+    Raises:
+        SceneError: It cannot be read.
+    """
+    return cached_model(plan.file, plan.unit_m, plan.up, plan.part)
+
+
+def build_prototype(
+    owner: str,
+    name: str,
+    model: Model,
+    rules: tuple[PartRule, ...],
+    material: str | None,
+    labels: Labels,
+    variation: float,
+    looks: Looks | None,
+) -> Prototype:
+    """A model as a prototype, in meters, about the file's origin.
+
+    Args:
+        owner: Name of the class.
+        name: Prim name.
+        model: The model.
+        rules: For its parts; of several that fit, the last counts.
+        material: The cfg's material for all that no rule gives one; None: the file's own.
+        labels: Of the class.
+        variation: How much the file's own materials vary from instance to instance.
+        looks: Receives the file's materials that are used; None where no color is asked for.
+
+    Raises:
+        SceneError: It cannot be held in float32.
+    """
+    rule_of_face = _rules_of_faces(model, rules)
+    corners = model.normals
+    if corners is None:
+        corners = corner_normals(model.points, model.faces, CREASE_DEG).astype(np.float32)
+    copies, faces, normals = split(model.faces, corners)
+    points = model.points[copies].astype(np.float32)
+    squares = (points.astype(np.float64) * points).sum(axis=1)
+    radius = float(np.sqrt(squares.max()))
+    if not np.isfinite(radius):
+        raise SceneError(f"objects/{owner}: {name} is too large for float32")
+    return Prototype(
+        name=name,
+        points=points,
+        faces=faces,
+        normals=normals,
+        variation=np.zeros(len(points), np.float32),
+        # Of the numbers' rounding, too.
+        radius=radius * (1.0 + 1e-6),
+        uv=model.uv if looks is not None else None,
+        parts=_parts(owner, model, rule_of_face, rules, material, labels, variation, looks),
+    )
+
+
+def _rules_of_faces(model: Model, rules: tuple[PartRule, ...]) -> NDArray[np.int64]:
+    """Index of the last rule that fits each face; -1: none."""
+    found = np.full(len(model.faces), -1)
+    for index, rule in enumerate(rules):
+        parts = [i for i, path in enumerate(model.parts) if is_of(path, rule.name)]
+        named = [i for i, m in enumerate(model.materials) if m.name == rule.name]
+        found[np.isin(model.part_of_face, parts) | np.isin(model.material_of_face, named)] = index
+    return found
+
+
+def is_of(path: str, name: str) -> bool:
+    """Whether a part's path is a name's, or stands below it."""
+    return path == name or path.startswith(name.rstrip("/") + "/") or name in path.split("/")
+
+
+def part_names(model: Model) -> list[str]:
+    """What rules can name, for messages."""
+    steps = [step for path in model.parts for step in path.split("/") if step]
+    return list(dict.fromkeys([*steps, *(m.name for m in model.materials if m.name)]))
+
+
+def _parts(
+    owner: str,
+    model: Model,
+    rule_of_face: NDArray[np.int64],
+    rules: tuple[PartRule, ...],
+    material: str | None,
+    labels: Labels,
+    variation: float,
+    looks: Looks | None,
+) -> tuple[MeshPart, ...]:
+    """Runs of faces of the same material and labels, in order of their first faces."""
+    own_material = np.full(len(model.faces), -1) if material is not None else model.material_of_face
+    key = (rule_of_face + 1) * (len(model.materials) + 1) + own_material + 1
+    _, first, of_face = np.unique(key, return_index=True, return_inverse=True)
+    found: dict[tuple[str | None, tuple[tuple[str, int], ...] | None], list[NDArray[np.int64]]] = {}
+    wanted: dict[tuple[str | None, Any], str] = {}
+    for index in np.argsort(first, kind="stable"):
+        face = int(first[index])
+        rule = rules[rule_of_face[face]] if rule_of_face[face] >= 0 else None
+        look = rule.material if rule is not None and looks is not None else None
+        title = rule.name if rule is not None else ""
+        if look is None and looks is not None and own_material[face] >= 0:
+            made = model.materials[own_material[face]]
+            look = looks.add(owner, made.name, as_material(made, variation, model.uv is not None))
+            title = title or made.name
+        own = {**labels, **rule.labels} if rule is not None and rule.labels else None
+        part = (look, None if own is None else tuple(sorted(own.items())))
+        found.setdefault(part, []).append(np.flatnonzero(of_face == index))
+        wanted.setdefault(part, title)
+    parts: list[MeshPart] = []
+    for (look, changed), blocks in found.items():
+        if look is None and changed is None:
+            # As the class is.
+            continue
+        title = re.sub(r"\W", "_", wanted[look, changed] or "part", flags=re.ASCII)
+        title = f"_{title}" if title[0].isdigit() else title
+        if any(part.name == title for part in parts):
+            title = f"{title}_{len(parts)}"
+        faces = np.sort(np.concatenate(blocks), kind="stable").astype(np.int32)
+        parts.append(MeshPart(title, faces, look, None if changed is None else dict(changed)))
+    return tuple(parts)
+
+
+def as_material(made: ModelMaterial, variation: float, has_uv: bool) -> Material:
+    """A file's material in the scene's terms; pictures need texture coordinates."""
+    maps = None
+    if made.pictures and has_uv:
+        maps = MaterialMaps(1.0, dict(made.pictures), made.normal_convention, "uv")
+    return Material(
+        base_color=made.base_color,
+        roughness=made.roughness,
+        specular=made.specular,
+        variation=variation,
+        metallic=made.metallic,
+        maps=maps,
+    )

@@ -1,0 +1,179 @@
+"""The cells over which a density is taken as constant, and what is summed up on them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numba import njit, prange
+from numpy.typing import NDArray
+
+from scenec.compiler.terrain.grid import Grid
+
+#: Cells that a density finer than the grid is given at most.
+MOST_CELLS = 1 << 23
+#: Rows that are worked on as one.
+_ROWS = 16
+#: Steps of a table of a radial function.
+_STEPS = 2048
+
+
+@dataclass(frozen=True)
+class Lattice:
+    """Equal cells over the terrain.
+
+    Attributes:
+        x0, y0: Its south-western corner, meters.
+        dx, dy: Size of a cell.
+        shape: (ny, nx) cells.
+    """
+
+    x0: float
+    y0: float
+    dx: float
+    dy: float
+    shape: tuple[int, int]
+
+    @classmethod
+    def over(cls, grid: Grid, finest_m: float | None = None) -> Lattice:
+        """The grid's cells, each split evenly where something finer than them is to be shown.
+
+        Args:
+            grid: Of the relief.
+            finest_m: The width that a cell should have at most; there are ``MOST_CELLS``, though.
+        """
+        ny, nx = grid.shape[0] - 1, grid.shape[1] - 1
+        dx, dy = grid.spacing_m
+        parts = 1
+        if finest_m is not None and finest_m > 0.0:
+            wanted = max(dx, dy) / finest_m
+            most = int(np.sqrt(MOST_CELLS / (nx * ny)))
+            parts = int(min(np.ceil(min(wanted, 1e9)), max(most, 1)))
+        return cls(
+            -0.5 * grid.size_m[0],
+            -0.5 * grid.size_m[1],
+            dx / parts,
+            dy / parts,
+            (ny * parts, nx * parts),
+        )
+
+    @cached_property
+    def x(self) -> NDArray[np.float64]:
+        """Middles of the columns, meters, [nx]."""
+        return np.asarray(self.x0 + self.dx * (np.arange(self.shape[1]) + 0.5), np.float64)
+
+    @cached_property
+    def y(self) -> NDArray[np.float64]:
+        """Middles of the rows, meters, [ny]."""
+        return np.asarray(self.y0 + self.dy * (np.arange(self.shape[0]) + 0.5), np.float64)
+
+    def points(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Middles of all cells, row by row, [ny * nx] each."""
+        y, x = np.meshgrid(self.y, self.x, indexing="ij")
+        return x.ravel(), y.ravel()
+
+    def index_at(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.int64]:
+        """Flat index of the cell at (or nearest to) points."""
+        i = np.clip(((x - self.x0) / self.dx).astype(np.int64), 0, self.shape[1] - 1)
+        j = np.clip(((y - self.y0) / self.dy).astype(np.int64), 0, self.shape[0] - 1)
+        return j * self.shape[1] + i
+
+
+def table(reach: float) -> NDArray[np.float64]:
+    """Where the table of a radial function has its values: from 0 to its reach."""
+    return reach * np.arange(_STEPS + 1) / _STEPS
+
+
+def splat(
+    lattice: Lattice,
+    x: NDArray[np.float64],
+    y: NDArray[np.float64],
+    unit_m: NDArray[np.float64],
+    weight: NDArray[np.float64],
+    values: NDArray[np.float64],
+    reach: float,
+) -> NDArray[np.float64]:
+    """The sum of weight * f(distance / unit) over centers: float64 [ny, nx].
+
+    Args:
+        lattice: Where.
+        x, y, unit_m, weight: Of the centers, float64 [n].
+        values: f at ``table(reach)``, 0 beyond; linear in between.
+        reach: Where f ends.
+    """
+    out = np.zeros(lattice.shape)
+    _splat(lattice.x, lattice.y, x, y, unit_m, weight, values, reach, out)
+    return out
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def _columns(at, center, reach):  # type: ignore[no-untyped-def]
+    """The first and last index of evenly spaced ``at`` that can be within reach, last excluded."""
+    step = at[1] - at[0] if at.size > 1 else 1.0
+    first = np.floor((center - reach - at[0]) / step)
+    last = np.ceil((center + reach - at[0]) / step) + 1.0
+    return int(min(max(first, 0.0), at.size)), int(min(max(last, 0.0), at.size))
+
+
+@njit(cache=True, error_model="numpy", parallel=True)
+def _splat(x, y, cx, cy, unit, weight, values, reach, out):  # type: ignore[no-untyped-def]
+    steps = values.size - 1
+    bands = (y.size + _ROWS - 1) // _ROWS
+    # A cell adds up its centers in their order, whatever thread does it.
+    for band in prange(bands):
+        j0 = band * _ROWS
+        j1 = min(j0 + _ROWS, y.size)
+        for n in range(cx.size):
+            far = reach * unit[n]
+            if cy[n] + far < y[j0] or cy[n] - far > y[j1 - 1] or weight[n] == 0.0:
+                continue
+            i0, i1 = _columns(x, cx[n], far)
+            for j in range(j0, j1):
+                dy = y[j] - cy[n]
+                for i in range(i0, i1):
+                    dx = x[i] - cx[n]
+                    at = np.sqrt(dx * dx + dy * dy) / far * steps
+                    if at < steps:
+                        k = int(at)
+                        value = values[k] + (at - k) * (values[k + 1] - values[k])
+                        out[j, i] += weight[n] * value
+
+
+def nearest(
+    lattice: Lattice,
+    x: NDArray[np.float64],
+    y: NDArray[np.float64],
+    radius: NDArray[np.float64],
+    reach_m: float,
+) -> NDArray[np.float64]:
+    """Distance in plan from the nearest of many circles, meters: float64 [ny, nx].
+
+    Below 0 within a circle, by how far it is to its border; ``reach_m`` where it is farther.
+
+    Args:
+        lattice: Where.
+        x, y, radius: The circles, float64 [n].
+        reach_m: Distances beyond it are not told apart.
+    """
+    out = np.full(lattice.shape, reach_m)
+    _nearest(lattice.x, lattice.y, x, y, radius, reach_m, out)
+    return out
+
+
+@njit(cache=True, error_model="numpy", parallel=True)
+def _nearest(x, y, cx, cy, radius, reach, out):  # type: ignore[no-untyped-def]
+    bands = (y.size + _ROWS - 1) // _ROWS
+    for band in prange(bands):
+        j0 = band * _ROWS
+        j1 = min(j0 + _ROWS, y.size)
+        for n in range(cx.size):
+            far = reach + radius[n]
+            if far <= 0.0 or cy[n] + far < y[j0] or cy[n] - far > y[j1 - 1]:
+                continue
+            i0, i1 = _columns(x, cx[n], far)
+            for j in range(j0, j1):
+                dy = y[j] - cy[n]
+                for i in range(i0, i1):
+                    dx = x[i] - cx[n]
+                    out[j, i] = min(out[j, i], np.sqrt(dx * dx + dy * dy) - radius[n])

@@ -1,0 +1,225 @@
+"""Tables of instances beside the frames, for tracking and pose tasks.
+
+``frames/instances.npz``: all instances of a batch, once; the same whichever backend rendered.
+``frames/<backend>/<camera>/<sample>.instances.csv``: what one frame shows of those that it shows.
+Both are written where ``instance`` is among the passes. Instances whose id is 0 are in neither.
+
+Conventions: world in meters, Z up, right-handed; camera axes x right, y down, z forward (OpenCV).
+A pose is that of the object's own frame: ``position`` is its origin, ``quaternion`` (x, y, z, w;
+w >= 0) turns its axes to the world's (``cam_...``: to the camera's). The bounding box lies along
+the object's axes, in meters: a corner c of it is at position + R(quaternion) c.
+
+Columns of the CSV, one line an instance that is seen in at least one pixel, ascending ids:
+
+``id``                         frame id, as in the pass ``instance``
+``class``, ``local_id``        prim path of the class, number in it: the same in all batches
+``label.<level>``              name of the label that all its faces share; empty if they differ
+``pixels``                     pixels whose center shows it
+``x_min``, ``y_min``, ``x_max``, ``y_max``  columns and rows of these pixels, both ends included
+``truncated``                  1 if one of them is at the picture's border
+``depth_min``, ``depth_mean``  over these pixels, meters along the optical axis
+``cam_x`` ... ``cam_qw``       pose in the camera's frame
+``x`` ... ``qw``               pose in the world
+``size_x`` ... ``size_z``      extent of its bounding box, meters
+``box_x``, ``box_y``, ``box_z``  middle of its bounding box in the object's frame, meters
+"""
+
+from __future__ import annotations
+
+import csv
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenec.schemas.errors import FrameError
+from scenec.schemas.files import atomic
+
+#: Of all instances of a batch, in its folder of frames.
+BATCH_TABLE = "instances.npz"
+#: Ending of a frame's table.
+FRAME_SUFFIX = ".instances.csv"
+TABLE_VERSION = 1
+
+PIXEL_COLUMNS = ("pixels", "x_min", "y_min", "x_max", "y_max", "truncated")
+DEPTH_COLUMNS = ("depth_min", "depth_mean")
+_POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
+POSE_COLUMNS = (*(f"cam_{name}" for name in _POSE), *_POSE)
+BOX_COLUMNS = ("size_x", "size_y", "size_z", "box_x", "box_y", "box_z")
+_TEXT = ("class",)
+_WHOLE = ("id", "local_id", *PIXEL_COLUMNS)
+
+
+@dataclass(frozen=True)
+class InstanceTable:
+    """All instances of a batch.
+
+    Attributes:
+        stage_digest: Of the stage that they are in.
+        classes: Prim paths.
+        levels: Label levels.
+        id: Frame ids, ascending, uint32 [n].
+        class_index: Index into ``classes``, int32 [n].
+        local_id: Number within the class, uint32 [n].
+        labels: Per level, the label id that all faces share, 0 where they differ, uint32 [n, l].
+        position: World, meters, float64 [n, 3]; at the first sample where it moves.
+        quaternion: (x, y, z, w), float32 [n, 4]; likewise.
+        scale: Of the mesh's axes, float32 [n, 3]; x is below 0 where it is mirrored.
+        box: Lower and upper corner of the bounding box in the object's frame, meters, float32
+            [n, 2, 3].
+        moving: Which move (or are hidden at some sample): indices into these arrays, int64 [k].
+        moving_position: Of these at each sample, float64 [samples, k, 3].
+        moving_quaternion: Likewise, float32 [samples, k, 4].
+        moving_shown: Whether they are there, bool [samples, k].
+    """
+
+    stage_digest: str
+    classes: tuple[str, ...]
+    levels: tuple[str, ...]
+    id: NDArray[np.uint32]
+    class_index: NDArray[np.int32]
+    local_id: NDArray[np.uint32]
+    labels: NDArray[np.uint32]
+    position: NDArray[np.float64]
+    quaternion: NDArray[np.float32]
+    scale: NDArray[np.float32]
+    box: NDArray[np.float32]
+    moving: NDArray[np.int64]
+    moving_position: NDArray[np.float64]
+    moving_quaternion: NDArray[np.float32]
+    moving_shown: NDArray[np.bool_]
+
+    def pose(self, sample: int) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
+        """Positions [n, 3] and quaternions [n, 4] at a sample."""
+        position, quaternion = self.position.copy(), self.quaternion.copy()
+        if len(self.moving):
+            position[self.moving] = self.moving_position[sample]
+            quaternion[self.moving] = self.moving_quaternion[sample]
+        return position, quaternion
+
+
+_ARRAYS = tuple(
+    name
+    for name in InstanceTable.__annotations__
+    if name not in ("stage_digest", "classes", "levels")
+)
+
+
+def write_table(path: Path, table: InstanceTable) -> None:
+    """Write a batch's table, by atomic rename; the same table gives the same bytes.
+
+    Raises:
+        OutputError: It cannot be written.
+    """
+    arrays: dict[str, Any] = {
+        "version": np.array(TABLE_VERSION),
+        "stage_digest": np.array(table.stage_digest),
+        "classes": np.array(table.classes, np.str_),
+        "levels": np.array(table.levels, np.str_),
+        **{name: getattr(table, name) for name in _ARRAYS},
+    }
+    with atomic(path) as temporary, temporary.open("wb") as file:
+        np.savez(file, **arrays)
+
+
+def table_digest(path: Path) -> str | None:
+    """Digest of the stage that a batch's table is of; None if there is none of this version."""
+    try:
+        with np.load(path) as arrays:
+            return str(arrays["stage_digest"]) if int(arrays["version"]) == TABLE_VERSION else None
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+        return None
+
+
+def read_table(path: Path) -> InstanceTable:
+    """Read a batch's table.
+
+    Args:
+        path: ``instances.npz``, or the folder that it is in.
+
+    Raises:
+        FrameError: It is missing, or is none.
+    """
+    path = path / BATCH_TABLE if path.is_dir() else path
+    try:
+        with np.load(path) as arrays:
+            if int(arrays["version"]) != TABLE_VERSION:
+                raise FrameError(f"{path}: a table of another version; render again")
+            return InstanceTable(
+                str(arrays["stage_digest"]),
+                tuple(map(str, arrays["classes"])),
+                tuple(map(str, arrays["levels"])),
+                **{name: arrays[name] for name in _ARRAYS},
+            )
+    except FileNotFoundError as error:
+        raise FrameError(f"{path}: no such table; render with the pass instance") from error
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+        raise FrameError(f"{path}: no table of instances, or a damaged one") from error
+
+
+def frame_table_path(stem: Path) -> Path:
+    """Path of a frame's table."""
+    return stem.with_name(stem.name + FRAME_SUFFIX)
+
+
+def write_frame_table(path: Path, columns: dict[str, NDArray[Any]]) -> None:
+    """Write a frame's table, by atomic rename.
+
+    Args:
+        path: See ``frame_table_path``.
+        columns: By name, in order, arrays of one length; floats are written with 9 digits.
+
+    Raises:
+        OutputError: It cannot be written.
+    """
+    kinds = ["%s" if values.dtype.kind in "UOiub" else "%.9g" for values in columns.values()]
+    texts = [
+        [_quoted(value) for value in values.tolist()]
+        if values.dtype.kind in "UO"
+        else values.tolist()
+        for values in columns.values()
+    ]
+    line = ",".join(kinds) + "\n"
+    with atomic(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
+        file.write(",".join(map(_quoted, columns)) + "\n")
+        file.writelines(line % values for values in zip(*texts, strict=True))
+
+
+def read_frame_table(path: Path) -> dict[str, NDArray[Any]]:
+    """Read a frame's table: arrays by column; text where the column says so.
+
+    Args:
+        path: The CSV, any of the frame's files, or its stem.
+
+    Raises:
+        FrameError: It is missing, or is none.
+    """
+    path = Path(path)
+    if not path.name.endswith(FRAME_SUFFIX):
+        stem = path.with_suffix("") if path.suffix in (".exr", ".json", ".png") else path
+        path = frame_table_path(stem)
+    try:
+        with path.open(encoding="utf-8", newline="") as file:
+            lines = list(csv.reader(file, strict=True))
+        return {
+            name: _column(name, [line[i] for line in lines[1:]]) for i, name in enumerate(lines[0])
+        }
+    except FileNotFoundError as error:
+        raise FrameError(f"{path}: no such table; render with the pass instance") from error
+    except (OSError, ValueError, IndexError, OverflowError, csv.Error) as error:
+        raise FrameError(f"{path}: no table of instances, or a damaged one: {error}") from error
+
+
+def _column(name: str, values: list[str]) -> NDArray[Any]:
+    if name in _TEXT or name.startswith("label."):
+        return np.array(values, np.str_)
+    return np.array(values, np.str_).astype(np.int64 if name in _WHOLE else np.float64)
+
+
+def _quoted(value: str) -> str:
+    if any(mark in value for mark in ',"\r\n'):
+        return '"' + value.replace('"', '""') + '"'
+    return value

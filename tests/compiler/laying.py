@@ -1,0 +1,78 @@
+"""Classes of objects laid on a small terrain, for tests."""
+
+from __future__ import annotations
+
+import copy
+import json
+from functools import cache
+from typing import Any
+
+import numpy as np
+from small import small_cfg
+
+from scenec.compiler.frontend.fill import fill
+from scenec.compiler.frontend.streams import Streams
+from scenec.compiler.ground.surface import Surface
+from scenec.compiler.plan import ScatterPlan
+from scenec.compiler.scatter.draw import draw_rocks
+from scenec.compiler.scatter.draw_scatter import Setting
+from scenec.compiler.scatter.lay import lay
+from scenec.compiler.scatter.rocks import build_chains
+from scenec.compiler.scatter.surroundings import Surroundings, footprints
+from scenec.compiler.scene import Scatter
+from scenec.compiler.terrain.grid import Grid, HeightField
+from scenec.compiler.terrain.multifractal import Multifractal
+
+SIZE = (40.0, 32.0)
+NO_CAMERAS = np.zeros((0, 3))
+
+
+def surface(amplitude_m: float = 1.0) -> Surface:
+    """Hills of 40 m by 32 m."""
+    grid = Grid.with_spacing(SIZE, 0.4)
+    height = np.zeros(grid.shape)
+    if amplitude_m:
+        height = Multifractal(1, amplitude_m, 8.0, 5, 2.0, 0.5, "fbm", 0.7).apply(grid, height)[0]
+    return Surface(HeightField(grid, height), smooth=False)
+
+
+def surroundings(
+    cameras: np.ndarray = NO_CAMERAS, amplitude_m: float = 1.0, **objects: Scatter
+) -> Surroundings:
+    """Hills, cameras, and what lies there already."""
+    around = Surroundings(surface(amplitude_m), cameras)
+    around.objects.update({name: footprints(laid) for name, laid in objects.items()})
+    return around
+
+
+def plan(
+    name: str = "rocks", seed: int = 1, setting: Setting | None = None, **change: Any
+) -> ScatterPlan:
+    """What is drawn for one class of rocks."""
+    filled = copy.deepcopy(_filled(name, json.dumps(change)))
+    return draw_rocks(name, filled, {}, Streams(seed, 0), setting or Setting(SIZE))
+
+
+@cache
+def _filled(name: str, change: str) -> dict[str, Any]:
+    cfg = small_cfg()
+    thing = {
+        "type": "rocks",
+        "material": "stone",
+        "labels": {"class": "rock", "surface": "stone"},
+        "prototypes": 2,
+        "subdivisions": 1,
+        "size_m": 0.3,
+        "lod_px": 0,
+        **json.loads(change),
+    }
+    cfg["objects"] = {name: thing}
+    filled: dict[str, Any] = fill(cfg)["objects"][name]
+    return filled
+
+
+def laid(around: Surroundings, facts: dict[str, Any] | None = None, **change: Any) -> Scatter:
+    """One class of rocks, laid."""
+    drawn = plan(**change)
+    chains = build_chains(drawn.source.shapes, coarser=False)
+    return lay(drawn, chains, around, {} if facts is None else facts)

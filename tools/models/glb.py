@@ -1,0 +1,236 @@
+"""Writes binary glTF 2.0 (Khronos) of named parts, and compares such files.
+
+Models are made with z up and written with y up, as the format asks: (x, y, z) becomes (x, z, -y).
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import struct
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+#: Decimals that coordinates are rounded to, so that the last bit of a sine reaches no byte.
+_DECIMALS = {"POSITION": 5, "TEXCOORD_0": 4}
+_FLOAT, _USHORT, _BYTE = 5126, 5123, 5120
+_STORED = {_FLOAT: "<f4", _USHORT: "<u2", _BYTE: "i1"}
+_BYTES = "KHR_mesh_quantization"
+_ARRAY, _ELEMENTS = 34962, 34963
+
+
+@dataclass(frozen=True)
+class Look:
+    """A material: metallic-roughness of glTF.
+
+    Attributes:
+        color: Base color, linear Rec.709.
+        roughness: As glTF has it: GGX's alpha is its square.
+        metallic: From 0 to 1.
+        picture: PNG that multiplies the color, or None.
+    """
+
+    color: tuple[float, float, float]
+    roughness: float
+    metallic: float = 0.0
+    picture: bytes | None = None
+
+
+@dataclass(frozen=True)
+class Part:
+    """One mesh of one material; meters, z up.
+
+    Attributes:
+        points: float64 [n, 3].
+        faces: int64 [m, 3], counter-clockwise seen from outside.
+        normals: Shading normals, float64 [n, 3].
+        material: Name of a look.
+        uv: Texture coordinates, v down as in glTF, float64 [n, 2], or None.
+    """
+
+    points: NDArray[np.float64]
+    faces: NDArray[np.int64]
+    normals: NDArray[np.float64]
+    material: str
+    uv: NDArray[np.float64] | None = None
+
+
+@dataclass(frozen=True)
+class Model:
+    """What one file holds: parts by name, looks by name."""
+
+    parts: dict[str, Part]
+    looks: dict[str, Look]
+
+
+def triangles(model: Model) -> int:
+    """How many of them a model has."""
+    return sum(len(part.faces) for part in model.parts.values())
+
+
+@dataclass
+class _Buffer:
+    data: bytearray = field(default_factory=bytearray)
+    views: list[dict[str, Any]] = field(default_factory=list)
+    accessors: list[dict[str, Any]] = field(default_factory=list)
+
+    def view(self, data: bytes, target: int | None) -> int:
+        self.data.extend(b"\0" * (-len(self.data) % 4))
+        entry = {"buffer": 0, "byteOffset": len(self.data), "byteLength": len(data)}
+        if target is not None:
+            entry["target"] = target
+        self.data.extend(data)
+        self.views.append(entry)
+        return len(self.views) - 1
+
+    def floats(self, name: str, values: NDArray[np.float64]) -> int:
+        # Adding zero turns -0 into 0.
+        rows = (np.round(values, _DECIMALS[name]) + 0.0).astype("<f4")
+        kind = {2: "VEC2", 3: "VEC3"}[rows.shape[1]]
+        entry: dict[str, Any] = {
+            "bufferView": self.view(rows.tobytes(), _ARRAY),
+            "componentType": _FLOAT, "count": len(rows), "type": kind,
+        }  # fmt: skip
+        if name == "POSITION":
+            entry["min"] = [float(v) for v in rows.min(axis=0)]
+            entry["max"] = [float(v) for v in rows.max(axis=0)]
+        self.accessors.append(entry)
+        return len(self.accessors) - 1
+
+    def directions(self, normals: NDArray[np.float64]) -> int:
+        """Normals as signed bytes (KHR_mesh_quantization): to a quarter of a degree or so."""
+        rows = np.zeros((len(normals), 4), np.int8)
+        rows[:, :3] = np.round(127.0 * normals)
+        view = self.view(rows.tobytes(), _ARRAY)
+        # Each vertex begins at a multiple of four bytes.
+        self.views[view]["byteStride"] = 4
+        entry = {
+            "bufferView": view, "componentType": _BYTE, "normalized": True, "count": len(rows),
+            "type": "VEC3",
+        }  # fmt: skip
+        self.accessors.append(entry)
+        return len(self.accessors) - 1
+
+    def indices(self, faces: NDArray[np.int64], points: int) -> int:
+        if points > 65535:
+            raise ValueError(f"{points} points in one part: 16-bit indices reach 65535")
+        view = self.view(faces.astype("<u2").tobytes(), _ELEMENTS)
+        entry = {
+            "bufferView": view, "componentType": _USHORT, "count": faces.size, "type": "SCALAR",
+        }  # fmt: skip
+        self.accessors.append(entry)
+        return len(self.accessors) - 1
+
+
+def encode(model: Model) -> bytes:
+    """The file of a model: one node, one mesh and one primitive a part, all of the part's name."""
+    buffer = _Buffer()
+    document: dict[str, Any] = {
+        "asset": {"version": "2.0", "generator": "scenec tools/models"},
+        "extensionsUsed": [_BYTES],
+        "extensionsRequired": [_BYTES],
+        "scene": 0,
+        "scenes": [{"nodes": list(range(len(model.parts)))}],
+        "nodes": [{"name": name, "mesh": i} for i, name in enumerate(model.parts)],
+        "meshes": [],
+        "materials": [],
+    }
+    used = list(dict.fromkeys(part.material for part in model.parts.values()))
+    for name, part in model.parts.items():
+        attributes = {
+            "POSITION": buffer.floats("POSITION", _y_up(part.points)),
+            "NORMAL": buffer.directions(_y_up(part.normals)),
+        }
+        if part.uv is not None:
+            attributes["TEXCOORD_0"] = buffer.floats("TEXCOORD_0", part.uv)
+        primitive = {
+            "attributes": attributes,
+            "indices": buffer.indices(part.faces, len(part.points)),
+            "material": used.index(part.material),
+        }
+        document["meshes"].append({"name": name, "primitives": [primitive]})
+    for name in used:
+        look = model.looks[name]
+        surface: dict[str, Any] = {
+            "baseColorFactor": [*look.color, 1.0],
+            "metallicFactor": look.metallic,
+            "roughnessFactor": look.roughness,
+        }
+        if look.picture is not None:
+            view = buffer.view(look.picture, None)
+            document["images"] = [{"bufferView": view, "mimeType": "image/png", "name": name}]
+            document["textures"] = [{"source": 0}]
+            surface["baseColorTexture"] = {"index": 0}
+        document["materials"].append(
+            {"name": name, "pbrMetallicRoughness": surface, "doubleSided": True}
+        )
+    document["accessors"] = buffer.accessors
+    document["bufferViews"] = buffer.views
+    binary = bytes(buffer.data) + b"\0" * (-len(buffer.data) % 4)
+    document["buffers"] = [{"byteLength": len(binary)}]
+    text = json.dumps(document, separators=(",", ":")).encode()
+    text += b" " * (-len(text) % 4)
+    length = 28 + len(text) + len(binary)
+    return b"".join(
+        (
+            struct.pack("<4sII", b"glTF", 2, length),
+            struct.pack("<I4s", len(text), b"JSON"),
+            text,
+            struct.pack("<I4s", len(binary), b"BIN\0"),
+            binary,
+        )
+    )
+
+
+def decode(data: bytes) -> tuple[dict[str, Any], list[NDArray[Any]], list[NDArray[np.uint8]]]:
+    """Of a file that ``encode`` made: its JSON, its accessors' values, its pictures."""
+    size = struct.unpack_from("<I", data, 12)[0]
+    document = json.loads(data[20 : 20 + size])
+    binary = data[28 + size :]
+    pieces = [
+        binary[view["byteOffset"] : view["byteOffset"] + view["byteLength"]]
+        for view in document["bufferViews"]
+    ]
+    values: list[NDArray[Any]] = [
+        np.frombuffer(pieces[a["bufferView"]], _STORED[a["componentType"]]).reshape(a["count"], -1)
+        for a in document["accessors"]
+    ]
+    pictures = [
+        np.asarray(Image.open(io.BytesIO(pieces[image["bufferView"]])))
+        for image in document.get("images", [])
+    ]
+    return document, values, pictures
+
+
+def same(one: bytes, other: bytes) -> bool:
+    """Whether two files of ``encode`` hold the same model: equal, or one step of rounding apart."""
+    if one == other:
+        return True
+    (a, a_values, a_pictures), (b, b_values, b_pictures) = decode(one), decode(other)
+    return (
+        _structure(a) == _structure(b)
+        and all(
+            x.shape == y.shape
+            and np.abs(x.astype(np.float64) - y).max() <= (1.0 if x.dtype == np.int8 else 2e-4)
+            for x, y in zip(a_values, b_values, strict=True)
+        )
+        and all(np.array_equal(x, y) for x, y in zip(a_pictures, b_pictures, strict=True))
+    )
+
+
+def _structure(document: dict[str, Any]) -> dict[str, Any]:
+    """What must be equal: all but extents, and the places that the length of a PNG moves."""
+    out = {key: value for key, value in document.items() if key not in ("bufferViews", "buffers")}
+    out["accessors"] = [
+        {key: value for key, value in accessor.items() if key not in ("min", "max")}
+        for accessor in document["accessors"]
+    ]
+    return out
+
+
+def _y_up(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.stack([vectors[:, 0], vectors[:, 2], -vectors[:, 1]], axis=1)

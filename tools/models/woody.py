@@ -1,0 +1,322 @@
+"""Shrubs, broad-leaved trees and dead wood."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from glb import Look, Model, Part
+from numpy.typing import NDArray
+from stems import Habit, Level, Stem, grown, meshed
+from surfaces import UP, Chance, Floats, Surface, across, azimuth, turned, unit
+
+LOOKS = {
+    "oak_bark": Look((0.120, 0.090, 0.065), 0.90),
+    "oak_leaf": Look((0.085, 0.150, 0.030), 0.60),
+    "birch_bark": Look((0.560, 0.530, 0.480), 0.75),
+    "birch_fissure": Look((0.085, 0.072, 0.062), 0.95),
+    "birch_twig": Look((0.075, 0.048, 0.036), 0.80),
+    "birch_leaf": Look((0.100, 0.172, 0.030), 0.58),
+    "hazel_bark": Look((0.150, 0.110, 0.080), 0.80),
+    "hazel_leaf": Look((0.072, 0.140, 0.032), 0.55),
+    "rose_bark": Look((0.090, 0.100, 0.045), 0.70),
+    "rose_leaf": Look((0.055, 0.125, 0.035), 0.45),
+    "rose_petal": Look((0.720, 0.360, 0.400), 0.60),
+    "dead_bark": Look((0.140, 0.110, 0.085), 0.95),
+    "dead_wood": Look((0.360, 0.290, 0.205), 0.90),
+}
+
+
+def _leafed(
+    surface: Surface, chance: Chance, twigs: list[Stem], center: Callable[[Floats], Floats], *,
+    per_meter: float, least: int, length: tuple[float, float], width: float, hang: float,
+    bare: float = 0.15, spread: float = 55.0, rounded: bool = False,
+) -> None:  # fmt: skip
+    """Leaves along twigs: alternate, turned to the light and outward, their tips hanging."""
+    for twig in twigs:
+        count = max(least, round(twig.length * per_meter))
+        angle = chance.between(0.0, 360.0)
+        for k in range(count):
+            t = bare + (1.0 - bare) * (k + 0.7) / count
+            base, along, _ = twig.at(t)
+            angle += chance.about(180.0, 35.0)
+            around = turned(across(along, UP), along, angle)
+            # The last leaf ends the twig.
+            ahead = unit(along + around * math.tan(math.radians(spread)) * (k < count - 1))
+            ahead = unit(ahead + hang * chance.about(1.0, 0.5) * -UP)
+            outward = unit(base - center(base))
+            light = unit(UP + 0.6 * outward + 0.55 * chance.direction())
+            upward = light - ahead * float(light @ ahead)
+            if float(upward @ upward) < 1e-4:
+                continue
+            surface.leaf(
+                base, ahead, unit(upward), chance.between(*length),
+                width * chance.about(1.0, 0.12) * length[1], outward,
+                rounded=rounded,
+            )  # fmt: skip
+
+
+def oak() -> Model:
+    """A young oak that stands free: short trunk, wide crown on strong limbs."""
+    habit = Habit(
+        height=6.6,
+        radius=0.155,
+        shape=(0.78, 1.0, 1.0, 0.95, 0.82, 0.6),
+        ratio_power=1.25,
+        levels=(
+            Level((1.0, 0.0), 12, 9, wander=6.0, children=20, bare=0.19, taper=0.0),
+            Level(
+                (0.46, 0.06), 7, 5, curve=(-12, 14), wander=11.0, children=12, down=(58, 9),
+                down_low=22, bare=0.22, attraction=0.24,
+            ),
+            Level(
+                (0.46, 0.10), 3, 3, curve=(0, 20), wander=14.0, children=5, down=(48, 12),
+                attraction=0.25, bare=0.15,
+            ),
+            Level((0.46, 0.12), 1, 1, down=(48, 14), attraction=0.2),
+        ),
+    )  # fmt: skip
+    chance = Chance("oak")
+    stems = grown(habit, chance, np.zeros(3), unit(np.array([0.03, -0.02, 1.0])))
+    trunk, branches, leaves = Surface(), Surface(), Surface()
+    meshed(stems, habit, {0: trunk, 1: trunk, 2: branches, 3: branches})
+    heart = np.array([0.0, 0.0, 3.4])
+    _leafed(
+        leaves, chance, [s for s in stems if s.level >= 2], lambda p: heart, per_meter=17.2,
+        least=4, length=(0.145, 0.205), width=0.62, hang=0.25,
+    )  # fmt: skip
+    return Model(
+        {
+            "trunk": trunk.part("oak_bark"),
+            "branches": branches.part("oak_bark"),
+            "leaves": leaves.part("oak_leaf"),
+        },
+        LOOKS,
+    )
+
+
+def birch() -> Model:
+    """A silver birch: slender, ascending limbs, twigs that hang."""
+    habit = Habit(
+        height=8.4,
+        radius=0.085,
+        shape=(0.62, 0.95, 1.0, 0.86, 0.62, 0.30),
+        ratio_power=1.5,
+        flare=0.4,
+        levels=(
+            Level((1.0, 0.0), 14, 10, wander=3.5, children=30, bare=0.17, taper=0.0),
+            Level(
+                (0.27, 0.05), 6, 4, curve=(25, 15), wander=7.0, children=9, down=(42, 8),
+                down_low=16, bare=0.15, attraction=0.15,
+            ),
+            Level(
+                (0.52, 0.12), 3, 3, curve=(45, 25), wander=8.0, children=3, down=(50, 12),
+                bare=0.2, attraction=-0.35,
+            ),
+            Level((0.62, 0.15), 2, 1, curve=(30, 10), down=(38, 14), attraction=-0.7),
+        ),
+    )  # fmt: skip
+    chance = Chance("birch")
+    stems = grown(habit, chance, np.zeros(3), unit(np.array([-0.02, 0.03, 1.0])))
+    trunk, branches, leaves = Surface(), Surface(), Surface()
+    meshed(stems[1:], habit, {1: branches, 2: branches, 3: branches})
+    # Thick rings and thin ones take turns: dashes of dark bark lie on the thin ones.
+    steps = np.tile([0.125, 0.022], 64)
+    rings = np.append(0.0, np.cumsum(steps))
+    rings = np.append(rings[rings < stems[0].length - 0.1], stems[0].length)
+    fine = [stems[0].at(t) for t in rings / stems[0].length]
+    trunk.tube(np.array([at for at, _, _ in fine]), [r for _, _, r in fine], 10)
+    _leafed(
+        leaves, chance, [s for s in stems if s.level >= 2],
+        lambda p: np.array([0.0, 0.0, min(p[2] - 0.3, 5.5)]), per_meter=19.0, least=4,
+        length=(0.085, 0.120), width=0.78, hang=0.55,
+    )  # fmt: skip
+    white = trunk.part("birch_bark")
+    marks = _fissures(chance, 10, rings)
+    return Model(
+        {
+            "trunk": _tight(replace(white, faces=white.faces[~marks])),
+            "fissures": _tight(replace(white, faces=white.faces[marks], material="birch_fissure")),
+            "branches": branches.part("birch_twig"),
+            "leaves": leaves.part("birch_leaf"),
+        },
+        LOOKS,
+    )
+
+
+def _fissures(chance: Chance, sides: int, rings: Floats) -> NDArray[np.bool_]:
+    """Which faces of a birch's trunk are dark: its foot, and dashes that thin out upward."""
+    dark = np.zeros((len(rings) - 2, sides), bool)
+    foot = [chance.between(0.05, 0.75) for _ in range(sides)]
+    for i, height in enumerate(rings[:-2]):
+        dark[i] = height < foot
+        if i % 2 and chance.between(0.0, 1.0) < 0.75:
+            first, run = int(chance.between(0, sides)), int(chance.between(2, 5))
+            dark[i, (first + np.arange(run)) % sides] = True
+    # Two faces a quad, and white ones to the tip.
+    return np.append(np.repeat(dark.ravel(), 2), np.zeros(sides, bool))
+
+
+def _tight(part: Part) -> Part:
+    """A part without the points that no face uses."""
+    used, faces = np.unique(part.faces, return_inverse=True)
+    return replace(
+        part, points=part.points[used], normals=part.normals[used],
+        faces=faces.reshape(-1, 3).astype(np.int64),
+    )  # fmt: skip
+
+
+def hazel() -> Model:
+    """A hazel: many stems from one stool, round soft leaves."""
+    chance = Chance("hazel")
+    wood, leaves = Surface(), Surface()
+    for k in range(9):
+        habit = Habit(
+            height=chance.between(1.25, 2.05),
+            radius=chance.between(0.011, 0.019),
+            shape=(0.8, 1.0, 0.9, 0.6),
+            ratio_power=1.1,
+            flare=0.2,
+            levels=(
+                Level((1.0, 0.0), 6, 4, curve=(14, 12), wander=6.0, children=8, bare=0.22),
+                Level(
+                    (0.36, 0.08), 3, 3, curve=(10, 25), wander=10.0, children=4, down=(46, 12),
+                    bare=0.15, attraction=0.2,
+                ),
+                Level((0.5, 0.1), 1, 1, down=(48, 12)),
+            ),
+        )  # fmt: skip
+        base = azimuth(40.0 * k + chance.about(0, 15)) * chance.between(0.04, 0.16)
+        ahead = unit(unit(base) * chance.between(0.05, 0.55) + UP)
+        stems = grown(habit, chance, base, ahead)
+        meshed(stems, habit, {0: wood, 1: wood, 2: wood})
+        _leafed(
+            leaves, chance, [s for s in stems if s.level >= 1],
+            lambda p: np.array([0.0, 0.0, 0.9]), per_meter=7.6, least=3, length=(0.085, 0.120),
+            width=0.82, hang=0.4, rounded=True,
+        )  # fmt: skip
+    return Model({"wood": wood.part("hazel_bark"), "leaves": leaves.part("hazel_leaf")}, LOOKS)
+
+
+def rose() -> Model:
+    """A dog rose in flower: arching canes, pinnate leaves, pale pink flowers."""
+    chance = Chance("rose")
+    canes, leaves, petals = Surface(), Surface(), Surface()
+    for k in range(15):
+        habit = Habit(
+            height=chance.between(0.8, 1.6),
+            radius=0.008,
+            shape=(0.7, 1.0, 0.8, 0.5),
+            flare=0.1,
+            levels=(
+                Level((1.0, 0.0), 7, 3, curve=(105, 30), wander=6.0, children=7, bare=0.2),
+                Level((0.22, 0.06), 2, 1, curve=(20, 20), down=(55, 15), attraction=0.9),
+            ),
+        )
+        base = azimuth(24.0 * k + chance.about(0, 10)) * chance.between(0.03, 0.16)
+        stems = grown(habit, chance, base, unit(unit(base) * chance.between(0.05, 0.42) + UP))
+        for stem in stems:
+            stem.path[1:, 2] = np.maximum(stem.path[1:, 2], 0.02)
+        meshed(stems, habit, {0: canes, 1: canes})
+        for stem in stems:
+            count = max(3, round(stem.length * 9.3))
+            for j in range(count):
+                point, along, _ = stem.at(0.2 + 0.8 * (j + 0.8) / count)
+                around = turned(across(along), along, 137.5 * j + chance.about(0, 20))
+                if point[2] > 0.12:
+                    _pinnate(leaves, chance, point, unit(along + 1.1 * around + 0.35 * UP))
+            if stem.level == 1 and chance.between(0.0, 1.0) < 0.36:
+                _rose_flower(petals, chance, *stem.at(1.0)[:2])
+    return Model(
+        {
+            "canes": canes.part("rose_bark"),
+            "leaves": leaves.part("rose_leaf"),
+            "flowers": petals.part("rose_petal"),
+        },
+        LOOKS,
+    )
+
+
+def _pinnate(surface: Surface, chance: Chance, base: Floats, ahead: Floats) -> None:
+    """A leaf of five leaflets."""
+    size = chance.between(0.048, 0.064)
+    side = across(ahead)
+    upward = unit(np.cross(side, ahead) + 0.3 * chance.direction())
+    outward = unit(base - np.array([0.0, 0.0, 0.4]))
+    for place, s in ((0.7, -1.0), (0.75, 1.0), (1.35, -1.0), (1.4, 1.0), (1.7, 0.0)):
+        lobe = unit(ahead + 1.2 * s * side)
+        start = base + ahead * size * place - UP * size * 0.10 * place * place
+        surface.leaf(start, lobe, upward, size, 0.62 * size, outward)
+
+
+def _rose_flower(surface: Surface, chance: Chance, base: Floats, ahead: Floats) -> None:
+    axis = unit(ahead + UP + 0.4 * chance.direction())
+    start = across(axis)
+    for j in range(5):
+        out = turned(start, axis, 72.0 * j)
+        surface.leaf(base, unit(out + 0.35 * axis), axis, 0.034, 0.038, fold=0.1, widest=0.72)
+
+
+def log() -> Model:
+    """A dead branch on the ground: bent, knotty, with broken side branches and pale ends."""
+    chance = Chance("log")
+    bark, ends = Surface(), Surface()
+    sides, rings, length = 18, 30, 2.4
+    waves = [(chance.between(0.2, 1.0), chance.between(0, 6.3), n) for n in (1, 2, 5, 8)]
+    grid = np.zeros((rings, sides, 3))
+    for i in range(rings):
+        t = i / (rings - 1)
+        middle = np.array(
+            [
+                (t - 0.5) * length,
+                0.10 * math.sin(2.6 * t + 0.4) + 0.025 * math.sin(9.0 * t),
+                0.02 * math.sin(5.0 * t),
+            ]
+        )
+        radius = 0.105 - 0.042 * t + 0.018 * math.exp(-(((t - 0.62) / 0.05) ** 2))
+        for j in range(sides):
+            a = 2.0 * math.pi * j / sides
+            ridge = sum(w * math.sin(n * a + p + 1.2 * t * n) for w, p, n in waves) * 0.05
+            rough = 1.0 + ridge + chance.about(0.0, 0.07)
+            grid[i, j] = middle + radius * rough * np.array([0.0, math.cos(a), math.sin(a)])
+    # Broken ends are not cut at right angles.
+    grid[0, :, 0] += 0.05 * np.cos(2.0 * math.pi * np.arange(sides) / sides)
+    grid[-1, :, 0] += [chance.about(0.0, 0.035) for _ in range(sides)]
+    faces = []
+    for i in range(rings - 1):
+        for j in range(sides):
+            a, b = i * sides + j, i * sides + (j + 1) % sides
+            faces += [(a, b, b + sides), (a, b + sides, a + sides)]
+    bark.add(grid.reshape(-1, 3), faces, None)
+    for i, out in ((0, -1.0), (rings - 1, 1.0)):
+        heart = grid[i].mean(axis=0) + np.array([-0.015 * out, 0.0, 0.0])
+        fan = [(0, 1 + j, 1 + (j + 1) % sides) for j in range(sides)]
+        if out < 0.0:
+            fan = [(a, c, b) for a, b, c in fan]
+        ends.add(np.concatenate([heart[None], grid[i]]), fan, None)
+    for t, angle, reach, radius in (
+        (0.62, 70, 0.34, 0.034), (0.40, 140, 0.16, 0.026), (0.78, 20, 0.22, 0.022),
+        (0.22, 105, 0.12, 0.030), (0.88, 160, 0.30, 0.016),
+    ):  # fmt: skip
+        i = round(t * (rings - 1))
+        outward = np.array([0.0, math.cos(math.radians(angle)), math.sin(math.radians(angle))])
+        base = grid[i].mean(axis=0) + 0.03 * outward
+        ahead = unit(outward + np.array([1.3, 0.0, 0.0]))
+        path = [base]
+        for _ in range(4):
+            path.append(path[-1] + ahead * (reach + 0.05) / 4)
+            ahead = unit(ahead + 0.3 * chance.direction())
+        radii = radius * np.array([1.5, 0.95, 0.75, 0.6, 0.42])
+        bark.tube(np.array(path), radii, 7)
+        ends.spun([(float(radii[-1]), 0.0), (0.0, float(radii[-1]))], 7, ahead, path[-1])
+    low = float(grid[:, :, 2].min())
+    parts = {}
+    for name, surface, material in (
+        ("bark", bark, "dead_bark"), ("broken_ends", ends, "dead_wood"),
+    ):  # fmt: skip
+        part = surface.part(material)
+        part.points[:, 2] -= low
+        parts[name] = part
+    return Model(parts, LOOKS)
