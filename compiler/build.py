@@ -66,23 +66,8 @@ def build(plan: Plan, log: BuildLog) -> Scene:
     """
     outputs = tuple(dict.fromkeys(o for rig in plan.rigs for s in rig.sensors for o in s.outputs))
     color, labels = "rgb" in outputs, "label" in outputs
-    with log.timed("relief"):
-        grid = Grid.with_spacing(plan.terrain.size_m, plan.terrain.spacing_m)
-        relief = run(plan.terrain.relief, grid, plan.terrain.meshing.max_triangles)
-        terrain, log.facts["relief"] = relief.field, relief.steps
-    with log.timed("cover"):
-        merges = lay(plan.terrain.merges, plan.terrain.coverage, terrain)
-        log.facts["cover"] = cover_report(merges, terrain)
-        surface = Surface(
-            terrain,
-            merges,
-            relief.details,
-            plan.terrain.displacements,
-            # Without a view nothing says what is too small to see.
-            smooth=plan.terrain.meshing.tolerance_px is not None
-            and bool(plan.rigs)
-            and not isinstance(terrain, MeshSurface),
-        )
+    surface = build_surface(plan, log)
+    terrain = surface.field
     with log.timed("light"):
         sun = plan.sun if color else None
         sky = None
@@ -94,19 +79,8 @@ def build(plan: Plan, log: BuildLog) -> Scene:
     with log.timed("cameras"):
         rigs = build_rigs(plan.rigs, surface, irradiance if color else None)
     times = _times(plan.rigs, plan.samples)
-    views = views_of(rigs)
-    around = Surroundings(surface, views.poses[:, :, 3].copy(), views, plan.terrain.meshing.unseen)
     looks = Looks(dict(plan.materials)) if color else None
-    objects = build_objects(
-        plan.objects,
-        around,
-        views,
-        plan.terrain.meshing.unseen,
-        times,
-        looks,
-        plan.object_triangles,
-        log,
-    )
+    objects = stand_objects(plan, surface, rigs, looks, log)
     with log.timed("ground"):
         # Under an overhang one sees what its roof would hide.
         hills = None if isinstance(terrain, MeshSurface) else terrain
@@ -148,6 +122,64 @@ def build(plan: Plan, log: BuildLog) -> Scene:
         outputs=outputs,
         bounds=bounds,
         georeference=_georeference(log.facts["relief"]),
+    )
+
+
+def build_surface(plan: Plan, log: BuildLog) -> Surface:
+    """The ground before it is meshed: relief, and the layers on it.
+
+    Args:
+        plan: The batch.
+        log: Receives errors and times.
+
+    Raises:
+        SceneError: The relief cannot be built, or a layer cannot cover what it shall.
+    """
+    with log.timed("relief"):
+        grid = Grid.with_spacing(plan.terrain.size_m, plan.terrain.spacing_m)
+        relief = run(plan.terrain.relief, grid, plan.terrain.meshing.max_triangles)
+        terrain, log.facts["relief"] = relief.field, relief.steps
+    with log.timed("cover"):
+        merges = lay(plan.terrain.merges, plan.terrain.coverage, terrain)
+        log.facts["cover"] = cover_report(merges, terrain)
+        return Surface(
+            terrain,
+            merges,
+            relief.details,
+            plan.terrain.displacements,
+            # Without a view nothing says what is too small to see.
+            smooth=plan.terrain.meshing.tolerance_px is not None
+            and bool(plan.rigs)
+            and not isinstance(terrain, MeshSurface),
+        )
+
+
+def stand_objects(
+    plan: Plan, surface: Surface, rigs: tuple[Rig, ...], looks: Looks | None, log: BuildLog
+) -> tuple[Scatter | Placed, ...]:
+    """The objects on the ground, in the cfg's order.
+
+    Args:
+        plan: The batch.
+        surface: Its ground.
+        rigs: Its cameras.
+        looks: Receives the materials of models; None where no color is asked for.
+        log: Receives errors and times.
+
+    Raises:
+        SceneError: Something cannot be built or placed.
+    """
+    views = views_of(rigs)
+    around = Surroundings(surface, views.poses[:, :, 3].copy(), views, plan.terrain.meshing.unseen)
+    return build_objects(
+        plan.objects,
+        around,
+        views,
+        plan.terrain.meshing.unseen,
+        _times(plan.rigs, plan.samples),
+        looks,
+        plan.object_triangles,
+        log,
     )
 
 

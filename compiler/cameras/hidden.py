@@ -48,19 +48,18 @@ def hidden_blocks(
     return hidden, frame
 
 
-def _extremes(
-    height: NDArray[np.float64], cells: int
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+@njit(cache=True, error_model="numpy", parallel=True)
+def _extremes(height, cells):  # type: ignore[no-untyped-def]
     """Lowest and highest sample of each block, those on its border included."""
     ny, nx = height.shape
-    low = np.empty((-(-(ny - 1) // cells), -(-(nx - 1) // cells)))
-    high = np.empty_like(low)
-    for j in range(low.shape[0]):
-        rows = height[j * cells : (j + 1) * cells + 1]
-        smallest, largest = rows.min(axis=0), rows.max(axis=0)
-        for i in range(low.shape[1]):
-            columns = slice(i * cells, (i + 1) * cells + 1)
-            low[j, i], high[j, i] = smallest[columns].min(), largest[columns].max()
+    low = np.full((-(-(ny - 1) // cells), -(-(nx - 1) // cells)), np.inf)
+    high = np.full(low.shape, -np.inf)
+    for j in prange(low.shape[0]):
+        for row in range(j * cells, min((j + 1) * cells + 1, ny)):
+            for i in range(low.shape[1]):
+                for column in range(i * cells, min((i + 1) * cells + 1, nx)):
+                    low[j, i] = min(low[j, i], height[row, column])
+                    high[j, i] = max(high[j, i], height[row, column])
     return low, high
 
 
