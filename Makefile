@@ -44,13 +44,15 @@ bench: setup  ## Run every benchmark; each prints a table.
 	  echo "== $$file"; .venv/bin/python "$$file"; \
 	done
 
-docs: setup  ## Generate docs/cfg.md from the schemas; docs/numerics.md, docs/relief.md by measuring.
+docs: setup  ## Generate docs/cfg.md from the schemas; the pages of errors and run times by measuring.
 	@echo "== Generating docs/cfg.md"
 	@.venv/bin/python docs/make_cfg_reference.py
 	@echo "== Measuring docs/numerics.md"
 	@.venv/bin/python docs/make_numerics.py
 	@echo "== Measuring docs/relief.md"
 	@.venv/bin/python docs/make_relief.py
+	@echo "== Measuring docs/placement.md"
+	@.venv/bin/python docs/make_placement.py
 
 pictures: setup  ## Render the README's table of shipped cfgs, and docs/rocks.md.
 	@echo "== Rendering configs/ with Mitsuba, 64 samples a pixel"

@@ -32,11 +32,23 @@ def run(options: argparse.Namespace) -> int:
         frames = _frames(out / name)
         if frames:
             print(frames)
-        left_out = report.get("left_out", [])
+        left_out = [*report.get("left_out", []), *_left_out(report)]
         print("left out:" if left_out else "left out: nothing")
         for entry in left_out:
             print(f"  {entry['what']}: {entry['why']}")
     return 0
+
+
+def _left_out(report: dict[str, Any]) -> list[dict[str, str]]:
+    """What of the models' files has no place in the stage."""
+    return [
+        {
+            "what": note,
+            "why": f"of a model of objects/{name}; the surface model has no place for it",
+        }
+        for name, entry in report.get("objects", {}).items()
+        for note in entry.get("left_out", [])
+    ]
 
 
 def _frames(folder: Path) -> str:
@@ -110,14 +122,13 @@ def _errors(report: dict[str, Any], seconds: dict[str, float]) -> str:
     if "mesh" in ground:
         rows.extend([name, error, ""] for name, error in _mesh_errors(ground["mesh"]))
     for name, entry in report.get("objects", {}).items():
-        rows.append(
-            [
-                f"objects: {name}",
-                f"{entry['count']:,} of {entry['triangles']:,} triangles, "
-                f"{_levels(entry)}float32 error {entry['float32_error_max_m']:.2g} m",
-                cost(f"objects/{name}"),
-            ]
-        )
+        rows.append([f"objects: {name}", _objects(entry), cost(f"objects/{name}")])
+    budget = report.get("object_budget")
+    if budget:
+        text = f"{budget['max_triangles']:,} triangles at most: "
+        factor = budget["error_factor"]
+        text += "kept as it is" if factor == 1.0 else f"errors up to {factor:.3g} times lod_px"
+        rows.append(["objects, all", text, ""])
     if "precision" in report:
         rows.append(["positions in float32", precision_text(report["precision"]), ""])
     for name, entry in report.get("sky", {}).get("set_to_zero", {}).items():
@@ -128,9 +139,25 @@ def _errors(report: dict[str, Any], seconds: dict[str, float]) -> str:
     return table(rows, ["pass", "error", "seconds"])
 
 
+def _objects(entry: dict[str, Any]) -> str:
+    """One class: how many, how coarse, how well they sit."""
+    text = f"{entry['count']:,} of {entry['triangles']:,} triangles, "
+    if "asked_for" in entry:
+        text = f"{entry['count']:,} placed of {entry['asked_for']:,} asked for; {text}"
+    text += _levels(entry)
+    if "gap_max_px" in entry:
+        up, down = entry["float_max_m"], entry["sink_max_m"]
+        text += f"seated within {up:.2g} m up, {down:.2g} m down ({entry['gap_max_px']:.2g} px), "
+    elif "seating_error_max_m" in entry:
+        text += f"seated within {entry['seating_error_max_m']:.2g} m, "
+    if "moved_off_cameras" in entry:
+        text += f"{entry['moved_off_cameras']} moved off cameras, "
+    return f"{text}float32 error {entry['float32_error_max_m']:.2g} m"
+
+
 def _levels(entry: dict[str, Any]) -> str:
     """What levels of detail left out, and how much of it shows."""
-    if entry["triangles"] == entry["triangles_finest"]:
+    if entry["triangles"] == entry.get("triangles_finest", entry["triangles"]):
         return ""
     return (
         f"{entry['triangles_finest']:,} at the finest level, "

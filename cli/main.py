@@ -13,6 +13,7 @@ from scenec.cli.arguments import (
     add_batches,
     add_json,
     add_render_options,
+    add_settle_options,
     passes,
     positive,
     seed,
@@ -93,6 +94,13 @@ def parser() -> argparse.ArgumentParser:
     compile_.add_argument("-o", "--out", metavar="OUT", required=True, help="output folder")
     add_batches(compile_)
     add_json(compile_)
+
+    settle = _command(commands, "settle", "drop chosen objects by physics, into a table of poses")
+    settle.add_argument("cfg", metavar="CFG", help="the cfg, a JSON file")
+    settle.add_argument("--seed", type=seed, required=True, help="whole number, 0 to 2^64 - 1")
+    settle.add_argument("-o", "--out", metavar="CSV", required=True, help="table of poses")
+    add_settle_options(settle)
+    add_json(settle)
 
     render = _command(commands, "render", "render what was compiled, or any USD stage")
     render.add_argument("out", metavar="OUT", help="output folder of compile, or a USD file")

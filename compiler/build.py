@@ -25,6 +25,7 @@ from scenec.compiler.plan import Plan, RigPlan, TrackPlan
 from scenec.compiler.precision import precision
 from scenec.compiler.scatter.surroundings import Surroundings
 from scenec.compiler.scene import Georeference, Ground, Placed, Rig, Scatter, Scene, SkyLight
+from scenec.compiler.surfaces.pictures import with_pictures
 from scenec.compiler.terrain.grid import Grid
 from scenec.compiler.terrain.mesh_surface import MeshSurface
 from scenec.compiler.terrain.program import run
@@ -79,7 +80,13 @@ def build(plan: Plan, log: BuildLog) -> Scene:
     with log.timed("cameras"):
         rigs = build_rigs(plan.rigs, surface, irradiance if color else None)
     times = _times(plan.rigs, plan.samples)
-    looks = Looks(dict(plan.materials)) if color else None
+    looks = None
+    if color:
+        with log.timed("surfaces"):
+            materials, surfaces = with_pictures(plan.materials)
+        looks = Looks(materials)
+        if surfaces:
+            log.facts["surfaces"] = surfaces
     objects = stand_objects(plan, surface, rigs, looks, log)
     with log.timed("ground"):
         # Under an overhang one sees what its roof would hide.

@@ -33,6 +33,7 @@ from scenec.compiler.plan import (
 from scenec.compiler.scatter.draw import draw_rocks
 from scenec.compiler.scatter.draw_scatter import Setting
 from scenec.compiler.scene import GroundLayer, Labels, Material, MaterialMaps, SunLight
+from scenec.compiler.surfaces.kinds import SURFACES
 from scenec.compiler.terrain.barchans import draw_barchans
 from scenec.compiler.terrain.detail import Detail, Sum
 from scenec.compiler.terrain.draw_craters import draw_craters
@@ -77,7 +78,11 @@ def draw(spec: Spec, seed: int, batch: int) -> Plan:
         sky_labels=_sky_labels(cfg),
         materials={
             name: _material(
-                spec, f"materials/{name}", resolve(node, streams, f"materials/{name}"), name in worn
+                spec,
+                f"materials/{name}",
+                resolve(node, streams, f"materials/{name}"),
+                name in worn,
+                streams,
             )
             for name, node in cfg["materials"].items()
         },
@@ -131,13 +136,19 @@ def _worn(objects: dict[str, Any]) -> set[str]:
     return {user["material"] for user in users if user.get("material")}
 
 
-def _material(spec: Spec, path: str, node: dict[str, Any], worn: bool) -> Material:
+def _material(
+    spec: Spec, path: str, node: dict[str, Any], worn: bool, streams: Streams
+) -> Material:
     # Left out, it is a factor of 1 on a map's colors.
     red, green, blue = node["base_color"] or (1.0, 1.0, 1.0)
     maps = None
     if node["maps"] is not None:
+        surface = None
+        if node["maps"]["procedural"] is not None:
+            at = f"{path}/maps/procedural"
+            surface = _of_keys(spec, SURFACES, node["maps"]["procedural"], streams, at)
         maps = MaterialMaps(
-            size_m=node["maps"]["size_m"] or 1.0,
+            size_m=node["maps"]["size_m"] or (surface.SIZE_M if surface else 1.0),
             files={
                 kind: spec.files[f"{path}/maps/{kind}"].path
                 for kind in MAP_CHANNELS
@@ -145,6 +156,7 @@ def _material(spec: Spec, path: str, node: dict[str, Any], worn: bool) -> Materi
             },
             normal_convention=node["maps"]["normal_convention"],
             projection=node["maps"]["projection"] or ("triplanar" if worn else "above"),
+            procedural=surface,
         )
     return Material(
         (red, green, blue),

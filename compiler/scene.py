@@ -12,6 +12,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.compiler.surfaces.surface import Surface
+
 #: Label id per level.
 Labels = dict[str, int]
 
@@ -39,12 +41,15 @@ class MaterialMaps:
         normal_convention: "opengl" (y up in the picture) or "directx".
         projection: "above" (along the world's z), "triplanar" (along its three axes, mixed by the
             normal) or "uv" (the mesh's texture coordinates).
+        procedural: What makes those pictures that ``files`` does not have; None in a Scene, where
+            all are made.
     """
 
     size_m: float
     files: dict[str, Path | Picture]
     normal_convention: str
     projection: str = "above"
+    procedural: Surface | None = None
 
 
 @dataclass(frozen=True)

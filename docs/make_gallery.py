@@ -66,6 +66,13 @@ ENTRIES = (
         "layered bedrock, rippled sand, wheel tracks, rocks from pebbles to boulders",
     ),
     Entry(
+        "landing_site",
+        5,
+        "surface",
+        "rocks by Golombek and Rapp's law, plates, boulders with skirts of debris; a lander, and a "
+        "board that moves",
+    ),
+    Entry(
         "lunar_mare",
         2,
         "surface",
@@ -81,7 +88,7 @@ ENTRIES = (
         "meadow_edge",
         3,
         "surface",
-        "turf, a dirt track, a plowed field, a dry channel with gravel and mud",
+        "23,000 tufts of grass, flowers, shrubs and trees; a track, a plowed field, a dry channel",
     ),
 )
 

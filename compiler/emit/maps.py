@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from scenec.compiler.arithmetic import elementary
+from scenec.compiler.arithmetic.srgb import linear_codes
 from scenec.compiler.scene import Material, Picture
 from scenec.schemas.maps import read_pixels
 
@@ -57,19 +57,10 @@ def _average(source: Path | Picture) -> tuple[float, float, float]:
         red, green, blue = np.clip(pixels, 0.0, 1.0).astype(np.float64).mean(axis=(0, 1)).tolist()
         return (red, green, blue)
     largest = int(np.iinfo(pixels.dtype).max)
-    linear = _linear_codes(largest)
+    linear = linear_codes(largest)
     red, green, blue = (
         float((np.bincount(pixels[..., i].ravel(), minlength=largest + 1) * linear).sum())
         / pixels[..., i].size
         for i in range(3)
     )
     return (red, green, blue)
-
-
-@lru_cache(maxsize=2)
-def _linear_codes(largest: int) -> np.ndarray:
-    """Linear value of each code of the sRGB transfer function (IEC 61966-2-1)."""
-    codes = np.arange(largest + 1) / largest
-    # As exp(2.4 log x): the same bits on every CPU.
-    power = elementary.exp_array(2.4 * elementary.log_array((codes + 0.055) / 1.055))
-    return np.where(codes <= 0.04045, codes / 12.92, power)

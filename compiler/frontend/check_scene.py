@@ -222,16 +222,23 @@ def _check_materials(document: Any) -> Iterator[Finding]:
 def _check_maps(
     path: Path, maps: dict[str, Any], kinds: list[str], users: list[str]
 ) -> Iterator[Finding]:
-    if not kinds:
-        yield Finding(path, f"expected one of {', '.join(MAP_CHANNELS)}, or more")
+    made = "procedural" in maps
+    if not kinds and not made:
+        yield Finding(path, f"expected one of {', '.join(MAP_CHANNELS)}, or more, or procedural")
     by_uv = maps.get("projection") == "uv"
+    if by_uv and made:
+        yield Finding(
+            (*path, "procedural"),
+            "procedural pictures lie in the world: expected the projection triplanar or above",
+            at_key=True,
+        )
     if by_uv and "size_m" in maps:
         yield Finding(
             (*path, "size_m"),
             "with the projection uv the mesh says how large the pictures are: take it away",
             at_key=True,
         )
-    if not by_uv and "size_m" not in maps:
+    if not by_uv and not made and "size_m" not in maps:
         yield Finding(path, "expected the key size_m")
     if by_uv and users:
         yield Finding(

@@ -31,15 +31,17 @@ def place_objects(
     """
     moves = any(len(keys.time_s) > 1 for keys in plan.keys)
     samples = times if moves else times[:1]
-    to_world = np.empty((len(plan.keys), len(samples), 3, 4))
-    for n, keys in enumerate(plan.keys):
-        for s, time in enumerate(samples.tolist()):
-            position, quaternion, scale = keys.at(time)
-            matrix = from_quaternion(np.zeros(3), quaternion)
-            matrix[:3, :3] *= scale
-            radius = scale * prototypes[plan.model[n]].radius
-            matrix = compose(_stand(plan, surface, position, radius, int(plan.ids[n])), matrix)
-            to_world[n, s] = matrix[:3]
+    poses = [keys.at(time) for keys in plan.keys for time in samples.tolist()]
+    numbers = np.repeat(plan.ids, len(samples))
+    at = np.array([position for position, _, _ in poses]).reshape(-1, 3)
+    radius = np.array([p.radius for p in prototypes])[np.repeat(plan.model, len(samples))]
+    radius = radius * np.array([scale for _, _, scale in poses])
+    frames = _frames(plan, surface, at, radius, numbers)
+    to_world = np.empty((len(poses), 3, 4))
+    for i, (_, quaternion, scale) in enumerate(poses):
+        matrix = from_quaternion(np.zeros(3), quaternion)
+        matrix[:3, :3] *= scale
+        to_world[i] = compose(frames[i], matrix)[:3]
     return Placed(
         name=plan.name,
         material=plan.material,
@@ -47,47 +49,62 @@ def place_objects(
         instances=plan.instances,
         prototypes=prototypes,
         prototype=plan.model,
-        to_world=to_world,
+        to_world=to_world.reshape(len(plan.keys), len(samples), 3, 4),
         ids=plan.ids,
         drawn=int(plan.ids.max(initial=0)),
     )
 
 
-def _stand(
-    plan: PlacedPlan, surface: Surface, position: NDArray[np.float64], radius: float, number: int
+def _frames(
+    plan: PlacedPlan,
+    surface: Surface,
+    at: NDArray[np.float64],
+    radius: NDArray[np.float64],
+    numbers: NDArray[np.int64],
 ) -> NDArray[np.float64]:
-    """The frame in which an object's turn is given: moved, and tilted with the ground: [4, 4]."""
-    out = np.eye(4)
-    out[:3, 3] = position
+    """The frames in which turns are given: moved, and tilted with the ground: [n, 4, 4].
+
+    Args:
+        plan: The class.
+        surface: The ground; asked for all at once.
+        at, radius: Where objects are, and the balls around them, [n, 3] and [n].
+        numbers: Their ids, for messages.
+    """
+    out = np.tile(np.eye(4), (len(at), 1, 1))
+    out[:, :3, 3] = at
     if not plan.on_ground and not plan.along_normal:
         return out
     half = 0.5 * np.array(surface.field.grid.size_m)
-    if not (np.abs(position[:2]) <= half).all():
+    off = np.flatnonzero(~(np.abs(at[:, :2]) <= half).all(axis=1))
+    if len(off):
+        position, number = at[off[0]], int(numbers[off[0]])
         raise SceneError(
             f"objects/{plan.name}: object {number} at x {position[0]:g} m, y {position[1]:g} m is "
             f"off the terrain, which ends at {half[0]:g} m and {half[1]:g} m from its middle: its "
             'height over the ground is not known; say "heights": "world"'
         )
+    x, y = (np.ascontiguousarray(at[:, axis]) for axis in (0, 1))
     if plan.on_ground:
-        x, y = position[:1].copy(), position[1:2].copy()
-        out[2, 3] += float(surface.height_at(x, y)[0])
+        out[:, 2, 3] += surface.height_at(x, y)
     if plan.along_normal:
-        out[:3, :3] = upright_to(_normal_under(surface, position, radius))
+        for i, normal in enumerate(_normals_under(surface, x, y, radius)):
+            out[i, :3, :3] = upright_to(normal)
     return out
 
 
-def _normal_under(
-    surface: Surface, position: NDArray[np.float64], radius: float
+def _normals_under(
+    surface: Surface, x: NDArray[np.float64], y: NDArray[np.float64], radius: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Normal of the plane through the ground at an object's rim: [3]."""
-    step = max(radius, *surface.field.grid.spacing_m)
-    x = position[0] + step * np.array([1.0, -1.0, 0.0, 0.0])
-    y = position[1] + step * np.array([0.0, 0.0, 1.0, -1.0])
+    """Normals of the planes through the ground at objects' rims: [n, 3]."""
+    step = np.maximum(radius, max(surface.field.grid.spacing_m))[:, None]
     half = 0.5 * np.array(surface.field.grid.size_m)
-    x, y = np.clip(x, -half[0], half[0]), np.clip(y, -half[1], half[1])
-    z = surface.height_at(x, y)
-    normal = np.array([-(z[0] - z[1]) / (x[0] - x[1]), -(z[2] - z[3]) / (y[2] - y[3]), 1.0])
-    unit: NDArray[np.float64] = normal / np.sqrt((normal * normal).sum())
+    rim_x = np.clip(x[:, None] + step * np.array([1.0, -1.0, 0.0, 0.0]), -half[0], half[0])
+    rim_y = np.clip(y[:, None] + step * np.array([0.0, 0.0, 1.0, -1.0]), -half[1], half[1])
+    z = surface.height_at(rim_x.ravel(), rim_y.ravel()).reshape(-1, 4)
+    gx = (z[:, 0] - z[:, 1]) / (rim_x[:, 0] - rim_x[:, 1])
+    gy = (z[:, 2] - z[:, 3]) / (rim_y[:, 2] - rim_y[:, 3])
+    normal = np.stack([-gx, -gy, np.ones(len(x))], axis=1)
+    unit: NDArray[np.float64] = normal / np.sqrt((normal * normal).sum(axis=1))[:, None]
     return unit
 
 

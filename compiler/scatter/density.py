@@ -340,10 +340,10 @@ class AroundDensity(Density):
         return with_background(dense, self.background)
 
     def finest_m(self, around: Surroundings) -> float | None:
-        """Half of the smallest radius."""
+        """A quarter of the smallest radius: its inner border is sharp."""
         radius = around.objects[self.of].radius
         radius = radius[(2.0 * radius >= self.min_size_m) & (radius > 0.0)]
-        return 0.5 * float(radius.min()) if len(radius) else None
+        return 0.25 * float(radius.min()) if len(radius) else None
 
 
 def with_background(dense: NDArray[np.float64], part: float) -> NDArray[np.float64]:

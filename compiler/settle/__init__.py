@@ -1,0 +1,1 @@
+"""Objects dropped onto the ground by a physics library, aside from compiling."""

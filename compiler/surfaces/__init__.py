@@ -1,0 +1,1 @@
+"""Pictures of surfaces made by the compiler: rock and ground that need no files."""
