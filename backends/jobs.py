@@ -65,6 +65,13 @@ class Jobs:
         return len(self._places)
 
     @property
+    def table(self) -> dict[str, Any] | None:
+        """The request for the batch's table of instances; None where no frame has ``instance``."""
+        if not any("instance" in self._camera(*place)["passes"] for place in self._places):
+            return None
+        return {"op": "instances", "folder": str((self._batch.folder / FRAMES).resolve())}
+
+    @property
     def rgb(self) -> bool:
         """Whether any of them has ``rgb``."""
         return any("rgb" in self._camera(*place)["passes"] for place in self._places)
@@ -92,7 +99,6 @@ class Jobs:
                 "device": wanted.device,
                 "annotator": annotator,
                 "passes": None if wanted.passes is None else list(wanted.passes),
-                "frames": str((self._batch.folder / FRAMES).resolve()),
             }
         )
         self._opened = opened

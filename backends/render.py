@@ -214,6 +214,7 @@ class _Run:
             inside = None if annotator else self._wanted.annotate_with
             opened = jobs.open(worker, inside)
             self._opened(opened, rgb=jobs.rgb)
+            self._table(worker, jobs)
             for index, job in enumerate(jobs):
                 report.frames.append(job.stem)
                 if is_done(job.stem, job.key):
@@ -228,6 +229,16 @@ class _Run:
             for process in (worker, *([annotator.worker] if annotator else [])):
                 report.deaths += process.deaths
                 report.replaced += process.replaced
+
+    def _table(self, worker: WorkerProcess, jobs: Jobs) -> None:
+        """Has the batch's table of instances written, where it is asked for and not there."""
+        if jobs.table is None:
+            return
+        try:
+            worker.ask(jobs.table, "the table of instances")
+        except FrameLostError as error:
+            self.report.failed.append(str(error))
+            self._note(str(error))
 
     def _worker(self) -> WorkerProcess:
         return WorkerProcess(self._note, self._limits, self._say)

@@ -42,6 +42,7 @@ class Worker:
         self._session: Any = None
         self._operations: dict[str, Callable[[dict[str, Any]], dict[str, Any]]] = {
             "open": self._open,
+            "instances": self._instances,
             "render": self._render,
             "see": self._see,
             "describe": self._describe,
@@ -75,9 +76,6 @@ class Worker:
             ]
             for cameras in scene.cameras
         ]
-        folder = request.get("frames")
-        if folder and any("instance" in c["passes"] for of_sample in cameras for c in of_sample):
-            session.write_instances(Path(folder))
         pictures = any("rgb" in c["passes"] for of_sample in cameras for c in of_sample)
         return {
             "digest": scene.digest,
@@ -86,6 +84,10 @@ class Worker:
             "losses": session.losses if pictures else (),
             **_facts(session.backend),
         }
+
+    def _instances(self, request: dict[str, Any]) -> dict[str, Any]:
+        self._opened().write_instances(Path(request["folder"]))
+        return {}
 
     def _render(self, request: dict[str, Any]) -> dict[str, Any]:
         from scenec.backends.frames import plain

@@ -124,7 +124,7 @@ class ScatterPlan:
         where: Conditions that the density is multiplied with.
         apart: What is kept between objects, or None.
         fewer: Whether those that find no place are left out; else they are an error.
-        clearance_m: Between cameras and balls around objects; 0: none, not even outside of them.
+        clearance_m: Between cameras and balls around objects; below 0, how far inside they may be.
         place_key: Of the hash that gives an instance its further candidate places.
         position_u: Uniform numbers that pick the first candidate, float64 [n, 3].
         prototype: int32 [n].

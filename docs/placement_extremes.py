@@ -109,7 +109,7 @@ def _rows(page: Page, folder: Path) -> list[list[str]]:
         ),
         _row("embed 0", {"count": n, "embed": 0}, folder),
         _row("embed 1", {"count": n, "embed": 1}, folder),
-        _row("rocks in front of the camera, clearance 0.3 m",
+        _row("rocks about the camera, none of which may hold it",
              {"count": 300, "size_m": 3, "where": [{"type": "camera", "max_m": 4}]}, folder),
         _row("no place that is clear of the camera", {"count": 3, "size_m": 200}, folder),
         _row("the same, shortfall fewer",

@@ -63,11 +63,11 @@ def lay(
     _require_all(plan, n, len(placed), "keep apart from each other", reach, places, around)
     apart_lost = n - len(placed)
     moved = np.zeros(0, np.int64)
-    if places is not None and plan.clearance_m > 0.0 and len(around.cameras):
+    if places is not None and len(around.cameras):
         moved, tries = _clear(plan, standing, thrower, radius, places, u, tries, around.cameras)
     kept = np.flatnonzero(tries >= 0)
     _require_all(
-        plan, n, len(kept) + apart_lost, f"keep {plan.clearance_m:g} m from every camera",
+        plan, n, len(kept) + apart_lost, _clear_of(plan.clearance_m),
         reach, places, around,
     )  # fmt: skip
     facts.update(
@@ -192,6 +192,12 @@ def _require_all(
     )
 
 
+def _clear_of(clearance_m: float) -> str:
+    if clearance_m > 0.0:
+        return f"keep {clearance_m:g} m from every camera"
+    return "have no camera inside of the ball around them"
+
+
 def _clear(
     plan: ScatterPlan,
     standing: Standing,
@@ -219,7 +225,9 @@ def _clear(
     moved = []
     while len(looked_at):
         at = standing.positions(looked_at).astype(np.float64)
-        near = looked_at[_too_near(at, radius[looked_at] + plan.clearance_m, sorted_cameras)]
+        near = looked_at[
+            _too_near(at, np.maximum(radius[looked_at] + plan.clearance_m, 0.0), sorted_cameras)
+        ]
         if not len(near):
             break
         moved.append(near)

@@ -34,7 +34,7 @@ def output(tmp_path_factory) -> Path:
 def test_run_leaves_stages_frames_and_a_manifest(output):
     frames = output / "batch_0000" / "frames" / "mitsuba" / "rover_front"
     assert sorted(path.name for path in frames.iterdir()) == [
-        f"{i:06d}.{ending}" for i in range(2) for ending in ("exr", "json", "png")
+        f"{i:06d}.{ending}" for i in range(2) for ending in ("exr", "instances.csv", "json", "png")
     ]
     manifest = json.loads((output / "manifest.json").read_text())
     assert manifest["batches"][0]["stage"] == "batch_0000/stage.usda"

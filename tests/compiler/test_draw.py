@@ -41,9 +41,9 @@ def test_per_batch_holds_a_light_still_over_the_samples_of_a_batch(tmp_path):
 
 def test_sizes_are_drawn_for_each_rock(tmp_path):
     (rocks,) = planned(tmp_path, small_cfg()).objects
-    assert len(set(rocks.size_m.tolist())) == 300
-    assert 0.05 <= rocks.size_m.min() < 0.1
-    assert 0.5 < rocks.size_m.max() <= 0.7
+    assert len(set(rocks.scale.tolist())) == 300
+    assert 0.05 <= rocks.scale.min() < 0.1
+    assert 0.5 < rocks.scale.max() <= 0.7
     assert np.allclose(np.linalg.norm(rocks.orientations, axis=1), 1.0)
     assert set(rocks.prototype.tolist()) == {0, 1, 2, 3}
 
@@ -62,7 +62,7 @@ def test_random_turns_favor_no_direction(tmp_path):
 def test_a_drawn_count_is_met(tmp_path):
     cfg = small_cfg()
     cfg["objects"]["rocks"]["count"] = {"type": "uniform", "min": 10, "max": 20}
-    counts = {len(planned(tmp_path, cfg, seed).objects[0].size_m) for seed in range(40)}
+    counts = {planned(tmp_path, cfg, seed).objects[0].count.exact for seed in range(40)}
     assert counts <= set(range(10, 21))
     assert len(counts) > 5
 

@@ -61,7 +61,7 @@ def load_with(folder, **change: Any) -> None:
         ),
         ({"where": [CRATERS]}, "/where/0/type", "no craters in the relief"),
         ({"shortfall": "less"}, "/shortfall", "one of error, fewer"),
-        ({"clearance_m": -1}, "/clearance_m", "at least 0 m"),
+        ({"clearance_m": -1e7}, "/clearance_m", "at least -1000000 m"),
     ],
 )
 def test_a_fault_is_told_where_it_stands(tmp_path, change, pointer, words):
