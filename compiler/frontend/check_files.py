@@ -132,7 +132,7 @@ def _check_model(file: FilePath, path: Path, owner: Any, document: Any) -> list[
         ]
     # Values that the schema finds fault with count as not given.
     unit_m = float(unit_m) if isinstance(unit_m, (int, float)) and unit_m > 0 else None
-    cached_model(file, unit_m, up if up in TO_Z_UP else None, _text(part))
+    cached_model(file, unit_m, up if up in tuple(TO_Z_UP) else None, _text(part))
     return []
 
 

@@ -30,7 +30,7 @@ def check_objects(document: Any, spans: dict[Path, tuple[float, float]]) -> list
     for name, thing in objects.items():
         if isinstance(thing, dict):
             path = ("objects", name)
-            if thing.get("type") in _SIZES:
+            if thing.get("type") in tuple(_SIZES):
                 findings.extend(_check_count(path, thing))
                 findings.extend(_check_lean(path, thing))
             findings.extend(_check_density(path, thing, document, spans))

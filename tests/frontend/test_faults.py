@@ -38,6 +38,7 @@ _FAULTS = [
     ({"/objects/rocks/instances": 1}, "/objects/rocks/instances", "true or false"),
     ({"/light/sun": []}, "/light/sun", "an object or null"),
     ({"/version": 2}, "/version", "2: expected 1"),
+    ({"/objects/rocks/type": {"type": "uniform"}}, "/objects/rocks/type", "expected"),
     # unknown choices
     ({"/outputs": ["lable", "rgb"]}, "/outputs/0", 'did you mean "label"?'),
     ({"/terrain/relief/0/type": "plain"}, "/terrain/relief/0/type", 'did you mean "plane"?'),
