@@ -62,6 +62,16 @@ CIRCUMSTANCES = {
     "another BLAS kernel": {"OPENBLAS_CORETYPE": "Prescott"},
     "numba for a generic CPU": {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""},
 }
+#: The same in two runs, for parts of the compiler: what fails here is taken apart above.
+TOGETHER = {
+    "all but numba's CPU at once": {
+        key: value
+        for name, change in CIRCUMSTANCES.items()
+        if not name.startswith("numba")
+        for key, value in change.items()
+    },
+    "numba for a generic CPU": CIRCUMSTANCES["numba for a generic CPU"],
+}
 
 
 @pytest.mark.parametrize("name", list(CIRCUMSTANCES))

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from small import small_cfg, write_cfg
-from test_compile import CIRCUMSTANCES
+from test_compile import TOGETHER
 
 from scenec.compiler.build import BuildLog, build
 from scenec.compiler.draw import draw
@@ -177,7 +177,7 @@ def digests(path: str) -> list[str]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", list(CIRCUMSTANCES))
+@pytest.mark.parametrize("name", list(TOGETHER))
 def test_conditions_give_the_same_bytes_with(name, tmp_path):
     path = write(tmp_path, {"where": WHERE}, {"where": WHERE[1:4]})
     done = subprocess.run(
@@ -186,7 +186,7 @@ def test_conditions_give_the_same_bytes_with(name, tmp_path):
         env={
             **os.environ,
             "PYTHONPATH": str(Path(__file__).parents[1]),
-            **CIRCUMSTANCES[name],
+            **TOGETHER.get(name, {}),
         },
         capture_output=True,
         text=True,

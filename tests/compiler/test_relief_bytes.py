@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from test_compile import CIRCUMSTANCES
+from test_compile import TOGETHER
 from test_relief_masks import MASK, PROGRAM, write_program
 
 _HEIGHTS = """
@@ -33,7 +33,7 @@ def heights(cfg: Path, name: str) -> list[str]:
     done = subprocess.run(
         [sys.executable, "-W", "ignore", "-c", _HEIGHTS, str(cfg)],
         check=True,
-        env={**os.environ, **CIRCUMSTANCES[name]},
+        env={**os.environ, **TOGETHER.get(name, {})},
         capture_output=True,
         text=True,
     )
@@ -57,7 +57,7 @@ def reference(program) -> list[str]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", list(CIRCUMSTANCES))
+@pytest.mark.parametrize("name", list(TOGETHER))
 def test_every_operator_gives_the_same_bytes_with(name, program, reference):
     assert len(reference) == len(PROGRAM) + 4
     assert heights(program, name) == reference

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from PIL import Image
 from small import small_cfg, write_cfg
-from test_compile import CIRCUMSTANCES, compiled, hashes
+from test_compile import TOGETHER, compiled, hashes
 
 from scenec.backends.check.stage import check_stage
 from scenec.backends.reader import read_stage
@@ -316,14 +316,14 @@ def reference(tmp_path_factory) -> Path:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", list(CIRCUMSTANCES))
+@pytest.mark.parametrize("name", list(TOGETHER))
 def test_all_kinds_have_the_same_bytes_with(name, reference, tmp_path):
     cfg = write_cfg(tmp_path, all_kinds_cfg())
     subprocess.run(
         [sys.executable, "-W", "ignore", "-c", _COMPILE, str(cfg), str(tmp_path / "out")],
         check=True,
         cwd=tmp_path,
-        env={**os.environ, **CIRCUMSTANCES[name]},
+        env={**os.environ, **TOGETHER.get(name, {})},
         capture_output=True,
     )
     assert hashes(tmp_path / "out") == hashes(reference)
