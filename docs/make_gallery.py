@@ -86,7 +86,7 @@ ENTRIES = (
     ),
     Entry(
         "meadow_edge",
-        3,
+        0,
         "surface",
         "23,000 tufts of grass, flowers, shrubs and trees; a track, a plowed field, a dry channel",
     ),
