@@ -1,4 +1,4 @@
-"""Shading normals of triangle meshes."""
+"""Shading normals of triangle meshes, and the faces around their vertices."""
 
 from __future__ import annotations
 
@@ -37,3 +37,22 @@ def vertex_normals(points: NDArray, faces: NDArray) -> NDArray:
         else:
             out[n, 2] = 1.0
     return out
+
+
+@njit(cache=True, error_model="numpy")
+def faces_of_vertices(count, faces):  # type: ignore[no-untyped-def]
+    """Where the faces around each of ``count`` vertices begin, int64 [n + 1], and these, int32."""
+    start = np.zeros(count + 1, np.int64)
+    for f in range(len(faces)):
+        for k in range(3):
+            start[faces[f, k] + 1] += 1
+    for v in range(count):
+        start[v + 1] += start[v]
+    at = start[:-1].copy()
+    out = np.empty(3 * len(faces), np.int32)
+    for f in range(len(faces)):
+        for k in range(3):
+            v = faces[f, k]
+            out[at[v]] = f
+            at[v] += 1
+    return start, out

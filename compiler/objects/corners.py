@@ -7,6 +7,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
+from scenec.compiler.arithmetic.normals import faces_of_vertices
 
 
 def corner_normals(
@@ -26,7 +27,7 @@ def corner_normals(
         float64 [m, 3, 3].
     """
     normals = face_normals(points, faces)
-    start, around = _faces_around(len(points), faces)
+    start, around = faces_of_vertices(len(points), faces)
     limit = elementary.cos(min(max(crease_deg, 0.0), 180.0) * elementary.PI / 180.0)
     # Flat faces' normals agree up to rounding.
     return _corner_normals(normals, faces, start, around, limit - 1e-6)
@@ -68,24 +69,6 @@ def split(
     made = np.empty(len(corner), np.int32)
     made[order] = number
     return vertex[new].astype(np.int32), made.reshape(-1, 3), ordered[new]
-
-
-@njit(cache=True, error_model="numpy")
-def _faces_around(count, faces):  # type: ignore[no-untyped-def]
-    start = np.zeros(count + 1, np.int64)
-    for f in range(len(faces)):
-        for k in range(3):
-            start[faces[f, k] + 1] += 1
-    for v in range(count):
-        start[v + 1] += start[v]
-    at = start[:-1].copy()
-    around = np.empty(3 * len(faces), np.int64)
-    for f in range(len(faces)):
-        for k in range(3):
-            v = faces[f, k]
-            around[at[v]] = f
-            at[v] += 1
-    return start, around
 
 
 @njit(cache=True, error_model="numpy")

@@ -13,6 +13,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from scenec.compiler.arithmetic.normals import faces_of_vertices
 from scenec.compiler.scatter.density import Density, Everywhere
 from scenec.compiler.scatter.placement import lattice_of, require_somewhere, rotation_rows
 from scenec.compiler.scatter.places import Places
@@ -177,31 +178,13 @@ def seat_on_mesh(
     offsets = np.cumsum([0] + [len(p.points) for p in prototypes])
     points = np.concatenate([p.points for p in prototypes]).astype(np.float64)
     bins = surface.bins
-    start, faces_at = _faces_of_vertices(len(surface.points), surface.faces)
+    start, faces_at = faces_of_vertices(len(surface.points), surface.faces)
     return _seat(
         surface.points, surface.faces, start, faces_at,
         bins.x0, bins.y0, bins.size, bins.shape, bins.start, bins.faces, surface.flat,
         spots.face, spots.points[:, 2].copy(),
         points, offsets, prototype, x, y, orientations.astype(np.float64), size_m, embed,
     )  # fmt: skip
-
-
-@njit(cache=True, error_model="numpy")
-def _faces_of_vertices(count, faces):  # type: ignore[no-untyped-def]
-    start = np.zeros(count + 1, np.int64)
-    for f in range(len(faces)):
-        for k in range(3):
-            start[faces[f, k] + 1] += 1
-    for v in range(count):
-        start[v + 1] += start[v]
-    at = start[:-1].copy()
-    out = np.empty(3 * len(faces), np.int32)
-    for f in range(len(faces)):
-        for k in range(3):
-            v = faces[f, k]
-            out[at[v]] = f
-            at[v] += 1
-    return start, out
 
 
 @njit(cache=True, error_model="numpy", inline="always")

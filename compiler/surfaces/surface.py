@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -9,7 +10,7 @@ from scenec.compiler.surfaces.tile import Look, Tile
 
 
 @dataclass(frozen=True)
-class Surface:
+class Surface(ABC):
     """A kind of surface, with its cfg's keys as fields; each kind adds what it asks for.
 
     Attributes:
@@ -31,9 +32,9 @@ class Surface:
     #: What ``Look.height`` is in, as a part of ``grain_m``.
     RELIEF: ClassVar[float]
 
+    @abstractmethod
     def paint(self, tile: Tile) -> Look:
         """Relief, color and roughness on a tile."""
-        raise NotImplementedError
 
     def unit(self, tile: Tile) -> float:
         """What ``Look.height`` is in, meters, where no relief is asked for."""
