@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from scenec.compiler.compile import compile_cfg
 from scenec.compiler.frontend.load import load
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -22,6 +23,7 @@ def test_the_cfg_that_is_explained_line_by_line_is_valid(tmp_path):
     path.write_text(re.sub(r"\s+//.*", "", block), encoding="utf-8")
     json.loads(path.read_text())
     assert load(path).cfg["name"] == "first"
+    assert compile_cfg(path, seed=1, out=tmp_path / "out", batches=range(1)).batches == (0,)
 
 
 def test_every_file_that_it_links_is_there():
