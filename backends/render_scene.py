@@ -34,6 +34,19 @@ class Reading:
 
 
 @dataclass(frozen=True)
+class Cells:
+    """Pictures laid in cells, each turned and shifted; ``scenec.backends.cells`` defines them.
+
+    Attributes:
+        size_m: Side of the lattice, meters.
+        seed: Of the table of turns and shifts.
+    """
+
+    size_m: float
+    seed: int
+
+
+@dataclass(frozen=True)
 class Maps:
     """Pictures that vary a surface; ``scenec.backends.maps`` loads them and defines projections.
 
@@ -58,6 +71,11 @@ class Maps:
         primvar: Which texture coordinates ("uv").
         uv_transform: What they are multiplied with first, (a, b, c, d, e, f):
             u' = a u + b v + c, v' = d u + e v + f; done by the reader.
+        emission: Multiplies ``Surface.emission``; color space as of ``base_color``.
+        height: In [0, 1], raw: what ``Mesh.height_blends`` go by.
+        cells: How they are kept from repeating ("above" only), or None.
+        far: (factor, share): colors c become c * (1 + share * (c_far / mean - 1)), c_far the same
+            picture factor times as large ("above" only); or None.
     """
 
     size_m: float
@@ -70,6 +88,29 @@ class Maps:
     readings: tuple[tuple[str, Reading], ...] = ()
     primvar: str = "st"
     uv_transform: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0)
+    emission: Path | None = None
+    height: Path | None = None
+    cells: Cells | None = None
+    far: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True)
+class Reflectance:
+    """A law in place of Lambert's; ``scenec.backends.reflectance`` defines it.
+
+    Attributes:
+        model: "lommel_seeliger" or "hapke".
+        b, c: Of the double Henyey-Greenstein phase function.
+        opposition, opposition_width: B0 and h.
+        roughness: Mean slope theta bar, radians; 0 for Lommel and Seeliger's.
+    """
+
+    model: str
+    b: float
+    c: float
+    opposition: float
+    opposition_width: float
+    roughness: float
 
 
 @dataclass(frozen=True)
@@ -91,6 +132,8 @@ class Surface:
         maps: Pictures that vary it, or None.
         roughness_variation: r = roughness * (1 + roughness_variation * primvar) *
             (1 + roughness_variation * row's), clipped to [0, 1]; both lobes have it.
+        reflectance: What stands in place of Lambert(c), or None.
+        emission: Radiance given off, linear Rec.709.
     """
 
     path: str
@@ -101,6 +144,8 @@ class Surface:
     metallic: float = 0.0
     maps: Maps | None = None
     roughness_variation: float = 0.0
+    reflectance: Reflectance | None = None
+    emission: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     @property
     def glossy(self) -> bool:
@@ -137,6 +182,8 @@ class Mesh:
         variation: Variation of albedo and roughness at the vertices, float32 [n], or None.
         uv: Texture coordinates at the corners of the triangles, v up, float32 [m, 3, 2], where a
             surface has maps that are projected by them; else None.
+        height_blends: For each merge, the depth over which height maps decide (``scenec.backends.
+            heights`` defines it), 0 where the weight alone does; empty: 0 for all.
     """
 
     path: str
@@ -149,6 +196,7 @@ class Mesh:
     weights: NDArray[np.float32]
     variation: NDArray[np.float32] | None = None
     uv: NDArray[np.float32] | None = None
+    height_blends: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -244,11 +292,64 @@ class Dome:
 
 
 @dataclass(frozen=True)
+class Lamp:
+    """A spot light: a sphere that shines into a cone; cameras do not see it.
+
+    Its intensity at an angle t from the axis is ``intensity`` * (1 - smoothstep(t0, cone, t)),
+    t0 = cone * (1 - softness); the sphere's radiance is that over pi * radius**2.
+
+    Attributes:
+        position: World, meters, float64 [3].
+        axis: Unit vector that it shines along, float64 [3].
+        intensity: On the axis, far away, linear Rec.709, W/sr, float64 [3].
+        radius_m: Of the sphere; 0 is a point.
+        cone: Half the opening angle, radians, in (0, pi].
+        softness: In [0, 1].
+    """
+
+    position: NDArray[np.float64]
+    axis: NDArray[np.float64]
+    intensity: NDArray[np.float64]
+    radius_m: float
+    cone: float
+    softness: float
+
+
+@dataclass(frozen=True)
 class Lighting:
     """All light of one sample."""
 
     suns: tuple[Sun, ...]
     domes: tuple[Dome, ...]
+    lamps: tuple[Lamp, ...] = ()
+
+
+@dataclass(frozen=True)
+class Haze:
+    """What lies between camera and surfaces at one sample; ``scenec.backends.haze`` applies it.
+
+    Attributes:
+        extinction: Per meter at the world's z = 0, linear Rec.709, float64 [3].
+        scale_height_m: It is exp(-z / this) of that at z; inf: the same everywhere.
+        airlight: Radiance through endless haze, float64 [3]; None: the sky's at the horizon.
+    """
+
+    extinction: NDArray[np.float64]
+    scale_height_m: float
+    airlight: NDArray[np.float64] | None
+
+
+@dataclass(frozen=True)
+class SkyLabelMap:
+    """Label ids of one level over all directions of the sky at one sample.
+
+    Attributes:
+        file: Lat-long picture of ids, one 8- or 16-bit channel, looked up at the nearest texel.
+        to_world: Rotation of its frame (as of a dome) to world, float64 [3, 3].
+    """
+
+    file: Path
+    to_world: NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -287,6 +388,10 @@ class RenderScene:
     #: Real time of each sample in seconds, float64 [samples].
     times: NDArray[np.float64] = field(default_factory=lambda: np.zeros(1))
     parts: NDArray[np.float64] = field(default_factory=lambda: np.eye(4)[None, :3])
+    #: Per sample; None without haze. Empty: none at all.
+    haze: tuple[Haze | None, ...] = ()
+    #: Per sample, by level: labels of directions that hit nothing, in place of ``sky_labels``.
+    sky_label_maps: tuple[dict[str, SkyLabelMap], ...] = ()
 
     def rows_at(self, sample: int) -> Rows:
         """The rows with the matrices of a sample; the very same object where nothing moves."""

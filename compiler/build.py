@@ -17,8 +17,7 @@ from scenec.compiler.cameras.sight import pixels_per_meter, views_of
 from scenec.compiler.ground.cover import cover_report, lay
 from scenec.compiler.ground.surface import Surface
 from scenec.compiler.ground.tiles import build_tiles
-from scenec.compiler.light.latlong import luminance
-from scenec.compiler.light.sky import build_sky, level_sun_irradiance, sky_irradiance
+from scenec.compiler.light.build import build_light
 from scenec.compiler.objects.build import build_objects
 from scenec.compiler.objects.prototypes import Looks
 from scenec.compiler.plan import Plan, RigPlan, TrackPlan
@@ -70,15 +69,10 @@ def build(plan: Plan, log: BuildLog) -> Scene:
     surface = build_surface(plan, log)
     terrain = surface.field
     with log.timed("light"):
-        sun = plan.sun if color else None
-        sky = None
-        if plan.sky is not None and color:
-            sky, log.facts["sky"] = build_sky(plan.sky, plan.sun, plan.samples)
-        irradiance = sky_irradiance(sky, plan.samples)
-        for i in range(plan.samples):
-            irradiance[i] += luminance(level_sun_irradiance(plan.sun, i))
+        light = build_light(plan.light, plan.samples, color, labels)
+        log.facts |= light.facts
     with log.timed("cameras"):
-        rigs = build_rigs(plan.rigs, surface, irradiance if color else None)
+        rigs = build_rigs(plan.rigs, surface, light.irradiance if color else None)
     times = _times(plan.rigs, plan.samples)
     looks = None
     if color:
@@ -113,7 +107,7 @@ def build(plan: Plan, log: BuildLog) -> Scene:
         _note_left_out(
             log, "label primvars and the cut along label lines", "no output shows labels"
         )
-    _require_finite(objects, sky, rigs)
+    _require_finite(objects, light.sky, rigs)
     return Scene(
         name=plan.name,
         samples=plan.samples,
@@ -123,12 +117,15 @@ def build(plan: Plan, log: BuildLog) -> Scene:
         materials=looks.materials if looks is not None else {},
         ground=ground,
         objects=objects,
-        sun=sun,
-        sky=sky,
+        sun=light.sun,
+        sky=light.sky,
         rigs=rigs,
         outputs=outputs,
         bounds=bounds,
         georeference=_georeference(log.facts["relief"]),
+        more_suns=light.more_suns,
+        haze=light.haze,
+        sky_label_maps=light.sky_label_maps,
     )
 
 

@@ -11,17 +11,16 @@ from numpy.typing import NDArray
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.cameras.poses import compose, from_euler, from_quaternion
 from scenec.compiler.frontend.load import Spec
+from scenec.compiler.frontend.of_keys import of_keys
 from scenec.compiler.frontend.resolve import resolve
 from scenec.compiler.frontend.streams import Streams
 from scenec.compiler.frontend.track import read_track
 from scenec.compiler.ground.draw import draw_mask, draw_merges
 from scenec.compiler.ground.mesh import Meshing
-from scenec.compiler.light.latlong import luminance
+from scenec.compiler.light.draw import draw_light, per_sample
 from scenec.compiler.objects.draw import draw_meshes, draw_placed
 from scenec.compiler.objects.poses import PlacedPlan
 from scenec.compiler.plan import (
-    ClearSkyPlan,
-    ImageSkyPlan,
     Plan,
     RandomTargetPlan,
     RigPlan,
@@ -32,8 +31,8 @@ from scenec.compiler.plan import (
 )
 from scenec.compiler.scatter.draw import draw_rocks
 from scenec.compiler.scatter.draw_scatter import Setting
-from scenec.compiler.scene import GroundLayer, Labels, Material, MaterialMaps, SunLight
-from scenec.compiler.surfaces.kinds import SURFACES
+from scenec.compiler.scene import GroundLayer, Labels
+from scenec.compiler.surfaces.draw import draw_materials
 from scenec.compiler.terrain.barchans import draw_barchans
 from scenec.compiler.terrain.detail import Detail, Sum
 from scenec.compiler.terrain.draw_craters import draw_craters
@@ -41,7 +40,6 @@ from scenec.compiler.terrain.mask import Masked
 from scenec.compiler.terrain.mesh_base import Roughness
 from scenec.compiler.terrain.operator import OPERATORS, ReliefOperator
 from scenec.schemas import stage as names
-from scenec.schemas.maps import MAP_CHANNELS
 
 #: Relief operators that are many things, each drawn.
 _SCATTERED: dict[str, Callable[..., ReliefOperator]] = {
@@ -67,7 +65,6 @@ def draw(spec: Spec, seed: int, batch: int) -> Plan:
     """
     streams = Streams(seed, batch)
     cfg, samples = spec.cfg, int(spec.cfg["samples"])
-    worn = _worn(cfg["objects"])
     terrain = _terrain(spec, streams)
     setting = _setting(spec, terrain)
     return Plan(
@@ -76,24 +73,14 @@ def draw(spec: Spec, seed: int, batch: int) -> Plan:
         samples=samples,
         label_table=cfg["labels"],
         sky_labels=_sky_labels(cfg),
-        materials={
-            name: _material(
-                spec,
-                f"materials/{name}",
-                resolve(node, streams, f"materials/{name}"),
-                name in worn,
-                streams,
-            )
-            for name, node in cfg["materials"].items()
-        },
+        materials=draw_materials(spec, streams),
         terrain=terrain,
         objects=tuple(
             _objects(name, node, label_ids(cfg, node["labels"]), cfg["labels"], streams, setting)
             for name, node in cfg["objects"].items()
         ),
         object_triangles=cfg["object_detail"]["max_triangles"],
-        sun=_sun(cfg["light"]["sun"], streams, samples),
-        sky=_sky(spec, streams, samples),
+        light=draw_light(spec, streams, samples),
         rigs=tuple(_rig(spec, name, streams) for name in cfg["rigs"]),
     )
 
@@ -125,48 +112,6 @@ def label_ids(cfg: dict[str, Any], choice: dict[str, str]) -> Labels:
 def _sky_labels(cfg: dict[str, Any]) -> Labels:
     sky = cfg["light"]["sky"]
     return label_ids(cfg, (sky or {}).get("labels") or {})
-
-
-def _worn(objects: dict[str, Any]) -> set[str]:
-    """Materials that the cfg gives to objects, or parts of them."""
-    users = [
-        *objects.values(),
-        *(p for o in objects.values() for p in (o.get("parts") or {}).values()),
-    ]
-    return {user["material"] for user in users if user.get("material")}
-
-
-def _material(
-    spec: Spec, path: str, node: dict[str, Any], worn: bool, streams: Streams
-) -> Material:
-    # Left out, it is a factor of 1 on a map's colors.
-    red, green, blue = node["base_color"] or (1.0, 1.0, 1.0)
-    maps = None
-    if node["maps"] is not None:
-        surface = None
-        if node["maps"]["procedural"] is not None:
-            at = f"{path}/maps/procedural"
-            surface = _of_keys(spec, SURFACES, node["maps"]["procedural"], streams, at)
-        maps = MaterialMaps(
-            size_m=node["maps"]["size_m"] or (surface.SIZE_M if surface else 1.0),
-            files={
-                kind: spec.files[f"{path}/maps/{kind}"].path
-                for kind in MAP_CHANNELS
-                if node["maps"][kind] is not None
-            },
-            normal_convention=node["maps"]["normal_convention"],
-            projection=node["maps"]["projection"] or ("triplanar" if worn else "above"),
-            procedural=surface,
-        )
-    return Material(
-        (red, green, blue),
-        node["roughness"],
-        node["specular"],
-        node["variation"],
-        node["metallic"],
-        maps,
-        node["roughness_variation"],
-    )
 
 
 def _terrain(spec: Spec, streams: Streams) -> TerrainPlan:
@@ -213,7 +158,7 @@ def _displacement(spec: Spec, material: str, streams: Streams) -> Detail | None:
     parts = []
     for i, node in enumerate(nodes):
         drawn = resolve(node, streams, f"{path}/{i}")
-        parts.append(_of_keys(spec, OPERATORS, drawn, streams, f"{path}/{i}").everywhere())
+        parts.append(of_keys(spec, OPERATORS, drawn, streams, f"{path}/{i}").everywhere())
     return Sum(tuple(parts)) if parts else None
 
 
@@ -239,68 +184,12 @@ def _relief(
             node["pixel_m"] = [node["pixel_m"]] * 2
         if isinstance(node.get("roughness"), dict):
             node["roughness"] = Roughness(streams.key(f"{path}/roughness"), **node["roughness"])
-        operator = _of_keys(spec, OPERATORS, node, streams, path)
+        operator = of_keys(spec, OPERATORS, node, streams, path)
     if mask is None:
         return operator
     path = f"{path}/mask"
     nodes = resolve(mask, streams, path)
     return Masked(operator, draw_mask(nodes, streams, path, spec.files, before, terrain["ground"]))
-
-
-def _of_keys(
-    spec: Spec, kinds: dict[str, type[Any]], node: dict[str, Any], streams: Streams, path: str
-) -> Any:
-    """What a node's ``type`` names, with the node's other keys as its fields."""
-    values = {k: tuple(v) if isinstance(v, list) else v for k, v in node.items() if k != "type"}
-    kind = kinds[node["type"]]
-    if "file" in values:
-        values["file"] = spec.files[f"{path}/file"].path
-    if "key" in kind.__dataclass_fields__:
-        values["key"] = streams.key(path)
-    return kind(**values)
-
-
-def _per_sample(node: Any, streams: Streams, path: str, samples: int) -> NDArray[np.float64]:
-    """A number, or a list of numbers, at every sample: float64 [samples, ...]."""
-    return np.array([resolve(node, streams, path, sample=i) for i in range(samples)], np.float64)
-
-
-def _sun(cfg: dict[str, Any] | None, streams: Streams, samples: int) -> SunLight | None:
-    if cfg is None:
-        return None
-    drawn = {
-        key: _per_sample(value, streams, f"light/sun/{key}", samples) for key, value in cfg.items()
-    }
-    level = luminance(drawn["color"])
-    drawn["color"] = drawn["color"] / np.where(level > 0.0, level, 1.0)[:, None]
-    return SunLight(**drawn)
-
-
-def _sky(spec: Spec, streams: Streams, samples: int) -> ClearSkyPlan | ImageSkyPlan | None:
-    cfg = spec.cfg["light"]["sky"]
-    kind = cfg["type"] if cfg else "none"
-    path = "light/sky"
-    if kind == "clear":
-        keys = ("irradiance", "zenith_color", "horizon_color", "ground_color")
-        drawn = {key: _per_sample(cfg[key], streams, f"{path}/{key}", samples) for key in keys}
-        resolution = resolve(cfg["resolution"], streams, f"{path}/resolution")
-        return ClearSkyPlan(resolution=int(resolution), **drawn)
-    if kind == "image":
-        return ImageSkyPlan(
-            files=tuple(_pick(spec, cfg, streams, i, samples) for i in range(samples)),
-            strength=_per_sample(cfg["strength"], streams, f"{path}/strength", samples),
-            rotation_deg=_per_sample(cfg["rotation_deg"], streams, f"{path}/rotation_deg", samples),
-        )
-    return None
-
-
-def _pick(spec: Spec, cfg: dict[str, Any], streams: Streams, sample: int, samples: int) -> Any:
-    count = len(cfg["files"])
-    if cfg["pick"] == "in_turn":
-        index = (streams.batch * samples + sample) % count
-    else:
-        index = int(streams.uniforms("light/sky/pick", 1, sample=sample)[0] * count)
-    return spec.files[f"light/sky/files/{index}"].path
 
 
 def _rig(spec: Spec, name: str, streams: Streams) -> RigPlan:
@@ -325,7 +214,7 @@ def _random_target(
         node: Any = cfg
         for key in keys:
             node = node[key]
-        return _per_sample(node, streams, "/".join((path, *keys)), samples)
+        return per_sample(node, streams, "/".join((path, *keys)), samples)
 
     return RandomTargetPlan(
         xy=np.stack([drawn("position", "x_m"), drawn("position", "y_m")], axis=1),
@@ -365,6 +254,6 @@ def _sensor(
         intrinsics=intrinsics,
         to_rig=from_euler(tuple(mount["position_m"]), tuple(mount["rotation_deg"])),
         metered=metered,
-        ev=_per_sample(cfg["exposure"][key], streams, f"{path}/exposure/{key}", samples),
+        ev=per_sample(cfg["exposure"][key], streams, f"{path}/exposure/{key}", samples),
         outputs=tuple(cfg["outputs"]),
     )

@@ -7,7 +7,6 @@ noise functions take as an argument: a function of key and position, not a gener
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
@@ -15,12 +14,13 @@ from numpy.typing import NDArray
 
 from scenec.compiler.ground.merge import Merge
 from scenec.compiler.ground.mesh import Meshing
+from scenec.compiler.light.plan import LightPlan
 from scenec.compiler.objects.poses import PlacedPlan
 from scenec.compiler.objects.prototypes import ModelPlan, PartRule
 from scenec.compiler.scatter.density import Density
 from scenec.compiler.scatter.families.shape import Shape
 from scenec.compiler.scatter.where import Place
-from scenec.compiler.scene import GroundLayer, Labels, Material, SunLight
+from scenec.compiler.scene import GroundLayer, Labels, Material
 from scenec.compiler.terrain.detail import Detail
 from scenec.compiler.terrain.operator import ReliefOperator
 
@@ -159,37 +159,6 @@ class ScatterPlan:
 
 
 @dataclass(frozen=True)
-class ClearSkyPlan:
-    """A sky to be baked, one a sample.
-
-    Attributes:
-        resolution: Rows of the picture.
-        irradiance: Diffuse, on level ground, [s].
-        zenith_color, horizon_color, ground_color: [s, 3].
-    """
-
-    resolution: int
-    irradiance: NDArray[np.float64]
-    zenith_color: NDArray[np.float64]
-    horizon_color: NDArray[np.float64]
-    ground_color: NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class ImageSkyPlan:
-    """A measured sky.
-
-    Attributes:
-        files: Picture of each sample.
-        strength, rotation_deg: [s].
-    """
-
-    files: tuple[Path, ...]
-    strength: NDArray[np.float64]
-    rotation_deg: NDArray[np.float64]
-
-
-@dataclass(frozen=True)
 class RandomTargetPlan:
     """Cameras at drawn places that look at drawn targets; all arrays over the samples.
 
@@ -252,6 +221,5 @@ class Plan:
     terrain: TerrainPlan
     objects: tuple[ScatterPlan | PlacedPlan, ...]
     object_triangles: int | None
-    sun: SunLight | None
-    sky: ClearSkyPlan | ImageSkyPlan | None
+    light: LightPlan
     rigs: tuple[RigPlan, ...]

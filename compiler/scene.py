@@ -6,7 +6,7 @@ data; nothing here draws, reads files or knows of USD.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -32,6 +32,32 @@ class Picture:
 
 
 @dataclass(frozen=True)
+class Cells:
+    """Pictures laid in cells, each turned and shifted, so that they do not repeat.
+
+    Attributes:
+        size_m: Side of the square lattice whose corners the cells stand on, meters.
+        seed: Of the table of turns and shifts, below 2**31.
+    """
+
+    size_m: float
+    seed: int
+
+
+@dataclass(frozen=True)
+class Far:
+    """The picture of colors once more, larger, so that it varies over several scales.
+
+    Attributes:
+        factor: How much larger.
+        share: c * (1 + share * (c_far / mean - 1)).
+    """
+
+    factor: float
+    share: float
+
+
+@dataclass(frozen=True)
 class MaterialMaps:
     """Pictures that vary a surface.
 
@@ -43,6 +69,8 @@ class MaterialMaps:
             normal) or "uv" (the mesh's texture coordinates).
         procedural: What makes those pictures that ``files`` does not have; None in a Scene, where
             all are made.
+        cells: How they are kept from repeating, or None: they do.
+        far: The colors' larger scale, or None.
     """
 
     size_m: float
@@ -50,6 +78,28 @@ class MaterialMaps:
     normal_convention: str
     projection: str = "above"
     procedural: Surface | None = None
+    cells: Cells | None = None
+    far: Far | None = None
+
+
+@dataclass(frozen=True)
+class Reflectance:
+    """How the dull part of a surface scatters, where it is not Lambert's law.
+
+    Attributes:
+        model: "lommel_seeliger" or "hapke"; the color is r0, the reflectance of a half space of
+            isotropic scatterers, from which w = 4 r0 / (1 + r0)**2 is their albedo.
+        b, c: Of the double Henyey-Greenstein phase function: width and share of its lobes.
+        opposition, opposition_width: B0 and h of the shadow-hiding opposition surge.
+        roughness_deg: Mean slope, theta bar; Hapke's only.
+    """
+
+    model: str
+    b: float
+    c: float
+    opposition: float
+    opposition_width: float
+    roughness_deg: float
 
 
 @dataclass(frozen=True)
@@ -64,6 +114,8 @@ class Material:
         metallic: m.
         maps: Pictures that vary it, or None.
         roughness_variation: Roughness is roughness * (1 + roughness_variation * v), of the same v.
+        reflectance: In place of Lambert, or None.
+        emission: Radiance that it gives off itself, linear Rec.709, W/(m^2 sr); a map multiplies.
     """
 
     base_color: tuple[float, float, float]
@@ -73,6 +125,8 @@ class Material:
     metallic: float = 0.0
     maps: MaterialMaps | None = None
     roughness_variation: float = 0.0
+    reflectance: Reflectance | None = None
+    emission: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     @property
     def varies(self) -> bool:
@@ -87,10 +141,18 @@ class Material:
 
 @dataclass(frozen=True)
 class GroundLayer:
-    """One ground material and what it is called."""
+    """One ground material and what it is called.
+
+    Attributes:
+        material: Its name.
+        labels: Label id per level.
+        height_blend: Depth over which it and what is below it cover each other by their height
+            maps, as a share of the maps' range; 0 blends by the weight alone. Labels never heed it.
+    """
 
     material: str
     labels: Labels
+    height_blend: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -285,6 +347,58 @@ class SkyLight:
 
 
 @dataclass(frozen=True)
+class SkyLabelMaps:
+    """Labels of a panorama's pixels: the sky's, and the hills' that are on it.
+
+    Attributes:
+        pictures: Lat-long pictures of label ids by file name, uint16 [h, w].
+        texture: Per level, the file name for each sample, or None: the sky's one label.
+        rotation_deg: As in ``SkyLight``, [s].
+    """
+
+    pictures: dict[str, NDArray[np.uint16]]
+    texture: dict[str, tuple[str | None, ...]]
+    rotation_deg: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Haze:
+    """Dust or mist between the camera and what it sees, at every sample.
+
+    Attributes:
+        extinction: Per meter, at the world's z = 0, linear Rec.709, [s, 3].
+        scale_height_m: It thins out as exp(-z / this), [s]; inf: it does not.
+        airlight: Radiance that a ray through endless haze shows, [s, 3]; None: the sky's, at the
+            horizon in the ray's bearing.
+    """
+
+    extinction: NDArray[np.float64]
+    scale_height_m: NDArray[np.float64]
+    airlight: NDArray[np.float64] | None
+
+
+@dataclass(frozen=True)
+class Lamp:
+    """A spot light at every sample: a sphere that shines into a cone.
+
+    Attributes:
+        name: Prim name.
+        to_world: Matrices, column vectors, [s, 4, 4]: it stands at the origin and shines along -z.
+        intensity: On the axis, far away, linear Rec.709, W/sr, [s, 3].
+        radius_m: Of the sphere, [s].
+        cone_deg: Half the cone's opening angle, [s].
+        softness: Share of that angle over which it fades to 0, [s].
+    """
+
+    name: str
+    to_world: NDArray[np.float64]
+    intensity: NDArray[np.float64]
+    radius_m: NDArray[np.float64]
+    cone_deg: NDArray[np.float64]
+    softness: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
 class Sensor:
     """A camera on a rig.
 
@@ -349,6 +463,10 @@ class Scene:
         ground: The terrain.
         objects: Object classes in the cfg's order.
         sun, sky: Light; None where there is none.
+        more_suns: Further distant discs by prim name: earthshine, a second sun.
+        lamps: Spot lights.
+        haze: Between camera and scene, or None.
+        sky_label_maps: Labels of a panorama, or None.
         rigs: Cameras.
         outputs: Union of all sensors' outputs.
         bounds: World bounds of the geometry, float64 [2, 3].
@@ -369,3 +487,7 @@ class Scene:
     outputs: tuple[str, ...]
     bounds: NDArray[np.float64]
     georeference: Georeference | None = None
+    more_suns: dict[str, SunLight] = field(default_factory=dict)
+    lamps: tuple[Lamp, ...] = ()
+    haze: Haze | None = None
+    sky_label_maps: SkyLabelMaps | None = None

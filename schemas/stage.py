@@ -7,7 +7,7 @@ documented for other writers in ``docs/stage.md``.
 from __future__ import annotations
 
 #: Version of this stage schema, authored on the root; a reader refuses a newer major one.
-SCHEMA_VERSION = "1.3"
+SCHEMA_VERSION = "1.4"
 
 ATTR_SCHEMA_VERSION = "scenec:schemaVersion"
 #: double, time-sampled: real time of a sample in seconds.
@@ -60,6 +60,8 @@ ATTR_MAPS = {
     "roughness": "scenec:surface:maps:roughness",
     "metallic": "scenec:surface:maps:metallic",
     "normal": "scenec:surface:maps:normal",
+    "emission": "scenec:surface:maps:emission",
+    "height": "scenec:surface:maps:height",
 }
 #: token, "above" where not authored: along the world's z (u = x / size, v = y / size), along its
 #: three axes, mixed by the shading normal's fourth powers, or by the mesh's primvar ``st``.
@@ -71,6 +73,40 @@ PRIMVAR_UV = "st"
 ATTR_MAP_SIZE = "scenec:surface:maps:size"
 #: token: "opengl" (the normals' y points up in the picture) or "directx".
 ATTR_NORMAL_CONVENTION = "scenec:surface:maps:normalConvention"
+
+#: double (stage units) and uint, together: pictures projected from above lie in cells of a square
+#: lattice of this side, each turned and shifted by a table that the seed gives (docs/stage.md).
+ATTR_MAP_CELL_SIZE = "scenec:surface:maps:cellSize"
+ATTR_MAP_CELL_SEED = "scenec:surface:maps:cellSeed"
+#: float2, (factor, share): colors c become c * (1 + share * (c_far / mean - 1)), c_far the same
+#: picture factor times as large.
+ATTR_MAP_FAR = "scenec:surface:maps:far"
+#: token, "lambert" where not authored: how the dull part scatters; and the numbers of the others.
+ATTR_REFLECTANCE = "scenec:surface:reflectance"
+REFLECTANCES = ("lambert", "lommel_seeliger", "hapke")
+#: float: b and c of the double Henyey-Greenstein phase function; B0 and h of the opposition surge;
+#: mean slope in degrees (hapke).
+ATTR_PHASE_B = "scenec:surface:phase:b"
+ATTR_PHASE_C = "scenec:surface:phase:c"
+ATTR_OPPOSITION = "scenec:surface:opposition"
+ATTR_OPPOSITION_WIDTH = "scenec:surface:oppositionWidth"
+ATTR_MEAN_SLOPE = "scenec:surface:meanSlope"
+#: color3f, 0 where not authored: radiance given off, W/(m^2 sr); its map multiplies.
+ATTR_EMISSION = "scenec:surface:emission"
+#: float[] on a mesh with layers, one a merge: depth over which height maps decide which of two
+#: layers is seen, as a share of the maps' range; 0 where not authored.
+ATTR_HEIGHT_BLENDS = "scenec:layers:heightBlends"
+
+#: On the Sky prim. color3f, double, color3f, time-sampled: extinction per stage unit at z = 0, the
+#: height over which it falls to 1/e (not authored: it does not), and what endless haze shows
+#: (not authored: the sky at the horizon).
+ATTR_HAZE_EXTINCTION = "scenec:haze:extinction"
+ATTR_HAZE_SCALE_HEIGHT = "scenec:haze:scaleHeight"
+ATTR_HAZE_AIRLIGHT = "scenec:haze:airlight"
+#: On the Sky prim. asset, time-sampled: lat-long picture of label ids, one 8- or 16-bit channel,
+#: raw; and double: its turn about the vertical, degrees, clockwise from above, as of the dome.
+ATTR_SKY_LABEL_MAP = "scenec:sky:labelMap:{level}"
+ATTR_SKY_ROTATION = "scenec:sky:rotation"
 
 #: A UsdGeomCamera looks down -z with y up, the contract's camera (OpenCV) down +z with y down: they
 #: differ by a half turn about x, which gives the columns of a rotation these signs.

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.light.clear_sky import clear_sky
 from scenec.compiler.light.latlong import horizontal_irradiance, luminance, read_picture
-from scenec.compiler.plan import ClearSkyPlan, ImageSkyPlan
+from scenec.compiler.light.plan import ClearSkyPlan, ImageSkyPlan
 from scenec.compiler.scene import SkyLight, SunLight
 
 

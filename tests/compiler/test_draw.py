@@ -26,7 +26,7 @@ def planned(folder: Path, cfg: dict, seed: int = 1, batch: int = 0) -> Plan:
 
 def test_light_and_camera_are_drawn_each_sample_terrain_once_a_batch(tmp_path):
     plan = planned(tmp_path, small_cfg())
-    assert len(set(plan.sun.elevation_deg.tolist())) == 3
+    assert len(set(plan.light.sun.elevation_deg.tolist())) == 3
     assert len({tuple(xy) for xy in plan.rigs[0].pose.xy.tolist()}) == 3
     assert isinstance(plan.terrain.relief[1].amplitude_m, float)
 
@@ -34,7 +34,7 @@ def test_light_and_camera_are_drawn_each_sample_terrain_once_a_batch(tmp_path):
 def test_per_batch_holds_a_light_still_over_the_samples_of_a_batch(tmp_path):
     cfg = small_cfg(batches=2)
     cfg["light"]["sun"]["elevation_deg"]["per"] = "batch"
-    first, second = (planned(tmp_path, cfg, batch=b).sun.elevation_deg for b in range(2))
+    first, second = (planned(tmp_path, cfg, batch=b).light.sun.elevation_deg for b in range(2))
     assert len(set(first.tolist())) == 1
     assert first[0] != second[0]
 
