@@ -3,9 +3,11 @@
 export PYTHON
 DEMO := out/jacksboro
 WORKERS ?= 2
+# What protects an invariant is always tested; other slow tests are left to `make thorough`.
+MARKED := -m "not slow or invariant"
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test lint types unit format bench docs pictures lock wheel clean distclean
+.PHONY: help setup demo test thorough lint types unit format bench docs pictures lock wheel clean distclean
 
 help:  ## List the targets.
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  make \1\t\2/p' Makefile | expand -t 20
@@ -19,7 +21,10 @@ demo: setup  ## Compile and render configs/jacksboro.json, end with a contact sh
 	@echo "== Laying out the contact sheet"
 	@.venv/bin/scenec sheet $(DEMO) -o $(DEMO)/contact_sheet.png
 
-test: lint types unit  ## Linter, formatter, type checker and all tests.
+test: lint types unit  ## Linter, formatter, type checker and the tests.
+
+thorough: MARKED :=
+thorough: lint types unit  ## As test, and the slow tests too.
 
 lint: setup  ## Linter (with the layering) and formatter.
 	@echo "== Linting"
@@ -31,9 +36,9 @@ types: setup  ## Type checker.
 	@echo "== Checking types"
 	@.venv/bin/mypy
 
-unit: setup  ## All tests (WORKERS=2 processes; PYTEST_ARGS for more).
+unit: setup  ## The tests alone (WORKERS=2 processes; PYTEST_ARGS for more).
 	@echo "== Testing, $(WORKERS) processes"
-	@.venv/bin/python -m pytest -n $(WORKERS) --dist loadfile $(PYTEST_ARGS)
+	@.venv/bin/python -m pytest -n $(WORKERS) --dist loadfile $(MARKED) $(PYTEST_ARGS)
 
 format: setup  ## Format the code.
 	@.venv/bin/ruff check --fix .

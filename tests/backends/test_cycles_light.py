@@ -553,6 +553,7 @@ def agreement_scenes() -> dict[str, RenderScene]:
     }  # fmt: skip
 
 
+@pytest.mark.invariant
 @pytest.mark.slow
 def test_mean_radiance_is_mitsubas_within_half_a_percent(tmp_path: Path):
     out = tmp_path / "mitsuba.npz"

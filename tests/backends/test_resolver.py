@@ -249,6 +249,7 @@ def test_reference_answers_the_definition_and_has_no_radiance(rocks):
         backend.radiance(view, 0, 16, 0)
 
 
+@pytest.mark.invariant
 @pytest.mark.slow
 @pytest.mark.parametrize("offset", [0.0, 3000.0])
 def test_float32_visibility_of_mitsuba_is_settled_on_every_pixel(offset):

@@ -96,6 +96,7 @@ def test_a_frame_that_kills_every_worker_is_named_and_costs_no_other(stage, monk
     assert (report.rendered, report.skipped) == (2, 4)
 
 
+@pytest.mark.invariant
 @pytest.mark.slow
 def test_frames_that_are_there_are_not_made_again_unless_something_changed(stage):
     assert run(stage).rendered == 6
@@ -113,6 +114,7 @@ def test_without_rgb_no_light_is_worked_on_and_noise_does_not_matter(stage):
     assert run(stage, passes=["depth", "instance"], spp=99, noise_seed=9).skipped == 6
 
 
+@pytest.mark.invariant
 @pytest.mark.slow
 def test_reference_and_mitsuba_annotate_alike_on_every_pixel(stage):
     passes = ["depth", "instance", "face", "normal"]

@@ -384,6 +384,7 @@ print(digest.hexdigest())
 """
 
 
+@pytest.mark.invariant
 @pytest.mark.slow
 def test_a_model_has_the_same_bytes_whatever_the_cpu(tmp_path):
     document, binary = models.gltf_parts(False)

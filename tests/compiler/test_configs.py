@@ -46,6 +46,7 @@ def scene_of(file: Path, folder: Path, seed: int) -> Scene:
     return build(draw(load(coarse(file, folder)), seed, 0), BuildLog())
 
 
+@pytest.mark.invariant
 @pytest.mark.slow
 @pytest.mark.parametrize("file", _CFGS, ids=lambda file: file.stem)
 def test_a_shipped_cfg_builds_a_finite_scene_with_all_of_its_labels(file, tmp_path):

@@ -176,6 +176,7 @@ def digests(path: str) -> list[str]:
     ]
 
 
+@pytest.mark.invariant
 @pytest.mark.slow
 @pytest.mark.parametrize("name", list(TOGETHER))
 def test_conditions_give_the_same_bytes_with(name, tmp_path):

@@ -126,7 +126,7 @@ def test_decoded_maps_are_in_range_and_normals_of_unit_length():
                 np.testing.assert_allclose((values**2).sum(2), 1.0, rtol=1e-5)
             else:
                 assert values.min() >= 0.0
-                assert values.max() <= 1.0
+                assert values.max() <= 1.0 or (kind == "emission" and pixels.dtype.kind == "f")
 
 
 def test_compiling_twice_gives_the_same_bytes(out, tmp_path):

@@ -63,6 +63,7 @@ def reference(cfg) -> list[str]:
     return hashes(cfg, "as it is")
 
 
+@pytest.mark.invariant
 @pytest.mark.slow
 @pytest.mark.parametrize("name", list(TOGETHER))
 def test_a_mesh_base_has_the_same_bytes_in_all_circumstances(cfg, reference, name):

@@ -347,6 +347,7 @@ with tempfile.TemporaryDirectory() as folder:
 """
 
 
+@pytest.mark.invariant
 @pytest.mark.slow
 def test_models_have_the_same_bytes_in_all_circumstances(tmp_path):
     (tmp_path / "poses.csv").write_text(

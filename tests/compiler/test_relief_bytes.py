@@ -56,6 +56,7 @@ def reference(program) -> list[str]:
     return heights(program, "as it is")
 
 
+@pytest.mark.invariant
 @pytest.mark.slow
 @pytest.mark.parametrize("name", list(TOGETHER))
 def test_every_operator_gives_the_same_bytes_with(name, program, reference):

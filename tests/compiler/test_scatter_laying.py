@@ -297,6 +297,7 @@ print(digest.hexdigest())
 """
 
 
+@pytest.mark.invariant
 @pytest.mark.slow
 def test_bytes_do_not_depend_on_threads_or_the_cpu_s_extras():
     here = os.path.dirname(__file__)

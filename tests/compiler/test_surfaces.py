@@ -315,6 +315,7 @@ def reference(tmp_path_factory) -> Path:
     return compiled(tmp_path_factory.mktemp("surfaces"), all_kinds_cfg())
 
 
+@pytest.mark.invariant
 @pytest.mark.slow
 @pytest.mark.parametrize("name", list(TOGETHER))
 def test_all_kinds_have_the_same_bytes_with(name, reference, tmp_path):

@@ -27,7 +27,7 @@ import scenec.backends.contract, scenec.compiler.scene
 print(errors.__file__)
 """
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.invariant]
 
 
 def run(*command: str | Path, cwd: Path, **environment: str) -> str:
