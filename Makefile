@@ -58,12 +58,16 @@ docs: setup  ## Generate docs/cfg.md from the schemas; the pages of errors and r
 	@.venv/bin/python docs/make_relief.py
 	@echo "== Measuring docs/placement.md"
 	@.venv/bin/python docs/make_placement.py
+	@echo "== Measuring docs/sky.md"
+	@.venv/bin/python docs/make_sky.py
 
 pictures: setup  ## Render the README's table of shipped cfgs, and docs/rocks.md.
 	@echo "== Rendering configs/ with Mitsuba, 64 samples a pixel"
 	@.venv/bin/python docs/make_gallery.py
 	@echo "== Rendering docs/rocks.md"
 	@.venv/bin/python docs/make_rocks.py
+	@echo "== Rendering docs/lights.md"
+	@.venv/bin/python docs/make_lights.py
 
 # uv resolves in a folder of its own: uv.lock names hosts and must not come near the repository.
 lock: setup  ## Resolve pyproject.toml again into requirements.lock.

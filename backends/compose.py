@@ -6,6 +6,7 @@ No renderer shows the sky or a sun's disc, so none differs in them and none coun
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,9 @@ from scenec.backends.contract import Radiance
 from scenec.backends.rays import camera_rays
 from scenec.backends.render_scene import Camera, RenderScene, Sun
 from scenec.backends.sky import MIN_SUN_DIAMETER_RAD, combine, lookup
+
+if TYPE_CHECKING:
+    from scenec.backends.haze import Veil
 
 #: Sub-pixels per side at the rim of a sun's disc.
 DISC_SUBPIXELS = 16
@@ -39,14 +43,38 @@ class Picture:
     relative_mse: float | None
 
 
-def compose(radiance: Radiance, scene: RenderScene, camera: Camera, sample: int) -> Picture:
-    """Mean of the halves (denoised, if it was), plus (1 - coverage) * (sky + suns' discs)."""
+def compose(
+    radiance: Radiance,
+    scene: RenderScene,
+    camera: Camera,
+    sample: int,
+    veil: Veil | None = None,
+) -> Picture:
+    """Mean of the halves (denoised, if it was), plus (1 - coverage) * (sky + suns' discs).
+
+    With haze, both halves are seen through it, so noise and its estimates shrink with what arrives
+    of the surfaces' light, and are relative to the picture with airlight.
+
+    Args:
+        radiance: What the renderer has.
+        scene, camera, sample: For the sky behind it.
+        veil: Haze before it, if there is any.
+    """
     halves = radiance.halves.astype(np.float64)
+    if veil is not None:
+        halves = veil.over(halves, radiance.coverage.astype(np.float64))
     mean = 0.5 * (halves[0] + halves[1])
     variance = (0.5 * (halves[0] - halves[1])) ** 2
     open_sky = 1.0 - radiance.coverage.astype(np.float64)
-    light = mean if radiance.denoised is None else radiance.denoised.astype(np.float64)
-    rgb = light + open_sky[..., None] * background(scene, camera, sample, open_sky > 0.0)
+    light = mean
+    if radiance.denoised is not None:
+        light = radiance.denoised.astype(np.float64)
+        if veil is not None:
+            light = veil.over(light, radiance.coverage.astype(np.float64))
+    behind = background(scene, camera, sample, open_sky > 0.0)
+    if veil is not None:
+        behind = veil.over_sky(behind)
+    rgb = light + open_sky[..., None] * behind
 
     covered = radiance.coverage > 0.0
     level = float(mean[covered].mean()) if covered.any() else 0.0

@@ -27,7 +27,7 @@ _PLAIN = Reading()
 
 
 def map_file(described: Maps, kind: str) -> Path | None:
-    """File of one kind of map ("base_color", "roughness", "metallic" or "normal"), if any."""
+    """File of one kind of map (``schemas.maps.MAP_CHANNELS``), if any."""
     file: Path | None = getattr(described, kind)
     return file
 
@@ -56,7 +56,9 @@ def map_values(described: Maps, kind: str) -> NDArray[np.float32]:
 
 def map_key(described: Maps, kind: str) -> tuple[object, ...]:
     """What tells the values of a map, and where they lie, from those of others."""
-    return (*map_source(described, kind), described.projection, described.size_m)
+    place = (described.projection, described.size_m, described.cells)
+    far = described.far if kind == "base_color" else None
+    return (*map_source(described, kind), *place, far)
 
 
 @lru_cache(maxsize=32)
@@ -70,8 +72,8 @@ def load_map(
 
     Args:
         path: The picture.
-        kind: "base_color" (linear Rec.709), "roughness", "metallic" (raw, in [0, 1]) or "normal"
-            (unit vectors, x along +u, y along +v).
+        kind: "base_color", "emission" (linear Rec.709), "roughness", "metallic", "height" (raw, in
+            [0, 1]) or "normal" (unit vectors, x along +u, y along +v).
         flip_green: See ``render_scene.Maps``.
         reading: How its numbers are meant.
 
@@ -100,7 +102,7 @@ def _read(pixels: NDArray, kind: str, flip_green: bool, reading: Reading) -> NDA
         values = np.repeat(values, 3, axis=2)
     srgb = reading.srgb
     if srgb is None:
-        srgb = kind == "base_color" and not floating
+        srgb = kind in maps.COLORS and not floating
     if srgb:
         above = ((np.maximum(values, 0.04045) + 0.055) / 1.055) ** 2.4
         values = np.where(values <= 0.04045, values / 12.92, above)

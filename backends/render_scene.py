@@ -154,6 +154,11 @@ class Surface:
         return mapped or self.specular > 0.0 or self.metallic > 0.0
 
     @property
+    def emits(self) -> bool:
+        """Whether it gives off light."""
+        return any(self.emission)
+
+    @property
     def varies(self) -> bool:
         """Whether it looks different where the variation of vertices or rows is."""
         return self.variation != 0.0 or (self.glossy and self.roughness_variation != 0.0)

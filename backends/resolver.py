@@ -25,6 +25,7 @@ def resolve(
     visibility: Visibility | None,
     camera: Camera | None,
     passes: Sequence[str],
+    sample: int = 0,
 ) -> tuple[dict[str, NDArray], Statistics]:
     """Settle a renderer's visibility and annotate: see ``settle`` and ``annotate``.
 
@@ -32,4 +33,4 @@ def resolve(
         (arrays per pass, statistics).
     """
     settled = settle(caster, rays, visibility, camera)
-    return annotate(scene, settled, rays, passes), settled.statistics
+    return annotate(scene, settled, rays, passes, sample), settled.statistics

@@ -8,14 +8,14 @@ from contextlib import contextmanager
 from dataclasses import asdict
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scenec.backends import memory
 from scenec.backends.compose import compose
-from scenec.backends.contract import Backend, Rays, Visibility
+from scenec.backends.contract import Backend, Radiance, Rays, Visibility
 from scenec.backends.exact import ExactCaster
 from scenec.backends.frames import write_frame
 from scenec.backends.instances import Instances
@@ -23,10 +23,13 @@ from scenec.backends.rays import camera_rays
 from scenec.backends.reader import read_stage
 from scenec.backends.registry import open_backend
 from scenec.backends.render_scene import Camera, RenderScene
-from scenec.backends.resolver import annotate, pass_names, settle
+from scenec.backends.resolver import Settled, annotate, pass_names, settle
 from scenec.schemas.errors import BackendError
 from scenec.schemas.frames import FrameKey
 from scenec.schemas.instances import BATCH_TABLE, table_digest, write_table
+
+if TYPE_CHECKING:
+    from scenec.backends.haze import Veil
 
 
 class Session:
@@ -69,7 +72,12 @@ class Session:
     @cached_property
     def losses(self) -> tuple[str, ...]:
         """A line for each thing in the stage that the backend's ``rgb`` leaves out."""
-        return tuple(self.backend.losses(self.scene))
+        lines = tuple(self.backend.losses(self.scene))
+        if any(self.scene.haze):
+            from scenec.backends.haze import LOSS
+
+            lines += (LOSS,)
+        return lines
 
     def passes(self, wanted: Sequence[str] | None, camera: Camera) -> tuple[str, ...]:
         """Passes as they are written: ``rgb`` first, ``label`` spelled out as its levels.
@@ -141,8 +149,12 @@ class Session:
         arrays: dict[str, NDArray] = {}
         table = None
         annotation = [name for name in passes if name != "rgb"]
+        radiance = None
         if "rgb" in passes:
-            arrays["rgb"] = self._light(camera, sample, spp, seed, denoise, details)
+            radiance = self._radiance(camera, sample, spp, seed, denoise, seconds)
+            # First of the passes, whatever is known of it only later.
+            arrays["rgb"] = radiance.halves[0]
+        settled = None
         if annotation:
             rays = camera_rays(camera)
             visibility = self._seen(seen, rays, sample, camera, details)
@@ -150,11 +162,14 @@ class Session:
             with _timed(seconds, "resolve"):
                 caster.pose(sample)
                 settled = settle(caster, rays, visibility, camera)
-                arrays |= annotate(self.scene, settled, rays, annotation)
+                arrays |= annotate(self.scene, settled, rays, annotation, sample)
             details["resolver"] = asdict(settled.statistics)
             if "instance" in annotation:
                 with _timed(seconds, "instances"):
                     table = self.instances.seen(settled.row, settled.t, camera, sample)
+        if radiance is not None:
+            veil = self._veil(radiance, camera, sample, settled, details)
+            arrays["rgb"] = self._compose(radiance, camera, sample, veil, details)
         return arrays, details, table
 
     def write_instances(self, folder: Path) -> None:
@@ -216,24 +231,62 @@ class Session:
         np.savez(file, row=seen.row, face=seen.face)
         return {"file": str(file), "seconds": seconds}
 
-    def _light(
+    def _radiance(
         self,
         camera: Camera,
         sample: int,
         spp: int,
         seed: int,
         denoise: bool,
-        details: dict[str, Any],
-    ) -> NDArray[np.float32]:
-        """``rgb``, with what there is to say of it."""
-        backend, seconds = self.backend, details["seconds"]
+        seconds: dict[str, float],
+    ) -> Radiance:
+        """Light from surfaces."""
+        backend = self.backend
         self._load(backend, seconds)
         with _timed(seconds, "radiance"):
             radiance = backend.radiance(camera, sample, spp, seed, denoise)
         if denoise and radiance.denoised is None:
             raise BackendError(f"backend {backend.name} was asked to denoise, and did not")
-        with _timed(seconds, "compose"):
-            picture = compose(radiance, self.scene, camera, sample)
+        return radiance
+
+    def _veil(
+        self,
+        radiance: Radiance,
+        camera: Camera,
+        sample: int,
+        settled: Settled | None,
+        details: dict[str, Any],
+    ) -> Veil | None:
+        """The haze before a picture, if there is any; without annotation it casts its own rays."""
+        if not self.scene.haze or self.scene.haze[sample] is None:
+            return None
+        # Imported here: few scenes have any.
+        from scenec.backends.haze import veil
+
+        caster = self._exact(details["seconds"])
+        with _timed(details["seconds"], "haze"):
+            rays = camera_rays(camera)
+            if settled is None:
+                caster.pose(sample)
+                t = caster.cast(rays)[2]
+            else:
+                t = settled.t
+            made = veil(self.scene, sample, camera, caster, rays, t, radiance.coverage)
+        if made is not None:
+            details["haze"] = {"subsampled_pixels": made.subsampled}
+        return made
+
+    def _compose(
+        self,
+        radiance: Radiance,
+        camera: Camera,
+        sample: int,
+        veil: Veil | None,
+        details: dict[str, Any],
+    ) -> NDArray[np.float32]:
+        """``rgb``, with what there is to say of it."""
+        with _timed(details["seconds"], "compose"):
+            picture = compose(radiance, self.scene, camera, sample, veil)
         noise = {"relative_rms": picture.relative_error, "relative_mse": picture.relative_mse}
         details["losses"] = self.losses
         details["samples_per_pixel"] = radiance.spp
@@ -242,7 +295,7 @@ class Session:
             details["estimated_error"] = noise
         else:
             # Denoising trades noise for bias, which the difference of two halves does not show.
-            details["denoised"] = backend.denoiser
+            details["denoised"] = self.backend.denoiser
             details["estimated_error"] = dict.fromkeys(noise)
             details["estimated_error_before_denoising"] = noise
         return picture.rgb

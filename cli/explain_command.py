@@ -35,7 +35,8 @@ def run(options: argparse.Namespace) -> int:
         left_out = [*report.get("left_out", []), *_left_out(report)]
         print("left out:" if left_out else "left out: nothing")
         for entry in left_out:
-            print(f"  {entry['what']}: {entry['why']}")
+            size = f" ({entry['bytes']:,} bytes)" if entry.get("bytes") else ""
+            print(f"  {entry['what']}: {entry['why']}{size}")
     return 0
 
 

@@ -13,18 +13,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.cameras.rigs import build_rigs
-from scenec.compiler.cameras.sight import pixels_per_meter, views_of
+from scenec.compiler.cameras.sight import Views, pixels_per_meter, views_of
 from scenec.compiler.ground.cover import cover_report, lay
 from scenec.compiler.ground.surface import Surface
 from scenec.compiler.ground.tiles import build_tiles
 from scenec.compiler.light.build import build_light
+from scenec.compiler.light.dark import without_dark
+from scenec.compiler.light.lamps import build_lamps, meter_lamps
 from scenec.compiler.objects.build import build_objects
 from scenec.compiler.objects.prototypes import Looks
 from scenec.compiler.plan import Plan, RigPlan, TrackPlan
 from scenec.compiler.precision import precision
 from scenec.compiler.scatter.surroundings import Surroundings
-from scenec.compiler.scene import Georeference, Ground, Placed, Rig, Scatter, Scene, SkyLight
-from scenec.compiler.surfaces.pictures import with_pictures
+from scenec.compiler.scene import (
+    Georeference,
+    Ground,
+    Material,
+    Placed,
+    Rig,
+    Scatter,
+    Scene,
+    SkyLight,
+)
+from scenec.compiler.surfaces.finish import Shown, finish
+from scenec.compiler.surfaces.footprint import footprints
 from scenec.compiler.terrain.grid import Grid
 from scenec.compiler.terrain.mesh_surface import MeshSurface
 from scenec.compiler.terrain.program import run
@@ -73,14 +85,16 @@ def build(plan: Plan, log: BuildLog) -> Scene:
         log.facts |= light.facts
     with log.timed("cameras"):
         rigs = build_rigs(plan.rigs, surface, light.irradiance if color else None)
+    with log.timed("light"):
+        lamps = build_lamps(plan.light.lamps, rigs, surface) if color else ()
+        light, lamps, dark = without_dark(light, lamps)
+        for what, why in dark:
+            _note_left_out(log, what, why)
+    if lamps:
+        with log.timed("cameras"):
+            rigs = meter_lamps(rigs, plan.rigs, lamps, surface, light.irradiance)
     times = _times(plan.rigs, plan.samples)
-    looks = None
-    if color:
-        with log.timed("surfaces"):
-            materials, surfaces = with_pictures(plan.materials)
-        looks = Looks(materials)
-        if surfaces:
-            log.facts["surfaces"] = surfaces
+    looks = Looks(dict(plan.materials)) if color else None
     objects = stand_objects(plan, surface, rigs, looks, log)
     with log.timed("ground"):
         # Under an overhang one sees what its roof would hide.
@@ -97,6 +111,10 @@ def build(plan: Plan, log: BuildLog) -> Scene:
             cut_labels=labels,
         )
         ground = Ground(plan.terrain.layers, tiles)
+    materials: dict[str, Material] = {}
+    if looks is not None:
+        with log.timed("surfaces"):
+            materials = _finished(looks.materials, plan, ground, objects, views, rigs, log)
     bounds = _bounds(ground, objects)
     log.facts["precision"] = precision(bounds, log.facts, near)
     if not color:
@@ -114,7 +132,7 @@ def build(plan: Plan, log: BuildLog) -> Scene:
         times=times,
         label_table=plan.label_table if labels else {},
         sky_labels=plan.sky_labels if labels else {},
-        materials=looks.materials if looks is not None else {},
+        materials=materials,
         ground=ground,
         objects=objects,
         sun=light.sun,
@@ -124,6 +142,7 @@ def build(plan: Plan, log: BuildLog) -> Scene:
         bounds=bounds,
         georeference=_georeference(log.facts["relief"]),
         more_suns=light.more_suns,
+        lamps=lamps,
         haze=light.haze,
         sky_label_maps=light.sky_label_maps,
     )
@@ -185,6 +204,30 @@ def stand_objects(
         plan.object_triangles,
         log,
     )
+
+
+def _finished(
+    materials: dict[str, Material],
+    plan: Plan,
+    ground: Ground,
+    objects: tuple[Scatter | Placed, ...],
+    views: Views,
+    rigs: tuple[Rig, ...],
+    log: BuildLog,
+) -> dict[str, Material]:
+    """The materials with their pictures, which go as far as the cameras see them."""
+    unseen = plan.terrain.meshing.unseen
+    looked_at = None
+    if rigs:
+        looked_at = footprints(materials, ground, objects, (views, views_of(rigs)), unseen)
+    reached = log.facts["ground"].get("mesh", {}).get("tolerance_reached_px")
+    finest_m = plan.terrain.meshing.finest(plan.terrain.spacing_m)
+    finished = finish(materials, ground, looked_at, Shown(reached, finest_m))
+    if finished.facts:
+        log.facts["surfaces"] = finished.facts
+    if finished.left_out:
+        log.facts.setdefault("left_out", []).extend(finished.left_out)
+    return finished.materials
 
 
 def _require_finite(

@@ -12,12 +12,12 @@ from scenec.compiler.arithmetic import elementary
 from scenec.compiler.cameras.poses import compose, from_euler, from_quaternion
 from scenec.compiler.frontend.load import Spec
 from scenec.compiler.frontend.of_keys import of_keys
-from scenec.compiler.frontend.resolve import resolve
+from scenec.compiler.frontend.resolve import per_sample, resolve
 from scenec.compiler.frontend.streams import Streams
 from scenec.compiler.frontend.track import read_track
 from scenec.compiler.ground.draw import draw_mask, draw_merges
 from scenec.compiler.ground.mesh import Meshing
-from scenec.compiler.light.draw import draw_light, per_sample
+from scenec.compiler.light.draw import draw_light
 from scenec.compiler.objects.draw import draw_meshes, draw_placed
 from scenec.compiler.objects.poses import PlacedPlan
 from scenec.compiler.plan import (
@@ -31,7 +31,8 @@ from scenec.compiler.plan import (
 )
 from scenec.compiler.scatter.draw import draw_rocks
 from scenec.compiler.scatter.draw_scatter import Setting
-from scenec.compiler.scene import GroundLayer, Labels
+from scenec.compiler.scene import GroundLayer, Labels, Material, MaterialMaps
+from scenec.compiler.surfaces.displacement import displacement_of
 from scenec.compiler.surfaces.draw import draw_materials
 from scenec.compiler.terrain.barchans import draw_barchans
 from scenec.compiler.terrain.detail import Detail, Sum
@@ -65,7 +66,8 @@ def draw(spec: Spec, seed: int, batch: int) -> Plan:
     """
     streams = Streams(seed, batch)
     cfg, samples = spec.cfg, int(spec.cfg["samples"])
-    terrain = _terrain(spec, streams)
+    materials = draw_materials(spec, streams)
+    terrain = _terrain(spec, streams, materials)
     setting = _setting(spec, terrain)
     return Plan(
         name=cfg["name"],
@@ -73,7 +75,7 @@ def draw(spec: Spec, seed: int, batch: int) -> Plan:
         samples=samples,
         label_table=cfg["labels"],
         sky_labels=_sky_labels(cfg),
-        materials=draw_materials(spec, streams),
+        materials=materials,
         terrain=terrain,
         objects=tuple(
             _objects(name, node, label_ids(cfg, node["labels"]), cfg["labels"], streams, setting)
@@ -114,11 +116,16 @@ def _sky_labels(cfg: dict[str, Any]) -> Labels:
     return label_ids(cfg, (sky or {}).get("labels") or {})
 
 
-def _terrain(spec: Spec, streams: Streams) -> TerrainPlan:
+def _terrain(spec: Spec, streams: Streams, materials: dict[str, Material]) -> TerrainPlan:
     cfg = spec.cfg["terrain"]
     node = resolve({key: cfg[key] for key in ("size_m", "spacing_m", "ground")}, streams, "terrain")
     layers = tuple(
-        GroundLayer(layer["material"], label_ids(spec.cfg, layer["labels"]))
+        GroundLayer(
+            layer["material"],
+            label_ids(spec.cfg, layer["labels"]),
+            # The base lies over nothing.
+            layer.get("height_blend", 0.0),
+        )
         for layer in node["ground"]
     )
     relief: list[ReliefOperator] = []
@@ -141,7 +148,8 @@ def _terrain(spec: Spec, streams: Streams) -> TerrainPlan:
             finest_m=cfg["mesh"]["finest_m"],
         ),
         displacements=tuple(
-            _displacement(spec, layer["material"], streams) for layer in node["ground"]
+            _displacement(spec, layer["material"], materials[layer["material"]].maps, streams)
+            for layer in node["ground"]
         ),
     )
 
@@ -151,14 +159,19 @@ def _setting(spec: Spec, terrain: TerrainPlan) -> Setting:
     return Setting(terrain.size_m, terrain.relief, spec.cfg["terrain"]["ground"], spec.files)
 
 
-def _displacement(spec: Spec, material: str, streams: Streams) -> Detail | None:
+def _displacement(
+    spec: Spec, material: str, maps: MaterialMaps | None, streams: Streams
+) -> Detail | None:
     """What a ground material adds to the relief, at any fineness."""
     path = f"materials/{material}/displacement"
     nodes = spec.cfg["materials"][material]["displacement"] or []
-    parts = []
+    parts: list[Detail] = []
     for i, node in enumerate(nodes):
         drawn = resolve(node, streams, f"{path}/{i}")
         parts.append(of_keys(spec, OPERATORS, drawn, streams, f"{path}/{i}").everywhere())
+    pictured = displacement_of(maps)
+    if pictured is not None:
+        parts.append(pictured)
     return Sum(tuple(parts)) if parts else None
 
 

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.compiler.surfaces.sources import Sources
 from scenec.compiler.surfaces.surface import Surface
 
 #: Label id per level.
@@ -36,7 +37,7 @@ class Cells:
     """Pictures laid in cells, each turned and shifted, so that they do not repeat.
 
     Attributes:
-        size_m: Side of the square lattice whose corners the cells stand on, meters.
+        size_m: Side of the triangular lattice whose corners the cells stand on, meters.
         seed: Of the table of turns and shifts, below 2**31.
     """
 
@@ -71,6 +72,7 @@ class MaterialMaps:
             all are made.
         cells: How they are kept from repeating, or None: they do.
         far: The colors' larger scale, or None.
+        sources: Further pictures that some are made of; None in a Scene, where all are made.
     """
 
     size_m: float
@@ -80,6 +82,7 @@ class MaterialMaps:
     procedural: Surface | None = None
     cells: Cells | None = None
     far: Far | None = None
+    sources: Sources | None = None
 
 
 @dataclass(frozen=True)

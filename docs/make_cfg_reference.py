@@ -148,6 +148,12 @@ def _type(entry: Mapping[str, Any]) -> str:
         first, later = _type(entry["prefixItems"][0]), _type(entry["items"])
         return f"list, 1 or more: {first}, then {later}"
     kind = entry.get("type")
+    if isinstance(kind, list) and "string" in kind:
+        of_kind = {
+            "string": _type({"type": "string", **entry.get("then", {})}),
+            "array": _type({"type": "array", **entry["else"]}) if "else" in entry else "list",
+        }
+        return " or ".join(of_kind.get(name, name) for name in kind)
     if isinstance(kind, list):
         number = _number_of(entry)
         assert number is not None

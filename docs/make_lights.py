@@ -80,9 +80,12 @@ CASES = (
         "earth_noon",
         "Earth, noon",
         "volcanic_desert",
-        {"sun": _sun(62, 160), "sky": {"type": "atmosphere", "planet": "earth"}},
-        (4, -12, 2.0),
-        (14, 20, 0.3),
+        {
+            "sun": _sun(62, 160),
+            "sky": {"type": "atmosphere", "planet": "earth", "scattering": "multiple"},
+        },
+        (18, -26, 2.0),
+        (14, 335, 0.3),
         "The sun stands 62° high in clear air.",
     ),
     Case(
@@ -91,17 +94,26 @@ CASES = (
         "volcanic_desert",
         {
             "sun": _sun(2.5, 290),
-            "sky": {"type": "atmosphere", "planet": "earth", "dust_density": 2},
+            "sky": {
+                "type": "atmosphere",
+                "planet": "earth",
+                "scattering": "multiple",
+                "dust_density": 2,
+            },
         },
-        (4, -12, 2.0),
-        (14, 330, 0.3),
+        (18, -26, 2.0),
+        (14, 335, 0.3),
         "The sun stands 2.5° high, in air with twice the usual aerosol.",
+        ev=-1.3,
     ),
     Case(
         "mars_noon",
         "Mars, noon",
         "mars_yard",
-        {"sun": _sun(60, 140), "sky": {"type": "atmosphere", "planet": "mars"}},
+        {
+            "sun": _sun(60, 140),
+            "sky": {"type": "atmosphere", "planet": "mars", "scattering": "multiple"},
+        },
         (-2, -6, 1.9),
         (9, 15, 0.0),
         "The sun stands 60° high in the usual dust.",
@@ -110,10 +122,16 @@ CASES = (
         "mars_sunset",
         "Mars, sunset",
         "mars_yard",
-        {"sun": _sun(7, 262), "sky": {"type": "atmosphere", "planet": "mars"}},
+        {
+            "sun": _sun(6, 352),
+            "sky": {"type": "atmosphere", "planet": "mars", "scattering": "multiple"},
+        },
         (-2, -6, 1.9),
-        (22, 270, 1.9),
-        "The sun stands 7° high; the camera looks towards it, into the blue aureole.",
+        (22, 349, 2.6),
+        "The sun stands 6° high; the camera looks into its blue aureole, and is exposed "
+        "for the sky.",
+        ev=-6.3,
+        fov_deg=45.0,
     ),
     Case(
         "moon_low_sun",
@@ -167,7 +185,10 @@ def make_cfg(case: Case, folder: Path) -> Path:
         }
     }
     if case.ev:
-        cfg["rigs"]["view"]["sensors"]["eye"]["exposure"] = {"type": "incident", "ev": case.ev}
+        cfg["rigs"]["view"]["sensors"]["eye"]["exposure"] = {
+            "type": "incident",
+            "ev_offset": case.ev,
+        }
     cfg |= case.more
     cfg.pop("$schema", None)
     path = folder / f"{case.name}.json"

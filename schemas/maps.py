@@ -13,7 +13,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 #: Kinds of map, as they are named in cfgs; the channels of each.
-MAP_CHANNELS = {"base_color": 3, "roughness": 1, "metallic": 1, "normal": 3}
+MAP_CHANNELS = {
+    "base_color": 3,
+    "roughness": 1,
+    "metallic": 1,
+    "normal": 3,
+    "emission": 3,
+    "height": 1,
+}
+#: Kinds that hold colors: sRGB but for floating pictures, which are linear.
+COLORS = ("base_color", "emission")
 _LARGEST = 16384
 
 
@@ -66,8 +75,9 @@ def _read_exr(path: Path) -> NDArray[np.float32]:
 def decode(pixels: NDArray, kind: str, flip_green: bool = False) -> NDArray[np.float32]:
     """What stored pixels mean, float32 [h, w, channels of the kind].
 
-    ``base_color``: linear Rec.709, decoded from sRGB (IEC 61966-2-1) unless floating.
-    ``roughness``, ``metallic``: in [0, 1]; of an RGB picture its red channel.
+    ``base_color``, ``emission``: linear Rec.709, decoded from sRGB (IEC 61966-2-1) unless floating;
+    the former in [0, 1], the latter not below 0.
+    ``roughness``, ``metallic``, ``height``: in [0, 1]; of an RGB picture its red channel.
     ``normal``: 2 * rgb - 1, unit length; floating pictures hold the same encoding.
 
     Args:
@@ -81,10 +91,11 @@ def decode(pixels: NDArray, kind: str, flip_green: bool = False) -> NDArray[np.f
         return np.ascontiguousarray(np.clip(values[..., :1], 0.0, 1.0), np.float32)
     if values.shape[2] == 1:
         values = np.repeat(values, 3, axis=2)
-    if kind == "base_color":
+    if kind in COLORS:
         if not floating:
             values = np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)
-        return np.ascontiguousarray(np.clip(values, 0.0, 1.0), np.float32)
+        brightest = 1.0 if kind == "base_color" else None
+        return np.ascontiguousarray(np.clip(values, 0.0, brightest), np.float32)
     normal = 2.0 * values - 1.0
     if flip_green:
         normal[..., 1] = -normal[..., 1]

@@ -74,8 +74,9 @@ ATTR_MAP_SIZE = "scenec:surface:maps:size"
 #: token: "opengl" (the normals' y points up in the picture) or "directx".
 ATTR_NORMAL_CONVENTION = "scenec:surface:maps:normalConvention"
 
-#: double (stage units) and uint, together: pictures projected from above lie in cells of a square
-#: lattice of this side, each turned and shifted by a table that the seed gives (docs/stage.md).
+#: double (stage units) and uint (0 where not authored): pictures from above lie in cells of
+#: a triangular lattice of this side, each turned and shifted by a table that the seed gives
+#: (docs/stage.md).
 ATTR_MAP_CELL_SIZE = "scenec:surface:maps:cellSize"
 ATTR_MAP_CELL_SEED = "scenec:surface:maps:cellSeed"
 #: float2, (factor, share): colors c become c * (1 + share * (c_far / mean - 1)), c_far the same

@@ -182,7 +182,7 @@ def check_exact(out: Path, say: Say = lambda _text: None) -> Agreement:
                     continue
                 rays = camera_rays(camera)
                 caster.pose(sample)
-                truth = annotate(scene, settle(caster, rays), rays, wanted)
+                truth = annotate(scene, settle(caster, rays), rays, wanted, sample)
                 for backend, frame in frames.items():
                     count += 1
                     _add_raw(raw.setdefault(backend, Raw()), frame, backend)

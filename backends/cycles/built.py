@@ -5,9 +5,10 @@ from __future__ import annotations
 import weakref
 from typing import Any
 
-from scenec.backends.cycles import blender, geometry, light, materials, render
+from scenec.backends.cycles import blender, geometry, light, materials, planetary, render
+from scenec.backends.cycles.shares import Shares
 from scenec.backends.posing import posable, pose
-from scenec.backends.render_scene import RenderScene
+from scenec.backends.render_scene import Lamp, RenderScene, Sun
 from scenec.backends.sky import combine
 
 #: What materials write for visibility.
@@ -27,6 +28,7 @@ class Built:
         scene: Blender's scene.
         camera: The object that holds its camera.
         frame: Of Blender's coordinates.
+        shares: What pictures are drawn in; None: at once.
 
     Raises:
         BackendError: Faces that name points which are not there.
@@ -42,6 +44,7 @@ class Built:
         self._light = _Made(bpy)
         weakref.finalize(self, self._light.remove).atexit = False
         self._lit_sample: int | None = None
+        self.shares: Shares | None = None
         with self._made:
             self.scene = bpy.data.scenes.new("scenec")
             render.set_up(self.scene, device, bounces, PASSES)
@@ -50,7 +53,10 @@ class Built:
             self.scene.camera = self.camera
             if scene is not None:
                 self.frame = geometry.scene_frame(scene)
-                looks = materials.make_materials(bpy, scene, self.frame)
+                if planetary.has_laws(scene):
+                    self.shares = Shares(bpy, self.scene, self.frame)
+                known = None if self.shares is None else self.shares.light
+                looks = materials.make_materials(bpy, scene, self.frame, known)
                 self._rows = geometry.build(bpy, scene, self.frame, looks)
                 for rows in self._rows.objects:
                     self.scene.collection.objects.link(rows)
@@ -78,9 +84,20 @@ class Built:
         self._light.remove()
         with self._light:
             self.scene.world = light.make_world(self._bpy, sky)
-            for sun in lighting.suns:
-                if sun.irradiance.max() > 0.0:
-                    self.scene.collection.objects.link(light.make_sun(self._bpy, sun))
+            lights: list[tuple[Any, Sun | Lamp]] = [
+                (light.make_sun(self._bpy, sun), sun)
+                for sun in lighting.suns
+                if sun.irradiance.max() > 0.0
+            ]
+            lights += [
+                (light.make_lamp(self._bpy, lamp, self.frame), lamp)
+                for lamp in lighting.lamps
+                if lamp.intensity.max() > 0.0
+            ]
+            for made, _ in lights:
+                self.scene.collection.objects.link(made)
+            if self.shares is not None:
+                self.shares.prepare(lights)
         self._lit_sample = sample
 
 

@@ -28,6 +28,8 @@ _MATRIX, _MESH = "scenec_matrix", "scenec_mesh"
 #: distance, 1e-6, is then next to nothing in a scene of any size.
 _EXTENT = 2.0**15
 
+type LookKey = tuple[tuple[int, ...], tuple[float, ...]]
+
 
 @dataclass(frozen=True)
 class Frame:
@@ -47,6 +49,11 @@ class Frame:
     def place(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """World to Blender, float64 [..., 3]."""
         return (points - self.center) * self.scale
+
+
+def look_key(mesh: Mesh) -> LookKey:
+    """What meshes of one material have in common: layers, and depths of their merges."""
+    return mesh.layers, mesh.height_blends
 
 
 def weight_name(merge: int) -> str:
@@ -115,16 +122,14 @@ class Rows:
     stretch: NDArray[np.float64]
 
 
-def build(
-    bpy: Any, scene: RenderScene, frame: Frame, materials: dict[tuple[int, ...], Any]
-) -> Rows:
+def build(bpy: Any, scene: RenderScene, frame: Frame, materials: dict[LookKey, Any]) -> Rows:
     """Make the meshes and the instancers.
 
     Args:
         bpy: Blender.
         scene: What to build.
         frame: From ``scene_frame``.
-        materials: Blender's material for each ``Mesh.layers`` that occurs.
+        materials: Blender's material for each ``look_key`` that occurs.
 
     Raises:
         BackendError: Faces that name points which are not there (Blender would crash over them).
@@ -141,7 +146,7 @@ def build(
         number[index] = len(prototypes.objects)
         name = f"scenec_{number[index]:08d}"
         data = _make_mesh(bpy, name, mesh, float(local_scale[index]))
-        data.materials.append(materials[mesh.layers])
+        data.materials.append(materials[look_key(mesh)])
         prototypes.objects.link(_make_object(bpy, name, data))
     filled = number[scene.rows.mesh] >= 0
     moves = moving(scene)

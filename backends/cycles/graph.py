@@ -75,12 +75,12 @@ class Graph:
         return made.outputs[0]
 
     def vector(self, operation: str, *values: Vector) -> Any:
-        """An operation of the Vector Math node; "DOT_PRODUCT" gives a number."""
+        """An operation of the Vector Math node; "DOT_PRODUCT" and "LENGTH" give a number."""
         made = self.node("ShaderNodeVectorMath")
         made.operation = operation
         for target, value in zip(made.inputs, values, strict=False):
             self.feed(target, value)
-        return made.outputs["Value" if operation == "DOT_PRODUCT" else "Vector"]
+        return made.outputs["Value" if operation in ("DOT_PRODUCT", "LENGTH") else "Vector"]
 
     def product(self, a: Scalar, b: Scalar) -> Scalar:
         """A product of numbers."""

@@ -1,4 +1,4 @@
-"""Suns and domes as Blender's sun lights and world."""
+"""Suns, lamps and domes as Blender's lights and world."""
 
 from __future__ import annotations
 
@@ -7,15 +7,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.backends.cycles.geometry import Frame
 from scenec.backends.cycles.graph import Graph
 from scenec.backends.cycles.materials import picture_image
-from scenec.backends.render_scene import Sun
+from scenec.backends.render_scene import Lamp, Sun
 from scenec.backends.sky import MIN_SUN_DIAMETER_RAD, Sky
 
 #: A dome's picture is written out with at least so many rows: see ``env_rows``.
 MIN_ROWS = 1024
 #: Columns of the table that Cycles samples directions from, at least and at most.
 SAMPLE_MAP = (256, 4096)
+#: Half angle of the widest of Blender's spots, and how much wider than our cone they are, radians.
+_WIDEST_SPOT, _SPOT_MARGIN = 0.5 * np.pi - 0.01, 2e-3
 #: The dome's frame (USD: pole +Y, center +Z) to that of Blender's lat-long pictures (pole +Z,
 #: center +X): x' = z, y' = x, z' = y.
 _AXES = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
@@ -72,14 +75,68 @@ def make_sun(bpy: Any, sun: Sun) -> Any:
     light.energy = strength
     light.color = (np.asarray(sun.irradiance) / strength).tolist()
     light.angle = max(sun.diameter_rad, MIN_SUN_DIAMETER_RAD)
-    made = bpy.data.objects.new("scenec_sun", light)
+    return _shining(bpy, "scenec_sun", light, -np.asarray(sun.to_light, np.float64), np.zeros(3))
+
+
+def make_lamp(bpy: Any, lamp: Lamp, frame: Frame) -> Any:
+    """A lamp as an object: a spot light without Blender's own falloff, and ours in its shader.
+
+    Blender's spots end at a cosine over a cone; the law of ``Lamp`` is in the angle, and its cone
+    may open beyond a hemisphere, where it is a point light. An energy of P watts is an intensity of
+    P / (4 pi) for both (measured), whatever the radius.
+    """
+    narrow = lamp.cone <= _WIDEST_SPOT
+    light = bpy.data.lights.new("scenec_lamp", "SPOT" if narrow else "POINT")
+    strength = float(np.max(lamp.intensity))
+    light.normalize = True
+    light.energy = 4.0 * np.pi * strength * frame.scale**2
+    light.color = (np.asarray(lamp.intensity) / strength).tolist()
+    light.shadow_soft_size = lamp.radius_m * frame.scale
+    light.use_soft_falloff = False
+    if narrow:
+        # A little wider than the cone, whose border is the shader's: it tells where to sample.
+        light.spot_size = min(2.0 * lamp.cone + _SPOT_MARGIN, np.pi)
+        light.spot_blend = 0.0
+    if lamp.cone < np.pi or lamp.softness > 0.0:
+        light.node_tree.nodes.clear()
+        graph = Graph(light.node_tree)
+        emission = graph.node("ShaderNodeEmission")
+        graph.feed(emission.inputs["Strength"], _falloff(graph, lamp))
+        graph.feed(graph.node("ShaderNodeOutputLight").inputs["Surface"], emission.outputs[0])
+    return _shining(bpy, "scenec_lamp", light, lamp.axis, frame.place(lamp.position))
+
+
+def _falloff(graph: Graph, lamp: Lamp) -> Any:
+    """1 - smoothstep of the angle between what leaves the lamp and its axis."""
+    x, y, z = (float(value) for value in lamp.axis)
+    apart = graph.vector("SUBTRACT", graph.geometry("Incoming"), (x, y, z))
+    # By the chord: an arc cosine has no digits left near the axis.
+    half_chord = graph.math("MULTIPLY", graph.vector("LENGTH", apart), 0.5)
+    angle = graph.math("MULTIPLY", graph.math("ARCSINE", half_chord), 2.0)
+    if lamp.softness == 0.0:
+        return graph.math("LESS_THAN", angle, lamp.cone)
+    made = graph.node("ShaderNodeMapRange")
+    made.interpolation_type, made.clamp = "SMOOTHSTEP", True
+    numbers = (angle, lamp.cone * (1.0 - lamp.softness), lamp.cone, 1.0, 0.0)
+    names = ("Value", "From Min", "From Max", "To Min", "To Max")
+    inputs = {socket.identifier: socket for socket in made.inputs}
+    for name, value in zip(names, numbers, strict=True):
+        graph.feed(inputs[name], value)
+    return made.outputs["Result"]
+
+
+def _shining(
+    bpy: Any, name: str, light: Any, along: NDArray[np.float64], at: NDArray[np.float64]
+) -> Any:
+    """An object of a light that shines along a unit vector; cameras do not see it."""
+    made = bpy.data.objects.new(name, light)
     # Light travels along the lamp's -Z.
-    z = np.asarray(sun.to_light, np.float64)
+    z = -np.asarray(along, np.float64)
     x = np.cross([0.0, 1.0, 0.0] if abs(z[1]) < 0.9 else [1.0, 0.0, 0.0], z)
     x /= np.sqrt((x * x).sum())
     pose = np.eye(4)
-    pose[:3, 0], pose[:3, 1], pose[:3, 2] = x, np.cross(z, x), z
+    pose[:3, 0], pose[:3, 1], pose[:3, 2], pose[:3, 3] = x, np.cross(z, x), z, at
     made.matrix_world = type(made.matrix_world)(pose.tolist())
-    # Shared code draws the disc, once for all renderers.
+    # Shared code draws suns' discs, once for all renderers; lamps are not seen at all.
     made.visible_camera = False
     return made

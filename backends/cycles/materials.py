@@ -2,15 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import dataclasses
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
 
-from scenec.backends.cycles.geometry import FACE, ROW, VARIATION, Frame, weight_name
+from scenec.backends import cells
+from scenec.backends.cycles.geometry import (
+    FACE,
+    ROW,
+    VARIATION,
+    Frame,
+    LookKey,
+    look_key,
+)
 from scenec.backends.cycles.graph import BLACK, Graph, Scalar, Vector
+from scenec.backends.cycles.heights import merge_weights
+from scenec.backends.cycles.planetary import KnownLight, Laws
 from scenec.backends.cycles.projection import Pictures
 from scenec.backends.maps import load_map, map_key
 from scenec.backends.render_scene import DEFAULT_SURFACE, RenderScene, Surface
@@ -31,11 +41,15 @@ class Lobe:
         roughness: Perceptual; None for Lambertian ones.
         normal: Socket of a mapped normal, or None.
         color: Of them all.
+        lit: Where they follow other laws than Lambert's: their color for the known light;
+        known: and where that holds, see ``planetary``.
     """
 
     roughness: Scalar | None
     normal: Any
     color: Vector
+    lit: Vector | None = None
+    known: Any = None
 
 
 @dataclass(frozen=True)
@@ -52,41 +66,49 @@ class Reach:
     smooth: bool = False
 
 
-def make_materials(bpy: Any, scene: RenderScene, frame: Frame) -> dict[tuple[int, ...], Any]:
-    """Blender's material for each ``Mesh.layers`` of the meshes that rows show.
+def make_materials(
+    bpy: Any, scene: RenderScene, frame: Frame, light: KnownLight | None = None
+) -> dict[LookKey, Any]:
+    """Blender's material for each ``look_key`` of the meshes that rows show.
 
     Args:
         bpy: Blender.
         scene: The scene.
         frame: Of Blender's coordinates, for maps, which are projected in the world.
+        light: The light that shaders know, in scenes with other laws than Lambert's.
 
     Raises:
         StageError: A map that cannot be read.
     """
     made = {}
     image = lru_cache(maxsize=None)(partial(make_image, bpy))
-    for layers, reach in _reaches(scene).items():
+    table = lru_cache(maxsize=None)(lambda seed: picture_image(bpy, cells.table(seed)[::-1]))
+    for key, reach in _reaches(scene).items():
+        layers, depths = key
         material = bpy.data.materials.new("scenec_look")
         material.node_tree.nodes.clear()
         # It would bend shading normals at grazing angles, which no other renderer does.
         material.cycles.use_bump_map_correction = False
         surfaces = tuple(scene.surfaces[i] for i in layers) or (DEFAULT_SURFACE,)
-        _Look(Graph(material.node_tree), frame, image, reach).write(surfaces)
-        made[layers] = material
+        graph = Graph(material.node_tree)
+        pictures = Pictures(graph, frame, image, table)
+        laws = None if light is None else Laws(graph, light, partial(picture_image, bpy))
+        _Look(graph, pictures, reach, laws).write(surfaces, depths)
+        made[key] = material
     return made
 
 
-def _reaches(scene: RenderScene) -> dict[tuple[int, ...], Reach]:
-    """How far colors vary, for each ``Mesh.layers`` that occurs."""
+def _reaches(scene: RenderScene) -> dict[LookKey, Reach]:
+    """How far colors vary, for each ``look_key`` that occurs."""
     of_rows = np.zeros(len(scene.meshes))
     np.maximum.at(of_rows, scene.rows.mesh, np.abs(scene.rows.variation))
-    reaches: dict[tuple[int, ...], Reach] = {}
+    reaches: dict[LookKey, Reach] = {}
     for index in np.unique(scene.rows.mesh).tolist():
         mesh = scene.meshes[index]
         if len(mesh.faces):
-            known = reaches.get(mesh.layers, Reach())
+            known = reaches.get(look_key(mesh), Reach())
             own = 0.0 if mesh.variation is None else float(np.abs(mesh.variation).max())
-            reaches[mesh.layers] = Reach(
+            reaches[look_key(mesh)] = Reach(
                 max(known.vertex, own),
                 max(known.row, float(of_rows[index])),
                 known.smooth or mesh.normals is not None,
@@ -97,11 +119,13 @@ def _reaches(scene: RenderScene) -> dict[tuple[int, ...], Reach]:
 class _Look:
     """One material in the making."""
 
-    def __init__(self, graph: Graph, frame: Frame, image: Callable[..., Any], reach: Reach) -> None:
+    def __init__(
+        self, graph: Graph, pictures: Pictures, reach: Reach, laws: Laws | None = None
+    ) -> None:
         self._graph, self._reach = graph, reach
-        self._pictures = Pictures(graph, frame, image)
+        self._pictures, self._laws = pictures, laws
 
-    def write(self, surfaces: tuple[Surface, ...]) -> None:
+    def write(self, surfaces: tuple[Surface, ...], depths: tuple[float, ...]) -> None:
         """The merge of the layers, base first, and the passes for visibility.
 
         The model is linear in its lobes: those of one roughness and normal are one closure with a
@@ -109,24 +133,40 @@ class _Look:
         """
         graph = self._graph
         merged: dict[tuple[object, ...], Lobe] = {}
+        glow: Vector = BLACK
+        weights = merge_weights(graph, self._pictures, surfaces, depths)
         for number, surface in enumerate(surfaces):
             own = self._lobes(surface)
             for key, lobe in own.items():
-                merged.setdefault(key, Lobe(lobe.roughness, lobe.normal, BLACK))
+                merged.setdefault(key, dataclasses.replace(lobe, color=BLACK, lit=BLACK))
             for key, lobe in merged.items():
                 color = own[key].color if key in own else BLACK
+                lit = own[key].lit if key in own else BLACK
                 if number == 0:
-                    lobe.color = color
+                    lobe.color, lobe.lit = color, lit
                 else:
-                    weight = graph.attribute(weight_name(number - 1)).outputs["Fac"]
-                    lobe.color = graph.mixed(lobe.color, color, weight)
-        self._close(list(merged.values()))
+                    lobe.color = graph.mixed(lobe.color, color, weights[number - 1])
+                    if lobe.known is not None:
+                        lobe.lit = graph.mixed(lobe.lit, lit, weights[number - 1])
+            own_glow = self._glow(surface)
+            glow = own_glow if number == 0 else graph.mixed(glow, own_glow, weights[number - 1])
+        self._close(list(merged.values()), glow)
         for name, attribute, kind in ((ROW_PASS, ROW, "INSTANCER"), (FACE_PASS, FACE, "GEOMETRY")):
             out = graph.node("ShaderNodeOutputAOV")
             out.aov_name = name
             graph.feed(out.inputs["Color"], graph.attribute(attribute, kind).outputs["Vector"])
 
-    def _close(self, lobes: list[Lobe]) -> None:
+    def _glow(self, surface: Surface) -> Vector:
+        """What a surface gives off."""
+        maps = surface.maps
+        if not surface.emits:
+            return BLACK
+        if maps is None or maps.emission is None:
+            return surface.emission
+        picture = self._pictures.value(maps, "emission")
+        return self._graph.vector("MULTIPLY", picture, surface.emission)
+
+    def _close(self, lobes: list[Lobe], glow: Vector) -> None:
         """Closures, added up; one at least, or rays would pass through."""
         graph = self._graph
         total: Any = None
@@ -134,22 +174,41 @@ class _Look:
             lobe for lobe in lobes if not (isinstance(lobe.color, tuple) and lobe.color == BLACK)
         ]
         for lobe in lit or lobes[:1]:
-            diffuse = lobe.roughness is None
-            closure = graph.node("ShaderNodeBsdfDiffuse" if diffuse else "ShaderNodeBsdfGlossy")
-            graph.feed(closure.inputs["Color"], lobe.color)
-            graph.feed(closure.inputs["Roughness"], lobe.roughness or 0.0)
-            if not diffuse:
-                closure.distribution = "GGX"
-            if lobe.normal is not None:
-                graph.feed(closure.inputs["Normal"], lobe.normal)
-            if total is None:
-                total = closure.outputs[0]
-            else:
-                both = graph.node("ShaderNodeAddShader")
-                graph.feed(both.inputs[0], total)
-                graph.feed(both.inputs[1], closure.outputs[0])
-                total = both.outputs[0]
+            closure = self._closure(lobe, lobe.color)
+            if lobe.known is not None:
+                either = graph.node("ShaderNodeMixShader")
+                graph.feed(either.inputs[0], lobe.known)
+                graph.feed(either.inputs[1], closure)
+                graph.feed(either.inputs[2], self._closure(lobe, lobe.lit))
+                closure = either.outputs[0]
+            total = self._added(total, closure)
+        if not (isinstance(glow, tuple) and glow == BLACK):
+            emission = graph.node("ShaderNodeEmission")
+            graph.feed(emission.inputs["Color"], glow)
+            if self._laws is not None:
+                graph.feed(emission.inputs["Strength"], self._laws.glow())
+            total = self._added(total, emission.outputs[0])
         graph.feed(graph.node("ShaderNodeOutputMaterial").inputs["Surface"], total)
+
+    def _closure(self, lobe: Lobe, color: Vector) -> Any:
+        graph = self._graph
+        diffuse = lobe.roughness is None
+        closure = graph.node("ShaderNodeBsdfDiffuse" if diffuse else "ShaderNodeBsdfGlossy")
+        graph.feed(closure.inputs["Color"], color)
+        graph.feed(closure.inputs["Roughness"], lobe.roughness or 0.0)
+        if not diffuse:
+            closure.distribution = "GGX"
+        if lobe.normal is not None:
+            graph.feed(closure.inputs["Normal"], lobe.normal)
+        return closure.outputs[0]
+
+    def _added(self, total: Any, closure: Any) -> Any:
+        if total is None:
+            return closure
+        both = self._graph.node("ShaderNodeAddShader")
+        self._graph.feed(both.inputs[0], total)
+        self._graph.feed(both.inputs[1], closure)
+        return both.outputs[0]
 
     def _lobes(self, surface: Surface) -> dict[tuple[object, ...], Lobe]:
         """A surface by kinds of lobe.
@@ -171,13 +230,18 @@ class _Look:
         if maps is not None and maps.metallic is not None:
             metallic = self._pictures.value(maps, "metallic")
             dull = graph.math("SUBTRACT", 1.0, metallic)
-        lambert = graph.scaled(color, graph.product(dull, 1.0 - white))
+        share = graph.product(dull, 1.0 - white)
         sheen = graph.scaled((white, white, white), dull)
         gloss = graph.sum(sheen, graph.scaled(color, metallic))
-        return {
-            (None, normal_key): Lobe(None, normal, lambert),
-            (roughness_key, normal_key): Lobe(roughness, normal, gloss),
-        }
+        key: tuple[object, ...] = (None, normal_key)
+        base = Lobe(None, normal, graph.scaled(color, share))
+        if surface.reflectance is not None and self._laws is not None:
+            key = ("law", normal_key)
+            facing = graph.geometry("Normal") if normal is None else normal
+            even, lit = self._laws.colors(surface.reflectance, color, facing, repr(normal_key))
+            known = self._laws.known(facing, repr(normal_key))
+            base = Lobe(None, normal, graph.scaled(even, share), graph.scaled(lit, share), known)
+        return {key: base, (roughness_key, normal_key): Lobe(roughness, normal, gloss)}
 
     def _roughness(self, surface: Surface) -> tuple[Scalar, object]:
         """Number or map, times the factor of its variation; and what tells it from others."""

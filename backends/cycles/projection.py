@@ -11,10 +11,14 @@ from typing import Any
 
 import numpy as np
 
+from scenec.backends.cycles.cells import CellPictures
 from scenec.backends.cycles.geometry import ALONG_U, ALONG_V, UV, Frame
 from scenec.backends.cycles.graph import Graph
 from scenec.backends.maps import PLANES, map_key, map_source
 from scenec.backends.render_scene import Maps
+
+#: Cosine of viewers whom the shading normal leans away from.
+_GRAZING = 1e-5
 
 
 class Pictures:
@@ -24,15 +28,27 @@ class Pictures:
         graph: The material's.
         frame: Of Blender's coordinates.
         image: Blender's image of a map, by the arguments of ``maps.load_map``.
+        table: Blender's image of a table of cells, by its seed.
     """
 
-    def __init__(self, graph: Graph, frame: Frame, image: Callable[..., Any]) -> None:
+    def __init__(
+        self,
+        graph: Graph,
+        frame: Frame,
+        image: Callable[..., Any],
+        table: Callable[[int], Any],
+    ) -> None:
         self._graph, self._frame, self._image = graph, frame, image
+        self._cells = CellPictures(graph, frame, image, table)
 
     def value(self, maps: Maps, kind: str) -> Any:
         """A map of numbers or colors."""
         graph = self._graph
-        if maps.projection != "triplanar":
+        if maps.projection == "above":
+            return self._cells.value(
+                maps, kind, lambda factor: self._pixel(maps, kind, factor=factor)
+            )
+        if maps.projection == "uv":
             return self._pixel(maps, kind)
 
         def make() -> Any:
@@ -47,38 +63,44 @@ class Pictures:
     def normal(self, maps: Maps) -> Any:
         """The mapped normal. What points away from the viewer has its tangential part turned round.
 
-        As Mitsuba has it.
+        As Mitsuba has it. Where the shading normal itself leans away, the viewer counts as at its
+        horizon.
         """
         graph = self._graph
 
         def make() -> Any:
             ways = {"above": self._above, "triplanar": self._triplanar, "uv": self._by_uv}
-            tangent, upright = ways[maps.projection](maps)
-            seen = graph.vector(
-                "DOT_PRODUCT", graph.vector("ADD", tangent, upright), graph.geometry("Incoming")
+            tangent, height = ways[maps.projection](maps)
+            incoming = graph.geometry("Incoming")
+            above = graph.math(
+                "MAXIMUM", graph.vector("DOT_PRODUCT", self.facing(), incoming), _GRAZING
             )
+            beside = graph.vector("DOT_PRODUCT", tangent, incoming)
+            seen = graph.math("MULTIPLY_ADD", height, above, beside)
             tangent = graph.scaled(tangent, graph.math("SIGN", seen))
+            upright = graph.scaled(self.facing(), height)
             return graph.vector("NORMALIZE", graph.vector("ADD", tangent, upright))
 
         return graph.once(f"normal {map_key(maps, 'normal')!r}", make)
 
     def facing(self) -> Any:
-        """The shading normal, turned to the viewer, as Mitsuba's ``twosided`` has it.
+        """The shading normal on the side of its face that is seen.
 
-        Cycles turns it as the face is turned, which is not the same near silhouettes, where an
-        interpolated normal may point away though its face does not.
+        Cycles turns it as the face is turned, which leaves those of files on the wrong side that
+        wind their faces one way and point their normals the other. Near silhouettes it may lean
+        away from the viewer, which dims no dull lobe.
         """
         graph = self._graph
 
         def make() -> Any:
-            away = graph.scaled(graph.geometry("Incoming"), -1.0)
+            away = graph.scaled(graph.geometry("True Normal"), -1.0)
             normal = graph.geometry("Normal")
             return graph.vector("FACEFORWARD", normal, away, normal)
 
         return graph.once("facing", make)
 
-    def _pixel(self, maps: Maps, kind: str, axis: int = 2) -> Any:
-        """The picture's value: bilinear, repeating; across an axis of the world."""
+    def _pixel(self, maps: Maps, kind: str, axis: int = 2, factor: float = 1.0) -> Any:
+        """The picture's value: bilinear, repeating; across an axis of the world, enlarged."""
         graph = self._graph
 
         def make() -> Any:
@@ -88,11 +110,11 @@ class Pictures:
             if maps.projection == "uv":
                 place = graph.attribute(UV).outputs["Vector"]
             else:
-                place = self._place(maps.size_m, axis)
+                place = self._place(maps.size_m * factor, axis)
             graph.feed(node.inputs["Vector"], place)
             return node.outputs["Color"]
 
-        return graph.once(f"pixel {axis} {map_key(maps, kind)!r}", make)
+        return graph.once(f"pixel {axis} {factor!r} {map_key(maps, kind)!r}", make)
 
     def _place(self, size_m: float, axis: int) -> Any:
         """World position / size_m, less whole repeats, on the plane across an axis."""
@@ -145,7 +167,10 @@ class Pictures:
         the world's x and y have it.
         """
         graph = self._graph
-        x, y, z = graph.separate(self._pixel(maps, "normal"))
+        if maps.cells is None:
+            x, y, z = graph.separate(self._pixel(maps, "normal"))
+        else:
+            x, y, z = self._cells.normal(maps)
         normal = graph.geometry("Normal")
         fx, _, fz = graph.separate(graph.geometry("True Normal"))
         # dP/du = (1, 0, -nx / nz), times |nz|.
@@ -156,7 +181,7 @@ class Pictures:
         # v belongs to the normal as it was before Blender turned it to the viewer.
         v = graph.scaled(graph.vector("CROSS_PRODUCT", normal, u), self._side())
         tangent = graph.vector("ADD", graph.scaled(u, x), graph.scaled(v, y))
-        return tangent, graph.scaled(self.facing(), z)
+        return tangent, z
 
     def _triplanar(self, maps: Maps) -> tuple[Any, Any]:
         """``maps.triplanar_normal``, split by the shading normal."""
@@ -179,7 +204,7 @@ class Pictures:
         leaned = graph.vector("NORMALIZE", total)
         height = graph.vector("DOT_PRODUCT", leaned, outward)
         tangent = graph.vector("SUBTRACT", leaned, graph.scaled(outward, height))
-        return tangent, graph.scaled(self.facing(), height)
+        return tangent, height
 
     def _by_uv(self, maps: Maps) -> tuple[Any, Any]:
         """``maps.uv_normal``, split by the shading normal."""
@@ -193,7 +218,7 @@ class Pictures:
         turn = graph.math("SIGN", graph.vector("DOT_PRODUCT", across, along_v))
         v = graph.scaled(across, turn)
         tangent = graph.vector("ADD", graph.scaled(u, x), graph.scaled(v, y))
-        return tangent, graph.scaled(self.facing(), z)
+        return tangent, z
 
     def _along(self, name: str) -> Any:
         """A direction that stands on the mesh, in the world."""

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scenec.backends.contract import Rays
 from scenec.backends.exact.intersect import world_normal
 from scenec.backends.exact.settle import Settled
-from scenec.backends.render_scene import RenderScene
+from scenec.backends.render_scene import RenderScene, SkyLabelMap
 from scenec.schemas.errors import BackendError
 
 #: ``face`` where a ray meets nothing.
@@ -65,6 +65,21 @@ def _ranges(directions, t, out):  # type: ignore[no-untyped-def]
         out[k] = t[k] * math.sqrt((d[0] * d[0] + d[1] * d[1]) + d[2] * d[2])
 
 
+def _label_sky(
+    label_map: SkyLabelMap | None,
+    row: NDArray[np.int32],
+    rays: Rays,
+    out: NDArray[np.uint32],
+) -> None:
+    """Labels of rays that meet nothing, by the sky's label map, in place."""
+    if label_map is not None:
+        # Imported here: few scenes have one.
+        from scenec.backends.sky_labels import label_of_sky
+
+        missed = np.flatnonzero(row < 0)
+        out[missed] = label_of_sky(label_map, rays.directions, missed)
+
+
 def pass_names(scene: RenderScene, passes: Sequence[str]) -> list[str]:
     """The annotation passes a list of passes stands for.
 
@@ -94,7 +109,7 @@ def pass_names(scene: RenderScene, passes: Sequence[str]) -> list[str]:
 
 
 def annotate(
-    scene: RenderScene, settled: Settled, rays: Rays, passes: Sequence[str]
+    scene: RenderScene, settled: Settled, rays: Rays, passes: Sequence[str], sample: int = 0
 ) -> dict[str, NDArray]:
     """All annotation that follows from exact visibility.
 
@@ -103,13 +118,15 @@ def annotate(
         settled: Exact visibility of the rays.
         rays: The rays; ``depth`` is their parameter, which is planar depth for a pinhole camera.
         passes: What to compute, see ``pass_names``.
+        sample: Time code, for label maps of the sky.
 
     Returns:
         Per pass (h, w of the rays' shape): ``depth`` and ``range`` float64 [h, w], +inf without a
-        hit; ``label.<level>`` uint32 [h, w], the sky's label without a hit; ``instance`` uint32
-        [h, w], 0 is none; ``normal`` float64 [h, w, 3], geometric, in the world frame, facing the
-        ray, 0 without a hit; ``position`` float64 [h, w, 3], world, NaN without a hit; ``face``
-        uint32 [h, w], the authored face, NO_FACE without a hit.
+        hit; ``label.<level>`` uint32 [h, w], the sky's label without a hit (by its label map,
+        where it has one); ``instance`` uint32 [h, w], 0 is none; ``normal`` float64 [h, w, 3],
+        geometric, in the world frame, facing the ray, 0 without a hit; ``position`` float64
+        [h, w, 3], world, NaN without a hit; ``face`` uint32 [h, w], the authored face, NO_FACE
+        without a hit.
 
     Raises:
         BackendError: A pass that is not known.
@@ -159,4 +176,6 @@ def annotate(
                 np.uint32(missing),
                 out[name],
             )
+            if name != "face" and scene.sky_label_maps:
+                _label_sky(scene.sky_label_maps[sample].get(level), row, rays, out[name])
     return {name: values.reshape(*rays.shape, *values.shape[1:]) for name, values in out.items()}

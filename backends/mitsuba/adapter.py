@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.backends.contract import BOUNCES, NO_ROW, Radiance, Rays, Visibility
-from scenec.backends.mitsuba import emitter, geometry, scalar, variant
+from scenec.backends.mitsuba import emitter, geometry, glow, lamps, scalar, variant
 from scenec.backends.mitsuba.corners import split_corners
 from scenec.backends.mitsuba.surfaces import make_look
 from scenec.backends.posing import posable, pose
@@ -41,6 +41,8 @@ class Mitsuba:
         self._groups: tuple[geometry.Group, ...] = ()
         self._center = np.zeros(3)
         self._light: Any = None
+        self._lamps: Any = None
+        self._glows: dict[int, Any] = {}
         self._lit_sample: int | None = None
         self._posed = 0
         self._integrator: Any = None
@@ -65,19 +67,33 @@ class Mitsuba:
         return None if self.jit else variant.scalar_warning()
 
     def losses(self, scene: RenderScene) -> tuple[str, ...]:
-        """Nothing in the vectorized variants; cheaper gloss in ``scalar_rgb``."""
-        glossy = [s for s in scene.surfaces if s.glossy]
-        if self.jit or not glossy:
+        """Nothing in the vectorized variants; cheaper gloss and lamps in ``scalar_rgb``."""
+        if self.jit:
             return ()
-        found = [
-            "mitsuba (scalar_rgb) masks gloss as if its two directions were independent: up to "
-            "10 % darker at roughness 0.9"
-        ]
+        found = scalar.lamp_losses([lamp for light in scene.lighting for lamp in light.lamps])
+        glossy = [s for s in scene.surfaces if s.glossy]
+        if glossy:
+            found.append(
+                "mitsuba (scalar_rgb) masks gloss as if its two directions were independent: up "
+                "to 10 % darker at roughness 0.9"
+            )
         if any(s.roughness_variation != 0.0 for s in glossy):
             found.append(
                 "mitsuba (scalar_rgb) squares a roughness that varies at the vertices and not "
                 "between them"
             )
+        if any(mesh.normals is not None for mesh in scene.meshes):
+            found.append(
+                "mitsuba (scalar_rgb) draws dark rims where shading normals lean away from the "
+                "camera"
+            )
+        if any(s.reflectance is not None for s in scene.surfaces):
+            found.append(
+                "mitsuba (scalar_rgb) draws Lambert's law in place of Hapke's and Lommel and "
+                "Seeliger's"
+            )
+        if any(s.emits for s in scene.surfaces):
+            found.append("mitsuba (scalar_rgb) leaves out the light that surfaces give off")
         return tuple(found)
 
     def load(self, scene: RenderScene) -> None:
@@ -94,14 +110,13 @@ class Mitsuba:
         self._posed = 0
         self._groups = geometry.make_groups(scene)
         self._lit_sample = None
+        self._glows = {}
         self._meshes = [self._mesh(scene, group, i) for i, group in enumerate(self._groups)]
         parts: dict[str, Any] = {"type": "scene"}
         parts |= {f"mesh{i}": mesh for i, mesh in enumerate(self._meshes)}
+        self._light = self._lamps = None
         if self.jit:
-            emitter.register(mi)
-            self._light = mi.load_dict({"type": emitter.PLUGIN})
-            parts["light"] = self._light
-            self._light.set_lighting(Lighting((), ()))
+            parts |= self._emitters(scene)
         # Merging equal meshes would renumber the faces that visibility reports.
         self._scene = mi.load_dict(parts, optimize=False)
         self._integrator = mi.load_dict(
@@ -110,9 +125,30 @@ class Mitsuba:
                 "max_depth": self._bounces + 2,
                 # No Russian roulette before paths end anyway: it adds noise, saves little.
                 "rr_depth": self._bounces + 3,
-                "hide_emitters": True,
+                # What gives off light is to be seen; ``_pass`` leaves out the sky itself then.
+                "hide_emitters": not self._glows,
             }
         )
+
+    def _emitters(self, scene: RenderScene) -> dict[str, Any]:
+        """One that has all light; without any, one that is black."""
+        mi = self._mi
+        with_lamps = any(lighting.lamps for lighting in scene.lighting)
+        if not with_lamps or any(lighting.suns or lighting.domes for lighting in scene.lighting):
+            emitter.register(mi)
+            self._light = mi.load_dict({"type": emitter.PLUGIN})
+        if with_lamps:
+            lamps.register(mi)
+            self._lamps = mi.load_dict({"type": lamps.PLUGIN})
+            self._lamps.around = self._light
+        self._set_light(Lighting((), ()))
+        return {"light": self._light if self._lamps is None else self._lamps}
+
+    def _set_light(self, lighting: Lighting) -> None:
+        if self._lamps is not None:
+            self._lamps.set_lighting(lighting, self._center)
+        else:
+            self._light.set_lighting(lighting)
 
     def visibility(self, rays: Rays, sample: int, camera: Camera | None = None) -> Visibility:
         """First hits in float32."""
@@ -157,7 +193,7 @@ class Mitsuba:
         halves = np.empty((2, camera.height, camera.width, 3), np.float32)
         coverage = np.zeros((camera.height, camera.width))
         if self.jit and self._lit_sample != sample:
-            self._light.set_lighting(scene.lighting[sample])
+            self._set_light(scene.lighting[sample])
             self._lit_sample = sample
         self._dropped = 0
         for half in range(2):
@@ -198,6 +234,8 @@ class Mitsuba:
         jitter = sampler.next_2d()
         ray = self._camera_rays(camera, pixel, jitter)
         light, valid, _ = self._integrator.sample(self._scene, sampler, ray)
+        if self._glows:
+            valid = self._scene.ray_intersect_preliminary(ray, coherent=True).is_valid()
         light &= valid
         # On float32 slivers a path's light can overflow or come out negative: it counts as black,
         # and is counted.
@@ -246,6 +284,10 @@ class Mitsuba:
         look = make_look(mi, surfaces, flat, self._center)
         props = mi.Properties()
         props["bsdf"] = mi.load_dict(look.bsdf)
+        if look.emission is not None and self.jit:
+            weight = glow.light_share(scene, surfaces, flat)
+            self._glows[index] = glow.make_emitter(mi, look.emission, weight)
+            props["emitter"] = self._glows[index]
         mesh = mi.Mesh(
             f"mesh{index}",
             vertices,
@@ -264,6 +306,8 @@ class Mitsuba:
         params.update()
         for name, values in look.attributes.items():
             mesh.add_attribute(name, values.shape[1], np.ascontiguousarray(values).ravel())
+        if index in self._glows:
+            self._glows[index].place(mesh, flat)
         return mesh
 
     def _pose(self, scene: RenderScene, sample: int) -> None:
@@ -282,6 +326,8 @@ class Mitsuba:
                 params[f"mesh{index}.vertex_normals"] = flat.normals.ravel()
             if flat.texcoords is not None:
                 params[f"mesh{index}.vertex_texcoords"] = flat.texcoords.ravel()
+            if index in self._glows:
+                self._glows[index].place(self._meshes[index], flat)
         params.update()
         self._posed = sample
 

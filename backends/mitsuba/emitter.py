@@ -164,11 +164,18 @@ def register(mi: Any) -> Any:
     return SkySun
 
 
+def average_irradiance(sky: Sky | None, lighting: Lighting) -> tuple[float, float]:
+    """What an average surface gets of sky and of suns, all channels' mean."""
+    from_sky = 0.0
+    if sky is not None:
+        height = len(sky.picture)
+        area = np.sin((np.arange(height) + 0.5) * (np.pi / height))[:, None, None]
+        from_sky = np.pi * float((sky.picture * area).mean() / area.mean())
+    # A surface turned anyhow towards a sun gets half its irradiance on average.
+    return from_sky, 0.5 * float(sum(np.mean(sun.irradiance) for sun in lighting.suns))
+
+
 def _sun_fraction(sky: Sky, lighting: Lighting) -> float:
     """Share of the suns in the light that falls on an average surface, within bounds."""
-    height = len(sky.picture)
-    area = np.sin((np.arange(height) + 0.5) * (np.pi / height))[:, None, None]
-    from_sky = np.pi * float((sky.picture * area).mean() / area.mean())
-    # A surface turned anyhow towards a sun gets half its irradiance on average.
-    from_suns = 0.5 * float(sum(np.mean(sun.irradiance) for sun in lighting.suns))
+    from_sky, from_suns = average_irradiance(sky, lighting)
     return float(np.clip(from_suns / (from_suns + from_sky), *SUN_FRACTION))

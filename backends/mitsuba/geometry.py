@@ -24,6 +24,7 @@ class Group:
 
     Attributes:
         layers: Indices into ``RenderScene.surfaces``, as in ``Mesh.layers``.
+        height_blends: As in ``Mesh.height_blends``.
         smooth: Whether the meshes bring shading normals.
         moving: Whether the rows move over the samples.
         rows: Row of each part, int64 [p], ascending.
@@ -33,6 +34,7 @@ class Group:
     """
 
     layers: tuple[int, ...]
+    height_blends: tuple[float, ...]
     smooth: bool
     moving: bool
     rows: NDArray[np.int64]
@@ -59,6 +61,7 @@ class FlatMesh:
         weights: Per merge, float32 [layers - 1, n].
         texcoords: x and y, float32 [n, 2], where a surface has maps from above; the mesh's texture
             coordinates, where one has maps by those; else None.
+        height_blends: Of the merges, or empty.
     """
 
     points: NDArray[np.float32]
@@ -68,6 +71,7 @@ class FlatMesh:
     row_variation: NDArray[np.float32] | None
     weights: NDArray[np.float32]
     texcoords: NDArray[np.float32] | None
+    height_blends: tuple[float, ...] = ()
 
 
 def scene_center(scene: RenderScene) -> NDArray[np.float64]:
@@ -78,9 +82,12 @@ def scene_center(scene: RenderScene) -> NDArray[np.float64]:
 
 def make_groups(scene: RenderScene) -> tuple[Group, ...]:
     """Sort rows into groups, in the order of their first row; those that move apart."""
-    kinds: dict[tuple[tuple[int, ...], bool], int] = {}
+    kinds: dict[tuple[tuple[int, ...], tuple[float, ...], bool], int] = {}
     kind_of = np.array(
-        [kinds.setdefault((m.layers, m.normals is not None), len(kinds)) for m in scene.meshes],
+        [
+            kinds.setdefault((m.layers, m.height_blends, m.normals is not None), len(kinds))
+            for m in scene.meshes
+        ],
         np.int64,
     )
     face_counts = np.array([len(mesh.faces) for mesh in scene.meshes], np.int64)
@@ -90,12 +97,13 @@ def make_groups(scene: RenderScene) -> tuple[Group, ...]:
     present, first = np.unique(kind_of_row, return_index=True)
     groups = []
     for kind in present[np.argsort(first)].tolist():
-        layers, smooth = list(kinds)[kind // 2]
+        layers, blends, smooth = list(kinds)[kind // 2]
         rows = filled[kind_of_row == kind]
         mesh_of = scene.rows.mesh[rows]
         first_face = np.concatenate([[0], np.cumsum(face_counts[mesh_of])])
         first_vertex = np.concatenate([[0], np.cumsum(vertex_counts[mesh_of])])
-        groups.append(Group(layers, smooth, kind % 2 == 1, rows, first_face, first_vertex))
+        moves = kind % 2 == 1
+        groups.append(Group(layers, blends, smooth, moves, rows, first_face, first_vertex))
     return tuple(groups)
 
 
@@ -141,7 +149,9 @@ def flatten(scene: RenderScene, group: Group, center: NDArray[np.float64]) -> Fl
         texcoords = _place_uv(scene, group)
     elif "above" in projections:
         texcoords = np.ascontiguousarray(points[:, :2])
-    return FlatMesh(points, faces, normals, variation, row_variation, weights, texcoords)
+    return FlatMesh(
+        points, faces, normals, variation, row_variation, weights, texcoords, group.height_blends
+    )
 
 
 def _place_uv(scene: RenderScene, group: Group) -> NDArray[np.float32]:

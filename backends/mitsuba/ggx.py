@@ -11,7 +11,11 @@ from __future__ import annotations
 from functools import lru_cache
 from typing import Any
 
+from scenec.backends.mitsuba.sided import GRAZING
+
 PLUGIN = "scenec_ggx"
+#: Viewers at a lower cosine are those whom the normal leans away from: no gloss, as in Cycles.
+SEEN = 1.01 * GRAZING
 
 
 def lobe(mi: Any, alpha: Any, color: Any = None) -> dict[str, Any]:
@@ -84,7 +88,8 @@ def register(mi: Any) -> str:
             bs.sampled_type = +mi.BSDFFlags.GlossyReflection
             bs.sampled_component = 0
             bs.pdf = density / (4.0 * dr.dot(bs.wo, m))
-            active &= (mi.Frame3f.cos_theta(si.wi) > 0.0) & (mi.Frame3f.cos_theta(bs.wo) > 0.0)
+            active &= mi.Frame3f.cos_theta(si.wi) > SEEN
+            active &= mi.Frame3f.cos_theta(bs.wo) > 0.0
             active &= (density > 0.0) & (bs.pdf > 0.0)
             first, both = self._correlated(distribution, si.wi, bs.wo, m)
             active &= first > 0.0
@@ -93,7 +98,7 @@ def register(mi: Any) -> str:
 
         def _terms(self, si: Any, wo: Any, active: Any) -> tuple[Any, Any, Any]:
             cos_i = mi.Frame3f.cos_theta(si.wi)
-            active &= (cos_i > 0.0) & (mi.Frame3f.cos_theta(wo) > 0.0)
+            active &= (cos_i > SEEN) & (mi.Frame3f.cos_theta(wo) > 0.0)
             m = dr.normalize(si.wi + wo)
             distribution = self._distribution(si, active)
             first, both = self._correlated(distribution, si.wi, wo, m)

@@ -26,9 +26,12 @@ def texture(
 def _nested(mi: Any, value: dict[str, Any] | float) -> dict[str, Any]:
     if isinstance(value, dict) and value["type"] != "rgb":
         return value
-    # As a factor a color may lie beyond the range of reflectances, which "rgb" refuses.
-    constant = value["value"] if isinstance(value, dict) else value
-    pixel = mi.Bitmap(np.array(constant, np.float32).reshape(1, 1, -1))
+    return constant(mi, value["value"] if isinstance(value, dict) else value)
+
+
+def constant(mi: Any, value: Any) -> dict[str, Any]:
+    """Dictionary of a color or number beyond the range of reflectances, which "rgb" refuses."""
+    pixel = mi.Bitmap(np.array(value, np.float32).reshape(1, 1, -1))
     return {"type": "bitmap", "bitmap": pixel, "raw": True, "filter_type": "nearest"}
 
 

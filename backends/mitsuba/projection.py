@@ -6,6 +6,7 @@ to Mitsuba's own bitmap.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
@@ -13,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.backends.maps import PLANES, map_values
+from scenec.backends.mitsuba.cells import cell_texture, far_texture
 from scenec.backends.render_scene import Maps
 
 PLUGIN = "scenec_projected"
@@ -30,8 +32,26 @@ def texture(
         center: Of the scene, meters.
         by_uv: Whether the mesh's texture coordinates are the scene's, not x and y.
     """
+    if maps.far is not None and kind == "base_color":
+        near, far = (
+            _scaled(mi, replace(maps, far=None), kind, center, by_uv, factor)
+            for factor in (1.0, maps.far[0])
+        )
+        return far_texture(mi, maps, kind, near, far)
+    return _scaled(mi, maps, kind, center, by_uv, 1.0)
+
+
+def _scaled(
+    mi: Any, maps: Maps, kind: str, center: NDArray[np.float64], by_uv: bool, factor: float
+) -> dict[str, Any]:
+    """The picture, and its cells, ``factor`` times as large."""
     values = map_values(maps, kind)
     normal = kind == "normal"
+    if maps.cells is not None:
+        if normal:
+            values = 0.5 * (values + np.float32(1.0))
+        return cell_texture(mi, maps, kind, _bitmap(mi, values, np.eye(3)), center, factor)
+    maps = replace(maps, size_m=maps.size_m * factor)
     bare = maps.projection == "uv" or (maps.projection == "above" and not by_uv)
     if normal:
         # As the plugin decodes it.
@@ -42,13 +62,7 @@ def texture(
     if maps.projection == "above" and bare:
         to_uv[0, 0] = to_uv[1, 1] = 1.0 / maps.size_m
         to_uv[:2, 2] = start[:2]
-    picture = {
-        "type": "bitmap",
-        # Mitsuba's v runs down the picture. A copy: it takes no read-only arrays.
-        "bitmap": mi.Bitmap(np.array(values[::-1], np.float32)),
-        "raw": True,
-        "to_uv": mi.ScalarTransform3f(to_uv),
-    }
+    picture = _bitmap(mi, values, to_uv)
     if bare and not (normal and maps.projection == "uv"):
         return picture
     register(mi)
@@ -59,6 +73,16 @@ def texture(
         "normal": normal,
         "step": 1.0 / maps.size_m,
         "start": mi.ScalarPoint3f(start.tolist()),
+    }
+
+
+def _bitmap(mi: Any, values: NDArray[np.float32], to_uv: NDArray[np.float64]) -> dict[str, Any]:
+    return {
+        "type": "bitmap",
+        # Mitsuba's v runs down the picture. A copy: it takes no read-only arrays.
+        "bitmap": mi.Bitmap(np.array(values[::-1], np.float32)),
+        "raw": True,
+        "to_uv": mi.ScalarTransform3f(to_uv),
     }
 
 

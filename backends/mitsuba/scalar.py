@@ -16,9 +16,12 @@ from numpy.typing import NDArray
 from scenec.backends.contract import NO_ROW, Rays, Visibility
 from scenec.backends.mitsuba.emitter import dome_dict
 from scenec.backends.mitsuba.geometry import Group
-from scenec.backends.render_scene import Camera, Lighting, Sun
+from scenec.backends.render_scene import Camera, Lamp, Lighting, Sun
 from scenec.backends.sky import MIN_SUN_DIAMETER_RAD, combine
 from scenec.schemas.errors import BackendError
+
+#: Half angle of the widest of Mitsuba's spots, radians.
+WIDEST_SPOT = np.radians(89.0)
 
 
 def visibility(
@@ -76,6 +79,8 @@ def half(
     for i, sun in enumerate(lighting.suns):
         if np.any(sun.irradiance):
             parts[f"sun{i}"] = disc_dict(mi, sun, 1e3 * max(extent, 1.0))
+    for i, lamp in enumerate(lighting.lamps):
+        parts[f"lamp{i}"] = spot_dict(mi, lamp, center)
     parts["sensor"] = _sensor(mi, camera, center, 1e4 * max(extent, 1.0))
     scene = mi.load_dict(parts, optimize=False)
     picture = np.array(mi.render(scene, integrator=integrator, spp=spp, seed=seed))
@@ -97,6 +102,40 @@ def disc_dict(mi: Any, sun: Sun, distance: float) -> dict[str, Any]:
         "to_world": to_world,
         "emitter": {"type": "area", "radiance": {"type": "rgb", "value": radiance.tolist()}},
     }
+
+
+def spot_dict(mi: Any, lamp: Lamp, center: NDArray[np.float64]) -> dict[str, Any]:
+    """A lamp as Mitsuba's own point, or spot, whose light falls off linearly with the angle."""
+    position = (lamp.position - center).tolist()
+    intensity = {"type": "rgb", "value": np.asarray(lamp.intensity).tolist()}
+    if lamp.cone > WIDEST_SPOT:
+        return {"type": "point", "position": position, "intensity": intensity}
+    up = [0.0, 0.0, 1.0] if abs(lamp.axis[2]) < 0.9 else [1.0, 0.0, 0.0]
+    target = (np.array(position) + lamp.axis).tolist()
+    cutoff = float(np.degrees(lamp.cone))
+    return {
+        "type": "spot",
+        "to_world": mi.ScalarTransform4f().look_at(origin=position, target=target, up=up),
+        "intensity": intensity,
+        "cutoff_angle": cutoff,
+        # A ramp of no width divides by zero.
+        "beam_width": min(cutoff * (1.0 - lamp.softness), cutoff * 0.999),
+    }
+
+
+def lamp_losses(lamps: Sequence[Lamp]) -> list[str]:
+    """What ``spot_dict`` makes of lamps, a line each."""
+    found = []
+    if any(lamp.radius_m > 0.0 for lamp in lamps):
+        found.append("mitsuba (scalar_rgb) draws lamps as points: their shadows are sharp")
+    if any(lamp.softness > 0.0 and lamp.cone <= WIDEST_SPOT for lamp in lamps):
+        found.append(
+            "mitsuba (scalar_rgb) lets lamps fade linearly over the border of the cone: up to 10 % "
+            "of the axis's intensity off"
+        )
+    if any(lamp.cone > WIDEST_SPOT and (lamp.cone < np.pi or lamp.softness) for lamp in lamps):
+        found.append("mitsuba (scalar_rgb) lets lamps wider than 89 degrees shine everywhere")
+    return found
 
 
 def _sensor(mi: Any, camera: Camera, center: NDArray[np.float64], far: float) -> dict[str, Any]:

@@ -3,6 +3,10 @@
 Mitsuba's ``twosided`` goes by the shading normal alone: at smooth normals, directions that lie
 above it but below the face itself pass through the ground and meet the sky under it (up to a
 quarter of the sky's light on coarse drawn relief, measured). Here they carry nothing.
+
+Which side is seen is the face's matter too: at the rim of a smooth thing of few faces the shading
+normal leans away from the viewer, who sees the face all the same. To the nested BSDF the viewer is
+then at the horizon, where dull lobes are as bright as ever; ``twosided`` draws a black rim.
 """
 
 from __future__ import annotations
@@ -11,6 +15,8 @@ from functools import lru_cache
 from typing import Any
 
 PLUGIN = "scenec_sided"
+#: Cosine at which viewers stand whom the shading normal leans away from; lobes may tell them by it.
+GRAZING = 1e-5
 
 
 def both_sides(mi: Any, bsdf: dict[str, Any]) -> dict[str, Any]:
@@ -38,9 +44,11 @@ def register(mi: Any) -> str:
 
         def _turned(self, si: Any) -> tuple[Any, Any]:
             """The interaction as seen from the front, and whether it was from behind."""
-            behind = mi.Frame3f.cos_theta(si.wi) < 0.0
+            frame = si.sh_frame
+            behind = dr.dot(si.n, frame.to_world(si.wi)) * dr.dot(si.n, frame.n) < 0.0
+            height = dr.maximum(dr.select(behind, -si.wi.z, si.wi.z), GRAZING)
             turned = mi.SurfaceInteraction3f(si)
-            turned.wi = mi.Vector3f(si.wi.x, si.wi.y, dr.abs(si.wi.z))
+            turned.wi = dr.normalize(mi.Vector3f(si.wi.x, si.wi.y, height))
             return turned, behind
 
         def _same_side(self, si: Any, wo: Any) -> Any:

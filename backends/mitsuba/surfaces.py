@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.backends.mitsuba import ggx, mix, product, projection, sided
+from scenec.backends.heights import FLAT, needed
+from scenec.backends.mitsuba import ggx, heights, mix, planetary, product, projection, sided
 from scenec.backends.mitsuba.geometry import FlatMesh
 from scenec.backends.mitsuba.mix import MIN_ALPHA
 from scenec.backends.render_scene import Maps, Surface
@@ -22,10 +23,12 @@ class Look:
     Attributes:
         bsdf: Dictionary for ``mi.load_dict``.
         attributes: Vertex attributes the BSDF reads, name -> float32 [n, channels].
+        emission: Dictionary of a texture of the radiance given off, or None.
     """
 
     bsdf: dict[str, Any]
     attributes: dict[str, NDArray[np.float32]]
+    emission: dict[str, Any] | None = None
 
 
 def make_look(
@@ -41,7 +44,9 @@ def make_look(
         center: Of the scene, meters.
     """
     # Textures of ours are compiled into the kernel, but call Python at each point in scalar_rgb.
-    if any(surface.maps for surface in surfaces) or mi.variant().startswith("scalar"):
+    # And laws other than Lambert's are not linear in the color: such layers do not add up.
+    nested = any(s.maps or s.reflectance or s.emits for s in surfaces) or flat.height_blends
+    if nested or mi.variant().startswith("scalar"):
         return _nested_look(mi, surfaces, flat, center)
     return _merged_look(mi, surfaces, flat)
 
@@ -86,23 +91,70 @@ def _nested_look(
     mi: Any, surfaces: Sequence[Surface], flat: FlatMesh, center: NDArray[np.float64]
 ) -> Look:
     """Each layer a BSDF of its own, mixed from the base up by their weights."""
-    if any(surface.maps for surface in surfaces):
+    if any(surface.maps or surface.emits for surface in surfaces):
         product.register(mi)
     attributes: dict[str, NDArray[np.float32]] = {}
     bsdf: dict[str, Any] | None = None
     by_uv = any(s.maps is not None and s.maps.projection == "uv" for s in surfaces)
     colors = vertex_colors(surfaces, flat)
+    weights = _merge_weights(mi, surfaces, flat, center, by_uv, attributes)
     for number, (surface, values) in enumerate(zip(surfaces, colors, strict=True)):
         color = _texture(values, f"vertex_color_{number}", attributes)
         gloss = _gloss(mi, surface, flat, f"vertex_rough_{number}", attributes)
         layer = _layer(mi, surface, color, gloss, center, by_uv)
-        if bsdf is None:
-            bsdf = layer
-        else:
-            weight = flat.weights[number - 1][:, None]
-            bsdf = _blend(_texture(weight, f"vertex_weight_{number}", attributes), bsdf, layer)
+        bsdf = layer if bsdf is None else _blend(weights[number - 1], bsdf, layer)
     assert bsdf is not None
-    return Look(sided.both_sides(mi, bsdf), attributes)
+    emission = None
+    if any(surface.emits for surface in surfaces):
+        given = [_emission(mi, surface, center, by_uv) for surface in surfaces]
+        emission = heights.mix_texture(mi, weights, given)
+    return Look(sided.both_sides(mi, bsdf), attributes, emission)
+
+
+def _merge_weights(
+    mi: Any,
+    surfaces: Sequence[Surface],
+    flat: FlatMesh,
+    center: NDArray[np.float64],
+    by_uv: bool,
+    attributes: dict[str, NDArray[np.float32]],
+) -> list[Any]:
+    """Textures or numbers that layers are blended by; those of maps where heights count."""
+    plain = [
+        _texture(weight[:, None], f"vertex_weight_{number}", attributes)
+        for number, weight in enumerate(flat.weights, 1)
+    ]
+    count = needed(flat.height_blends)
+    if not count:
+        return plain
+
+    def height(surface: Surface) -> Any:
+        if surface.maps is None or surface.maps.height is None:
+            return FLAT
+        return mi.load_dict(projection.texture(mi, surface.maps, "height", center, by_uv))
+
+    # Loaded, so that what several merges heed stands once.
+    levels = [height(surface) for surface in surfaces[:count]]
+    shared = [mi.load_dict(w) if isinstance(w, dict) else w for w in plain[: count - 1]]
+    found = list(plain)
+    for merge, depth in enumerate(flat.height_blends[: count - 1], 1):
+        found[merge - 1] = shared[merge - 1]
+        if depth > 0.0:
+            made = heights.weight_texture(
+                mi, shared[:merge], flat.height_blends[:merge], levels[: merge + 1]
+            )
+            found[merge - 1] = mi.load_dict(made)
+    return found
+
+
+def _emission(
+    mi: Any, surface: Surface, center: NDArray[np.float64], by_uv: bool
+) -> dict[str, Any]:
+    maps = surface.maps
+    if surface.emits and maps is not None and maps.emission is not None:
+        picture = projection.texture(mi, maps, "emission", center, by_uv)
+        return product.texture(mi, picture, {"type": "rgb", "value": list(surface.emission)})
+    return product.constant(mi, surface.emission)
 
 
 def vertex_colors(surfaces: Sequence[Surface], flat: FlatMesh) -> list[NDArray[np.float32]]:
@@ -171,6 +223,8 @@ def _layer(
     if maps.metallic is not None:
         metallic = picture("metallic")
     bsdf: dict[str, Any] = {"type": "diffuse", "reflectance": color}
+    if surface.reflectance is not None:
+        bsdf = planetary.lobe(mi, color, surface.reflectance)
     if surface.specular > 0.0:
         bsdf = _blend(surface.specular, bsdf, ggx.lobe(mi, alpha))
     if maps.metallic is not None or surface.metallic > 0.0:

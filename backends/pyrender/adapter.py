@@ -23,8 +23,10 @@ from scenec.backends.pyrender.ambience import (
 )
 from scenec.backends.pyrender.camera import camera_view, pixel_rays
 from scenec.backends.pyrender.detail import add_levels
-from scenec.backends.pyrender.lighting import DARK, fit_shadow_maps, losses, smooth_sky
+from scenec.backends.pyrender.lamps import lamp_shadow_maps
+from scenec.backends.pyrender.lighting import CASCADES, DARK, fit_shadow_maps, losses, smooth_sky
 from scenec.backends.pyrender.tables import Tables, make_tables, place_maps
+from scenec.backends.pyrender.tiles import without_glow
 from scenec.backends.render_scene import Camera, RenderScene, Sun
 from scenec.schemas.errors import BackendError
 
@@ -192,13 +194,28 @@ class Pyrender:
             for layer, shadow in enumerate(shadows):
                 casters = geometry.select(scene, self._geometry, shadow.view, self._culling)
                 renderer.draw_shadow(layer, shadow, casters)
-            light = renderer.shade("samples", selection, surfaces, rays, side, sky, sun, shadows)
+            light = renderer.shade(
+                "samples", selection, surfaces, rays, side, view.origin, sky, sun, shadows
+            )
             if total is None:
                 total = light
             else:
                 total[..., :3] += light[..., :3]
             sky = DARK
+            surfaces = without_glow(tables.all_surfaces, surfaces)
         assert total is not None
+        reach = self._reach(camera)
+        for lamp in lighting.lamps:
+            maps = lamp_shadow_maps(lamp, view, reach, renderer.shadow_size)
+            for start in range(0, len(maps), CASCADES):
+                shadows = maps[start : start + CASCADES]
+                for layer, shadow in enumerate(shadows):
+                    casters = geometry.select(scene, self._geometry, shadow.view, self._culling)
+                    renderer.draw_shadow(layer, shadow, casters)
+                light = renderer.shade(
+                    "samples", selection, surfaces, rays, side, view.origin, DARK, lamp, shadows
+                )
+                total[..., :3] += light[..., :3]
         return total
 
     def _find_ground(self, renderer: Renderer, tables: Tables) -> Ground | None:

@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 
 from scenec.backends.posing import moving
 from scenec.backends.pyrender.geometry import Geometry, Selection, View
+from scenec.backends.pyrender.laws import even_albedo
 from scenec.backends.pyrender.tables import Tables
-from scenec.backends.render_scene import Lighting, RenderScene
+from scenec.backends.render_scene import DEFAULT_SURFACE, Lighting, RenderScene
 from scenec.backends.sky import combine, lookup
 
 #: Cells on a side of the height field.
@@ -156,18 +157,19 @@ def _albedo(
     selection: Selection,
     ids: NDArray[np.uint32],
 ) -> NDArray[np.float32]:
-    """Mixed base colors at a corner of each face that is seen, float32 [n, n, 3]."""
+    """Mixed albedos, but for maps, at a corner of each face that is seen, float32 [n, n, 3]."""
     found = ids.reshape(-1, 2)
     out = np.zeros((len(found), 3), np.float32)
     hit = np.flatnonzero(found[:, 0])
     drawn = selection.poses[found[hit, 0].astype(np.int64) - 1, 3, 0].astype(np.int64)
+    albedos = [even_albedo(surface) for surface in (*scene.surfaces, DEFAULT_SURFACE)]
     for index in np.unique(drawn):
         where = hit[drawn == index]
         mesh = scene.meshes[geometry.meshes[index].mesh]
         first = geometry.first_face[index]
         corner = tables.faces[first + found[where, 1], 0]
         layer, count = tables.meshes[2 * index + 1, :2].tolist()
-        base = [tables.surfaces[4 * s, :3] for s in tables.layers[layer : layer + count].tolist()]
+        base = [albedos[s] for s in tables.layers[layer : layer + count].tolist()]
         color = np.broadcast_to(base[0], (len(where), 3))
         for merge in range(count - 1):
             weight = mesh.weights[merge][corner][:, None]

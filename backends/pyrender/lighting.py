@@ -130,6 +130,14 @@ def losses(scene: RenderScene) -> tuple[str, ...]:
     suns = [sun for lighting in scene.lighting for sun in lighting.suns]
     domes = [dome for lighting in scene.lighting for dome in lighting.domes]
     surfaces = [scene.surfaces[i] for i in sorted({i for m in scene.meshes for i in m.layers})]
+    lamps = [lamp for lighting in scene.lighting for lamp in lighting.lamps]
+    if lamps:
+        lines.append(
+            "pyrender's lamps shine on what they reach, with sharp shadows; what surfaces throw on "
+            "of their light is left out"
+        )
+    if any(surface.emits for surface in surfaces):
+        lines.append("pyrender's surfaces that give off light light no others")
     if suns or domes:
         lines.append(
             "pyrender draws a preview: light from ground to ground and the sky that hills hide are "
@@ -139,6 +147,11 @@ def losses(scene: RenderScene) -> tuple[str, ...]:
         lines.append("pyrender's sky is smooth (second order); small things hide nothing of it")
     if any(s.specular or s.metallic or (s.maps and s.maps.metallic) for s in surfaces):
         lines.append("pyrender's gloss and metals mirror suns and a blurred sky, no surfaces")
+    if domes and any(s.reflectance is not None for s in surfaces):
+        lines.append(
+            "pyrender reflects the sky by the albedo towards the camera of Hapke's and Lommel and "
+            "Seeliger's laws: mean radiance is off by up to 5 % under a bright aureole"
+        )
     if any(sun.diameter_rad > _WIDE_SUN for sun in suns):
         lines.append("pyrender's shadows are sharp, however wide the sun")
     return tuple(lines)
@@ -152,11 +165,14 @@ class ShadowMap:
         view: How it is drawn; depth is 1 at the sun's side of what it covers, 0 at the other.
         texel_m: Size of its texels, meters.
         depth_m: Depth that it covers.
+        of_lamp: Whether it is seen from a lamp: sizes are those at a meter along its axis, and
+            depth is the inverse of the way along it.
     """
 
     view: View
     texel_m: float
     depth_m: float
+    of_lamp: bool = False
 
 
 def fit_shadow_maps(

@@ -22,6 +22,7 @@ from pyrender.shader_program import ShaderProgramCache
 from scenec.backends.pyrender import platforms, resources
 from scenec.backends.pyrender.ambience import Ambience, Ground
 from scenec.backends.pyrender.geometry import Geometry, Selection, View
+from scenec.backends.pyrender.laws import LAW_ROWS
 from scenec.backends.pyrender.lighting import (
     CASCADES,
     MIN_ALPHA,
@@ -30,14 +31,14 @@ from scenec.backends.pyrender.lighting import (
     gloss_albedo,
 )
 from scenec.backends.pyrender.tables import Tables
-from scenec.backends.render_scene import RenderScene, Sun
+from scenec.backends.render_scene import Lamp, RenderScene, Sun
 from scenec.schemas.errors import BackendError
 
 SHADERS = Path(__file__).parent / "shaders"
 #: Texture units, by the numbers that the programs name them with.
 UNITS = (
     "ids", "poses", "faces", "vertices", "normals", "weights", "meshes", "layers", "surfaces",
-    "gloss_albedo", "maps", "shadows", "ground_sky", "ground_light", "uvs",
+    "gloss_albedo", "maps", "shadows", "ground_sky", "ground_light", "uvs", "laws",
 )  # fmt: skip
 #: Share of a shadow map's texel that a surface may lie farther from the sun than itself.
 _BIAS = 0.25
@@ -149,8 +150,9 @@ class Renderer(pyrender.Renderer):
         """Draw a shadow map into its layer."""
         self._set_state()
         resources.bind_layer(self._shadows(), layer)
-        # What lies between the sun and the map's box is drawn onto its near side.
-        GL.glEnable(GL.GL_DEPTH_CLAMP)
+        if not shadow.of_lamp:
+            # What lies between the sun and the map's box is drawn onto its near side.
+            GL.glEnable(GL.GL_DEPTH_CLAMP)
         self._draw("depth.frag", shadow.view, selection)
 
     def _draw(self, fragment_shader: str, view: View, selection: Selection) -> None:
@@ -189,6 +191,9 @@ class Renderer(pyrender.Renderer):
         self._pictures["gloss_albedo"] = resources.lookup_texture(gloss_albedo())
         self._pictures["maps"] = resources.map_texture(tables.maps)
         self._defines = {"CASCADES": CASCADES} | dict.fromkeys(tables.features, 1)
+        if "WITH_REFLECTANCE" in tables.features:
+            self._pictures["laws"] = resources.lookup_texture(tables.laws)
+            self._defines["LAW_ROWS"] = LAW_ROWS
 
     def set_ground(self, ground: Ground, ambience: Ambience, origin: NDArray[np.float64]) -> None:
         """Bring what ``shade`` is to know of the ground, seen from an origin."""
@@ -207,8 +212,9 @@ class Renderer(pyrender.Renderer):
         surfaces: NDArray[np.float32],
         rays: NDArray[np.float64],
         samples: int,
+        origin: NDArray[np.float64],
         sky: SmoothSky,
-        sun: Sun,
+        sun: Sun | Lamp,
         shadows: Sequence[ShadowMap],
     ) -> NDArray[np.float32]:
         """The light of what ``draw_ids`` drew, the mean over samples x samples of each pixel.
@@ -219,8 +225,9 @@ class Renderer(pyrender.Renderer):
             surfaces: ``tables.place_maps`` for this camera.
             rays: From (u, v, 1) in pixels to directions.
             samples: On a side of a pixel.
+            origin: The camera's position.
             sky: The sky; a dark one leaves out the ground's light too.
-            sun: The sun.
+            sun: The sun, or a lamp, that only shines where its shadow maps reach.
             shadows: What ``draw_shadow`` drew for it, by layer.
 
         Returns:
@@ -232,7 +239,8 @@ class Renderer(pyrender.Renderer):
         )
         # Made before the target is bound: making it binds it.
         shadow_maps = self._shadows().depth
-        program = self._program("full.vert", "shade.frag", self._defines)
+        defines = self._defines | ({"WITH_LAMPS": 1} if isinstance(sun, Lamp) else {})
+        program = self._program("full.vert", "shade.frag", defines)
         self._set_state()
         target.bind()
         self._tables["poses"].fill(selection.poses.reshape(-1, 4), GL.GL_STREAM_DRAW)
@@ -243,6 +251,8 @@ class Renderer(pyrender.Renderer):
         _bind("gloss_albedo", GL.GL_TEXTURE_2D, self._pictures["gloss_albedo"])
         _bind("maps", GL.GL_TEXTURE_2D_ARRAY, self._pictures["maps"])
         _bind("shadows", GL.GL_TEXTURE_2D_ARRAY, shadow_maps)
+        if "laws" in self._pictures:
+            _bind("laws", GL.GL_TEXTURE_2D, self._pictures["laws"])
         if "ground_sky" in self._pictures:
             _bind("ground_sky", GL.GL_TEXTURE_2D, self._pictures["ground_sky"])
             _bind("ground_light", GL.GL_TEXTURE_2D, self._pictures["ground_light"])
@@ -253,10 +263,13 @@ class Renderer(pyrender.Renderer):
         for name, values in (("sky", sky.irradiance), ("sky_mirrored", sky.mirrored)):
             for index, coefficient in enumerate(values):
                 program.set_uniform(f"{name}[{index}]", coefficient)
-        program.set_uniform("to_sun", np.asarray(sun.to_light, np.float64))
-        program.set_uniform("sun", np.asarray(sun.irradiance, np.float64))
-        # Half vectors turn by half of what directions to the disc do, half of its width each way.
-        program.set_uniform("sun_alpha", max(MIN_ALPHA, 0.25 * float(sun.diameter_rad)))
+        if isinstance(sun, Lamp):
+            _set_lamp(program, sun, origin)
+        else:
+            program.set_uniform("to_sun", np.asarray(sun.to_light, np.float64))
+            program.set_uniform("sun", np.asarray(sun.irradiance, np.float64))
+            # Half vectors turn by half of what directions to the disc do, half its width each way.
+            program.set_uniform("sun_alpha", max(MIN_ALPHA, 0.25 * float(sun.diameter_rad)))
         program.set_uniform("cascades", len(shadows))
         for index, shadow in enumerate(shadows):
             program.set_uniform(f"shadow_clip[{index}]", shadow.view.clip)
@@ -305,6 +318,18 @@ class Renderer(pyrender.Renderer):
         GL.glDepthRange(0.0, 1.0)
         GL.glPolygonMode(GL.GL_FRONT_AND_BACK, GL.GL_FILL)
         GL.glColorMask(GL.GL_TRUE, GL.GL_TRUE, GL.GL_TRUE, GL.GL_TRUE)
+
+
+def _set_lamp(program: Any, lamp: Lamp, origin: NDArray[np.float64]) -> None:
+    inner = lamp.cone * (1.0 - lamp.softness)
+    # No angle is beyond 4: a lamp that shines everywhere has no border.
+    outer = lamp.cone if lamp.cone < np.pi else 4.0
+    ramp = max(lamp.cone * lamp.softness, 1e-6)
+    program.set_uniform("lamp_position", np.asarray(lamp.position - origin, np.float64))
+    program.set_uniform("lamp_axis", np.asarray(lamp.axis, np.float64))
+    program.set_uniform("lamp", np.asarray(lamp.intensity, np.float64))
+    program.set_uniform("lamp_cone", np.array([inner, outer, 1.0 / ramp, lamp.radius_m]))
+    program.set_uniform("least_alpha", MIN_ALPHA)
 
 
 def _bind(unit: str, kind: int, texture: int) -> None:

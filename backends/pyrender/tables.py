@@ -10,6 +10,13 @@ from numpy.typing import NDArray
 
 from scenec.backends.maps import map_file, map_values
 from scenec.backends.pyrender.geometry import DrawnMesh, Geometry
+from scenec.backends.pyrender.laws import law_features, law_table, laws_of
+from scenec.backends.pyrender.tiles import (
+    add_blocks,
+    place_blocks,
+    third_picture,
+    tile_features,
+)
 from scenec.backends.render_scene import DEFAULT_SURFACE, Maps, Mesh, RenderScene, Surface
 from scenec.schemas.maps import MAP_CHANNELS
 
@@ -29,18 +36,23 @@ class Tables:
         faces: Vertex indices of the drawn meshes, one mesh after the other, uint32 [f, 3].
         vertices: x, y, z and variation, float32 [v, 4].
         normals: float32 [v, 3]; zero where a mesh has none.
-        weights: float32 [w].
+        weights: Of the vertices, mesh by mesh and merge by merge; with "WITH_HEIGHTS" then depths
+            of the mesh's merges, float32 [w].
         meshes: Per drawn mesh (first vertex, first face, first weight, flags), then (first layer,
             number of layers, number of vertices, first face in ``uvs`` or 0), uint32 [2 m, 4].
         layers: Indices of surfaces, uint32 [l].
         surfaces: Per surface (base color, specular), (roughness, variation, metallic,
             roughness_variation), (first layer of its maps or -1, projection, 1 / size of the maps,
-            0), (what to add to positions / size, 0), float32 [4 s, 4].
+            its block or 0), (what to add to positions / size, number of its law in ``laws`` from 1,
+            or 0); then ``tiles.add_blocks``, float32 [4 s + ..., 4].
+        all_surfaces: Whose rows these are.
+        laws: ``laws.law_table``.
         sizes: Of the maps of each surface, meters, float64 [s]; 0 without maps that have one.
         uvs: Texture coordinates of faces' corners, two rows each, of the meshes that have them;
             first a face of those that have none, float32 [2 u, 3].
         maps: Two layers a surface that has any: base color and roughness, then normal and metallic;
-            row 0 at the bottom, float16 [2 k, h, w, 4].
+            a third one, emission and height, where there is a map of these; row 0 at the bottom,
+            float16 [k, h, w, 4].
         features: What the shading program has to know: "WITH_MAPS" and their projections,
             "WITH_GLOSS", and "WITH_MIXED" where layers of a mesh differ in more than color.
     """
@@ -52,6 +64,8 @@ class Tables:
     meshes: NDArray[np.uint32]
     layers: NDArray[np.uint32]
     surfaces: NDArray[np.float32]
+    all_surfaces: tuple[Surface, ...]
+    laws: NDArray[np.float32]
     sizes: NDArray[np.float64]
     uvs: NDArray[np.float32]
     maps: NDArray[np.float16]
@@ -65,6 +79,7 @@ def make_tables(scene: RenderScene, geometry: Geometry) -> Tables:
         StageError: A map cannot be read.
     """
     surfaces = (*scene.surfaces, DEFAULT_SURFACE)
+    features = _features(scene)
     meshes = np.zeros((2 * len(geometry.meshes), 4), np.uint32)
     vertices, normals, weights = [], [], []
     layers: list[int] = []
@@ -81,6 +96,9 @@ def make_tables(scene: RenderScene, geometry: Geometry) -> Tables:
             vertex[:, 3] = mesh.variation
         smooth = mesh.normals is not None
         own_weights = mesh.weights[: len(own_layers) - 1].ravel()
+        if "WITH_HEIGHTS" in features:
+            depths = mesh.height_blends or (0.0,) * (len(own_layers) - 1)
+            own_weights = np.concatenate([own_weights, np.array(depths, np.float32)])
         meshes[2 * index] = (
             first_vertex,
             geometry.first_face[index],
@@ -111,11 +129,13 @@ def make_tables(scene: RenderScene, geometry: Geometry) -> Tables:
         weights=np.concatenate([np.zeros(1, np.float32)[:0], *weights]).astype(np.float32),
         meshes=meshes,
         layers=np.array(layers, np.uint32),
-        surfaces=rows,
+        surfaces=add_blocks(surfaces, rows),
+        all_surfaces=surfaces,
+        laws=law_table(surfaces),
         sizes=sizes,
         uvs=np.concatenate(uvs),
         maps=maps,
-        features=_features(scene),
+        features=features,
     )
 
 
@@ -143,12 +163,13 @@ def place_maps(tables: Tables, origin: NDArray[np.float64]) -> NDArray[np.float3
     surfaces = tables.surfaces.copy()
     mapped = np.flatnonzero(tables.sizes)
     surfaces[4 * mapped + 3, :3] = np.mod(origin / tables.sizes[mapped, None], 1.0)
+    place_blocks(tables.all_surfaces, surfaces, origin)
     return surfaces
 
 
 def _features(scene: RenderScene) -> tuple[str, ...]:
     """What the surfaces in use have, so that programs do not compute what none has."""
-    features = set()
+    features = law_features(scene) | tile_features(scene)
     for mesh in scene.meshes:
         surfaces = [scene.surfaces[i] for i in mesh.layers]
         mapped = [s.maps for s in surfaces if s.maps and any(_files(s.maps))]
@@ -169,6 +190,7 @@ def _surface_rows(
     rows = np.zeros((len(surfaces), 4, 4), np.float32)
     sizes = np.zeros(len(surfaces))
     pictures: list[NDArray[np.float32]] = []
+    laws = laws_of(surfaces)
     for row, surface in zip(rows, surfaces, strict=True):
         row[0] = (*surface.base_color, surface.specular)
         row[1] = (
@@ -178,6 +200,7 @@ def _surface_rows(
             surface.roughness_variation,
         )
         row[2] = (-1.0, 0.0, 0.0, 0.0)
+        row[3, 3] = 0.0 if surface.reflectance is None else 1 + laws.index(surface.reflectance)
         if surface.maps is not None and any(_files(surface.maps)):
             projection = _PROJECTIONS[surface.maps.projection]
             row[2] = (len(pictures), projection, 1.0 / surface.maps.size_m, 0.0)
@@ -198,13 +221,15 @@ def _files(maps: Maps) -> tuple[object, ...]:
     return tuple(map_file(maps, kind) for kind in MAP_CHANNELS)
 
 
-def _pictures(surface: Surface, maps: Maps) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """The two layers of a surface; what has no map of its own is constant."""
+def _pictures(surface: Surface, maps: Maps) -> list[NDArray[np.float32]]:
+    """The layers of a surface; what has no map of its own is constant."""
     color = _load(maps, "base_color", [1.0, 1.0, 1.0])
     rough = _load(maps, "roughness", [surface.roughness])
     normal = _load(maps, "normal", [0.0, 0.0, 1.0])
     metal = _load(maps, "metallic", [surface.metallic])
-    return _joined(color, rough), _joined(normal, metal)
+    third = third_picture(surface, maps)
+    more = [] if third is None else [_joined(*third)]
+    return [_joined(color, rough), _joined(normal, metal), *more]
 
 
 def _load(maps: Maps, kind: str, constant: list[float]) -> NDArray[np.float32]:

@@ -1,4 +1,4 @@
-"""Suns and domes of a stage at each sample."""
+"""Suns, domes and lamps of a stage at each sample."""
 
 from __future__ import annotations
 
@@ -9,29 +9,45 @@ from numpy.typing import NDArray
 from pxr import Usd, UsdGeom, UsdLux
 
 from scenec.backends.reader.frame import StageFrame, columns
-from scenec.backends.render_scene import Dome, Lighting, Sun
+from scenec.backends.render_scene import Dome, Lamp, Lighting, Sun
 from scenec.schemas.errors import StageError
+
+#: Types of lights that are read. Of others, ``scenec check`` tells.
+KINDS = ("DistantLight", "DomeLight", "DomeLight_1", "SphereLight")
 
 
 def read_lighting(stage: Usd.Stage, frame: StageFrame, time: Usd.TimeCode) -> Lighting:
-    """Visible DistantLights and DomeLights. Other lights are not of this schema and are ignored.
+    """Visible lights of ``KINDS``. Other lights are not of this schema and are ignored.
 
     Raises:
-        StageError: A dome's picture does not exist.
+        StageError: A dome's picture does not exist, or a number is not finite.
     """
-    suns, domes = [], []
+    suns, domes, lamps = [], [], []
     for prim in Usd.PrimRange(stage.GetPseudoRoot(), Usd.TraverseInstanceProxies()):
         kind = prim.GetTypeName()
-        if kind not in ("DistantLight", "DomeLight", "DomeLight_1"):
+        if kind not in KINDS:
             continue
         if UsdGeom.Imageable(prim).ComputeVisibility(time) == UsdGeom.Tokens.invisible:
             continue
-        axes = frame.axes(columns(UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(time)))
+        matrix = columns(UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(time))
+        if kind == "SphereLight":
+            lamp = _lamp(UsdLux.SphereLight(prim), matrix, frame, time)
+            lamps += [] if lamp is None else [lamp]
+            continue
+        if _flat(matrix):
+            # Scaled to nothing: there is no direction that it shines in.
+            continue
+        axes = frame.axes(matrix)
         if kind == "DistantLight":
             suns.append(_sun(UsdLux.DistantLight(prim), axes, time))
         else:
             domes.append(_dome(prim, axes, time))
-    return Lighting(tuple(suns), tuple(domes))
+    return Lighting(tuple(suns), tuple(domes), tuple(lamps))
+
+
+def _flat(matrix: NDArray[np.float64]) -> bool:
+    """Whether an axis of a matrix [3, 4] has no direction."""
+    return not bool(((matrix[:, :3] ** 2).sum(axis=0) > 0.0).all())
 
 
 def _sun(light: UsdLux.DistantLight, axes: NDArray[np.float64], time: Usd.TimeCode) -> Sun:
@@ -41,6 +57,40 @@ def _sun(light: UsdLux.DistantLight, axes: NDArray[np.float64], time: Usd.TimeCo
         # Not normalized: intensity is the disc's radiance. A disc of no size then gives no light.
         strength = strength * (np.pi * np.sin(0.5 * diameter) ** 2)
     return Sun(to_light=axes[:, 2].copy(), irradiance=strength, diameter_rad=diameter)
+
+
+def _lamp(
+    light: UsdLux.SphereLight, matrix: NDArray[np.float64], frame: StageFrame, time: Usd.TimeCode
+) -> Lamp | None:
+    """A sphere of radiance L has pi r^2 L of radiant intensity; None where it gives no light.
+
+    A transform that stretches it leaves a sphere of the same volume.
+    """
+    path = light.GetPath()
+    cone, softness = np.pi, 0.0
+    if light.GetPrim().HasAPI(UsdLux.ShapingAPI):
+        shaping = UsdLux.ShapingAPI(light.GetPrim())
+        cone = np.radians(min(float(shaping.GetShapingConeAngleAttr().Get(time)), 180.0))
+        softness = float(np.clip(shaping.GetShapingConeSoftnessAttr().Get(time), 0.0, 1.0))
+    if not cone > 0.0 or (_flat(matrix) and cone < np.pi):
+        return None
+    stretch = float(np.cbrt(np.abs(np.linalg.det(matrix[:, :3]))))
+    radius = abs(float(light.GetRadiusAttr().Get(time))) * stretch * frame.meters_per_unit
+    intensity = np.maximum(_strength(UsdLux.LightAPI(light.GetPrim()), time), 0.0)
+    if light.GetNormalizeAttr().Get(time):
+        # Divided by the surface in stage units: the radius drops out.
+        intensity = intensity * (0.25 * frame.meters_per_unit**2)
+    else:
+        intensity = intensity * (np.pi * radius**2)
+    position = frame.point(matrix)
+    if not np.isfinite([*position, *intensity, radius, softness]).all():
+        raise StageError(f"{path}: a light whose place or size is not finite")
+    if not intensity.any():
+        return None
+    axis = np.array([0.0, 0.0, -1.0]) if _flat(matrix) else -frame.axes(matrix)[:, 2]
+    if light.GetTreatAsPointAttr().Get(time):
+        radius = 0.0
+    return Lamp(position, axis, intensity, radius, float(cone), softness)
 
 
 def _dome(prim: Usd.Prim, axes: NDArray[np.float64], time: Usd.TimeCode) -> Dome:
@@ -59,4 +109,10 @@ def _strength(light: UsdLux.LightAPI, time: Usd.TimeCode) -> NDArray[np.float64]
     if light.GetEnableColorTemperatureAttr().Get(time):
         kelvin = light.GetColorTemperatureAttr().Get(time)
         color = color * np.array(UsdLux.BlackbodyTemperatureAsRgb(kelvin), np.float64)
-    return color * (light.GetIntensityAttr().Get(time) * 2.0 ** light.GetExposureAttr().Get(time))
+    with np.errstate(over="ignore"):
+        # Of NumPy: Python's own power raises where it overflows.
+        gain = light.GetIntensityAttr().Get(time) * np.exp2(light.GetExposureAttr().Get(time))
+    strength: NDArray[np.float64] = color * gain
+    if not np.isfinite(strength).all():
+        raise StageError(f"{light.GetPath()}: a light whose strength is not finite")
+    return strength

@@ -10,6 +10,7 @@ from pxr import Usd, UsdGeom, UsdShade
 
 from scenec.backends.reader.coordinates import Coordinates
 from scenec.backends.reader.labels import LabelTable, face_labels, prim_labels
+from scenec.backends.reader.mapped import read_height_blends
 from scenec.backends.reader.surfaces import (
     SurfaceTable,
     bound_surface,
@@ -91,6 +92,7 @@ class MeshTable:
             layers=indices_of_layers,
             weights=weights,
             variation=read_variation(prim, len(points)),
+            height_blends=read_height_blends(prim, len(weights)) if layers is not None else (),
         )
         if layers is not None:
             return [replace(whole, uv=coordinates.of(surfaces))]

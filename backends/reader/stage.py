@@ -16,6 +16,7 @@ from scenec.backends.reader.instancers import Expanded, Expander
 from scenec.backends.reader.labels import LabelTable, prim_labels, read_table
 from scenec.backends.reader.lights import read_lighting
 from scenec.backends.reader.meshes import MeshTable
+from scenec.backends.reader.sky import read_haze, read_sky_label_maps
 from scenec.backends.render_scene import Lighting, Mesh, Motion, RenderScene, Rows, Surface
 from scenec.schemas import stage as names
 from scenec.schemas.errors import StageError
@@ -57,9 +58,11 @@ def read_stage(path: Path | str) -> RenderScene:
     rows = _rows(expander.expand(stage.GetPseudoRoot()).settled(), frame)
     cameras = read_cameras(stage, frame, times)
     lighting = tuple(read_lighting(stage, frame, time) for time in times)
+    label_maps = read_sky_label_maps(stage, table, times)
+    of_sky = [*_domes(lighting), *(each.file for maps in label_maps for each in maps.values())]
     return RenderScene(
         source=path,
-        digest=_digest(stage, path, [*_domes(lighting), *_maps(meshes.surfaces.surfaces())]),
+        digest=_digest(stage, path, [*of_sky, *_maps(meshes.surfaces.surfaces())]),
         samples=len(times),
         meshes=tuple(meshes.meshes),
         rows=rows,
@@ -76,6 +79,8 @@ def read_stage(path: Path | str) -> RenderScene:
         instance_paths=expander.bases,
         times=_times(stage, times),
         parts=expander.parts,
+        haze=read_haze(stage, frame, times),
+        sky_label_maps=label_maps,
     )
 
 

@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pxr import Usd, UsdGeom, UsdShade
 
+from scenec.backends.reader.mapped import read_cells, read_emission, read_far
+from scenec.backends.reader.reflectance import read_reflectance
 from scenec.backends.reader.textures import texture_maps
 from scenec.backends.render_scene import Maps, Surface
 from scenec.schemas import stage as names
@@ -127,6 +129,8 @@ def surface_of(
             _number(prim, names.ATTR_METALLIC),
             _maps(prim),
             _number(prim, names.ATTR_ROUGHNESS_VARIATION),
+            reflectance=read_reflectance(prim),
+            emission=read_emission(prim),
         )
     shader, _, _ = material.ComputeSurfaceSource()
     if not shader or shader.GetIdAttr().Get() != "UsdPreviewSurface":
@@ -145,7 +149,19 @@ def surface_of(
         0.0,
         0.0 if specular else min(max(_input(shader, "metallic", 0.0), 0.0), 1.0),
         maps,
+        emission=_emission(shader, maps),
     )
+
+
+def _emission(shader: UsdShade.Shader, maps: Maps | None) -> tuple[float, float, float]:
+    if maps is not None and maps.emission is not None:
+        return (1.0, 1.0, 1.0)
+    emissive = shader.GetInput("emissiveColor")
+    value = emissive.Get() if emissive and not emissive.HasConnectedSource() else None
+    if value is None or not all(0.0 <= float(v) < math.inf for v in value):
+        return (0.0, 0.0, 0.0)
+    red, green, blue = (float(v) for v in value)
+    return (red, green, blue)
 
 
 def _number(prim: Usd.Prim, name: str) -> float:
@@ -187,6 +203,10 @@ def _maps(prim: Usd.Prim) -> Maps | None:
         normal=files.get("normal"),
         flip_green=bool(convention and convention.Get() == "directx"),
         projection=projection,
+        emission=files.get("emission"),
+        height=files.get("height"),
+        cells=read_cells(prim, projection),
+        far=read_far(prim, projection),
     )
 
 

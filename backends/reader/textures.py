@@ -10,6 +10,7 @@ from pxr import Ar, Sdf, UsdShade
 
 from scenec.backends.render_scene import Maps, Reading
 from scenec.schemas.errors import StageError
+from scenec.schemas.maps import COLORS
 
 #: Inputs of UsdPreviewSurface by the kind of map they are.
 _INPUTS = {
@@ -17,6 +18,7 @@ _INPUTS = {
     "roughness": "roughness",
     "metallic": "metallic",
     "normal": "normal",
+    "emission": "emissiveColor",
 }
 _CHANNELS = {"r": "r", "g": "g", "b": "b", "rgb": "r"}
 _IDENTITY: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0)
@@ -75,6 +77,7 @@ def texture_maps(shader: UsdShade.Shader, specular: bool) -> Maps | None:
         roughness=files.get("roughness"),
         metallic=files.get("metallic"),
         normal=files.get("normal"),
+        emission=files.get("emission"),
         flip_green=flip_green,
         projection="uv",
         readings=tuple(readings),
@@ -87,7 +90,7 @@ def _reading(texture: UsdShade.Shader, kind: str, channel: str) -> Reading:
     space = _constant(texture, "sourceColorSpace")
     srgb = {"raw": False, "sRGB": True}.get(str(space))
     # Numbers are raw unless it is said that they are not; colors are where they are not floating.
-    if srgb == (False if kind != "base_color" else None):
+    if srgb == (False if kind not in COLORS else None):
         srgb = None
     return Reading(
         channel,

@@ -7,12 +7,13 @@ from pathlib import Path
 from pxr import Gf, Sdf, Usd, UsdGeom, Vt
 
 from scenec.compiler.emit.cameras import camera_path, clipping_range, write_cameras
-from scenec.compiler.emit.layer import author, constant_label_ids, label, label_names, new_layer
+from scenec.compiler.emit.layer import author, label_names, new_layer
 from scenec.compiler.emit.lights import write_lights
 from scenec.compiler.emit.looks import write_look
 from scenec.compiler.emit.maps import copy_maps
 from scenec.compiler.emit.materialx import mixed_materials, write_ground_mix, write_material
 from scenec.compiler.emit.objects import class_path, write_placed, write_scatter
+from scenec.compiler.emit.sky_prim import write_sky_prim
 from scenec.compiler.emit.terrain import write_terrain
 from scenec.compiler.scene import Placed, Scene
 from scenec.schemas import stage as names
@@ -44,9 +45,9 @@ def write_batch(folder: Path, scene: Scene) -> None:
         else:
             write_scatter(folder / sublayers[-1], objects, scene.materials, table)
     sublayers.extend(_write_looks(folder, scene))
-    if scene.sun is not None or scene.sky is not None:
+    if scene.sun is not None or scene.sky is not None or scene.more_suns or scene.lamps:
         sublayers.append("lights.usda")
-        write_lights(folder / sublayers[-1], scene.sun, scene.sky)
+        write_lights(folder / sublayers[-1], scene)
     sublayers.append("cameras.usda")
     write_cameras(folder / sublayers[-1], scene)
     _write_root(folder / STAGE, scene, sublayers)
@@ -96,10 +97,7 @@ def _write_root(path: Path, scene: Scene, sublayers: list[str]) -> None:
             world.CreateAttribute(names.ATTR_TIME, Sdf.ValueTypeNames.Double, custom=True),
             scene.times.tolist(),
         )
-        if scene.sky_labels:
-            sky = UsdGeom.Scope.Define(stage, names.SKY_PRIM).GetPrim()
-            constant_label_ids(sky, scene.sky_labels)
-            label(sky, label_names(scene.label_table, scene.sky_labels))
+        write_sky_prim(stage, path.parent, scene)
         _write_georeference(world, scene)
         _write_instance_bases(stage, scene)
         for rig in scene.rigs:

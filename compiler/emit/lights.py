@@ -1,4 +1,4 @@
-"""The layer of lights: the sun as DistantLight, the sky as DomeLight with its pictures."""
+"""The layer of lights: suns as DistantLights, lamps as SphereLights, the sky as DomeLight."""
 
 from __future__ import annotations
 
@@ -11,20 +11,28 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux
 from scenec.compiler.cameras.poses import cross
 from scenec.compiler.emit.layer import author, new_layer
 from scenec.compiler.emit.maps import TEXTURES
+from scenec.compiler.light.latlong import luminance
 from scenec.compiler.light.sky import sun_direction
-from scenec.compiler.scene import SkyLight, SunLight
+from scenec.compiler.scene import Lamp, Scene, SkyLight, SunLight
 from scenec.schemas import stage as names
 from scenec.schemas.exr import write_rgb
 
 LIGHTS = f"{names.ROOT}/Lights"
+#: Radius in meters of what stands for a point: renderers that know no points divide by its area.
+_POINT_M = 1e-3
 
 
-def write_lights(path: Path, sun: SunLight | None, sky: SkyLight | None) -> None:
+def write_lights(path: Path, scene: Scene) -> None:
     """Writes ``lights.usda`` and the sky's pictures beside it, in ``textures/``."""
+    sky = scene.sky
     with new_layer(path) as stage:
         UsdGeom.Scope.Define(stage, LIGHTS)
-        if sun is not None:
-            _write_sun(stage, sun)
+        if scene.sun is not None:
+            _write_sun(stage, "Sun", scene.sun)
+        for name, sun in scene.more_suns.items():
+            _write_sun(stage, name, sun)
+        for lamp in scene.lamps:
+            _write_lamp(stage, lamp)
         if sky is not None:
             _write_sky(stage, sky)
     for name, picture in sky.pictures.items() if sky is not None else ():
@@ -36,8 +44,8 @@ def write_lights(path: Path, sun: SunLight | None, sky: SkyLight | None) -> None
             write_rgb(file, picture)
 
 
-def _write_sun(stage: Usd.Stage, sun: SunLight) -> None:
-    light = UsdLux.DistantLight.Define(stage, f"{LIGHTS}/Sun")
+def _write_sun(stage: Usd.Stage, name: str, sun: SunLight) -> None:
+    light = UsdLux.DistantLight.Define(stage, f"{LIGHTS}/{name}")
     samples = range(len(sun.irradiance))
     matrices = [_pointing_from(np.array(sun_direction(sun, i))) for i in samples]
     author(light.AddTransformOp().GetAttr(), matrices)
@@ -60,6 +68,32 @@ def _pointing_from(to_light: np.ndarray) -> Gf.Matrix4d:
     y = cross(z, x)
     # Gf matrices act on row vectors: the axes are rows.
     return Gf.Matrix4d(*x, 0.0, *y, 0.0, *z, 0.0, 0.0, 0.0, 0.0, 1.0)
+
+
+def _write_lamp(stage: Usd.Stage, lamp: Lamp) -> None:
+    """A sphere whose emission depends on the direction alone, by UsdLux's shaping.
+
+    Normalized, a sphere of radius r has the radiance intensity / (4 pi r^2), and seen from afar
+    pi r^2 of it: the stage's intensity is four times that in W/sr, whatever the radius.
+    """
+    light = UsdLux.SphereLight.Define(stage, f"{LIGHTS}/{lamp.name}")
+    # Gf's matrices act on row vectors.
+    matrices = [Gf.Matrix4d(*m.T.ravel().tolist()) for m in lamp.to_world]
+    author(light.AddTransformOp().GetAttr(), matrices)
+    light.CreateNormalizeAttr(True)
+    light.CreateExposureAttr(0.0)
+    light.CreateEnableColorTemperatureAttr(False)
+    # The luminance of the color is 1 again, so that intensities can be compared.
+    level = np.array([float(luminance(rgb)) for rgb in lamp.intensity])
+    color = lamp.intensity / np.where(level > 0.0, level, 1.0)[:, None]
+    author(light.CreateIntensityAttr(), (4.0 * level).tolist())
+    author(light.CreateColorAttr(), [Gf.Vec3f(*rgb) for rgb in color.tolist()])
+    points = (lamp.radius_m == 0.0).tolist()
+    author(light.CreateRadiusAttr(), [r or _POINT_M for r in lamp.radius_m.tolist()])
+    author(light.CreateTreatAsPointAttr(), points)
+    shaping = UsdLux.ShapingAPI.Apply(light.GetPrim())
+    author(shaping.CreateShapingConeAngleAttr(), lamp.cone_deg.tolist())
+    author(shaping.CreateShapingConeSoftnessAttr(), lamp.softness.tolist())
 
 
 def _write_sky(stage: Usd.Stage, sky: SkyLight) -> None:

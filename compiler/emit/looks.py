@@ -8,11 +8,9 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade
 
 from scenec.compiler.emit.layer import new_layer
 from scenec.compiler.emit.preview import is_encoded, write_preview
-from scenec.compiler.scene import Material, MaterialMaps
+from scenec.compiler.scene import Material, MaterialMaps, Reflectance
 from scenec.schemas import stage as names
-
-#: Color space names of UsdColorSpace for what is not sRGB.
-_RAW = {"base_color": "lin_rec709_scene", "roughness": "raw", "metallic": "raw", "normal": "raw"}
+from scenec.schemas.maps import COLORS
 
 LOOKS = f"{names.ROOT}/Looks"
 
@@ -52,9 +50,32 @@ def write_look(path: Path, name: str, material: Material, maps: dict[str, str]) 
             prim.CreateAttribute(
                 names.ATTR_ROUGHNESS_VARIATION, Sdf.ValueTypeNames.Float, custom=True
             ).Set(material.roughness_variation)
+        if max(material.emission) > 0.0:
+            prim.CreateAttribute(names.ATTR_EMISSION, Sdf.ValueTypeNames.Color3f, custom=True).Set(
+                Gf.Vec3f(*material.emission)
+            )
+        if material.reflectance is not None:
+            _write_reflectance(prim, material.reflectance)
         if material.maps is not None:
             _write_maps(prim, material.maps, maps)
         write_preview(look, material, {kind: f"../{file}" for kind, file in maps.items()})
+
+
+def _write_reflectance(prim: Usd.Prim, law: Reflectance) -> None:
+    """Viewers show Lambert's law: neither preview surfaces nor MaterialX have these."""
+    prim.CreateAttribute(names.ATTR_REFLECTANCE, Sdf.ValueTypeNames.Token, custom=True).Set(
+        law.model
+    )
+    numbers = [
+        (names.ATTR_PHASE_B, law.b),
+        (names.ATTR_PHASE_C, law.c),
+        (names.ATTR_OPPOSITION, law.opposition),
+        (names.ATTR_OPPOSITION_WIDTH, law.opposition_width),
+    ]
+    if law.model == "hapke":
+        numbers.append((names.ATTR_MEAN_SLOPE, law.roughness_deg))
+    for attribute, value in numbers:
+        prim.CreateAttribute(attribute, Sdf.ValueTypeNames.Float, custom=True).Set(value)
 
 
 def _write_maps(prim: Usd.Prim, maps: MaterialMaps, files: dict[str, str]) -> None:
@@ -63,7 +84,7 @@ def _write_maps(prim: Usd.Prim, maps: MaterialMaps, files: dict[str, str]) -> No
             names.ATTR_MAPS[kind], Sdf.ValueTypeNames.Asset, custom=True
         )
         attribute.Set(Sdf.AssetPath(f"../{file}"))
-        attribute.SetColorSpace("srgb_rec709_scene" if is_encoded(kind, file) else _RAW[kind])
+        attribute.SetColorSpace(_color_space(kind, file))
     if maps.projection != names.MAP_PROJECTIONS[0]:
         prim.CreateAttribute(names.ATTR_MAP_PROJECTION, Sdf.ValueTypeNames.Token, custom=True).Set(
             maps.projection
@@ -72,7 +93,24 @@ def _write_maps(prim: Usd.Prim, maps: MaterialMaps, files: dict[str, str]) -> No
         prim.CreateAttribute(names.ATTR_MAP_SIZE, Sdf.ValueTypeNames.Double, custom=True).Set(
             maps.size_m
         )
+    if maps.cells is not None:
+        for name, kind, value in (
+            (names.ATTR_MAP_CELL_SIZE, Sdf.ValueTypeNames.Double, maps.cells.size_m),
+            (names.ATTR_MAP_CELL_SEED, Sdf.ValueTypeNames.UInt, maps.cells.seed),
+        ):
+            prim.CreateAttribute(name, kind, custom=True).Set(value)
+    if maps.far is not None and maps.far.share > 0.0 and "base_color" in files:
+        prim.CreateAttribute(names.ATTR_MAP_FAR, Sdf.ValueTypeNames.Float2, custom=True).Set(
+            Gf.Vec2f(maps.far.factor, maps.far.share)
+        )
     if "normal" in files:
         prim.CreateAttribute(
             names.ATTR_NORMAL_CONVENTION, Sdf.ValueTypeNames.Token, custom=True
         ).Set(maps.normal_convention)
+
+
+def _color_space(kind: str, file: str) -> str:
+    """Name of UsdColorSpace for a map's values."""
+    if kind not in COLORS:
+        return "raw"
+    return "srgb_rec709_scene" if is_encoded(kind, file) else "lin_rec709_scene"

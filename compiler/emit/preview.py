@@ -7,13 +7,15 @@ from pxr import Gf, Sdf, Usd, UsdShade
 from scenec.compiler.emit.maps import average_color
 from scenec.compiler.scene import Material
 from scenec.schemas import stage as names
+from scenec.schemas.maps import COLORS
 
 _TYPES = Sdf.ValueTypeNames
+_PLAIN = (1.0, 1.0, 1.0)
 
 
 def is_encoded(kind: str, file: str) -> bool:
     """Whether a map's values are colors in sRGB's transfer function."""
-    return kind == "base_color" and not file.endswith(".exr")
+    return kind in COLORS and not file.endswith(".exr")
 
 
 def write_preview(look: UsdShade.Material, material: Material, files: dict[str, str]) -> None:
@@ -22,7 +24,7 @@ def write_preview(look: UsdShade.Material, material: Material, files: dict[str, 
     It shows displayColor, where the merges of the ground are already blended, with the GGX lobe as
     its specular color (of a metal: its metallic part), and the material's number of roughness. A
     material whose maps lie by texture coordinates shows those, without variation: viewers can read
-    them. Maps in the world are left out.
+    them. Maps in the world are left out, and of what glows in pictures there the number is shown.
 
     Args:
         look: The Material.
@@ -53,6 +55,12 @@ def write_preview(look: UsdShade.Material, material: Material, files: dict[str, 
         roughness.Set(material.roughness)
     if "normal" in pictures.files:
         surface.CreateInput("normal", _TYPES.Normal3f).ConnectToSource(pictures.output("normal"))
+    if max(material.emission) > 0.0:
+        glow = surface.CreateInput("emissiveColor", _TYPES.Color3f)
+        if "emission" in pictures.files:
+            glow.ConnectToSource(pictures.output("emission"))
+        else:
+            glow.Set(Gf.Vec3f(*material.emission))
     look.CreateSurfaceOutput().ConnectToSource(surface.CreateOutput("surface", _TYPES.Token))
 
 
@@ -86,10 +94,10 @@ class _Pictures:
         texture.CreateInput("sourceColorSpace", _TYPES.Token).Set(
             "sRGB" if is_encoded(kind, file) else "raw"
         )
-        if kind == "base_color" and self._material.base_color != (1.0, 1.0, 1.0):
-            texture.CreateInput("scale", _TYPES.Float4).Set(
-                Gf.Vec4f(*self._material.base_color, 1.0)
-            )
+        factors = {"base_color": self._material.base_color, "emission": self._material.emission}
+        factor = factors.get(kind, _PLAIN)
+        if factor != _PLAIN:
+            texture.CreateInput("scale", _TYPES.Float4).Set(Gf.Vec4f(*factor, 1.0))
         if kind == "normal":
             assert self._material.maps is not None
             up = -1.0 if self._material.maps.normal_convention == "directx" else 1.0

@@ -64,6 +64,11 @@ def _write_appearance(
 ) -> None:
     targets = [Sdf.Path(look_path(layer.material)) for layer in ground.layers]
     prim.CreateRelationship(names.REL_LAYERS, custom=True).SetTargets(targets)
+    blends = [layer.height_blend for layer in ground.layers[1:]]
+    if any(blends):
+        prim.CreateAttribute(
+            names.ATTR_HEIGHT_BLENDS, Sdf.ValueTypeNames.FloatArray, custom=True
+        ).Set(Vt.FloatArray(blends))
     primvars = UsdGeom.PrimvarsAPI(prim)
     for merge, weight in enumerate(tile.weights, start=1):
         write_vertex_floats(primvars, names.weight_primvar(merge), weight)

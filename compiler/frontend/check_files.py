@@ -14,7 +14,7 @@ from scenec.compiler.assets.affine import TO_Z_UP
 from scenec.compiler.frontend.faults import Finding, nearest, shown
 from scenec.compiler.frontend.json_positions import Path
 from scenec.compiler.frontend.pose_table import read_poses
-from scenec.compiler.frontend.resources import ResourceError, find_file
+from scenec.compiler.frontend.resources import ResourceError, find_file, find_folder
 from scenec.compiler.frontend.schema import Field
 from scenec.compiler.frontend.track import read_track
 from scenec.schemas.errors import SceneError
@@ -28,7 +28,7 @@ class InputFile:
     """A file that the cfg names.
 
     Attributes:
-        path: Where it is on this machine; never written to any output.
+        path: Where it is on this machine, a file or a folder; never written to any output.
         sha256: Of its bytes, in hexadecimal; with those of the files that belong to a model.
     """
 
@@ -49,6 +49,8 @@ def check_file(
     Returns:
         The file, or None where there is a finding.
     """
+    if field.keywords["x-file"] == "texture_set":
+        return _check_texture_set(field, document, folder)
     try:
         path = find_file(field.value, folder)
         with path.open("rb") as stream:
@@ -67,6 +69,46 @@ def check_file(
             digest = _with_companions(path, digest)
     except SceneError as error:
         findings = [Finding(field.path, str(error))]
+    return (None if findings else InputFile(path, digest)), findings
+
+
+def _check_texture_set(
+    field: Field, document: Any, folder: FilePath
+) -> tuple[InputFile | None, list[Finding]]:
+    """A folder of pictures: its digest is of the names and bytes of those that are taken."""
+    from scenec.compiler.assets.texture_set import TextureSetError, read_texture_set
+
+    owner = document
+    for key in field.path[:-1]:
+        owner = owner[key]
+    findings: list[Finding] = []
+    digests = []
+    try:
+        path = find_folder(field.value, folder)
+        files = read_texture_set(path, frozenset(owner)).files
+        for key, given, why in (
+            ("base_color", document["materials"][field.path[1]], "no base_color is given"),
+            ("displacement", owner, "displacement_m is given"),
+        ):
+            needed = key == "base_color" or owner.get("displacement_m", 0) != 0
+            if needed and key not in (*files, *owner, *given):
+                findings.append(
+                    Finding(
+                        field.path,
+                        f"{shown(field.value)}: no picture of {key}, and {why}: found "
+                        f"{', '.join(files.values())}",
+                    )
+                )
+        for kind, name in files.items():
+            with (path / name).open("rb") as stream:
+                digests.append(f"{kind} {hashlib.file_digest(stream, 'sha256').hexdigest()}")
+            findings.extend(_check_map(path / name, field.path, owner, document))
+    except ResourceError as error:
+        return None, [Finding(field.path, str(error))]
+    except (TextureSetError, OSError) as error:
+        reason = error.strerror if isinstance(error, OSError) else None
+        return None, [Finding(field.path, f"{shown(field.value)}: {reason or error}")]
+    digest = hashlib.sha256("\n".join(digests).encode("ascii")).hexdigest()
     return (None if findings else InputFile(path, digest)), findings
 
 
@@ -219,10 +261,21 @@ def _check_density(file: FilePath, path: Path, owner: Any, document: Any) -> lis
     return []
 
 
+def _check_label_map(file: FilePath, path: Path, owner: Any, document: Any) -> list[Finding]:
+    from scenec.compiler.light.label_maps import code_of, decode
+
+    values = owner.get("values")
+    if not isinstance(values, dict) or not values or None in map(code_of, values):
+        return []
+    decode(file, dict.fromkeys(values, 0))
+    return []
+
+
 _CHECKS: dict[str, Callable[[FilePath, Path, Any, Any], list[Finding]]] = {
     "dem": _check_dem,
     "density": _check_density,
     "image": _check_image,
+    "label_map": _check_label_map,
     "map": _check_map,
     "mesh": _check_mesh,
     "model": _check_model,

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from scenec.compiler.frontend.check_sky import sky_map_labels
 from scenec.compiler.frontend.faults import Finding, closest, nearest, shown
 from scenec.compiler.frontend.json_positions import Path
 
@@ -203,6 +204,7 @@ def _check_unused(
             )
     choices = [_mapping(thing.get("labels")) for _, thing in users]
     choices.append(_mapping(_sky(cfg).get("labels")))
+    choices.extend({level: name} for _, level, name in sky_map_labels(cfg))
     for level, names in _mapping(cfg.get("labels")).items():
         given = _meant([choice.get(level) for choice in choices], _mapping(names))
         for name in _mapping(names):

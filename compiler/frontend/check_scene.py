@@ -9,12 +9,14 @@ import math
 from collections.abc import Iterator
 from typing import Any
 
+from scenec.compiler.frontend.check_light import check_light
 from scenec.compiler.frontend.check_numbers import support
 from scenec.compiler.frontend.check_objects import check_objects
+from scenec.compiler.frontend.check_sky import check_sky
+from scenec.compiler.frontend.check_surfaces import check_surfaces
 from scenec.compiler.frontend.faults import Finding, shown
 from scenec.compiler.frontend.json_positions import Path
 from scenec.compiler.frontend.schema import Field, load_schemas
-from scenec.schemas.maps import MAP_CHANNELS
 
 #: Height samples of a terrain at most (2 GiB of float64).
 MAX_HEIGHT_SAMPLES = 2**28
@@ -37,13 +39,15 @@ def check_scene(document: Any, numbers: dict[Path, Field]) -> list[Finding]:
         *_check_conditions(document, spans),
         *_check_freshness(document),
         *_check_layers(document),
-        *_check_materials(document),
+        *check_surfaces(document, spans),
         *_check_rocks(document),
         *check_objects(document, spans),
+        *check_light(document, spans),
         *_check_samples(spans),
         *_check_sensors(document),
         *_check_positions(document, spans),
         *_check_colors(document, spans),
+        *check_sky(document, spans),
     ]
 
 
@@ -181,71 +185,6 @@ def _check_layers(document: Any) -> Iterator[Finding]:
                         "noise, too, or take it away",
                         at_key=True,
                     )
-
-
-def _check_materials(document: Any) -> Iterator[Finding]:
-    ground = {
-        layer.get("material")
-        for _, layer in _entries(document, "terrain", "ground")
-        if isinstance(layer, dict) and isinstance(layer.get("material"), str)
-    }
-    rocks = {
-        thing.get("material")
-        for _, thing in _entries(document, "objects")
-        if isinstance(thing, dict) and thing.get("type") == "rocks"
-        if isinstance(thing.get("material"), str)
-    }
-    displaced = set()
-    for name, material in _entries(document, "materials"):
-        if not isinstance(material, dict):
-            continue
-        maps = material.get("maps")
-        kinds = [kind for kind in MAP_CHANNELS if isinstance(maps, dict) and kind in maps]
-        if material.get("displacement"):
-            displaced.add(name)
-        if isinstance(maps, dict):
-            users = [
-                user for user, names in (("ground", ground), ("rocks", rocks)) if name in names
-            ]
-            yield from _check_maps(("materials", name, "maps"), maps, kinds, users)
-        if "base_color" not in material and "base_color" not in kinds:
-            yield Finding(("materials", name), "expected the key base_color, or one in maps")
-    for name, thing in _entries(document, "objects"):
-        used = thing.get("material") if isinstance(thing, dict) else None
-        if isinstance(used, str) and used in displaced:
-            yield Finding(
-                ("objects", name, "material"),
-                f"{shown(used)} has a displacement, for the ground only: expected one without",
-            )
-
-
-def _check_maps(
-    path: Path, maps: dict[str, Any], kinds: list[str], users: list[str]
-) -> Iterator[Finding]:
-    made = "procedural" in maps
-    if not kinds and not made:
-        yield Finding(path, f"expected one of {', '.join(MAP_CHANNELS)}, or more, or procedural")
-    by_uv = maps.get("projection") == "uv"
-    if by_uv and made:
-        yield Finding(
-            (*path, "procedural"),
-            "procedural pictures lie in the world: expected the projection triplanar or above",
-            at_key=True,
-        )
-    if by_uv and "size_m" in maps:
-        yield Finding(
-            (*path, "size_m"),
-            "with the projection uv the mesh says how large the pictures are: take it away",
-            at_key=True,
-        )
-    if not by_uv and not made and "size_m" not in maps:
-        yield Finding(path, "expected the key size_m")
-    if by_uv and users:
-        yield Finding(
-            (*path, "projection"),
-            f"{' and '.join(users)} of this material have no texture coordinates: expected "
-            '"triplanar" or "above"',
-        )
 
 
 def _check_rocks(document: Any) -> Iterator[Finding]:

@@ -8,6 +8,14 @@ from scenec.compiler.frontend import schema
 from scenec.compiler.frontend.check_numbers import read_number
 from scenec.compiler.frontend.schema import Field
 
+#: What the sun is above a planet's atmosphere, where the cfg is silent: mean irradiance (Kopp
+#: and Lean 2011, Geophys. Res. Lett. 38:L01706; on Mars over 1.524 au squared) and diameter.
+SUNS: dict[str, dict[str, Any]] = {
+    "earth": {"irradiance": 1361.0, "diameter_deg": 0.53, "color": None},
+    "mars": {"irradiance": 590.0, "diameter_deg": 0.35, "color": None},
+    "moon": {"irradiance": 1361.0, "diameter_deg": 0.53, "color": None},
+}
+
 
 def fill(document: Any) -> dict[str, Any]:
     """The cfg in full, as nested dicts and lists.
@@ -15,6 +23,8 @@ def fill(document: Any) -> dict[str, Any]:
     - Every key of the schemas is there, in their order; named things keep the file's order.
     - A key that was left out has its default, or None where it has none.
     - Every number is a float, an int (where whole numbers are taken) or a ``Distribution``.
+    - The sun is None where the sky's pictures give it; above an atmosphere, what was left out of it
+      is the planet's, and a color that was left out is None.
     - A sensor without outputs has the cfg's; a ground layer with a coverage has threshold None, one
       with conditions and without a noise has noise None.
 
@@ -26,6 +36,12 @@ def fill(document: Any) -> dict[str, Any]:
         for sensor in rig["sensors"].values():
             if sensor["outputs"] is None:
                 sensor["outputs"] = list(cfg["outputs"])
+    if (cfg["light"]["sky"] or {}).get("sun") == "extract":
+        cfg["light"]["sun"] = None
+    if (cfg["light"]["sky"] or {}).get("type") == "atmosphere":
+        usual = SUNS[cfg["light"]["sky"]["planet"]]
+        own = document["light"].get("sun", {})
+        cfg["light"]["sun"] |= {key: value for key, value in usual.items() if key not in own}
     given = document["terrain"]["ground"]
     for layer, own in zip(cfg["terrain"]["ground"][1:], given[1:], strict=True):
         if layer["coverage"] is not None:

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from scenec.compiler.frontend.numbers import Distribution, draw_number
 from scenec.compiler.frontend.streams import Streams
 
@@ -38,3 +41,8 @@ def resolve(node: Any, streams: Streams, path: str, sample: int | None = None) -
     if node.per == "sample" and sample is not None:
         return draw_number(node, streams, path, sample=sample)
     return node
+
+
+def per_sample(node: Any, streams: Streams, path: str, samples: int) -> NDArray[np.float64]:
+    """A number, or a list of numbers, at every sample: float64 [samples, ...]."""
+    return np.array([resolve(node, streams, path, sample=i) for i in range(samples)], np.float64)

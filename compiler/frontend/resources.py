@@ -43,6 +43,32 @@ def find_file(reference: str, folder: Path) -> Path:
         raise ResourceError(f"{shown(reference)}: {error.strerror or error}") from error
 
 
+def find_folder(reference: str, folder: Path) -> Path:
+    """The folder that a cfg's string stands for; see ``find_file``.
+
+    Raises:
+        ResourceError: There is no such folder, or no such package, or more than one match.
+    """
+    if "\0" in reference:
+        raise ResourceError(f"{shown(reference)}: a path cannot hold a zero character")
+    try:
+        if reference.startswith(PREFIX):
+            return _find_in_package(reference, folders=True)
+        path = folder / reference
+        if path.is_dir():
+            return path
+        if path.is_file():
+            raise ResourceError(f"{shown(reference)} is a file: expected a folder")
+        message = f"no folder {shown(reference)} (paths are relative to the cfg's folder)"
+        if path.parent.is_dir():
+            there = sorted(entry.name for entry in path.parent.iterdir() if entry.is_dir())
+            guess = closest(path.name, there)
+            message += f"; did you mean {shown(guess)}?" if guess else ""
+        raise ResourceError(message)
+    except OSError as error:
+        raise ResourceError(f"{shown(reference)}: {error.strerror or error}") from error
+
+
 def _find_beside(reference: str, folder: Path) -> Path:
     path = folder / reference
     if path.is_file():
@@ -56,23 +82,25 @@ def _find_beside(reference: str, folder: Path) -> Path:
     raise ResourceError(message)
 
 
-def _find_in_package(reference: str) -> Path:
+def _find_in_package(reference: str, folders: bool = False) -> Path:
     name, _, pattern = reference.removeprefix(PREFIX).partition("/")
     if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", name) or not pattern.strip("/"):
         raise ResourceError(f'{shown(reference)}: expected "{PREFIX}NAME/path/in/the/package"')
-    parts = pattern.split("/")
+    parts = pattern.rstrip("/").split("/") if folders else pattern.split("/")
+    what = "folder" if folders else "file"
     if ".." in parts or "" in parts or "." in parts:
         raise ResourceError(f"{shown(reference)}: expected a plain path below the package")
     matches: list[Path] = []
     for root in _package_folders(name):
-        matches.extend(path for path in sorted(root.glob(pattern)) if path.is_file())
+        found = sorted(root.glob("/".join(parts)))
+        matches.extend(path for path in found if (path.is_dir() if folders else path.is_file()))
     if len(matches) == 1:
         return matches[0]
     if not matches:
-        raise ResourceError(f"no file {shown(pattern)} in the installed package {shown(name)}")
+        raise ResourceError(f"no {what} {shown(pattern)} in the installed package {shown(name)}")
     listed = ", ".join(match.name for match in matches[:4]) + (" …" if len(matches) > 4 else "")
     raise ResourceError(
-        f"{shown(reference)} matches {len(matches)} files, expected exactly one: {listed}"
+        f"{shown(reference)} matches {len(matches)} {what}s, expected exactly one: {listed}"
     )
 
 

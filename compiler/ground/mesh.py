@@ -44,6 +44,10 @@ class Meshing:
     unseen: float
     finest_m: float | None = None
 
+    def finest(self, spacing_m: float) -> float:
+        """Shortest leg that may be halved, on a grid of a spacing, meters."""
+        return spacing_m / _FINEST if self.finest_m is None else self.finest_m
+
 
 @dataclass(frozen=True)
 class Appearance:
@@ -91,7 +95,7 @@ def adaptive_mesh(
             break
         limits = Limits(
             tolerance,
-            spacing / _FINEST if meshing.finest_m is None else meshing.finest_m,
+            meshing.finest(spacing),
             # Where not even the coarsest mesh is within the budget it is not made finer.
             max(meshing.max_triangles, len(faces)),
             meshing.unseen,

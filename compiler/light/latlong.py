@@ -22,10 +22,15 @@ LUMINANCE = (0.2126, 0.7152, 0.0722)
 
 def directions(height: int) -> NDArray[np.float64]:
     """Unit vectors of the texel centers of a 2h x h picture, float64 [h, 2h, 3]."""
-    polar = elementary.PI * (np.arange(height) + 0.5) / height
-    bearing = elementary.PI * (np.arange(2 * height) + 0.5) / height
+    return directions_of_rows(height, 2 * height, 0, height)
+
+
+def directions_of_rows(height: int, width: int, top: int, bottom: int) -> NDArray[np.float64]:
+    """Unit vectors of the texel centers of rows ``top`` to ``bottom`` - 1, float64 [rows, w, 3]."""
+    polar = elementary.PI * (np.arange(top, bottom) + 0.5) / height
+    bearing = elementary.PI * (np.arange(width) + 0.5) / (0.5 * width)
     up, level = elementary.cos_array(polar), elementary.sin_array(polar)
-    out = np.empty((height, 2 * height, 3))
+    out = np.empty((bottom - top, width, 3))
     out[..., 0] = level[:, None] * elementary.sin_array(bearing)[None, :]
     out[..., 1] = level[:, None] * elementary.cos_array(bearing)[None, :]
     out[..., 2] = up[:, None]

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.compiler.light.label_maps import LabelMapPlan
 from scenec.compiler.scene import Haze, SunLight
 
 
@@ -29,17 +30,86 @@ class ClearSkyPlan:
 
 
 @dataclass(frozen=True)
+class AtmospherePlan:
+    """A planet's sky to be baked, one a sample.
+
+    Attributes:
+        planet: "earth", "mars" or "moon".
+        scattering: "single" or "multiple".
+        resolution: Rows of the picture.
+        air_density, dust_density, ozone_density: Factors, [s].
+        altitude_m: Of the scene, [s].
+        ground_color: [s, 3].
+    """
+
+    planet: str
+    scattering: str
+    resolution: int
+    air_density: NDArray[np.float64]
+    dust_density: NDArray[np.float64]
+    ozone_density: NDArray[np.float64]
+    altitude_m: NDArray[np.float64]
+    ground_color: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
 class ImageSkyPlan:
     """A measured sky.
 
     Attributes:
         files: Picture of each sample.
         strength, rotation_deg: [s].
+        extract_sun: Whether the pictures' sun becomes a distant light.
+        label_maps: Per level that has any, the label map of each sample, or None.
     """
 
     files: tuple[Path, ...]
     strength: NDArray[np.float64]
     rotation_deg: NDArray[np.float64]
+    extract_sun: bool = False
+    label_maps: dict[str, tuple[LabelMapPlan | None, ...]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class RigMount:
+    """A lamp's place on a rig: the rig's name, and the lamp-to-rig matrix [4, 4], both OpenCV."""
+
+    rig: str
+    to_rig: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class WorldMount:
+    """A lamp's place in the world.
+
+    Attributes:
+        position: [s, 3]; z is the height over the ground or over 0.
+        on_ground: Which of the two.
+        bearing_deg, elevation_deg: Where it shines without a target, [s].
+        target: Where it shines to, as ``position``, or None.
+    """
+
+    position: NDArray[np.float64]
+    on_ground: bool
+    bearing_deg: NDArray[np.float64]
+    elevation_deg: NDArray[np.float64]
+    target: NDArray[np.float64] | None
+
+
+@dataclass(frozen=True)
+class LampPlan:
+    """A spot light; the rest as in ``Lamp``.
+
+    Attributes:
+        mount: Where it is.
+    """
+
+    name: str
+    mount: RigMount | WorldMount
+    intensity: NDArray[np.float64]
+    radius_m: NDArray[np.float64]
+    cone_deg: NDArray[np.float64]
+    softness: NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -47,13 +117,15 @@ class LightPlan:
     """All light of a batch.
 
     Attributes:
-        sun: The sun; None for none.
+        sun: The sun; None for none. Above an atmosphere its color is a factor on that of sunlight.
         sky: What surrounds the scene; None for black.
         more_suns: Further distant discs, by prim name.
         haze: Between cameras and the scene.
+        lamps: Spot lights.
     """
 
     sun: SunLight | None
-    sky: ClearSkyPlan | ImageSkyPlan | None
+    sky: ClearSkyPlan | AtmospherePlan | ImageSkyPlan | None
     more_suns: dict[str, SunLight] = field(default_factory=dict)
     haze: Haze | None = None
+    lamps: tuple[LampPlan, ...] = ()

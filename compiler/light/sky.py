@@ -11,50 +11,19 @@ from numpy.typing import NDArray
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.light.clear_sky import clear_sky
 from scenec.compiler.light.latlong import horizontal_irradiance, luminance, read_picture
-from scenec.compiler.light.plan import ClearSkyPlan, ImageSkyPlan
+from scenec.compiler.light.plan import ClearSkyPlan
 from scenec.compiler.scene import SkyLight, SunLight
 
 
 def build_sky(
-    plan: ClearSkyPlan | ImageSkyPlan, sun: SunLight | None, samples: int
+    plan: ClearSkyPlan, sun: SunLight | None, samples: int
 ) -> tuple[SkyLight, dict[str, Any]]:
     """Pictures, which of them each sample shows, and what was changed about them.
 
     A clear sky is baked with the sun at its true bearing, so its picture is never turned. Samples
     with the same picture share one file.
     """
-    if isinstance(plan, ImageSkyPlan):
-        return _image_sky(plan)
     return _clear_sky(plan, sun, samples), {}
-
-
-def _image_sky(plan: ImageSkyPlan) -> tuple[SkyLight, dict[str, Any]]:
-    """Measured skies, copied byte for byte unless they hold negative radiances.
-
-    Photographed panoramas do, by a little, where a color left the gamut; no renderer can sample
-    them, so they become 0 and the change is reported.
-    """
-    pictures: dict[str, NDArray[np.float32] | Path] = {}
-    names: dict[Path, str] = {}
-    clipped = {}
-    for file in dict.fromkeys(plan.files):
-        # Two folders may hold files of one name: later ones get a number.
-        name, number = file.name, 1
-        while name in pictures:
-            number += 1
-            name = f"{file.stem}_{number}{file.suffix}"
-        names[file] = name
-        picture = read_picture(file)
-        negative = picture < 0.0
-        pictures[name] = np.maximum(picture, np.float32(0.0)) if negative.any() else file
-        if negative.any():
-            clipped[name] = {
-                "negative_fraction": float(negative.mean()),
-                "lowest_radiance": float(picture.min()),
-            }
-    texture = tuple(names[file] for file in plan.files)
-    report = {"set_to_zero": clipped} if clipped else {}
-    return SkyLight(pictures, texture, plan.strength, plan.rotation_deg), report
 
 
 def _clear_sky(plan: ClearSkyPlan, sun: SunLight | None, samples: int) -> SkyLight:

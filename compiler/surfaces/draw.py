@@ -5,12 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 from scenec.compiler.frontend.load import Spec
-from scenec.compiler.frontend.of_keys import of_keys
 from scenec.compiler.frontend.resolve import resolve
 from scenec.compiler.frontend.streams import Streams
-from scenec.compiler.scene import Material, MaterialMaps
-from scenec.compiler.surfaces.kinds import SURFACES
-from scenec.schemas.maps import MAP_CHANNELS
+from scenec.compiler.scene import Material, Reflectance
+from scenec.compiler.surfaces.draw_maps import draw_maps
 
 
 def draw_materials(spec: Spec, streams: Streams) -> dict[str, Material]:
@@ -42,23 +40,10 @@ def _material(
 ) -> Material:
     # Left out, it is a factor of 1 on a map's colors.
     red, green, blue = node["base_color"] or (1.0, 1.0, 1.0)
+    emission = tuple(node["emission"] or (0.0, 0.0, 0.0))
     maps = None
     if node["maps"] is not None:
-        surface = None
-        if node["maps"]["procedural"] is not None:
-            at = f"{path}/maps/procedural"
-            surface = of_keys(spec, SURFACES, node["maps"]["procedural"], streams, at)
-        maps = MaterialMaps(
-            size_m=node["maps"]["size_m"] or (surface.SIZE_M if surface else 1.0),
-            files={
-                kind: spec.files[f"{path}/maps/{kind}"].path
-                for kind in MAP_CHANNELS
-                if node["maps"].get(kind) is not None
-            },
-            normal_convention=node["maps"]["normal_convention"],
-            projection=node["maps"]["projection"] or ("triplanar" if worn else "above"),
-            procedural=surface,
-        )
+        maps = draw_maps(spec, path, node["maps"], worn, max(emission) > 0.0, streams)
     return Material(
         (red, green, blue),
         node["roughness"],
@@ -67,4 +52,19 @@ def _material(
         node["metallic"],
         maps,
         node["roughness_variation"],
+        _reflectance(node["reflectance"]),
+        emission,
+    )
+
+
+def _reflectance(node: dict[str, Any] | None) -> Reflectance | None:
+    if node is None or node["type"] == "lambert":
+        return None
+    return Reflectance(
+        node["type"],
+        node["b"],
+        node["c"],
+        node["opposition"],
+        node["opposition_width"],
+        node.get("roughness_deg", 0.0),
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import replace
 from typing import Any
 
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 from scenec.compiler.arithmetic.srgb import linear_codes
 from scenec.compiler.assets.pictures import png
 from scenec.compiler.scene import Material, MaterialMaps, Picture
+from scenec.compiler.surfaces.heights import blend_heights, painted_look, relief_m
 from scenec.compiler.surfaces.periodic import Plane, moments
 from scenec.compiler.surfaces.tile import Tile
 
@@ -19,7 +21,9 @@ from scenec.compiler.surfaces.tile import Tile
 _DARKEST = 0.06
 
 
-def with_pictures(materials: dict[str, Material]) -> tuple[dict[str, Material], dict[str, Any]]:
+def with_pictures(
+    materials: dict[str, Material], heights: Collection[str] = ()
+) -> tuple[dict[str, Material], dict[str, Any]]:
     """Materials whose procedural surfaces have become pictures, and what there is to tell.
 
     A material's numbers stay the means: its ``base_color`` becomes a factor on the picture of
@@ -27,6 +31,7 @@ def with_pictures(materials: dict[str, Material]) -> tuple[dict[str, Material], 
 
     Args:
         materials: By name.
+        heights: Names of those that get a picture of their heights, too.
 
     Returns:
         The same materials, in the same order; facts by name.
@@ -34,17 +39,17 @@ def with_pictures(materials: dict[str, Material]) -> tuple[dict[str, Material], 
     made, facts = {}, {}
     for name, material in materials.items():
         if material.maps is not None and material.maps.procedural is not None:
-            made[name], facts[name] = _painted(material, material.maps)
+            made[name], facts[name] = _painted(material, material.maps, name in heights)
         else:
             made[name] = material
     return made, facts
 
 
-def _painted(material: Material, maps: MaterialMaps) -> tuple[Material, dict[str, Any]]:
+def _painted(material: Material, maps: MaterialMaps, high: bool) -> tuple[Material, dict[str, Any]]:
     surface = maps.procedural
     assert surface is not None
     tile = Tile(surface.key, maps.size_m, surface.resolution)
-    look = surface.paint(tile)
+    look = painted_look(surface, maps.size_m)
     height = np.asarray(look.height, np.float32)
     rougher = np.asarray(look.roughness, np.float32)
     pictures: dict[str, Picture] = {}
@@ -59,16 +64,20 @@ def _painted(material: Material, maps: MaterialMaps) -> tuple[Material, dict[str
         if rough is not None:
             pictures["roughness"] = Picture(".png", png(rough))
     deviation = moments(height)[1]
-    relief = deviation * surface.unit(tile) if surface.relief_m is None else surface.relief_m
+    relief = relief_m(surface, maps.size_m, deviation)
     slope = 0.0
-    if "normal" not in maps.files and relief > 0.0 and deviation > 0.0:
+    if "normal" not in maps.files and relief > 0.0:
         steepness = relief * tile.pixels / (deviation * tile.size_m)
         normals, slope = normal_codes(height, steepness)
         pictures["normal"] = Picture(".png", png(normals))
         maps = replace(maps, normal_convention="opengl")
+    share = blend_heights(maps) if high and "height" not in maps.files else None
+    if share is not None:
+        codes = np.floor(share * np.float32(255.0) + np.float32(0.5)).astype(np.uint8)
+        pictures["height"] = Picture(".png", png(codes[..., None]))
     # In the order of the kinds, whichever come from files.
     files = {**pictures, **maps.files}
-    left = replace(maps, files=files, procedural=None) if files else None
+    left = replace(maps, files=files, procedural=None) if files or maps.sources else None
     return replace(material, base_color=base_color, maps=left), {
         "kind": type(surface).__name__,
         "pixel_m": tile.size_m / tile.pixels,

@@ -19,6 +19,7 @@ class Surface(ABC):
         relief_m: Root mean square of the relief's heights; None: as it is in nature.
         contrast: How much colors differ: 0 not at all, 1 as in nature.
         resolution: Pixels a side.
+        displacement: Whether the relief becomes geometry on the ground.
     """
 
     key: int
@@ -26,6 +27,7 @@ class Surface(ABC):
     relief_m: float | None
     contrast: float
     resolution: int
+    displacement: bool
 
     #: Side of one repeat that suits the usual ``grain_m``, meters.
     SIZE_M: ClassVar[float]

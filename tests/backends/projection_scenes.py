@@ -54,6 +54,7 @@ class Hits:
         position, view: World point, and direction to the camera.
         geometric, shading: Unit normals, outward.
         uv, along_u, along_v: Texture coordinates, and directions of dP/du and dP/dv.
+        share: Barycentric coordinates.
     """
 
     face: NDArray[np.int64]
@@ -64,6 +65,7 @@ class Hits:
     uv: NDArray[np.float64]
     along_u: NDArray[np.float64]
     along_v: NDArray[np.float64]
+    share: NDArray[np.float64]
 
 
 def write_picture(folder: Path, kind: str, flip_green: bool = False) -> Path:
@@ -208,7 +210,7 @@ def meet(scene: RenderScene, within: tuple[float, float] = (0.5, 0.5)) -> Hits:
         uv = (share[..., None] * mesh.uv[at]).sum(-2)
     along = [t.astype(float)[at] @ matrix[:, :3].T for t in maps.face_tangents(mesh)]
     position = (share[..., None] * corners[at]).sum(-2)
-    return Hits(face, position, -d, geometric, shading, uv, *along)
+    return Hits(face, position, -d, geometric, shading, uv, *along, share)
 
 
 def expected(scene: RenderScene) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:

@@ -27,7 +27,7 @@ def mapped_cfg(folder: Path) -> dict:
     rng = np.random.default_rng(1)
     Image.fromarray(rng.integers(0, 255, (8, 8, 3)).astype(np.uint8)).save(folder / "c.PNG")
     Image.fromarray(rng.integers(0, 255, (4, 4)).astype(np.uint8)).save(folder / "r.jpg")
-    Image.fromarray(np.full((4, 4, 3), [128, 128, 255], np.uint8)).save(folder / "n.png")
+    Image.fromarray(np.full((4, 4, 3), [140, 120, 254], np.uint8)).save(folder / "n.png")
     cfg = small_cfg()
     cfg["materials"]["gravel"] = {
         "specular": 0.05,

@@ -22,6 +22,9 @@ layout(binding = 11) uniform sampler2DArrayShadow shadows;
 #ifdef WITH_UV
 layout(binding = 14) uniform samplerBuffer uvs;        // Two texels a face: its corners' coordinates.
 #endif
+#ifdef WITH_REFLECTANCE
+layout(binding = 15) uniform sampler2D laws;          // See laws.py.
+#endif
 #ifdef WITH_GROUND
 layout(binding = 12) uniform sampler2D ground_sky;    // Share of the sky, and of ground above.
 layout(binding = 13) uniform sampler2D ground_light;  // Radiance of the ground about.
@@ -32,9 +35,21 @@ uniform int samples;               // Per side of a pixel.
 uniform mat3 rays;                 // (u, v, 1) in pixels to a direction.
 uniform vec3 sky[9];               // Irradiance as spherical harmonics of the normal.
 uniform vec3 sky_mirrored[9];      // Radiance likewise, of the direction.
+#ifdef WITH_LAMPS
+// A lamp in place of the sun, as each hit sees it: set by find_lamp.
+vec3 to_sun;
+vec3 sun;
+float sun_alpha;
+uniform vec3 lamp_position;
+uniform vec3 lamp_axis;
+uniform vec3 lamp;                 // Intensity on the axis.
+uniform vec4 lamp_cone;            // Angles where it begins to fade and ends, 1 / ramp, radius.
+uniform float least_alpha;
+#else
 uniform vec3 to_sun;
 uniform vec3 sun;                  // Irradiance facing it.
 uniform float sun_alpha;           // Least alpha of a lobe that shows it: its disc's width.
+#endif
 uniform mat4 shadow_clip[CASCADES];
 uniform vec2 shadow_texel[CASCADES];  // Size in meters, and bias in depth.
 uniform int cascades;
@@ -175,7 +190,7 @@ Around around_of(Hit hit)
     vec4 share = texture(ground_sky, place);
     around.share = share.rgb;
     // What a normal map leans sees no more ground for it.
-    float up = dot(hit.normal, hit.view) < 0.0 ? -hit.normal.z : hit.normal.z;
+    float up = dot(hit.normal, hit.flat_normal) < 0.0 ? -hit.normal.z : hit.normal.z;
     around.taken = share.a + 0.5 - 0.5 * up;
     around.ground = ground_share * texture(ground_light, place).rgb;
 #endif
@@ -193,6 +208,20 @@ vec3 irradiance_of(vec3 n, Around around)
     return around.share * open + PI * around.taken * around.ground;
 }
 
+#ifdef WITH_LAMPS
+void find_lamp(vec3 at)
+{
+    vec3 way = lamp_position - at;
+    float squared = max(dot(way, way), 1e-20);
+    to_sun = way * inversesqrt(squared);
+    float angle = 2.0 * asin(min(0.5 * length(to_sun + lamp_axis), 1.0));
+    float x = clamp((angle - lamp_cone.x) * lamp_cone.z, 0.0, 1.0);
+    bool shines = angle <= lamp_cone.y && squared > lamp_cone.w * lamp_cone.w;
+    sun = shines ? lamp * ((1.0 - x * x * (3.0 - 2.0 * x)) / squared) : vec3(0.0);
+    sun_alpha = max(least_alpha, 0.5 * lamp_cone.w * inversesqrt(squared));
+}
+#endif
+
 // How much of the sun arrives at a hit: the finest shadow map that holds it, filtered.
 float sunlit(Hit hit)
 {
@@ -203,13 +232,26 @@ float sunlit(Hit hit)
     bool found = false;
     for (int c = 0; c < CASCADES; c++) {
         // Along the surface's normal: no surface shades itself by what a texel is wide.
+#ifdef WITH_LAMPS
+        // Texels lie across the map's axis and grow along it; depth is the inverse.
+        mat4 m = shadow_clip[c];
+        float along = dot(hit.flat_normal, vec3(m[0][3], m[1][3], m[2][3]));
+        float apart = max((m * vec4(hit.position, 1.0)).w, 0.0);
+        turn = sqrt(max(1.0 - along * along, 0.0));
+        vec3 lifted = hit.position + hit.flat_normal * (shadow_texel[c].x * apart * 1.5 * turn);
+        vec4 clip = shadow_clip[c] * vec4(lifted, 1.0);
+        vec3 p = clip.w > 0.0 ? clip.xyz / clip.w : vec3(-2.0);
+        float bias = shadow_texel[c].y * p.z;
+#else
         vec3 lifted = hit.position + hit.flat_normal * (shadow_texel[c].x * 1.5 * turn);
         vec3 p = (shadow_clip[c] * vec4(lifted, 1.0)).xyz;
+        float bias = shadow_texel[c].y;
+#endif
         p.xy = 0.5 * p.xy + 0.5;
         bool inside = c < cascades && all(greaterThanEqual(p, vec3(0.0)))
             && all(lessThanEqual(p, vec3(1.0)));
         if (inside && !found)
-            place = vec4(p.xy, float(c), p.z + shadow_texel[c].y);
+            place = vec4(p.xy, float(c), p.z + bias);
         found = found || inside;
     }
     float lit = 0.0;
@@ -221,7 +263,12 @@ float sunlit(Hit hit)
         vec2 shift = texel * vec2(float(i & 1) * 2.0 - 1.0, float(i >> 1 & 1) * 2.0 - 1.0);
         lit += texture(shadows, vec4(place.xy + shift, place.zw));
     }
+#ifdef WITH_LAMPS
+    // What no map holds is lit in another pass, or not at all.
+    return slope <= 0.0 || !found ? 0.0 : lit / float(places);
+#else
     return slope <= 0.0 ? 0.0 : found ? lit / float(places) : 1.0;
+#endif
 }
 
 float hidden(float cosine, float alpha2)
@@ -274,7 +321,96 @@ struct Look {
     vec3 shine;  // and of the GGX lobe.
     float roughness;
     vec3 normal;  // Towards the camera.
+#ifdef WITH_REFLECTANCE
+    vec3 color;
+    float share;  // Of the dull lobe, whose albedo is color * share where it is Lambert's.
+    int law;      // -1: Lambert's.
+#endif
+#ifdef WITH_HEIGHTS
+    float height;
+#endif
+#ifdef WITH_EMISSION
+    vec3 glow;    // What it gives off.
+#endif
 };
+
+#ifdef WITH_REFLECTANCE
+// 1 / H = 1 - w (r0 x + y) for the cosine c.
+vec2 inverse_h(float c)
+{
+    float part = c * log(1.0 + 1.0 / c);
+    return vec2(c * (1.0 - part), 0.5 * part);
+}
+
+#ifdef WITH_ROUGH_LAWS
+// Scale and effective cosines on a surface of mean slope; near is the larger cosine.
+float rough_law(float slope, float cos_g, inout float near, inout float far)
+{
+    float chi = inversesqrt(1.0 + PI * slope * slope);
+    vec2 cosine = vec2(near, far);
+    vec2 sine = sqrt(max(1.0 - cosine * cosine, 1e-8));
+    float cos_psi = clamp((cos_g - near * far) / (sine.x * sine.y), -1.0, 1.0);
+    float turned = 0.5 - 0.5 * cos_psi;
+    float gate = exp(-2.0 * sqrt(turned / max(1.0 - turned, 1e-6)));
+    vec2 cot = cosine / (sine * slope * PI);
+    vec2 first = exp(-2.0 * cot);
+    vec2 second = exp(-PI * cot * cot);
+    vec2 plain = cosine + sine * slope * second / (2.0 - first);
+    float lean = slope / (2.0 - first.y - acos(cos_psi) / PI * first.x);
+    near = max(near + sine.x * lean * (cos_psi * second.y + turned * second.x), 1e-4);
+    far = max(far + sine.y * lean * (second.y - turned * second.x), 1e-4);
+    float shadow = 1.0 - gate + gate * (cosine.x / plain.x);
+    float scale = 0.25 / PI * near * far / (near + far) / (plain.x * plain.y * shadow);
+    near *= chi;
+    far *= chi;
+    return scale;
+}
+#endif
+
+// BRDF of a law; backends/reflectance.py is the same, with its sources.
+vec3 law_value(int row, vec3 r0, vec3 n, vec3 v)
+{
+    vec4 numbers = texelFetch(laws, ivec2(0, row), 0);
+    vec2 more = texelFetch(laws, ivec2(1, row), 0).xy;
+    vec3 apart = v - to_sun;
+    vec3 both = v + to_sun;
+    // tan(g / 2); a disc blurs it by a third of its radius, which sun_alpha is half of.
+    float blur = 2.0 / 3.0 * sun_alpha;
+    float t = sqrt(dot(apart, apart) / max(dot(both, both), 1e-6) + blur * blur);
+    float cos_g = (1.0 - t * t) / (1.0 + t * t);
+    float square = 1.0 + numbers.y * numbers.y;
+    float back = square - 2.0 * numbers.y * cos_g;
+    float forth = square + 2.0 * numbers.y * cos_g;
+    float single = 0.5 * (2.0 - square) * ((1.0 + numbers.z) * inversesqrt(back * back * back)
+        + (1.0 - numbers.z) * inversesqrt(forth * forth * forth));
+    single *= 1.0 + numbers.w / (1.0 + t / more.x);
+    float near = max(max(dot(n, v), dot(n, to_sun)), 1e-4);
+    float far = max(min(dot(n, v), dot(n, to_sun)), 1e-4);
+    float scale = 0.25 / PI / (near + far);
+#ifdef WITH_ROUGH_LAWS
+    if (more.y > 0.0)
+        scale = rough_law(more.y, cos_g, near, far);
+#endif
+    vec3 w = 4.0 * r0 / ((1.0 + r0) * (1.0 + r0));
+    vec3 total = vec3(single);
+    if (numbers.x > 0.0) {
+        vec2 one = inverse_h(near);
+        vec2 two = inverse_h(far);
+        total += 1.0 / ((1.0 - w * (r0 * one.x + one.y)) * (1.0 - w * (r0 * two.x + two.y))) - 1.0;
+    }
+    return scale * w * total;
+}
+
+// Albedo towards the viewer under even light.
+vec3 law_albedo(int first, int rows, vec3 r0, float cosine)
+{
+    vec2 size = vec2(textureSize(laws, 0));
+    float u = (clamp(cosine, 0.0, 1.0) * (size.x - 1.0) + 0.5) / size.x;
+    vec3 v = (float(first) + 0.5 + r0 * float(rows - 1)) / size.y;
+    return r0 * vec3(texture(laws, vec2(u, v.x)).r, texture(laws, vec2(u, v.y)).r,
+                     texture(laws, vec2(u, v.z)).r);
+}
+#endif
 
 #ifdef WITH_MAPS
 // Level of the pictures for a sample's edges in repeats: the shorter side of what it covers, and at
@@ -286,6 +422,70 @@ float level_of(vec2 right, vec2 down)
     float fine = min(a, b);
     return log2(max(min(max(a, b), 4.0 * fine) * float(textureSize(maps, 0).x), 1e-6));
 }
+
+#ifdef WITH_CELLS
+// A cell at a point; backends/cells.py defines them.
+struct Cell {
+    vec2 place;   // In the picture.
+    vec2 turn;    // Cosine and sine.
+    float share;
+    float gain;   // The share over the root of the squares of all.
+};
+
+// The three cells at a place in the lattice.
+Cell[3] cells_at(vec2 at, vec4 numbers)
+{
+    vec2 low = floor(at);
+    vec2 within = at - low;
+    float rest = 1.0 - within.x - within.y;
+    float upper = rest <= 0.0 ? 1.0 : 0.0;
+    vec3 near = vec3(rest, within + upper * rest);
+    near *= near;
+    near *= near;
+    Cell cells[3];
+    for (int k = 0; k < 3; k++) {
+        vec2 corner = k == 0 ? vec2(upper) : k == 1 ? vec2(1.0, 0.0) : vec2(0.0, 1.0);
+        vec2 away = within - corner;
+        away = vec2(away.x + 0.5 * away.y, 0.86602540378 * away.y) * numbers.y;
+        ivec2 entry = ivec2(low + corner) & 63;
+        vec4 own = texelFetch(surfaces, int(numbers.z) + 64 * entry.y + entry.x);
+        cells[k].place = vec2(own.z * away.x - own.w * away.y, own.w * away.x + own.z * away.y)
+            + own.xy;
+        cells[k].turn = own.zw;
+        cells[k].share = near[k] / (near.x + near.y + near.z);
+        cells[k].gain = near[k] * inversesqrt(dot(near, near));
+    }
+    return cells;
+}
+
+vec4 mix_cells(Cell[3] cells, float layer, float level, vec4 mean)
+{
+    vec4 total = mean * (1.0 - cells[0].gain - cells[1].gain - cells[2].gain);
+    for (int k = 0; k < 3; k++)
+        total += cells[k].gain * textureLod(maps, vec3(cells[k].place, layer), level);
+    return max(total, 0.0);
+}
+
+// A normal in the first three components, a number in the last.
+vec4 mix_normals(Cell[3] cells, float layer, float level, float mean)
+{
+    vec4 total = vec4(vec3(0.0), mean * (1.0 - cells[0].gain - cells[1].gain - cells[2].gain));
+    for (int k = 0; k < 3; k++) {
+        vec4 own = textureLod(maps, vec3(cells[k].place, layer), level);
+        vec2 t = cells[k].turn;
+        vec2 back = vec2(t.x * own.x + t.y * own.y, t.x * own.y - t.y * own.x);
+        total += vec4(cells[k].gain * back, cells[k].share * own.z, cells[k].gain * own.a);
+    }
+    total.a = clamp(total.a, 0.0, 1.0);
+    return total;
+}
+
+// From the world's x and y to the lattice's, whose sides are one over a step.
+vec2 in_lattice(vec2 at, float step)
+{
+    return vec2(at.x - 0.57735026919 * at.y, 1.15470053838 * at.y) * step;
+}
+#endif
 
 // The coordinates of a point or a vector on the plane across an axis.
 vec2 on_plane(vec3 point, int axis)
@@ -302,19 +502,72 @@ Look look_of(int index, Hit hit)
     float roughness = second.x;
     float metallic = second.z;
     vec3 color = max(first.rgb * (1.0 + second.y * hit.variation) * (1.0 + second.y * hit.row), 0.0);
-    float side = dot(hit.normal, hit.view) < 0.0 ? -1.0 : 1.0;
+    float side = dot(hit.normal, hit.flat_normal) < 0.0 ? -1.0 : 1.0;
     vec3 n = side * hit.normal;
 #ifdef WITH_MAPS
     vec4 third = texelFetch(surfaces, 4 * index + 2);
+    int block = int(third.w);
+#ifdef WITH_THIRD
+    vec4 more = vec4(1.0, 1.0, 1.0, 0.5);
+#endif
     if (third.x >= 0.0) {
         vec3 at = hit.position * third.z + texelFetch(surfaces, 4 * index + 3).xyz;
         vec4 paint = vec4(1.0);
         vec4 relief = vec4(0.0);
+#ifdef WITH_THIRD
+        // Without a picture of its own it is looked up in another, and not used.
+        float layer = third.w > 0.0 ? texelFetch(surfaces, block).w : 0.0;
+#endif
 #ifdef WITH_ABOVE
         if (third.y == 0.0) {
             float level = level_of(hit.right.xy * third.z, hit.down.xy * third.z);
-            paint = textureLod(maps, vec3(at.xy, third.x), level);
-            relief = textureLod(maps, vec3(at.xy, third.x + 1.0), level);
+#ifdef WITH_TILES
+            vec4 tiles = third.w > 0.0 ? texelFetch(surfaces, block) : vec4(0.0);
+            vec4 far = third.w > 0.0 ? texelFetch(surfaces, block + 1) : vec4(0.0);
+            vec4 mean = texelFetch(surfaces, block + 2);
+            vec4 places = texelFetch(surfaces, block + 6);
+#endif
+#ifdef WITH_CELLS
+            if (tiles.x > 0.0) {
+                Cell cells[3] = cells_at(in_lattice(hit.position.xy, tiles.x) + places.xy, tiles);
+                paint = min(mix_cells(cells, third.x, level, mean), 1.0);
+                float metal = texelFetch(surfaces, block + 4).x;
+                relief = mix_normals(cells, third.x + 1.0, level, metal);
+#ifdef WITH_THIRD
+                if (tiles.w > 0.0)
+                    more = mix_cells(cells, third.x + tiles.w, level,
+                                     texelFetch(surfaces, block + 3));
+#endif
+            } else
+#endif
+            {
+                paint = textureLod(maps, vec3(at.xy, third.x), level);
+                relief = textureLod(maps, vec3(at.xy, third.x + 1.0), level);
+#ifdef WITH_THIRD
+                more = textureLod(maps, vec3(at.xy, third.x + layer), level);
+#endif
+            }
+#ifdef WITH_FAR
+            if (far.x > 0.0) {
+                float coarse = level + log2(far.x);
+                vec4 wide = vec4(0.0);
+#ifdef WITH_CELLS
+                if (tiles.x > 0.0) {
+                    vec2 spot = in_lattice(hit.position.xy, tiles.x * far.x) + places.zw;
+                    wide = min(mix_cells(cells_at(spot, tiles), third.x, coarse, mean), 1.0);
+                } else
+#endif
+                {
+                    vec2 spot = hit.position.xy * (third.z * far.x)
+                        + texelFetch(surfaces, block + 7).xy;
+                    wide = textureLod(maps, vec3(spot, third.x), coarse);
+                }
+                // Where a channel is black everywhere it is so at any scale.
+                vec3 relative = mix(vec3(1.0), wide.rgb / max(mean.rgb, 1e-12),
+                                    greaterThan(mean.rgb, vec3(0.0)));
+                paint.rgb *= 1.0 + far.y * (relative - 1.0);
+            }
+#endif
             vec3 t = vec3(hit.normal.z, 0.0, -hit.normal.x);
             t *= inversesqrt(max(dot(t, t), 1e-30));
             n = normalize(relief.x * t + relief.y * cross(hit.normal, t) + relief.z * n);
@@ -327,6 +580,9 @@ Look look_of(int index, Hit hit)
             shares /= shares.x + shares.y + shares.z;
             vec3 leaned = vec3(0.0);
             paint = vec4(0.0);
+#ifdef WITH_THIRD
+            vec4 wide_more = vec4(0.0);
+#endif
             for (int axis = 0; axis < 3; axis++) {
                 vec3 place = vec3(on_plane(at, axis), third.x);
                 float level = level_of(on_plane(hit.right, axis) * third.z,
@@ -334,6 +590,10 @@ Look look_of(int index, Hit hit)
                 paint += shares[axis] * textureLod(maps, place, level);
                 vec4 own = textureLod(maps, place + vec3(0.0, 0.0, 1.0), level);
                 relief.a += shares[axis] * own.a;
+#ifdef WITH_THIRD
+                wide_more += shares[axis]
+                    * textureLod(maps, place + vec3(0.0, 0.0, layer), level);
+#endif
                 // Whiteout blend, Golus 2017.
                 vec3 add = axis == 0 ? vec3(0.0, own.xy) : axis == 1 ? vec3(own.x, 0.0, own.y)
                                                                      : vec3(own.xy, 0.0);
@@ -341,6 +601,9 @@ Look look_of(int index, Hit hit)
                 scale[axis] = own.z;
                 leaned += shares[axis] * (hit.normal * scale + add);
             }
+#ifdef WITH_THIRD
+            more = wide_more;
+#endif
             leaned = normalize(leaned);
             // From behind it is mirrored in the surface.
             n = side < 0.0 ? leaned - 2.0 * dot(leaned, hit.normal) * hit.normal : leaned;
@@ -351,6 +614,9 @@ Look look_of(int index, Hit hit)
             float level = level_of(hit.uv_right, hit.uv_down);
             paint = textureLod(maps, vec3(hit.uv, third.x), level);
             relief = textureLod(maps, vec3(hit.uv, third.x + 1.0), level);
+#ifdef WITH_THIRD
+            more = textureLod(maps, vec3(hit.uv, third.x + layer), level);
+#endif
             vec3 t = hit.along_u - dot(hit.along_u, hit.normal) * hit.normal;
             if (dot(t, t) > 0.0) {
                 t = normalize(t);
@@ -375,6 +641,38 @@ Look look_of(int index, Hit hit)
     look.shine = vec3((1.0 - metallic) * specular) + metallic * color;
     look.roughness = roughness;
     look.normal = n;
+#ifdef WITH_REFLECTANCE
+    look.color = color;
+    look.share = (1.0 - metallic) * (1.0 - specular);
+    look.law = int(texelFetch(surfaces, 4 * index + 3).w) - 1;
+#endif
+#ifdef WITH_THIRD
+    bool own = third.x >= 0.0 && third.w > 0.0 && texelFetch(surfaces, block).w > 0.0;
+    if (!own)
+        more = vec4(1.0, 1.0, 1.0, 0.5);
+#endif
+#ifdef WITH_HEIGHTS
+    look.height = 0.5;
+#ifdef WITH_THIRD
+    look.height = min(more.a, 1.0);
+#endif
+#endif
+#ifdef WITH_EMISSION
+    int tile = int(texelFetch(surfaces, 4 * index + 2).w);
+    look.glow = tile > 0 ? texelFetch(surfaces, tile + 5).rgb : vec3(0.0);
+#ifdef WITH_THIRD
+    look.glow *= more.rgb;
+#endif
+#endif
+#ifdef WITH_MAPS
+    // What points away from the viewer has its tangential part turned round; where the shading
+    // normal itself leans away, the viewer counts as at its horizon.
+    vec3 base = side * hit.normal;
+    float height = dot(n, base);
+    float seen = dot(n, hit.view) + height * max(1e-5 - dot(base, hit.view), 0.0);
+    if (seen < 0.0)
+        look.normal = 2.0 * height * base - n;
+#endif
     return look;
 }
 
@@ -382,21 +680,35 @@ vec3 light_of(Look look, vec3 view, float lit, Around around)
 {
     float direct = lit * max(dot(look.normal, to_sun), 0.0);
     vec3 result = look.dull / PI * (direct * sun + irradiance_of(look.normal, around));
+#ifdef WITH_REFLECTANCE
+    if (look.law >= 0) {
+        int first = LAW_ROWS * look.law;
+        result = law_albedo(first, LAW_ROWS - 1, look.color, dot(look.normal, view)) / PI
+            * irradiance_of(look.normal, around);
+        if (direct > 0.0)
+            result += law_value(first + LAW_ROWS - 1, look.color, look.normal, view) * direct * sun;
+        result *= look.share;
+    }
+#endif
 #ifdef WITH_GLOSS
     vec3 bright = sky_gloss(look.roughness, look.normal, view, around);
     if (direct > 0.0)
         bright += lit * sun * gloss(max(look.roughness * look.roughness, sun_alpha), look.normal,
                                     view, to_sun);
-    result += look.shine * bright;
+    // A normal that leans away from the viewer has no gloss, as in path tracers.
+    if (dot(look.normal, view) > 0.0)
+        result += look.shine * bright;
 #endif
-    // From behind a normal that leans away there is nothing to see, as in path tracers.
-    return dot(look.normal, view) > 0.0 ? result : vec3(0.0);
+    return result;
 }
 
 vec3 shade(uvec2 id, vec3 direction, int number)
 {
     Hit hit = find(id, direction);
     hit.number = number;
+#ifdef WITH_LAMPS
+    find_lamp(hit.position);
+#endif
     float lit = sunlit(hit);
     Around around = around_of(hit);
     uvec4 mesh = texelFetch(meshes, 2 * int(hit.mesh));
@@ -410,6 +722,20 @@ vec3 shade(uvec2 id, vec3 direction, int number)
         float weight = dot(hit.share, vec3(texelFetch(weights, at.x).x, texelFetch(weights, at.y).x,
                                            texelFetch(weights, at.z).x));
         Look over = look_of(int(texelFetch(layers, int(more.x) + i).x), hit);
+#ifdef WITH_HEIGHTS
+        // backends/heights.py is the same.
+        int deep = int(mesh.z) + (int(more.y) - 1) * int(more.z) + i - 1;
+        float depth = texelFetch(weights, deep).x;
+        if (depth > 0.0) {
+            depth = max(depth, 1e-3);
+            float above = (2.0 * weight - 1.0) * (1.0 + depth) + over.height - look.height;
+            weight = clamp(0.5 + above / (2.0 * depth), 0.0, 1.0);
+        }
+        look.height = mix(look.height, over.height, weight);
+#endif
+#ifdef WITH_EMISSION
+        look.glow = mix(look.glow, over.glow, weight);
+#endif
 #ifdef WITH_MIXED
         result = mix(result, light_of(over, hit.view, lit, around), weight);
 #else
@@ -417,11 +743,13 @@ vec3 shade(uvec2 id, vec3 direction, int number)
         look.shine = mix(look.shine, over.shine, weight);
 #endif
     }
-#ifdef WITH_MIXED
-    return result;
-#else
-    return light_of(look, hit.view, lit, around);
+#ifndef WITH_MIXED
+    vec3 result = light_of(look, hit.view, lit, around);
 #endif
+#ifdef WITH_EMISSION
+    result += look.glow;
+#endif
+    return result;
 }
 
 void main()

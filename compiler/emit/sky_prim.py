@@ -1,0 +1,60 @@
+"""The Sky prim: what is said of the surroundings, with or without a dome."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from pxr import Gf, Sdf, Usd, UsdGeom
+
+from scenec.compiler.assets.pictures import png
+from scenec.compiler.emit.layer import author, constant_label_ids, label, label_names
+from scenec.compiler.emit.maps import TEXTURES
+from scenec.compiler.scene import Haze, Scene, SkyLabelMaps
+from scenec.schemas import stage as names
+
+
+def write_sky_prim(stage: Usd.Stage, folder: Path, scene: Scene) -> None:
+    """Labels of the sky, label maps (with their pictures in ``textures/``) and haze, if any."""
+    if not scene.sky_labels and scene.haze is None:
+        return
+    sky = UsdGeom.Scope.Define(stage, names.SKY_PRIM).GetPrim()
+    if scene.sky_labels:
+        constant_label_ids(sky, scene.sky_labels)
+        label(sky, label_names(scene.label_table, scene.sky_labels))
+    if scene.sky_label_maps is not None:
+        _write_label_maps(sky, folder, scene.sky_label_maps)
+    if scene.haze is not None:
+        _write_haze(sky, scene.haze)
+
+
+def _write_label_maps(sky: Usd.Prim, folder: Path, maps: SkyLabelMaps) -> None:
+    types = Sdf.ValueTypeNames
+    for level, texture in maps.texture.items():
+        # An empty path at samples without a map: the sky's one label.
+        files = [Sdf.AssetPath("" if name is None else f"./{TEXTURES}/{name}") for name in texture]
+        attribute = names.ATTR_SKY_LABEL_MAP.format(level=level)
+        author(sky.CreateAttribute(attribute, types.Asset, custom=True), files)
+    if maps.rotation_deg.any():
+        attribute = sky.CreateAttribute(names.ATTR_SKY_ROTATION, types.Double, custom=True)
+        author(attribute, maps.rotation_deg.tolist())
+    for name, ids in maps.pictures.items():
+        file = folder / TEXTURES / name
+        file.parent.mkdir(exist_ok=True)
+        file.write_bytes(png((ids if ids.max() > 255 else ids.astype(np.uint8))[..., None]))
+
+
+def _write_haze(sky: Usd.Prim, haze: Haze) -> None:
+    types = Sdf.ValueTypeNames
+    author(
+        sky.CreateAttribute(names.ATTR_HAZE_EXTINCTION, types.Color3f, custom=True),
+        [Gf.Vec3f(*extinction) for extinction in haze.extinction.tolist()],
+    )
+    if np.isfinite(haze.scale_height_m).all():
+        attribute = sky.CreateAttribute(names.ATTR_HAZE_SCALE_HEIGHT, types.Double, custom=True)
+        author(attribute, haze.scale_height_m.tolist())
+    if haze.airlight is not None:
+        author(
+            sky.CreateAttribute(names.ATTR_HAZE_AIRLIGHT, types.Color3f, custom=True),
+            [Gf.Vec3f(*radiance) for radiance in haze.airlight.tolist()],
+        )

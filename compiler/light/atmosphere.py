@@ -1,0 +1,309 @@
+"""The sky of a planet by single scattering, after Nishita et al. (1993), in physical units.
+
+Sunlight is scattered once, by gas and aerosol, and lost to both and to an absorbing layer, along
+the way from the sun and to the eye, at several wavelengths; the planet is a sphere, whose shadow
+makes twilight. What is scattered twice or more, refraction, and the sun's size within the air are
+left out. Pictures are baked with the sun at the bearing of 180 degrees, so that they are the same
+on both sides of their middle and one serves every bearing.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit, prange
+from numpy.typing import NDArray
+
+from scenec.compiler.arithmetic import elementary
+from scenec.compiler.light.atmosphere_columns import columns
+from scenec.compiler.light.atmosphere_multiple import bake_again
+from scenec.compiler.light.atmosphere_planets import Medium
+from scenec.compiler.light.atmosphere_rays import aerosol_phase, gas_phase, gather, prepare
+
+#: Steps of a ray up or down.
+STEPS = 32
+#: Wavelengths.
+WAVELENGTHS = 17
+#: Bearings from the sun's to the opposite one at which rays are followed. Between them goes a
+#: cubic: only phase functions change fast with the bearing, and those are exact.
+BEARINGS = 33
+#: The far ground lies at least so far below the eye, meters: from on the ground it would reach to
+#: the horizon without air before it.
+_EYE_M = 100.0
+#: Rows of the picture that the horizon crosses are means over so many lines.
+_LINES = 8
+#: Of the light that the sky throws on far ground: heights of the sun, directions, steps.
+_SUNS, _UP, _AROUND, _COARSE = 17, 12, 16, 16
+#: Light for the ground is gathered over few directions, which no lobe may slip through.
+_SHARPEST = 0.7
+
+
+def bake(
+    medium: Medium,
+    weights: NDArray[np.float64],
+    altitude_m: float,
+    sun_elevation: float,
+    ground_color: NDArray[np.float64],
+    height: int,
+    steps: int = STEPS,
+    bearings: int = BEARINGS,
+    multiple: bool = False,
+) -> NDArray[np.float64]:
+    """Radiance of a sky without the sun's disc, and of far ground below the horizon.
+
+    The ground is a diffuse sphere of albedo ``ground_color`` under sun and sky, seen through the
+    air before it. It lies at height 0, or 100 m below an observer who is lower than that.
+
+    Args:
+        medium: The atmosphere.
+        weights: Of its wavelengths (``atmosphere_spectra.weights``), [wavelengths, 3].
+        altitude_m: Of the observer, at least 0 and below the atmosphere's top.
+        sun_elevation: Radians; the sun's bearing is 180 degrees.
+        ground_color: Albedo, linear Rec.709, [3].
+        height: Rows of the picture; it is twice as wide.
+        steps: Of each ray up or down.
+        bearings: At which rays are followed, 3 or more.
+        multiple: Whether to add light that is scattered more than once (``atmosphere_multiple``).
+
+    Returns:
+        float64 [height, 2 * height, 3], 1/sr: radiance under sunlight whose irradiance above the
+        atmosphere has the luminance 1. Never negative: colors outside of Rec.709 are clipped.
+    """
+    sizes = medium.planet.sizes()
+    spectra = np.stack([medium.gas, medium.aerosol, medium.aerosol_loss, medium.layer])
+    r0 = sizes[0] + altitude_m
+    ground = min(sizes[0], r0 - _EYE_M)
+    sun = np.array([elementary.cos(sun_elevation), elementary.sin(sun_elevation)])
+    half = _rows(
+        r0, ground, sun, height, steps, bearings, sizes, spectra, medium.phase, weights,
+        ground_color,
+    )  # fmt: skip
+    picture = np.concatenate([half, half[:, ::-1]], axis=1)
+    if multiple:
+        picture += bake_again(
+            medium, weights, altitude_m, sun_elevation, ground_color, height, steps, ground
+        )
+    return picture
+
+
+def direct(
+    medium: Medium,
+    weights: NDArray[np.float64],
+    altitude_m: float,
+    sun_elevation: float,
+    diameter: float,
+) -> NDArray[np.float64]:
+    """Share of the sun's disc above the horizon times what the air leaves of its light.
+
+    Args:
+        medium, weights, altitude_m, sun_elevation: As for ``bake``.
+        diameter: Of the sun, radians.
+
+    Returns:
+        Irradiance on a surface facing the sun where it is of luminance 1 above the atmosphere,
+        linear Rec.709, [3].
+    """
+    sizes = medium.planet.sizes()
+    r0 = sizes[0] + altitude_m
+    dip = elementary.acos(min(sizes[0] / r0, 1.0))
+    above = sun_elevation + dip
+    seen = _disc_above(above, 0.5 * diameter)
+    if seen == 0.0:
+        return np.zeros(3)
+    # What is seen of a setting disc lies at the horizon or above.
+    gas, aerosol, layer = columns(r0, elementary.sin(max(sun_elevation, -dip)), sizes)
+    depth = medium.gas * gas + medium.aerosol_loss * aerosol + medium.layer * layer
+    rgb = (weights * elementary.exp_array(-depth)[:, None]).sum(axis=0)
+    clipped: NDArray[np.float64] = np.maximum(rgb, 0.0) * seen
+    return clipped
+
+
+def _disc_above(center: float, radius: float) -> float:
+    """Share of a disc above a line, its center so far above it."""
+    if center >= radius:
+        return 1.0
+    if center <= -radius:
+        return 0.0
+    x = center / radius
+    half_chord = np.sqrt((1.0 - x) * (1.0 + x))
+    return float((elementary.acos(-x) + x * half_chord) / elementary.PI)
+
+
+def zenith_depth(medium: Medium, altitude_m: float, nm: float, nodes: NDArray) -> dict[str, float]:
+    """Optical depth straight up from the observer, by what makes it.
+
+    Args:
+        medium: The atmosphere.
+        altitude_m: Of the observer.
+        nm: Wavelength.
+        nodes: The medium's wavelengths.
+    """
+    sizes = medium.planet.sizes()
+    gas, aerosol, layer = columns(sizes[0] + altitude_m, 1.0, sizes)
+    parts = {"air": medium.gas * gas, "dust": medium.aerosol_loss * aerosol}
+    parts["ozone"] = medium.layer * layer
+    return {name: float(np.interp(nm, nodes, depth)) for name, depth in parts.items()}
+
+
+@njit(cache=True, error_model="numpy")
+def _skylight(
+    sun_sine: float, sizes: NDArray, spectra: NDArray, phase: NDArray
+) -> NDArray[np.float64]:
+    """Irradiance of the sky on level ground over that of the sun, by wavelength."""
+    wavelengths = spectra.shape[1]
+    t, middle = np.empty(2 * _COARSE + 1), np.empty(2 * _COARSE)
+    scattered = np.empty((2, 2 * _COARSE, wavelengths))
+    arriving, of_gas, of_aerosol = (
+        np.empty(wavelengths),
+        np.empty(wavelengths),
+        np.empty(wavelengths),
+    )
+    total = np.zeros(wavelengths)
+    sun_cosine = np.sqrt(max((1.0 - sun_sine) * (1.0 + sun_sine), 0.0))
+    for j in range(_UP):
+        sine = (j + 0.5) / _UP
+        cosine = np.sqrt((1.0 - sine) * (1.0 + sine))
+        count, _ = prepare(
+            sizes[0], sine, cosine, sizes[0], sizes, spectra, t, middle, scattered, arriving
+        )
+        for i in range(_AROUND):
+            bearing = elementary.PI * (i + 0.5) / _AROUND
+            toward = cosine * sun_cosine * elementary.cos(bearing) + sine * sun_sine
+            gather(
+                count, sizes[0], sine, toward, sun_sine, sizes, spectra, t, middle, scattered,
+                of_gas, of_aerosol,
+            )  # fmt: skip
+            solid_angle = 2.0 * elementary.PI / (_UP * _AROUND)
+            for w in range(wavelengths):
+                radiance = gas_phase(toward) * of_gas[w]
+                radiance += aerosol_phase(toward, phase, w, _SHARPEST) * of_aerosol[w]
+                total[w] += radiance * sine * solid_angle
+    return total
+
+
+@njit(cache=True, error_model="numpy", parallel=True)
+def _rows(
+    r0: float,
+    ground: float,
+    sun: NDArray,
+    height: int,
+    steps: int,
+    bearings: int,
+    sizes: NDArray,
+    spectra: NDArray,
+    phase: NDArray,
+    weights: NDArray,
+    albedo: NDArray,
+) -> NDArray[np.float64]:
+    """The left half of the picture: bearings from 180 degrees off the sun to the sun."""
+    wavelengths = spectra.shape[1]
+    horizon = elementary.acos(ground / r0)
+    # Ground that is in sight has the sun at heights up to the horizon's dip away.
+    sun_elevation = elementary.atan2(sun[1], sun[0])
+    low = elementary.sin(max(sun_elevation - horizon, -0.5 * elementary.PI))
+    high = elementary.sin(min(sun_elevation + horizon, 0.5 * elementary.PI))
+    skylight = np.empty((_SUNS, wavelengths))
+    for n in prange(_SUNS):
+        skylight[n] = _skylight(low + (high - low) * n / (_SUNS - 1), sizes, spectra, phase)
+    out = np.zeros((height, height, 3))
+    for row in prange(height):
+        t, middle = np.empty(2 * steps + 1), np.empty(2 * steps)
+        scattered = np.empty((2, 2 * steps, wavelengths))
+        arriving = np.empty(wavelengths)
+        of_gas, of_aerosol = np.empty((2, bearings, wavelengths))
+        color = np.empty(3)
+        upper = elementary.PI * (0.5 - row / height)
+        crossed = upper > -horizon and upper - elementary.PI / height < -horizon
+        lines = _LINES if crossed else 1
+        for line in range(lines):
+            elevation = upper - elementary.PI / height * (line + 0.5) / lines
+            sine, cosine = elementary.sin(elevation), elementary.cos(elevation)
+            count, hits = prepare(
+                r0, sine, cosine, ground, sizes, spectra, t, middle, scattered, arriving
+            )
+            for n in range(bearings):
+                toward = _toward(sine, cosine, n / (bearings - 1), sun)
+                gather(
+                    count, r0, sine, toward, sun[1], sizes, spectra, t, middle, scattered,
+                    of_gas[n], of_aerosol[n],
+                )  # fmt: skip
+            for column in range(height):
+                share = 1.0 - (column + 0.5) / height
+                toward = _toward(sine, cosine, share, sun)
+                place = share * (bearings - 1)
+                near = min(int(place), bearings - 2)
+                a, b, c, d = _cubic(place - near)
+                # Beyond the sun's meridian things repeat.
+                before, after = abs(near - 1), bearings - 1 - abs(bearings - 3 - near)
+                rayleigh = gas_phase(toward)
+                color[:] = 0.0
+                for w in range(wavelengths):
+                    gas = a * of_gas[before, w] + b * of_gas[near, w]
+                    gas += c * of_gas[near + 1, w] + d * of_gas[after, w]
+                    aerosol = a * of_aerosol[before, w] + b * of_aerosol[near, w]
+                    aerosol += c * of_aerosol[near + 1, w] + d * of_aerosol[after, w]
+                    radiance = rayleigh * max(gas, 0.0)
+                    radiance += aerosol_phase(toward, phase, w, 1.0) * max(aerosol, 0.0)
+                    for i in range(3):
+                        color[i] += weights[w, i] * radiance
+                if hits:
+                    sun_sine = (r0 * sun[1] + t[count] * toward) / ground
+                    color += albedo * _ground(
+                        sun_sine, low, high, skylight, arriving, sizes, spectra, weights
+                    )
+                for i in range(3):
+                    out[row, column, i] += max(color[i], 0.0) / lines
+    return out
+
+
+@njit(cache=True, error_model="numpy")
+def _toward(sine: float, cosine: float, bearing: float, sun: NDArray) -> float:
+    """Cosine of the angle to the sun; the bearing from the sun's is in half turns."""
+    toward = cosine * sun[0] * elementary.cos(elementary.PI * bearing) + sine * sun[1]
+    return min(max(toward, -1.0), 1.0)
+
+
+@njit(cache=True, error_model="numpy")
+def _cubic(x: float) -> tuple[float, float, float, float]:
+    """Weights of four values at -1, 0, 1, 2 for the point x in [0, 1], after Catmull and Rom."""
+    y = 1.0 - x
+    return (
+        -0.5 * x * y * y,
+        1.0 + x * x * (1.5 * x - 2.5),
+        1.0 + y * y * (1.5 * y - 2.5),
+        -0.5 * y * x * x,
+    )
+
+
+@njit(cache=True, error_model="numpy")
+def _ground(
+    sun_sine: float,
+    low: float,
+    high: float,
+    skylight: NDArray,
+    arriving: NDArray,
+    sizes: NDArray,
+    spectra: NDArray,
+    weights: NDArray,
+) -> NDArray[np.float64]:
+    """Radiance of white ground as it arrives, linear Rec.709.
+
+    Args:
+        sun_sine: Of the sun's elevation over the ground that is seen.
+        low, high, skylight: Light of the sky over that sine, evenly from low to high.
+        arriving: Transmission of the air between.
+        sizes, spectra, weights: As in ``_rows``.
+    """
+    place = 0.0
+    if high > low:
+        place = min(max((sun_sine - low) / (high - low), 0.0), 1.0) * (len(skylight) - 1)
+    first = min(int(place), len(skylight) - 2)
+    gas, aerosol, layer = columns(sizes[0], min(max(sun_sine, 0.0), 1.0), sizes)
+    color = np.zeros(3)
+    for w in range(len(arriving)):
+        light = skylight[first, w] + (place - first) * (skylight[first + 1, w] - skylight[first, w])
+        if sun_sine > 0.0:
+            depth = (spectra[0, w] * gas + spectra[2, w] * aerosol) + spectra[3, w] * layer
+            light += sun_sine * elementary.exp(-depth)
+        for c in range(3):
+            color[c] += weights[w, c] * arriving[w] * light / elementary.PI
+    return color

@@ -1,0 +1,429 @@
+"""What is scattered twice or more, added to a single-scattered sky: an approximation.
+
+After Hillaire (2020, A Scalable and Production Ready Sky and Atmosphere Rendering Technique, EGSR):
+light that has been scattered before arrives from all sides alike, and each further time the same
+share of it is scattered again, so that the orders sum up to a geometric series, from a table over
+height and the sun's. Forward lobes, which hardly scatter, are taken out first by the similarity
+relation (van de Hulst 1980, ch. 14): coefficients are reduced by the mean cosine g of the phase
+function and the rest is even. What the single-scattered sky lacks is then
+
+- light scattered once in the reduced medium, less what of it the whole medium let through,
+- in each place the reduced scattering times the table's light, and
+- light scattered forward alone, n times with the chance exp(-x) x^n / n! where x is the depth of
+  forward scattering along the way: orders from 2 on are (exp(x) - 1 - x) / x of the first, in a
+  lobe whose mean cosine is the square of its own.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit, prange
+from numpy.typing import NDArray
+
+from scenec.compiler.arithmetic import elementary
+from scenec.compiler.light.atmosphere_bearings import angle_to_sun, cubic
+from scenec.compiler.light.atmosphere_columns import columns
+from scenec.compiler.light.atmosphere_planets import Medium
+from scenec.compiler.light.atmosphere_rays import gather, lobe, prepare, shadow
+from scenec.compiler.light.atmosphere_spectra import wavelengths
+
+#: Nodes of the table over height and the sun's elevation.
+HEIGHTS, SUNS = 12, 25
+#: Directions in which a node looks, up and around, and steps of each ray.
+_UP, _AROUND, _STEPS = 12, 4, 16
+#: Bearings from the sun's to the opposite one, heights of the sun over ground in sight, and lines
+#: of a row that the horizon crosses.
+_BEARINGS, _GROUND_SUNS, _LINES = 9, 9, 8
+#: The sun's lowest elevation in the table, as a share of a right angle, squared: -22.5 degrees.
+_LOWEST = -0.5
+#: Optical depths beyond which nothing is left; sharpest mean cosine that few directions can show.
+_DEEPEST, _SHARPEST = 80.0, 0.7
+#: A share of light that is scattered again and again is less than this.
+_MOST_AGAIN = 0.995
+
+
+def mean_cosine(phase: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Mean cosine g of an aerosol's phase function (``Medium.phase``), [wavelengths].
+
+    Of Cornette and Shanks' lobe: 3 g (4 + g^2) / (5 (2 + g^2)).
+    """
+    share, g, wide, shanks = phase
+    square = g * g
+    forward = np.where(shanks > 0.0, 0.6 * g * (4.0 + square) / (2.0 + square), g)
+    return np.asarray(share * forward + (1.0 - share) * wide, np.float64)
+
+
+def reduced(spectra: NDArray[np.float64], g: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Coefficients of a medium that scatters evenly, and like it at a distance.
+
+    Args:
+        spectra: Gas, aerosol, loss by the aerosol, absorption, [4, wavelengths].
+        g: Mean cosine of the aerosol.
+    """
+    gas, aerosol, loss, layer = spectra
+    return np.stack([gas, aerosol * (1.0 - g), loss - aerosol * g, layer])
+
+
+def spectral_albedo(nm: NDArray[np.float64], color: NDArray[np.float64]) -> NDArray[np.float64]:
+    """A color's albedo at wavelengths: red's at 610 nm, green's at 550, blue's at 465."""
+    return np.interp(nm, [465.0, 550.0, 610.0], color[::-1])
+
+
+@njit(cache=True, error_model="numpy", parallel=True)
+def make_table(sizes: NDArray, spectra: NDArray, albedo: NDArray) -> NDArray[np.float64]:
+    """Light scattered twice or more, mean over all directions, by height and the sun's elevation.
+
+    Args:
+        sizes: ``Planet.sizes``.
+        spectra: Of the reduced medium.
+        albedo: Of the ground, [wavelengths].
+
+    Returns:
+        Radiance over the sun's irradiance, float64 [HEIGHTS, SUNS, wavelengths], 1/sr.
+    """
+    nodes = spectra.shape[1]
+    out = np.zeros((HEIGHTS, SUNS, nodes))
+    for i in prange(HEIGHTS):
+        share = i / (HEIGHTS - 1.0)
+        # Not on the ground itself: rays down would have no length.
+        r0 = sizes[0] + max(sizes[1] * share * share * 0.9, 1.0)
+        t, middle = np.empty(2 * _STEPS + 1), np.empty(2 * _STEPS)
+        scattered = np.empty((2, 2 * _STEPS, nodes))
+        arriving, of_gas, of_aerosol = (
+            np.empty(nodes),
+            np.empty(nodes),
+            np.empty(nodes),
+        )
+        again = np.zeros(nodes)
+        for k in range(_UP):
+            # Even in solid angle, on both sides of the horizon.
+            sine = (k + 0.5) / _UP * 2.0 - 1.0
+            cosine = np.sqrt((1.0 - sine) * (1.0 + sine))
+            count, hits = prepare(
+                r0, sine, cosine, sizes[0], sizes, spectra, t, middle, scattered, arriving
+            )
+            for n in range(count):
+                for w in range(nodes):
+                    again[w] += (scattered[0, n, w] + scattered[1, n, w]) / _UP
+            for j in range(SUNS):
+                sun_sine, sun_cosine = _sun_of(j)
+                for a in range(_AROUND):
+                    bearing = elementary.PI * (a + 0.5) / _AROUND
+                    toward = cosine * sun_cosine * elementary.cos(bearing) + sine * sun_sine
+                    gather(
+                        count, r0, sine, toward, sun_sine, sizes, spectra, t, middle, scattered,
+                        of_gas, of_aerosol,
+                    )  # fmt: skip
+                    for w in range(nodes):
+                        light = 0.25 / elementary.PI * (of_gas[w] + of_aerosol[w])
+                        out[i, j, w] += light / (_UP * _AROUND)
+                    if hits:
+                        on_ground = (r0 * sun_sine + t[count] * toward) / sizes[0]
+                        if on_ground > 0.0:
+                            gas, aerosol, layer = columns(sizes[0], min(on_ground, 1.0), sizes)
+                            for w in range(nodes):
+                                depth = spectra[0, w] * gas + spectra[2, w] * aerosol
+                                depth += spectra[3, w] * layer
+                                light = albedo[w] / elementary.PI * on_ground * arriving[w]
+                                light *= elementary.exp(-depth)
+                                out[i, j, w] += light / (_UP * _AROUND)
+        for j in range(SUNS):
+            for w in range(nodes):
+                out[i, j, w] /= 1.0 - min(again[w], _MOST_AGAIN)
+    return out
+
+
+@njit(cache=True, error_model="numpy")
+def _sun_of(j: int) -> tuple[float, float]:
+    """Sine and cosine of the sun's elevation at a node: denser about the horizon."""
+    s = _LOWEST + (1.0 - _LOWEST) * j / (SUNS - 1.0)
+    elevation = 0.5 * elementary.PI * s * abs(s)
+    return elementary.sin(elevation), elementary.cos(elevation)
+
+
+@njit(cache=True, error_model="numpy")
+def add_again(
+    count: int,
+    r0: float,
+    sine: float,
+    toward: float,
+    sun_sine: float,
+    sizes: NDArray,
+    table: NDArray,
+    middle: NDArray,
+    scattered: NDArray,
+    total: NDArray,
+) -> None:
+    """Adds what a prepared ray of the reduced medium sends of the table's light, [wavelengths].
+
+    Args:
+        count: Steps of the ray.
+        r0, sine, toward, sun_sine, middle: As of ``atmosphere_rays.gather``.
+        sizes: ``Planet.sizes``.
+        table: Of ``make_table``.
+        scattered: Of ``prepare`` in the reduced medium.
+        total: Receives it.
+    """
+    for k in range(count):
+        at = middle[k]
+        r = np.sqrt(r0 * r0 + at * (2.0 * r0 * sine + at))
+        up = min(max((r - sizes[0]) / (0.9 * sizes[1]), 0.0), 1.0)
+        y = np.sqrt(up) * (HEIGHTS - 1.0)
+        i = min(int(y), HEIGHTS - 2)
+        y -= i
+        here = min(max((r0 * sun_sine + at * toward) / r, -1.0), 1.0)
+        elevation = elementary.asin(here) / (0.5 * elementary.PI)
+        s = np.sqrt(abs(elevation))
+        x = ((s if elevation >= 0.0 else -s) - _LOWEST) / (1.0 - _LOWEST) * (SUNS - 1.0)
+        if x <= 0.0:
+            continue
+        j = min(int(x), SUNS - 2)
+        x = min(x - j, 1.0)
+        for w in range(table.shape[2]):
+            low = table[i, j, w] + x * (table[i, j + 1, w] - table[i, j, w])
+            high = table[i + 1, j, w] + x * (table[i + 1, j + 1, w] - table[i + 1, j, w])
+            total[w] += (scattered[0, k, w] + scattered[1, k, w]) * (low + y * (high - low))
+
+
+def bake_again(
+    medium: Medium,
+    weights: NDArray[np.float64],
+    altitude_m: float,
+    sun_elevation: float,
+    ground_color: NDArray[np.float64],
+    height: int,
+    steps: int,
+    ground: float,
+) -> NDArray[np.float64]:
+    """What the picture of ``atmosphere.bake`` lacks, of the same shape and unit.
+
+    Args:
+        medium, weights, altitude_m, sun_elevation, ground_color, height, steps: As there.
+        ground: Radius of the ground that is seen.
+    """
+    sizes = medium.planet.sizes()
+    spectra = np.stack([medium.gas, medium.aerosol, medium.aerosol_loss, medium.layer])
+    g = mean_cosine(medium.phase)
+    even = reduced(spectra, g)
+    albedo = spectral_albedo(wavelengths(len(medium.gas)), ground_color)
+    sun = np.array([elementary.cos(sun_elevation), elementary.sin(sun_elevation)])
+    half = again_rows(
+        sizes[0] + altitude_m, ground, sun, height, steps, sizes, spectra, even, g, medium.phase,
+        make_table(sizes, even, albedo), weights, ground_color,
+    )  # fmt: skip
+    return np.maximum(np.concatenate([half, half[:, ::-1]], axis=1), 0.0)
+
+
+@njit(cache=True, error_model="numpy")
+def _again(
+    count: int,
+    r0: float,
+    sine: float,
+    toward: float,
+    sun_sine: float,
+    sizes: NDArray,
+    spectra: NDArray,
+    even: NDArray,
+    g: NDArray,
+    table: NDArray,
+    t: NDArray,
+    middle: NDArray,
+    full: NDArray,
+    less: NDArray,
+    part: NDArray,
+    total: NDArray,
+) -> None:
+    """What a ray's single scattering lacks, [wavelengths], into ``total``.
+
+    Args:
+        count, r0, sine, toward, sun_sine, sizes, t, middle: As of ``atmosphere_rays.gather``.
+        spectra, even, g, table: As of ``again_rows``.
+        full, less: The ray, prepared in the medium and in the reduced one.
+        part: Room for two spectra.
+        total: Receives it.
+    """
+    args = (t, middle)
+    gather(count, r0, sine, toward, sun_sine, sizes, even, *args, less, part[0], part[1])
+    for w in range(total.size):
+        total[w] = part[0, w] + part[1, w]
+    gather(count, r0, sine, toward, sun_sine, sizes, spectra, *args, full, part[0], part[1])
+    for w in range(total.size):
+        total[w] -= part[0, w] + (1.0 - g[w]) * part[1, w]
+        total[w] = max(total[w], 0.0) * (0.25 / elementary.PI)
+    add_again(count, r0, sine, toward, sun_sine, sizes, table, middle, less, total)
+
+
+@njit(cache=True, error_model="numpy")
+def _forward_again(
+    count: int,
+    r0: float,
+    sine: float,
+    toward: float,
+    sun_sine: float,
+    sizes: NDArray,
+    spectra: NDArray,
+    g: NDArray,
+    t: NDArray,
+    middle: NDArray,
+    full: NDArray,
+    out: NDArray,
+) -> None:
+    """Light scattered forward twice or more, over the phase function and sunlight, into ``out``.
+
+    Args:
+        count, r0, sine, toward, sun_sine, sizes, spectra, t, middle: As of ``gather``.
+        g: Mean cosine of the aerosol.
+        full: The ray, prepared.
+        out: Receives it, [wavelengths].
+    """
+    out[:] = 0.0
+    enter, leave = shadow(r0, sine, toward, sun_sine, sizes[0])
+    behind = 0.0
+    for k in range(count):
+        at, length = middle[k], t[k + 1] - t[k]
+        r = np.sqrt(r0 * r0 + at * (2.0 * r0 * sine + at))
+        here = elementary.exp(-(r - sizes[0]) / sizes[3]) * length
+        if not enter < at < leave:
+            cosine = min(max((r0 * sun_sine + at * toward) / r, -1.0), 1.0)
+            gas, aerosol, layer = columns(r, cosine, sizes)
+            way = aerosol + behind + 0.5 * here
+            for w in range(out.size):
+                depth = (spectra[0, w] * gas + spectra[2, w] * aerosol) + spectra[3, w] * layer
+                x = min(g[w] * spectra[1, w] * way, _DEEPEST)
+                if depth > _DEEPEST or x <= 0.0:
+                    continue
+                more = 0.5 * x + x * x / 6.0
+                if x > 1e-2:
+                    more = (elementary.exp(x) - 1.0 - x) / x
+                out[w] += elementary.exp(-depth) * full[1, k, w] * g[w] * more
+        behind += here
+
+
+@njit(cache=True, error_model="numpy")
+def _on_level_ground(
+    sun_sine: float,
+    sizes: NDArray,
+    spectra: NDArray,
+    even: NDArray,
+    g: NDArray,
+    phase: NDArray,
+    table: NDArray,
+    out: NDArray,
+) -> None:
+    """Irradiance over the sun's of what single scattering lacks, [wavelengths], into ``out``."""
+    nodes = spectra.shape[1]
+    t, middle = np.empty(2 * _STEPS + 1), np.empty(2 * _STEPS)
+    full = np.empty((2, 2 * _STEPS, nodes))
+    less = np.empty((2, 2 * _STEPS, nodes))
+    part, arriving, total = np.empty((2, nodes)), np.empty(nodes), np.empty(nodes)
+    forward = np.empty(nodes)
+    sun = np.array([np.sqrt(max((1.0 - sun_sine) * (1.0 + sun_sine), 0.0)), sun_sine])
+    out[:] = 0.0
+    for k in range(_UP // 2):
+        sine = (k + 0.5) / (_UP // 2)
+        cosine = np.sqrt((1.0 - sine) * (1.0 + sine))
+        r0 = sizes[0]
+        prepare(r0, sine, cosine, r0, sizes, spectra, t, middle, full, arriving)
+        count, _ = prepare(r0, sine, cosine, r0, sizes, even, t, middle, less, arriving)
+        for a in range(_AROUND):
+            toward = angle_to_sun(sine, cosine, (a + 0.5) / _AROUND, sun)
+            _again(
+                count, r0, sine, toward, sun_sine, sizes, spectra, even, g, table, t, middle, full,
+                less, part, total,
+            )  # fmt: skip
+            _forward_again(
+                count, r0, sine, toward, sun_sine, sizes, spectra, g, t, middle, full, forward
+            )
+            for w in range(nodes):
+                # Few directions, which a narrow lobe would slip through.
+                total[w] += forward[w] * lobe(toward, min(phase[1, w] * phase[1, w], _SHARPEST))
+                out[w] += total[w] * sine * 2.0 * elementary.PI / ((_UP // 2) * _AROUND)
+
+
+@njit(cache=True, error_model="numpy", parallel=True)
+def again_rows(
+    r0: float,
+    ground: float,
+    sun: NDArray,
+    height: int,
+    steps: int,
+    sizes: NDArray,
+    spectra: NDArray,
+    even: NDArray,
+    g: NDArray,
+    phase: NDArray,
+    table: NDArray,
+    weights: NDArray,
+    albedo: NDArray,
+) -> NDArray[np.float64]:
+    """What a single-scattered picture lacks, linear Rec.709, [height, height, 3]: its left half.
+
+    Args:
+        r0, ground, sun, height, steps, sizes, spectra, weights, albedo: As in ``atmosphere._rows``.
+        even, g: The reduced medium, and the aerosol's mean cosine.
+        phase: ``Medium.phase``.
+        table: Of ``make_table``.
+    """
+    nodes = spectra.shape[1]
+    horizon = elementary.acos(ground / r0)
+    sun_elevation = elementary.atan2(sun[1], sun[0])
+    low = elementary.sin(max(sun_elevation - horizon, -0.5 * elementary.PI))
+    high = elementary.sin(min(sun_elevation + horizon, 0.5 * elementary.PI))
+    on_ground = np.zeros((_GROUND_SUNS, nodes))
+    for n in prange(_GROUND_SUNS):
+        sine = low + (high - low) * n / (_GROUND_SUNS - 1.0)
+        _on_level_ground(sine, sizes, spectra, even, g, phase, table, on_ground[n])
+    out = np.zeros((height, height, 3))
+    for row in prange(height):
+        t, middle = np.empty(2 * steps + 1), np.empty(2 * steps)
+        full = np.empty((2, 2 * steps, nodes))
+        less = np.empty((2, 2 * steps, nodes))
+        part, total = np.empty((2, nodes)), np.empty((_BEARINGS, nodes))
+        forward = np.empty((_BEARINGS, nodes))
+        arriving, unused = np.empty(nodes), np.empty(nodes)
+        upper = elementary.PI * (0.5 - row / height)
+        crossed = upper > -horizon and upper - elementary.PI / height < -horizon
+        lines = _LINES if crossed else 1
+        for line in range(lines):
+            elevation = upper - elementary.PI / height * (line + 0.5) / lines
+            sine, cosine = elementary.sin(elevation), elementary.cos(elevation)
+            prepare(r0, sine, cosine, ground, sizes, even, t, middle, less, unused)
+            count, hits = prepare(
+                r0, sine, cosine, ground, sizes, spectra, t, middle, full, arriving
+            )
+            for n in range(_BEARINGS):
+                toward = angle_to_sun(sine, cosine, n / (_BEARINGS - 1.0), sun)
+                _again(
+                    count, r0, sine, toward, sun[1], sizes, spectra, even, g, table, t, middle,
+                    full, less, part, total[n],
+                )  # fmt: skip
+                _forward_again(
+                    count, r0, sine, toward, sun[1], sizes, spectra, g, t, middle, full, forward[n]
+                )
+            for column in range(height):
+                share = 1.0 - (column + 0.5) / height
+                place = share * (_BEARINGS - 1)
+                near = min(int(place), _BEARINGS - 2)
+                a, b, c, d = cubic(place - near)
+                before, after = abs(near - 1), _BEARINGS - 1 - abs(_BEARINGS - 3 - near)
+                lit, at = 0.0, 0
+                toward = angle_to_sun(sine, cosine, share, sun)
+                if hits and high > low:
+                    lit = ((r0 * sun[1] + t[count] * toward) / ground - low) / (high - low)
+                    lit = min(max(lit, 0.0), 1.0) * (_GROUND_SUNS - 1.0)
+                    at = min(int(lit), _GROUND_SUNS - 2)
+                    lit -= at
+                for w in range(nodes):
+                    light = a * total[before, w] + b * total[near, w]
+                    light = max(light + c * total[near + 1, w] + d * total[after, w], 0.0)
+                    ahead = a * forward[before, w] + b * forward[near, w]
+                    ahead = max(ahead + c * forward[near + 1, w] + d * forward[after, w], 0.0)
+                    light += ahead * lobe(toward, phase[1, w] * phase[1, w])
+                    given = 0.0
+                    if hits:
+                        given = on_ground[at, w] + lit * (on_ground[at + 1, w] - on_ground[at, w])
+                        given *= arriving[w] / elementary.PI
+                    for i in range(3):
+                        more = weights[w, i] * (light + albedo[i] * given)
+                        out[row, column, i] += more / lines
+    return out

@@ -1,0 +1,251 @@
+"""Light that an atmosphere scatters once into a ray, by wavelength.
+
+A ray is cut into steps whose ends have exact columns behind them (``atmosphere_columns``). Within a
+step only the sunlight's own loss is taken to be even, so that what scatters is exact however thick
+or thin the medium is, and never more than what arrives.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from scenec.compiler.arithmetic import elementary
+from scenec.compiler.light.atmosphere_columns import columns, columns_up
+
+#: Steps go with height - lowest height ~ u^2: even in distance along the horizon, finer below than
+#: above in the vertical.
+_INV_PI = 1.0 / elementary.PI
+
+
+@njit(cache=True, error_model="numpy")
+def gas_phase(cosine: float) -> float:
+    """Rayleigh's phase function, 1/sr."""
+    return 3.0 / 16.0 * _INV_PI * (1.0 + cosine * cosine)
+
+
+@njit(cache=True, error_model="numpy")
+def lobe(cosine: float, g: float) -> float:
+    """Henyey and Greenstein's phase function, 1/sr."""
+    width = 1.0 + g * g - 2.0 * g * cosine
+    return 0.25 * _INV_PI * (1.0 - g * g) / (width * np.sqrt(width))
+
+
+@njit(cache=True, error_model="numpy")
+def aerosol_phase(cosine: float, phase: NDArray, k: int, sharpest: float) -> float:
+    """The aerosol's phase function at wavelength ``k``, 1/sr.
+
+    Args:
+        cosine: Of the scattering angle.
+        phase: ``Medium.phase``.
+        k: Index of the wavelength.
+        sharpest: g is taken to be at most this; 1 for as it is.
+    """
+    share, g = phase[0, k], min(phase[1, k], sharpest)
+    forward = lobe(cosine, g)
+    if phase[3, k] > 0.0:
+        forward *= 1.5 * (1.0 + cosine * cosine) / (2.0 + g * g)
+    if share >= 1.0:
+        return forward
+    return share * forward + (1.0 - share) * lobe(cosine, phase[2, k])
+
+
+@njit(cache=True, error_model="numpy")
+def _mean_transmission(depth: float) -> float:
+    """(1 - exp(-x)) / x."""
+    if depth < 1e-3:
+        return 1.0 - 0.5 * depth + depth * depth / 6.0
+    return (1.0 - elementary.exp(-depth)) / depth
+
+
+@njit(cache=True, error_model="numpy")
+def _climb(
+    t: NDArray,
+    middle: NDArray,
+    first: int,
+    count: int,
+    closest: float,
+    low: float,
+    high: float,
+    shift: float,
+    down: bool,
+) -> None:
+    """Step ends and middles of a piece of a ray between two heights, along which it only climbs.
+
+    Fills ``t[first : first + count + 1]`` and ``middle[first : first + count]`` with distances from
+    the observer, who is ``shift`` beyond the ray's closest point; on the way down in reverse.
+    """
+    base = (low - closest) * (low + closest)
+    for k in range(2 * count + 1):
+        u = k / (2.0 * count)
+        rise = (high - low) * u * u
+        distance = np.sqrt(max(base + rise * (2.0 * low + rise), 0.0))
+        place = (-distance if down else distance) - shift
+        at = 2 * count - k if down else k
+        if at % 2 == 0:
+            t[first + at // 2] = place
+        else:
+            middle[first + at // 2] = place
+
+
+@njit(cache=True, error_model="numpy")
+def prepare(
+    r0: float,
+    sine: float,
+    cosine: float,
+    ground: float,
+    sizes: NDArray,
+    spectra: NDArray,
+    t: NDArray,
+    middle: NDArray,
+    scattered: NDArray,
+    arriving: NDArray,
+) -> tuple[int, bool]:
+    """What a ray's steps hold, whatever the direction of the sun.
+
+    Args:
+        r0: The observer's distance from the planet's center.
+        sine, cosine: Of the ray's elevation.
+        ground: Radius of the ground that ends a ray.
+        sizes: ``Planet.sizes``.
+        spectra: Gas, aerosol, loss by the aerosol, absorption, [4, wavelengths].
+        t: Receives the steps' ends, [2 * steps + 1].
+        middle: Receives their middles, [2 * steps].
+        scattered: Receives what gas and aerosol of each step would send to the observer under full
+            sunlight and a phase function of 1, [2, 2 * steps, wavelengths].
+        arriving: Receives the transmission of the whole ray, [wavelengths].
+
+    Returns:
+        Number of steps, and whether the ray ends on the ground.
+    """
+    steps = len(middle) // 2
+    closest = r0 * cosine
+    shift = r0 * sine
+    top = sizes[0] + sizes[1]
+    hits = sine < 0.0 and closest < ground
+    count = steps
+    if hits:
+        _climb(t, middle, 0, steps, closest, ground, r0, shift, True)
+    elif sine < 0.0:
+        count = 2 * steps
+        _climb(t, middle, 0, steps, closest, closest, r0, shift, True)
+        _climb(t, middle, steps, steps, closest, closest, top, shift, False)
+    else:
+        _climb(t, middle, 0, steps, closest, r0, top, shift, False)
+    t[0] = 0.0
+    arriving[:] = 1.0
+    wavelengths = spectra.shape[1]
+    square = closest * closest
+    past = (0.0, 0.0, 0.0)
+    weight = 0.0
+    half = wavelengths // 2
+    for k in range(count + 1):
+        along = t[k] + shift
+        r = np.sqrt(square + along * along)
+        here = columns_up(r, min(closest, r), min(abs(along) / r, 1.0), sizes)
+        if k > 0:
+            gas, aerosol, layer = (
+                abs(here[0] - past[0]),
+                abs(here[1] - past[1]),
+                abs(here[2] - past[2]),
+            )
+            for w in range(wavelengths):
+                depth = (spectra[0, w] * gas + spectra[2, w] * aerosol) + spectra[3, w] * layer
+                share = arriving[w] * _mean_transmission(depth)
+                scattered[0, k - 1, w] = share * spectra[0, w] * gas
+                scattered[1, k - 1, w] = share * spectra[1, w] * aerosol
+                arriving[w] *= elementary.exp(-depth)
+        height = r - sizes[0]
+        now = spectra[0, half] * elementary.exp(-height / sizes[2])
+        now = arriving[half] * (now + spectra[1, half] * elementary.exp(-height / sizes[3]))
+        if k > 0 and weight + now > 0.0:
+            middle[k - 1] = t[k - 1] + (t[k] - t[k - 1]) * (weight + 2.0 * now) / (
+                3.0 * (weight + now)
+            )
+        weight = now
+        past = here
+    return count, hits
+
+
+@njit(cache=True, error_model="numpy")
+def shadow(
+    r0: float, sine: float, toward: float, sun_sine: float, radius: float
+) -> tuple[float, float]:
+    """Distances between which a ray is in the planet's shadow; the first above the second if never.
+
+    Args:
+        r0: The observer's distance from the planet's center.
+        sine: Of the ray's elevation.
+        toward: Cosine between the ray and the direction to the sun.
+        sun_sine: Of the sun's elevation.
+        radius: The planet's.
+    """
+    # The shadow is a half cylinder: square distance from its axis below that of the planet.
+    a = (1.0 - toward) * (1.0 + toward)
+    b = r0 * (sine - sun_sine * toward)
+    level = r0 * np.sqrt(max((1.0 - sun_sine) * (1.0 + sun_sine), 0.0))
+    c = (level - radius) * (level + radius)
+    if a < 1e-12:
+        enter, leave = (-np.inf, np.inf) if c < 0.0 else (np.inf, -np.inf)
+    else:
+        inside = b * b - a * c
+        if inside <= 0.0:
+            return np.inf, -np.inf
+        root = np.sqrt(inside)
+        enter, leave = (-b - root) / a, (-b + root) / a
+    along = r0 * sun_sine
+    if abs(toward) < 1e-12:
+        return (enter, leave) if along < 0.0 else (np.inf, -np.inf)
+    edge = -along / toward
+    if toward > 0.0:
+        return enter, min(leave, edge)
+    return max(enter, edge), leave
+
+
+@njit(cache=True, error_model="numpy")
+def gather(
+    count: int,
+    r0: float,
+    sine: float,
+    toward: float,
+    sun_sine: float,
+    sizes: NDArray,
+    spectra: NDArray,
+    t: NDArray,
+    middle: NDArray,
+    scattered: NDArray,
+    of_gas: NDArray,
+    of_aerosol: NDArray,
+) -> None:
+    """Sums what a prepared ray's steps send to the observer under the sun.
+
+    Args:
+        count: Steps of the ray.
+        r0, sine, toward, sun_sine: As in ``shadow``.
+        sizes, spectra, t, middle, scattered: Of ``prepare``.
+        of_gas, of_aerosol: Receive radiance over phase function and sunlight, [wavelengths].
+    """
+    of_gas[:] = 0.0
+    of_aerosol[:] = 0.0
+    enter, leave = shadow(r0, sine, toward, sun_sine, sizes[0])
+    for k in range(count):
+        start, end = t[k], t[k + 1]
+        dark = min(end, leave) - max(start, enter)
+        at, lit = middle[k], 1.0
+        if dark > 0.0:
+            lit = 1.0 - dark / (end - start)
+            if lit <= 0.0:
+                continue
+            before, after = max(enter - start, 0.0), max(end - leave, 0.0)
+            at = start + 0.5 * before if before >= after else end - 0.5 * after
+        r = np.sqrt(r0 * r0 + at * (2.0 * r0 * sine + at))
+        cosine = min(max((r0 * sun_sine + at * toward) / r, -1.0), 1.0)
+        gas, aerosol, layer = columns(r, cosine, sizes)
+        for w in range(spectra.shape[1]):
+            depth = (spectra[0, w] * gas + spectra[2, w] * aerosol) + spectra[3, w] * layer
+            if depth > 80.0:
+                continue
+            sunlight = lit * elementary.exp(-depth)
+            of_gas[w] += sunlight * scattered[0, k, w]
+            of_aerosol[w] += sunlight * scattered[1, k, w]

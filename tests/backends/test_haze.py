@@ -1,0 +1,336 @@
+"""Haze: its integral against quadrature, its limits, and what pictures show of it."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+
+import mitsuba_scenes as ms
+import numpy as np
+import pytest
+import scenes
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy.integrate import quad
+from test_compose import write_latlong
+from third_party import LEVEL, Raster
+
+from scenec.backends.compose import compose
+from scenec.backends.contract import Radiance, Rays, Visibility
+from scenec.backends.exact import ExactCaster
+from scenec.backends.haze import BAND_DEG, Veil, airlight, horizon, optical_depth, veil
+from scenec.backends.rays import camera_rays
+from scenec.backends.render_scene import Camera, Dome, Haze, Lighting, RenderScene
+from scenec.backends.session import Session
+from scenec.backends.sky import Sky
+
+GRAY = np.array([0.4, 0.5, 0.6])
+
+
+def haze(visibility: float = 100.0, height: float = np.inf, shown: NDArray | None = None) -> Haze:
+    return Haze(np.full(3, 3.912 / visibility), height, shown)
+
+
+def depth(height: float, z0: float, z1: float, distance: float) -> float:
+    of = [np.array([float(v)]) for v in (z0, z1 - z0, distance)]
+    return float(optical_depth(haze(height=height), *of)[0])
+
+
+@given(
+    st.floats(0.1, 1e6),
+    st.floats(-20.0, 20.0),
+    st.floats(-30.0, 30.0),
+    st.floats(1e-3, 1e5),
+)
+def test_the_closed_form_is_the_integral(height, start, rise, distance):
+    z0, z1 = start * height, (start + rise) * height
+    lowest = min(z0, z1) / height
+    # In units of the density at the lowest point, where the integrand is at most 1.
+    slope = abs(rise)
+    expected = distance * quad(lambda x: np.exp(-slope * x), 0, 1, epsabs=0, epsrel=1e-12)[0]
+    assert depth(height, z0, z1, distance) == pytest.approx(expected * np.exp(-lowest), rel=1e-9)
+
+
+@given(st.floats(-1e12, 1e12), st.floats(-1e12, 1e12), st.floats(0, 1e12), st.floats(1e-3, 1e9))
+def test_it_is_finite_and_not_negative_for_any_ray(z0, z1, distance, height):
+    found = depth(height, z0, z1, distance)
+    assert np.isfinite(found)
+    assert found >= 0.0
+
+
+def test_its_limits():
+    assert depth(50.0, 3.0, 3.0, 0.0) == 0.0
+    # Level, straight up to space, and with no end of its height.
+    assert depth(50.0, 100.0, 100.0, 7.0) == pytest.approx(7.0 * np.exp(-2.0), rel=1e-14)
+    assert depth(50.0, 0.0, 1e9, 1e9) == pytest.approx(50.0, rel=1e-12)
+    assert depth(np.inf, -1e5, 1e5, 321.0) == 321.0
+    # Nearly level: the two branches of (1 - exp(-x)) / x meet.
+    steps = [depth(1.0, 0.0, rise, 1.0) for rise in (0.0, 0.9e-12, 1.1e-12, 1e-9)]
+    np.testing.assert_allclose(steps, 1.0, rtol=1e-9)
+
+
+@settings(max_examples=50)
+@given(st.floats(0.0, 1.0), st.floats(-0.99, 0.99))
+def test_two_parts_of_a_way_weaken_as_the_whole(share, slope):
+    whole = depth(30.0, 5.0, 5.0 + 400.0 * slope, 400.0)
+    middle = 5.0 + 400.0 * slope * share
+    first = depth(30.0, 5.0, middle, 400.0 * share)
+    second = depth(30.0, middle, 5.0 + 400.0 * slope, 400.0 * (1.0 - share))
+    assert first + second == pytest.approx(whole, rel=1e-9)
+
+
+def wall(distance: float, size: float = 1e4) -> RenderScene:
+    """A wall across +x, and above it the sky."""
+    points = [[0, -size, -size], [0, size, -size], [0, size, 0], [0, -size, 0]]
+    return scenes.scene(
+        [scenes.mesh(np.array(points), np.array([[0, 1, 2], [0, 2, 3]]))],
+        [(0, scenes.affine(offset=(distance, 0.0, 0.0)))],
+    )
+
+
+def seen(
+    scene: RenderScene, camera: Camera, of: Haze, dome: Dome | None, light: float = 0.0
+) -> tuple[NDArray, Veil]:
+    """The picture of a scene whose surfaces have one radiance, exact coverage at the centers."""
+    lighting = Lighting((), () if dome is None else (dome,))
+    scene = replace(scene, lighting=(lighting,), haze=(of,))
+    caster, rays = ExactCaster(scene), camera_rays(camera)
+    t = caster.cast(rays)[2]
+    covered = np.isfinite(t).reshape(rays.shape).astype(np.float32)
+    halves = np.broadcast_to(light * covered[None, ..., None], (2, *rays.shape, 3))
+    made = veil(scene, 0, camera, caster, rays, t, covered)
+    assert made is not None
+    radiance = Radiance(np.ascontiguousarray(halves, np.float32), covered, 2)
+    return compose(radiance, scene, camera, 0, made).rgb.astype(float), made
+
+
+def test_of_a_black_wall_at_the_visibility_2_percent_of_contrast_are_left():
+    camera = scenes.camera(9, 8, 1.0, target=(1.0, 0.0, 0.0))
+    constant = Dome(None, GRAY, np.eye(3))
+    rgb, _ = seen(wall(700.0), camera, haze(visibility=700.0), constant)
+    sky, black = rgb[0, 4], rgb[-1, 4]
+    np.testing.assert_allclose((sky - black) / sky, 0.02, atol=1e-4)
+
+
+def test_a_far_wall_vanishes_in_the_sky():
+    camera = scenes.camera(16, 12, 40.0)
+    rgb, _ = seen(wall(1e4, 1e6), camera, haze(10.0), Dome(None, GRAY, np.eye(3)), light=3.0)
+    np.testing.assert_allclose(rgb, np.broadcast_to(GRAY, rgb.shape), rtol=1e-6)
+
+
+def test_airlight_of_ones_own_shows_on_surfaces_only():
+    own = np.array([0.1, 0.2, 0.3])
+    camera = scenes.camera(16, 12, 40.0)
+    rgb, _ = seen(wall(1e4, 1e6), camera, haze(10.0, shown=own), Dome(None, GRAY, np.eye(3)))
+    np.testing.assert_allclose(rgb[-1, 8], own, rtol=1e-6)
+    np.testing.assert_allclose(rgb[0, 8], GRAY, rtol=1e-6)
+
+
+def test_a_thin_haze_low_in_the_valley_leaves_the_summit_clear():
+    points = np.array([[0, -900, -900], [0, 900, -900], [0, 900, 900], [0, -900, 900]])
+    scene = scenes.scene(
+        [scenes.mesh(points, np.array([[0, 1, 2], [0, 2, 3]]))],
+        [(0, scenes.affine(offset=(500.0, 0.0, 0.0)))],
+    )
+    _, made = seen(scene, scenes.camera(8, 31, 50.0), haze(400.0, 30.0), None)
+    column = made.transmittance[:, 4, 0]
+    assert (np.diff(column) <= 0.0).all()
+    assert column[0] > 0.7
+    assert column[-1] < 1e-3
+
+
+def test_below_the_horizon_the_skys_picture_is_hazy_ground_above_it_is_as_it_is(tmp_path):
+    # Ground of radiance 5 below a sky of radiance 2, seen from 20 m above the lowest point.
+    picture = np.full((1440, 8, 3), 2.0, np.float32)
+    picture[720:] = 5.0
+    dome = Dome(write_latlong(tmp_path / "sky.exr", picture), np.ones(3), ms.DOME_Z_UP)
+    points = np.array([[0, -1, -20], [0, 1, -20], [0, 0, -19.9]])
+    scene = scenes.scene([scenes.mesh(points, np.array([[0, 1, 2]]))], [(0, scenes.affine())])
+    scene = replace(scene, bounds=np.array([[0.0, -1, -20], [0, 1, -19.9]]))
+    camera = scenes.camera(4, 41, 80.0)
+    rgb, made = seen(scene, camera, haze(visibility=100.0), dome)
+    up = camera_rays(camera).directions[1::4]
+    sine = up[:, 2] / np.sqrt((up * up).sum(axis=1))
+    above = sine > 0.05
+    np.testing.assert_allclose(rgb[above, 1], 2.0, rtol=1e-5)
+    below = sine < -0.05
+    passed = np.exp(-3.912 / 100.0 * 20.0 / -sine[below])
+    expected = 5.0 * passed + 2.0 * (1.0 - passed)
+    np.testing.assert_allclose(rgb[below, 1, 0], expected, rtol=1e-3)
+    assert (made.behind[sine > 0.01] == 1.0).all()
+
+
+def test_a_sky_of_one_color_is_its_own_airlight_in_every_direction():
+    rng = np.random.default_rng(0)
+    to = np.vstack([rng.normal(size=(200, 3)), [[0, 0, 1], [0, 0, -1], [0, 1, 0], [-1e-9, 1, 0]]])
+    sky = Sky(GRAY.reshape(1, 1, 3).astype(np.float32), np.eye(3))
+    np.testing.assert_allclose(airlight(haze(), sky, to), np.tile(GRAY, (len(to), 1)), 1e-6)
+    assert not airlight(haze(), None, to).any()
+
+
+def test_airlight_is_that_of_the_bearing_and_has_no_steps():
+    # Rises with sin of the bearing: brightest to the east, +x.
+    bearing = (np.arange(720) + 0.5) * (2 * np.pi / 720)
+    level = np.broadcast_to(2.0 + np.sin(bearing)[None, :, None], (360, 720, 3))
+    table = horizon(Sky(np.ascontiguousarray(level, np.float32), ms.DOME_Z_UP))
+    np.testing.assert_allclose(table[:, 0], 2.0 + np.sin(bearing), atol=3e-3)
+    steps = np.abs(np.diff(np.vstack([table, table[:1]]), axis=0))
+    assert steps.max() < 0.01
+
+
+def test_a_sun_in_the_picture_is_no_airlight():
+    picture = np.full((360, 720, 3), 0.5, np.float32)
+    # A disc of a degree, 10^4 times the sky, one degree above the horizon to the south.
+    picture[177:179, 359:361] = 5000.0
+    table = horizon(Sky(picture, ms.DOME_Z_UP))
+    assert table.max() < 0.5 * 1.1
+    # What is bright over a wide arc is the sky.
+    picture[170:180, 300:420] = 3.0
+    table = horizon(Sky(picture, ms.DOME_Z_UP))
+    assert table[360, 0] == pytest.approx(3.0, rel=0.2)
+
+
+def test_the_band_is_the_lowest_3_degrees():
+    picture = np.ones((360, 720, 3), np.float32)
+    picture[: 180 - int(2 * BAND_DEG) - 2] = 9.0
+    picture[181:] = 9.0
+    np.testing.assert_allclose(horizon(Sky(picture, ms.DOME_Z_UP)), 1.0, atol=1e-6)
+
+
+def edge(shift: float) -> RenderScene:
+    """A near wall's edge before a far one that fills the picture."""
+    near = [[0, -50, -50], [0, 0, -50], [0, 0, 50], [0, -50, 50]]
+    far = [[0, -5e3, -5e3], [0, 5e3, -5e3], [0, 5e3, 5e3], [0, -5e3, 5e3]]
+    faces = np.array([[0, 1, 2], [0, 2, 3]])
+    return scenes.scene(
+        [scenes.mesh(np.array(near), faces), scenes.mesh(np.array(far), faces)],
+        [(0, scenes.affine(offset=(10.0, shift, 0.0))), (1, scenes.affine(offset=(900.0, 0, 0)))],
+    )
+
+
+@pytest.mark.parametrize("part", [0.125, 0.375, 0.625, 0.875])
+def test_a_pixel_across_an_edge_has_the_mean_of_both_sides(part):
+    camera = scenes.camera(8, 8, 40.0)
+    # The middle column's left border looks along y = 0; +y is to the left.
+    pixel = 10.0 / camera.intrinsics[0, 0]
+    scene = edge(-part * pixel)
+    _, made = seen(scene, camera, haze(300.0), None)
+    near, far = made.transmittance[4, 7, 0], made.transmittance[4, 0, 0]
+    assert near - far > 0.8
+    mixed = made.transmittance[4, 4, 0]
+    assert abs(mixed - (part * far + (1.0 - part) * near)) < 0.04
+    assert 0 < made.subsampled < 64
+
+
+def test_the_error_at_edges_is_the_covariance_of_light_and_transmittance():
+    # One pixel against 32 x 32 of them, whose light differs between the walls.
+    part = 0.4
+    camera = scenes.camera(8, 8, 40.0)
+    pixel = 10.0 / camera.intrinsics[0, 0]
+    scene = edge(-part * pixel)
+    of = haze(300.0, shown=np.full(3, 1.0))
+    lights = np.array([0.2, 0.8])
+    fine_camera = scenes.camera(256, 256, 40.0)
+    fine_rays = camera_rays(fine_camera)
+    row, _, t = ExactCaster(scene).cast(fine_rays)
+    light = lights[row].reshape(256, 256)
+    lengths = np.sqrt((fine_rays.directions**2).sum(1)) * t
+    passed = np.exp(-3.912 / 300.0 * lengths).reshape(256, 256)
+    exact = light * passed + (1.0 - passed)
+
+    def boxed(values: NDArray) -> NDArray:
+        return values.reshape(8, 32, 8, 32).mean(axis=(1, 3))
+
+    _, made = seen(scene, camera, of, None)
+    mean = boxed(light)[..., None] * np.ones(3)
+    ours = made.over(mean, np.ones((8, 8)))[..., 0]
+    covariance = boxed(light * passed) - boxed(light) * boxed(passed)
+    np.testing.assert_allclose(boxed(exact) - ours, covariance, atol=0.03)
+    # A gray wall in front of one four times as bright: at worst a quarter of their contrast.
+    assert np.abs(covariance).max() > 0.05
+    assert np.abs(covariance).max() <= 0.25 * 0.6
+
+
+def test_noise_estimates_shrink_with_what_arrives():
+    rng = np.random.default_rng(1)
+    halves = rng.uniform(0.5, 1.5, (2, 8, 8, 3)).astype(np.float32)
+    whole = np.ones((8, 8), np.float32)
+    camera = scenes.camera(8, 8)
+    scene = replace(scenes.scene([], []), lighting=(Lighting((), ()),))
+    clear = compose(Radiance(halves, whole, 2), scene, camera, 0)
+    one = np.ones((8, 8, 3))
+    half = Veil(0.5 * one, one, 0.0 * one, 0)
+    dark = compose(Radiance(halves, whole, 2), scene, camera, 0, half)
+    # Black airlight: the picture and its noise are half as bright.
+    assert dark.relative_error == pytest.approx(clear.relative_error)
+    bright = Veil(0.5 * one, one, one, 0)
+    veiled = compose(Radiance(halves, whole, 2), scene, camera, 0, bright)
+    mean = 0.5 * (halves[0] + halves[1]).astype(float)
+    level = float((0.5 * mean + 0.5).mean())
+    expected = clear.relative_error * float(mean.mean()) * 0.5 / level
+    assert veiled.relative_error == pytest.approx(expected, rel=1e-5)
+    smooth = Radiance(halves, whole, 2, denoised=np.ones((8, 8, 3), np.float32))
+    np.testing.assert_allclose(compose(smooth, scene, camera, 0, bright).rgb, 1.0, rtol=1e-6)
+
+
+def test_what_a_renderer_alone_has_met_is_as_hazy_as_what_is_beside_it():
+    camera, of = scenes.camera(8, 8, 40.0), haze(100.0)
+    scene = wall(50.0)
+    caster, rays = ExactCaster(scene), camera_rays(camera)
+    t = caster.cast(rays)[2]
+    # A renderer's float32 sees the wall one row higher.
+    covered = np.isfinite(t).reshape(8, 8).astype(np.float32)
+    covered[:-1] = np.maximum(covered[:-1], covered[1:])
+    made = veil(replace(scene, haze=(of,)), 0, camera, caster, rays, t, covered)
+    assert made is not None
+    assert made.transmittance[covered > 0.0].max() < 0.2
+
+
+class Blind(Raster):
+    """Sees nothing, so that all of its visibility is wrong."""
+
+    name = "blind"
+
+    def visibility(
+        self, rays: Rays, sample: int, camera: Camera | None = None
+    ) -> Visibility | None:
+        """Misses."""
+        nothing = np.full(len(rays.origins), -1, np.int32)
+        return Visibility(nothing, np.zeros_like(nothing))
+
+
+def test_haze_is_bit_identical_whatever_the_renderer_saw_and_is_asked_for():
+    camera, own = scenes.camera(24, 18, 60.0), np.array([1.0, 2.0, 3.0])
+    scene = replace(edge(0.3), haze=(haze(300.0, shown=own),), cameras=((camera,),))
+    pictures = []
+    for backend, passes in (
+        (Raster(), ["rgb"]),
+        (Raster(), ["rgb", "depth"]),
+        (Blind(), ["rgb", "depth", "instance"]),
+    ):
+        session = Session(scene, backend)
+        arrays, details = session.render(camera, 0, session.passes(passes, camera), 2, 0)
+        pictures.append(arrays["rgb"])
+        assert next(iter(arrays)) == "rgb"
+        assert details["seconds"]["haze"] > 0.0
+        assert details["haze"]["subsampled_pixels"] > 0
+        assert any("haze" in line for line in details["losses"])
+    np.testing.assert_array_equal(pictures[0], pictures[1])
+    np.testing.assert_array_equal(pictures[0], pictures[2])
+    # LEVEL near, more of the airlight far.
+    near, far = pictures[0][9, 20], pictures[0][9, 3]
+    assert np.allclose(far, own, rtol=0.01)
+    assert abs(near[1] - 2.0) < 1e-6
+    assert 1.0 < near[0] < 2.0
+
+
+def test_without_haze_nothing_is_done_or_imported(monkeypatch):
+    monkeypatch.delitem(sys.modules, "scenec.backends.haze")
+    camera = scenes.camera(8, 6)
+    session = Session(replace(edge(0.0), cameras=((camera,),)), Raster())
+    arrays, details = session.render(camera, 0, ("rgb", "depth"), 2, 0)
+    assert "scenec.backends.haze" not in sys.modules
+    assert "haze" not in details["seconds"]
+    assert "haze" not in details
+    np.testing.assert_array_equal(arrays["rgb"], np.float32(LEVEL))

@@ -1,0 +1,103 @@
+"""Laws of reflectance from cfg to stage to what backends read."""
+
+from __future__ import annotations
+
+import math
+import shutil
+from pathlib import Path
+
+import pytest
+from pxr import Sdf, Usd
+from small import small_cfg, write_cfg
+
+from scenec.backends.check.stage import check_stage
+from scenec.backends.reader import read_stage
+from scenec.compiler.compile import compile_cfg
+from scenec.schemas.errors import CfgError, StageError
+
+LAWS = {
+    "sand": {"type": "hapke", "b": {"type": "uniform", "min": 0.2, "max": 0.3}, "c": -0.4},
+    "gravel": {"type": "lommel_seeliger", "opposition": 1.5},
+    "mud": {"type": "lambert"},
+}
+
+
+@pytest.fixture(scope="module")
+def batch(tmp_path_factory) -> Path:
+    """A batch of which all materials but one name a law."""
+    folder = tmp_path_factory.mktemp("laws")
+    cfg = small_cfg()
+    for name, law in LAWS.items():
+        cfg["materials"][name]["reflectance"] = law
+    compile_cfg(write_cfg(folder, cfg), seed=3, out=folder / "out")
+    return folder / "out" / "batch_0000"
+
+
+def test_laws_are_read_back_as_they_were_given(batch):
+    surfaces = {s.path.rsplit("/")[-1]: s for s in read_stage(batch / "stage.usda").surfaces}
+    hapke, dark = surfaces["sand"].reflectance, surfaces["gravel"].reflectance
+    assert surfaces["mud"].reflectance is None
+    assert surfaces["stone"].reflectance is None
+    assert hapke.model == "hapke"
+    assert 0.2 <= hapke.b <= 0.3
+    assert (hapke.c, hapke.opposition) == pytest.approx((-0.4, 1.993))
+    assert hapke.roughness == pytest.approx(math.radians(23.657))
+    assert dark.model == "lommel_seeliger"
+    assert (dark.b, dark.c, dark.opposition, dark.roughness) == (0.0, 0.0, 1.5, 0.0)
+
+
+def test_the_stage_is_sound_and_lambert_is_not_written(batch):
+    assert [str(finding) for finding in check_stage(batch / "stage.usda")] == []
+    stage = Usd.Stage.Open(str(batch / "stage.usda"))
+    named = [
+        name
+        for name in (*LAWS, "stone")
+        if stage.GetAttributeAtPath(f"/World/Looks/{name}.scenec:surface:reflectance")
+    ]
+    assert named == ["sand", "gravel"]
+
+
+@pytest.mark.parametrize(
+    ("law", "place"),
+    [
+        ({"type": "minnaert"}, "reflectance/type"),
+        ({"type": "hapke", "b": 1.0}, "reflectance/b"),
+        ({"type": "hapke", "c": -1.1}, "reflectance/c"),
+        ({"type": "hapke", "opposition": -0.1}, "reflectance/opposition"),
+        ({"type": "hapke", "opposition_width": 0}, "reflectance/opposition_width"),
+        ({"type": "hapke", "roughness_deg": 90}, "reflectance/roughness_deg"),
+        ({"type": "lommel_seeliger", "roughness_deg": 10}, "reflectance"),
+        ({"type": "lambert", "b": 0.1}, "reflectance"),
+        ({}, "reflectance"),
+        ("hapke", "reflectance"),
+    ],
+)
+def test_what_is_no_law_is_refused_where_it_stands(tmp_path, law, place):
+    cfg = small_cfg()
+    cfg["materials"]["mud"]["reflectance"] = law
+    with pytest.raises(CfgError, match=f"/materials/mud/{place}"):
+        compile_cfg(write_cfg(tmp_path, cfg), seed=3, out=tmp_path / "out")
+
+
+@pytest.mark.parametrize(
+    ("name", "kind", "value", "refused"),
+    [
+        ("reflectance", "Token", "minnaert", "expected one of: lambert, lommel_seeliger, hapke"),
+        ("phase:b", "Float", 1.0, r"is 1.0, expected a number in \[0, 1\)"),
+        ("phase:c", "Float", math.nan, r"is nan, expected a number in \[-1, 1\]"),
+        ("opposition", "Float", math.inf, r"is inf, expected a number in \[0, inf\)"),
+        ("oppositionWidth", "Float", 0.0, r"expected a number in \(0, inf\)"),
+        ("meanSlope", "String", "steep", r"is steep, expected a number in \[0, 90\)"),
+    ],
+)
+def test_a_stage_that_says_nonsense_is_refused(batch, tmp_path, name, kind, value, refused):
+    folder = tmp_path / "batch"
+    shutil.copytree(batch, folder)
+    layer = Sdf.Layer.FindOrOpen(str(folder / "looks" / "sand.usda"))
+    prim = layer.GetPrimAtPath("/World/Looks/sand")
+    attribute = f"scenec:surface:{name}"
+    del prim.properties[attribute]
+    Sdf.AttributeSpec(prim, attribute, getattr(Sdf.ValueTypeNames, kind)).default = value
+    layer.Save()
+    with pytest.raises(StageError, match=refused):
+        read_stage(folder / "stage.usda")
