@@ -214,7 +214,7 @@ def _role(path: Path) -> str:
         STAGE: "root layer: open this",
         "terrain.usdc": "terrain",
         f"terrain{LAYER_SUFFIX}": "mix of the ground's materials, for MaterialX",
-        "lights.usda": "sun and sky",
+        "lights.usda": "suns, sky and lamps",
         "cameras.usda": "rigs, cameras, render products",
         REPORT: "error of every pass, counts, what was left out",
     }[path.name]

@@ -76,7 +76,7 @@ ENTRIES = (
         "lunar_mare",
         2,
         "surface",
-        "craters in equilibrium and young ones, whose ejecta are brighter; no sky light",
+        "craters in equilibrium and young ones with bright ejecta; Hapke's law, the Earth's light",
     ),
     Entry(
         "volcanic_desert",

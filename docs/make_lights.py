@@ -1,6 +1,6 @@
 """Renders six lights in every backend, side by side, and writes docs/lights.md.
 
-    python docs/make_lights.py [--only NAME] [--spp 24] [--keep FOLDER] [--out FOLDER] [--fast]
+    python docs/make_lights.py [--only NAME] [--spp 16] [--keep FOLDER] [--out FOLDER] [--fast]
 
 Each light falls on one of the cfgs of configs/, with the light and the camera put in place by this
 script. Every frame is rendered by all three backends from one stage; the table holds mean radiance,
@@ -285,7 +285,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     names = [case.name for case in CASES]
     parser.add_argument("--only", choices=names, action="append", help="only this light")
-    parser.add_argument("--spp", type=int, default=24, help="samples per pixel (default: 24)")
+    parser.add_argument("--spp", type=int, default=16, help="samples per pixel (default: 16)")
     parser.add_argument("--keep", type=Path, help="folder for stages and frames")
     parser.add_argument("--out", type=Path, default=ROOT / "docs", help="folder of the page")
     parser.add_argument("--fast", action="store_true", help="8 samples, to see that it works")

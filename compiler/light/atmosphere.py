@@ -14,6 +14,7 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
+from scenec.compiler.light.atmosphere_bearings import angle_to_sun, cubic
 from scenec.compiler.light.atmosphere_columns import columns
 from scenec.compiler.light.atmosphere_multiple import bake_again
 from scenec.compiler.light.atmosphere_planets import Medium
@@ -221,17 +222,17 @@ def _rows(
                 r0, sine, cosine, ground, sizes, spectra, t, middle, scattered, arriving
             )
             for n in range(bearings):
-                toward = _toward(sine, cosine, n / (bearings - 1), sun)
+                toward = angle_to_sun(sine, cosine, n / (bearings - 1), sun)
                 gather(
                     count, r0, sine, toward, sun[1], sizes, spectra, t, middle, scattered,
                     of_gas[n], of_aerosol[n],
                 )  # fmt: skip
             for column in range(height):
                 share = 1.0 - (column + 0.5) / height
-                toward = _toward(sine, cosine, share, sun)
+                toward = angle_to_sun(sine, cosine, share, sun)
                 place = share * (bearings - 1)
                 near = min(int(place), bearings - 2)
-                a, b, c, d = _cubic(place - near)
+                a, b, c, d = cubic(place - near)
                 # Beyond the sun's meridian things repeat.
                 before, after = abs(near - 1), bearings - 1 - abs(bearings - 3 - near)
                 rayleigh = gas_phase(toward)
@@ -253,25 +254,6 @@ def _rows(
                 for i in range(3):
                     out[row, column, i] += max(color[i], 0.0) / lines
     return out
-
-
-@njit(cache=True, error_model="numpy")
-def _toward(sine: float, cosine: float, bearing: float, sun: NDArray) -> float:
-    """Cosine of the angle to the sun; the bearing from the sun's is in half turns."""
-    toward = cosine * sun[0] * elementary.cos(elementary.PI * bearing) + sine * sun[1]
-    return min(max(toward, -1.0), 1.0)
-
-
-@njit(cache=True, error_model="numpy")
-def _cubic(x: float) -> tuple[float, float, float, float]:
-    """Weights of four values at -1, 0, 1, 2 for the point x in [0, 1], after Catmull and Rom."""
-    y = 1.0 - x
-    return (
-        -0.5 * x * y * y,
-        1.0 + x * x * (1.5 * x - 2.5),
-        1.0 + y * y * (1.5 * y - 2.5),
-        -0.5 * y * x * x,
-    )
 
 
 @njit(cache=True, error_model="numpy")
