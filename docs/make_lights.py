@@ -260,7 +260,9 @@ and all pictures of a row are shown with one exposure.
 NOTES = """
 Radiance is that of surfaces, W/(m² sr), red, green, blue; FLIP is LDR-FLIP's mean over all pixels \
 against Cycles (0 is equal, noise of both included), and beside it how far the mean radiance of \
-surfaces is from Cycles'. Seconds are those of the radiance alone, without loading and compiling.
+surfaces is from Cycles'. Seconds are those of the radiance alone, without loading and compiling \
+the scene; Mitsuba's hold the compilation of its kernel, 20 to 40 s for each stage. They are \
+single readings, with whatever else the machine did beside them.
 """
 
 
