@@ -307,7 +307,7 @@ def test_files_are_called_what_they_are_whatever_their_names(tmp_path):
     files = read_manifest(compiled(tmp_path, cfg))["files"]
     assert files["batch_0000/looks/lights.usda"]["what"] == "material"
     assert files["batch_0000/objects/terrain.usdc"]["what"] == "object class"
-    assert files["batch_0000/lights.usda"]["what"] == "sun and sky"
+    assert files["batch_0000/lights.usda"]["what"] == "suns, sky and lamps"
 
 
 def test_each_sensor_asks_for_its_own_outputs(tmp_path):
