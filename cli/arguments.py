@@ -125,7 +125,7 @@ def add_render_options(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def _names(text: str) -> list[str]:
+def names(text: str) -> list[str]:
     """A list such as ``lander,logs``."""
     return [name.strip() for name in text.split(",") if name.strip()]
 
@@ -134,14 +134,14 @@ def add_settle_options(parser: argparse.ArgumentParser) -> None:
     """What falls in ``settle``, and how."""
     parser.add_argument(
         "--objects",
-        type=_names,
+        type=names,
         metavar="CLASS,…",
         required=True,
         help="classes to drop, of type placed or meshes",
     )
     parser.add_argument(
         "--among",
-        type=_names,
+        type=names,
         metavar="CLASS,…",
         help="classes that they may fall onto (default: all of type placed and rocks)",
     )

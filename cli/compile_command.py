@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 
 from scenec.cli.explain_command import precision_text
-from scenec.cli.output import print_json, say
+from scenec.cli.output import Progress, print_json, say
 from scenec.compiler.compile import CompileReport, compile_cfg
 from scenec.compiler.precision import WARN_PX
 
@@ -21,7 +21,12 @@ def run(options: argparse.Namespace) -> int:
 def compile_now(options: argparse.Namespace) -> CompileReport:
     """Compiles, and says what came of it."""
     report = compile_cfg(
-        options.cfg, seed=options.seed, out=options.out, batches=options.batches, progress=say
+        options.cfg,
+        seed=options.seed,
+        out=options.out,
+        batches=options.batches,
+        progress=say,
+        step=Progress("compiled", unit="batch", units="batches").now,
     )
     for name, seconds in report.seconds.items():
         facts = report.facts[name]

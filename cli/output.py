@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import shutil
 import sys
 import time
+from collections import deque
 from typing import Any
 
 from scenec.cli.interrupt import stop_if_pending
@@ -18,30 +20,113 @@ def print_json(value: Any) -> None:
 def say(text: str) -> None:
     """A line about what is being done, on standard error: standard output is for results."""
     stop_if_pending()
+    _clear_bar()
     print(text, file=sys.stderr, flush=True)
 
 
-class Progress:
-    """Progress through a known number of steps: a bar on a terminal, plain lines elsewhere."""
+class _Bar:
+    """Whether the terminal's last line is a bar, which other lines must not run into."""
 
-    def __init__(self, what: str):
+    open = False
+
+
+def _clear_bar() -> None:
+    if _Bar.open:
+        _Bar.open = False
+        # Carriage return, erase the line (ECMA-48 EL).
+        sys.stderr.write("\r\x1b[K")
+
+
+class Progress:
+    """Progress through a known number of steps: a bar on a terminal, plain lines elsewhere.
+
+    Both say how many steps a second are made, over the last of them, and how long the rest will
+    take at that speed.
+
+    Args:
+        what: What the steps are, before the bar.
+        unit: What is counted a second, one of them.
+        units: Several of them; None adds an s.
+    """
+
+    def __init__(self, what: str, unit: str = "frame", units: str | None = None):
         self._what = what
-        self._start = time.perf_counter()
+        self._unit = unit
+        self._units = units or f"{unit}s"
+        # What was reported when: speed is that of the last steps, since those that were done
+        # before (frames that are there) cost next to nothing.
+        self._reports = deque([(time.perf_counter(), 0)], maxlen=_WINDOW)
+        self._told = 0.0
         self._terminal = sys.stderr.isatty()
 
     def __call__(self, done: int, total: int, text: str) -> None:
         """Reports that ``done`` of ``total`` steps are finished; ``text`` is about the last one."""
         stop_if_pending()
-        elapsed = time.perf_counter() - self._start
-        left = elapsed / done * (total - done) if done else 0.0
-        if not self._terminal:
-            say(f"{self._what} {done}/{total}: {text}")
+        rate = self._rate(done)
+        left = (total - done) / rate if rate > 0.0 else 0.0
+        if self._terminal:
+            self._bar(done, total, rate, left, text)
+        else:
+            say(f"{self._what} {done}/{total}, {self._speed(rate)}, {_span(left)} left: {text}")
+
+    def now(self, done: int, total: int, text: str) -> None:
+        """Says what is going on between two steps, where there is a bar to say it beside."""
+        stop_if_pending()
+        if self._terminal:
+            start, first = self._reports[0]
+            elapsed = time.perf_counter() - start
+            rate = (done - first) / elapsed if elapsed > 0.0 else 0.0
+            left = (total - done) / rate if rate > 0.0 else 0.0
+            self._told = 0.0
+            self._bar(done, total, rate, left, text, last=False)
+
+    def _rate(self, done: int) -> float:
+        """Steps a second over the last reports."""
+        if len(self._reports) == 1 and done > 1:
+            # Whatever was finished before the first report cost none of our time.
+            self._reports[0] = (self._reports[0][0], done - 1)
+        self._reports.append((time.perf_counter(), done))
+        start, first = self._reports[0]
+        elapsed = self._reports[-1][0] - start
+        return (done - first) / elapsed if elapsed > 0.0 else 0.0
+
+    def _bar(
+        self, done: int, total: int, rate: float, left: float, text: str, last: bool = True
+    ) -> None:
+        last &= done == total
+        now = time.perf_counter()
+        if not last and now - self._told < _REDRAW_S:
             return
+        self._told = now
+        columns = shutil.get_terminal_size((118, 24)).columns - 1
         filled = round(24 * done / total) if total else 24
         bar = "█" * filled + "░" * (24 - filled)
-        line = f"\r{self._what} {bar} {done}/{total}, {left:.0f} s left: {text}"
-        sys.stderr.write(line[:118].ljust(118) + ("\n" if done == total else ""))
+        speed = f", {self._speed(rate)}, {_span(left)} left" if rate > 0.0 else ""
+        line = f"{self._what} {bar} {done}/{total}{speed}: {text}"
+        _Bar.open = not last
+        sys.stderr.write("\r" + line[:columns].ljust(columns) + ("\n" if last else ""))
         sys.stderr.flush()
+
+    def _speed(self, rate: float) -> str:
+        if rate >= 1.0:
+            return f"{rate:.3g} {self._units}/s"
+        return f"{1.0 / rate:.3g} s a {self._unit}"
+
+
+#: Reports that speed is taken over.
+_WINDOW = 32
+#: A bar that is drawn more often only costs time.
+_REDRAW_S = 0.05
+
+
+def _span(seconds: float) -> str:
+    """A time as people say it: 12 s, 3:07 min, 2:10 h."""
+    whole = round(seconds)
+    if whole < 100:
+        return f"{whole} s"
+    if whole < 3600:
+        return f"{whole // 60}:{whole % 60:02d} min"
+    return f"{whole // 3600}:{whole // 60 % 60:02d} h"
 
 
 def table(rows: list[list[str]], header: list[str]) -> str:

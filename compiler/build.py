@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -50,14 +50,18 @@ class BuildLog:
     Attributes:
         facts: For report.json.
         seconds: For timings.json.
+        tell: Called with the name of each step that begins.
     """
 
     facts: dict[str, Any] = field(default_factory=dict)
     seconds: dict[str, float] = field(default_factory=dict)
+    tell: Callable[[str], None] | None = None
 
     @contextmanager
     def timed(self, name: str) -> Iterator[None]:
         """Adds the time of a ``with`` block to ``seconds[name]``."""
+        if self.tell is not None:
+            self.tell(name)
         start = time.perf_counter()
         yield
         self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import time
 from collections.abc import Callable
@@ -15,10 +16,12 @@ from pxr import Tf
 from scenec.compiler.build import BuildLog, build
 from scenec.compiler.draw import draw
 from scenec.compiler.emit.batch import STAGE, write_batch
+from scenec.compiler.frontend import licenses
 from scenec.compiler.frontend.load import Spec, load
 from scenec.compiler.scene import Scene
 from scenec.schemas.errors import OutputError, ScenecError
 from scenec.schemas.files import (
+    atomic,
     replace_folder,
     same_tree,
     sha256,
@@ -26,7 +29,7 @@ from scenec.schemas.files import (
     tree,
     write_json,
 )
-from scenec.schemas.manifest import FRAMES, MANIFEST, MANIFEST_FORMAT, REPORT, TIMINGS
+from scenec.schemas.manifest import CFG, FRAMES, MANIFEST, MANIFEST_FORMAT, REPORT, TIMINGS
 from scenec.schemas.materialx import LAYER_SUFFIX
 
 #: Whose version can change the bytes of the output.
@@ -59,6 +62,7 @@ def compile_cfg(
     out: Path | str,
     batches: range | None = None,
     progress: Callable[[str], None] | None = None,
+    step: Callable[[int, int, str], None] | None = None,
 ) -> CompileReport:
     """Compiles a cfg into USD stages, one per batch.
 
@@ -71,6 +75,7 @@ def compile_cfg(
         out: Output folder; made if it is not there.
         batches: Which batches; None compiles all.
         progress: Called with a line of text before each batch.
+        step: Called when a step of a batch begins, with batches done, batches in all, and a text.
 
     Raises:
         CfgError: The cfg has faults; all of them are in the error.
@@ -88,10 +93,10 @@ def compile_cfg(
     seconds: dict[str, dict[str, float]] = {}
     facts: dict[str, dict[str, Any]] = {}
     unchanged = 0
-    for batch in chosen:
+    for done, batch in enumerate(chosen):
         name = f"batch_{batch:04d}"
         say(f"compiling {name} of {spec.cfg['name']}, seed {seed}")
-        log = BuildLog(seconds={"load": load_seconds})
+        log = BuildLog(seconds={"load": load_seconds}, tell=_teller(step, done, len(chosen), name))
         with log.timed("draw"):
             plan = draw(spec, seed, batch)
         scene = build(plan, log)
@@ -107,8 +112,14 @@ def compile_cfg(
         seconds[name], facts[name] = log.seconds, log.facts
         _add_batch(manifest, out, name, batch, plan.samples)
         # After each batch: what an interrupted run has finished counts, and can be gone on with.
-        _write_manifest(manifest, out, seconds)
+        _write_manifest(manifest, out, seconds, spec.text)
     return CompileReport(out, tuple(chosen), unchanged, seconds, facts)
+
+
+def _teller(
+    step: Callable[[int, int, str], None] | None, done: int, total: int, batch: str
+) -> Callable[[str], None] | None:
+    return None if step is None else lambda text: step(done, total, f"{batch}: {text}")
 
 
 def _write(folder: Path, scene: Scene, final: Path) -> None:
@@ -145,6 +156,7 @@ def _begin_manifest(spec: Spec, seed: int, out: Path, chosen: range) -> dict[str
         "cfg": {
             "sha256": spec.digest,
             "inputs": {pointer: file.sha256 for pointer, file in spec.files.items()},
+            "licenses": {pointer: licenses.as_json(file) for pointer, file in spec.files.items()},
         },
         "seed": seed,
         "scenec": version("scenec"),
@@ -152,7 +164,7 @@ def _begin_manifest(spec: Spec, seed: int, out: Path, chosen: range) -> dict[str
     }
     old = _read_manifest(out)
     if old is not None:
-        if all(old.get(key) == value for key, value in head.items()):
+        if _essence(old) == _essence(head):
             return {**head, "batches": old["batches"], "files": old["files"]}
         left_over = [b["path"] for b in old["batches"] if b["index"] not in chosen]
         if left_over:
@@ -169,6 +181,14 @@ def _begin_manifest(spec: Spec, seed: int, out: Path, chosen: range) -> dict[str
             f"{out}: is not empty and holds no scenec output (no {MANIFEST}); choose another folder"
         )
     return {**head, "batches": [], "files": {}}
+
+
+def _essence(manifest: dict[str, Any]) -> dict[str, Any]:
+    """What decides the batches: not what is known of the terms of what went in."""
+    keys = ("format", "name", "seed", "scenec", "libraries")
+    cfg = manifest.get("cfg")
+    inputs = (cfg.get("sha256"), cfg.get("inputs")) if isinstance(cfg, dict) else None
+    return {"cfg": inputs, **{key: manifest.get(key) for key in keys}}
 
 
 def _read_manifest(out: Path) -> dict[str, Any] | None:
@@ -221,8 +241,16 @@ def _role(path: Path) -> str:
 
 
 def _write_manifest(
-    manifest: dict[str, Any], out: Path, seconds: dict[str, dict[str, float]]
+    manifest: dict[str, Any], out: Path, seconds: dict[str, dict[str, float]], cfg: bytes
 ) -> None:
+    with atomic(out / CFG) as temporary:
+        temporary.write_bytes(cfg)
+    manifest["files"][CFG] = {
+        "what": "the cfg, as it was given",
+        "bytes": len(cfg),
+        "sha256": hashlib.sha256(cfg).hexdigest(),
+    }
+    manifest["files"] = dict(sorted(manifest["files"].items()))
     known = {b["path"] for b in manifest["batches"]}
     timings: dict[str, Any] = {}
     path = out / TIMINGS

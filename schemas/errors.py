@@ -56,6 +56,10 @@ class FrameError(ScenecError):
     """A frame on disk that is missing, truncated, or not of this contract."""
 
 
+class ForeignFrameError(FrameError):
+    """A sound frame that does not belong where it lies: of another stage, or with other labels."""
+
+
 class BackendError(ScenecError):
     """A renderer that is not installed, cannot start, or failed on a frame."""
 

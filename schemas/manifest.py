@@ -1,9 +1,16 @@
-"""The manifest of an output folder: what was compiled, and the hash of every file."""
+"""The manifest of an output folder: what was compiled, and the hash of every file.
+
+``cfg``: ``sha256`` of the cfg in full (defaults filled in, with its files' hashes), ``inputs``
+(JSON pointer without its first slash -> sha256 of the file named there) and ``licenses`` (the same
+pointers -> ``file`` as the cfg has it, ``license``, ``copyright`` and the ``source`` that says so).
+``files`` holds every file of the batches and ``cfg.json``, the cfg's own bytes.
+"""
 
 from __future__ import annotations
 
+import hashlib
 import json
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,6 +19,8 @@ from scenec.schemas.errors import OutputError, StageError
 
 MANIFEST = "manifest.json"
 TIMINGS = "timings.json"
+#: The cfg as it was given; paths in it are relative to the folder that it lay in.
+CFG = "cfg.json"
 #: In each batch's folder.
 REPORT = "report.json"
 FRAMES = "frames"
@@ -79,3 +88,26 @@ def find_batches(out: Path, batches: Collection[int] | None = None) -> list[Batc
         wanted = f"batch {missing[0]}" if missing else "a batch"
         raise StageError(f"{out}: does not hold {wanted}; it holds {there}")
     return [found[index] for index in (found if batches is None else sorted(batches))]
+
+
+def stage_digest(manifest: dict[str, Any], batch: str) -> str:
+    """The digest that frames of a batch carry, as it follows from the manifest alone.
+
+    A stage that the compiler wrote is composed of all the batch's files but its report.
+
+    Args:
+        manifest: As ``read_manifest`` returns it.
+        batch: Folder name.
+    """
+    begin = f"{batch}/"
+    return digest_of_files(
+        (path.removeprefix(begin), entry["sha256"])
+        for path, entry in manifest["files"].items()
+        if path.startswith(begin) and path != f"{batch}/{REPORT}"
+    )
+
+
+def digest_of_files(files: Iterable[tuple[str, str]]) -> str:
+    """sha256 over relative paths and the sha256 of what is in them, whatever their order."""
+    lines = sorted(f"{path} {digest}" for path, digest in files)
+    return hashlib.sha256("\n".join(lines).encode()).hexdigest()

@@ -11,7 +11,7 @@ from pathlib import Path as FilePath
 from typing import Any
 
 from scenec.compiler.assets.affine import TO_Z_UP
-from scenec.compiler.frontend.faults import Finding, nearest, shown
+from scenec.compiler.frontend.faults import Finding
 from scenec.compiler.frontend.json_positions import Path
 from scenec.compiler.frontend.pose_table import read_poses
 from scenec.compiler.frontend.resources import ResourceError, find_file, find_folder
@@ -19,6 +19,7 @@ from scenec.compiler.frontend.schema import Field
 from scenec.compiler.frontend.track import read_track
 from scenec.schemas.errors import SceneError
 from scenec.schemas.maps import read_pixels
+from scenec.schemas.spelling import nearest, shown
 
 _EXR_MAGIC = b"\x76\x2f\x31\x01"
 
@@ -30,10 +31,12 @@ class InputFile:
     Attributes:
         path: Where it is on this machine, a file or a folder; never written to any output.
         sha256: Of its bytes, in hexadecimal; with those of the files that belong to a model.
+        reference: The string in the cfg.
     """
 
     path: FilePath
     sha256: str
+    reference: str = ""
 
 
 def check_file(
@@ -69,7 +72,7 @@ def check_file(
             digest = _with_companions(path, digest)
     except SceneError as error:
         findings = [Finding(field.path, str(error))]
-    return (None if findings else InputFile(path, digest)), findings
+    return (None if findings else InputFile(path, digest, field.value)), findings
 
 
 def _check_texture_set(
@@ -109,7 +112,7 @@ def _check_texture_set(
         reason = error.strerror if isinstance(error, OSError) else None
         return None, [Finding(field.path, f"{shown(field.value)}: {reason or error}")]
     digest = hashlib.sha256("\n".join(digests).encode("ascii")).hexdigest()
-    return (None if findings else InputFile(path, digest)), findings
+    return (None if findings else InputFile(path, digest, field.value)), findings
 
 
 def _check_dem(file: FilePath, path: Path, owner: Any, document: Any) -> list[Finding]:

@@ -8,8 +8,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from scenec.compiler.frontend.faults import Finding, nearest, shown
+from scenec.compiler.frontend.faults import Finding
 from scenec.compiler.frontend.json_positions import Path
+from scenec.schemas.spelling import nearest, shown
 
 #: Prims of the stage that the sun and the sky have.
 _TAKEN = {"Sun": "the sun", "Dome": "the sky"}

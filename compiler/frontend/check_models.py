@@ -9,8 +9,9 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from scenec.compiler.frontend.check_files import InputFile
-from scenec.compiler.frontend.faults import Finding, nearest, shown
+from scenec.compiler.frontend.faults import Finding
 from scenec.schemas.errors import SceneError
+from scenec.schemas.spelling import nearest, shown
 
 
 def check_models(document: Any, files: Mapping[str, InputFile]) -> list[Finding]:

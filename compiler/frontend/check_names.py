@@ -10,8 +10,9 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from scenec.compiler.frontend.check_sky import sky_map_labels
-from scenec.compiler.frontend.faults import Finding, closest, nearest, shown
+from scenec.compiler.frontend.faults import Finding
 from scenec.compiler.frontend.json_positions import Path
+from scenec.schemas.spelling import closest, nearest, shown
 
 
 def check_names(document: Any, sound: bool) -> list[Finding]:

@@ -13,10 +13,11 @@ from itertools import pairwise
 from typing import Any
 
 from scenec.compiler.arithmetic import elementary
-from scenec.compiler.frontend.faults import Finding, shown
+from scenec.compiler.frontend.faults import Finding
 from scenec.compiler.frontend.normal import MAX_SIGMAS
 from scenec.compiler.frontend.numbers import Distribution, Number
 from scenec.compiler.frontend.schema import Field
+from scenec.schemas.spelling import shown
 
 # Beyond it, whole numbers are no longer told apart by a double.
 _LARGEST_WHOLE = 2**53

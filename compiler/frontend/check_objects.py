@@ -8,8 +8,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from scenec.compiler.frontend.faults import Finding, nearest, shown
+from scenec.compiler.frontend.faults import Finding
 from scenec.compiler.frontend.json_positions import Path
+from scenec.schemas.spelling import nearest, shown
 
 #: Key of each kind of scattered object that says how large an instance is.
 _SIZES = {"rocks": "size_m", "meshes": "scale"}

@@ -14,9 +14,10 @@ from scenec.compiler.frontend.check_numbers import support
 from scenec.compiler.frontend.check_objects import check_objects
 from scenec.compiler.frontend.check_sky import check_sky
 from scenec.compiler.frontend.check_surfaces import check_surfaces
-from scenec.compiler.frontend.faults import Finding, shown
+from scenec.compiler.frontend.faults import Finding
 from scenec.compiler.frontend.json_positions import Path
 from scenec.compiler.frontend.schema import Field, load_schemas
+from scenec.schemas.spelling import shown
 
 #: Height samples of a terrain at most (2 GiB of float64).
 MAX_HEIGHT_SAMPLES = 2**28

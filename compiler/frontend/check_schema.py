@@ -7,9 +7,10 @@ from typing import Any
 
 from jsonschema import ValidationError
 
-from scenec.compiler.frontend.faults import Finding, closest, nearest, shown
+from scenec.compiler.frontend.faults import Finding
 from scenec.compiler.frontend.json_positions import Path
 from scenec.compiler.frontend.schema import describe, validator
+from scenec.schemas.spelling import closest, nearest, shown
 
 _TYPES = {
     "array": "a list",

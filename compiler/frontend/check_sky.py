@@ -8,9 +8,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from scenec.compiler.frontend.faults import Finding, nearest, shown
+from scenec.compiler.frontend.faults import Finding
 from scenec.compiler.frontend.json_positions import Path
 from scenec.compiler.light.label_maps import LARGEST_ID, code_of
+from scenec.schemas.spelling import nearest, shown
 
 _SKY: Path = ("light", "sky")
 _HAZE: Path = ("light", "haze")

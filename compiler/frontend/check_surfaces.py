@@ -8,8 +8,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from scenec.compiler.frontend.faults import Finding, shown
+from scenec.compiler.frontend.faults import Finding
 from scenec.compiler.frontend.json_positions import Path
+from scenec.schemas.spelling import shown
 
 #: Keys of maps that are pictures, or are made into some.
 _PICTURES = (

@@ -16,12 +16,13 @@ from scenec.compiler.frontend.check_names import check_names
 from scenec.compiler.frontend.check_numbers import check_number
 from scenec.compiler.frontend.check_scene import check_scene
 from scenec.compiler.frontend.check_schema import check_schema
-from scenec.compiler.frontend.faults import Finding, locate, shown
+from scenec.compiler.frontend.faults import Finding, locate
 from scenec.compiler.frontend.fill import fill
 from scenec.compiler.frontend.json_positions import Document, JsonError, Path, parse
 from scenec.compiler.frontend.numbers import Distribution
 from scenec.compiler.frontend.schema import Field
 from scenec.schemas.errors import CfgError, Fault
+from scenec.schemas.spelling import shown
 
 
 @dataclass(frozen=True)
@@ -36,12 +37,14 @@ class Spec:
         digest: sha256 over the cfg in full and the hashes of its files, in hexadecimal. It does not
             depend on layout, comments or where the files lie, but on the order of named things,
             which decides instance ids.
+        text: The file's bytes.
     """
 
     cfg: dict[str, Any]
     path: FilePath
     files: Mapping[str, InputFile]
     digest: str
+    text: bytes
 
 
 def load(path: FilePath | str) -> Spec:
@@ -52,7 +55,7 @@ def load(path: FilePath | str) -> Spec:
     """
     path = FilePath(path)
     name = str(path)
-    document = _read(path, name)
+    text, document = _read(path, name)
     findings = [
         Finding(at, f"the key {shown(at[-1])} stands twice in its object", position=position)
         for at, position in document.duplicates
@@ -78,10 +81,10 @@ def load(path: FilePath | str) -> Spec:
     if faults:
         raise CfgError(faults)
     cfg = fill(document.value)
-    return Spec(cfg, path, files, _digest(cfg, files))
+    return Spec(cfg, path, files, _digest(cfg, files), text)
 
 
-def _read(path: FilePath, name: str) -> Document:
+def _read(path: FilePath, name: str) -> tuple[bytes, Document]:
     try:
         data = path.read_bytes()
     except OSError as error:
@@ -90,7 +93,7 @@ def _read(path: FilePath, name: str) -> Document:
         # A zero character in the name.
         raise CfgError([Fault(name, 1, 1, "", f"not a file name: {error}")]) from error
     try:
-        return parse(data)
+        return data, parse(data)
     except JsonError as error:
         line, column = error.position.line, error.position.column
         raise CfgError([Fault(name, line, column, "", error.message)]) from error

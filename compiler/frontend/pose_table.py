@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.frontend.faults import nearest, shown
 from scenec.compiler.frontend.track import UNIT_TOLERANCE, read_number, read_rows
 from scenec.schemas.errors import SceneError
+from scenec.schemas.spelling import nearest, shown
 
 _PLACE = ("x_m", "y_m", "z_m")
 _TURN = ("qw", "qx", "qy", "qz")

@@ -7,7 +7,7 @@ import importlib.util
 import re
 from pathlib import Path
 
-from scenec.compiler.frontend.faults import closest, shown
+from scenec.schemas.spelling import closest, shown
 
 PREFIX = "package:"
 
@@ -117,8 +117,13 @@ def _package_folders(name: str) -> list[Path]:
     return [Path(location) for location in spec.submodule_search_locations]
 
 
+def distribution_of(name: str) -> str:
+    """What is installed to get the package ``name``."""
+    return _DISTRIBUTIONS.get(name, name)
+
+
 def _how_to_install(name: str) -> str:
-    distribution = _DISTRIBUTIONS.get(name, name)
+    distribution = distribution_of(name)
     try:
         requirements = importlib.metadata.requires("scenec") or []
     except importlib.metadata.PackageNotFoundError:

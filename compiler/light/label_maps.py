@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.frontend.faults import shown
 from scenec.schemas.errors import SceneError
+from scenec.schemas.spelling import shown
 
 #: Label ids that fit the pictures that stages hold.
 LARGEST_ID = 65535

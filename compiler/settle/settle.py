@@ -16,7 +16,6 @@ from pathlib import Path
 from scenec.compiler.build import BuildLog, build_surface, stand_objects
 from scenec.compiler.cameras.rigs import build_rigs
 from scenec.compiler.draw import draw
-from scenec.compiler.frontend.faults import nearest, shown
 from scenec.compiler.frontend.load import Spec, load
 from scenec.compiler.ground.surface import Surface
 from scenec.compiler.plan import Plan
@@ -27,6 +26,7 @@ from scenec.compiler.settle.table import write_poses
 from scenec.compiler.settle.world import Fallen, Options, clearance_m, physics
 from scenec.compiler.terrain.mesh_surface import MeshSurface
 from scenec.schemas.errors import OutputError, ScenecError, SceneError
+from scenec.schemas.spelling import nearest, shown
 
 #: More objects than this are not dropped at once: scattering is for the many.
 MOST_OBJECTS = 500

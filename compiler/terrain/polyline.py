@@ -10,9 +10,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from scenec.compiler.frontend.faults import shown
 from scenec.compiler.terrain.grid import Grid
 from scenec.schemas.errors import SceneError
+from scenec.schemas.spelling import shown
 
 COLUMNS = ("x_m", "y_m")
 

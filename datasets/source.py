@@ -1,0 +1,374 @@
+"""What an output folder holds of frames, in a fixed order, and what is wrong with it.
+
+A frame is *missing* where the manifest or its fellows say that it should be there, *foreign* where
+it was made from another stage than the one that lies beside it, or with other labels than the rest,
+*damaged* where it cannot be read. Each is named; nothing of the kind is taken silently.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenec.schemas.errors import ForeignFrameError, FrameError
+from scenec.schemas.frames import Frame, frame_stem, read_frame
+from scenec.schemas.instances import read_frame_table
+from scenec.schemas.manifest import (
+    FRAMES,
+    STAGE_SUFFIXES,
+    Batch,
+    find_batches,
+    read_manifest,
+    stage_digest,
+)
+from scenec.schemas.spelling import nearest
+
+
+@dataclass(frozen=True, slots=True)
+class FrameRef:
+    """Where a frame is.
+
+    Attributes:
+        index: Its number in the source, from 0.
+        batch: Number of its batch.
+        batch_name: Folder name of its batch.
+        backend: Who rendered it.
+        camera: Name of the camera.
+        sample: Time code.
+        stem: Its path without a suffix.
+    """
+
+    index: int
+    batch: int
+    batch_name: str
+    backend: str
+    camera: str
+    sample: int
+    stem: Path
+
+    @property
+    def name(self) -> str:
+        """As it is called in messages and indices."""
+        return f"{self.batch_name}/{self.camera}/{self.sample:06d}"
+
+    @property
+    def key(self) -> str:
+        """The same as a file name without folders."""
+        return f"{self.batch_name}_{self.camera}_{self.sample:06d}"
+
+
+@dataclass(frozen=True)
+class FrameFault:
+    """A frame that cannot be taken.
+
+    Attributes:
+        name: ``FrameRef.name``.
+        kind: ``missing``, ``foreign`` or ``damaged``.
+        message: What is wrong, with the file.
+    """
+
+    name: str
+    kind: str
+    message: str
+
+
+@dataclass
+class LoadedFrame:
+    """A frame in memory, as exporters take it.
+
+    Attributes:
+        ref: Where it was.
+        passes: Arrays by pass name, see ``scenec.schemas.exr``.
+        sidecar: JSON values.
+        table: Columns of its table of instances (``scenec.schemas.instances``), one line each;
+            ``{}`` where the frame has no pass ``instance``.
+        labels: Level -> id -> name, without 0; after remapping, the new ones.
+        ignored: One a line of ``table``: whether it failed a filter that keeps it as ignored.
+    """
+
+    ref: FrameRef
+    passes: dict[str, NDArray[Any]]
+    sidecar: dict[str, Any]
+    table: dict[str, NDArray[Any]]
+    labels: dict[str, dict[int, str]]
+    ignored: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, np.bool_))
+
+    @property
+    def width(self) -> int:
+        """Columns of pixels."""
+        return int(self.sidecar["resolution"][0])
+
+    @property
+    def height(self) -> int:
+        """Rows of pixels."""
+        return int(self.sidecar["resolution"][1])
+
+    @property
+    def intrinsics(self) -> NDArray[np.float64]:
+        """K, float64 [3, 3], pixels."""
+        return np.array(self.sidecar["intrinsics"], np.float64)
+
+    @property
+    def camera_to_world(self) -> NDArray[np.float64]:
+        """Pose, float64 [4, 4], camera axes as OpenCV has them."""
+        return np.array(self.sidecar["camera_to_world"], np.float64)
+
+    @property
+    def time_s(self) -> float:
+        """Seconds since the batch's start; the sample's number where the stage has no times."""
+        time = self.sidecar.get("time_s")
+        return float(self.ref.sample if time is None else time)
+
+    @property
+    def png(self) -> Path | None:
+        """The picture on disk; None without ``rgb``."""
+        path = self.ref.stem.with_suffix(".png")
+        return path if self.sidecar.get("png") else None
+
+    def annotation_digest(self) -> str:
+        """sha256 over all passes but ``rgb``: names, shapes, types and bytes, in order of names.
+
+        Annotation is exact, so this is the same on every machine and for every backend.
+        """
+        state = hashlib.sha256()
+        for name in sorted(self.passes):
+            if name != "rgb":
+                array = np.ascontiguousarray(self.passes[name])
+                state.update(f"{name} {array.dtype.str} {array.shape}\n".encode())
+                state.update(array.data)
+        return state.hexdigest()
+
+
+class Source:
+    """The frames of one backend in an output folder (or beside a USD file).
+
+    Args:
+        out: Output folder of ``compile`` and ``render``, or a USD file that was rendered.
+        backend: Whose frames; None takes the only one there is, and of several the first by name.
+        batches: Only these.
+        cameras: Only these.
+        samples: Only these.
+
+    Attributes:
+        out: As given.
+        backend: Whose frames they are.
+        frames: In order of batch, camera and sample.
+        missing: Faults of frames that should be there.
+        manifest: Of the output; None beside a USD file.
+
+    Raises:
+        FrameError: There are no frames, or none of this backend or camera.
+        OutputError: No manifest.
+        StageError: A batch asked for is not there.
+    """
+
+    def __init__(
+        self,
+        out: Path | str,
+        backend: str | None = None,
+        *,
+        batches: Collection[int] | None = None,
+        cameras: Sequence[str] | None = None,
+        samples: Collection[int] | None = None,
+    ) -> None:
+        self.out = Path(out)
+        is_stage = self.out.suffix.lower() in STAGE_SUFFIXES and not self.out.is_dir()
+        self.manifest = None if is_stage else read_manifest(self.out)
+        self._batches = find_batches(self.out, batches)
+        self.backend = self._choose(backend)
+        folders = {b.index: b.folder / FRAMES / self.backend for b in self._batches}
+        seen = sorted({p.name for f in folders.values() if f.is_dir() for p in f.iterdir()})
+        for camera in cameras or ():
+            if camera not in seen:
+                raise FrameError(
+                    f"{self.out}: no frames of camera {camera!r}{nearest(camera, seen)}"
+                )
+        self._cameras = list(cameras) if cameras else seen
+        self._samples = None if samples is None else set(samples)
+        self.missing: tuple[FrameFault, ...] = ()
+        self.frames = self._list()
+        if not self.frames:
+            raise FrameError(
+                f"{self.out}: no frames of {self.backend} in the range asked for; render first: "
+                f"scenec render {self.out} --backend {self.backend}"
+            )
+        self._digests = self._stage_digests()
+        self._labels: dict[str, dict[int, str]] | None = None
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    def load(self, ref: FrameRef, passes: Sequence[str] | None = None) -> LoadedFrame:
+        """Read a frame, and hold it against what it should be.
+
+        Args:
+            ref: One of ``frames``.
+            passes: Names that must be there.
+
+        Raises:
+            FrameError: It is damaged, foreign, or lacks a pass; the message names the file.
+        """
+        frame = read_frame(ref.stem, passes)
+        self._refuse_foreign(ref, frame)
+        table = read_frame_table(ref.stem) if "instance" in frame.passes else {}
+        labels = _label_names(frame)
+        loaded = LoadedFrame(ref, frame.passes, frame.sidecar, table, labels)
+        loaded.ignored = np.zeros(len(table["id"]) if table else 0, np.bool_)
+        return loaded
+
+    def labels(self) -> dict[str, dict[int, str]]:
+        """Level -> id -> name, as the first readable sidecar has them: all frames must agree.
+
+        Raises:
+            FrameError: No sidecar can be read.
+        """
+        if self._labels is None:
+            self._labels = _label_names(self._first)
+        return self._labels
+
+    def passes(self) -> tuple[str, ...]:
+        """Passes of the first readable frame.
+
+        Raises:
+            FrameError: No sidecar can be read.
+        """
+        return tuple(self._first.sidecar["passes"])
+
+    def first_sidecar(self) -> dict[str, Any]:
+        """The first sidecar that can be read.
+
+        Raises:
+            FrameError: None can.
+        """
+        return self._first.sidecar
+
+    def __getstate__(self) -> dict[str, Any]:
+        # A worker is told which frames to take: it need not be sent the list of all of them.
+        _ = self._first
+        return {**self.__dict__, "frames": (), "missing": ()}
+
+    @cached_property
+    def _first(self) -> Frame:
+        fault: Exception | None = None
+        for ref in self.frames:
+            path = ref.stem.with_suffix(".json")
+            try:
+                sidecar = json.loads(path.read_bytes())
+                dict(sidecar["labels"]), list(sidecar["passes"])
+            except (OSError, ValueError, KeyError, TypeError) as error:
+                fault = error
+                continue
+            return Frame(path, {}, sidecar)
+        raise FrameError(f"{self.out}: no frame has a sidecar that can be read: {fault}")
+
+    def _choose(self, wanted: str | None) -> str:
+        there = sorted(
+            {
+                path.name
+                for batch in self._batches
+                if (batch.folder / FRAMES).is_dir()
+                for path in (batch.folder / FRAMES).iterdir()
+                if path.is_dir()
+            }
+        )
+        if not there:
+            raise FrameError(f"{self.out}: no frames; render first: scenec render {self.out}")
+        if wanted is not None and wanted not in there:
+            raise FrameError(f"{self.out}: no frames of {wanted}{nearest(wanted, there)}")
+        return wanted or there[0]
+
+    def _list(self) -> tuple[FrameRef, ...]:
+        refs: list[FrameRef] = []
+        missing: list[FrameFault] = []
+        lengths = {
+            int(entry["index"]): int(entry.get("samples", 0))
+            for entry in (self.manifest or {"batches": []})["batches"]
+        }
+        for batch in self._batches:
+            for camera in self._cameras:
+                there = self._numbers(batch, camera)
+                known = lengths.get(batch.index) or (max(there) + 1 if there else 0)
+                expected = set(range(known)) if self._samples is None else self._samples
+                if self._samples is not None and lengths.get(batch.index):
+                    expected = expected & set(range(lengths[batch.index]))
+                for sample in sorted(there | expected):
+                    if self._samples is not None and sample not in self._samples:
+                        continue
+                    stem = frame_stem(batch.folder, self.backend, camera, sample)
+                    ref = FrameRef(
+                        len(refs), batch.index, batch.name, self.backend, camera, sample, stem
+                    )
+                    if sample in there:
+                        refs.append(ref)
+                    else:
+                        missing.append(
+                            FrameFault(ref.name, "missing", f"{stem}.json: no such frame")
+                        )
+        self.missing = tuple(missing)
+        return tuple(refs)
+
+    def _numbers(self, batch: Batch, camera: str) -> set[int]:
+        folder = batch.folder / FRAMES / self.backend / camera
+        if not folder.is_dir():
+            return set()
+        # An EXR or a picture without its sidecar is a frame that was never finished.
+        return {int(p.stem) for p in folder.glob("*.json") if p.stem.isascii() and p.stem.isdigit()}
+
+    def _stage_digests(self) -> dict[str, str]:
+        if self.manifest is None:
+            return {}
+        return {batch.name: stage_digest(self.manifest, batch.name) for batch in self._batches}
+
+    def _refuse_foreign(self, ref: FrameRef, frame: Frame) -> None:
+        digest = frame.sidecar["stage_digest"]
+        known = self._digests.setdefault(ref.batch_name, digest)
+        if digest != known:
+            raise ForeignFrameError(
+                f"{frame.path}: foreign: was rendered from another stage than the one beside it; "
+                "render it again"
+            )
+        if frame.sidecar["camera"] != ref.camera or int(frame.sidecar["sample"]) != ref.sample:
+            raise ForeignFrameError(
+                f"{frame.path}: foreign: says it is {frame.sidecar['camera']} "
+                f"{frame.sidecar['sample']}"
+            )
+        if _label_names(frame) != self.labels():
+            raise ForeignFrameError(
+                f"{frame.path}: foreign: its labels are not those of the other frames; export "
+                "these batches apart"
+            )
+
+
+def kind_of(error: FrameError) -> str:
+    """Which kind of fault an error of ``Source.load`` is: ``foreign`` or ``damaged``."""
+    return "foreign" if isinstance(error, ForeignFrameError) else "damaged"
+
+
+def _label_names(frame: Frame) -> dict[str, dict[int, str]]:
+    try:
+        return {
+            level: {int(number): str(name) for number, name in table.items()}
+            for level, table in frame.sidecar["labels"].items()
+        }
+    except (AttributeError, ValueError) as error:
+        raise FrameError(f"{frame.path}: its table of labels is broken: {error}") from error
+
+
+def sequences(frames: Sequence[FrameRef]) -> Iterator[list[FrameRef]]:
+    """Frames of one batch and camera each, in order of samples."""
+    run: list[FrameRef] = []
+    for ref in frames:
+        if run and (run[-1].batch_name, run[-1].camera) != (ref.batch_name, ref.camera):
+            yield run
+            run = []
+        run.append(ref)
+    if run:
+        yield run

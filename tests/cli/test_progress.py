@@ -1,0 +1,117 @@
+"""Progress: a bar on a terminal, lines elsewhere; speed and time left from the last steps."""
+
+from __future__ import annotations
+
+import io
+import re
+
+import pytest
+
+from scenec.cli import output
+from scenec.cli.output import Progress, say
+
+
+class Terminal(io.StringIO):
+    """Standard error that says it is a terminal."""
+
+    def isatty(self) -> bool:
+        """It is."""
+        return True
+
+
+class Clock:
+    """A clock that tests turn."""
+
+    def __init__(self) -> None:
+        self.now = 100.0
+
+    def perf_counter(self) -> float:
+        """Seconds."""
+        return self.now
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+    made = Clock()
+    monkeypatch.setattr(output.time, "perf_counter", made.perf_counter)
+    return made
+
+
+def test_lines_say_speed_and_time_left(clock: Clock, capsys: pytest.CaptureFixture[str]) -> None:
+    progress = Progress("frame")
+    for done in (1, 2, 3):
+        clock.now += 0.5
+        progress(done, 11, f"number {done}")
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[-1] == "frame 3/11, 2 frames/s, 4 s left: number 3"
+
+
+def test_slow_steps_are_told_in_seconds_each(
+    clock: Clock, capsys: pytest.CaptureFixture[str]
+) -> None:
+    progress = Progress("compiled", unit="batch", units="batches")
+    clock.now += 200.0
+    progress(1, 3, "batch_0000")
+    assert "200 s a batch, 6:40 min left" in capsys.readouterr().err
+
+
+def test_what_was_there_before_the_first_report_is_not_speed(
+    clock: Clock, capsys: pytest.CaptureFixture[str]
+) -> None:
+    progress = Progress("exported", unit="step")
+    clock.now += 1.0
+    progress(901, 1000, "x")
+    assert "1 steps/s, 99 s left" in capsys.readouterr().err
+
+
+def test_speed_follows_a_change_of_speed(clock: Clock, capsys: pytest.CaptureFixture[str]) -> None:
+    progress = Progress("frame")
+    for done in range(1, 101):
+        clock.now += 0.001
+        progress(done, 1000, "there already")
+    for done in range(101, 141):
+        clock.now += 10.0
+        progress(done, 1000, "rendered")
+    assert "10 s a frame, 2:23 h left" in capsys.readouterr().err
+
+
+def test_a_terminal_gets_one_line_that_fills_up(
+    clock: Clock, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    terminal = Terminal()
+    monkeypatch.setattr("sys.stderr", terminal)
+    progress = Progress("frame")
+    for done in (1, 2, 3, 4):
+        clock.now += 1.0
+        progress(done, 4, f"name {done}")
+    drawn = terminal.getvalue().split("\r")[1:]
+    assert [re.sub(r"[^█]", "", line) for line in drawn] == ["█" * n for n in (6, 12, 18, 24)]
+    assert terminal.getvalue().count("\n") == 1
+    assert terminal.getvalue().endswith("\n")
+
+
+def test_a_line_amid_a_bar_takes_the_bars_place(
+    clock: Clock, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    terminal = Terminal()
+    monkeypatch.setattr("sys.stderr", terminal)
+    progress = Progress("frame")
+    clock.now += 1.0
+    progress(1, 4, "one")
+    say("warning: a line")
+    assert "\r\x1b[Kwarning: a line\n" in terminal.getvalue()
+    say("another")
+    assert terminal.getvalue().endswith("warning: a line\nanother\n")
+    assert "\x1b[K" not in terminal.getvalue().split("a line\n")[1]
+
+
+def test_steps_between_are_shown_on_a_terminal_only(
+    clock: Clock, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    Progress("compiled").now(0, 2, "relief")
+    assert capsys.readouterr().err == ""
+    terminal = Terminal()
+    monkeypatch.setattr("sys.stderr", terminal)
+    Progress("compiled").now(0, 2, "relief")
+    assert "0/2: relief" in terminal.getvalue()
+    say("done")
