@@ -146,6 +146,7 @@ def test_normals_keep_their_lean_and_lose_the_picture_s_direction(described):
     np.testing.assert_allclose(lean[1], lean[0], rtol=0.05)
 
 
+@pytest.mark.slow
 def test_the_far_scale_multiplies_by_the_larger_picture_over_its_mean(described):
     plain = dataclasses.replace(described, cells=None)
     xy = grid(0.37, 40)

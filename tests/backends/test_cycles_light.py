@@ -251,7 +251,14 @@ def test_light_may_change_from_sample_to_sample_without_loading_again(tmp_path):
 # Noise
 
 
-@pytest.mark.parametrize(("spp", "seeds"), [(2, 80), (6, 40), (32, 24)])
+@pytest.mark.parametrize(
+    ("spp", "seeds"),
+    [
+        (2, 80),
+        pytest.param(6, 40, marks=pytest.mark.slow),
+        pytest.param(32, 24, marks=pytest.mark.slow),
+    ],
+)
 def test_the_halves_difference_estimates_the_error(spp, seeds):
     ball, faces = scenes.icosphere(2)
     view = ms.look_at((0, -6, 2.5), (0, 0, 0.5), 32, 24, 50)
@@ -290,6 +297,7 @@ def test_samples_spread_over_the_pixel_even_if_there_is_one():
     assert set(np.unique(np.round(sixths.coverage * 6, 5))) <= set(range(7))
 
 
+@pytest.mark.slow
 def test_denoising_leaves_the_halves_alone_and_the_sky_dark():
     ball, faces = scenes.icosphere(3)
     view = ms.look_at((0, -6, 1.0), (0, 0, 1.2), 96, 72, 50)

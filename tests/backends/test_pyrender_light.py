@@ -605,6 +605,7 @@ def busy() -> RenderScene:
     )
 
 
+@pytest.mark.slow
 def test_light_is_the_same_through_osmesa():
     if not platforms.wheel_libraries():
         pytest.skip("lavavu-osmesa is not installed")

@@ -146,6 +146,7 @@ def elsewhere(code: str, platform: str, *arguments: str) -> subprocess.Completed
     )
 
 
+@pytest.mark.slow
 def test_it_is_the_same_through_osmesa():
     if not platforms.wheel_libraries():
         pytest.skip("lavavu-osmesa is not installed")

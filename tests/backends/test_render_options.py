@@ -105,6 +105,7 @@ def test_a_denoised_frame_states_its_denoiser_and_that_its_error_is_unknown(stag
     assert "denoised by mean" in lines[0]
 
 
+@pytest.mark.slow
 def test_denoised_and_noisy_frames_are_not_taken_for_each_other(stage):
     assert run(stage, "smooth").rendered == 2
     assert run(stage, "smooth", denoise=True).rendered == 2
@@ -153,6 +154,7 @@ def test_annotation_taken_from_reference_is_the_same_to_the_bit(tmp_path):
     assert other.sidecar["backend"] == "mitsuba"
 
 
+@pytest.mark.slow
 def test_the_renderer_sees_and_loads_nothing_that_another_annotates(stage, tmp_path, monkeypatch):
     plan_fault(tmp_path, monkeypatch, "exit", where="visibility")
     report = run(stage, "plain", annotate_with="reference")
@@ -203,6 +205,7 @@ def test_what_a_backend_leaves_out_is_said_once_and_written_to_every_sidecar(sta
     assert "losses" not in read_frame(report.frames[0]).sidecar
 
 
+@pytest.mark.slow
 def test_json_tells_scripts_the_same(stage, tmp_path, monkeypatch, capsys):
     plan_fault(tmp_path, monkeypatch, "exit", sample=0, times=1)
     command = ["render", str(stage), "--backend", "smooth", "--denoise", "--annotate-with",
