@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.cameras.rigs import build_rigs
+from scenec.compiler.cameras.paths.motion import Bodies
+from scenec.compiler.cameras.rigs import build_rigs, needs_objects
 from scenec.compiler.cameras.sight import Views, pixels_per_meter, views_of
 from scenec.compiler.ground.cover import cover_report, lay
 from scenec.compiler.ground.surface import Surface
@@ -22,7 +23,7 @@ from scenec.compiler.light.dark import without_dark
 from scenec.compiler.light.lamps import build_lamps, meter_lamps
 from scenec.compiler.objects.build import build_objects
 from scenec.compiler.objects.prototypes import Looks
-from scenec.compiler.plan import Plan, RigPlan, TrackPlan
+from scenec.compiler.plan import Plan
 from scenec.compiler.precision import precision
 from scenec.compiler.scatter.surroundings import Surroundings
 from scenec.compiler.scene import (
@@ -88,7 +89,7 @@ def build(plan: Plan, log: BuildLog) -> Scene:
         light = build_light(plan.light, plan.samples, color, labels)
         log.facts |= light.facts
     with log.timed("cameras"):
-        rigs = build_rigs(plan.rigs, surface, light.irradiance if color else None)
+        rigs = stand_rigs(plan, surface, light.irradiance if color else None, log)
     with log.timed("light"):
         lamps = build_lamps(plan.light.lamps, rigs, surface) if color else ()
         light, lamps, dark = without_dark(light, lamps)
@@ -97,7 +98,7 @@ def build(plan: Plan, log: BuildLog) -> Scene:
     if lamps:
         with log.timed("cameras"):
             rigs = meter_lamps(rigs, plan.rigs, lamps, surface, light.irradiance)
-    times = _times(plan.rigs, plan.samples)
+    times = _times(rigs, plan.samples)
     looks = Looks(dict(plan.materials)) if color else None
     objects = stand_objects(plan, surface, rigs, looks, log)
     with log.timed("ground"):
@@ -181,6 +182,40 @@ def build_surface(plan: Plan, log: BuildLog) -> Surface:
         )
 
 
+def stand_rigs(
+    plan: Plan, surface: Surface, irradiance: NDArray[np.float64] | None, log: BuildLog
+) -> tuple[Rig, ...]:
+    """The rigs, in the cfg's order.
+
+    Where some depend on objects, all objects are laid once before, among the other rigs only: where
+    they then stand is where they stand in the end, unless a rig gets nearer to scattered ones than
+    their clearance, which then give way.
+
+    Args:
+        plan: The batch.
+        surface: Its ground.
+        irradiance: On level ground, for exposures; None without pictures.
+        log: Receives what is said of motions.
+
+    Raises:
+        SceneError: A motion cannot be as it is asked for.
+    """
+    bodies: dict[str, Bodies] = {}
+    if plan.objects and any(map(needs_objects, plan.rigs)):
+        others = tuple(rig for rig in plan.rigs if not needs_objects(rig))
+        early = build_rigs(others, surface, None)
+        for one in stand_objects(plan, surface, early, None, BuildLog()):
+            middle, radius = one.balls()
+            # Of an object that moves, where it is at the first sample.
+            step = len(middle) // one.count if one.count else 1
+            bodies[one.name] = Bodies(one.ids, middle[::step], radius[::step])
+    motion: dict[str, Any] = {}
+    rigs = build_rigs(plan.rigs, surface, irradiance, bodies, motion)
+    if motion:
+        log.facts["motion"] = motion
+    return rigs
+
+
 def stand_objects(
     plan: Plan, surface: Surface, rigs: tuple[Rig, ...], looks: Looks | None, log: BuildLog
 ) -> tuple[Scatter | Placed, ...]:
@@ -203,7 +238,7 @@ def stand_objects(
         around,
         views,
         plan.terrain.meshing.unseen,
-        _times(plan.rigs, plan.samples),
+        _times(rigs, plan.samples),
         looks,
         plan.object_triangles,
         log,
@@ -269,10 +304,11 @@ def _georeference(steps: list[dict[str, Any]]) -> Georeference | None:
     return None
 
 
-def _times(rigs: tuple[RigPlan, ...], samples: int) -> NDArray[np.float64]:
+def _times(rigs: tuple[Rig, ...], samples: int) -> NDArray[np.float64]:
+    """Of the first rig that has its own."""
     for rig in rigs:
-        if isinstance(rig.pose, TrackPlan):
-            return rig.pose.times
+        if rig.times is not None:
+            return rig.times
     return np.arange(samples, dtype=np.float64)
 
 

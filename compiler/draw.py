@@ -9,12 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
-from scenec.compiler.cameras.poses import compose, from_euler, from_quaternion
+from scenec.compiler.cameras.paths.draw import draw_motion, draw_track
+from scenec.compiler.cameras.paths.motion import Motion
+from scenec.compiler.cameras.poses import from_euler
 from scenec.compiler.frontend.load import Spec
 from scenec.compiler.frontend.of_keys import of_keys
 from scenec.compiler.frontend.resolve import per_sample, resolve
 from scenec.compiler.frontend.streams import Streams
-from scenec.compiler.frontend.track import read_track
 from scenec.compiler.ground.draw import draw_mask, draw_merges
 from scenec.compiler.ground.mesh import Meshing
 from scenec.compiler.light.draw import draw_light
@@ -40,14 +41,12 @@ from scenec.compiler.terrain.draw_craters import draw_craters
 from scenec.compiler.terrain.mask import Masked
 from scenec.compiler.terrain.mesh_base import Roughness
 from scenec.compiler.terrain.operator import OPERATORS, ReliefOperator
-from scenec.schemas import stage as names
 
 #: Relief operators that are many things, each drawn.
 _SCATTERED: dict[str, Callable[..., ReliefOperator]] = {
     "barchans": draw_barchans,
     "craters": draw_craters,
 }
-_HALF_TURN = np.diag([*names.HALF_TURN, 1.0])
 
 
 def draw(spec: Spec, seed: int, batch: int) -> Plan:
@@ -209,10 +208,13 @@ def _rig(spec: Spec, name: str, streams: Streams) -> RigPlan:
     cfg = spec.cfg["rigs"][name]
     samples = int(spec.cfg["samples"])
     path = f"rigs/{name}/pose"
+    pose: RandomTargetPlan | TrackPlan | Motion
     if cfg["pose"]["type"] == "track":
-        pose: RandomTargetPlan | TrackPlan = _track(spec, cfg["pose"], path, samples)
-    else:
+        pose = draw_track(spec, cfg["pose"], path, streams, samples)
+    elif cfg["pose"]["type"] == "random_target":
         pose = _random_target(cfg["pose"], path, streams, samples)
+    else:
+        pose = draw_motion(cfg["pose"], path, streams)
     sensors = tuple(
         _sensor(sensor, node, f"rigs/{name}/sensors/{sensor}", streams, samples)
         for sensor, node in cfg["sensors"].items()
@@ -237,14 +239,6 @@ def _random_target(
         target_height_m=drawn("target", "height_m"),
         roll_deg=drawn("roll_deg"),
     )
-
-
-def _track(spec: Spec, cfg: dict[str, Any], path: str, samples: int) -> TrackPlan:
-    track = read_track(spec.files[f"{path}/file"].path)
-    matrices = [from_quaternion(track.position_m[i], track.quaternion[i]) for i in range(samples)]
-    if cfg["convention"] == "usd":
-        matrices = [compose(m, _HALF_TURN) for m in matrices]
-    return TrackPlan(np.stack(matrices), track.time_s[:samples])
 
 
 def _sensor(

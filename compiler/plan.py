@@ -12,6 +12,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.compiler.cameras.paths.motion import Motion
 from scenec.compiler.ground.merge import Merge
 from scenec.compiler.ground.mesh import Meshing
 from scenec.compiler.light.plan import LightPlan
@@ -204,7 +205,7 @@ class RigPlan:
     """A rig, its motion and its sensors."""
 
     name: str
-    pose: RandomTargetPlan | TrackPlan
+    pose: RandomTargetPlan | TrackPlan | Motion
     sensors: tuple[SensorPlan, ...]
 
 

@@ -430,11 +430,13 @@ class Rig:
         name: Prim name.
         to_world: Rig-to-world matrices, OpenCV axes (x right, y down, z forward), [s, 4, 4].
         sensors: What it carries.
+        times: Of the samples, seconds, [s]; None: its motion has none.
     """
 
     name: str
     to_world: NDArray[np.float64]
     sensors: tuple[Sensor, ...]
+    times: NDArray[np.float64] | None = None
 
 
 @dataclass(frozen=True)

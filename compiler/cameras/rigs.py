@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
+from scenec.compiler.cameras.paths.motion import Around, Bodies, Built
 from scenec.compiler.cameras.poses import bearing_vector, look_at
 from scenec.compiler.ground.surface import Surface
-from scenec.compiler.plan import RandomTargetPlan, RigPlan, SensorPlan
+from scenec.compiler.plan import RandomTargetPlan, RigPlan, SensorPlan, TrackPlan
 from scenec.compiler.scene import Rig, Sensor
 
 
 def build_rigs(
-    plans: tuple[RigPlan, ...], surface: Surface, irradiance: NDArray[np.float64] | None
+    plans: tuple[RigPlan, ...],
+    surface: Surface,
+    irradiance: NDArray[np.float64] | None,
+    bodies: Mapping[str, Bodies] | None = None,
+    facts: dict[str, Any] | None = None,
 ) -> tuple[Rig, ...]:
     """All rigs.
 
@@ -21,17 +29,37 @@ def build_rigs(
         plans: What was drawn.
         surface: The terrain they stand on.
         irradiance: On level ground at every sample, for metered exposures; None without pictures.
+        bodies: Objects by class, for motions that depend on them.
+        facts: Receives, by rig, what is to be said of motions that were made.
+
+    Raises:
+        SceneError: A motion cannot be as it is asked for.
     """
-    return tuple(
-        Rig(
-            plan.name,
-            _random_target(plan.pose, surface)
-            if isinstance(plan.pose, RandomTargetPlan)
-            else plan.pose.to_world,
-            tuple(_sensor(sensor, irradiance) for sensor in plan.sensors),
-        )
-        for plan in plans
-    )
+    rigs = []
+    for plan in plans:
+        built = _built(plan, surface, bodies or {})
+        sensors = tuple(_sensor(sensor, irradiance) for sensor in plan.sensors)
+        rigs.append(Rig(plan.name, built.to_world, sensors, built.times))
+        if facts is not None and built.facts:
+            facts[plan.name] = built.facts
+    return tuple(rigs)
+
+
+def needs_objects(plan: RigPlan) -> bool:
+    """Whether a rig's poses depend on where objects are."""
+    pose = plan.pose
+    return not isinstance(pose, RandomTargetPlan | TrackPlan) and pose.needs_objects
+
+
+def _built(plan: RigPlan, surface: Surface, bodies: Mapping[str, Bodies]) -> Built:
+    pose = plan.pose
+    if isinstance(pose, RandomTargetPlan):
+        return Built(_random_target(pose, surface))
+    if isinstance(pose, TrackPlan):
+        return Built(pose.to_world, pose.times)
+    samples = len(plan.sensors[0].ev)
+    what = f"rigs/{plan.name}/pose"
+    return pose.built(Around(what, samples, surface, plan.sensors, bodies))
 
 
 def _sensor(plan: SensorPlan, irradiance: NDArray[np.float64] | None) -> Sensor:

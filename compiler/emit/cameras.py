@@ -31,6 +31,7 @@ _VAR_TYPES = {
     "instance": "int",
     "face": "int",
     "label": "int",
+    "amodal": "int",
 }
 
 

@@ -17,6 +17,7 @@ from scenec.compiler.frontend.pose_table import read_poses
 from scenec.compiler.frontend.resources import ResourceError, find_file, find_folder
 from scenec.compiler.frontend.schema import Field
 from scenec.compiler.frontend.track import read_track
+from scenec.compiler.frontend.track_formats import FORMATS, ORDERS, read_stamped
 from scenec.schemas.errors import SceneError
 from scenec.schemas.maps import read_pixels
 from scenec.schemas.spelling import nearest, shown
@@ -230,9 +231,17 @@ def _check_image(file: FilePath, path: Path, owner: Any, document: Any) -> list[
 
 
 def _check_track(file: FilePath, path: Path, owner: Any, document: Any) -> list[Finding]:
-    rows = len(read_track(file).time_s)
+    form, order, rate = (owner.get(key) for key in ("format", "quaternion", "frame_rate_hz"))
+    # Values that the schema finds fault with count as not given.
+    form = form if isinstance(form, str) and form in FORMATS else "csv"
+    order = order if isinstance(order, str) and order in ORDERS else None
+    if form == "csv" and order is None and "sampling" not in owner:
+        rows = len(read_track(file).time_s)
+    else:
+        rate = float(rate) if isinstance(rate, (int, float)) and rate > 0 else 1.0
+        rows = len(read_stamped(file, form, order, rate).time_s)
     samples = document.get("samples", 1)
-    if isinstance(samples, int) and rows < samples:
+    if isinstance(samples, int) and rows < samples and "sampling" not in owner:
         return [
             Finding(
                 path,

@@ -12,6 +12,7 @@ from typing import Any
 from scenec.compiler.frontend.check_light import check_light
 from scenec.compiler.frontend.check_numbers import support
 from scenec.compiler.frontend.check_objects import check_objects
+from scenec.compiler.frontend.check_poses import check_poses
 from scenec.compiler.frontend.check_sky import check_sky
 from scenec.compiler.frontend.check_surfaces import check_surfaces
 from scenec.compiler.frontend.faults import Finding
@@ -47,6 +48,7 @@ def check_scene(document: Any, numbers: dict[Path, Field]) -> list[Finding]:
         *_check_samples(spans),
         *_check_sensors(document),
         *_check_positions(document, spans),
+        *check_poses(document, spans),
         *_check_colors(document, spans),
         *check_sky(document, spans),
     ]

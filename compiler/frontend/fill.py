@@ -20,7 +20,8 @@ SUNS: dict[str, dict[str, Any]] = {
 def fill(document: Any) -> dict[str, Any]:
     """The cfg in full, as nested dicts and lists.
 
-    - Every key of the schemas is there, in their order; named things keep the file's order.
+    - Every key of the schemas is there, in their order; named things keep the file's order. Those
+      with "x-sparse" are there only if they are given, so that digests of older cfgs stay.
     - A key that was left out has its default, or None where it has none.
     - Every number is a float, an int (where whole numbers are taken) or a ``Distribution``.
     - The sun is None where the sky's pictures give it; above an atmosphere, what was left out of it
@@ -73,7 +74,7 @@ def _fill_object(field: Field, value: dict[str, Any]) -> dict[str, Any]:
     filled: dict[str, Any] = {}
     properties = field.keywords.get("properties", {})
     for key, below in properties.items():
-        if below.get("x-ignored"):
+        if below.get("x-ignored") or ("x-sparse" in below and key not in value):
             continue
         if key in value:
             filled[key] = _fill_below(field, key, value[key])

@@ -103,6 +103,13 @@ def draw_number(
     return int(values[0]) if number.integer else float(values[0])
 
 
+def at_uniforms(number: Number, u: NDArray[np.float64]) -> NDArray[np.float64]:
+    """A number drawn with given uniform numbers in [0, 1), float64 of their shape."""
+    if not isinstance(number, Distribution):
+        return np.full(u.shape, float(number))
+    return _from_uniforms(number, u)
+
+
 def _from_uniforms(number: Distribution, u: NDArray[np.float64]) -> NDArray[np.float64]:
     low, high = number.min, number.max
     if number.type == "choice":

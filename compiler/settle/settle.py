@@ -13,8 +13,7 @@ from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 
-from scenec.compiler.build import BuildLog, build_surface, stand_objects
-from scenec.compiler.cameras.rigs import build_rigs
+from scenec.compiler.build import BuildLog, build_surface, stand_objects, stand_rigs
 from scenec.compiler.draw import draw
 from scenec.compiler.frontend.load import Spec, load
 from scenec.compiler.ground.surface import Surface
@@ -222,7 +221,7 @@ def _files(out: Path, chosen: Sequence[str]) -> dict[str, Path]:
 def _build(plan: Plan) -> tuple[Surface, tuple[Scatter | Placed, ...]]:
     log = BuildLog()
     surface = build_surface(plan, log)
-    rigs = build_rigs(plan.rigs, surface, None)
+    rigs = stand_rigs(plan, surface, None, log)
     return surface, stand_objects(plan, surface, rigs, None, log)
 
 

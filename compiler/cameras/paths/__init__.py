@@ -1,0 +1,1 @@
+"""Motions that are made and not given: one module each."""

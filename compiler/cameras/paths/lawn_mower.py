@@ -1,0 +1,131 @@
+"""Surveys: parallel lines over a rectangle, there and back, with turns of a bounded curvature."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from scenec.compiler.arithmetic import elementary
+from scenec.compiler.cameras.paths.legs import Legs, Pen
+from scenec.compiler.cameras.paths.motion import Around, Built, frames, poses
+from scenec.compiler.cameras.tracks import Sampling
+from scenec.schemas.errors import SceneError
+
+_QUARTER = 0.5 * elementary.PI
+_MOST_LINES: Final = 100_000
+
+
+@dataclass(frozen=True)
+class LawnMower:
+    """A boustrophedon survey.
+
+    Attributes:
+        x_m, y_m: Middle of the rectangle.
+        along_m, across_m: Its extent along the lines, and across them.
+        bearing_deg: Compass bearing of the first line; the next lie to its right.
+        spacing_m: Of the lines; None: from the overlap.
+        overlap: Of neighboring strips that the rig's first sensor sees, as a share of its width,
+            were it to look straight down at level ground.
+        height_m: Of the flight.
+        above: "ground" (below each point), "mean" (of the ground along the way: a level flight) or
+            "world" (z itself).
+        speed_m_s: Even.
+        turn_radius_m: Of every turn. Wider than half of the spacing, turns swing out first.
+        pitch_deg: Of the view above the horizon, along the line.
+        sampling: When.
+    """
+
+    x_m: float
+    y_m: float
+    along_m: float
+    across_m: float
+    bearing_deg: float
+    spacing_m: float | None
+    overlap: float
+    height_m: float
+    above: str
+    speed_m_s: float
+    turn_radius_m: float
+    pitch_deg: float
+    sampling: Sampling
+    needs_objects: bool = False
+
+    def built(self, around: Around) -> Built:
+        """The poses; see ``Motion``."""
+        lines, spacing = self._lines(around)
+        legs = self._way(lines, spacing)
+        duration = legs.duration_s
+        times = self.sampling.times(duration, around.samples, around.what)
+        xy, heading = legs.at(times)
+        around.require_on_terrain(xy, "the survey")
+        ground = around.ground(xy)
+        if self.above == "ground":
+            z = ground + self.height_m
+        elif self.above == "mean":
+            # Of the whole way, whatever samples are taken of it.
+            fine = np.arange(1025, dtype=np.float64) * (duration / 1024.0)
+            z = np.full(len(times), float(around.ground(legs.at(fine)[0]).mean()) + self.height_m)
+        else:
+            z = np.full(len(times), self.height_m)
+        lowest = float((z - ground).min())
+        if lowest <= 0.0:
+            k = int((z - ground).argmin())
+            raise SceneError(
+                f"{around.what}: sample {k} at ({xy[k, 0]:.6g}, {xy[k, 1]:.6g}) m is "
+                f"{-lowest:.4g} m below the ground: expected a larger height_m than "
+                f"{self.height_m:g}"
+            )
+        facts = {"lines": lines, "spacing_m": spacing, "length_m": float(legs.length.sum()),
+                 "duration_s": duration, "lowest_m": lowest}  # fmt: skip
+        position = np.column_stack([xy, z])
+        return Built(poses(position, frames(heading, self.pitch_deg)), times, facts)
+
+    def _lines(self, around: Around) -> tuple[int, float]:
+        """How many lines, and their spacing: evened out, so that the outer ones lie on the edge."""
+        spacing = self.spacing_m
+        if spacing is None:
+            sensor = around.sensors[0]
+            spacing = (1.0 - self.overlap) * self.height_m * sensor.resolution[0]
+            spacing /= sensor.intrinsics[0]
+        gaps = float(np.ceil(self.across_m / spacing * (1.0 - 1e-12)))
+        if gaps >= _MOST_LINES:
+            raise SceneError(
+                f"{around.what}: a spacing of {spacing:.4g} m makes {gaps:.3g} lines: expected "
+                f"fewer than {_MOST_LINES}"
+            )
+        count = int(gaps) + 1
+        return count, self.across_m / gaps if gaps else spacing
+
+    def _way(self, lines: int, spacing: float) -> Legs:
+        heading = _QUARTER - self.bearing_deg * elementary.PI / 180.0
+        ahead = np.array([elementary.cos(heading), elementary.sin(heading)])
+        right = np.array([ahead[1], -ahead[0]])
+        middle = np.array([self.x_m, self.y_m])
+        corner = middle - 0.5 * self.along_m * ahead - 0.5 * self.across_m * right
+        radius = self.turn_radius_m
+        # A wide turn never turns faster than at this rate; legs only know rates.
+        pen = Pen(corner[0], corner[1], heading, self.speed_m_s, self.speed_m_s / radius)
+        for i in range(lines):
+            there = 0.5 * self.along_m * (1.0 if i % 2 == 0 else -1.0)
+            pen.go(self.along_m)
+            # Onto the line's end to the last bit: rounding must not add up.
+            pen.at = middle + there * ahead + (i * spacing - 0.5 * self.across_m) * right
+            pen.heading = heading + (0.0 if i % 2 == 0 else elementary.PI)
+            if i + 1 == lines:
+                break
+            side = -1.0 if i % 2 == 0 else 1.0
+            if spacing >= 2.0 * radius:
+                pen.go(_QUARTER * radius, side * _QUARTER)
+                pen.go(spacing - 2.0 * radius)
+                pen.go(_QUARTER * radius, side * _QUARTER)
+            else:
+                out = elementary.acos(0.5 + 0.25 * spacing / radius)
+                pen.go(out * radius, -side * out)
+                pen.go((elementary.PI + 2.0 * out) * radius, side * (elementary.PI + 2.0 * out))
+                pen.go(out * radius, -side * out)
+            here = corner + (i + 1) * spacing * right
+            pen.at = here + (self.along_m * ahead if i % 2 == 0 else 0.0)
+            pen.heading = heading + (elementary.PI if i % 2 == 0 else 0.0)
+        return pen.done()

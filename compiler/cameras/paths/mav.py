@@ -1,0 +1,163 @@
+"""Flights over the ground through waypoints, with bounded speed, acceleration and jerk."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenec.compiler.cameras.paths.motion import Around, Built, bearing_of, frames, poses
+from scenec.compiler.cameras.paths.spline import Spline, largest, within
+from scenec.compiler.cameras.tracks import Sampling
+from scenec.schemas.errors import SceneError
+
+#: Points along the way at which its height above the ground is looked after, at most.
+_LOOKS: Final = 4096
+
+
+@dataclass(frozen=True)
+class Mav:
+    """A flight from rest to rest.
+
+    In plan it is a cubic spline through the waypoints; its height is another one, through keys that
+    lie ``height_m`` above the highest ground nearby. Then both are slowed together until the first
+    of the limits is reached: they hold at all times, not at samples.
+
+    Attributes:
+        waypoints: float64 [n, 2]; of no length where they are drawn.
+        drawn: Drawn ones as shares of the terrain's size from its middle, float64 [n, 2].
+        height_m: Above the ground.
+        follow_m: Distance of the keys of height: hills that are shorter are flown over level.
+        clearance_m: Least height above the ground anywhere.
+        speed_m_s, acceleration_m_s2, jerk_m_s3: Limits, of the vectors.
+        pitch_deg: Of the view above the horizon (of the body's level, with tilt).
+        tilt: Whether the body tilts with the acceleration, as one with fixed rotors must.
+        gravity_m_s2: What the rotors hold it against.
+        sampling: When.
+    """
+
+    waypoints: NDArray[np.float64]
+    drawn: NDArray[np.float64]
+    height_m: float
+    follow_m: float
+    clearance_m: float
+    speed_m_s: float
+    acceleration_m_s2: float
+    jerk_m_s3: float
+    pitch_deg: float
+    tilt: bool
+    gravity_m_s2: float
+    sampling: Sampling
+    needs_objects: bool = False
+
+    def built(self, around: Around) -> Built:
+        """The poses; see ``Motion``."""
+        points = self.waypoints
+        if not len(points):
+            points = self.drawn * np.array(around.surface.field.grid.size_m)
+        around.require_on_terrain(points, "a waypoint")
+        points = points[np.append(True, (points[1:] != points[:-1]).any(axis=1))]
+        if len(points) == 1:
+            return self._hovering(points, around)
+        way = points[1:] - points[:-1]
+        chords = np.sqrt((way * way).sum(axis=1))
+        # Centripetal (Lee 1989): the curve swings out least where long and short legs meet.
+        plan = Spline.through(np.cumsum(np.append(0.0, np.sqrt(chords))), points)
+        height, lowest = self._height(plan, float(chords.sum()), around)
+        plan, height = within(
+            (plan, height), self.speed_m_s, self.acceleration_m_s2, self.jerk_m_s3
+        )
+        duration = float(plan.time_s[-1])
+        times = self.sampling.times(duration, around.samples, around.what)
+        position = np.column_stack([plan.at(times), height.at(times)])
+        around.require_on_terrain(position[:, :2], "the flight between its waypoints")
+        speed, acceleration, jerk = largest((plan, height))
+        facts = {"duration_s": duration, "speed_m_s": speed, "acceleration_m_s2": acceleration,
+                 "jerk_m_s3": jerk, "lowest_m": lowest}  # fmt: skip
+        axes = frames(self._bearing(plan, times), self.pitch_deg)
+        if self.tilt:
+            axes = self._tilted(axes, np.column_stack([plan.at(times, 2), height.at(times, 2)]))
+        return Built(poses(position, axes), times, facts)
+
+    def _hovering(self, points: NDArray[np.float64], around: Around) -> Built:
+        """A flight without a way: it stays, looking north."""
+        z = float(around.ground(points)[0]) + self.height_m
+        position = np.tile([points[0, 0], points[0, 1], z], (around.samples, 1))
+        north = np.tile([0.0, 1.0], (around.samples, 1))
+        return Built(
+            poses(position, frames(north, self.pitch_deg)),
+            None,
+            {"duration_s": 0.0, "lowest_m": self.height_m},
+        )
+
+    def _height(self, plan: Spline, length: float, around: Around) -> tuple[Spline, float]:
+        """The spline of heights over the plan's own parameter, and how near it comes to ground."""
+        keys = min(max(int(np.ceil(length / self.follow_m)), 1), _LOOKS // 8)
+        per_key = 8
+        looks = plan.time_s[-1] * np.arange(keys * per_key + 1) / (keys * per_key)
+        ground = around.ground(plan.at(looks))
+        # Each key stands above the highest ground of the steps on both of its sides.
+        padded = np.concatenate([np.full(per_key, ground[0]), ground, np.full(per_key, ground[-1])])
+        windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * per_key + 1)
+        value = windows[::per_key].max(axis=1) + self.height_m
+        # At the ends it starts and lands at its own height.
+        value[0] = max(float(ground[0]) + self.height_m, float(ground[: per_key // 2 + 1].max()))
+        value[-1] = max(
+            float(ground[-1]) + self.height_m, float(ground[-(per_key // 2 + 1) :].max())
+        )
+        times = looks[::per_key]
+        for _ in range(16):
+            spline = Spline.through(times, value[:, None])
+            above = spline.at(looks)[:, 0] - ground
+            short = self.clearance_m - above
+            if not (short > 0.0).any():
+                return spline, float(above.min())
+            # Both keys beside a place that is too low rise by what is missing.
+            for k in np.flatnonzero(short > 0.0).tolist():
+                i = min(k // per_key, keys - 1)
+                raised = value[i : i + 2].copy()
+                value[i : i + 2] = np.maximum(raised, raised + 0.5 * short[k])
+        k = int(above.argmin())
+        x, y = plan.at(looks[k : k + 1])[0]
+        raise SceneError(
+            f"{around.what}: at ({x:.6g}, {y:.6g}) m the flight is {above[k]:.4g} m above the "
+            f"ground, and cannot be lifted to clearance_m ({self.clearance_m:g} m): expected a "
+            f"larger height_m than {self.height_m:g}, or a smaller follow_m than {self.follow_m:g}"
+        )
+
+    def _bearing(self, plan: Spline, times: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Along the flight; at rest, along what follows or went before."""
+        end = float(plan.time_s[-1])
+        inner = np.clip(times, 1e-6 * end, (1.0 - 1e-6) * end)
+        velocity = plan.at(inner, 1)
+        return bearing_of(velocity[:, 0], velocity[:, 1])
+
+    def _tilted(
+        self, axes: NDArray[np.float64], acceleration: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """The axes turned, the shortest way, so that up becomes the direction of the thrust."""
+        thrust = acceleration + np.array([0.0, 0.0, self.gravity_m_s2])
+        length = np.sqrt((thrust * thrust).sum(axis=1))
+        # Without thrust, in free fall, nothing tilts it.
+        floats = length <= 1e-9 * self.gravity_m_s2
+        unit = thrust / np.where(floats, 1.0, length)[:, None]
+        x, y, z = np.where(floats[:, None], [0.0, 0.0, 1.0], unit).T
+        # Rodrigues' formula for the turn from (0, 0, 1) to (x, y, z); upside down, about east.
+        k = 1.0 / np.maximum(1.0 + z, 1e-12)
+        turn = np.empty((len(x), 3, 3))
+        for i, row in enumerate(
+            (
+                (1.0 - k * x * x, -k * x * y, x),
+                (-k * x * y, 1.0 - k * y * y, y),
+                (-x, -y, z),
+            )
+        ):
+            for j, values in enumerate(row):
+                turn[:, i, j] = values
+        turn[z < -1.0 + 1e-12] = np.diag([1.0, -1.0, -1.0])
+        out = np.zeros(axes.shape)
+        for k3 in range(3):
+            out += turn[:, :, k3, None] * axes[:, None, k3, :]
+        return out

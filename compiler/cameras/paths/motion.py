@@ -1,0 +1,181 @@
+"""What a made motion is: a plan that becomes poses once the ground is there."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenec.compiler.arithmetic import elementary
+from scenec.compiler.ground.surface import Surface
+from scenec.schemas.errors import SceneError
+
+if TYPE_CHECKING:
+    from scenec.compiler.plan import SensorPlan
+
+_DEGREE = elementary.PI / 180.0
+
+
+@dataclass(frozen=True)
+class Bodies:
+    """Balls around one class's objects, by rising id.
+
+    Attributes:
+        id: Local instance ids, int64 [n].
+        middle: float64 [n, 3], meters.
+        radius: float64 [n].
+    """
+
+    id: NDArray[np.int64]
+    middle: NDArray[np.float64]
+    radius: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Around:
+    """What a motion is made in.
+
+    Attributes:
+        what: Who asks, for messages: "rigs/rover/pose".
+        samples: How many poses.
+        surface: The ground.
+        sensors: Those that the rig carries.
+        bodies: Objects by class; without those of motions that do not ask for them.
+    """
+
+    what: str
+    samples: int
+    surface: Surface
+    sensors: tuple[SensorPlan, ...] = ()
+    bodies: Mapping[str, Bodies] = field(default_factory=dict)
+
+    def ground(self, xy: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Heights of the ground at points [n, 2], float64 [n]."""
+        x, y = (np.ascontiguousarray(xy[:, k]) for k in (0, 1))
+        return self.surface.height_at(x, y)
+
+    def require_on_terrain(self, xy: NDArray[np.float64], place: str) -> None:
+        """Refuses points [n, 2] that the terrain does not reach.
+
+        Raises:
+            SceneError: One lies beyond it.
+        """
+        half = 0.5 * np.array(self.surface.field.grid.size_m)
+        off = np.flatnonzero(~(np.abs(xy) <= half).all(axis=1))
+        if off.size:
+            x, y = xy[off[0]]
+            raise SceneError(
+                f"{self.what}: {place} reaches ({x:.6g}, {y:.6g}) m, but the terrain from "
+                f"({-half[0]:g}, {-half[1]:g}) to ({half[0]:g}, {half[1]:g}) m: expected it there"
+            )
+
+
+@dataclass(frozen=True)
+class Built:
+    """A motion's poses.
+
+    Attributes:
+        to_world: Rig-to-world, OpenCV axes, float64 [s, 4, 4].
+        times: Of the samples, seconds, [s]; None: they have none of their own.
+        facts: For report.json.
+    """
+
+    to_world: NDArray[np.float64]
+    times: NDArray[np.float64] | None = None
+    facts: dict[str, Any] = field(default_factory=dict)
+
+
+class Motion(Protocol):
+    """How a rig moves."""
+
+    @property
+    def needs_objects(self) -> bool:
+        """Whether it depends on where objects are."""
+
+    def built(self, around: Around) -> Built:
+        """The poses.
+
+        Raises:
+            SceneError: What is asked for cannot be met.
+        """
+
+
+def bearing_of(east: NDArray[np.float64], north: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Level unit vectors [n, 2] of directions; north where there is none."""
+    length = np.sqrt(east * east + north * north)
+    still = length == 0.0
+    safe = np.where(still, 1.0, length)
+    return np.stack([east / safe, np.where(still, 1.0, north / safe)], axis=1)
+
+
+def level_bearing(degrees: float) -> NDArray[np.float64]:
+    """Level unit vector [2] of a compass bearing, clockwise from north (+y)."""
+    return np.array([elementary.sin(degrees * _DEGREE), elementary.cos(degrees * _DEGREE)])
+
+
+def frames(
+    bearing: NDArray[np.float64],
+    pitch_deg: NDArray[np.float64] | float,
+    roll_deg: NDArray[np.float64] | float = 0.0,
+) -> NDArray[np.float64]:
+    """Axes of a camera (x right, y down, z forward) as columns, float64 [n, 3, 3].
+
+    Straight up and straight down are directions like any other: the picture's top (looking down)
+    or bottom (up) is where the bearing points.
+
+    Args:
+        bearing: Level unit vectors, float64 [n, 2].
+        pitch_deg: Of the view above the horizon: -90 looks straight down.
+        roll_deg: About the view, clockwise as the camera sees itself.
+    """
+    n = len(bearing)
+    pitch = np.broadcast_to(np.asarray(pitch_deg, np.float64), n) * _DEGREE
+    roll = np.broadcast_to(np.asarray(roll_deg, np.float64), n) * _DEGREE
+    c, s = elementary.cos_array(pitch), elementary.sin_array(pitch)
+    east, north = bearing.T
+    zero = np.zeros(n)
+    forward = np.stack([c * east, c * north, s], axis=1)
+    right = np.stack([north, -east, zero], axis=1)
+    down = np.stack([s * east, s * north, -c], axis=1)
+    cr, sr = elementary.cos_array(roll)[:, None], elementary.sin_array(roll)[:, None]
+    return np.stack([cr * right + sr * down, cr * down - sr * right, forward], axis=2)
+
+
+def toward(way: NDArray[np.float64], top: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Axes of cameras that look along ways, the horizon level, [n, 3, 3].
+
+    Args:
+        way: float64 [n, 3], of any length above 0.
+        top: Level unit vectors [n, 2]: the picture's top where a way is vertical (looking down).
+    """
+    east, north, up = way.T
+    level = np.sqrt(east * east + north * north)
+    length = np.sqrt(level * level + up * up)
+    upright = level <= 1e-9 * length
+    bearing = np.where(upright[:, None], top, bearing_of(east, north))
+    # Of the view itself, whose sine and cosine are at hand.
+    c, s = np.where(upright, 0.0, level / length), up / length
+    forward = np.stack([c * bearing[:, 0], c * bearing[:, 1], s], axis=1)
+    right = np.stack([bearing[:, 1], -bearing[:, 0], np.zeros(len(way))], axis=1)
+    down = np.stack([s * bearing[:, 0], s * bearing[:, 1], -c], axis=1)
+    return np.stack([right, down, forward], axis=2)
+
+
+def rolled(axes: NDArray[np.float64], roll_deg: NDArray[np.float64] | float) -> NDArray[np.float64]:
+    """Axes [n, 3, 3] turned about their third, clockwise as the camera sees itself."""
+    roll = np.broadcast_to(np.asarray(roll_deg, np.float64), len(axes)) * _DEGREE
+    c, s = elementary.cos_array(roll)[:, None], elementary.sin_array(roll)[:, None]
+    right, down, forward = (axes[:, :, k] for k in range(3))
+    return np.stack([c * right + s * down, c * down - s * right, forward], axis=2)
+
+
+def poses(position: NDArray[np.float64], axes: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Matrices [n, 4, 4] of positions [n, 3] and axes [n, 3, 3]."""
+    out = np.zeros((len(position), 4, 4))
+    out[:, :3, :3] = axes
+    out[:, :3, 3] = position
+    out[:, 3, 3] = 1.0
+    return out

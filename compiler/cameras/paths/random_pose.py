@@ -1,0 +1,322 @@
+"""Random poses that keep to limits: drawn, looked at, and drawn again."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from scenec.compiler.arithmetic import elementary
+from scenec.compiler.cameras.paths.motion import (
+    Around,
+    Bodies,
+    Built,
+    frames,
+    level_bearing,
+    poses,
+    rolled,
+    toward,
+)
+from scenec.compiler.cameras.paths.orbit import picked
+from scenec.compiler.cameras.paths.rays import hits, normal_at, span_of
+from scenec.compiler.cameras.poses import compose
+from scenec.compiler.frontend.numbers import Number, at_uniforms
+from scenec.compiler.noise.lattice import hash2
+from scenec.schemas.errors import SceneError
+
+#: Rays over a sensor's width and height that say what share of its picture is sky.
+_RAYS: Final = (12, 9)
+#: Points of a polygon's box at most before one counts that lies outside; see ``_require_wide``.
+_PLACES: Final = 4096
+_S11: Final = np.uint64(11)
+_ULP: Final = 2.0**-53
+_DEGREES: Final = 180.0 / elementary.PI
+
+
+@dataclass(frozen=True)
+class Look:
+    """What a pose looks at.
+
+    Attributes:
+        kind: "direction", "point" or "object".
+        name: The class, of an object.
+        id: Of the object; None: any.
+    """
+
+    kind: str
+    name: str = ""
+    id: int | None = None
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What a pose must keep; None does not ask.
+
+    Attributes:
+        clearance_m: Least distance from balls around objects, and from the ground.
+        distance_m: Of what is looked at, least and most.
+        elevation_deg: Of the view above the horizon, least and most.
+        incidence_deg: Between the view and the ground's normal where it meets it, least and most.
+        max_sky: Largest share of any sensor's picture that shows no ground.
+    """
+
+    clearance_m: float
+    distance_m: tuple[float | None, float | None]
+    elevation_deg: tuple[float | None, float | None]
+    incidence_deg: tuple[float | None, float | None]
+    max_sky: float
+
+
+@dataclass(frozen=True)
+class RandomPose:
+    """Poses drawn in a region.
+
+    Attributes:
+        polygon: The region's corners in order, or two opposite ones of a box, float64 [n, 2].
+        above_ground: Whether ``height_m`` is over the ground, or of the world.
+        look: At what.
+        numbers: What is drawn each try, by name: "height_m", "roll_deg", and by the look
+            "bearing_deg" and "pitch_deg", or "x_m", "y_m" and "target_height_m".
+        keys: Of the hash that each is drawn with, and of "place" (twice) and "object".
+        limits: What a pose must keep.
+        tries: For each sample at most.
+    """
+
+    polygon: NDArray[np.float64]
+    above_ground: bool
+    look: Look
+    numbers: Mapping[str, Number]
+    keys: Mapping[str, int]
+    limits: Limits
+    tries: int
+    needs_objects: bool = True
+
+    def built(self, around: Around) -> Built:
+        """The poses; see ``Motion``."""
+        around.require_on_terrain(self.polygon, "the region")
+        self._require_wide(around)
+        found = np.empty((around.samples, 4, 4))
+        rejected: list[dict[str, int]] = [{} for _ in range(around.samples)]
+        waiting = np.arange(around.samples)
+        tried = 0
+        # All samples at once: the ground is asked for many points in one call.
+        span = span_of(around.surface.field)
+        for k in range(self.tries):
+            if not len(waiting):
+                break
+            tried += len(waiting)
+            drawn = self._drawn(around, waiting, k)
+            still = []
+            for n, sample in enumerate(waiting.tolist()):
+                pose, why = self._judged(around, drawn, n, span)
+                if pose is None:
+                    rejected[sample][why] = rejected[sample].get(why, 0) + 1
+                    still.append(sample)
+                else:
+                    found[sample] = pose
+            waiting = np.array(still, np.int64)
+        if len(waiting):
+            sample = int(waiting[0])
+            ranked = sorted(rejected[sample].items(), key=lambda item: (-item[1], item[0]))
+            said = ", ".join(f"{count} {why}" for why, count in ranked)
+            raise SceneError(
+                f"{around.what}: sample {sample}: none of {self.tries} drawn poses keeps the "
+                f"limits: {said}: expected wider limits, another region, or more tries"
+            )
+        in_all: dict[str, int] = {}
+        for reasons in rejected:
+            for why, count in reasons.items():
+                in_all[why] = in_all.get(why, 0) + count
+        facts = {"tries": tried, "rejected": dict(sorted(in_all.items()))}
+        return Built(found, None, facts)
+
+    def _require_wide(self, around: Around) -> None:
+        """Refuses polygons that are next to nothing of their box: no point of them is found.
+
+        With a share of 1 %, 4096 points miss once in 10^18 times.
+        """
+        if len(self.polygon) == 2:
+            return
+        x, y = self.polygon.T
+        area = 0.5 * abs(float((x * np.roll(y, -1) - np.roll(x, -1) * y).sum()))
+        width, height = (
+            float(side) for side in self.polygon.max(axis=0) - self.polygon.min(axis=0)
+        )
+        if area < 0.01 * width * height or area == 0.0:
+            raise SceneError(
+                f"{around.what}: region_m has an area of {area:.3g} m² in a box of "
+                f"{width:g} m by {height:g} m: expected 1 % of the box or more, corners in order"
+            )
+
+    def _drawn(self, around: Around, samples: NDArray[np.int64], k: int) -> _Drawn:
+        """What is drawn at try ``k`` of some samples."""
+
+        def number(name: str) -> NDArray[np.float64]:
+            u = _uniforms(np.uint64(self.keys[name]), samples, k)
+            return at_uniforms(self.numbers[name], u)
+
+        xy = np.empty((len(samples), 2))
+        keys = np.uint64(self.keys["place0"]), np.uint64(self.keys["place1"])
+        _places(self.polygon, *keys, samples, k, xy)
+        ground = around.ground(xy)
+        z = number("height_m") + (ground if self.above_ground else 0.0)
+        roll = number("roll_deg")
+        eye = np.column_stack([xy, z])
+        own = np.zeros(len(samples))
+        north = np.tile([0.0, 1.0], (len(samples), 1))
+        if self.look.kind == "direction":
+            bearing = np.array([level_bearing(b) for b in number("bearing_deg").tolist()])
+            axes = frames(bearing.reshape(-1, 2), number("pitch_deg"), roll)
+            return _Drawn(eye, ground, axes, axes[:, :, 2], own)
+        if self.look.kind == "object":
+            bodies = around.bodies.get(self.look.name, _NONE)
+            u = _uniforms(np.uint64(self.keys["object"]), samples, k)
+            name, number_of = self.look.name, self.look.id
+            one = [picked(bodies, number_of, pick, around.what, name) for pick in u.tolist()]
+            at, own = bodies.middle[one], bodies.radius[one]
+        else:
+            plan = np.column_stack([number("x_m"), number("y_m")])
+            at = np.column_stack([plan, around.ground(plan) + number("target_height_m")])
+        way = at - eye
+        # A target that is the eye itself is turned away later; it must have some axes till then.
+        still = ~way.any(axis=1)
+        axes = rolled(toward(np.where(still[:, None], [0.0, 1.0, 0.0], way), north), roll)
+        return _Drawn(eye, ground, axes, way, own)
+
+    def _judged(
+        self, around: Around, drawn: _Drawn, n: int, span: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64] | None, str]:
+        """One pose, or which limit rejects it."""
+        limits = self.limits
+        eye, axes, way, own = drawn.eye[n], drawn.axes[n], drawn.way[n], float(drawn.own[n])
+        above = float(eye[2] - drawn.ground[n])
+        if above <= 0.0:
+            return None, "below the ground"
+        if not self.above_ground and above < limits.clearance_m:
+            return None, f"nearer to the ground than {limits.clearance_m:g} m (clearance_m)"
+        for bodies in around.bodies.values():
+            if _inside(bodies, eye, limits.clearance_m):
+                return None, f"inside of an object or nearer than {limits.clearance_m:g} m to it"
+        distance = float(np.sqrt((way * way).sum()))
+        if distance == 0.0:
+            return None, "at its own target"
+        forward = axes[:, 2]
+        reach = float(hits(around.surface.field, span, eye, forward[None])[0])
+        if self.look.kind == "direction":
+            distance = reach
+        if not _between(distance, limits.distance_m):
+            return None, f"with a distance not {_said(limits.distance_m, 'm')} (distance)"
+        elevation = elementary.asin(min(max(float(forward[2]), -1.0), 1.0)) * _DEGREES
+        if not _between(elevation, limits.elevation_deg):
+            return None, f"with a view not {_said(limits.elevation_deg, 'degrees')} (elevation)"
+        if limits.incidence_deg != (None, None):
+            if reach == np.inf:
+                return None, "looking past the ground (incidence)"
+            at = eye + reach * forward
+            normal = normal_at(around.surface.field, float(at[0]), float(at[1]))
+            cosine = min(max(-float((normal * forward).sum()), -1.0), 1.0)
+            if not _between(elementary.acos(cosine) * _DEGREES, limits.incidence_deg):
+                said = _said(limits.incidence_deg, "degrees")
+                return None, f"with an incidence not {said} (incidence)"
+        if self.look.kind == "object" and reach < distance - own - 1e-9 * distance:
+            return None, "with the ground between it and its target"
+        pose = poses(eye[None], axes[None])[0]
+        if limits.max_sky < 1.0 and self._sky(around, pose, span) > limits.max_sky:
+            return None, f"with a share of sky above {limits.max_sky:g} (max_sky)"
+        return pose, ""
+
+    def _sky(self, around: Around, pose: NDArray[np.float64], span: NDArray[np.float64]) -> float:
+        """Largest share of sky in any sensor's picture."""
+        largest = 0.0
+        for sensor in around.sensors:
+            world = compose(pose, sensor.to_rig)
+            fx, fy, cx, cy, skew = sensor.intrinsics
+            u = (np.arange(_RAYS[0]) + 0.5) / _RAYS[0] * sensor.resolution[0]
+            v = (np.arange(_RAYS[1]) + 0.5) / _RAYS[1] * sensor.resolution[1]
+            uu, vv = (a.ravel() for a in np.meshgrid(u, v))
+            y = (vv - cy) / fy
+            local = np.column_stack([(uu - cx - skew * y) / fx, y, np.ones(len(y))])
+            local /= np.sqrt((local * local).sum(axis=1))[:, None]
+            way = np.zeros(local.shape)
+            for c in range(3):
+                way += local[:, c, None] * world[None, :3, c]
+            seen = np.isfinite(hits(around.surface.field, span, world[:3, 3].copy(), way))
+            largest = max(largest, 1.0 - int(seen.sum()) / len(seen))
+        return largest
+
+
+@dataclass(frozen=True)
+class _Drawn:
+    """Poses of one try, not yet judged.
+
+    Attributes:
+        eye: float64 [m, 3].
+        ground: Height below each, float64 [m].
+        axes: float64 [m, 3, 3].
+        way: To what is looked at, float64 [m, 3].
+        own: How much of its end is the target itself, float64 [m].
+    """
+
+    eye: NDArray[np.float64]
+    ground: NDArray[np.float64]
+    axes: NDArray[np.float64]
+    way: NDArray[np.float64]
+    own: NDArray[np.float64]
+
+
+_NONE = Bodies(np.empty(0, np.int64), np.empty((0, 3)), np.empty(0))
+
+
+@njit(cache=True, error_model="numpy")
+def _uniforms(key, samples, k):  # type: ignore[no-untyped-def]
+    """Numbers in [0, 1), multiples of 2**-53: functions of the key, the sample and the try."""
+    out = np.empty(len(samples))
+    for n in range(len(samples)):
+        out[n] = float(hash2(key, samples[n], k) >> _S11) * _ULP
+    return out
+
+
+@njit(cache=True, error_model="numpy")
+def _places(polygon, key_x, key_y, samples, k, out):  # type: ignore[no-untyped-def]
+    """Points, evenly over a region: of its box, the first that lies in the polygon."""
+    corners = len(polygon)
+    x0, x1 = polygon[:, 0].min(), polygon[:, 0].max()
+    y0, y1 = polygon[:, 1].min(), polygon[:, 1].max()
+    for n in range(len(samples)):
+        for m in range(_PLACES):
+            j = _PLACES * k + m
+            x = x0 + float(hash2(key_x, samples[n], j) >> _S11) * _ULP * (x1 - x0)
+            y = y0 + float(hash2(key_y, samples[n], j) >> _S11) * _ULP * (y1 - y0)
+            inside = corners == 2
+            # By the crossings of the edges with a ray to the east.
+            for c in range(corners if corners > 2 else 0):
+                ax, ay = polygon[c]
+                bx, by = polygon[(c + 1) % corners]
+                if (ay > y) != (by > y) and x < ax + (y - ay) / (by - ay) * (bx - ax):
+                    inside = not inside
+            if inside:
+                break
+        out[n, 0] = x
+        out[n, 1] = y
+
+
+def _inside(bodies: Bodies, eye: NDArray[np.float64], clearance: float) -> bool:
+    away = bodies.middle - eye
+    reach = np.maximum(bodies.radius + clearance, 0.0)
+    return bool(((away * away).sum(axis=1) < reach * reach).any())
+
+
+def _between(value: float, bounds: tuple[float | None, float | None]) -> bool:
+    low, high = bounds
+    return (low is None or value >= low) and (high is None or value <= high)
+
+
+def _said(bounds: tuple[float | None, float | None], unit: str) -> str:
+    low, high = bounds
+    if low is not None and high is not None:
+        return f"from {low:g} to {high:g} {unit}"
+    return f"above {low:g} {unit}" if low is not None else f"below {high:g} {unit}"

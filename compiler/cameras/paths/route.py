@@ -1,0 +1,252 @@
+"""Ways over the ground that keep off what a vehicle cannot drive over."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from scenec.compiler.arithmetic import elementary
+from scenec.compiler.cameras.paths.motion import Around, Bodies
+
+#: Cells along the longer side at most.
+_CELLS: Final = 384
+
+
+@dataclass(frozen=True)
+class Passable:
+    """Cells that can be driven in.
+
+    Attributes:
+        corner: Of the first cell, x and y.
+        cell_m: Its width and height.
+        slope_deg: Of the ground within a vehicle's reach of each cell, float64 [ny, nx].
+        free: bool [ny, nx].
+    """
+
+    corner: tuple[float, float]
+    cell_m: tuple[float, float]
+    slope_deg: NDArray[np.float64]
+    free: NDArray[np.bool_]
+
+    def is_free(self, xy: NDArray[np.float64]) -> bool:
+        """Whether a point [2] lies in a free cell."""
+        j, i = self._cell(xy)
+        return bool(self.free[j, i])
+
+    def slope_at(self, xy: NDArray[np.float64]) -> float:
+        """Slope of the cell that a point [2] lies in, degrees."""
+        return float(self.slope_deg[self._cell(xy)])
+
+    def _cell(self, xy: NDArray[np.float64]) -> tuple[int, int]:
+        ny, nx = self.free.shape
+        i = int(np.floor((xy[0] - self.corner[0]) / self.cell_m[0]))
+        j = int(np.floor((xy[1] - self.corner[1]) / self.cell_m[1]))
+        return min(max(j, 0), ny - 1), min(max(i, 0), nx - 1)
+
+    def way(
+        self, begin: NDArray[np.float64], end: NDArray[np.float64]
+    ) -> NDArray[np.float64] | None:
+        """A short way through free cells, float64 [n, 2] with both ends; None: there is none.
+
+        The shortest over the grid's eight directions, pulled straight where cells allow.
+        """
+        ends = self._cell(begin), self._cell(end)
+        if not (self.free[ends[0]] and self.free[ends[1]]):
+            return None
+        frame = np.array([*self.corner, *self.cell_m])
+        if _sees(self.free, frame, *begin, *end):
+            return np.stack([begin, end])
+        cells = _shortest(self.free, self.cell_m[0], self.cell_m[1], *ends[0], *ends[1])
+        if not len(cells):
+            return None
+        middles = np.array(self.corner) + (cells[1:-1, ::-1] + 0.5) * np.array(self.cell_m)
+        points = np.concatenate([begin[None], middles, end[None]])
+        return points[_pulled(self.free, frame, points)]
+
+
+def passable(
+    around: Around, max_slope_deg: float, width_m: float, largest_m: float, base_m: float
+) -> Passable:
+    """The cells of a terrain that a vehicle can drive in.
+
+    Args:
+        around: Ground and objects.
+        max_slope_deg: Steeper cells are not free.
+        width_m: Of the vehicle: so far it keeps off objects and from the terrain's border.
+        largest_m: Objects whose ball has a larger radius are kept off.
+        base_m: Length over which slopes are taken.
+    """
+    size = around.surface.field.grid.size_m
+    cell = max(base_m, max(size) / _CELLS)
+    counts = [max(int(np.floor(side / cell)), 1) for side in size]
+    cells = size[0] / counts[0], size[1] / counts[1]
+    corner = -0.5 * size[0], -0.5 * size[1]
+    x = corner[0] + (np.arange(counts[0]) + 0.5) * cells[0]
+    y = corner[1] + (np.arange(counts[1]) + 0.5) * cells[1]
+    xx, yy = (a.ravel() for a in np.meshgrid(x, y))
+    half = 0.5 * base_m
+    heights = [
+        around.ground(np.column_stack([xx + dx, yy + dy]))
+        for dx, dy in ((-half, 0.0), (half, 0.0), (0.0, -half), (0.0, half))
+    ]
+    east, north = (heights[1] - heights[0]) / base_m, (heights[3] - heights[2]) / base_m
+    slope = elementary.atan_array(np.sqrt(east * east + north * north)) * 180.0 / elementary.PI
+    # A wheel is so far from the middle at most: a cell is as steep as the steepest it reaches.
+    cells_off = int(np.ceil(0.5 * np.sqrt(base_m * base_m + width_m * width_m) / min(cells)))
+    slope = _largest_around(slope.reshape(counts[1], counts[0]), cells_off)
+    inside = (np.abs(xx) <= 0.5 * (size[0] - width_m)) & (np.abs(yy) <= 0.5 * (size[1] - width_m))
+    free = (slope <= max_slope_deg) & inside.reshape(slope.shape)
+    for bodies in around.bodies.values():
+        large = bodies.radius > largest_m
+        reach = bodies.radius[large] + 0.5 * width_m
+        _block(free, np.array([*corner, *cells]), bodies.middle[large], reach)
+    return Passable(corner, cells, slope, free)
+
+
+def _largest_around(values: NDArray[np.float64], reach: int) -> NDArray[np.float64]:
+    """Largest of the squares of cells around each, float64 of the same shape."""
+    for axis in range(2):
+        padded = np.pad(values, [(reach, reach) if k == axis else (0, 0) for k in range(2)], "edge")
+        windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1, axis=axis)
+        values = windows.max(axis=-1)
+    return values
+
+
+def driven_over(
+    xy: NDArray[np.float64], width_m: float, bodies: Bodies, margin_m: float
+) -> list[int]:
+    """Ids of the objects whose balls a way's strip touches in plan, rising.
+
+    Args:
+        xy: The way, densely, float64 [n, 2].
+        width_m: Of the strip.
+        bodies: One class.
+        margin_m: Of how far points of the way are from each other, half.
+    """
+    touched = _touched(xy, bodies.middle, bodies.radius + 0.5 * width_m + margin_m)
+    return [int(k) for k in bodies.id[touched].tolist()]
+
+
+@njit(cache=True, error_model="numpy")
+def _block(free, frame, middle, reach):  # type: ignore[no-untyped-def]
+    """Cells that circles touch are not free."""
+    rows, columns = free.shape
+    for k in range(len(middle)):
+        x, y = middle[k, 0], middle[k, 1]
+        i0 = max(int(np.floor((x - reach[k] - frame[0]) / frame[2])), 0)
+        i1 = min(int(np.floor((x + reach[k] - frame[0]) / frame[2])), columns - 1)
+        j0 = max(int(np.floor((y - reach[k] - frame[1]) / frame[3])), 0)
+        j1 = min(int(np.floor((y + reach[k] - frame[1]) / frame[3])), rows - 1)
+        for j in range(j0, j1 + 1):
+            for i in range(i0, i1 + 1):
+                near_x = min(max(x, frame[0] + i * frame[2]), frame[0] + (i + 1) * frame[2])
+                near_y = min(max(y, frame[1] + j * frame[3]), frame[1] + (j + 1) * frame[3])
+                away = (near_x - x) * (near_x - x) + (near_y - y) * (near_y - y)
+                if away <= reach[k] * reach[k]:
+                    free[j, i] = False
+
+
+@njit(cache=True, error_model="numpy")
+def _touched(xy, middle, reach):  # type: ignore[no-untyped-def]
+    out = np.zeros(len(middle), np.bool_)
+    for k in range(len(middle)):
+        for n in range(len(xy)):
+            dx = xy[n, 0] - middle[k, 0]
+            dy = xy[n, 1] - middle[k, 1]
+            if dx * dx + dy * dy <= reach[k] * reach[k]:
+                out[k] = True
+                break
+    return out
+
+
+@njit(cache=True, error_model="numpy")
+def _shortest(free, dx, dy, j0, i0, j1, i1):  # type: ignore[no-untyped-def]
+    """Cells from one to another, by sweeps until no distance shrinks (Bellman and Ford)."""
+    rows, columns = free.shape
+    far = np.full((rows, columns), np.inf)
+    # From the end, so that going down from the beginning follows the way.
+    far[j1, i1] = 0.0
+    changed = True
+    while changed:
+        changed = False
+        for sweep in range(4):
+            for jj in range(rows):
+                j = jj if sweep % 2 == 0 else rows - 1 - jj
+                for ii in range(columns):
+                    i = ii if sweep < 2 else columns - 1 - ii
+                    if not free[j, i]:
+                        continue
+                    for b in range(-1, 2):
+                        for a in range(-1, 2):
+                            v, u = j + b, i + a
+                            if (a == 0 and b == 0) or v < 0 or u < 0 or v >= rows or u >= columns:
+                                continue
+                            # No squeezing through between two corners.
+                            if not (free[v, u] and free[j, u] and free[v, i]):
+                                continue
+                            way = far[v, u] + np.sqrt(a * a * dx * dx + b * b * dy * dy)
+                            if way < far[j, i]:
+                                far[j, i] = way
+                                changed = True
+    if far[j0, i0] == np.inf:
+        return np.empty((0, 2))
+    found = np.empty((rows * columns + 1, 2))
+    count = 0
+    j, i = j0, i0
+    while True:
+        found[count, 0], found[count, 1] = j, i
+        count += 1
+        if j == j1 and i == i1:
+            break
+        best, bj, bi = np.inf, j, i
+        for b in range(-1, 2):
+            for a in range(-1, 2):
+                v, u = j + b, i + a
+                if (a == 0 and b == 0) or v < 0 or u < 0 or v >= rows or u >= columns:
+                    continue
+                if not (free[v, u] and free[j, u] and free[v, i]):
+                    continue
+                way = far[v, u] + np.sqrt(a * a * dx * dx + b * b * dy * dy)
+                if way < best:
+                    best, bj, bi = way, v, u
+        j, i = bj, bi
+    return found[:count]
+
+
+@njit(cache=True, error_model="numpy")
+def _sees(free, frame, x0, y0, x1, y1):  # type: ignore[no-untyped-def]
+    """Whether the straight way lies in free cells, looked at every quarter of a cell."""
+    rows, columns = free.shape
+    length = np.sqrt((x1 - x0) * (x1 - x0) + (y1 - y0) * (y1 - y0))
+    steps = int(np.ceil(4.0 * length / min(frame[2], frame[3]))) + 1
+    for n in range(steps + 1):
+        u = n / steps
+        i = int(np.floor((x0 + u * (x1 - x0) - frame[0]) / frame[2]))
+        j = int(np.floor((y0 + u * (y1 - y0) - frame[1]) / frame[3]))
+        i = min(max(i, 0), columns - 1)
+        j = min(max(j, 0), rows - 1)
+        if not free[j, i]:
+            return False
+    return True
+
+
+@njit(cache=True, error_model="numpy")
+def _pulled(free, frame, points):  # type: ignore[no-untyped-def]
+    """Which points of a way are left when it is pulled straight: from each the farthest seen."""
+    keep = np.zeros(len(points), np.bool_)
+    keep[0] = True
+    at = 0
+    last = len(points) - 1
+    while at < last:
+        after = last
+        while after > at + 1 and not _sees(
+            free, frame, points[at, 0], points[at, 1], points[after, 0], points[after, 1]
+        ):
+            after -= 1
+        keep[after] = True
+        at = after
+    return keep
