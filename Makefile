@@ -37,6 +37,7 @@ types: setup  ## Type checker.
 	@.venv/bin/mypy
 
 unit: setup  ## The tests alone (WORKERS=2 processes; PYTEST_ARGS for more).
+	@tools/browser.sh
 	@echo "== Testing, $(WORKERS) processes"
 	@.venv/bin/python -m pytest -n $(WORKERS) --dist loadfile $(MARKED) $(PYTEST_ARGS)
 
@@ -76,8 +77,9 @@ lock: setup  ## Resolve pyproject.toml again into requirements.lock.
 	cp pyproject.toml README.md LICENSE "$$folder"; mkdir -p "$$folder/src/scenec"; \
 	root=$$(pwd); cd "$$folder"; \
 	"$$root/.venv/bin/uv" lock --quiet --python "$$root/.venv/bin/python"; \
-	"$$root/.venv/bin/uv" export --quiet --frozen --all-extras --all-groups --no-emit-project \
-	  --no-header --format requirements-txt --output-file requirements.lock; \
+	"$$root/.venv/bin/uv" export --quiet --frozen --all-extras --no-extra torch --no-extra rerun \
+	  --all-groups --no-emit-project --no-header --format requirements-txt \
+	  --output-file requirements.lock; \
 	cp requirements.lock "$$root/requirements.lock"
 
 wheel: setup  ## Build the wheel into dist/.

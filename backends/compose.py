@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.backends.contract import Radiance
+from scenec.backends.noise import Noise, estimate
 from scenec.backends.rays import camera_rays
 from scenec.backends.render_scene import Camera, RenderScene, Sun
 from scenec.backends.sky import MIN_SUN_DIAMETER_RAD, combine, lookup
@@ -29,18 +30,22 @@ class Picture:
 
     Attributes:
         rgb: Linear Rec.709 radiance, float32 [h, w, 3].
-        relative_error: sqrt(mean(((A - B) / 2)**2)) / mean(rgb of surfaces), over all pixels and
-            channels that surfaces cover; A and B are the two halves. ((A - B) / 2)**2 is an
-            unbiased estimate of the variance of the mean (A + B) / 2, so this estimates the rms
-            error over the mean. 0 where nothing is covered, None (unknown) where light overflowed
-            or is no Monte Carlo estimate. Of a denoised picture it is the error before denoising.
-        relative_mse: mean(((A - B) / 2)**2 / (m**2 + 0.01 * mean(m)**2)) with m = (A + B) / 2: the
-            usual relMSE, which weighs dark pixels as much as bright ones.
+        noise: Its error, over all pixels that surfaces cover, from the two halves
+            (``noise.estimate``). Of a denoised picture it is the error before denoising.
     """
 
     rgb: NDArray[np.float32]
-    relative_error: float | None
-    relative_mse: float | None
+    noise: Noise
+
+    @property
+    def relative_error(self) -> float | None:
+        """Estimated rms error over the mean; None where it is unknown."""
+        return self.noise.relative_rms
+
+    @property
+    def relative_mse(self) -> float | None:
+        """Estimated relMSE, which weighs dark pixels as much as bright ones."""
+        return self.noise.relative_mse
 
 
 def compose(
@@ -63,10 +68,8 @@ def compose(
     halves = radiance.halves.astype(np.float64)
     if veil is not None:
         halves = veil.over(halves, radiance.coverage.astype(np.float64))
-    mean = 0.5 * (halves[0] + halves[1])
-    variance = (0.5 * (halves[0] - halves[1])) ** 2
     open_sky = 1.0 - radiance.coverage.astype(np.float64)
-    light = mean
+    light = 0.5 * (halves[0] + halves[1])
     if radiance.denoised is not None:
         light = radiance.denoised.astype(np.float64)
         if veil is not None:
@@ -76,16 +79,8 @@ def compose(
         behind = veil.over_sky(behind)
     rgb = light + open_sky[..., None] * behind
 
-    covered = radiance.coverage > 0.0
-    level = float(mean[covered].mean()) if covered.any() else 0.0
-    error: float | None = 0.0
-    relative_mse: float | None = 0.0
-    if not radiance.stochastic or not np.isfinite(level):
-        error = relative_mse = None
-    elif level > 0.0:
-        error = float(np.sqrt(variance[covered].mean())) / level
-        relative_mse = float((variance[covered] / (mean[covered] ** 2 + 0.01 * level**2)).mean())
-    return Picture(rgb.astype(np.float32), error, relative_mse)
+    noise = estimate(halves, radiance.coverage > 0.0, radiance.stochastic)
+    return Picture(rgb.astype(np.float32), noise)
 
 
 def background(

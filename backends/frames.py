@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -9,13 +10,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.backends.render_scene import Camera, RenderScene
+from scenec.backends.instances import Seen
+from scenec.backends.render_scene import Camera, Lighting, RenderScene
 from scenec.schemas import picture
+from scenec.schemas.amodal import amodal_path, write_amodal
 from scenec.schemas.errors import OutputError
 from scenec.schemas.exr import write_exr
 from scenec.schemas.files import sha256, write_json
 from scenec.schemas.frames import CONVENTIONS, FRAME_VERSION, FrameKey
 from scenec.schemas.instances import frame_table_path, write_frame_table
+
+_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
 
 def write_frame(
@@ -26,9 +31,9 @@ def write_frame(
     camera: Camera,
     sample: int,
     details: Mapping[str, Any],
-    table: dict[str, NDArray] | None = None,
+    seen: Seen | None = None,
 ) -> None:
-    """Write EXR, PNG (if there is ``rgb``), table and sidecar, each by atomic rename.
+    """Write EXR, PNG (if there is ``rgb``), table, masks and sidecar, each by atomic rename.
 
     Args:
         stem: See ``frame_stem``.
@@ -38,7 +43,8 @@ def write_frame(
         camera: The camera it was seen by.
         sample: Time code.
         details: More for the sidecar: what ``Session.render`` returns.
-        table: What it shows of instances (``schemas.instances``), if it has that pass.
+        seen: What it shows of instances (``schemas.instances``, ``schemas.amodal``), if it has that
+            pass.
 
     Raises:
         OutputError: A file cannot be written.
@@ -55,10 +61,15 @@ def write_frame(
             stem.with_suffix(".png"), picture.develop(passes["rgb"], camera.exposure_ev)
         )
     listed = frame_table_path(stem)
-    if table is None:
+    if seen is None:
         _unlink(listed)
     else:
-        write_frame_table(listed, table)
+        write_frame_table(listed, seen.table)
+    masks = amodal_path(stem)
+    if seen is None or seen.amodal is None:
+        _unlink(masks)
+    else:
+        write_amodal(masks, seen.amodal)
     sidecar = {
         "version": FRAME_VERSION,
         "camera": camera.name,
@@ -77,6 +88,7 @@ def write_frame(
             for level in scene.levels
         },
         "sky_labels": scene.sky_labels,
+        "sun": sun_facts(scene.lighting[sample]),
         "instances": scene.instance_paths,
         "backend": key.backend,
         "backend_version": key.backend_version,
@@ -84,14 +96,32 @@ def write_frame(
         "noise_seed": key.noise_seed,
         "stage_digest": key.stage_digest,
         "resume_key": key.digest(),
-        "exr": {"bytes": exr.stat().st_size, "sha256": sha256(exr)},
+        "exr": _vouch(exr),
         "png": "rgb" in passes,
-        "instance_table": None
-        if table is None
-        else {"bytes": listed.stat().st_size, "sha256": sha256(listed)},
+        "instance_table": None if seen is None else _vouch(listed),
+        "amodal": None if seen is None or seen.amodal is None else _vouch(masks),
         **details,
     }
     write_json(stem.with_suffix(".json"), plain(sidecar))
+
+
+def sun_facts(lighting: Lighting) -> dict[str, Any] | None:
+    """The brightest sun as sidecars state it (``CONVENTIONS["sun"]``); None without one."""
+    if not lighting.suns:
+        return None
+    # Rec.709 luminance; of equal ones the first.
+    sun = max(lighting.suns, key=lambda s: float((s.irradiance * _LUMINANCE).sum()))
+    x, y, z = sun.to_light.tolist()
+    return {
+        "elevation_deg": math.degrees(math.atan2(z, math.hypot(x, y))),
+        "azimuth_deg": math.degrees(math.atan2(x, y)) % 360.0,
+        "irradiance": sun.irradiance.tolist(),
+    }
+
+
+def _vouch(path: Path) -> dict[str, Any]:
+    """What tells whether a file is still the one that was written."""
+    return {"bytes": path.stat().st_size, "sha256": sha256(path)}
 
 
 def plain(value: Any) -> Any:

@@ -6,14 +6,19 @@ The columns, and what they mean: ``scenec.schemas.instances``, which also reads 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from scenec.backends.amodal import Outliner
+from scenec.backends.exact.bvh import Geometry
 from scenec.backends.render_scene import Camera, Mesh, RenderScene
+from scenec.schemas.amodal import Amodal
 from scenec.schemas.instances import (
+    AMODAL_COLUMNS,
     BOX_COLUMNS,
     DEPTH_COLUMNS,
     PIXEL_COLUMNS,
@@ -39,6 +44,19 @@ class Poses:
     rotation: NDArray[np.float64]
     scale: NDArray[np.float64]
     linear: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What a frame shows of instances.
+
+    Attributes:
+        table: Columns, for ``schemas.instances.write_frame_table``.
+        amodal: Masks, for ``schemas.amodal.write_amodal``; None unless asked for.
+    """
+
+    table: dict[str, NDArray[Any]]
+    amodal: Amodal | None = None
 
 
 class Instances:
@@ -131,50 +149,72 @@ class Instances:
             np.array([(p.linear != 0.0).any(axis=(1, 2)) for p in paths], bool).reshape(shape),
         )
 
+    @cached_property
+    def _outliner(self) -> Outliner:
+        return Outliner(self._scene, self._rows, self._first, self.slot_of_row)
+
     def seen(
-        self, row: NDArray[np.int32], t: NDArray[np.float64], camera: Camera, sample: int
-    ) -> dict[str, NDArray[Any]]:
-        """A frame's table, for ``schemas.instances.write_frame_table``.
+        self,
+        row: NDArray[np.int32],
+        t: NDArray[np.float64],
+        camera: Camera,
+        sample: int,
+        geometry: Geometry,
+        masks: bool = False,
+    ) -> Seen:
+        """What a frame shows of instances.
 
         Args:
             row: Row that each pixel shows, -1 for none, int32 [h * w].
             t: Its planar depth, float64 [h * w].
             camera: Whose frame it is.
             sample: Time code.
+            geometry: Of the scene, posed as at that sample.
+            masks: Whether to make amodal masks, too.
         """
         count = len(self.ids)
         pixels = np.zeros((count, 5), np.int64)
-        depths = np.zeros((count, 2))
+        depths = np.zeros((count, 3))
         _measure(row, t, self.slot_of_row, camera.width, pixels, depths)
         which = np.flatnonzero(pixels[:, 0])
         pixels, depths = pixels[which], depths[which]
         border = (pixels[:, 1:3] == 0).any(axis=1)
         border |= (pixels[:, 3] == camera.width - 1) | (pixels[:, 4] == camera.height - 1)
+        whole = np.concatenate([pixels, border[:, None]], axis=1)
+        depths[:, 1] /= np.maximum(pixels[:, 0], 1)
+        found = self._outliner.outline(geometry, camera, row, which, pixels[:, 1:], masks)
+        amodal = (found.areas, found.full, found.bounded.astype(np.int64))
+        table = {
+            "id": self.ids[which],
+            "class": np.array(self._classes, np.str_)[self._class[which]],
+            "local_id": self._local[which],
+            **self._label_names(which),
+            **dict(zip(PIXEL_COLUMNS, whole.T, strict=True)),
+            **dict(zip(DEPTH_COLUMNS, depths.T, strict=True)),
+            **dict(zip(AMODAL_COLUMNS, amodal, strict=True)),
+            **self._places(which, camera, sample),
+        }
+        if found.counts is None or found.starts is None:
+            return Seen(table)
+        size = (camera.height, camera.width)
+        return Seen(table, Amodal(size, self.ids[which], found.counts, found.starts))
+
+    def _places(
+        self, which: NDArray[np.int64], camera: Camera, sample: int
+    ) -> dict[str, NDArray[np.float64]]:
+        """Poses and boxes."""
         poses = self.poses(which, sample)
         turn, eye = camera.camera_to_world[:3, :3], camera.camera_to_world[:3, 3]
         # Rows of the camera's axes: its inverse is its transpose.
         from_camera = ((poses.position - eye)[:, :, None] * turn).sum(axis=1)
         turned = (turn[None, :, :, None] * poses.rotation[:, :, None, :]).sum(axis=1)
         box = self._box[which]
-        classes = np.array(self._classes, np.str_)
-        names = self._label_names(which)
         numbers = [
             from_camera, quaternions(turned), poses.position, quaternions(poses.rotation),
             box[:, 1] - box[:, 0], 0.5 * (box[:, 0] + box[:, 1]),
         ]  # fmt: skip
-        whole = np.concatenate([pixels, border[:, None]], axis=1)
-        depths[:, 1] /= np.maximum(pixels[:, 0], 1)
-        return {
-            "id": self.ids[which],
-            "class": classes[self._class[which]],
-            "local_id": self._local[which],
-            **names,
-            **dict(zip(PIXEL_COLUMNS, whole.T, strict=True)),
-            **dict(zip(DEPTH_COLUMNS, depths.T, strict=True)),
-            **dict(
-                zip((*POSE_COLUMNS, *BOX_COLUMNS), np.concatenate(numbers, axis=1).T, strict=True)
-            ),
-        }
+        columns = np.concatenate(numbers, axis=1).T
+        return dict(zip((*POSE_COLUMNS, *BOX_COLUMNS), columns, strict=True))
 
     def _label_names(self, which: NDArray[np.int64]) -> dict[str, NDArray[np.str_]]:
         found = {}
@@ -415,7 +455,7 @@ def _set_quaternions(rotation, out):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, error_model="numpy")
 def _measure(row, t, slot_of_row, width, pixels, depths):  # type: ignore[no-untyped-def]
-    """Per instance: pixels, first column and row, last column and row; least depth, sum."""
+    """Per instance: pixels, first column and row, last column and row; least depth, sum, most."""
     for k in range(row.shape[0]):
         if row[k] < 0:
             continue
@@ -434,3 +474,4 @@ def _measure(row, t, slot_of_row, width, pixels, depths):  # type: ignore[no-unt
         pixels[slot, 4] = y
         depths[slot, 0] = min(depths[slot, 0], t[k])
         depths[slot, 1] += t[k]
+        depths[slot, 2] = max(depths[slot, 2], t[k])

@@ -12,6 +12,7 @@ from scenec.backends.pool import WorkerProcess
 from scenec.schemas.errors import StageError
 from scenec.schemas.frames import FrameKey, frame_stem
 from scenec.schemas.manifest import FRAMES, Batch
+from scenec.schemas.spelling import nearest
 
 
 @dataclass(frozen=True)
@@ -26,6 +27,9 @@ class Wanted:
     device: str = "auto"
     denoise: bool = False
     annotate_with: str | None = None
+    error: float | None = None
+    seconds: float | None = None
+    cameras: Collection[str] | None = None
 
 
 @dataclass(frozen=True)
@@ -101,6 +105,16 @@ class Jobs:
                 "passes": None if wanted.passes is None else list(wanted.passes),
             }
         )
+        self.take(opened)
+        return opened
+
+    def take(self, opened: dict[str, Any]) -> None:
+        """Find the batch's frames in what a worker said about the stage that it has open.
+
+        Raises:
+            StageError: The stage does not hold what is asked for.
+        """
+        wanted = self._wanted
         self._opened = opened
         there = range(opened["samples"])
         beyond = [sample for sample in wanted.samples or () if sample not in there]
@@ -111,12 +125,18 @@ class Jobs:
         self._places = [
             (sample, index)
             for sample in (there if wanted.samples is None else sorted(wanted.samples))
-            for index in range(len(opened["cameras"][sample]))
+            for index, camera in enumerate(opened["cameras"][sample])
+            if wanted.cameras is None or camera["name"] in wanted.cameras
         ]
+        seen = sorted({camera["name"] for cameras in opened["cameras"] for camera in cameras})
+        unknown = [name for name in wanted.cameras or () if name not in seen]
+        if unknown:
+            raise StageError(
+                f"{self._batch.stage}: has no camera {unknown[0]!r}{nearest(unknown[0], seen)}"
+            )
         for place in self._places:
             if not self._camera(*place)["passes"]:
                 raise StageError(f"{self._batch.stage}: no passes asked for, and none in the stage")
-        return opened
 
     def __iter__(self) -> Iterator[Job]:
         wanted, batch = self._wanted, self._batch
@@ -149,6 +169,8 @@ class Jobs:
             backend=wanted.backend,
             backend_version=self._opened["version"],
             denoise=wanted.denoise and pictures,
+            error=wanted.error if pictures else None,
+            seconds=wanted.seconds if pictures else None,
         )
 
 

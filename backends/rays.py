@@ -22,3 +22,9 @@ def camera_rays(camera: Camera) -> Rays:
     directions = np.stack([m[i, 0] * x + m[i, 1] * y + m[i, 2] for i in range(3)], axis=1)
     origins = np.broadcast_to(m[:3, 3], directions.shape)
     return Rays(np.ascontiguousarray(origins), directions, (camera.height, camera.width))
+
+
+def ray_down(camera: Camera) -> Rays:
+    """One ray from the camera straight down, of length 1: a hit's parameter is its height."""
+    origin = np.ascontiguousarray(camera.camera_to_world[None, :3, 3])
+    return Rays(origin, np.array([[0.0, 0.0, -1.0]]), (1, 1))

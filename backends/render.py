@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import tempfile
 from collections.abc import Callable, Collection, Sequence
 from contextlib import ExitStack, suppress
@@ -13,6 +14,7 @@ from scenec.backends.jobs import Job, Jobs, Wanted, frame_seed
 from scenec.backends.memory import default_limit
 from scenec.backends.pool import FrameLostError, WorkerProcess
 from scenec.backends.registry import backend_names, require_name
+from scenec.backends.rounds import MOST_SPP
 from scenec.backends.watch import Limits
 from scenec.schemas.errors import BackendError, ScenecError, StageError
 from scenec.schemas.frames import is_done
@@ -23,6 +25,9 @@ __all__ = ["Limits", "RenderReport", "check_backend", "frame_seed", "render"]
 #: ``progress(done, total, text)``, called after each frame.
 Progress = Callable[[int, int, str], None]
 Say = Callable[[str], None]
+
+#: Samples per pixel where a user says nothing.
+USUAL_SPP = 64
 
 #: Annotators that need no process of their own: no renderer's libraries, nothing to collide with.
 _IN_PROCESS = ("reference",)
@@ -69,7 +74,7 @@ def render(
     out: Path | str,
     backend: str,
     *,
-    spp: int = 64,
+    spp: int | None = None,
     passes: Sequence[str] | None = None,
     samples: Collection[int] | None = None,
     batches: Collection[int] | None = None,
@@ -78,6 +83,9 @@ def render(
     device: str = "auto",
     denoise: bool = False,
     annotate_with: str | None = None,
+    error: float | None = None,
+    seconds: float | None = None,
+    cameras: Collection[str] | None = None,
     limits: Limits | None = None,
     progress: Progress | None = None,
     warn: Say | None = None,
@@ -85,15 +93,17 @@ def render(
 ) -> RenderReport:
     """Render to ``<batch>/frames/<backend>/<camera>/<sample>.{exr,png,json}``.
 
-    Frames that are there and were made from the same stage with the same passes, samples per pixel,
-    noise seed, denoising and backend are not made again.
+    Frames that are there and were made from the same stage with the same passes, samples per pixel
+    (or target), noise seed, denoising and backend are not made again.
 
     Args:
         out: Output folder of a compile, or a USD file (its frames go beside it).
         backend: Name, see ``registry``.
-        spp: Samples per pixel of ``rgb``.
+        spp: Samples per pixel of ``rgb``; None is 64. With ``error`` or ``seconds`` it is the most
+            there may be; None is 4096 then.
         passes: ``rgb``, ``depth``, ``range``, ``label`` (all levels) or ``label.<level>``,
-            ``instance``, ``normal``, ``position``, ``face``; None takes the stage's own choice.
+            ``instance``, ``normal``, ``position``, ``face``, ``amodal`` (masks, a file of their
+            own; it brings ``instance`` with it); None takes the stage's own choice.
         samples: Only these time codes.
         batches: Only these batches.
         noise_seed: Renderings with different ones have independent noise.
@@ -103,6 +113,12 @@ def render(
         denoise: Whether to denoise ``rgb``; the error that remains is then unknown.
         annotate_with: Backend whose visibility is taken for the annotation, which is the same to
             the bit whichever it is; None takes that of ``backend``.
+        error: Render ``rgb`` in rounds until its relative rms error is below this by its 95 % bound
+            (``noise.estimate``).
+        seconds: Render ``rgb`` in rounds for as long as this, a frame; loading and annotation do
+            not count. Such frames depend on the machine's speed; those that are there still count
+            as made.
+        cameras: Only these, by name.
         limits: What a worker may take: seconds without progress, seconds a frame, memory.
         progress: Called after each frame.
         warn: Called with lines worth showing at once.
@@ -116,7 +132,12 @@ def render(
         BackendError: The backend is not there, or cannot do what is asked.
         OutputError: No manifest, or a frame cannot be written.
     """
-    wanted = Wanted(backend, spp, passes, samples, noise_seed, device, denoise, annotate_with)
+    if spp is None:
+        spp = USUAL_SPP if error is None and seconds is None else MOST_SPP
+    wanted = Wanted(
+        backend, spp, passes, samples, noise_seed, device, denoise, annotate_with, error, seconds,
+        cameras,
+    )  # fmt: skip
     _check_words(wanted, rgb=passes is None or "rgb" in passes)
     chosen = find_batches(Path(out), batches)
     run = _Run(wanted, limits or Limits(), len(chosen), progress, warn, say)
@@ -135,6 +156,8 @@ def check_backend(
     device: str = "auto",
     denoise: bool = False,
     annotate_with: str | None = None,
+    error: float | None = None,
+    seconds: float | None = None,
     rgb: bool = True,
 ) -> None:
     """Refuse what ``render`` would refuse, before there is a stage.
@@ -146,12 +169,18 @@ def check_backend(
         device: As for ``render``.
         denoise: As for ``render``.
         annotate_with: As for ``render``.
+        error: As for ``render``.
+        seconds: As for ``render``.
         rgb: Whether ``rgb`` will be among the passes.
 
     Raises:
         BackendError: A backend is not there, does not start, or cannot do what is asked.
     """
-    _check_words(Wanted(backend, device=device, denoise=denoise, annotate_with=annotate_with), rgb)
+    wanted = Wanted(
+        backend, device=device, denoise=denoise, annotate_with=annotate_with, error=error,
+        seconds=seconds,
+    )  # fmt: skip
+    _check_words(wanted, rgb)
     found = _describe(backend, device, rgb)
     if denoise and found["denoiser"] is None:
         raise _no_denoiser(backend)
@@ -170,6 +199,11 @@ def describe(answer: dict[str, Any]) -> str:
         before = (answer.get("estimated_error_before_denoising") or {}).get("relative_rms")
         if before is not None:
             parts[-1] += f" ({100 * before:.1f} % before denoising)"
+    if answer.get("rounds"):
+        made = len(answer["rounds"]["rounds"])
+        parts.append(f"{answer['samples_per_pixel']} samples per pixel in {made} rounds")
+        if answer["rounds"]["target_met"] is False:
+            parts.append("target not met")
     return ", ".join(parts)
 
 
@@ -246,15 +280,14 @@ class _Run:
     def _opened(self, opened: dict[str, Any], rgb: bool) -> None:
         """Tells what will render, and what it cannot."""
         wanted, report = self._wanted, self.report
-        if wanted.denoise and not rgb:
-            raise _nothing_to_denoise()
+        _check_rgb(wanted, rgb)
         if wanted.denoise and opened["denoiser"] is None:
             raise _no_denoiser(wanted.backend)
         if not report.backend_version:
             report.backend_version = opened["version"]
             report.device = opened["device"]
             report.denoiser = opened["denoiser"] if wanted.denoise else None
-            parts = [f"rgb: {wanted.spp} samples per pixel"] if rgb else []
+            parts = [f"rgb: {_quality(wanted)}"] if rgb else []
             parts += [f"denoised by {report.denoiser}"] if report.denoiser else []
             parts += [f"annotated with {wanted.annotate_with}"] if wanted.annotate_with else []
             more = f" ({', '.join(parts)})" if parts else ""
@@ -327,8 +360,10 @@ def _check_words(wanted: Wanted, rgb: bool) -> None:
         require_name(wanted.annotate_with)
     if wanted.spp < 1:
         raise BackendError(f"samples per pixel must be at least 1, not {wanted.spp}")
-    if wanted.denoise and not rgb:
-        raise _nothing_to_denoise()
+    for name, value in (("error", wanted.error), ("seconds", wanted.seconds)):
+        if value is not None and not 0.0 < value < math.inf:
+            raise BackendError(f"{name} to render to must be a number above 0, not {value}")
+    _check_rgb(wanted, rgb)
 
 
 def _describe(backend: str, device: str, rgb: bool) -> dict[str, Any]:
@@ -337,8 +372,24 @@ def _describe(backend: str, device: str, rgb: bool) -> dict[str, Any]:
         return worker.ask(request, f"backend {backend}")
 
 
-def _nothing_to_denoise() -> BackendError:
-    return BackendError("there is nothing to denoise without rgb; ask for rgb, or do not denoise")
+def _check_rgb(wanted: Wanted, rgb: bool) -> None:
+    if wanted.denoise and not rgb:
+        raise BackendError(
+            "there is nothing to denoise without rgb; ask for rgb, or do not denoise"
+        )
+    if not rgb and (wanted.error is not None or wanted.seconds is not None):
+        raise BackendError(
+            "error and seconds are targets of rgb; ask for rgb, or leave the targets out"
+        )
+
+
+def _quality(wanted: Wanted) -> str:
+    """How well ``rgb`` is rendered."""
+    if wanted.error is None and wanted.seconds is None:
+        return f"{wanted.spp} samples per pixel"
+    goals = [] if wanted.error is None else [f"to {100 * wanted.error:.3g} % error"]
+    goals += [] if wanted.seconds is None else [f"for {wanted.seconds:g} s"]
+    return f"{' or '.join(goals)}, at most {wanted.spp} samples per pixel"
 
 
 def _no_denoiser(backend: str) -> BackendError:

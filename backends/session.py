@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -18,12 +19,14 @@ from scenec.backends.compose import compose
 from scenec.backends.contract import Backend, Radiance, Rays, Visibility
 from scenec.backends.exact import ExactCaster
 from scenec.backends.frames import write_frame
-from scenec.backends.instances import Instances
-from scenec.backends.rays import camera_rays
+from scenec.backends.instances import Instances, Seen
+from scenec.backends.rays import camera_rays, ray_down
 from scenec.backends.reader import read_stage
 from scenec.backends.registry import open_backend
 from scenec.backends.render_scene import Camera, RenderScene
 from scenec.backends.resolver import Settled, annotate, pass_names, settle
+from scenec.backends.rounds import Rounds, Target, collect
+from scenec.schemas.amodal import AMODAL
 from scenec.schemas.errors import BackendError
 from scenec.schemas.frames import FrameKey
 from scenec.schemas.instances import BATCH_TABLE, table_digest, write_table
@@ -82,6 +85,8 @@ class Session:
     def passes(self, wanted: Sequence[str] | None, camera: Camera) -> tuple[str, ...]:
         """Passes as they are written: ``rgb`` first, ``label`` spelled out as its levels.
 
+        ``amodal``, a file of its own, brings ``instance`` with it, whose ids name its masks.
+
         Args:
             wanted: As a user asks for them; None takes what the camera's render product asks for.
             camera: Whose frame it is.
@@ -106,6 +111,7 @@ class Session:
         seed: int,
         denoise: bool = False,
         seen: Mapping[str, Any] | None = None,
+        target: Target | None = None,
     ) -> tuple[dict[str, NDArray], dict[str, Any]]:
         """Render one frame.
 
@@ -118,15 +124,17 @@ class Session:
             denoise: Whether to denoise ``rgb``.
             seen: What another process's backend saw (``see_to``), to annotate with: ``backend``,
                 ``version``, and what ``see_to`` returned.
+            target: What to render ``rgb`` to, in rounds; None renders ``spp`` at once.
 
         Returns:
-            (arrays by pass, details for the sidecar: ``device``, ``seconds``, ``annotation`` (who
-            saw), ``denoised``, ``resolver``; ``losses``, ``estimated_error`` ... with ``rgb``).
+            (arrays by pass, none for ``amodal``; details for the sidecar: ``device``, ``seconds``,
+            ``annotation`` (who saw), ``denoised``, ``resolver``; ``losses``, ``estimated_error``
+            ... with ``rgb``).
 
         Raises:
             BackendError: The renderer failed, or cannot do what is asked.
         """
-        return self._render(camera, sample, passes, spp, seed, denoise, seen)[:2]
+        return self._render(camera, sample, passes, spp, seed, denoise, seen, target)[:2]
 
     def _render(
         self,
@@ -137,8 +145,9 @@ class Session:
         seed: int,
         denoise: bool,
         seen: Mapping[str, Any] | None,
-    ) -> tuple[dict[str, NDArray], dict[str, Any], dict[str, NDArray] | None]:
-        """As ``render``, and the table of instances where ``instance`` is among the passes."""
+        target: Target | None = None,
+    ) -> tuple[dict[str, NDArray], dict[str, Any], Seen | None]:
+        """As ``render``, and what is seen of instances where ``instance`` is among the passes."""
         seconds: dict[str, float] = dict(seen["seconds"]) if seen else {}
         details: dict[str, Any] = {
             "device": self.backend.device,
@@ -147,11 +156,11 @@ class Session:
             "seconds": seconds,
         }
         arrays: dict[str, NDArray] = {}
-        table = None
+        listed = None
         annotation = [name for name in passes if name != "rgb"]
-        radiance = None
+        radiance = rounds = None
         if "rgb" in passes:
-            radiance = self._radiance(camera, sample, spp, seed, denoise, seconds)
+            radiance, rounds = self._radiance(camera, sample, spp, seed, denoise, seconds, target)
             # First of the passes, whatever is known of it only later.
             arrays["rgb"] = radiance.halves[0]
         settled = None
@@ -164,13 +173,17 @@ class Session:
                 settled = settle(caster, rays, visibility, camera)
                 arrays |= annotate(self.scene, settled, rays, annotation, sample)
             details["resolver"] = asdict(settled.statistics)
+            height = float(caster.cast(ray_down(camera))[2][0])
+            details["height_above_surface_m"] = height if math.isfinite(height) else None
             if "instance" in annotation:
                 with _timed(seconds, "instances"):
-                    table = self.instances.seen(settled.row, settled.t, camera, sample)
+                    listed = self.instances.seen(
+                        settled.row, settled.t, camera, sample, caster.geometry, AMODAL in passes
+                    )
         if radiance is not None:
             veil = self._veil(radiance, camera, sample, settled, details)
-            arrays["rgb"] = self._compose(radiance, camera, sample, veil, details)
-        return arrays, details, table
+            arrays["rgb"] = self._compose(radiance, camera, sample, veil, details, rounds)
+        return arrays, details, listed
 
     def write_instances(self, folder: Path) -> None:
         """Write the batch's table of instances, unless it is there.
@@ -202,13 +215,13 @@ class Session:
         """
         camera = self._camera(camera_index, sample)
         memory.reset_peak()
-        arrays, details, table = self._render(
-            camera, sample, key.passes, key.spp, seed, key.denoise, seen
+        arrays, details, listed = self._render(
+            camera, sample, key.passes, key.spp, seed, key.denoise, seen, _target(key)
         )
         peak = memory.peak()
         details["peak_memory_gb"] = None if peak is None else round(peak / memory.GB, 3)
         start = time.perf_counter()
-        write_frame(stem, arrays, key, self.scene, camera, sample, details, table)
+        write_frame(stem, arrays, key, self.scene, camera, sample, details, listed)
         details["seconds"]["write"] = time.perf_counter() - start
         return details
 
@@ -239,15 +252,24 @@ class Session:
         seed: int,
         denoise: bool,
         seconds: dict[str, float],
-    ) -> Radiance:
-        """Light from surfaces."""
+        target: Target | None,
+    ) -> tuple[Radiance, Rounds | None]:
+        """Light from surfaces; with a target, in rounds."""
         backend = self.backend
         self._load(backend, seconds)
+
+        def draw(count: int, noise: int) -> Radiance:
+            return backend.radiance(camera, sample, count, noise, denoise)
+
+        rounds = None
         with _timed(seconds, "radiance"):
-            radiance = backend.radiance(camera, sample, spp, seed, denoise)
+            if target is None:
+                radiance = draw(spp, seed)
+            else:
+                radiance, rounds = collect(draw, seed, target)
         if denoise and radiance.denoised is None:
             raise BackendError(f"backend {backend.name} was asked to denoise, and did not")
-        return radiance
+        return radiance, rounds
 
     def _veil(
         self,
@@ -283,11 +305,14 @@ class Session:
         sample: int,
         veil: Veil | None,
         details: dict[str, Any],
+        rounds: Rounds | None,
     ) -> NDArray[np.float32]:
         """``rgb``, with what there is to say of it."""
         with _timed(details["seconds"], "compose"):
             picture = compose(radiance, self.scene, camera, sample, veil)
-        noise = {"relative_rms": picture.relative_error, "relative_mse": picture.relative_mse}
+        noise = picture.noise.as_json()
+        if rounds is not None:
+            details["rounds"] = rounds.as_json(picture.noise.relative_rms_bound)
         details["losses"] = self.losses
         details["samples_per_pixel"] = radiance.spp
         details["samples_dropped"] = radiance.dropped
@@ -337,6 +362,12 @@ class Session:
         if not 0 <= sample < len(self.scene.cameras):
             raise BackendError(f"{self.scene.source}: has no sample {sample}")
         return self.scene.cameras[sample][index]
+
+
+def _target(key: FrameKey) -> Target | None:
+    if key.error is None and key.seconds is None:
+        return None
+    return Target(key.error, key.seconds, key.spp)
 
 
 @contextmanager

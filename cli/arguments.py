@@ -6,7 +6,7 @@ import argparse
 import math
 
 #: As in ``scenec.schemas.exr``, which would cost the import of NumPy here; a test holds them equal.
-PASSES = ("rgb", "label", "instance", "depth", "range", "normal", "position", "face")
+PASSES = ("rgb", "label", "instance", "depth", "range", "normal", "position", "face", "amodal")
 
 #: As in ``scenec.backends.contract``, for the same reason.
 DEVICES = ("auto", "cpu", "cuda", "optix")
@@ -84,7 +84,23 @@ def add_render_options(parser: argparse.ArgumentParser) -> None:
     """What ``run`` and ``render`` share."""
     parser.add_argument("--backend", default="mitsuba", help="renderer (default: mitsuba)")
     parser.add_argument(
-        "--spp", type=positive, default=64, help="samples per pixel of rgb (default: 64)"
+        "--spp",
+        type=positive,
+        help="samples per pixel of rgb (default: 64); with --error or --seconds the most there may "
+        "be (default: 4096)",
+    )
+    parser.add_argument(
+        "--error",
+        type=amount,
+        metavar="E",
+        help="render rgb in rounds until its relative rms error is below E (0.05 is 5 %%), by its "
+        "95 %% bound",
+    )
+    parser.add_argument(
+        "--seconds",
+        type=amount,
+        metavar="S",
+        help="render rgb in rounds for S seconds a frame; not reproducible, since machines differ",
     )
     parser.add_argument(
         "--passes", type=passes, metavar="A,B,…", help=f"of {','.join(PASSES)}; default: the cfg's"

@@ -26,9 +26,14 @@ from scenec.cli.output import print_json, say, table
 from scenec.schemas.errors import ScenecError, StageError
 from scenec.schemas.manifest import find_batches, read_manifest
 
+#: What makes a folder a dataset, see ``scenec.datasets.export``.
+EXPORT = "export.json"
+
 
 def run(options: argparse.Namespace) -> int:
     """Checks; 1 if something is wrong."""
+    if options.against is not None or (Path(options.out) / EXPORT).is_file():
+        return _check_dataset(options)
     for name in options.backends:
         require_name(name)
     if options.backends and len(set(options.backends)) < 2:
@@ -61,6 +66,18 @@ def run(options: argparse.Namespace) -> int:
                 print_agreement(found)
     wrong = sum(found.differing for found in (agreement, exact) if found)
     return 1 if bad or wrong else 0
+
+
+def _check_dataset(options: argparse.Namespace) -> int:
+    if options.backends or options.exact:
+        raise ScenecError(
+            f"{options.out}: --backends and --exact are about the frames of an output folder, not "
+            "about datasets or --against"
+        )
+    # Imported here: what checks stages needs nothing of datasets.
+    from scenec.cli import check_dataset
+
+    return check_dataset.run(options)
 
 
 def _how(out: Path, options: argparse.Namespace) -> CompareOptions:

@@ -19,6 +19,9 @@ from scenec.cli.arguments import (
     seed,
     span,
 )
+from scenec.cli.converge_arguments import add_converge_options
+from scenec.cli.export_arguments import add_export_options
+from scenec.cli.view_arguments import add_view_options
 from scenec.schemas.errors import CfgError, ScenecError
 
 EXIT_FAILED = 1
@@ -109,7 +112,9 @@ def parser() -> argparse.ArgumentParser:
     add_json(render)
 
     check = _command(commands, "check", "is the output sound, and do backends agree on it")
-    check.add_argument("out", metavar="OUT", help="output folder of compile, or a USD file")
+    check.add_argument(
+        "out", metavar="OUT", help="output folder of compile, a USD file, or a dataset of export"
+    )
     check.add_argument(
         "--backends",
         metavar="A,B,…",
@@ -121,6 +126,11 @@ def parser() -> argparse.ArgumentParser:
         "--exact",
         action="store_true",
         help="cast every pixel of the frames there are through the exact ray caster",
+    )
+    check.add_argument(
+        "--against",
+        metavar="OTHER",
+        help="another dataset or output folder: is the annotation of all frames the same",
     )
     check.add_argument(
         "--spp", type=positive, default=64, help="of rgb that has to be rendered (default: 64)"
@@ -148,6 +158,26 @@ def parser() -> argparse.ArgumentParser:
         "--frames", type=positive, default=4, metavar="N", help="how many (default 4)"
     )
     sheet.add_argument("-o", "--output", metavar="PNG", help="default: OUT/contact_sheet.png")
+    sheet.add_argument(
+        "--terminal",
+        nargs="?",
+        const="auto",
+        choices=("auto", "kitty", "iterm2", "blocks", "none"),
+        help="show it in the terminal, too: by its graphics protocol or as colored half blocks "
+        "(default: where the terminal is known to show pictures)",
+    )
+
+    add_view_options(
+        _command(commands, "view", "one page to look at all frames, in any browser, offline")
+    )
+
+    add_export_options(
+        _command(commands, "export", "frames to a dataset: COCO, HDF5, TUM, KITTI, BOP, ...")
+    )
+
+    add_converge_options(
+        _command(commands, "converge", "error against run time, for each renderer")
+    )
 
     explain = _command(commands, "explain", "what each pass cost and erred, what was left out")
     explain.add_argument("out", metavar="OUT", help="output folder of compile")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import shutil
 import sys
 import time
@@ -47,16 +48,20 @@ class Progress:
         what: What the steps are, before the bar.
         unit: What is counted a second, one of them.
         units: Several of them; None adds an s.
+        every_s: Seconds between two plain lines, where steps are too many to be told one by one.
     """
 
-    def __init__(self, what: str, unit: str = "frame", units: str | None = None):
+    def __init__(
+        self, what: str, unit: str = "frame", units: str | None = None, every_s: float = 0.0
+    ):
         self._what = what
         self._unit = unit
         self._units = units or f"{unit}s"
+        self._every_s = every_s
         # What was reported when: speed is that of the last steps, since those that were done
         # before (frames that are there) cost next to nothing.
         self._reports = deque([(time.perf_counter(), 0)], maxlen=_WINDOW)
-        self._told = 0.0
+        self._told = -math.inf
         self._terminal = sys.stderr.isatty()
 
     def __call__(self, done: int, total: int, text: str) -> None:
@@ -66,7 +71,8 @@ class Progress:
         left = (total - done) / rate if rate > 0.0 else 0.0
         if self._terminal:
             self._bar(done, total, rate, left, text)
-        else:
+        elif done == total or time.perf_counter() - self._told >= self._every_s:
+            self._told = time.perf_counter()
             say(f"{self._what} {done}/{total}, {self._speed(rate)}, {_span(left)} left: {text}")
 
     def now(self, done: int, total: int, text: str) -> None:

@@ -34,6 +34,8 @@ def render_now(options: argparse.Namespace) -> RenderReport:
         device=options.device,
         denoise=options.denoise,
         annotate_with=options.annotate_with,
+        error=options.error,
+        seconds=options.seconds,
         limits=limits,
         progress=Progress("frame"),
         warn=lambda line: say(f"warning: {line}"),

@@ -42,5 +42,7 @@ def _refuse_early(options: argparse.Namespace) -> None:
         device=options.device,
         denoise=options.denoise,
         annotate_with=options.annotate_with,
+        error=options.error,
+        seconds=options.seconds,
         rgb="rgb" in wanted,
     )

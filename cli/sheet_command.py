@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import os
+import shutil
+import sys
 from pathlib import Path
 
 from scenec.cli.output import say
@@ -22,4 +25,24 @@ def run(options: argparse.Namespace) -> int:
     stages = f"{out}/batch_*/stage.usda" if out.is_dir() else str(out)
     say(f"stages for any USD viewer: {stages}")
     print(f"contact sheet: {sheet.path}")
+    _show(sheet.path, options.terminal)
     return 0
+
+
+def _show(path: Path, asked: str | None) -> None:
+    """Shows the sheet in the terminal, where that was asked for or can do it."""
+    from PIL import Image
+
+    from scenec.datasets.terminal import protocol_of, shown
+
+    known = protocol_of(os.environ) if asked == "auto" or sys.stdout.isatty() else None
+    # Asked for, it is shown as well as the terminal is known to; otherwise only if it is known.
+    protocol = known or ("blocks" if asked == "auto" else None)
+    if asked in ("kitty", "iterm2", "blocks"):
+        protocol = asked
+    if protocol is None or asked == "none":
+        return
+    with Image.open(path) as picture:
+        sys.stdout.write(
+            shown(picture.convert("RGB"), protocol, shutil.get_terminal_size().columns)
+        )

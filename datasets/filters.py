@@ -70,7 +70,8 @@ class Condition:
     value: float | str
 
     def __str__(self) -> str:
-        value = self.value if isinstance(self.value, str) else f"{self.value:g}"
+        # In full: a condition that is read back from a card is the very same.
+        value = self.value if isinstance(self.value, str) else repr(self.value).removesuffix(".0")
         return f"{self.name}{self.relation}{value}"
 
     def holds(self, frame: LoadedFrame) -> NDArray[np.bool_]:

@@ -18,9 +18,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.schemas import rle
+from scenec.schemas.amodal import AMODAL, Amodal, amodal_path, read_amodal
 from scenec.schemas.errors import ForeignFrameError, FrameError
+from scenec.schemas.exr import is_id_pass
+from scenec.schemas.files import sha256
 from scenec.schemas.frames import Frame, frame_stem, read_frame
-from scenec.schemas.instances import read_frame_table
+from scenec.schemas.instances import frame_table_path, read_frame_table
 from scenec.schemas.manifest import (
     FRAMES,
     STAGE_SUFFIXES,
@@ -133,17 +137,35 @@ class LoadedFrame:
         path = self.ref.stem.with_suffix(".png")
         return path if self.sidecar.get("png") else None
 
-    def annotation_digest(self) -> str:
-        """sha256 over all passes but ``rgb``: names, shapes, types and bytes, in order of names.
+    @cached_property
+    def picture_digest(self) -> str:
+        """sha256 of the picture on disk; empty without ``rgb``."""
+        return "" if self.png is None else sha256(self.png)
 
+    @property
+    def amodal(self) -> Amodal | None:
+        """Its amodal masks, read when asked for; None where it was rendered without.
+
+        Raises:
+            FrameError: They cannot be read.
+        """
+        return read_amodal(self.ref.stem) if self.sidecar.get(AMODAL) else None
+
+    def annotation_digest(self) -> str:
+        """sha256 over all passes but ``rgb``, in order of names: a line of text, then the pixels.
+
+        The line is name, type and shape. Of floats the bytes follow; of ids those of
+        ``rle.row_runs``, since hashing is slow and ids lie in runs: values, then lengths.
         Annotation is exact, so this is the same on every machine and for every backend.
         """
         state = hashlib.sha256()
         for name in sorted(self.passes):
             if name != "rgb":
-                array = np.ascontiguousarray(self.passes[name])
+                array = self.passes[name]
                 state.update(f"{name} {array.dtype.str} {array.shape}\n".encode())
-                state.update(array.data)
+                parts = rle.row_runs(array) if is_id_pass(name) else (array,)
+                for part in parts:
+                    state.update(np.ascontiguousarray(part).data)
         return state.hexdigest()
 
 
@@ -160,6 +182,7 @@ class Source:
     Attributes:
         out: As given.
         backend: Whose frames they are.
+        backends: All that have frames here.
         frames: In order of batch, camera and sample.
         missing: Faults of frames that should be there.
         manifest: Of the output; None beside a USD file.
@@ -183,6 +206,7 @@ class Source:
         is_stage = self.out.suffix.lower() in STAGE_SUFFIXES and not self.out.is_dir()
         self.manifest = None if is_stage else read_manifest(self.out)
         self._batches = find_batches(self.out, batches)
+        self.backends = self._rendered()
         self.backend = self._choose(backend)
         folders = {b.index: b.folder / FRAMES / self.backend for b in self._batches}
         seen = sorted({p.name for f in folders.values() if f.is_dir() for p in f.iterdir()})
@@ -206,22 +230,30 @@ class Source:
     def __len__(self) -> int:
         return len(self.frames)
 
-    def load(self, ref: FrameRef, passes: Sequence[str] | None = None) -> LoadedFrame:
+    def load(
+        self, ref: FrameRef, passes: Sequence[str] | None = None, unused: Sequence[str] = ()
+    ) -> LoadedFrame:
         """Read a frame, and hold it against what it should be.
 
         Args:
             ref: One of ``frames``.
             passes: Names that must be there.
+            unused: Names of passes that are not decoded.
 
         Raises:
             FrameError: It is damaged, foreign, or lacks a pass; the message names the file.
         """
-        frame = read_frame(ref.stem, passes)
+        frame = read_frame(ref.stem, passes, unused)
         self._refuse_foreign(ref, frame)
-        table = read_frame_table(ref.stem) if "instance" in frame.passes else {}
+        table = {}
+        if "instance" in frame.passes:
+            table = read_frame_table(_vouched(frame, "instance_table", frame_table_path(ref.stem)))
+            _vouched(frame, AMODAL, amodal_path(ref.stem))
         labels = _label_names(frame)
         loaded = LoadedFrame(ref, frame.passes, frame.sidecar, table, labels)
         loaded.ignored = np.zeros(len(table["id"]) if table else 0, np.bool_)
+        if loaded.png is not None and not loaded.png.is_file():
+            raise FrameError(f"{loaded.png}: missing, though its sidecar is there; render it again")
         return loaded
 
     def labels(self) -> dict[str, dict[int, str]]:
@@ -253,7 +285,7 @@ class Source:
     def __getstate__(self) -> dict[str, Any]:
         # A worker is told which frames to take: it need not be sent the list of all of them.
         _ = self._first
-        return {**self.__dict__, "frames": (), "missing": ()}
+        return {**self.__dict__, "frames": (), "missing": (), "manifest": None}
 
     @cached_property
     def _first(self) -> Frame:
@@ -269,16 +301,13 @@ class Source:
             return Frame(path, {}, sidecar)
         raise FrameError(f"{self.out}: no frame has a sidecar that can be read: {fault}")
 
+    def _rendered(self) -> tuple[str, ...]:
+        folders = [batch.folder / FRAMES for batch in self._batches]
+        names = {p.name for f in folders if f.is_dir() for p in f.iterdir() if p.is_dir()}
+        return tuple(sorted(names))
+
     def _choose(self, wanted: str | None) -> str:
-        there = sorted(
-            {
-                path.name
-                for batch in self._batches
-                if (batch.folder / FRAMES).is_dir()
-                for path in (batch.folder / FRAMES).iterdir()
-                if path.is_dir()
-            }
-        )
+        there = self.backends
         if not there:
             raise FrameError(f"{self.out}: no frames; render first: scenec render {self.out}")
         if wanted is not None and wanted not in there:
@@ -350,6 +379,24 @@ class Source:
 def kind_of(error: FrameError) -> str:
     """Which kind of fault an error of ``Source.load`` is: ``foreign`` or ``damaged``."""
     return "foreign" if isinstance(error, ForeignFrameError) else "damaged"
+
+
+def _vouched(frame: Frame, key: str, path: Path) -> Path:
+    """A file beside the frame, held against the sidecar's checksum where that has one.
+
+    Raises:
+        FrameError: It is another file, or missing.
+    """
+    known = frame.sidecar.get(key)
+    if isinstance(known, dict):
+        if not path.is_file():
+            raise FrameError(f"{path}: missing, though its sidecar names it; render it again")
+        if sha256(path) != known.get("sha256"):
+            raise FrameError(
+                f"{path}: truncated, damaged or changed since it was written (its checksum is not "
+                "the sidecar's); render it again"
+            )
+    return path
 
 
 def _label_names(frame: Frame) -> dict[str, dict[int, str]]:

@@ -19,15 +19,17 @@ ZIP compression, float32 where memory has float64. The same arrays give the same
 from __future__ import annotations
 
 import contextlib
+import io
 import os
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scenec.schemas.errors import FrameError, OutputError
+from scenec.schemas.exr_parts import without_parts
 from scenec.schemas.files import atomic
 
 _FIXED_CHANNELS: dict[str, tuple[str, ...]] = {
@@ -41,8 +43,9 @@ _FIXED_CHANNELS: dict[str, tuple[str, ...]] = {
 }
 
 
-#: Passes as they are asked for; "label" stands for all levels.
-PASSES = ("rgb", "label", "instance", "depth", "range", "normal", "position", "face")
+#: Passes as they are asked for; "label" stands for all levels. "amodal" is no part of the EXR, but
+#: a file of its own (``scenec.schemas.amodal``).
+PASSES = ("rgb", "label", "instance", "depth", "range", "normal", "position", "face", "amodal")
 
 
 def channel_names(name: str) -> tuple[str, ...]:
@@ -97,8 +100,12 @@ def write_exr(path: Path, passes: Mapping[str, NDArray]) -> None:
             raise OutputError(f"{path}: cannot be written: {error}") from error
 
 
-def read_exr(path: Path) -> dict[str, NDArray]:
+def read_exr(path: Path, unused: Collection[str] = ()) -> dict[str, NDArray]:
     """Passes of a frame: floats as float32, ids as uint32, [h, w] or [h, w, channels].
+
+    Args:
+        path: The file.
+        unused: Names of passes that are not decoded and left out.
 
     Raises:
         FrameError: The file is missing, truncated, corrupt, or not a frame of this contract.
@@ -106,7 +113,7 @@ def read_exr(path: Path) -> dict[str, NDArray]:
     if not path.is_file():
         raise FrameError(f"{path}: no such frame")
     with _captured_stderr() as noise:
-        passes = _read_passes(path)
+        passes = _read_passes(path, unused)
     if noise[0].strip():
         raise FrameError(f"{path}: damaged: {noise[0].strip().splitlines()[0]}")
     if len({array.shape[:2] for array in passes.values()}) != 1:
@@ -114,16 +121,22 @@ def read_exr(path: Path) -> dict[str, NDArray]:
     return passes
 
 
-def _read_passes(path: Path) -> dict[str, NDArray]:
+def _read_passes(path: Path, unused: Collection[str]) -> dict[str, NDArray]:
     import OpenEXR
 
     try:
-        file = OpenEXR.File(str(path), separate_channels=True)
-    except (RuntimeError, ValueError, TypeError) as error:
+        if unused:
+            rest = io.BytesIO(without_parts(path.read_bytes(), unused))
+            file = OpenEXR.File(rest, separate_channels=True)
+        else:
+            file = OpenEXR.File(str(path), separate_channels=True)
+    except (RuntimeError, ValueError, TypeError, OSError) as error:
         raise FrameError(f"{path}: not an OpenEXR file, or cut short") from error
     passes: dict[str, NDArray] = {}
     for part in file.parts:
         name = part.name()
+        if name in unused:
+            continue
         try:
             channels = channel_names(name)
         except FrameError as error:

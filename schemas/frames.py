@@ -1,9 +1,10 @@
-"""Frames on disk: OUT/batch_0000/frames/<backend>/<camera>/000000.{exr,png,json,instances.csv}.
+"""Frames on disk: OUT/batch_0000/frames/<backend>/<camera>/000000.{exr,png,json} and more.
 
 The EXR holds the passes (``scenec.schemas.exr``), the PNG is a picture of ``rgb``
-(``scenec.schemas.picture``), the CSV a table of the instances that it shows
-(``scenec.schemas.instances``), the JSON sidecar says what they are. The sidecar is written last: a
-frame without one does not exist.
+(``scenec.schemas.picture``), the JSON sidecar says what they are; it is written last: a frame
+without one does not exist. ``000000.instances.csv`` is a table of the instances that it shows
+(``scenec.schemas.instances``), ``000000.amodal.npz`` holds their amodal masks
+(``scenec.schemas.amodal``).
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
+from scenec.schemas.amodal import AMODAL, amodal_path
 from scenec.schemas.errors import FrameError
 from scenec.schemas.exr import read_exr
 from scenec.schemas.files import sha256
@@ -25,7 +27,7 @@ from scenec.schemas.instances import frame_table_path
 from scenec.schemas.manifest import FRAMES
 
 #: Version of the sidecar's shape.
-FRAME_VERSION = "1.3"
+FRAME_VERSION = "1.4"
 
 #: What a reader may rely on in every sidecar.
 REQUIRED_KEYS = ("camera", "sample", "resolution", "intrinsics", "camera_to_world", "passes",
@@ -41,9 +43,16 @@ CONVENTIONS = {
     "range": "meters along the ray, at the pixel's center; +inf without a hit",
     "label": "id at the pixel's center; 0 is no label",
     "instance": "id at the pixel's center; 0 is no instance",
+    "amodal": "file of masks, one an instance: pixels whose center would show it if nothing stood "
+    "before it",
     "face": "index of the authored face; 4294967295 without a hit",
     "normal": "geometric, world frame, facing the camera; 0 without a hit",
     "position": "world frame, meters; NaN without a hit",
+    "sun": "the brightest distant light of the sample: elevation above the horizon and compass "
+    "bearing of the light itself, clockwise from +Y (north) to +X, degrees; irradiance on a "
+    "surface facing it, linear Rec.709, W/m^2; null without one",
+    "height_above_surface_m": "from the camera straight down to the first surface, meters; null "
+    "where there is none",
 }
 
 
@@ -79,6 +88,9 @@ class FrameKey:
         backend: Name.
         backend_version: ``Backend.version()``.
         denoise: Whether ``rgb`` is denoised.
+        error: Relative rms error that ``rgb`` is rendered to; ``spp`` is then the most. None for no
+            such target.
+        seconds: Seconds that its light may take, likewise.
     """
 
     stage_digest: str
@@ -88,6 +100,8 @@ class FrameKey:
     backend: str
     backend_version: str
     denoise: bool = False
+    error: float | None = None
+    seconds: float | None = None
 
     def digest(self) -> str:
         """The resume key: sha256, hex."""
@@ -108,22 +122,29 @@ def is_done(stem: Path, key: FrameKey) -> bool:
             sidecar["resume_key"] == key.digest()
             and stem.with_suffix(".exr").stat().st_size == sidecar["exr"]["bytes"]
             and (not sidecar["png"] or stem.with_suffix(".png").is_file())
-            and (
-                sidecar["instance_table"] is None
-                or frame_table_path(stem).stat().st_size == sidecar["instance_table"]["bytes"]
-            )
+            and _is_there(frame_table_path(stem), sidecar["instance_table"])
+            and _is_there(amodal_path(stem), sidecar["amodal"])
         )
     except (OSError, ValueError, KeyError, TypeError):
         return False
     return done
 
 
-def read_frame(path: Path, passes: Sequence[str] | None = None) -> Frame:
+def _is_there(path: Path, entry: dict[str, Any] | None) -> bool:
+    """Whether a file is as large as its sidecar says, or not said to be there."""
+    return entry is None or bool(path.stat().st_size == entry["bytes"])
+
+
+def read_frame(
+    path: Path, passes: Sequence[str] | None = None, unused: Sequence[str] = ()
+) -> Frame:
     """Read a frame and check it against its sidecar.
 
     Args:
         path: Any of the frame's files, or its stem.
-        passes: Names that must be there; None takes what is there.
+        passes: Names that must be there (``amodal``: in the sidecar; ``schemas.amodal`` reads it);
+            None takes what is there.
+        unused: Names of passes that are not decoded; the checksum is of the whole file still.
 
     Raises:
         FrameError: Something is missing, truncated, changed since, or not a frame.
@@ -149,11 +170,14 @@ def read_frame(path: Path, passes: Sequence[str] | None = None) -> Frame:
             f"{exr_path}: truncated, damaged or changed since it was written (its checksum is not "
             "the sidecar's); render it again"
         )
-    arrays = read_exr(exr_path)
-    missing = [name for name in passes or () if name not in arrays]
+    arrays = read_exr(exr_path, unused)
+    # The checksum says that what the sidecar names is there, decoded or not.
+    undecoded = [name for name in unused if name in sidecar["passes"]]
+    there = [*arrays, *undecoded, *([AMODAL] if sidecar.get("amodal") else [])]
+    missing = [name for name in passes or () if name not in there]
     if missing:
         raise FrameError(
-            f"{exr_path}: has no {', '.join(missing)} (it holds {', '.join(arrays)}); render with "
-            f"--passes {','.join([*arrays, *missing])}"
+            f"{exr_path}: has no {', '.join(missing)} (it holds {', '.join(there)}); render with "
+            f"--passes {','.join([*there, *missing])}"
         )
     return Frame(json_path, arrays, sidecar)

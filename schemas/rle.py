@@ -42,6 +42,19 @@ def encode_mask(mask: NDArray[np.bool_]) -> NDArray[np.uint32]:
     return encode_ids(mask.astype(np.uint32), np.ones(1, np.uint32))[0]
 
 
+def row_runs(
+    ids: NDArray[np.unsignedinteger],
+) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
+    """Values and lengths of the runs of one id, along rows and from each row into the next.
+
+    Args:
+        ids: Any picture, [h, w]; all ids count, 0 too.
+    """
+    flat = np.ascontiguousarray(ids, np.uint32).ravel()
+    starts = np.flatnonzero(_changes(flat))
+    return flat[starts], np.diff(starts, append=len(flat)).astype(np.uint32)
+
+
 def decode(counts: NDArray[np.unsignedinteger], height: int, width: int) -> NDArray[np.bool_]:
     """The mask [height, width] of its run lengths.
 
@@ -81,6 +94,16 @@ def only(
     picture = np.ascontiguousarray(ids, np.uint32)
     slots = _slots(picture, np.ascontiguousarray(wanted, np.uint32))
     return np.where(slots >= 0, picture, np.uint32(0))
+
+
+def slots(
+    ids: NDArray[np.unsignedinteger], wanted: NDArray[np.unsignedinteger]
+) -> NDArray[np.int32]:
+    """Index into ``wanted`` (ascending, [n]) of each pixel's id [h, w], -1 where it has none."""
+    found: NDArray[np.int32] = _slots(
+        np.ascontiguousarray(ids, np.uint32), np.ascontiguousarray(wanted, np.uint32)
+    )
+    return found
 
 
 def boxes(
@@ -125,6 +148,15 @@ def _slots(picture, keys):  # type: ignore[no-untyped-def]
                     if low < keys.shape[0] and keys[low] == number:
                         slot = low
             out[y, x] = slot
+    return out
+
+
+@njit(cache=True, error_model="numpy")
+def _changes(flat):  # type: ignore[no-untyped-def]
+    """Whether a run begins at each value."""
+    out = np.ones(flat.shape[0], np.bool_)
+    for i in range(1, flat.shape[0]):
+        out[i] = flat[i] != flat[i - 1]
     return out
 
 

@@ -48,7 +48,9 @@ def some_passes(seed: int, width: int = 12, height: int = 8, rgb: bool = True) -
         y, x = int(rng.integers(sky, height)), int(rng.integers(0, width))
         block = np.s_[y : y + 2, x : x + 3]
         ids[block], labels[block], surface[block] = number, 3, 300
-    passes: Passes = {"rgb": rng.uniform(0, 3, (height, width, 3)).astype(np.float32)} if rgb else {}
+    passes: Passes = (
+        {"rgb": rng.uniform(0, 3, (height, width, 3)).astype(np.float32)} if rgb else {}
+    )
     return passes | {
         "label.class": labels,
         "label.surface": surface,
@@ -77,9 +79,12 @@ def frame_table(passes: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
         edge = edge or x.max() == ids.shape[1] - 1 or y.max() == ids.shape[0] - 1
         pose = [number % 97 / 7.0, -1.5, 4.0, 0.5, -0.5, 0.5, 0.5]
         rows.append(
-            [number, "/World/Objects/rocks", number % 1000, *found, len(x), x.min(), y.min()]
-            + [x.max(), y.max(), int(edge), seen.min(), seen.mean(), seen.max()]
-            + [len(x) + 1, len(x) + 2, 1, *pose, *pose, 1.0, 2.0, 3.0, 0.0, 0.25, 0.0]
+            [
+                *(number, "/World/Objects/rocks", number % 1000, *found),
+                *(len(x), x.min(), y.min(), x.max(), y.max(), int(edge)),
+                *(seen.min(), seen.mean(), seen.max(), len(x) + 1, len(x) + 2, 1),
+                *(*pose, *pose, 1.0, 2.0, 3.0, 0.0, 0.25, 0.0),
+            ]
         )
     text = ("class", *levels)
     whole = ("id", "local_id", *PIXEL_COLUMNS, *AMODAL_COLUMNS)

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from scenec.backends.check.amodal import Definition, between_frames
 from scenec.backends.check.radiance import (
     RadianceComparison,
     differing,
@@ -170,7 +171,7 @@ def check_exact(out: Path, say: Say = lambda _text: None) -> Agreement:
     count = 0
     for batch in find_batches(out):
         scene = read_stage(batch.stage)
-        caster = ExactCaster(scene)
+        caster, definition = ExactCaster(scene), Definition(scene)
         backends = sorted(path.name for path in (batch.folder / FRAMES).glob("*") if path.is_dir())
         if backends:
             say(f"casting every pixel of {batch.name}'s frames ({', '.join(backends)})")
@@ -182,7 +183,9 @@ def check_exact(out: Path, say: Say = lambda _text: None) -> Agreement:
                     continue
                 rays = camera_rays(camera)
                 caster.pose(sample)
-                truth = annotate(scene, settle(caster, rays), rays, wanted, sample)
+                settled = settle(caster, rays)
+                truth = annotate(scene, settled, rays, wanted, sample)
+                seen = definition.seen(settled, camera, sample)
                 for backend, frame in frames.items():
                     count += 1
                     _add_raw(raw.setdefault(backend, Raw()), frame, backend)
@@ -195,6 +198,12 @@ def check_exact(out: Path, say: Say = lambda _text: None) -> Agreement:
                         own = np.ascontiguousarray(truth[channel], dtype)
                         entry.pixels += camera.width * camera.height
                         entry.differing += int(differing(own, frame.passes[channel]).sum())
+                    for channel, pixels, wrong in definition.against(seen, frame):
+                        entry = comparisons.setdefault(
+                            (backend, channel), Comparison(channel, "exact", backend)
+                        )
+                        entry.pixels += pixels
+                        entry.differing += wrong
     return Agreement(tuple(comparisons.values()), (), raw, count)
 
 
@@ -278,6 +287,12 @@ class _Run:
             a, b = first.passes[channel], second.passes[channel]
             entry.pixels += int(a.shape[0] * a.shape[1])
             entry.differing += int(differing(a, b).sum())
+        for channel, pixels, wrong in between_frames(first, second):
+            entry = self.comparisons.setdefault(
+                (name, channel), Comparison(channel, self.backends[0], name)
+            )
+            entry.pixels += pixels
+            entry.differing += wrong
 
     def _radiance(
         self, first: Frame, second: Frame, name: str, floors: list[Path], number: int

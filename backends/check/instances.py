@@ -1,4 +1,4 @@
-"""Checks of the tables of instances against the frames they stand beside."""
+"""Checks of the tables of instances, and of amodal masks, against the frames they stand beside."""
 
 from __future__ import annotations
 
@@ -8,11 +8,14 @@ from pathlib import Path
 import numpy as np
 
 from scenec.backends.check.finding import Finding
+from scenec.schemas.amodal import amodal_path, read_amodal
 from scenec.schemas.errors import FrameError
 from scenec.schemas.files import sha256
 from scenec.schemas.frames import Frame
 from scenec.schemas.instances import (
+    AMODAL_COLUMNS,
     BATCH_TABLE,
+    DEPTH_COLUMNS,
     InstanceTable,
     frame_table_path,
     read_frame_table,
@@ -57,7 +60,7 @@ def _broken(table: InstanceTable) -> Iterator[str]:
 
 
 def table_faults(frame: Frame) -> Iterator[str]:
-    """What a frame's table says against its EXR and sidecar."""
+    """What a frame's table and masks say against its EXR, its sidecar and each other."""
     entry = frame.sidecar.get("instance_table")
     if not isinstance(entry, dict):
         if "instance" in frame.sidecar["passes"]:
@@ -72,8 +75,19 @@ def table_faults(frame: Frame) -> Iterator[str]:
     except FrameError as error:
         yield str(error)
         return
+    lacking = [name for name in (*DEPTH_COLUMNS, *AMODAL_COLUMNS) if name not in table]
+    if lacking:
+        yield f"{path.name} lacks {', '.join(lacking)}; render it again"
+        return
     if "instance" in frame.passes:
         yield from _against_pixels(frame, table)
+    if not (
+        (table["pixels"] <= table["amodal"]).all()
+        and (table["amodal"] <= table["amodal_full"]).all()
+        and np.isin(table["amodal_bounded"], (0, 1)).all()
+    ):
+        yield f"{path.name}: pixels <= amodal <= amodal_full does not hold, or a flag is not 0 or 1"
+    yield from _mask_faults(frame, table)
     turn = np.array(frame.sidecar["camera_to_world"], np.float64)
     world, seen = (
         np.stack([table[f"{kind}{axis}"] for axis in "xyz"], axis=1) for kind in ("", "cam_")
@@ -82,6 +96,35 @@ def table_faults(frame: Frame) -> Iterator[str]:
     size = np.abs(world).max(initial=1.0) + np.abs(seen).max(initial=1.0)
     if not (np.abs(again - world) <= _RELATIVE * size).all():
         yield f"{path.name}: poses in the camera's frame are not those in the world"
+
+
+def _mask_faults(frame: Frame, table: dict[str, np.ndarray]) -> Iterator[str]:
+    """What amodal masks say against the table, and the pixels that show instances."""
+    entry = frame.sidecar.get("amodal")
+    if not isinstance(entry, dict):
+        return
+    path = amodal_path(frame.path.with_suffix(""))
+    try:
+        if path.is_file() and sha256(path) != entry.get("sha256"):
+            yield f"{path.name} is truncated, damaged or changed since it was written"
+            return
+        amodal = read_amodal(path)
+    except FrameError as error:
+        yield str(error)
+        return
+    width, height = frame.sidecar["resolution"]
+    if amodal.size != (height, width):
+        yield f"{path.name} is {amodal.size[1]} x {amodal.size[0]}, expected {width} x {height}"
+    elif not np.array_equal(amodal.ids, table["id"]):
+        yield f"{path.name} has other ids than its table of instances"
+    elif not np.array_equal(amodal.areas(), table["amodal"]):
+        yield f"{path.name} has other areas than its table of instances"
+    elif "instance" in frame.passes:
+        y, x = np.nonzero(frame.passes["instance"])
+        shown = frame.passes["instance"][y, x]
+        outside = ~amodal.holds(np.searchsorted(amodal.ids, shown), y, x)
+        if outside.any():
+            yield f"{path.name}: the mask of {shown[outside][0]} lacks pixels that show it"
 
 
 def _against_pixels(frame: Frame, table: dict[str, np.ndarray]) -> Iterator[str]:
@@ -106,6 +149,8 @@ def _against_pixels(frame: Frame, table: dict[str, np.ndarray]) -> Iterator[str]
     np.minimum.at(least, index.ravel(), depth)
     total = np.bincount(index.ravel(), np.where(np.isfinite(depth), depth, 0.0), len(shown))
     mean = total / wanted["pixels"]
-    for name, of_depth in (("depth_min", least), ("depth_mean", mean)):
+    most = np.zeros(len(shown))
+    np.maximum.at(most, index.ravel(), depth)
+    for name, of_depth in (("depth_min", least), ("depth_mean", mean), ("depth_max", most)):
         if not np.allclose(table[name], of_depth[shown > 0], rtol=_RELATIVE, atol=0.0):
             yield f"its table of instances has other values of {name} than its pass depth"

@@ -13,6 +13,7 @@ from scenec.backends.contract import Rays
 from scenec.backends.exact.intersect import world_normal
 from scenec.backends.exact.settle import Settled
 from scenec.backends.render_scene import RenderScene, SkyLabelMap
+from scenec.schemas.amodal import AMODAL
 from scenec.schemas.errors import BackendError
 
 #: ``face`` where a ray meets nothing.
@@ -90,18 +91,20 @@ def pass_names(scene: RenderScene, passes: Sequence[str]) -> list[str]:
 
     Returns:
         Names out of ``depth``, ``range``, ``label.<level>``, ``instance``, ``normal``,
-        ``position``, ``face``, each once.
+        ``position``, ``face``, ``amodal``, each once; the last of them brings ``instance`` with it.
 
     Raises:
         BackendError: A name that is none of these.
     """
     labels = [f"label.{level}" for level in scene.levels]
-    known = ["depth", "range", *labels, "instance", "normal", "position", "face"]
+    known = ["depth", "range", *labels, "instance", "normal", "position", "face", AMODAL]
     names: dict[str, None] = {}
     for name in passes:
         if name == "label":
             names.update(dict.fromkeys(labels))
         elif name in known:
+            if name == AMODAL:
+                names["instance"] = None
             names[name] = None
         elif name != "rgb":
             raise BackendError(f'no pass "{name}"; expected one of: label, {", ".join(known)}')
@@ -121,12 +124,12 @@ def annotate(
         sample: Time code, for label maps of the sky.
 
     Returns:
-        Per pass (h, w of the rays' shape): ``depth`` and ``range`` float64 [h, w], +inf without a
-        hit; ``label.<level>`` uint32 [h, w], the sky's label without a hit (by its label map,
-        where it has one); ``instance`` uint32 [h, w], 0 is none; ``normal`` float64 [h, w, 3],
-        geometric, in the world frame, facing the ray, 0 without a hit; ``position`` float64
-        [h, w, 3], world, NaN without a hit; ``face`` uint32 [h, w], the authored face, NO_FACE
-        without a hit.
+        Per pass but ``amodal`` (h, w of the rays' shape): ``depth`` and ``range`` float64 [h, w],
+        +inf without a hit; ``label.<level>`` uint32 [h, w], the sky's label without a hit (by its
+        label map, where it has one); ``instance`` uint32 [h, w], 0 is none; ``normal`` float64
+        [h, w, 3], geometric, in the world frame, facing the ray, 0 without a hit; ``position``
+        float64 [h, w, 3], world, NaN without a hit; ``face`` uint32 [h, w], the authored face,
+        NO_FACE without a hit.
 
     Raises:
         BackendError: A pass that is not known.
@@ -135,6 +138,9 @@ def annotate(
     n = len(t)
     out: dict[str, NDArray] = {}
     for name in pass_names(scene, passes):
+        if name == AMODAL:
+            # No picture: ``scenec.backends.amodal`` makes its masks.
+            continue
         if name == "depth":
             out[name] = t.copy()
         elif name == "range":

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 from pathlib import Path
 
@@ -21,6 +20,8 @@ from scenec.backends.render_scene import Lighting, Mesh, Motion, RenderScene, Ro
 from scenec.schemas import stage as names
 from scenec.schemas.errors import StageError
 from scenec.schemas.files import sha256
+from scenec.schemas.manifest import digest_of_files
+from scenec.schemas.maps import MAP_CHANNELS
 
 
 def read_stage(path: Path | str) -> RenderScene:
@@ -183,7 +184,7 @@ def _maps(surfaces: tuple[Surface, ...]) -> list[Path]:
     files: list[Path] = []
     for maps in (surface.maps for surface in surfaces):
         if maps is not None:
-            chosen = (maps.base_color, maps.roughness, maps.metallic, maps.normal)
+            chosen = (getattr(maps, kind) for kind in MAP_CHANNELS)
             files.extend(file for file in chosen if file is not None)
     return files
 
@@ -193,5 +194,4 @@ def _digest(stage: Usd.Stage, path: Path, pictures: list[Path]) -> str:
     folder = path.resolve().parent
     files = {Path(layer.realPath) for layer in stage.GetUsedLayers() if layer.realPath}
     files |= set(pictures)
-    lines = [f"{os.path.relpath(f, folder)} {sha256(f)}" for f in files if f.is_file()]
-    return hashlib.sha256("\n".join(sorted(lines)).encode()).hexdigest()
+    return digest_of_files((os.path.relpath(f, folder), sha256(f)) for f in files if f.is_file())

@@ -12,6 +12,7 @@ import pytest
 import scenes
 
 from scenec.backends.check.frames import check_frames
+from scenec.backends.exact import ExactCaster
 from scenec.backends.instances import Instances, quaternions
 from scenec.backends.reader import read_stage
 from scenec.backends.render import render
@@ -85,6 +86,7 @@ def test_a_frame_lists_what_its_pixels_show(rendered):
             depth = arrays["depth"][y, x].astype(float)
             np.testing.assert_allclose(table["depth_min"][i], depth.min(), rtol=1e-6)
             np.testing.assert_allclose(table["depth_mean"][i], depth.mean(), rtol=1e-6)
+            np.testing.assert_allclose(table["depth_max"][i], depth.max(), rtol=1e-6)
         assert set(table["label.class"]) == {"", "pebble"}
         assert table["truncated"].any()
         assert not table["truncated"].all()
@@ -205,6 +207,8 @@ def test_check_holds_tables_against_frames(rendered, tmp_path):
         ("pixels", "other values of pixels"),
         ("x_max", "other values of x_max"),
         ("depth_min", "other values of depth_min"),
+        ("depth_max", "other values of depth_max"),
+        ("amodal_bounded", "pixels <= amodal <= amodal_full does not hold"),
         ("cam_z", "not those in the world"),
     ):
         wrong = {k: v.copy() for k, v in table.items()}
@@ -256,8 +260,12 @@ def test_what_is_no_table_is_said_to_be_none(tmp_path, content):
 def test_a_frame_without_instances_has_an_empty_table(tmp_path):
     scene = scenes.scene([scenes.mesh(np.eye(3), [[0, 1, 2]])], [(0, scenes.affine())], [0])
     made = Instances(scene)
-    seen = made.seen(np.array([0, -1]), np.array([1.0, np.inf]), scenes.camera(2, 1), 0)
-    write_frame_table(tmp_path / "e.instances.csv", seen)
+    row, t = np.array([0, -1], np.int32), np.array([1.0, np.inf])
+    geometry = ExactCaster(scene).geometry
+    seen = made.seen(row, t, scenes.camera(2, 1), 0, geometry, masks=True)
+    assert seen.amodal is not None
+    assert len(seen.amodal.ids) == 0
+    write_frame_table(tmp_path / "e.instances.csv", seen.table)
     assert {len(v) for v in read_frame_table(tmp_path / "e.instances.csv").values()} == {0}
     write_table(tmp_path / BATCH_TABLE, made.table())
     assert len(read_table(tmp_path).id) == 0

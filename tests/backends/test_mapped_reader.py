@@ -74,6 +74,20 @@ def test_all_of_it_comes_back_in_meters(tmp_path):
     assert not second.emits
 
 
+@pytest.mark.parametrize("picture", ["color.png", "height.png"])
+def test_a_changed_picture_of_emission_or_height_changes_the_digest(tmp_path, picture):
+    before = opened(tmp_path).digest
+    assert read_stage(tmp_path / "stage.usda").digest == before
+    if picture == "color.png":
+        # Of the emission alone.
+        stage = Usd.Stage.Open(str(tmp_path / "stage.usda"))
+        stage.GetPrimAtPath("/Root/A").RemoveProperty(names.ATTR_MAPS["base_color"])
+        stage.Save()
+        before = read_stage(tmp_path / "stage.usda").digest
+    Image.new("L", (2, 2), 52).save(tmp_path / picture)
+    assert read_stage(tmp_path / "stage.usda").digest != before
+
+
 def test_what_is_not_authored_is_not_there(tmp_path):
     scene = opened(tmp_path, **dict.fromkeys(SOUND, (None, None)))
     first = scene.surfaces[scene.meshes[0].layers[0]]

@@ -115,3 +115,16 @@ def test_steps_between_are_shown_on_a_terminal_only(
     Progress("compiled").now(0, 2, "relief")
     assert "0/2: relief" in terminal.getvalue()
     say("done")
+
+
+def test_many_quick_steps_are_told_now_and_then(
+    clock: Clock, capsys: pytest.CaptureFixture[str]
+) -> None:
+    progress = Progress("exported", unit="step", every_s=2.0)
+    for done in range(1, 101):
+        clock.now += 0.1
+        progress(done, 100, "x")
+    told = [int(line.split()[1].split("/")[0]) for line in capsys.readouterr().err.splitlines()]
+    assert told[0] == 1
+    assert told[-1] == 100
+    assert len(told) <= 7

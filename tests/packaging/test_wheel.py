@@ -63,7 +63,7 @@ def modules() -> set[str]:
     names = set()
     for layer in LAYERS:
         for path in (ROOT / layer).rglob("*"):
-            shipped = path.suffix in (".py", ".json", ".vert", ".frag")
+            shipped = path.suffix in (".py", ".json", ".vert", ".frag", ".html", ".css", ".js")
             if shipped and "__pycache__" not in path.parts:
                 names.add(f"scenec/{path.relative_to(ROOT)}")
     return names

@@ -1,0 +1,248 @@
+"""The pictures of a ladder: each backend's rungs, repeats and references, rendered once."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Collection
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from scenec.backends.jobs import Job, Jobs, Wanted
+from scenec.backends.pool import WorkerProcess
+from scenec.backends.rounds import MOST_SPP
+from scenec.schemas.frames import Frame, is_done, read_frame
+from scenec.schemas.manifest import Batch
+
+Say = Callable[[str], None]
+
+#: Beside ``rgb`` in the first of a backend's references.
+ANNOTATION = ("label", "instance", "depth")
+#: Noise seeds of references; those of repeats count from 0.
+_REFERENCE_SEED = 1_000_000
+
+
+@dataclass(frozen=True)
+class Rung:
+    """One quality: samples per pixel, or seconds a frame (and then samples as they come)."""
+
+    spp: int
+    seconds: float | None = None
+
+    @property
+    def name(self) -> str:
+        """Of its folder and in tables."""
+        return f"spp_{self.spp:06d}" if self.seconds is None else f"seconds_{self.seconds:g}"
+
+
+@dataclass(frozen=True)
+class Ladder:
+    """What to render.
+
+    Attributes:
+        spp: Samples per pixel of the rungs, ascending.
+        seconds: More rungs, by seconds a frame.
+        repeats: Pictures of each rung, each of its own noise.
+        reference_spp: Samples per pixel of a backend's reference, in two halves; None is 8 times
+            the highest rung.
+        denoise: Whether to climb the ladder again with denoising, where a backend can.
+        samples: Time codes.
+        cameras: Names; None takes all.
+        device: See ``render``.
+    """
+
+    spp: tuple[int, ...] = (4, 16, 64, 256)
+    seconds: tuple[float, ...] = ()
+    repeats: int = 4
+    reference_spp: int | None = None
+    denoise: bool = False
+    samples: Collection[int] | None = None
+    cameras: tuple[str, ...] | None = None
+    device: str = "auto"
+
+    @property
+    def rungs(self) -> tuple[Rung, ...]:
+        """All of them."""
+        return (
+            *(Rung(spp) for spp in self.spp),
+            *(Rung(MOST_SPP, seconds) for seconds in self.seconds),
+        )
+
+    @property
+    def reference(self) -> int:
+        """Samples per pixel of each of a reference's two halves."""
+        return max(1, (self.reference_spp or 8 * max((*self.spp, 16))) // 2)
+
+
+@dataclass(frozen=True)
+class Shown:
+    """One frame of a ladder, read back when it is asked for."""
+
+    stem: Path
+    place: str
+
+    def read(self) -> Frame:
+        """The frame."""
+        return read_frame(self.stem)
+
+
+@dataclass(frozen=True)
+class Climbed:
+    """One batch as one backend draws it.
+
+    Attributes:
+        backend, version, device: Who, and where it ran.
+        stochastic: Whether it has noise; without, there is one picture of each frame.
+        references: Two lists of frames (one without noise), in one order; the first have
+            annotation.
+        rungs: (rung, denoised, repeats of frames in the same order).
+        denoiser: What denoised, or None.
+        losses: What this backend leaves out of the batch.
+    """
+
+    backend: str
+    version: str
+    device: str
+    stochastic: bool
+    references: tuple[list[Shown], ...]
+    rungs: list[tuple[Rung, bool, list[list[Shown]]]]
+    denoiser: str | None
+    losses: tuple[str, ...]
+
+
+def climb(batch: Batch, backend: str, ladder: Ladder, folder: Path, say: Say) -> Climbed:
+    """Render all of one backend's pictures of one batch; those that are there are not made again.
+
+    One process makes them all, and draws a picture that does not count first: what a renderer
+    does once (hierarchies, kernels) is no part of a picture's seconds.
+
+    Args:
+        batch: The stage.
+        backend: Name.
+        ladder: What to render.
+        folder: Where the frames go.
+        say: Told what is rendered.
+
+    Raises:
+        StageError: The stage cannot be read, or has no such sample or camera.
+        BackendError: The backend cannot draw it.
+        OutputError: A frame cannot be written.
+    """
+    with WorkerProcess(say) as worker:
+        one = _Climb(batch, backend, ladder, folder, say, worker)
+        return one.all()
+
+
+class _Climb:
+    """One call of ``climb``."""
+
+    def __init__(
+        self,
+        batch: Batch,
+        backend: str,
+        ladder: Ladder,
+        folder: Path,
+        say: Say,
+        worker: WorkerProcess,
+    ) -> None:
+        self._batch = batch
+        self._ladder = ladder
+        self._folder = folder
+        self._say = say
+        self._worker = worker
+        self._wanted = Wanted(
+            backend,
+            spp=1,
+            passes=("rgb", *ANNOTATION),
+            samples=ladder.samples,
+            device=ladder.device,
+            cameras=ladder.cameras,
+        )
+        # Opened with every pass that is asked for later; requests name those of each frame.
+        self._opened: dict[str, Any] = Jobs(batch, self._wanted).open(worker, None)
+        self._warm = False
+
+    def all(self) -> Climbed:
+        ladder, opened = self._ladder, self._opened
+        first = self._render(
+            "reference/first", spp=ladder.reference, seed=_REFERENCE_SEED, all_=True
+        )
+        sidecars = [shown.read().sidecar for shown in first]
+        estimates = [sidecar["estimated_error"]["relative_rms"] for sidecar in sidecars]
+        stochastic = any(value is not None for value in estimates)
+        references: tuple[list[Shown], ...] = (first,)
+        rungs: list[tuple[Rung, bool, list[list[Shown]]]] = []
+        if stochastic:
+            again = _REFERENCE_SEED + 1
+            references += (self._render("reference/second", spp=ladder.reference, seed=again),)
+            for denoise in (False, True) if ladder.denoise else (False,):
+                if denoise and opened["denoiser"] is None:
+                    self._say(f"{self._wanted.backend} has no denoiser: one ladder for it")
+                    continue
+                rungs += [(rung, denoise, self._repeats(rung, denoise)) for rung in ladder.rungs]
+        else:
+            self._say(
+                f"{self._wanted.backend} has no noise: one picture, whatever the samples; it has "
+                "no slope"
+            )
+        return Climbed(
+            self._wanted.backend,
+            opened["version"],
+            opened["device"],
+            stochastic,
+            references,
+            rungs,
+            opened["denoiser"] if ladder.denoise else None,
+            tuple(opened["losses"]),
+        )
+
+    def _repeats(self, rung: Rung, denoise: bool) -> list[list[Shown]]:
+        kind = "denoised" if denoise else "plain"
+        return [
+            self._render(
+                f"{kind}/{rung.name}/{seed:03d}", spp=rung.spp, seed=seed, denoise=denoise,
+                seconds=rung.seconds,
+            )
+            for seed in range(self._ladder.repeats)
+        ]  # fmt: skip
+
+    def _render(
+        self,
+        name: str,
+        *,
+        spp: int,
+        seed: int,
+        denoise: bool = False,
+        seconds: float | None = None,
+        all_: bool = False,
+    ) -> list[Shown]:
+        """All frames of one quality and noise; with annotation if ``all_``."""
+        wanted = replace(self._wanted, spp=spp, noise_seed=seed, denoise=denoise, seconds=seconds)
+        folder = self._folder / self._wanted.backend / name
+        jobs = self._jobs(wanted, folder, all_)
+        todo = [job for job in jobs if not is_done(job.stem, job.key)]
+        if todo:
+            self._say(f"{self._batch.name}: {self._wanted.backend} {name}, {len(todo)} frames")
+        if todo and not self._warm:
+            self._warm_up()
+        for job in todo:
+            self._worker.ask(job.request, f"{self._wanted.backend} {name} {job.what}")
+        return [Shown(job.stem, job.what) for job in jobs]
+
+    def _jobs(self, wanted: Wanted, folder: Path, all_: bool) -> list[Job]:
+        jobs = Jobs(replace(self._batch, folder=folder), wanted)
+        opened = self._opened
+        if not all_:
+            cameras = [
+                [{**camera, "passes": ["rgb"]} for camera in cameras]
+                for cameras in opened["cameras"]
+            ]
+            opened = {**opened, "cameras": cameras}
+        jobs.take(opened)
+        return list(jobs)
+
+    def _warm_up(self) -> None:
+        self._warm = True
+        with tempfile.TemporaryDirectory() as aside:
+            job = self._jobs(replace(self._wanted, spp=2), Path(aside), all_=False)[0]
+            self._worker.ask(job.request, f"{self._wanted.backend}: the first picture")

@@ -1,0 +1,240 @@
+"""From a ladder's pictures to numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenec.backends.check.radiance import differing, flip
+from scenec.backends.converge.ladder import Climbed, Rung, Shown
+from scenec.backends.converge.metrics import Errors, Reference, errors, root
+from scenec.backends.exact import ExactCaster
+from scenec.backends.rays import camera_rays
+from scenec.backends.render_scene import RenderScene
+from scenec.backends.resolver import annotate, settle
+from scenec.schemas.exr import is_id_pass
+from scenec.schemas.frames import Frame
+
+
+@dataclass(frozen=True)
+class Row:
+    """One picture against one reference: a line of the CSV.
+
+    Attributes:
+        batch: Folder name.
+        place: Batch, camera and sample.
+        backend: Who drew the picture.
+        denoised: Whether it was denoised.
+        against: Whose reference it is compared with.
+        rung: Name of the quality.
+        repeat: Number of the noise seed.
+        spp: Samples per pixel.
+        seconds: Of its light; loading, annotation and writing do not count.
+        relative_ms: Square of relative_rms; may be negative where the reference's noise hides it.
+        relative_mse, relative_mse_trimmed, bias, flip: See ``metrics.FORMULAS``; flip is None
+            without the package.
+        estimated: relative_rms as the picture's own halves tell it; None where unknown.
+    """
+
+    batch: str
+    place: str
+    backend: str
+    denoised: bool
+    against: str
+    rung: str
+    repeat: int
+    spp: int
+    seconds: float
+    relative_ms: float
+    relative_mse: float
+    relative_mse_trimmed: float
+    bias: float
+    flip: float | None
+    estimated: float | None
+
+
+@dataclass(frozen=True)
+class Annotated:
+    """Annotation of one backend against the exact caster, over all frames.
+
+    Attributes:
+        pixels: Compared.
+        wrong: With another label, instance or depth than cast, bit by bit.
+        depth_error_m: The largest.
+        raw_wrong: Faces that the renderer itself had wrong, before the resolver; None where it
+            reported none.
+        raw_wrong_rows: Objects, likewise.
+    """
+
+    pixels: int
+    wrong: int
+    depth_error_m: float
+    raw_wrong: int | None
+    raw_wrong_rows: int | None
+
+
+@dataclass
+class Seen:
+    """A batch's references, read once: per place the pixels that count, and each backend's R."""
+
+    masks: dict[str, NDArray[np.bool_]] = field(default_factory=dict)
+    references: dict[tuple[str, str], Reference] = field(default_factory=dict)
+    frames: dict[tuple[str, str], Frame] = field(default_factory=dict)
+
+
+def see(climbed: Sequence[Climbed]) -> Seen:
+    """Read all references of a batch.
+
+    Pixels that count are those whose center a surface covers: the same for all backends, since
+    annotation is.
+    """
+    seen = Seen()
+    for one in climbed:
+        for number, shown in enumerate(one.references[0]):
+            first = shown.read()
+            mask = np.isfinite(first.passes["depth"])
+            seen.masks.setdefault(shown.place, mask)
+            a = first.passes["rgb"][mask]
+            if len(one.references) == 2:
+                second = one.references[1][number].read()
+                reference = Reference.of_two(a, second.passes["rgb"][mask])
+                mean = 0.5 * (first.passes["rgb"] + second.passes["rgb"])
+            else:
+                mean = first.passes["rgb"]
+                reference = Reference(a.astype(np.float64), np.zeros(a.shape))
+            key = (one.backend, shown.place)
+            seen.references[key] = reference
+            seen.frames[key] = replace(first, passes={**first.passes, "rgb": mean})
+    return seen
+
+
+def rows(batch: str, climbed: Sequence[Climbed], seen: Seen) -> list[Row]:
+    """Every picture against its own backend's reference and those of all others with noise."""
+    found = []
+    for one in climbed:
+        pictures = [
+            (rung, denoised, repeat, shown)
+            for rung, denoised, repeats in one.rungs
+            for repeat, of_repeat in enumerate(repeats)
+            for shown in of_repeat
+        ]
+        if not one.stochastic:
+            pictures = [(Rung(1), False, 0, shown) for shown in one.references[0]]
+        for rung, denoised, repeat, shown in pictures:
+            frame = shown.read()
+            found += [
+                _row(batch, one, other.backend, rung, denoised, repeat, shown, frame, seen)
+                for other in climbed
+                if other.stochastic
+            ]
+    return found
+
+
+def _row(
+    batch: str,
+    one: Climbed,
+    against: str,
+    rung: Rung,
+    denoised: bool,
+    repeat: int,
+    shown: Shown,
+    frame: Frame,
+    seen: Seen,
+) -> Row:
+    key = (against, shown.place)
+    found: Errors = errors(frame.passes["rgb"][seen.masks[shown.place]], seen.references[key])
+    map_ = flip(seen.frames[key], frame)
+    seconds = frame.sidecar["seconds"]
+    return Row(
+        batch,
+        shown.place,
+        one.backend,
+        denoised,
+        against,
+        rung.name if one.stochastic else "only",
+        repeat,
+        int(frame.sidecar["samples_per_pixel"]),
+        float(seconds["radiance"]) + float(seconds.get("haze", 0.0)),
+        found.relative_ms,
+        found.relative_mse,
+        found.relative_mse_trimmed,
+        found.bias,
+        None if map_ is None else float(map_.mean()),
+        frame.sidecar["estimated_error"]["relative_rms"],
+    )
+
+
+def floors(climbed: Sequence[Climbed], seen: Seen) -> list[dict[str, Any]]:
+    """What differs between backends however many samples: their references, pair by pair.
+
+    The noise of both is subtracted.
+    """
+    found = []
+    for i, one in enumerate(climbed):
+        for other in climbed[i + 1 :]:
+            truth, judged = (one, other) if one.stochastic or not other.stochastic else (other, one)
+            squares, weighed, biases, flips, own = [], [], [], [], []
+            for shown in truth.references[0]:
+                r = seen.references[truth.backend, shown.place]
+                x = seen.references[judged.backend, shown.place]
+                both = Reference(r.mean, r.variance + x.variance)
+                of = errors(x.mean, both)
+                squares.append(of.relative_ms)
+                weighed.append(of.relative_mse)
+                biases.append(of.bias)
+                own.append(float((r.variance + x.variance).mean()) / max(r.level, 1e-30) ** 2)
+                map_ = flip(
+                    seen.frames[truth.backend, shown.place],
+                    seen.frames[judged.backend, shown.place],
+                )
+                flips += [] if map_ is None else [float(map_.mean())]
+            found.append(
+                {
+                    "backend": judged.backend,
+                    "against": truth.backend,
+                    "relative_rms": root(float(np.mean(squares))),
+                    "relative_rms_of_the_noise": root(float(np.mean(own))) or 0.0,
+                    "relative_mse": float(np.mean(weighed)),
+                    "bias": float(np.mean(biases)),
+                    "flip": float(np.mean(flips)) if flips else None,
+                }
+            )
+    return found
+
+
+def annotation(scene: RenderScene, one: Climbed) -> Annotated:
+    """Compare the annotation of a backend's first references with the exact caster's."""
+    caster = ExactCaster(scene)
+    pixels = wrong = 0
+    depth_error = 0.0
+    raw = [0, 0] if one.backend != "reference" else None
+    for shown in one.references[0]:
+        frame = shown.read()
+        sample = int(frame.sidecar["sample"])
+        camera = next(c for c in scene.cameras[sample] if c.name == frame.sidecar["camera"])
+        names = [name for name in frame.passes if name != "rgb"]
+        rays = camera_rays(camera)
+        caster.pose(sample)
+        truth = annotate(scene, settle(caster, rays), rays, names, sample)
+        bad = np.zeros((camera.height, camera.width), bool)
+        for name in names:
+            own = np.ascontiguousarray(truth[name], np.uint32 if is_id_pass(name) else np.float32)
+            bad |= differing(own, frame.passes[name])
+        pixels += bad.size
+        wrong += int(bad.sum())
+        # As frames store it; a hit where the other has none is infinitely wrong.
+        exact = np.asarray(truth["depth"], np.float32).reshape(bad.shape)
+        drawn = frame.passes["depth"]
+        same = exact == drawn
+        if not same.all():
+            depth_error = max(depth_error, float(np.abs(exact[~same] - drawn[~same]).max()))
+        if raw is not None:
+            raw[0] += int(frame.sidecar["resolver"]["changed"])
+            raw[1] += int(frame.sidecar["resolver"]["changed_rows"])
+    return Annotated(
+        pixels, wrong, depth_error, None if raw is None else raw[0], None if raw is None else raw[1]
+    )

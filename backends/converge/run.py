@@ -1,0 +1,275 @@
+"""``scenec converge``: render ladders, measure them, write the report."""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from scenec.backends.converge import measure, report
+from scenec.backends.converge.fits import Fit, band, fit
+from scenec.backends.converge.ladder import Climbed, Ladder, climb
+from scenec.backends.converge.measure import Row
+from scenec.backends.converge.metrics import FORMULAS, root
+from scenec.backends.reader import read_stage
+from scenec.backends.registry import ANNOTATION_ONLY, require_name
+from scenec.schemas.errors import BackendError
+from scenec.schemas.manifest import find_batches
+
+#: In the output folder.
+FOLDER = "converge"
+Say = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Step:
+    """One rung of one series, over all frames: means over repeats, geometric for the error.
+
+    Attributes:
+        rung: Name.
+        spp, seconds: Mean over frames, median over repeats.
+        relative_rms: Of each repeat, over all frames; None where the reference hides it.
+        mean, low, high: Geometric mean of these and its 95 % interval; None where one is unknown.
+        relative_mse, relative_mse_trimmed, bias, flip: Means.
+        bias_error: Standard error of the bias, from the repeats; None for one.
+        estimated: relative_rms as the pictures' own halves tell it.
+    """
+
+    rung: str
+    spp: float
+    seconds: float
+    relative_rms: tuple[float | None, ...]
+    mean: float | None
+    low: float | None
+    high: float | None
+    relative_mse: float
+    relative_mse_trimmed: float
+    bias: float
+    bias_error: float | None
+    flip: float | None
+    estimated: float | None
+
+
+@dataclass(frozen=True)
+class Series:
+    """One backend, with or without denoising, against one reference."""
+
+    backend: str
+    denoised: bool
+    against: str
+    stochastic: bool
+    steps: tuple[Step, ...]
+    over_spp: Fit | None
+    over_seconds: Fit | None
+
+    @property
+    def own(self) -> bool:
+        """Whether it is compared with its own reference."""
+        return self.backend == self.against
+
+    @property
+    def name(self) -> str:
+        """In tables and plots."""
+        return f"{self.backend} denoised" if self.denoised else self.backend
+
+
+@dataclass
+class ConvergeReport:
+    """What was found.
+
+    Attributes:
+        series: Errors over samples and seconds.
+        floors: What differs between backends' references, pair by pair.
+        annotation: By backend.
+        backends: By backend: version, device, losses, samples and noise of its reference.
+        rows: One a picture and reference.
+        files: What was written.
+        notes: Lines that a user should see.
+    """
+
+    series: list[Series] = field(default_factory=list)
+    floors: list[dict[str, Any]] = field(default_factory=list)
+    annotation: dict[str, measure.Annotated] = field(default_factory=dict)
+    backends: dict[str, dict[str, Any]] = field(default_factory=dict)
+    rows: list[Row] = field(default_factory=list)
+    files: list[Path] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+
+    def as_json(self) -> dict[str, Any]:
+        """The numbers, for scripts; every picture's are in the CSV."""
+        return {
+            "formulas": FORMULAS,
+            "backends": self.backends,
+            "series": [{**asdict(one), "own": one.own, "name": one.name} for one in self.series],
+            "floors": self.floors,
+            "annotation": {name: asdict(found) for name, found in self.annotation.items()},
+            "notes": self.notes,
+        }
+
+
+def converge(
+    out: Path | str,
+    backends: Sequence[str],
+    ladder: Ladder | None = None,
+    *,
+    batches: Collection[int] | None = (0,),
+    say: Say = lambda _line: None,
+) -> ConvergeReport:
+    """Render a ladder of qualities per backend, and write ``OUT/converge/``.
+
+    Args:
+        out: Output folder of a compile, or a USD file (``converge`` then lies beside it).
+        backends: Names.
+        ladder: What to render.
+        batches: Which; None takes all.
+        say: Told what is done.
+
+    Raises:
+        BackendError: No such backend, one that has no light, or a ladder without rungs.
+        StageError: A stage cannot be read, or has no such sample or camera.
+        OutputError: No manifest, or a file cannot be written.
+    """
+    out, ladder = Path(out), ladder or Ladder()
+    names = list(dict.fromkeys(backends))
+    _check(names, ladder)
+    folder = (out if out.is_dir() else out.parent) / FOLDER
+    found = ConvergeReport()
+    floors: dict[tuple[str, str], list[dict[str, Any]]] = defaultdict(list)
+    for batch in find_batches(out, batches):
+        aside = folder / "pictures" / batch.name
+        climbed = [climb(batch, name, ladder, aside, say) for name in names]
+        scene = read_stage(batch.stage)
+        seen = measure.see(climbed)
+        found.rows += measure.rows(batch.name, climbed, seen)
+        for floor in measure.floors(climbed, seen):
+            floors[floor["backend"], floor["against"]].append(floor)
+        for one in climbed:
+            _add(found, one, measure.annotation(scene, one), seen, ladder)
+        found.files += report.pictures(folder / "differences", batch.name, climbed, seen)
+    found.floors = [_mean_floor(each) for each in floors.values()]
+    found.series = _series(found.rows, found.backends)
+    report.write(folder, found)
+    for line in found.notes:
+        say(line)
+    return found
+
+
+def _check(names: Sequence[str], ladder: Ladder) -> None:
+    for name in names:
+        require_name(name)
+        if name in ANNOTATION_ONLY:
+            raise BackendError(f"backend {name} draws no light: it has nothing that converges")
+    if not names:
+        raise BackendError("no backends to converge: name one or more")
+    if not ladder.rungs:
+        raise BackendError("a ladder without rungs: name samples per pixel or seconds")
+    if any(not 0.0 < value < math.inf for value in (*ladder.spp, *ladder.seconds)):
+        raise BackendError("samples per pixel and seconds of a ladder must be numbers above 0")
+    if ladder.repeats < 1:
+        raise BackendError(f"repeats must be at least 1, not {ladder.repeats}")
+
+
+def _add(
+    found: ConvergeReport,
+    one: Climbed,
+    annotated: measure.Annotated,
+    seen: measure.Seen,
+    ladder: Ladder,
+) -> None:
+    before = found.annotation.get(one.backend)
+    if before is not None:
+        raw = [
+            None if a is None or b is None else a + b
+            for a, b in (
+                (before.raw_wrong, annotated.raw_wrong),
+                (before.raw_wrong_rows, annotated.raw_wrong_rows),
+            )
+        ]
+        annotated = measure.Annotated(
+            before.pixels + annotated.pixels,
+            before.wrong + annotated.wrong,
+            max(before.depth_error_m, annotated.depth_error_m),
+            raw[0],
+            raw[1],
+        )
+    found.annotation[one.backend] = annotated
+    noises = [seen.references[one.backend, shown.place] for shown in one.references[0]]
+    entry = found.backends.setdefault(
+        one.backend,
+        {
+            "version": one.version,
+            "device": one.device,
+            "denoiser": one.denoiser,
+            "stochastic": one.stochastic,
+            "losses": [],
+            "reference_spp": 2 * ladder.reference if one.stochastic else None,
+            "reference_relative_rms": 0.0,
+        },
+    )
+    entry["losses"] += [line for line in one.losses if line not in entry["losses"]]
+    worst = max((noise.relative_rms for noise in noises), default=0.0)
+    entry["reference_relative_rms"] = max(entry["reference_relative_rms"], worst)
+
+
+def _mean_floor(each: list[dict[str, Any]]) -> dict[str, Any]:
+    """Over batches."""
+    out: dict[str, Any] = {name: each[0][name] for name in ("backend", "against")}
+    for name in each[0]:
+        if name in out:
+            continue
+        values = [entry[name] for entry in each]
+        out[name] = None if None in values else float(np.mean(values))
+    return out
+
+
+def _series(rows: Sequence[Row], backends: dict[str, dict[str, Any]]) -> list[Series]:
+    groups: dict[tuple[str, bool, str], dict[str, list[Row]]] = defaultdict(
+        lambda: defaultdict(list)
+    )
+    for row in rows:
+        groups[row.backend, row.denoised, row.against][row.rung].append(row)
+    found = []
+    for (backend, denoised, against), rungs in groups.items():
+        steps = tuple(_step(name, of_rung) for name, of_rung in rungs.items())
+        stochastic = bool(backends[backend]["stochastic"])
+        over: list[Fit | None] = [None, None]
+        if stochastic and backend == against:
+            errors = [step.relative_rms for step in steps]
+            over = [
+                fit([step.spp for step in steps], errors, denoised),
+                fit([step.seconds for step in steps], errors, denoised),
+            ]
+        found.append(Series(backend, denoised, against, stochastic, steps, over[0], over[1]))
+    return found
+
+
+def _step(name: str, rows: Sequence[Row]) -> Step:
+    repeats: dict[int, list[Row]] = defaultdict(list)
+    for row in rows:
+        repeats[row.repeat].append(row)
+    rms = tuple(root(float(np.mean([r.relative_ms for r in of]))) for of in repeats.values())
+    biases = [float(np.mean([r.bias for r in of])) for of in repeats.values()]
+    known = [value for value in rms if value is not None]
+    mean, low, high = band(known) if len(known) == len(rms) else (None, None, None)
+    flips = [row.flip for row in rows if row.flip is not None]
+    estimates = [row.estimated for row in rows if row.estimated is not None]
+    return Step(
+        name,
+        float(np.median([np.mean([r.spp for r in of]) for of in repeats.values()])),
+        float(np.median([np.mean([r.seconds for r in of]) for of in repeats.values()])),
+        rms,
+        mean,
+        low,
+        high,
+        float(np.mean([r.relative_mse for r in rows])),
+        float(np.mean([r.relative_mse_trimmed for r in rows])),
+        float(np.mean(biases)),
+        float(np.std(biases, ddof=1) / np.sqrt(len(biases))) if len(biases) > 1 else None,
+        float(np.mean(flips)) if len(flips) == len(rows) else None,
+        float(np.sqrt(np.mean(np.square(estimates)))) if len(estimates) == len(rows) else None,
+    )

@@ -1,0 +1,495 @@
+"""Silhouettes: which pixel-center rays meet an instance when everything else is taken away.
+
+A ray meets an instance where ``intersect.hit_parameter`` finds a hit with any of its triangles: the
+definition that annotation has, so a pixel that shows an instance is always in its silhouette. Two
+ways lead there, and which one is taken changes the time alone:
+
+* *Rays*: each pixel of the window around a row walks the tree of the row's mesh until something is
+  hit. Good for small pictures of meshes with many triangles.
+* *Spans*: each triangle is set against each line of pixels. With vertices relative to the eye, the
+  ray d lies within a triangle where d·(b×c), d·(c×a) and d·(a×b) have the sign of a·(b×c), on
+  either side of the camera's plane (Olano and Greer, "Triangle Scan Conversion using 2D Homogeneous
+  Coordinates", 1997). Along a line of pixels each is linear. Pixels where all three are beyond what
+  rounding could do (``_SURE``) are inside for certain; those within it are tested by the
+  definition.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit, prange
+
+from scenec.backends.exact.build import STACK_SIZE
+from scenec.backends.exact.intersect import hit_parameter, ray_frame, row_matrix
+from scenec.backends.exact.trace import _enter, _local_ray, _slabs
+
+#: Pictures that the plane of the silhouettes goes on by on each side.
+MARGIN = 1
+#: Rounding errors of either way, relative to the magnitudes involved, are below 2**-43 (barycentric
+#: coordinates, see ``intersect``); the rest is reserve, which costs a test in some 10^6 pixels.
+_SURE = 2.0**-36
+#: A ray through a mesh's tree costs about as much as so many triangles that show no pixel.
+RAY_COST = 8
+#: Below this a slope counts as 0 (what it changes along a line is below all rounding).
+_FLAT = 1e-250
+#: Padding of boxes beyond this is that of rows whose tree holds nothing back (``moving``).
+_WITHOUT_END = 1e100
+#: Instances are dealt out to so many lanes, whatever the number of threads.
+_LANES = 64
+
+
+@njit(cache=True, error_model="numpy")
+def set_direction(k, pose, column, row, out):  # type: ignore[no-untyped-def]
+    """The ray through a pixel's center: to the bit that of ``rays.camera_rays``."""
+    y = (row + 0.5 - k[1, 2]) / k[1, 1]
+    x = (column + 0.5 - k[0, 2] - k[0, 1] * y) / k[0, 0]
+    for i in range(3):
+        out[i] = pose[i, 0] * x + pose[i, 1] * y + pose[i, 2]
+
+
+@njit(cache=True, error_model="numpy")
+def _seen_at(k, inverse, x, y, z):  # type: ignore[no-untyped-def]
+    """A point relative to the eye in pixels and depth, and how far off 1 unit of error takes it."""
+    depth = inverse[2, 0] * x + inverse[2, 1] * y + inverse[2, 2] * z
+    a = (inverse[0, 0] * x + inverse[0, 1] * y + inverse[0, 2] * z) / depth
+    b = (inverse[1, 0] * x + inverse[1, 1] * y + inverse[1, 2] * z) / depth
+    u = k[0, 0] * a + k[0, 1] * b + k[0, 2]
+    v = k[1, 1] * b + k[1, 2]
+    # |K| (1 + |a| + |b|) / depth: of the quotients' errors.
+    focal = abs(k[0, 0]) + abs(k[0, 1]) + abs(k[1, 1])
+    return u, v, depth, focal * (1.0 + abs(a) + abs(b)) / depth
+
+
+@njit(cache=True, error_model="numpy")
+def _norm(inverse):  # type: ignore[no-untyped-def]
+    total = 0.0
+    for i in range(3):
+        total = max(total, abs(inverse[i, 0]) + abs(inverse[i, 1]) + abs(inverse[i, 2]))
+    return total
+
+
+@njit(cache=True, error_model="numpy")
+def _first(value, low, high):  # type: ignore[no-untyped-def]
+    """The first whole number that is not below a value, within [low, high]."""
+    return math.ceil(min(max(value, float(low)), float(high)))
+
+
+@njit(cache=True, error_model="numpy")
+def _end(value, low, high):  # type: ignore[no-untyped-def]
+    """The last whole number that is not above a value, within [low, high]."""
+    return math.floor(min(max(value, float(low)), float(high)))
+
+
+@njit(cache=True, error_model="numpy")
+def _all_inside(g, row, k, pose, inverse, width, height):  # type: ignore[no-untyped-def]
+    """Whether all vertices of a row lie before the camera and within the continued picture."""
+    m = g.to_world[row]
+    for f in range(g.row_face[row], g.row_face[row] + g.row_faces[row]):
+        for corner in range(3):
+            p = g.points[g.faces[f, corner]]
+            x = m[0, 0] * p[0] + m[0, 1] * p[1] + m[0, 2] * p[2] + m[0, 3] - pose[0, 3]
+            y = m[1, 0] * p[0] + m[1, 1] * p[1] + m[1, 2] * p[2] + m[1, 3] - pose[1, 3]
+            z = m[2, 0] * p[0] + m[2, 1] * p[1] + m[2, 2] * p[2] + m[2, 3] - pose[2, 3]
+            u, v, depth, _ = _seen_at(k, inverse, x, y, z)
+            if not (
+                depth > 0.0
+                and -MARGIN * width <= u <= (MARGIN + 1) * width
+                and -MARGIN * height <= v <= (MARGIN + 1) * height
+            ):
+                return False
+    return True
+
+
+@njit(cache=True, error_model="numpy", parallel=True, nogil=True)
+def frame_rows(g, rows, boxes, k, pose, inverse, width, height, windows, whole):  # type: ignore[no-untyped-def]
+    """Windows of pixels that hold the silhouettes of rows.
+
+    Args:
+        g: ``bvh.Geometry``.
+        rows: Rows, int64 [n].
+        boxes: Box around each row's mesh in its own frame, float64 [n, 2, 3].
+        k: Intrinsics, float64 [3, 3].
+        pose: Camera to world, float64 [4, 4].
+        inverse: Of its linear part, float64 [3, 3].
+        width: Of the picture.
+        height: Of the picture.
+        windows: Receives first column, end, first row, end, int64 [n, 4]; empty for rows that
+            cannot be seen.
+        whole: Receives whether the row lies within the continued picture (``_all_inside``), or has
+            no surface, bool [n].
+    """
+    norm = _norm(inverse)
+    left, right = -MARGIN * width, (MARGIN + 1) * width
+    top, bottom = -MARGIN * height, (MARGIN + 1) * height
+    eye = abs(pose[0, 3]) + abs(pose[1, 3]) + abs(pose[2, 3])
+    for n in prange(rows.shape[0]):
+        row = rows[n]
+        windows[n] = 0
+        whole[n] = True
+        if g.row_spheres[row, 3] < 0.0:
+            continue
+        m = g.to_world[row]
+        size = eye
+        for i in range(3):
+            reach = abs(m[i, 3])
+            for j in range(3):
+                reach += abs(m[i, j]) * max(abs(boxes[n, 0, j]), abs(boxes[n, 1, j]))
+            size = max(size, reach + eye)
+        least_u = least_v = nearest = math.inf
+        most_u = most_v = farthest = -math.inf
+        slack = 0.0
+        for corner in range(8):
+            p0 = boxes[n, corner & 1, 0]
+            p1 = boxes[n, corner >> 1 & 1, 1]
+            p2 = boxes[n, corner >> 2, 2]
+            x = m[0, 0] * p0 + m[0, 1] * p1 + m[0, 2] * p2 + m[0, 3] - pose[0, 3]
+            y = m[1, 0] * p0 + m[1, 1] * p1 + m[1, 2] * p2 + m[1, 3] - pose[1, 3]
+            z = m[2, 0] * p0 + m[2, 1] * p1 + m[2, 2] * p2 + m[2, 3] - pose[2, 3]
+            u, v, depth, off = _seen_at(k, inverse, x, y, z)
+            least_u, most_u = min(least_u, u), max(most_u, u)
+            least_v, most_v = min(least_v, v), max(most_v, v)
+            nearest, farthest = min(nearest, depth), max(farthest, depth)
+            slack = max(slack, off)
+        tolerance = _SURE * size * norm
+        slack *= tolerance
+        if farthest < -tolerance:
+            whole[n] = False
+            continue
+        if nearest > tolerance:
+            windows[n, 0] = _first(least_u - slack - 0.5, left, right)
+            windows[n, 1] = _first(most_u + slack + 0.5, left, right)
+            windows[n, 2] = _first(least_v - slack - 0.5, top, bottom)
+            windows[n, 3] = _first(most_v + slack + 0.5, top, bottom)
+            inside = (
+                left + slack <= least_u
+                and most_u + slack <= right
+                and top + slack <= least_v
+                and most_v + slack <= bottom
+            )
+        else:
+            windows[n, 0], windows[n, 1] = left, right
+            windows[n, 2], windows[n, 3] = top, bottom
+            inside = False
+        whole[n] = inside or _all_inside(g, row, k, pose, inverse, width, height)
+
+
+@njit(cache=True, error_model="numpy", parallel=True, nogil=True)
+def mark_shown(row, slot_of_row, seen_of_slot, width, windows, starts, marks):  # type: ignore[no-untyped-def]
+    """Mark the pixels that show an instance.
+
+    Args:
+        row: Row that each pixel shows, int32 [h * w].
+        slot_of_row: Instance of each row, -1 for none, int32.
+        seen_of_slot: Index of an instance into ``starts``, -1 where it has none, int64.
+        width: Of the picture.
+        windows: Of the instances, int64 [n, 4].
+        starts: Of their windows in ``marks``, -1 for none, int64 [n].
+        marks: uint8, in place.
+    """
+    for y in prange(row.shape[0] // width):
+        for x in range(width):
+            r = row[y * width + x]
+            if r < 0 or slot_of_row[r] < 0:
+                continue
+            seen = seen_of_slot[slot_of_row[r]]
+            if seen >= 0 and starts[seen] >= 0:
+                window = windows[seen]
+                across = window[1] - window[0]
+                marks[starts[seen] + (y - window[2]) * across + x - window[0]] = 1
+
+
+@njit(cache=True, error_model="numpy")
+def _meets(g, row, origin, direction, stack):  # type: ignore[no-untyped-def]
+    """Whether a ray meets any triangle of a row."""
+    frame = ray_frame(origin, direction)
+    size = max(abs(origin[0]), max(abs(origin[1]), abs(origin[2])))
+    o, d = _local_ray(g.to_local[row], origin, direction)
+    pad = g.pad[row]
+    s = _slabs(
+        o, d,
+        (pad[0, 0] + pad[1, 0] * size, pad[0, 1] + pad[1, 1] * size, pad[0, 2] + pad[1, 2] * size),
+    )  # fmt: skip
+    matrix = row_matrix(g.to_world, row, frame[0], frame[1], frame[2])
+    stack[0] = g.row_root[row]
+    top = 1
+    while top > 0:
+        top -= 1
+        node = stack[top]
+        box = g.face_nodes[node]
+        link = g.face_links[node]
+        for side in range(2):
+            if _enter(box, 6 * side, s, math.inf) == math.inf:
+                continue
+            first, count = link[12 + side], link[14 + side]
+            if count == 0:
+                stack[top] = first
+                top += 1
+            for entry in range(first, first + count):
+                face = g.faces[g.face_order[entry]]
+                if hit_parameter(g.points, face, matrix, frame) < math.inf:
+                    return True
+    return False
+
+
+@njit(cache=True, error_model="numpy")
+def _cast_window(g, row, part, k, pose, origin, mask, left, top):  # type: ignore[no-untyped-def]
+    """Mark what rays through the pixels of a window meet of a row."""
+    stack = np.empty(2 * STACK_SIZE, np.int32)
+    direction = np.empty(3)
+    for y in range(part[2], part[3]):
+        for x in range(part[0], part[1]):
+            if mask[y - top, x - left] == 0:
+                set_direction(k, pose, x, y, direction)
+                if _meets(g, row, origin, direction, stack):
+                    mask[y - top, x - left] = 1
+
+
+@njit(cache=True, error_model="numpy")
+def _test_pixels(  # type: ignore[no-untyped-def]
+    points, face, to_world, row, k, pose, origin, direction, mask, left, y, line, start, stop
+):
+    """Mark, of pixels of a line that are not marked, those whose rays meet a triangle."""
+    for x in range(start, stop):
+        if mask[line, x - left] == 0:
+            set_direction(k, pose, x, y, direction)
+            frame = ray_frame(origin, direction)
+            matrix = row_matrix(to_world, row, frame[0], frame[1], frame[2])
+            if hit_parameter(points, face, matrix, frame) < math.inf:
+                mask[line, x - left] = 1
+
+
+@njit(cache=True, error_model="numpy")
+def _span(a, inverse_a, b, slack, start, stop):  # type: ignore[no-untyped-def]
+    """First column and end, within [start, stop), of where three linear functions reach ``slack``.
+
+    ``a`` and ``inverse_a`` are the slopes and one over each, ``b`` the values at column 0.
+    """
+    low, high = float(start), float(stop)
+    for i in range(3):
+        if inverse_a[i] > 0.0:
+            low = max(low, (slack - b[i]) * inverse_a[i])
+        elif inverse_a[i] < 0.0:
+            # One beyond the last column that reaches it, later rounded up.
+            high = min(high, np.floor((slack - b[i]) * inverse_a[i]) + 1.0)
+        elif not b[i] >= slack:
+            return stop, stop
+    first = _first(low, start, stop)
+    return first, max(first, _first(high, start, stop))
+
+
+@njit(cache=True, error_model="numpy")
+def _fill_rows(g, row, part, k, pose, inverse, origin, base, mask, left, top):  # type: ignore[no-untyped-def]
+    """Mark what the triangles of a row cover, line by line; ``base`` is its mesh's points."""
+    norm = _norm(inverse)
+    m = g.to_world[row]
+    count = base[1] - base[0]
+    # Relative to the eye, then depth, columns, rows, and what errors make of these.
+    at = np.empty((count, 7))
+    eye = abs(origin[0]) + abs(origin[1]) + abs(origin[2])
+    size = eye
+    for n in range(count):
+        p0 = float(g.points[base[0] + n, 0])
+        p1 = float(g.points[base[0] + n, 1])
+        p2 = float(g.points[base[0] + n, 2])
+        for i in range(3):
+            q0, q1, q2, q3 = m[i, 0] * p0, m[i, 1] * p1, m[i, 2] * p2, m[i, 3]
+            at[n, i] = q0 + q1 + q2 + q3 - origin[i]
+            size = max(size, abs(q0) + abs(q1) + abs(q2) + abs(q3) + eye)
+        at[n, 4], at[n, 5], at[n, 3], at[n, 6] = _seen_at(k, inverse, at[n, 0], at[n, 1], at[n, 2])
+    tolerance = _SURE * size * norm
+    # The largest that directions, and what stands in their place, can be.
+    far_y = (2.0 * max(abs(part[2]), abs(part[3])) + abs(k[1, 2]) + 1.0) / abs(k[1, 1])
+    far_x = 2.0 * (max(abs(part[0]), abs(part[1])) + abs(k[0, 2]) + abs(k[0, 1]) * far_y + 1.0)
+    longest = 0.0
+    for j in range(3):
+        longest = max(longest, abs(pose[0, j]) + abs(pose[1, j]) + abs(pose[2, j]))
+    longest *= 1.0 + far_x / abs(k[0, 0]) + far_y
+    direction = np.empty(3)
+    normal = np.empty((3, 3))
+    slope_y = np.empty(3)
+    constant = np.empty(3)
+    a, inverse_a, b = np.empty(3), np.empty(3), np.empty(3)
+    for f in range(g.row_face[row], g.row_face[row] + g.row_faces[row]):
+        i0, i1, i2 = g.faces[f, 0] - base[0], g.faces[f, 1] - base[0], g.faces[f, 2] - base[0]
+        if max(at[i0, 3], max(at[i1, 3], at[i2, 3])) < -tolerance:
+            continue
+        x0, x1, y0, y1 = part[0], part[1], part[2], part[3]
+        if min(at[i0, 3], min(at[i1, 3], at[i2, 3])) > tolerance:
+            slack = 0.5 + tolerance * max(at[i0, 6], max(at[i1, 6], at[i2, 6]))
+            low = min(at[i0, 4], min(at[i1, 4], at[i2, 4])) - slack
+            high = max(at[i0, 4], max(at[i1, 4], at[i2, 4])) + slack
+            # Most triangles of most meshes end here, between two pixels' centers.
+            if np.ceil(low) + 1.0 > high:
+                continue
+            x0, x1 = _first(low, x0, x1), _end(high, x0, x1)
+            low = min(at[i0, 5], min(at[i1, 5], at[i2, 5])) - slack
+            high = max(at[i0, 5], max(at[i1, 5], at[i2, 5])) + slack
+            y0, y1 = _first(low, y0, y1), _end(high, y0, y1)
+            if x0 >= x1 or y0 >= y1:
+                continue
+        for i in range(3):
+            j, n = (i + 1) % 3, (i + 2) % 3
+            normal[0, i] = at[i1, j] * at[i2, n] - at[i1, n] * at[i2, j]
+            normal[1, i] = at[i2, j] * at[i0, n] - at[i2, n] * at[i0, j]
+            normal[2, i] = at[i0, j] * at[i1, n] - at[i0, n] * at[i1, j]
+        length = max(
+            abs(at[i0, 0]) + abs(at[i0, 1]) + abs(at[i0, 2]),
+            max(
+                abs(at[i1, 0]) + abs(at[i1, 1]) + abs(at[i1, 2]),
+                abs(at[i2, 0]) + abs(at[i2, 1]) + abs(at[i2, 2]),
+            ),
+        )
+        volume = at[i0, 0] * normal[0, 0] + at[i0, 1] * normal[0, 1] + at[i0, 2] * normal[0, 2]
+        certain = abs(volume) > _SURE * size * length * length
+        slack = _SURE * size * length * longest
+        # Of a triangle that is seen from its edge either sign may be the right one.
+        for turn in range(1 if certain else 2):
+            sign = 1.0 if (volume > 0.0) == (turn == 0) else -1.0
+            for i in range(3):
+                along = 0.0
+                down = 0.0
+                ahead = 0.0
+                for j in range(3):
+                    along += normal[i, j] * pose[j, 0]
+                    down += normal[i, j] * pose[j, 1]
+                    ahead += normal[i, j] * pose[j, 2]
+                a[i] = sign * along / k[0, 0]
+                inverse_a[i] = 1.0 / a[i] if abs(a[i]) > _FLAT else 0.0
+                slope_y[i] = sign * down
+                constant[i] = sign * ahead
+            for y in range(y0, y1):
+                ray_y = (y + 0.5 - k[1, 2]) / k[1, 1]
+                zero = k[0, 2] - 0.5 + k[0, 1] * ray_y
+                for i in range(3):
+                    b[i] = slope_y[i] * ray_y + constant[i] - a[i] * zero
+                start, stop = _span(a, inverse_a, b, -slack, x0, x1)
+                if start >= stop:
+                    continue
+                sure, end = stop, stop
+                if certain:
+                    sure, end = _span(a, inverse_a, b, slack, start, stop)
+                    for x in range(sure, end):
+                        mask[y - top, x - left] = 1
+                if start < sure:
+                    _test_pixels(
+                        g.points, g.faces[f], g.to_world, row, k, pose, origin, direction, mask,
+                        left, y, y - top, start, sure,
+                    )  # fmt: skip
+                if end < stop:
+                    _test_pixels(
+                        g.points, g.faces[f], g.to_world, row, k, pose, origin, direction, mask,
+                        left, y, y - top, end, stop,
+                    )  # fmt: skip
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _outline(g, rows, parts, bases, window, ray_cost, k, pose, inverse, mask):  # type: ignore[no-untyped-def]
+    """Mark the silhouette of one instance in its window."""
+    origin = pose[:3, 3].copy()
+    for n in range(rows.shape[0]):
+        row, part = rows[n], parts[n]
+        unknown = 0
+        for y in range(part[2] - window[2], part[3] - window[2]):
+            for x in range(part[0] - window[0], part[1] - window[0]):
+                unknown += 1 - mask[y, x]
+        if unknown == 0:
+            continue
+        # A tree that holds nothing back makes each ray test all triangles.
+        walkable = g.pad[row, 0, 0] < _WITHOUT_END
+        if walkable and unknown * ray_cost < g.row_faces[row]:
+            _cast_window(g, row, part, k, pose, origin, mask, window[0], window[2])
+        else:
+            _fill_rows(g, row, part, k, pose, inverse, origin, bases[n], mask, window[0], window[2])
+
+
+@njit(cache=True, error_model="numpy", parallel=True, nogil=True)
+def outline_all(  # type: ignore[no-untyped-def]
+    g, rows, parts, bases, firsts, order, windows, starts, ray_cost, k, pose, inverse, width,
+    height, marks, areas
+):  # fmt: skip
+    """Mark the silhouettes of instances in their windows, and count their pixels.
+
+    Args:
+        g: ``bvh.Geometry``.
+        rows: Rows of all instances, int64 [r].
+        parts: Their windows, int64 [r, 4] (``frame_rows``).
+        bases: First point and end of each row's mesh, int64 [r, 2].
+        firsts: Where each instance's rows begin, with one more at the end, int64 [n + 1].
+        order: Instances to outline, int64 [m].
+        windows: Of the instances, int64 [n, 4].
+        starts: Of their windows in ``marks``, int64 [n].
+        ray_cost: ``RAY_COST``; 0 takes rays wherever they can be walked.
+        k: Intrinsics, float64 [3, 3].
+        pose: Camera to world, float64 [4, 4].
+        inverse: Of its linear part, float64 [3, 3].
+        width: Of the picture.
+        height: Of the picture.
+        marks: uint8; 1 where a pixel is known to be inside, in place.
+        areas: Receives pixels within the picture and within the window, int64 [n, 2].
+    """
+    count = order.shape[0]
+    for lane in prange(min(_LANES, count)):
+        for at in range(lane, count, _LANES):
+            n = order[at]
+            window = windows[n]
+            down, across = window[3] - window[2], window[1] - window[0]
+            mask = marks[starts[n] : starts[n] + down * across].reshape((down, across))
+            part = slice(firsts[n], firsts[n + 1])
+            _outline(
+                g, rows[part], parts[part], bases[part], window, ray_cost, k, pose, inverse, mask
+            )
+            every = 0
+            for y in range(down):
+                for x in range(across):
+                    every += mask[y, x]
+            inside = 0
+            for y in range(max(-window[2], 0), min(down, height - window[2])):
+                for x in range(max(-window[0], 0), min(across, width - window[0])):
+                    inside += mask[y, x]
+            areas[n, 0] = inside
+            areas[n, 1] = every
+
+
+@njit(cache=True, error_model="numpy", parallel=True, nogil=True)
+def runs(order, windows, starts, marks, width, height, fill, sizes, begins, counts):  # type: ignore[no-untyped-def]
+    """Run lengths of masks within the picture, along columns, zeros first (``schemas.rle``).
+
+    Args:
+        order: Instances, int64 [m].
+        windows: Of the instances, int64 [n, 4].
+        starts: Of their windows in ``marks``, int64 [n].
+        marks: uint8.
+        width: Of the picture.
+        height: Of the picture.
+        fill: Whether to write ``counts``, or only ``sizes``.
+        sizes: Receives the number of runs, int64 [n].
+        begins: Where an instance's runs go, int64 [n].
+        counts: Receives run lengths, uint32.
+    """
+    for lane in prange(min(_LANES, order.shape[0])):
+        for at in range(lane, order.shape[0], _LANES):
+            n = order[at]
+            window = windows[n]
+            across = window[1] - window[0]
+            top, bottom = max(window[2], 0), min(window[3], height)
+            # Where the window has all of a column, runs go on from one into the next.
+            through = top == 0 and bottom == height
+            size, last, end = 0, 0, 0
+            for x in range(max(window[0], 0), min(window[1], width)):
+                for y in range(top, bottom):
+                    inside = marks[starts[n] + (y - window[2]) * across + x - window[0]]
+                    if inside != last:
+                        if fill:
+                            counts[begins[n] + size] = x * height + y - end
+                        size, last, end = size + 1, inside, x * height + y
+                if last and (not through or x + 1 == min(window[1], width)):
+                    if fill:
+                        counts[begins[n] + size] = x * height + bottom - end
+                    size, last, end = size + 1, 0, x * height + bottom
+            if end < width * height:
+                if fill:
+                    counts[begins[n] + size] = width * height - end
+                size += 1
+            sizes[n] = size

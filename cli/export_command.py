@@ -1,0 +1,129 @@
+"""``scenec export``: frames to a dataset."""
+
+from __future__ import annotations
+
+import argparse
+import textwrap
+
+from scenec.cli.output import Progress, print_json, say
+from scenec.datasets.export import Choice, ExportReport, export
+from scenec.datasets.filters import make_filters
+from scenec.datasets.formats.registry import find_format, format_names
+from scenec.datasets.remap import Remap, read_remap
+from scenec.datasets.splits import parse_splits
+from scenec.schemas.errors import OutputError
+
+
+def run(options: argparse.Namespace) -> int:
+    """Exports, or lists what there is to export to."""
+    if options.list:
+        _list(options.json)
+        return 0
+    if options.out is None:
+        raise OutputError("say what to export: scenec export OUT --format NAME")
+    if options.format is None:
+        raise OutputError(
+            f"say to which format: --format {'|'.join(format_names())} (scenec export --list)"
+        )
+    report = export(
+        options.out,
+        options.format,
+        options.output,
+        _choice(options),
+        workers=options.workers,
+        replace=options.replace,
+        progress=Progress("exported", unit="step", every_s=2.0),
+        say=say,
+    )
+    if options.json:
+        print_json(as_json(report))
+    _tell(report)
+    return 0
+
+
+def _choice(options: argparse.Namespace) -> Choice:
+    settings: dict[str, str] = {}
+    for text in options.set:
+        name, equals, value = text.partition("=")
+        if not equals:
+            raise OutputError(f"--set {text!r}: expected NAME=VALUE")
+        settings[name.strip()] = value.strip()
+    return Choice(
+        backend=options.backend,
+        batches=options.batches,
+        cameras=options.cameras,
+        samples=options.samples,
+        filters=make_filters(options.keep, options.rejected),
+        remap=read_remap(options.remap) if options.remap else Remap(),
+        splits=parse_splits(options.split) if options.split else {},
+        split_seed=options.split_seed,
+        level=options.level,
+        options=settings,
+        faults=options.faults,
+    )
+
+
+def _tell(report: ExportReport) -> None:
+    if report.there:
+        say("the dataset is there already, made of the same frames in the same way")
+    splits = ", ".join(f"{name} {count:,}" for name, count in report.splits.items())
+    tally = report.tally
+    text = f"{report.frames:,} frames ({splits})"
+    if tally.seen:
+        text += f", {tally.kept:,} instances"
+        rejected = [f"{name}: {count:,}" for name, count in tally.rejected.items()]
+        if rejected:
+            text += f" of {tally.seen:,} (rejected by {', '.join(rejected)})"
+    say(text)
+    if report.faults:
+        say(f"{len(report.faults)} frames were left out, see {report.folder}/export.json")
+    say(f"dataset: {report.folder}/ (what it is: {report.folder}/README.md)")
+
+
+def as_json(report: ExportReport) -> dict[str, object]:
+    """The report for scripts."""
+    return {
+        "folder": str(report.folder),
+        "format": report.format,
+        "frames": report.frames,
+        "splits": report.splits,
+        "instances": {
+            "seen": report.tally.seen,
+            "kept": report.tally.kept,
+            "rejected": report.tally.rejected,
+        },
+        "faults": [
+            {"frame": fault.name, "kind": fault.kind, "message": fault.message}
+            for fault in report.faults
+        ],
+        "steps_resumed": report.resumed,
+        "there_already": report.there,
+        "annotation_sha256": report.digest,
+    }
+
+
+def _list(as_json: bool) -> None:
+    formats = [find_format(name) for name in format_names()]
+    if as_json:
+        print_json(
+            {
+                kind.name: {
+                    "summary": kind.summary,
+                    "needs": list(kind.needs),
+                    "options": {
+                        name: {"default": o.default, "choices": list(o.choices), "help": o.help}
+                        for name, o in kind.options.items()
+                    },
+                }
+                for kind in formats
+            }
+        )
+        return
+    for kind in formats:
+        print(f"{kind.name:<12}{kind.summary}")
+        for name, option in kind.options.items():
+            value = "|".join(option.choices) if option.choices else "VALUE"
+            default = f" (default: {option.default})" if option.default else ""
+            head = f"    --set {name}={value}"
+            print(head)
+            print(textwrap.indent(textwrap.fill(option.help + default, 88), " " * 12))

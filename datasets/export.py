@@ -1,0 +1,491 @@
+"""Frames to a dataset: filtered, remapped, split, written by a format, in parallel, resumable.
+
+A dataset is a folder. Beside what its format has there are, in each::
+
+    export.json       what was exported of what, how: filters, splits, counts, faults, digests
+    frames.csv        one line a frame: split, place, time, digests of its annotation and picture
+    statistics.json   classes, sizes, distances ... (``scenec.datasets.statistics``)
+    SHA256SUMS        of every file but itself (``sha256sum -c SHA256SUMS``)
+    README.md         the dataset card
+
+It is made in a folder beside it, ``.<name>.partial``, and gets its name when it is whole. What an
+export that was cut short has done is not done again.
+"""
+
+from __future__ import annotations
+
+import csv
+import fcntl
+import hashlib
+import json
+import shutil
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+from scenec.datasets.card import write_card
+from scenec.datasets.export_plan import FAULTS, Choice, Plan, make_plan
+from scenec.datasets.filters import Tally
+from scenec.datasets.formats.contract import Done, Task
+from scenec.datasets.formats.registry import find_format
+from scenec.datasets.source import FrameFault, LoadedFrame, kind_of
+from scenec.datasets.statistics import Statistics, measure
+from scenec.datasets.workers import default_workers, in_processes
+from scenec.schemas.errors import FrameError, OutputError
+from scenec.schemas.files import atomic, replace_folder, sha256, tree, write_json
+
+__all__ = ["FAULTS", "Choice", "ExportReport", "export"]
+
+EXPORT = "export.json"
+INDEX = "frames.csv"
+STATISTICS = "statistics.json"
+SUMS = "SHA256SUMS"
+CARD = "README.md"
+#: Version of what stands in ``export.json``.
+EXPORT_VERSION = 1
+
+INDEX_COLUMNS = (
+    "frame", "split", "batch", "camera", "sample", "time_s", "stage_digest", "annotation_sha256",
+    "picture_sha256", "instances",
+)  # fmt: skip
+
+#: ``progress(done, total, text)``, called after each task.
+Progress = Callable[[int, int, str], None]
+Say = Callable[[str], None]
+
+_TASKS = "tasks"
+_SCRATCH = "scratch"
+_DATA = "data"
+_LOCK = "lock"
+#: More of them are counted, not listed.
+_LISTED_FAULTS = 1000
+#: More of them are said in one line.
+_SAID_FAULTS = 20
+
+
+@dataclass
+class ExportReport:
+    """What came of an export.
+
+    Attributes:
+        folder: The dataset.
+        format: Its format.
+        frames: Exported.
+        resumed: Tasks that an earlier, unfinished export had done.
+        there: Whether the very same dataset was there already, and nothing was done.
+        splits: Name -> frames.
+        tally: Of instances.
+        faults: Frames left out, with the reason.
+        left_out: What the format could not hold: what it was -> how many.
+        digest: Over all annotation, the same on every machine: see ``export.json``.
+    """
+
+    folder: Path
+    format: str
+    frames: int = 0
+    resumed: int = 0
+    there: bool = False
+    splits: dict[str, int] = field(default_factory=dict)
+    tally: Tally = field(default_factory=Tally)
+    faults: list[FrameFault] = field(default_factory=list)
+    left_out: dict[str, int] = field(default_factory=dict)
+    digest: str = ""
+
+
+def export(
+    out: Path | str,
+    format_name: str,
+    folder: Path | str | None = None,
+    choice: Choice | None = None,
+    *,
+    workers: int | None = None,
+    replace: bool = False,
+    progress: Progress | None = None,
+    say: Say | None = None,
+) -> ExportReport:
+    """Write a dataset.
+
+    Args:
+        out: Output folder of ``compile`` and ``render``, or a USD file that was rendered.
+        format_name: See ``formats.registry``.
+        folder: The dataset's; None takes ``<out>/datasets/<format>``.
+        choice: What, and how.
+        workers: Processes; None takes one a core.
+        replace: Whether another dataset may be replaced that lies in ``folder``.
+        progress: Called after each task.
+        say: Called with lines worth showing.
+
+    Raises:
+        FrameError: A frame is missing, foreign or damaged (unless they are to be skipped), or
+            there are none.
+        OutputError: What is asked for makes no sense, or the folder cannot be written.
+    """
+    say = say or (lambda _line: None)
+    choice = choice or Choice()
+    plan = make_plan(Path(out), format_name, folder, choice)
+    found = _already_there(plan, replace)
+    if found is not None:
+        return found
+    report = ExportReport(plan.folder, format_name)
+    others = [name for name in plan.source.backends if name != plan.source.backend]
+    if others and choice.backend is None:
+        say(
+            f"exporting the frames of {plan.source.backend}; there are those of "
+            f"{', '.join(others)} too (--backend)"
+        )
+    with _begun(plan) as partial:
+        _missing(plan, report, say)
+        todo = []
+        for task in plan.tasks():
+            if _is_done(plan, partial, task):
+                report.resumed += 1
+            else:
+                todo.append(task)
+        total = report.resumed + len(todo)
+        if report.resumed:
+            say(f"{report.resumed} of {total} steps were done already")
+        count = default_workers() if workers is None else max(1, workers)
+        run = _Run(plan, partial)
+        finished = report.resumed
+        for task, faults in in_processes(run, todo, min(count, max(1, len(todo)))):
+            finished += 1
+            for fault in faults:
+                say(f"warning: {fault.message}; left out")
+            if progress:
+                progress(finished, total, plan.task_name(task))
+        _finish(plan, partial, report)
+    for what, number in report.left_out.items():
+        say(f"warning: left out: {number} {what}")
+    return report
+
+
+def _already_there(plan: Plan, replace: bool) -> ExportReport | None:
+    """The dataset if it is there, made of the same frames in the same way."""
+    folder = plan.folder
+    if not folder.exists():
+        return None
+    path = folder / EXPORT
+    if not folder.is_dir() or not path.is_file():
+        if folder.is_dir() and not any(folder.iterdir()):
+            return None
+        raise OutputError(
+            f"{folder}: is not empty and holds no dataset of scenec (no {EXPORT}); choose another "
+            "folder with -o"
+        )
+    try:
+        written = json.loads(path.read_text(encoding="utf-8"))
+        if written["key"] == plan.whole_key() and not _mended(plan, written["faults"]):
+            # A run that was killed after its last step left it.
+            shutil.rmtree(_partial(plan), ignore_errors=True)
+            report = ExportReport(folder, plan.format_name, there=True)
+            report.frames, report.splits = int(written["frames"]), dict(written["splits"])
+            report.digest = str(written["digest"]["annotation"])
+            report.tally = Tally(**written["instances"])
+            report.left_out = dict(written["left_out"])
+            report.faults = [FrameFault(**fault) for fault in written["faults"]]
+            return report
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise OutputError(f"{path}: is no {EXPORT} of scenec: {error}") from error
+    if not replace:
+        raise OutputError(
+            f"{folder}: holds another dataset (of other frames, or made in another way); choose "
+            "another folder with -o, or give --replace"
+        )
+    return None
+
+
+def _mended(plan: Plan, faults: list[dict[str, Any]]) -> bool:
+    """Whether a frame that was damaged or foreign can be read now."""
+    names = {fault["name"] for fault in faults}
+    for ref in plan.source.frames:
+        if ref.name in names:
+            try:
+                plan.source.load(ref, plan.needed())
+            except FrameError:
+                continue
+            return True
+    return False
+
+
+def _partial(plan: Plan) -> Path:
+    return plan.folder.with_name(f".{plan.folder.name}.partial")
+
+
+@contextmanager
+def _begun(plan: Plan) -> Iterator[Path]:
+    """The folder that the dataset is made in, with what an earlier export left there.
+
+    Raises:
+        OutputError: It cannot be written, or another export is writing it.
+    """
+    partial = _partial(plan)
+    try:
+        for name in (_TASKS, _SCRATCH, _DATA):
+            (partial / name).mkdir(parents=True, exist_ok=True)
+        lock = (partial / _LOCK).open("wb")
+    except OSError as error:
+        raise OutputError(f"{partial}: cannot be written: {error.strerror or error}") from error
+    with lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            raise OutputError(
+                f"{plan.folder}: another export is at work on it; wait for it, or choose another "
+                "folder with -o"
+            ) from error
+        yield partial
+
+
+def _missing(plan: Plan, report: ExportReport, say: Say) -> None:
+    missing = plan.source.missing
+    if missing and plan.choice.faults == "stop":
+        more = f" (and {len(missing) - 1} more)" if len(missing) > 1 else ""
+        raise FrameError(
+            f"{missing[0].message}{more}; render what is missing, ask for less with --samples, "
+            "--batches or --cameras, or leave it out with --faults skip"
+        )
+    for fault in missing[:_SAID_FAULTS]:
+        say(f"warning: {fault.message}; left out")
+    if len(missing) > _SAID_FAULTS:
+        say(f"warning: and {len(missing) - _SAID_FAULTS} more frames are missing; left out")
+    report.faults.extend(missing)
+
+
+def _record_path(partial: Path, task: Task) -> Path:
+    return partial / _TASKS / f"{task.number:08d}.json"
+
+
+def _is_done(plan: Plan, partial: Path, task: Task) -> bool:
+    try:
+        entry = json.loads(_record_path(partial, task).read_text(encoding="utf-8"))
+        return entry["key"] == plan.task_key(task) and all(
+            (partial / _DATA / name).stat().st_size == size for name, size, _ in entry["files"]
+        )
+    except (OSError, ValueError, KeyError, TypeError):
+        return False
+
+
+@dataclass
+class _Run:
+    """One task in a worker process."""
+
+    plan: Plan
+    partial: Path
+
+    def __call__(self, task: Task) -> list[FrameFault]:
+        """Write it and its record; returns the frames left out."""
+        lines: list[list[str]] = []
+        faults: list[FrameFault] = []
+        tally = Tally()
+        statistics = Statistics()
+        frames = self._frames(task, lines, faults, tally, statistics)
+        data, scratch = self.partial / _DATA, self.partial / _SCRATCH
+        first = next(frames, None)
+        files: list[list[Any]] = []
+        record = None
+        left_out: dict[str, int] = {}
+        if first is not None:
+            written = self.plan.format().write(task, _chain(first, frames), data, scratch)
+            record, left_out = written.record, written.left_out
+            # What a format does not look at is in the dataset all the same.
+            for _ in frames:
+                pass
+            files = [
+                [n, (data / n).stat().st_size, written.digests.get(n) or sha256(data / n)]
+                for n in written.files
+            ]
+        write_json(
+            _record_path(self.partial, task),
+            {
+                "key": self.plan.task_key(task),
+                "files": files,
+                "record": record,
+                "left_out": left_out,
+                "index": lines,
+                "faults": [asdict(fault) for fault in faults],
+                "tally": asdict(tally),
+                "statistics": statistics.state(),
+            },
+        )
+        return faults
+
+    def _frames(
+        self,
+        task: Task,
+        lines: list[list[str]],
+        faults: list[FrameFault],
+        tally: Tally,
+        statistics: Statistics,
+    ) -> Iterator[LoadedFrame]:
+        choice = self.plan.choice
+        # Digests and statistics take in all other passes, whatever the format looks at.
+        unused = [n for n in find_format(self.plan.format_name).unused if n == "rgb"]
+        for ref in task.frames:
+            try:
+                frame = self.plan.source.load(ref, self.plan.needed(), unused)
+                line = _index_line(frame, task.split)
+                seen = len(frame.ignored)
+                choice.remap.apply(frame)
+                rejected = choice.filters.apply(frame)
+            except FrameError as error:
+                if choice.faults == "stop":
+                    raise
+                faults.append(FrameFault(ref.name, kind_of(error), str(error)))
+                continue
+            lines.append([*line, str(len(frame.ignored))])
+            tally.add(seen, int((~frame.ignored).sum()), rejected)
+            statistics.add(measure(frame))
+            yield frame
+
+
+def _chain(first: LoadedFrame, rest: Iterator[LoadedFrame]) -> Iterator[LoadedFrame]:
+    yield first
+    yield from rest
+
+
+def _index_line(frame: LoadedFrame, split: str) -> list[str]:
+    ref = frame.ref
+    return [
+        ref.name,
+        split,
+        ref.batch_name,
+        ref.camera,
+        str(ref.sample),
+        repr(frame.time_s),
+        frame.sidecar["stage_digest"],
+        frame.annotation_digest(),
+        frame.picture_digest,
+    ]
+
+
+@dataclass(frozen=True)
+class _Records:
+    """All tasks' records, read one after the other, as often as they are gone through."""
+
+    plan: Plan
+    partial: Path
+
+    def entries(self) -> Iterator[tuple[Task, dict[str, Any]]]:
+        for task in self.plan.tasks():
+            path = _record_path(self.partial, task)
+            entry = json.loads(path.read_text(encoding="utf-8"))
+            if entry["key"] != self.plan.task_key(task):
+                raise OutputError(f"{path}: was changed by another process; export again")
+            yield task, entry
+
+    def __iter__(self) -> Iterator[Done]:
+        for task, entry in self.entries():
+            yield Done(task, entry["record"])
+
+
+def _finish(plan: Plan, partial: Path, report: ExportReport) -> None:
+    """What is common to all tasks; then the folder gets its name."""
+    data, scratch = partial / _DATA, partial / _SCRATCH
+    records = _Records(plan, partial)
+    statistics = Statistics()
+    annotation, pictures = hashlib.sha256(), hashlib.sha256()
+    report.splits = dict.fromkeys(plan.info.splits, 0)
+    sums: dict[str, str] = {}
+    last = {ref.batch_name: task.number for task in plan.tasks() for ref in task.frames}
+    with (data / INDEX).open("w", encoding="utf-8", newline="") as index_file:
+        index = csv.writer(index_file, lineterminator="\n")
+        index.writerow(INDEX_COLUMNS)
+        for task, entry in records.entries():
+            index.writerows(entry["index"])
+            for line in entry["index"]:
+                annotation.update(f"{line[0]} {line[7]}\n".encode())
+                pictures.update(f"{line[0]} {line[8]}\n".encode())
+            _add_up(report, task, entry)
+            statistics.merge(entry["statistics"])
+            for batch in {ref.batch_name for ref in task.frames}:
+                if last[batch] == task.number:
+                    statistics.close(batch)
+            _note(plan, sums, {name: digest for name, _, digest in entry["files"]})
+    if not report.frames:
+        raise FrameError(
+            f"{plan.out}: not one of {len(report.faults)} frames can be read; the first: "
+            f"{report.faults[0].message}"
+        )
+    _note(plan, sums, {n: sha256(data / n) for n in plan.format().finish(records, data, scratch)})
+    report.digest = annotation.hexdigest()
+    digests = {"annotation": report.digest, "pictures": pictures.hexdigest()}
+    summary = _summary(plan, report, digests)
+    found = statistics.as_json()
+    write_json(data / STATISTICS, found)
+    write_json(data / EXPORT, summary)
+    write_card(data / CARD, summary, found, plan.format().usage(), plan.cfg())
+    ours = (INDEX, STATISTICS, EXPORT, CARD)
+    _note(plan, sums, {name: sha256(data / name) for name in ours})
+    with atomic(data / SUMS) as temporary:
+        lines = [f"{digest}  {name}\n" for name, digest in sorted(sums.items())]
+        temporary.write_text("".join(lines), encoding="utf-8")
+    _tidy(data, {*sums, SUMS})
+    plan.folder.parent.mkdir(parents=True, exist_ok=True)
+    if plan.folder.is_dir() and not any(plan.folder.iterdir()):
+        plan.folder.rmdir()
+    replace_folder(data, plan.folder)
+    shutil.rmtree(partial, ignore_errors=True)
+
+
+def _add_up(report: ExportReport, task: Task, entry: dict[str, Any]) -> None:
+    report.frames += len(entry["index"])
+    report.splits[task.split] += len(entry["index"])
+    report.tally.add(**entry["tally"])
+    for what, number in entry["left_out"].items():
+        report.left_out[what] = report.left_out.get(what, 0) + number
+    report.faults.extend(FrameFault(**fault) for fault in entry["faults"])
+
+
+def _summary(plan: Plan, report: ExportReport, digests: dict[str, str]) -> dict[str, Any]:
+    """What stands in ``export.json``."""
+    choice = plan.choice
+    return {
+        "export": EXPORT_VERSION,
+        "key": plan.whole_key(),
+        **plan.key(),
+        "source": plan.origin(),
+        "backend": plan.source.backend,
+        "asked": {
+            "batches": None if choice.batches is None else sorted(choice.batches),
+            "cameras": None if choice.cameras is None else list(choice.cameras),
+            "samples": None if choice.samples is None else sorted(choice.samples),
+            "splits": {
+                name: f"{value.start}:{value.stop}" if isinstance(value, range) else value
+                for name, value in choice.splits.items()
+            },
+            "split_seed": choice.split_seed,
+            "faults": choice.faults,
+        },
+        "frames": report.frames,
+        "splits": report.splits,
+        "batches": {str(batch): split for batch, split in plan.split_of.items()},
+        "instances": asdict(report.tally),
+        "left_out": report.left_out,
+        "faults": [asdict(fault) for fault in report.faults[:_LISTED_FAULTS]],
+        "fault_count": len(report.faults),
+        "digest": digests,
+    }
+
+
+def _note(plan: Plan, sums: dict[str, str], files: dict[str, str]) -> None:
+    """Add files to the sums.
+
+    Raises:
+        OutputError: One is there already: the format does not keep its tasks apart.
+    """
+    for name in files:
+        if name in sums or name == SUMS:
+            raise OutputError(f"format {plan.format_name} wrote {name} twice")
+    sums.update(files)
+
+
+def _tidy(data: Path, known: set[str]) -> None:
+    """Delete what is no part of the dataset: of an earlier export that was cut short."""
+    for path in tree(data):
+        if path.as_posix() not in known:
+            (data / path).unlink()
+    for folder in sorted(data.rglob("*"), reverse=True):
+        if folder.is_dir() and not any(folder.iterdir()):
+            folder.rmdir()

@@ -1,0 +1,1 @@
+"""Dataset formats, one module each; ``contract`` says what a format is."""

@@ -1,0 +1,291 @@
+"""What COCO's instance and panoptic formats share: pictures, categories, JSON in streams."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from scenec.datasets.formats.contract import Done, Info, Option
+from scenec.datasets.source import LoadedFrame
+from scenec.schemas import rle
+from scenec.schemas.errors import OutputError
+from scenec.schemas.files import atomic
+
+#: Name of the only category where there are no labels at all.
+NO_LEVEL = "instance"
+
+OPTIONS: dict[str, Option] = {
+    "images": Option(
+        "link",
+        "pictures: hard links where the file system allows, else copies; always copies; or none",
+        ("link", "copy", "none"),
+    ),
+    "categories": Option(
+        "seen", "only labels that occur, or all labels of the level", ("seen", "all")
+    ),
+}
+
+
+def dumps(value: Any) -> str:
+    """JSON in one line; refuses what JSON has not (NaN, infinity)."""
+    return json.dumps(value, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
+
+
+def place_picture(frame: LoadedFrame, path: Path, how: str) -> bool:
+    """Put the frame's picture into a dataset.
+
+    Args:
+        frame: The frame.
+        path: Where.
+        how: As the option ``images`` has it.
+
+    Returns:
+        Whether there is one now.
+
+    Raises:
+        OutputError: It cannot be read or written.
+    """
+    source = frame.png
+    if source is None or how == "none":
+        return False
+    if not source.is_file():
+        raise OutputError(f"{source}: missing, though its sidecar is there; render it again")
+    with atomic(path) as temporary:
+        if how == "link":
+            try:
+                os.link(source, temporary)
+                return True
+            except OSError:
+                # Another file system, one without links, or as many as it allows.
+                temporary.unlink(missing_ok=True)
+        shutil.copyfile(source, temporary)
+    return True
+
+
+def image_entry(frame: LoadedFrame, number: int, file_name: str) -> dict[str, Any]:
+    """A frame's line of ``images``: what COCO has, then what else is known of it."""
+    return {
+        "id": number,
+        "file_name": file_name,
+        "width": frame.width,
+        "height": frame.height,
+        "batch": frame.ref.batch,
+        "camera": frame.ref.camera,
+        "sample": frame.ref.sample,
+        "time_s": frame.time_s,
+        "intrinsics": frame.intrinsics.tolist(),
+        "camera_to_world": frame.camera_to_world.tolist(),
+    }
+
+
+def instance_categories(frame: LoadedFrame, level: str) -> NDArray[np.int64]:
+    """Label id of each line of a frame's table, 0 where it has none, int64 [n].
+
+    It is the label that all faces of the instance share; where they differ, the one that most of
+    its labeled pixels have, and of several such the one with the lowest id. Without any label
+    level all are of category 1.
+    """
+    ids = frame.table["id"]
+    if not level:
+        return np.ones(len(ids), np.int64)
+    numbers = {name: number for number, name in frame.labels[level].items()}
+    texts = frame.table.get(f"label.{level}", np.full(len(ids), ""))
+    found = np.array([numbers.get(text, 0) for text in texts.tolist()], np.int64)
+    pixels = frame.passes.get(f"label.{level}")
+    open_ = np.flatnonzero(found == 0)
+    if len(open_) and pixels is not None:
+        found[open_] = _majority(
+            frame.passes["instance"],
+            pixels,
+            ids[open_].astype(np.uint32),
+            np.array(sorted(frame.labels[level]), np.uint32),
+        )
+    return found
+
+
+def _majority(
+    instance: NDArray[np.unsignedinteger],
+    labels: NDArray[np.unsignedinteger],
+    ids: NDArray[np.uint32],
+    known: NDArray[np.uint32],
+) -> NDArray[np.int64]:
+    """The label that most labeled pixels of each id have; 0 where none is labeled."""
+    if not len(known):
+        return np.zeros(len(ids), np.int64)
+    slots = rle.slots(instance, ids)
+    own = slots >= 0
+    slot, label = slots[own].astype(np.int64), labels[own]
+    at = np.minimum(np.searchsorted(known, label), len(known) - 1)
+    labeled = known[at] == label
+    size = len(ids) * len(known)
+    pairs = np.bincount(slot[labeled] * len(known) + at[labeled], minlength=size)
+    counts = pairs.reshape(len(ids), len(known))
+    best = counts.argmax(axis=1)
+    return np.where(counts[np.arange(len(ids)), best] > 0, known[best], 0).astype(np.int64)
+
+
+@dataclass
+class Seen:
+    """Which categories occur, and what they are called on other levels.
+
+    Attributes:
+        things: Those that instances have.
+        stuff: Those that other pixels have.
+        names: Level -> category -> names of the label that the same things have there, "" for
+            none.
+    """
+
+    things: set[int] = field(default_factory=set)
+    stuff: set[int] = field(default_factory=set)
+    names: dict[str, dict[int, set[str]]] = field(default_factory=dict)
+
+    def name(self, level: str, category: int, name: str) -> None:
+        """Something of this category has this name there."""
+        self.names.setdefault(level, {}).setdefault(category, set()).add(name)
+
+    def record(self) -> dict[str, Any]:
+        """JSON values that ``merge`` takes."""
+        return {
+            "things": sorted(self.things),
+            "stuff": sorted(self.stuff),
+            "names": {
+                level: [[category, sorted(names)] for category, names in sorted(table.items())]
+                for level, table in self.names.items()
+            },
+        }
+
+    def merge(self, record: Mapping[str, Any]) -> None:
+        """Add what ``record`` returned."""
+        self.things.update(record["things"])
+        self.stuff.update(record["stuff"])
+        for level, table in record["names"].items():
+            for category, names in table:
+                for name in names:
+                    self.name(level, category, name)
+
+    def categories(self, info: Info, which: str) -> list[dict[str, Any]]:
+        """``categories`` of COCO, in order of ids.
+
+        ``supercategory`` is the name on the next coarser level where each category has but one
+        there, else the level's own name. Coarser is a level with fewer labels.
+
+        Args:
+            info: The dataset.
+            which: As the option ``categories`` has it.
+        """
+        if not info.level:
+            return [{"id": 1, "name": NO_LEVEL, "supercategory": NO_LEVEL}]
+        labels = info.labels[info.level]
+        upper = self._supercategories(info)
+        shown = labels if which == "all" else self.things | self.stuff
+        return [
+            {
+                "id": number,
+                "name": labels[number],
+                "supercategory": upper.get(number, info.level),
+            }
+            for number in sorted(shown)
+        ]
+
+    def _supercategories(self, info: Info) -> dict[int, str]:
+        own = len(info.labels[info.level])
+        sizes = {level: len(names) for level, names in info.labels.items() if len(names) < own}
+        for level in sorted(sizes, key=lambda name: -sizes[name]):
+            found = {
+                category: next(iter(names))
+                for category, names in self.names.get(level, {}).items()
+                if len(names) == 1 and "" not in names
+            }
+            if found and set(found) == self.things | self.stuff:
+                return found
+        return {}
+
+
+def gathered(done: Iterable[Done], splits: Sequence[str]) -> tuple[Seen, dict[str, list[int]]]:
+    """What all tasks saw, and the numbers of those that wrote something, by split."""
+    seen = Seen()
+    numbers: dict[str, list[int]] = {split: [] for split in splits}
+    for each in done:
+        if each.record is not None:
+            seen.merge(each.record["seen"])
+            numbers[each.task.split].append(each.task.number)
+    return seen, numbers
+
+
+def other_levels(frame: LoadedFrame, level: str) -> list[str]:
+    """The label levels of a frame but one."""
+    return [name for name in frame.labels if name != level]
+
+
+def label_pairs(
+    a: NDArray[np.unsignedinteger], b: NDArray[np.unsignedinteger]
+) -> list[tuple[int, int]]:
+    """All pairs of ids that two pictures [h, w] have in one pixel, each once, sorted."""
+    found = _pairs(
+        np.ascontiguousarray(a, np.uint32).ravel(), np.ascontiguousarray(b, np.uint32).ravel()
+    )
+    return sorted((int(pair) >> 32, int(pair) & 0xFFFFFFFF) for pair in found)
+
+
+@njit(cache=True, error_model="numpy")
+def _pairs(a, b):  # type: ignore[no-untyped-def]
+    found = set()
+    last = np.uint64(0)
+    for i in range(a.shape[0]):
+        pair = (np.uint64(a[i]) << np.uint64(32)) | np.uint64(b[i])
+        if i == 0 or pair != last:
+            found.add(pair)
+            last = pair
+    return list(found)
+
+
+def fragment(scratch: Path, number: int) -> Path:
+    """Where a task leaves its lines for ``finish``."""
+    return scratch / f"{number:08d}.lines"
+
+
+def write_fragment(scratch: Path, number: int, lines: Iterable[str]) -> None:
+    """Leave lines, none of which holds a line end (JSON never does)."""
+    with atomic(fragment(scratch, number)) as temporary:
+        temporary.write_text("".join(f"{line}\n" for line in lines), encoding="utf-8")
+
+
+def write_document(
+    path: Path,
+    info: Info,
+    categories: list[dict[str, Any]],
+    images: Iterator[str],
+    annotations: Iterator[str],
+) -> None:
+    """Write a COCO file from streams of JSON texts.
+
+    Raises:
+        OutputError: It cannot be written.
+    """
+    about = {"description": info.name, "version": version("scenec")}
+    with atomic(path) as temporary, temporary.open("w", encoding="utf-8") as file:
+        file.write(f'{{"info":{dumps(about)},\n"licenses":[],\n"categories":[')
+        _join(file, map(dumps, categories))
+        file.write('],\n"images":[')
+        _join(file, images)
+        file.write('],\n"annotations":[')
+        _join(file, annotations)
+        file.write("]}\n")
+
+
+def _join(file: Any, texts: Iterator[str]) -> None:
+    before = "\n"
+    for text in texts:
+        file.write(before)
+        file.write(text)
+        before = ",\n"

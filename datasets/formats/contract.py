@@ -1,0 +1,189 @@
+"""What a dataset format is: it writes tasks (a frame, a sequence, a shard), then what is common.
+
+Tasks run in any order, in several processes, and are not run again when an export goes on after it
+was cut short; so a task writes files of its own, and what it leaves for ``finish`` is a small
+record of JSON values and, if that is much, a file.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, ClassVar
+
+from scenec.datasets.source import FrameRef, LoadedFrame
+
+
+@dataclass(frozen=True)
+class Option:
+    """Something that can be set for a format.
+
+    Attributes:
+        default: As text.
+        help: One line.
+        choices: What it may be; empty for any text.
+    """
+
+    default: str
+    help: str
+    choices: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Task:
+    """What one call of ``Format.write`` makes.
+
+    Attributes:
+        number: From 0, in the order of the dataset.
+        split: Name of the split that all its frames are in.
+        frames: At least one.
+        place: What else the format wants to know of it (the number of its sequence ...): values
+            that JSON has.
+    """
+
+    number: int
+    split: str
+    frames: tuple[FrameRef, ...]
+    place: tuple[int | str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Info:
+    """The dataset as a whole.
+
+    Attributes:
+        name: As the cfg has it.
+        labels: Level -> id -> name, without 0, after remapping.
+        level: The level whose labels are categories.
+        passes: Of its frames.
+        splits: Names, in order.
+        options: As ``Format.options`` has them, those that were set in place of their defaults.
+        sky: Level -> id of the sky's label (0: none), after remapping.
+        filters: Conditions, as text.
+    """
+
+    name: str
+    labels: dict[str, dict[int, str]]
+    level: str
+    passes: tuple[str, ...]
+    splits: tuple[str, ...]
+    options: Mapping[str, str]
+    sky: Mapping[str, int] = field(default_factory=dict)
+    filters: tuple[str, ...] = ()
+
+
+@dataclass
+class Written:
+    """What a task left.
+
+    Attributes:
+        files: Paths of the dataset's files that it wrote, relative to the folder.
+        record: JSON values for ``finish``.
+        left_out: What the format could not hold: what it was -> how many. Summed over all tasks,
+            said, and written into ``export.json``.
+        digests: sha256 of those of ``files`` where it is known already, as that of a picture that
+            is copied is (``LoadedFrame.picture_digest``).
+    """
+
+    files: list[str] = field(default_factory=list)
+    record: dict[str, Any] = field(default_factory=dict)
+    left_out: dict[str, int] = field(default_factory=dict)
+    digests: dict[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Done:
+    """A finished task, as ``finish`` meets it.
+
+    Attributes:
+        task: The task.
+        record: ``Written.record``; None where none of its frames could be read.
+    """
+
+    task: Task
+    record: dict[str, Any] | None
+
+
+class Format(ABC):
+    """A dataset format.
+
+    Args:
+        info: The dataset as a whole.
+
+    Raises:
+        OutputError: An option makes no sense, or a package is missing.
+    """
+
+    #: On the command line.
+    name: ClassVar[str]
+    #: One line: what it is, and for whom.
+    summary: ClassVar[str]
+    #: Changes whenever the same frames would give other files.
+    version: ClassVar[int] = 1
+    #: Passes without which it cannot be written; ``label`` stands for any level.
+    needs: ClassVar[tuple[str, ...]] = ()
+    #: Passes that it does not look at. ``rgb`` is then not decoded, which is half of reading; the
+    #: others are, since digests and statistics take them in.
+    unused: ClassVar[tuple[str, ...]] = ()
+    options: ClassVar[Mapping[str, Option]] = {}
+
+    def __init__(self, info: Info) -> None:
+        self.info = info
+
+    def tasks(self, splits: Mapping[str, Sequence[FrameRef]]) -> Iterator[Task]:
+        """The tasks, numbered in order: one a frame, where a format does not say otherwise.
+
+        Args:
+            splits: The frames of each split, in order.
+        """
+        number = 0
+        for split, frames in splits.items():
+            for ref in frames:
+                yield Task(number, split, (ref,))
+                number += 1
+
+    @abstractmethod
+    def write(
+        self, task: Task, frames: Iterable[LoadedFrame], folder: Path, scratch: Path
+    ) -> Written:
+        """Write one task's files.
+
+        Runs in a process of its own; the same task must give the same bytes.
+
+        Args:
+            task: The task.
+            frames: Its frames, filtered and remapped, one after the other, each read when it is its
+                turn; those that cannot be read are left out, so there may be fewer than in the
+                task, never none.
+            folder: Of the dataset; files appear in it by atomic rename.
+            scratch: Folder for what ``finish`` needs and the dataset does not; a task names its
+                files there by its number.
+        """
+
+    def finish(self, done: Iterable[Done], folder: Path, scratch: Path) -> list[str]:
+        """Write what is common to all tasks.
+
+        Args:
+            done: All tasks in order, each read from disk when it is its turn; may be gone through
+                more than once.
+            folder: Of the dataset.
+            scratch: As for ``write``; deleted afterwards.
+
+        Returns:
+            Paths of the files written, relative to the folder.
+        """
+        return []
+
+    def usage(self) -> str:
+        """A paragraph of Markdown for the dataset's card: the layout, and how to load it.
+
+        It may begin with a block between two lines ``---``: YAML for the card's front matter, such
+        as the ``configs`` that the Hugging Face hub's loader looks for.
+        """
+        return ""
+
+    def option(self, name: str) -> str:
+        """The value of an option."""
+        return self.info.options.get(name, self.options[name].default)

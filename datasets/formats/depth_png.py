@@ -1,0 +1,79 @@
+"""Depth as PNG of 16 bits: a whole number of steps, 0 where there is no depth."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenec.schemas.errors import OutputError
+from scenec.schemas.files import atomic
+
+#: The most steps that 16 bits hold.
+LARGEST = 65535
+
+
+@dataclass(frozen=True)
+class Depth16:
+    """A depth picture in whole steps.
+
+    Attributes:
+        steps: uint16 [h, w]; 0 where nothing is hit, or the depth cannot be said.
+        hits: Pixels that hit something.
+        beyond: Of these, those farther than ``LARGEST`` steps; they are 0.
+        under: Of these, those nearer than half a step; they are 0.
+    """
+
+    steps: NDArray[np.uint16]
+    hits: int
+    beyond: int
+    under: int
+
+    def counts(self) -> dict[str, int]:
+        """What a task records."""
+        return {"hits": self.hits, "beyond": self.beyond, "under": self.under}
+
+
+def to_16_bits(depth: NDArray[np.floating], steps_per_m: float) -> Depth16:
+    """Depth in whole steps, to the nearest: within half a step of what it was.
+
+    Args:
+        depth: Meters, [h, w]; not finite where nothing is hit.
+        steps_per_m: Steps per meter.
+    """
+    hit = np.isfinite(depth)
+    steps = np.rint(np.where(hit, depth, 0.0).astype(np.float64) * steps_per_m)
+    beyond, under = hit & (steps > LARGEST), hit & (steps <= 0.0)
+    kept = np.where(beyond, 0.0, np.maximum(steps, 0.0)).astype(np.uint16)
+    return Depth16(kept, int(hit.sum()), int(beyond.sum()), int(under.sum()))
+
+
+def write_png(path: Path, pixels: NDArray[Any]) -> None:
+    """Write uint16 or uint8 [h, w] as PNG, by atomic rename.
+
+    Raises:
+        OutputError: The file cannot be written.
+    """
+    from PIL import Image
+
+    with atomic(path) as temporary:
+        Image.fromarray(np.ascontiguousarray(pixels)).save(temporary, format="PNG")
+
+
+def positive(text: str, what: str) -> float:
+    """An option that must be a number above 0.
+
+    Raises:
+        OutputError: It is none; ``what`` says which.
+    """
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not (math.isfinite(value) and value > 0.0):
+        raise OutputError(f"{what}: expected a number above 0, not {text!r}")
+    return value

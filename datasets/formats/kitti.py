@@ -1,0 +1,279 @@
+"""KITTI odometry: numbered sequences of one camera, or of a rectified stereo pair.
+
+::
+
+    sequences.csv                     what each sequence is, and its first pose in the world
+    sequences/00/image_2/000000.png   color, the (left) camera; image_3 the right one
+    sequences/00/image_0/000000.png   the same in shades of gray, and image_1 (option ``pictures``)
+    sequences/00/depth_2/000000.png   16 bits, 256 steps a meter (option ``depth``); depth_3
+    sequences/00/calib.txt            P0 ... P3, Tr
+    sequences/00/times.txt            seconds
+    poses/00.txt                      3x4 a line: left camera in the frame of its first pose
+
+As the development kits of the benchmark describe it (A. Geiger and others, Are we ready for
+autonomous driving?, CVPR 2012); depth as in the kit of the depth benchmark (J. Uhrig and others,
+Sparsity invariant CNNs, 3DV 2017).
+
+Two cameras of a rig are a pair where they have the same resolution and intrinsics, look the same
+way, and lie apart along x alone. Cameras in no pair are sequences of their own.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenec.datasets.formats import trajectory
+from scenec.datasets.formats.contract import Done, Format, Info, Option, Task, Written
+from scenec.datasets.formats.depth_png import LARGEST, to_16_bits, write_png
+from scenec.datasets.formats.poses import (
+    RIGID,
+    number,
+    numbers,
+    opencv_intrinsics,
+    relative,
+)
+from scenec.datasets.source import FrameRef, LoadedFrame
+from scenec.schemas.errors import OutputError
+from scenec.schemas.files import atomic
+
+#: Of the depth benchmark.
+DEPTH_SCALE = 256.0
+_MICRO = 1_000_000
+#: A laser scanner's axes (x forward, y left, z up) in those of a camera: there is none here.
+_TR = np.array([[0.0, -1.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0], [1.0, 0.0, 0.0, 0.0]])
+_COLUMNS = (
+    "sequence", "split", "batch", "left", "right", "frames", "width", "height", "baseline_m",
+    "first_sample", "depth_hits", "depth_beyond", "depth_under", "first_camera_to_world",
+)  # fmt: skip
+
+
+class Kitti(Format):
+    """See the module."""
+
+    name = "kitti"
+    summary = "KITTI odometry: color (stereo where a rig has a pair), calibration, poses"
+    needs = ("rgb",)
+    # Pictures are taken from the PNG.
+    unused = ("rgb",)
+    options: ClassVar = {
+        "pictures": Option(
+            "color",
+            "image_2 and image_3 in color, image_0 and image_1 in gray, or both",
+            ("color", "gray", "both"),
+        ),
+        "depth": Option(
+            "no", "depth_2 and depth_3 as 16-bit PNG, 256 steps a meter", ("no", "yes")
+        ),
+        **trajectory.time_options("0"),
+    }
+
+    def __init__(self, info: Info) -> None:
+        super().__init__(info)
+        self._depth = self.option("depth") == "yes"
+        if self._depth and "depth" not in info.passes:
+            raise OutputError(
+                "format kitti, option depth=yes: the frames have no pass depth; render with "
+                f"--passes {','.join([*info.passes, 'depth'])}"
+            )
+        trajectory.start_ticks(self, _MICRO)
+
+    def tasks(self, splits: Mapping[str, Sequence[FrameRef]]) -> Iterator[Task]:
+        """One a sample: a frame, or the two of a pair, left first."""
+        number_of_task, sequence = 0, 0
+        for split, frames in splits.items():
+            for _batch, _rig, cameras in trajectory.rigs(frames):
+                for names in pair_up(cameras):
+                    members = [{ref.sample: ref for ref in cameras[name]} for name in names]
+                    common = sorted(set.intersection(*map(set, members)))
+                    for index, sample in enumerate(common):
+                        refs = tuple(member[sample] for member in members)
+                        yield Task(number_of_task, split, refs, (sequence, index))
+                        number_of_task += 1
+                    sequence += bool(common)
+
+    def write(
+        self, task: Task, frames: Iterable[LoadedFrame], folder: Path, scratch: Path
+    ) -> Written:
+        """Write the pictures of a sample; nothing where one of a pair cannot be read."""
+        sequence, index = map(int, task.place)
+        written = Written()
+        poses: list[list[list[float]]] = []
+        counts = np.zeros(3, np.int64)
+        for frame in frames:
+            side = next(i for i, ref in enumerate(task.frames) if ref.index == frame.ref.index)
+            if side != len(poses):
+                break
+            names = {
+                f"image_{side}": self.option("pictures") != "color",
+                f"image_{side + 2}": self.option("pictures") != "gray",
+            }
+            for name, wanted in names.items():
+                if wanted:
+                    path = f"sequences/{sequence:02d}/{name}/{index:06d}.png"
+                    trajectory.copy_picture(frame, folder / path, gray=name == f"image_{side}")
+                    written.files.append(path)
+            if self._depth:
+                depth = to_16_bits(frame.passes["depth"], DEPTH_SCALE)
+                path = f"sequences/{sequence:02d}/depth_{side + 2}/{index:06d}.png"
+                write_png(folder / path, depth.steps)
+                written.files.append(path)
+                counts += depth.hits, depth.beyond, depth.under
+            if side == 0:
+                micros = trajectory.stamp(self, frame, _MICRO)
+                written.record = {
+                    "stamp": micros,
+                    "time": f"{micros // _MICRO}.{micros % _MICRO:06d}",
+                    "size": [frame.width, frame.height],
+                    "intrinsics": opencv_intrinsics(frame).tolist(),
+                }
+            poses.append(frame.camera_to_world.tolist())
+        if len(poses) != len(task.frames):
+            for name in written.files:
+                (folder / name).unlink()
+            return Written()
+        written.record["poses"] = poses
+        written.record["depth"] = counts.tolist()
+        return written
+
+    def finish(self, done: Iterable[Done], folder: Path, scratch: Path) -> list[str]:
+        """Write calibration, times and poses of each sequence."""
+        written = [trajectory.SEQUENCES]
+        table: list[list[object]] = []
+        for place, group in itertools.groupby(done, lambda d: int(d.task.place[0])):
+            # A record without a stamp is half a pair: nothing was written.
+            records = ((d.task, d.record) for d in group if d.record)
+            line = self._sequence(place, records, folder)
+            if line is not None:
+                table.append(line)
+                name = f"{place:02d}"
+                written += [f"sequences/{name}/calib.txt", f"sequences/{name}/times.txt",
+                            f"poses/{name}.txt"]  # fmt: skip
+        trajectory.write_table(folder / trajectory.SEQUENCES, _COLUMNS, table)
+        return written
+
+    def _sequence(
+        self, place: int, records: Iterator[tuple[Task, dict[str, Any]]], folder: Path
+    ) -> list[object] | None:
+        head = next(records, None)
+        if head is None:
+            return None
+        task, first = head
+        start = np.array(first["poses"][0])
+        offset = relative(start, np.array(first["poses"][-1]))
+        name = f"{place:02d}"
+        counts = np.zeros(4, np.int64)
+        with ExitStack() as stack:
+            times, poses = (
+                stack.enter_context(stack.enter_context(atomic(path)).open("w", encoding="utf-8"))
+                for path in (
+                    folder / "sequences" / name / "times.txt",
+                    folder / "poses" / f"{name}.txt",
+                )
+            )
+            before = None
+            for this, record in itertools.chain([head], records):
+                now = record["stamp"], this.frames[0].name
+                trajectory.check_rising(self, before, now)
+                before = now
+                self._check_same(now[1], first, record, offset)
+                times.write(f"{record['time']}\n")
+                poses.write(f"{numbers(relative(start, np.array(record['poses'][0]))[:3])}\n")
+                counts += 1, *record["depth"]
+        baseline = float(offset[0, 3])
+        with atomic(folder / "sequences" / name / "calib.txt") as temporary:
+            temporary.write_text(_calibration(np.array(first["intrinsics"]), baseline))
+        cameras = [ref.camera for ref in task.frames]
+        frames, *lost = counts.tolist()
+        return [name, task.split, task.frames[0].batch_name, cameras[0],
+                cameras[1] if len(cameras) > 1 else "", frames, *first["size"], number(baseline),
+                task.frames[0].sample, *lost, numbers(start[:3])]  # fmt: skip
+
+    @staticmethod
+    def _check_same(
+        name: str, first: dict[str, Any], record: dict[str, Any], offset: NDArray[np.float64]
+    ) -> None:
+        same = record["size"] == first["size"] and record["intrinsics"] == first["intrinsics"]
+        now = relative(np.array(record["poses"][0]), np.array(record["poses"][-1]))
+        if not same or np.abs(now - offset).max() > RIGID:
+            raise OutputError(
+                f"{name}: its resolution, intrinsics or the place of the second camera are not "
+                "those of the frames before, and format kitti has one of each a sequence"
+            )
+
+    def usage(self) -> str:
+        """The layout, the conventions."""
+        depth = (
+            "`depth_2` (and `depth_3`) hold meters * 256, to the nearest (off by at most 1.95 mm), "
+            f"0 where nothing was hit or farther than {LARGEST / DEPTH_SCALE:.6g} m "
+            "(`depth_beyond` in `sequences.csv` counts these pixels). "
+            if self._depth
+            else ""
+        )
+        return (
+            "KITTI odometry: `sequences/NN/` with `image_2` (and `image_3` where a rig has a "
+            "rectified pair), `calib.txt`, `times.txt`, and `poses/NN.txt`: the left camera "
+            "(x right, y down, z forward) in the frame of its first pose, meters; "
+            "`sequences.csv` says which batch and cameras a sequence is of, its split, and where "
+            "its first pose lies in the world. Cameras 0 and 2 are one, as are 1 and 3; without a "
+            "pair P1 and P3 repeat P0. There is no laser scanner: `Tr` only turns axes (x forward, "
+            f"y left, z up) into the camera's. {depth}Where frames were left out, numbers of "
+            "pictures have gaps, and line i of times and poses belongs to picture i in order of "
+            "names. Load with `pykitti.odometry(FOLDER, '00')`."
+        )
+
+
+def pair_up(cameras: Mapping[str, Sequence[FrameRef]]) -> list[tuple[str, ...]]:
+    """Cameras of a rig as rectified pairs (left, right), and those without a partner.
+
+    Args:
+        cameras: Name -> frames.
+    """
+    left_over = list(cameras)
+    found: list[tuple[str, ...]] = []
+    while left_over:
+        name = left_over.pop(0)
+        for other in left_over:
+            baseline = _baseline(cameras[name], cameras[other])
+            if baseline:
+                left_over.remove(other)
+                found.append((name, other) if baseline > 0.0 else (other, name))
+                break
+        else:
+            found.append((name,))
+    return found
+
+
+def _baseline(a: Sequence[FrameRef], b: Sequence[FrameRef]) -> float:
+    """How far b lies to the right of a, meters; 0 where they are no rectified pair."""
+    others = {ref.sample: ref for ref in b}
+    for ref in a:
+        if ref.sample not in others:
+            continue
+        one, two = trajectory.sidecar_of(ref), trajectory.sidecar_of(others[ref.sample])
+        if one is None or two is None:
+            continue
+        if one["resolution"] != two["resolution"] or one["intrinsics"] != two["intrinsics"]:
+            return 0.0
+        offset = relative(np.array(one["camera_to_world"]), np.array(two["camera_to_world"]))
+        aligned = np.eye(4)
+        aligned[0, 3] = offset[0, 3]
+        if np.abs(offset - aligned).max() > RIGID or abs(offset[0, 3]) <= RIGID:
+            return 0.0
+        return float(offset[0, 3])
+    return 0.0
+
+
+def _calibration(k: NDArray[np.float64], baseline: float) -> str:
+    left, right = np.zeros((3, 4)), np.zeros((3, 4))
+    left[:, :3] = right[:, :3] = k
+    # A point of the left camera's frame lies this much to the left in the right one's.
+    right[0, 3] = -k[0, 0] * baseline
+    rows = {"P0": left, "P1": right, "P2": left, "P3": right, "Tr": _TR}
+    return "".join(f"{name}: {numbers(matrix)}\n" for name, matrix in rows.items())

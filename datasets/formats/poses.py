@@ -1,0 +1,124 @@
+"""Poses, intrinsics and numbers as text, for formats that hold camera trajectories.
+
+The world has its center of pixel (column 0, row 0) at (0.5, 0.5) (``schemas.frames``); OpenCV, and
+with it TUM, KITTI, EuRoC, BOP and ROS, have it at (0, 0). ``opencv_intrinsics`` is the one place
+where the half pixel is taken off.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenec.datasets.source import LoadedFrame
+from scenec.schemas.errors import OutputError
+
+#: Relative poses of cameras on one rig may differ by this much from frame to frame (meters, and
+#: entries of the rotation): they are composed in float64, kilometers from the origin.
+RIGID = 1e-6
+
+
+def quaternion(rotation: NDArray[np.floating]) -> NDArray[np.float64]:
+    """The unit quaternion (x, y, z, w; w >= 0) of a rotation matrix, float64 [4].
+
+    Divides by the largest of the four components, which is at least 1/2, and so is as exact for
+    half turns as elsewhere (S. W. Shepperd, Quaternion from rotation matrix, 1978).
+
+    Args:
+        rotation: [3, 3].
+    """
+    r = np.asarray(rotation, np.float64)
+    squares = np.array(
+        [
+            1.0 + r[0, 0] - r[1, 1] - r[2, 2],
+            1.0 - r[0, 0] + r[1, 1] - r[2, 2],
+            1.0 - r[0, 0] - r[1, 1] + r[2, 2],
+            1.0 + r[0, 0] + r[1, 1] + r[2, 2],
+        ]
+    )
+    largest = int(np.argmax(squares))
+    i, j, k = ((0, 1, 2), (1, 2, 0), (2, 0, 1), (0, 1, 2))[largest]
+    q = np.empty(4)
+    if largest == 3:
+        q[:] = r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1], squares[3]
+    else:
+        q[i], q[j], q[k] = squares[largest], r[j, i] + r[i, j], r[k, i] + r[i, k]
+        q[3] = r[k, j] - r[j, k]
+    q /= np.sqrt((q * q).sum())
+    return (-q if q[3] < 0.0 else q) + 0.0
+
+
+def rotation_matrix(xyzw: NDArray[np.floating]) -> NDArray[np.float64]:
+    """The rotation matrix of a quaternion (x, y, z, w) of any length but 0, float64 [3, 3]."""
+    q = np.asarray(xyzw, np.float64)
+    x, y, z, w = q / np.sqrt((q * q).sum())
+    return np.array(
+        [
+            [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)],
+            [2.0 * (x * y + z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - x * w)],
+            [2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x * x + y * y)],
+        ]
+    )
+
+
+def inverse(pose: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The inverse of a rigid pose [4, 4]."""
+    out = np.eye(4)
+    out[:3, :3] = pose[:3, :3].T
+    out[:3, 3] = -product(pose[:3, :3].T, pose[:3, 3:])[:, 0]
+    return out + 0.0
+
+
+def product(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The matrix product, summed in one order on every machine (no BLAS)."""
+    total: NDArray[np.float64] = (a[:, :, None] * b[None, :, :]).sum(axis=1)
+    return total
+
+
+def relative(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Pose [4, 4] of ``second`` in the frame of ``first``."""
+    if np.array_equal(first, second):
+        return np.eye(4)
+    return product(inverse(first), second)
+
+
+def opencv_intrinsics(frame: LoadedFrame) -> NDArray[np.float64]:
+    """K [3, 3] for pixels whose centers have whole numbers: (cx, cy) are ours less 1/2."""
+    return opencv(frame.intrinsics)
+
+
+def opencv(intrinsics: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The same of K itself."""
+    k = np.array(intrinsics, np.float64)
+    k[:2, 2] -= 0.5
+    return k
+
+
+def pinhole(frame: LoadedFrame) -> tuple[float, float, float, float]:
+    """fx, fy, cx, cy as ``opencv_intrinsics`` has them.
+
+    Raises:
+        OutputError: The camera has skew, which the formats that take four numbers cannot say.
+    """
+    k = opencv_intrinsics(frame)
+    if k[0, 1] != 0.0:
+        raise OutputError(
+            f"{frame.ref.name}: camera {frame.ref.camera} has skew {k[0, 1]:g}, which this format "
+            "cannot hold; leave it out with --cameras"
+        )
+    return float(k[0, 0]), float(k[1, 1]), float(k[0, 2]), float(k[1, 2])
+
+
+def numbers(values: NDArray[np.floating], separator: str = " ") -> str:
+    """Numbers as the shortest text that reads back the same, with a point: 1e-05 is 1.0e-05.
+
+    (YAML takes 1e-05 for text.)
+    """
+    return separator.join(number(value) for value in np.ravel(values).tolist())
+
+
+def number(value: float) -> str:
+    """One number; see ``numbers``."""
+    text = repr(float(value) + 0.0)
+    mantissa, e, exponent = text.partition("e")
+    return f"{mantissa}.0e{exponent}" if e and "." not in mantissa else text

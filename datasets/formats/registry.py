@@ -1,0 +1,56 @@
+"""Which formats there are: ours, and those of packages that offer one (``scenec.exporters``)."""
+
+from __future__ import annotations
+
+import importlib
+from importlib.metadata import entry_points
+
+from scenec.datasets.formats.contract import Format
+from scenec.schemas.errors import OutputError
+from scenec.schemas.spelling import nearest
+
+#: Entry points of other packages: name -> a ``Format``.
+GROUP = "scenec.exporters"
+
+_OURS = {
+    "bop": "scenec.datasets.formats.bop:Bop",
+    "cityscapes": "scenec.datasets.formats.cityscapes:Cityscapes",
+    "coco": "scenec.datasets.formats.coco:Coco",
+    "euroc": "scenec.datasets.formats.euroc:Euroc",
+    "hdf5": "scenec.datasets.formats.hdf5:Hdf5",
+    "kitti": "scenec.datasets.formats.kitti:Kitti",
+    "oaisys": "scenec.datasets.formats.oaisys:Oaisys",
+    "panoptic": "scenec.datasets.formats.panoptic:Panoptic",
+    "parquet": "scenec.datasets.formats.parquet:Parquet",
+    "rosbag2": "scenec.datasets.formats.rosbag2:Rosbag2",
+    "tum": "scenec.datasets.formats.tum:Tum",
+    "webdataset": "scenec.datasets.formats.webdataset:WebDataset",
+}
+
+
+def format_names() -> list[str]:
+    """All names, sorted."""
+    return sorted({*_OURS, *(entry.name for entry in entry_points(group=GROUP))})
+
+
+def find_format(name: str) -> type[Format]:
+    """A format by its name.
+
+    Raises:
+        OutputError: There is none; says the nearest name. Or another package's cannot be loaded.
+    """
+    if name in _OURS:
+        module, _, attribute = _OURS[name].partition(":")
+        found: type[Format] = getattr(importlib.import_module(module), attribute)
+        return found
+    for entry in entry_points(group=GROUP, name=name):
+        try:
+            loaded = entry.load()
+        except (ImportError, AttributeError) as error:
+            raise OutputError(
+                f"format {name!r}: {entry.value} cannot be loaded: {error}"
+            ) from error
+        if isinstance(loaded, type) and issubclass(loaded, Format):
+            return loaded
+        raise OutputError(f"format {name!r}: {entry.value} is no scenec.datasets format")
+    raise OutputError(f"no format {name!r}{nearest(name, format_names())}")

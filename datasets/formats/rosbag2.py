@@ -1,0 +1,343 @@
+"""ROS 2 bags (MCAP): one a batch, all its cameras in it.
+
+::
+
+    bags.csv                                   what each bag is
+    <split>/<batch>/metadata.yaml, <batch>.mcap
+
+======================================  ===========================  ===============================
+topic                                   type                         what
+======================================  ===========================  ===============================
+``/<camera>/image_raw``                 ``sensor_msgs/Image``        ``rgb8``
+``/<camera>/camera_info``               ``sensor_msgs/CameraInfo``   K, P, no distortion, R = 1
+``/<camera>/depth/image_raw``           ``sensor_msgs/Image``        ``32FC1``, meters, +inf: no hit
+``/<camera>/label/<level>/image_raw``   ``sensor_msgs/Image``        ``16UC1``; ``32SC1`` if too few
+``/<camera>/instance/image_raw``        ``sensor_msgs/Image``        ``32SC1``, 0: none
+``/<camera>/pose``                      ``geometry_msgs/PoseStamped``  of the camera in the world
+``/tf``                                 ``tf2_msgs/TFMessage``       world to ``<camera>_optical``
+``/tf_static``                          ``tf2_msgs/TFMessage``       to ``<camera>_link``
+======================================  ===========================  ===============================
+
+``<camera>_optical`` has x right, y down, z forward; ``<camera>_link`` x forward, y left, z up
+(REP 103). Depth without a hit is +inf (REP 118). Label names stand in the bag's custom data, as
+JSON under ``labels``. Time 0 means "the latest" to tf, hence the option ``start_s``.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import itertools
+import json
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenec.datasets.formats import trajectory
+from scenec.datasets.formats.contract import Done, Format, Info, Option, Task, Written
+from scenec.datasets.formats.poses import opencv_intrinsics, quaternion
+from scenec.datasets.source import FrameRef, LoadedFrame
+from scenec.schemas.errors import FrameError, OutputError
+from scenec.schemas.files import replace_folder, temporary_folder
+
+_NANO = 1_000_000_000
+#: builtin_interfaces/Time counts seconds in 32 bits with sign.
+_LAST = 2**31 * _NANO
+#: The oldest one whose messages these are; later ones read them alike.
+_METADATA_VERSION: Literal[8] = 8
+#: x forward, y left, z up in the axes of a camera (x right, y down, z forward).
+_LINK = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
+_COLUMNS = ("bag", "split", "batch", "cameras", "frames", "messages")
+
+
+class Rosbag2(Format):
+    """See the module."""
+
+    name = "rosbag2"
+    summary = "ROS 2 bags (MCAP): images, depth, labels, camera info, tf, poses; one a batch"
+    # Pictures are taken from the PNG.
+    unused = ("rgb",)
+    options: ClassVar = {
+        "compression": Option("zstd", "of the MCAP's chunks", ("zstd", "none")),
+        **trajectory.time_options("1000000000"),
+    }
+
+    def __init__(self, info: Info) -> None:
+        super().__init__(info)
+        if importlib.util.find_spec("rosbags") is None:
+            raise OutputError("format rosbag2 needs rosbags: pip install 'scenec[ros]'")
+        trajectory.start_ticks(self, _NANO)
+
+    def tasks(self, splits: Mapping[str, Sequence[FrameRef]]) -> Iterator[Task]:
+        """One a batch, its frames in order of samples."""
+        number = 0
+        for split, frames in splits.items():
+            for _, members in itertools.groupby(frames, lambda ref: ref.batch_name):
+                in_time = sorted(members, key=lambda ref: (ref.sample, ref.camera))
+                yield Task(number, split, tuple(in_time))
+                number += 1
+
+    def write(
+        self, task: Task, frames: Iterable[LoadedFrame], folder: Path, scratch: Path
+    ) -> Written:
+        """Write a batch's bag, frame by frame."""
+        name = task.frames[0].batch_name
+        place = f"{task.split}/{name}"
+        cameras = _ros_names(sorted({ref.camera for ref in task.frames}), "camera")
+        # In scratch: a bag that was cut short must not stay in the dataset.
+        with temporary_folder(scratch / f"{task.number:08d}") as temporary:
+            # Of the same name: the writer puts it into the bag.
+            bag = _Bag(self, temporary / name, cameras)
+            count = bag.write(frames)
+            (folder / place).parent.mkdir(parents=True, exist_ok=True)
+            replace_folder(temporary / name, folder / place)
+        return Written(
+            [f"{place}/metadata.yaml", f"{place}/{name}.mcap"],
+            {"cameras": " ".join(cameras.values()), "frames": count, "messages": bag.messages},
+        )
+
+    def finish(self, done: Iterable[Done], folder: Path, scratch: Path) -> list[str]:
+        """Write the list of bags."""
+        lines = [
+            (
+                f"{one.task.split}/{one.task.frames[0].batch_name}",
+                one.task.split,
+                one.task.frames[0].batch_name,
+                *(one.record[key] for key in _COLUMNS[3:]),
+            )
+            for one in done
+            if one.record is not None
+        ]
+        trajectory.write_table(folder / "bags.csv", _COLUMNS, lines)
+        return ["bags.csv"]
+
+    def usage(self) -> str:
+        """Topics and conventions."""
+        return (
+            "ROS 2 bags (MCAP), one a batch: `ros2 bag play <split>/<batch>`. Per camera: "
+            "`/<camera>/image_raw` (rgb8), `/<camera>/camera_info`, `/<camera>/depth/image_raw` "
+            "(32FC1, meters along the optical axis, +inf without a hit), "
+            "`/<camera>/label/<level>/image_raw` (16UC1, or 32SC1 where ids need it), "
+            "`/<camera>/instance/image_raw` (32SC1), `/<camera>/pose`; `/tf` has world to "
+            "`<camera>_optical` (x right, y down, z forward), `/tf_static` from there to "
+            "`<camera>_link` (x forward, y left, z up). The world is in meters, Z up. Time stamps "
+            f"begin at {self.option('start_s')} s, as tf takes 0 for no time at all. Names of "
+            "labels: `custom_data` in `metadata.yaml`."
+        )
+
+
+class _Bag:
+    """A bag while it is written."""
+
+    def __init__(self, form: Rosbag2, path: Path, cameras: Mapping[str, str]) -> None:
+        from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+        from rosbags.typesys import Stores, get_typestore
+
+        self.form = form
+        self.messages = 0
+        self._path = path
+        self._cameras = cameras
+        self._levels = _ros_names(sorted(form.info.labels), "label level")
+        self._store = get_typestore(Stores.ROS2_HUMBLE)
+        self._types = self._store.types
+        self._writer = Writer(path, version=_METADATA_VERSION, storage_plugin=StoragePlugin.MCAP)
+        if form.option("compression") == "zstd":
+            self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+        self._topics: dict[str, Any] = {}
+
+    def write(self, frames: Iterable[LoadedFrame]) -> int:
+        """Write all frames; returns their number.
+
+        Raises:
+            OutputError: Something does not fit into a message.
+        """
+        labels = {
+            level: {str(number): text for number, text in names.items()}
+            for level, names in self.form.info.labels.items()
+        }
+        self._writer.set_custom_data("labels", json.dumps(labels, sort_keys=True))
+        before: dict[str, tuple[int, str]] = {}
+        count = 0
+        with self._writer:
+            for frame in frames:
+                now = self._stamp(frame), frame.ref.name
+                trajectory.check_rising(self.form, before.get(frame.ref.camera), now)
+                if not before:
+                    self._static(now[0])
+                before[frame.ref.camera] = now
+                self._frame(frame, now[0])
+                count += 1
+        return count
+
+    def _stamp(self, frame: LoadedFrame) -> int:
+        stamp = trajectory.stamp(self.form, frame, _NANO)
+        if not 0 < stamp < _LAST:
+            raise OutputError(
+                f"{frame.ref.name}: its time stamp is {stamp / _NANO:g} s, and ROS knows those "
+                "above 0 and below 2147483648 s; set the option start_s"
+            )
+        return stamp
+
+    def _frame(self, frame: LoadedFrame, stamp: int) -> None:
+        camera = self._cameras[frame.ref.camera]
+        optical = f"{camera}_optical"
+        pose = frame.camera_to_world
+        self._put("/tf", self._tf([("world", optical, pose)], stamp), stamp)
+        self._put(f"/{camera}/camera_info", self._info(frame, optical, stamp), stamp)
+        images: list[tuple[str, str, NDArray[Any]]] = []
+        if frame.png is not None:
+            images.append(("image_raw", "rgb8", trajectory.color_pixels(frame)))
+        if "depth" in frame.passes:
+            depth = frame.passes["depth"].astype("<f4")
+            images.append(("depth/image_raw", "32FC1", depth))
+        for level, topic in self._levels.items():
+            ids = frame.passes.get(f"label.{level}")
+            if ids is not None:
+                largest = max(self.form.info.labels[level], default=0)
+                encoding = "16UC1" if largest < 2**16 else "32SC1"
+                images.append((f"label/{topic}/image_raw", encoding, _ids(frame, ids, encoding)))
+        if "instance" in frame.passes:
+            ids = _ids(frame, frame.passes["instance"], "32SC1")
+            images.append(("instance/image_raw", "32SC1", ids))
+        for topic, encoding, pixels in images:
+            self._put(f"/{camera}/{topic}", self._image(pixels, encoding, optical, stamp), stamp)
+        self._put(f"/{camera}/pose", self._pose(pose, stamp), stamp)
+
+    def _static(self, stamp: int) -> None:
+        turn = np.eye(4)
+        turn[:3, :3] = _LINK
+        links = [(f"{c}_optical", f"{c}_link", turn) for c in self._cameras.values()]
+        self._put("/tf_static", self._tf(links, stamp), stamp, latched=True)
+
+    def _put(self, topic: str, message: Any, stamp: int, latched: bool = False) -> None:
+        kind = message.__msgtype__
+        if topic not in self._topics:
+            self._topics[topic] = self._writer.add_connection(
+                topic, kind, typestore=self._store, offered_qos_profiles=[_qos(latched)]
+            )
+        data = self._store.serialize_cdr(message, kind)
+        self._writer.write(self._topics[topic], stamp, data)
+        self.messages += 1
+
+    def _header(self, frame_id: str, stamp: int) -> Any:
+        time = self._types["builtin_interfaces/msg/Time"](stamp // _NANO, stamp % _NANO)
+        return self._types["std_msgs/msg/Header"](time, frame_id)
+
+    def _image(self, pixels: NDArray[Any], encoding: str, frame_id: str, stamp: int) -> Any:
+        rows = np.ascontiguousarray(pixels)
+        return self._types["sensor_msgs/msg/Image"](
+            header=self._header(frame_id, stamp),
+            height=rows.shape[0],
+            width=rows.shape[1],
+            encoding=encoding,
+            is_bigendian=0,
+            step=rows.strides[0],
+            data=rows.view(np.uint8).reshape(-1),
+        )
+
+    def _info(self, frame: LoadedFrame, frame_id: str, stamp: int) -> Any:
+        k = opencv_intrinsics(frame)
+        p = np.zeros((3, 4))
+        p[:, :3] = k
+        region = self._types["sensor_msgs/msg/RegionOfInterest"](0, 0, 0, 0, False)
+        return self._types["sensor_msgs/msg/CameraInfo"](
+            header=self._header(frame_id, stamp),
+            height=frame.height,
+            width=frame.width,
+            distortion_model="plumb_bob",
+            d=np.zeros(5),
+            k=k.reshape(-1),
+            r=np.eye(3).reshape(-1),
+            p=p.reshape(-1),
+            binning_x=0,
+            binning_y=0,
+            roi=region,
+        )
+
+    def _pose(self, pose: NDArray[np.float64], stamp: int) -> Any:
+        place, turn = self._place(pose)
+        point = self._types["geometry_msgs/msg/Point"](*place)
+        value = self._types["geometry_msgs/msg/Pose"](point, turn)
+        header = self._header("world", stamp)
+        return self._types["geometry_msgs/msg/PoseStamped"](header, value)
+
+    def _tf(self, links: Sequence[tuple[str, str, NDArray[np.float64]]], stamp: int) -> Any:
+        found = []
+        for parent, child, pose in links:
+            place, turn = self._place(pose)
+            vector = self._types["geometry_msgs/msg/Vector3"](*place)
+            transform = self._types["geometry_msgs/msg/Transform"](vector, turn)
+            found.append(
+                self._types["geometry_msgs/msg/TransformStamped"](
+                    self._header(parent, stamp), child, transform
+                )
+            )
+        return self._types["tf2_msgs/msg/TFMessage"](found)
+
+    def _place(self, pose: NDArray[np.float64]) -> tuple[list[float], Any]:
+        turn = self._types["geometry_msgs/msg/Quaternion"](*quaternion(pose[:3, :3]).tolist())
+        return pose[:3, 3].tolist(), turn
+
+
+def _qos(latched: bool) -> Any:
+    """Reliable; ``/tf_static`` reaches those that come late, too."""
+    from rosbags.interfaces import (
+        Qos,
+        QosDurability,
+        QosHistory,
+        QosLiveliness,
+        QosReliability,
+        QosTime,
+    )
+
+    forever = QosTime(9223372036, 854775807)
+    return Qos(
+        QosHistory.KEEP_LAST,
+        1 if latched else 10,
+        QosReliability.RELIABLE,
+        QosDurability.TRANSIENT_LOCAL if latched else QosDurability.VOLATILE,
+        forever,
+        forever,
+        QosLiveliness.AUTOMATIC,
+        forever,
+        False,
+    )
+
+
+def _ids(frame: LoadedFrame, ids: NDArray[Any], encoding: str) -> NDArray[Any]:
+    """Ids in as many bits as an encoding has.
+
+    Raises:
+        FrameError: One needs more.
+    """
+    kind = "<u2" if encoding == "16UC1" else "<i4"
+    largest = int(ids.max(initial=0))
+    if largest > np.iinfo(kind).max:
+        raise FrameError(
+            f"{frame.ref.stem}.exr: has the id {largest}, and {encoding} holds at most "
+            f"{np.iinfo(kind).max}"
+        )
+    return ids.astype(kind)
+
+
+def _ros_names(names: Sequence[str], what: str) -> dict[str, str]:
+    """Names as a ROS topic may have them: letters, digits, single underscores, no digit first.
+
+    Raises:
+        OutputError: Two become one.
+    """
+    found: dict[str, str] = {}
+    for name in names:
+        text = re.sub(r"_+", "_", re.sub(r"[^A-Za-z0-9_]", "_", name)).strip("_") or what[0]
+        text = f"{what[0]}{text}" if text[0].isdigit() else text
+        for other, taken in found.items():
+            if taken == text:
+                raise OutputError(
+                    f"format rosbag2: {what} {name!r} and {other!r} would both be {text!r} as a "
+                    "ROS topic; export them apart with --cameras"
+                )
+        found[name] = text
+    return found

@@ -1,0 +1,221 @@
+"""What formats of camera trajectories share: time stamps, rigs, pictures, lists in text files."""
+
+from __future__ import annotations
+
+import csv
+import json
+import shutil
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from decimal import Decimal, InvalidOperation
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenec.datasets.formats.contract import Format, Option
+from scenec.datasets.source import FrameRef, LoadedFrame
+from scenec.schemas.errors import FrameError, OutputError
+from scenec.schemas.files import atomic
+from scenec.schemas.picture import write_png
+
+#: At the root of such datasets: what each sequence is.
+SEQUENCES = "sequences.csv"
+
+
+def time_options(start_s: str) -> dict[str, Option]:
+    """The options ``times`` and ``start_s``, the latter with a default."""
+    return {
+        "times": Option(
+            "stage",
+            "time stamps: the stage's times, or the numbers of the samples as seconds",
+            ("stage", "samples"),
+        ),
+        "start_s": Option(start_s, "seconds added to every time stamp"),
+    }
+
+
+def start_ticks(form: Format, ticks: int) -> int:
+    """The option ``start_s`` in ticks.
+
+    Raises:
+        OutputError: It is no number, or below 0.
+    """
+    text = form.option("start_s")
+    try:
+        value = Decimal(text)
+    except InvalidOperation:
+        value = Decimal("nan")
+    if not value.is_finite() or value < 0:
+        raise OutputError(f"format {form.name}, option start_s: expected seconds, not {text!r}")
+    return int((value * ticks).to_integral_value())
+
+
+def stamp(form: Format, frame: LoadedFrame, ticks: int) -> int:
+    """A frame's time stamp, to the nearest tick.
+
+    Args:
+        form: With ``time_options``.
+        frame: The frame.
+        ticks: Per second.
+
+    Raises:
+        OutputError: It is negative.
+    """
+    seconds = float(frame.ref.sample) if form.option("times") == "samples" else frame.time_s
+    value = _to_ticks(form, seconds, ticks)
+    if value < 0:
+        raise OutputError(
+            f"{frame.ref.name}: its time is {seconds:g} s, and format {form.name} knows no "
+            "negative ones; give the option start_s, or times=samples"
+        )
+    return value
+
+
+def check_after(form: Format, frame: LoadedFrame, before: int, ticks: int) -> None:
+    """Refuse a frame whose time stamp is not after that of a sample before, if that can be read.
+
+    Files are named by time stamps: two of one name would be found much later.
+
+    Args:
+        form: With ``time_options``.
+        frame: The frame.
+        before: Sample before it; below 0 for none.
+        ticks: Per second.
+
+    Raises:
+        OutputError: It is not.
+    """
+    if before < 0 or form.option("times") == "samples":
+        return
+    other = replace(frame.ref, sample=before, stem=frame.ref.stem.with_name(f"{before:06d}"))
+    seconds = (sidecar_of(other) or {}).get("time_s")
+    if isinstance(seconds, int | float):
+        now = _to_ticks(form, frame.time_s, ticks), frame.ref.name
+        check_rising(form, (_to_ticks(form, seconds, ticks), other.name), now)
+
+
+def _to_ticks(form: Format, seconds: float, ticks: int) -> int:
+    return start_ticks(form, ticks) + round(Decimal(seconds) * ticks)
+
+
+def check_rising(form: Format, before: tuple[int, str] | None, now: tuple[int, str]) -> None:
+    """Refuse a sequence whose time stamps do not rise.
+
+    Args:
+        form: The format.
+        before: Stamp and name of the frame before; None for the first.
+        now: Of this one.
+
+    Raises:
+        OutputError: They do not.
+    """
+    if before is not None and now[0] <= before[0]:
+        raise OutputError(
+            f"{now[1]}: its time stamp is not after that of {before[1]} (at the resolution of "
+            f"format {form.name}); give the option times=samples to number the frames instead"
+        )
+
+
+def sidecar_of(ref: FrameRef) -> dict[str, Any] | None:
+    """A frame's sidecar, unchecked; None where it cannot be read."""
+    try:
+        values = json.loads(ref.stem.with_suffix(".json").read_bytes())
+        np.array(values["intrinsics"], np.float64).reshape(3, 3)
+        np.array(values["camera_to_world"], np.float64).reshape(4, 4)
+        int(values["resolution"][0]), int(values["resolution"][1])
+    except (OSError, ValueError, KeyError, IndexError, TypeError):
+        return None
+    return values if isinstance(values, dict) else None
+
+
+def rigs(frames: Sequence[FrameRef]) -> list[tuple[str, str, dict[str, list[FrameRef]]]]:
+    """Frames by batch and rig: cameras below ``/World/Rigs/<rig>`` are one rig's.
+
+    Args:
+        frames: In order of batch, camera and sample.
+
+    Returns:
+        (batch name, rig, camera -> frames) in order of the frames; a camera that is on no rig has
+        one of its own, of its own name.
+    """
+    cameras: dict[tuple[str, str], list[FrameRef]] = {}
+    for ref in frames:
+        cameras.setdefault((ref.batch_name, ref.camera), []).append(ref)
+    found: dict[tuple[str, str], dict[str, list[FrameRef]]] = {}
+    for (batch, camera), refs in cameras.items():
+        sidecar = next((s for s in map(sidecar_of, refs) if s is not None), {})
+        parts = str(sidecar.get("camera_prim") or "").strip("/").split("/")
+        on_rig = len(parts) >= 3 and parts[-3] == "Rigs"
+        found.setdefault((batch, parts[-2] if on_rig else camera), {})[camera] = refs
+    return [(batch, rig, members) for (batch, rig), members in found.items()]
+
+
+def copy_picture(frame: LoadedFrame, path: Path, gray: bool = False) -> None:
+    """The frame's picture, as it is or in shades of gray (ITU-R 601-2 luma, rounded).
+
+    Raises:
+        FrameError: The frame has none.
+        OutputError: The file cannot be written.
+    """
+    if gray:
+        write_png(path, gray_pixels(frame))
+        return
+    source = picture_path(frame)
+    with atomic(path) as temporary:
+        shutil.copyfile(source, temporary)
+
+
+def picture_path(frame: LoadedFrame) -> Path:
+    """Where the frame's picture is.
+
+    Raises:
+        FrameError: It has none, or it is gone.
+    """
+    source = frame.png
+    if source is None or not source.is_file():
+        raise FrameError(
+            f"{frame.ref.stem}.png: missing, and the format needs pictures; render with the pass "
+            "rgb"
+        )
+    return source
+
+
+def color_pixels(frame: LoadedFrame) -> NDArray[np.uint8]:
+    """The frame's picture, uint8 [h, w, 3].
+
+    Raises:
+        FrameError: The frame has none, or it cannot be read.
+    """
+    from PIL import Image
+
+    path = picture_path(frame)
+    try:
+        with Image.open(path) as picture:
+            pixels = np.asarray(picture.convert("RGB"))
+    except OSError as error:
+        raise FrameError(f"{path}: not a picture, or a damaged one: {error}") from error
+    if pixels.shape[:2] != (frame.height, frame.width):
+        raise FrameError(f"{path}: is {pixels.shape[1]} x {pixels.shape[0]} pixels, unlike its EXR")
+    return pixels
+
+
+def gray_pixels(frame: LoadedFrame) -> NDArray[np.uint8]:
+    """The same in shades of gray, uint8 [h, w]."""
+    rgb = color_pixels(frame).astype(np.int64)
+    # In whole numbers, so that no machine rounds otherwise.
+    luma = (rgb[..., 0] * 299 + rgb[..., 1] * 587 + rgb[..., 2] * 114 + 500) // 1000
+    return luma.astype(np.uint8)
+
+
+def write_table(path: Path, columns: Sequence[str], lines: Iterable[Sequence[object]]) -> None:
+    """A CSV with a head, by atomic rename.
+
+    Raises:
+        OutputError: It cannot be written.
+    """
+    with atomic(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(columns)
+        writer.writerows(lines)

@@ -1,0 +1,290 @@
+"""Frames as a map-style PyTorch dataset, read from where they were rendered: nothing is converted.
+
+    from torch.utils.data import DataLoader
+    from scenec.datasets.torch_dataset import FrameDataset, collate
+
+    train = FrameDataset("out", passes=("rgb", "label.class", "depth"),
+                         split="train", splits="train=0.8,val=0.2")
+    for batch in DataLoader(train, batch_size=4, num_workers=2, collate_fn=collate):
+        batch["rgb"]           # float32 [4, 3, h, w]
+
+PyTorch is imported when the first sample is made, and not at all with ``as_numpy=True``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenec.datasets.filters import make_filters
+from scenec.datasets.formats.encode import instance_label, picture8
+from scenec.datasets.remap import Remap, parse_remap, read_remap
+from scenec.datasets.source import LoadedFrame, Source
+from scenec.datasets.splits import assign, parse_splits
+from scenec.schemas.errors import FrameError, OutputError
+from scenec.schemas.exr import is_id_pass
+from scenec.schemas.spelling import nearest
+
+Sample = dict[str, Any]
+
+#: Parts of a target in the form of torchvision's detection models.
+TARGETS = ("boxes", "labels", "masks")
+
+
+class FrameDataset:
+    """Frames of an output folder, for ``torch.utils.data.DataLoader``.
+
+    A sample is a dict of tensors:
+
+    ===================  =======================================================================
+    ``rgb``              float32 [3, h, w]: linear radiance, or with ``rgb="srgb"`` the developed
+                         picture in [0, 1]
+    ``depth``, ``range`` float32 [h, w], meters; +inf without a hit
+    ``label.<level>``    int64 [h, w]
+    ``instance``         int64 [h, w], frame ids; ``face`` likewise
+    ``normal``, ``position``  float32 [3, h, w]
+    ``K``                float64 [3, 3], pixels
+    ``camera_to_world``  float64 [4, 4], camera axes as OpenCV has them
+    ``time_s``           float64 []
+    ``target``           where asked for: ``boxes`` float32 [n, 4] (x0, y0, x1, y1, ends excluded),
+                         ``labels`` int64 [n] (ids at ``level``, 0 where faces differ), ``masks``
+                         uint8 [n, h, w], and always ``ids`` int64 [n], ``area`` float32 [n],
+                         ``iscrowd`` int64 [n] (1: kept, but failed a filter), ``image_id`` int64 []
+    ===================  =======================================================================
+
+    and ``frame`` (``batch/camera/sample``), ``batch``, ``camera``, ``sample``.
+
+    It can be pickled, so workers may be forked or spawned.
+
+    Args:
+        out: Output folder of ``compile`` and ``render``, or a USD file that was rendered.
+        passes: Names; ``label`` stands for all levels. None takes all that the frames have.
+        backend: Whose frames; None takes the first there is.
+        split: Name of the split; None takes all frames.
+        splits: As ``--splits`` has them (``train=0.8,val=0.2``): whole batches, as in exports.
+        split_seed: Another one gives another assignment of batches.
+        batches: Only these.
+        cameras: Only these.
+        samples: Only these.
+        keep: Conditions on instances (``area>=40``), as in exports.
+        rejected: What becomes of other instances: ``drop`` or ``ignore``.
+        remap: Other labels: a file, its JSON values, or a ``Remap``.
+        level: Whose labels targets have; None takes the first.
+        target: Which of ``TARGETS`` samples have; none for no ``target``.
+        rgb: ``linear`` or ``srgb``.
+        transform: Called with each sample; what it returns is the sample.
+        allow_missing: Whether frames that should be there may be missing.
+        as_numpy: Whether samples hold NumPy arrays of the same types and shapes.
+
+    Attributes:
+        frames: In order of batch, camera and sample.
+        labels: Level -> id -> name, without 0, after remapping.
+        passes: Names of the passes that samples have.
+
+    Raises:
+        FrameError: There are no frames, or one is missing.
+        OutputError: Something asked for makes no sense, or PyTorch is not installed.
+        StageError: A batch asked for is not there.
+    """
+
+    def __init__(
+        self,
+        out: Path | str,
+        passes: Sequence[str] | None = None,
+        backend: str | None = None,
+        *,
+        split: str | None = None,
+        splits: str | Mapping[str, float | range] = "",
+        split_seed: int = 0,
+        batches: Collection[int] | None = None,
+        cameras: Sequence[str] | None = None,
+        samples: Collection[int] | None = None,
+        keep: Sequence[str] = (),
+        rejected: str = "drop",
+        remap: Remap | Mapping[str, Any] | Path | str | None = None,
+        level: str | None = None,
+        target: Sequence[str] = (),
+        rgb: str = "linear",
+        transform: Callable[[Sample], Any] | None = None,
+        allow_missing: bool = False,
+        as_numpy: bool = False,
+    ) -> None:
+        if not as_numpy:
+            _import_torch()
+        if rgb not in ("linear", "srgb"):
+            raise OutputError(f"rgb: expected linear or srgb, not {rgb!r}")
+        for name in target:
+            if name not in TARGETS:
+                raise OutputError(f"target: there is no {name!r}{nearest(name, TARGETS)}")
+        self._source = Source(out, backend, batches=batches, cameras=cameras, samples=samples)
+        if self._source.missing and not allow_missing:
+            missing = self._source.missing
+            more = f" (and {len(missing) - 1} more)" if len(missing) > 1 else ""
+            raise FrameError(f"{missing[0].message}{more}; render it, or give allow_missing=True")
+        self._remap = _as_remap(remap)
+        self._remap.check(self._source.labels())
+        self.labels = self._remap.labels(self._source.labels())
+        self._level = level or next(iter(self.labels), "")
+        if self.labels and self._level not in self.labels:
+            raise OutputError(
+                f"there is no label level {self._level!r}{nearest(self._level, self.labels)}"
+            )
+        self._filters = make_filters(keep, rejected)
+        self._target = tuple(target)
+        self._rgb = rgb
+        self._transform = transform
+        self._as_numpy = as_numpy
+        self.passes = _choose_passes(passes, self._source.passes())
+        needs_instances = bool(self._target or keep)
+        if needs_instances and "instance" not in self._source.passes():
+            raise OutputError(
+                f"{out}: targets and conditions speak of instances, and the frames have no pass "
+                "instance; render with --passes …,instance"
+            )
+        self._needed = (*self.passes, "instance") if needs_instances else self.passes
+        self.frames = self._source.frames
+        if split is not None:
+            chosen = splits
+            if isinstance(chosen, str):
+                chosen = parse_splits(chosen) if chosen else {}
+            if split not in chosen:
+                raise OutputError(
+                    f"split {split!r} is none of splits{nearest(split, chosen)}; give "
+                    "splits='train=0.8,val=0.2' or the like"
+                )
+            numbers = sorted({ref.batch for ref in self.frames})
+            found = assign(numbers, chosen, split_seed)
+            self.frames = tuple(ref for ref in self.frames if found.get(ref.batch) == split)
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    def __getitem__(self, index: int) -> Any:
+        """A sample.
+
+        Raises:
+            FrameError: The frame is missing, foreign or damaged.
+            IndexError: There is none of this number.
+        """
+        frame = self.load(index)
+        sample: Sample = {name: self._array(frame, name) for name in self.passes}
+        sample["K"] = frame.intrinsics
+        sample["camera_to_world"] = frame.camera_to_world
+        sample["time_s"] = np.array(frame.time_s, np.float64)
+        if self._target:
+            sample["target"] = self._make_target(frame, range(len(self))[index])
+        if not self._as_numpy:
+            sample = _as_tensors(sample)
+        sample["frame"] = frame.ref.name
+        sample["batch"] = frame.ref.batch
+        sample["camera"] = frame.ref.camera
+        sample["sample"] = frame.ref.sample
+        return sample if self._transform is None else self._transform(sample)
+
+    def load(self, index: int) -> LoadedFrame:
+        """A frame, remapped and filtered, before it is made a sample.
+
+        Raises:
+            FrameError: It is missing, foreign or damaged.
+            IndexError: There is none of this number.
+        """
+        frame = self._source.load(self.frames[index], self._needed)
+        self._remap.apply(frame)
+        self._filters.apply(frame)
+        return frame
+
+    def _array(self, frame: LoadedFrame, name: str) -> NDArray[Any]:
+        if name == "rgb" and self._rgb == "srgb":
+            picture = picture8(frame).astype(np.float32) / np.float32(255.0)
+            return np.ascontiguousarray(np.moveaxis(picture, -1, 0))
+        array = frame.passes[name]
+        if is_id_pass(name):
+            return array.astype(np.int64)
+        if array.ndim == 3:
+            array = np.moveaxis(array, -1, 0)
+        return np.ascontiguousarray(array, np.float32)
+
+    def _make_target(self, frame: LoadedFrame, number: int) -> dict[str, NDArray[Any]]:
+        table = frame.table
+        ids = table["id"].astype(np.int64)
+        found: dict[str, NDArray[Any]] = {
+            "ids": ids,
+            "area": table["pixels"].astype(np.float32),
+            "iscrowd": frame.ignored.astype(np.int64),
+            "image_id": np.array(number, np.int64),
+        }
+        if "boxes" in self._target:
+            corners = [table["x_min"], table["y_min"], table["x_max"] + 1, table["y_max"] + 1]
+            found["boxes"] = np.stack(corners, axis=-1).astype(np.float32)
+        if "labels" in self._target:
+            found["labels"] = instance_label(frame, self._level)
+        if "masks" in self._target:
+            shown = frame.passes["instance"].astype(np.int64)
+            found["masks"] = (shown[None] == ids[:, None, None]).astype(np.uint8)
+        return found
+
+
+def collate(samples: Sequence[Sample]) -> Sample:
+    """A batch: what has one shape in all samples is stacked, the rest is a list.
+
+    ``target`` (a dict each, of as many instances as each frame shows) and text are always lists, as
+    torchvision's detection models take them.
+
+    Args:
+        samples: Of a ``FrameDataset``, of tensors or of arrays.
+    """
+    return {name: _together(name, [s[name] for s in samples]) for name in samples[0]}
+
+
+def _together(name: str, values: list[Any]) -> Any:
+    first = values[0]
+    if name == "target" or not hasattr(first, "shape"):
+        return values
+    if any(value.shape != first.shape for value in values):
+        return values
+    return np.stack(values) if isinstance(first, np.ndarray) else _import_torch().stack(values)
+
+
+def _as_tensors(values: Mapping[str, Any]) -> dict[str, Any]:
+    torch = _import_torch()
+    return {
+        name: _as_tensors(value) if isinstance(value, dict) else torch.from_numpy(value)
+        for name, value in values.items()
+    }
+
+
+def _as_remap(remap: Remap | Mapping[str, Any] | Path | str | None) -> Remap:
+    if remap is None:
+        return Remap()
+    if isinstance(remap, Remap):
+        return remap
+    return read_remap(remap) if isinstance(remap, Path | str) else parse_remap(dict(remap))
+
+
+def _choose_passes(wanted: Sequence[str] | None, there: Sequence[str]) -> tuple[str, ...]:
+    if wanted is None:
+        return tuple(there)
+    found: list[str] = []
+    for name in wanted:
+        levels = [p for p in there if p.startswith("label.")] if name == "label" else []
+        if name not in there and not levels:
+            raise OutputError(
+                f"passes: the frames have no {name!r}{nearest(name, there)} (they have "
+                f"{', '.join(there)})"
+            )
+        found += levels or [name]
+    return tuple(dict.fromkeys(found))
+
+
+def _import_torch() -> Any:
+    try:
+        import torch
+    except ImportError as error:
+        raise OutputError(
+            "tensors need the package torch: pip install 'scenec[torch]'; or give as_numpy=True"
+        ) from error
+    return torch

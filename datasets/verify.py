@@ -1,0 +1,332 @@
+"""Is a dataset as it was written, and does it have the same annotation as another one?
+
+What two datasets (or output folders with frames) have in common is decided frame by frame, by the
+digests of their annotation: sha256 over all passes but ``rgb``, as they were rendered, so neither
+the format nor filters nor remapping matter. Pictures are compared where both are at hand.
+"""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import json
+import re
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenec.datasets.export import (
+    CARD,
+    EXPORT,
+    EXPORT_VERSION,
+    INDEX,
+    INDEX_COLUMNS,
+    STATISTICS,
+    SUMS,
+)
+from scenec.datasets.source import Source
+from scenec.schemas.errors import FrameError, OutputError
+from scenec.schemas.files import sha256, tree
+from scenec.schemas.manifest import MANIFEST, STAGE_SUFFIXES
+
+Say = Callable[[str], None]
+
+_SUM = re.compile(r"([0-9a-f]{64})  (.+)")
+#: Weight of the mean in relMSE's denominator, as in ``scenec check --backends``.
+_EPSILON = 0.01
+
+
+@dataclass(frozen=True)
+class Flaw:
+    """Something that is not as it was written.
+
+    Attributes:
+        where: File, or frame.
+        message: What is wrong.
+    """
+
+    where: str
+    message: str
+
+    def __str__(self) -> str:
+        return f"error: {self.where}: {self.message}"
+
+
+@dataclass(frozen=True)
+class Seen:
+    """A frame, as far as it is compared.
+
+    Attributes:
+        annotation: sha256 of its annotation.
+        picture: sha256 of its picture's file; "" without one.
+        file: The picture's file, where it is at hand.
+    """
+
+    annotation: str
+    picture: str
+    file: Path | None
+
+
+@dataclass
+class Comparison:
+    """Two datasets, frame by frame.
+
+    Attributes:
+        frames: In both.
+        differing: Those whose annotation differs.
+        only_first: Frames of the first that the second lacks.
+        only_second: Likewise.
+        unreadable: Frames that cannot be read, with the reason.
+        pictures_same: Pictures with the same bytes.
+        pictures_differing: Pictures with other bytes.
+        mean_difference: Of each of those that were both at hand, mean |difference| of 8-bit values,
+            and ...
+        relative_mse: ... mean((b - a)^2 / (a^2 + 0.01 mean(a)^2)).
+    """
+
+    frames: int = 0
+    differing: list[str] = field(default_factory=list)
+    only_first: list[str] = field(default_factory=list)
+    only_second: list[str] = field(default_factory=list)
+    unreadable: list[str] = field(default_factory=list)
+    pictures_same: int = 0
+    pictures_differing: int = 0
+    mean_difference: list[float] = field(default_factory=list)
+    relative_mse: list[float] = field(default_factory=list)
+
+    @property
+    def same(self) -> bool:
+        """Whether both hold the same frames with the same annotation."""
+        parts = (self.differing, self.only_first, self.only_second, self.unreadable)
+        return self.frames > 0 and not any(parts)
+
+
+def is_dataset(folder: Path) -> bool:
+    """Whether a folder is what ``scenec export`` makes."""
+    return (folder / EXPORT).is_file()
+
+
+def verify(folder: Path) -> list[Flaw]:
+    """All that is wrong with a dataset: files against their sums, index and counts.
+
+    Raises:
+        OutputError: It is no dataset.
+    """
+    summary = _summary(folder)
+    flaws: list[Flaw] = []
+    sums = _sums(folder, flaws)
+    for name, digest in sums.items():
+        path = folder / name
+        if not path.is_file():
+            flaws.append(Flaw(name, "is missing"))
+        elif sha256(path) != digest:
+            flaws.append(Flaw(name, f"was changed: its sha256 is not that of {SUMS}"))
+    ours = (EXPORT, INDEX, STATISTICS, CARD)
+    flaws.extend(Flaw(SUMS, f"does not list {name}") for name in ours if name not in sums)
+    flaws.extend(
+        Flaw(path.as_posix(), f"is no part of the dataset: {SUMS} does not list it")
+        for path in tree(folder)
+        if path.as_posix() not in sums and path.as_posix() != SUMS
+    )
+    if not any(flaw.where in (EXPORT, INDEX, STATISTICS) for flaw in flaws):
+        flaws.extend(_contradictions(folder, summary))
+    return flaws
+
+
+def compare(first: Path, second: Path, say: Say | None = None) -> Comparison:
+    """Two datasets, or output folders with frames, or one of each.
+
+    Args:
+        first: A folder, or a USD file that was rendered.
+        second: Likewise. Of an output folder the frames are taken that the other side's backend
+            made, where it has such.
+        say: Called with lines worth showing.
+
+    Raises:
+        FrameError: One has no frames.
+        OutputError: One is neither.
+    """
+    say = say or (lambda _line: None)
+    backends = [_backend(folder) for folder in (first, second)]
+    found = Comparison()
+    one = _frames(first, backends[1], found, say)
+    two = _frames(second, backends[0], found, say)
+    unreadable = {text.partition(":")[0] for text in found.unreadable}
+    found.only_first = [name for name in one if name not in two and name not in unreadable]
+    found.only_second = [name for name in two if name not in one and name not in unreadable]
+    for name in one:
+        if name in two:
+            found.frames += 1
+            if one[name].annotation != two[name].annotation:
+                found.differing.append(name)
+            _compare_pictures(one[name], two[name], found)
+    return found
+
+
+def _summary(folder: Path) -> dict[str, Any]:
+    path = folder / EXPORT
+    try:
+        summary: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        version = summary["export"]
+        dict(summary["splits"]), int(summary["frames"]), str(summary["digest"]["annotation"])
+    except FileNotFoundError as error:
+        raise OutputError(f"{folder}: is no dataset of scenec (no {EXPORT})") from error
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise OutputError(f"{path}: is no {EXPORT} of scenec: {error}") from error
+    if version != EXPORT_VERSION:
+        raise OutputError(
+            f"{path}: is of version {version}, and this scenec knows {EXPORT_VERSION}"
+        )
+    return summary
+
+
+def _sums(folder: Path, flaws: list[Flaw]) -> dict[str, str]:
+    """Name -> sha256, as ``SHA256SUMS`` has them."""
+    try:
+        lines = (folder / SUMS).read_text(encoding="utf-8").splitlines()
+    except FileNotFoundError:
+        flaws.append(Flaw(SUMS, "is missing"))
+        return {}
+    except (OSError, ValueError) as error:
+        flaws.append(Flaw(SUMS, f"cannot be read: {error}"))
+        return {}
+    sums: dict[str, str] = {}
+    for number, line in enumerate(lines, 1):
+        match = _SUM.fullmatch(line)
+        if match is None or ".." in Path(match[2]).parts or Path(match[2]).is_absolute():
+            flaws.append(Flaw(f"{SUMS}:{number}", "is no line of sha256sum"))
+        else:
+            sums[match[2]] = match[1]
+    return sums
+
+
+def _index(folder: Path) -> list[dict[str, str]]:
+    """Lines of ``frames.csv``.
+
+    Raises:
+        OutputError: It is none.
+    """
+    path = folder / INDEX
+    try:
+        with path.open(encoding="utf-8", newline="") as file:
+            lines = list(csv.DictReader(file, strict=True))
+    except (OSError, ValueError, csv.Error) as error:
+        raise OutputError(f"{path}: cannot be read: {error}") from error
+    if any(line.get(name) is None for line in lines for name in INDEX_COLUMNS):
+        raise OutputError(f"{path}: expected the columns {', '.join(INDEX_COLUMNS)} in each line")
+    return lines
+
+
+def _contradictions(folder: Path, summary: dict[str, Any]) -> Iterator[Flaw]:
+    """What index, summary and statistics say of each other."""
+    try:
+        lines = _index(folder)
+        statistics = json.loads((folder / STATISTICS).read_text(encoding="utf-8"))
+    except (OSError, ValueError, OutputError) as error:
+        yield Flaw(INDEX, str(error))
+        return
+    for name, count in Counter(line["frame"] for line in lines).items():
+        if count > 1:
+            yield Flaw(INDEX, f"lists {name} {count} times")
+    if len(lines) != summary["frames"] or statistics.get("frames") != summary["frames"]:
+        yield Flaw(
+            EXPORT,
+            f"says {summary['frames']} frames, {INDEX} lists {len(lines)}, {STATISTICS} counts "
+            f"{statistics.get('frames')}",
+        )
+    counts = dict.fromkeys(summary["splits"], 0)
+    for line in lines:
+        counts[line["split"]] = counts.get(line["split"], 0) + 1
+    if counts != summary["splits"]:
+        yield Flaw(EXPORT, f"says {summary['splits']} frames in splits, {INDEX} has {counts}")
+    split_of: dict[str, str] = {}
+    for line in lines:
+        if split_of.setdefault(line["batch"], line["split"]) != line["split"]:
+            yield Flaw(INDEX, f"has {line['batch']} in more than one split")
+            break
+    for key, column in (("annotation", "annotation_sha256"), ("pictures", "picture_sha256")):
+        state = hashlib.sha256()
+        for line in lines:
+            state.update(f"{line['frame']} {line[column]}\n".encode())
+        if state.hexdigest() != summary["digest"][key]:
+            yield Flaw(EXPORT, f"its digest of all {key} is not that of {INDEX}")
+
+
+def _backend(folder: Path) -> str | None:
+    """Whose frames a dataset holds; None for an output folder."""
+    return str(_summary(folder).get("backend")) if is_dataset(folder) else None
+
+
+def _frames(folder: Path, backend: str | None, found: Comparison, say: Say) -> dict[str, Seen]:
+    """Frames by name, in order."""
+    if is_dataset(folder):
+        files = {digest: folder / name for name, digest in _sums(folder, []).items()}
+        return {
+            line["frame"]: Seen(
+                line["annotation_sha256"],
+                line["picture_sha256"],
+                files.get(line["picture_sha256"]),
+            )
+            for line in _index(folder)
+        }
+    stage = folder.suffix.lower() in STAGE_SUFFIXES and folder.is_file()
+    if not stage and not (folder / MANIFEST).is_file():
+        raise OutputError(
+            f"{folder}: is neither a dataset of scenec (no {EXPORT}) nor an output folder (no "
+            f"{MANIFEST})"
+        )
+    source = Source(folder)
+    if backend in source.backends and backend != source.backend:
+        source = Source(folder, backend)
+    say(f"{folder}: {len(source)} frames of {source.backend}")
+    frames: dict[str, Seen] = {}
+    for ref in source.frames:
+        try:
+            frame = source.load(ref)
+        except FrameError as error:
+            found.unreadable.append(f"{ref.name}: {error}")
+            continue
+        png = frame.png
+        at_hand = png is not None and png.is_file()
+        frames[ref.name] = Seen(
+            frame.annotation_digest(),
+            frame.picture_digest if at_hand else "",
+            png if at_hand else None,
+        )
+    return frames
+
+
+def _compare_pictures(one: Seen, two: Seen, found: Comparison) -> None:
+    if not one.picture and not two.picture:
+        return
+    if one.picture == two.picture:
+        found.pictures_same += 1
+        return
+    found.pictures_differing += 1
+    a, b = _pixels(one.file), _pixels(two.file)
+    if a is None or b is None or a.shape != b.shape:
+        return
+    found.mean_difference.append(float(np.abs(a - b).mean()))
+    floor = _EPSILON * float(a.mean()) ** 2
+    denominator = a * a + floor
+    found.relative_mse.append(
+        float(np.mean((b - a) ** 2 / np.where(denominator > 0.0, denominator, 1.0)))
+    )
+
+
+def _pixels(file: Path | None) -> NDArray[np.float64] | None:
+    """8-bit values of a picture; None where it cannot be read."""
+    from PIL import Image
+
+    if file is None or file.suffix.lower() != ".png":
+        return None
+    try:
+        with Image.open(file) as picture:
+            return np.asarray(picture.convert("RGB"), np.float64)
+    except (OSError, SyntaxError, ValueError):
+        return None

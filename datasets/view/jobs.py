@@ -1,0 +1,125 @@
+"""The page's frames, made in other processes and handed on in order."""
+
+from __future__ import annotations
+
+import multiprocessing
+import signal
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass
+from itertools import islice
+
+from scenec.datasets.source import FrameRef, Source, kind_of
+from scenec.datasets.view.layers import Fineness
+from scenec.datasets.view.record import Record, record
+from scenec.schemas.errors import FrameError, OutputError
+
+#: Frames in work for each process: results wait for their turn, memory stays bounded.
+_AHEAD = 4
+
+
+@dataclass(frozen=True)
+class Fault:
+    """A frame that cannot be shown: ``damaged`` or ``foreign``, and why."""
+
+    kind: str
+    message: str
+
+
+@dataclass(frozen=True)
+class Task:
+    """A frame to be stored.
+
+    Attributes:
+        source: Which of the sources it is in.
+        ref: Which frame.
+        fineness: How fine.
+    """
+
+    source: int
+    ref: FrameRef
+    fineness: Fineness
+
+
+_sources: list[Source] = []
+
+
+def _begin(sources: list[Source]) -> None:
+    _sources[:] = sources
+
+
+def _begin_process(sources: list[Source]) -> None:
+    # Ctrl-C reaches all processes of a terminal: the one that asked for the work answers it.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    _begin(sources)
+
+
+def _make(task: Task) -> Record | Fault:
+    try:
+        return record(_sources[task.source].load(task.ref), task.fineness)
+    except FrameError as error:
+        return Fault(kind_of(error), str(error))
+
+
+class Pool:
+    """Processes that store frames, or none: then it is done here.
+
+    Args:
+        sources: Where the frames are.
+        workers: How many processes; 1 uses this one.
+    """
+
+    def __init__(self, sources: Sequence[Source], workers: int) -> None:
+        self._sources = list(sources)
+        self._workers = workers
+        self._pool: ProcessPoolExecutor | None = None
+
+    def __enter__(self) -> Pool:
+        if self._workers > 1:
+            self._pool = ProcessPoolExecutor(
+                self._workers,
+                multiprocessing.get_context("spawn"),
+                _begin_process,
+                (self._sources,),
+            )
+        else:
+            _begin(self._sources)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._pool is not None:
+            self._pool.shutdown(wait=True, cancel_futures=True)
+        _sources.clear()
+
+    def records(self, tasks: Iterable[Task]) -> Iterator[Record | Fault]:
+        """What became of each task, in order.
+
+        Raises:
+            OutputError: A process was killed.
+        """
+        yield from self.over(_make, tasks)
+
+    def over[A, B](self, function: Callable[[A], B], items: Iterable[A]) -> Iterator[B]:
+        """``function`` of each item, in order; a few are in work at a time.
+
+        Raises:
+            OutputError: A process was killed.
+        """
+        if self._pool is None:
+            yield from map(function, items)
+            return
+        rest = iter(items)
+        waiting: deque[Future[B]] = deque()
+        try:
+            for item in islice(rest, _AHEAD * self._workers):
+                waiting.append(self._pool.submit(function, item))
+            while waiting:
+                yield waiting.popleft().result()
+                for item in islice(rest, 1):
+                    waiting.append(self._pool.submit(function, item))
+        except BrokenProcessPool as error:
+            raise OutputError(
+                "a process that read frames was killed (out of memory?); try --workers 1"
+            ) from error

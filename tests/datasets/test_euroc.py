@@ -1,0 +1,184 @@
+"""EuRoC MAV (ASL) as evo, PyYAML and an independent reading of its lists find it."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+import yaml
+from evo.tools.file_interface import read_euroc_csv_trajectory
+from made_frames import (
+    LEFT,
+    RIGHT,
+    SIDE,
+    Sensor,
+    camera_matrix,
+    camera_pose,
+    lift,
+    make_out,
+    misprediction,
+    off_surface,
+)
+from PIL import Image
+
+from scenec.datasets.export import Choice, export
+from scenec.schemas.errors import OutputError
+
+SENSORS = (LEFT, RIGHT, SIDE)
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    return make_out(tmp_path_factory.mktemp("out") / "made", SENSORS)
+
+
+@pytest.fixture(scope="module")
+def mav0(made):
+    export(made.out, "euroc", workers=1)
+    return made.out / "datasets/euroc/all/batch_0000_rover/mav0"
+
+
+def calibration(mav0, camera):
+    """K and T_BS, as the format has them."""
+    sensor = yaml.safe_load((mav0 / f"cam{camera}/sensor.yaml").read_text(encoding="utf-8"))
+    fu, fv, cu, cv = sensor["intrinsics"]
+    t_bs = np.array(sensor["T_BS"]["data"]).reshape(sensor["T_BS"]["rows"], sensor["T_BS"]["cols"])
+    return np.array([[fu, 0, cu], [0, fv, cv], [0, 0, 1]]), t_bs, sensor
+
+
+def truth(mav0):
+    return read_euroc_csv_trajectory(mav0 / "state_groundtruth_estimate0/data.csv")
+
+
+def test_evo_reads_the_trajectory_of_the_first_camera(mav0):
+    found = truth(mav0)
+    assert found.num_poses == 4
+    assert np.abs(found.timestamps - (1e9 + 0.1 * np.arange(4))).max() < 2e-7
+    for sample, pose in enumerate(found.poses_se3):
+        assert np.abs(pose - camera_pose(LEFT, sample)).max() < 1e-14
+
+
+def test_every_camera_is_where_body_and_mount_put_it(mav0):
+    for camera, sensor in enumerate(SENSORS):
+        k, t_bs, values = calibration(mav0, camera)
+        expected = camera_matrix(sensor)
+        expected[:2, 2] -= 0.5
+        assert np.abs(k - expected).max() == 0.0
+        assert values["resolution"] == list(sensor.size)
+        assert values["camera_model"] == "pinhole"
+        assert values["distortion_coefficients"] == [0.0] * 4
+        assert abs(values["rate_hz"] - 10.0) < 1e-9
+        for sample, body in enumerate(truth(mav0).poses_se3):
+            assert np.abs(body @ t_bs - camera_pose(sensor, sample)).max() < 1e-12
+
+
+def test_depth_of_the_frames_reprojects_with_what_is_read(made, mav0):
+    poses = truth(mav0).poses_se3
+    depths = {
+        key: np.where(np.isfinite(p["depth"]), p["depth"], 0.0).astype(float)
+        for key, p in made.passes.items()
+    }
+    k_a, _, _ = calibration(mav0, 0)
+    k_b, t_bs, _ = calibration(mav0, 2)
+    points = lift(depths["rover_left", 0], k_a, poses[0])
+    assert (
+        off_surface(points[depths["rover_left", 0][depths["rover_left", 0] > 0] < 50]).max() < 1e-5
+    )
+    b_from_a = np.linalg.inv(poses[3] @ t_bs) @ poses[0]
+    error, pixels = misprediction(
+        depths["rover_left", 0], depths["rover_side", 3], k_a, k_b, b_from_a
+    )
+    assert pixels > 100
+    assert error < 1e-6
+    wrong = np.linalg.inv(poses[3] @ np.linalg.inv(t_bs)) @ poses[0]
+    a, b = depths["rover_left", 0], depths["rover_side", 3]
+    assert misprediction(a, b, k_a, k_b, wrong)[0] > 1e-3
+
+
+def test_lists_name_the_pictures_and_these_are_gray(made, mav0):
+    for camera, sensor in enumerate(SENSORS):
+        lines = (mav0 / f"cam{camera}/data.csv").read_text().splitlines()
+        assert lines[0] == "#timestamp [ns],filename"
+        assert len(lines) == 5
+        for sample, line in enumerate(lines[1:]):
+            stamp, name = line.split(",")
+            assert int(stamp) == 10**18 + sample * 10**8
+            with Image.open(mav0 / f"cam{camera}/data/{name}") as picture:
+                assert (picture.mode, picture.size) == ("L", sensor.size)
+                pixels = np.asarray(picture).astype(int)
+            source = made.out / f"batch_0000/frames/mitsuba/{sensor.name}/{sample:06d}.png"
+            with Image.open(source) as picture:
+                assert np.abs(pixels - np.asarray(picture.convert("L"))).max() <= 1
+
+
+def test_velocities_are_differences_of_the_positions(mav0, made, tmp_path):
+    path = mav0 / "state_groundtruth_estimate0/data.csv"
+    values = np.loadtxt(path, delimiter=",", comments="#")
+    assert values.shape == (4, 17)
+    positions = np.array([camera_pose(LEFT, s)[:3, 3] for s in range(4)])
+    assert np.abs(values[:, 8:11] - np.gradient(positions, 0.1, axis=0)).max() < 1e-9
+    assert (values[:, 11:] == 0.0).all()
+    choice = Choice(options={"velocity": "zero", "pictures": "color"})
+    export(made.out, "euroc", tmp_path / "d", choice, workers=1)
+    other = tmp_path / "d/all/batch_0000_rover/mav0"
+    still = np.loadtxt(other / "state_groundtruth_estimate0/data.csv", delimiter=",", comments="#")
+    assert (still[:, 8:] == 0.0).all()
+    picture = (other / "cam0/data/1000000000000000000.png").read_bytes()
+    assert picture == (made.out / "batch_0000/frames/mitsuba/rover_left/000000.png").read_bytes()
+
+
+def test_the_body_frame_is_stated_and_every_yaml_is_one(mav0):
+    for path in sorted(mav0.rglob("*.yaml")):
+        assert isinstance(yaml.safe_load(path.read_text(encoding="utf-8")), dict)
+    estimate = yaml.safe_load((mav0 / "state_groundtruth_estimate0/sensor.yaml").read_text())
+    assert estimate["T_BS"]["data"] == np.eye(4).ravel().tolist()
+
+
+def test_the_same_frames_give_the_same_bytes_in_another_folder(made, mav0, tmp_path):
+    export(made.out, "euroc", tmp_path / "d", workers=1)
+    there = made.out / "datasets/euroc/SHA256SUMS"
+    assert (tmp_path / "d/SHA256SUMS").read_bytes() == there.read_bytes()
+
+
+def test_a_camera_that_moves_on_its_rig_is_refused(tmp_path):
+    out = make_out(tmp_path / "out", (LEFT, RIGHT), 3).out
+    path = out / "batch_0000/frames/mitsuba/rover_right/000002.json"
+    sidecar = json.loads(path.read_text())
+    sidecar["camera_to_world"][0][3] += 1e-3
+    path.write_text(json.dumps(sidecar))
+    with pytest.raises(OutputError, match=r"rover_right/000002: the camera has moved on its rig"):
+        export(out, "euroc", workers=1)
+
+
+def test_a_camera_whose_lens_changes_is_refused(tmp_path):
+    out = make_out(tmp_path / "out", (LEFT,), 2).out
+    path = out / "batch_0000/frames/mitsuba/rover_left/000001.json"
+    sidecar = json.loads(path.read_text())
+    sidecar["intrinsics"][0][0] += 1.0
+    path.write_text(json.dumps(sidecar))
+    with pytest.raises(OutputError, match=r"rover_left/000001: its resolution or intrinsics"):
+        export(out, "euroc", workers=1)
+
+
+def test_skew_is_refused_where_a_format_has_four_numbers(tmp_path):
+    out = make_out(tmp_path / "out", (LEFT,), 1).out
+    path = out / "batch_0000/frames/mitsuba/rover_left/000000.json"
+    sidecar = json.loads(path.read_text())
+    sidecar["intrinsics"][0][1] = 0.25
+    path.write_text(json.dumps(sidecar))
+    with pytest.raises(OutputError, match=r"has skew 0.25"):
+        export(out, "euroc", workers=1)
+
+
+def test_one_frame_has_no_velocity(tmp_path):
+    out = make_out(tmp_path / "out", (Sensor("c", "/World/c", size=(1, 1)),), 1).out
+    export(out, "euroc", workers=1)
+    path = out / "datasets/euroc/all/batch_0000_c/mav0/state_groundtruth_estimate0/data.csv"
+    assert (np.loadtxt(path, delimiter=",", comments="#")[8:] == 0.0).all()
+
+
+def test_equal_time_stamps_are_refused_before_one_picture_takes_anothers_name(tmp_path):
+    out = make_out(tmp_path / "out", (LEFT,), 2, times=[1.0, 1.0 + 1e-10]).out
+    with pytest.raises(OutputError, match=r"rover_left/000001: its time stamp .*times=samples"):
+        export(out, "euroc", workers=1)

@@ -1,0 +1,315 @@
+"""The driver of all formats: whole datasets or none, the same bytes, nothing done twice."""
+
+from __future__ import annotations
+
+import csv
+import fcntl
+import json
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from made_output import make_output, some_passes
+from tiny_format import KILL, contents, counts_of, install
+
+from scenec.datasets.export import Choice, export
+from scenec.datasets.filters import make_filters
+from scenec.datasets.formats.registry import find_format, format_names
+from scenec.datasets.remap import parse_remap
+from scenec.datasets.splits import parse_splits
+from scenec.schemas.errors import FrameError, OutputError
+
+FRAME = "batch_0001/rover_left/000001"
+_EXPORT = """
+import sys
+from scenec.datasets.export import export
+from scenec.schemas.errors import ScenecError
+try:
+    report = export(sys.argv[1], "tiny", sys.argv[2], workers=int(sys.argv[3]))
+    print("resumed", report.resumed)
+except ScenecError as error:
+    sys.exit(f"said: {error}")
+"""
+
+
+@pytest.fixture(scope="module")
+def plugin(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    with pytest.MonkeyPatch.context() as patch:
+        yield install(patch, tmp_path_factory.mktemp("plugin"))
+
+
+@pytest.fixture(scope="module")
+def output(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return make_output(tmp_path_factory.mktemp("made") / "out")
+
+
+@pytest.fixture(scope="module")
+def dataset(output: Path, plugin: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("whole") / "ds"
+    export(output, "tiny", folder, workers=1)
+    return folder
+
+
+@pytest.fixture
+def copy(output: Path, tmp_path: Path) -> Path:
+    shutil.copytree(output, tmp_path / "out")
+    return tmp_path / "out"
+
+
+def damage(out: Path, name: str = FRAME) -> Path:
+    batch, camera, sample = name.split("/")
+    path = out / batch / "frames" / "reference" / camera / f"{sample}.exr"
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 0xFF
+    path.write_bytes(data)
+    return path
+
+
+def test_a_format_of_another_package_is_found_beside_ours(plugin: Path) -> None:
+    assert {"coco", "tiny"} <= set(format_names())
+    assert find_format("tiny").summary == "for tests"
+    with pytest.raises(OutputError, match="did you mean"):
+        find_format("cocoa")
+
+
+def test_a_dataset_lists_every_frame_and_every_file(output: Path, dataset: Path) -> None:
+    lines = list(csv.DictReader((dataset / "frames.csv").open(encoding="utf-8")))
+    stems = sorted(output.glob("batch_*/frames/reference/*/*.json"))
+    expected = [f"{p.parts[-5]}/{p.parts[-2]}/{p.stem}" for p in stems]
+    assert [line["frame"] for line in lines] == expected
+    assert counts_of(dataset) == {line["frame"]: int(line["instances"]) for line in lines}
+    done = subprocess.run(
+        ["sha256sum", "-c", "--strict", "--quiet", "SHA256SUMS"], cwd=dataset, check=False
+    )
+    assert done.returncode == 0
+    listed = {line[66:] for line in (dataset / "SHA256SUMS").read_text().splitlines()}
+    assert listed == set(contents(dataset)) - {"SHA256SUMS"}
+
+
+def test_the_same_frames_give_the_same_bytes_with_any_number_of_workers(
+    output: Path, dataset: Path, tmp_path: Path
+) -> None:
+    export(output, "tiny", tmp_path / "elsewhere" / "ä b", workers=2)
+    assert contents(tmp_path / "elsewhere" / "ä b") == contents(dataset)
+
+
+def test_what_making_a_frame_cost_is_no_part_of_the_dataset(
+    copy: Path, dataset: Path, tmp_path: Path
+) -> None:
+    for path in copy.glob("batch_*/frames/reference/*/*.json"):
+        sidecar = json.loads(path.read_text(encoding="utf-8"))
+        sidecar |= {"seconds": {"load": 1.5}, "peak_memory_gb": 0.5, "device": "cpu"}
+        path.write_text(json.dumps(sidecar), encoding="utf-8")
+    export(copy, "tiny", tmp_path / "ds", workers=1)
+    assert contents(tmp_path / "ds") == contents(dataset)
+
+
+def test_the_same_dataset_again_does_nothing(output: Path, dataset: Path) -> None:
+    before = {path: path.stat().st_mtime_ns for path in dataset.rglob("*")}
+    report = export(output, "tiny", dataset, workers=1)
+    assert report.there
+    assert report.frames == 8
+    assert {path: path.stat().st_mtime_ns for path in dataset.rglob("*")} == before
+
+
+def test_another_dataset_in_the_folder_is_replaced_only_when_asked(
+    output: Path, dataset: Path, tmp_path: Path, plugin: Path
+) -> None:
+    folder = tmp_path / "ds"
+    shutil.copytree(dataset, folder)
+    other = Choice(options={"ending": "txt"})
+    with pytest.raises(OutputError, match="--replace"):
+        export(output, "tiny", folder, other, workers=1)
+    assert contents(folder) == contents(dataset)
+    export(output, "tiny", folder, other, workers=1, replace=True)
+    assert len(list(folder.rglob("*.txt"))) == 8
+    assert not (folder / "all").exists() or not list((folder / "all").glob("*.json"))
+
+
+@pytest.mark.parametrize("replace", [False, True])
+def test_a_folder_that_is_not_ours_is_never_touched(
+    replace: bool, output: Path, tmp_path: Path, plugin: Path
+) -> None:
+    (tmp_path / "thesis").mkdir()
+    (tmp_path / "thesis" / "chapter.txt").write_text("all I have")
+    with pytest.raises(OutputError, match=r"holds no dataset of scenec"):
+        export(output, "tiny", tmp_path / "thesis", workers=1, replace=replace)
+    assert contents(tmp_path) == {"thesis/chapter.txt": b"all I have"}
+
+
+def test_an_empty_folder_may_become_a_dataset(output: Path, dataset: Path, tmp_path: Path) -> None:
+    (tmp_path / "ds").mkdir()
+    export(output, "tiny", tmp_path / "ds", workers=1)
+    assert contents(tmp_path / "ds") == contents(dataset)
+
+
+def run(output: Path, folder: Path, plugin: Path, workers: int, **extra: str):
+    return subprocess.run(
+        [sys.executable, "-c", _EXPORT, str(output), str(folder), str(workers)],
+        env={**os.environ, "PYTHONPATH": str(plugin), **extra},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+def test_a_killed_export_goes_on_where_it_was_and_ends_with_the_same_bytes(
+    output: Path, dataset: Path, plugin: Path, tmp_path: Path
+) -> None:
+    killed = run(output, tmp_path / "ds", plugin, 1, **{KILL: FRAME.replace("/", "_")})
+    assert killed.returncode == -9
+    assert not (tmp_path / "ds").exists()
+    report = export(output, "tiny", tmp_path / "ds", workers=1)
+    assert report.resumed == 5
+    assert contents(tmp_path / "ds") == contents(dataset)
+    assert os.listdir(tmp_path) == ["ds"]
+
+
+def test_a_killed_worker_is_said_in_one_line_and_costs_what_it_did(
+    output: Path, dataset: Path, plugin: Path, tmp_path: Path
+) -> None:
+    killed = run(output, tmp_path / "ds", plugin, 2, **{KILL: FRAME.replace("/", "_")})
+    assert killed.returncode == 1
+    assert killed.stderr.startswith("said: a worker process was killed"), killed.stderr
+    assert not (tmp_path / "ds").exists()
+    again = run(output, tmp_path / "ds", plugin, 2)
+    assert again.returncode == 0, again.stderr
+    assert int(again.stdout.split()[-1]) >= 1
+    assert contents(tmp_path / "ds") == contents(dataset)
+
+
+def test_what_was_done_for_another_dataset_is_not_left_in_this_one(
+    output: Path, dataset: Path, plugin: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run(output, tmp_path / "ds", plugin, 1, **{KILL: FRAME.replace("/", "_")})
+    partial = tmp_path / ".ds.partial" / "data"
+    (partial / ".half.0123abcd.json").write_text("cut short")
+    (partial / "all" / "old.txt").write_text("of another option")
+    assert export(output, "tiny", tmp_path / "ds", workers=1).resumed == 5
+    assert contents(tmp_path / "ds") == contents(dataset)
+
+
+def test_a_script_needs_no_main_guard(output: Path, plugin: Path, tmp_path: Path) -> None:
+    script = tmp_path / "script.py"
+    script.write_text(_EXPORT)
+    done = subprocess.run(
+        [sys.executable, str(script), str(output), str(tmp_path / "ds"), "2"],
+        env={**os.environ, "PYTHONPATH": str(plugin)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (done.returncode, done.stdout) == (0, "resumed 0\n"), done.stderr
+
+
+def test_two_exports_of_one_folder_do_not_mix(output: Path, tmp_path: Path, plugin: Path) -> None:
+    (tmp_path / ".ds.partial").mkdir()
+    with (tmp_path / ".ds.partial" / "lock").open("wb") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        with pytest.raises(OutputError, match="another export is at work"):
+            export(output, "tiny", tmp_path / "ds", workers=1)
+
+
+def test_a_damaged_frame_stops_an_export_and_leaves_no_dataset(
+    copy: Path, tmp_path: Path, plugin: Path
+) -> None:
+    path = damage(copy)
+    with pytest.raises(FrameError, match=r"000001\.exr: truncated, damaged or changed") as caught:
+        export(copy, "tiny", tmp_path / "ds", workers=1)
+    assert str(path) in str(caught.value)
+    assert not (tmp_path / "ds").exists()
+
+
+def test_skipped_frames_are_named_and_come_back_once_they_are_mended(
+    copy: Path, output: Path, tmp_path: Path, plugin: Path
+) -> None:
+    sound = damage(copy).read_bytes()
+    (copy / "batch_0000/frames/reference/rover_right/000000.json").unlink()
+    skip = Choice(faults="skip")
+    lines: list[str] = []
+    report = export(copy, "tiny", tmp_path / "ds", skip, workers=1, say=lines.append)
+    assert [(f.name, f.kind) for f in report.faults] == [
+        ("batch_0000/rover_right/000000", "missing"),
+        (FRAME, "damaged"),
+    ]
+    assert sum("left out" in line for line in lines) == 2
+    assert set(counts_of(tmp_path / "ds")) == set(
+        line["frame"] for line in csv.DictReader((tmp_path / "ds/frames.csv").open())
+    )
+    assert report.frames == 6
+    assert export(copy, "tiny", tmp_path / "ds", skip, workers=1).there
+    path = copy / f"{FRAME.replace('/rover', '/frames/reference/rover')}.exr"
+    assert path.read_bytes() == sound
+    shutil.copy(output / path.relative_to(copy), path)
+    mended = export(copy, "tiny", tmp_path / "ds", skip, workers=1, replace=True)
+    assert (mended.there, mended.frames) == (False, 7)
+
+
+def test_an_export_of_frames_that_are_all_damaged_says_so(tmp_path: Path, plugin: Path) -> None:
+    out = make_output(tmp_path / "out", batches=1, cameras=("a",), samples=2)
+    for sample in range(2):
+        damage(out, f"batch_0000/a/{sample:06d}")
+    with pytest.raises(FrameError, match="not one of 2 frames can be read"):
+        export(out, "tiny", tmp_path / "ds", Choice(faults="skip"), workers=1)
+    assert not (tmp_path / "ds").exists()
+
+
+def test_filters_remap_and_splits_reach_the_format(
+    output: Path, tmp_path: Path, plugin: Path
+) -> None:
+    choice = Choice(
+        filters=make_filters(["id<100"]),
+        remap=parse_remap({"class": {"rock": "stone", "sky": None}}),
+        splits=parse_splits("train=0.5,val=0.5"),
+    )
+    report = export(output, "tiny", tmp_path / "ds", choice, workers=1)
+    assert report.splits == {"train": 4, "val": 4}
+    assert report.tally.rejected["id<100"] == report.tally.seen - report.tally.kept > 0
+    for path in sorted((tmp_path / "ds").glob("*/batch_*.json")):
+        entry = json.loads(path.read_text(encoding="utf-8"))
+        assert all(number < 100 for number in entry["ids"])
+        assert entry["labels"]["class"] == {"2": "ground", "3": "stone"}
+    summary = json.loads((tmp_path / "ds/export.json").read_text())
+    assert summary["instances"]["kept"] == report.tally.kept
+    # The digest is of what was rendered, whatever became of it.
+    plain = export(output, "tiny", tmp_path / "plain", workers=1)
+    assert sorted(digests(tmp_path / "ds")) == sorted(digests(tmp_path / "plain"))
+    assert plain.tally.kept == report.tally.seen
+
+
+def digests(dataset: Path) -> list[tuple[str, str]]:
+    lines = csv.DictReader((dataset / "frames.csv").open(encoding="utf-8"))
+    return [(line["frame"], line["annotation_sha256"]) for line in lines]
+
+
+def test_bad_choices_end_in_one_message_before_anything_is_written(
+    output: Path, tmp_path: Path, plugin: Path
+) -> None:
+    for choice, words in (
+        (Choice(options={"endig": "txt"}), 'did you mean "ending"'),
+        (Choice(options={"ending": "yaml"}), "none of json, txt"),
+        (Choice(level="clas"), 'did you mean "class"'),
+        (Choice(faults="ignore"), "expected stop or skip"),
+        (Choice(splits=parse_splits("a=0.4,b=0.3,c=0.3")), "never in two splits"),
+        (Choice(remap=parse_remap({"class": {"rok": "x"}})), 'did you mean "rock"'),
+    ):
+        with pytest.raises(OutputError, match=words):
+            export(output, "tiny", tmp_path / "ds", choice, workers=1)
+    with pytest.raises(FrameError, match='did you mean "rover_left"'):
+        export(output, "tiny", tmp_path / "ds", Choice(cameras=["rover_lef"]), workers=1)
+    assert os.listdir(tmp_path) == []
+
+
+def test_frames_without_a_pass_that_a_format_needs_are_refused(
+    tmp_path: Path, plugin: Path
+) -> None:
+    def without(number: int):
+        return {k: v for k, v in some_passes(number).items() if k != "instance"}
+
+    out = make_output(tmp_path / "out", without, batches=1)
+    with pytest.raises(OutputError, match="needs the pass instance"):
+        export(out, "tiny", tmp_path / "ds", workers=1)

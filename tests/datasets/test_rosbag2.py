@@ -1,0 +1,286 @@
+"""ROS 2 bags as rosbags, the mcap package and evo read them."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import struct
+import sys
+
+import numpy as np
+import pytest
+import yaml
+from evo.tools.file_interface import read_bag_trajectory
+from made_frames import (
+    LEFT,
+    SIDE,
+    Sensor,
+    camera_matrix,
+    camera_pose,
+    lift,
+    make_out,
+    misprediction,
+    off_surface,
+)
+from mcap.reader import make_reader
+from PIL import Image
+from rosbags.rosbag2 import Reader
+from rosbags.typesys import Stores, get_typestore
+from scipy.spatial.transform import Rotation
+
+from scenec.datasets.export import Choice, export
+from scenec.schemas.errors import FrameError, OutputError
+
+SENSORS = (LEFT, SIDE)
+START = 10**18
+TYPES = {"rgb8": np.uint8, "32FC1": np.float32, "16UC1": np.uint16, "32SC1": np.int32}
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    return make_out(tmp_path_factory.mktemp("out") / "made", SENSORS, 3, batches=2)
+
+
+@pytest.fixture(scope="module")
+def bag(made):
+    export(made.out, "rosbag2", workers=1)
+    return made.out / "datasets/rosbag2/all/batch_0001"
+
+
+def read(bag):
+    """Topic -> [(log time, message)], in the order that a player has."""
+    store = get_typestore(Stores.ROS2_JAZZY)
+    found = {}
+    with Reader(bag) as reader:
+        for connection, time, data in reader.messages():
+            message = store.deserialize_cdr(data, connection.msgtype)
+            found.setdefault(connection.topic, []).append((time, message))
+    return found
+
+
+def pixels(message):
+    """As cv_bridge has it."""
+    kind = np.dtype(TYPES[message.encoding])
+    channels = 3 if message.encoding == "rgb8" else 1
+    assert message.step == message.width * channels * kind.itemsize
+    assert message.is_bigendian == 0
+    assert len(message.data) == message.step * message.height
+    shape = (message.height, message.width, 3)[: 2 + (channels == 3)]
+    return np.frombuffer(message.data.tobytes(), kind).reshape(shape)
+
+
+def matrix(transform):
+    pose = np.eye(4)
+    q, t = transform.rotation, transform.translation
+    pose[:3, :3] = Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix()
+    pose[:3, 3] = t.x, t.y, t.z
+    return pose
+
+
+def stamp(message):
+    return message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
+
+
+def test_every_topic_holds_every_frame_of_its_camera_in_time(bag):
+    found = read(bag)
+    topics = {"image_raw", "camera_info", "depth/image_raw", "label/class/image_raw",
+              "instance/image_raw", "pose"}  # fmt: skip
+    expected = {f"/{s.name}/{topic}" for s in SENSORS for topic in topics}
+    assert set(found) == expected | {"/tf", "/tf_static"}
+    for topic in expected:
+        assert [time for time, _ in found[topic]] == [START + i * 10**8 for i in range(3)]
+        assert [stamp(message) for _, message in found[topic]] == [t for t, _ in found[topic]]
+
+
+def test_passes_come_back_value_for_value(made, bag):
+    found = read(bag)
+    for sensor in SENSORS:
+        for sample in range(3):
+            passes = made.passes[sensor.name, sample]
+            for name, topic, encoding in (
+                ("depth", "depth/image_raw", "32FC1"),
+                ("label.class", "label/class/image_raw", "16UC1"),
+                ("instance", "instance/image_raw", "32SC1"),
+            ):
+                message = found[f"/{sensor.name}/{topic}"][sample][1]
+                assert message.encoding == encoding
+                assert message.header.frame_id == f"{sensor.name}_optical"
+                assert (pixels(message) == passes[name]).all()
+            picture = pixels(found[f"/{sensor.name}/image_raw"][sample][1])
+            path = made.out / f"batch_0001/frames/mitsuba/{sensor.name}/{sample:06d}.png"
+            assert (picture == np.asarray(Image.open(path))).all()
+
+
+def test_camera_info_is_that_of_a_camera_without_distortion(bag):
+    found = read(bag)
+    for sensor in SENSORS:
+        for _, info in found[f"/{sensor.name}/camera_info"]:
+            k = camera_matrix(sensor)
+            k[:2, 2] -= 0.5
+            assert (info.k.reshape(3, 3) == k).all()
+            assert (info.p.reshape(3, 4) == np.c_[k, np.zeros(3)]).all()
+            assert (info.r.reshape(3, 3) == np.eye(3)).all()
+            assert info.d.tolist() == [0.0] * 5
+            assert (info.distortion_model, info.width, info.height) == ("plumb_bob", *sensor.size)
+
+
+def test_tf_puts_depth_of_every_camera_on_the_scene(bag):
+    found = read(bag)
+    transforms = [t for _, message in found["/tf"] for t in message.transforms]
+    assert len(transforms) == 6
+    for t in transforms:
+        assert t.header.frame_id == "world"
+        name = t.child_frame_id.removesuffix("_optical")
+        sample = (stamp(t) - START) // 10**8
+        depth = pixels(found[f"/{name}/depth/image_raw"][sample][1]).astype(float)
+        k = found[f"/{name}/camera_info"][sample][1].k.reshape(3, 3)
+        near = np.where(depth < 50.0, depth, 0.0)
+        assert off_surface(lift(near, k, matrix(t.transform))).max() < 1e-5
+        assert (depth[~np.isfinite(depth)] == np.inf).all()
+
+
+def test_depth_and_pose_of_one_camera_predict_depth_in_another(bag):
+    found = read(bag)
+    poses = {
+        (t.child_frame_id, (stamp(t) - START) // 10**8): matrix(t.transform)
+        for _, message in found["/tf"]
+        for t in message.transforms
+    }
+    b_from_a = np.linalg.inv(poses["rover_side_optical", 2]) @ poses["rover_left_optical", 0]
+    a, b = (
+        np.nan_to_num(pixels(found[f"/{n}/depth/image_raw"][i][1]).astype(float), posinf=0.0)
+        for n, i in (("rover_left", 0), ("rover_side", 2))
+    )
+    k_a, k_b = (
+        found[f"/{n}/camera_info"][0][1].k.reshape(3, 3) for n in ("rover_left", "rover_side")
+    )
+    error, count = misprediction(a, b, k_a, k_b, b_from_a)
+    assert count > 100
+    assert error < 1e-6
+    assert misprediction(a, b, k_a, k_b, np.linalg.inv(b_from_a))[0] > 1e-2
+
+
+def test_links_have_x_forward_y_left_z_up(bag):
+    (_, message), *others = read(bag)["/tf_static"]
+    assert not others
+    assert {t.child_frame_id for t in message.transforms} == {"rover_left_link", "rover_side_link"}
+    for t in message.transforms:
+        assert t.header.frame_id == t.child_frame_id.replace("_link", "_optical")
+        axes = matrix(t.transform)[:3, :3]
+        assert np.abs(axes - [[0, -1, 0], [0, 0, -1], [1, 0, 0]]).max() < 1e-15
+
+
+def test_evo_reads_the_trajectory(bag):
+    with Reader(bag) as reader:
+        found = read_bag_trajectory(reader, "/rover_side/pose")
+    assert found.num_poses == 3
+    for sample, pose in enumerate(found.poses_se3):
+        assert np.abs(pose - camera_pose(SIDE, sample)).max() < 1e-14
+
+
+def test_the_mcap_packages_own_reader_agrees_and_finds_an_index(bag):
+    with (bag / "batch_0001.mcap").open("rb") as file:
+        reader = make_reader(file, validate_crcs=True)
+        assert reader.get_header().profile == "ros2"
+        summary = reader.get_summary()
+        assert summary.statistics.message_count == 2 * 3 * 7 + 1
+        assert {chunk.compression for chunk in summary.chunk_indexes} == {"zstd"}
+        seen = 0
+        for schema, channel, message in reader.iter_messages(
+            topics=["/rover_left/depth/image_raw"]
+        ):
+            assert (schema.name, schema.encoding) == ("sensor_msgs/msg/Image", "ros2msg")
+            assert (channel.message_encoding, message.data[:4]) == ("cdr", b"\x00\x01\x00\x00")
+            assert struct.unpack_from("<iI", message.data, 4) == divmod(START + seen * 10**8, 10**9)
+            seen += 1
+        assert seen == 3
+
+
+def test_static_transforms_reach_those_who_come_late(bag):
+    with Reader(bag) as reader:
+        for connection in reader.connections:
+            (qos,) = connection.ext.offered_qos_profiles
+            late = "TRANSIENT_LOCAL" if connection.topic == "/tf_static" else "VOLATILE"
+            assert (qos.durability.name, qos.reliability.name) == (late, "RELIABLE")
+
+
+def test_names_of_labels_are_in_the_bag(bag):
+    metadata = yaml.safe_load((bag / "metadata.yaml").read_text(encoding="utf-8"))
+    labels = json.loads(metadata["rosbag2_bagfile_information"]["custom_data"]["labels"])
+    assert labels == {"class": {"1": "sky", "2": "ground", "3": "rock", "4": "lander"}}
+
+
+def test_the_same_frames_give_the_same_bytes_in_another_folder(made, bag, tmp_path):
+    export(made.out, "rosbag2", tmp_path / "d", workers=1)
+    assert (tmp_path / "d/SHA256SUMS").read_bytes() == (bag.parents[1] / "SHA256SUMS").read_bytes()
+
+
+def test_without_compression_the_messages_are_the_same(made, bag, tmp_path):
+    choice = Choice(options={"compression": "none"}, batches=[1])
+    export(made.out, "rosbag2", tmp_path / "d", choice, workers=1)
+    other = read(tmp_path / "d/all/batch_0001")
+    for topic, messages in read(bag).items():
+        assert [time for time, _ in messages] == [time for time, _ in other[topic]]
+    image = other["/rover_left/image_raw"][2][1]
+    assert (pixels(image) == pixels(read(bag)["/rover_left/image_raw"][2][1])).all()
+
+
+def test_a_damaged_frame_leaves_a_gap_and_nothing_else(made, tmp_path):
+    out = tmp_path / "out"
+    shutil.copytree(made.out, out, ignore=shutil.ignore_patterns("datasets"))
+    broken = out / "batch_0000/frames/mitsuba/rover_left/000000.exr"
+    broken.write_bytes(broken.read_bytes()[:-50])
+    export(out, "rosbag2", choice=Choice(faults="skip", batches=[0]), workers=1)
+    found = read(out / "datasets/rosbag2/all/batch_0000")
+    assert [t - START for t, _ in found["/rover_left/pose"]] == [10**8, 2 * 10**8]
+    assert len(found["/rover_side/pose"]) == 3
+    assert len(found["/tf_static"][0][1].transforms) == 2
+
+
+def test_a_bag_without_pictures_has_no_topic_for_them(tmp_path):
+    out = make_out(tmp_path / "out", (LEFT,), 1, without=["rgb", "instance"]).out
+    export(out, "rosbag2", workers=1)
+    found = read(out / "datasets/rosbag2/all/batch_0000")
+    assert not {"/rover_left/image_raw", "/rover_left/instance/image_raw"} & set(found)
+    assert "/rover_left/depth/image_raw" in found
+
+
+def test_an_id_of_31_bits_is_kept_and_a_larger_one_refused(tmp_path):
+    out = make_out(tmp_path / "a", (LEFT,), 1, ids={2: 2**31 - 1}).out
+    export(out, "rosbag2", workers=1)
+    message = read(out / "datasets/rosbag2/all/batch_0000")["/rover_left/instance/image_raw"][0][1]
+    assert pixels(message).max() == 2**31 - 1
+    out = make_out(tmp_path / "b", (LEFT,), 1, ids={2: 2**31}).out
+    with pytest.raises(FrameError, match=r"000000.exr: has the id 2147483648, and 32SC1 holds"):
+        export(out, "rosbag2", workers=1)
+    assert not list((out / "datasets").glob("rosbag2"))
+
+
+def test_time_zero_is_refused_since_tf_takes_it_for_none(made, tmp_path):
+    with pytest.raises(OutputError, match=r"000000: its time stamp is 0 s.*start_s"):
+        export(made.out, "rosbag2", tmp_path / "d", Choice(options={"start_s": "0"}), workers=1)
+
+
+def test_time_stamps_that_do_not_rise_are_refused(tmp_path):
+    out = make_out(tmp_path / "out", (LEFT,), 2, times=[1.0, 1.0]).out
+    with pytest.raises(OutputError, match=r"000001: its time stamp is not after that of .*000000"):
+        export(out, "rosbag2", workers=1)
+
+
+def test_names_that_ros_does_not_know_are_spelled_for_it_or_refused(tmp_path):
+    sensors = [Sensor("ровер_2", "/World/a", size=(1, 1)), Sensor("b__1", "/World/b", size=(2, 1))]
+    out = make_out(tmp_path / "a", sensors, 1, empty=True).out
+    export(out, "rosbag2", workers=1)
+    topics = set(read(out / "datasets/rosbag2/all/batch_0000"))
+    assert {"/c2/camera_info", "/b_1/camera_info"} <= topics
+    sensors = [Sensor("b_1", "/World/a"), Sensor("b__1", "/World/b")]
+    out = make_out(tmp_path / "b", sensors, 1).out
+    with pytest.raises(OutputError, match="'b__1' and 'b_1' would both be 'b_1' as a ROS topic"):
+        export(out, "rosbag2", workers=1)
+
+
+def test_without_rosbags_one_line_says_what_to_install(made, tmp_path, monkeypatch):
+    # As the import system marks a package that is not to be found.
+    monkeypatch.setitem(sys.modules, "rosbags", None)
+    with pytest.raises(OutputError, match=r"needs rosbags: pip install 'scenec\[ros\]'"):
+        export(made.out, "rosbag2", tmp_path / "d", workers=1)

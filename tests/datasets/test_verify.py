@@ -1,0 +1,262 @@
+"""A dataset is proved whole, and two are proved to have the same annotation, or not."""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import json
+import shutil
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from made_output import make_output, some_passes
+from PIL import Image
+from small import small_cfg, write_cfg
+from tiny_format import contents, install
+
+from scenec.backends.render import render
+from scenec.cli.main import main
+from scenec.compiler.compile import compile_cfg
+from scenec.datasets.export import Choice, export
+from scenec.datasets.filters import make_filters
+from scenec.datasets.verify import compare, is_dataset, verify
+from scenec.schemas.errors import OutputError
+
+FRAME = "batch_0001/rover_left/000001"
+
+
+@pytest.fixture(scope="module")
+def plugin(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    with pytest.MonkeyPatch.context() as patch:
+        yield install(patch, tmp_path_factory.mktemp("plugin"))
+
+
+@pytest.fixture(scope="module")
+def output(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return make_output(tmp_path_factory.mktemp("made") / "out")
+
+
+@pytest.fixture(scope="module")
+def dataset(output: Path, plugin: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("whole") / "ds"
+    export(output, "tiny", folder, workers=1)
+    return folder
+
+
+@pytest.fixture
+def copy(dataset: Path, tmp_path: Path) -> Path:
+    shutil.copytree(dataset, tmp_path / "ds")
+    return tmp_path / "ds"
+
+
+def test_a_dataset_as_it_was_written_has_no_flaw(dataset: Path, output: Path) -> None:
+    assert is_dataset(dataset)
+    assert not is_dataset(output)
+    assert verify(dataset) == []
+
+
+def rewrite(name: str, change: Callable[[str], str]) -> Callable[[Path], None]:
+    def apply(folder: Path) -> None:
+        path = folder / name
+        path.write_text(change(path.read_text(encoding="utf-8")), encoding="utf-8")
+
+    return apply
+
+
+def resum(folder: Path, *names: str) -> None:
+    """Sums that fit what was changed: only its content can tell."""
+    path = folder / "SHA256SUMS"
+    lines = path.read_text(encoding="utf-8").splitlines()
+    for name in names:
+        digest = hashlib.sha256((folder / name).read_bytes()).hexdigest()
+        lines = [f"{digest}  {name}" if line[66:] == name else line for line in lines]
+    path.write_text("".join(f"{line}\n" for line in lines), encoding="utf-8")
+
+
+def without_last_line(text: str) -> str:
+    return "".join(text.splitlines(keepends=True)[:-1])
+
+
+FLAWS = {
+    "a changed file": (rewrite("all.json", lambda t: t + " "), "all.json", "was changed"),
+    "a missing file": (lambda f: (f / "all.json").unlink(), "all.json", "is missing"),
+    "an extra file": (lambda f: (f / "notes.txt").touch(), "notes.txt", "no part of the dataset"),
+    "a changed card": (rewrite("README.md", str.upper), "README.md", "was changed"),
+    "no sums": (lambda f: (f / "SHA256SUMS").unlink(), "SHA256SUMS", "is missing"),
+    "broken sums": (
+        rewrite("SHA256SUMS", lambda t: "nonsense\n" + t), "SHA256SUMS:1", "no line of sha256sum"
+    ),
+    "a sum of a file elsewhere": (
+        rewrite("SHA256SUMS", lambda t: t + "0" * 64 + "  ../../secret\n"),
+        "SHA256SUMS:", "no line of sha256sum",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", list(FLAWS))
+def test_each_flaw_is_named(name: str, copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    change, where, words = FLAWS[name]
+    change(copy)
+    found = [f for f in verify(copy) if f.where.startswith(where) and words in f.message]
+    assert found, verify(copy)
+    assert main(["check", str(copy)]) == 1
+    assert str(found[0]) in capsys.readouterr().out
+
+
+CONTRADICTIONS = {
+    "a frame less": (rewrite("frames.csv", without_last_line), "says 8 frames"),
+    "another split": (
+        rewrite("frames.csv", lambda t: t.replace(",all,", ",test,", 1)), "more than one split"
+    ),
+    "a frame twice": (
+        rewrite("frames.csv", lambda t: t + t.splitlines()[-1] + "\n"), "2 times"
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", list(CONTRADICTIONS))
+def test_an_index_that_contradicts_the_counts_is_found_though_its_sum_fits(
+    name: str, copy: Path
+) -> None:
+    change, words = CONTRADICTIONS[name]
+    change(copy)
+    resum(copy, "frames.csv")
+    messages = [flaw.message for flaw in verify(copy)]
+    assert any(words in message for message in messages), messages
+    assert any("digest of all annotation" in message for message in messages) or "split" in name
+
+
+def test_what_is_no_dataset_or_of_another_version_is_refused(
+    copy: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(OutputError, match=r"no export\.json"):
+        verify(tmp_path)
+    for text in ("", "[]", "{}", '{"export": 1, "splits": {}, "frames": "x"}'):
+        (copy / "export.json").write_text(text)
+        with pytest.raises(OutputError, match=r"is no export\.json of scenec"):
+            verify(copy)
+    assert main(["check", str(copy)]) == 2
+    assert "is no export.json" in capsys.readouterr().err
+    summary = {"export": 99, "splits": {}, "frames": 0, "digest": {"annotation": ""}}
+    (copy / "export.json").write_text(json.dumps(summary))
+    with pytest.raises(OutputError, match="of version 99"):
+        verify(copy)
+
+
+def test_datasets_of_the_same_frames_are_the_same_whatever_was_filtered(
+    output: Path, dataset: Path, tmp_path: Path, plugin: Path
+) -> None:
+    choice = Choice(filters=make_filters(["id<100"]), options={"ending": "txt"})
+    export(output, "tiny", tmp_path / "other", choice, workers=1)
+    for other in (tmp_path / "other", output):
+        found = compare(dataset, other)
+        assert found.same
+        assert (found.frames, found.pictures_same, found.pictures_differing) == (8, 8, 0)
+
+
+def test_a_frame_with_one_other_pixel_is_named(
+    dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def tampered(number: int) -> dict:
+        passes = some_passes(number)
+        if number == 5:
+            passes["depth"][-1, -1] = np.nextafter(passes["depth"][-1, -1], np.float32(0))
+        return passes
+
+    other = make_output(tmp_path / "out", tampered)
+    found = compare(dataset, other)
+    assert (found.differing, found.same) == ([FRAME], False)
+    assert main(["check", str(dataset), "--against", str(other)]) == 1
+    out = capsys.readouterr().out
+    assert f"error: {FRAME} [annotation differs]" in out
+    assert "the same in 7 of 8 common frames" in out
+    assert "not the same dataset" in out
+
+
+def test_missing_and_unreadable_frames_are_named(
+    dataset: Path, output: Path, tmp_path: Path
+) -> None:
+    shutil.copytree(output, tmp_path / "out")
+    frames = tmp_path / "out/batch_0000/frames/reference"
+    (frames / "rover_right/000000.json").unlink()
+    (frames / "rover_left/000001.exr").write_bytes(b"\0")
+    found = compare(dataset, tmp_path / "out")
+    assert found.only_first == ["batch_0000/rover_right/000000"]
+    assert [text.split(":")[0] for text in found.unreadable] == ["batch_0000/rover_left/000001"]
+    assert not found.same
+    turned = compare(tmp_path / "out", dataset)
+    assert turned.only_second == found.only_first
+
+
+def test_pictures_with_other_noise_do_not_make_a_dataset_another(
+    dataset: Path, output: Path, tmp_path: Path, plugin: Path
+) -> None:
+    """The tiny format holds no pictures: only two outputs have them at hand."""
+    shutil.copytree(output, tmp_path / "out")
+    path = tmp_path / "out/batch_0000/frames/reference/rover_left/000000.png"
+    pixels = np.asarray(Image.open(path)).copy()
+    changed = np.where(pixels < 128, pixels + 2, pixels - 2)
+    Image.fromarray(changed).save(path)
+    found = compare(output, tmp_path / "out")
+    assert found.same
+    assert (found.pictures_same, found.pictures_differing) == (7, 1)
+    assert found.mean_difference == [2.0]
+    a = pixels.astype(np.float64)
+    expected = np.mean(4.0 / (a * a + 0.01 * a.mean() ** 2))
+    assert found.relative_mse == [pytest.approx(expected)]
+    unknown = compare(dataset, tmp_path / "out")
+    assert (unknown.pictures_differing, unknown.mean_difference) == (1, [])
+
+
+def test_nothing_in_common_is_not_the_same(tmp_path: Path, dataset: Path) -> None:
+    other = make_output(tmp_path / "out", batches=1, cameras=("mast",))
+    found = compare(dataset, other)
+    assert found.frames == 0
+    assert not found.same
+
+
+def test_questions_that_make_no_sense_end_in_one_line(
+    dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["check", str(dataset), "--exact"]) == 2
+    assert main(["check", str(dataset), "--against", str(tmp_path)]) == 2
+    error = capsys.readouterr().err.splitlines()
+    assert len(error) == 2
+    assert "neither a dataset of scenec" in error[1]
+
+
+def test_a_dataset_made_again_from_its_card_is_the_same_to_the_byte(
+    tmp_path: Path, plugin: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cfg = small_cfg(samples=1)
+    cfg["objects"]["rocks"] |= {"count": 30, "subdivisions": 1}
+    cfg["terrain"] |= {"spacing_m": 0.5}
+    first = tmp_path / "first"
+    first.mkdir()
+    compile_cfg(write_cfg(first, cfg), seed=5, out=first / "OUT")
+    passes = ("label", "instance", "depth")
+    render(first / "OUT", "reference", passes=passes)
+    export(first / "OUT", "tiny", first / "ds", workers=1)
+
+    card = (first / "ds/README.md").read_text(encoding="utf-8")
+    again = tmp_path / "again"
+    again.mkdir()
+    text = card.split("<summary>cfg.json</summary>")[1].split("```json\n")[1].split("\n```")[0]
+    (again / "cfg.json").write_text(text, encoding="utf-8")
+    commands = card.split("```sh\n")[1].split("```")[0].splitlines()
+    places = {"cfg.json": again / "cfg.json", "OUT": again / "OUT", "AGAIN": again / "ds",
+              "DATASET": first / "ds"}  # fmt: skip
+    for command in commands:
+        words = [str(places.get(word, word)) for word in command.split()]
+        assert words[0] == "scenec"
+        extra = ["--workers", "1"] if words[1] == "export" else []
+        assert main(words[1:] + extra) == 0, command
+    assert "the same dataset" in capsys.readouterr().out.splitlines()
+    theirs, ours = contents(again / "ds"), contents(first / "ds")
+    # The cfg's text came out of a block of Markdown: but for its last line end it is the same.
+    assert {n for n in ours if ours[n] != theirs.get(n)} <= {"export.json", "SHA256SUMS"}
+    assert list(csv.reader((again / "ds/frames.csv").open())) == list(
+        csv.reader((first / "ds/frames.csv").open())
+    )
