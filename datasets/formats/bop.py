@@ -44,9 +44,10 @@ from scenec.datasets.formats.depth_png import LARGEST, positive, to_16_bits, wri
 from scenec.datasets.formats.poses import inverse, opencv_intrinsics, rotation_matrix
 from scenec.datasets.source import FrameRef, LoadedFrame, sequences
 from scenec.schemas.amodal import amodal_path
-from scenec.schemas.errors import FrameError
+from scenec.schemas.errors import FrameError, OutputError
 from scenec.schemas.files import atomic, write_json
 from scenec.schemas.instances import BATCH_TABLE, InstanceTable, read_table
+from scenec.schemas.spelling import nearest
 
 _FILES = {"camera": "scene_camera.json", "gt": "scene_gt.json", "info": "scene_gt_info.json"}
 _COLUMNS = (
@@ -118,14 +119,24 @@ class Bop(Format):
         }
         (scratch / f"{task.number:08d}.json").write_text(json.dumps(entry), encoding="utf-8")
         classes = sorted({str(frame.table["class"][line]) for line in lines.tolist()})
-        written.record = {"classes": classes, "instances": len(lines), **depth.counts()}
+        others = sorted({*frame.table["class"].tolist()} - {*classes})
+        written.record = {
+            "classes": classes, "others": others, "instances": len(lines), **depth.counts()
+        }  # fmt: skip
         return written
 
     def finish(self, done: Iterable[Done], folder: Path, scratch: Path) -> list[str]:
         """Write the annotation of each scene, and what the objects are."""
         classes: set[str] = set()
+        others: set[str] = set()
         for one in done:
             classes.update((one.record or {}).get("classes", ()))
+            others.update((one.record or {}).get("others", ()))
+        if self.option("objects") != "*" and others and not classes:
+            raise OutputError(
+                f"format bop, option objects: no frame shows anything of {self.option('objects')}"
+                f"{nearest(self.option('objects'), sorted(others))}"
+            )
         ids = {name: number for number, name in enumerate(sorted(classes), 1)}
         written = [trajectory.SEQUENCES, "objects.json", "models/models_info.json"]
         table: list[list[object]] = []

@@ -27,7 +27,7 @@ from scenec.backends.render import render
 from scenec.compiler.compile import compile_cfg
 from scenec.datasets.export import Choice, export
 from scenec.datasets.filters import make_filters
-from scenec.schemas.errors import FrameError
+from scenec.schemas.errors import FrameError, OutputError
 
 SCENES = {"000000": LEFT, "000001": SIDE}
 BY_NUMBER = {thing.number: thing for thing in THINGS}
@@ -205,6 +205,12 @@ def test_objects_are_classes_and_the_rigid_ones_are_told(dataset):
     assert lander["min_y"] == pytest.approx(-600.0)
     # Whatever the size of a rock, its model is the same.
     assert [models["2"][f"size_{a}"] for a in "xyz"] == pytest.approx([2000.0, 1400.0, 1000.0])
+
+
+def test_a_pattern_that_nothing_matches_is_refused_with_what_there_is(made, tmp_path):
+    with pytest.raises(OutputError, match="no frame shows anything of .*/landr.*lander"):
+        export(made.out, "bop", tmp_path / "d", Choice(options={"objects": "*/landr"}), workers=1)
+    assert not (tmp_path / "d").exists()
 
 
 def test_only_chosen_objects_are_written(made, tmp_path):
