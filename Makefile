@@ -61,6 +61,8 @@ docs: setup  ## Generate docs/cfg.md from the schemas; the pages of errors and r
 	@.venv/bin/python docs/make_placement.py
 	@echo "== Measuring docs/sky.md"
 	@.venv/bin/python docs/make_sky.py
+	@echo "== Measuring docs/motion.md"
+	@.venv/bin/python docs/make_motion.py
 
 pictures: setup  ## Render the README's table of shipped cfgs, and docs/rocks.md.
 	@echo "== Rendering configs/ with Mitsuba, 64 samples a pixel"

@@ -80,6 +80,7 @@ def main() -> None:
         column[1].set_ylabel("height, m (black: the ground)")
         speed = _length(velocity)
         column[2].plot(rig.times[1:], speed, "b")
+        column[2].set_ylim(0.0, 1.1 * float(speed.max()))
         column[2].set_xlabel("s")
         column[2].set_ylabel("speed, m/s")
         rows.append(
