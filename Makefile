@@ -16,8 +16,8 @@ setup:  ## Make .venv from requirements.lock.
 	@tools/bootstrap.sh
 
 demo: setup  ## Compile and render configs/jacksboro.json, end with a contact sheet.
-	@echo "== Compiling configs/jacksboro.json and rendering it with Mitsuba, 64 samples a pixel"
-	@.venv/bin/scenec run configs/jacksboro.json --seed 1 -o $(DEMO) --backend mitsuba --spp 64
+	@echo "== Compiling configs/jacksboro.json and rendering it with Mitsuba, 16 samples a pixel"
+	@.venv/bin/scenec run configs/jacksboro.json --seed 1 -o $(DEMO) --backend mitsuba --spp 16
 	@echo "== Laying out the contact sheet"
 	@.venv/bin/scenec sheet $(DEMO) -o $(DEMO)/contact_sheet.png
 
