@@ -208,7 +208,7 @@ def test_objects_are_classes_and_the_rigid_ones_are_told(dataset):
 
 
 def test_a_pattern_that_nothing_matches_is_refused_with_what_there_is(made, tmp_path):
-    with pytest.raises(OutputError, match="no frame shows anything of .*/landr.*lander"):
+    with pytest.raises(OutputError, match=r"no frame shows anything of .*/landr.*lander"):
         export(made.out, "bop", tmp_path / "d", Choice(options={"objects": "*/landr"}), workers=1)
     assert not (tmp_path / "d").exists()
 
