@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.frontend.track import UNIT_TOLERANCE, read_number, read_rows
+from scenec.compiler.frontend.track import of_unit_length, read_number, read_rows
 from scenec.schemas.errors import SceneError
 from scenec.schemas.spelling import nearest, shown
 
@@ -161,15 +161,7 @@ def _quaternions(
     if "qw" not in table:
         return np.tile([1.0, 0.0, 0.0, 0.0], (len(lines), 1))
     quaternion = np.stack([table[name] for name in _TURN], axis=1)
-    length = np.sqrt((quaternion * quaternion).sum(axis=1))
-    off = np.flatnonzero(~(np.abs(length - 1.0) <= UNIT_TOLERANCE))
-    if off.size:
-        raise SceneError(
-            f"{file.name}:{lines[off[0]]}: the quaternion has the length {length[off[0]]:.6g}, "
-            "expected 1"
-        )
-    unit: NDArray[np.float64] = quaternion / length[:, None]
-    return unit
+    return of_unit_length(file, lines, quaternion)
 
 
 def _scales(

@@ -50,7 +50,7 @@ def read_track(file: Path) -> Track:
     """
     rows = read_rows(file)
     if rows and not all(_NUMBER.fullmatch(cell) for cell in rows[0][1]):
-        order = _header(file, *rows[0])
+        order = column_order(file, *rows[0], COLUMNS)
         width = len(rows[0][1])
         rows = rows[1:]
     else:
@@ -68,15 +68,8 @@ def read_track(file: Path) -> Track:
             table[i, column] = read_number(file, line, COLUMNS[column], cell)
     lines = [line for line, _ in rows]
     _check_time(file, lines, table[:, 0])
-    quaternion = table[:, 4:]
-    length = np.sqrt((quaternion * quaternion).sum(axis=1))
-    off = np.flatnonzero(~(np.abs(length - 1.0) <= UNIT_TOLERANCE))
-    if off.size:
-        raise SceneError(
-            f"{file.name}:{lines[off[0]]}: the quaternion has the length {length[off[0]]:.6g}, "
-            "expected 1"
-        )
-    return Track(table[:, 0].copy(), table[:, 1:4].copy(), quaternion / length[:, None])
+    quaternion = of_unit_length(file, lines, table[:, 4:])
+    return Track(table[:, 0].copy(), table[:, 1:4].copy(), quaternion)
 
 
 def read_rows(file: Path) -> list[tuple[int, list[str]]]:
@@ -99,18 +92,42 @@ def read_rows(file: Path) -> list[tuple[int, list[str]]]:
         raise SceneError(f"{file.name}: not a readable CSV file: {error}") from error
 
 
-def _header(file: Path, line: int, cells: list[str]) -> list[int]:
-    for column in COLUMNS:
+def column_order(file: Path, line: int, cells: list[str], wanted: tuple[str, ...]) -> list[int]:
+    """Where each wanted column stands in a header line.
+
+    Raises:
+        SceneError: One is missing, or stands twice.
+    """
+    for column in wanted:
         if column not in cells:
             guess = closest(column, cells)
             said = f" (is it {shown(guess)}?)" if guess else ""
             raise SceneError(
                 f"{file.name}:{line}: no column {shown(column)}{said}; expected the columns "
-                f"{', '.join(COLUMNS)}"
+                f"{', '.join(wanted)}"
             )
         if cells.count(column) > 1:
             raise SceneError(f"{file.name}:{line}: the column {shown(column)} stands twice")
-    return [cells.index(column) for column in COLUMNS]
+    return [cells.index(column) for column in wanted]
+
+
+def of_unit_length(
+    file: Path, lines: list[int], quaternion: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Quaternions [n, 4] normalized, each of the line of its number.
+
+    Raises:
+        SceneError: One is farther than ``UNIT_TOLERANCE`` from unit length.
+    """
+    length = np.sqrt((quaternion * quaternion).sum(axis=1))
+    off = np.flatnonzero(~(np.abs(length - 1.0) <= UNIT_TOLERANCE))
+    if off.size:
+        raise SceneError(
+            f"{file.name}:{lines[off[0]]}: the quaternion has the length {length[off[0]]:.6g}, "
+            "expected 1"
+        )
+    unit: NDArray[np.float64] = quaternion / length[:, None]
+    return unit
 
 
 def read_number(file: Path, line: int, column: str, cell: str) -> float:

@@ -8,9 +8,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.frontend.track import COLUMNS, UNIT_TOLERANCE, read_number, read_rows
+from scenec.compiler.frontend.track import (
+    COLUMNS,
+    column_order,
+    of_unit_length,
+    read_number,
+    read_rows,
+)
 from scenec.schemas.errors import SceneError
-from scenec.schemas.spelling import closest, shown
 
 #: Columns of each format, where no header names them; quaternions in their usual order.
 FORMATS: dict[str, tuple[str, ...]] = {
@@ -88,7 +93,7 @@ def read_stamped(
         for k, name in enumerate(wanted):
             table[i, k] = read_number(file, line, name, cells[order[k]])
     lines = [line for line, _ in rows]
-    table[:, 4:] = _of_unit_length(file, lines, table[:, 4:])
+    table[:, 4:] = of_unit_length(file, lines, table[:, 4:])
     table, lines = _merged(file, lines, table, columns[0])
     time = table[:, 0] - table[0, 0]
     begin = float(table[0, 0])
@@ -126,31 +131,7 @@ def _is_number(cell: str) -> bool:
 def _header(file: Path, line: int, cells: list[str], wanted: tuple[str, ...]) -> list[int]:
     # OAISYS's own short names stand for ours.
     names = [f"{cell}_m" if cell in ("x", "y", "z") else cell for cell in cells]
-    for column in wanted:
-        if column not in names:
-            guess = closest(column, names)
-            said = f" (is it {shown(guess)}?)" if guess else ""
-            raise SceneError(
-                f"{file.name}:{line}: no column {shown(column)}{said}; expected the columns "
-                f"{', '.join(wanted)}"
-            )
-        if names.count(column) > 1:
-            raise SceneError(f"{file.name}:{line}: the column {shown(column)} stands twice")
-    return [names.index(column) for column in wanted]
-
-
-def _of_unit_length(
-    file: Path, lines: list[int], quaternion: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    length = np.sqrt((quaternion * quaternion).sum(axis=1))
-    off = np.flatnonzero(~(np.abs(length - 1.0) <= UNIT_TOLERANCE))
-    if off.size:
-        raise SceneError(
-            f"{file.name}:{lines[off[0]]}: the quaternion has the length {length[off[0]]:.6g}, "
-            "expected 1"
-        )
-    unit: NDArray[np.float64] = quaternion / length[:, None]
-    return unit
+    return column_order(file, line, names, wanted)
 
 
 def _merged(
