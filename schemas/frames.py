@@ -27,7 +27,7 @@ from scenec.schemas.instances import frame_table_path
 from scenec.schemas.manifest import FRAMES
 
 #: Version of the sidecar's shape.
-FRAME_VERSION = "1.4"
+FRAME_VERSION = "1.5"
 
 #: What a reader may rely on in every sidecar.
 REQUIRED_KEYS = ("camera", "sample", "resolution", "intrinsics", "camera_to_world", "passes",
