@@ -63,6 +63,10 @@ docs: setup  ## Generate docs/cfg.md from the schemas; the pages of errors and r
 	@.venv/bin/python docs/make_sky.py
 	@echo "== Measuring docs/motion.md"
 	@.venv/bin/python docs/make_motion.py
+	@echo "== Measuring docs/converge.md"
+	@.venv/bin/python docs/make_converge.py
+	@echo "== Measuring docs/errors.md"
+	@.venv/bin/python docs/make_errors.py
 
 pictures: setup  ## Render the README's table of shipped cfgs, and docs/rocks.md.
 	@echo "== Rendering configs/ with Mitsuba, 64 samples a pixel"

@@ -13,6 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.backends.contract import Rays
+from scenec.backends.exact import outline_rays
 from scenec.backends.exact.bvh import Geometry
 from scenec.backends.exact.silhouette import (
     RAY_COST,
@@ -21,6 +23,7 @@ from scenec.backends.exact.silhouette import (
     outline_all,
     runs,
 )
+from scenec.backends.rays import camera_rays
 from scenec.backends.render_scene import Camera, RenderScene
 
 #: Pixels of windows that are held at once, unless one window alone has more.
@@ -89,8 +92,11 @@ class Outliner:
         shown: NDArray[np.int64],
         masks: bool = False,
         ray_cost: int = RAY_COST,
+        rays: Rays | None = None,
     ) -> Silhouettes:
         """Outline the instances that a picture shows.
+
+        A picture through a lens is not continued beyond its border: ``full`` is ``areas`` there.
 
         Args:
             geometry: Of the scene, posed as at the picture's sample.
@@ -100,6 +106,7 @@ class Outliner:
             shown: First column, first row, last column and last row that shows each, int64 [n, 4].
             masks: Whether to make masks, too.
             ray_cost: What a ray costs in triangles (``exact.silhouette``); changes time alone.
+            rays: The picture's; made where they are missing and the camera has a lens.
         """
         width, height = camera.width, camera.height
         k = np.ascontiguousarray(camera.intrinsics, np.float64)
@@ -109,9 +116,14 @@ class Outliner:
         rows = self._rows[entries]
         parts = np.zeros((len(rows), 4), np.int64)
         whole = np.zeros(len(rows), bool)
-        frame_rows(
-            geometry, rows, self._boxes[entries], k, pose, inverse, width, height, parts, whole
-        )
+        of_lens = None
+        if camera.lens is not None:
+            of_lens = camera_rays(camera) if rays is None else rays
+            parts = outline_rays.frame_rows(geometry, rows, of_lens)
+        else:
+            frame_rows(
+                geometry, rows, self._boxes[entries], k, pose, inverse, width, height, parts, whole
+            )
         windows = _union(parts, firsts[:-1], shown)
         pixels = (windows[:, 1] - windows[:, 0]) * (windows[:, 3] - windows[:, 2])
         bounded = np.logical_and.reduceat(whole, firsts[:-1]) if len(which) else whole
@@ -127,10 +139,16 @@ class Outliner:
             mark_shown(row, self._slot_of_row, seen, width, windows, starts, marks)
             # The largest first: no thread is left with one at the end.
             order = first + np.argsort(-pixels[first:end], kind="stable")
-            outline_all(
-                geometry, rows, parts, self._bases[entries], firsts, order, windows, starts,
-                ray_cost, k, pose, inverse, width, height, marks, areas,
-            )  # fmt: skip
+            if of_lens is not None:
+                outline_rays.outline(
+                    geometry, rows, parts, firsts, order, windows, starts, of_lens, marks, areas,
+                    bounded,
+                )  # fmt: skip
+            else:
+                outline_all(
+                    geometry, rows, parts, self._bases[entries], firsts, order, windows, starts,
+                    ray_cost, k, pose, inverse, width, height, marks, areas,
+                )  # fmt: skip
             if masks:
                 counts.append(_runs(order, windows, starts, marks, width, height, sizes))
         return Silhouettes(

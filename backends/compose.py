@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from scenec.backends.contract import Radiance
 from scenec.backends.noise import Noise, estimate
-from scenec.backends.rays import camera_rays
+from scenec.backends.rays import camera_rays, subpixel_directions
 from scenec.backends.render_scene import Camera, RenderScene, Sun
 from scenec.backends.sky import MIN_SUN_DIAMETER_RAD, combine, lookup
 
@@ -96,12 +96,19 @@ def background(
     lighting = scene.lighting[sample]
     if len(index) == 0 or not (lighting.domes or lighting.suns):
         return out.reshape(camera.height, camera.width, 3)
-    directions = camera_rays(camera).directions[index]
+    rays = camera_rays(camera)
+    if rays.known is not None:
+        # Outside of the image circle it is black.
+        index = index[rays.known[index]]
+    directions = rays.directions[index]
     sky = combine(lighting.domes)
     if sky is not None:
         out[index] = lookup(sky, directions)
     for sun in lighting.suns:
-        near, fraction = disc_fraction(sun, camera, directions)
+        if camera.lens is None:
+            near, fraction = disc_fraction(sun, camera, directions)
+        else:
+            near, fraction = lens_disc_fraction(sun, camera, directions, index)
         half = 0.5 * max(sun.diameter_rad, MIN_SUN_DIAMETER_RAD)
         disc = np.asarray(sun.irradiance) / (np.pi * np.sin(half) ** 2)
         out[index[near]] += fraction[:, None] * disc
@@ -141,6 +148,43 @@ def disc_fraction(
         rays = directions[part][:, None, :] + offsets[None, :, :]
         fractions[start : start + 4096] = (_angle(rays, sun.to_light) <= half).mean(axis=1)
     return near, fractions
+
+
+def lens_disc_fraction(
+    sun: Sun, camera: Camera, directions: NDArray[np.float64], index: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """The same of a camera with a lens.
+
+    Args:
+        sun, camera: Which.
+        directions: Rays through the pixels' centers, float64 [n, 3].
+        index: Which pixels they are, row-major, int64 [n].
+    """
+    half = 0.5 * max(sun.diameter_rad, MIN_SUN_DIAMETER_RAD)
+    away = _angle(directions, sun.to_light)
+    # Where a lens magnifies least a pixel may be larger than at the axis: its corners say.
+    k = camera.intrinsics
+    wide = 0.75 / min(k[0, 0], k[1, 1]) * (1.0 + abs(k[0, 1] / k[1, 1]))
+    near = np.flatnonzero(away <= half + max(0.1, 8.0 * wide))
+    corner = np.array([-0.5, 0.5])
+    dv, du = (a.ravel() for a in np.meshgrid(corner, corner, indexing="ij"))
+    if len(near):
+        corners = subpixel_directions(camera, index[near], du, dv)
+        spread = np.stack([_between(corners[:, i], directions[near]) for i in range(4)]).max(axis=0)
+        near = near[away[near] <= half + 1.5 * spread]
+    steps = (np.arange(DISC_SUBPIXELS) + 0.5) / DISC_SUBPIXELS - 0.5
+    dv, du = (a.ravel() for a in np.meshgrid(steps, steps, indexing="ij"))
+    fractions = np.empty(len(near))
+    for start in range(0, len(near), 1024):
+        rays = subpixel_directions(camera, index[near[start : start + 1024]], du, dv)
+        fractions[start : start + 1024] = (_angle(rays, sun.to_light) <= half).mean(axis=1)
+    return near, fractions
+
+
+def _between(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Angles between directions."""
+    cross = np.cross(a, b)
+    return np.arctan2(np.sqrt((cross**2).sum(-1)), (a * b).sum(-1))
 
 
 def _angle(directions: NDArray[np.float64], axis: NDArray[np.float64]) -> NDArray[np.float64]:

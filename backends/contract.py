@@ -34,13 +34,19 @@ class Rays:
     Attributes:
         origins: float64 [n, 3], meters.
         directions: float64 [n, 3]; not normalized: its length is such that the ray parameter is
-            planar depth for a pinhole camera (direction has z = 1 in the camera's frame).
+            planar depth for a pinhole camera (direction has z = 1 in the camera's frame); of lenses
+            that look sideways and back, 1.
         shape: (height, width) of the picture the rays belong to; n = height * width, row-major.
+        depth: Planar depth at a ray parameter of 1, float64 [n]; None: 1 for all.
+        known: Which pixels have a ray, bool [n]; None: all. The others, outside of a lens's image
+            circle, show nothing, whatever stands in ``directions``.
     """
 
     origins: NDArray[np.float64]
     directions: NDArray[np.float64]
     shape: tuple[int, int]
+    depth: NDArray[np.float64] | None = None
+    known: NDArray[np.bool_] | None = None
 
 
 @dataclass(frozen=True)
@@ -91,6 +97,10 @@ class Backend(Protocol):
     #: Where the backend is exact itself (``reference``), the caster that settles nothing more; None
     #: for renderers, whose visibility the resolver settles.
     caster: ExactCaster | None
+    #: Whether ``radiance`` draws cameras with a lens by their own rays. Where it does not (nor
+    #: says so: the attribute may be missing), it draws pinhole views, and ``backends.resample``
+    #: makes the picture of them.
+    follows_lenses: bool
 
     def version(self) -> str:
         """Name and version of the renderer and its variant, for sidecars and resume keys."""
@@ -117,9 +127,10 @@ class Backend(Protocol):
         """First hits. Never culls back faces.
 
         Args:
-            rays: One a pixel.
+            rays: One a pixel. Hits of pixels without a ray are of no meaning.
             sample: Time code.
-            camera: The pinhole camera the rays come from; None for a table of another kind.
+            camera: The pinhole camera the rays come from; None for a table of another kind, such
+                as of a camera with a lens.
 
         Returns:
             The hits; None if the backend cannot follow such rays (a rasterizer and rays of no
@@ -133,7 +144,7 @@ class Backend(Protocol):
         """Light that arrives, box-filtered over each pixel, in two halves of spp / 2 (up).
 
         Args:
-            camera: The camera at this sample.
+            camera: The camera at this sample; a pinhole, unless ``follows_lenses``.
             sample: Time code.
             spp: Samples per pixel, at least 1.
             seed: Of the noise, 32 bits.

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.backends.imaging.taken import TONE_CURVE, Taken
 from scenec.backends.instances import Seen
 from scenec.backends.render_scene import Camera, Lighting, RenderScene
 from scenec.schemas import picture
@@ -17,8 +18,16 @@ from scenec.schemas.amodal import amodal_path, write_amodal
 from scenec.schemas.errors import OutputError
 from scenec.schemas.exr import write_exr
 from scenec.schemas.files import sha256, write_json
-from scenec.schemas.frames import CONVENTIONS, FRAME_VERSION, FrameKey
+from scenec.schemas.frames import (
+    BESIDE,
+    CONVENTIONS,
+    FRAME_VERSION,
+    LENS_CONVENTION,
+    FrameKey,
+    beside_path,
+)
 from scenec.schemas.instances import frame_table_path, write_frame_table
+from scenec.schemas.lens import KANNALA_BRANDT, Lens
 
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
@@ -32,6 +41,7 @@ def write_frame(
     sample: int,
     details: Mapping[str, Any],
     seen: Seen | None = None,
+    taken: Taken | None = None,
 ) -> None:
     """Write EXR, PNG (if there is ``rgb``), table, masks and sidecar, each by atomic rename.
 
@@ -45,6 +55,7 @@ def write_frame(
         details: More for the sidecar: what ``Session.render`` returns.
         seen: What it shows of instances (``schemas.instances``, ``schemas.amodal``), if it has that
             pass.
+        taken: What the camera's sensor made of ``rgb``, where it has imaging.
 
     Raises:
         OutputError: A file cannot be written.
@@ -53,13 +64,21 @@ def write_frame(
     _unlink(stem.with_suffix(".json"))
     exr = stem.with_suffix(".exr")
     write_exr(exr, passes)
-    if "rgb" not in passes:
-        # A picture of an earlier frame does not belong to this one.
-        _unlink(stem.with_suffix(".png"))
-    else:
-        picture.write_png(
-            stem.with_suffix(".png"), picture.develop(passes["rgb"], camera.exposure_ev)
-        )
+    shown = None
+    if taken is not None:
+        shown = taken.picture
+    elif "rgb" in passes:
+        shown = picture.develop(passes["rgb"], camera.exposure_ev)
+    beside = {} if taken is None else {"clean": taken.clean, "raw": taken.raw}
+    for path, pixels in (
+        (stem.with_suffix(".png"), shown),
+        *((beside_path(stem, kind), beside.get(kind)) for kind in BESIDE),
+    ):
+        if pixels is None:
+            # A picture of an earlier frame does not belong to this one.
+            _unlink(path)
+        else:
+            picture.write_png(path, pixels)
     listed = frame_table_path(stem)
     if seen is None:
         _unlink(listed)
@@ -78,9 +97,11 @@ def write_frame(
         "time_s": float(scene.times[sample]) if sample < len(scene.times) else None,
         "resolution": [camera.width, camera.height],
         "intrinsics": camera.intrinsics.tolist(),
+        **({} if camera.lens is None else {"lens": lens_facts(camera.lens)}),
         "camera_to_world": camera.camera_to_world.tolist(),
-        "exposure_ev": camera.exposure_ev,
-        "tone_curve": picture.DESCRIPTION,
+        "exposure_ev": camera.exposure_ev if taken is None else taken.exposure_ev,
+        "trigger": list(camera.trigger),
+        "tone_curve": picture.DESCRIPTION if taken is None else TONE_CURVE,
         "passes": list(passes),
         "conventions": CONVENTIONS,
         "labels": {
@@ -100,9 +121,22 @@ def write_frame(
         "png": "rgb" in passes,
         "instance_table": None if seen is None else _vouch(listed),
         "amodal": None if seen is None or seen.amodal is None else _vouch(masks),
+        **({} if taken is None else {"imaging": taken.facts | _vouch_beside(stem, beside)}),
         **details,
     }
     write_json(stem.with_suffix(".json"), plain(sidecar))
+
+
+def lens_facts(lens: Lens) -> dict[str, Any]:
+    """A lens as sidecars state it; ``schemas.lens.from_sidecar`` reads it back."""
+    facts: dict[str, Any] = {
+        "model": lens.model,
+        "coefficients": lens.coefficients,
+        "convention": LENS_CONVENTION[lens.model],
+    }
+    if lens.model == KANNALA_BRANDT:
+        facts["max_angle_deg"] = math.degrees(lens.max_angle)
+    return facts
 
 
 def sun_facts(lighting: Lighting) -> dict[str, Any] | None:
@@ -116,6 +150,13 @@ def sun_facts(lighting: Lighting) -> dict[str, Any] | None:
         "elevation_deg": math.degrees(math.atan2(z, math.hypot(x, y))),
         "azimuth_deg": math.degrees(math.atan2(x, y)) % 360.0,
         "irradiance": sun.irradiance.tolist(),
+    }
+
+
+def _vouch_beside(stem: Path, beside: Mapping[str, NDArray | None]) -> dict[str, Any]:
+    return {
+        kind: None if pixels is None else _vouch(beside_path(stem, kind))
+        for kind, pixels in beside.items()
     }
 
 

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from scenec.backends.contract import Rays
 from scenec.backends.exact.caster import ExactCaster
+from scenec.backends.rays import subpixel_directions
 from scenec.backends.render_scene import Camera, Haze, RenderScene
 from scenec.backends.sky import Sky, combine, lookup
 
@@ -228,7 +229,11 @@ def _of_subpixels(
     out = otherwise.copy()
     for start in range(0, len(index), _PART // each):
         part = index[start : start + _PART // each]
-        directions = (rays.directions[part][:, None, :] + offsets).reshape(-1, 3)
+        if camera.lens is None:
+            around = rays.directions[part][:, None, :] + offsets
+        else:
+            around = subpixel_directions(camera, part, du, dv)
+        directions = around.reshape(-1, 3)
         origins = np.repeat(rays.origins[part], each, axis=0)
         _, _, t = caster.cast(Rays(origins, directions, (len(part), each)))
         hit = np.isfinite(t).reshape(-1, each)

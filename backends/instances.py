@@ -14,6 +14,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from scenec.backends.amodal import Outliner
+from scenec.backends.contract import Rays
 from scenec.backends.exact.bvh import Geometry
 from scenec.backends.render_scene import Camera, Mesh, RenderScene
 from scenec.schemas.amodal import Amodal
@@ -161,17 +162,21 @@ class Instances:
         sample: int,
         geometry: Geometry,
         masks: bool = False,
+        rays: Rays | None = None,
     ) -> Seen:
         """What a frame shows of instances.
 
         Args:
             row: Row that each pixel shows, -1 for none, int32 [h * w].
-            t: Its planar depth, float64 [h * w].
+            t: Ray parameter of what it shows (a pinhole's is planar depth), float64 [h * w].
             camera: Whose frame it is.
             sample: Time code.
             geometry: Of the scene, posed as at that sample.
             masks: Whether to make amodal masks, too.
+            rays: The picture's, where the camera has a lens: its planar depth goes by them.
         """
+        if rays is not None and rays.depth is not None:
+            t = np.where(t < np.inf, t * rays.depth, np.inf)
         count = len(self.ids)
         pixels = np.zeros((count, 5), np.int64)
         depths = np.zeros((count, 3))
@@ -182,7 +187,9 @@ class Instances:
         border |= (pixels[:, 3] == camera.width - 1) | (pixels[:, 4] == camera.height - 1)
         whole = np.concatenate([pixels, border[:, None]], axis=1)
         depths[:, 1] /= np.maximum(pixels[:, 0], 1)
-        found = self._outliner.outline(geometry, camera, row, which, pixels[:, 1:], masks)
+        # What is known already of a picture through a lens.
+        known: dict[str, Any] = {} if rays is None else {"rays": rays}
+        found = self._outliner.outline(geometry, camera, row, which, pixels[:, 1:], masks, **known)
         amodal = (found.areas, found.full, found.bounded.astype(np.int64))
         table = {
             "id": self.ids[which],

@@ -30,6 +30,7 @@ class Wanted:
     error: float | None = None
     seconds: float | None = None
     cameras: Collection[str] | None = None
+    choice: dict[str, Any] | None = None
 
 
 @dataclass(frozen=True)
@@ -74,6 +75,17 @@ class Jobs:
         if not any("instance" in self._camera(*place)["passes"] for place in self._places):
             return None
         return {"op": "instances", "folder": str((self._batch.folder / FRAMES).resolve())}
+
+    @property
+    def pixels(self) -> float:
+        """Of a frame, on average."""
+        sizes = [self._camera(*place)["pixels"] for place in self._places]
+        return sum(sizes) / max(1, len(sizes))
+
+    @property
+    def annotated(self) -> bool:
+        """Whether any of them has more than ``rgb``."""
+        return any(set(self._camera(*place)["passes"]) - {"rgb"} for place in self._places)
 
     @property
     def rgb(self) -> bool:
@@ -126,7 +138,7 @@ class Jobs:
             (sample, index)
             for sample in (there if wanted.samples is None else sorted(wanted.samples))
             for index, camera in enumerate(opened["cameras"][sample])
-            if wanted.cameras is None or camera["name"] in wanted.cameras
+            if camera["fires"] and (wanted.cameras is None or camera["name"] in wanted.cameras)
         ]
         seen = sorted({camera["name"] for cameras in opened["cameras"] for camera in cameras})
         unknown = [name for name in wanted.cameras or () if name not in seen]
@@ -152,6 +164,7 @@ class Jobs:
                 "sample": sample,
                 "key": asdict(key),
                 "seed": frame_seed(wanted.noise_seed, batch.name, name, sample),
+                "choice": wanted.choice,
             }
             yield Job(stem, f"{batch.name}/{name}/{sample:06d}", key, request)
 

@@ -20,6 +20,7 @@ class Reference:
     name = "reference"
     devices = ("cpu",)
     denoiser = None
+    follows_lenses = False
 
     def __init__(self, device: str = "auto") -> None:
         self.device = "cpu"

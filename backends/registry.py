@@ -27,6 +27,9 @@ BUILT_IN: dict[str, tuple[str, str | None]] = {
 }
 
 
+#: In place of a name: whichever measured curves speak for (``scenec.backends.auto``).
+AUTO = "auto"
+
 #: Backends that carry no light: they are never asked for ``rgb`` unless a user does so by name.
 ANNOTATION_ONLY = frozenset({"reference"})
 

@@ -13,7 +13,7 @@ from typing import Any
 from scenec.backends.jobs import Job, Jobs, Wanted, frame_seed
 from scenec.backends.memory import default_limit
 from scenec.backends.pool import FrameLostError, WorkerProcess
-from scenec.backends.registry import backend_names, require_name
+from scenec.backends.registry import ANNOTATION_ONLY, AUTO, backend_names, require_name
 from scenec.backends.rounds import MOST_SPP
 from scenec.backends.watch import Limits
 from scenec.schemas.errors import BackendError, ScenecError, StageError
@@ -51,6 +51,8 @@ class RenderReport:
         device: Where it ran.
         denoiser: What denoised ``rgb``, or None.
         losses: A line for each thing in the stages that ``rgb`` leaves out.
+        backend: The backend's name.
+        choice: Why this one, where none was named (``auto.Choice.as_json``); None otherwise.
         peak_memory_gb: The most that a worker held amid a frame made now, in 10^9 bytes; None if no
             frame was made or the system does not say.
     """
@@ -67,6 +69,8 @@ class RenderReport:
     device: str = ""
     denoiser: str | None = None
     losses: list[str] = field(default_factory=list)
+    backend: str = ""
+    choice: dict[str, Any] | None = None
     peak_memory_gb: float | None = None
 
 
@@ -98,7 +102,8 @@ def render(
 
     Args:
         out: Output folder of a compile, or a USD file (its frames go beside it).
-        backend: Name, see ``registry``.
+        backend: Name, see ``registry``; "auto" for the one that measured curves speak for
+            (``scenec.backends.auto``).
         spp: Samples per pixel of ``rgb``; None is 64. With ``error`` or ``seconds`` it is the most
             there may be; None is 4096 then.
         passes: ``rgb``, ``depth``, ``range``, ``label`` (all levels) or ``label.<level>``,
@@ -140,6 +145,12 @@ def render(
     )  # fmt: skip
     _check_words(wanted, rgb=passes is None or "rgb" in passes)
     chosen = find_batches(Path(out), batches)
+    if backend == AUTO:
+        # Imported here: it stands on ``converge``, which few renders need.
+        from scenec.backends.auto import choose
+
+        choice = choose(Path(out), chosen, wanted, limits, say or (lambda _line: None))
+        wanted = replace(wanted, backend=choice.backend, choice=choice.as_json())
     run = _Run(wanted, limits or Limits(), len(chosen), progress, warn, say)
     for number, batch in enumerate(chosen):
         if folder is not None:
@@ -181,6 +192,9 @@ def check_backend(
         seconds=seconds,
     )  # fmt: skip
     _check_words(wanted, rgb)
+    if backend == AUTO:
+        _check_some(wanted, rgb)
+        return
     found = _describe(backend, device, rgb)
     if denoise and found["denoiser"] is None:
         raise _no_denoiser(backend)
@@ -219,7 +233,7 @@ class _Run:
         warn: Say | None,
         say: Say | None,
     ) -> None:
-        self.report = RenderReport()
+        self.report = RenderReport(backend=wanted.backend, choice=wanted.choice)
         self._wanted = wanted
         self._batches = batches
         self._progress = progress
@@ -354,8 +368,26 @@ class _Annotator:
         return seen | {name: answer[name] for name in ("file", "seconds")}
 
 
+def _check_some(wanted: Wanted, rgb: bool) -> None:
+    """Is there any backend to choose."""
+    faults = []
+    for name in backend_names():
+        if rgb and name in ANNOTATION_ONLY:
+            continue
+        try:
+            found = _describe(name, wanted.device, rgb)
+            if wanted.denoise and found["denoiser"] is None:
+                raise BackendError(f"backend {name} has no denoiser")
+        except BackendError as error:
+            faults.append(str(error))
+        else:
+            return
+    raise BackendError(f"no backend works here for what is asked: {'; '.join(faults)}")
+
+
 def _check_words(wanted: Wanted, rgb: bool) -> None:
-    require_name(wanted.backend)
+    if wanted.backend != AUTO:
+        require_name(wanted.backend)
     if wanted.annotate_with is not None:
         require_name(wanted.annotate_with)
     if wanted.spp < 1:

@@ -13,6 +13,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.schemas.depth_camera import DepthCamera
+from scenec.schemas.imaging import Imaging
+from scenec.schemas.lens import Lens
+
 #: Passes of a camera that no RenderProduct says more about.
 DEFAULT_OUTPUTS = ("rgb", "label", "instance", "depth")
 
@@ -243,7 +247,7 @@ class Rows:
 
 @dataclass(frozen=True)
 class Camera:
-    """A pinhole camera at one sample.
+    """A camera at one sample: a pinhole, or one with a lens.
 
     Attributes:
         name: Name in file paths: ``<rig>_<sensor>``.
@@ -254,6 +258,13 @@ class Camera:
         camera_to_world: float64 [4, 4], camera axes x right, y down, z forward (OpenCV).
         exposure_ev: Pictures show radiance * 2**exposure_ev.
         outputs: Passes that its RenderProduct asks for.
+        partner: Prim path of the camera that disparity goes to, or None.
+        depth_camera: How it measures depth, or None.
+        trigger: Of the samples it is triggered at, how many come from one to the next, and the
+            first.
+        lens: Which ray a point of the plane that K maps to pixels belongs to; None: a pinhole,
+            as said above. Rays: ``scenec.backends.rays``.
+        imaging: What its sensor makes of radiance in pictures; None: they show it as it is.
     """
 
     name: str
@@ -264,6 +275,47 @@ class Camera:
     camera_to_world: NDArray[np.float64]
     exposure_ev: float = 0.0
     outputs: tuple[str, ...] = DEFAULT_OUTPUTS
+    partner: str | None = None
+    trigger: tuple[int, int] = (1, 0)
+    depth_camera: DepthCamera | None = None
+
+    def fires(self, sample: int) -> bool:
+        """Whether it is triggered at a sample."""
+        every, first = self.trigger
+        return sample >= first and (sample - first) % every == 0
+
+    lens: Lens | None = None
+    imaging: Imaging | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Lidar:
+    """A scanner at one sample; its frame is x ahead, y left, z up.
+
+    Attributes:
+        name: Name in file paths: ``<rig>_<lidar>``.
+        path: Prim path.
+        to_world: float64 [4, 4].
+        elevations_deg: Of each beam, float64 [b].
+        azimuths_deg: Of each ray of a beam, counterclockwise from above, float64 [a].
+        range_m: Nearest and farthest that is answered.
+        range_noise_m, range_noise_ratio: Standard deviations of ranges, meters and as a share.
+        angle_noise_deg: Of azimuth and of elevation.
+        dropout: Share of answers lost.
+        key: Of the numbers drawn, below 2**64.
+    """
+
+    name: str
+    path: str
+    to_world: NDArray[np.float64]
+    elevations_deg: NDArray[np.float64]
+    azimuths_deg: NDArray[np.float64]
+    range_m: tuple[float, float]
+    range_noise_m: float = 0.0
+    range_noise_ratio: float = 0.0
+    angle_noise_deg: float = 0.0
+    dropout: float = 0.0
+    key: int = 0
 
 
 @dataclass(frozen=True)
@@ -397,6 +449,8 @@ class RenderScene:
     haze: tuple[Haze | None, ...] = ()
     #: Per sample, by level: labels of directions that hit nothing, in place of ``sky_labels``.
     sky_label_maps: tuple[dict[str, SkyLabelMap], ...] = ()
+    #: Per sample: those that scan then.
+    lidars: tuple[tuple[Lidar, ...], ...] = ()
 
     def rows_at(self, sample: int) -> Rows:
         """The rows with the matrices of a sample; the very same object where nothing moves."""

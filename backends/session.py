@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.backends import memory
+from scenec.backends.bare import bare
 from scenec.backends.compose import compose
 from scenec.backends.contract import Backend, Radiance, Rays, Visibility
 from scenec.backends.exact import ExactCaster
@@ -27,6 +28,8 @@ from scenec.backends.render_scene import Camera, RenderScene
 from scenec.backends.resolver import Settled, annotate, pass_names, settle
 from scenec.backends.rounds import Rounds, Target, collect
 from scenec.schemas.amodal import AMODAL
+from scenec.schemas.correspondence import CORRESPONDENCES
+from scenec.schemas.depth_camera import MEASURED
 from scenec.schemas.errors import BackendError
 from scenec.schemas.frames import FrameKey
 from scenec.schemas.instances import BATCH_TABLE, table_digest, write_table
@@ -56,6 +59,8 @@ class Session:
         self._annotator = backend if annotator is None else annotator
         self._caster: ExactCaster | None = None
         self._loaded: set[str] = set()
+        #: Whether ``rgb`` may be asked for: without, renderers need no materials and no light.
+        self.pictures = True
 
     @classmethod
     def open(
@@ -160,7 +165,7 @@ class Session:
         annotation = [name for name in passes if name != "rgb"]
         radiance = rounds = None
         if "rgb" in passes:
-            radiance, rounds = self._radiance(camera, sample, spp, seed, denoise, seconds, target)
+            radiance, rounds = self._radiance(camera, sample, spp, seed, denoise, details, target)
             # First of the passes, whatever is known of it only later.
             arrays["rgb"] = radiance.halves[0]
         settled = None
@@ -178,8 +183,21 @@ class Session:
             if "instance" in annotation:
                 with _timed(seconds, "instances"):
                     listed = self.instances.seen(
-                        settled.row, settled.t, camera, sample, caster.geometry, AMODAL in passes
-                    )
+                        settled.row, settled.t, camera, sample, caster.geometry, AMODAL in passes,
+                        rays if camera.lens is not None else None,
+                    )  # fmt: skip
+            view = (self.scene, caster, settled, rays, camera, sample)
+            # Imported here: few frames ask for any.
+            if any(name in CORRESPONDENCES for name in annotation):
+                from scenec.backends.correspondence import compare
+
+                with _timed(seconds, "correspondence"):
+                    arrays |= compare(*view, annotation)
+            if MEASURED in annotation:
+                from scenec.backends.depth_camera import measure
+
+                with _timed(seconds, MEASURED):
+                    arrays[MEASURED] = measure(*view)
         if radiance is not None:
             veil = self._veil(radiance, camera, sample, settled, details)
             arrays["rgb"] = self._compose(radiance, camera, sample, veil, details, rounds)
@@ -206,8 +224,11 @@ class Session:
         key: FrameKey,
         seed: int,
         seen: Mapping[str, Any] | None = None,
+        choice: Mapping[str, Any] | None = None,
     ) -> dict[str, Any]:
         """Render a frame and write it; returns its details, with the seconds of writing.
+
+        A ``choice`` of this backend (``auto.Choice``) is noted in the sidecar.
 
         Raises:
             BackendError: There is no such camera or sample, or the renderer failed.
@@ -220,8 +241,17 @@ class Session:
         )
         peak = memory.peak()
         details["peak_memory_gb"] = None if peak is None else round(peak / memory.GB, 3)
+        if choice is not None:
+            details["choice"] = choice
+        taken = None
+        if camera.imaging is not None and "rgb" in arrays:
+            # Imported here: few cameras have any.
+            from scenec.backends.imaging.camera import take
+
+            with _timed(details["seconds"], "imaging"):
+                taken = take(arrays["rgb"], camera, camera.imaging, sample)
         start = time.perf_counter()
-        write_frame(stem, arrays, key, self.scene, camera, sample, details, listed)
+        write_frame(stem, arrays, key, self.scene, camera, sample, details, listed, taken)
         details["seconds"]["write"] = time.perf_counter() - start
         return details
 
@@ -238,7 +268,7 @@ class Session:
         seconds: dict[str, float] = {}
         self._load(self._annotator, seconds)
         with _timed(seconds, "visibility"):
-            seen = self._annotator.visibility(camera_rays(camera), sample, camera)
+            seen = _visible(self._annotator, camera_rays(camera), sample, camera)
         if seen is None:
             return {"file": None, "seconds": seconds}
         np.savez(file, row=seen.row, face=seen.face)
@@ -251,14 +281,28 @@ class Session:
         spp: int,
         seed: int,
         denoise: bool,
-        seconds: dict[str, float],
+        details: dict[str, Any],
         target: Target | None,
     ) -> tuple[Radiance, Rounds | None]:
         """Light from surfaces; with a target, in rounds."""
-        backend = self.backend
+        backend, seconds = self.backend, details["seconds"]
         self._load(backend, seconds)
 
+        views = None
+        if camera.lens is not None:
+            # Imported here: few cameras have a lens.
+            from scenec.backends import lens, resample
+
+            if getattr(backend, "follows_lenses", False):
+                error = lens.ray_table(camera).error_px
+                details["lens_radiance"] = {"way": "rays", "interpolation_px": error}
+            else:
+                views = resample.plan_views(camera)
+                details["lens_radiance"] = {"way": "resampled", **views.as_json()}
+
         def draw(count: int, noise: int) -> Radiance:
+            if views is not None:
+                return resample.draw(backend, camera, views, sample, count, noise, denoise)
             return backend.radiance(camera, sample, count, noise, denoise)
 
         rounds = None
@@ -343,7 +387,7 @@ class Session:
         # A backend that is exact itself lends its caster and needs no settling.
         self._caster = self._caster or backend.caster
         with _timed(seconds, "visibility"):
-            return None if backend.caster else backend.visibility(rays, sample, camera)
+            return None if backend.caster else _visible(backend, rays, sample, camera)
 
     def _exact(self, seconds: dict[str, float]) -> ExactCaster:
         with _timed(seconds, "load"):
@@ -355,7 +399,8 @@ class Session:
         """Builds the backend's own scene, once."""
         with _timed(seconds, "load"):
             if backend.name not in self._loaded:
-                backend.load(self.scene)
+                shown = self.pictures and backend is self.backend
+                backend.load(self.scene if shown else bare(self.scene))
                 self._loaded.add(backend.name)
 
     def _camera(self, index: int, sample: int) -> Camera:
@@ -376,6 +421,11 @@ def _timed(seconds: dict[str, float], name: str) -> Iterator[None]:
     start = time.perf_counter()
     yield
     seconds[name] = seconds.get(name, 0.0) + time.perf_counter() - start
+
+
+def _visible(backend: Backend, rays: Rays, sample: int, camera: Camera) -> Visibility | None:
+    """What a backend sees; only of pinholes it is told the camera."""
+    return backend.visibility(rays, sample, camera if camera.lens is None else None)
 
 
 def _read_visibility(file: Path) -> Visibility:

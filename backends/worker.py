@@ -5,7 +5,8 @@ One JSON document a line: requests on standard input, one answer to each on stan
     {"op": "open", "stage": PATH, "backend": NAME, "device": NAME, "annotator": NAME or null,
      "passes": [...] or null, "frames": PATH or null}
     {"op": "render", "stem": PATH, "camera": INDEX, "sample": N, "key": {...}, "seed": N,
-     "seen": {"file": PATH or null, "backend": NAME, "version": TEXT, "seconds": {...}} or null}
+     "seen": {"file": PATH or null, "backend": NAME, "version": TEXT, "seconds": {...}} or null,
+     "choice": why this backend, for the sidecar, or null}
     {"op": "see", "file": PATH, "camera": INDEX, "sample": N}
     {"op": "describe", "backend": NAME, "device": NAME, "rgb": BOOL}
     {"op": "probe", "backend": NAME}
@@ -69,14 +70,20 @@ class Worker:
             annotator=request.get("annotator"),
         )
         self._session, scene = session, session.scene
-        cameras = [
+        cameras: list[list[dict[str, Any]]] = [
             [
-                {"name": camera.name, "passes": session.passes(request.get("passes"), camera)}
+                {
+                    "name": camera.name,
+                    "passes": session.passes(request.get("passes"), camera),
+                    "pixels": camera.width * camera.height,
+                    "fires": camera.fires(sample),
+                }
                 for camera in cameras
             ]
-            for cameras in scene.cameras
+            for sample, cameras in enumerate(scene.cameras)
         ]
         pictures = any("rgb" in c["passes"] for of_sample in cameras for c in of_sample)
+        session.pictures = pictures
         return {
             "digest": scene.digest,
             "samples": scene.samples,
@@ -101,6 +108,7 @@ class Worker:
             key,
             request["seed"],
             request.get("seen"),
+            request.get("choice"),
         )
         answer: dict[str, Any] = plain(details)
         return answer

@@ -1,14 +1,21 @@
 """Is the stated error of a picture true: over drawn scenes, how often is it below its 95 % bound.
 
-python benchmarks/bench_estimate.py [--scenes 100] [--draws 8] [--reference 2048] [--error 0.1]
-                                    [--first 0] [--json FILE]
+python benchmarks/bench_estimate.py [--scenes 100] [--first 0] [--error 0.15] [--keep FOLDER]
+                                    [--json FILE]
 
 Each scene is a cfg drawn from its number (suns from 3 degrees up, skies or none, gloss, metals,
-glowing stones, a planetary law), seen at 48 x 32 by Mitsuba. Against a reference of its own noise,
-whose variance (from its halves) is subtracted, each scene gives: one picture of 8 to 64 samples
-per pixel (the calibration asked for: its true relative rms error is below the bound in 90 to 99 %
-of scenes), more such pictures (``draws``: how sure that share is), and one picture rendered in
-rounds to a target error (a bound that is looked at after every round errs a little more often).
+glowing stones, a planetary law), seen at 48 x 32 by Mitsuba. A scene that shows no lit surface (a
+camera that looks past the ground's edge, a night) says nothing of noise: it is left out, and the
+next number is drawn, until there are as many scenes as were asked for.
+
+Against a reference of its own noise, whose variance (from its halves) is subtracted, each scene
+gives: one picture of 8, 16, 32 or 64 samples per pixel in turn (the calibration asked for: its
+true relative rms error is below the bound in 90 to 99 % of scenes), one picture at each of these
+(how sure that share is), and one picture rendered in rounds to a target error (a bound that is
+looked at after every round errs a little more often). Samples of Mitsuba are independent: a
+picture of 64 is the mean of two of 32, and a round of 40 that of one of 32 and one of 8, so one set
+of small pictures serves all. With ``--keep`` they are kept, a file a scene, and a run that was
+broken off goes on; a changed estimate is judged without rendering again.
 """
 
 from __future__ import annotations
@@ -18,6 +25,7 @@ import json
 import math
 import sys
 import tempfile
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -34,7 +42,12 @@ from scenec.compiler.compile import compile_cfg
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 from small import small_cfg
 
+#: Samples per pixel of single pictures.
 SPP = (8, 16, 32, 64)
+#: Samples per pixel of a scene's small pictures, and how many there are.
+SMALL, LARGE = (8, 14), (32, 6)
+#: Of each of the reference's two halves.
+REFERENCE = 1024
 #: Few kinds of materials, the rest drawn: Mitsuba compiles anew for each kind.
 LOOKS = ("dull", "gloss", "metal", "glow", "planet")
 
@@ -52,6 +65,73 @@ class Trial:
     def below(self) -> bool:
         """Whether the bound holds."""
         return self.true <= self.bound
+
+
+@dataclass
+class Pictures:
+    """One scene's.
+
+    Attributes:
+        reference: Its halves, [2, h, w, 3].
+        small, large: Halves of each picture, [n, 2, h, w, 3].
+        covered: Pixels that surfaces touch in any of them, [h, w].
+    """
+
+    reference: NDArray[np.float32]
+    small: NDArray[np.float32]
+    large: NDArray[np.float32]
+    covered: NDArray[np.bool_]
+
+    def mean(self, small: Sequence[int], large: Sequence[int]) -> NDArray[np.float64]:
+        """Halves of the mean of some of them."""
+        parts = [(SMALL[0], self.small[i]) for i in small]
+        parts += [(LARGE[0], self.large[i]) for i in large]
+        total = sum(spp for spp, _ in parts)
+        return sum(spp / total * part.astype(np.float64) for spp, part in parts)  # type: ignore[return-value]
+
+    def single(self, spp: int) -> NDArray[np.float64]:
+        """A picture of ``SPP``; no two share samples."""
+        return self.mean(*{8: ([0], []), 16: ([1, 2], []), 32: ([], [0]), 64: ([], [1, 2])}[spp])
+
+    def true_error(self, halves: NDArray[np.float64]) -> float:
+        """Relative rms error, with the reference's own variance subtracted."""
+        reference = self.reference.astype(np.float64)
+        mean = 0.5 * (reference[0] + reference[1])
+        variance = (0.5 * (reference[0] - reference[1])) ** 2
+        picture = 0.5 * (halves[0] + halves[1])
+        square = float(((picture - mean) ** 2 - variance)[self.covered].mean())
+        return math.sqrt(max(square, 0.0)) / float(mean[self.covered].mean())
+
+    def judged(self, spp: int, halves: NDArray[np.float64]) -> Trial:
+        """True error beside what its halves tell."""
+        noise = estimate(halves, self.covered)
+        return Trial(
+            spp, self.true_error(halves), noise.relative_rms or 0.0, noise.relative_rms_bound or 0.0
+        )
+
+    def to_target(self, error: float) -> Trial | None:
+        """The picture that rounds end with; None if there are too few samples for it."""
+        small, large = list(range(SMALL[1])), list(range(LARGE[1]))
+
+        def draw(spp: int, _seed: int) -> Radiance:
+            taken: tuple[list[int], list[int]] = [], []
+            left = spp
+            while left > 0 and (small or large):
+                if large and (left >= LARGE[0] or not small):
+                    taken[1].append(large.pop())
+                    left -= LARGE[0]
+                else:
+                    taken[0].append(small.pop())
+                    left -= SMALL[0]
+            halves = self.mean(*taken)
+            drawn = SMALL[0] * len(taken[0]) + LARGE[0] * len(taken[1])
+            return Radiance(halves.astype(np.float32), self.covered.astype(np.float32), drawn)
+
+        most = SMALL[0] * SMALL[1] + LARGE[0] * LARGE[1]
+        picture, rounds = collect(draw, 0, Target(error, None, most))
+        if rounds.stopped != "error":
+            return None
+        return self.judged(picture.spp, picture.halves.astype(np.float64))
 
 
 def drawn_cfg(number: int) -> dict[str, Any]:
@@ -103,52 +183,47 @@ def drawn_cfg(number: int) -> dict[str, Any]:
     return cfg
 
 
-def true_error(
-    picture: NDArray[np.float64], reference: Radiance, covered: NDArray[np.bool_]
-) -> float:
-    """Relative rms error, with the reference's own variance subtracted."""
-    halves = reference.halves.astype(np.float64)
-    mean = 0.5 * (halves[0] + halves[1])
-    variance = (0.5 * (halves[0] - halves[1])) ** 2
-    square = float(((picture - mean) ** 2 - variance)[covered].mean())
-    return math.sqrt(max(square, 0.0)) / float(mean[covered].mean())
-
-
-def trials(
-    number: int, draws: int, reference_spp: int, error: float
-) -> tuple[list[Trial], Trial | None]:
-    """Pictures of one scene: plain ones, and one to a target; none of what is all black."""
+def rendered(number: int) -> Pictures | None:
+    """One scene's pictures; None if no lit surface is seen."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "cfg.json"
         path.write_text(json.dumps(drawn_cfg(number)), encoding="utf-8")
         out = compile_cfg(path, seed=number, out=Path(folder) / "out").out
         session = Session.open(out / "batch_0000" / "stage.usda", "mitsuba")
-        scene, backend = session.scene, session.backend
-        camera = scene.cameras[0][0]
-        backend.load(scene)
-        reference = backend.radiance(camera, 0, reference_spp, round_seed(number, 10**6))
-        covered = reference.coverage > 0.0
-        if not covered.any() or float(reference.halves.mean()) <= 0.0:
-            return [], None
+        camera, backend = session.scene.cameras[0][0], session.backend
+        backend.load(session.scene)
 
-        def judged(radiance: Radiance) -> Trial:
-            halves = radiance.halves.astype(np.float64)
-            noise = estimate(halves, radiance.coverage > 0.0)
-            true = true_error(0.5 * (halves[0] + halves[1]), reference, covered)
-            return Trial(
-                radiance.spp, true, noise.relative_rms or 0.0, noise.relative_rms_bound or 0.0
-            )
+        def drawn(name: int, spp: int, count: int) -> list[Radiance]:
+            return [
+                backend.radiance(camera, 0, spp, round_seed(number, name + i)) for i in range(count)
+            ]
 
-        rng = np.random.default_rng(number + 10**6)
-        plain = [
-            judged(backend.radiance(camera, 0, int(rng.choice(SPP)), round_seed(number, draw)))
-            for draw in range(draws)
-        ]
-        target = Target(error, None, reference_spp // 4)
-        made, rounds = collect(
-            lambda spp, seed: backend.radiance(camera, 0, spp, seed), number, target
+        large = drawn(1000, *LARGE)
+        if not any(one.halves.any() for one in large):
+            return None
+        small, reference = drawn(2000, *SMALL), drawn(3000, REFERENCE, 2)
+        covered = np.any([one.coverage > 0.0 for one in (*small, *large, *reference)], axis=0)
+
+        def halves(made: list[Radiance]) -> NDArray[np.float32]:
+            return np.stack([one.halves for one in made])
+
+        return Pictures(
+            halves(reference).mean(axis=1), halves(small), halves(large), np.asarray(covered)
         )
-        return plain, judged(made) if rounds.stopped == "error" else None
+
+
+def pictures(number: int, keep: Path | None) -> Pictures | None:
+    """One scene's pictures, from ``keep`` if they are there."""
+    path = None if keep is None else keep / f"{number:04d}.npz"
+    if path is not None and path.is_file():
+        with np.load(path) as found:
+            return None if "black" in found else Pictures(**found)
+    made = rendered(number)
+    if path is not None:
+        aside = path.with_suffix(".part.npz")
+        np.savez_compressed(aside, **({"black": np.ones(1)} if made is None else vars(made)))
+        aside.rename(path)
+    return made
 
 
 def main() -> None:
@@ -156,62 +231,81 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--scenes", type=int, default=100)
     parser.add_argument("--first", type=int, default=0, help="number of the first scene")
-    parser.add_argument("--draws", type=int, default=8)
-    parser.add_argument("--reference", type=int, default=2048)
-    parser.add_argument("--error", type=float, default=0.1)
+    parser.add_argument("--error", type=float, default=0.15)
+    parser.add_argument("--keep", type=Path, help="folder of pictures, to go on from")
     parser.add_argument("--json", type=Path)
     args = parser.parse_args()
+    if args.keep:
+        args.keep.mkdir(parents=True, exist_ok=True)
     single: list[Trial] = []
     pooled: list[Trial] = []
     adaptive: list[Trial] = []
-    unmet = black = 0
-    for number in range(args.first, args.first + args.scenes):
-        plain, to_target = trials(number, args.draws, args.reference, args.error)
-        if not plain:
-            black += 1
+    unmet = dark = 0
+    number = args.first
+    while len(single) < args.scenes:
+        scene = pictures(number, args.keep)
+        number += 1
+        if scene is None:
+            dark += 1
             continue
-        single.append(plain[0])
-        pooled += plain
+        each = [scene.judged(spp, scene.single(spp)) for spp in SPP]
+        single.append(each[len(single) % len(SPP)])
+        pooled += each
+        to_target = scene.to_target(args.error)
         if to_target is None:
             unmet += 1
         else:
             adaptive.append(to_target)
-        pairs = ", ".join(f"{t.true / t.bound:.3f}" for t in plain if t.bound > 0.0)
-        print(
-            f"scene {number}: {plain[0].spp} spp, true {100 * plain[0].true:.2f} %, estimated "
-            f"{100 * plain[0].estimate:.2f} %, bound {100 * plain[0].bound:.2f} %; "
-            f"true over bound: {pairs}",
-            file=sys.stderr,
-            flush=True,
-        )
-    print(f"{len(single)} drawn scenes, 48 x 32, reference {args.reference} spp; {black} all black")
-    print("                                 bound holds   true/estimated (median)  bound/estimated")
+        pairs = ", ".join(f"{t.true / t.bound:.3f}" for t in each if t.bound > 0.0)
+        print(f"scene {number - 1}: true over bound {pairs}", file=sys.stderr, flush=True)
+    print(f"{len(single)} drawn scenes, 48 x 32, reference {2 * REFERENCE} samples per pixel;")
+    print(f"{dark} more showed no lit surface and were drawn again")
+    print("                              bound holds (95 % interval)     true/est.  bound/est.")
     _row("one picture a scene", single)
-    _row(f"{args.draws} pictures a scene", pooled)
+    _row("four pictures a scene", pooled)
     for spp in SPP:
         _row(f"  of these at {spp} spp", [t for t in pooled if t.spp == spp])
     _row(f"in rounds to {100 * args.error:g} %", adaptive)
-    print(f"  target not met within {args.reference // 4} spp: {unmet} scenes")
-    met = sum(t.true <= args.error for t in adaptive)
-    print(f"  true error below the target: {met} of {len(adaptive)}")
+    most = SMALL[0] * SMALL[1] + LARGE[0] * LARGE[1]
+    print(f"  target not met within {most} spp: {unmet} scenes")
+    if adaptive:
+        met = sum(t.true <= args.error for t in adaptive)
+        worst = max(t.true for t in adaptive)
+        print(
+            f"  true error below the target: {_share(met, len(adaptive))}; "
+            f"the worst is {100 * worst:.1f} %"
+        )
     if args.json:
         values = {"single": single, "pooled": pooled, "adaptive": adaptive}
-        args.json.write_text(
-            json.dumps({k: [vars(t) for t in v] for k, v in values.items()}), encoding="utf-8"
-        )
+        lists = {k: [_rounded(t) for t in v] for k, v in values.items()}
+        about = {"error": args.error, "dark": dark, "unmet": unmet}
+        text = json.dumps({**about, **lists}).replace("}, {", "},\n{")
+        args.json.write_text(text + "\n", encoding="utf-8")
+
+
+def _rounded(trial: Trial) -> dict[str, float]:
+    return {name: float(f"{value:.6g}") for name, value in vars(trial).items()}
+
+
+def _share(held: int, of: int) -> str:
+    """A share and its 95 % interval (Clopper and Pearson 1934)."""
+    from scipy.stats import binomtest
+
+    interval = binomtest(held, of).proportion_ci(0.95)
+    return (
+        f"{held:3d} of {of:3d} = {100 * held / of:5.1f} % "
+        f"({100 * interval.low:.1f} to {100 * interval.high:.1f})"
+    )
 
 
 def _row(name: str, found: list[Trial]) -> None:
     if not found:
         return
-    holds = sum(t.below for t in found)
     seen = [t for t in found if t.estimate > 0.0]
     ratio = np.median([t.true / t.estimate for t in seen])
     width = np.median([t.bound / t.estimate for t in seen])
-    print(
-        f"  {name:28s} {holds:4d} of {len(found):4d} = {100 * holds / len(found):5.1f} %"
-        f" {ratio:14.3f} {width:18.3f}"
-    )
+    share = _share(sum(t.below for t in found), len(found))
+    print(f"  {name:24s} {share:36s} {ratio:8.3f} {width:10.3f}")
 
 
 if __name__ == "__main__":

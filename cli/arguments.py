@@ -6,7 +6,11 @@ import argparse
 import math
 
 #: As in ``scenec.schemas.exr``, which would cost the import of NumPy here; a test holds them equal.
-PASSES = ("rgb", "label", "instance", "depth", "range", "normal", "position", "face", "amodal")
+PASSES = (
+    *("rgb", "label", "instance", "depth", "range", "normal", "position", "face", "amodal"),
+    *("flow", "scene_flow", "occlusion", "flow_backward", "occlusion_backward"),
+    *("disparity", "disparity_occlusion", "depth_measured"),
+)
 
 #: As in ``scenec.backends.contract``, for the same reason.
 DEVICES = ("auto", "cpu", "cuda", "optix")
@@ -82,7 +86,12 @@ def _is_level(name: str) -> bool:
 
 def add_render_options(parser: argparse.ArgumentParser) -> None:
     """What ``run`` and ``render`` share."""
-    parser.add_argument("--backend", default="mitsuba", help="renderer (default: mitsuba)")
+    parser.add_argument(
+        "--backend",
+        default="mitsuba",
+        help="renderer (default: mitsuba); auto is the one that measured curves of error and time "
+        "speak for: those of an earlier scenec converge, or of a short calibration",
+    )
     parser.add_argument(
         "--spp",
         type=positive,
@@ -183,6 +192,34 @@ def add_settle_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--max-steps", type=int, default=20000, help="give up waiting for rest (default: 20000)"
     )
+
+
+def add_keep(parser: argparse.ArgumentParser) -> None:
+    """How much stays in the stages; values as in ``scenec.compiler.passes.keep``."""
+    group = parser.add_mutually_exclusive_group()
+    group.add_argument(
+        "--keep",
+        choices=("seen", "unpruned", "all"),
+        default="seen",
+        help="seen: what cameras can see the effect of (default); unpruned: all, as fine as then; "
+        "all: all, as fine out of view as in view, for walking around in a viewer",
+    )
+    group.add_argument(
+        "--no-prune", dest="keep", action="store_const", const="unpruned", help="--keep unpruned"
+    )
+
+
+def add_cache(parser: argparse.ArgumentParser) -> None:
+    """Where steps of earlier compilations are."""
+    group = parser.add_mutually_exclusive_group()
+    group.add_argument(
+        "--cache",
+        metavar="DIR",
+        help="folder of what earlier compilations made, taken where nothing it depends on has "
+        "changed: the same bytes, sooner (default: $SCENEC_CACHE, or scenec in the user's folder "
+        "for caches; at most $SCENEC_CACHE_MAX, 4G; safe to delete)",
+    )
+    group.add_argument("--no-cache", action="store_true", help="make all anew, and keep nothing")
 
 
 def add_batches(parser: argparse.ArgumentParser) -> None:

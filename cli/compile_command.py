@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 
-from scenec.cli.explain_command import precision_text
+from scenec.cli.explain_passes import precision_text
 from scenec.cli.output import Progress, print_json, say
 from scenec.compiler.compile import CompileReport, compile_cfg
+from scenec.compiler.incremental.store import default_folder
+from scenec.compiler.passes.keep import Keep
 from scenec.compiler.precision import WARN_PX
 
 
@@ -20,19 +23,24 @@ def run(options: argparse.Namespace) -> int:
 
 def compile_now(options: argparse.Namespace) -> CompileReport:
     """Compiles, and says what came of it."""
+    cache = cache_of(options)
     report = compile_cfg(
         options.cfg,
         seed=options.seed,
         out=options.out,
         batches=options.batches,
+        keep=Keep(options.keep),
         progress=say,
         step=Progress("compiled", unit="batch", units="batches").now,
+        cache=cache,
     )
     for name, seconds in report.seconds.items():
         facts = report.facts[name]
         objects = sum(entry["count"] for entry in facts.get("objects", {}).values())
+        spared = sum(entry["instances"] for entry in facts.get("left_out", []))
+        less = f" ({spared:,} left out)" if spared else ""
         say(
-            f"{name}: {facts['ground']['faces']:,} terrain faces, {objects:,} objects, "
+            f"{name}: {facts['ground']['faces']:,} terrain faces, {objects:,} objects{less}, "
             f"{facts['bytes'] / 2**20:.1f} MiB in {sum(seconds.values()):.1f} s; "
             f"positions in float32: {precision_text(facts['precision'])}"
         )
@@ -47,8 +55,20 @@ def compile_now(options: argparse.Namespace) -> CompileReport:
         say(
             f"{report.unchanged} of {len(report.batches)} batches were there already, byte for byte"
         )
+    made, taken = (
+        sum(sum(one.values()) for one in all_.values()) for all_ in (report.made, report.taken)
+    )
+    if taken:
+        say(f"{taken} of {made + taken} steps were taken from the cache, {cache}")
     say(f"stages: {report.out}/batch_*/stage.usda; list of files: {report.out}/manifest.json")
     return report
+
+
+def cache_of(options: argparse.Namespace) -> Path | None:
+    """The folder that the options and the environment name; None: there shall be none."""
+    if options.no_cache:
+        return None
+    return default_folder() if options.cache is None else Path(options.cache)
 
 
 def as_json(report: CompileReport) -> dict[str, object]:
@@ -58,4 +78,5 @@ def as_json(report: CompileReport) -> dict[str, object]:
         "batches": list(report.batches),
         "unchanged": report.unchanged,
         "seconds": report.seconds,
+        "steps": {"made": report.made, "taken": report.taken},
     }

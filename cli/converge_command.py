@@ -59,6 +59,7 @@ def print_report(found: ConvergeReport) -> None:
         [
             f"{floor['backend']} : {floor['against']}",
             _percent(floor["relative_rms"]),
+            f"{_percent(floor['relative_rms_low'])} to {_percent(floor['relative_rms_high'])}",
             f"{floor['relative_mse']:.3g}",
             "-" if floor["flip"] is None else f"{floor['flip']:.4f}",
             f"{100 * floor['bias']:+.3f} %",
@@ -67,7 +68,7 @@ def print_report(found: ConvergeReport) -> None:
     ]
     if floors:
         print("\nbetween references, noise subtracted (not from FLIP):")
-        print(table(floors, ["backends", "rel. rms", "relMSE", "FLIP", "bias"]))
+        print(table(floors, ["backends", "rel. rms", "95 %", "relMSE", "FLIP", "bias"]))
     annotated = [
         [
             name,

@@ -11,7 +11,9 @@ from collections.abc import Sequence
 from scenec.cli import interrupt
 from scenec.cli.arguments import (
     add_batches,
+    add_cache,
     add_json,
+    add_keep,
     add_render_options,
     add_settle_options,
     passes,
@@ -20,6 +22,7 @@ from scenec.cli.arguments import (
     span,
 )
 from scenec.cli.converge_arguments import add_converge_options
+from scenec.cli.explain_arguments import add_explain_options
 from scenec.cli.export_arguments import add_export_options
 from scenec.cli.view_arguments import add_view_options
 from scenec.schemas.errors import CfgError, ScenecError
@@ -88,6 +91,8 @@ def parser() -> argparse.ArgumentParser:
     run.add_argument("--seed", type=seed, required=True, help="whole number from 0 to 2^64 - 1")
     run.add_argument("-o", "--out", metavar="OUT", required=True, help="output folder")
     add_render_options(run)
+    add_keep(run)
+    add_cache(run)
     add_batches(run)
     add_json(run)
 
@@ -95,6 +100,8 @@ def parser() -> argparse.ArgumentParser:
     compile_.add_argument("cfg", metavar="CFG", help="the cfg, a JSON file")
     compile_.add_argument("--seed", type=seed, required=True, help="whole number, 0 to 2^64 - 1")
     compile_.add_argument("-o", "--out", metavar="OUT", required=True, help="output folder")
+    add_keep(compile_)
+    add_cache(compile_)
     add_batches(compile_)
     add_json(compile_)
 
@@ -110,6 +117,19 @@ def parser() -> argparse.ArgumentParser:
     add_render_options(render)
     add_batches(render)
     add_json(render)
+
+    scan = _command(commands, "scan", "scan with the lidars of an output; needs no renderer")
+    scan.add_argument("out", metavar="OUT", help="output folder of compile, or a USD file")
+    scan.add_argument("--samples", type=span, metavar="A:B", help="only these samples")
+    scan.add_argument(
+        "--lidars",
+        metavar="A,B,…",
+        type=lambda text: [name for name in text.split(",") if name],
+        help="only these, by name: RIG_LIDAR",
+    )
+    scan.add_argument("--ply", action="store_true", help="write clouds of points, too")
+    add_batches(scan)
+    add_json(scan)
 
     check = _command(commands, "check", "is the output sound, and do backends agree on it")
     check.add_argument(
@@ -179,9 +199,9 @@ def parser() -> argparse.ArgumentParser:
         _command(commands, "converge", "error against run time, for each renderer")
     )
 
-    explain = _command(commands, "explain", "what each pass cost and erred, what was left out")
-    explain.add_argument("out", metavar="OUT", help="output folder of compile")
-    add_json(explain)
+    add_explain_options(
+        _command(commands, "explain", "what each pass cost and erred, what was left out, and why")
+    )
 
     doctor = _command(commands, "doctor", "which backends work here, and what to install if not")
     add_json(doctor)

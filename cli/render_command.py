@@ -52,6 +52,8 @@ def render_now(options: argparse.Namespace) -> RenderReport:
 def as_json(report: RenderReport) -> dict[str, object]:
     """The report for scripts."""
     return {
+        "backend": report.backend,
+        "choice": report.choice,
         "backend_version": report.backend_version,
         "device": report.device,
         "denoiser": report.denoiser,

@@ -1,4 +1,4 @@
-"""``scenec run``: compile and render."""
+"""``scenec run``: compile, render, and scan where there are lidars."""
 
 from __future__ import annotations
 
@@ -9,22 +9,28 @@ from scenec.cli.output import print_json
 
 
 def run(options: argparse.Namespace) -> int:
-    """Compiles and renders."""
-    _refuse_early(options)
+    """Compiles, renders, and scans."""
+    lidars = _refuse_early(options)
     compiled = compile_command.compile_now(options)
     rendered = render_command.render_now(options)
+    made = {
+        "compile": compile_command.as_json(compiled),
+        "render": render_command.as_json(rendered),
+    }
+    if lidars:
+        from scenec.cli import scan_command
+
+        made["scan"] = scan_command.as_json(scan_command.scan_now(options))
     if options.json:
-        print_json(
-            {
-                "compile": compile_command.as_json(compiled),
-                "render": render_command.as_json(rendered),
-            }
-        )
+        print_json(made)
     return 1 if rendered.failed else 0
 
 
-def _refuse_early(options: argparse.Namespace) -> None:
+def _refuse_early(options: argparse.Namespace) -> bool:
     """What no renderer here can do should not cost a compilation.
+
+    Returns:
+        Whether there are lidars.
 
     Raises:
         CfgError: The cfg has faults.
@@ -34,8 +40,8 @@ def _refuse_early(options: argparse.Namespace) -> None:
     from scenec.compiler.frontend.load import load
 
     wanted = options.passes
+    rigs = load(options.cfg).cfg["rigs"].values()
     if wanted is None:
-        rigs = load(options.cfg).cfg["rigs"].values()
         wanted = [name for rig in rigs for s in rig["sensors"].values() for name in s["outputs"]]
     check_backend(
         options.backend,
@@ -46,3 +52,4 @@ def _refuse_early(options: argparse.Namespace) -> None:
         seconds=options.seconds,
         rgb="rgb" in wanted,
     )
+    return any("lidars" in rig for rig in rigs)

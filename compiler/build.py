@@ -5,24 +5,30 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.compiler.cameras.imaging import expose
 from scenec.compiler.cameras.paths.motion import Bodies
-from scenec.compiler.cameras.rigs import build_rigs, needs_objects
+from scenec.compiler.cameras.rigs import build_rigs, build_rigs_and_report, needs_objects
 from scenec.compiler.cameras.sight import Views, pixels_per_meter, views_of
-from scenec.compiler.ground.cover import cover_report, lay
+from scenec.compiler.ground.cover import lay_and_report
 from scenec.compiler.ground.surface import Surface
 from scenec.compiler.ground.tiles import build_tiles
+from scenec.compiler.incremental.memo import memoized
 from scenec.compiler.light.build import build_light
 from scenec.compiler.light.dark import without_dark
 from scenec.compiler.light.lamps import build_lamps, meter_lamps
 from scenec.compiler.objects.build import build_objects
 from scenec.compiler.objects.prototypes import Looks
+from scenec.compiler.passes import needed
+from scenec.compiler.passes.keep import Keep
+from scenec.compiler.passes.prune import Pruned, prune
+from scenec.compiler.passes.reach import without_idle
 from scenec.compiler.plan import Plan
 from scenec.compiler.precision import precision
 from scenec.compiler.scatter.surroundings import Surroundings
@@ -42,6 +48,7 @@ from scenec.compiler.terrain.grid import Grid
 from scenec.compiler.terrain.mesh_surface import MeshSurface
 from scenec.compiler.terrain.program import run
 from scenec.schemas.errors import SceneError
+from scenec.schemas.left_out import Record, entry
 
 
 @dataclass
@@ -52,11 +59,13 @@ class BuildLog:
         facts: For report.json.
         seconds: For timings.json.
         tell: Called with the name of each step that begins.
+        record: Why each instance is in the Scene or is not; None where none is missing.
     """
 
     facts: dict[str, Any] = field(default_factory=dict)
     seconds: dict[str, float] = field(default_factory=dict)
     tell: Callable[[str], None] | None = None
+    record: Record | None = None
 
     @contextmanager
     def timed(self, name: str) -> Iterator[None]:
@@ -68,21 +77,28 @@ class BuildLog:
         self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
 
 
-def build(plan: Plan, log: BuildLog) -> Scene:
+def build(plan: Plan, log: BuildLog, keep: Keep = Keep.SEEN) -> Scene:
     """The Scene of one batch.
 
-    Only what the outputs can show is made: without ``rgb`` there are no materials, weights, or
-    light; without ``label`` the ground is not cut.
+    Only what the outputs can show is made (``passes.needed``): without ``rgb`` there are no
+    materials, weights, or light; without ``label`` the ground is not cut; without ``instance``
+    nothing has ids.
 
     Args:
         plan: The batch.
         log: Receives errors and times.
+        keep: How much stays.
 
     Raises:
         SceneError: The cfg is valid, but what it asks for cannot be built.
     """
+    if keep is Keep.ALL:
+        plan = _seen_everywhere(plan)
     outputs = tuple(dict.fromkeys(o for rig in plan.rigs for s in rig.sensors for o in s.outputs))
-    color, labels = "rgb" in outputs, "label" in outputs
+    # Scans hold labels and ids, whatever cameras are asked for.
+    scanned = ("label", "instance") if any(rig.lidars for rig in plan.rigs) else ()
+    needs = needed.needs_of((*outputs, *scanned), keep, bool(plan.label_table))
+    color, labels = needs.color, needs.labels
     surface = build_surface(plan, log)
     terrain = surface.field
     with log.timed("light"):
@@ -93,11 +109,12 @@ def build(plan: Plan, log: BuildLog) -> Scene:
     with log.timed("light"):
         lamps = build_lamps(plan.light.lamps, rigs, surface) if color else ()
         light, lamps, dark = without_dark(light, lamps)
-        for what, why in dark:
-            _note_left_out(log, what, why)
+        _note_left_out(log, *(entry("light", what, why) for what, why in dark))
     if lamps:
         with log.timed("cameras"):
             rigs = meter_lamps(rigs, plan.rigs, lamps, surface, light.irradiance)
+    if color:
+        rigs = expose(rigs, plan.rigs)
     times = _times(rigs, plan.samples)
     looks = Looks(dict(plan.materials)) if color else None
     objects = stand_objects(plan, surface, rigs, looks, log)
@@ -116,22 +133,27 @@ def build(plan: Plan, log: BuildLog) -> Scene:
             cut_labels=labels,
         )
         ground = Ground(plan.terrain.layers, tiles)
+    _note_left_out(log, *needed.note_outputs(needs, plan, ground, objects))
+    with log.timed("outputs"):
+        used = needed.without_unused(looks.materials if looks else {}, ground, objects, needs)
+        ground, objects = used.ground, needed.without_ids(used.objects, needs)
+        lamps, idle = without_idle(lamps, ground, objects)
+        _note_left_out(log, *used.left_out, *idle)
     materials: dict[str, Material] = {}
-    if looks is not None:
+    if color:
         with log.timed("surfaces"):
-            materials = _finished(looks.materials, plan, ground, objects, views, rigs, log)
+            shown_to = needed.with_color(rigs, keep)
+            seen = views if shown_to is rigs else views_of(shown_to, hills, surface.amplitude_m())
+            # Without cameras nothing is too small to see.
+            shown_to = () if keep is Keep.ALL else shown_to
+            materials = _finished(used.materials, plan, ground, objects, seen, shown_to, log)
     bounds = _bounds(ground, objects)
     log.facts["precision"] = precision(bounds, log.facts, near)
-    if not color:
-        _note_left_out(log, "materials, weights, lights", "no sensor asks for rgb")
     if isinstance(terrain, MeshSurface) and any(plan.terrain.displacements):
-        _note_left_out(log, "the materials' displacement", "the terrain is a mesh")
-    if not labels:
-        _note_left_out(
-            log, "label primvars and the cut along label lines", "no output shows labels"
-        )
+        what = "materials: their displacement"
+        _note_left_out(log, entry("ground", what, "the terrain is a mesh"))
     _require_finite(objects, light.sky, rigs)
-    return Scene(
+    scene = Scene(
         name=plan.name,
         samples=plan.samples,
         times=times,
@@ -151,6 +173,24 @@ def build(plan: Plan, log: BuildLog) -> Scene:
         haze=light.haze,
         sky_label_maps=light.sky_label_maps,
     )
+    with log.timed("prune"):
+        pruned = _pruned(scene, needs, keep, hills is not None)
+        log.record = pruned.record
+        if pruned.facts:
+            log.facts["prune"] = pruned.facts
+        _note_left_out(log, *pruned.left_out)
+    return pruned.scene
+
+
+@memoized("prune")
+def _pruned(scene: Scene, needs: needed.Needs, keep: Keep, hills: bool) -> Pruned:
+    return prune(scene, needs, keep, hills=hills)
+
+
+def _seen_everywhere(plan: Plan) -> Plan:
+    """A plan whose meshes and levels of detail are as fine out of view as in view."""
+    meshing = replace(plan.terrain.meshing, unseen=1.0)
+    return replace(plan, terrain=replace(plan.terrain, meshing=meshing))
 
 
 def build_surface(plan: Plan, log: BuildLog) -> Surface:
@@ -168,8 +208,9 @@ def build_surface(plan: Plan, log: BuildLog) -> Surface:
         relief = run(plan.terrain.relief, grid, plan.terrain.meshing.max_triangles)
         terrain, log.facts["relief"] = relief.field, relief.steps
     with log.timed("cover"):
-        merges = lay(plan.terrain.merges, plan.terrain.coverage, terrain)
-        log.facts["cover"] = cover_report(merges, terrain)
+        merges, log.facts["cover"] = lay_and_report(
+            plan.terrain.merges, plan.terrain.coverage, terrain
+        )
         return Surface(
             terrain,
             merges,
@@ -209,8 +250,7 @@ def stand_rigs(
             # Of an object that moves, where it is at the first sample.
             step = len(middle) // one.count if one.count else 1
             bodies[one.name] = Bodies(one.ids, middle[::step], radius[::step])
-    motion: dict[str, Any] = {}
-    rigs = build_rigs(plan.rigs, surface, irradiance, bodies, motion)
+    rigs, motion = build_rigs_and_report(plan.rigs, surface, irradiance, bodies)
     if motion:
         log.facts["motion"] = motion
     return rigs
@@ -290,8 +330,9 @@ def _require_finite(
             raise SceneError(f"{name} overflow; use smaller numbers")
 
 
-def _note_left_out(log: BuildLog, what: str, why: str) -> None:
-    log.facts.setdefault("left_out", []).append({"what": what, "why": why})
+def _note_left_out(log: BuildLog, *entries: dict[str, Any]) -> None:
+    if entries:
+        log.facts.setdefault("left_out", []).extend(entries)
 
 
 def _georeference(steps: list[dict[str, Any]]) -> Georeference | None:

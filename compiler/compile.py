@@ -6,7 +6,7 @@ import hashlib
 import json
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,9 @@ from scenec.compiler.draw import draw
 from scenec.compiler.emit.batch import STAGE, write_batch
 from scenec.compiler.frontend import licenses
 from scenec.compiler.frontend.load import Spec, load
+from scenec.compiler.incremental.memo import Memo, memoizing
+from scenec.compiler.incremental.store import Store
+from scenec.compiler.passes.keep import Keep
 from scenec.compiler.scene import Scene
 from scenec.schemas.errors import OutputError, ScenecError
 from scenec.schemas.files import (
@@ -29,8 +32,18 @@ from scenec.schemas.files import (
     tree,
     write_json,
 )
-from scenec.schemas.manifest import CFG, FRAMES, MANIFEST, MANIFEST_FORMAT, REPORT, TIMINGS
+from scenec.schemas.left_out import write_left_out
+from scenec.schemas.manifest import (
+    CFG,
+    FRAMES,
+    LEFT_OUT,
+    MANIFEST,
+    MANIFEST_FORMAT,
+    REPORT,
+    TIMINGS,
+)
 from scenec.schemas.materialx import LAYER_SUFFIX
+from scenec.schemas.scans import SCANS
 
 #: Whose version can change the bytes of the output.
 _LIBRARIES = ("numpy", "numba", "scipy", "usd-core", "openexr")
@@ -46,6 +59,8 @@ class CompileReport:
         unchanged: How many of them were there already, byte for byte.
         seconds: Per batch, seconds of each pass.
         facts: Per batch, the contents of its report.json.
+        made, taken: Per batch, how often each step was made, or taken from the cache; empty
+            without one.
     """
 
     out: Path
@@ -53,6 +68,8 @@ class CompileReport:
     unchanged: int
     seconds: dict[str, dict[str, float]]
     facts: dict[str, dict[str, Any]]
+    made: dict[str, dict[str, int]] = field(default_factory=dict)
+    taken: dict[str, dict[str, int]] = field(default_factory=dict)
 
 
 def compile_cfg(
@@ -61,8 +78,11 @@ def compile_cfg(
     seed: int,
     out: Path | str,
     batches: range | None = None,
+    keep: Keep = Keep.SEEN,
     progress: Callable[[str], None] | None = None,
     step: Callable[[int, int, str], None] | None = None,
+    cache: Path | str | None = None,
+    cache_max: int | None = None,
 ) -> CompileReport:
     """Compiles a cfg into USD stages, one per batch.
 
@@ -74,8 +94,13 @@ def compile_cfg(
         seed: 0 <= seed < 2**64; 0 is a seed like any other.
         out: Output folder; made if it is not there.
         batches: Which batches; None compiles all.
+        keep: How much stays in the stages.
         progress: Called with a line of text before each batch.
         step: Called when a step of a batch begins, with batches done, batches in all, and a text.
+        cache: Folder of steps that were made before and are taken where nothing they depend on
+            has changed (``incremental.store.default_folder`` is the command line's); the bytes are
+            the same with it and without. None: all is made.
+        cache_max: Bytes that the folder may hold; None: ``$SCENEC_CACHE_MAX``, or 4 GiB.
 
     Raises:
         CfgError: The cfg has faults; all of them are in the error.
@@ -89,9 +114,12 @@ def compile_cfg(
     load_seconds = time.perf_counter() - started
     out = Path(out)
     chosen = _chosen(spec, batches)
-    manifest = _begin_manifest(spec, seed, out, chosen)
+    manifest = _begin_manifest(spec, seed, out, chosen, keep)
     seconds: dict[str, dict[str, float]] = {}
     facts: dict[str, dict[str, Any]] = {}
+    store = None if cache is None else Store(Path(cache), cache_max, say)
+    made: dict[str, dict[str, int]] = {}
+    taken: dict[str, dict[str, int]] = {}
     unchanged = 0
     for done, batch in enumerate(chosen):
         name = f"batch_{batch:04d}"
@@ -99,21 +127,29 @@ def compile_cfg(
         log = BuildLog(seconds={"load": load_seconds}, tell=_teller(step, done, len(chosen), name))
         with log.timed("draw"):
             plan = draw(spec, seed, batch)
-        scene = build(plan, log)
-        with temporary_folder(out / name) as folder:
+        memo = None if store is None else Memo(store)
+        with memoizing(memo):
+            scene = build(plan, log, keep)
+        with temporary_folder(out / name) as folder, memoizing(memo):
             with log.timed("emit"):
                 _write(folder, scene, out / name)
             log.facts["bytes"] = sum((folder / path).stat().st_size for path in tree(folder))
             write_json(folder / REPORT, {"batch": batch, **log.facts})
-            if (out / name).is_dir() and same_tree(folder, out / name, ignore=(FRAMES,)):
+            if log.record is not None:
+                write_left_out(folder, log.record)
+            if (out / name).is_dir() and same_tree(folder, out / name, ignore=(FRAMES, SCANS)):
                 unchanged += 1
             else:
-                replace_folder(folder, out / name, keep=(FRAMES,))
+                replace_folder(folder, out / name, keep=(FRAMES, SCANS))
         seconds[name], facts[name] = log.seconds, log.facts
+        if memo is not None:
+            made[name], taken[name] = dict(memo.made), dict(memo.taken)
         _add_batch(manifest, out, name, batch, plan.samples)
         # After each batch: what an interrupted run has finished counts, and can be gone on with.
         _write_manifest(manifest, out, seconds, spec.text)
-    return CompileReport(out, tuple(chosen), unchanged, seconds, facts)
+    if store is not None:
+        store.tidy()
+    return CompileReport(out, tuple(chosen), unchanged, seconds, facts, made, taken)
 
 
 def _teller(
@@ -143,7 +179,7 @@ def _chosen(spec: Spec, batches: range | None) -> range:
     return batches
 
 
-def _begin_manifest(spec: Spec, seed: int, out: Path, chosen: range) -> dict[str, Any]:
+def _begin_manifest(spec: Spec, seed: int, out: Path, chosen: range, keep: Keep) -> dict[str, Any]:
     """A manifest for this cfg and seed; batches of an earlier, equal run are kept.
 
     Raises:
@@ -159,6 +195,7 @@ def _begin_manifest(spec: Spec, seed: int, out: Path, chosen: range) -> dict[str
             "licenses": {pointer: licenses.as_json(file) for pointer, file in spec.files.items()},
         },
         "seed": seed,
+        "keep": str(keep),
         "scenec": version("scenec"),
         "libraries": {name: version(name) for name in _LIBRARIES},
     }
@@ -169,8 +206,8 @@ def _begin_manifest(spec: Spec, seed: int, out: Path, chosen: range) -> dict[str
         left_over = [b["path"] for b in old["batches"] if b["index"] not in chosen]
         if left_over:
             raise OutputError(
-                f"{out}: holds {left_over[0]} of another cfg, seed or version, which would be left "
-                "beside the new batches; choose another folder, or delete this one"
+                f"{out}: holds {left_over[0]} of another cfg, seed, keep or version, which would "
+                "be left beside the new batches; choose another folder, or delete this one"
             )
         return {**head, "batches": [], "files": {}}
     # What a killed run left behind begins with a dot, and is ours.
@@ -185,7 +222,7 @@ def _begin_manifest(spec: Spec, seed: int, out: Path, chosen: range) -> dict[str
 
 def _essence(manifest: dict[str, Any]) -> dict[str, Any]:
     """What decides the batches: not what is known of the terms of what went in."""
-    keys = ("format", "name", "seed", "scenec", "libraries")
+    keys = ("format", "name", "seed", "keep", "scenec", "libraries")
     cfg = manifest.get("cfg")
     inputs = (cfg.get("sha256"), cfg.get("inputs")) if isinstance(cfg, dict) else None
     return {"cfg": inputs, **{key: manifest.get(key) for key in keys}}
@@ -214,7 +251,7 @@ def _add_batch(manifest: dict[str, Any], out: Path, name: str, index: int, sampl
         path: entry for path, entry in manifest["files"].items() if not path.startswith(f"{name}/")
     }
     for path in tree(out / name):
-        if path.parts[0] == FRAMES:
+        if path.parts[0] in (FRAMES, SCANS):
             continue
         file = out / name / path
         files[f"{name}/{path.as_posix()}"] = {
@@ -237,6 +274,7 @@ def _role(path: Path) -> str:
         "lights.usda": "suns, sky and lamps",
         "cameras.usda": "rigs, cameras, render products",
         REPORT: "error of every pass, counts, what was left out",
+        LEFT_OUT: "why each instance is in the stage or is not",
     }[path.name]
 
 

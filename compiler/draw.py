@@ -9,6 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
+from scenec.compiler.cameras.depth_cameras import draw_depth_camera
+from scenec.compiler.cameras.imaging import draw_imaging
+from scenec.compiler.cameras.lenses import find_fault, lens_intrinsics, make_lens
+from scenec.compiler.cameras.lidars import draw_lidar
 from scenec.compiler.cameras.paths.draw import draw_motion, draw_track
 from scenec.compiler.cameras.paths.motion import Motion
 from scenec.compiler.cameras.poses import from_euler
@@ -41,6 +45,7 @@ from scenec.compiler.terrain.draw_craters import draw_craters
 from scenec.compiler.terrain.mask import Masked
 from scenec.compiler.terrain.mesh_base import Roughness
 from scenec.compiler.terrain.operator import OPERATORS, ReliefOperator
+from scenec.schemas.errors import SceneError
 
 #: Relief operators that are many things, each drawn.
 _SCATTERED: dict[str, Callable[..., ReliefOperator]] = {
@@ -219,7 +224,11 @@ def _rig(spec: Spec, name: str, streams: Streams) -> RigPlan:
         _sensor(sensor, node, f"rigs/{name}/sensors/{sensor}", streams, samples)
         for sensor, node in cfg["sensors"].items()
     )
-    return RigPlan(name, pose, sensors)
+    lidars = tuple(
+        draw_lidar(lidar, node, f"rigs/{name}/lidars/{lidar}", streams)
+        for lidar, node in cfg.get("lidars", {}).items()
+    )
+    return RigPlan(name, pose, sensors, lidars)
 
 
 def _random_target(
@@ -245,14 +254,25 @@ def _sensor(
     name: str, cfg: dict[str, Any], path: str, streams: Streams, samples: int
 ) -> SensorPlan:
     width, height = cfg["resolution"]
+    lens = make_lens(resolve(cfg.get("lens"), streams, f"{path}/lens"))
     if cfg["intrinsics"] is not None:
         k = resolve(cfg["intrinsics"], streams, f"{path}/intrinsics")
         intrinsics = (k["fx"], k["fy"], k["cx"], k["cy"], k["skew"])
+    elif lens is not None:
+        fov = resolve(cfg["fov_deg"], streams, f"{path}/fov_deg")
+        found = lens_intrinsics(lens, (width, height), fov)
+        if isinstance(found, str):
+            raise SceneError(f"{path}/lens: {found}")
+        intrinsics = found
     else:
         half = resolve(cfg["fov_deg"], streams, f"{path}/fov_deg") * elementary.PI / 360.0
         focal = 0.5 * width * elementary.cos(half) / elementary.sin(half)
         intrinsics = (focal, focal, 0.5 * width, 0.5 * height, 0.0)
+    fault = find_fault(lens, intrinsics, (width, height))
+    if fault is not None:
+        raise SceneError(f"{path}/lens: {fault}")
     mount = resolve(cfg["mount"], streams, f"{path}/mount")
+    trigger = cfg.get("trigger", {"every": 1, "first": 0})
     metered = cfg["exposure"]["type"] == "incident"
     key = "ev_offset" if metered else "ev"
     return SensorPlan(
@@ -263,4 +283,9 @@ def _sensor(
         metered=metered,
         ev=per_sample(cfg["exposure"][key], streams, f"{path}/exposure/{key}", samples),
         outputs=tuple(cfg["outputs"]),
+        partner=cfg.get("partner"),
+        depth_camera=draw_depth_camera(cfg.get("depth_camera"), f"{path}/depth_camera", streams),
+        trigger=(trigger["every"], trigger["first"]),
+        lens=lens,
+        imaging=draw_imaging(cfg.get("imaging"), streams, f"{path}/imaging", samples),
     )

@@ -21,9 +21,12 @@ from scenec.compiler.objects.prototypes import ModelPlan, PartRule
 from scenec.compiler.scatter.density import Density
 from scenec.compiler.scatter.families.shape import Shape
 from scenec.compiler.scatter.where import Place
-from scenec.compiler.scene import GroundLayer, Labels, Material
+from scenec.compiler.scene import GroundLayer, Labels, Lidar, Material
 from scenec.compiler.terrain.detail import Detail
 from scenec.compiler.terrain.operator import ReliefOperator
+from scenec.schemas.depth_camera import DepthCamera
+from scenec.schemas.imaging import Imaging
+from scenec.schemas.lens import Lens
 
 
 @dataclass(frozen=True)
@@ -188,8 +191,25 @@ class TrackPlan:
 
 
 @dataclass(frozen=True)
+class ImagingPlan:
+    """A sensor's parameters as drawn.
+
+    Attributes:
+        samples: At each sample. Of metered ones time and speed are still missing, and what they
+            have to be between is there.
+        metered: Whether they follow the sensor's exposure.
+    """
+
+    samples: tuple[Imaging, ...]
+    metered: bool
+
+
+@dataclass(frozen=True)
 class SensorPlan:
-    """A sensor; ``ev`` [s] is absolute, or relative to the incident light's if ``metered``."""
+    """A sensor; ``ev`` [s] is absolute, or relative to the incident light's if ``metered``.
+
+    The other fields mean what they do in ``Sensor``.
+    """
 
     name: str
     resolution: tuple[int, int]
@@ -198,6 +218,11 @@ class SensorPlan:
     metered: bool
     ev: NDArray[np.float64]
     outputs: tuple[str, ...]
+    partner: str | None = None
+    trigger: tuple[int, int] = (1, 0)
+    depth_camera: DepthCamera | None = None
+    lens: Lens | None = None
+    imaging: ImagingPlan | None = None
 
 
 @dataclass(frozen=True)
@@ -207,6 +232,7 @@ class RigPlan:
     name: str
     pose: RandomTargetPlan | TrackPlan | Motion
     sensors: tuple[SensorPlan, ...]
+    lidars: tuple[Lidar, ...] = ()
 
 
 @dataclass(frozen=True)

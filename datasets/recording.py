@@ -148,14 +148,16 @@ def _context(table: dict[int, str]) -> list[tuple[int, str, tuple[int, int, int]
 def _log(rerun: ModuleType, stream: Any, entity: str, frame: LoadedFrame) -> None:
     pose, passes = frame.camera_to_world, frame.passes
     stream.log(entity, rerun.Transform3D(translation=pose[:3, 3], mat3x3=pose[:3, :3]))
-    stream.log(
-        entity,
-        rerun.Pinhole(
-            image_from_camera=frame.intrinsics,
-            resolution=[frame.width, frame.height],
-            camera_xyz=rerun.ViewCoordinates.RDF,
-        ),
-    )
+    # Rerun knows pinholes alone: pictures through a lens are shown, but not in space.
+    if frame.lens is None:
+        stream.log(
+            entity,
+            rerun.Pinhole(
+                image_from_camera=frame.intrinsics,
+                resolution=[frame.width, frame.height],
+                camera_xyz=rerun.ViewCoordinates.RDF,
+            ),
+        )
     if "rgb" in passes:
         picture = develop(passes["rgb"], float(frame.sidecar["exposure_ev"]))
         stream.log(f"{entity}/rgb", rerun.Image(picture).compress(jpeg_quality=92))

@@ -25,6 +25,7 @@ from scenec.schemas.exr import is_id_pass
 from scenec.schemas.files import sha256
 from scenec.schemas.frames import Frame, frame_stem, read_frame
 from scenec.schemas.instances import frame_table_path, read_frame_table
+from scenec.schemas.lens import Lens, from_sidecar
 from scenec.schemas.manifest import (
     FRAMES,
     STAGE_SUFFIXES,
@@ -119,6 +120,11 @@ class LoadedFrame:
     def intrinsics(self) -> NDArray[np.float64]:
         """K, float64 [3, 3], pixels."""
         return np.array(self.sidecar["intrinsics"], np.float64)
+
+    @property
+    def lens(self) -> Lens | None:
+        """What bends the plane that the intrinsics take to pixels; None: a pinhole."""
+        return from_sidecar(self.sidecar.get("lens"))
 
     @property
     def camera_to_world(self) -> NDArray[np.float64]:
@@ -328,6 +334,8 @@ class Source:
                 expected = set(range(known)) if self._samples is None else self._samples
                 if self._samples is not None and lengths.get(batch.index):
                     expected = expected & set(range(lengths[batch.index]))
+                every, first = self._trigger(batch, camera, there)
+                expected = {s for s in expected if s >= first and (s - first) % every == 0}
                 for sample in sorted(there | expected):
                     if self._samples is not None and sample not in self._samples:
                         continue
@@ -343,6 +351,18 @@ class Source:
                         )
         self.missing = tuple(missing)
         return tuple(refs)
+
+    def _trigger(self, batch: Batch, camera: str, there: set[int]) -> tuple[int, int]:
+        """When the camera is triggered, as its first sidecar says; (1, 0) if none can be read."""
+        for sample in sorted(there)[:1]:
+            stem = frame_stem(batch.folder, self.backend, camera, sample)
+            try:
+                every, first = json.loads(stem.with_suffix(".json").read_bytes())["trigger"]
+                return max(int(every), 1), int(first)
+            except (OSError, ValueError, KeyError, TypeError):
+                # A damaged sidecar is told where its frame is read.
+                break
+        return 1, 0
 
     def _numbers(self, batch: Batch, camera: str) -> set[int]:
         folder = batch.folder / FRAMES / self.backend / camera

@@ -294,6 +294,7 @@ def _made(frame: LoadedFrame, bounds: dict[str, list[float]]) -> Counts:
         "camera": frame.ref.camera,
         "resolution": sidecar["resolution"],
         "intrinsics": sidecar["intrinsics"],
+        **({"lens": sidecar["lens"]} if sidecar.get("lens") else {}),
     }
     noise = (sidecar.get("estimated_error") or {}).get("relative_rms")
     if noise is not None:

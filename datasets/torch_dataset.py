@@ -179,6 +179,8 @@ class FrameDataset:
             sample["target"] = self._make_target(frame, range(len(self))[index])
         if not self._as_numpy:
             sample = _as_tensors(sample)
+        if frame.lens is not None:
+            sample["lens"] = frame.sidecar["lens"]
         sample["frame"] = frame.ref.name
         sample["batch"] = frame.ref.batch
         sample["camera"] = frame.ref.camera

@@ -11,9 +11,16 @@ pass (part name)    channels                                 type
 ``face``            ``face.id``                              uint
 ``normal``          ``normal.X``, ``normal.Y``, ``normal.Z``       float
 ``position``        ``position.X``, ``position.Y``, ``position.Z``  float
+``flow``            ``flow.U``, ``flow.V``                   float
+``scene_flow``      ``scene_flow.X``, ``scene_flow.Y``, ``scene_flow.Z``  float
+``disparity``       ``disparity.U``                          float
+``depth_measured``  ``depth_measured.Z``                     float
+``occlusion``       ``occlusion.id``                         uint
 ==================  =======================================  ==========
 
-ZIP compression, float32 where memory has float64. The same arrays give the same bytes.
+``flow_backward`` is as ``flow``, ``occlusion_backward`` and ``disparity_occlusion`` are as
+``occlusion`` (``scenec.schemas.correspondence``). ZIP compression, float32 where memory has
+float64. The same arrays give the same bytes.
 """
 
 from __future__ import annotations
@@ -28,6 +35,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.schemas.correspondence import CORRESPONDENCES
+from scenec.schemas.depth_camera import MEASURED
 from scenec.schemas.errors import FrameError, OutputError
 from scenec.schemas.exr_parts import without_parts
 from scenec.schemas.files import atomic
@@ -40,12 +49,24 @@ _FIXED_CHANNELS: dict[str, tuple[str, ...]] = {
     "face": ("face.id",),
     "normal": ("normal.X", "normal.Y", "normal.Z"),
     "position": ("position.X", "position.Y", "position.Z"),
+    "flow": ("flow.U", "flow.V"),
+    "flow_backward": ("flow_backward.U", "flow_backward.V"),
+    "scene_flow": ("scene_flow.X", "scene_flow.Y", "scene_flow.Z"),
+    "disparity": ("disparity.U",),
+    MEASURED: (f"{MEASURED}.Z",),
+    "occlusion": ("occlusion.id",),
+    "occlusion_backward": ("occlusion_backward.id",),
+    "disparity_occlusion": ("disparity_occlusion.id",),
 }
 
 
 #: Passes as they are asked for; "label" stands for all levels. "amodal" is no part of the EXR, but
 #: a file of its own (``scenec.schemas.amodal``).
-PASSES = ("rgb", "label", "instance", "depth", "range", "normal", "position", "face", "amodal")
+PASSES = (
+    *("rgb", "label", "instance", "depth", "range", "normal", "position", "face", "amodal"),
+    *CORRESPONDENCES,
+    MEASURED,
+)
 
 
 def channel_names(name: str) -> tuple[str, ...]:
@@ -63,7 +84,7 @@ def channel_names(name: str) -> tuple[str, ...]:
 
 def is_id_pass(name: str) -> bool:
     """Whether a pass holds ids (uint32) instead of floats."""
-    return name in ("instance", "face") or name.startswith("label.")
+    return _FIXED_CHANNELS.get(name, (f"{name}.id",)) == (f"{name}.id",)
 
 
 def write_exr(path: Path, passes: Mapping[str, NDArray]) -> None:

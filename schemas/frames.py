@@ -29,6 +29,22 @@ from scenec.schemas.manifest import FRAMES
 #: Version of the sidecar's shape.
 FRAME_VERSION = "1.5"
 
+#: What the plane is that ``intrinsics`` take to pixels, where a sidecar has a ``lens``.
+LENS_CONVENTION = {
+    "brown_conrady": "OpenCV's rational model, k1, k2, p1, p2, k3, k4, k5, k6: K takes (X/Z, Y/Z), "
+    "distorted, to pixels; depth is along the optical axis",
+    "kannala_brandt": "OpenCV's fisheye, k1, k2, k3, k4: K takes t (1 + k1 t^2 + k2 t^4 + k3 t^6 + "
+    "k4 t^8), t the angle to the axis, towards (X, Y), to pixels; pixels beyond max_angle_deg show "
+    "nothing: label 0, depth +inf, rgb 0; depth is along the optical axis, 0 or less beside and "
+    "behind the camera, where range tells distances",
+    "equirectangular": "K takes (atan2(X, Z), atan2(Y, hypot(X, Z))), radians, to pixels; depth is "
+    "along the optical axis, 0 or less beside and behind the camera, where range tells distances",
+}
+
+#: Pictures beside a sensor's picture, on request: the one without noise, and the raw numbers, 16
+#: bits behind the mosaic. A sidecar vouches for them under ``imaging``.
+BESIDE = ("clean", "raw")
+
 #: What a reader may rely on in every sidecar.
 REQUIRED_KEYS = ("camera", "sample", "resolution", "intrinsics", "camera_to_world", "passes",
                  "labels", "backend", "exposure_ev", "stage_digest")  # fmt: skip
@@ -48,6 +64,19 @@ CONVENTIONS = {
     "face": "index of the authored face; 4294967295 without a hit",
     "normal": "geometric, world frame, facing the camera; 0 without a hit",
     "position": "world frame, meters; NaN without a hit",
+    "depth_measured": "what the sensor's depth camera says, meters along the optical axis; 0: no "
+    "answer",
+    "flow": "pixels right and down from the pixel's center to where its point is in the same "
+    "camera's picture at the next sample; of the sky: as if infinitely far away; NaN where it is "
+    "behind the camera then, or there is no such sample; flow_backward: at the sample before",
+    "scene_flow": "what the pixel's center shows, next sample minus this one, each in the camera's "
+    "own frame of then, meters; NaN without a hit",
+    "disparity": "column of the pixel's center minus column of its point in the picture of the "
+    "camera's partner; NaN where that camera has it behind",
+    "occlusion": "what the other picture shows of the point: 0 visible, 1 hidden by something, "
+    "2 outside of the picture or behind the camera, 3 nothing to compare with; also "
+    "occlusion_backward and disparity_occlusion",
+    "trigger": "samples from one frame of the camera to the next, and its first one",
     "sun": "the brightest distant light of the sample: elevation above the horizon and compass "
     "bearing of the light itself, clockwise from +Y (north) to +X, degrees; irradiance on a "
     "surface facing it, linear Rec.709, W/m^2; null without one",
@@ -114,6 +143,11 @@ def frame_stem(folder: Path, backend: str, camera: str, sample: int) -> Path:
     return folder / FRAMES / backend / camera / f"{sample:06d}"
 
 
+def beside_path(stem: Path, kind: str) -> Path:
+    """Path of a picture beside the picture, one of ``BESIDE``."""
+    return stem.with_name(f"{stem.name}.{kind}.png")
+
+
 def is_done(stem: Path, key: FrameKey) -> bool:
     """Whether the frame is there, whole as far as its sizes tell, and made with this key."""
     try:
@@ -124,6 +158,10 @@ def is_done(stem: Path, key: FrameKey) -> bool:
             and (not sidecar["png"] or stem.with_suffix(".png").is_file())
             and _is_there(frame_table_path(stem), sidecar["instance_table"])
             and _is_there(amodal_path(stem), sidecar["amodal"])
+            and all(
+                _is_there(beside_path(stem, kind), sidecar.get("imaging", {}).get(kind))
+                for kind in BESIDE
+            )
         )
     except (OSError, ValueError, KeyError, TypeError):
         return False

@@ -23,6 +23,8 @@ TIMINGS = "timings.json"
 CFG = "cfg.json"
 #: In each batch's folder.
 REPORT = "report.json"
+#: Why each instance is in the stage or is not (``schemas.left_out``).
+LEFT_OUT = "left_out.json"
 FRAMES = "frames"
 MANIFEST_FORMAT = 1
 #: Endings of a path that is a stage itself.
@@ -93,7 +95,8 @@ def find_batches(out: Path, batches: Collection[int] | None = None) -> list[Batc
 def stage_digest(manifest: dict[str, Any], batch: str) -> str:
     """The digest that frames of a batch carry, as it follows from the manifest alone.
 
-    A stage that the compiler wrote is composed of all the batch's files but its report.
+    A stage that the compiler wrote is composed of all the batch's files but its report and the
+    record of what was left out.
 
     Args:
         manifest: As ``read_manifest`` returns it.
@@ -103,7 +106,7 @@ def stage_digest(manifest: dict[str, Any], batch: str) -> str:
     return digest_of_files(
         (path.removeprefix(begin), entry["sha256"])
         for path, entry in manifest["files"].items()
-        if path.startswith(begin) and path != f"{batch}/{REPORT}"
+        if path.startswith(begin) and path.removeprefix(begin) not in (REPORT, LEFT_OUT)
     )
 
 

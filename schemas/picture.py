@@ -49,8 +49,8 @@ def develop(radiance: NDArray[np.floating], exposure_ev: float = 0.0) -> NDArray
     return np.rint(255.0 * srgb_encode(tone_map(radiance, exposure_ev))).astype(np.uint8)
 
 
-def write_png(path: Path, pixels: NDArray[np.uint8]) -> None:
-    """Write [h, w, 3] (or [h, w]) as PNG, by atomic rename.
+def write_png(path: Path, pixels: NDArray[np.uint8] | NDArray[np.uint16]) -> None:
+    """Write [h, w, 3] of 8 bits, or [h, w] of 8 or 16, as PNG, by atomic rename.
 
     Raises:
         OutputError: The file cannot be written.

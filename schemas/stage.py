@@ -25,6 +25,15 @@ ATTR_INSTANCE_ID = "scenec:instanceId"
 ATTR_LOCAL_INSTANCE_ID = "scenec:localInstanceId"
 #: double[9], row-major, pixels: the authoritative intrinsics of a camera.
 ATTR_INTRINSICS = "scenec:intrinsics"
+#: On a camera. token, double[], double: a lens by the formulas of ``schemas.lens``, which then tell
+#: the plane that K maps to pixels: "brown_conrady", "kannala_brandt" or "equirectangular" (a
+#: pinhole where not authored); its coefficients in OpenCV's order; and of kannala_brandt the angle
+#: to the axis, radians, beyond which there are no rays (pi where not authored). Constant over time.
+#: The camera's focal length and apertures are those of the pinhole with the same K, which shows the
+#: same at the axis.
+ATTR_LENS_MODEL = "scenec:lens:model"
+ATTR_LENS_COEFFICIENTS = "scenec:lens:coefficients"
+ATTR_LENS_MAX_ANGLE = "scenec:lens:maxAngle"
 
 #: On the root, where a DEM says on which place of a planet it lies. Nothing reads it: no number of
 #: the scene depends on it. string: coordinate reference system, an authority's code or WKT.
@@ -108,6 +117,34 @@ ATTR_HAZE_AIRLIGHT = "scenec:haze:airlight"
 #: raw; and double: its turn about the vertical, degrees, clockwise from above, as of the dome.
 ATTR_SKY_LABEL_MAP = "scenec:sky:labelMap:{level}"
 ATTR_SKY_ROTATION = "scenec:sky:rotation"
+
+#: On a camera or a lidar. int2, (1, 0) where not authored: of the samples it is triggered at, how
+#: many come from one to the next, and the first.
+ATTR_TRIGGER = "scenec:trigger"
+
+#: A lidar is an Xform with these: x ahead, y left, z up. double[]: elevation of each beam, degrees;
+#: double2: first azimuth and where the next scan begins, degrees, counterclockwise from above;
+#: int: azimuths in a scan; double2, stage units: nearest and farthest range that is answered.
+ATTR_LIDAR_ELEVATIONS = "scenec:lidar:elevations"
+ATTR_LIDAR_AZIMUTH = "scenec:lidar:azimuth"
+ATTR_LIDAR_AZIMUTHS = "scenec:lidar:azimuths"
+ATTR_LIDAR_RANGE = "scenec:lidar:range"
+#: double, 0 where not authored: standard deviation of ranges in stage units, of ranges as a share
+#: of the range, of both angles in degrees; share of answers lost; uint64: key of the numbers drawn.
+ATTR_LIDAR_RANGE_NOISE = "scenec:lidar:noise:range"
+ATTR_LIDAR_RATIO_NOISE = "scenec:lidar:noise:rangeRatio"
+ATTR_LIDAR_ANGLE_NOISE = "scenec:lidar:noise:angle"
+ATTR_LIDAR_DROPOUT = "scenec:lidar:noise:dropout"
+ATTR_LIDAR_KEY = "scenec:lidar:noise:key"
+
+#: On a camera that measures depth. token: "stereo" or "time_of_flight"; double[]: its numbers in
+#: the order of ``schemas.depth_camera.FIELDS``, lengths in meters; uint64: the key of its noise.
+ATTR_DEPTH_MODEL = "scenec:depthCamera:model"
+ATTR_DEPTH_NUMBERS = "scenec:depthCamera:numbers"
+ATTR_DEPTH_KEY = "scenec:depthCamera:noise:key"
+
+#: On a camera. rel: the camera whose picture disparity goes to, a rectified pair.
+REL_PARTNER = "scenec:stereo:partner"
 
 #: A UsdGeomCamera looks down -z with y up, the contract's camera (OpenCV) down +z with y down: they
 #: differ by a half turn about x, which gives the columns of a rotation these signs.

@@ -9,6 +9,7 @@ from typing import Any
 from scenec.backends.check.finding import Finding
 from scenec.schemas.files import sha256, tree
 from scenec.schemas.manifest import FRAMES, MANIFEST, TIMINGS
+from scenec.schemas.scans import SCANS
 
 _NOT_IN_MANIFEST = (TIMINGS, MANIFEST)
 
@@ -24,7 +25,8 @@ def check_files(out: Path, manifest: dict[str, Any]) -> Iterator[Finding]:
     batches = {batch["path"] for batch in manifest["batches"]}
     for path in tree(out):
         name = path.as_posix()
-        frame = len(path.parts) > 2 and path.parts[1] == FRAMES and path.parts[0] in batches
+        rendered = len(path.parts) > 2 and path.parts[1] in (FRAMES, SCANS)
+        frame = rendered and path.parts[0] in batches
         if name in manifest["files"] or name in _NOT_IN_MANIFEST or frame:
             continue
         if path.parts[0].startswith("batch_"):

@@ -216,7 +216,8 @@ def _instancer_ids(prim: Usd.Prim, table: LabelTable) -> Iterator[str]:
     ids = np.array(instancer.GetIdsAttr().Get(Usd.TimeCode.EarliestTime()) or (), np.int64)
     count = len(instancer.GetProtoIndicesAttr().Get() or ())
     if not ids.size:
-        if count and prim.HasAttribute(names.ATTR_INSTANCE_ID_BASE):
+        enabled = prim.GetAttribute(names.ATTR_INSTANCE_IDS_ENABLED).Get() is not False
+        if count and enabled and prim.HasAttribute(names.ATTR_INSTANCE_ID_BASE):
             yield "has no ids"
         return
     if ids.size != count:

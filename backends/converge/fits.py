@@ -13,6 +13,8 @@ from scenec.backends.noise import CONFIDENCE
 INDEPENDENT = -0.5
 #: Slopes nearer than this to another are not told apart, however sure they are.
 TOLERANCE = 0.02
+#: An interval that reaches farther than this from -1/2 does not show that the slope is -1/2.
+WIDE = 0.1
 
 
 @dataclass(frozen=True)
@@ -78,7 +80,10 @@ def _verdict(slope: float, low: float | None, high: float | None, biased: bool) 
         return "one repeat only: how sure this slope is, is not known"
     if low > INDEPENDENT + TOLERANCE:
         if biased:
-            return "flatter than -1/2: what is left is the denoiser's bias, which samples cure late"
+            return (
+                "FINDING: flatter than -1/2: what is left is the denoiser's bias, which samples "
+                "cure late"
+            )
         return (
             "FINDING: flatter than -1/2, the slope of independent samples: rare bright paths or a "
             "bias that more samples do not cure"
@@ -87,7 +92,9 @@ def _verdict(slope: float, low: float | None, high: float | None, biased: bool) 
         if biased:
             return "steeper than -1/2"
         return "steeper than -1/2, as well-spread (quasi-random) samples are"
-    return "-1/2, as independent samples have it"
+    if low < INDEPENDENT - WIDE or high > INDEPENDENT + WIDE:
+        return "not told from -1/2, nor from others: more repeats or rungs would"
+    return "-1/2" if biased else "-1/2, as independent samples have it"
 
 
 def band(errors: Sequence[float]) -> tuple[float, float, float]:

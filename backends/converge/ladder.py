@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import tempfile
+import time
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -11,6 +13,7 @@ from typing import Any
 from scenec.backends.jobs import Job, Jobs, Wanted
 from scenec.backends.pool import WorkerProcess
 from scenec.backends.rounds import MOST_SPP
+from scenec.schemas.files import write_json
 from scenec.schemas.frames import Frame, is_done, read_frame
 from scenec.schemas.manifest import Batch
 
@@ -18,6 +21,8 @@ Say = Callable[[str], None]
 
 #: Beside ``rgb`` in the first of a backend's references.
 ANNOTATION = ("label", "instance", "depth")
+#: What is known of a backend's start, beside its pictures.
+START = "start.json"
 #: Noise seeds of references; those of repeats count from 0.
 _REFERENCE_SEED = 1_000_000
 
@@ -98,6 +103,9 @@ class Climbed:
         rungs: (rung, denoised, repeats of frames in the same order).
         denoiser: What denoised, or None.
         losses: What this backend leaves out of the batch.
+        digest: Of the stage.
+        start_s: Seconds until a first picture was there: process, stage, scene, kernels; None
+            where all pictures were there and nothing is known of it.
     """
 
     backend: str
@@ -108,6 +116,8 @@ class Climbed:
     rungs: list[tuple[Rung, bool, list[list[Shown]]]]
     denoiser: str | None
     losses: tuple[str, ...]
+    digest: str
+    start_s: float | None
 
 
 def climb(batch: Batch, backend: str, ladder: Ladder, folder: Path, say: Say) -> Climbed:
@@ -158,8 +168,10 @@ class _Climb:
             device=ladder.device,
             cameras=ladder.cameras,
         )
+        start = time.perf_counter()
         # Opened with every pass that is asked for later; requests name those of each frame.
         self._opened: dict[str, Any] = Jobs(batch, self._wanted).open(worker, None)
+        self._opening_s = time.perf_counter() - start
         self._warm = False
 
     def all(self) -> Climbed:
@@ -194,7 +206,17 @@ class _Climb:
             rungs,
             opened["denoiser"] if ladder.denoise else None,
             tuple(opened["losses"]),
+            opened["digest"],
+            self._start_s(),
         )
+
+    def _start_s(self) -> float | None:
+        try:
+            known = json.loads((self._folder / self._wanted.backend / START).read_bytes())
+            same = known["stage_digest"] == self._opened["digest"]
+            return float(known["seconds"]) if same else None
+        except (OSError, ValueError, KeyError, TypeError):
+            return None
 
     def _repeats(self, rung: Rung, denoise: bool) -> list[list[Shown]]:
         kind = "denoised" if denoise else "plain"
@@ -243,6 +265,12 @@ class _Climb:
 
     def _warm_up(self) -> None:
         self._warm = True
+        start = time.perf_counter()
         with tempfile.TemporaryDirectory() as aside:
             job = self._jobs(replace(self._wanted, spp=2), Path(aside), all_=False)[0]
             self._worker.ask(job.request, f"{self._wanted.backend}: the first picture")
+        seconds = self._opening_s + time.perf_counter() - start
+        write_json(
+            self._folder / self._wanted.backend / START,
+            {"stage_digest": self._opened["digest"], "seconds": seconds},
+        )

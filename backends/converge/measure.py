@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from scenec.backends.check.radiance import differing, flip
 from scenec.backends.converge.ladder import Climbed, Rung, Shown
-from scenec.backends.converge.metrics import Errors, Reference, errors, root
+from scenec.backends.converge.metrics import Errors, Reference, errors, square_and_error
 from scenec.backends.exact import ExactCaster
 from scenec.backends.rays import camera_rays
 from scenec.backends.render_scene import RenderScene
@@ -37,7 +37,9 @@ class Row:
         relative_ms: Square of relative_rms; may be negative where the reference's noise hides it.
         relative_mse, relative_mse_trimmed, bias, flip: See ``metrics.FORMULAS``; flip is None
             without the package.
+        bias_of_reference: Standard error that the reference's own noise leaves in the bias.
         estimated: relative_rms as the picture's own halves tell it; None where unknown.
+        bound: What they say it is below in 95 % of pictures (``noise.estimate``); likewise.
     """
 
     batch: str
@@ -54,7 +56,9 @@ class Row:
     relative_mse_trimmed: float
     bias: float
     flip: float | None
+    bias_of_reference: float
     estimated: float | None
+    bound: float | None
 
 
 @dataclass(frozen=True)
@@ -164,26 +168,31 @@ def _row(
         found.relative_mse_trimmed,
         found.bias,
         None if map_ is None else float(map_.mean()),
+        seen.references[key].level_error / max(seen.references[key].level, 1e-30),
         frame.sidecar["estimated_error"]["relative_rms"],
+        frame.sidecar["estimated_error"]["relative_rms_bound_95"],
     )
 
 
 def floors(climbed: Sequence[Climbed], seen: Seen) -> list[dict[str, Any]]:
     """What differs between backends however many samples: their references, pair by pair.
 
-    The noise of both is subtracted.
+    The noise of both is subtracted. Means over frames: ``relative_ms`` and ``relative_ms_error``
+    (``metrics.square_and_error``), ``noise_ms`` (relative variance that was subtracted),
+    ``relative_mse``, ``bias``, ``flip``.
     """
     found = []
     for i, one in enumerate(climbed):
         for other in climbed[i + 1 :]:
             truth, judged = (one, other) if one.stochastic or not other.stochastic else (other, one)
-            squares, weighed, biases, flips, own = [], [], [], [], []
+            squares, scatter, weighed, biases, flips, own = [], [], [], [], [], []
             for shown in truth.references[0]:
                 r = seen.references[truth.backend, shown.place]
                 x = seen.references[judged.backend, shown.place]
                 both = Reference(r.mean, r.variance + x.variance)
                 of = errors(x.mean, both)
                 squares.append(of.relative_ms)
+                scatter.append(square_and_error(x.mean, both)[1])
                 weighed.append(of.relative_mse)
                 biases.append(of.bias)
                 own.append(float((r.variance + x.variance).mean()) / max(r.level, 1e-30) ** 2)
@@ -196,8 +205,9 @@ def floors(climbed: Sequence[Climbed], seen: Seen) -> list[dict[str, Any]]:
                 {
                     "backend": judged.backend,
                     "against": truth.backend,
-                    "relative_rms": root(float(np.mean(squares))),
-                    "relative_rms_of_the_noise": root(float(np.mean(own))) or 0.0,
+                    "relative_ms": float(np.mean(squares)),
+                    "relative_ms_error": float(np.sqrt(np.square(scatter).sum())) / len(scatter),
+                    "noise_ms": float(np.mean(own)),
                     "relative_mse": float(np.mean(weighed)),
                     "bias": float(np.mean(biases)),
                     "flip": float(np.mean(flips)) if flips else None,
@@ -238,3 +248,21 @@ def annotation(scene: RenderScene, one: Climbed) -> Annotated:
     return Annotated(
         pixels, wrong, depth_error, None if raw is None else raw[0], None if raw is None else raw[1]
     )
+
+
+#: Steps of a frame that light has to do with, or that a backend does once.
+NOT_ANNOTATION = ("load", "radiance", "haze", "compose", "write")
+
+
+def annotation_seconds(one: Climbed) -> float:
+    """Seconds of a frame's annotation: median over a backend's first references."""
+    seconds = [shown.read().sidecar["seconds"] for shown in one.references[0]]
+    return float(
+        np.median([sum(v for k, v in each.items() if k not in NOT_ANNOTATION) for each in seconds])
+    )
+
+
+def pixels(one: Climbed) -> float:
+    """Pixels of a picture, the mean over a backend's references."""
+    sizes = [shown.read().sidecar["resolution"] for shown in one.references[0]]
+    return float(np.mean([width * height for width, height in sizes]))

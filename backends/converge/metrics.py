@@ -24,7 +24,9 @@ FORMULAS = {
     "relative_mse": f"mean(((X - R)^2 - V) / (R^2 + {EPSILON} mean(R)^2))",
     "relative_mse_trimmed": f"the same without the {100 * TRIMMED:g} % of pixels where it is "
     "largest: bright outliers do not decide it",
-    "bias": "mean(X) / mean(R) - 1",
+    "bias": "mean(X) / mean(R) - 1; beside it its standard error, of repeats and of R",
+    "floor": "relative_rms of one backend's reference against another's, the noise of both "
+    "subtracted; its 95 % interval from how pixels differ, which are independent",
     "flip": "mean LDR-FLIP (67 pixels a degree) of the developed pictures; R's noise is not "
     "subtracted",
     "pixels": "those whose center a surface covers, all channels",
@@ -38,16 +40,21 @@ class Reference:
     Attributes:
         mean: R at the pixels that count, float64 [n, 3].
         variance: Of R, float64 [n, 3]; 0 where it is known to have none.
+        level_error: Standard error of R's mean over pixels and channels; 0 likewise.
     """
 
     mean: NDArray[np.float64]
     variance: NDArray[np.float64]
+    level_error: float = 0.0
 
     @classmethod
     def of_two(cls, first: NDArray[np.floating], second: NDArray[np.floating]) -> Reference:
         """From two independent pictures of equal quality."""
         a, b = first.astype(np.float64), second.astype(np.float64)
-        return cls(0.5 * (a + b), (0.5 * (a - b)) ** 2)
+        off = 0.5 * (a - b)
+        # Channels of a pixel share its paths: summed before they are squared.
+        level_error = float(np.sqrt((off.sum(axis=1) ** 2).sum())) / max(off.size, 1)
+        return cls(0.5 * (a + b), off**2, level_error)
 
     @property
     def level(self) -> float:
@@ -105,6 +112,16 @@ def errors(picture: NDArray[np.floating], reference: Reference) -> Errors:
         trimmed_mean(weighed.mean(axis=1)),
         float(x.mean()) / level - 1.0,
     )
+
+
+def square_and_error(picture: NDArray[np.floating], reference: Reference) -> tuple[float, float]:
+    """``relative_ms`` and its standard error, from how pixels scatter about their mean."""
+    level, pixels = reference.level, len(reference.mean)
+    if level <= 0.0 or pixels < 2:
+        return 0.0, 0.0
+    squared = (picture.astype(np.float64) - reference.mean) ** 2 - reference.variance
+    each = squared.mean(axis=1) / level**2
+    return float(each.mean()), float(each.std(ddof=1)) / float(np.sqrt(pixels))
 
 
 def trimmed_mean(values: NDArray[np.float64], share: float = TRIMMED) -> float:

@@ -6,7 +6,7 @@ import csv
 from collections.abc import Sequence
 from dataclasses import asdict, fields
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from scenec.backends.check.radiance import flip, write_differences
 from scenec.backends.converge.ladder import Climbed
@@ -29,6 +29,8 @@ def write(folder: Path, found: ConvergeReport) -> None:
         OutputError: A file cannot be written.
     """
     found.notes += [line for series in found.series for line in findings(series)]
+    found.notes += against_plain(found.series)
+    found.notes += unseen_floors(found.floors)
     if any(row.flip is None for row in found.rows):
         found.notes.append(NO_FLIP)
     table = folder / CSV
@@ -67,6 +69,33 @@ def findings(series: Series) -> list[str]:
             "give the reference more samples"
         )
     return lines
+
+
+def against_plain(series: Sequence[Series]) -> list[str]:
+    """Where denoising falls slower than the samples it is made of: it gains less and less."""
+    plain = {one.backend: one.over_spp for one in series if one.own and not one.denoised}
+    lines = []
+    for one in series:
+        fit, before = one.over_spp, plain.get(one.backend)
+        if not (one.own and one.denoised) or fit is None or before is None:
+            continue
+        if fit.low is None or before.high is None or fit.low <= before.high:
+            continue
+        lines.append(
+            f"{one.name}: FINDING: its slope {fit.slope:.3f} is flatter than {before.slope:.3f} "
+            "without denoising: what it gains shrinks as samples grow"
+        )
+    return lines
+
+
+def unseen_floors(floors: Sequence[dict[str, Any]]) -> list[str]:
+    """Floors that the references' noise hides."""
+    return [
+        f"{floor['backend']} : {floor['against']}: what differs cannot be told from the "
+        f"references' noise; it is below {100 * floor['relative_rms_high']:.2g} %"
+        for floor in floors
+        if floor["relative_rms_low"] == 0.0 and floor["relative_rms_high"] > 0.0
+    ]
 
 
 def pictures(folder: Path, batch: str, climbed: Sequence[Climbed], seen: Seen) -> list[Path]:

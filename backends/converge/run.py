@@ -23,6 +23,8 @@ from scenec.schemas.manifest import find_batches
 
 #: In the output folder.
 FOLDER = "converge"
+#: Half of a 95 % interval, in standard errors.
+NORMAL_95 = 1.96
 Say = Callable[[str], None]
 
 
@@ -33,16 +35,19 @@ class Step:
     Attributes:
         rung: Name.
         spp, seconds: Mean over frames, median over repeats.
+        first_s: Seconds of the first picture, for which a renderer may have compiled kernels.
         relative_rms: Of each repeat, over all frames; None where the reference hides it.
         mean, low, high: Geometric mean of these and its 95 % interval; None where one is unknown.
         relative_mse, relative_mse_trimmed, bias, flip: Means.
-        bias_error: Standard error of the bias, from the repeats; None for one.
+        bias_error: Standard error of the bias, from repeats and reference; None for one repeat.
         estimated: relative_rms as the pictures' own halves tell it.
+        bound: Its 95 % bound, as they tell it.
     """
 
     rung: str
     spp: float
     seconds: float
+    first_s: float
     relative_rms: tuple[float | None, ...]
     mean: float | None
     low: float | None
@@ -53,6 +58,7 @@ class Step:
     bias_error: float | None
     flip: float | None
     estimated: float | None
+    bound: float | None
 
 
 @dataclass(frozen=True)
@@ -86,7 +92,9 @@ class ConvergeReport:
         series: Errors over samples and seconds.
         floors: What differs between backends' references, pair by pair.
         annotation: By backend.
-        backends: By backend: version, device, losses, samples and noise of its reference.
+        backends: By backend: version, device, losses, samples and noise of its reference, seconds
+            until its first picture and of a frame's annotation, pixels of a picture.
+        stages: By batch: ``RenderScene.digest``.
         rows: One a picture and reference.
         files: What was written.
         notes: Lines that a user should see.
@@ -96,6 +104,7 @@ class ConvergeReport:
     floors: list[dict[str, Any]] = field(default_factory=list)
     annotation: dict[str, measure.Annotated] = field(default_factory=dict)
     backends: dict[str, dict[str, Any]] = field(default_factory=dict)
+    stages: dict[str, str] = field(default_factory=dict)
     rows: list[Row] = field(default_factory=list)
     files: list[Path] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
@@ -104,6 +113,7 @@ class ConvergeReport:
         """The numbers, for scripts; every picture's are in the CSV."""
         return {
             "formulas": FORMULAS,
+            "stages": self.stages,
             "backends": self.backends,
             "series": [{**asdict(one), "own": one.own, "name": one.name} for one in self.series],
             "floors": self.floors,
@@ -145,6 +155,7 @@ def converge(
         climbed = [climb(batch, name, ladder, aside, say) for name in names]
         scene = read_stage(batch.stage)
         seen = measure.see(climbed)
+        found.stages[batch.name] = scene.digest
         found.rows += measure.rows(batch.name, climbed, seen)
         for floor in measure.floors(climbed, seen):
             floors[floor["backend"], floor["against"]].append(floor)
@@ -209,6 +220,9 @@ def _add(
             "losses": [],
             "reference_spp": 2 * ladder.reference if one.stochastic else None,
             "reference_relative_rms": 0.0,
+            "start_s": one.start_s,
+            "annotation_s": measure.annotation_seconds(one),
+            "pixels": measure.pixels(one),
         },
     )
     entry["losses"] += [line for line in one.losses if line not in entry["losses"]]
@@ -217,14 +231,23 @@ def _add(
 
 
 def _mean_floor(each: list[dict[str, Any]]) -> dict[str, Any]:
-    """Over batches."""
-    out: dict[str, Any] = {name: each[0][name] for name in ("backend", "against")}
-    for name in each[0]:
-        if name in out:
-            continue
+    """Over batches; squares are averaged, and then roots are drawn."""
+
+    def mean(name: str) -> float | None:
         values = [entry[name] for entry in each]
-        out[name] = None if None in values else float(np.mean(values))
-    return out
+        return None if None in values else float(np.mean(values))
+
+    square = float(np.mean([entry["relative_ms"] for entry in each]))
+    error = math.sqrt(sum(entry["relative_ms_error"] ** 2 for entry in each)) / len(each)
+    reach = NORMAL_95 * error
+    return {
+        **{name: each[0][name] for name in ("backend", "against")},
+        "relative_rms": root(square),
+        "relative_rms_low": root(square - reach) or 0.0,
+        "relative_rms_high": root(square + reach) or 0.0,
+        "relative_rms_of_the_noise": root(mean("noise_ms") or 0.0) or 0.0,
+        **{name: mean(name) for name in ("relative_mse", "bias", "flip")},
+    }
 
 
 def _series(rows: Sequence[Row], backends: dict[str, dict[str, Any]]) -> list[Series]:
@@ -258,10 +281,15 @@ def _step(name: str, rows: Sequence[Row]) -> Step:
     mean, low, high = band(known) if len(known) == len(rms) else (None, None, None)
     flips = [row.flip for row in rows if row.flip is not None]
     estimates = [row.estimated for row in rows if row.estimated is not None]
+    bounds = [row.bound for row in rows if row.bound is not None]
+    # Each frame's reference is one for all repeats.
+    own = {row.place: row.bias_of_reference for row in rows}
+    reference = math.sqrt(sum(value**2 for value in own.values())) / len(own)
     return Step(
         name,
         float(np.median([np.mean([r.spp for r in of]) for of in repeats.values()])),
         float(np.median([np.mean([r.seconds for r in of]) for of in repeats.values()])),
+        rows[0].seconds,
         rms,
         mean,
         low,
@@ -269,7 +297,10 @@ def _step(name: str, rows: Sequence[Row]) -> Step:
         float(np.mean([r.relative_mse for r in rows])),
         float(np.mean([r.relative_mse_trimmed for r in rows])),
         float(np.mean(biases)),
-        float(np.std(biases, ddof=1) / np.sqrt(len(biases))) if len(biases) > 1 else None,
+        math.hypot(float(np.std(biases, ddof=1)) / math.sqrt(len(biases)), reference)
+        if len(biases) > 1
+        else None,
         float(np.mean(flips)) if len(flips) == len(rows) else None,
         float(np.sqrt(np.mean(np.square(estimates)))) if len(estimates) == len(rows) else None,
+        float(np.sqrt(np.mean(np.square(bounds)))) if len(bounds) == len(rows) else None,
     )

@@ -35,6 +35,7 @@ class Cycles:
     devices = ("cpu", "cuda", "optix")
     denoiser = "OpenImageDenoise"
     caster = None
+    follows_lenses = False
 
     def __init__(self, bounces: int = BOUNCES, device: str = "auto") -> None:
         self._bpy = blender.load_bpy()

@@ -14,6 +14,8 @@ from scenec.backends.exact.intersect import world_normal
 from scenec.backends.exact.settle import Settled
 from scenec.backends.render_scene import RenderScene, SkyLabelMap
 from scenec.schemas.amodal import AMODAL
+from scenec.schemas.correspondence import CORRESPONDENCES
+from scenec.schemas.depth_camera import MEASURED
 from scenec.schemas.errors import BackendError
 
 #: ``face`` where a ray meets nothing.
@@ -66,6 +68,14 @@ def _ranges(directions, t, out):  # type: ignore[no-untyped-def]
         out[k] = t[k] * math.sqrt((d[0] * d[0] + d[1] * d[1]) + d[2] * d[2])
 
 
+def _depths(depth: NDArray[np.float64], t: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Planar depths of hits, +inf where nothing is hit."""
+    out = np.full(len(t), np.inf)
+    hit = np.flatnonzero(t < np.inf)
+    out[hit] = t[hit] * depth[hit]
+    return out
+
+
 def _label_sky(
     label_map: SkyLabelMap | None,
     row: NDArray[np.int32],
@@ -91,13 +101,15 @@ def pass_names(scene: RenderScene, passes: Sequence[str]) -> list[str]:
 
     Returns:
         Names out of ``depth``, ``range``, ``label.<level>``, ``instance``, ``normal``,
-        ``position``, ``face``, ``amodal``, each once; the last of them brings ``instance`` with it.
+        ``position``, ``face``, ``amodal``, which brings ``instance`` with it, and those that
+        compare with another view (``schemas.correspondence``), each once.
 
     Raises:
         BackendError: A name that is none of these.
     """
     labels = [f"label.{level}" for level in scene.levels]
     known = ["depth", "range", *labels, "instance", "normal", "position", "face", AMODAL]
+    known += [*CORRESPONDENCES, MEASURED]
     names: dict[str, None] = {}
     for name in passes:
         if name == "label":
@@ -119,17 +131,18 @@ def annotate(
     Args:
         scene: The scene.
         settled: Exact visibility of the rays.
-        rays: The rays; ``depth`` is their parameter, which is planar depth for a pinhole camera.
+        rays: The rays; ``depth`` is their parameter, which is planar depth for a pinhole camera, or
+            what ``Rays.depth`` makes of it: 0 beside the camera, below behind it.
         passes: What to compute, see ``pass_names``.
         sample: Time code, for label maps of the sky.
 
     Returns:
-        Per pass but ``amodal`` (h, w of the rays' shape): ``depth`` and ``range`` float64 [h, w],
-        +inf without a hit; ``label.<level>`` uint32 [h, w], the sky's label without a hit (by its
-        label map, where it has one); ``instance`` uint32 [h, w], 0 is none; ``normal`` float64
-        [h, w, 3], geometric, in the world frame, facing the ray, 0 without a hit; ``position``
-        float64 [h, w, 3], world, NaN without a hit; ``face`` uint32 [h, w], the authored face,
-        NO_FACE without a hit.
+        Per pass but ``amodal`` and those that compare with another view (h, w of the rays' shape):
+        ``depth`` and ``range`` float64 [h, w], +inf without a hit; ``label.<level>`` uint32 [h, w],
+        the sky's label without a hit (by its label map, where it has one); ``instance`` uint32
+        [h, w], 0 is none; ``normal`` float64 [h, w, 3], geometric, in the world frame, facing the
+        ray, 0 without a hit; ``position`` float64 [h, w, 3], world, NaN without a hit; ``face``
+        uint32 [h, w], the authored face, NO_FACE without a hit.
 
     Raises:
         BackendError: A pass that is not known.
@@ -138,11 +151,11 @@ def annotate(
     n = len(t)
     out: dict[str, NDArray] = {}
     for name in pass_names(scene, passes):
-        if name == AMODAL:
-            # No picture: ``scenec.backends.amodal`` makes its masks.
+        if name in (AMODAL, MEASURED) or name in CORRESPONDENCES:
+            # Made by modules of their own in ``scenec.backends``.
             continue
         if name == "depth":
-            out[name] = t.copy()
+            out[name] = t.copy() if rays.depth is None else _depths(rays.depth, t)
         elif name == "range":
             out[name] = np.empty(n)
             _ranges(rays.directions, t, out[name])
@@ -184,4 +197,6 @@ def annotate(
             )
             if name != "face" and scene.sky_label_maps:
                 _label_sky(scene.sky_label_maps[sample].get(level), row, rays, out[name])
+            if name != "face" and rays.known is not None:
+                out[name][~rays.known] = 0
     return {name: values.reshape(*rays.shape, *values.shape[1:]) for name, values in out.items()}

@@ -41,6 +41,7 @@ from scenec.backends.exact.intersect import (
     row_matrix,
     world_normal,
 )
+from scenec.backends.exact.small_rows import mark_small_rows
 from scenec.backends.render_scene import Camera
 from scenec.schemas.errors import BackendError
 
@@ -271,8 +272,8 @@ def settle(
         caster: The exact caster of the scene that ``visibility`` refers to.
         rays: The rays of the picture, row-major.
         visibility: What a renderer reported; None: every ray is cast.
-        camera: The pinhole camera the rays come from; None (a table of rays of another kind):
-            small rows cannot be projected, so every ray is cast.
+        camera: The camera the rays come from; None (a table of rays of another kind): they need
+            have no eye, so every ray is cast.
 
     Returns:
         The exact visibility, and how far the renderer was from it.
@@ -286,15 +287,24 @@ def settle(
         raise BackendError(f"{n} rays do not fill a picture of {width} x {height}")
     g = caster.geometry
     suspect = np.zeros(n, np.uint8)
+    known = np.arange(n) if rays.known is None else np.flatnonzero(rays.known)
     if visibility is None:
-        row, face, t = caster.cast(rays)
-        nothing = Statistics(n, n, dict.fromkeys(_REASONS, 0), 0, 0, False)
+        row, face, t = caster.cast(rays, known)
+        if len(known) < n:
+            row, face, t = (
+                _spread(found, n, known, nothing)
+                for found, nothing in ((row, NO_ROW), (face, 0), (t, np.inf))
+            )
+        nothing = Statistics(n, len(known), dict.fromkeys(_REASONS, 0), 0, 0, False)
         return Settled(row, face, t, nothing, g)
     if visibility.row.shape != (n,) or visibility.face.shape != (n,):
         raise BackendError(
             f"visibility has {visibility.row.shape} rows and {visibility.face.shape} faces; "
             f"expected ({n},) of each, one per ray"
         )
+    if rays.known is not None:
+        there = np.where(rays.known, visibility.row, np.int32(NO_ROW)).astype(np.int32)
+        visibility = Visibility(there, visibility.face)
     row = visibility.row.astype(np.int32)
     face = visibility.face.astype(np.int32)
     t = np.empty(n)
@@ -303,6 +313,8 @@ def settle(
     _test_neighbors(g, rays.origins, rays.directions, width, height, row, face, t, doubt, suspect)
     if camera is None:
         suspect |= AUDIT
+    elif camera.lens is not None:
+        mark_small_rows(g.row_spheres, rays, t, _SMALL_ROW_PIXELS, SMALL_ROW, suspect)
     else:
         _mark_small_rows(
             g.row_spheres,
@@ -313,7 +325,10 @@ def settle(
             t,
             suspect,
         )
-    accepted = np.flatnonzero(suspect == 0)
+    if rays.known is not None:
+        # They show nothing, and are no mark against the renderer.
+        suspect[~rays.known] = 0
+    accepted = known[suspect[known] == 0]
     audited = accepted[::_AUDIT_STRIDE]
     suspect[audited] = AUDIT
     cast = np.flatnonzero(suspect)
@@ -335,6 +350,13 @@ def settle(
         escalated=escalated,
     )
     return Settled(row, face, t, statistics, g)
+
+
+def _spread(found: NDArray, n: int, known: NDArray[np.int64], nothing: float) -> NDArray:
+    """What was found of the pixels that have a ray, for all."""
+    out = np.full(n, nothing, found.dtype)
+    out[known] = found
+    return out
 
 
 def _differences(

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.backends.contract import BOUNCES, NO_ROW, Radiance, Rays, Visibility
+from scenec.backends.lens import RayTable, ray_table
 from scenec.backends.mitsuba import emitter, geometry, glow, lamps, scalar, variant
 from scenec.backends.mitsuba.corners import split_corners
 from scenec.backends.mitsuba.surfaces import make_look
@@ -47,11 +48,18 @@ class Mitsuba:
         self._posed = 0
         self._integrator: Any = None
         self._dropped = 0
+        self._table: RayTable | None = None
+        self._uploaded: tuple[RayTable, list[Any]] | None = None
 
     @property
     def jit(self) -> bool:
         """Whether the variant is vectorized (everything but ``scalar_rgb``)."""
         return not self._mi.variant().startswith("scalar")
+
+    @property
+    def follows_lenses(self) -> bool:
+        """Rays are its own in the vectorized variants only."""
+        return self.jit
 
     @property
     def device(self) -> str:
@@ -182,7 +190,8 @@ class Mitsuba:
         """Surface light in two independent halves of ceil(spp / 2) samples a pixel each.
 
         Box filter: the plain mean of samples placed anywhere in the pixel. The camera may have any
-        K, skew included (in ``scalar_rgb``: square pixels only).
+        K, skew included (in ``scalar_rgb``: square pixels only), and a lens, between whose rays on
+        a lattice (``backends.lens``) samples are interpolated.
 
         Raises:
             BackendError: The camera is one that ``scalar_rgb`` cannot draw.
@@ -192,6 +201,7 @@ class Mitsuba:
         each = max(1, (spp + 1) // 2)
         halves = np.empty((2, camera.height, camera.width, 3), np.float32)
         coverage = np.zeros((camera.height, camera.width))
+        self._table = None if camera.lens is None else ray_table(camera)
         if self.jit and self._lit_sample != sample:
             self._set_light(scene.lighting[sample])
             self._lit_sample = sample
@@ -206,6 +216,9 @@ class Mitsuba:
                 )  # fmt: skip
             coverage += 0.5 * alpha
         covered = np.minimum(coverage, 1.0).astype(np.float32)
+        if self._table is not None:
+            halves[:, ~self._table.known] = 0.0
+            covered[~self._table.known] = 0.0
         return Radiance(halves, covered, 2 * each, self._dropped)
 
     def _half(
@@ -230,7 +243,8 @@ class Mitsuba:
         sampler = _sampler(mi, spp)
         # Opaque, or every seed is a kernel of its own to compile.
         sampler.seed(dr.opaque(mi.UInt32, seed), pixels * spp)
-        pixel = dr.arange(mi.UInt32, pixels * spp) // spp
+        # Likewise every number of samples.
+        pixel = dr.arange(mi.UInt32, pixels * spp) // dr.opaque(mi.UInt32, spp)
         jitter = sampler.next_2d()
         ray = self._camera_rays(camera, pixel, jitter)
         light, valid, _ = self._integrator.sample(self._scene, sampler, ray)
@@ -261,15 +275,47 @@ class Mitsuba:
             # Opaque, so that another camera is not another kernel to compile.
             return dr.opaque(mi.Float, float(value))
 
-        v = pixel // camera.width
-        u = pixel - v * camera.width
+        width = dr.opaque(mi.UInt32, camera.width)
+        v = pixel // width
+        u = pixel - v * width
+        axes = [mi.Vector3f(*(number(value) for value in pose[:3, i])) for i in range(3)]
+        origin = mi.Point3f(*(number(value) for value in pose[:3, 3] - self._center))
+        if self._table is not None:
+            x, y, z = self._lens_rays(self._table, u, v, jitter)
+            direction = dr.normalize(axes[0] * x + axes[1] * y + axes[2] * z)
+            return mi.RayDifferential3f(origin, direction)
         # The whole column minus cx first: exact, where u + jitter would round the jitter.
         y = (mi.Float(v) - number(k[1, 2]) + jitter.y) * number(1.0 / k[1, 1])
         x = (mi.Float(u) - number(k[0, 2]) + jitter.x - number(k[0, 1]) * y) * number(1.0 / k[0, 0])
-        axes = [mi.Vector3f(*(number(value) for value in pose[:3, i])) for i in range(3)]
-        origin = mi.Point3f(*(number(value) for value in pose[:3, 3] - self._center))
         direction = dr.normalize(axes[0] * x + axes[1] * y + axes[2])
         return mi.RayDifferential3f(origin, direction)
+
+    def _lens_rays(self, table: RayTable, u: Any, v: Any, jitter: Any) -> tuple[Any, Any, Any]:
+        """Rays of samples of pixels, camera axes, bilinear between those of the table."""
+        import drjit as dr
+
+        mi = self._mi
+        if self._uploaded is None or self._uploaded[0] is not table:
+            flat = table.directions.reshape(-1, 3)
+            self._uploaded = table, [mi.Float(np.ascontiguousarray(flat[:, c])) for c in range(3)]
+        channels = self._uploaded[1]
+        fine = dr.opaque(mi.UInt32, table.per_pixel)
+        columns = dr.opaque(mi.UInt32, table.directions.shape[1])
+        a, b = jitter.x * mi.Float(fine), jitter.y * mi.Float(fine)
+        i, j = dr.minimum(mi.UInt32(a), fine - 1), dr.minimum(mi.UInt32(b), fine - 1)
+        a, b = a - mi.Float(i), b - mi.Float(j)
+        at = (v * fine + j) * columns + u * fine + i
+
+        def between(channel: Any) -> Any:
+            top = dr.lerp(dr.gather(mi.Float, channel, at), dr.gather(mi.Float, channel, at + 1), a)
+            below = at + columns
+            bottom = dr.lerp(
+                dr.gather(mi.Float, channel, below), dr.gather(mi.Float, channel, below + 1), a
+            )
+            return dr.lerp(top, bottom, b)
+
+        x, y, z = (between(channel) for channel in channels)
+        return x, y, z
 
     def _mesh(self, scene: RenderScene, group: geometry.Group, index: int) -> Any:
         mi = self._mi
@@ -283,7 +329,7 @@ class Mitsuba:
         surfaces = geometry.group_surfaces(scene, group)
         look = make_look(mi, surfaces, flat, self._center)
         props = mi.Properties()
-        props["bsdf"] = mi.load_dict(look.bsdf)
+        props["bsdf"] = look.bsdf
         if look.emission is not None and self.jit:
             weight = glow.light_share(scene, surfaces, flat)
             self._glows[index] = glow.make_emitter(mi, look.emission, weight)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,14 +64,114 @@ def far_texture(mi: Any, maps: Maps, kind: str, near: Any, far: Any) -> dict[str
     }
 
 
+class Corner(NamedTuple):
+    """One of the three cells at a point.
+
+    Attributes:
+        u, v: Where the picture is looked up.
+        share, gain: Of what is mixed by the shares alone, and so that variance stays.
+        cosine, sine: Of its turn.
+    """
+
+    u: Any
+    v: Any
+    share: Any
+    gain: Any
+    cosine: Any
+    sine: Any
+
+
+class Lattice:
+    """Where the cells are that a picture lies in."""
+
+    def __init__(self, mi: Any, step: float, repeats: float, start: Any, seed: int) -> None:
+        """Args as ``cell_texture`` gives them: ``start`` is a vector."""
+        import drjit as dr
+
+        self._mi, self._dr = mi, dr
+        self._scalar = mi.variant().startswith("scalar")
+        numbers = [float(step), float(repeats), float(start.x), float(start.y)]
+        if not self._scalar:
+            # Opaque: another scene's numbers are no other kernel to compile.
+            numbers = [dr.opaque(mi.Float, value) for value in numbers]
+        self._step, self._repeats, self._start_s, self._start_t = numbers
+        self._table = _table(mi, seed)
+
+    def corners(self, p: Any, active: Any) -> list[Corner]:
+        """The three cells at a point."""
+        dr = self._dr
+        (_, skew), (_, rise) = cells.TO_LATTICE
+        (_, lean), (_, high) = cells.TO_WORLD
+        s = (p.x + skew * p.y) * self._step + self._start_s
+        t = rise * p.y * self._step + self._start_t
+        column, row = dr.floor(s), dr.floor(t)
+        x, y = s - column, t - row
+        rest = 1.0 - x - y
+        upper = dr.select(rest <= 0.0, 1.0, 0.0)
+        both = upper * rest
+        fourth = [dr.square(dr.square(n)) for n in (rest, x + both, y + both)]
+        total = fourth[0] + fourth[1] + fourth[2]
+        spread = dr.rsqrt(dr.square(fourth[0]) + dr.square(fourth[1]) + dr.square(fourth[2]))
+        found = []
+        for power, i, j in zip(fourth, (upper, 1.0, 0.0), (upper, 0.0, 1.0), strict=True):
+            dx, dy = (x - i), (y - j)
+            dx, dy = (dx + lean * dy) * self._repeats, high * dy * self._repeats
+            shift_u, shift_v, cosine, sine = self._entry(column + i, row + j, active)
+            u = cosine * dx - sine * dy + shift_u
+            v = sine * dx + cosine * dy + shift_v
+            found.append(Corner(u, v, power / total, power * spread, cosine, sine))
+        return found
+
+    def _entry(self, i: Any, j: Any, active: Any) -> Any:
+        """Shifts, cosine and sine of the turn, of a corner."""
+        mi = self._mi
+        if self._scalar:
+            return self._table[int(j) % cells.SIDE * cells.SIDE + int(i) % cells.SIDE]
+        last = cells.SIDE - 1
+        index = (mi.Int32(j) & last) * cells.SIDE + (mi.Int32(i) & last)
+        return self._dr.gather(mi.Vector4f, self._table, mi.UInt32(index), active)
+
+
+@lru_cache(maxsize=8)
+def _table(mi: Any, seed: int) -> Any:
+    """Shifts, cosine and sine of the turn, of each corner."""
+    entry = cells.table(seed).reshape(-1, 3)
+    turn = 2.0 * np.pi * entry[:, 2]
+    rows = np.stack([entry[:, 0], entry[:, 1], np.cos(turn), np.sin(turn)], axis=1)
+    if mi.variant().startswith("scalar"):
+        return rows.tolist()
+    return mi.Float(rows.astype(np.float32).ravel())
+
+
+def turned_back(mapped: Iterable[tuple[Corner, Sequence[Any]]]) -> list[Any]:
+    """x, y and z of the mixture of normals of the three cells, before it is made a unit vector."""
+    x = y = z = 0.0
+    for corner, (u, v, w) in mapped:
+        x = x + corner.gain * (corner.cosine * u + corner.sine * v)
+        y = y + corner.gain * (corner.cosine * v - corner.sine * u)
+        z = z + corner.share * w
+    return [x, y, z]
+
+
+def seen_from_above(mi: Any, si: Any, x: Any, y: Any, z: Any) -> Any:
+    """A normal of a map projected from above, in the local frame.
+
+    Its frame is that of the face's dP/du, where u is the world's x, about the shading normal.
+    """
+    import drjit as dr
+
+    n = si.sh_frame.n
+    along = mi.Vector3f(dr.abs(si.n.z), 0.0, -dr.sign(si.n.z) * si.n.x)
+    u = dr.normalize(along - n * dr.dot(n, along))
+    return si.to_local(mi.Vector3f(u * x + dr.cross(n, u) * y + n * z))
+
+
 @lru_cache(maxsize=1)
 def register(mi: Any) -> None:
     """Define the textures for the variant that is set, and register them."""
     import drjit as dr
 
     scalar = mi.variant().startswith("scalar")
-    (_, skew), (_, rise) = cells.TO_LATTICE
-    (_, lean), (_, high) = cells.TO_WORLD
 
     def number(value: float) -> Any:
         # Opaque: another scene's numbers are no other kernel to compile.
@@ -79,16 +180,6 @@ def register(mi: Any) -> None:
     def point(vector: Any) -> list[Any]:
         return [number(vector.x), number(vector.y), number(vector.z)]
 
-    @lru_cache(maxsize=4)
-    def table(seed: int) -> list[Any]:
-        """Shifts, cosine and sine of the turn, of each corner."""
-        entry = cells.table(seed).reshape(-1, 3)
-        turn = 2.0 * np.pi * entry[:, 2]
-        columns = (entry[:, 0], entry[:, 1], np.cos(turn), np.sin(turn))
-        if scalar:
-            return [column.tolist() for column in columns]
-        return [mi.Float(column.astype(np.float32)) for column in columns]
-
     class Cells(mi.Texture):
         """See the module."""
 
@@ -96,47 +187,25 @@ def register(mi: Any) -> None:
             super().__init__(props)
             self.picture = props["picture"]
             self.normal = bool(props["normal"])
-            self.step, self.repeats = number(props["step"]), number(props["repeats"])
-            self.start = point(props["start"])
+            self.lattice = Lattice(
+                mi, props["step"], props["repeats"], props["start"], int(props["seed"])
+            )
             self.mean_value = point(props["mean"])
             self.upper = float(props["upper"])
-            self.table = table(int(props["seed"]))
 
-        def _corners(self, si: Any, active: Any) -> list[tuple[Any, Any, Any, Any, Any]]:
-            """Of each cell: the interaction there, share, gain, cosine and sine of its turn."""
-            s = (si.p.x + skew * si.p.y) * self.step + self.start[0]
-            t = rise * si.p.y * self.step + self.start[1]
-            column, row = dr.floor(s), dr.floor(t)
-            x, y = s - column, t - row
-            rest = 1.0 - x - y
-            upper = dr.select(rest <= 0.0, 1.0, 0.0)
-            both = upper * rest
-            fourth = [dr.square(dr.square(n)) for n in (rest, x + both, y + both)]
-            total = fourth[0] + fourth[1] + fourth[2]
-            spread = dr.rsqrt(dr.square(fourth[0]) + dr.square(fourth[1]) + dr.square(fourth[2]))
+        def _corners(self, si: Any, active: Any) -> list[tuple[Any, Corner]]:
+            """The interaction at each cell, and the cell."""
             found = []
-            for power, i, j in zip(fourth, (upper, 1.0, 0.0), (upper, 0.0, 1.0), strict=True):
-                dx, dy = (x - i), (y - j)
-                dx, dy = (dx + lean * dy) * self.repeats, high * dy * self.repeats
-                shift_u, shift_v, cosine, sine = self._entry(column + i, row + j, active)
+            for corner in self.lattice.corners(si.p, active):
                 moved = mi.SurfaceInteraction3f(si)
-                moved.uv = mi.Point2f(
-                    cosine * dx - sine * dy + shift_u, sine * dx + cosine * dy + shift_v
-                )
-                found.append((moved, power / total, power * spread, cosine, sine))
+                moved.uv = mi.Point2f(corner.u, corner.v)
+                found.append((moved, corner))
             return found
-
-        def _entry(self, i: Any, j: Any, active: Any) -> list[Any]:
-            if scalar:
-                at = int(j) % cells.SIDE * cells.SIDE + int(i) % cells.SIDE
-                return [column[at] for column in self.table]
-            last = cells.SIDE - 1
-            index = (mi.Int32(j) & last) * cells.SIDE + (mi.Int32(i) & last)
-            return [dr.gather(mi.Float, column, mi.UInt32(index), active) for column in self.table]
 
         def _mixed(self, si: Any, active: Any, evaluate: Any, mean: Any) -> Any:
             total, rest = mean * 0.0, mi.Float(1.0)
-            for moved, _, gain, _, _ in self._corners(si, active):
+            for moved, corner in self._corners(si, active):
+                gain = corner.gain
                 total = total + evaluate(moved) * gain
                 rest = rest - gain
             return dr.clip(total + mean * rest, 0.0, self.upper)
@@ -157,20 +226,12 @@ def register(mi: Any) -> None:
             return self._mixed(si, active, lambda at: self.picture.eval_3(at, active), mean)
 
         def _normal(self, si: Any, active: Any) -> Any:
-            x, y, z = mi.Float(0.0), mi.Float(0.0), mi.Float(0.0)
-            for moved, share, gain, cosine, sine in self._corners(si, active):
+            mapped = []
+            for moved, corner in self._corners(si, active):
                 pixel = self.picture.eval_3(moved, active)
-                u, v, w = (2.0 * pixel[axis] - 1.0 for axis in range(3))
-                x += gain * (cosine * u + sine * v)
-                y += gain * (cosine * v - sine * u)
-                z += share * w
-            leaned = dr.normalize(mi.Vector3f(x, y, z))
-            n = si.sh_frame.n
-            # As ``projection`` has it for maps from above.
-            along = mi.Vector3f(dr.abs(si.n.z), 0.0, -dr.sign(si.n.z) * si.n.x)
-            u = dr.normalize(along - n * dr.dot(n, along))
-            world = u * leaned.x + dr.cross(n, u) * leaned.y + n * leaned.z
-            local = si.to_local(mi.Vector3f(world))
+                mapped.append((corner, [2.0 * pixel[axis] - 1.0 for axis in range(3)]))
+            leaned = dr.normalize(mi.Vector3f(*turned_back(mapped)))
+            local = seen_from_above(mi, si, *leaned)
             return mi.Color3f(0.5 * local.x + 0.5, 0.5 * local.y + 0.5, 0.5 * local.z + 0.5)
 
         def mean(self) -> Any:

@@ -131,6 +131,19 @@ def lobes_of(mix: Mix) -> list[Gloss]:
     return list(dict.fromkeys(gloss for surface, gloss in kinds if surface.glossy))
 
 
+def channels_of(mi: Any, mix: Mix, si: Any, active: Any) -> list[Any]:
+    """What varies, at a point of the surface."""
+    found: list[Any] = []
+    count = 1 + max((c for c in (*mix.weights, mix.own, mix.row) if isinstance(c, int)), default=-1)
+    for index, name in enumerate(mix.attributes):
+        if count - _PACK * index == 1:
+            found.append(si.shape.eval_attribute_1(name, si, active))
+        else:
+            value = si.shape.eval_attribute_3(name, si, active)
+            found.extend([value.x, value.y, value.z])
+    return found
+
+
 @lru_cache(maxsize=1)
 def register(mi: Any) -> str:
     """Define the texture for the variant that is set, and register it; returns its name."""
@@ -159,20 +172,6 @@ def register(mi: Any) -> str:
             self.whites = [number((1.0 - s.metallic) * s.specular) for s in mix.surfaces]
             if kind == "alpha":
                 self.roughness, self.swing = (number(value) for value in lobes[lobe])
-
-        def _channels(self, si: Any, active: Any) -> list[Any]:
-            found: list[Any] = []
-            count = 1 + max(
-                (c for c in (*self.mix.weights, self.mix.own, self.mix.row) if isinstance(c, int)),
-                default=-1,
-            )
-            for index, name in enumerate(self.mix.attributes):
-                if count - _PACK * index == 1:
-                    found.append(si.shape.eval_attribute_1(name, si, active))
-                else:
-                    value = si.shape.eval_attribute_3(name, si, active)
-                    found.extend([value.x, value.y, value.z])
-            return found
 
         def _shares(self, channels: list[Any]) -> list[Any]:
             shares: list[Any] = []
@@ -210,7 +209,7 @@ def register(mi: Any) -> str:
             return total
 
         def eval(self, si: Any, active: Any = True) -> Any:
-            channels = self._channels(si, active)
+            channels = channels_of(mi, self.mix, si, active)
             shares = self._shares(channels)
             if self.kind == "diffuse":
                 color = mi.Color3f(0.0)
@@ -232,7 +231,7 @@ def register(mi: Any) -> str:
             return mi.Color3f(self.eval_1(si, active))
 
         def eval_1(self, si: Any, active: Any = True) -> Any:
-            channels = self._channels(si, active)
+            channels = channels_of(mi, self.mix, si, active)
             if self.kind == "alpha":
                 varied = self.roughness * self._factor(self.swing, channels)
                 return dr.maximum(dr.square(dr.clip(varied, 0.0, 1.0)), MIN_ALPHA)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.backends.maps import PLANES, map_values
-from scenec.backends.mitsuba.cells import cell_texture, far_texture
+from scenec.backends.mitsuba.cells import cell_texture, far_texture, seen_from_above
 from scenec.backends.render_scene import Maps
 
 PLUGIN = "scenec_projected"
@@ -86,6 +86,38 @@ def _bitmap(mi: Any, values: NDArray[np.float32], to_uv: NDArray[np.float64]) ->
     }
 
 
+def plane_shares(si: Any) -> list[Any]:
+    """Of the planes across x, y and z."""
+    import drjit as dr
+
+    n = si.sh_frame.n
+    fourth = [dr.square(dr.square(part)) for part in (n.x, n.y, n.z)]
+    total = fourth[0] + fourth[1] + fourth[2]
+    return [f / total for f in fourth]
+
+
+def seen_from_sides(mi: Any, si: Any, shares: list[Any], mapped: list[list[Any]]) -> Any:
+    """A normal of a triplanar map, in the local frame; ``mapped`` is what each plane's holds."""
+    import drjit as dr
+
+    n = si.sh_frame.n
+    total: list[Any] = [0.0, 0.0, 0.0]
+    for axis, ((x, y, z), (u, v)) in enumerate(zip(mapped, PLANES, strict=True)):
+        part = [n.x, n.y, n.z]
+        part[u] = part[u] + x
+        part[v] = part[v] + y
+        part[axis] = part[axis] * z
+        total = [t + shares[axis] * p for t, p in zip(total, part, strict=True)]
+    return si.to_local(dr.normalize(mi.Vector3f(*total)))
+
+
+def handedness(si: Any) -> Any:
+    """On which side of dP/du the texture coordinates' dP/dv lies."""
+    import drjit as dr
+
+    return dr.sign(dr.dot(dr.cross(si.dp_du, si.dp_dv), si.sh_frame.n))
+
+
 @lru_cache(maxsize=1)
 def register(mi: Any) -> None:
     """Define the texture for the variant that is set, and register it."""
@@ -122,18 +154,13 @@ def register(mi: Any) -> None:
                 found.append(moved)
             return found
 
-        def _shares(self, si: Any) -> list[Any]:
-            fourth = [dr.square(dr.square(n)) for n in parts(si.sh_frame.n)]
-            total = fourth[0] + fourth[1] + fourth[2]
-            return [f / total for f in fourth]
-
         def _value(self, si: Any, evaluate: Any) -> Any:
             if self.projection == "uv":
                 return evaluate(si)
             planes = self._planes(si)
             if self.projection == "above":
                 return evaluate(planes[2])
-            shares = self._shares(si)
+            shares = plane_shares(si)
             total = evaluate(planes[0]) * shares[0]
             for axis in (1, 2):
                 total = total + evaluate(planes[axis]) * shares[axis]
@@ -158,31 +185,15 @@ def register(mi: Any) -> None:
             return [2.0 * value - 1.0 for value in parts_of(self.picture.eval_3(si, active))]
 
         def _triplanar(self, si: Any, active: Any) -> list[Any]:
-            outward = parts(si.sh_frame.n)
-            total = [mi.Float(0.0)] * 3
-            shares = self._shares(si)
-            for axis, (plane, (u, v)) in enumerate(zip(self._planes(si), PLANES, strict=True)):
-                x, y, z = self._mapped(plane, active)
-                part = list(outward)
-                part[u] = part[u] + x
-                part[v] = part[v] + y
-                part[axis] = part[axis] * z
-                total = [t + shares[axis] * p for t, p in zip(total, part, strict=True)]
-            leaned = dr.normalize(mi.Vector3f(*total))
-            return parts(si.to_local(leaned))
+            mapped = [self._mapped(plane, active) for plane in self._planes(si)]
+            return parts(seen_from_sides(mi, si, plane_shares(si), mapped))
 
         def _framed(self, si: Any, active: Any) -> list[Any]:
             """In the frame of the coordinates' dP/du, and on dP/dv's side of it."""
-            n = si.sh_frame.n
             if self.projection == "uv":
                 x, y, z = self._mapped(si, active)
-                side = dr.sign(dr.dot(dr.cross(si.dp_du, si.dp_dv), n))
-                return [x, y * side, z]
-            x, y, z = self._mapped(self._planes(si)[2], active)
-            along = mi.Vector3f(dr.abs(si.n.z), 0.0, -dr.sign(si.n.z) * si.n.x)
-            u = dr.normalize(along - n * dr.dot(n, along))
-            leaned = u * x + dr.cross(n, u) * y + n * z
-            return parts(si.to_local(mi.Vector3f(leaned)))
+                return [x, y * handedness(si), z]
+            return parts(seen_from_above(mi, si, *self._mapped(self._planes(si)[2], active)))
 
         def mean(self) -> Any:
             return self.picture.mean()

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.backends.heights import FLAT, needed
-from scenec.backends.mitsuba import ggx, heights, mix, planetary, product, projection, sided
+from scenec.backends.mitsuba import ggx, heights, mix, planetary, product, projection, sided, stack
 from scenec.backends.mitsuba.geometry import FlatMesh
 from scenec.backends.mitsuba.mix import MIN_ALPHA
 from scenec.backends.render_scene import Maps, Surface
@@ -21,12 +21,12 @@ class Look:
     """What a flattened mesh is made of.
 
     Attributes:
-        bsdf: Dictionary for ``mi.load_dict``.
+        bsdf: Mitsuba's.
         attributes: Vertex attributes the BSDF reads, name -> float32 [n, channels].
         emission: Dictionary of a texture of the radiance given off, or None.
     """
 
-    bsdf: dict[str, Any]
+    bsdf: Any
     attributes: dict[str, NDArray[np.float32]]
     emission: dict[str, Any] | None = None
 
@@ -46,9 +46,19 @@ def make_look(
     # Textures of ours are compiled into the kernel, but call Python at each point in scalar_rgb.
     # And laws other than Lambert's are not linear in the color: such layers do not add up.
     nested = any(s.maps or s.reflectance or s.emits for s in surfaces) or flat.height_blends
-    if nested or mi.variant().startswith("scalar"):
+    if mi.variant().startswith("scalar"):
         return _nested_look(mi, surfaces, flat, center)
+    if nested:
+        return _stacked_look(mi, surfaces, flat, center)
     return _merged_look(mi, surfaces, flat)
+
+
+def _stacked_look(
+    mi: Any, surfaces: Sequence[Surface], flat: FlatMesh, center: NDArray[np.float64]
+) -> Look:
+    """All layers, maps or not, as one BSDF; what they give off as textures of its own."""
+    bsdf, attributes = stack.make(mi, surfaces, flat, center)
+    return Look(bsdf, attributes, _glow(mi, surfaces, flat, center, attributes))
 
 
 def _merged_look(mi: Any, surfaces: Sequence[Surface], flat: FlatMesh) -> Look:
@@ -84,7 +94,7 @@ def _merged_look(mi: Any, surfaces: Sequence[Surface], flat: FlatMesh) -> Look:
             lobe = ggx.lobe(mi, alpha, quantity("tint", number) if metal else None)
             glossy = _blend(quantity("part", number), glossy, lobe) if glossy else lobe
         bsdf = _blend(quantity("gloss"), bsdf, glossy)
-    return Look(sided.both_sides(mi, bsdf), attributes)
+    return Look(mi.load_dict(sided.both_sides(mi, bsdf)), attributes)
 
 
 def _nested_look(
@@ -95,7 +105,7 @@ def _nested_look(
         product.register(mi)
     attributes: dict[str, NDArray[np.float32]] = {}
     bsdf: dict[str, Any] | None = None
-    by_uv = any(s.maps is not None and s.maps.projection == "uv" for s in surfaces)
+    by_uv = _by_uv(surfaces)
     colors = vertex_colors(surfaces, flat)
     weights = _merge_weights(mi, surfaces, flat, center, by_uv, attributes)
     for number, (surface, values) in enumerate(zip(surfaces, colors, strict=True)):
@@ -104,11 +114,8 @@ def _nested_look(
         layer = _layer(mi, surface, color, gloss, center, by_uv)
         bsdf = layer if bsdf is None else _blend(weights[number - 1], bsdf, layer)
     assert bsdf is not None
-    emission = None
-    if any(surface.emits for surface in surfaces):
-        given = [_emission(mi, surface, center, by_uv) for surface in surfaces]
-        emission = heights.mix_texture(mi, weights, given)
-    return Look(sided.both_sides(mi, bsdf), attributes, emission)
+    # What surfaces give off is left out in ``scalar_rgb``.
+    return Look(mi.load_dict(sided.both_sides(mi, bsdf)), attributes)
 
 
 def _merge_weights(
@@ -145,6 +152,28 @@ def _merge_weights(
             )
             found[merge - 1] = mi.load_dict(made)
     return found
+
+
+def _glow(
+    mi: Any,
+    surfaces: Sequence[Surface],
+    flat: FlatMesh,
+    center: NDArray[np.float64],
+    attributes: dict[str, NDArray[np.float32]],
+) -> dict[str, Any] | None:
+    """Dictionary of a texture of what the layers give off; adds what it reads to ``attributes``."""
+    if not any(surface.emits for surface in surfaces):
+        return None
+    product.register(mi)
+    by_uv = _by_uv(surfaces)
+    weights = _merge_weights(mi, surfaces, flat, center, by_uv, attributes)
+    given = [_emission(mi, surface, center, by_uv) for surface in surfaces]
+    return heights.mix_texture(mi, weights, given)
+
+
+def _by_uv(surfaces: Sequence[Surface]) -> bool:
+    """Whether the mesh's texture coordinates are the scene's."""
+    return any(s.maps is not None and s.maps.projection == "uv" for s in surfaces)
 
 
 def _emission(

@@ -56,6 +56,7 @@ class Pyrender:
     devices = ("cpu", "cuda")
     denoiser = None
     caster = None
+    follows_lenses = False
 
     def __init__(self, device: str = "auto", culling: bool = True) -> None:
         self._context = platforms.acquire(device)

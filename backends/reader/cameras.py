@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,10 +10,14 @@ from numpy.typing import NDArray
 from pxr import Usd, UsdGeom, UsdRender
 
 from scenec.backends.reader.frame import StageFrame, columns
+from scenec.backends.reader.imaging import read_imaging
+from scenec.backends.reader.sensors import read_depth_camera, read_trigger
 from scenec.backends.render_scene import DEFAULT_OUTPUTS, Camera
 from scenec.schemas import stage as names
 from scenec.schemas.errors import StageError
 from scenec.schemas.exr import PASSES
+from scenec.schemas.lens import COEFFICIENTS, Lens
+from scenec.schemas.spelling import nearest, shown
 
 _DEFAULT_RESOLUTION = (640, 480)
 
@@ -113,7 +118,45 @@ def _camera(request: _Request, frame: StageFrame, time: Usd.TimeCode) -> Camera:
         camera_to_world=pose,
         exposure_ev=float(exposure or 0.0),
         outputs=request.outputs,
+        partner=_partner(prim),
+        trigger=read_trigger(prim),
+        depth_camera=read_depth_camera(prim),
+        lens=_lens(prim),
+        imaging=read_imaging(prim, time),
     )
+
+
+def _lens(prim: Usd.Prim) -> Lens | None:
+    """The lens of a camera; without one of the schema's a pinhole, as viewers show it."""
+    model = prim.GetAttribute(names.ATTR_LENS_MODEL).Get()
+    if not model:
+        return None
+    if model not in COEFFICIENTS:
+        raise StageError(
+            f"{prim.GetPath()}: {names.ATTR_LENS_MODEL} is {shown(str(model))}"
+            f"{nearest(str(model), COEFFICIENTS)}"
+        )
+    values = prim.GetAttribute(names.ATTR_LENS_COEFFICIENTS).Get()
+    coefficients = np.array(() if values is None else values, np.float64)
+    count = len(COEFFICIENTS[model])
+    if coefficients.shape != (count,) or not np.isfinite(coefficients).all():
+        raise StageError(
+            f"{prim.GetPath()}: {names.ATTR_LENS_COEFFICIENTS} of {model} must hold {count} finite "
+            "numbers"
+        )
+    angle = prim.GetAttribute(names.ATTR_LENS_MAX_ANGLE).Get()
+    farthest = math.pi if angle is None else float(angle)
+    if not 0.0 < farthest <= math.pi:
+        raise StageError(
+            f"{prim.GetPath()}: {names.ATTR_LENS_MAX_ANGLE} is {farthest:g}; expected an angle "
+            "above 0, at most pi"
+        )
+    return Lens(str(model), tuple(coefficients.tolist()), farthest)
+
+
+def _partner(prim: Usd.Prim) -> str | None:
+    targets = prim.GetRelationship(names.REL_PARTNER).GetForwardedTargets()
+    return str(targets[0]) if targets else None
 
 
 def _intrinsics(prim: Usd.Prim, size: tuple[int, int], time: Usd.TimeCode) -> NDArray[np.float64]:

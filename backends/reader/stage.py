@@ -13,6 +13,7 @@ from scenec.backends.reader.cameras import read_cameras
 from scenec.backends.reader.frame import StageFrame
 from scenec.backends.reader.instancers import Expanded, Expander
 from scenec.backends.reader.labels import LabelTable, prim_labels, read_table
+from scenec.backends.reader.lidars import read_lidars
 from scenec.backends.reader.lights import read_lighting
 from scenec.backends.reader.meshes import MeshTable
 from scenec.backends.reader.sky import read_haze, read_sky_label_maps
@@ -61,6 +62,7 @@ def read_stage(path: Path | str) -> RenderScene:
     lighting = tuple(read_lighting(stage, frame, time) for time in times)
     label_maps = read_sky_label_maps(stage, table, times)
     of_sky = [*_domes(lighting), *(each.file for maps in label_maps for each in maps.values())]
+    lidars = read_lidars(stage, frame, times)
     return RenderScene(
         source=path,
         digest=_digest(stage, path, [*of_sky, *_maps(meshes.surfaces.surfaces())]),
@@ -82,6 +84,7 @@ def read_stage(path: Path | str) -> RenderScene:
         parts=expander.parts,
         haze=read_haze(stage, frame, times),
         sky_label_maps=label_maps,
+        lidars=lidars,
     )
 
 

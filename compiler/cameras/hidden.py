@@ -8,6 +8,7 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
+from scenec.compiler.incremental.memo import memoized
 from scenec.compiler.terrain.grid import HeightField
 
 # Blocks have at least so many cells along a side, and more where the work, which grows as the eyes
@@ -16,6 +17,7 @@ _CELLS = 4
 _STEPS = 4e8
 
 
+@memoized("views")
 def hidden_blocks(
     field: HeightField, eyes: NDArray[np.float64], margin_m: float = 0.0
 ) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:

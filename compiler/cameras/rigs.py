@@ -9,9 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
+from scenec.compiler.cameras.pairs import require_rectified
 from scenec.compiler.cameras.paths.motion import Around, Bodies, Built
 from scenec.compiler.cameras.poses import bearing_vector, look_at
 from scenec.compiler.ground.surface import Surface
+from scenec.compiler.incremental.memo import memoized
 from scenec.compiler.plan import RandomTargetPlan, RigPlan, SensorPlan, TrackPlan
 from scenec.compiler.scene import Rig, Sensor
 
@@ -39,10 +41,23 @@ def build_rigs(
     for plan in plans:
         built = _built(plan, surface, bodies or {})
         sensors = tuple(_sensor(sensor, irradiance) for sensor in plan.sensors)
-        rigs.append(Rig(plan.name, built.to_world, sensors, built.times))
+        require_rectified(f"rigs/{plan.name}", sensors)
+        rigs.append(Rig(plan.name, built.to_world, sensors, built.times, plan.lidars))
         if facts is not None and built.facts:
             facts[plan.name] = built.facts
     return tuple(rigs)
+
+
+@memoized("cameras")
+def build_rigs_and_report(
+    plans: tuple[RigPlan, ...],
+    surface: Surface,
+    irradiance: NDArray[np.float64] | None,
+    bodies: Mapping[str, Bodies],
+) -> tuple[tuple[Rig, ...], dict[str, Any]]:
+    """``build_rigs``, and what is to be said of motions that were made, by rig."""
+    facts: dict[str, Any] = {}
+    return build_rigs(plans, surface, irradiance, bodies, facts), facts
 
 
 def needs_objects(plan: RigPlan) -> bool:
@@ -68,7 +83,18 @@ def _sensor(plan: SensorPlan, irradiance: NDArray[np.float64] | None) -> Sensor:
         ev = np.zeros_like(ev)
     elif plan.metered:
         ev = ev + incident_exposure(irradiance)
-    return Sensor(plan.name, plan.resolution, plan.intrinsics, plan.to_rig, ev, plan.outputs)
+    return Sensor(
+        name=plan.name,
+        resolution=plan.resolution,
+        intrinsics=plan.intrinsics,
+        to_rig=plan.to_rig,
+        exposure_ev=ev,
+        outputs=plan.outputs,
+        partner=plan.partner,
+        trigger=plan.trigger,
+        depth_camera=plan.depth_camera,
+        lens=plan.lens,
+    )
 
 
 def incident_exposure(irradiance: NDArray[np.float64]) -> NDArray[np.float64]:

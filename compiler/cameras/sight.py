@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -9,7 +10,10 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from scenec.compiler.cameras.hidden import hidden_blocks
+from scenec.compiler.cameras.lenses import sight_of
+from scenec.compiler.cameras.lidars import rays_a_radian
 from scenec.compiler.cameras.poses import compose
+from scenec.compiler.incremental.memo import memoized
 from scenec.compiler.scene import Rig
 from scenec.compiler.terrain.grid import HeightField
 
@@ -29,12 +33,17 @@ class Views(NamedTuple):
         hidden: Blocks of ground that lie behind others, bool [c, by, bx]; one of no size: none is
             known to.
         blocks: x and y of the first block's corner, and a block's width in both, float64 [4].
+        cones: Of cameras with a lens, cosine and sine of the half angle of a cone around the axis
+            that holds all their rays (``lenses.sight_of``; -1 and 0: everything), which counts in
+            place of the picture's borders; their fx and fy bound what they magnify. NaN for
+            pinholes; without any, all are. float64 [c, 2].
     """
 
     poses: NDArray[np.float64]
     numbers: NDArray[np.float64]
     hidden: NDArray[np.bool_]
     blocks: NDArray[np.float64]
+    cones: NDArray[np.float64] = np.zeros((0, 2))
 
 
 #: Of a batch without cameras.
@@ -51,22 +60,37 @@ def views_of(
         field: The terrain, for what hides behind it; None: nothing does.
         margin_m: How far the ground may lie above or below that.
     """
-    poses, numbers = [], []
+    poses, numbers, cones = [], [], []
     for rig in rigs:
         for sensor in rig.sensors:
+            cone, intrinsics = (math.nan, math.nan), sensor.intrinsics
+            if sensor.lens is not None:
+                cone, focals = sight_of(sensor, MARGIN)
+                intrinsics = (*focals, *intrinsics[2:])
             for pose in rig.to_world:
                 poses.append(compose(pose, sensor.to_rig)[:3])
-                numbers.append((*sensor.intrinsics, *map(float, sensor.resolution)))
+                numbers.append((*intrinsics, *map(float, sensor.resolution)))
+                cones.append(cone)
+        for lidar in rig.lidars:
+            scale = rays_a_radian(lidar)
+            for pose in rig.to_world:
+                poses.append(compose(pose, lidar.to_rig)[:3])
+                numbers.append((scale, scale, 0.0, 0.0, 0.0, 1.0, 1.0))
+                # It looks all around.
+                cones.append((-1.0, 0.0))
     if not poses:
         return NO_VIEWS
     cameras = np.array(poses, np.float64)
-    views = NO_VIEWS._replace(poses=cameras, numbers=np.array(numbers, np.float64))
+    views = NO_VIEWS._replace(
+        poses=cameras, numbers=np.array(numbers, np.float64), cones=np.array(cones, np.float64)
+    )
     if field is None:
         return views
     hidden, blocks = hidden_blocks(field, cameras[:, :, 3], margin_m)
     return views._replace(hidden=hidden, blocks=blocks)
 
 
+@memoized("views")
 def pixels_per_meter(field: HeightField, views: Views, unseen: float) -> NDArray[np.float64]:
     """Pixels that a meter across the view takes at each sample, in the view that shows it largest.
 
@@ -138,7 +162,19 @@ def _is_hidden(hidden, blocks, c, x, y, radius):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy", inline="always")
-def _pixels(poses, numbers, hidden, blocks, x, y, z, radius, unseen, nearest):  # type: ignore[no-untyped-def]
+def _in_cone(cosine, sine, depth, square, radius):  # type: ignore[no-untyped-def]
+    """Whether a ball reaches into a cone around the axis, from the cosine and sine of its angle."""
+    if cosine <= -1.0 or square <= radius * radius:
+        return True
+    distance = np.sqrt(square)
+    ball = radius / distance
+    rest = np.sqrt(1.0 - ball * ball)
+    # Of the sum of both angles.
+    return sine * rest + cosine * ball <= 0.0 or depth >= distance * (cosine * rest - sine * ball)
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def _pixels(poses, numbers, hidden, blocks, cones, x, y, z, radius, unseen, nearest):  # type: ignore[no-untyped-def]
     """Pixels a meter of a ball in the view that shows it largest."""
     best = 0.0
     for c in range(poses.shape[0]):
@@ -154,7 +190,9 @@ def _pixels(poses, numbers, hidden, blocks, x, y, z, radius, unseen, nearest):  
             continue
         depth = m[0, 2] * px + m[1, 2] * py + m[2, 2] * pz
         seen = False
-        if depth > radius:
+        if c < cones.shape[0] and cones[c, 0] == cones[c, 0]:
+            seen = _in_cone(cones[c, 0], cones[c, 1], depth, px * px + py * py + pz * pz, radius)
+        elif depth > radius:
             # A ball spreads over the picture as it does at its nearest depth, and no farther.
             spread = radius / (depth - radius)
             right = (m[0, 0] * px + m[1, 0] * py + m[2, 0] * pz) / depth
@@ -175,16 +213,26 @@ def _pixels(poses, numbers, hidden, blocks, x, y, z, radius, unseen, nearest):  
 
 
 @njit(cache=True, error_model="numpy", parallel=True)
-def _of_balls(poses, numbers, hidden, blocks, points, radius, unseen, nearest, out):  # type: ignore[no-untyped-def]
+def _of_balls(poses, numbers, hidden, blocks, cones, points, radius, unseen, nearest, out):  # type: ignore[no-untyped-def]
     for n in prange(len(points)):
         x, y, z = points[n]
-        out[n] = _pixels(poses, numbers, hidden, blocks, x, y, z, radius[n], unseen, nearest)
+        out[n] = _pixels(poses, numbers, hidden, blocks, cones, x, y, z, radius[n], unseen, nearest)
 
 
 @njit(cache=True, error_model="numpy", parallel=True)
-def _nearest_views(poses, numbers, hidden, blocks, x, y, height, unseen, nearest, out):  # type: ignore[no-untyped-def]
+def _nearest_views(poses, numbers, hidden, blocks, cones, x, y, height, unseen, nearest, out):  # type: ignore[no-untyped-def]
     for j in prange(y.size):
         for i in range(x.size):
             out[j, i] = _pixels(
-                poses, numbers, hidden, blocks, x[i], y[j], height[j, i], 0.0, unseen, nearest
+                poses,
+                numbers,
+                hidden,
+                blocks,
+                cones,
+                x[i],
+                y[j],
+                height[j, i],
+                0.0,
+                unseen,
+                nearest,
             )

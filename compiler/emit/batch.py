@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 
 from pxr import Gf, Sdf, Usd, UsdGeom, Vt
@@ -12,10 +13,15 @@ from scenec.compiler.emit.lights import write_lights
 from scenec.compiler.emit.looks import write_look
 from scenec.compiler.emit.maps import copy_maps
 from scenec.compiler.emit.materialx import mixed_materials, write_ground_mix, write_material
-from scenec.compiler.emit.objects import class_path, write_placed, write_scatter
+from scenec.compiler.emit.objects import (
+    class_path,
+    materials_of,
+    write_placed,
+    write_scatter,
+)
 from scenec.compiler.emit.sky_prim import write_sky_prim
 from scenec.compiler.emit.terrain import write_terrain
-from scenec.compiler.scene import Placed, Scene
+from scenec.compiler.scene import Material, Placed, Scene
 from scenec.schemas import stage as names
 from scenec.schemas.errors import SceneError
 from scenec.schemas.materialx import LAYER_SUFFIX
@@ -36,14 +42,20 @@ def write_batch(folder: Path, scene: Scene) -> None:
     """
     table = scene.label_table
     layer_names = [label_names(table, layer.labels) for layer in scene.ground.layers]
-    write_terrain(folder / "terrain.usdc", scene.ground, scene.materials, layer_names)
+    used = [layer.material for layer in scene.ground.layers]
+    shown = _only(scene.materials, used)
+    write_terrain(folder / "terrain.usdc", scene.ground, shown, layer_names)
     sublayers = ["terrain.usdc"]
     for objects in scene.objects:
+        if not objects.count:
+            # Its ids stay reserved; that is all.
+            continue
         sublayers.append(f"objects/{objects.name}.usdc")
+        shown = _only(scene.materials, materials_of(objects))
         if isinstance(objects, Placed):
-            write_placed(folder / sublayers[-1], objects, scene.materials, table)
+            write_placed(folder / sublayers[-1], objects, shown, table)
         else:
-            write_scatter(folder / sublayers[-1], objects, scene.materials, table)
+            write_scatter(folder / sublayers[-1], objects, shown, table)
     sublayers.extend(_write_looks(folder, scene))
     if scene.sun is not None or scene.sky is not None or scene.more_suns or scene.lamps:
         sublayers.append("lights.usda")
@@ -51,6 +63,12 @@ def write_batch(folder: Path, scene: Scene) -> None:
     sublayers.append("cameras.usda")
     write_cameras(folder / sublayers[-1], scene)
     _write_root(folder / STAGE, scene, sublayers)
+
+
+def _only(materials: dict[str, Material], used: Iterable[str]) -> dict[str, Material]:
+    """What a layer is written from: others may change without it."""
+    # None at all would say that no color is asked for.
+    return {name: materials[name] for name in sorted(used) if name in materials} or materials
 
 
 def _write_looks(folder: Path, scene: Scene) -> list[str]:
@@ -78,7 +96,8 @@ def _write_root(path: Path, scene: Scene, sublayers: list[str]) -> None:
         stage.SetMetadata("renderSettingsPrimPath", f"{names.RENDER_SCOPE}/Settings")
         world = UsdGeom.Xform.Define(stage, names.ROOT).GetPrim()
         Usd.ModelAPI(world).SetKind("assembly")
-        Usd.ColorSpaceAPI.Apply(world).CreateColorSpaceNameAttr("lin_rec709_scene")
+        if scene.materials:
+            Usd.ColorSpaceAPI.Apply(world).CreateColorSpaceNameAttr("lin_rec709_scene")
         world.CreateAttribute(
             names.ATTR_SCHEMA_VERSION, Sdf.ValueTypeNames.String, custom=True
         ).Set(names.SCHEMA_VERSION)
@@ -124,10 +143,14 @@ def _write_instance_bases(stage: Usd.Stage, scene: Scene) -> None:
     total = sum(objects.drawn for objects in scene.objects)
     if total > _LARGEST_ID:
         raise SceneError(f"{total} instances: a frame has ids for {_LARGEST_ID} at most")
+    if not any(objects.instances for objects in scene.objects):
+        # Nothing shows ids.
+        return
     base = 0
     for objects in scene.objects:
-        prim = stage.OverridePrim(class_path(objects.name))
-        prim.CreateAttribute(names.ATTR_INSTANCE_ID_BASE, Sdf.ValueTypeNames.UInt, custom=True).Set(
-            base
-        )
+        if objects.count:
+            prim = stage.OverridePrim(class_path(objects.name))
+            prim.CreateAttribute(
+                names.ATTR_INSTANCE_ID_BASE, Sdf.ValueTypeNames.UInt, custom=True
+            ).Set(base)
         base += objects.drawn

@@ -13,9 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdRender
 
+from scenec.compiler.emit.imaging import write_imaging
 from scenec.compiler.emit.layer import author, new_layer
+from scenec.compiler.emit.sensors import write_depth_camera, write_lidar, write_trigger
 from scenec.compiler.scene import Rig, Scene, Sensor
 from scenec.schemas import stage as names
+from scenec.schemas.lens import KANNALA_BRANDT, Lens
 
 RIGS = f"{names.ROOT}/Rigs"
 HALF_TURN = np.array([*names.HALF_TURN, 1.0])
@@ -32,6 +35,14 @@ _VAR_TYPES = {
     "face": "int",
     "label": "int",
     "amodal": "int",
+    "depth_measured": "float",
+    "flow": "float2",
+    "flow_backward": "float2",
+    "scene_flow": "float3",
+    "disparity": "float",
+    "occlusion": "int",
+    "occlusion_backward": "int",
+    "disparity_occlusion": "int",
 }
 
 
@@ -46,6 +57,8 @@ def write_cameras(path: Path, scene: Scene) -> None:
             for sensor in rig.sensors:
                 camera = _write_camera(stage, rig, sensor)
                 products.append(_write_product(stage, rig, sensor, camera, scene))
+            for lidar in rig.lidars:
+                write_lidar(stage, f"{RIGS}/{rig.name}/{lidar.name}", lidar)
         settings = UsdRender.Settings.Define(stage, f"{names.RENDER_SCOPE}/Settings")
         settings.CreateProductsRel().SetTargets(products)
 
@@ -86,12 +99,37 @@ def _write_camera(stage: Usd.Stage, rig: Rig, sensor: Sensor) -> UsdGeom.Camera:
     camera.CreateVerticalApertureAttr(vertical)
     camera.CreateHorizontalApertureOffsetAttr((0.5 * width - cx) * _APERTURE / width)
     camera.CreateVerticalApertureOffsetAttr((cy - 0.5 * height) * vertical / height)
+    if sensor.lens is not None:
+        write_lens(camera.GetPrim(), sensor.lens)
+    write_trigger(camera.GetPrim(), sensor.trigger)
+    if sensor.depth_camera is not None:
+        write_depth_camera(camera.GetPrim(), sensor.depth_camera)
+    if sensor.partner is not None:
+        camera.GetPrim().CreateRelationship(names.REL_PARTNER, custom=True).SetTargets(
+            [f"{RIGS}/{rig.name}/{sensor.partner}"]
+        )
     if "rgb" in sensor.outputs:
         author(camera.CreateExposureAttr(), sensor.exposure_ev.tolist())
+    if sensor.imaging is not None:
+        write_imaging(camera.GetPrim(), sensor.imaging)
     camera.GetPrim().CreateAttribute(
         names.ATTR_INTRINSICS, Sdf.ValueTypeNames.DoubleArray, custom=True
     ).Set([fx, skew, cx, 0.0, fy, cy, 0.0, 0.0, 1.0])
     return camera
+
+
+def write_lens(prim: Usd.Prim, lens: Lens) -> None:
+    """Author a lens; viewers that know none show the pinhole that agrees with it at the axis."""
+    types = Sdf.ValueTypeNames
+    prim.CreateAttribute(names.ATTR_LENS_MODEL, types.Token, custom=True).Set(lens.model)
+    if lens.coefficients:
+        prim.CreateAttribute(names.ATTR_LENS_COEFFICIENTS, types.DoubleArray, custom=True).Set(
+            list(lens.coefficients)
+        )
+    if lens.model == KANNALA_BRANDT:
+        prim.CreateAttribute(names.ATTR_LENS_MAX_ANGLE, types.Double, custom=True).Set(
+            lens.max_angle
+        )
 
 
 def _write_product(

@@ -6,11 +6,13 @@ import shutil
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux
 
 from scenec.compiler.cameras.poses import cross
 from scenec.compiler.emit.layer import author, new_layer
 from scenec.compiler.emit.maps import TEXTURES
+from scenec.compiler.incremental.memo import memoized_file
 from scenec.compiler.light.latlong import luminance
 from scenec.compiler.light.sky import sun_direction
 from scenec.compiler.scene import Lamp, Scene, SkyLight, SunLight
@@ -41,7 +43,12 @@ def write_lights(path: Path, scene: Scene) -> None:
         if isinstance(picture, Path):
             shutil.copyfile(picture, file)
         else:
-            write_rgb(file, picture)
+            _write_picture(file, picture)
+
+
+@memoized_file("emit")
+def _write_picture(file: Path, picture: NDArray[np.float32]) -> None:
+    write_rgb(file, picture)
 
 
 def _write_sun(stage: Usd.Stage, name: str, sun: SunLight) -> None:

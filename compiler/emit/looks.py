@@ -8,6 +8,7 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade
 
 from scenec.compiler.emit.layer import new_layer
 from scenec.compiler.emit.preview import is_encoded, write_preview
+from scenec.compiler.incremental.memo import memoized_file
 from scenec.compiler.scene import Material, MaterialMaps, Reflectance
 from scenec.schemas import stage as names
 from scenec.schemas.maps import COLORS
@@ -20,6 +21,7 @@ def look_path(material: str) -> str:
     return f"{LOOKS}/{material}"
 
 
+@memoized_file("emit")
 def write_look(path: Path, name: str, material: Material, maps: dict[str, str]) -> None:
     """Writes ``looks/<material>.usda``.
 

@@ -21,6 +21,7 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade
 from scenec.compiler.emit.layer import new_layer
 from scenec.compiler.emit.looks import LOOKS, look_path
 from scenec.compiler.emit.preview import is_encoded
+from scenec.compiler.incremental.memo import memoized_file
 from scenec.compiler.scene import Ground, Material
 from scenec.schemas import materialx as mtlx
 from scenec.schemas import stage as names
@@ -41,6 +42,7 @@ def mixed_materials(ground: Ground) -> tuple[str, ...]:
     return layers if len(layers) > 1 else ()
 
 
+@memoized_file("emit")
 def write_material(path: Path, name: str, material: Material, maps: dict[str, str]) -> None:
     """Writes ``looks/<material>.mtlx.usda``: the network of one material.
 
@@ -57,6 +59,7 @@ def write_material(path: Path, name: str, material: Material, maps: dict[str, st
         network.end(_Layer(network, "", material, files).bsdf())
 
 
+@memoized_file("emit")
 def write_ground_mix(
     path: Path,
     layers: tuple[str, ...],

@@ -18,6 +18,7 @@ from scenec.compiler.emit.layer import (
 )
 from scenec.compiler.emit.prototypes import write_prototype
 from scenec.compiler.emit.terrain import bind, write_vertex_floats
+from scenec.compiler.incremental.memo import memoized_file
 from scenec.compiler.scene import Material, Placed, Scatter
 from scenec.schemas import stage as names
 
@@ -29,6 +30,7 @@ def class_path(name: str) -> str:
     return f"{OBJECTS}/{name}"
 
 
+@memoized_file("emit")
 def write_scatter(
     path: Path,
     scatter: Scatter,
@@ -54,15 +56,17 @@ def write_scatter(
         instancer.CreatePositionsAttr(Vt.Vec3fArray.FromNumpy(scatter.positions))
         instancer.CreateOrientationsAttr(Vt.QuathArray.FromNumpy(scatter.orientations))
         instancer.CreateScalesAttr(Vt.Vec3fArray.FromNumpy(scatter.scales))
-        instancer.CreateIdsAttr(Vt.Int64Array.FromNumpy(scatter.ids))
+        if scatter.instances:
+            instancer.CreateIdsAttr(Vt.Int64Array.FromNumpy(scatter.ids))
         instancer.CreateExtentAttr(Vt.Vec3fArray.FromNumpy(_extent(scatter)))
         _write_class(prim, scatter, materials, table)
-        if any(materials[name].varies for name in _materials_of(scatter) if materials):
+        if any(materials[name].varies for name in materials_of(scatter) if materials):
             write_vertex_floats(
                 UsdGeom.PrimvarsAPI(prim), names.PRIMVAR_VARIATION, scatter.variation
             )
 
 
+@memoized_file("emit")
 def write_placed(
     path: Path,
     placed: Placed,
@@ -85,9 +89,10 @@ def write_placed(
         _write_class(prim, placed, materials, table)
         for i, local_id in enumerate(placed.ids.tolist()):
             one = UsdGeom.Xform.Define(stage, f"{prim.GetPath()}/instance_{local_id}")
-            one.GetPrim().CreateAttribute(
-                names.ATTR_LOCAL_INSTANCE_ID, Sdf.ValueTypeNames.UInt, custom=True
-            ).Set(local_id)
+            if placed.instances:
+                one.GetPrim().CreateAttribute(
+                    names.ATTR_LOCAL_INSTANCE_ID, Sdf.ValueTypeNames.UInt, custom=True
+                ).Set(local_id)
             author(one.AddTransformOp().GetAttr(), [_matrix(m) for m in placed.to_world[i]])
             one.GetPrim().GetReferences().AddInternalReference(targets[placed.prototype[i]])
             one.GetPrim().SetInstanceable(True)
@@ -138,7 +143,8 @@ def _write_class(
         bind(prim, objects.material)
 
 
-def _materials_of(objects: Scatter | Placed) -> set[str]:
+def materials_of(objects: Scatter | Placed) -> set[str]:
+    """Names of the materials of a class and of its models' parts."""
     own = {part.material for mesh in objects.prototypes for part in mesh.parts}
     return {name for name in (objects.material, *own) if name is not None}
 

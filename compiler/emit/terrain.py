@@ -11,12 +11,14 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade, Vt
 from scenec.compiler.emit.layer import label, new_layer
 from scenec.compiler.emit.looks import look_path
 from scenec.compiler.emit.maps import average_color
+from scenec.compiler.incremental.memo import memoized_file
 from scenec.compiler.scene import Ground, Material, Tile
 from scenec.schemas import stage as names
 
 TERRAIN = f"{names.ROOT}/Terrain"
 
 
+@memoized_file("emit")
 def write_terrain(
     path: Path,
     ground: Ground,
@@ -72,7 +74,8 @@ def _write_appearance(
     primvars = UsdGeom.PrimvarsAPI(prim)
     for merge, weight in enumerate(tile.weights, start=1):
         write_vertex_floats(primvars, names.weight_primvar(merge), weight)
-    write_vertex_floats(primvars, names.PRIMVAR_VARIATION, tile.variation)
+    if any(materials[layer.material].varies for layer in ground.layers):
+        write_vertex_floats(primvars, names.PRIMVAR_VARIATION, tile.variation)
     write_display_color(prim, blended_color(tile, ground, materials))
 
 

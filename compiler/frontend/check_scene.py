@@ -9,9 +9,13 @@ import math
 from collections.abc import Iterator
 from typing import Any
 
+from scenec.compiler.frontend.check_imaging import check_imaging
+from scenec.compiler.frontend.check_lens import check_lens
+from scenec.compiler.frontend.check_lidars import check_lidars
 from scenec.compiler.frontend.check_light import check_light
 from scenec.compiler.frontend.check_numbers import support
 from scenec.compiler.frontend.check_objects import check_objects
+from scenec.compiler.frontend.check_partners import check_partners
 from scenec.compiler.frontend.check_poses import check_poses
 from scenec.compiler.frontend.check_sky import check_sky
 from scenec.compiler.frontend.check_surfaces import check_surfaces
@@ -45,8 +49,11 @@ def check_scene(document: Any, numbers: dict[Path, Field]) -> list[Finding]:
         *_check_rocks(document),
         *check_objects(document, spans),
         *check_light(document, spans),
+        *check_imaging(document, spans),
         *_check_samples(spans),
-        *_check_sensors(document),
+        *_check_sensors(document, spans),
+        *check_partners(document),
+        *check_lidars(document),
         *_check_positions(document, spans),
         *check_poses(document, spans),
         *_check_colors(document, spans),
@@ -229,15 +236,18 @@ def _sensors(document: Any) -> Iterator[tuple[Path, dict[str, Any]]]:
                 yield ("rigs", rig, "sensors", name), sensor
 
 
-def _check_sensors(document: Any) -> Iterator[Finding]:
+def _check_sensors(document: Any, spans: dict[Path, tuple[float, float]]) -> Iterator[Finding]:
     for path, sensor in _sensors(document):
+        yield from check_lens(sensor, path, spans)
+        lens = sensor.get("lens")
+        whole = isinstance(lens, dict) and lens.get("type") == "equirectangular"
         if "fov_deg" in sensor and "intrinsics" in sensor:
             yield Finding(
                 (*path, "intrinsics"),
                 "fov_deg and intrinsics both say what the sensor sees: take one away",
                 at_key=True,
             )
-        elif "fov_deg" not in sensor and "intrinsics" not in sensor:
+        elif "fov_deg" not in sensor and "intrinsics" not in sensor and not whole:
             yield Finding(path, "expected either the key fov_deg or the key intrinsics")
 
 

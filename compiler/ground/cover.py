@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from scenec.compiler.ground.limit import limit
 from scenec.compiler.ground.merge import Merge, center_for_coverage, label_index
+from scenec.compiler.incremental.memo import memoized
 from scenec.compiler.terrain.condition import Condition
 from scenec.compiler.terrain.grid import HeightField
 from scenec.compiler.terrain.mask import CONDITIONS
@@ -49,6 +50,15 @@ def lay(
             )
         laid.append(merge)
     return tuple(laid)
+
+
+@memoized("cover")
+def lay_and_report(
+    merges: Sequence[Merge], coverage: Sequence[float | None], field: HeightField
+) -> tuple[tuple[Merge, ...], list[dict[str, Any]]]:
+    """``lay`` on the finished relief, and ``cover_report`` of what it made."""
+    laid = lay(merges, coverage, field)
+    return laid, cover_report(laid, field)
 
 
 def _center(merge: Merge, part: float, field: HeightField, name: str, strict: bool) -> float:

@@ -22,6 +22,7 @@ from scenec.compiler.ground.mesh import (
     label_error,
 )
 from scenec.compiler.ground.surface import Surface
+from scenec.compiler.incremental.memo import memoized
 from scenec.compiler.noise.perlin import fbm2_points
 from scenec.compiler.scene import Tile
 from scenec.compiler.terrain.mesh_surface import MeshSurface
@@ -35,6 +36,7 @@ _VARIATION_OCTAVES = 6
 _VARIATION_GAIN = 0.75
 
 
+@memoized("ground")
 def build_tiles(
     surface: Surface,
     variation_key: int,

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.compiler.incremental.memo import memoized
 from scenec.compiler.light.atmosphere_sky import build_atmosphere
 from scenec.compiler.light.latlong import luminance
 from scenec.compiler.light.panorama import build_label_maps, build_panorama
@@ -35,6 +36,7 @@ class Light:
     facts: dict[str, Any] = field(default_factory=dict)
 
 
+@memoized("light")
 def build_light(plan: LightPlan, samples: int, color: bool, labels: bool) -> Light:
     """The light of a batch.
 

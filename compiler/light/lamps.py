@@ -8,9 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
+from scenec.compiler.cameras.lenses import pixel_rays
 from scenec.compiler.cameras.poses import bearing_vector, compose, look_at
 from scenec.compiler.cameras.rigs import incident_exposure
 from scenec.compiler.ground.surface import Surface
+from scenec.compiler.incremental.memo import memoized
 from scenec.compiler.light.latlong import luminance
 from scenec.compiler.light.plan import LampPlan, RigMount, WorldMount
 from scenec.compiler.plan import RigPlan
@@ -26,6 +28,7 @@ _NEAREST_M, _STEPS, _GROWTH = 0.1, 256, 1.05
 _ROWS = (0.5, 0.625, 0.75, 0.875, 1.0)
 
 
+@memoized("lamps")
 def build_lamps(
     plans: tuple[LampPlan, ...], rigs: tuple[Rig, ...], surface: Surface
 ) -> tuple[Lamp, ...]:
@@ -108,6 +111,7 @@ def lamp_irradiance(lamp: Lamp, sample: int, point: NDArray[np.float64]) -> floa
     return float(luminance(lamp.intensity[sample])) * falloff / squared
 
 
+@memoized("lamps")
 def meter_lamps(
     rigs: tuple[Rig, ...],
     plans: tuple[RigPlan, ...],
@@ -146,13 +150,20 @@ def _on_ground(
     poses: NDArray[np.float64], sensor: Sensor, lamps: tuple[Lamp, ...], surface: Surface
 ) -> NDArray[np.float64]:
     """Irradiance from lamps at the first lit place from the middle of a picture downwards: [s]."""
-    _, fy, _, cy, _ = sensor.intrinsics
+    _, fy, cx, cy, _ = sensor.intrinsics
     height = float(sensor.resolution[1])
+    rays = None
+    if sensor.lens is not None:
+        rows = height * np.array(_ROWS)
+        rays, _ = pixel_rays(sensor.lens, sensor.intrinsics, np.full(len(rows), cx), rows)
     out = np.zeros(len(poses))
     for i, pose in enumerate(poses):
-        for part in _ROWS:
-            down = (height * part - cy) / fy
-            point = _meets(pose[:3, 3], pose[:3, 2] + down * pose[:3, 1], surface)
+        for row, part in enumerate(_ROWS):
+            if rays is None:
+                way = pose[:3, 2] + (height * part - cy) / fy * pose[:3, 1]
+            else:
+                way = (rays[row] * pose[:3, :3]).sum(axis=1)
+            point = _meets(pose[:3, 3], way, surface)
             if point is not None:
                 out[i] = sum(lamp_irradiance(lamp, i, point) for lamp in lamps)
             if out[i] > 0.0:

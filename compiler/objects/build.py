@@ -5,18 +5,26 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
+from dataclasses import fields, is_dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.cameras.sight import Views
+from scenec.compiler.incremental.memo import memoized
 from scenec.compiler.objects.placed import place_objects
 from scenec.compiler.objects.poses import PlacedPlan
 from scenec.compiler.objects.prototypes import Looks, ModelPlan, build_prototype, load_model
 from scenec.compiler.plan import ModelSource, ScatterPlan
 from scenec.compiler.scatter.lay import lay
-from scenec.compiler.scatter.lod import Levels, budget_factor, choose_levels, see_levels
+from scenec.compiler.scatter.lod import (
+    Levels,
+    budget_factor,
+    choose_levels,
+    finest,
+    see_levels,
+)
 from scenec.compiler.scatter.rocks import Chain, build_chains
 from scenec.compiler.scatter.surroundings import Surroundings, footprints
 from scenec.compiler.scene import Placed, Prototype, Scatter
@@ -66,9 +74,12 @@ def build_objects(
                 around.objects[plan.name] = footprints(placed)
             else:
                 chains = _chains(plan, looks, own)
-                laid = lay(plan, chains, around, own)
-                found.append(see_levels(laid, chains, views, unseen, plan.lod_px))
-                around.objects[plan.name] = footprints(laid)
+                # All that a class can see of others is what its plan names.
+                near = around.only(_named(plan))
+                levels, facts_of_it = _stood(_bare(plan), chains, near, views, unseen)
+                own |= facts_of_it
+                found.append(levels)
+                around.objects[plan.name] = footprints(levels.scatter)
     scattered = [levels for levels in found if isinstance(levels, Levels)]
     single = sum(facts[one.name]["triangles"] for one in found if isinstance(one, Placed))
     factor = None
@@ -85,6 +96,52 @@ def build_objects(
             facts[scatter.name] |= chosen
             objects.append(scatter)
     return tuple(objects)
+
+
+def _stood(
+    plan: ScatterPlan, chains: tuple[Chain, ...], around: Surroundings, views: Views, unseen: float
+) -> tuple[Levels, dict[str, Any]]:
+    """A class where it stands, and what is told of it."""
+    levels, facts = _laid(plan, chains, around, views, unseen)
+    meshes = tuple(mesh for chain in chains for mesh in chain)
+    return replace(
+        levels, scatter=replace(levels.scatter, prototypes=finest(chains)), meshes=meshes
+    ), facts
+
+
+@memoized("objects", lambda plan, **_: plan.name)
+def _laid(
+    plan: ScatterPlan, chains: tuple[Chain, ...], around: Surroundings, views: Views, unseen: float
+) -> tuple[Levels, dict[str, Any]]:
+    """The same without its meshes, which the chains hold."""
+    facts: dict[str, Any] = {}
+    laid = lay(plan, chains, around, facts)
+    levels = see_levels(laid, chains, views, unseen, plan.lod_px)
+    return replace(levels, scatter=replace(laid, prototypes=()), meshes=()), facts
+
+
+def _bare(plan: ScatterPlan) -> ScatterPlan:
+    """A plan without the files of its models, which are read by now."""
+    if not isinstance(plan.source, ModelSource):
+        return plan
+    return replace(plan, source=replace(plan.source, models=(), rules=()))
+
+
+def _named(plan: ScatterPlan) -> set[str]:
+    """All strings in what a plan says of its surroundings: names of classes are among them."""
+    found: set[str] = set()
+    left: list[Any] = [plan.density, plan.where, plan.apart]
+    while left:
+        part = left.pop()
+        if isinstance(part, str):
+            found.add(part)
+        elif is_dataclass(part):
+            left.extend(getattr(part, field.name) for field in fields(part))
+        elif isinstance(part, tuple | list):
+            left.extend(part)
+        elif isinstance(part, dict):
+            left.extend((*part.keys(), *part.values()))
+    return found
 
 
 def _chains(plan: ScatterPlan, looks: Looks | None, facts: dict[str, Any]) -> tuple[Chain, ...]:

@@ -174,6 +174,14 @@ def choose_levels(levels: Levels, factor: float | None = None) -> tuple[Scatter,
         "lod_px": levels.tolerance_px,
         "lod_error_max_px": float((reached * near).max(initial=0.0)),
         "lod_error_max_m": float(reached.max(initial=0.0)),
+        # Errors in parts of an instance's size, for ``scenec explain --why``.
+        "levels": {
+            levels.meshes[i].name: {
+                "triangles": int(levels.triangles[i]),
+                "error": float(levels.errors[i]),
+            }
+            for i in used.tolist()
+        },
     }
     return (
         replace(

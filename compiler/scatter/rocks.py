@@ -9,6 +9,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic.normals import vertex_normals
+from scenec.compiler.incremental.memo import memoized
 from scenec.compiler.scatter.creases import along_creases
 from scenec.compiler.scatter.deviation import deviation
 from scenec.compiler.scatter.families.shape import Shape
@@ -24,6 +25,7 @@ def build_prototypes(shapes: Sequence[Shape]) -> tuple[Prototype, ...]:
     return tuple(_Rock(shape).finest(f"rock_{i:02d}") for i, shape in enumerate(shapes))
 
 
+@memoized("prototypes")
 def build_chains(shapes: Sequence[Shape], coarser: bool = True) -> tuple[Chain, ...]:
     """All levels of each shape, down to the icosahedron; or the finest only.
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Container, Iterator
+from copy import copy
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -50,13 +51,19 @@ class Surroundings:
         """Prepares what is computed once for all classes."""
         #: Of the relief.
         self.quantities = Quantities(self.surface.field.grid, self.surface.field.height)
-        self._highest: Highest | None = None
+        self._highest: list[Highest] = []
 
     def highest(self) -> Highest:
         """Bounds of the relief from above, made once."""
-        if self._highest is None:
-            self._highest = Highest(self.surface.field)
-        return self._highest
+        if not self._highest:
+            self._highest.append(Highest(self.surface.field))
+        return self._highest[0]
+
+    def only(self, names: Container[str]) -> Surroundings:
+        """The same with no other classes than some; what is computed once is shared."""
+        own = copy(self)
+        own.objects = {name: self.objects[name] for name in self.objects if name in names}
+        return own
 
     def among(self, names: tuple[str, ...]) -> Iterator[Footprints]:
         """The objects of some classes, those that are laid already."""

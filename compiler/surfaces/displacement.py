@@ -16,6 +16,7 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
+from scenec.compiler.incremental.memo import memoized
 from scenec.compiler.scene import Cells, MaterialMaps
 from scenec.compiler.surfaces.heights import relief_of, stamp
 from scenec.compiler.surfaces.periodic import Plane, moments
@@ -81,6 +82,7 @@ def _spectrum(maps: MaterialMaps) -> Spectrum:
 
 
 @lru_cache(maxsize=4)
+@memoized("displacement")
 def _cached_plane(key: _Key) -> Plane:
     surface, size_m, file, _, range_m = key
     sources = Sources(heights=file, heights_m=range_m)
@@ -90,6 +92,7 @@ def _cached_plane(key: _Key) -> Plane:
 
 
 @lru_cache(maxsize=16)
+@memoized("displacement")
 def _cached_spectrum(key: _Key) -> Spectrum:
     return octaves_of(_cached_plane(key), key[1])
 

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from scenec.compiler.arithmetic import elementary
+from scenec.compiler.incremental.memo import memoized
 from scenec.compiler.surfaces.periodic import Plane, moments
 from scenec.compiler.surfaces.reduce import slopes
 from scenec.compiler.surfaces.resample import box, doubled
@@ -24,6 +25,7 @@ from scenec.compiler.surfaces.values import Source, normal_picture, normals, uni
 _FROM, _TO = 0.5, 1.0
 
 
+@memoized("finer normals")
 def finer_normals(
     source: Source, size_m: float, pixels_per_m: float, tolerance_px: float, finest_m: float
 ) -> tuple[Source, dict[str, Any]]:

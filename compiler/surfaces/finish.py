@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+from scenec.compiler.incremental.memo import memoized
 from scenec.compiler.scene import Ground, Material, MaterialMaps
 from scenec.compiler.surfaces.bake import baked
 from scenec.compiler.surfaces.displacement import displacement_of
@@ -15,6 +16,7 @@ from scenec.compiler.surfaces.leave_out import LeftOut, unseen, without_unneeded
 from scenec.compiler.surfaces.pictures import with_pictures
 from scenec.compiler.surfaces.reduce import halvings, reduced
 from scenec.compiler.surfaces.values import Source, forget_pixels, size_of, stored
+from scenec.schemas.left_out import entry
 from scenec.schemas.maps import MAP_CHANNELS
 
 
@@ -71,7 +73,10 @@ def finish(
             out.materials[name] = material
             continue
         footprint = None if looked_at is None else looked_at[name]
-        out.materials[name] = _finished(name, material, maps, name in heights, footprint, mesh, out)
+        one = _finished_alone(name, material, name in heights, footprint, mesh)
+        out.materials |= one.materials
+        out.facts |= one.facts
+        out.left_out += one.left_out
     forget_looks()
     forget_pixels()
     return out
@@ -81,6 +86,17 @@ def _with_heights(ground: Ground) -> set[str]:
     """Materials whose heights blends go by: up to the last layer that has one."""
     last = max((i for i, layer in enumerate(ground.layers) if layer.height_blend > 0.0), default=-1)
     return {layer.material for layer in ground.layers[: last + 1]}
+
+
+@memoized("surfaces", lambda name, **_: name)
+def _finished_alone(
+    name: str, material: Material, high: bool, footprint: Footprint | None, mesh: Shown
+) -> Finished:
+    """What becomes of one material: it reads nothing of the others."""
+    out = Finished()
+    assert material.maps is not None
+    out.materials[name] = _finished(name, material, material.maps, high, footprint, mesh, out)
+    return out
 
 
 def _finished(
@@ -145,8 +161,7 @@ def _note_folder(name: str, maps: MaterialMaps, out: Finished) -> None:
 
 
 def _entry(material: str, what: str, why: str, size: int | None) -> dict[str, Any]:
-    entry: dict[str, Any] = {"what": f"materials/{material}: {what}", "why": why}
-    return entry if size is None else {**entry, "bytes": size}
+    return entry("surfaces", f"materials/{material}: {what}", why, size=size or 0)
 
 
 def _beside_relief(

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.cameras.sight import NEAREST_M, Views, pixels_of_balls
+from scenec.compiler.incremental.memo import memoized
 from scenec.compiler.scene import Ground, Material, Placed, Prototype, Scatter, Tile
 
 #: A layer whose weight is no larger changes no 8-bit code.
@@ -64,6 +65,7 @@ def footprints(
     return found
 
 
+@memoized("footprint")
 def _of_ground(name: str, ground: Ground, views: Views) -> tuple[float, float]:
     """Pixels per meter of a layer: in a view, and were all of it in view."""
     layers = [i for i, layer in enumerate(ground.layers) if layer.material == name]
@@ -143,6 +145,7 @@ def _ball(
     return low + half, float(np.sqrt((half * half).sum()))
 
 
+@memoized("footprint")
 def _of_objects(
     name: str, material: Material, one: Scatter | Placed, views: Views
 ) -> tuple[float, float]:

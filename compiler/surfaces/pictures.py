@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic.srgb import linear_codes
 from scenec.compiler.assets.pictures import png
+from scenec.compiler.incremental.memo import memoized
 from scenec.compiler.scene import Material, MaterialMaps, Picture
 from scenec.compiler.surfaces.heights import blend_heights, painted_look, relief_m
 from scenec.compiler.surfaces.periodic import Plane, moments
@@ -45,6 +46,7 @@ def with_pictures(
     return made, facts
 
 
+@memoized("pictures")
 def _painted(material: Material, maps: MaterialMaps, high: bool) -> tuple[Material, dict[str, Any]]:
     surface = maps.procedural
     assert surface is not None

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.compiler.incremental.memo import memoized
 from scenec.compiler.scene import Picture
 from scenec.compiler.surfaces.periodic import Plane, moments
 from scenec.compiler.surfaces.resample import box
@@ -74,6 +75,7 @@ def halvings(high: int, wide: int, pixels: float) -> int:
     return count
 
 
+@memoized("smaller picture")
 def reduced(source: Source, kind: str, times: int) -> Reduced | None:
     """A picture of a kind of map, halved so often; None where its kind cannot be."""
     if kind in COLORS:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.compiler.incremental.memo import memoized
 from scenec.compiler.terrain.detail import Detail, Detailed, Weighted
 from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.compiler.terrain.mask import Masked
@@ -36,6 +37,7 @@ class Relief:
     steps: list[dict[str, Any]]
 
 
+@memoized("relief")
 def run(
     operators: Sequence[ReliefOperator], grid: Grid, max_triangles: int = DEFAULT_TRIANGLES
 ) -> Relief:

@@ -41,7 +41,12 @@ from numpy.typing import NDArray
 from scenec.datasets.formats import trajectory
 from scenec.datasets.formats.contract import Done, Format, Info, Option, Task, Written
 from scenec.datasets.formats.depth_png import LARGEST, positive, to_16_bits, write_png
-from scenec.datasets.formats.poses import inverse, opencv_intrinsics, rotation_matrix
+from scenec.datasets.formats.poses import (
+    inverse,
+    opencv_intrinsics,
+    require_pinhole,
+    rotation_matrix,
+)
 from scenec.datasets.source import FrameRef, LoadedFrame, sequences
 from scenec.schemas.amodal import amodal_path
 from scenec.schemas.errors import FrameError, OutputError
@@ -204,6 +209,7 @@ class Bop(Format):
         return lines
 
     def _camera(self, frame: LoadedFrame) -> dict[str, Any]:
+        require_pinhole(frame)
         from_world = inverse(frame.camera_to_world)
         return {
             "cam_K": opencv_intrinsics(frame).ravel().tolist(),

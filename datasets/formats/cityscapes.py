@@ -40,6 +40,7 @@ from scenec.datasets.formats.encode import (
     split_ids,
     write_bytes,
 )
+from scenec.datasets.formats.poses import require_pinhole
 from scenec.datasets.source import FrameRef, LoadedFrame
 from scenec.schemas.errors import FrameError, OutputError
 from scenec.schemas.files import write_json
@@ -258,6 +259,7 @@ class Cityscapes(Format):
             found = to_16_bits(depth, self._scale)
             told = {"scale": self._scale, "meters": "value / scale", **found.counts()}
             return found.steps, told
+        require_pinhole(frame)
         hit = np.isfinite(depth)
         focal = float(frame.intrinsics[0, 0])
         near = np.maximum(np.where(hit, depth, 1.0).astype(np.float64), 1e-9)
@@ -301,6 +303,7 @@ class Cityscapes(Format):
                 "time_s": frame.time_s,
                 "resolution": [frame.width, frame.height],
                 "intrinsics": k.tolist(),
+                **({"lens": frame.sidecar["lens"]} if frame.lens is not None else {}),
                 "camera_to_world": pose.tolist(),
                 "conventions": {
                     "pixel": CONVENTIONS["pixel"] + "; u0, v0 above count from that center",

@@ -6,7 +6,7 @@
     <split>/<batch>_<rig>/mav0/body.yaml
     .../mav0/cam0/data/<ns>.png             8-bit gray, or color (option ``pictures``)
     .../mav0/cam0/data.csv                  "#timestamp [ns],filename"
-    .../mav0/cam0/sensor.yaml               T_BS, resolution, intrinsics, distortion (none)
+    .../mav0/cam0/sensor.yaml               T_BS, resolution, intrinsics, distortion
     .../mav0/state_groundtruth_estimate0/{data.csv,sensor.yaml}
 
 As M. Burri and others describe it (The EuRoC micro aerial vehicle datasets, IJRR 2016). The body
@@ -30,6 +30,7 @@ from scenec.datasets.formats import trajectory
 from scenec.datasets.formats.contract import Done, Format, Info, Option, Task, Written
 from scenec.datasets.formats.poses import (
     RIGID,
+    distortion,
     number,
     numbers,
     pinhole,
@@ -39,8 +40,14 @@ from scenec.datasets.formats.poses import (
 from scenec.datasets.source import FrameRef, LoadedFrame
 from scenec.schemas.errors import OutputError
 from scenec.schemas.files import atomic
+from scenec.schemas.lens import BROWN_CONRADY, KANNALA_BRANDT
 
 _NANO = 1_000_000_000
+#: What ASL calls lenses of ours: k1, k2, p1, p2, or Kannala and Brandt's four.
+_LENSES = {
+    BROWN_CONRADY: [("radial-tangential", 4)],
+    KANNALA_BRANDT: [("equidistant", 4)],
+}
 _TRUTH = "state_groundtruth_estimate0"
 _TRUTH_HEAD = (
     "#timestamp, p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m], q_RS_w [], q_RS_x [], q_RS_y [], "
@@ -96,12 +103,14 @@ class Euroc(Format):
         path = f"{_place(task)}/cam{task.place[1]}/data/{nanos}.png"
         gray = self.option("pictures") == "gray"
         intrinsics = pinhole(frame)
+        lens = distortion(frame, _LENSES)
         trajectory.copy_picture(frame, folder / path, gray)
         record = {
             "stamp": nanos,
             "pose": frame.camera_to_world.tolist(),
             "size": [frame.width, frame.height],
             "intrinsics": list(intrinsics),
+            "lens": ["radial-tangential", [0.0] * 4] if lens is None else list(lens),
         }
         return Written([path], record)
 
@@ -212,7 +221,7 @@ class _Sequence:
             camera.least_step = min(camera.least_step or step, step)
         camera.before = now
         camera.frames += 1
-        if any(record[key] != camera.first[key] for key in ("size", "intrinsics")):
+        if any(record[key] != camera.first[key] for key in ("size", "intrinsics", "lens")):
             raise OutputError(
                 f"{now[1]}: its resolution or intrinsics are not those of the frames before, and "
                 "format euroc has one of each a camera"
@@ -275,6 +284,7 @@ class _Sequence:
                     "its cameras apart with --cameras"
                 )
             width, height = camera.first["size"]
+            model, coefficients = camera.first["lens"]
             rate = _NANO / camera.least_step if camera.least_step else 0.0
             _text(
                 self.folder / f"cam{number_of_camera}" / "sensor.yaml",
@@ -286,8 +296,8 @@ class _Sequence:
                 "camera_model: pinhole\n"
                 "# fu, fv, cu, cv; the top-left pixel's center is (0, 0)\n"
                 f"intrinsics: [{numbers(np.array(camera.first['intrinsics']), ', ')}]\n"
-                "distortion_model: radial-tangential\n"
-                "distortion_coefficients: [0.0, 0.0, 0.0, 0.0]\n",
+                f"distortion_model: {model}\n"
+                f"distortion_coefficients: [{numbers(np.array(coefficients), ', ')}]\n",
             )
 
 

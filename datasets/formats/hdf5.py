@@ -16,6 +16,7 @@ at a time, columns in blocks, so memory does not grow with their number.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
@@ -55,7 +56,10 @@ _FRAME_COLUMNS: dict[str, tuple[Any, tuple[int, ...], str, str]] = {
     "camera": (str, (), "", "name of the camera"),
     "frame": (str, (), "", "batch/camera/sample, as in frames.csv"),
 }
-_UNITS = {"rgb": "W/(m2 sr)", "depth": "m", "range": "m", "position": "m"}
+_UNITS = {
+    **{"rgb": "W/(m2 sr)", "depth": "m", "range": "m", "position": "m", "scene_flow": "m"},
+    **{"flow": "px", "flow_backward": "px", "disparity": "px", "depth_measured": "m"},
+}
 #: Of the table's columns: (unit, convention), by the beginning of the name.
 _TABLE_COLUMNS: tuple[tuple[str, str, str], ...] = (
     ("id", "", "as in the pass instance"),
@@ -184,6 +188,7 @@ class _File:
         self._passes: dict[str, h5py.Dataset] = {}
         self._table: dict[str, _Column] = {}
         self._classes: dict[str, int] = {}
+        self._lenses: dict[str, Any] = {}
         self._lines = 0
         self.count = 0
         self._h5 = _import_h5py().File(path, "w")
@@ -217,6 +222,8 @@ class _File:
                 dataset.id.write_direct_chunk(place, array.data)
             else:
                 dataset[self.count] = array
+        if frame.lens is not None:
+            self._lenses[f"{frame.ref.batch_name}/{frame.ref.camera}"] = frame.sidecar["lens"]
         values = {
             "camera_to_world": frame.camera_to_world,
             "intrinsics": frame.intrinsics,
@@ -359,6 +366,9 @@ class _File:
             column.flush()
         if self._table:
             _text(self._h5["instances"], "classes", list(self._classes))
+        if self._lenses:
+            # Of cameras with one: batch/camera -> as in sidecars.
+            self._h5.attrs["lenses"] = json.dumps(self._lenses, ensure_ascii=False)
 
 
 class _Column:

@@ -38,6 +38,7 @@ from scenec.datasets.formats.poses import (
     numbers,
     opencv_intrinsics,
     relative,
+    require_pinhole,
 )
 from scenec.datasets.source import FrameRef, LoadedFrame
 from scenec.schemas.errors import OutputError
@@ -125,6 +126,7 @@ class Kitti(Format):
                 write_png(folder / path, depth.steps)
                 written.files.append(path)
                 counts += depth.hits, depth.beyond, depth.under
+            require_pinhole(frame)
             if side == 0:
                 micros = trajectory.stamp(self, frame, _MICRO)
                 written.record = {

@@ -33,6 +33,7 @@ from scenec.datasets.formats.encode import (
     split_ids,
     whole_option,
 )
+from scenec.datasets.formats.poses import require_pinhole
 from scenec.datasets.source import FrameRef, LoadedFrame
 from scenec.datasets.splits import ALL
 from scenec.schemas.errors import OutputError
@@ -175,6 +176,7 @@ class Parquet(Format):
 
     def row(self, frame: LoadedFrame) -> dict[str, Any]:
         """A frame's row."""
+        require_pinhole(frame)
         row: dict[str, Any] = {
             "frame": frame.ref.name,
             "batch": frame.ref.batch,

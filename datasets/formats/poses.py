@@ -7,6 +7,8 @@ where the half pixel is taken off.
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -92,6 +94,54 @@ def opencv(intrinsics: NDArray[np.float64]) -> NDArray[np.float64]:
     k = np.array(intrinsics, np.float64)
     k[:2, 2] -= 0.5
     return k
+
+
+def require_pinhole(frame: LoadedFrame) -> None:
+    """Refuse a camera with a lens, for formats that have no place for one.
+
+    Raises:
+        OutputError: It has one.
+    """
+    lens = frame.lens
+    if lens is not None:
+        raise OutputError(
+            f"{frame.ref.name}: camera {frame.ref.camera} has the lens {lens.model}, which this "
+            "format cannot hold; leave it out with --cameras"
+        )
+
+
+def distortion(
+    frame: LoadedFrame, models: Mapping[str, Sequence[tuple[str, int]]]
+) -> tuple[str, list[float]] | None:
+    """A camera's lens as a format calls it, its coefficients in OpenCV's order; None: a pinhole.
+
+    Args:
+        frame: The camera's.
+        models: The format's names for each of our models, each with how many coefficients it takes,
+            the fewest first: the first whose rest is 0 is taken.
+
+    Raises:
+        OutputError: The format has no name for it, or cannot say that it has a skew.
+    """
+    lens = frame.lens
+    if lens is None:
+        return None
+    fitting = [each for each in models.get(lens.model, ()) if not any(lens.coefficients[each[1] :])]
+    if not fitting:
+        known = ", ".join(f"{ours} ({max(n for _, n in names)} coefficients)"
+                          for ours, names in models.items())  # fmt: skip
+        raise OutputError(
+            f"{frame.ref.name}: camera {frame.ref.camera} has the lens {lens.model} of "
+            f"{len(lens.coefficients)} coefficients; this format holds {known}; leave it out with "
+            "--cameras"
+        )
+    if frame.intrinsics[0, 1] != 0.0:
+        raise OutputError(
+            f"{frame.ref.name}: camera {frame.ref.camera} has a lens and a skew, of which this "
+            "format's readers leave the skew out; leave it out with --cameras"
+        )
+    name, count = fitting[0]
+    return name, list(lens.coefficients[:count])
 
 
 def pinhole(frame: LoadedFrame) -> tuple[float, float, float, float]:

@@ -38,11 +38,17 @@ from numpy.typing import NDArray
 
 from scenec.datasets.formats import trajectory
 from scenec.datasets.formats.contract import Done, Format, Info, Option, Task, Written
-from scenec.datasets.formats.poses import opencv_intrinsics, quaternion
+from scenec.datasets.formats.poses import distortion, opencv_intrinsics, quaternion
 from scenec.datasets.source import FrameRef, LoadedFrame
 from scenec.schemas.errors import FrameError, OutputError
 from scenec.schemas.files import replace_folder, temporary_folder
+from scenec.schemas.lens import BROWN_CONRADY, KANNALA_BRANDT
 
+#: What sensor_msgs/CameraInfo calls lenses of ours, and how many of their coefficients it takes.
+_LENSES = {
+    BROWN_CONRADY: [("plumb_bob", 5), ("rational_polynomial", 8)],
+    KANNALA_BRANDT: [("equidistant", 4)],
+}
 _NANO = 1_000_000_000
 #: builtin_interfaces/Time counts seconds in 32 bits with sign.
 _LAST = 2**31 * _NANO
@@ -240,6 +246,8 @@ class _Bag:
 
     def _info(self, frame: LoadedFrame, frame_id: str, stamp: int) -> Any:
         k = opencv_intrinsics(frame)
+        lens = distortion(frame, _LENSES)
+        model, coefficients = ("plumb_bob", [0.0] * 5) if lens is None else lens
         p = np.zeros((3, 4))
         p[:, :3] = k
         region = self._types["sensor_msgs/msg/RegionOfInterest"](0, 0, 0, 0, False)
@@ -247,8 +255,8 @@ class _Bag:
             header=self._header(frame_id, stamp),
             height=frame.height,
             width=frame.width,
-            distortion_model="plumb_bob",
-            d=np.zeros(5),
+            distortion_model=model,
+            d=np.array(coefficients, np.float64),
             k=k.reshape(-1),
             r=np.eye(3).reshape(-1),
             p=p.reshape(-1),

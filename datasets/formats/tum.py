@@ -28,7 +28,7 @@ import numpy as np
 from scenec.datasets.formats import trajectory
 from scenec.datasets.formats.contract import Done, Format, Info, Option, Task, Written
 from scenec.datasets.formats.depth_png import LARGEST, positive, to_16_bits, write_png
-from scenec.datasets.formats.poses import number, numbers, pinhole, quaternion
+from scenec.datasets.formats.poses import number, numbers, pinhole, quaternion, require_pinhole
 from scenec.datasets.source import FrameRef, LoadedFrame, sequences
 from scenec.schemas.errors import OutputError
 from scenec.schemas.files import atomic
@@ -87,6 +87,7 @@ class Tum(Format):
         text = f"{micros // _MICRO}.{micros % _MICRO:06d}"
         place = _place(task.split, frame.ref)
         color, depth = f"rgb/{text}.png", f"depth/{text}.png"
+        require_pinhole(frame)
         intrinsics = pinhole(frame)
         steps = to_16_bits(frame.passes["depth"], self._scale)
         trajectory.copy_picture(frame, folder / place / color)

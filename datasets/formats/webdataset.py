@@ -199,6 +199,7 @@ class WebDataset(Format):
             "time_s": frame.time_s,
             "resolution": [frame.width, frame.height],
             "intrinsics": frame.intrinsics.tolist(),
+            **({"lens": frame.sidecar["lens"]} if frame.lens is not None else {}),
             "camera_to_world": frame.camera_to_world.tolist(),
             "exposure_ev": float(frame.sidecar["exposure_ev"]),
             "instances": lines,

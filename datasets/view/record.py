@@ -86,6 +86,14 @@ class Record:
     stored: bool
 
 
+def _half(frame: LoadedFrame) -> float:
+    """Tangent of half of the field of view; of fisheyes and panoramas, of 80 degrees at most."""
+    half = 0.5 * frame.width / abs(float(frame.intrinsics[0, 0]))
+    if frame.lens is None or frame.lens.planar:
+        return half
+    return math.tan(min(half, math.radians(80.0)))
+
+
 def record(frame: LoadedFrame, fineness: Fineness) -> Record:
     """What the page holds of a frame."""
     passes = frame.passes
@@ -100,6 +108,7 @@ def record(frame: LoadedFrame, fineness: Fineness) -> Record:
         "stored": list(size),
         "K": [short(v, 12) for v in intrinsics[:2].ravel().tolist()],
         "pose": [short(v, 14) for v in pose[:3].ravel().tolist()],
+        **({} if frame.lens is None else {"lens": frame.lens.model}),
         "layers": [layer.facts for layer in layers],
         "facts": {k: frame.sidecar[k] for k in _FACTS if frame.sidecar.get(k) is not None},
     }
@@ -111,7 +120,7 @@ def record(frame: LoadedFrame, fineness: Fineness) -> Record:
         "error": short((frame.sidecar.get("estimated_error") or {}).get("relative_rms"), 4),
         "eye": [short(v, 9) for v in pose[:3, 3].tolist()],
         "ahead": [short(v, 4) for v in pose[:3, 2].tolist()],
-        "half": short(0.5 * frame.width / abs(float(intrinsics[0, 0])), 4),
+        "half": short(_half(frame), 4),
         "size": [frame.width, frame.height],
         "passes": [layer.facts["name"] for layer in layers if layer.facts["name"] != "table"],
         "pixels": {

@@ -274,9 +274,39 @@ def test_mitsuba_meets_a_target_on_a_real_scene(tmp_path):
 @pytest.mark.slow
 def test_the_bound_holds_on_drawn_scenes():
     module = bench()
-    found = [t for number in range(10) for t in module.trials(number, 6, 1024, 0.2)[0]]
-    held = sum(t.below for t in found)
-    # Seven of the scenes are lit. The share is near 0.95; trials of one scene hang together.
-    assert len(found) == 42
-    assert held >= 0.7 * len(found)
+    scenes = [scene for number in range(8) if (scene := module.rendered(number)) is not None]
+    # Numbers 4, 5 and 7 look past the ground's edge.
+    assert len(scenes) == 5
+    found = [scene.judged(spp, scene.single(spp)) for scene in scenes for spp in module.SPP]
+    # The share is near 0.97; two of twenty fewer would be one in some hundred times.
+    assert sum(t.below for t in found) >= 17
     assert 0.9 < np.median([t.true / t.estimate for t in found]) < 1.1
+    reached = [trial for scene in scenes if (trial := scene.to_target(0.2)) is not None]
+    assert len(reached) >= 4
+    assert all(trial.bound <= 0.2 for trial in reached)
+    assert sum(trial.true <= 0.2 for trial in reached) >= len(reached) - 1
+
+
+def test_small_pictures_make_up_larger_ones_and_rounds():
+    module = bench()
+    rng = np.random.default_rng(2)
+
+    def drawn(spp: int, count: int) -> NDArray[np.float32]:
+        noise = rng.standard_normal((count, 2, *SHAPE, 3)) / np.sqrt(spp / 2)
+        return (1.0 + noise).astype(np.float32)
+
+    scene = module.Pictures(
+        drawn(2048, 2).mean(axis=1),
+        drawn(*module.SMALL),
+        drawn(*module.LARGE),
+        np.ones(SHAPE, bool),
+    )
+    for spp in module.SPP:
+        trial = scene.judged(spp, scene.single(spp))
+        assert trial.true == pytest.approx(1.0 / np.sqrt(spp), rel=0.1)
+        assert trial.estimate == pytest.approx(trial.true, rel=0.1)
+    trial = scene.to_target(0.15)
+    assert trial.bound <= 0.15
+    assert trial.spp % 8 == 0
+    assert trial.true == pytest.approx(1.0 / np.sqrt(trial.spp), rel=0.1)
+    assert scene.to_target(0.01) is None

@@ -13,6 +13,7 @@ from small import write_cfg
 from scenec.backends.check.files import check_files
 from scenec.backends.check.stage import check_stage
 from scenec.compiler.compile import compile_cfg
+from scenec.compiler.passes.keep import Keep
 from scenec.schemas.errors import OutputError
 from scenec.schemas.manifest import read_manifest
 
@@ -24,7 +25,7 @@ CAMERA = "/World/Rigs/rover/front"
 @pytest.fixture(scope="module")
 def output(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("check")
-    compile_cfg(write_cfg(folder), seed=3, out=folder / "out")
+    compile_cfg(write_cfg(folder), seed=3, out=folder / "out", keep=Keep.UNPRUNED)
     return folder / "out"
 
 

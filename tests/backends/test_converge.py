@@ -14,8 +14,14 @@ from third_party import LEVEL, NOISE, install, square_stage
 from scenec.backends import converge as package
 from scenec.backends.converge import Ladder, converge
 from scenec.backends.converge.fits import band, fit
-from scenec.backends.converge.metrics import Reference, errors, trimmed_mean
-from scenec.backends.converge.report import NO_PLOTS
+from scenec.backends.converge.metrics import (
+    Reference,
+    errors,
+    square_and_error,
+    trimmed_mean,
+)
+from scenec.backends.converge.report import NO_PLOTS, against_plain, unseen_floors
+from scenec.backends.converge.run import Series
 from scenec.cli.main import main
 from scenec.schemas.errors import BackendError, StageError
 
@@ -63,6 +69,35 @@ def test_subtracting_the_references_variance_leaves_the_pictures_own_error(noise
     assert np.mean(without) - 0.04 > 3.0 * sure / 4.0
 
 
+@pytest.mark.parametrize("floor", [0.0, 0.05])
+def test_the_interval_of_a_floor_holds_it_and_tells_none_from_some(floor):
+    rng = np.random.default_rng(8)
+    held = shown = 0
+    for _ in range(300):
+        truth = rng.uniform(0.5, 1.5, (600, 1)) * np.ones(3)
+        other = truth + floor * rng.choice([-1.0, 1.0], truth.shape)
+        pair = [one + 0.1 * rng.standard_normal((2, *truth.shape)) for one in (truth, other)]
+        r, x = (Reference.of_two(*halves) for halves in pair)
+        both = Reference(r.mean, r.variance + x.variance)
+        square, error = square_and_error(x.mean, both)
+        held += abs(square - (floor / truth.mean()) ** 2) <= 1.96 * error
+        shown += square - 1.96 * error > 0.0
+    assert held >= 0.92 * 300
+    assert shown <= 0.05 * 300 if floor == 0.0 else shown >= 0.95 * 300
+
+
+def test_a_references_own_noise_is_part_of_what_is_not_known_of_a_bias():
+    rng = np.random.default_rng(4)
+    levels, stated = [], []
+    for _ in range(300):
+        # Channels share their noise, as they do in pictures.
+        halves = 1.0 + 0.3 * rng.standard_normal((2, 500, 1)) * np.ones(3)
+        reference = Reference.of_two(*halves)
+        levels.append(reference.level)
+        stated.append(reference.level_error)
+    assert np.mean(stated) == pytest.approx(np.std(levels), rel=0.12)
+
+
 def test_one_bright_outlier_does_not_move_the_trimmed_mean():
     values = np.full(1000, 2.0)
     values[17] = 1e9
@@ -100,7 +135,11 @@ def test_what_a_slope_means_is_said_in_words():
     assert fit(SPP, scattered(-0.5), biased=False).verdict.startswith("-1/2")
     assert fit(SPP, scattered(-0.8), biased=False).verdict.startswith("steeper")
     assert fit(SPP, scattered(-0.3), biased=False).verdict.startswith("FINDING: flatter than -1/2")
-    assert "denoiser's bias" in fit(SPP, scattered(-0.1), biased=True).verdict
+    biased = fit(SPP, scattered(-0.1), biased=True).verdict
+    assert biased.startswith("FINDING")
+    assert "denoiser's bias" in biased
+    wide = [[0.1, 0.9], [0.05, 0.6], [0.02, 0.2], [0.01, 0.15]]
+    assert fit(SPP, wide, biased=False).verdict.startswith("not told from -1/2")
     assert "one repeat" in fit(SPP, [[spp**-0.5] for spp in SPP], biased=False).verdict
 
 
@@ -118,6 +157,22 @@ def test_the_band_is_the_geometric_mean_and_students_interval():
     half = np.tan(0.475 * np.pi) * np.log(4.0) / 2.0
     assert (low, high) == pytest.approx((0.2 * np.exp(-half), 0.2 * np.exp(half)))
     assert band([0.3]) == pytest.approx((0.3, 0.3, 0.3))
+
+
+def test_a_denoiser_that_gains_less_and_less_is_a_finding_and_so_is_a_hidden_floor():
+    plain, denoised = (fit(SPP, scattered(slope), biased=False) for slope in (-0.85, -0.55))
+    series = [
+        Series("cycles", False, "cycles", True, (), plain, None),
+        Series("cycles", True, "cycles", True, (), denoised, None),
+    ]
+    (line,) = against_plain(series)
+    assert line.startswith("cycles denoised: FINDING: its slope -0.5")
+    assert against_plain([series[0], series[0]]) == []
+    floor = {"backend": "b", "against": "a", "relative_rms_low": 0.0, "relative_rms_high": 0.004}
+    assert unseen_floors([floor]) == [
+        "b : a: what differs cannot be told from the references' noise; it is below 0.4 %"
+    ]
+    assert unseen_floors([{**floor, "relative_rms_low": 0.001}]) == []
 
 
 @pytest.fixture
@@ -142,6 +197,12 @@ def test_a_whole_ladder_says_what_is_known_of_the_backend_and_is_not_rendered_tw
     assert "raster has no noise" in said.err
     folder = stage.parent / "converge"
     report = json.loads((folder / "converge.json").read_text(encoding="utf-8"))
+    assert set(report["stages"]) == {"square"}
+    about = report["backends"]["plain"]
+    assert (about["pixels"], about["start_s"] > 0.0) == (32 * 24, True)
+    (between,) = report["floors"]
+    assert between["relative_rms_low"] <= (between["relative_rms"] or 0.0)
+    assert (between["relative_rms"] or 0.0) <= between["relative_rms_high"] < 0.05
     own = next(s for s in report["series"] if s["own"])
     # This backend's noise is the same however many samples: each rung has it, and the slope is 0.
     expected = NOISE / np.sqrt(2.0) / LEVEL

@@ -18,6 +18,7 @@ from scenec.compiler.compile import compile_cfg
 from scenec.compiler.draw import draw
 from scenec.compiler.frontend.load import load
 from scenec.compiler.light.sky import sun_direction
+from scenec.compiler.passes.keep import Keep
 from scenec.schemas.errors import StageError
 
 SQUARE = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)]
@@ -68,7 +69,7 @@ def instancer(stage: Usd.Stage, path: str, count: int, seed: int = 0) -> UsdGeom
 @pytest.fixture(scope="module")
 def compiled(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("reader")
-    compile_cfg(write_cfg(folder), seed=3, out=folder / "out")
+    compile_cfg(write_cfg(folder), seed=3, out=folder / "out", keep=Keep.UNPRUNED)
     return folder / "out" / "batch_0000"
 
 

@@ -17,6 +17,7 @@ from small import small_cfg, write_cfg
 from scenec.backends.check.files import check_files
 from scenec.backends.check.stage import check_stage
 from scenec.compiler.compile import compile_cfg
+from scenec.compiler.passes.keep import Keep
 from scenec.schemas import materialx
 from scenec.schemas.errors import CfgError, OutputError, ScenecError, SceneError
 from scenec.schemas.manifest import read_manifest
@@ -37,8 +38,10 @@ def hashes(out: Path) -> dict[str, str]:
     }
 
 
-def compiled(folder: Path, cfg: dict, seed: int = 11, name: str = "out") -> Path:
-    compile_cfg(write_cfg(folder, cfg, f"{name}.json"), seed=seed, out=folder / name)
+def compiled(
+    folder: Path, cfg: dict, seed: int = 11, name: str = "out", keep: Keep = Keep.SEEN
+) -> Path:
+    compile_cfg(write_cfg(folder, cfg, f"{name}.json"), seed=seed, out=folder / name, keep=keep)
     return folder / name
 
 
@@ -106,12 +109,13 @@ def test_seed_zero_is_a_seed_like_any_other(tmp_path):
 
 def test_adding_an_object_class_leaves_every_other_file_of_the_stage_as_it_was(tmp_path):
     cfg = small_cfg()
-    before = hashes(compiled(tmp_path, cfg, name="before"))
+    # Pruned, what is seen past the new things, and by their light, would stay or go with them.
+    before = hashes(compiled(tmp_path, cfg, name="before", keep=Keep.UNPRUNED))
     # Larger than all else, so that the scene's bounds change, too.
     gems = cfg["objects"]["rocks"] | {"count": 40, "material": "gem", "size_m": 4}
     cfg["objects"] = {"gems": gems, **cfg["objects"]}
     cfg["materials"]["gem"] = {"base_color": [0.1, 0.6, 0.3]}
-    after = hashes(compiled(tmp_path, cfg, name="after"))
+    after = hashes(compiled(tmp_path, cfg, name="after", keep=Keep.UNPRUNED))
     added = {
         "batch_0000/objects/gems.usdc",
         "batch_0000/looks/gem.usda",
@@ -126,9 +130,9 @@ def test_adding_an_object_class_leaves_every_other_file_of_the_stage_as_it_was(t
 
 def test_raising_a_count_leaves_the_first_instances_where_they_were(tmp_path):
     cfg = small_cfg()
-    few = compiled(tmp_path, cfg, name="few")
+    few = compiled(tmp_path, cfg, name="few", keep=Keep.UNPRUNED)
     cfg["objects"]["rocks"]["count"] = 500
-    many = compiled(tmp_path, cfg, name="many")
+    many = compiled(tmp_path, cfg, name="many", keep=Keep.UNPRUNED)
 
     def arrays(out: Path) -> list[list]:
         stage = Usd.Stage.Open(str(out / "batch_0000/stage.usda"))
@@ -205,7 +209,8 @@ def test_the_root_layer_is_small_and_everything_is_found_by_relative_paths(refer
 def test_instance_counts_are_met_exactly_and_ids_follow_the_classes(tmp_path):
     cfg = small_cfg()
     cfg["objects"]["more"] = cfg["objects"]["rocks"] | {"count": 17}
-    stage = Usd.Stage.Open(str(compiled(tmp_path, cfg) / "batch_0000/stage.usda"))
+    out = compiled(tmp_path, cfg, keep=Keep.UNPRUNED)
+    stage = Usd.Stage.Open(str(out / "batch_0000/stage.usda"))
     for name, count, base in (("rocks", 300, 0), ("more", 17, 300)):
         prim = stage.GetPrimAtPath(f"/World/Objects/{name}")
         assert list(UsdGeom.PointInstancer(prim).GetIdsAttr().Get()) == list(range(1, count + 1))
@@ -221,13 +226,16 @@ def test_a_cfg_that_asks_for_depth_only_makes_no_material_light_or_label(tmp_pat
         "objects",
         "cameras.usda",
         "report.json",
+        "left_out.json",
     }
     stage = Usd.Stage.Open(str(out / "batch_0000/stage.usda"))
     for prim in stage.Traverse():
         assert not UsdGeom.PrimvarsAPI(prim).GetPrimvarsWithAuthoredValues()
         assert "Labels" not in str(prim.GetAppliedSchemas())
     report = json.loads((out / "batch_0000/report.json").read_text())
-    assert len(report["left_out"]) == 2
+    unasked = "no sensor asks for "
+    whys = [entry["why"] for entry in report["left_out"] if entry["pass"] != "prune"]
+    assert {why.removeprefix(unasked) for why in whys} == {"rgb", "labels", "instances"}
     assert check_stage(out / "batch_0000/stage.usda") == []
 
 

@@ -13,6 +13,7 @@ import pytest
 from scenec.compiler.build import BuildLog, build
 from scenec.compiler.draw import draw
 from scenec.compiler.frontend.load import load
+from scenec.compiler.passes.keep import Keep
 from scenec.compiler.scene import Scene
 
 _ROOT = Path(__file__).parents[2]
@@ -43,7 +44,7 @@ def scene_of(file: Path, folder: Path, seed: int) -> Scene:
     for package, extra in _EXTRAS.items():
         if f'"package:{package}/' in file.read_text() and not importlib.util.find_spec(package):
             pytest.skip(f"needs the extra {extra}")
-    return build(draw(load(coarse(file, folder)), seed, 0), BuildLog())
+    return build(draw(load(coarse(file, folder)), seed, 0), BuildLog(), Keep.UNPRUNED)
 
 
 @pytest.mark.invariant

@@ -45,6 +45,9 @@ def test_every_property_is_described(name):
 @pytest.mark.parametrize("name", _NAMES)
 def test_an_object_takes_no_unknown_keys(name):
     for at, schema in _subschemas(load_schemas()[name]):
+        if at.endswith(("/else", "/then")):
+            # Says more of keys that stand beside it.
+            continue
         if "properties" in schema and "allOf" not in schema and not schema.get("x-shared"):
             # Beside a reference to shared keys, the former would refuse those.
             shares = "$ref" in schema and load_schemas()[schema["$ref"]]["x-shared"]

@@ -17,6 +17,7 @@ from scenec.backends.exact import ExactCaster
 from scenec.backends.rays import camera_rays
 from scenec.backends.render_scene import Camera, RenderScene
 from scenec.compiler.compile import compile_cfg
+from scenec.compiler.passes.keep import Keep
 
 SKY, GROUND, ROCK = 0, 1, 2
 
@@ -69,7 +70,7 @@ def _unit(vectors: NDArray) -> NDArray:
 
 def compiled(folder: Path, cfg: dict[str, Any], seed: int = 3) -> Path:
     """Compiles a cfg; returns the stage of its first batch."""
-    compile_cfg(write_cfg(folder, cfg), seed=seed, out=folder / "out")
+    compile_cfg(write_cfg(folder, cfg), seed=seed, out=folder / "out", keep=Keep.UNPRUNED)
     return folder / "out" / "batch_0000" / "stage.usda"
 
 

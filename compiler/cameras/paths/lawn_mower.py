@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 
 from scenec.compiler.arithmetic import elementary
+from scenec.compiler.cameras.lenses import strip_width
 from scenec.compiler.cameras.paths.legs import Legs, Pen
 from scenec.compiler.cameras.paths.motion import Around, Built, frames, poses
 from scenec.compiler.cameras.tracks import Sampling
@@ -87,8 +88,18 @@ class LawnMower:
         spacing = self.spacing_m
         if spacing is None:
             sensor = around.sensors[0]
-            spacing = (1.0 - self.overlap) * self.height_m * sensor.resolution[0]
-            spacing /= sensor.intrinsics[0]
+            spacing = (1.0 - self.overlap) * self.height_m
+            if sensor.lens is None:
+                spacing *= sensor.resolution[0]
+                spacing /= sensor.intrinsics[0]
+            else:
+                width = strip_width(sensor.lens, sensor.intrinsics, sensor.resolution[0])
+                if width is None:
+                    raise SceneError(
+                        f"{around.what}: sensor {sensor.name} sees too wide a strip for an "
+                        "overlap: expected spacing_m in its place"
+                    )
+                spacing *= width
         gaps = float(np.ceil(self.across_m / spacing * (1.0 - 1e-12)))
         if gaps >= _MOST_LINES:
             raise SceneError(

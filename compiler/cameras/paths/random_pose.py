@@ -11,6 +11,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
+from scenec.compiler.cameras.lenses import pixel_rays
 from scenec.compiler.cameras.paths.motion import (
     Around,
     Bodies,
@@ -234,12 +235,13 @@ class RandomPose:
         largest = 0.0
         for sensor in around.sensors:
             world = compose(pose, sensor.to_rig)
-            fx, fy, cx, cy, skew = sensor.intrinsics
             u = (np.arange(_RAYS[0]) + 0.5) / _RAYS[0] * sensor.resolution[0]
             v = (np.arange(_RAYS[1]) + 0.5) / _RAYS[1] * sensor.resolution[1]
             uu, vv = (a.ravel() for a in np.meshgrid(u, v))
-            y = (vv - cy) / fy
-            local = np.column_stack([(uu - cx - skew * y) / fx, y, np.ones(len(y))])
+            local, there = pixel_rays(sensor.lens, sensor.intrinsics, uu, vv)
+            local = local[there]
+            if not len(local):
+                continue
             local /= np.sqrt((local * local).sum(axis=1))[:, None]
             way = np.zeros(local.shape)
             for c in range(3):

@@ -199,7 +199,7 @@ function known(at) {
     const meters = layer.at(at.place);
     const off = layer.error * (layer.even ? 1 : meters);
     lines.push([name, Number.isFinite(meters) ? `${meters.toPrecision(6)} m ± ${brief(off, 2)}` : Number.isNaN(meters) ? "not a number" : "∞ (nothing hit)", null]);
-    if (name === "depth" && Number.isFinite(meters)) {
+    if (name === "depth" && Number.isFinite(meters) && !head.lens) {
       lines.push(["world", world(head, at.column, at.row, meters).map((v) => v.toFixed(3)).join(", "), null]);
     }
   }

@@ -1,0 +1,170 @@
+"""Silhouettes for any table of rays from one eye: what ``silhouette`` does for pinholes.
+
+The same definition, ray by ray: the tree of a row's mesh is walked for each pixel whose ray enters
+the row's bounding sphere.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit, prange
+from numpy.typing import NDArray
+
+from scenec.backends.contract import Rays
+from scenec.backends.exact.build import STACK_SIZE
+from scenec.backends.exact.bvh import Geometry
+from scenec.backends.exact.silhouette import _LANES, _meets
+from scenec.backends.exact.small_rows import _SLACK, _TILE, _cone, _unit
+
+
+@njit(cache=True, error_model="numpy")
+def _sphere_cone(sphere, origin, out):  # type: ignore[no-untyped-def]
+    """Towards a sphere, and the half angle that it fills; pi within it."""
+    for i in range(3):
+        out[i] = sphere[i] - origin[i]
+    distance = math.sqrt(out[0] * out[0] + out[1] * out[1] + out[2] * out[2])
+    if distance <= sphere[3] * (1.0 + 1e-9):
+        return math.pi
+    for i in range(3):
+        out[i] /= distance
+    return math.asin(sphere[3] / distance * (1.0 + 1e-9)) + 1e-9
+
+
+@njit(cache=True, error_model="numpy", parallel=True, nogil=True)
+def _windows(spheres, rows, origin, unit, width, height, parts):  # type: ignore[no-untyped-def]
+    across, down = -(-width // _TILE), -(-height // _TILE)
+    tiles = np.empty((across * down, 5))
+    for n in prange(across * down):
+        x0, y0 = n % across * _TILE, n // across * _TILE
+        _cone(unit, width, x0, min(x0 + _TILE, width), y0, min(y0 + _TILE, height), tiles[n])
+    for k in prange(rows.shape[0]):
+        parts[k] = 0
+        sphere = spheres[rows[k]]
+        if sphere[3] < 0.0:
+            continue
+        axis = np.empty(3)
+        own = _sphere_cone(sphere, origin, axis)
+        left, right, top, bottom = width, 0, height, 0
+        for n in range(across * down):
+            tile = tiles[n]
+            reach = own + tile[3] + tile[4]
+            cosine = axis[0] * tile[0] + axis[1] * tile[1] + axis[2] * tile[2]
+            if reach < math.pi and cosine < math.cos(reach) - _SLACK:
+                continue
+            x0, y0 = n % across * _TILE, n // across * _TILE
+            left, right = min(left, x0), max(right, min(x0 + _TILE, width))
+            top, bottom = min(top, y0), max(bottom, min(y0 + _TILE, height))
+        if left < right:
+            parts[k, 0], parts[k, 1], parts[k, 2], parts[k, 3] = left, right, top, bottom
+
+
+def frame_rows(geometry: Geometry, rows: NDArray[np.int64], rays: Rays) -> NDArray[np.int64]:
+    """Windows of pixels that hold the silhouettes of rows.
+
+    Args:
+        geometry: Of the scene.
+        rows: Which, int64 [n].
+        rays: All from one eye.
+
+    Returns:
+        First column, end, first row, end, int64 [n, 4]; empty for rows that cannot be seen.
+    """
+    height, width = rays.shape
+    unit = np.empty_like(rays.directions)
+    _unit(rays.directions, unit)
+    parts = np.zeros((len(rows), 4), np.int64)
+    origin = np.ascontiguousarray(rays.origins[0])
+    _windows(geometry.row_spheres, rows, origin, unit, width, height, parts)
+    return parts
+
+
+@njit(cache=True, error_model="numpy")
+def _at_border(known, width, height, x, y):  # type: ignore[no-untyped-def]
+    """Whether a pixel is one of the picture's last, or beside one without a ray."""
+    if x == 0 or y == 0 or x == width - 1 or y == height - 1:
+        return True
+    for j in range(y - 1, y + 2):
+        for i in range(x - 1, x + 2):
+            if not known[j * width + i]:
+                return True
+    return False
+
+
+@njit(cache=True, error_model="numpy", parallel=True, nogil=True)
+def _outline(  # type: ignore[no-untyped-def]
+    g, rows, parts, firsts, order, windows, starts, origin, directions, known, width, height,
+    marks, areas, bounded,
+):  # fmt: skip
+    for lane in prange(min(_LANES, order.shape[0])):
+        stack = np.empty(2 * STACK_SIZE, np.int32)
+        axis = np.empty(3)
+        for at in range(lane, order.shape[0], _LANES):
+            n = order[at]
+            window = windows[n]
+            across = window[1] - window[0]
+            whole = True
+            for r in range(firsts[n], firsts[n + 1]):
+                row, part = rows[r], parts[r]
+                if part[0] >= part[1]:
+                    continue
+                own = _sphere_cone(g.row_spheres[row], origin, axis)
+                least = math.cos(own) - _SLACK if own < math.pi else -2.0
+                whole = whole and own < 0.5 * math.pi
+                for y in range(part[2], part[3]):
+                    for x in range(part[0], part[1]):
+                        d = directions[y * width + x]
+                        length = math.sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2])
+                        if axis[0] * d[0] + axis[1] * d[1] + axis[2] * d[2] < least * length:
+                            continue
+                        if whole and _at_border(known, width, height, x, y):
+                            whole = False
+                        mark = starts[n] + (y - window[2]) * across + x - window[0]
+                        new = marks[mark] == 0 and known[y * width + x]
+                        if new and _meets(g, row, origin, d, stack):
+                            marks[mark] = 1
+            inside = 0
+            for mark in range(starts[n], starts[n] + across * (window[3] - window[2])):
+                inside += marks[mark]
+            areas[n, 0] = inside
+            areas[n, 1] = inside
+            bounded[n] = whole
+
+
+def outline(
+    geometry: Geometry,
+    rows: NDArray[np.int64],
+    parts: NDArray[np.int64],
+    firsts: NDArray[np.int64],
+    order: NDArray[np.int64],
+    windows: NDArray[np.int64],
+    starts: NDArray[np.int64],
+    rays: Rays,
+    marks: NDArray[np.uint8],
+    areas: NDArray[np.int64],
+    bounded: NDArray[np.bool_],
+) -> None:
+    """Mark the silhouettes of instances in their windows, and count their pixels.
+
+    Args:
+        geometry: Of the scene.
+        rows: Of all instances, int64 [r].
+        parts: Their windows, int64 [r, 4].
+        firsts: Where each instance's rows begin, with one more at the end, int64 [n + 1].
+        order: Instances to outline, int64 [m].
+        windows: Of the instances, int64 [n, 4].
+        starts: Of their windows in ``marks``, int64 [n].
+        rays: All from one eye.
+        marks: uint8; 1 where a pixel is known to be inside, in place.
+        areas: Receives pixels within the picture, twice, int64 [n, 2].
+        bounded: Receives whether the balls around an instance's rows keep off the picture's border
+            and from pixels without a ray, bool [n].
+    """
+    height, width = rays.shape
+    known = np.ones(height * width, np.bool_) if rays.known is None else rays.known
+    _outline(
+        geometry, rows, parts, firsts, order, windows, starts,
+        np.ascontiguousarray(rays.origins[0]), rays.directions, known, width, height, marks, areas,
+        bounded,
+    )  # fmt: skip

@@ -1,0 +1,267 @@
+"""From numbers to a picture: white balance, demosaicing, color matrix, tone curve, 8 bits.
+
+The tone curve is that of all
+pictures (``scenec.schemas.picture``), stretched so that the brightest value becomes white.
+"""
+
+from __future__ import annotations
+
+import io
+from dataclasses import dataclass
+from decimal import Decimal
+from functools import lru_cache
+
+import numpy as np
+from numba import njit, prange
+from numpy.typing import NDArray
+
+from scenec.backends.imaging.sensor import COLORS
+from scenec.schemas.picture import SHOULDER
+
+#: First guesses of codes: as many steps of equal width.
+_GUESSES = 65536
+
+#: Weights of what a pixel and others of its color add to the mean of the nearest pixels of another
+#: color. That is green of a red or blue pixel (itself; four two away); red or blue of a green pixel
+#: beside two (itself; four diagonal, green; two away along them; two away across); red of blue and
+#: blue of red (itself; four two away). Malvar, He and Cutler 2004 (ICASSP 3:485), figure 2.
+_CORRECTIONS = {
+    "malvar": (1 / 2, -1 / 8, 5 / 8, -1 / 8, -1 / 8, 1 / 16, 3 / 4, -3 / 16),
+    "bilinear": (0.0,) * 8,
+}
+#: Pixels beyond each border that demosaicing looks at.
+_BORDER = 2
+
+
+@dataclass(frozen=True)
+class Look:
+    """How numbers above black become what is shown.
+
+    Attributes:
+        balance: White balance: factors on red, green and blue numbers, float64 [3].
+        most: Balanced numbers are clipped here, so that what is full is white.
+        to_rec709: From those to values as shown, float64 [3, 3].
+        white: Value that becomes white.
+    """
+
+    balance: NDArray[np.float64]
+    most: float
+    to_rec709: NDArray[np.float64]
+    white: float
+
+
+def demosaic(
+    raw: NDArray[np.uint16],
+    mosaic: str,
+    method: str,
+    black: int = 0,
+    balance: tuple[float, float, float] = (1.0, 1.0, 1.0),
+) -> NDArray[np.float32]:
+    """All three colors of each pixel.
+
+    White balance comes first: the neighbors of one color that correct another's have to be on the
+    same scale. Beyond its borders a picture goes on mirrored at its last pixels, which keeps the
+    order of colors.
+
+    Args:
+        raw: Numbers, [h, w]; at least 2 by 2.
+        mosaic: A key of ``COLORS``.
+        method: "malvar" or "bilinear".
+        black: Taken off.
+        balance: Factors on red, green, blue.
+
+    Returns:
+        float32 [h, w, 3]; exact where the factors are 1.
+    """
+    out = np.empty((*raw.shape, 3), np.float32)
+    _demosaic(_balanced(raw, mosaic, black, balance), *_tables(mosaic, method), out)
+    return out
+
+
+def develop(
+    raw: NDArray[np.uint16], mosaic: str, method: str, black: int, look: Look
+) -> NDArray[np.uint8]:
+    """The 8-bit picture of a sensor's numbers.
+
+    Args:
+        raw: [h, w, 1] behind a mosaic, [h, w, 3] without.
+        mosaic, method: As in ``demosaic``; not looked at without a mosaic.
+        black: Number of no light.
+        look: How they shall look.
+    """
+    if raw.shape[2] == 3:
+        return develop_light(raw.astype(np.float32) - np.float32(black), look)
+    edges, guesses = codes(look.white)
+    out = np.empty((*raw.shape[:2], 3), np.uint8)
+    red, green, blue = look.balance.tolist()
+    padded = _balanced(raw[:, :, 0], mosaic, black, (red, green, blue))
+    matrix = (look.to_rec709 / look.white).astype(np.float32)
+    most = np.float32(look.most)
+    _from_mosaic(padded, *_tables(mosaic, method), most, matrix, edges, guesses, out)
+    return out
+
+
+def develop_light(light: NDArray[np.float32], look: Look) -> NDArray[np.uint8]:
+    """The same of numbers above black, whole or not, of all colors: float32 [h, w, 3]."""
+    edges, guesses = codes(look.white)
+    out = np.empty(light.shape, np.uint8)
+    matrix = (look.to_rec709 / look.white).astype(np.float32)
+    balance, most = look.balance.astype(np.float32), np.float32(look.most)
+    _from_colors(light, balance, most, matrix, edges, guesses, out)
+    return out
+
+
+def jpeg(picture: NDArray[np.uint8], quality: int, subsampling: str) -> NDArray[np.uint8]:
+    """What is left of a picture after it has been a JPEG (Pillow's libjpeg-turbo)."""
+    from PIL import Image
+
+    file = io.BytesIO()
+    Image.fromarray(picture).save(file, "JPEG", quality=quality, subsampling=subsampling)
+    file.seek(0)
+    with Image.open(file) as image:
+        return np.asarray(image.convert("RGB"))
+
+
+@lru_cache(maxsize=16)
+def codes(white: float) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+    """The tone curve as a table.
+
+    Args:
+        white: Value that becomes white.
+
+    Returns:
+        Edges between the 256 codes, as shares of ``white``, float32 [256], the last one inf; and
+        the code at the beginning of each of 65536 steps up to ``white``.
+    """
+    # In decimals, whose exp and ln have the same digits everywhere.
+    shoulder = Decimal(str(SHOULDER))
+    rest, brightest = 1 - shoulder, Decimal(white)
+
+    def toned(x: Decimal) -> Decimal:
+        return x if x <= shoulder else 1 - rest * (-(x - shoulder) / rest).exp()
+
+    edges = np.full(256, np.inf, np.float32)
+    for code in range(255):
+        encoded = (Decimal(code) + Decimal("0.5")) / 255
+        if encoded <= Decimal("12.92") * Decimal("0.0031308"):
+            linear = encoded / Decimal("12.92")
+        else:
+            linear = ((encoded + Decimal("0.055")) / Decimal("1.055")) ** Decimal("2.4")
+        linear *= toned(brightest)
+        if linear > shoulder:
+            linear = shoulder - rest * ((1 - linear) / rest).ln()
+        edges[code] = float(linear / brightest)
+    starts = np.arange(_GUESSES + 1) / _GUESSES
+    return edges, np.searchsorted(edges, starts, side="right").astype(np.uint8)
+
+
+def _tables(mosaic: str, method: str) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
+    colors = np.array(COLORS[mosaic], np.int64)
+    return colors, np.array(_CORRECTIONS[method], np.float32)
+
+
+def _balanced(
+    raw: NDArray[np.uint16], mosaic: str, black: int, balance: tuple[float, float, float]
+) -> NDArray[np.float32]:
+    """Numbers above black, balanced, with two mirrored rows and columns on each side."""
+    h, w = raw.shape
+    factors = np.array(balance)[np.array(COLORS[mosaic])].astype(np.float32)
+    out = np.empty((h + 2 * _BORDER, w + 2 * _BORDER), np.float32)
+    _balance(raw, np.float32(black), factors, out)
+    return out
+
+
+@njit(cache=True, error_model="numpy")
+def _mirror(i: int, n: int) -> int:
+    """An index beyond an edge, mirrored at the last pixel: -1 is 1."""
+    i = abs(i) % (2 * n - 2)
+    return i if i < n else 2 * n - 2 - i
+
+
+@njit(cache=True, error_model="numpy", parallel=True)
+def _balance(raw, black, factors, out):  # type: ignore[no-untyped-def]
+    h, w = raw.shape
+    for line in prange(h + 4):
+        y = _mirror(np.int64(line) - 2, h)
+        row = out[line]
+        for i in range(2):
+            factor = factors[y & 1, i]
+            for x in range(i, w, 2):
+                row[x + 2] = factor * (np.float32(raw[y, x]) - black)
+        for x in range(-2, 0):
+            row[x + 2] = row[_mirror(x, w) + 2]
+            row[w + 1 - x] = row[_mirror(w - 1 - x, w) + 2]
+
+
+@njit(cache=True, error_model="numpy")
+def _row_colors(m, y, i, colors, k, out):  # type: ignore[no-untyped-def]
+    """All colors of every second pixel of a row, from column i; ``m`` has the borders."""
+    w = m.shape[1] - 4
+    own = colors[y & 1, i]
+    uu, u, c, d, dd = m[y], m[y + 1], m[y + 2], m[y + 3], m[y + 4]
+    half, quarter = np.float32(0.5), np.float32(0.25)
+    if own == 1:
+        along, across = colors[y & 1, 1 - i], colors[1 - (y & 1), i]
+        for x in range(i, w, 2):
+            itself = c[x + 2]
+            diagonal = (u[x + 1] + u[x + 3]) + (d[x + 1] + d[x + 3])
+            row, column = c[x] + c[x + 4], uu[x + 2] + dd[x + 2]
+            same = k[2] * itself + k[3] * diagonal
+            out[x, 1] = itself
+            out[x, along] = half * (c[x + 1] + c[x + 3]) + same + k[4] * row + k[5] * column
+            out[x, across] = half * (u[x + 2] + d[x + 2]) + same + k[4] * column + k[5] * row
+    else:
+        for x in range(i, w, 2):
+            itself = c[x + 2]
+            far = (c[x] + c[x + 4]) + (uu[x + 2] + dd[x + 2])
+            cross = (c[x + 1] + c[x + 3]) + (u[x + 2] + d[x + 2])
+            diagonal = (u[x + 1] + u[x + 3]) + (d[x + 1] + d[x + 3])
+            out[x, own] = itself
+            out[x, 1] = quarter * cross + k[0] * itself + k[1] * far
+            out[x, 2 - own] = quarter * diagonal + k[6] * itself + k[7] * far
+
+
+@njit(cache=True, error_model="numpy", parallel=True)
+def _demosaic(padded, colors, corrections, out):  # type: ignore[no-untyped-def]
+    for line in prange(out.shape[0]):
+        y = np.int64(line)
+        for i in range(2):
+            _row_colors(padded, y, i, colors, corrections, out[y])
+
+
+@njit(cache=True, error_model="numpy")
+def _show(r, g, b, most, matrix, edges, guesses, pixel):  # type: ignore[no-untyped-def]
+    """Codes of three colors."""
+    r, g, b = min(r, most), min(g, most), min(b, most)
+    for c in range(3):
+        value = matrix[c, 0] * r + matrix[c, 1] * g + matrix[c, 2] * b
+        value = min(max(value, np.float32(0.0)), np.float32(1.0))
+        code = np.int64(guesses[np.int64(value * np.float32(_GUESSES))])
+        while edges[code] <= value:
+            code += 1
+        pixel[c] = code
+
+
+@njit(cache=True, error_model="numpy", parallel=True)
+def _from_mosaic(  # type: ignore[no-untyped-def]
+    padded, colors, corrections, most, matrix, edges, guesses, out
+):
+    for line in prange(out.shape[0]):
+        y = np.int64(line)
+        row = np.empty((out.shape[1], 3), np.float32)
+        for i in range(2):
+            _row_colors(padded, y, i, colors, corrections, row)
+        for x in range(out.shape[1]):
+            _show(row[x, 0], row[x, 1], row[x, 2], most, matrix, edges, guesses, out[y, x])
+
+
+@njit(cache=True, error_model="numpy", parallel=True)
+def _from_colors(  # type: ignore[no-untyped-def]
+    light, balance, most, matrix, edges, guesses, out
+):
+    for line in prange(light.shape[0]):
+        y = np.int64(line)
+        for x in range(light.shape[1]):
+            r, g, b = light[y, x, 0], light[y, x, 1], light[y, x, 2]
+            r, g, b = balance[0] * r, balance[1] * g, balance[2] * b
+            _show(r, g, b, most, matrix, edges, guesses, out[y, x])

@@ -1,0 +1,32 @@
+"""Arguments of ``explain --ladder``."""
+
+from __future__ import annotations
+
+import argparse
+
+from scenec.cli.arguments import names
+
+
+def add_ladder_options(parser: argparse.ArgumentParser) -> None:
+    """What ``explain`` measures anew, and where it goes."""
+    parser.add_argument(
+        "--ladder",
+        action="store_true",
+        help="vary each approximation of one scene (--batch) alone: error measured and claimed, "
+        "seconds, bytes; builds the scene again and writes nothing to OUT",
+    )
+    group = parser.add_argument_group("with --ladder")
+    group.add_argument(
+        "--cfg", metavar="CFG", help="the cfg, where files that it names are not found beside OUT's"
+    )
+    group.add_argument(
+        "--rungs", type=int, default=5, metavar="K", help="of each ladder, 2 to 12 (default: 5)"
+    )
+    group.add_argument(
+        "--only",
+        type=names,
+        metavar="A,B,…",
+        help="of tessellation,lod,sky,smoothing,craters,textures",
+    )
+    group.add_argument("--csv", metavar="FILE", help="write the rungs as a table, too")
+    group.add_argument("--plot", metavar="FILE.png", help="draw errors over seconds and bytes")

@@ -1,0 +1,44 @@
+"""``scenec scan``."""
+
+from __future__ import annotations
+
+import argparse
+
+from scenec.backends.scan import ScanReport, scan_output
+from scenec.cli.output import Progress, print_json, say
+
+
+def run(options: argparse.Namespace) -> int:
+    """Scans with all lidars."""
+    report = scan_now(options, lidars=options.lidars, ply=options.ply)
+    if options.json:
+        print_json(as_json(report))
+    return 0
+
+
+def scan_now(
+    options: argparse.Namespace, lidars: list[str] | None = None, ply: bool = False
+) -> ScanReport:
+    """Scans, and says what came of it."""
+    report = scan_output(
+        options.out,
+        samples=options.samples,
+        batches=options.batches,
+        lidars=lidars,
+        ply=ply,
+        progress=Progress("scan", unit="scan"),
+    )
+    there = len(report.scans) - report.made
+    rest = f", {there} were there already" if there else ""
+    where = f": {report.scans[0].parent}/" if report.scans else ""
+    say(f"{report.made} scans made in {sum(report.seconds.values()):.1f} s{rest}{where}")
+    return report
+
+
+def as_json(report: ScanReport) -> dict[str, object]:
+    """The report for scripts."""
+    return {
+        "scans": [f"{stem}.json" for stem in report.scans],
+        "made": report.made,
+        "seconds": report.seconds,
+    }

@@ -1,0 +1,54 @@
+"""What else than its inputs decides what a step makes: the code, the libraries, the machine."""
+
+from __future__ import annotations
+
+import hashlib
+import platform
+import sys
+from functools import lru_cache
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+import scenec.compiler
+import scenec.schemas
+
+#: Whose version can change what is computed.
+_LIBRARIES = (
+    *("scenec", "numpy", "numba", "llvmlite", "scipy", "usd-core", "openexr", "pillow"),
+    *("trimesh", "rasterio", "bpy"),
+)
+#: What of the folders is code: data that code reads counts, too.
+_SUFFIXES = frozenset({".py", ".json", ".csv", ".npz", ".npy", ".txt"})
+
+
+@lru_cache(maxsize=1)
+def fingerprint() -> str:
+    """SHA-256 over every source file of compiler and schemas, versions, and the architecture.
+
+    CPUs of one architecture give the same bits, and so do any number of threads, so neither counts.
+    """
+    digest = hashlib.sha256()
+    for room in (scenec.compiler, scenec.schemas):
+        digest.update(_of_folder(Path(room.__path__[0])).encode())
+    for name in _LIBRARIES:
+        digest.update(f"{name} {_version(name)}\n".encode())
+    python = platform.python_implementation(), *sys.version_info[:3]
+    digest.update(f"{python} {platform.machine()} {sys.byteorder} {sys.platform}".encode())
+    return digest.hexdigest()
+
+
+def _of_folder(folder: Path) -> str:
+    """Of all files' names and contents below a folder."""
+    digest = hashlib.sha256()
+    for path in sorted(folder.rglob("*")):
+        if path.suffix in _SUFFIXES and path.is_file():
+            content = hashlib.sha256(path.read_bytes()).hexdigest()
+            digest.update(f"{path.relative_to(folder).as_posix()} {content}\n".encode())
+    return digest.hexdigest()
+
+
+def _version(name: str) -> str:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return "none"

@@ -1,0 +1,45 @@
+"""Classes that entries may hold: data of the compiler, made by their constructors alone."""
+
+from __future__ import annotations
+
+_OF: dict[str, tuple[str, ...]] = {
+    "cameras.paths.motion": ("Bodies",),
+    "ground.cover": ("MaterialCondition",),
+    "ground.limit": ("Limit",),
+    "ground.merge": ("Merge",),
+    "light.build": ("Light",),
+    "passes.prune": ("Pruned",),
+    "scatter.lod": ("Levels",),
+    "scene": (
+        "Cells", "Far", "Georeference", "Ground", "GroundLayer", "Haze", "Lamp", "Material",
+        "MaterialMaps", "MeshPart", "Picture", "Placed", "Prototype", "Reflectance", "Rig",
+        "Scatter", "Scene", "Sensor", "SkyLabelMaps", "SkyLight", "SunLight", "Tile",
+    ),
+    "surfaces.finish": ("Finished",),
+    "surfaces.footprint": ("Footprint",),
+    "surfaces.reduce": ("Reduced",),
+    "surfaces.sources": ("Sources",),
+    "surfaces.tile": ("Look",),
+    "terrain.condition": (
+        "CurvatureCondition", "FlowCondition", "FreshnessCondition", "HeightCondition",
+        "NoiseCondition", "PathCondition", "PointCondition", "Ragged", "SlopeCondition",
+    ),
+    "terrain.detail": ("Spectrum", "Sum", "Weighted"),
+    "terrain.grid": ("Grid", "HeightField"),
+    "terrain.mesh_surface": ("MeshSurface",),
+    "terrain.multifractal": ("Multifractal", "MultifractalDetail"),
+    "terrain.program": ("Relief",),
+    "terrain.worley": ("Worley", "WorleyDetail"),
+}  # fmt: skip
+
+#: By full name, ``module:class``.
+KINDS: frozenset[str] = frozenset(
+    [f"scenec.compiler.{module}:{name}" for module, names in _OF.items() for name in names]
+    + [f"scenec.schemas.left_out:{name}" for name in ("ClassRecord", "Reason", "Record")]
+    + ["scenec.schemas.lens:Lens"]
+)
+
+#: Classes that are no dataclasses: what their constructors take, which they keep by these names.
+PLAIN: dict[str, tuple[str, ...]] = {
+    "scenec.compiler.terrain.quantities:Quantities": ("grid", "height"),
+}

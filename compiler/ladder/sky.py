@@ -1,0 +1,309 @@
+"""The sky's picture over its rows, and what it is made of over steps, bearings and wavelengths."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenec.compiler.arithmetic import elementary
+from scenec.compiler.emit.lights import write_lights
+from scenec.compiler.ladder.base import Base
+from scenec.compiler.ladder.cost import Clock, written
+from scenec.compiler.ladder.points import rms, upper_half, worst
+from scenec.compiler.ladder.results import Ladder, Rung, split, steps
+from scenec.compiler.ladder.sky_truth import atmosphere_along, bilinear, clear_along
+from scenec.compiler.light import atmosphere
+from scenec.compiler.light.atmosphere_planets import MEDIA
+from scenec.compiler.light.atmosphere_sky import build_atmosphere
+from scenec.compiler.light.atmosphere_spectra import weights
+from scenec.compiler.light.latlong import directions, horizontal_irradiance, luminance
+from scenec.compiler.light.plan import AtmospherePlan, ClearSkyPlan
+from scenec.compiler.light.sky import build_sky
+from scenec.compiler.scene import Ground, Scene, SkyLight, SunLight
+from scenec.schemas.exr import write_rgb
+
+#: Directions that are looked along; those that an irradiance is summed over.
+_DIRECTIONS, _MANY = 5_000, 200_000
+#: Of the reference: steps of a ray, wavelengths.
+_STEPS, _WAVELENGTHS = 128, 33
+#: Rows of the pictures that constants of the atmosphere are varied for.
+_ROWS = 64
+#: Rows that a picture of the sky can have.
+_LEAST, _MOST = 8, 4096
+
+
+def sky(base: Base, rungs: int) -> list[Ladder] | str:
+    """The ladders of the sky's first picture, or why there are none.
+
+    Args:
+        base: The scene.
+        rungs: How many.
+    """
+    plan, sun = base.plan.light.sky, base.plan.light.sun
+    if plan is None:
+        return "the scene has no sky"
+    if not base.color:
+        return "no output shows color, so there is no sky"
+    if isinstance(plan, ClearSkyPlan):
+        return [_clear(_first_clear(plan), None if sun is None else _first_sun(sun), rungs)]
+    if isinstance(plan, AtmospherePlan):
+        assert sun is not None
+        if plan.planet == "moon":
+            return "the sky is black: there is no air"
+        one, above = _first_atmosphere(plan), _first_sun(sun)
+        return [_rows(one, above, rungs), *_constants(one, above, rungs)]
+    return "the sky is a picture from a file, which is taken as it is"
+
+
+def _first_sun(sun: SunLight) -> SunLight:
+    return SunLight(
+        sun.azimuth_deg[:1], sun.elevation_deg[:1], sun.irradiance[:1], sun.diameter_deg[:1],
+        sun.color[:1],
+    )  # fmt: skip
+
+
+def _first_clear(plan: ClearSkyPlan) -> ClearSkyPlan:
+    return ClearSkyPlan(
+        plan.resolution, plan.irradiance[:1], plan.zenith_color[:1], plan.horizon_color[:1],
+        plan.ground_color[:1],
+    )  # fmt: skip
+
+
+def _first_atmosphere(plan: AtmospherePlan) -> AtmospherePlan:
+    return replace(
+        plan,
+        air_density=plan.air_density[:1],
+        dust_density=plan.dust_density[:1],
+        ozone_density=plan.ozone_density[:1],
+        altitude_m=plan.altitude_m[:1],
+        ground_color=plan.ground_color[:1],
+    )
+
+
+def _sizes(resolution: int, rungs: int) -> list[tuple[int, bool]]:
+    """Rows of the rungs, and whether they are the cfg's."""
+    found = [(round(resolution / factor), factor == 1.0) for factor in steps(*split(rungs))]
+    # Rounded, two rungs could be one.
+    sizes = {rows: used for rows, used in found if used or _LEAST <= rows <= _MOST}
+    return sorted(sizes.items())
+
+
+def _clear(plan: ClearSkyPlan, sun: SunLight | None, rungs: int) -> Ladder:
+    to = upper_half(_DIRECTIONS)
+    truth = clear_along(plan, sun, to, upper_half(_MANY))
+
+    def made(rows: int) -> tuple[SkyLight | None, SunLight | None, dict[str, Any]]:
+        picture, facts = build_sky(replace(plan, resolution=rows), sun, 1)
+        return picture, sun, facts
+
+    return Ladder(
+        name="sky",
+        what="light.sky.resolution",
+        unit="relative",
+        reference="the formula of the sky (CIE standard clear sky), evaluated along directions "
+        "even in solid angle above the horizon; errors of luminance over its mean",
+        claim="none: report.json states no error of a clear sky",
+        claim_of="rms",
+        rungs=tuple(_of_rows(_sizes(plan.resolution, rungs), made, to, truth)),
+        notes=("of the first sample's picture",),
+    )
+
+
+def _rows(plan: AtmospherePlan, sun: SunLight, rungs: int) -> Ladder:
+    to = upper_half(_DIRECTIONS)
+    truth = atmosphere_along(plan, sun, to, _STEPS, _WAVELENGTHS)
+    return Ladder(
+        name="sky",
+        what="light.sky.resolution",
+        unit="relative",
+        reference=f"the atmosphere evaluated along directions even in solid angle above the "
+        f"horizon, a ray each, of {_STEPS} steps and {_WAVELENGTHS} wavelengths; errors of "
+        "luminance over its mean",
+        claim="sky.*.resolution_error of report.json: rms of luminance over its mean, without the "
+        "rows at the zenith and the horizon",
+        claim_of="rms",
+        rungs=tuple(
+            _of_rows(
+                _sizes(plan.resolution, rungs),
+                lambda rows: build_atmosphere(replace(plan, resolution=rows), sun, 1),
+                to,
+                truth,
+            )
+        ),
+        notes=("of the first sample's picture",),
+    )
+
+
+def _of_rows(
+    sizes: list[tuple[int, bool]],
+    made: Callable[[int], tuple[SkyLight | None, SunLight | None, dict[str, Any]]],
+    to: NDArray[np.float64],
+    truth: NDArray[np.float64],
+) -> list[Rung]:
+    mean = float(luminance(truth).mean())
+    level = 2.0 * elementary.PI * float((luminance(truth) * to[:, 2]).mean())
+    # A night without light is shown without error.
+    mean, level = mean or 1.0, level or 1.0
+    made(sizes[0][0])
+    found = []
+    for rows, used in sizes:
+        clock = Clock()
+        with clock.running():
+            light, sun, facts = made(rows)
+        assert light is not None
+        picture = light.pictures[light.texture[0]]
+        assert not isinstance(picture, Path)
+        with clock.running():
+            size = _bytes(light, sun)
+        away = np.abs(luminance(bilinear(picture, to) - truth)) / mean
+        # What a texel of the horizon's row or the zenith's has a part in is apart.
+        texel = elementary.PI / rows
+        inner = (to[:, 2] > elementary.sin(min(1.5 * texel, 1.5))) & (
+            to[:, 2] < elementary.cos(min(1.5 * texel, 1.5))
+        )
+        error = facts.get(light.texture[0], {}).get("resolution_error")
+        arriving = float(luminance(horizontal_irradiance(picture)))
+        found.append(
+            Rung(
+                value=float(rows),
+                used=used,
+                worst=worst(away),
+                rms=rms(away),
+                claimed=None if error is None else float(error),
+                seconds=clock.seconds,
+                bytes=size,
+                details={
+                    "rms_off_horizon": rms(away[inner]),
+                    "worst_off_horizon": worst(away[inner]),
+                    "irradiance_error": abs(arriving / level - 1.0) if arriving else 0.0,
+                    "directions": len(to),
+                },
+            )
+        )
+    return found
+
+
+def _bytes(light: SkyLight, sun: SunLight | None) -> int:
+    """Of the layer of lights and its picture."""
+    bare = Scene(
+        name="",
+        samples=1,
+        times=np.zeros(1),
+        label_table={},
+        sky_labels={},
+        materials={},
+        ground=Ground((), ()),
+        objects=(),
+        sun=sun,
+        sky=light,
+        rigs=(),
+        outputs=(),
+        bounds=np.zeros((2, 3)),
+    )
+    return written(lambda folder: write_lights(folder / "lights.usda", bare))
+
+
+def _constants(plan: AtmospherePlan, sun: SunLight, rungs: int) -> list[Ladder]:
+    """Constants of the code, at texels of small pictures: apart from the pictures' resolution."""
+    to, row, column = _texels(_ROWS)
+    usual = {
+        "steps": atmosphere.STEPS,
+        "bearings": atmosphere.BEARINGS,
+        "count": atmosphere.WAVELENGTHS,
+    }
+    finer, coarser = split(rungs)
+    factors = steps(finer, min(coarser, 2))
+    plans = {
+        "steps": ("steps of a ray", "STEPS", (4 * _STEPS, atmosphere.WAVELENGTHS)),
+        "bearings": (
+            "bearings at which rays are followed",
+            "BEARINGS",
+            (atmosphere.STEPS, atmosphere.WAVELENGTHS),
+        ),
+        "count": ("wavelengths", "WAVELENGTHS", (atmosphere.STEPS, 4 * _WAVELENGTHS - 3)),
+    }
+    found = []
+    for key, (text, name, (fine_steps, fine_count)) in plans.items():
+        truth = atmosphere_along(plan, sun, to, fine_steps, fine_count)
+        mean = float(luminance(truth).mean()) or 1.0
+        rung_list = []
+        for factor in factors:
+            # 17 and 33 are intervals and their ends.
+            ends = 0 if key == "steps" else 1
+            value = max(round((usual[key] - ends) / factor) + ends, 5)
+            clock = Clock()
+            with clock.running():
+                picture = _baked(plan, sun, **{**usual, key: value})
+            away = np.abs(luminance(picture[row, column] - truth)) / mean
+            rung_list.append(
+                Rung(
+                    value=float(value),
+                    used=value == usual[key],
+                    worst=worst(away),
+                    rms=rms(away),
+                    claimed=None,
+                    seconds=clock.seconds,
+                    bytes=written(
+                        lambda folder, p=picture: write_rgb(  # type: ignore[misc]
+                            folder / "sky.exr", p.astype(np.float32)
+                        )
+                    ),
+                    details={"directions": len(to)},
+                )
+            )
+        found.append(
+            Ladder(
+                name="sky",
+                what=f"{text} (atmosphere.{name}, a constant)",
+                unit="relative",
+                reference="the atmosphere evaluated along the directions of texels, a ray each, "
+                f"of {fine_steps} steps and {fine_count} wavelengths",
+                claim="none: report.json does not state it",
+                claim_of="rms",
+                rungs=tuple(rung_list),
+                notes=(f"of pictures of {_ROWS} rows; the picture's bytes do not depend on it",),
+            )
+        )
+    return found
+
+
+def _texels(
+    rows: int,
+) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
+    """Directions of all texels above the horizon's rows; their rows and columns."""
+    to = directions(rows)[: rows // 2 - 1]
+    row, column = np.indices(to.shape[:2])
+    # Left and right half are the same.
+    half = column.ravel() < rows
+    return (
+        np.ascontiguousarray(to.reshape(-1, 3)[half]),
+        row.ravel()[half],
+        column.ravel()[half],
+    )
+
+
+def _baked(
+    plan: AtmospherePlan, sun: SunLight, steps: int, bearings: int, count: int
+) -> NDArray[np.float64]:
+    of_nodes = weights(count)
+    medium = MEDIA[plan.planet](
+        count, float(plan.air_density[0]), float(plan.dust_density[0]), float(plan.ozone_density[0])
+    )
+    above = sun.color[0] / luminance(sun.color[0] * of_nodes.sum(axis=0)) * sun.irradiance[0]
+    picture: NDArray[np.float64] = above * atmosphere.bake(
+        medium,
+        of_nodes,
+        float(plan.altitude_m[0]),
+        float(sun.elevation_deg[0]) * elementary.PI / 180.0,
+        plan.ground_color[0],
+        _ROWS,
+        steps,
+        bearings,
+        multiple=plan.scattering == "multiple",
+    )
+    return picture

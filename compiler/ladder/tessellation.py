@@ -1,0 +1,186 @@
+"""The mesh of the ground over its tolerance."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenec.compiler.cameras.sight import pixels_per_meter
+from scenec.compiler.emit.layer import label_names
+from scenec.compiler.emit.terrain import write_terrain
+from scenec.compiler.ground.tiles import build_tiles
+from scenec.compiler.ladder.base import Base
+from scenec.compiler.ladder.cost import Clock, written
+from scenec.compiler.ladder.points import rms, worst
+from scenec.compiler.ladder.results import Ladder, Rung, split, steps
+from scenec.compiler.ladder.seen import Truth, horizons
+from scenec.compiler.ladder.tin import Heights, Index
+from scenec.compiler.scene import Ground, Tile
+from scenec.compiler.terrain.grid import Grid, HeightField
+from scenec.compiler.terrain.mesh_surface import MeshSurface
+
+_REFERENCE = (
+    "the surface itself (cubic through the grid's samples, detail, displacement), evaluated at "
+    "points over the terrain and at points that pixels show, by their distance up or down"
+)
+_CLAIM = "ground.mesh of report.json: the larger of height_error_max_px and surface_error_max_px"
+
+
+def tessellation(base: Base, rungs: int) -> list[Ladder] | str:
+    """The ladder of ``terrain.mesh.tolerance_px``, or why there is none.
+
+    Args:
+        base: The scene.
+        rungs: How many.
+    """
+    meshing = base.plan.terrain.meshing
+    if isinstance(base.surface.field, MeshSurface):
+        return "the terrain is a mesh, which is kept as it is"
+    if base.near is None:
+        return "without cameras the whole grid is kept, and its triangles are the ground"
+    if meshing.tolerance_px is None:
+        return "tolerance_px is 0: the whole grid is kept, and its triangles are the ground"
+    truth = Truth.of(base.surface, base.views)
+    index = Index(truth.x, truth.y)
+    at = np.stack([truth.x, truth.y, truth.z], axis=1)
+    pixels = base.pixels(at[: truth.checked])
+    factors = steps(*split(rungs))
+    _warm(base)
+    found = [
+        _rung(base, meshing.tolerance_px * factor, factor == 1.0, truth, index, pixels)
+        for factor in factors
+    ]
+    bound = [rung for rung in found if rung.details["budget_bound"]]
+    notes = []
+    if bound:
+        notes.append(
+            f"{len(bound)} of {len(found)} rungs do not fit into {meshing.max_triangles:,} "
+            "triangles: these have the tolerance that was reached"
+        )
+    return [
+        Ladder(
+            name="tessellation",
+            what="terrain.mesh.tolerance_px",
+            unit="px",
+            reference=_REFERENCE,
+            claim=_CLAIM,
+            claim_of="worst",
+            rungs=tuple(found),
+            notes=tuple(notes),
+        )
+    ]
+
+
+def _tiles(base: Base, tolerance_px: float) -> tuple[tuple[Tile, ...], dict[str, Any]]:
+    terrain = base.plan.terrain
+    return build_tiles(
+        base.surface,
+        terrain.variation_key,
+        replace(terrain.meshing, tolerance_px=tolerance_px),
+        base.near,
+        base.views,
+        color=base.color,
+        cut_labels=base.labels,
+    )
+
+
+def _warm(base: Base) -> None:
+    """Meshes a few cells: the first mesh of a process pays for the kernels' loading."""
+    dx, dy = base.surface.field.grid.spacing_m
+    grid = Grid((8.0 * dx, 8.0 * dy), (9, 9))
+    height = base.surface.field.height_at(*grid.points()).reshape(grid.shape)
+    field = HeightField(grid, height)
+    build_tiles(
+        replace(base.surface, field=field),
+        base.plan.terrain.variation_key,
+        base.plan.terrain.meshing,
+        pixels_per_meter(field, base.views, base.unseen),
+        base.views,
+        color=base.color,
+        cut_labels=base.labels,
+    )
+
+
+def _rung(
+    base: Base,
+    tolerance_px: float,
+    used: bool,
+    truth: Truth,
+    index: Index,
+    pixels: NDArray[np.float64],
+) -> Rung:
+    terrain = base.plan.terrain
+    clock = Clock()
+    with clock.running():
+        tiles, report = _tiles(base, tolerance_px)
+    if used:
+        base.tiles = tiles
+    table = base.plan.label_table if base.labels else {}
+    names = [label_names(table, layer.labels) for layer in terrain.layers]
+    materials = dict(base.plan.materials) if base.color else {}
+    with clock.running():
+        size = written(
+            lambda folder: write_terrain(
+                folder / "terrain.usdc", Ground(terrain.layers, tiles), materials, names
+            )
+        )
+    mesh = report["mesh"]
+    finer = mesh.get("finer", {})
+    heights = index.heights(tiles)
+    error, normal = distances(truth, heights)
+    shown = error * pixels[: len(error)]
+    order = np.sort(shown, kind="stable")
+    return Rung(
+        value=tolerance_px,
+        used=used,
+        worst=worst(shown),
+        rms=rms(shown),
+        claimed=float(max(mesh["height_error_max_px"], finer.get("surface_error_max_px", 0.0))),
+        seconds=clock.seconds,
+        bytes=size,
+        triangles=int(report["faces"]),
+        details={
+            "worst_m": worst(error),
+            "rms_m": rms(error),
+            "worst_normal_m": worst(normal),
+            "99_9_percent_px": float(order[int(0.999 * (len(order) - 1))]),
+            **_silhouettes(base, truth, heights),
+            "claimed_m": float(
+                max(mesh["height_error_max_m"], finer.get("surface_error_max_m", 0.0))
+            ),
+            "tolerance_reached_px": float(mesh["tolerance_reached_px"]),
+            "budget_bound": bool(mesh["budget_bound"]),
+            "triangles_before_cuts": int(mesh["triangles"]),
+            "points": len(error),
+        },
+    )
+
+
+def distances(truth: Truth, heights: Heights) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """How far a mesh is from the truth, up or down and along its normal, meters, float64 [n].
+
+    Points that no triangle is above are an edge's width outside of the terrain: they count as 0.
+    """
+    z, upright = (values[: truth.checked] for values in heights)
+    error = np.abs(z - truth.z[: truth.checked])
+    error = np.where(np.isnan(error), 0.0, error)
+    return error, error * upright
+
+
+def _silhouettes(base: Base, truth: Truth, heights: Heights) -> dict[str, float | int | bool]:
+    """How far horizons move up or down in the picture."""
+    lines = truth.lines
+    if lines is None:
+        return {}
+    mesh = heights.z[truth.checked :].reshape(lines.x.shape)
+    there = np.where(np.isnan(mesh), np.nan, truth.z[truth.checked :].reshape(lines.x.shape))
+    moved = np.abs(horizons(lines, base.views, mesh) - horizons(lines, base.views, there))
+    moved = moved[~np.isnan(moved)]
+    return {
+        "horizon_worst_px": worst(moved),
+        "horizon_rms_px": rms(moved),
+        "horizon_bearings": len(moved),
+    }

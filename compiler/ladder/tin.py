@@ -1,0 +1,100 @@
+"""Heights of a mesh of the ground at points: each is looked for in the triangles above it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from scenec.compiler.scene import Tile
+
+#: Points to a cell of the index.
+_PER_CELL = 4.0
+#: Cells across the index at most.
+_MOST_CELLS = 1024.0
+# Of a triangle's sides: a point on an edge belongs to both.
+_HAIR = 1e-9
+
+
+class Heights(NamedTuple):
+    """What lies at points.
+
+    Attributes:
+        z: Meters, float64 [n]; NaN where no triangle is.
+        upright: Cosine of the triangle's slope there, float64 [n].
+    """
+
+    z: NDArray[np.float64]
+    upright: NDArray[np.float64]
+
+
+class Index:
+    """Points, sorted into cells of a grid."""
+
+    def __init__(self, x: NDArray[np.float64], y: NDArray[np.float64]):
+        """Sorts points.
+
+        Args:
+            x, y: Of the points, float64 [n].
+        """
+        self._x, self._y = x, y
+        self._low = float(x.min(initial=0.0)), float(y.min(initial=0.0))
+        span = (
+            float(x.max(initial=0.0)) - self._low[0],
+            float(y.max(initial=0.0)) - self._low[1],
+        )
+        even = float(np.sqrt(span[0] * span[1] * _PER_CELL / max(len(x), 1)))
+        # Points on a line have no area: then their number decides.
+        self._cell = max(even, max(span) / _MOST_CELLS, 1e-12)
+        self._shape = int(span[1] / self._cell) + 1, int(span[0] / self._cell) + 1
+        column = ((x - self._low[0]) / self._cell).astype(np.int64)
+        row = ((y - self._low[1]) / self._cell).astype(np.int64)
+        cell = row * self._shape[1] + column
+        self._order = np.argsort(cell, kind="stable")
+        count = self._shape[0] * self._shape[1]
+        self._starts = np.searchsorted(cell[self._order], np.arange(count + 1))
+
+    def heights(self, tiles: Sequence[Tile]) -> Heights:
+        """Of the mesh that tiles make.
+
+        Args:
+            tiles: Of a ground that is a function of x and y.
+        """
+        found = Heights(np.full(len(self._x), np.nan), np.ones(len(self._x)))
+        for tile in tiles:
+            points = tile.translate + tile.points.astype(np.float64)
+            _drop(points, tile.faces, self._x, self._y, self._order, self._starts, self._shape[1],
+                  *self._low, self._cell, found.z, found.upright)  # fmt: skip
+        return found
+
+
+@njit(cache=True, error_model="numpy")
+def _drop(points, faces, x, y, order, starts, columns, x0, y0, cell, z, upright):  # type: ignore[no-untyped-def]
+    rows = (len(starts) - 1) // columns
+    for f in range(len(faces)):
+        a, b, c = points[faces[f, 0]], points[faces[f, 1]], points[faces[f, 2]]
+        ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+        vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
+        det = ux * vy - uy * vx
+        if det == 0.0:
+            continue
+        left, right = min(a[0], min(b[0], c[0])), max(a[0], max(b[0], c[0]))
+        low, high = min(a[1], min(b[1], c[1])), max(a[1], max(b[1], c[1]))
+        i0, i1 = int((left - x0) / cell) - 1, int((right - x0) / cell) + 1
+        j0, j1 = int((low - y0) / cell) - 1, int((high - y0) / cell) + 1
+        nx, ny = uy * vz - uz * vy, uz * vx - ux * vz
+        cosine = abs(det) / np.sqrt(nx * nx + ny * ny + det * det)
+        for j in range(max(j0, 0), min(j1, rows - 1) + 1):
+            for i in range(max(i0, 0), min(i1, columns - 1) + 1):
+                at = j * columns + i
+                for k in range(starts[at], starts[at + 1]):
+                    n = order[k]
+                    px, py = x[n] - a[0], y[n] - a[1]
+                    s = (px * vy - py * vx) / det
+                    t = (ux * py - uy * px) / det
+                    if s >= -_HAIR and t >= -_HAIR and s + t <= 1.0 + _HAIR:
+                        z[n] = a[2] + s * uz + t * vz
+                        upright[n] = cosine

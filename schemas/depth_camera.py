@@ -1,0 +1,93 @@
+"""Cameras that measure depth: what they are, for cfgs, stages and frames.
+
+The pass ``depth_measured`` is what such a camera says, planar depth in meters; 0 is no answer, as
+such cameras have it. ``depth`` stays exact beside it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+MEASURED = "depth_measured"
+
+STEREO, TIME_OF_FLIGHT = "stereo", "time_of_flight"
+
+
+@dataclass(frozen=True)
+class StereoDepth:
+    """Depth from a pair of cameras.
+
+    Attributes:
+        baseline_m: To the other camera, along +x of the picture.
+        noise_px: Standard deviation of disparities.
+        step_px: Disparities are multiples of it; 0: any number.
+        range_m: Nearest and farthest depth that is answered.
+    """
+
+    baseline_m: float
+    noise_px: float
+    step_px: float
+    range_m: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class TimeOfFlightDepth:
+    """Depth from the phase of modulated light.
+
+    Attributes:
+        noise_m: Standard deviation of ranges at ``at_m``, of a surface that faces the camera.
+        at_m: See there.
+        ambiguity_m: Ranges are told modulo this: c / (2 f) of a modulation frequency f.
+        blur_px: Standard deviation of the spot that a pixel gathers light from; 0: its center.
+        range_m: Nearest and farthest range that is answered.
+    """
+
+    noise_m: float
+    at_m: float
+    ambiguity_m: float
+    blur_px: float
+    range_m: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class DepthCamera:
+    """What measures depth, and the key of its random numbers, below 2**64."""
+
+    model: StereoDepth | TimeOfFlightDepth
+    key: int
+
+
+#: Names of the fields of each model, in the order in which a stage lists their numbers.
+FIELDS = {
+    STEREO: ("baseline_m", "noise_px", "step_px", "range_m"),
+    TIME_OF_FLIGHT: ("noise_m", "at_m", "ambiguity_m", "blur_px", "range_m"),
+}
+_CLASSES: dict[str, Callable[..., StereoDepth | TimeOfFlightDepth]] = {
+    STEREO: StereoDepth,
+    TIME_OF_FLIGHT: TimeOfFlightDepth,
+}
+
+
+def kind_of(model: StereoDepth | TimeOfFlightDepth) -> str:
+    """The name of a model."""
+    return STEREO if isinstance(model, StereoDepth) else TIME_OF_FLIGHT
+
+
+def as_numbers(model: StereoDepth | TimeOfFlightDepth) -> list[float]:
+    """Its numbers, the two of the range last."""
+    *some, low, high = FIELDS[kind_of(model)][:-1], *model.range_m
+    return [*(float(getattr(model, name)) for name in some[0]), float(low), float(high)]
+
+
+def of_numbers(kind: str, numbers: list[float]) -> StereoDepth | TimeOfFlightDepth:
+    """A model of its numbers.
+
+    Raises:
+        ValueError: Not so many, or no such kind.
+    """
+    if kind not in FIELDS or len(numbers) != len(FIELDS[kind]) + 1:
+        raise ValueError(f"{kind!r} with {len(numbers)} numbers is no depth camera")
+    *some, low, high = numbers
+    made: StereoDepth | TimeOfFlightDepth = _CLASSES[kind](*some, (low, high))
+    return made

@@ -1,0 +1,301 @@
+"""What a compilation left out of a batch, and why: entries of the report, and a record by instance.
+
+**Entries.** ``report.json`` lists under ``left_out`` what has no place in the stage, each entry as
+``entry`` makes it: ``pass`` (what decided it), ``what`` (beginning with the cfg's path of the
+thing), ``why``, and how much that spared: ``instances``, ``triangles`` (each instance's counted)
+and ``bytes`` (of arrays as they are in memory, USD may pack them; of pictures, of the file). All of
+it is the same in every run; seconds stand in ``timings.json``.
+
+**The record.** ``left_out.json`` in a batch's folder says of every local id of every class of
+objects why it is in the stage, or why not. It is written only where an id or a tile is missing, and
+is no part of the stage: frames do not depend on it. It holds
+
+``format``   1
+``light``    ``{"tolerance", "reached"}``: the part of the irradiance of anything seen that all that
+             was left out may take together, and a bound of what it does take; null without ``rgb``
+``tiles``    prim name of each tile of the terrain that was left out -> reason
+``classes``  class -> ``{"drawn", "kept", "reasons", "bits", "codes"}`` and maybe ``ids``
+
+``drawn`` is the largest local id, ``kept`` how many instances are in the stage. ``codes`` is base64
+of indices into ``reasons``, ``bits`` (1, 2 or 4) each, the first in the lowest bits of the first
+byte. They are those of the ids 1, 2, …, ``drawn``; or, with ``ids``, of the ids listed there, and
+all others were never placed.
+"""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import json
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenec.schemas.errors import OutputError
+from scenec.schemas.files import write_json
+from scenec.schemas.manifest import LEFT_OUT as LEFT_OUT
+from scenec.schemas.spelling import nearest
+
+_FORMAT = 1
+#: Classes with fewer objects than one in so many numbers have their ids listed.
+_SPARSE = 4
+_BITS = (1, 2, 4)
+
+
+class Reason(StrEnum):
+    """Why an instance, or a tile of the terrain, is in the stage or is not."""
+
+    #: A camera may see it.
+    SEEN = "seen"
+    #: Its shadow may fall on what a camera sees.
+    SHADOW = "shadow"
+    #: It takes or gives more sky light and bounced light than is left to be neglected.
+    LIGHT = "light"
+    #: Nothing of the kind was to be left out.
+    ALL = "all"
+    #: It lies outside of every picture, and nothing in any picture shows its effect.
+    OUT_OF_VIEW = "out of view"
+    #: It lies in pictures' cones, but behind the ground; nothing in any picture shows its effect.
+    BEHIND_GROUND = "behind the ground"
+    #: It found no place on the terrain, or its number was never given.
+    NOT_PLACED = "not placed"
+
+    @property
+    def kept(self) -> bool:
+        """Whether what has this reason is in the stage."""
+        return self in (Reason.SEEN, Reason.SHADOW, Reason.LIGHT, Reason.ALL)
+
+    @property
+    def text(self) -> str:
+        """In words, after "it is in the stage: " or "it is not in the stage: "."""
+        return _TEXTS[self]
+
+
+_TEXTS = {
+    Reason.SEEN: "a camera may see it",
+    Reason.SHADOW: "no camera sees it, but its shadow may fall on what one sees",
+    Reason.LIGHT: "no camera sees it, but it may take or give more sky light and bounced light "
+    "than all that is left out together may",
+    Reason.ALL: "nothing of its kind was to be left out",
+    Reason.OUT_OF_VIEW: "it lies outside of every picture, and none shows its effect",
+    Reason.BEHIND_GROUND: "every camera that looks its way has ground in between, and no picture "
+    "shows its effect",
+    Reason.NOT_PLACED: "it found no place, or no object has this number",
+}
+
+
+#: The reasons in a fixed order: what arrays of reasons hold are places in it.
+ORDER = tuple(Reason)
+
+
+@dataclass(frozen=True)
+class ClassRecord:
+    """Why each instance of a class is where it is.
+
+    Attributes:
+        drawn: Largest local id.
+        ids: Local ids of what was placed, ascending, int64 [n]; the others are ``NOT_PLACED``.
+        reasons: Of each, as an index into ``ORDER``, uint8 [n].
+    """
+
+    drawn: int
+    ids: NDArray[np.int64]
+    reasons: NDArray[np.uint8]
+
+    def of(self, local_id: int) -> Reason:
+        """The reason of one id."""
+        at = int(np.searchsorted(self.ids, local_id))
+        if at < len(self.ids) and int(self.ids[at]) == local_id:
+            return ORDER[int(self.reasons[at])]
+        return Reason.NOT_PLACED
+
+    def counts(self) -> dict[Reason, int]:
+        """How many of the ids 1 … ``drawn`` have each reason that any has."""
+        numbers = np.bincount(self.reasons, minlength=len(ORDER))
+        numbers[ORDER.index(Reason.NOT_PLACED)] += self.drawn - len(self.ids)
+        return {reason: int(n) for reason, n in zip(ORDER, numbers, strict=True) if n}
+
+    def where(self, reason: Reason) -> NDArray[np.int64]:
+        """The placed ids of a reason, ascending."""
+        return self.ids[self.reasons == ORDER.index(reason)]
+
+
+@dataclass(frozen=True)
+class Record:
+    """What ``left_out.json`` holds.
+
+    Attributes:
+        classes: By name of the class.
+        tiles: Reason of each tile that was left out, by prim name.
+        tolerance, reached: Of light, see above; None where no color was asked for.
+    """
+
+    classes: dict[str, ClassRecord]
+    tiles: dict[str, Reason]
+    tolerance: float | None = None
+    reached: float | None = None
+
+
+def entry(
+    of_pass: str, what: str, why: str, *, instances: int = 0, triangles: int = 0, size: int = 0
+) -> dict[str, Any]:
+    """One entry of ``left_out`` in ``report.json``.
+
+    Args:
+        of_pass: Name of the pass that left it out.
+        what: The cfg's path of the thing, then what of it: "objects/rocks: 812 instances".
+        why: In words.
+        instances, triangles: How many are spared.
+        size: Bytes that are spared.
+    """
+    return {
+        "pass": of_pass,
+        "what": what,
+        "why": why,
+        "instances": int(instances),
+        "triangles": int(triangles),
+        "bytes": int(size),
+    }
+
+
+def write_left_out(folder: Path, record: Record) -> None:
+    """Writes the record of a batch, by atomic rename; equal records give equal bytes.
+
+    Args:
+        folder: Of the batch.
+        record: What to write.
+
+    Raises:
+        OutputError: It cannot be written.
+    """
+    light = None
+    if record.tolerance is not None:
+        light = {"tolerance": record.tolerance, "reached": record.reached}
+    write_json(
+        folder / LEFT_OUT,
+        {
+            "format": _FORMAT,
+            "light": light,
+            "tiles": {name: str(reason) for name, reason in record.tiles.items()},
+            "classes": {name: _as_json(one) for name, one in record.classes.items()},
+        },
+    )
+
+
+def read_left_out(folder: Path) -> Record | None:
+    """The record of a batch; None where nothing is missing from its stage.
+
+    Args:
+        folder: Of the batch.
+
+    Raises:
+        OutputError: The file is damaged, or of another version.
+    """
+    path = folder / LEFT_OUT
+    try:
+        text = path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError) as error:
+        raise OutputError(f"{path}: cannot be read: {error}") from error
+    try:
+        value = json.loads(text)
+        if value["format"] != _FORMAT:
+            raise OutputError(f"{path}: a record of another version; compile again")
+        light = value["light"] or {}
+        return Record(
+            {name: _from_json(one) for name, one in value["classes"].items()},
+            {name: Reason(reason) for name, reason in value["tiles"].items()},
+            light.get("tolerance"),
+            light.get("reached"),
+        )
+    except (ValueError, KeyError, TypeError, AttributeError, binascii.Error) as error:
+        raise OutputError(f"{path}: is no record of what was left out, or a damaged one") from error
+
+
+def reason_of(folder: Path, class_name: str, local_id: int) -> Reason:
+    """Why an instance is in the stage of a batch, or why it is not.
+
+    Args:
+        folder: Of the batch.
+        class_name: As in the cfg's ``objects``.
+        local_id: Number within the class, from 1 (``local_id`` in tables of instances).
+
+    Returns:
+        The reason; ``Reason.ALL`` where nothing is missing from the batch, whatever was asked.
+
+    Raises:
+        OutputError: The record is damaged; no class has that name; the class has no such number.
+    """
+    record = read_left_out(folder)
+    if record is None:
+        return Reason.ALL
+    if class_name not in record.classes:
+        raise OutputError(
+            f"{folder / LEFT_OUT}: no class {class_name!r}{nearest(class_name, record.classes)}"
+        )
+    one = record.classes[class_name]
+    if not 1 <= local_id <= one.drawn:
+        raise OutputError(
+            f"{folder / LEFT_OUT}: {class_name} has the numbers 1 to {one.drawn}, not {local_id}"
+        )
+    return one.of(local_id)
+
+
+def _as_json(one: ClassRecord) -> dict[str, Any]:
+    listed = one.drawn > _SPARSE * len(one.ids)
+    reasons = one.reasons
+    if not listed:
+        reasons = np.full(one.drawn, ORDER.index(Reason.NOT_PLACED), np.uint8)
+        reasons[one.ids - 1] = one.reasons
+    used, codes = np.unique(reasons, return_inverse=True)
+    bits = next(b for b in _BITS if len(used) <= 1 << b)
+    return {
+        "drawn": one.drawn,
+        "kept": sum(n for reason, n in one.counts().items() if reason.kept),
+        "reasons": [str(ORDER[code]) for code in used.tolist()],
+        "bits": bits,
+        "codes": base64.b64encode(_packed(codes.astype(np.uint8), bits)).decode("ascii"),
+        **({"ids": one.ids.tolist()} if listed else {}),
+    }
+
+
+def _from_json(value: dict[str, Any]) -> ClassRecord:
+    """The other way.
+
+    Raises:
+        ValueError, KeyError, TypeError: It is not what ``_as_json`` makes.
+    """
+    drawn, bits = int(value["drawn"]), int(value["bits"])
+    ids = np.array(value["ids"], np.int64) if "ids" in value else np.arange(1, drawn + 1)
+    if bits not in _BITS or (len(ids) and not 1 <= ids[0] <= ids[-1] <= drawn):
+        raise ValueError("numbers out of range")
+    names = np.array([ORDER.index(Reason(name)) for name in value["reasons"]], np.uint8)
+    codes = _unpacked(base64.b64decode(value["codes"], validate=True), bits, len(ids))
+    if len(codes) and codes.max() >= len(names):
+        raise ValueError("a code without a reason")
+    reasons = names[codes] if len(codes) else np.zeros(0, np.uint8)
+    placed = reasons != ORDER.index(Reason.NOT_PLACED)
+    return ClassRecord(drawn, ids[placed], reasons[placed])
+
+
+def _packed(codes: NDArray[np.uint8], bits: int) -> bytes:
+    places = 8 // bits
+    rows = np.zeros(-(-len(codes) // places) * places, np.uint8)
+    rows[: len(codes)] = codes
+    shifts = np.arange(places, dtype=np.uint8) * np.uint8(bits)
+    packed = np.bitwise_or.reduce(rows.reshape(-1, places) << shifts, axis=1)
+    return packed.astype(np.uint8).tobytes()
+
+
+def _unpacked(data: bytes, bits: int, count: int) -> NDArray[np.uint8]:
+    places = 8 // bits
+    if len(data) != -(-count // places):
+        raise ValueError("as many codes as ids were expected")
+    shifts = np.arange(places, dtype=np.uint8) * np.uint8(bits)
+    codes = np.frombuffer(data, np.uint8)[:, None] >> shifts & np.uint8((1 << bits) - 1)
+    return codes.reshape(-1)[:count]

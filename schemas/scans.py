@@ -1,0 +1,164 @@
+"""Lidar scans on disk: OUT/batch_0000/scans/<rig>_<lidar>/000000.{npz,json}, and .ply on request.
+
+The npz holds a row a beam and a column an azimuth, from the first of each:
+
+=================  ==================  ==========================================================
+``points``         float32 [b, a, 3]   where the answer says the point is, lidar's frame, meters;
+                                       NaN without an answer
+``range``          float32 [b, a]      the answer, meters, noise included; +inf without one
+``range_true``     float64 [b, a]      without noise; +inf without an answer
+``incidence``      float32 [b, a]      cosine of the angle between beam and surface's normal; 0
+``label.<level>``  uint32 [b, a]       of the face that answered; 0 without an answer
+``instance``       uint32 [b, a]       likewise
+``elevation_deg``  float64 [b]         of each beam
+``azimuth_deg``    float64 [a]         of each column, counterclockwise from above
+=================  ==================  ==========================================================
+
+The lidar's frame is x ahead, y left, z up. The JSON sidecar, written last, holds the pose and what
+the scan was made from.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenec.schemas.errors import FrameError
+from scenec.schemas.files import atomic, sha256, write_json
+
+#: In each batch's folder.
+SCANS = "scans"
+#: Version of the sidecar's shape.
+SCAN_VERSION = "1.0"
+
+CONVENTIONS = {
+    "frame": "x ahead, y left, z up, meters; lidar_to_world: 4x4, row-major, column vectors",
+    "azimuth": "degrees counterclockwise from above, 0 ahead; elevation: degrees upward",
+    "order": "rows are beams, columns azimuths",
+    "time": "a scan is taken at one instant",
+    "range_true": "of the ray that was cast, which angular noise turns away from the one told",
+}
+
+
+@dataclass(frozen=True)
+class Scan:
+    """A scan read back.
+
+    Attributes:
+        path: Of the sidecar.
+        arrays: By name, as the module says.
+        sidecar: As JSON values.
+    """
+
+    path: Path
+    arrays: dict[str, NDArray]
+    sidecar: dict[str, Any]
+
+
+def scan_stem(folder: Path, lidar: str, sample: int) -> Path:
+    """Path of a scan without its suffix, in a batch's folder."""
+    return folder / SCANS / lidar / f"{sample:06d}"
+
+
+def scan_key(stage_digest: str, scenec: str, ply: bool) -> str:
+    """What decides a scan beside its place: sha256, hex."""
+    text = f"{SCAN_VERSION} {scenec} {stage_digest} {ply}"
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def is_scanned(stem: Path, key: str) -> bool:
+    """Whether a scan is there, whole as far as its size tells, and made with this key."""
+    try:
+        sidecar = json.loads(stem.with_suffix(".json").read_bytes())
+        size = stem.with_suffix(".npz").stat().st_size
+        whole = bool(sidecar["resume_key"] == key and sidecar["npz"]["bytes"] == size)
+        return whole and (not sidecar["ply"] or stem.with_suffix(".ply").is_file())
+    except (OSError, ValueError, KeyError, TypeError):
+        return False
+
+
+def write_scan(
+    stem: Path, arrays: Mapping[str, NDArray], sidecar: Mapping[str, Any], ply: bool = False
+) -> None:
+    """Write a scan, each file by atomic rename, the sidecar last; the same scan, the same bytes.
+
+    Args:
+        stem: See ``scan_stem``.
+        arrays: By name.
+        sidecar: More for the sidecar.
+        ply: Whether to write a cloud of the points as well.
+
+    Raises:
+        OutputError: A file cannot be written.
+    """
+    stem.with_suffix(".json").unlink(missing_ok=True)
+    path = stem.with_suffix(".npz")
+    with atomic(path) as temporary, temporary.open("wb") as file:
+        contents: dict[str, Any] = dict(arrays)
+        np.savez(file, **contents)
+    if ply:
+        with atomic(stem.with_suffix(".ply")) as temporary:
+            temporary.write_bytes(as_ply(arrays))
+    else:
+        stem.with_suffix(".ply").unlink(missing_ok=True)
+    vouched = {"bytes": path.stat().st_size, "sha256": sha256(path)}
+    head = {"version": SCAN_VERSION, **sidecar, "conventions": CONVENTIONS}
+    write_json(stem.with_suffix(".json"), {**head, "npz": vouched, "ply": ply})
+
+
+def read_scan(path: Path) -> Scan:
+    """Read a scan and check it against its sidecar.
+
+    Args:
+        path: Any of its files, or its stem.
+
+    Raises:
+        FrameError: Something is missing, changed since, or no scan.
+    """
+    stem = path.with_suffix("") if path.suffix in (".npz", ".json", ".ply") else path
+    json_path, npz_path = stem.with_suffix(".json"), stem.with_suffix(".npz")
+    try:
+        sidecar = json.loads(json_path.read_bytes())
+        expected = sidecar["npz"]["sha256"]
+    except FileNotFoundError as error:
+        raise FrameError(f"{json_path}: no such scan (the sidecar is missing)") from error
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise FrameError(f"{json_path}: not a sidecar of a scan: {error}") from error
+    try:
+        if sha256(npz_path) != expected:
+            raise FrameError(f"{npz_path}: damaged or changed since it was written; scan again")
+        with np.load(npz_path) as stored:
+            return Scan(json_path, {name: stored[name] for name in stored.files}, sidecar)
+    except (OSError, ValueError, zipfile.BadZipFile) as error:
+        raise FrameError(f"{npz_path}: cannot be read: {error}") from error
+
+
+def as_ply(arrays: Mapping[str, NDArray]) -> bytes:
+    """The answers as a binary PLY: x, y, z, range, incidence, ids, beam and column."""
+    there = np.isfinite(arrays["range"])
+    beam, column = np.nonzero(there)
+    names = [name for name in arrays if name.startswith("label.")]
+    fields: list[tuple[str, str, NDArray]] = [
+        *((axis, "float", arrays["points"][there][:, i]) for i, axis in enumerate("xyz")),
+        ("range", "float", arrays["range"][there]),
+        ("incidence", "float", arrays["incidence"][there]),
+        *((name.replace(".", "_"), "uint", arrays[name][there]) for name in (*names, "instance")),
+        ("beam", "uint", beam),
+        ("column", "uint", column),
+    ]
+    types = {"float": "<f4", "uint": "<u4"}
+    table = np.empty(int(there.sum()), [(name, types[kind]) for name, kind, _ in fields])
+    for name, _, values in fields:
+        table[name] = values
+    head = "ply\nformat binary_little_endian 1.0\ncomment made by scenec\n"
+    head += f"element vertex {len(table)}\n"
+    head += "".join(f"property {kind} {name}\n" for name, kind, _ in fields)
+    return f"{head}end_header\n".encode() + table.tobytes()

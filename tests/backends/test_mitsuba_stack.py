@@ -1,0 +1,203 @@
+"""A stack of mapped layers is what Mitsuba's own nesting says, and looks at each point once."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from pathlib import Path
+from typing import Any
+
+import cell_scenes as cs
+import mitsuba_scenes as ms
+import numpy as np
+import projection_scenes as ps
+import pytest
+from numpy.typing import NDArray
+from PIL import Image
+
+from scenec.backends.mitsuba import Mitsuba, surfaces
+from scenec.backends.mitsuba.pictures import Pictures
+from scenec.backends.render_scene import Maps, Reflectance, RenderScene, Surface
+
+HAPKE = Reflectance("hapke", 0.25, 0.2, 1.5, 0.06, math.radians(20.0))
+#: Directions that each point is asked about.
+ASKED = 300
+
+
+def gray_picture(folder: Path, name: str) -> Path:
+    file = folder / f"{name}.png"
+    rng = np.random.default_rng(len(name))
+    Image.fromarray(rng.integers(40, 220, (4, 7)).astype(np.uint8)).save(file)
+    return file
+
+
+def everything(folder: Path) -> RenderScene:
+    """Four layers of all kinds, two of whose merges heed heights.
+
+    No normals from three sides: Mitsuba's ``normalmap`` hands its leaned normal on to the textures
+    below it, by which they would mix their planes.
+    """
+    colors, normals = (cs.write_picture(folder, kind) for kind in ("color", "normal"))
+    rough, metal = gray_picture(folder, "rough"), gray_picture(folder, "metallic")
+    height = cs.write_picture(folder, "height")
+    layers = [
+        Surface("/A", cs.COLOR, 0.2, 0.5, 0.3, 0.0,
+                Maps(cs.SIZE, colors, rough, None, normals, height=height, cells=cs.CELLS),
+                roughness_variation=0.2),
+        Surface("/B", (0.4, 0.3, 0.2), 0.0, 0.5, 0.5, 0.0,
+                Maps(2.0, colors, height=height, far=cs.FAR), reflectance=HAPKE),
+        Surface("/C", (0.8, 0.7, 0.6), 0.3, 0.5, 0.2, 0.0,
+                Maps(1.7, colors, rough, metal, projection="triplanar")),
+        Surface("/D", (0.5, 0.1, 0.1), 0.1, 0.4, 0.0, 0.5,
+                Maps(1.0, None, None, None, normals, projection="uv")),
+    ]  # fmt: skip
+    mesh, weights = cs.waves(0.4)
+    third = np.clip(0.25 + 0.1 * mesh.points[:, :1].T, 0.0, 1.0)
+    uv = (mesh.points[mesh.faces][..., :2] * 0.2).astype(np.float32)
+    mesh = dataclasses.replace(
+        mesh,
+        layers=(0, 1, 2, 3),
+        weights=np.concatenate([weights, third]).astype(np.float32),
+        variation=np.sin(mesh.points[:, 0]).astype(np.float32),
+        uv=uv,
+        height_blends=(0.3, 0.5, 0.0),
+    )
+    placed = np.concatenate([np.eye(3), cs.OFFSET[:, None]], axis=1)
+    camera = ms.look_at(cs.OFFSET + np.array([3.0, -4.0, 7.0]), cs.OFFSET, 16, 12, 45.0)
+    lights = [ms.sun(55.0, -20.0)]
+    return ms.scene(
+        [mesh], layers, rows=[(0, placed)], cameras=[camera], lights=lights, row_variation=[0.3]
+    )
+
+
+def hits(backend: Mitsuba, scene: RenderScene) -> Any:
+    """Interactions where rays from above and below meet the scene, each ``ASKED`` times."""
+    mi, rng = backend._mi, np.random.default_rng(3)
+    backend.load(scene)
+    xy = np.repeat(rng.uniform(-6.0, 6.0, (2, 60)), ASKED, axis=1)
+    up = np.where(np.arange(xy.shape[1]) % (3 * ASKED) < ASKED, -1.0, 1.0)
+    lean = np.repeat(rng.uniform(-0.9, 0.9, (2, 60)), ASKED, axis=1)
+    direction = np.stack([*lean, -np.ones(xy.shape[1])]) * up
+    direction /= np.linalg.norm(direction, axis=0)
+    middle = cs.OFFSET - backend._center
+    origin = np.stack([xy[0], xy[1], np.zeros(xy.shape[1])]) + middle[:, None] - 9.0 * direction
+    ray = mi.Ray3f(mi.Point3f(origin.astype(np.float32)), mi.Vector3f(direction.astype(np.float32)))
+    return backend._scene.ray_intersect(ray)
+
+
+def spread(mi: Any, size: int) -> Any:
+    """Directions on the whole sphere."""
+    w = np.random.default_rng(4).normal(size=(3, size))
+    return mi.Vector3f((w / np.linalg.norm(w, axis=0)).astype(np.float32))
+
+
+@pytest.mark.slow
+def test_four_layers_of_all_kinds_are_what_mitsubas_own_nesting_says(tmp_path, monkeypatch):
+    backend = Mitsuba(device="cpu")
+    mi, scene = backend._mi, everything(tmp_path)
+    found: list[NDArray] = []
+    for make in (surfaces._stacked_look, surfaces._nested_look):
+        monkeypatch.setattr(surfaces, "_stacked_look", make)
+        si = hits(backend, scene)
+        wo = si.to_local(spread(mi, len(si.t)))
+        value, density = si.bsdf().eval_pdf(mi.BSDFContext(), si, wo)
+        found.append(np.stack([*np.array(value), np.array(density)]))
+    stacked, nested = found
+    assert (nested[0] > 0.0).mean() > 0.2
+    scale = np.abs(nested).mean(axis=1, keepdims=True)
+    assert np.abs(stacked - nested).mean() / scale.mean() < 1e-4
+
+
+@pytest.mark.slow
+def test_what_is_drawn_is_weighed_by_what_is_seen(tmp_path):
+    """Means of sampled weights, and of f / p of even directions, are the same albedo."""
+    backend = Mitsuba(device="cpu")
+    mi = backend._mi
+    si = hits(backend, everything(tmp_path))
+    size = len(si.t)
+    rng = np.random.default_rng(5)
+    context = mi.BSDFContext()
+    drawn, even, total = np.zeros(3), np.zeros(3), 0.0
+    rounds = 4
+    for _ in range(rounds):
+        numbers = rng.random((3, size)).astype(np.float32)
+        bs, weight = si.bsdf().sample(
+            context, si, mi.Float(numbers[0]), mi.Point2f(numbers[1], numbers[2])
+        )
+        again, density = si.bsdf().eval_pdf(context, si, bs.wo)
+        lit = np.array(weight).sum(axis=0) > 0.0
+        product = np.array(weight) * np.array(bs.pdf)
+        np.testing.assert_allclose(np.array(density)[lit], np.array(bs.pdf)[lit], rtol=2e-3)
+        np.testing.assert_allclose(
+            np.array(again)[:, lit], product[:, lit], rtol=5e-3, atol=1e-4 * product.max()
+        )
+        drawn += np.array(weight).mean(axis=1) / rounds
+        w = rng.normal(size=(3, size))
+        wo = mi.Vector3f((w / np.linalg.norm(w, axis=0)).astype(np.float32))
+        value, density = si.bsdf().eval_pdf(context, si, wo)
+        even += 4.0 * math.pi * np.array(value).mean(axis=1) / rounds
+        total += 4.0 * math.pi * float(np.array(density).mean()) / rounds
+    np.testing.assert_allclose(drawn, even, rtol=0.04)
+    # Some of what is drawn lies below the leaned normals' horizon.
+    assert 0.8 < total < 1.02
+
+
+def test_colors_from_three_sides_are_mixed_by_the_normal_that_no_map_leans(tmp_path):
+    backend = Mitsuba(device="cpu")
+    scene = ps.scene(tmp_path, "triplanar", "base_color")
+    (own,) = scene.surfaces
+    assert own.maps is not None
+    both = dataclasses.replace(own.maps, normal=ps.write_picture(tmp_path, "normal"))
+    scene = dataclasses.replace(scene, surfaces=(dataclasses.replace(own, maps=both),))
+    backend.load(scene)
+    light = backend.radiance(scene.cameras[0][0], 0, 256, 2).halves.astype(float)
+    spread, offset, pixels = ps.differences(light.mean(axis=0), scene)
+    assert pixels > 80
+    assert spread < 0.01
+    assert abs(offset) < 1.5e-3
+
+
+def test_each_layer_is_looked_up_once_a_bounce(tmp_path, monkeypatch):
+    asked: list[Pictures] = []
+    look_up = Pictures.look_up
+
+    def counted(self: Pictures, si: Any, active: Any) -> dict[str, list[Any]]:
+        asked.append(self)
+        return look_up(self, si, active)
+
+    monkeypatch.setattr(Pictures, "look_up", counted)
+    backend = Mitsuba(device="cpu", bounces=3)
+    scene = cs.scene(tmp_path, "heights")
+    backend.load(scene)
+    stack = type(backend._meshes[0].bsdf())
+    drawn: list[Any] = []
+    sample = stack.sample
+
+    def also_counted(self: Any, *args: Any) -> Any:
+        drawn.append(self)
+        return sample(self, *args)
+
+    monkeypatch.setattr(stack, "sample", also_counted)
+    backend.radiance(scene.cameras[0][0], 0, 4, 1)
+    # Two of the three layers have maps; Dr.Jit traces the loop of bounces twice for each half.
+    assert len(set(map(id, asked))) == 2
+    assert len(asked) == 2 * len(drawn)
+    assert len(drawn) <= 4
+
+
+def test_one_kernel_serves_pictures_of_any_size_and_number_of_samples(tmp_path):
+    backend = Mitsuba(device="cpu")
+    import drjit as dr
+
+    scene = ps.scene(tmp_path, "triplanar", "base_color")
+    backend.load(scene)
+    camera = scene.cameras[0][0]
+    kernels = set()
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        dr.kernel_history_clear()
+        for width, height, spp in ((16, 12, 2), (21, 11, 6), (40, 30, 8)):
+            seen = dataclasses.replace(camera, width=width, height=height)
+            backend.radiance(seen, 0, spp, 1)
+            history = [k for k in dr.kernel_history() if "hash" in k]
+            kernels.add(max(history, key=lambda k: k["operation_count"])["hash"])
+    assert len(kernels) == 1

@@ -1,0 +1,197 @@
+"""What ladders measure with: slopes, heights of meshes, distances, skies; against oracles."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from scenec.compiler.arithmetic import elementary
+from scenec.compiler.cameras.sight import NO_VIEWS
+from scenec.compiler.ground.surface import Surface
+from scenec.compiler.ground.tiles import build_tiles
+from scenec.compiler.ladder import points
+from scenec.compiler.ladder.apart import apart, nearest, points_of
+from scenec.compiler.ladder.seen import looked_at
+from scenec.compiler.ladder.sky_truth import atmosphere_along, bilinear, clear_along
+from scenec.compiler.ladder.slopes import slope
+from scenec.compiler.ladder.smoothing import continuous
+from scenec.compiler.ladder.tin import Index
+from scenec.compiler.light.atmosphere_sky import build_atmosphere
+from scenec.compiler.light.latlong import directions
+from scenec.compiler.light.plan import AtmospherePlan, ClearSkyPlan
+from scenec.compiler.light.sky import build_sky
+from scenec.compiler.scatter.icosphere import icosphere
+from scenec.compiler.scene import Prototype, SunLight
+from scenec.compiler.terrain.grid import Grid, HeightField
+
+
+@given(
+    st.floats(0.1, 4.0),
+    st.floats(1e-6, 1e6),
+    st.lists(st.floats(1e-3, 1e6), min_size=2, max_size=8, unique=True),
+)
+def test_a_power_law_s_exponent_is_found(exponent, scale, cost):
+    if max(cost) < 1.5 * min(cost):
+        return
+    found = slope(cost, [scale * c**-exponent for c in cost])
+    assert found is not None
+    assert found.exponent == pytest.approx(exponent, rel=1e-6)
+    assert found.low == pytest.approx(exponent, rel=1e-4)
+    assert found.high == pytest.approx(exponent, rel=1e-4)
+    assert found.halving == pytest.approx(2 ** (1 / exponent), rel=1e-5) or exponent < 0.11
+
+
+def test_costs_that_hardly_differ_have_no_slope():
+    assert slope([1.0, 1.1, 1.2], [3.0, 2.0, 1.0]) is None
+    assert slope([1.0, 2.0], [0.0, 1.0]) is None
+    assert slope([], []) is None
+
+
+def test_cost_that_does_not_buy_error_has_no_price():
+    found = slope([1.0, 2.0, 4.0], [1.0, 1.0, 1.1])
+    assert found is not None
+    assert found.halving is None
+
+
+def test_points_fill_a_square_evenly():
+    u, v = points.square(4096)
+    counts, _, _ = np.histogram2d(u, v, bins=16, range=[[0, 1], [0, 1]])
+    assert abs(counts - 16).max() <= 8
+
+
+def hills(spacing: float) -> HeightField:
+    grid = Grid.with_spacing((12.0, 8.0), spacing)
+    x, y = grid.points()
+    return HeightField(grid, (np.sin(x) * np.cos(0.7 * y)).reshape(grid.shape))
+
+
+def test_a_mesh_has_the_heights_of_the_triangles_it_was_made_of():
+    field = hills(0.4)
+    tiles, _ = build_tiles(Surface(field, smooth=False), 1, color=False)
+    rng = np.random.default_rng(0)
+    x, y = rng.uniform(-6, 6, 5000), rng.uniform(-4, 4, 5000)
+    found = Index(x, y).heights(tiles)
+    assert np.abs(found.z - field.height_at(x, y)).max() < 1e-6
+    assert ((found.upright > 0.5) & (found.upright <= 1.0)).all()
+
+
+def test_points_beyond_a_mesh_have_no_height():
+    tiles, _ = build_tiles(Surface(hills(0.4), smooth=False), 1, color=False)
+    found = Index(np.array([0.0, 7.0]), np.array([0.0, 0.0])).heights(tiles)
+    assert np.isnan(found.z).tolist() == [False, True]
+    nothing = Index(np.zeros(0), np.zeros(0)).heights(tiles)
+    assert nothing.z.shape == (0,)
+
+
+def test_linear_interpolation_of_a_smooth_surface_errs_as_one_over_its_triangles():
+    u, v = points.square(20_000)
+    x, y = (u - 0.5) * 12.0, (v - 0.5) * 8.0
+    triangles, error = [], []
+    for spacing in (0.8, 0.4, 0.2, 0.1):
+        tiles, report = build_tiles(Surface(hills(spacing), smooth=False), 1, color=False)
+        away = Index(x, y).heights(tiles).z - np.sin(x) * np.cos(0.7 * y)
+        triangles.append(float(report["faces"]))
+        error.append(points.rms(away))
+    found = slope(triangles, error)
+    assert found is not None
+    assert found.exponent == pytest.approx(1.0, abs=0.03)
+
+
+def test_nobody_looks_at_ground_without_cameras():
+    x, y = looked_at(hills(0.4), NO_VIEWS)
+    assert len(x) == len(y) == 0
+
+
+def sphere(subdivisions: int, radius: float = 1.0) -> Prototype:
+    at, faces = icosphere(subdivisions)
+    return Prototype(
+        name=f"ball_{subdivisions}",
+        points=(radius * at).astype(np.float32),
+        faces=faces,
+        normals=at.astype(np.float32),
+        variation=np.zeros(len(at), np.float32),
+    )
+
+
+def test_distances_are_those_of_another_library():
+    trimesh = pytest.importorskip("trimesh")
+    coarse, fine = sphere(1), sphere(3)
+    mesh = trimesh.Trimesh(coarse.points.astype(float), coarse.faces, process=False)
+    at = points_of(fine)[::7]
+    corners = mesh.triangles
+    # trimesh's distance to one triangle each, over all of them: no index of its own.
+    best = np.full(len(at), np.inf)
+    for triangle in corners:
+        foot = trimesh.triangles.closest_point(np.broadcast_to(triangle, (len(at), 3, 3)), at)
+        best = np.minimum(best, np.linalg.norm(foot - at, axis=1))
+    found = nearest(at, coarse.points.astype(float), coarse.faces.astype(np.int64))
+    assert np.abs(found - best).max() < 1e-12
+
+
+def test_concentric_spheres_are_apart_by_their_radii_but_for_facets():
+    worst, rms = apart(sphere(3, 1.0), sphere(3, 0.5))
+    assert worst == pytest.approx(0.5, abs=8e-3)
+    assert rms == pytest.approx(0.5, abs=8e-3)
+    assert apart(sphere(2), sphere(2)) == pytest.approx((0.0, 0.0), abs=1e-7)
+
+
+def test_a_cosine_decays_as_the_continuous_equation_says():
+    grid = Grid((7.75, 3.75), (16, 32))
+    # The transform's domain reaches half a spacing beyond its samples.
+    phase = np.pi * (np.arange(32) + 0.5) / 32
+    height = np.broadcast_to(np.cos(3 * phase), grid.shape)
+    found = continuous(grid, height, 0.7)
+    wave = 3 * np.pi / (32 * grid.spacing_m[0])
+    assert np.abs(found - height * np.exp(-0.5 * (0.7 * wave) ** 2)).max() < 1e-12
+
+
+def test_a_picture_read_at_texels_is_the_texels_and_between_them_their_mean():
+    picture = np.random.default_rng(1).uniform(size=(8, 16, 3))
+    to = directions(8).reshape(-1, 3)
+    assert np.abs(bilinear(picture, to) - picture.reshape(-1, 3)).max() < 1e-6
+    # North of the level, on the seam between the last column and the first.
+    seam = np.array([[0.0, elementary.cos(0.3), elementary.sin(0.3)]])
+    row = (math.pi / 2 - 0.3) / math.pi * 8 - 0.5
+    above, below = int(row), int(row) + 1
+    mean = 0.5 * (picture[:, 0] + picture[:, -1])
+    expected = mean[above] + (row - above) * (mean[below] - mean[above])
+    assert np.abs(bilinear(picture, seam) - expected).max() < 1e-6
+
+
+def sun(elevation: float) -> SunLight:
+    one = np.ones(1)
+    return SunLight(180.0 * one, elevation * one, 1000.0 * one, 0.53 * one, np.ones((1, 3)))
+
+
+def test_a_clear_sky_by_its_formula_is_the_picture_s_at_texels():
+    plan = ClearSkyPlan(
+        64, np.array([200.0]), np.array([[0.1, 0.3, 0.9]]), np.array([[0.5, 0.6, 0.9]]),
+        np.array([[0.3, 0.3, 0.3]]),
+    )  # fmt: skip
+    light, _ = build_sky(plan, sun(40.0), 1)
+    picture = light.pictures[light.texture[0]][:32].reshape(-1, 3)
+    to = directions(64)[:32].reshape(-1, 3)
+    found = clear_along(plan, sun(40.0), to, points.upper_half(100_000))
+    # The picture's irradiance is summed over its own 64 rows.
+    assert np.abs(found / picture - 1.0).max() < 1e-2
+    ratio = found / picture
+    assert ratio.max() - ratio.min() < 1e-4
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scattering", ["single", "multiple"])
+def test_an_atmosphere_along_rays_is_the_picture_s_at_texels(scattering):
+    one = np.ones(1)
+    plan = AtmospherePlan(
+        "mars", scattering, 32, one, one, one, 0.0 * one, np.array([[0.3, 0.16, 0.09]])
+    )
+    light, _, _ = build_atmosphere(plan, sun(30.0), 1)
+    assert light is not None
+    picture = light.pictures[light.texture[0]][:15].reshape(-1, 3)
+    to = directions(32)[:15].reshape(-1, 3)
+    found = atmosphere_along(plan, sun(30.0), to, 32, 17)
+    assert np.abs(found / picture - 1.0).max() < 1e-3

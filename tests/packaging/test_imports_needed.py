@@ -1,0 +1,103 @@
+"""A command imports what its work needs: no renderer to compile, no other renderer to render."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from small import small_cfg, write_cfg
+
+#: Packages that only one kind of work needs.
+RENDERERS = {"mitsuba", "drjit", "bpy", "pyrender", "OpenGL", "moderngl"}
+OTHERS = {"trimesh", "mujoco", "rasterio", "matplotlib", "torch", "h5py", "pyarrow", "rosbags"}
+#: Leaves what a process and all below it imported, one file each: Python reads it at its start.
+HOOK = """
+import atexit, os, sys
+
+def leave():
+    names = sorted({name.partition(".")[0] for name in sys.modules})
+    whole = sorted(name for name in sys.modules if name.startswith("scenec."))
+    with open(os.path.join(os.environ["SEEN_MODULES"], str(os.getpid())), "w") as file:
+        file.write("\\n".join([*names, *whole]))
+
+atexit.register(leave)
+end = os._exit
+
+def ended(status):
+    # Workers leave by it, past what atexit holds.
+    leave()
+    end(status)
+
+os._exit = ended
+"""
+
+
+def imported(tmp_path: Path, *words: str) -> list[set[str]]:
+    """What each Python process of a command had imported in the end."""
+    hook, seen = tmp_path / "hook", tmp_path / f"seen_{words[0]}_{len(list(tmp_path.iterdir()))}"
+    hook.mkdir(exist_ok=True)
+    seen.mkdir()
+    (hook / "usercustomize.py").write_text(HOOK)
+    (hook / "sitecustomize.py").write_text(HOOK)
+    environment = os.environ | {"PYTHONPATH": str(hook), "SEEN_MODULES": str(seen)}
+    done = subprocess.run(
+        [sys.executable, "-m", "scenec.cli.main", *words],
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    found = [set(path.read_text().split()) for path in sorted(seen.iterdir())]
+    assert any("scenec" in names for names in found)
+    return found
+
+
+def compiled(tmp_path: Path, outputs: list[str]) -> tuple[Path, list[set[str]]]:
+    cfg = small_cfg(samples=1, outputs=outputs)
+    cfg["objects"]["rocks"] |= {"count": 20, "prototypes": 1, "subdivisions": 1}
+    cfg["terrain"]["spacing_m"] = 0.5
+    out = tmp_path / "out"
+    path = write_cfg(tmp_path, cfg)
+    return out, imported(tmp_path, "compile", str(path), "--seed", "1", "-o", str(out))
+
+
+def test_compiling_imports_no_renderer_and_no_backend(tmp_path):
+    out, processes = compiled(tmp_path, ["depth"])
+    for names in processes:
+        assert not names & (RENDERERS | OTHERS)
+        assert not {name for name in names if name.startswith("scenec.backends.")} - {
+            "scenec.backends"
+        }
+    # And explaining it neither.
+    for question in ([], ["--why", "rocks/1"]):
+        for names in imported(tmp_path, "explain", str(out), *question):
+            assert not names & (RENDERERS | OTHERS | {"numba", "scipy"})
+            assert not {name for name in names if name.startswith("scenec.compiler.")}
+
+
+def test_rendering_imports_neither_compiler_nor_other_renderers(tmp_path):
+    out, _ = compiled(tmp_path, ["depth", "instance"])
+    processes = imported(tmp_path, "render", str(out), "--backend", "reference")
+    assert any("scenec.backends.session" in names for names in processes)
+    for names in processes:
+        assert not names & (RENDERERS | OTHERS)
+        assert not {name for name in names if name.startswith("scenec.compiler.")}
+
+
+@pytest.mark.slow
+@pytest.mark.invariant
+@pytest.mark.parametrize(
+    ("backend", "own"),
+    [("mitsuba", {"mitsuba", "drjit"}), ("cycles", {"bpy"}), ("pyrender", {"pyrender", "OpenGL"})],
+)
+def test_a_renderer_is_imported_alone(backend, own, tmp_path):
+    pytest.importorskip(min(own - {"OpenGL"}, key=len))
+    out, _ = compiled(tmp_path, ["rgb", "depth"])
+    processes = imported(tmp_path, "render", str(out), "--backend", backend, "--spp", "2")
+    assert any(names & own for names in processes)
+    for names in processes:
+        assert not names & (RENDERERS - own)
