@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import tempfile
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -308,6 +308,8 @@ class _Run:
             self._say(f"rendering with {opened['version']} on {opened['device']}{more}")
         if opened["warning"]:
             self._note(opened["warning"])
+        for line in _unasked(opened["cameras"][0] if opened["cameras"] else []):
+            self._note(line)
         for line in opened["losses"]:
             if line not in report.losses:
                 report.losses.append(line)
@@ -443,3 +445,19 @@ def _sweep(stem: Path) -> None:
     for path in sorted(stem.parent.glob(f".{stem.name}.*")):
         with suppress(OSError):
             path.unlink()
+
+
+#: What a stage holds only if some camera asked for it, and only what such cameras see.
+_PRUNED_BY = ("rgb", "label", "instance")
+
+
+def _unasked(cameras: list[dict[str, Any]]) -> Iterator[str]:
+    """A line for each camera that is to render what its stage was not compiled for."""
+    for camera in cameras:
+        asked = {name.split(".")[0] for name in camera["passes"]}
+        missing = [n for n in _PRUNED_BY if n in asked and n not in camera["outputs"]]
+        if missing:
+            yield (
+                f"camera {camera['name']} did not ask for {', '.join(missing)}: what only that "
+                "would show may not be in the stage; compile with that output, or with --keep all"
+            )

@@ -68,6 +68,11 @@ def scan_output(
         scene = read_stage(batch.stage)
         report.seconds["read"] += time.perf_counter() - start
         names |= {lidar.name for some in scene.lidars for lidar in some}
+        beyond = [sample for sample in samples or () if sample >= scene.samples]
+        if beyond:
+            raise StageError(
+                f"{batch.stage}: has samples 0 to {scene.samples - 1}, not {beyond[0]}"
+            )
         wanted = [
             (sample, lidar)
             for sample, some in enumerate(scene.lidars)
@@ -91,12 +96,12 @@ def _scan_batch(
     report: ScanReport,
     progress: Callable[[int, int, str], None] | None,
 ) -> None:
-    key = scan_key(scene.digest, version("scenec"), ply)
+    key = scan_key(scene.digest, version("scenec"))
     seconds, caster = report.seconds, None
     for done, (sample, lidar) in enumerate(wanted, 1):
         stem = scan_stem(folder, lidar.name, sample)
         report.scans.append(stem)
-        if not is_scanned(stem, key):
+        if not is_scanned(stem, key, ply):
             start = time.perf_counter()
             caster = caster or ExactCaster(scene)
             loaded = time.perf_counter()

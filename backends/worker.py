@@ -77,6 +77,7 @@ class Worker:
                     "passes": session.passes(request.get("passes"), camera),
                     "pixels": camera.width * camera.height,
                     "fires": camera.fires(sample),
+                    "outputs": camera.outputs,
                 }
                 for camera in cameras
             ]

@@ -12,15 +12,14 @@ def run(options: argparse.Namespace) -> int:
     """Compiles, renders, and scans."""
     lidars = _refuse_early(options)
     compiled = compile_command.compile_now(options)
-    rendered = render_command.render_now(options)
-    made = {
-        "compile": compile_command.as_json(compiled),
-        "render": render_command.as_json(rendered),
-    }
+    made = {"compile": compile_command.as_json(compiled)}
     if lidars:
         from scenec.cli import scan_command
 
+        # First: where no camera is triggered rendering ends in an error.
         made["scan"] = scan_command.as_json(scan_command.scan_now(options))
+    rendered = render_command.render_now(options)
+    made["render"] = render_command.as_json(rendered)
     if options.json:
         print_json(made)
     return 1 if rendered.failed else 0

@@ -353,15 +353,19 @@ class Source:
         return tuple(refs)
 
     def _trigger(self, batch: Batch, camera: str, there: set[int]) -> tuple[int, int]:
-        """When the camera is triggered, as its first sidecar says; (1, 0) if none can be read."""
-        for sample in sorted(there)[:1]:
+        """When the camera is triggered, as a sidecar of the stage says; (1, 0) if none can."""
+        manifest = self.manifest
+        digest = None if manifest is None else stage_digest(manifest, batch.name)
+        for sample in sorted(there):
             stem = frame_stem(batch.folder, self.backend, camera, sample)
             try:
-                every, first = json.loads(stem.with_suffix(".json").read_bytes())["trigger"]
-                return max(int(every), 1), int(first)
-            except (OSError, ValueError, KeyError, TypeError):
+                sidecar = json.loads(stem.with_suffix(".json").read_bytes())
+                if digest in (None, sidecar["stage_digest"]):
+                    every, first = sidecar.get("trigger", (1, 0))
+                    return max(int(every), 1), int(first)
+            except (OSError, ValueError, KeyError, TypeError, AttributeError):
                 # A damaged sidecar is told where its frame is read.
-                break
+                continue
         return 1, 0
 
     def _numbers(self, batch: Batch, camera: str) -> set[int]:

@@ -68,19 +68,25 @@ def scan_stem(folder: Path, lidar: str, sample: int) -> Path:
     return folder / SCANS / lidar / f"{sample:06d}"
 
 
-def scan_key(stage_digest: str, scenec: str, ply: bool) -> str:
+def scan_key(stage_digest: str, scenec: str) -> str:
     """What decides a scan beside its place: sha256, hex."""
-    text = f"{SCAN_VERSION} {scenec} {stage_digest} {ply}"
+    text = f"{SCAN_VERSION} {scenec} {stage_digest}"
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def is_scanned(stem: Path, key: str) -> bool:
-    """Whether a scan is there, whole as far as its size tells, and made with this key."""
+def is_scanned(stem: Path, key: str, ply: bool = False) -> bool:
+    """Whether a scan is there, whole as far as its size tells, and made with this key.
+
+    Args:
+        stem: See ``scan_stem``.
+        key: See ``scan_key``.
+        ply: Whether its cloud of points has to be there, too.
+    """
     try:
         sidecar = json.loads(stem.with_suffix(".json").read_bytes())
         size = stem.with_suffix(".npz").stat().st_size
         whole = bool(sidecar["resume_key"] == key and sidecar["npz"]["bytes"] == size)
-        return whole and (not sidecar["ply"] or stem.with_suffix(".ply").is_file())
+        return whole and (not ply or stem.with_suffix(".ply").is_file())
     except (OSError, ValueError, KeyError, TypeError):
         return False
 
@@ -100,6 +106,8 @@ def write_scan(
         OutputError: A file cannot be written.
     """
     stem.with_suffix(".json").unlink(missing_ok=True)
+    # A cloud of an earlier scan does not belong to this one.
+    stem.with_suffix(".ply").unlink(missing_ok=True)
     path = stem.with_suffix(".npz")
     with atomic(path) as temporary, temporary.open("wb") as file:
         contents: dict[str, Any] = dict(arrays)
@@ -107,8 +115,6 @@ def write_scan(
     if ply:
         with atomic(stem.with_suffix(".ply")) as temporary:
             temporary.write_bytes(as_ply(arrays))
-    else:
-        stem.with_suffix(".ply").unlink(missing_ok=True)
     vouched = {"bytes": path.stat().st_size, "sha256": sha256(path)}
     head = {"version": SCAN_VERSION, **sidecar, "conventions": CONVENTIONS}
     write_json(stem.with_suffix(".json"), {**head, "npz": vouched, "ply": ply})

@@ -18,7 +18,7 @@ from scenec.backends.jobs import Jobs, Wanted
 from scenec.backends.pool import WorkerProcess
 from scenec.backends.registry import ANNOTATION_ONLY, backend_names
 from scenec.backends.watch import Limits
-from scenec.schemas.errors import BackendError, OutputError
+from scenec.schemas.errors import BackendError, OutputError, StageError
 from scenec.schemas.files import write_json
 from scenec.schemas.manifest import Batch, read_manifest, stage_digest
 
@@ -109,6 +109,11 @@ class _Choosing:
             )
             jobs = Jobs(self._batch, reading)
             self._digest: str = jobs.open(worker, None)["digest"]
+            if not jobs.count:
+                raise StageError(
+                    f"{self._batch.stage}: no frame to render: no camera is triggered in the range "
+                    "asked for"
+                )
             self.ask = Ask(
                 frames=jobs.count * len(batches),
                 pixels=jobs.pixels,

@@ -10,6 +10,7 @@ import numpy as np
 
 from scenec.compiler.arithmetic.srgb import linear_codes
 from scenec.compiler.scene import Material, Picture
+from scenec.compiler.surfaces.heights import stamp
 from scenec.schemas.maps import read_pixels
 
 TEXTURES = "textures"
@@ -43,13 +44,13 @@ def average_color(material: Material) -> tuple[float, float, float]:
     file = material.maps.files.get("base_color") if material.maps else None
     if file is None:
         return material.base_color
-    average = _average(file)
+    average = _average(file, stamp(file) if isinstance(file, Path) else None)
     red, green, blue = (c * a for c, a in zip(material.base_color, average, strict=True))
     return (red, green, blue)
 
 
 @lru_cache(maxsize=32)
-def _average(source: Path | Picture) -> tuple[float, float, float]:
+def _average(source: Path | Picture, _stamp: tuple[int, int] | None) -> tuple[float, float, float]:
     pixels = read_pixels(source.data if isinstance(source, Picture) else source)
     if pixels.shape[2] == 1:
         pixels = np.repeat(pixels, 3, axis=2)

@@ -11,9 +11,10 @@ _OF: dict[str, tuple[str, ...]] = {
     "passes.prune": ("Pruned",),
     "scatter.lod": ("Levels",),
     "scene": (
-        "Cells", "Far", "Georeference", "Ground", "GroundLayer", "Haze", "Lamp", "Material",
-        "MaterialMaps", "MeshPart", "Picture", "Placed", "Prototype", "Reflectance", "Rig",
-        "Scatter", "Scene", "Sensor", "SkyLabelMaps", "SkyLight", "SunLight", "Tile",
+        "Cells", "Far", "Georeference", "Ground", "GroundLayer", "Haze", "Lamp", "Lidar",
+        "LidarNoise", "Material", "MaterialMaps", "MeshPart", "Picture", "Placed", "Prototype",
+        "Reflectance", "Rig", "Scatter", "Scene", "Sensor", "SkyLabelMaps", "SkyLight",
+        "SunLight", "Tile",
     ),
     "surfaces.finish": ("Finished",),
     "surfaces.footprint": ("Footprint",),
@@ -36,7 +37,11 @@ _OF: dict[str, tuple[str, ...]] = {
 KINDS: frozenset[str] = frozenset(
     [f"scenec.compiler.{module}:{name}" for module, names in _OF.items() for name in names]
     + [f"scenec.schemas.left_out:{name}" for name in ("ClassRecord", "Reason", "Record")]
-    + ["scenec.schemas.lens:Lens"]
+    + ["scenec.schemas.lens:Lens", "scenec.schemas.imaging:Imaging"]
+    + [
+        f"scenec.schemas.depth_camera:{name}"
+        for name in ("DepthCamera", "StereoDepth", "TimeOfFlightDepth")
+    ]
 )
 
 #: Classes that are no dataclasses: what their constructors take, which they keep by these names.

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scenec.compiler.cameras.lenses import sight_of
 from scenec.compiler.cameras.poses import compose
 from scenec.compiler.scene import Lidar, Rig, Sensor
+from scenec.schemas.depth_camera import StereoDepth
 
 #: Pixels by which a picture counts as wider on every side: renderers' filters reach beyond it.
 _BORDER_PX = 2.0
@@ -95,13 +96,15 @@ def outlook(rigs: tuple[Rig, ...]) -> Outlook:
             for i, pose in enumerate(rig.to_world):
                 at = compose(pose, sensor.to_rig)
                 turn = at[:3, :3]
-                eye.append(at[:3, 3])
-                # To world axes: sums of three products, no BLAS.
-                planes.append((of_sensor.planes[:, None, :] * turn[None, :, :]).sum(axis=2))
-                axis.append(turn[:, 2])
-                cone.append((*of_sensor.cone, of_sensor.reach))
-                sample.append(i)
-                color.append(isinstance(sensor, Sensor) and "rgb" in sensor.outputs)
+                for step in _eyes(sensor):
+                    eye.append(at[:3, 3] + step * turn[:, 0])
+                    # To world axes: sums of three products, no BLAS.
+                    planes.append((of_sensor.planes[:, None, :] * turn[None, :, :]).sum(axis=2))
+                    axis.append(turn[:, 2])
+                    cone.append((*of_sensor.cone, of_sensor.reach))
+                    sample.append(i)
+                    shows = isinstance(sensor, Sensor) and "rgb" in sensor.outputs
+                    color.append(shows and step == 0.0)
     count = len(eye)
     return Outlook(
         np.array(eye, np.float64).reshape(count, 3),
@@ -111,6 +114,14 @@ def outlook(rigs: tuple[Rig, ...]) -> Outlook:
         np.array(sample, np.int64),
         np.array(color, np.bool_),
     )
+
+
+def _eyes(sensor: Sensor | Lidar) -> tuple[float, ...]:
+    """Where a sensor looks from, along its x axis: a stereo camera has a second eye."""
+    measuring = sensor.depth_camera if isinstance(sensor, Sensor) else None
+    if measuring is not None and isinstance(measuring.model, StereoDepth):
+        return 0.0, measuring.model.baseline_m
+    return (0.0,)
 
 
 @njit(cache=True, error_model="numpy")

@@ -171,6 +171,11 @@ def _mark_seen(balls: _Balls, eyes: Eyes) -> None:
         shown = np.maximum(shown, found)
     balls.reason[shown == OUTSIDE] = _CODE[Reason.OUT_OF_VIEW]
     balls.reason[shown == BEHIND] = _CODE[Reason.BEHIND_GROUND]
+    # Sidecars tell how high above the first surface below it a camera is.
+    for at in np.unique(eyes.views.eye[:, :2], axis=0):
+        away = balls.middles[:, :, :2] - at
+        below = ((away * away).sum(axis=2) <= balls.radii * balls.radii).any(axis=0)
+        shown[below] = SHOWN
     balls.reason[shown == SHOWN] = _CODE[Reason.SEEN]
 
 
@@ -264,7 +269,10 @@ def _unseen_tiles(tiles: Sequence[Tile], eyes: Eyes) -> dict[str, Reason]:
         shown = int(
             seen_by(eyes, middles, radii, grouped(middles, radii, span / 16.0), every).max()
         )
-        if shown != SHOWN:
+        low, high = corners[..., :2].min(axis=(0, 1)), corners[..., :2].max(axis=(0, 1))
+        # What is straight below a camera tells how high it is.
+        under = ((eyes.views.eye[:, :2] >= low) & (eyes.views.eye[:, :2] <= high)).all(axis=1)
+        if shown != SHOWN and not under.any():
             found[tile.name] = Reason.BEHIND_GROUND if shown == BEHIND else Reason.OUT_OF_VIEW
     if len(found) == len(tiles):
         # A stage without ground is none that viewers know what to do with.

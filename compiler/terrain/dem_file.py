@@ -190,7 +190,9 @@ def _read_geotiff(
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", NotGeoreferencedWarning)
-            with rasterio.open(file) as source:
+            # Nothing but the file itself counts: masks and statistics beside it are no inputs.
+            alone = {"GDAL_DISABLE_READDIR_ON_OPEN": "EMPTY_DIR", "GDAL_PAM_ENABLED": "NO"}
+            with rasterio.Env(**alone), rasterio.open(file) as source:
                 samples = source.read(1)
                 missing = source.read_masks(1) == 0
                 scale, offset = float(source.scales[0]), float(source.offsets[0])
