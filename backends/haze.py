@@ -160,7 +160,8 @@ def veil(
     passed[index] = _of_subpixels(haze, camera, caster, rays, index, passed[index])
     sky = combine(scene.lighting[sample].domes)
     shown = airlight(haze, sky, rays.directions)
-    behind = _behind(haze, rays, float(scene.bounds[0, 2]), sky)
+    floor = float(scene.bounds[0, 2]) if haze.floor_m is None else haze.floor_m
+    behind = _behind(haze, rays, floor, sky)
     shape = (*rays.shape, 3)
     return Veil(passed.reshape(shape), behind.reshape(shape), shown.reshape(shape), len(index))
 

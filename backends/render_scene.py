@@ -389,11 +389,13 @@ class Haze:
         extinction: Per meter at the world's z = 0, linear Rec.709, float64 [3].
         scale_height_m: It is exp(-z / this) of that at z; inf: the same everywhere.
         airlight: Radiance through endless haze, float64 [3]; None: the sky's at the horizon.
+        floor_m: Height of the ground below the horizon; None: the scene's lowest place.
     """
 
     extinction: NDArray[np.float64]
     scale_height_m: float
     airlight: NDArray[np.float64] | None
+    floor_m: float | None = None
 
 
 @dataclass(frozen=True)

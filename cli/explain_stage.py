@@ -61,10 +61,12 @@ class StageContents:
     Attributes:
         tiles: Triangles of each tile of the terrain, by prim name.
         classes: By name, in the stage's order.
+        asks_ids: Whether a camera asks for instances.
     """
 
     tiles: dict[str, int]
     classes: dict[str, ClassContents]
+    asks_ids: bool
 
     @property
     def instances(self) -> int:
@@ -104,7 +106,8 @@ def read_contents(path: Path) -> StageContents:
     for prim in objects.GetChildren() if objects else ():
         read = _scattered if prim.IsA(UsdGeom.PointInstancer) else _single
         classes[prim.GetName()] = read(prim)
-    return StageContents(tiles, classes)
+    asked = (stage.GetPrimAtPath(f"{names.RENDER_SCOPE}/Vars/{n}") for n in ("instance", "amodal"))
+    return StageContents(tiles, classes, any(map(bool, asked)))
 
 
 def _faces(root: object) -> int:

@@ -156,8 +156,9 @@ class _Asked:
 
     @property
     def has_ids(self) -> bool:
-        """Whether any class has ids in frames."""
-        return any(one.base is not None for one in self.contents.classes.values())
+        """Whether frames have instance ids, though every class may be pruned whole."""
+        based = any(one.base is not None for one in self.contents.classes.values())
+        return based or self.contents.asks_ids
 
     def place(self, name: str, local_id: int) -> int | None:
         """Index of an instance in its class; None where it is not in the stage."""
@@ -228,7 +229,7 @@ def _of_instance(asked: _Asked, name: str, local_id: int) -> Why:
         raise OutputError(f"{asked.data.folder}: its record and its stage differ; compile again")
     words = _NOTHING_MISSING if record is None and reason.kept else reason.text
     there = asked.contents.classes.get(name)
-    shown = there is not None and there.base is not None
+    shown = asked.has_ids if there is None else there.base is not None
     what = f"{name}/{local_id}"
     frame_id = asked.base(name) + local_id if shown else None
     if at is None or there is None:

@@ -113,6 +113,9 @@ ATTR_HEIGHT_BLENDS = "scenec:layers:heightBlends"
 ATTR_HAZE_EXTINCTION = "scenec:haze:extinction"
 ATTR_HAZE_SCALE_HEIGHT = "scenec:haze:scaleHeight"
 ATTR_HAZE_AIRLIGHT = "scenec:haze:airlight"
+#: double, stage units: height of the ground that endless haze below the horizon lies over; not
+#: authored: the lowest place of what is in the stage.
+ATTR_HAZE_FLOOR = "scenec:haze:floor"
 #: On the Sky prim. asset, time-sampled: lat-long picture of label ids, one 8- or 16-bit channel,
 #: raw; and double: its turn about the vertical, degrees, clockwise from above, as of the dome.
 ATTR_SKY_LABEL_MAP = "scenec:sky:labelMap:{level}"

@@ -72,10 +72,14 @@ def _haze(prim: Usd.Prim, frame: StageFrame, time: Usd.TimeCode) -> Haze | None:
         raise StageError(
             f"{prim.GetPath()}: {names.ATTR_HAZE_SCALE_HEIGHT} is {height}, expected above 0"
         )
+    floor = _value(prim, names.ATTR_HAZE_FLOOR, time)
+    if floor is not None and not np.isfinite(float(floor)):
+        raise StageError(f"{prim.GetPath()}: {names.ATTR_HAZE_FLOOR} is {floor}, expected a height")
     return Haze(
         extinction=extinction / frame.meters_per_unit,
         scale_height_m=np.inf if height is None else float(height) * frame.meters_per_unit,
         airlight=_color(prim, names.ATTR_HAZE_AIRLIGHT, time),
+        floor_m=None if floor is None else float(floor) * frame.meters_per_unit,
     )
 
 

@@ -26,6 +26,9 @@ def write_sky_prim(stage: Usd.Stage, folder: Path, scene: Scene) -> None:
         _write_label_maps(sky, folder, scene.sky_label_maps)
     if scene.haze is not None:
         _write_haze(sky, scene.haze)
+        # Of all there was: what was pruned must not move it.
+        floor = sky.CreateAttribute(names.ATTR_HAZE_FLOOR, Sdf.ValueTypeNames.Double, custom=True)
+        floor.Set(float(scene.bounds[0, 2]))
 
 
 def _write_label_maps(sky: Usd.Prim, folder: Path, maps: SkyLabelMaps) -> None:
