@@ -8,6 +8,7 @@ from __future__ import annotations
 from functools import lru_cache
 from typing import Any
 
+from scenec.backends.mitsuba.functions import drjit_functions
 from scenec.backends.reflectance import Numbers, numbers_of, terms, value
 from scenec.backends.render_scene import Reflectance
 
@@ -45,13 +46,7 @@ def register(mi: Any) -> str:
     """Define the BSDF for the variant that is set, and register it; returns its name."""
     import drjit as dr
 
-    class DrJit:
-        """``reflectance.Functions``."""
-
-        sqrt, exp, log = dr.sqrt, dr.exp, dr.log
-        arccos, maximum, minimum = dr.acos, dr.maximum, dr.minimum
-
-    functions: Any = DrJit()
+    functions = drjit_functions()
 
     class Planetary(mi.BSDF):
         """See the module."""

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from scenec.backends.heights import FLAT, LEAST_DEPTH, needed
 from scenec.backends.mitsuba import mix
+from scenec.backends.mitsuba.functions import drjit_functions
 from scenec.backends.mitsuba.geometry import FlatMesh
 from scenec.backends.mitsuba.ggx import SEEN
 from scenec.backends.mitsuba.mix import MIN_ALPHA
@@ -149,13 +150,7 @@ def register(mi: Any) -> str:
     """Define the BSDF for the variant that is set, and register it; returns its name."""
     import drjit as dr
 
-    class DrJit:
-        """``reflectance.Functions``."""
-
-        sqrt, exp, log = dr.sqrt, dr.exp, dr.log
-        arccos, maximum, minimum = dr.acos, dr.maximum, dr.minimum
-
-    functions: Any = DrJit()
+    functions = drjit_functions()
 
     class Stack(mi.BSDF):
         """See the module. Set up by ``prepare``, never by Mitsuba's own parameters."""
