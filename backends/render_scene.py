@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scenec.schemas.depth_camera import DepthCamera
 from scenec.schemas.imaging import Imaging
 from scenec.schemas.lens import Lens
+from scenec.schemas.shutter import Shutter
 
 #: Passes of a camera that no RenderProduct says more about.
 DEFAULT_OUTPUTS = ("rgb", "label", "instance", "depth")
@@ -245,6 +246,34 @@ class Rows:
     part: NDArray[np.int32] | None = None
 
 
+@dataclass(frozen=True, eq=False)
+class OpenShutter:
+    """When rows of a picture are exposed, and where the camera is meanwhile.
+
+    Attributes:
+        shutter: When which row is exposed.
+        times: Seconds from the sample's time, ascending, float64 [k]; they enclose all exposures.
+        camera_to_world: Poses then, float64 [k, 4, 4]; between them ``scenec.backends.shutter``.
+    """
+
+    shutter: Shutter
+    times: NDArray[np.float64]
+    camera_to_world: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Focus:
+    """A lens of finite aperture.
+
+    Attributes:
+        distance_m: Of the plane that is sharp, along the optical axis.
+        aperture_radius_m: Of the entrance pupil, a disk around the camera's origin.
+    """
+
+    distance_m: float
+    aperture_radius_m: float
+
+
 @dataclass(frozen=True)
 class Camera:
     """A camera at one sample: a pinhole, or one with a lens.
@@ -265,6 +294,9 @@ class Camera:
         lens: Which ray a point of the plane that K maps to pixels belongs to; None: a pinhole,
             as said above. Rays: ``scenec.backends.rays``.
         imaging: What its sensor makes of radiance in pictures; None: they show it as it is.
+        shutter: Where it is while the shutter is open; None: still. ``camera_to_world`` is where it
+            is in the middle of the middle row's exposure.
+        focus: What is sharp; None: everything.
     """
 
     name: str
@@ -286,6 +318,8 @@ class Camera:
 
     lens: Lens | None = None
     imaging: Imaging | None = None
+    shutter: OpenShutter | None = None
+    focus: Focus | None = None
 
 
 @dataclass(frozen=True, eq=False)
