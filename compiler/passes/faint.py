@@ -38,8 +38,8 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-from scenec.compiler.passes.horizon import Relief
-from scenec.compiler.passes.visible import Sweep, has_ended, step_of
+from scenec.compiler.passes.places import COARSE, FINE, Places, cell_of
+from scenec.compiler.passes.shadows import Sweep, has_ended, step_of
 
 #: Part of the irradiance of open level ground that all that is left out may make up at any point
 #: that is seen, by the bound. The bound adds up the worst at each object: that it hides the
@@ -47,10 +47,10 @@ from scenec.compiler.passes.visible import Sweep, has_ended, step_of
 #: 100,000 rocks on 500 m by 500 m, a bound of 10 % went with 0.03 % (root of the mean square over
 #: blocks of pixels; at most 0.07 %) under a sun at 35 degrees, and with 0.006 % (0.02 %) at 8.
 TOLERANCE = 0.1
-#: Cells along the longer side: of the field of distances, and of the grid of sums.
-_FINE, _COARSE = 192, 48
+#: Bearings that sums are kept by.
 _EIGHTHS = 8
-_BISECTIONS = 14
+#: The threshold is looked for so often at most, and until so much of the tolerance is used.
+_BISECTIONS, _ENOUGH = 14, 0.97
 
 
 class Factors(NamedTuple):
@@ -65,26 +65,6 @@ class Factors(NamedTuple):
     shadow: float
 
 
-class Places(NamedTuple):
-    """Where what is seen stands, on two grids over all that there is.
-
-    Attributes:
-        frame: x, y of the corner, and the fine cells' width, float64 [3].
-        distance: From each fine cell to the nearest that holds something seen, meters, inf where
-            nothing is seen at all; float64 [ny, nx].
-        seen: Coarse cells that hold something seen, bool [cy, cx].
-        top: Its highest place, float64 [cy, cx].
-        low, high: Of the ground of a coarse cell, -inf where there is none.
-    """
-
-    frame: NDArray[np.float64]
-    distance: NDArray[np.float64]
-    seen: NDArray[np.bool_]
-    top: NDArray[np.float64]
-    low: NDArray[np.float64]
-    high: NDArray[np.float64]
-
-
 class Chosen(NamedTuple):
     """What may be left out.
 
@@ -95,57 +75,6 @@ class Chosen(NamedTuple):
 
     keep: NDArray[np.bool_]
     reached: float
-
-
-def fine_cells(relief: Relief, bounds: NDArray[np.float64]) -> Relief:
-    """The fine grid over all that there is, and bounds of the ground's heights on it."""
-    size = bounds[1, :2] - bounds[0, :2]
-    width = max(float(size.max()) / _FINE, 1e-9)
-    nx, ny = (max(int(np.ceil(n / width)), 1) for n in size.tolist())
-    # Whole coarse cells.
-    times = _FINE // _COARSE
-    nx, ny = (-(-n // times) * times for n in (nx, ny))
-    frame = np.array([bounds[0, 0], bounds[0, 1], width])
-    grid = Relief(
-        np.full((ny, nx), np.inf),
-        np.full((ny, nx), -np.inf),
-        np.array([frame[0], frame[1], width, width]),
-    )
-    _spread(*relief, grid.low, grid.high, frame)
-    return grid
-
-
-def places_seen(
-    grid: Relief,
-    ground_seen: NDArray[np.bool_],
-    middles: NDArray[np.float64],
-    radii: NDArray[np.float64],
-) -> Places:
-    """Where what is seen stands.
-
-    Args:
-        grid: From ``fine_cells``.
-        ground_seen: Fine cells whose ground may be seen, bool [ny, nx].
-        middles, radii: Balls around objects that may be seen.
-    """
-    frame = grid.frame[:3]
-    seen = ground_seen.copy()
-    top = np.where(seen, grid.high, -np.inf)
-    _mark(middles, radii, frame, seen, top)
-    times = _FINE // _COARSE
-    ny, nx = seen.shape
-    blocks = (ny // times, times, nx // times, times)
-    low = np.where(grid.low <= grid.high, grid.low, -np.inf)
-    distance = np.full(seen.shape, np.inf)
-    _distances(seen, float(frame[2]), distance)
-    return Places(
-        frame,
-        distance,
-        seen.reshape(blocks).any(axis=(1, 3)),
-        top.reshape(blocks).max(axis=(1, 3)),
-        low.reshape(blocks).min(axis=(1, 3)),
-        grid.high.reshape(blocks).max(axis=(1, 3)),
-    )
 
 
 def choose(
@@ -168,7 +97,7 @@ def choose(
     count = len(middles)
     if not places.seen.any() or not count:
         return Chosen(np.zeros(count, np.bool_), 0.0)
-    times = _FINE // _COARSE
+    times = FINE // COARSE
     shape = places.seen.shape
     near = np.zeros(count)
     cell = np.zeros(count, np.int64)
@@ -213,6 +142,8 @@ def choose(
             found = reach(middle)
             if found <= tolerance:
                 low, best, reached = middle, middle, found
+                if found > _ENOUGH * tolerance:
+                    break
             else:
                 high = middle
     return Chosen(~(effect < best), reached)
@@ -229,79 +160,11 @@ def _least_around(low: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 @njit(cache=True, error_model="numpy")
-def _spread(low, high, cells, fine_low, fine_high, frame):  # type: ignore[no-untyped-def]
-    """Bounds of the relief's cells for those of the fine grid that they touch."""
-    ny, nx = fine_low.shape
-    for j in range(low.shape[0]):
-        j0 = int(np.floor((cells[1] + j * cells[3] - frame[1]) / frame[2] - 1e-6))
-        j1 = int(np.floor((cells[1] + (j + 1) * cells[3] - frame[1]) / frame[2] + 1e-6))
-        for i in range(low.shape[1]):
-            i0 = int(np.floor((cells[0] + i * cells[2] - frame[0]) / frame[2] - 1e-6))
-            i1 = int(np.floor((cells[0] + (i + 1) * cells[2] - frame[0]) / frame[2] + 1e-6))
-            for n in range(max(j0, 0), min(j1, ny - 1) + 1):
-                for m in range(max(i0, 0), min(i1, nx - 1) + 1):
-                    fine_low[n, m] = min(fine_low[n, m], low[j, i])
-                    fine_high[n, m] = max(fine_high[n, m], high[j, i])
-
-
-@njit(cache=True, error_model="numpy")
-def _mark(middles, radii, frame, seen, top):  # type: ignore[no-untyped-def]
-    ny, nx = seen.shape
-    for n in range(len(middles)):
-        x, y, z = middles[n]
-        i0 = int(np.floor((x - radii[n] - frame[0]) / frame[2]))
-        i1 = int(np.floor((x + radii[n] - frame[0]) / frame[2]))
-        j0 = int(np.floor((y - radii[n] - frame[1]) / frame[2]))
-        j1 = int(np.floor((y + radii[n] - frame[1]) / frame[2]))
-        for j in range(max(j0, 0), min(j1, ny - 1) + 1):
-            for i in range(max(i0, 0), min(i1, nx - 1) + 1):
-                seen[j, i] = True
-                top[j, i] = max(top[j, i], z + radii[n])
-
-
-@njit(cache=True, error_model="numpy")
-def _distances(seen, width, distance):  # type: ignore[no-untyped-def]
-    """Least distance between points of cells: along columns, then along rows, exactly."""
-    ny, nx = seen.shape
-    column = np.full((ny, nx), np.inf)
-    for i in range(nx):
-        last = -1
-        for j in range(ny):
-            if seen[j, i]:
-                last = j
-            if last >= 0:
-                column[j, i] = j - last
-        last = -1
-        for j in range(ny - 1, -1, -1):
-            if seen[j, i]:
-                last = j
-            if last >= 0:
-                column[j, i] = min(column[j, i], last - j)
-    for j in range(ny):
-        for i in range(nx):
-            best = np.inf
-            for m in range(nx):
-                if column[j, m] < np.inf:
-                    # Points of two cells are nearer by up to a cell along each axis.
-                    across = max(abs(i - m) - 1.0, 0.0)
-                    down = max(column[j, m] - 1.0, 0.0)
-                    best = min(best, across * across + down * down)
-            distance[j, i] = np.sqrt(best) * width
-
-
-@njit(cache=True, error_model="numpy")
-def _cell_of(frame, shape, x, y):  # type: ignore[no-untyped-def]
-    i = min(max(int(np.floor((x - frame[0]) / frame[2])), 0), shape[1] - 1)
-    j = min(max(int(np.floor((y - frame[1]) / frame[2])), 0), shape[0] - 1)
-    return j, i
-
-
-@njit(cache=True, error_model="numpy")
 def _nearest(distance, frame, middles, radii, times, near, cell):  # type: ignore[no-untyped-def]
     """Distance from objects to the nearest place seen, and their coarse cells."""
     columns = distance.shape[1] // times
     for n in range(len(middles)):
-        j, i = _cell_of(frame, distance.shape, middles[n, 0], middles[n, 1])
+        j, i = cell_of(frame, distance.shape, middles[n, 0], middles[n, 1])
         near[n] = distance[j, i]
         cell[n] = (j // times) * columns + i // times
 
@@ -311,13 +174,13 @@ def _follow(distance, frame, ways, bounds, low, cells, middles, radii, near, pat
     """Distance from shadows to the nearest place seen; the fine cells they begin and end in."""
     for n in prange(len(middles)):
         x, y, z = middles[n]
-        j, i = _cell_of(frame, distance.shape, x, y)
+        j, i = cell_of(frame, distance.shape, x, y)
         first_j, last_j, first_i, last_i = j, j, i, i
         for d in range(len(ways)):
             at = 0.0
             while True:
                 ball, step, end = step_of(ways[d, :3], ways[d, 3:], x, y, z, radii[n], at)
-                j, i = _cell_of(frame, distance.shape, ball[0], ball[1])
+                j, i = cell_of(frame, distance.shape, ball[0], ball[1])
                 near[n] = min(near[n], max(distance[j, i] - ball[3], 0.0))
                 first_j, last_j = min(first_j, j), max(last_j, j)
                 first_i, last_i = min(first_i, i), max(last_i, i)

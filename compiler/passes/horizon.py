@@ -96,21 +96,23 @@ def horizon_of(relief: Relief, ground: Ground, views: Outlook) -> Horizon:
     bins = int(min(_BINS, max(_FEWEST, _ALL_BINS // max(len(eye), 1)))) // 4 * 4
     rings = np.array(edges)
     slope = np.full((len(eye), bins, len(edges) - 1), -np.inf, np.float32)
-    above = np.array([_is_above(ground.tiles, at) for at in eye], np.bool_)
+    # An eye that moves sees over what hides from one of its places.
+    above = _are_above(ground.tiles, eye) & ~views.moving
     _find_slopes(relief.low, relief.frame, eye, views.planes, views.axis, views.cone, above, rings,
                  slope)  # fmt: skip
     return Horizon(slope, rings)
 
 
-def _is_above(tiles: tuple[Tile, ...], eye: NDArray[np.float64]) -> bool:
-    """Whether an eye is over the terrain, in plan and in height."""
-    found = -np.inf
+def _are_above(tiles: tuple[Tile, ...], eyes: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Which eyes are over the terrain, in plan and in height; bool [v]."""
+    found = np.full(len(eyes), -np.inf)
     for tile in tiles:
-        at = eye - tile.translate
-        low, high = tile.points.min(axis=0), tile.points.max(axis=0)
-        if (at[:2] >= low[:2]).all() and (at[:2] <= high[:2]).all():
-            found = max(found, _height(tile.points, tile.faces, at[0], at[1]) + tile.translate[2])
-    return bool(found > -np.inf and eye[2] > found)
+        at = eyes - tile.translate
+        low, high = tile.points[:, :2].min(axis=0), tile.points[:, :2].max(axis=0)
+        for v in np.flatnonzero(((at[:, :2] >= low) & (at[:, :2] <= high)).all(axis=1)).tolist():
+            height = _height(tile.points, tile.faces, at[v, 0], at[v, 1]) + tile.translate[2]
+            found[v] = max(found[v], height)
+    return (found > -np.inf) & (eyes[:, 2] > found)
 
 
 @njit(cache=True, error_model="numpy")

@@ -13,7 +13,7 @@ from scenec.compiler.light.latlong import directions_of_rows, luminance, read_pi
 from scenec.compiler.light.sky import sky_irradiance, sun_direction
 from scenec.compiler.passes.faint import TOLERANCE, Factors
 from scenec.compiler.passes.horizon import Relief
-from scenec.compiler.passes.visible import Sweep
+from scenec.compiler.passes.shadows import Sweep
 from scenec.compiler.scene import Lamp, Material, Scene, SunLight
 from scenec.compiler.surfaces.values import raw
 

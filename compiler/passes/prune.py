@@ -6,7 +6,7 @@ stays if, at any sample, for any sensor,
 
 1. a view may see it: its ball meets the view's cone and is not behind the ground (``outlook``,
    ``horizon``: both err one way, so every pixel's first hit stays, and annotation with it);
-2. with color, its shadow may fall on what a view with color sees (``visible.shadows_seen``), a lamp
+2. with color, its shadow may fall on what a view with color sees (``shadows.shadows_seen``), a lamp
    may shine on it, or it shines itself;
 3. with color, the light that it takes or sends is more than is left of a tolerance for all that is
    left out together (``faint``).
@@ -24,12 +24,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.passes.faint import TOLERANCE, Chosen, choose, fine_cells, places_seen
+from scenec.compiler.passes.faint import TOLERANCE, Chosen, choose
 from scenec.compiler.passes.horizon import Horizon, Relief, horizon_of, relief_of
 from scenec.compiler.passes.keep import Keep
 from scenec.compiler.passes.lighting import factors_of, lit_by_lamps, sweep_of
 from scenec.compiler.passes.needed import Needs, without_unused
 from scenec.compiler.passes.outlook import outlook
+from scenec.compiler.passes.places import fine_cells, places_seen
+from scenec.compiler.passes.shadows import shadows_seen
 from scenec.compiler.passes.visible import (
     BEHIND,
     OUTSIDE,
@@ -38,7 +40,7 @@ from scenec.compiler.passes.visible import (
     Groups,
     grouped,
     seen_by,
-    shadows_seen,
+    stand_below,
 )
 from scenec.compiler.scene import Ground, Placed, Scatter, Scene, Tile
 from scenec.schemas.left_out import ORDER, ClassRecord, Reason, Record, entry
@@ -172,10 +174,9 @@ def _mark_seen(balls: _Balls, eyes: Eyes) -> None:
     balls.reason[shown == OUTSIDE] = _CODE[Reason.OUT_OF_VIEW]
     balls.reason[shown == BEHIND] = _CODE[Reason.BEHIND_GROUND]
     # Sidecars tell how high above the first surface below it a camera is.
-    for at in np.unique(eyes.views.eye[:, :2], axis=0):
-        away = balls.middles[:, :, :2] - at
-        below = ((away * away).sum(axis=2) <= balls.radii * balls.radii).any(axis=0)
-        shown[below] = SHOWN
+    plan = np.unique(eyes.views.eye[:, :2], axis=0)
+    for middles, radii in zip(balls.middles, balls.radii, strict=True):
+        shown[stand_below(plan, middles, radii)] = SHOWN
     balls.reason[shown == SHOWN] = _CODE[Reason.SEEN]
 
 
@@ -188,15 +189,6 @@ def _mark_light(
     facts: dict[str, Any],
 ) -> Chosen:
     """Marks what stays for its shadow or for the light that it takes or sends."""
-    sweep = sweep_of(scene, relief, halo=True)
-    for one, balls in zip(scene.objects, classes, strict=True):
-        if _shines(one, scene):
-            balls.reason[balls.open] = _CODE[Reason.LIGHT]
-        for k, sample in enumerate(balls.samples()):
-            at = balls.middles[k], balls.radii[k]
-            lit = shadows_seen(eyes, sweep, *at, balls.groups[k], ~balls.open, sample)
-            lit |= lit_by_lamps(scene, *at, sample)
-            balls.reason[lit & balls.open] = _CODE[Reason.SHADOW]
     grid = fine_cells(relief, scene.bounds)
     seen = [balls.reason == _CODE[Reason.SEEN] for balls in classes]
     places = places_seen(
@@ -207,6 +199,15 @@ def _mark_light(
         np.concatenate([b.radii[:, s].ravel() for b, s in zip(classes, seen, strict=True)]
                        or [np.zeros(0)]),
     )  # fmt: skip
+    sweep = sweep_of(scene, relief, halo=True)
+    for one, balls in zip(scene.objects, classes, strict=True):
+        if _shines(one, scene):
+            balls.reason[balls.open] = _CODE[Reason.LIGHT]
+        for k, sample in enumerate(balls.samples()):
+            at = balls.middles[k], balls.radii[k]
+            lit = shadows_seen(eyes, places, sweep, *at, ~balls.open, sample)
+            lit |= lit_by_lamps(scene, *at, sample)
+            balls.reason[lit & balls.open] = _CODE[Reason.SHADOW]
     factors = factors_of(scene)
     facts["light"] = {"around": factors.around, "shadow": factors.shadow}
     left = [balls.open for balls in classes]

@@ -1,4 +1,4 @@
-"""Which balls a view may see, and whose shadow may fall on what a view sees.
+"""Which balls a view may see.
 
 Everything here errs one way: what certainly does not show is found not to, by cones of views and by
 the ground alone. No object hides another.
@@ -12,17 +12,11 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-from scenec.compiler.passes.horizon import Horizon, Relief, is_hidden
+from scenec.compiler.passes.horizon import Horizon, is_hidden
 from scenec.compiler.passes.outlook import Outlook, in_view
 
 #: What a view may show of a ball: nothing, nothing because of the ground, something.
 OUTSIDE, BEHIND, SHOWN = 0, 1, 2
-#: A swept ball's steps are at least this share of the way it has come.
-_STRIDE = 1.0 / 16.0
-#: Of long steps, in radii.
-_LONG = 32.0
-#: Cells of the relief along a step's side, up to which it is asked whether all lies below them.
-_ASKED = 8
 
 
 class Eyes(NamedTuple):
@@ -49,24 +43,6 @@ class Groups(NamedTuple):
     order: NDArray[np.int64]
     start: NDArray[np.int64]
     balls: NDArray[np.float64]
-
-
-class Sweep(NamedTuple):
-    """Directions in which shadows fall.
-
-    Attributes:
-        way: Away from each light, unit vectors, float64 [d, 3].
-        widening: Cosine and tangent of half of what the light spans, float64 [d, 2].
-        sample: At which it shines so, int64 [d].
-        bounds: x, y and z of all that there is, float64 [2, 3].
-        relief: The terrain; of no cells where it has overhangs.
-    """
-
-    way: NDArray[np.float64]
-    widening: NDArray[np.float64]
-    sample: NDArray[np.int64]
-    bounds: NDArray[np.float64]
-    relief: Relief
 
 
 def grouped(middles: NDArray[np.float64], radii: NDArray[np.float64], width: float) -> Groups:
@@ -121,35 +97,17 @@ def seen_by(
     return out
 
 
-def shadows_seen(
-    eyes: Eyes,
-    sweep: Sweep,
-    middles: NDArray[np.float64],
-    radii: NDArray[np.float64],
-    groups: Groups,
-    done: NDArray[np.bool_],
-    sample: int = -1,
+def stand_below(
+    points: NDArray[np.float64], middles: NDArray[np.float64], radii: NDArray[np.float64]
 ) -> NDArray[np.bool_]:
-    """Whose shadow may fall on what a view with color sees at the same sample.
-
-    The shadow of a ball is within the ball swept away from the light, as much wider at a distance
-    as the light is wide. It is looked for in steps, each in a ball of its own.
+    """Which balls are straight above or below a point.
 
     Args:
-        eyes: The views.
-        sweep: The lights.
+        points: x and y, float64 [p, 2].
         middles, radii: The balls, float64 [n, 3] and [n].
-        groups: Of them.
-        done: Those not asked for, bool [n].
-        sample: Only at this sample; -1: at all.
     """
     out = np.zeros(len(middles), np.bool_)
-    views, horizon = eyes
-    for d in np.flatnonzero((sweep.sample == sample) | (sample < 0)).tolist():
-        count = np.flatnonzero(views.color & (views.sample == sweep.sample[d]))
-        _sweep(views.eye, views.planes, views.axis, views.cone, count, horizon.slope,
-               horizon.edges, sweep.way[d], sweep.widening[d], sweep.bounds, sweep.relief.low,
-               sweep.relief.frame, middles, radii, *groups, done, out)  # fmt: skip
+    _find_below(points, middles, radii, out)
     return out
 
 
@@ -174,7 +132,18 @@ def _surround(middles, radii, start, balls):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def _shows(eyes, planes, axes, cones, slopes, edges, v, x, y, z, radius):  # type: ignore[no-untyped-def]
+def _find_below(points, middles, radii, out):  # type: ignore[no-untyped-def]
+    for n in range(len(middles)):
+        for k in range(len(points)):
+            across, down = middles[n, 0] - points[k, 0], middles[n, 1] - points[k, 1]
+            if across * across + down * down <= radii[n] * radii[n]:
+                out[n] = True
+                break
+
+
+@njit(cache=True, error_model="numpy")
+def shows(eyes, planes, axes, cones, slopes, edges, v, x, y, z, radius):  # type: ignore[no-untyped-def]
+    """What a view may show of a ball: ``OUTSIDE``, ``BEHIND`` or ``SHOWN``."""
     if not in_view(eyes[v], planes[v], axes[v], cones[v], x, y, z, radius):
         return 0
     if slopes.shape[2] > 0 and is_hidden(eyes[v], slopes[v], edges, x, y, z, radius):
@@ -192,7 +161,7 @@ def _see(eyes, planes, axes, cones, views, slopes, edges, middles, radii, order,
         most = 0
         for i in range(len(views)):
             v = views[i]
-            found = _shows(eyes, planes, axes, cones, slopes, edges, v, x, y, z, radius)
+            found = shows(eyes, planes, axes, cones, slopes, edges, v, x, y, z, radius)
             if found == 2:
                 maybe[count] = v
                 count += 1
@@ -202,7 +171,7 @@ def _see(eyes, planes, axes, cones, views, slopes, edges, middles, radii, order,
             n = order[k]
             best = 0
             for i in range(count):
-                found = _shows(
+                found = shows(
                     eyes, planes, axes, cones, slopes, edges, maybe[i],
                     middles[n, 0], middles[n, 1], middles[n, 2], radii[n],
                 )  # fmt: skip
@@ -213,124 +182,3 @@ def _see(eyes, planes, axes, cones, views, slopes, edges, middles, radii, order,
                 # Which of the hidden group's are in the cone says nothing but the reason.
                 best = 1
             out[n] = best
-
-
-@njit(cache=True, error_model="numpy")
-def is_buried(low, frame, x, y, z, radius):  # type: ignore[no-untyped-def]
-    """Whether a ball certainly lies below the terrain as a whole."""
-    if low.shape[0] == 0:
-        return False
-    i0 = int(np.floor((x - radius - frame[0]) / frame[2] - 1e-6))
-    i1 = int(np.floor((x + radius - frame[0]) / frame[2] + 1e-6))
-    j0 = int(np.floor((y - radius - frame[1]) / frame[3] - 1e-6))
-    j1 = int(np.floor((y + radius - frame[1]) / frame[3] + 1e-6))
-    if i1 - i0 >= _ASKED or j1 - j0 >= _ASKED:
-        return False
-    if i0 < 0 or j0 < 0 or i1 >= low.shape[1] or j1 >= low.shape[0]:
-        return False
-    for j in range(j0, j1 + 1):
-        for i in range(i0, i1 + 1):
-            if low[j, i] <= z + radius:
-                return False
-    return True
-
-
-@njit(cache=True, error_model="numpy")
-def step_of(way, widening, x, y, z, radius, at, length=2.0):  # type: ignore[no-untyped-def]
-    """The next step of a swept ball that has come a way ``at``.
-
-    Args:
-        way, widening: Of the light.
-        x, y, z, radius: The ball.
-        at: The way that it has come.
-        length: Of the step, in radii, at least.
-
-    Returns:
-        A ball around all of the step (x, y, z, radius), its length, and the ball at its end.
-    """
-    here = radius / widening[0] + at * widening[1]
-    step = max(length * here, _STRIDE * at)
-    middle = at + 0.5 * step
-    there = here + step * widening[1]
-    end = at + step
-    return (
-        (x + middle * way[0], y + middle * way[1], z + middle * way[2], 0.5 * step + there),
-        step,
-        (x + end * way[0], y + end * way[1], z + end * way[2], there),
-    )
-
-
-@njit(cache=True, error_model="numpy")
-def has_ended(way, widening, bounds, low, frame, end):  # type: ignore[no-untyped-def]
-    """Whether nothing comes after a step's end: it is below the ground, or beyond everything."""
-    x, y, z, reach = end
-    falls = way[2] + widening[1] < 0.0
-    if falls and (z + reach < bounds[0, 2] or is_buried(low, frame, x, y, z, reach)):
-        return True
-    out = z - reach > bounds[1, 2] and way[2] - widening[1] >= 0.0
-    for k in range(2):
-        at = x if k == 0 else y
-        out = out or (at + reach < bounds[0, k] and way[k] + widening[1] <= 0.0)
-        out = out or (at - reach > bounds[1, k] and way[k] - widening[1] >= 0.0)
-    return out or reach > 4.0 * (bounds[1, 0] - bounds[0, 0] + bounds[1, 1] - bounds[0, 1])
-
-
-@njit(cache=True, error_model="numpy")
-def _swept(  # type: ignore[no-untyped-def]
-    eyes, planes, axes, cones, views, slopes, edges, way, widening, bounds, low, frame,
-    x, y, z, radius,
-):  # fmt: skip
-    """Whether any view may see a place where the ball's shadow can fall."""
-    # Long steps first: where they show nothing, short ones show nothing either.
-    for length in (_LONG, 2.0):
-        if not _swept_in_steps(
-            eyes, planes, axes, cones, views, slopes, edges, way, widening, bounds, low, frame,
-            x, y, z, radius, length,
-        ):  # fmt: skip
-            return False
-    return True
-
-
-@njit(cache=True, error_model="numpy")
-def _swept_in_steps(  # type: ignore[no-untyped-def]
-    eyes, planes, axes, cones, views, slopes, edges, way, widening, bounds, low, frame,
-    x, y, z, radius, length,
-):  # fmt: skip
-    at = 0.0
-    while True:
-        ball, step, end = step_of(way, widening, x, y, z, radius, at, length)
-        for i in range(len(views)):
-            if _shows(eyes, planes, axes, cones, slopes, edges, views[i], *ball) == 2:
-                return True
-        if has_ended(way, widening, bounds, low, frame, end):
-            return False
-        at += step
-
-
-@njit(cache=True, error_model="numpy", parallel=True)
-def _sweep(  # type: ignore[no-untyped-def]
-    eyes, planes, axes, cones, views, slopes, edges, way, widening, bounds, low,
-    frame, middles, radii, order, start, balls, done, out,
-):  # fmt: skip
-    for g in prange(len(balls)):
-        left = 0
-        for k in range(start[g], start[g + 1]):
-            n = order[k]
-            if not done[n] and not out[n]:
-                left += 1
-        if left == 0:
-            continue
-        x, y, z, radius = balls[g]
-        if not _swept(
-            eyes, planes, axes, cones, views, slopes, edges, way, widening, bounds, low, frame,
-            x, y, z, radius,
-        ):  # fmt: skip
-            continue
-        for k in range(start[g], start[g + 1]):
-            n = order[k]
-            if done[n] or out[n]:
-                continue
-            out[n] = _swept(
-                eyes, planes, axes, cones, views, slopes, edges, way, widening, bounds, low, frame,
-                middles[n, 0], middles[n, 1], middles[n, 2], radii[n],
-            )  # fmt: skip

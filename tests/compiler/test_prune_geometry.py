@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 
 from scenec.compiler.cameras.poses import look_at
-from scenec.compiler.passes.faint import Factors, choose, fine_cells, places_seen
+from scenec.compiler.passes.faint import Factors, choose
 from scenec.compiler.passes.horizon import Horizon, horizon_of, is_hidden, relief_of
 from scenec.compiler.passes.outlook import in_view, outlook
-from scenec.compiler.passes.visible import SHOWN, Eyes, Sweep, grouped, seen_by, shadows_seen
+from scenec.compiler.passes.places import fine_cells, places_seen
+from scenec.compiler.passes.shadows import Sweep, shadows_seen
+from scenec.compiler.passes.visible import SHOWN, Eyes, grouped, seen_by
 from scenec.compiler.scene import Ground, GroundLayer, Rig, Sensor, Tile
 
 _SIDE = 48
@@ -159,6 +161,8 @@ def test_a_shadow_that_falls_on_a_point_in_view_is_found(elevation):
         sweep = Sweep(-sun[None], np.array([[np.cos(half), np.tan(half)]]), np.zeros(1, np.int64),
                       bounds, relief)  # fmt: skip
         middles, radii, lighted = [], [], []
+        grid = fine_cells(relief, bounds)
+        shown = np.zeros(grid.low.shape, np.bool_)
         # Points that the view shows, and balls between them and a place on the sun's disc.
         for _ in range(60):
             u, v = rng.uniform(0, 80), rng.uniform(0, 60)
@@ -167,6 +171,8 @@ def test_a_shadow_that_falls_on_a_point_in_view_is_found(elevation):
             t = _first_hits(eye, [way], triangles)[0]
             if not np.isfinite(t):
                 continue
+            i, j = ((eye + t * way)[:2] - grid.frame[:2]) // grid.frame[2:]
+            shown[int(j), int(i)] = True
             beside = np.cross(sun, rng.normal(size=3))
             to_disc = sun + np.tan(half) * beside / np.linalg.norm(beside) * rng.uniform(0, 1)
             middle = eye + t * way + to_disc * 10 ** rng.uniform(-1, 1.3)
@@ -181,7 +187,8 @@ def test_a_shadow_that_falls_on_a_point_in_view_is_found(elevation):
         groups = grouped(at, reach, 2.0)
         none = np.zeros(len(at), np.bool_)
         seen = seen_by(eyes, at, reach, groups, views.color) == SHOWN
-        lit = shadows_seen(eyes, sweep, at, reach, groups, none)
+        places = places_seen(grid, shown, np.zeros((0, 3)), np.zeros(0))
+        lit = shadows_seen(eyes, places, sweep, at, reach, none)
         free = np.array(lighted)
         assert lit[free].all()
         found += int((free & ~seen).sum())
