@@ -38,6 +38,7 @@ types: setup  ## Type checker.
 
 unit: setup  ## The tests alone (WORKERS=2 processes; PYTEST_ARGS for more).
 	@tools/browser.sh
+	@.venv/bin/python tests/warm_kernels.py
 	@echo "== Testing, $(WORKERS) processes"
 	@.venv/bin/python -m pytest -n $(WORKERS) --dist loadfile $(MARKED) $(PYTEST_ARGS)
 

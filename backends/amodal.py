@@ -25,6 +25,7 @@ from scenec.backends.exact.silhouette import (
 )
 from scenec.backends.rays import camera_rays
 from scenec.backends.render_scene import Camera, RenderScene
+from scenec.backends.shutter import is_rolling
 
 #: Pixels of windows that are held at once, unless one window alone has more.
 _AT_ONCE = 1 << 25
@@ -96,7 +97,8 @@ class Outliner:
     ) -> Silhouettes:
         """Outline the instances that a picture shows.
 
-        A picture through a lens is not continued beyond its border: ``full`` is ``areas`` there.
+        A picture through a lens, or with a rolling shutter, is not continued beyond its border:
+        ``full`` is ``areas`` there.
 
         Args:
             geometry: Of the scene, posed as at the picture's sample.
@@ -106,7 +108,7 @@ class Outliner:
             shown: First column, first row, last column and last row that shows each, int64 [n, 4].
             masks: Whether to make masks, too.
             ray_cost: What a ray costs in triangles (``exact.silhouette``); changes time alone.
-            rays: The picture's; made where they are missing and the camera has a lens.
+            rays: The picture's; made where they are missing and needed.
         """
         width, height = camera.width, camera.height
         k = np.ascontiguousarray(camera.intrinsics, np.float64)
@@ -117,7 +119,7 @@ class Outliner:
         parts = np.zeros((len(rows), 4), np.int64)
         whole = np.zeros(len(rows), bool)
         of_lens = None
-        if camera.lens is not None:
+        if camera.lens is not None or is_rolling(camera):
             of_lens = camera_rays(camera) if rays is None else rays
             parts = outline_rays.frame_rows(geometry, rows, of_lens)
         else:

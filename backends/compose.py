@@ -12,10 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.backends.contract import Radiance
-from scenec.backends.noise import Noise, estimate
+from scenec.backends.noise import Noise, estimate, sky_differs
 from scenec.backends.rays import camera_rays, subpixel_directions
 from scenec.backends.render_scene import Camera, RenderScene, Sun
-from scenec.backends.sky import MIN_SUN_DIAMETER_RAD, combine, lookup
+from scenec.backends.shutter import is_rolling
+from scenec.backends.sky import MIN_SUN_DIAMETER_RAD, Sky, combine, lookup
 
 if TYPE_CHECKING:
     from scenec.backends.haze import Veil
@@ -60,59 +61,111 @@ def compose(
     With haze, both halves are seen through it, so noise and its estimates shrink with what arrives
     of the surfaces' light, and are relative to the picture with airlight.
 
+    Where radiance brings what is behind (``Radiance.background``) it is the mean of both together.
+
     Args:
         radiance: What the renderer has.
         scene, camera, sample: For the sky behind it.
         veil: Haze before it, if there is any.
     """
+    rgb = paint(radiance, scene, camera, sample, veil)
+    noise = estimate(through(radiance, veil), noisy_pixels(radiance), radiance.stochastic)
+    return Picture(rgb, noise)
+
+
+def noisy_pixels(radiance: Radiance) -> NDArray[np.bool_]:
+    """Pixels that estimates of noise are of, bool [h, w]: those with surfaces.
+
+    With a background of its own also those where that differs between the halves.
+    """
+    covered = radiance.coverage > 0.0
+    if radiance.background is not None:
+        covered = covered | sky_differs(radiance.background)
+    return covered
+
+
+def through(radiance: Radiance, veil: Veil | None) -> NDArray[np.float64]:
+    """The halves as haze lets them through, float64 [2, h, w, 3]; with a background of their own.
+
+    What surfaces hide of the sky differs between the halves as their light does.
+    """
     halves = radiance.halves.astype(np.float64)
-    if veil is not None:
-        halves = veil.over(halves, radiance.coverage.astype(np.float64))
+    if radiance.background is not None:
+        return halves + radiance.background
+    if veil is None:
+        return halves
+    return veil.over(halves, radiance.coverage.astype(np.float64))
+
+
+def paint(
+    radiance: Radiance,
+    scene: RenderScene,
+    camera: Camera,
+    sample: int,
+    veil: Veil | None = None,
+    rows: range | None = None,
+) -> NDArray[np.float32]:
+    """The picture of ``compose``, float32 [h, w, 3].
+
+    Args:
+        radiance, scene, camera, sample, veil: As for ``compose``.
+        rows: Of the camera's picture, that ``radiance`` and ``veil`` are of; None: all.
+    """
+    if radiance.background is not None:
+        halves = through(radiance, None)
+        return np.asarray(0.5 * (halves[0] + halves[1]), np.float32)
     open_sky = 1.0 - radiance.coverage.astype(np.float64)
-    light = 0.5 * (halves[0] + halves[1])
-    if radiance.denoised is not None:
+    if radiance.denoised is None:
+        halves = through(radiance, veil)
+        light = 0.5 * (halves[0] + halves[1])
+    else:
         light = radiance.denoised.astype(np.float64)
         if veil is not None:
             light = veil.over(light, radiance.coverage.astype(np.float64))
-    behind = background(scene, camera, sample, open_sky > 0.0)
+    behind = background(scene, camera, sample, open_sky > 0.0, rows)
     if veil is not None:
         behind = veil.over_sky(behind)
-    rgb = light + open_sky[..., None] * behind
-
-    noise = estimate(halves, radiance.coverage > 0.0, radiance.stochastic)
-    return Picture(rgb.astype(np.float32), noise)
+    return np.asarray(light + open_sky[..., None] * behind, np.float32)
 
 
 def background(
-    scene: RenderScene, camera: Camera, sample: int, wanted: NDArray[np.bool_]
+    scene: RenderScene,
+    camera: Camera,
+    sample: int,
+    wanted: NDArray[np.bool_],
+    rows: range | None = None,
+    sky: Sky | None = None,
 ) -> NDArray[np.float64]:
     """Radiance of sky and suns behind the wanted pixels, float64 [h, w, 3]; 0 elsewhere.
 
     The sky is looked up at pixel centers; a sun's disc is uniform, E / (pi * sin(diameter/2)**2),
-    and is averaged over the pixel.
+    and is averaged over the pixel. ``rows``: of the picture, that ``wanted`` is of; None: all.
+    ``sky``: of the sample's domes, where it is combined already.
     """
-    out = np.zeros((camera.height * camera.width, 3))
+    rows = range(camera.height) if rows is None else rows
+    out = np.zeros((len(rows) * camera.width, 3))
     index = np.flatnonzero(wanted.ravel())
     lighting = scene.lighting[sample]
     if len(index) == 0 or not (lighting.domes or lighting.suns):
-        return out.reshape(camera.height, camera.width, 3)
-    rays = camera_rays(camera)
+        return out.reshape(len(rows), camera.width, 3)
+    rays = camera_rays(camera, rows)
     if rays.known is not None:
         # Outside of the image circle it is black.
         index = index[rays.known[index]]
     directions = rays.directions[index]
-    sky = combine(lighting.domes)
+    sky = combine(lighting.domes) if sky is None else sky
     if sky is not None:
         out[index] = lookup(sky, directions)
     for sun in lighting.suns:
-        if camera.lens is None:
+        if camera.lens is None and not is_rolling(camera):
             near, fraction = disc_fraction(sun, camera, directions)
         else:
-            near, fraction = lens_disc_fraction(sun, camera, directions, index)
+            pixels = index + rows.start * camera.width
+            near, fraction = lens_disc_fraction(sun, camera, directions, pixels)
         half = 0.5 * max(sun.diameter_rad, MIN_SUN_DIAMETER_RAD)
         disc = np.asarray(sun.irradiance) / (np.pi * np.sin(half) ** 2)
         out[index[near]] += fraction[:, None] * disc
-    return out.reshape(camera.height, camera.width, 3)
+    return out.reshape(len(rows), camera.width, 3)
 
 
 def disc_fraction(
@@ -153,7 +206,7 @@ def disc_fraction(
 def lens_disc_fraction(
     sun: Sun, camera: Camera, directions: NDArray[np.float64], index: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """The same of a camera with a lens.
+    """The same of a camera with a lens or a rolling shutter.
 
     Args:
         sun, camera: Which.

@@ -69,6 +69,10 @@ class Radiance:
         denoised: The mean of the halves after denoising, float32 [h, w, 3]; None unless asked for.
         stochastic: Whether the halves' difference estimates the error. A rasterizer has no noise to
             estimate: its halves are equal, and its error is unknown.
+        background: Sky and suns behind each half's surfaces, premultiplied, and both as haze lets
+            them through, float32 [2, h, w, 3]: of a mean over several cameras
+            (``backends.subframes``), each of which sees another sky. None, as backends return it:
+            what is behind is drawn later.
     """
 
     halves: NDArray[np.float32]
@@ -77,6 +81,7 @@ class Radiance:
     dropped: int = 0
     denoised: NDArray[np.float32] | None = None
     stochastic: bool = True
+    background: NDArray[np.float32] | None = None
 
 
 class Backend(Protocol):
@@ -101,6 +106,9 @@ class Backend(Protocol):
     #: says so: the attribute may be missing), it draws pinhole views, and ``backends.resample``
     #: makes the picture of them.
     follows_lenses: bool
+    #: Whether its radiance is a Monte Carlo estimate, ``Radiance.stochastic`` (which it is where
+    #: this attribute is missing): what draws many pictures for one must know before the first.
+    stochastic: bool
 
     def version(self) -> str:
         """Name and version of the renderer and its variant, for sidecars and resume keys."""

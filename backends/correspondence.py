@@ -10,6 +10,9 @@ infinitely far away, which moves by the camera's rotation alone.
 The ray back to X' meets the surface X' lies on as well, at a parameter that rounding moves by a few
 parts in 1e15 over the cosine of the angle of incidence. What is hit nearer than ``_SAME`` of the
 distance before X' therefore counts as the surface itself.
+
+With a rolling shutter each row has a frame of its own: X is seen in that of its pixel's row, X' in
+that of the row that sees it in the other picture (``shutter.places_of``).
 """
 
 from __future__ import annotations
@@ -24,6 +27,7 @@ from scenec.backends.contract import Rays
 from scenec.backends.exact import ExactCaster
 from scenec.backends.exact.settle import Settled
 from scenec.backends.render_scene import Camera, RenderScene
+from scenec.backends.shutter import in_rows, is_rolling, places_of
 from scenec.schemas.correspondence import (
     BEFORE,
     HIDDEN,
@@ -143,11 +147,17 @@ def match(
     n = len(hit)
     points = rays.origins + np.where(hit, settled.t, 0.0)[:, None] * rays.directions
     moved, gone = _moved(scene, points, settled.row, sample, sample_there)
+    if is_rolling(other):
+        # Of the sky, a direction.
+        places = places_of(other, np.where(hit[:, None], moved, rays.directions), ~hit)
+        seen, pixel, origins = places.local, places.pixel, places.eye
+    else:
+        origins = np.broadcast_to(other.camera_to_world[:3, 3], points.shape)
     # The sky's pixels are directions: as if from the other camera, one unit away.
-    far = other.camera_to_world[:3, 3] + rays.directions
-    target = np.where(hit[:, None], moved, far)
-    seen = _to_camera(other, target)
-    pixel = _project(other, seen)
+    target = np.where(hit[:, None], moved, origins + rays.directions)
+    if not is_rolling(other):
+        seen = _to_camera(other, target)
+        pixel = _project(other, seen)
     # Pixels beyond a lens's circle show nothing that could be elsewhere.
     if rays.known is not None:
         gone |= ~rays.known
@@ -159,7 +169,7 @@ def match(
     code[gone] = NOTHING
     index = np.flatnonzero(inside)
     code[index] = VISIBLE
-    back = _rays_to(other, target[index])
+    back = _rays_to(origins[index], target[index])
     caster.pose(sample_there)
     row, face, t = caster.cast(back)
     caster.pose(sample)
@@ -168,7 +178,7 @@ def match(
     nearer = (t < np.where(hit[index], 1.0 - _SAME, np.inf)) & ~(own & hit[index])
     code[index[nearer]] = HIDDEN
     nowhere = ~hit | gone
-    local = _to_camera(camera, points)
+    local = in_rows(camera, points) if is_rolling(camera) else _to_camera(camera, points)
     local[nowhere] = np.nan
     after = seen.copy()
     after[nowhere] = np.nan
@@ -252,9 +262,7 @@ def _project(camera: Camera, points: NDArray[np.float64]) -> NDArray[np.float64]
     return np.stack([k[0, 0] * x + k[0, 1] * y + k[0, 2], k[1, 1] * y + k[1, 2]], axis=1)
 
 
-def _rays_to(camera: Camera, points: NDArray[np.float64]) -> Rays:
-    """Rays from a camera that reach points at parameter 1."""
-    origin = camera.camera_to_world[:3, 3]
-    directions = points - origin
-    origins = np.ascontiguousarray(np.broadcast_to(origin, directions.shape))
-    return Rays(origins, np.ascontiguousarray(directions), (1, len(points)))
+def _rays_to(origins: NDArray[np.float64], points: NDArray[np.float64]) -> Rays:
+    """Rays from places of cameras that reach points at parameter 1."""
+    directions = np.ascontiguousarray(points - origins)
+    return Rays(np.ascontiguousarray(origins), directions, (1, len(points)))

@@ -17,7 +17,6 @@ of other surfaces is left out.
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 from numba import njit, prange
@@ -30,6 +29,7 @@ from scenec.backends.exact.annotate import annotate
 from scenec.backends.exact.settle import Settled
 from scenec.backends.imaging.chance import philox, quantile, unit
 from scenec.backends.render_scene import Camera, RenderScene
+from scenec.backends.shutter import beside
 from scenec.schemas.correspondence import VISIBLE
 from scenec.schemas.depth_camera import MEASURED, StereoDepth, TimeOfFlightDepth
 from scenec.schemas.errors import BackendError
@@ -192,9 +192,7 @@ def measure(
     model, key = camera.depth_camera.model, camera.depth_camera.key
     exact = annotate(scene, settled, rays, ("depth", "range", "normal"), sample)
     if isinstance(model, StereoDepth):
-        pose = camera.camera_to_world.copy()
-        pose[:3, 3] += model.baseline_m * pose[:3, 0]
-        other = replace(camera, camera_to_world=pose)
+        other = beside(camera, model.baseline_m)
         found = match(scene, caster, settled, rays, (camera, sample), (other, sample))
         seen = (found.code == VISIBLE).reshape(rays.shape)
         return measure_stereo(model, camera, exact["depth"], seen, key, sample)

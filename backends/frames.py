@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scenec.backends.imaging.taken import TONE_CURVE, Taken
 from scenec.backends.instances import Seen
 from scenec.backends.render_scene import Camera, Lighting, RenderScene
+from scenec.backends.shutter import row_poses
 from scenec.schemas import picture
 from scenec.schemas.amodal import amodal_path, write_amodal
 from scenec.schemas.errors import OutputError
@@ -23,6 +24,7 @@ from scenec.schemas.frames import (
     CONVENTIONS,
     FRAME_VERSION,
     LENS_CONVENTION,
+    SHUTTER_CONVENTION,
     FrameKey,
     beside_path,
 )
@@ -99,6 +101,7 @@ def write_frame(
         "intrinsics": camera.intrinsics.tolist(),
         **({} if camera.lens is None else {"lens": lens_facts(camera.lens)}),
         "camera_to_world": camera.camera_to_world.tolist(),
+        **({} if camera.shutter is None else {"shutter": shutter_facts(camera)}),
         "exposure_ev": camera.exposure_ev if taken is None else taken.exposure_ev,
         "trigger": list(camera.trigger),
         "tone_curve": picture.DESCRIPTION if taken is None else TONE_CURVE,
@@ -137,6 +140,23 @@ def lens_facts(lens: Lens) -> dict[str, Any]:
     if lens.model == KANNALA_BRANDT:
         facts["max_angle_deg"] = math.degrees(lens.max_angle)
     return facts
+
+
+def shutter_facts(camera: Camera) -> dict[str, Any]:
+    """A camera's shutter as sidecars state it."""
+    held = camera.shutter
+    assert held is not None
+    ends = row_poses(camera)[[0, -1]]
+    return {
+        "exposure_s": held.shutter.exposure_s,
+        "readout_s": held.shutter.readout_s,
+        "direction": "up" if held.shutter.upward else "down",
+        "first_row": ends[0],
+        "last_row": ends[1],
+        "times_s": held.times,
+        "camera_to_world": held.camera_to_world,
+        "convention": SHUTTER_CONVENTION,
+    }
 
 
 def sun_facts(lighting: Lighting) -> dict[str, Any] | None:

@@ -24,6 +24,7 @@ from scenec.backends.contract import Rays
 from scenec.backends.exact.caster import ExactCaster
 from scenec.backends.rays import subpixel_directions
 from scenec.backends.render_scene import Camera, Haze, RenderScene
+from scenec.backends.shutter import is_rolling
 from scenec.backends.sky import Sky, combine, lookup
 
 #: What a backend's ``losses`` say of a stage with haze.
@@ -135,6 +136,8 @@ def veil(
     rays: Rays,
     t: NDArray[np.float64],
     coverage: NDArray[np.float32],
+    edges: bool = True,
+    sky: Sky | None = None,
 ) -> Veil | None:
     """What haze does to a picture; None without haze.
 
@@ -146,6 +149,8 @@ def veil(
         rays: One a pixel, through its center.
         t: Their exact hits, float64 [h * w]; +inf without one.
         coverage: What surfaces cover of each pixel, as the renderer has it, [h, w].
+        edges: Whether several rays are cast where transmittance changes within a pixel.
+        sky: Of the sample's domes, where it is combined already.
     """
     haze = scene.haze[sample] if scene.haze else None
     if haze is None:
@@ -156,9 +161,9 @@ def veil(
     # Where no ray at all meets what a renderer's did: as what is seen farthest beside it.
     passed[missed] = lowest[missed]
     open_edge = covered & (missed | (coverage.ravel() < 1.0))
-    index = np.flatnonzero(open_edge | changes)
+    index = np.flatnonzero((open_edge | changes) if edges else np.zeros(len(t), np.bool_))
     passed[index] = _of_subpixels(haze, camera, caster, rays, index, passed[index])
-    sky = combine(scene.lighting[sample].domes)
+    sky = combine(scene.lighting[sample].domes) if sky is None else sky
     shown = airlight(haze, sky, rays.directions)
     floor = float(scene.bounds[0, 2]) if haze.floor_m is None else haze.floor_m
     behind = _behind(haze, rays, floor, sky)
@@ -230,7 +235,7 @@ def _of_subpixels(
     out = otherwise.copy()
     for start in range(0, len(index), _PART // each):
         part = index[start : start + _PART // each]
-        if camera.lens is None:
+        if camera.lens is None and not is_rolling(camera):
             around = rays.directions[part][:, None, :] + offsets
         else:
             around = subpixel_directions(camera, part, du, dv)

@@ -173,7 +173,8 @@ class Instances:
             sample: Time code.
             geometry: Of the scene, posed as at that sample.
             masks: Whether to make amodal masks, too.
-            rays: The picture's, where the camera has a lens: its planar depth goes by them.
+            rays: The picture's, where the camera has a lens or a rolling shutter: planar depth and
+                masks go by them.
         """
         if rays is not None and rays.depth is not None:
             t = np.where(t < np.inf, t * rays.depth, np.inf)
@@ -187,7 +188,7 @@ class Instances:
         border |= (pixels[:, 3] == camera.width - 1) | (pixels[:, 4] == camera.height - 1)
         whole = np.concatenate([pixels, border[:, None]], axis=1)
         depths[:, 1] /= np.maximum(pixels[:, 0], 1)
-        # What is known already of a picture through a lens.
+        # What is known already of a picture that is no pinhole's.
         known: dict[str, Any] = {} if rays is None else {"rays": rays}
         found = self._outliner.outline(geometry, camera, row, which, pixels[:, 1:], masks, **known)
         amodal = (found.areas, found.full, found.bounded.astype(np.int64))

@@ -77,6 +77,11 @@ class Jobs:
         return {"op": "instances", "folder": str((self._batch.folder / FRAMES).resolve())}
 
     @property
+    def firing(self) -> list[list[tuple[str, bool]]]:
+        """Of each sample: the cameras, and whether they are triggered then."""
+        return [[(c["name"], bool(c["fires"])) for c in of] for of in self._opened["cameras"]]
+
+    @property
     def pixels(self) -> float:
         """Of a frame, on average."""
         sizes = [self._camera(*place)["pixels"] for place in self._places]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -38,6 +39,17 @@ class Noise:
             "relative_rms_bound_95": self.relative_rms_bound,
             "relative_mse": self.relative_mse,
         }
+
+
+def sky_differs(background: NDArray[np.floating]) -> NDArray[np.bool_]:
+    """Pixels where both halves have another background by more than rounding, bool [h, w].
+
+    Args:
+        background: ``contract.Radiance.background``, [2, h, w, 3].
+    """
+    first, second = background
+    apart: NDArray[np.bool_] = np.abs(first - second) > 1e-5 * (first + second)
+    return np.asarray(apart.any(axis=-1))
 
 
 UNKNOWN = Noise(None, None, None)
@@ -83,19 +95,61 @@ def estimate(
     return Noise(rms, rms * float(np.sqrt(bound_factor(variance.sum(axis=1)))), relative_mse)
 
 
+def estimate_parts(
+    parts: Callable[[], Iterable[tuple[NDArray[np.float64], NDArray[np.bool_]]]],
+    stochastic: bool = True,
+) -> Noise:
+    """As ``estimate``, of a picture in parts: the same but for the order of sums.
+
+    Args:
+        parts: Gives ``halves`` and ``covered`` of each part; called twice.
+        stochastic: Whether the halves differ by noise.
+    """
+    if not stochastic:
+        return UNKNOWN
+    total, count = 0.0, 0
+    for halves, covered in parts():
+        total += float((0.5 * (halves[0] + halves[1])[covered]).sum())
+        count += 3 * int(np.count_nonzero(covered))
+    level = total / count if count else 0.0
+    if not np.isfinite(level):
+        return UNKNOWN
+    if level <= 0.0:
+        return NONE
+    squares = squared = relative = 0.0
+    for halves, covered in parts():
+        mean = 0.5 * (halves[0] + halves[1])[covered]
+        # In units of the level, or the squares of small numbers are 0.
+        variance = (0.5 * (halves[0] - halves[1])[covered] / level) ** 2
+        of_pixel = variance.sum(axis=1)
+        squares += float(of_pixel.sum())
+        squared += float((of_pixel * of_pixel).sum())
+        relative += float((variance / ((mean / level) ** 2 + 0.01)).sum())
+    rms = float(np.sqrt(squares / count))
+    factor = _factor(squares, squared)
+    return Noise(rms, rms * float(np.sqrt(factor)), relative / count)
+
+
 def bound_factor(squares: NDArray[np.float64]) -> float:
     """What true over estimated squared error is below, given each pixel's estimate.
 
     Args:
         squares: [n], none negative.
     """
-    # Imported here: a picture at a time needs it, and no command that only asks for help.
-    from scipy.special import fdtri
-
     # Scaled, or the squares of small numbers are 0.
     most = float(squares.max(initial=0.0))
     if most == 0.0:
         return 1.0
     scaled = squares / most
-    freedom = max(1.0, 3.0 * float(scaled.sum()) ** 2 / float((scaled**2).sum()) - 2.0)
+    return _factor(float(scaled.sum()), float((scaled**2).sum()))
+
+
+def _factor(total: float, squared: float) -> float:
+    """By the sums of the pixels' estimates and of their squares."""
+    # Imported here: a picture at a time needs it, and no command that only asks for help.
+    from scipy.special import fdtri
+
+    if squared == 0.0:
+        return 1.0
+    freedom = max(1.0, 3.0 * total**2 / squared - 2.0)
     return float(fdtri(freedom, freedom, QUANTILE))

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from scenec.backends.check.strays import strays
 from scenec.backends.jobs import Job, Jobs, Wanted, frame_seed
 from scenec.backends.memory import default_limit
 from scenec.backends.pool import FrameLostError, WorkerProcess
@@ -151,7 +152,8 @@ def render(
 
         choice = choose(Path(out), chosen, wanted, limits, say or (lambda _line: None))
         wanted = replace(wanted, backend=choice.backend, choice=choice.as_json())
-    run = _Run(wanted, limits or Limits(), len(chosen), progress, warn, say)
+    in_output = folder is None and Path(out).is_dir()
+    run = _Run(wanted, limits or Limits(), len(chosen), in_output, progress, warn, say)
     for number, batch in enumerate(chosen):
         if folder is not None:
             batch = replace(batch, folder=folder if len(chosen) == 1 else folder / batch.name)
@@ -229,10 +231,13 @@ class _Run:
         wanted: Wanted,
         limits: Limits,
         batches: int,
+        in_output: bool,
         progress: Progress | None,
         warn: Say | None,
         say: Say | None,
     ) -> None:
+        # Beside a USD file there may be the frames of another.
+        self._in_output = in_output
         self.report = RenderReport(backend=wanted.backend, choice=wanted.choice)
         self._wanted = wanted
         self._batches = batches
@@ -263,6 +268,8 @@ class _Run:
             opened = jobs.open(worker, inside)
             self._opened(opened, rgb=jobs.rgb)
             self._table(worker, jobs)
+            if self._in_output:
+                self._strays(batch, jobs)
             for index, job in enumerate(jobs):
                 report.frames.append(job.stem)
                 if is_done(job.stem, job.key):
@@ -287,6 +294,19 @@ class _Run:
         except FrameLostError as error:
             self.report.failed.append(str(error))
             self._note(str(error))
+
+    def _strays(self, batch: Batch, jobs: Jobs) -> None:
+        """Notes frames of an earlier stage that this one does not replace."""
+        found = list(strays(batch.folder, jobs.firing, self._wanted.backend))
+        if found:
+            # Once a render: other batches have them for the same reason.
+            self._in_output = False
+            path, why = found[0]
+            more = f" (and {len(found) - 1} more in {batch.name})" if len(found) > 1 else ""
+            self._note(
+                f"{path}: not of this stage: {why}{more}; no render replaces it: delete it "
+                "(scenec check names all)"
+            )
 
     def _worker(self) -> WorkerProcess:
         return WorkerProcess(self._note, self._limits, self._say)

@@ -23,6 +23,7 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
+from scenec.backends.bands import radiance
 from scenec.backends.contract import Backend, Radiance
 from scenec.backends.lens import RayTable, local_rays, ray_table
 from scenec.backends.render_scene import Camera
@@ -133,7 +134,7 @@ def draw(
     parts = []
     for i, view in enumerate(views.cameras):
         noise = (seed + 0x9E3779B1 * i) & 0xFFFFFFFF
-        parts.append(backend.radiance(view, sample, each, noise, denoise))
+        parts.append(radiance(backend, view, sample, each, noise, denoise))
     pixels = camera.height * camera.width
     channels = 7 if parts[0].denoised is None else 10
     out = np.zeros((pixels, channels), np.float32)

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.backends.contract import Radiance
-from scenec.backends.noise import UNKNOWN, Noise, estimate
+from scenec.backends.noise import UNKNOWN, Noise, estimate, sky_differs
 
 #: Most samples per pixel, where a user does not say.
 MOST_SPP = 4096
@@ -189,6 +189,7 @@ class _Sum:
         self._halves: NDArray[np.float64] = np.zeros(0)
         self._coverage: NDArray[np.float64] = np.zeros(0)
         self._denoised: NDArray[np.float64] | None = None
+        self._background: NDArray[np.float64] | None = None
         self._stochastic = True
 
     def add(self, one: Radiance) -> None:
@@ -197,12 +198,15 @@ class _Sum:
             self._halves = np.zeros(one.halves.shape)
             self._coverage = np.zeros(one.coverage.shape)
             self._denoised = None if one.denoised is None else np.zeros(one.denoised.shape)
+            self._background = None if one.background is None else np.zeros(one.background.shape)
         # What overflowed counts as it is: infinity, and an error that is unknown.
         with np.errstate(invalid="ignore"):
             self._halves += one.spp * one.halves.astype(np.float64)
         self._coverage += one.spp * one.coverage.astype(np.float64)
         if self._denoised is not None and one.denoised is not None:
             self._denoised += one.spp * one.denoised.astype(np.float64)
+        if self._background is not None and one.background is not None:
+            self._background += one.spp * one.background.astype(np.float64)
         self._spp += one.spp
         self._dropped += one.dropped
         self._stochastic &= one.stochastic
@@ -211,11 +215,15 @@ class _Sum:
         """Of the mean so far."""
         if not self._stochastic:
             return UNKNOWN
-        return estimate(self._halves / self._spp, self._coverage > 0.0)
+        if self._background is None:
+            return estimate(self._halves / self._spp, self._coverage > 0.0)
+        halves = (self._halves + self._background) / self._spp
+        return estimate(halves, (self._coverage > 0.0) | sky_differs(self._background))
 
     def radiance(self) -> Radiance:
         """The mean of all rounds."""
         denoised = None if self._denoised is None else self._denoised / self._spp
+        background = None if self._background is None else self._background / self._spp
         return Radiance(
             (self._halves / self._spp).astype(np.float32),
             np.minimum(self._coverage / self._spp, 1.0).astype(np.float32),
@@ -223,4 +231,5 @@ class _Sum:
             self._dropped,
             None if denoised is None else denoised.astype(np.float32),
             self._stochastic,
+            None if background is None else background.astype(np.float32),
         )

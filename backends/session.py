@@ -14,9 +14,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.backends import memory
+from scenec.backends import bands, memory
 from scenec.backends.bare import bare
-from scenec.backends.compose import compose
 from scenec.backends.contract import Backend, Radiance, Rays, Visibility
 from scenec.backends.exact import ExactCaster
 from scenec.backends.frames import write_frame
@@ -25,8 +24,9 @@ from scenec.backends.rays import camera_rays, ray_down
 from scenec.backends.reader import read_stage
 from scenec.backends.registry import open_backend
 from scenec.backends.render_scene import Camera, RenderScene
-from scenec.backends.resolver import Settled, annotate, pass_names, settle
-from scenec.backends.rounds import Rounds, Target, collect
+from scenec.backends.resolver import Settled, pass_names
+from scenec.backends.rounds import Draw, Rounds, Target, collect
+from scenec.backends.shutter import is_rolling
 from scenec.schemas.amodal import AMODAL
 from scenec.schemas.correspondence import CORRESPONDENCES
 from scenec.schemas.depth_camera import MEASURED
@@ -170,32 +170,30 @@ class Session:
             arrays["rgb"] = radiance.halves[0]
         settled = None
         if annotation:
-            rays = camera_rays(camera)
-            visibility = self._seen(seen, rays, sample, camera, details)
+            annotating, settled, found = self._annotate(camera, sample, annotation, seen, details)
+            arrays |= found
             caster = self._exact(seconds)
-            with _timed(seconds, "resolve"):
-                caster.pose(sample)
-                settled = settle(caster, rays, visibility, camera)
-                arrays |= annotate(self.scene, settled, rays, annotation, sample)
             details["resolver"] = asdict(settled.statistics)
             height = float(caster.cast(ray_down(camera))[2][0])
             details["height_above_surface_m"] = height if math.isfinite(height) else None
+            needs_rays = camera.lens is not None or is_rolling(camera)
             if "instance" in annotation:
                 with _timed(seconds, "instances"):
                     listed = self.instances.seen(
                         settled.row, settled.t, camera, sample, caster.geometry, AMODAL in passes,
-                        rays if camera.lens is not None else None,
+                        annotating.all_rays if needs_rays else None,
                     )  # fmt: skip
-            view = (self.scene, caster, settled, rays, camera, sample)
             # Imported here: few frames ask for any.
             if any(name in CORRESPONDENCES for name in annotation):
                 from scenec.backends.correspondence import compare
 
+                view = (self.scene, caster, settled, annotating.all_rays, camera, sample)
                 with _timed(seconds, "correspondence"):
                     arrays |= compare(*view, annotation)
             if MEASURED in annotation:
                 from scenec.backends.depth_camera import measure
 
+                view = (self.scene, caster, settled, annotating.all_rays, camera, sample)
                 with _timed(seconds, MEASURED):
                     arrays[MEASURED] = measure(*view)
         if radiance is not None:
@@ -268,7 +266,9 @@ class Session:
         seconds: dict[str, float] = {}
         self._load(self._annotator, seconds)
         with _timed(seconds, "visibility"):
-            seen = _visible(self._annotator, camera_rays(camera), sample, camera)
+            seen = bands.see(
+                lambda rays, part: _visible(self._annotator, rays, sample, part), camera
+            )
         if seen is None:
             return {"file": None, "seconds": seconds}
         np.savez(file, row=seen.row, face=seen.face)
@@ -303,17 +303,46 @@ class Session:
         def draw(count: int, noise: int) -> Radiance:
             if views is not None:
                 return resample.draw(backend, camera, views, sample, count, noise, denoise)
-            return backend.radiance(camera, sample, count, noise, denoise)
+            return bands.radiance(backend, camera, sample, count, noise, denoise)
 
+        blurred = self._blurred(camera, sample, denoise, details)
         rounds = None
         with _timed(seconds, "radiance"):
             if target is None:
-                radiance = draw(spp, seed)
+                radiance = (blurred or draw)(spp, seed)
             else:
-                radiance, rounds = collect(draw, seed, target)
+                radiance, rounds = collect(blurred or draw, seed, target)
         if denoise and radiance.denoised is None:
             raise BackendError(f"backend {backend.name} was asked to denoise, and did not")
         return radiance, rounds
+
+    def _blurred(
+        self, camera: Camera, sample: int, denoise: bool, details: dict[str, Any]
+    ) -> Draw | None:
+        """What draws a camera with an open shutter or an aperture; None where there is neither.
+
+        Raises:
+            BackendError: Its picture is to be denoised.
+        """
+        if camera.shutter is None and camera.focus is None:
+            return None
+        # Imported here: few cameras have either.
+        from scenec.backends import subframes
+
+        caster = self._exact(details["seconds"])
+        caster.pose(sample)
+        with _timed(details["seconds"], "blur"):
+            blur = subframes.measure(camera, caster)
+        if blur is None:
+            return None
+        if denoise:
+            raise BackendError(
+                f"camera {camera.name}: its shutter or aperture makes its picture the mean of many,"
+                f" and {self.backend.name} denoises single ones: render it without denoising"
+            )
+        drawing = subframes.Drawing(blur, self.backend, self.scene, sample, caster)
+        details["blur"] = drawing.facts
+        return drawing.draw
 
     def _veil(
         self,
@@ -325,6 +354,9 @@ class Session:
     ) -> Veil | None:
         """The haze before a picture, if there is any; without annotation it casts its own rays."""
         if not self.scene.haze or self.scene.haze[sample] is None:
+            return None
+        if radiance.background is not None:
+            # Each sub-frame was seen through its own.
             return None
         # Imported here: few scenes have any.
         from scenec.backends.haze import veil
@@ -353,7 +385,7 @@ class Session:
     ) -> NDArray[np.float32]:
         """``rgb``, with what there is to say of it."""
         with _timed(details["seconds"], "compose"):
-            picture = compose(radiance, self.scene, camera, sample, veil)
+            picture = bands.compose(radiance, self.scene, camera, sample, veil)
         noise = picture.noise.as_json()
         if rounds is not None:
             details["rounds"] = rounds.as_json(picture.noise.relative_rms_bound)
@@ -369,25 +401,43 @@ class Session:
             details["estimated_error_before_denoising"] = noise
         return picture.rgb
 
-    def _seen(
+    def _annotate(
         self,
-        seen: Mapping[str, Any] | None,
-        rays: Rays,
-        sample: int,
         camera: Camera,
+        sample: int,
+        passes: Sequence[str],
+        seen: Mapping[str, Any] | None,
         details: dict[str, Any],
-    ) -> Visibility | None:
-        """What the annotating backend saw; None leaves all to the exact caster."""
+    ) -> tuple[bands.Annotating, Settled, dict[str, NDArray]]:
+        """Annotation, from what the annotating backend sees, or another process's saw."""
+        seconds = details["seconds"]
+        backend, report = self._annotator, None
         if seen is not None:
             details["annotation"] = {"backend": seen["backend"], "version": seen["version"]}
-            return None if seen["file"] is None else _read_visibility(Path(seen["file"]))
-        backend, seconds = self._annotator, details["seconds"]
-        details["annotation"] = {"backend": backend.name, "version": backend.version()}
-        self._load(backend, seconds)
-        # A backend that is exact itself lends its caster and needs no settling.
-        self._caster = self._caster or backend.caster
-        with _timed(seconds, "visibility"):
-            return None if backend.caster else _visible(backend, rays, sample, camera)
+            report = None if seen["file"] is None else _read_visibility(Path(seen["file"]))
+        else:
+            details["annotation"] = {"backend": backend.name, "version": backend.version()}
+            self._load(backend, seconds)
+            # A backend that is exact itself lends its caster and needs no settling.
+            self._caster = self._caster or backend.caster
+        blind = seen is not None or backend.caster is not None
+        caster = self._exact(seconds)
+        with _timed(seconds, "resolve"):
+            caster.pose(sample)
+        annotating = bands.Annotating(self.scene, caster, camera, passes, sample)
+        for rows in annotating.bands:
+            rays = annotating.rays(rows)
+            with _timed(seconds, "visibility"):
+                if report is not None:
+                    visible = annotating.part(report, rows)
+                elif blind:
+                    visible = None
+                else:
+                    visible = _visible(backend, rays, sample, annotating.camera(rows))
+            with _timed(seconds, "resolve"):
+                annotating.add(rows, rays, visible)
+        with _timed(seconds, "resolve"):
+            return annotating, *annotating.finish()
 
     def _exact(self, seconds: dict[str, float]) -> ExactCaster:
         with _timed(seconds, "load"):
@@ -424,8 +474,9 @@ def _timed(seconds: dict[str, float], name: str) -> Iterator[None]:
 
 
 def _visible(backend: Backend, rays: Rays, sample: int, camera: Camera) -> Visibility | None:
-    """What a backend sees; only of pinholes it is told the camera."""
-    return backend.visibility(rays, sample, camera if camera.lens is None else None)
+    """What a backend sees; only of pinholes, one pose for all rows, it is told the camera."""
+    plain = camera.lens is None and not is_rolling(camera)
+    return backend.visibility(rays, sample, camera if plain else None)
 
 
 def _read_visibility(file: Path) -> Visibility:

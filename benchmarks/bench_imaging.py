@@ -19,8 +19,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.backends.imaging import develop, optics, sensor
+from scenec.backends.imaging import optics, sensor
 from scenec.backends.imaging.camera import take
+from scenec.backends.imaging.jpeg import compressed
 from scenec.backends.render_scene import Camera
 from scenec.schemas import picture
 from scenec.schemas.imaging import Imaging
@@ -71,7 +72,7 @@ def main() -> None:
         "without JPEG": pictured(jpeg_quality=0),
         "without JPEG and bloom": pictured(jpeg_quality=0, bloom=0.0),
         "bloom alone": lambda: optics.bloom(light, 0.02, 8.0),
-        "JPEG alone": lambda: develop.jpeg(taken.picture, 90, "4:2:0"),
+        "JPEG alone": lambda: compressed(taken.picture, 90, "4:2:0"),
         "pattern, once a sensor": lambda: sensor.pattern.__wrapped__(
             1, (height, width, 1), 0.006, 0.6, 1e-4, 500.0, 1e-5
         ),

@@ -5,7 +5,8 @@
     python benchmarks/bench_prune.py --proof 50 [--color] [--pictures SPP]
 
 The first compiles scenes of 500 m by 500 m with and without pruning, and prints, as ratios of whole
-to pruned: bytes of the stage, seconds of the reader, and of a whole session of each backend.
+to pruned: bytes of the stage, and of each backend the seconds of loading (reader, its own scene,
+exact caster) and of drawing all frames, without the start of Python and of libraries.
 *drive* looks along hilly ground, *drone* straight down, *around* has four cameras for all bearings.
 The second compares annotation of drawn scenes (``tests/pruned_scenes.py``), bit by bit; with
 ``--pictures`` it renders them whole and pruned with Mitsuba, and says how far the light of blocks
@@ -31,6 +32,7 @@ sys.path[:0] = [str(ROOT / "tests")]
 from pruned_scenes import annotation, compiled, difference, drawn_cfg  # noqa: E402
 
 from scenec.backends.reader import read_stage  # noqa: E402
+from scenec.backends.session import Session  # noqa: E402
 from scenec.compiler.passes.keep import Keep  # noqa: E402
 
 _SCENEC = [sys.executable, "-c", "from scenec.cli.main import main; raise SystemExit(main())"]
@@ -108,13 +110,58 @@ def cfg(scene: str, count: int, samples: int, outputs: list[str]) -> dict[str, A
     }
 
 
-def seconds_of(words: list[str]) -> float:
-    """Wall time of a command of its own process."""
-    start = time.perf_counter()
+def compile_to(file: Path, out: Path, keep: str) -> None:
+    """By a command of its own process, from scratch.
+
+    Raises:
+        SystemExit: It failed.
+    """
+    words = ["compile", str(file), "--seed", "1", "-o", str(out), "--keep", keep, "--no-cache"]
     done = subprocess.run([*_SCENEC, *words], capture_output=True, text=True, env=os.environ)
     if done.returncode:
         raise SystemExit(done.stderr)
-    return time.perf_counter() - start
+
+
+def drawn_by(stage: Path, backend: str, spp: int, outputs: list[str]) -> dict[str, float]:
+    """What a worker takes for a stage, by a process of its own that has drawn another before.
+
+    Raises:
+        SystemExit: It failed.
+    """
+    words = [sys.executable, __file__, "--session", str(stage), "--backends", backend]
+    words += ["--spp", str(spp), "--outputs", ",".join(outputs)]
+    done = subprocess.run(words, capture_output=True, text=True, env=os.environ)
+    if done.returncode:
+        raise SystemExit(done.stderr)
+    found: dict[str, float] = json.loads(done.stdout.splitlines()[-1])
+    return found
+
+
+def session(stage: Path, backend: str, spp: int, outputs: list[str]) -> dict[str, float]:
+    """CPU and wall seconds: of loading (reader, renderer, exact caster), and of all frames.
+
+    Kernels are compiled and libraries loaded by a frame of the stage before; that does not count.
+    """
+    found = {}
+    for counts in (False, True):
+        start = time.perf_counter(), time.process_time()
+        held = Session.open(stage, backend)
+        held.pictures = "rgb" in outputs
+        before = time.perf_counter() - start[0], time.process_time() - start[1]
+        load = cpu = wall = 0.0
+        for sample, cameras in enumerate(held.scene.cameras if counts else held.scene.cameras[:1]):
+            for camera in cameras:
+                start = time.perf_counter(), time.process_time()
+                details = held.render(camera, sample, held.passes(outputs, camera), spp, 1)[1]
+                wall += time.perf_counter() - start[0]
+                cpu += time.process_time() - start[1]
+                load += details["seconds"].get("load", 0.0)
+        found = {
+            "load, s": before[0] + load,
+            "frames, s": wall - load,
+            "load and frames, CPU s": before[1] + cpu,
+        }
+    return found
 
 
 def measure(scene: str, options: argparse.Namespace, folder: Path) -> None:
@@ -124,29 +171,25 @@ def measure(scene: str, options: argparse.Namespace, folder: Path) -> None:
     found: dict[str, dict[str, float]] = {}
     for keep in ("unpruned", "seen"):
         out = folder / f"{scene}_{keep}"
-        seconds_of(["compile", str(file), "--seed", "1", "-o", str(out), "--keep", keep])
+        compile_to(file, out, keep)
         batch = out / "batch_0000"
         report = json.loads((batch / "report.json").read_text())
         timings = json.loads((out / "timings.json").read_text())["compile"]["batch_0000"]
         stage = [p for p in batch.rglob("*") if p.is_file() and p.suffix != ".json"]
-        start = time.perf_counter()
         read = read_stage(batch / "stage.usda")
-        numbers = {"load, s": time.perf_counter() - start}
-        numbers["stage, MB"] = sum(path.stat().st_size for path in stage) / 1e6
+        numbers = {"stage, MB": sum(path.stat().st_size for path in stage) / 1e6}
         numbers["instances"] = float((read.rows.instance_id > 0).sum())
         numbers["prune, s"] = timings.get("prune", 0.0)
         for backend in options.backends:
-            words = ["render", str(out), "--backend", backend, "--spp", str(options.spp)]
-            if "rgb" not in options.outputs:
-                words += ["--passes", ",".join(options.outputs)]
-            numbers[f"{backend}, s"] = seconds_of(words)
+            drawn = drawn_by(batch / "stage.usda", backend, options.spp, options.outputs)
+            numbers |= {f"{backend}: {name}": value for name, value in drawn.items()}
         found[keep] = numbers
         if "prune" in report:
             print(f"{scene}: {json.dumps(report['prune'])}")
     for name, whole in found["unpruned"].items():
         pruned = found["seen"][name]
         ratio = f"{whole / pruned:8.2f} x" if pruned and name != "prune, s" else ""
-        print(f"{scene:8} {name:14} {whole:12.3f} {pruned:12.3f} {ratio}", flush=True)
+        print(f"{scene:8} {name:34} {whole:12.3f} {pruned:12.3f} {ratio}", flush=True)
 
 
 def prove(count: int, color: bool) -> None:
@@ -213,6 +256,7 @@ def main() -> None:
     parser.add_argument("--spp", type=int, default=4)
     parser.add_argument("--proof", type=int)
     parser.add_argument("--color", action="store_true")
+    parser.add_argument("--session", type=Path, help=argparse.SUPPRESS)
     parser.add_argument("--pictures", type=int, metavar="SPP")
     for name, usual in (
         ("outputs", "label,instance,depth"),
@@ -222,13 +266,17 @@ def main() -> None:
         parser.add_argument(f"--{name}", type=lambda t: [p for p in t.split(",") if p],
                             default=usual.split(","))  # fmt: skip
     options = parser.parse_args()
+    if options.session:
+        print(json.dumps(session(options.session, options.backends[0], options.spp,
+                                 options.outputs)))  # fmt: skip
+        return
     if options.proof and options.pictures:
         picture(options.proof, options.pictures)
         return
     if options.proof:
         prove(options.proof, options.color)
         return
-    print(f"{'scene':8} {'':14} {'whole':>12} {'pruned':>12}   ratio")
+    print(f"{'scene':8} {'':34} {'whole':>12} {'pruned':>12}   ratio")
     with tempfile.TemporaryDirectory() as temporary:
         for scene in options.scenes:
             measure(scene, options, Path(temporary))

@@ -98,12 +98,16 @@ def find(out: Path) -> list[Finding]:
         findings.extend(check_files(out, read_manifest(out)))
     for batch in find_batches(out):
         findings.extend(check_stage(batch.stage))
-        digest = None
+        digest = firing = None
         try:
-            digest = read_stage(batch.stage).digest
+            scene = read_stage(batch.stage)
+            digest = scene.digest
+            if out.is_dir():
+                # Beside a USD file there may be the frames of another.
+                firing = [[(c.name, c.fires(i)) for c in of] for i, of in enumerate(scene.cameras)]
         except StageError as error:
             findings.append(Finding("reader", "error", batch.name, str(error)))
-        findings.extend(check_frames(batch.folder, digest))
+        findings.extend(check_frames(batch.folder, digest, firing))
     return findings
 
 

@@ -31,13 +31,13 @@ from scenec.compiler.passes.prune import Pruned, prune
 from scenec.compiler.passes.reach import without_idle
 from scenec.compiler.plan import Plan
 from scenec.compiler.precision import precision
+from scenec.compiler.rig import Rig
 from scenec.compiler.scatter.surroundings import Surroundings
 from scenec.compiler.scene import (
     Georeference,
     Ground,
     Material,
     Placed,
-    Rig,
     Scatter,
     Scene,
     SkyLight,

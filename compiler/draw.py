@@ -10,12 +10,14 @@ from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.cameras.depth_cameras import draw_depth_camera
+from scenec.compiler.cameras.focus import draw_focus
 from scenec.compiler.cameras.imaging import draw_imaging
 from scenec.compiler.cameras.lenses import find_fault, lens_intrinsics, make_lens
 from scenec.compiler.cameras.lidars import draw_lidar
 from scenec.compiler.cameras.paths.draw import draw_motion, draw_track
 from scenec.compiler.cameras.paths.motion import Motion
 from scenec.compiler.cameras.poses import from_euler
+from scenec.compiler.cameras.shutters import draw_shutter
 from scenec.compiler.frontend.load import Spec
 from scenec.compiler.frontend.of_keys import of_keys
 from scenec.compiler.frontend.resolve import per_sample, resolve
@@ -215,7 +217,8 @@ def _rig(spec: Spec, name: str, streams: Streams) -> RigPlan:
     path = f"rigs/{name}/pose"
     pose: RandomTargetPlan | TrackPlan | Motion
     if cfg["pose"]["type"] == "track":
-        pose = draw_track(spec, cfg["pose"], path, streams, samples)
+        opened = any("shutter" in sensor for sensor in cfg["sensors"].values())
+        pose = draw_track(spec, cfg["pose"], path, streams, samples, opened)
     elif cfg["pose"]["type"] == "random_target":
         pose = _random_target(cfg["pose"], path, streams, samples)
     else:
@@ -273,6 +276,7 @@ def _sensor(
         raise SceneError(f"{path}/lens: {fault}")
     mount = resolve(cfg["mount"], streams, f"{path}/mount")
     trigger = cfg.get("trigger", {"every": 1, "first": 0})
+    imaging = draw_imaging(cfg.get("imaging"), streams, f"{path}/imaging", samples)
     metered = cfg["exposure"]["type"] == "incident"
     key = "ev_offset" if metered else "ev"
     return SensorPlan(
@@ -287,5 +291,9 @@ def _sensor(
         depth_camera=draw_depth_camera(cfg.get("depth_camera"), f"{path}/depth_camera", streams),
         trigger=(trigger["every"], trigger["first"]),
         lens=lens,
-        imaging=draw_imaging(cfg.get("imaging"), streams, f"{path}/imaging", samples),
+        imaging=imaging,
+        shutter=draw_shutter(cfg.get("shutter"), imaging, streams, f"{path}/shutter", samples),
+        focus=draw_focus(
+            cfg.get("focus"), streams, f"{path}/focus", samples, intrinsics[0], imaging
+        ),
     )

@@ -13,20 +13,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.cameras.paths.motion import Motion
+from scenec.compiler.cameras.tracks import TrackWay
 from scenec.compiler.ground.merge import Merge
 from scenec.compiler.ground.mesh import Meshing
 from scenec.compiler.light.plan import LightPlan
 from scenec.compiler.objects.poses import PlacedPlan
 from scenec.compiler.objects.prototypes import ModelPlan, PartRule
+from scenec.compiler.rig import Focus, Lidar
 from scenec.compiler.scatter.density import Density
 from scenec.compiler.scatter.families.shape import Shape
 from scenec.compiler.scatter.where import Place
-from scenec.compiler.scene import GroundLayer, Labels, Lidar, Material
+from scenec.compiler.scene import GroundLayer, Labels, Material
 from scenec.compiler.terrain.detail import Detail
 from scenec.compiler.terrain.operator import ReliefOperator
 from scenec.schemas.depth_camera import DepthCamera
 from scenec.schemas.imaging import Imaging
 from scenec.schemas.lens import Lens
+from scenec.schemas.shutter import Shutter
 
 
 @dataclass(frozen=True)
@@ -184,10 +187,14 @@ class RandomTargetPlan:
 
 @dataclass(frozen=True)
 class TrackPlan:
-    """Given poses: world matrices with OpenCV axes, [s, 4, 4], and their times, [s]."""
+    """Given poses: world matrices with OpenCV axes, [s, 4, 4], and their times, [s].
+
+    ``way`` gives those at other times; None where nobody asks for them.
+    """
 
     to_world: NDArray[np.float64]
     times: NDArray[np.float64]
+    way: TrackWay | None = None
 
 
 @dataclass(frozen=True)
@@ -223,6 +230,8 @@ class SensorPlan:
     depth_camera: DepthCamera | None = None
     lens: Lens | None = None
     imaging: ImagingPlan | None = None
+    shutter: tuple[Shutter, ...] | None = None
+    focus: Focus | None = None
 
 
 @dataclass(frozen=True)

@@ -12,11 +12,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.compiler.rig import Rig
 from scenec.compiler.surfaces.sources import Sources
 from scenec.compiler.surfaces.surface import Surface
-from scenec.schemas.depth_camera import DepthCamera
-from scenec.schemas.imaging import Imaging
-from scenec.schemas.lens import Lens
 
 #: Label id per level.
 Labels = dict[str, int]
@@ -402,100 +400,6 @@ class Lamp:
     radius_m: NDArray[np.float64]
     cone_deg: NDArray[np.float64]
     softness: NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class Sensor:
-    """A camera on a rig.
-
-    Attributes:
-        name: Prim name.
-        resolution: (width, height), pixels.
-        intrinsics: (fx, fy, cx, cy, skew), pixels.
-        to_rig: Sensor-to-rig matrix, OpenCV axes on both sides, float64 [4, 4].
-        exposure_ev: Pictures show radiance * 2**ev, [s].
-        outputs: Passes asked for.
-        partner: Name of the rig's sensor that disparity goes to, or None.
-        depth_camera: How it measures depth, or None.
-        trigger: Of the samples it is triggered at, how many come from one to the next, and the
-            first.
-        lens: How the picture is bent, or None: a pinhole.
-        imaging: What it makes of light at each sample, or None: shows it as it is.
-    """
-
-    name: str
-    resolution: tuple[int, int]
-    intrinsics: tuple[float, float, float, float, float]
-    to_rig: NDArray[np.float64]
-    exposure_ev: NDArray[np.float64]
-    outputs: tuple[str, ...]
-    partner: str | None = None
-    trigger: tuple[int, int] = (1, 0)
-    depth_camera: DepthCamera | None = None
-    lens: Lens | None = None
-    imaging: tuple[Imaging, ...] | None = None
-
-
-@dataclass(frozen=True)
-class LidarNoise:
-    """What is wrong with a lidar's answers.
-
-    Attributes:
-        range_m, range_ratio: Standard deviations of ranges, meters and as a share of the range.
-        angle_deg: Of azimuth and of elevation.
-        dropout: Share of answers lost.
-    """
-
-    range_m: float
-    range_ratio: float
-    angle_deg: float
-    dropout: float
-
-
-@dataclass(frozen=True, eq=False)
-class Lidar:
-    """A scanner on a rig, whose frame is x ahead, y left, z up.
-
-    Attributes:
-        name: Prim name.
-        to_rig: As a camera's: OpenCV axes on both sides, float64 [4, 4].
-        elevations_deg: Of each beam, [b].
-        azimuths: Rays of each beam in a scan.
-        azimuth_deg: The first, and where the next scan begins; counterclockwise from above.
-        range_m: Nearest and farthest that is answered.
-        noise: What is wrong with the answers.
-        noise_key: Of the numbers drawn for that, below 2**64.
-        trigger: As in ``Sensor``.
-    """
-
-    name: str
-    to_rig: NDArray[np.float64]
-    elevations_deg: NDArray[np.float64]
-    azimuths: int
-    azimuth_deg: tuple[float, float]
-    range_m: tuple[float, float]
-    noise: LidarNoise
-    noise_key: int
-    trigger: tuple[int, int] = (1, 0)
-
-
-@dataclass(frozen=True)
-class Rig:
-    """Sensors that move together.
-
-    Attributes:
-        name: Prim name.
-        to_world: Rig-to-world matrices, OpenCV axes (x right, y down, z forward), [s, 4, 4].
-        sensors: What it carries.
-        times: Of the samples, seconds, [s]; None: its motion has none.
-        lidars: What it carries beside cameras.
-    """
-
-    name: str
-    to_world: NDArray[np.float64]
-    sensors: tuple[Sensor, ...]
-    times: NDArray[np.float64] | None = None
-    lidars: tuple[Lidar, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -1,9 +1,9 @@
-"""One picture of several frames: RGB, every label level, instances, depth, with legends."""
+"""One picture of several frames: pictures, label levels, ids, depth, motion, with legends."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import lru_cache
 
 import numpy as np
@@ -17,6 +17,21 @@ from scenec.datasets.colors import (
     paint_instances,
     paint_labels,
     viridis,
+)
+from scenec.datasets.motion_colors import (
+    CODE_COLORS,
+    CODE_NAMES,
+    FLOWS,
+    OCCLUSIONS,
+    SIZES,
+    UNITS,
+    VECTORS,
+    paint_codes,
+    paint_flow,
+    paint_sizes,
+    paint_vectors,
+    scale_of,
+    wheel_picture,
 )
 
 _INK = (34, 34, 34)
@@ -36,6 +51,9 @@ class SheetFrame:
         labels: Per level, label ids [h, w].
         instance: Ids [h, w], or None.
         depth: Meters [h, w], +inf where nothing was hit, or None.
+        clean: A sensor's picture without noise, like ``picture``, or None.
+        measured: What a depth camera said, meters [h, w], 0 without an answer, or None.
+        motion: Flow, scene flow, disparity and occlusion by their passes' names.
     """
 
     title: str
@@ -43,6 +61,19 @@ class SheetFrame:
     labels: dict[str, NDArray[np.unsignedinteger]]
     instance: NDArray[np.unsignedinteger] | None
     depth: NDArray[np.floating] | None
+    clean: NDArray[np.uint8] | None = None
+    measured: NDArray[np.floating] | None = None
+    motion: Mapping[str, NDArray] = field(default_factory=dict)
+
+
+#: Columns of photographs: they alone may be blended.
+_PHOTOGRAPHS = ("rgb", "clean")
+_TITLES = {
+    "rgb": "RGB", "clean": "RGB without noise", "instance": "instances", "depth": "depth (planar)",
+    "depth_measured": "depth as measured", "flow": "flow", "flow_backward": "flow, backward",
+    "scene_flow": "scene flow", "disparity": "disparity", "occlusion": "occlusion",
+    "occlusion_backward": "occlusion, backward", "disparity_occlusion": "occlusion by disparity",
+}  # fmt: skip
 
 
 def contact_sheet(
@@ -63,8 +94,12 @@ def contact_sheet(
     height, width = _size(frames[0])
     tile = (tile_width, max(1, round(tile_width * height / width)))
     near, far = _depth_range(frames)
+    scales = {
+        name: scale_of(name, [f.motion[name] for f in frames if name in f.motion]) for name in UNITS
+    }
     colors = {level: label_colors(list(names)) for level, names in label_names.items()}
-    legend = max([3] + [len(names) + 1 for names in label_names.values()]) * _LEGEND_LINE
+    least = 4 if any(name in columns for name in OCCLUSIONS) else 3
+    legend = max([least] + [len(names) + 1 for names in label_names.values()]) * _LEGEND_LINE
     size = (
         _GAP + len(columns) * (tile[0] + _GAP),
         2 * _HEAD + len(frames) * (tile[1] + _GAP) + legend + _GAP,
@@ -78,34 +113,42 @@ def contact_sheet(
         draw.text((x, _HEAD + 8), _title(column), _INK, _font(17))
         for j, frame in enumerate(frames):
             y = 2 * _HEAD + j * (tile[1] + _GAP)
-            picture = Image.fromarray(_paint(frame, column, colors, near, far))
-            # Ids must not be blended: only the photograph is filtered.
-            filtering = Image.Resampling.LANCZOS if column == "rgb" else Image.Resampling.NEAREST
+            picture = Image.fromarray(_paint(frame, column, colors, near, far, scales))
+            # Ids must not be blended: only photographs are filtered.
+            photograph = column in _PHOTOGRAPHS
+            filtering = Image.Resampling.LANCZOS if photograph else Image.Resampling.NEAREST
             sheet.paste(picture.resize(tile, filtering), (x, y))
             if i == 0:
                 _tag(draw, (x, y), frame.title)
-        _legend(sheet, draw, (x, bottom), tile[0], column, label_names, colors, near, far)
+        corner = (x, bottom)
+        if column in UNITS or column in OCCLUSIONS:
+            _motion_legend(sheet, draw, corner, tile[0], column, scales.get(column, 1.0))
+        else:
+            _legend(sheet, draw, corner, tile[0], column, label_names, colors, near, far)
     return sheet
 
 
 def _columns(frame: SheetFrame) -> list[str]:
     columns = ["rgb"] if frame.picture is not None else []
+    columns += ["clean"] if frame.clean is not None else []
     columns += [f"label.{level}" for level in frame.labels]
     columns += ["instance"] if frame.instance is not None else []
     columns += ["depth"] if frame.depth is not None else []
+    columns += ["depth_measured"] if frame.measured is not None else []
+    columns += [name for name in (*UNITS, *OCCLUSIONS) if name in frame.motion]
     return columns
 
 
 def _size(frame: SheetFrame) -> tuple[int, int]:
-    for array in (frame.picture, *frame.labels.values(), frame.instance, frame.depth):
+    every = (frame.picture, *frame.labels.values(), frame.instance, frame.depth, frame.measured)
+    for array in (*every, *frame.motion.values()):
         if array is not None:
             return array.shape[0], array.shape[1]
     return 1, 1
 
 
 def _title(column: str) -> str:
-    titles = {"rgb": "RGB", "instance": "instances", "depth": "depth (planar)"}
-    return titles.get(column, f"labels, level '{column.removeprefix('label.')}'")
+    return _TITLES.get(column, f"labels, level '{column.removeprefix('label.')}'")
 
 
 def _depth_range(frames: Sequence[SheetFrame]) -> tuple[float, float]:
@@ -125,10 +168,18 @@ def _paint(
     colors: dict[str, dict[int, tuple[int, int, int]]],
     near: float,
     far: float,
+    scales: Mapping[str, float],
 ) -> NDArray[np.uint8]:
     level = column.removeprefix("label.")
     if column == "rgb" and frame.picture is not None:
         return frame.picture
+    if column == "clean" and frame.clean is not None:
+        return frame.clean
+    if column in frame.motion:
+        return _paint_motion(column, frame.motion[column], scales.get(column, 1.0))
+    if column == "depth_measured" and frame.measured is not None:
+        answers = np.where(frame.measured > 0.0, frame.measured, np.inf)
+        return paint_depth(answers, near, far)
     if column == "instance" and frame.instance is not None:
         return paint_instances(frame.instance)
     if column == "depth" and frame.depth is not None:
@@ -137,6 +188,14 @@ def _paint(
         return paint_labels(frame.labels[level], colors.get(level, {}))
     # Frames can differ in their passes: what one lacks stays blank.
     return np.full((*_size(frame), 3), 255, np.uint8)
+
+
+def _paint_motion(column: str, values: NDArray, scale: float) -> NDArray[np.uint8]:
+    if column in FLOWS:
+        return paint_flow(values, scale)
+    if column in VECTORS:
+        return paint_vectors(values, scale)
+    return paint_sizes(values, scale) if column in SIZES else paint_codes(values)
 
 
 @lru_cache
@@ -170,15 +229,54 @@ def _legend(
             draw.rectangle((x, y + 3, x + 26, y + 19), colors[level].get(number, NO_LABEL))
             draw.text((x + 36, y + 2), f"{name}  ({number})", _INK, _font(15))
             y += _LEGEND_LINE
-    elif column == "depth":
+    elif column in ("depth", "depth_measured"):
         bar = np.repeat(viridis(np.linspace(1.0, 0.0, width))[None], 16, axis=0)
         sheet.paste(Image.fromarray(bar), (x, y + 3))
         for part in (0.0, 0.25, 0.5, 0.75, 1.0):
             text = f"{near * (far / near) ** part:.3g} m"
             length = draw.textlength(text, _font(14))
             draw.text((x + part * (width - length), y + 22), text, _INK, _font(14))
-        draw.text((x, y + 44), "logarithmic; white: nothing hit", _INK, _font(14))
+        white = "nothing hit" if column == "depth" else "no answer"
+        draw.text((x, y + 44), f"logarithmic; white: {white}", _INK, _font(14))
     elif column == "instance":
         draw.text((x, y), "one color an instance, kept over all frames", _INK, _font(15))
+    elif column == "clean":
+        draw.text((x, y), "the sensor's picture before noise, mosaic, JPEG", _INK, _font(15))
     else:
-        draw.text((x, y), "one stated exposure and tone curve", _INK, _font(15))
+        draw.text((x, y), "as the sidecars' tone_curve says", _INK, _font(15))
+
+
+def _motion_legend(
+    sheet: Image.Image,
+    draw: ImageDraw.ImageDraw,
+    corner: tuple[int, int],
+    width: int,
+    column: str,
+    scale: float,
+) -> None:
+    x, y = corner
+    unit = UNITS.get(column, "")
+    if column in OCCLUSIONS:
+        for code, color in CODE_COLORS.items():
+            draw.rectangle((x, y + 3, x + 26, y + 19), color)
+            draw.text((x + 36, y + 2), f"{CODE_NAMES[code].partition(':')[0]}  ({code})", _INK,
+                      _font(15))  # fmt: skip
+            y += _LEGEND_LINE
+    elif column in FLOWS:
+        sheet.paste(Image.fromarray(wheel_picture(64)), (x, y + 3))
+        lines = [f"where to; {scale:.3g} {unit} at the rim", "farther: darker", "black: no number"]
+        for i, text in enumerate(lines):
+            draw.text((x + 76, y + 2 + 22 * i), text, _INK, _font(15))
+    elif column in VECTORS:
+        lines = ["red: x right, green: y down, blue: z ahead",
+                 f"gray: none; full: {scale:.3g} {unit} and more", "black: no number"]  # fmt: skip
+        for i, text in enumerate(lines):
+            draw.text((x, y + 2 + 22 * i), text, _INK, _font(15))
+    else:
+        bar = np.repeat(viridis(np.linspace(0.0, 1.0, width))[None], 16, axis=0)
+        sheet.paste(Image.fromarray(bar), (x, y + 3))
+        for part in (0.0, 0.5, 1.0):
+            text = f"{part * scale:.3g} {unit}"
+            length = draw.textlength(text, _font(14))
+            draw.text((x + part * (width - length), y + 22), text, _INK, _font(14))
+        draw.text((x, y + 44), "whatever its sign; black: no number", _INK, _font(14))

@@ -30,6 +30,7 @@ from scenec.datasets.export_plan import FAULTS, Choice, Plan, make_plan
 from scenec.datasets.filters import Tally
 from scenec.datasets.formats.contract import Done, Task
 from scenec.datasets.formats.registry import find_format
+from scenec.datasets.pictures import counted
 from scenec.datasets.source import FrameFault, LoadedFrame, kind_of
 from scenec.datasets.statistics import Statistics, measure
 from scenec.datasets.workers import default_workers, in_processes
@@ -251,6 +252,12 @@ def _missing(plan: Plan, report: ExportReport, say: Say) -> None:
     if len(missing) > _SAID_FAULTS:
         say(f"warning: and {len(missing) - _SAID_FAULTS} more frames are missing; left out")
     report.faults.extend(missing)
+    strays = plan.source.strays
+    if strays:
+        # No part of the output: nothing to stop at.
+        more = f" (and {len(strays) - 1} more like it)" if len(strays) > 1 else ""
+        say(f"warning: {strays[0].message}{more}; left out")
+    report.faults.extend(strays)
 
 
 def _record_path(partial: Path, task: Task) -> Path:
@@ -287,11 +294,13 @@ class _Run:
         record = None
         left_out: dict[str, int] = {}
         if first is not None:
-            written = self.plan.format().write(task, _chain(first, frames), data, scratch)
-            record, left_out = written.record, written.left_out
+            form = self.plan.format()
+            told = counted(_chain(first, frames), form, left_out)
+            written = form.write(task, told, data, scratch)
             # What a format does not look at is in the dataset all the same.
-            for _ in frames:
+            for _ in told:
                 pass
+            record, left_out = written.record, {**left_out, **written.left_out}
             files = [
                 [n, (data / n).stat().st_size, written.digests.get(n) or sha256(data / n)]
                 for n in written.files

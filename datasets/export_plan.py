@@ -14,6 +14,7 @@ from typing import Any
 from scenec.datasets.filters import Filters, make_filters
 from scenec.datasets.formats.contract import Format, Info, Task
 from scenec.datasets.formats.registry import find_format
+from scenec.datasets.pictures import kinds_of
 from scenec.datasets.remap import Remap
 from scenec.datasets.source import FrameRef, Source
 from scenec.datasets.splits import assign
@@ -162,6 +163,8 @@ class Plan:
                 state.update(line.encode())
         for fault in self.source.missing:
             state.update(f"{fault.name}\n".encode())
+        for fault in self.source.strays:
+            state.update(f"{fault.name} {fault.kind}\n".encode())
         return state.hexdigest()
 
     def origin(self) -> dict[str, Any]:
@@ -234,6 +237,7 @@ def make_plan(out: Path, name: str, folder: Path | str | None, choice: Choice) -
         options={key: str(value) for key, value in choice.options.items()},
         sky=_sky(source, choice.remap),
         filters=tuple(map(str, choice.filters.conditions)),
+        beside=kinds_of(source.frames),
     )
     if folder is None:
         base = out if out.is_dir() else out.parent

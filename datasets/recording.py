@@ -4,7 +4,9 @@ Entities, on the timelines ``sample`` and ``time`` (seconds)::
 
     /                             right-handed, Z up (the stage's world frame, meters)
     /<batch>/<camera>             Transform3D of the camera, Pinhole (axes right, down, forward)
-    /<batch>/<camera>/rgb         the developed picture
+    /<batch>/<camera>/rgb         the picture: of a sensor what it took, else radiance developed
+    /<batch>/<camera>/clean       a sensor's picture without noise, where it was asked for
+    /<batch>/<camera>/raw         its numbers behind the mosaic, uint16, where they were asked for
     /<batch>/<camera>/depth       DepthImage, float32 meters; 0 where nothing is hit
     /<batch>/<camera>/label/<level>  SegmentationImage, and its AnnotationContext: names, colors
     /<batch>/<camera>/instance    the colors of instances, and their boxes with class and id
@@ -21,11 +23,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from scenec.datasets import pictures
 from scenec.datasets.colors import NO_LABEL, label_colors, paint_instances
+from scenec.datasets.formats.encode import file_bytes, picture_png
 from scenec.datasets.source import LoadedFrame, Source
 from scenec.schemas.errors import FrameError, OutputError
 from scenec.schemas.files import atomic
-from scenec.schemas.picture import develop
 
 if TYPE_CHECKING:
     from types import ModuleType
@@ -158,9 +161,15 @@ def _log(rerun: ModuleType, stream: Any, entity: str, frame: LoadedFrame) -> Non
                 camera_xyz=rerun.ViewCoordinates.RDF,
             ),
         )
-    if "rgb" in passes:
-        picture = develop(passes["rgb"], float(frame.sidecar["exposure_ev"]))
-        stream.log(f"{entity}/rgb", rerun.Image(picture).compress(jpeg_quality=92))
+    if pictures.has_picture(frame):
+        # The PNG as it is: what a sensor's noise looks like would not survive another JPEG.
+        stream.log(f"{entity}/rgb", _png(rerun, picture_png(frame)))
+    for kind in pictures.kinds(frame.sidecar):
+        if kind == "raw":
+            stream.log(f"{entity}/{kind}", rerun.Image(pictures.beside(frame, kind), "L"))
+        else:
+            content = file_bytes(pictures.beside_file(frame, kind))
+            stream.log(f"{entity}/{kind}", _png(rerun, content))
     if "depth" in passes:
         depth = np.where(np.isfinite(passes["depth"]), passes["depth"], 0.0).astype(np.float32)
         stream.log(f"{entity}/depth", rerun.DepthImage(depth, meter=1.0))
@@ -171,6 +180,10 @@ def _log(rerun: ModuleType, stream: Any, entity: str, frame: LoadedFrame) -> Non
     if "instance" in passes:
         stream.log(f"{entity}/instance", rerun.Image(paint_instances(passes["instance"])))
         stream.log(f"{entity}/instance/boxes", _boxes(rerun, frame))
+
+
+def _png(rerun: ModuleType, content: bytes) -> Any:
+    return rerun.EncodedImage(contents=content, media_type="image/png")
 
 
 def _boxes(rerun: ModuleType, frame: LoadedFrame) -> Any:

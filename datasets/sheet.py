@@ -5,12 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from scenec.datasets import pictures
 from scenec.datasets.contact_sheet import SheetFrame, contact_sheet
+from scenec.datasets.motion_colors import OCCLUSIONS, UNITS
+from scenec.schemas.depth_camera import MEASURED
 from scenec.schemas.errors import FrameError
 from scenec.schemas.files import atomic
 from scenec.schemas.frames import Frame, read_frame
 from scenec.schemas.manifest import FRAMES, find_batches
-from scenec.schemas.picture import develop
 
 
 @dataclass(frozen=True)
@@ -77,10 +79,10 @@ def find_frames(out: Path, backend: str | None = None) -> list[Path]:
 
 def _shown(frame: Frame) -> SheetFrame:
     passes = frame.passes
-    ev = float(frame.sidecar.get("exposure_ev", 0.0))
+    clean = "clean" in pictures.kinds(frame.sidecar)
     return SheetFrame(
         title=f"{frame.sidecar['camera']}, sample {frame.sidecar['sample']}",
-        picture=develop(passes["rgb"], ev) if "rgb" in passes else None,
+        picture=pictures.picture(frame) if pictures.has_picture(frame) else None,
         labels={
             name.removeprefix("label."): array
             for name, array in passes.items()
@@ -88,4 +90,7 @@ def _shown(frame: Frame) -> SheetFrame:
         },
         instance=passes.get("instance"),
         depth=passes.get("depth"),
+        clean=pictures.beside(frame, "clean") if clean else None,
+        measured=passes.get(MEASURED),
+        motion={name: passes[name] for name in (*UNITS, *OCCLUSIONS) if name in passes},
     )

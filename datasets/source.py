@@ -2,7 +2,9 @@
 
 A frame is *missing* where the manifest or its fellows say that it should be there, *foreign* where
 it was made from another stage than the one that lies beside it, or with other labels than the rest,
-*damaged* where it cannot be read. Each is named; nothing of the kind is taken silently.
+*damaged* where it cannot be read. Each is named; nothing of the kind is taken silently. *Stray* is
+what an earlier stage left at a sample that the camera has no frame at any more: no part of the
+output, named and passed over.
 """
 
 from __future__ import annotations
@@ -76,7 +78,7 @@ class FrameFault:
 
     Attributes:
         name: ``FrameRef.name``.
-        kind: ``missing``, ``foreign`` or ``damaged``.
+        kind: ``missing``, ``foreign``, ``damaged`` or ``stray``.
         message: What is wrong, with the file.
     """
 
@@ -191,6 +193,7 @@ class Source:
         backends: All that have frames here.
         frames: In order of batch, camera and sample.
         missing: Faults of frames that should be there.
+        strays: Faults of frames at samples that their camera has none at.
         manifest: Of the output; None beside a USD file.
 
     Raises:
@@ -224,6 +227,7 @@ class Source:
         self._cameras = list(cameras) if cameras else seen
         self._samples = None if samples is None else set(samples)
         self.missing: tuple[FrameFault, ...] = ()
+        self.strays: tuple[FrameFault, ...] = ()
         self.frames = self._list()
         if not self.frames:
             raise FrameError(
@@ -291,7 +295,7 @@ class Source:
     def __getstate__(self) -> dict[str, Any]:
         # A worker is told which frames to take: it need not be sent the list of all of them.
         _ = self._first
-        return {**self.__dict__, "frames": (), "missing": (), "manifest": None}
+        return {**self.__dict__, "frames": (), "missing": (), "strays": (), "manifest": None}
 
     @cached_property
     def _first(self) -> Frame:
@@ -323,6 +327,7 @@ class Source:
     def _list(self) -> tuple[FrameRef, ...]:
         refs: list[FrameRef] = []
         missing: list[FrameFault] = []
+        strays: list[FrameFault] = []
         lengths = {
             int(entry["index"]): int(entry.get("samples", 0))
             for entry in (self.manifest or {"batches": []})["batches"]
@@ -335,7 +340,10 @@ class Source:
                 if self._samples is not None and lengths.get(batch.index):
                     expected = expected & set(range(lengths[batch.index]))
                 every, first = self._trigger(batch, camera, there)
-                expected = {s for s in expected if s >= first and (s - first) % every == 0}
+                # Without a manifest nobody says where samples end.
+                end = known if lengths.get(batch.index) else 1 + max({known, *expected})
+                fires = set(range(first, end, every))
+                expected &= fires
                 for sample in sorted(there | expected):
                     if self._samples is not None and sample not in self._samples:
                         continue
@@ -343,13 +351,17 @@ class Source:
                     ref = FrameRef(
                         len(refs), batch.index, batch.name, self.backend, camera, sample, stem
                     )
-                    if sample in there:
+                    if sample in there and sample not in fires:
+                        told = f"{stem}.json: {_astray(sample, known, every, first)}"
+                        strays.append(FrameFault(ref.name, "stray", told))
+                    elif sample in there:
                         refs.append(ref)
                     else:
                         missing.append(
                             FrameFault(ref.name, "missing", f"{stem}.json: no such frame")
                         )
         self.missing = tuple(missing)
+        self.strays = tuple(strays)
         return tuple(refs)
 
     def _trigger(self, batch: Batch, camera: str, there: set[int]) -> tuple[int, int]:
@@ -403,6 +415,24 @@ class Source:
 def kind_of(error: FrameError) -> str:
     """Which kind of fault an error of ``Source.load`` is: ``foreign`` or ``damaged``."""
     return "foreign" if isinstance(error, ForeignFrameError) else "damaged"
+
+
+def _astray(sample: int, known: int, every: int, first: int) -> str:
+    """Why a stage has no frame at a sample, and what to do with one that is there."""
+    if sample >= known:
+        reason = f"the batch has samples 0 to {known - 1}"
+    else:
+        reason = f"its camera is triggered at samples {first}, {first + every}, …"
+    return f"not of this stage: {reason}, not at {sample}; delete it"
+
+
+def sidecar_values(ref: FrameRef) -> dict[str, Any] | None:
+    """A frame's sidecar, unchecked; None where it cannot be read."""
+    try:
+        values = json.loads(ref.stem.with_suffix(".json").read_bytes())
+    except (OSError, ValueError):
+        return None
+    return values if isinstance(values, dict) else None
 
 
 def _vouched(frame: Frame, key: str, path: Path) -> Path:

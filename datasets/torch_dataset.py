@@ -41,8 +41,8 @@ class FrameDataset:
     A sample is a dict of tensors:
 
     ===================  =======================================================================
-    ``rgb``              float32 [3, h, w]: linear radiance, or with ``rgb="srgb"`` the developed
-                         picture in [0, 1]
+    ``rgb``              float32 [3, h, w]: linear radiance, or with ``rgb="srgb"`` the frame's
+                         picture in [0, 1]: what its sensor took, else radiance developed
     ``depth``, ``range`` float32 [h, w], meters; +inf without a hit
     ``label.<level>``    int64 [h, w]
     ``instance``         int64 [h, w], frame ids; ``face`` likewise

@@ -21,7 +21,8 @@ from scenec.compiler.frontend.numbers import Distribution
 from scenec.compiler.frontend.schema import Field
 from scenec.compiler.ground.surface import Surface
 from scenec.compiler.plan import Plan
-from scenec.compiler.scene import Placed, Prototype, Rig, Scatter
+from scenec.compiler.rig import Rig
+from scenec.compiler.scene import Placed, Prototype, Scatter
 
 #: Extent of the terrain where nothing else is said, meters.
 SIZE = (40.0, 32.0)

@@ -27,7 +27,7 @@ from scenec.schemas.instances import frame_table_path
 from scenec.schemas.manifest import FRAMES
 
 #: Version of the sidecar's shape.
-FRAME_VERSION = "1.5"
+FRAME_VERSION = "1.6"
 
 #: What the plane is that ``intrinsics`` take to pixels, where a sidecar has a ``lens``.
 LENS_CONVENTION = {
@@ -40,6 +40,19 @@ LENS_CONVENTION = {
     "equirectangular": "K takes (atan2(X, Z), atan2(Y, hypot(X, Z))), radians, to pixels; depth is "
     "along the optical axis, 0 or less beside and behind the camera, where range tells distances",
 }
+
+#: What a sidecar's ``shutter`` says, where it has one.
+SHUTTER_CONVENTION = (
+    "time counts from the sample's (time_s), at which the middle of the picture is in the middle "
+    "of its exposure: at height v of h rows (row r's center is r + 0.5) that middle is "
+    "readout_s (v / h - 1/2) later, or earlier with the direction up, and exposure_s is centered "
+    "there; camera_to_world at the times_s, positions linear and turns slerped between them; "
+    "first_row and last_row: the camera in the middle of their exposure, as the sidecar's "
+    "camera_to_world is of the picture's middle. Annotation is that of the middle of each row's "
+    "exposure, in the frame of the camera as it is then (flow: of the row that sees the point "
+    "while it is exposed); poses of instances are in the frame of the sample. What moves but the "
+    "camera stands as at the sample"
+)
 
 #: Pictures beside a sensor's picture, on request: the one without noise, and the raw numbers, 16
 #: bits behind the mosaic. A sidecar vouches for them under ``imaging``.
@@ -208,9 +221,12 @@ def read_frame(
             f"{exr_path}: truncated, damaged or changed since it was written (its checksum is not "
             "the sidecar's); render it again"
         )
-    arrays = read_exr(exr_path, unused)
     # The checksum says that what the sidecar names is there, decoded or not.
     undecoded = [name for name in unused if name in sidecar["passes"]]
+    if len(undecoded) == len(sidecar["passes"]):
+        # A file of no parts is none.
+        undecoded, unused = [], ()
+    arrays = read_exr(exr_path, unused)
     there = [*arrays, *undecoded, *([AMODAL] if sidecar.get("amodal") else [])]
     missing = [name for name in passes or () if name not in there]
     if missing:

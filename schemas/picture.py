@@ -11,6 +11,8 @@ from scenec.schemas.files import atomic
 
 #: The curve is linear below this and rolls off to 1 above it.
 SHOULDER = 0.6
+#: Numbers that are developed at once.
+_AT_ONCE = 1 << 22
 
 #: What sidecars say about the pictures beside them.
 DESCRIPTION = (
@@ -46,7 +48,14 @@ def srgb_encode(linear: NDArray[np.floating]) -> NDArray[np.float64]:
 
 def develop(radiance: NDArray[np.floating], exposure_ev: float = 0.0) -> NDArray[np.uint8]:
     """An 8-bit sRGB picture of linear radiance, the same shape."""
-    return np.rint(255.0 * srgb_encode(tone_map(radiance, exposure_ev))).astype(np.uint8)
+    out = np.empty(np.shape(radiance), np.uint8)
+    # Part by part: what is made on the way is eight times as large as the picture.
+    values, pixels = np.ravel(radiance), out.reshape(-1)
+    for first in range(0, len(values), _AT_ONCE):
+        part = slice(first, first + _AT_ONCE)
+        shown = srgb_encode(tone_map(values[part], exposure_ev))
+        pixels[part] = np.rint(255.0 * shown)
+    return out
 
 
 def write_png(path: Path, pixels: NDArray[np.uint8] | NDArray[np.uint16]) -> None:

@@ -7,7 +7,7 @@ documented for other writers in ``docs/stage.md``.
 from __future__ import annotations
 
 #: Version of this stage schema, authored on the root; a reader refuses a newer major one.
-SCHEMA_VERSION = "1.5"
+SCHEMA_VERSION = "1.6"
 
 ATTR_SCHEMA_VERSION = "scenec:schemaVersion"
 #: double, time-sampled: real time of a sample in seconds.
@@ -145,6 +145,21 @@ ATTR_LIDAR_KEY = "scenec:lidar:noise:key"
 ATTR_DEPTH_MODEL = "scenec:depthCamera:model"
 ATTR_DEPTH_NUMBERS = "scenec:depthCamera:numbers"
 ATTR_DEPTH_KEY = "scenec:depthCamera:noise:key"
+
+#: On a camera whose picture is not of one instant. double, time-sampled: how long each row is
+#: exposed, seconds; double, 0 where not authored: how much later the last row's border is exposed
+#: than the first row's; token, "down" where not authored, or "up": where the first row is. Time
+#: counts from the sample's (``scenec:time``), at which the middle of the picture is in the middle
+#: of its exposure.
+ATTR_SHUTTER_EXPOSURE = "scenec:shutter:exposure"
+ATTR_SHUTTER_READOUT = "scenec:shutter:readout"
+ATTR_SHUTTER_DIRECTION = "scenec:shutter:direction"
+#: double[], seconds, rising, 0 among them; matrix4d[], time-sampled: where the camera is then, from
+#: its own frame at the sample (the identity at 0); between them as ``schemas.shutter.between``.
+#: They enclose all exposures. Not authored: it stands still. For viewers, UsdGeomCamera's
+#: shutter:open and shutter:close, and fractional time codes of the rig, say the same.
+ATTR_SHUTTER_TIMES = "scenec:shutter:times"
+ATTR_SHUTTER_POSES = "scenec:shutter:poses"
 
 #: On a camera. rel: the camera whose picture disparity goes to, a rectified pair.
 REL_PARTNER = "scenec:stereo:partner"

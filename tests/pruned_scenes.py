@@ -12,11 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 from small import write_cfg
 
+from scenec.backends.lidar import scan
 from scenec.backends.rays import camera_rays
 from scenec.backends.reader import read_stage
 from scenec.backends.reference import Reference
 from scenec.backends.registry import open_backend
 from scenec.backends.resolver import resolve
+from scenec.backends.session import Session
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.passes.keep import Keep
 
@@ -138,6 +140,61 @@ def drawn_cfg(
 _MODELS = Path(__file__).resolve().parent.parent / "assets" / "models"
 
 
+def odd_cfg(
+    seed: int, folder: Path, outputs: tuple[str, ...] = ("label", "instance")
+) -> dict[str, Any]:
+    """As ``drawn_cfg``, seen by everything that is no plain camera.
+
+    Bent lenses up to all round, stereo cameras that measure depth, flow to the next sample, lidars,
+    and lamps.
+
+    Args:
+        seed, folder, outputs: As there.
+    """
+    pick = random.Random(f"odd {seed}")
+    cfg = drawn_cfg(seed, folder, outputs)
+    lenses: list[dict[str, Any]] = [
+        {"type": "equirectangular"},
+        {"type": "kannala_brandt", "k1": 0.02, "k2": -0.004},
+        {"type": "brown_conrady", "k1": -0.15, "k2": 0.02, "p1": 0.001},
+    ]
+    for number, rig in enumerate(cfg["rigs"].values()):
+        sensors = rig["sensors"]
+        kind = (seed + number) % 4
+        if kind < 3:
+            lens = lenses[kind]
+            bent: dict[str, Any] = {"resolution": [40, 20], "lens": lens, "outputs": list(outputs)}
+            if lens["type"] != "equirectangular":
+                bent["fov_deg"] = 60.0 if lens["type"] == "brown_conrady" else 170.0
+            sensors["bent"] = bent
+        else:
+            sensors["ranger"] = {
+                "resolution": [40, 30],
+                "fov_deg": 70.0,
+                "outputs": [*outputs, "depth_measured"],
+                "depth_camera": {"type": "stereo", "baseline_m": 0.3},
+            }
+        sensors["left"]["outputs"] = [*outputs, "flow", "occlusion", "flow_backward"]
+        rig["lidars"] = {
+            "top": {
+                "beams": 8,
+                "elevation_deg": [5, -25],
+                "azimuths": 60,
+                "range_m": [0.2, pick.choice([8.0, 60.0])],
+                "noise": {"range_m": 0.01, "angle_deg": 0.5},
+            }
+        }
+    if pick.random() < 0.5:
+        cfg["light"]["lamps"] = {
+            "torch": {
+                "intensity": 40,
+                "cone_deg": pick.choice([30, 180]),
+                "mount": {"type": "rig", "rig": sorted(cfg["rigs"])[0]},
+            }
+        }
+    return cfg
+
+
 def compiled(folder: Path, cfg: dict[str, Any], keep: Keep, seed: int = 1) -> Path:
     """Compiles a cfg; the folder of its batch."""
     out = folder / str(keep)
@@ -166,6 +223,31 @@ def annotation(batch: Path) -> Iterator[tuple[str, dict[str, NDArray[Any]]]]:
                 sample,
             )[0]  # fmt: skip
             yield f"{camera.name} {sample}", shown
+
+
+def everything(batch: Path) -> Iterator[tuple[str, dict[str, NDArray[Any]]]]:
+    """All that cameras and lidars say of a batch but color, by the exact caster.
+
+    Args:
+        batch: Folder of the batch.
+
+    Yields:
+        Sensor and sample, and what it says.
+    """
+    scene = read_stage(batch / "stage.usda")
+    reference = Reference()
+    session = Session(scene, reference)
+    session.pictures = False
+    for sample, cameras in enumerate(scene.cameras):
+        for camera in cameras:
+            if camera.fires(sample):
+                wanted = [name for name in camera.outputs if name != "rgb"]
+                passes = session.passes((*wanted, *PASSES), camera)
+                yield f"{camera.name} {sample}", session.render(camera, sample, passes, 1, 1)[0]
+        assert reference.caster is not None
+        reference.caster.pose(sample)
+        for lidar in scene.lidars[sample]:
+            yield f"{lidar.name} {sample}", scan(scene, reference.caster, lidar, sample)
 
 
 @dataclass(frozen=True)

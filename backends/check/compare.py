@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from scenec.backends.bands import cast
 from scenec.backends.check.amodal import Definition, between_frames
 from scenec.backends.check.radiance import (
     RadianceComparison,
@@ -18,12 +19,11 @@ from scenec.backends.check.radiance import (
     write_differences,
 )
 from scenec.backends.exact import ExactCaster
-from scenec.backends.rays import camera_rays
 from scenec.backends.reader import read_stage
 from scenec.backends.registry import ANNOTATION_ONLY
 from scenec.backends.render import render
 from scenec.backends.render_scene import Camera, RenderScene
-from scenec.backends.resolver import annotate, pass_names, settle
+from scenec.backends.resolver import pass_names
 from scenec.schemas.errors import BackendError, FrameError
 from scenec.schemas.exr import is_id_pass
 from scenec.schemas.frames import Frame, frame_stem, read_frame
@@ -181,10 +181,8 @@ def check_exact(out: Path, say: Say = lambda _text: None) -> Agreement:
                 wanted = [n for n in _union(frames.values()) if n != "rgb"]
                 if not wanted:
                     continue
-                rays = camera_rays(camera)
                 caster.pose(sample)
-                settled = settle(caster, rays)
-                truth = annotate(scene, settled, rays, wanted, sample)
+                settled, truth = cast(scene, caster, camera, wanted, sample)
                 seen = definition.seen(settled, camera, sample)
                 for backend, frame in frames.items():
                     count += 1

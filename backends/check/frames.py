@@ -10,6 +10,7 @@ import numpy as np
 
 from scenec.backends.check.finding import Finding
 from scenec.backends.check.instances import check_batch_table, table_faults
+from scenec.backends.check.strays import Firing, strays
 from scenec.schemas.errors import FrameError
 from scenec.schemas.frames import Frame, read_frame
 from scenec.schemas.manifest import FRAMES
@@ -17,20 +18,31 @@ from scenec.schemas.manifest import FRAMES
 _NO_FACE = 0xFFFFFFFF
 
 
-def check_frames(folder: Path, digest: str | None) -> Iterator[Finding]:
+def check_frames(
+    folder: Path, digest: str | None, firing: Firing | None = None
+) -> Iterator[Finding]:
     """Findings on all frames of a batch.
 
     Args:
         folder: The batch's folder.
         digest: Digest of its stage; None where that cannot be read.
+        firing: When its cameras are triggered; None likewise.
     """
     frames = folder / FRAMES
+    astray = {} if firing is None else dict(strays(folder, firing))
     yield from check_batch_table(frames, digest, _name(frames, folder))
     for exr in sorted(frames.glob("*/*/*.exr")):
         if not exr.with_suffix(".json").is_file():
             yield Finding("frames", "error", _name(exr, folder), "has no sidecar: cut short?")
     for path in sorted(frames.glob("*/*/*.json")):
         where = _name(path, folder)
+        if path in astray:
+            message = (
+                f"not of this stage: {astray[path]}; no render replaces it and exports pass it "
+                f"over: delete {path.stem}.*"
+            )
+            yield Finding("frames", "warning", where, message)
+            continue
         try:
             frame = read_frame(path)
         except FrameError as error:

@@ -7,10 +7,11 @@ import hashlib
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.backends.bands import by_columns
 from scenec.backends.contract import BOUNCES, Radiance, Rays, Visibility
 from scenec.backends.cycles import blender, render
 from scenec.backends.cycles.built import PASSES, Built
-from scenec.backends.cycles.camera import find_lens, place
+from scenec.backends.cycles.camera import Lens, find_lens, place
 from scenec.backends.cycles.planetary import has_laws
 from scenec.backends.render_scene import Camera, RenderScene
 from scenec.schemas.errors import BackendError
@@ -22,6 +23,10 @@ LAW_LOSS = (
     "other surfaces throw by these laws' albedo towards the camera: mean radiance is off by 0.5 % "
     "where a sun shines alone, by up to 5 % under a sky with a bright aureole"
 )
+
+#: Pixels of a side that Cycles draws in one piece. Of larger pictures it keeps parts in a file,
+#: which fails in Blender as a module ("Error writing tile to file").
+LARGEST = 8192
 
 
 class Cycles:
@@ -74,6 +79,12 @@ class Cycles:
         if camera is None or lens is None or isinstance(lens, str):
             return None
         loaded.pose(sample)
+        return by_columns(self._look, camera, LARGEST)
+
+    def _look(self, camera: Camera) -> Visibility:
+        """First hits of a camera that Blender has."""
+        loaded, lens = self._require_loaded(), find_lens(camera)
+        assert isinstance(lens, Lens)
         place(loaded.scene, loaded.camera, camera, lens, loaded.frame)
         render.for_visibility(loaded.scene)
         row, face = (

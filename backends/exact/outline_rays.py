@@ -1,7 +1,8 @@
-"""Silhouettes for any table of rays from one eye: what ``silhouette`` does for pinholes.
+"""Silhouettes for any table of rays: what ``silhouette`` does for pinholes.
 
 The same definition, ray by ray: the tree of a row's mesh is walked for each pixel whose ray enters
-the row's bounding sphere.
+the row's bounding sphere. Where a rolling shutter's rays come from many eyes, spheres count as
+larger by the radius of a ball around these, seen from its middle.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from scenec.backends.contract import Rays
 from scenec.backends.exact.build import STACK_SIZE
 from scenec.backends.exact.bvh import Geometry
 from scenec.backends.exact.silhouette import _LANES, _meets
-from scenec.backends.exact.small_rows import _SLACK, _TILE, _cone, _unit
+from scenec.backends.exact.small_rows import _SLACK, _TILE, _cone, _unit, eye_of
 
 
 @njit(cache=True, error_model="numpy")
@@ -66,7 +67,7 @@ def frame_rows(geometry: Geometry, rows: NDArray[np.int64], rays: Rays) -> NDArr
     Args:
         geometry: Of the scene.
         rows: Which, int64 [n].
-        rays: All from one eye.
+        rays: The picture's.
 
     Returns:
         First column, end, first row, end, int64 [n, 4]; empty for rows that cannot be seen.
@@ -75,9 +76,19 @@ def frame_rows(geometry: Geometry, rows: NDArray[np.int64], rays: Rays) -> NDArr
     unit = np.empty_like(rays.directions)
     _unit(rays.directions, unit)
     parts = np.zeros((len(rows), 4), np.int64)
-    origin = np.ascontiguousarray(rays.origins[0])
-    _windows(geometry.row_spheres, rows, origin, unit, width, height, parts)
+    origin, spread = eye_of(rays)
+    _windows(_widened(geometry, spread), rows, origin, unit, width, height, parts)
     return parts
+
+
+def _widened(geometry: Geometry, spread: float) -> NDArray[np.float64]:
+    """Spheres around rows, larger by so much; still without a surface where they are."""
+    spheres = geometry.row_spheres
+    if spread == 0.0:
+        return spheres
+    wider = spheres.copy()
+    wider[:, 3] = np.where(spheres[:, 3] < 0.0, spheres[:, 3], spheres[:, 3] + spread)
+    return wider
 
 
 @njit(cache=True, error_model="numpy")
@@ -94,8 +105,8 @@ def _at_border(known, width, height, x, y):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, error_model="numpy", parallel=True, nogil=True)
 def _outline(  # type: ignore[no-untyped-def]
-    g, rows, parts, firsts, order, windows, starts, origin, directions, known, width, height,
-    marks, areas, bounded,
+    g, spheres, rows, parts, firsts, order, windows, starts, middle, origins, directions, known,
+    width, height, marks, areas, bounded,
 ):  # fmt: skip
     for lane in prange(min(_LANES, order.shape[0])):
         stack = np.empty(2 * STACK_SIZE, np.int32)
@@ -109,7 +120,7 @@ def _outline(  # type: ignore[no-untyped-def]
                 row, part = rows[r], parts[r]
                 if part[0] >= part[1]:
                     continue
-                own = _sphere_cone(g.row_spheres[row], origin, axis)
+                own = _sphere_cone(spheres[row], middle, axis)
                 least = math.cos(own) - _SLACK if own < math.pi else -2.0
                 whole = whole and own < 0.5 * math.pi
                 for y in range(part[2], part[3]):
@@ -122,7 +133,7 @@ def _outline(  # type: ignore[no-untyped-def]
                             whole = False
                         mark = starts[n] + (y - window[2]) * across + x - window[0]
                         new = marks[mark] == 0 and known[y * width + x]
-                        if new and _meets(g, row, origin, d, stack):
+                        if new and _meets(g, row, origins[y * width + x], d, stack):
                             marks[mark] = 1
             inside = 0
             for mark in range(starts[n], starts[n] + across * (window[3] - window[2])):
@@ -155,7 +166,7 @@ def outline(
         order: Instances to outline, int64 [m].
         windows: Of the instances, int64 [n, 4].
         starts: Of their windows in ``marks``, int64 [n].
-        rays: All from one eye.
+        rays: The picture's.
         marks: uint8; 1 where a pixel is known to be inside, in place.
         areas: Receives pixels within the picture, twice, int64 [n, 2].
         bounded: Receives whether the balls around an instance's rows keep off the picture's border
@@ -163,8 +174,8 @@ def outline(
     """
     height, width = rays.shape
     known = np.ones(height * width, np.bool_) if rays.known is None else rays.known
+    middle, spread = eye_of(rays)
     _outline(
-        geometry, rows, parts, firsts, order, windows, starts,
-        np.ascontiguousarray(rays.origins[0]), rays.directions, known, width, height, marks, areas,
-        bounded,
+        geometry, _widened(geometry, spread), rows, parts, firsts, order, windows, starts, middle,
+        rays.origins, rays.directions, known, width, height, marks, areas, bounded,
     )  # fmt: skip

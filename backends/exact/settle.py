@@ -43,6 +43,7 @@ from scenec.backends.exact.intersect import (
 )
 from scenec.backends.exact.small_rows import mark_small_rows
 from scenec.backends.render_scene import Camera
+from scenec.backends.shutter import is_rolling
 from scenec.schemas.errors import BackendError
 
 MISSED, HAIR, SLIVER, TWIN, DISCONTINUITY, SMALL_ROW, AUDIT = 1, 2, 4, 8, 16, 32, 64
@@ -265,6 +266,7 @@ def settle(
     rays: Rays,
     visibility: Visibility | None = None,
     camera: Camera | None = None,
+    core: range | None = None,
 ) -> Settled:
     """Make a renderer's visibility exact.
 
@@ -274,9 +276,11 @@ def settle(
         visibility: What a renderer reported; None: every ray is cast.
         camera: The camera the rays come from; None (a table of rays of another kind): they need
             have no eye, so every ray is cast.
+        core: Rows of ``rays`` that are settled; None: all. The others, a larger picture's rows
+            beside them, are what the 3x3 windows look at and no more.
 
     Returns:
-        The exact visibility, and how far the renderer was from it.
+        The exact visibility (of the core), and how far the renderer was from it.
 
     Raises:
         BackendError: Arrays of ``visibility`` that do not fit the rays.
@@ -287,15 +291,19 @@ def settle(
         raise BackendError(f"{n} rays do not fill a picture of {width} x {height}")
     g = caster.geometry
     suspect = np.zeros(n, np.uint8)
-    known = np.arange(n) if rays.known is None else np.flatnonzero(rays.known)
+    inside = slice(0, n) if core is None else slice(core.start * width, core.stop * width)
+    size = inside.stop - inside.start
+    known = np.arange(inside.start, inside.stop)
+    if rays.known is not None:
+        known = known[rays.known[inside]]
     if visibility is None:
         row, face, t = caster.cast(rays, known)
-        if len(known) < n:
+        if len(known) < size:
             row, face, t = (
-                _spread(found, n, known, nothing)
+                _spread(found, size, known - inside.start, nothing)
                 for found, nothing in ((row, NO_ROW), (face, 0), (t, np.inf))
             )
-        nothing = Statistics(n, len(known), dict.fromkeys(_REASONS, 0), 0, 0, False)
+        nothing = Statistics(size, len(known), dict.fromkeys(_REASONS, 0), 0, 0, False)
         return Settled(row, face, t, nothing, g)
     if visibility.row.shape != (n,) or visibility.face.shape != (n,):
         raise BackendError(
@@ -313,7 +321,7 @@ def settle(
     _test_neighbors(g, rays.origins, rays.directions, width, height, row, face, t, doubt, suspect)
     if camera is None:
         suspect |= AUDIT
-    elif camera.lens is not None:
+    elif camera.lens is not None or is_rolling(camera):
         mark_small_rows(g.row_spheres, rays, t, _SMALL_ROW_PIXELS, SMALL_ROW, suspect)
     else:
         _mark_small_rows(
@@ -328,28 +336,29 @@ def settle(
     if rays.known is not None:
         # They show nothing, and are no mark against the renderer.
         suspect[~rays.known] = 0
+    suspect[: inside.start] = suspect[inside.stop :] = 0
     accepted = known[suspect[known] == 0]
     audited = accepted[::_AUDIT_STRIDE]
     suspect[audited] = AUDIT
     cast = np.flatnonzero(suspect)
     _cast_suspects(caster, rays, cast, row, face, t)
-    other_row, changed = _differences(visibility, row, face)
+    other_row, changed = _differences(visibility, row, face, inside)
     # Of twins either one is a fair answer, so theirs are no mark against the renderer.
     mistaken = np.count_nonzero(changed & (suspect & TWIN == 0))
     escalated = bool(changed[audited].any() or mistaken > _TRUSTED_SHARE * len(cast))
     if escalated:
         _cast_suspects(caster, rays, accepted, row, face, t)
         suspect[accepted] = AUDIT
-        other_row, changed = _differences(visibility, row, face)
+        other_row, changed = _differences(visibility, row, face, inside)
     statistics = Statistics(
-        pixels=n,
+        pixels=size,
         suspects=int(np.count_nonzero(suspect)),
         reasons={k: int(np.count_nonzero(suspect & bit)) for k, bit in _REASONS.items()},
         changed=int(np.count_nonzero(changed)),
         changed_rows=int(np.count_nonzero(other_row)),
         escalated=escalated,
     )
-    return Settled(row, face, t, statistics, g)
+    return Settled(row[inside], face[inside], t[inside], statistics, g)
 
 
 def _spread(found: NDArray, n: int, known: NDArray[np.int64], nothing: float) -> NDArray:
@@ -360,10 +369,11 @@ def _spread(found: NDArray, n: int, known: NDArray[np.int64], nothing: float) ->
 
 
 def _differences(
-    visibility: Visibility, row: NDArray[np.int32], face: NDArray[np.int32]
+    visibility: Visibility, row: NDArray[np.int32], face: NDArray[np.int32], inside: slice
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Where a report names another row, and where another row or face."""
+    """Where, of some pixels, a report names another row, and where another row or face."""
     other_row = row != visibility.row
+    other_row[: inside.start] = other_row[inside.stop :] = False
     return other_row, other_row | ((face != visibility.face) & (row != NO_ROW))
 
 

@@ -62,31 +62,39 @@ def _cone(unit, width, x0, x1, y0, y1, out):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _may_touch(axis, half, sphere, origin, step, small_px):  # type: ignore[no-untyped-def]
+def _may_touch(axis, half, sphere, eye, step, small_px):  # type: ignore[no-untyped-def]
     """Whether a row is small there, and its cone, widened by a pixel, meets another cone.
+
+    Of eyes that lie within a ball each sees of a row's sphere what the ball's middle does of one
+    that is larger by the ball's radius.
 
     Returns (whether, cosine of its own widened half angle, least distance).
     """
+    origin, spread = eye
     p0 = sphere[0] - origin[0]
     p1 = sphere[1] - origin[1]
     p2 = sphere[2] - origin[2]
     distance = math.sqrt(p0 * p0 + p1 * p1 + p2 * p2)
     own = 0.5 * math.pi
-    if distance > sphere[3]:
-        own = math.asin(sphere[3] / distance)
+    if distance + spread > sphere[3]:
+        own = math.asin(sphere[3] / (distance + spread))
     if not own < small_px * step:
         return False, 0.0, 0.0
+    radius = sphere[3] + spread
+    if spread > 0.0:
+        own = math.asin(radius / distance) if distance > radius else math.pi
     own += step
     reach = own + half
     if distance > 0.0 and reach < math.pi:
         cosine = (axis[0] * p0 + axis[1] * p1 + axis[2] * p2) / distance
         if cosine < math.cos(reach) - _SLACK:
             return False, 0.0, 0.0
-    return True, math.cos(min(own, math.pi)) - _SLACK, distance - sphere[3]
+    return True, math.cos(min(own, math.pi)) - _SLACK, distance - radius
 
 
 @njit(cache=True, error_model="numpy", parallel=True, nogil=True)
-def _mark(spheres, origin, directions, unit, width, height, t, small_px, reason, suspect):  # type: ignore[no-untyped-def]
+def _mark(spheres, eye, directions, unit, width, height, t, small_px, reason, suspect):  # type: ignore[no-untyped-def]
+    origin = eye[0]
     side = _TILE * _BLOCK
     across = -(-width // side)
     down = -(-height // side)
@@ -105,7 +113,7 @@ def _mark(spheres, origin, directions, unit, width, height, t, small_px, reason,
             sphere = spheres[row]
             if sphere[3] < 0.0:
                 continue
-            if not _may_touch(whole[:3], whole[3], sphere, origin, whole[4], small_px)[0]:
+            if not _may_touch(whole[:3], whole[3], sphere, eye, whole[4], small_px)[0]:
                 continue
             p0 = sphere[0] - origin[0]
             p1 = sphere[1] - origin[1]
@@ -114,7 +122,7 @@ def _mark(spheres, origin, directions, unit, width, height, t, small_px, reason,
             for n in range(tiles_x * tiles_y):
                 tile = tiles[n]
                 touched, cosine, near = _may_touch(
-                    tile[:3], tile[3], sphere, origin, tile[4], small_px
+                    tile[:3], tile[3], sphere, eye, tile[4], small_px
                 )
                 if not touched:
                     continue
@@ -131,6 +139,17 @@ def _mark(spheres, origin, directions, unit, width, height, t, small_px, reason,
                             suspect[k] |= reason
 
 
+def eye_of(rays: Rays) -> tuple[NDArray[np.float64], float]:
+    """Middle and radius of a ball that all origins of rays lie in; of one eye, that and 0."""
+    first = np.ascontiguousarray(rays.origins[0])
+    low, high = rays.origins.min(axis=0), rays.origins.max(axis=0)
+    if (low == high).all():
+        return first, 0.0
+    half = 0.5 * (high - low)
+    # A hair more, for rounding.
+    return low + half, float(np.sqrt((half * half).sum())) * (1.0 + 1e-9)
+
+
 def mark_small_rows(
     spheres: NDArray[np.float64],
     rays: Rays,
@@ -145,7 +164,7 @@ def mark_small_rows(
 
     Args:
         spheres: Around the rows, float64 [r, 4]; without a surface where the radius is below 0.
-        rays: All from one eye.
+        rays: From one eye, or from a rolling shutter's.
         t: Known hits, float64 [n]; +inf without one.
         small_px: Radius, pixels.
         reason: What marks them.
@@ -154,8 +173,7 @@ def mark_small_rows(
     height, width = rays.shape
     unit = np.empty_like(rays.directions)
     _unit(rays.directions, unit)
-    origin = np.ascontiguousarray(rays.origins[0])
     _mark(
-        spheres, origin, rays.directions, unit, width, height, t, small_px, np.uint8(reason),
+        spheres, eye_of(rays), rays.directions, unit, width, height, t, small_px, np.uint8(reason),
         suspect,
     )  # fmt: skip

@@ -7,6 +7,7 @@ import math
 import numpy as np
 from numba import njit, prange
 
+from scenec.backends.exact.borrowed import borrowed
 from scenec.backends.exact.build import STACK_SIZE
 from scenec.backends.exact.bvh import ROUNDING
 from scenec.backends.exact.intersect import hit_parameter, ray_frame, row_matrix
@@ -74,7 +75,7 @@ def _local_ray(m, origin, direction):  # type: ignore[no-untyped-def]
     return o, d
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", forceinline=True)
 def _test_leaf(g, start, count, first, row, matrix, frame, t, best_row, best_face):  # type: ignore[no-untyped-def]
     for k in range(start, start + count):
         face = g.face_order[k]
@@ -88,7 +89,7 @@ def _test_leaf(g, start, count, first, row, matrix, frame, t, best_row, best_fac
     return t, best_row, best_face
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", forceinline=True)
 def _trace_row(g, row, frame, origin, direction, size, t, best_row, best_face, stack, keys):  # type: ignore[no-untyped-def]
     """Improve the best hit (t, row, face) by the triangles of one row."""
     o, d = _local_ray(g.to_local[row], origin, direction)
@@ -141,7 +142,7 @@ def _trace_row(g, row, frame, origin, direction, size, t, best_row, best_face, s
             return t, best_row, best_face
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", forceinline=True)
 def trace(g, origin, direction, t, best_row, best_face, stack, keys):  # type: ignore[no-untyped-def]
     """Nearest hit of one ray, ties to the lowest (row, face).
 
@@ -208,9 +209,12 @@ def trace(g, origin, direction, t, best_row, best_face, stack, keys):  # type: i
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _trace_some(g, origins, directions, index, start, stop, row, face, t):  # type: ignore[no-untyped-def]
-    stack = np.empty(2 * STACK_SIZE, np.int32)
-    keys = np.empty(2 * STACK_SIZE, np.float64)
+def _trace_some(  # type: ignore[no-untyped-def]
+    scene, all_origins, all_directions, index, start, stop, row, face, t, stack_room, keys_room
+):
+    # The caller keeps all of them.
+    g, origins, directions = borrowed(scene), borrowed(all_origins), borrowed(all_directions)
+    stack, keys = borrowed(stack_room), borrowed(keys_room)
     for k in range(start, stop):
         ray = index[k]
         t[k], row[k], face[k] = trace(
@@ -235,4 +239,6 @@ def trace_all(g, origins, directions, index, row, face, t):  # type: ignore[no-u
     for chunk in prange((count + _CHUNK - 1) // _CHUNK):
         start = chunk * _CHUNK
         stop = min(start + _CHUNK, count)
-        _trace_some(g, origins, directions, index, start, stop, row, face, t)
+        stack = np.empty(2 * STACK_SIZE, np.int32)
+        keys = np.empty(2 * STACK_SIZE, np.float64)
+        _trace_some(g, origins, directions, index, start, stop, row, face, t, stack, keys)

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from scenec.backends.imaging import develop, optics, sensor
 from scenec.backends.imaging.chance import log
+from scenec.backends.imaging.jpeg import compressed
 from scenec.backends.imaging.taken import Taken
 from scenec.backends.render_scene import Camera
 from scenec.schemas import imaging as formulas
@@ -58,7 +59,7 @@ def take(rgb: NDArray[np.float32], camera: Camera, imaging: Imaging, sample: int
     )  # fmt: skip
     picture = develop.develop(numbers, mosaic, imaging.demosaic, imaging.black_level, look)
     if imaging.jpeg_quality:
-        picture = develop.jpeg(picture, imaging.jpeg_quality, imaging.jpeg_subsampling)
+        picture = compressed(picture, imaging.jpeg_quality, imaging.jpeg_subsampling)
     clean = None
     if imaging.clean:
         clean = develop.develop_light(_without_noise(light, shade, how), look)

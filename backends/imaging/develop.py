@@ -6,7 +6,6 @@ pictures (``scenec.schemas.picture``), stretched so that the brightest value bec
 
 from __future__ import annotations
 
-import io
 from dataclasses import dataclass
 from decimal import Decimal
 from functools import lru_cache
@@ -18,8 +17,9 @@ from numpy.typing import NDArray
 from scenec.backends.imaging.sensor import COLORS
 from scenec.schemas.picture import SHOULDER
 
-#: First guesses of codes: as many steps of equal width.
-_GUESSES = 65536
+#: Bits of a float32 below those that name its step: 128 steps between powers of two. The tone
+#: curve rises by less than 112 codes a factor of e, so no step has two edges between codes.
+_STEP_BITS = 16
 
 #: Weights of what a pixel and others of its color add to the mean of the nearest pixels of another
 #: color. That is green of a red or blue pixel (itself; four two away); red or blue of a green pixel
@@ -91,35 +91,24 @@ def develop(
     """
     if raw.shape[2] == 3:
         return develop_light(raw.astype(np.float32) - np.float32(black), look)
-    edges, guesses = codes(look.white)
+    edges, starts = codes(look.white)
     out = np.empty((*raw.shape[:2], 3), np.uint8)
     red, green, blue = look.balance.tolist()
     padded = _balanced(raw[:, :, 0], mosaic, black, (red, green, blue))
     matrix = (look.to_rec709 / look.white).astype(np.float32)
     most = np.float32(look.most)
-    _from_mosaic(padded, *_tables(mosaic, method), most, matrix, edges, guesses, out)
+    _from_mosaic(padded, *_tables(mosaic, method), most, matrix, edges, starts, out)
     return out
 
 
 def develop_light(light: NDArray[np.float32], look: Look) -> NDArray[np.uint8]:
     """The same of numbers above black, whole or not, of all colors: float32 [h, w, 3]."""
-    edges, guesses = codes(look.white)
+    edges, starts = codes(look.white)
     out = np.empty(light.shape, np.uint8)
     matrix = (look.to_rec709 / look.white).astype(np.float32)
     balance, most = look.balance.astype(np.float32), np.float32(look.most)
-    _from_colors(light, balance, most, matrix, edges, guesses, out)
+    _from_colors(light, balance, most, matrix, edges, starts, out)
     return out
-
-
-def jpeg(picture: NDArray[np.uint8], quality: int, subsampling: str) -> NDArray[np.uint8]:
-    """What is left of a picture after it has been a JPEG (Pillow's libjpeg-turbo)."""
-    from PIL import Image
-
-    file = io.BytesIO()
-    Image.fromarray(picture).save(file, "JPEG", quality=quality, subsampling=subsampling)
-    file.seek(0)
-    with Image.open(file) as image:
-        return np.asarray(image.convert("RGB"))
 
 
 @lru_cache(maxsize=16)
@@ -131,7 +120,7 @@ def codes(white: float) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
 
     Returns:
         Edges between the 256 codes, as shares of ``white``, float32 [256], the last one inf; and
-        the code at the beginning of each of 65536 steps up to ``white``.
+        the code at the beginning of each step from the first edge's to that of 1 (``_step``).
     """
     # In decimals, whose exp and ln have the same digits everywhere.
     shoulder = Decimal(str(SHOULDER))
@@ -151,8 +140,12 @@ def codes(white: float) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
         if linear > shoulder:
             linear = shoulder - rest * ((1 - linear) / rest).ln()
         edges[code] = float(linear / brightest)
-    starts = np.arange(_GUESSES + 1) / _GUESSES
-    return edges, np.searchsorted(edges, starts, side="right").astype(np.uint8)
+    ends = np.array([edges[0], 1.0], np.float32).view(np.int32) >> _STEP_BITS
+    steps = (np.arange(ends[0], ends[1] + 1, dtype=np.int32) << _STEP_BITS).view(np.float32)
+    starts = np.searchsorted(edges, steps, side="right").astype(np.uint8)
+    # What is below the first step counts as in it.
+    starts[0] = 0
+    return edges, starts
 
 
 def _tables(mosaic: str, method: str) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
@@ -221,47 +214,46 @@ def _row_colors(m, y, i, colors, k, out):  # type: ignore[no-untyped-def]
             out[x, 2 - own] = quarter * diagonal + k[6] * itself + k[7] * far
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
+@njit(cache=True, error_model="numpy")
 def _demosaic(padded, colors, corrections, out):  # type: ignore[no-untyped-def]
-    for line in prange(out.shape[0]):
-        y = np.int64(line)
+    for y in range(out.shape[0]):
         for i in range(2):
             _row_colors(padded, y, i, colors, corrections, out[y])
 
 
-@njit(cache=True, error_model="numpy")
-def _show(r, g, b, most, matrix, edges, guesses, pixel):  # type: ignore[no-untyped-def]
-    """Codes of three colors."""
-    r, g, b = min(r, most), min(g, most), min(b, most)
-    for c in range(3):
-        value = matrix[c, 0] * r + matrix[c, 1] * g + matrix[c, 2] * b
-        value = min(max(value, np.float32(0.0)), np.float32(1.0))
-        code = np.int64(guesses[np.int64(value * np.float32(_GUESSES))])
-        while edges[code] <= value:
-            code += 1
-        pixel[c] = code
+@njit(cache=True, error_model="numpy", no_cpython_wrapper=True)
+def _show(row, most, matrix, edges, starts, out):  # type: ignore[no-untyped-def]
+    """Codes of a line of colors, which are lost."""
+    for x in range(row.shape[0]):
+        r, g, b = min(row[x, 0], most), min(row[x, 1], most), min(row[x, 2], most)
+        for c in range(3):
+            value = matrix[c, 0] * r + matrix[c, 1] * g + matrix[c, 2] * b
+            row[x, c] = min(max(value, np.float32(0.0)), np.float32(1.0))
+    bits, first = row.view(np.int32), edges.view(np.int32)[0] >> _STEP_BITS
+    for x in range(row.shape[0]):
+        for c in range(3):
+            code = np.int64(starts[max((bits[x, c] >> _STEP_BITS) - first, 0)])
+            out[x, c] = code + 1 if edges[code] <= row[x, c] else code
 
 
 @njit(cache=True, error_model="numpy", parallel=True)
 def _from_mosaic(  # type: ignore[no-untyped-def]
-    padded, colors, corrections, most, matrix, edges, guesses, out
+    padded, colors, corrections, most, matrix, edges, starts, out
 ):
     for line in prange(out.shape[0]):
-        y = np.int64(line)
         row = np.empty((out.shape[1], 3), np.float32)
         for i in range(2):
-            _row_colors(padded, y, i, colors, corrections, row)
-        for x in range(out.shape[1]):
-            _show(row[x, 0], row[x, 1], row[x, 2], most, matrix, edges, guesses, out[y, x])
+            _row_colors(padded, np.int64(line), i, colors, corrections, row)
+        _show(row, most, matrix, edges, starts, out[line])
 
 
 @njit(cache=True, error_model="numpy", parallel=True)
 def _from_colors(  # type: ignore[no-untyped-def]
-    light, balance, most, matrix, edges, guesses, out
+    light, balance, most, matrix, edges, starts, out
 ):
     for line in prange(light.shape[0]):
-        y = np.int64(line)
+        row = np.empty((light.shape[1], 3), np.float32)
         for x in range(light.shape[1]):
-            r, g, b = light[y, x, 0], light[y, x, 1], light[y, x, 2]
-            r, g, b = balance[0] * r, balance[1] * g, balance[2] * b
-            _show(r, g, b, most, matrix, edges, guesses, out[y, x])
+            for c in range(3):
+                row[x, c] = balance[c] * light[line, x, c]
+        _show(row, most, matrix, edges, starts, out[line])

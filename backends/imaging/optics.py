@@ -53,7 +53,7 @@ class _Seen:
 
 @lru_cache(maxsize=4)
 def _vignetting(seen: _Seen, power: int, polynomial: tuple[float, ...]) -> Picture:
-    camera = replace(seen.camera, camera_to_world=np.eye(4))
+    camera = replace(seen.camera, camera_to_world=np.eye(4), shutter=None)
     size = (camera.height, camera.width)
     k = camera.intrinsics
     y = np.arange(camera.height)[:, None] + (0.5 - k[1, 2])
@@ -93,18 +93,30 @@ def bloom(rgb: Picture, share: float, sigma_px: float) -> Picture:
     levels = [rgb]
     for _ in range(max(scales)):
         levels.append(_halve(levels[-1]))
-    # From the coarsest up, so that only the last step is over all pixels.
+    # From the coarsest up; the last step, over all pixels, is a part of mixing.
     spread = np.zeros_like(levels[-1])
-    for n in range(max(scales), -1, -1):
+    last = min(1, *scales)
+    for n in range(max(scales), last - 1, -1):
         if n < max(scales):
             spread = _double(spread, *levels[n].shape[:2])
         for part, size, scale in zip(BLOOM_SHARES, BLOOM_SIZES, scales, strict=True):
             if scale == n:
                 spread += _blur(levels[n], _taps(_own_variance(sigma_px * size, n), part))
-    before, after = _row_sums(rgb).sum(axis=0), _row_sums(spread).sum(axis=0)
+    before, after = _row_sums(rgb).sum(axis=0), _sum(spread, rgb.shape if last else spread.shape)
     factor = share * np.divide(before, after, out=np.ones(3), where=after > 0.0)
-    _mix(rgb, np.float32(1.0 - share), factor.astype(np.float32), spread)
-    return spread
+    out = np.empty_like(rgb)
+    _mix(rgb, np.float32(1.0 - share), factor.astype(np.float32), spread, out)
+    return out
+
+
+def _sum(picture: Picture, shape: tuple[int, ...]) -> NDArray[np.float64]:
+    """Of each channel of a picture, or of what ``_double`` would make of it, of that shape."""
+    lines = _row_sums(picture)
+    if shape == picture.shape:
+        return lines.sum(axis=0)
+    # Two pixels for each, weights of 1; where the size is odd the last one has but one.
+    lines = 2.0 * lines - (shape[1] % 2) * picture[:, -1]
+    return 2.0 * lines.sum(axis=0) - (shape[0] % 2) * lines[-1]
 
 
 def light(rgb: Picture, shade: Picture) -> Picture:
@@ -188,55 +200,91 @@ def _halve(picture: Picture) -> Picture:
 def _double(picture: Picture, h: int, w: int) -> Picture:
     """Twice as large, linear between centers: 3/4 of the nearer one, 1/4 of the farther."""
     out = np.empty((h, w, 3), np.float32)
-    far, near = np.float32(0.25), np.float32(0.75)
-    rows, columns, _ = picture.shape
     for line in prange(h):
-        y = np.int64(line)
-        y0 = y // 2
-        y1 = min(max(y0 + (1 if y % 2 else -1), 0), rows - 1)
-        row = near * picture[y0] + far * picture[y1]
-        for x0 in range(columns):
-            before, after = max(x0 - 1, 0), min(x0 + 1, columns - 1)
-            for c in range(3):
-                out[y, 2 * x0, c] = near * row[x0, c] + far * row[before, c]
-                if 2 * x0 + 1 < w:
-                    out[y, 2 * x0 + 1, c] = near * row[x0, c] + far * row[after, c]
+        _double_line(picture, np.int64(line), out[line])
     return out
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
+@njit(cache=True, error_model="numpy", no_cpython_wrapper=True)
+def _double_line(picture, y, out):  # type: ignore[no-untyped-def]
+    far, near = np.float32(0.25), np.float32(0.75)
+    other = min(max(y // 2 + (1 if y % 2 else -1), 0), picture.shape[0] - 1)
+    nearer, farther = picture[y // 2], picture[other]
+    columns, w = nearer.shape[0], out.shape[0]
+    # With its first and last pixel once more.
+    row = np.empty((columns + 2, 3), np.float32)
+    for x in range(columns):
+        for c in range(3):
+            row[x + 1, c] = near * nearer[x, c] + far * farther[x, c]
+    for c in range(3):
+        row[0, c], row[columns + 1, c] = row[1, c], row[columns, c]
+    for x in range(w // 2):
+        for c in range(3):
+            out[2 * x, c] = near * row[x + 1, c] + far * row[x, c]
+            out[2 * x + 1, c] = near * row[x + 1, c] + far * row[x + 2, c]
+    if w % 2:
+        for c in range(3):
+            out[w - 1, c] = near * row[columns, c] + far * row[columns - 1, c]
+
+
 def _blur(picture: Picture, taps: Picture) -> Picture:
     """Down and along, mirrored at the edges."""
-    h, w, _ = picture.shape
-    reach = len(taps) - 1
-    out = np.empty((h, w, 3), np.float32)
-    for line in prange(h):
-        y = np.int64(line)
-        down = np.zeros(3 * (w + 2 * reach), np.float32)
-        for j in range(-reach, reach + 1):
-            weight, source = taps[abs(j)], picture[_reflect(y + j, h)].reshape(-1)
-            for x in range(3 * w):
-                down[x + 3 * reach] += weight * source[x]
-        for i in range(1, reach + 1):
-            left, right = _reflect(-i, w), _reflect(w - 1 + i, w)
-            for c in range(3):
-                down[3 * (reach - i) + c] = down[3 * (reach + left) + c]
-                down[3 * (reach + w - 1 + i) + c] = down[3 * (reach + right) + c]
-        along = np.zeros(3 * w, np.float32)
-        for j in range(-reach, reach + 1):
-            weight, shift = taps[abs(j)], 3 * (reach + j)
-            for x in range(3 * w):
-                along[x] += weight * down[x + shift]
-        out[y] = along.reshape(w, 3)
+    out = np.empty_like(picture)
+    # As lines of numbers, which loops run along faster than along colors.
+    _blur_lines(picture.reshape(len(picture), -1), taps, out.reshape(len(picture), -1))
     return out
 
 
 @njit(cache=True, error_model="numpy", parallel=True)
-def _mix(rgb, kept, factor, spread):  # type: ignore[no-untyped-def]
+def _blur_lines(picture, taps, out):  # type: ignore[no-untyped-def]
+    for line in prange(picture.shape[0]):
+        _blur_line(picture, np.int64(line), taps, out[line])
+
+
+@njit(cache=True, error_model="numpy", no_cpython_wrapper=True)
+def _blur_line(picture, y, taps, out):  # type: ignore[no-untyped-def]
+    h, n = picture.shape
+    w, reach = n // 3, len(taps) - 1
+    down = np.zeros(n + 6 * reach, np.float32)
+    inside = down[3 * reach : 3 * reach + n]
+    for j in range(-reach, reach + 1):
+        _add(picture[_reflect(y + j, h)], taps[abs(j)], inside)
+    for i in range(1, reach + 1):
+        left, right = _reflect(-i, w), _reflect(w - 1 + i, w)
+        for c in range(3):
+            down[3 * (reach - i) + c] = inside[3 * left + c]
+            down[3 * (reach + w - 1 + i) + c] = inside[3 * right + c]
+    for x in range(n):
+        out[x] = np.float32(0.0)
+    for j in range(-reach, reach + 1):
+        _add(down[3 * (reach + j) : 3 * (reach + j) + n], taps[abs(j)], out)
+
+
+@njit(cache=True, error_model="numpy", no_cpython_wrapper=True)
+def _add(row, weight, out):  # type: ignore[no-untyped-def]
+    for x in range(out.shape[0]):
+        out[x] += weight * row[x]
+
+
+@njit(cache=True, error_model="numpy", parallel=True)
+def _mix(rgb, kept, factor, spread, out):  # type: ignore[no-untyped-def]
     for line in prange(rgb.shape[0]):
-        for x in range(rgb.shape[1]):
+        _mix_line(rgb, np.int64(line), kept, factor, spread, out)
+
+
+@njit(cache=True, error_model="numpy", no_cpython_wrapper=True)
+def _mix_line(rgb, y, kept, factor, spread, out):  # type: ignore[no-untyped-def]
+    """One line; ``spread`` is as large as the picture, or half as large."""
+    row = out[y]
+    if spread.shape == rgb.shape:
+        for x in range(row.shape[0]):
             for c in range(3):
-                spread[line, x, c] = kept * rgb[line, x, c] + factor[c] * spread[line, x, c]
+                row[x, c] = spread[y, x, c]
+    else:
+        _double_line(spread, y, row)
+    for x in range(row.shape[0]):
+        for c in range(3):
+            row[x, c] = kept * rgb[y, x, c] + factor[c] * row[x, c]
 
 
 @njit(cache=True, error_model="numpy", parallel=True)

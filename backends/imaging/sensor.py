@@ -23,6 +23,7 @@ from scenec.backends.imaging.chance import (
     normal,
     normals,
     philox,
+    philoxes,
     poisson,
     poissons,
     quantiles,
@@ -197,41 +198,46 @@ def electrons(r, g, b, r_weight, g_weight, b_weight):  # type: ignore[no-untyped
 def _expose(  # type: ignore[no-untyped-def]
     rgb, shade, weights, colors, gain, offset, out, sample, key, n, shot, table
 ):
+    for line in prange(out.shape[0]):
+        _expose_line(
+            np.int64(line), rgb, shade, weights, colors, gain, offset, out, sample, key, n, shot,
+            table,
+        )  # fmt: skip
+
+
+@njit(cache=True, error_model="numpy", no_cpython_wrapper=True)
+def _expose_line(  # type: ignore[no-untyped-def]
+    y, rgb, shade, weights, colors, gain, offset, out, sample, key, n, shot, table
+):
     h, w, planes = out.shape
-    shaded = shade.shape[0] == h and shade.shape[1] == w
     half = (w + 1) // 2
-    for line in prange(h):
-        y = np.int64(line)
-        # One step after the other, each a loop that compilers make wide instructions of.
-        words = np.empty((4, half), np.uint64)
-        made, read = np.empty(half), np.zeros(half)
-        for p in range(planes):
-            for pair in range(half):
-                counter = np.uint64(y * half + pair)
-                a, b, c, d = philox(key, counter, np.uint64(p), sample, np.uint64(NOISE))
-                words[0, pair], words[1, pair], words[2, pair], words[3, pair] = a, b, c, d
-            for i in range(2):
-                color = p if planes == 3 else colors[y & 1, i]
-                wr, wg, wb = weights[color, 0], weights[color, 1], weights[color, 2]
-                count = half if i == 0 else w // 2
+    # One step after the other, each a loop that compilers make wide instructions of.
+    words = np.empty((4, half), np.uint64)
+    made, read = np.empty(half), np.zeros(half)
+    for p in range(planes):
+        first = np.uint64(y * half)
+        philoxes(key, first, np.uint64(p), sample, np.uint64(NOISE), words)
+        for i in range(2):
+            color = p if planes == 3 else colors[y & 1, i]
+            wr, wg, wb = weights[color, 0], weights[color, 1], weights[color, 2]
+            count = half - i * (w & 1)
+            for k in range(count):
+                x = 2 * k + i
+                made[k] = electrons(rgb[y, x, 0], rgb[y, x, 1], rgb[y, x, 2], wr, wg, wb)
+            if shade.shape[0] == h and shade.shape[1] == w:
                 for k in range(count):
-                    x = 2 * k + i
-                    light = electrons(rgb[y, x, 0], rgb[y, x, 1], rgb[y, x, 2], wr, wg, wb)
-                    if shaded:
-                        light *= shade[y, x]
-                    # Beyond the cap a pixel is full whatever its noise.
-                    made[k] = min(max(light * gain[y, x, p] + n[0], 0.0), n[6])
-                if shot:
-                    poissons(made[:count], words[2 * i, :count], table)
-                if n[2] > 0.0:
-                    normals(words[2 * i + 1, :count], table, read[:count])
-                for k in range(count):
-                    x = 2 * k + i
-                    value = min(made[k], n[1]) + offset[y, x, p]
-                    if n[2] > 0.0:
-                        value += n[2] * read[k]
-                    value = min(max(np.floor(n[4] + value * n[3] + 0.5), 0.0), n[5])
-                    out[y, x, p] = np.uint16(value)
+                    made[k] *= shade[y, 2 * k + i]
+            for k in range(count):
+                # Beyond the cap a pixel is full whatever its noise.
+                made[k] = min(max(made[k] * gain[y, 2 * k + i, p] + n[0], 0.0), n[6])
+            if shot:
+                poissons(made[:count], words[2 * i, :count], table)
+            if n[2] > 0.0:
+                normals(words[2 * i + 1, :count], table, read[:count])
+            for k in range(count):
+                value = min(made[k], n[1]) + offset[y, 2 * k + i, p] + n[2] * read[k]
+                value = min(max(np.floor(n[4] + value * n[3] + 0.5), 0.0), n[5])
+                out[y, 2 * k + i, p] = np.uint16(value)
 
 
 @njit(cache=True, error_model="numpy")

@@ -9,6 +9,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from scenec.backends import posing
+from scenec.backends.bands import by_columns
 from scenec.backends.contract import NO_ROW, Radiance, Rays, Visibility
 from scenec.backends.pyrender import geometry, platforms
 from scenec.backends.pyrender.ambience import (
@@ -57,6 +58,7 @@ class Pyrender:
     denoiser = None
     caster = None
     follows_lenses = False
+    stochastic = False
 
     def __init__(self, device: str = "auto", culling: bool = True) -> None:
         self._context = platforms.acquire(device)
@@ -113,17 +115,20 @@ class Pyrender:
         self._pose(sample)
         from scenec.backends.pyrender.resources import gl_errors
 
-        parts = []
-        with gl_errors():
-            for first, rows in bands(camera, 1, renderer.largest):
-                view, _ = camera_view(camera, self._reach(camera), first, rows)
+        def look(part: Camera) -> Visibility:
+            parts = []
+            for first, rows in bands(part, 1, renderer.largest):
+                view, _ = camera_view(part, self._reach(part), first, rows)
                 selection = geometry.select(scene, self._geometry, view, self._culling)
-                renderer.draw_ids("pixels", view, selection, camera.width, rows)
+                renderer.draw_ids("pixels", view, selection, part.width, rows)
                 parts.append(self._visibility(renderer.read_ids("pixels"), selection))
-        return Visibility(
-            np.concatenate([part.row for part in parts]),
-            np.concatenate([part.face for part in parts]),
-        )
+            return Visibility(
+                np.concatenate([part.row for part in parts]),
+                np.concatenate([part.face for part in parts]),
+            )
+
+        with gl_errors():
+            return by_columns(look, camera, renderer.largest)
 
     def radiance(
         self, camera: Camera, sample: int, spp: int, seed: int, denoise: bool = False

@@ -12,7 +12,8 @@ from pxr import Usd, UsdGeom, UsdRender
 from scenec.backends.reader.frame import StageFrame, columns
 from scenec.backends.reader.imaging import read_imaging
 from scenec.backends.reader.sensors import read_depth_camera, read_trigger
-from scenec.backends.render_scene import DEFAULT_OUTPUTS, Camera
+from scenec.backends.reader.shutter import read_shutter
+from scenec.backends.render_scene import DEFAULT_OUTPUTS, Camera, Focus
 from scenec.schemas import stage as names
 from scenec.schemas.errors import StageError
 from scenec.schemas.exr import PASSES
@@ -123,7 +124,32 @@ def _camera(request: _Request, frame: StageFrame, time: Usd.TimeCode) -> Camera:
         depth_camera=read_depth_camera(prim),
         lens=_lens(prim),
         imaging=read_imaging(prim, time),
+        shutter=read_shutter(prim, frame, time, pose),
+        focus=_focus(prim, frame, time),
     )
+
+
+def _focus(prim: Usd.Prim, frame: StageFrame, time: Usd.TimeCode) -> Focus | None:
+    """The aperture of a camera; without a distance or an f-stop above 0 none, as in USD."""
+    camera = UsdGeom.Camera(prim)
+    stop = float(camera.GetFStopAttr().Get(time) or 0.0)
+    distance = frame.meters_per_unit * float(camera.GetFocusDistanceAttr().Get(time) or 0.0)
+    if stop == 0.0 or distance == 0.0:
+        return None
+    # A focal length is in tenths of a unit.
+    focal = 0.1 * frame.meters_per_unit * float(camera.GetFocalLengthAttr().Get(time))
+    radius = 0.5 * focal / stop
+    if not (0.0 < distance < math.inf and 0.0 < radius < math.inf):
+        raise StageError(
+            f"{prim.GetPath()}: fStop is {stop:g} and focusDistance {distance:g} m; expected "
+            "numbers above 0, or 0 for no depth of field"
+        )
+    if prim.GetAttribute(names.ATTR_LENS_MODEL).Get():
+        raise StageError(
+            f"{prim.GetPath()}: has both fStop and {names.ATTR_LENS_MODEL}; depth of field is "
+            "drawn of cameras without a lens of the schema's: set fStop to 0"
+        )
+    return Focus(distance, radius)
 
 
 def _lens(prim: Usd.Prim) -> Lens | None:

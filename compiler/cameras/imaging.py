@@ -13,7 +13,7 @@ from scenec.compiler.arithmetic import elementary
 from scenec.compiler.frontend.resolve import resolve
 from scenec.compiler.frontend.streams import Streams
 from scenec.compiler.plan import ImagingPlan, RigPlan
-from scenec.compiler.scene import Rig, Sensor
+from scenec.compiler.rig import Rig, Sensor
 from scenec.schemas import imaging as formulas
 from scenec.schemas.errors import SceneError
 from scenec.schemas.imaging import Imaging

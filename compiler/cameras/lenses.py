@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
-from scenec.compiler.scene import Sensor
+from scenec.compiler.rig import Sensor
 from scenec.schemas.lens import (
     BROWN_CONRADY,
     COEFFICIENTS,

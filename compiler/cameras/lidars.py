@@ -11,7 +11,7 @@ from scenec.compiler.arithmetic import elementary
 from scenec.compiler.cameras.poses import from_euler
 from scenec.compiler.frontend.resolve import resolve
 from scenec.compiler.frontend.streams import Streams
-from scenec.compiler.scene import Lidar, LidarNoise
+from scenec.compiler.rig import Lidar, LidarNoise
 
 
 def draw_lidar(name: str, cfg: Mapping[str, Any], path: str, streams: Streams) -> Lidar:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from scenec.compiler.scene import Sensor
+from scenec.compiler.rig import Sensor
 from scenec.schemas.correspondence import PARTNER
 from scenec.schemas.errors import SceneError
 
@@ -51,7 +51,15 @@ def _not_rectified(one: Sensor, other: Sensor) -> str | None:
         return "they stand in one place"
     if one.resolution != other.resolution:
         return f"their resolutions are {one.resolution} and {other.resolution}"
+    if _readout(one) != _readout(other):
+        return "their shutters read out differently"
     for i, name in ((0, "fx"), (1, "fy"), (3, "cy"), (4, "skew")):
         if one.intrinsics[i] != other.intrinsics[i]:
             return f"their {name} are {one.intrinsics[i]:g} and {other.intrinsics[i]:g}"
     return None
+
+
+def _readout(sensor: Sensor) -> set[tuple[float, bool]]:
+    """When the rows are exposed; an instant, and a global shutter, are one for all."""
+    shutters = () if sensor.shutter is None else sensor.shutter.shutters
+    return {(s.readout_s, s.upward) for s in shutters if s.readout_s > 0.0}

@@ -12,10 +12,11 @@ from scenec.compiler.arithmetic import elementary
 from scenec.compiler.cameras.pairs import require_rectified
 from scenec.compiler.cameras.paths.motion import Around, Bodies, Built
 from scenec.compiler.cameras.poses import bearing_vector, look_at
+from scenec.compiler.cameras.shutters import open_shutters, way_of
 from scenec.compiler.ground.surface import Surface
 from scenec.compiler.incremental.memo import memoized
 from scenec.compiler.plan import RandomTargetPlan, RigPlan, SensorPlan, TrackPlan
-from scenec.compiler.scene import Rig, Sensor
+from scenec.compiler.rig import Rig, Sensor
 
 
 def build_rigs(
@@ -39,12 +40,18 @@ def build_rigs(
     """
     rigs = []
     for plan in plans:
-        built = _built(plan, surface, bodies or {})
+        what = f"rigs/{plan.name}/pose"
+        samples = len(plan.sensors[0].ev) if plan.sensors else 0
+        around = Around(what, samples, surface, plan.sensors, bodies or {})
+        built = _built(plan, around)
         sensors = tuple(_sensor(sensor, irradiance) for sensor in plan.sensors)
-        require_rectified(f"rigs/{plan.name}", sensors)
-        rigs.append(Rig(plan.name, built.to_world, sensors, built.times, plan.lidars))
-        if facts is not None and built.facts:
-            facts[plan.name] = built.facts
+        still = Rig(plan.name, built.to_world, sensors, built.times, plan.lidars)
+        rig, opened = open_shutters(still, plan.sensors, way_of(plan.pose, built, around), around)
+        require_rectified(f"rigs/{plan.name}", rig.sensors)
+        rigs.append(rig)
+        said = built.facts | ({"shutter": opened} if opened else {})
+        if facts is not None and said:
+            facts[plan.name] = said
     return tuple(rigs)
 
 
@@ -66,15 +73,13 @@ def needs_objects(plan: RigPlan) -> bool:
     return not isinstance(pose, RandomTargetPlan | TrackPlan) and pose.needs_objects
 
 
-def _built(plan: RigPlan, surface: Surface, bodies: Mapping[str, Bodies]) -> Built:
+def _built(plan: RigPlan, around: Around) -> Built:
     pose = plan.pose
     if isinstance(pose, RandomTargetPlan):
-        return Built(_random_target(pose, surface))
+        return Built(_random_target(pose, around.surface))
     if isinstance(pose, TrackPlan):
         return Built(pose.to_world, pose.times)
-    samples = len(plan.sensors[0].ev)
-    what = f"rigs/{plan.name}/pose"
-    return pose.built(Around(what, samples, surface, plan.sensors, bodies))
+    return pose.built(around)
 
 
 def _sensor(plan: SensorPlan, irradiance: NDArray[np.float64] | None) -> Sensor:
@@ -94,6 +99,8 @@ def _sensor(plan: SensorPlan, irradiance: NDArray[np.float64] | None) -> Sensor:
         trigger=plan.trigger,
         depth_camera=plan.depth_camera,
         lens=plan.lens,
+        # Light alone is blurred.
+        focus=plan.focus if "rgb" in plan.outputs else None,
     )
 
 

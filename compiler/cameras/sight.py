@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from scenec.compiler.cameras.hidden import hidden_blocks
 from scenec.compiler.cameras.lenses import sight_of
 from scenec.compiler.cameras.lidars import rays_a_radian
-from scenec.compiler.cameras.poses import compose
+from scenec.compiler.cameras.poses import camera_poses, compose
 from scenec.compiler.incremental.memo import memoized
-from scenec.compiler.scene import Rig
+from scenec.compiler.rig import Rig
 from scenec.compiler.terrain.grid import HeightField
 
 #: Views reach this far beyond their picture's border, in parts of its size: what lies just outside
@@ -67,8 +67,8 @@ def views_of(
             if sensor.lens is not None:
                 cone, focals = sight_of(sensor, MARGIN)
                 intrinsics = (*focals, *intrinsics[2:])
-            for pose in rig.to_world:
-                poses.append(compose(pose, sensor.to_rig)[:3])
+            for pose in camera_poses(rig, sensor):
+                poses.append(pose[:3])
                 numbers.append((*intrinsics, *map(float, sensor.resolution)))
                 cones.append(cone)
         for lidar in rig.lidars:

@@ -85,6 +85,33 @@ class Gaps:
     hold: bool = False
 
 
+@dataclass(frozen=True)
+class TrackWay:
+    """A track at any time.
+
+    Attributes:
+        times: Of the samples, after the first stamp, [s].
+        track, method, gaps, what, usd: As for ``resampled``.
+    """
+
+    times: NDArray[np.float64]
+    track: Stamped
+    method: str
+    gaps: Gaps
+    what: str
+    usd: bool
+
+    def at(self, time_s: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Poses at times after the first stamp, [n, 4, 4]; beyond the track, those of its ends.
+
+        Raises:
+            SceneError: One falls into a gap.
+        """
+        inside = np.clip(time_s, 0.0, self.track.time_s[-1])
+        what = f"while a shutter is open: {self.what}"
+        return resampled(self.track, inside, self.method, self.gaps, what, self.usd)
+
+
 def resampled(
     track: Stamped,
     at_s: NDArray[np.float64],

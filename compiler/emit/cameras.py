@@ -16,7 +16,9 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdRender
 from scenec.compiler.emit.imaging import write_imaging
 from scenec.compiler.emit.layer import author, new_layer
 from scenec.compiler.emit.sensors import write_depth_camera, write_lidar, write_trigger
-from scenec.compiler.scene import Rig, Scene, Sensor
+from scenec.compiler.emit.shutter import write_between, write_shutter
+from scenec.compiler.rig import Rig, Sensor
+from scenec.compiler.scene import Scene
 from scenec.schemas import stage as names
 from scenec.schemas.lens import KANNALA_BRANDT, Lens
 
@@ -53,7 +55,9 @@ def write_cameras(path: Path, scene: Scene) -> None:
         products = []
         for rig in scene.rigs:
             xform = UsdGeom.Xform.Define(stage, f"{RIGS}/{rig.name}")
-            author(xform.AddTransformOp().GetAttr(), [_matrix(m) for m in rig.to_world])
+            op = xform.AddTransformOp()
+            author(op.GetAttr(), [_matrix(m) for m in rig.to_world])
+            write_between(op, rig)
             for sensor in rig.sensors:
                 camera = _write_camera(stage, rig, sensor)
                 products.append(_write_product(stage, rig, sensor, camera, scene))
@@ -80,7 +84,10 @@ def clipping_range(rig: Rig, sensor: Sensor, bounds: NDArray[np.float64]) -> Gf.
     layer of cameras as it is.
     """
     mount = sensor.to_rig[:3, 3]
-    reach = np.maximum(*(np.abs(rig.to_world[:, :3, 3] - corner) for corner in bounds))
+    at = rig.to_world[:, :3, 3]
+    if rig.between is not None:
+        at = np.concatenate([at, rig.between.to_world[:, :3, 3]])
+    reach = np.maximum(*(np.abs(at - corner) for corner in bounds))
     far = np.sqrt((reach * reach).sum(axis=1)).max() + np.sqrt((mount * mount).sum())
     # 1 % beyond; float32 rounds by far less.
     return Gf.Vec2f(min(_NEAR_M, 1e-3 * far), 1.01 * float(far))
@@ -91,14 +98,23 @@ def _write_camera(stage: Usd.Stage, rig: Rig, sensor: Sensor) -> UsdGeom.Camera:
     camera.AddTransformOp().Set(_matrix(sensor.to_rig * HALF_TURN[None, :]))
     width, height = sensor.resolution
     fx, fy, cx, cy, skew = sensor.intrinsics
-    focal = fx * _APERTURE / width
+    across = _APERTURE
+    if sensor.focus is not None:
+        # The lens's own size, which blur follows from: USD's lengths are tenths of a unit.
+        across = 10.0 * sensor.focus.focal_length_m * width / fx
+    focal = fx * across / width
     vertical = height * focal / fy
     camera.CreateProjectionAttr(UsdGeom.Tokens.perspective)
     camera.CreateFocalLengthAttr(focal)
-    camera.CreateHorizontalApertureAttr(_APERTURE)
+    camera.CreateHorizontalApertureAttr(across)
     camera.CreateVerticalApertureAttr(vertical)
-    camera.CreateHorizontalApertureOffsetAttr((0.5 * width - cx) * _APERTURE / width)
+    camera.CreateHorizontalApertureOffsetAttr((0.5 * width - cx) * across / width)
     camera.CreateVerticalApertureOffsetAttr((cy - 0.5 * height) * vertical / height)
+    if sensor.focus is not None:
+        author(camera.CreateFStopAttr(), sensor.focus.f_number.tolist())
+        author(camera.CreateFocusDistanceAttr(), sensor.focus.distance_m.tolist())
+    if sensor.shutter is not None:
+        write_shutter(camera, rig, sensor.shutter)
     if sensor.lens is not None:
         write_lens(camera.GetPrim(), sensor.lens)
     write_trigger(camera.GetPrim(), sensor.trigger)

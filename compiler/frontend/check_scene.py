@@ -9,6 +9,7 @@ import math
 from collections.abc import Iterator
 from typing import Any
 
+from scenec.compiler.frontend.check_focus import check_focus
 from scenec.compiler.frontend.check_imaging import check_imaging
 from scenec.compiler.frontend.check_lens import check_lens
 from scenec.compiler.frontend.check_lidars import check_lidars
@@ -17,6 +18,7 @@ from scenec.compiler.frontend.check_numbers import support
 from scenec.compiler.frontend.check_objects import check_objects
 from scenec.compiler.frontend.check_partners import check_partners
 from scenec.compiler.frontend.check_poses import check_poses
+from scenec.compiler.frontend.check_shutters import check_shutters
 from scenec.compiler.frontend.check_sky import check_sky
 from scenec.compiler.frontend.check_surfaces import check_surfaces
 from scenec.compiler.frontend.faults import Finding
@@ -54,6 +56,7 @@ def check_scene(document: Any, numbers: dict[Path, Field]) -> list[Finding]:
         *_check_sensors(document, spans),
         *check_partners(document),
         *check_lidars(document),
+        *check_shutters(document),
         *_check_positions(document, spans),
         *check_poses(document, spans),
         *_check_colors(document, spans),
@@ -239,6 +242,7 @@ def _sensors(document: Any) -> Iterator[tuple[Path, dict[str, Any]]]:
 def _check_sensors(document: Any, spans: dict[Path, tuple[float, float]]) -> Iterator[Finding]:
     for path, sensor in _sensors(document):
         yield from check_lens(sensor, path, spans)
+        yield from check_focus(sensor, path)
         lens = sensor.get("lens")
         whole = isinstance(lens, dict) and lens.get("type") == "equirectangular"
         if "fov_deg" in sensor and "intrinsics" in sensor:

@@ -109,7 +109,7 @@ class Surface:
         return shares
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@njit(cache=True, error_model="numpy")
 def _slope(before: float, after: float) -> float:
     """Slope at a sample from the rises to it and from it: central, unless it would overshoot.
 
@@ -121,7 +121,7 @@ def _slope(before: float, after: float) -> float:
     return min(max(0.5 * (before + after), -limit), limit)
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@njit(cache=True, error_model="numpy")
 def _hermite(p0: float, p1: float, p2: float, p3: float, t: float) -> float:
     """Between p1 and p2."""
     rise = p2 - p1
@@ -132,7 +132,7 @@ def _hermite(p0: float, p1: float, p2: float, p3: float, t: float) -> float:
     )
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@njit(cache=True, error_model="numpy")
 def _row(height, j, i, t):  # type: ignore[no-untyped-def]
     nx = height.shape[1]
     h1 = height[j, i]

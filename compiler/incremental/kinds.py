@@ -10,11 +10,12 @@ _OF: dict[str, tuple[str, ...]] = {
     "light.build": ("Light",),
     "passes.prune": ("Pruned",),
     "scatter.lod": ("Levels",),
+    "rig": ("Between", "Focus", "Lidar", "LidarNoise", "OpenShutter", "Rig", "Sensor"),
     "scene": (
-        "Cells", "Far", "Georeference", "Ground", "GroundLayer", "Haze", "Lamp", "Lidar",
-        "LidarNoise", "Material", "MaterialMaps", "MeshPart", "Picture", "Placed", "Prototype",
-        "Reflectance", "Rig", "Scatter", "Scene", "Sensor", "SkyLabelMaps", "SkyLight",
-        "SunLight", "Tile",
+        "Cells", "Far", "Georeference", "Ground", "GroundLayer", "Haze", "Lamp",
+        "Material", "MaterialMaps", "MeshPart", "Picture",
+        "Placed", "Prototype", "Reflectance", "Scatter", "Scene", "SkyLabelMaps",
+        "SkyLight", "SunLight", "Tile",
     ),
     "surfaces.finish": ("Finished",),
     "surfaces.footprint": ("Footprint",),
@@ -38,6 +39,7 @@ KINDS: frozenset[str] = frozenset(
     [f"scenec.compiler.{module}:{name}" for module, names in _OF.items() for name in names]
     + [f"scenec.schemas.left_out:{name}" for name in ("ClassRecord", "Reason", "Record")]
     + ["scenec.schemas.lens:Lens", "scenec.schemas.imaging:Imaging"]
+    + ["scenec.schemas.shutter:Shutter"]
     + [
         f"scenec.schemas.depth_camera:{name}"
         for name in ("DepthCamera", "StereoDepth", "TimeOfFlightDepth")

@@ -15,7 +15,8 @@ from scenec.compiler.frontend.load import Spec
 from scenec.compiler.ground.surface import Surface
 from scenec.compiler.objects.prototypes import Looks
 from scenec.compiler.plan import Plan, ScatterPlan
-from scenec.compiler.scene import Placed, Rig, Scatter, Tile
+from scenec.compiler.rig import Rig
+from scenec.compiler.scene import Placed, Scatter, Tile
 from scenec.compiler.terrain.mesh_surface import MeshSurface
 
 #: As near as errors on the ground are looked at, meters.

@@ -16,7 +16,8 @@ from scenec.compiler.incremental.memo import memoized
 from scenec.compiler.light.latlong import luminance
 from scenec.compiler.light.plan import LampPlan, RigMount, WorldMount
 from scenec.compiler.plan import RigPlan
-from scenec.compiler.scene import Lamp, Rig, Sensor
+from scenec.compiler.rig import Rig, Sensor
+from scenec.compiler.scene import Lamp
 from scenec.schemas import stage as names
 from scenec.schemas.errors import SceneError
 

@@ -25,8 +25,11 @@ from scenec.compiler.scene import Ground, Tile
 _CELLS = 640
 #: Bins of bearing around an eye, for few eyes and at least, and how many all eyes may have.
 _BINS, _FEWEST, _ALL_BINS = 768, 128, 32768
-#: How much longer a ring is than the one before, and the first one's begin, in cells.
-_GROWTH, _FIRST = 1.03, 1.0
+#: By how much a ring is longer than the one before, and the first one's begin, in cells.
+_GROWTH, _FIRST = 0.03, 1.0
+#: For more eyes than this all of it is coarser, so that their work and memory hardly grow, up to
+#: so many times.
+_MANY, _COARSEST = 256, 16
 #: At which a view is asked whether it looks to a bearing.
 _HEIGHTS = 21
 
@@ -86,14 +89,18 @@ def horizon_of(relief: Relief, ground: Ground, views: Outlook) -> Horizon:
         views: The views. Of bearings that a view does not look to, nothing is found out.
     """
     eye = views.eye
+    coarser = 1
+    while coarser < _COARSEST and len(eye) > _MANY * coarser * coarser:
+        coarser *= 2
+    relief = _pooled(relief, coarser)
     ny, nx = relief.low.shape
     dx, dy = relief.frame[2:].tolist()
     cell = max(dx, dy)
     far = float(np.sqrt(nx * nx * dx * dx + ny * ny * dy * dy))
     edges = [_FIRST * cell]
     while edges[-1] < far:
-        edges.append(max(edges[-1] * _GROWTH, edges[-1] + 0.25 * cell))
-    bins = int(min(_BINS, max(_FEWEST, _ALL_BINS // max(len(eye), 1)))) // 4 * 4
+        edges.append(edges[-1] + max(edges[-1] * _GROWTH * coarser, 0.25 * cell))
+    bins = int(min(_BINS, max(_FEWEST // coarser, _ALL_BINS // max(len(eye), 1)))) // 4 * 4
     rings = np.array(edges)
     slope = np.full((len(eye), bins, len(edges) - 1), -np.inf, np.float32)
     # An eye that moves sees over what hides from one of its places.
@@ -101,6 +108,21 @@ def horizon_of(relief: Relief, ground: Ground, views: Outlook) -> Horizon:
     _find_slopes(relief.low, relief.frame, eye, views.planes, views.axis, views.cone, above, rings,
                  slope)  # fmt: skip
     return Horizon(slope, rings)
+
+
+def _pooled(relief: Relief, times: int) -> Relief:
+    """Bounds for cells so many times as wide; at the far borders they reach beyond the terrain."""
+    if times == 1:
+        return relief
+    ny, nx = relief.low.shape
+    rows, columns = -(-ny // times), -(-nx // times)
+    # What is beyond hides nothing.
+    low = np.full((rows * times, columns * times), -np.inf)
+    high = low.copy()
+    low[:ny, :nx], high[:ny, :nx] = relief.low, relief.high
+    blocks = (rows, times, columns, times)
+    frame = relief.frame * np.array([1.0, 1.0, times, times])
+    return Relief(low.reshape(blocks).min((1, 3)), high.reshape(blocks).max((1, 3)), frame)
 
 
 def _are_above(tiles: tuple[Tile, ...], eyes: NDArray[np.float64]) -> NDArray[np.bool_]:

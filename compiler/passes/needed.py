@@ -26,15 +26,8 @@ import numpy as np
 
 from scenec.compiler.passes.keep import Keep
 from scenec.compiler.plan import Plan
-from scenec.compiler.scene import (
-    Ground,
-    Material,
-    Placed,
-    Prototype,
-    Rig,
-    Scatter,
-    Tile,
-)
+from scenec.compiler.rig import Rig
+from scenec.compiler.scene import Ground, Material, Placed, Prototype, Scatter, Tile
 from scenec.schemas.left_out import entry
 
 #: Name of this pass in reports.

@@ -62,6 +62,7 @@ class Info:
         options: As ``Format.options`` has them, those that were set in place of their defaults.
         sky: Level -> id of the sky's label (0: none), after remapping.
         filters: Conditions, as text.
+        beside: Pictures that any camera has beside its picture (``schemas.frames.BESIDE``).
     """
 
     name: str
@@ -72,6 +73,7 @@ class Info:
     options: Mapping[str, str]
     sky: Mapping[str, int] = field(default_factory=dict)
     filters: tuple[str, ...] = ()
+    beside: tuple[str, ...] = ()
 
 
 @dataclass
@@ -127,6 +129,8 @@ class Format(ABC):
     #: Passes that it does not look at. ``rgb`` is then not decoded, which is half of reading; the
     #: others are, since digests and statistics take them in.
     unused: ClassVar[tuple[str, ...]] = ()
+    #: Pictures beside the picture that it has a place for; the others are counted as left out.
+    beside: ClassVar[tuple[str, ...]] = ()
     options: ClassVar[Mapping[str, Option]] = {}
 
     def __init__(self, info: Info) -> None:

@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.datasets.formats.contract import Format
+from scenec.datasets.pictures import picture
 from scenec.datasets.source import FrameRef, LoadedFrame, sequences
 from scenec.schemas.errors import FrameError, OutputError
 from scenec.schemas.files import atomic
-from scenec.schemas.picture import develop
 
 _UNSIGNED = (np.uint8, np.uint16, np.uint32)
 
@@ -112,26 +112,12 @@ def narrowed(
 
 
 def picture8(frame: LoadedFrame) -> NDArray[np.uint8]:
-    """The 8-bit sRGB picture of a frame, uint8 [h, w, 3].
+    """The 8-bit sRGB picture of a frame, uint8 [h, w, 3] (``scenec.datasets.pictures``).
 
     Raises:
         FrameError: It has none, or the file is damaged.
     """
-    from PIL import Image, UnidentifiedImageError
-
-    path = frame.png
-    if path is not None and path.is_file():
-        try:
-            with Image.open(path) as image:
-                pixels = np.asarray(image.convert("RGB"))
-        except (OSError, ValueError, SyntaxError, UnidentifiedImageError) as error:
-            raise FrameError(f"{path}: damaged: {error}") from error
-        if pixels.shape[:2] != (frame.height, frame.width):
-            raise FrameError(f"{path}: is not the picture of its frame: its size differs")
-        return pixels
-    if "rgb" not in frame.passes:
-        raise FrameError(f"{frame.ref.stem}.exr: has no rgb; render with --passes …,rgb")
-    return develop(frame.passes["rgb"], float(frame.sidecar["exposure_ev"]))
+    return picture(frame)
 
 
 def picture_png(frame: LoadedFrame) -> bytes:
@@ -142,11 +128,20 @@ def picture_png(frame: LoadedFrame) -> bytes:
     """
     path = frame.png
     if path is not None and path.is_file():
-        try:
-            return path.read_bytes()
-        except OSError as error:
-            raise FrameError(f"{path}: cannot be read: {error.strerror or error}") from error
+        return file_bytes(path)
     return encoded(picture8(frame))
+
+
+def file_bytes(path: Path) -> bytes:
+    """What is in a frame's file.
+
+    Raises:
+        FrameError: It cannot be read.
+    """
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise FrameError(f"{path}: cannot be read: {error.strerror or error}") from error
 
 
 def encoded(pixels: NDArray[Any], kind: str = "PNG", **options: Any) -> bytes:

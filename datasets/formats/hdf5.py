@@ -2,13 +2,18 @@
 
 In a file of n frames, all of h x w pixels::
 
-    rgb  rgb8  depth  range  label.<level>  instance  face  normal  position    [n, h, w(, 3)]
+    rgb  rgb8  picture  clean  raw                                              [n, h, w(, 3)]
+    depth  range  label.<level>  instance  face  normal  position  flow  ...    [n, h, w(, c)]
     camera_to_world [n, 4, 4]  intrinsics [n, 3, 3]  time_s  batch  sample  exposure_ev  [n]
     camera  frame [n]  text
     instances/offsets [n + 1]   lines of frame i: offsets[i] to offsets[i + 1]
     instances/<column> [lines]  as in the frames' tables (scenec.schemas.instances)
     instances/classes           prim paths that instances/class_index counts in
     labels/<level>/ids, names   what the ids of a level are called
+
+``rgb`` is radiance. Of sensors with imaging there is ``picture`` beside it, what the sensor took
+(uint8), and where they were asked for ``clean`` and ``raw`` (uint16). A file's frames all hold the
+same: where cameras of one resolution do not, each has files of its own.
 
 Each pass has a chunk a frame; its attributes say what it is, in which unit. Frames are written one
 at a time, columns in blocks, so memory does not grow with their number.
@@ -25,6 +30,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.datasets import pictures
 from scenec.datasets.formats.contract import Format, Info, Option, Task, Written
 from scenec.datasets.formats.encode import (
     chunks,
@@ -34,17 +40,29 @@ from scenec.datasets.formats.encode import (
     resolutions,
     whole_option,
 )
-from scenec.datasets.source import FrameRef, LoadedFrame
+from scenec.datasets.source import FrameRef, LoadedFrame, sidecar_values
 from scenec.schemas.errors import FrameError, OutputError
 from scenec.schemas.exr import is_id_pass
 from scenec.schemas.files import atomic
-from scenec.schemas.frames import CONVENTIONS
+from scenec.schemas.frames import BESIDE, CONVENTIONS
 from scenec.schemas.picture import DESCRIPTION
 
 if TYPE_CHECKING:
     import h5py
 
 RGB8 = "rgb8"
+PICTURE = "picture"
+_TOLD = {
+    RGB8: f"the frame's picture, sRGB; of sensors without imaging: {DESCRIPTION}",
+    PICTURE: "what the camera's sensor took, sRGB, as the frame's PNG has it",
+    **pictures.TOLD,
+}
+#: Passes whose convention stands with another's.
+_LIKE = {
+    "flow_backward": "flow",
+    "occlusion_backward": "occlusion",
+    "disparity_occlusion": "occlusion",
+}
 #: Name -> (type, shape of a frame's value, unit, convention).
 _FRAME_COLUMNS: dict[str, tuple[Any, tuple[int, ...], str, str]] = {
     "camera_to_world": (np.float64, (4, 4), "m", CONVENTIONS["camera_to_world"]),
@@ -95,10 +113,12 @@ class Hdf5(Format):
 
     name = "hdf5"
     summary = "HDF5: a file of arrays a split and resolution, chunked by frame, for h5py"
+    version = 2
+    beside = BESIDE
     options: ClassVar[Mapping[str, Option]] = {
         "rgb": Option(
             "linear",
-            "radiance as float32, the developed 8-bit picture, or both",
+            "radiance as float32, the frame's 8-bit picture in its place, or both",
             ("linear", "srgb8", "both"),
         ),
         "compression": Option("none", "of the passes", ("none", "lzf", "gzip")),
@@ -121,9 +141,11 @@ class Hdf5(Format):
         number = 0
         for split, frames in splits.items():
             groups: dict[str, list[FrameRef]] = {}
-            for ref, (width, height) in resolutions(frames):
+            sized = list(resolutions(frames))
+            mixed = _mixed(sized)
+            for ref, (width, height) in sized:
                 name = f"{split}_{width}x{height}"
-                if self.option("by") == "camera":
+                if self.option("by") == "camera" or (width, height) in mixed:
                     name = f"{split}_{ref.camera}_{width}x{height}"
                 groups.setdefault(name, []).append(ref)
             for name, group in groups.items():
@@ -176,6 +198,18 @@ class Hdf5(Format):
             '    ids = f["instances/id"][a:b]               # as in f["instance"][0]\n'
             "```\n"
         )
+
+
+def _mixed(sized: Sequence[tuple[FrameRef, tuple[int, int]]]) -> set[tuple[int, int]]:
+    """Resolutions of which cameras hold different things, by one sidecar of each."""
+    held: dict[tuple[int, int], dict[str, tuple[Any, ...]]] = {}
+    for ref, size in sized:
+        cameras = held.setdefault(size, {})
+        sidecar = None if ref.camera in cameras else sidecar_values(ref)
+        if sidecar is not None:
+            of = pictures.taken(sidecar), pictures.kinds(sidecar)
+            cameras[ref.camera] = (*of, *sidecar.get("passes", ()))
+    return {size for size, cameras in held.items() if len(set(cameras.values())) > 1}
 
 
 class _File:
@@ -256,6 +290,10 @@ class _File:
             else:
                 kind = np.uint32 if is_id_pass(name) else np.float32
                 found[name] = np.ascontiguousarray(array, kind)
+        if pictures.taken(frame.sidecar) and rgb == "linear":
+            found[PICTURE] = np.ascontiguousarray(picture8(frame))
+        for beside in pictures.kinds(frame.sidecar):
+            found[beside] = np.ascontiguousarray(pictures.beside(frame, beside))
         return found
 
     def _begin(self, frame: LoadedFrame, arrays: Mapping[str, NDArray[Any]]) -> None:
@@ -298,7 +336,7 @@ class _File:
     def _describe(self, dataset: h5py.Dataset, name: str) -> None:
         """Unit and convention of a pass, as attributes."""
         kind = "label" if name.startswith("label.") else name
-        dataset.attrs["convention"] = DESCRIPTION if name == RGB8 else CONVENTIONS[kind]
+        dataset.attrs["convention"] = _TOLD.get(name) or CONVENTIONS[_LIKE.get(kind, kind)]
         if kind in _UNITS:
             dataset.attrs["unit"] = _UNITS[kind]
         if kind == "label":

@@ -6,13 +6,16 @@
     sequences/00/image_2/000000.png   color, the (left) camera; image_3 the right one
     sequences/00/image_0/000000.png   the same in shades of gray, and image_1 (option ``pictures``)
     sequences/00/depth_2/000000.png   16 bits, 256 steps a meter (option ``depth``); depth_3
+    sequences/00/flow_2/000000.png    16 bits, to the camera's next sample (option ``flow``); flow_3
+    sequences/00/disp_2/000000.png    16 bits, pairs alone (option ``disparity``); disp_3
     sequences/00/calib.txt            P0 ... P3, Tr
     sequences/00/times.txt            seconds
     poses/00.txt                      3x4 a line: left camera in the frame of its first pose
 
 As the development kits of the benchmark describe it (A. Geiger and others, Are we ready for
 autonomous driving?, CVPR 2012); depth as in the kit of the depth benchmark (J. Uhrig and others,
-Sparsity invariant CNNs, 3DV 2017).
+Sparsity invariant CNNs, 3DV 2017), flow and disparity as in those of the stereo and flow
+benchmarks (``motion_png``).
 
 Two cameras of a rig are a pair where they have the same resolution and intrinsics, look the same
 way, and lie apart along x alone. Cameras in no pair are sequences of their own.
@@ -32,6 +35,7 @@ from numpy.typing import NDArray
 from scenec.datasets.formats import trajectory
 from scenec.datasets.formats.contract import Done, Format, Info, Option, Task, Written
 from scenec.datasets.formats.depth_png import LARGEST, to_16_bits, write_png
+from scenec.datasets.formats.motion_png import encode_disparity, encode_flow, write_rgb16
 from scenec.datasets.formats.poses import (
     RIGID,
     number,
@@ -41,7 +45,8 @@ from scenec.datasets.formats.poses import (
     require_pinhole,
 )
 from scenec.datasets.source import FrameRef, LoadedFrame
-from scenec.schemas.errors import OutputError
+from scenec.schemas.correspondence import VISIBLE
+from scenec.schemas.errors import FrameError, OutputError
 from scenec.schemas.files import atomic
 
 #: Of the depth benchmark.
@@ -49,6 +54,14 @@ DEPTH_SCALE = 256.0
 _MICRO = 1_000_000
 #: A laser scanner's axes (x forward, y left, z up) in those of a camera: there is none here.
 _TR = np.array([[0.0, -1.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0], [1.0, 0.0, 0.0, 0.0]])
+#: What can be written of motion -> the pass that says which pixels the other picture shows.
+_SHOWN = {"flow": "occlusion", "disparity": "disparity_occlusion"}
+_FOLDERS = {"flow": "flow", "disparity": "disp"}
+_FLOW_TEXT = (
+    "`flow_2` (and `flow_3`) hold flow to the camera's next sample: u = (red - 32768) / 64, v = "
+    "(green - 32768) / 64 pixels where blue is 1"
+)
+_DISPARITY_TEXT = "`disp_2` and `disp_3` hold disparity * 256 of pairs, 0 where there is none"
 _COLUMNS = (
     "sequence", "split", "batch", "left", "right", "frames", "width", "height", "baseline_m",
     "first_sample", "depth_hits", "depth_beyond", "depth_under", "first_camera_to_world",
@@ -72,6 +85,17 @@ class Kitti(Format):
         "depth": Option(
             "no", "depth_2 and depth_3 as 16-bit PNG, 256 steps a meter", ("no", "yes")
         ),
+        "flow": Option(
+            "no",
+            "flow_2 and flow_3 as 16-bit PNG: of all pixels (as flow_occ), or of those that the "
+            "next sample shows (as flow_noc)",
+            ("no", "all", "visible"),
+        ),
+        "disparity": Option(
+            "no",
+            "disp_2 and disp_3 of stereo pairs as 16-bit PNG, likewise",
+            ("no", "all", "visible"),
+        ),
         **trajectory.time_options("0"),
     }
 
@@ -83,6 +107,14 @@ class Kitti(Format):
                 "format kitti, option depth=yes: the frames have no pass depth; render with "
                 f"--passes {','.join([*info.passes, 'depth'])}"
             )
+        for name, shown in _SHOWN.items():
+            needed = {"no": (), "all": (name,), "visible": (name, shown)}[self.option(name)]
+            for one in needed:
+                if one not in info.passes:
+                    raise OutputError(
+                        f"format kitti, option {name}={self.option(name)}: the frames have no pass "
+                        f"{one}; render with --passes {','.join([*info.passes, one])}"
+                    )
         trajectory.start_ticks(self, _MICRO)
 
     def tasks(self, splits: Mapping[str, Sequence[FrameRef]]) -> Iterator[Task]:
@@ -126,6 +158,8 @@ class Kitti(Format):
                 write_png(folder / path, depth.steps)
                 written.files.append(path)
                 counts += depth.hits, depth.beyond, depth.under
+            self._motion(frame, f"sequences/{sequence:02d}", f"{index:06d}.png", side,
+                         len(task.frames) > 1, folder, written)  # fmt: skip
             require_pinhole(frame)
             if side == 0:
                 micros = trajectory.stamp(self, frame, _MICRO)
@@ -143,6 +177,30 @@ class Kitti(Format):
         written.record["poses"] = poses
         written.record["depth"] = counts.tolist()
         return written
+
+    def _motion(
+        self, frame: LoadedFrame, place: str, name: str, side: int, paired: bool, folder: Path,
+        written: Written,
+    ) -> None:  # fmt: skip
+        """Write flow and disparity, where they are asked for."""
+        for kind, shown in _SHOWN.items():
+            how = self.option(kind)
+            if how == "no" or (kind == "disparity" and not paired):
+                continue
+            values = _pass(frame, kind)
+            valid = _pass(frame, shown) == VISIBLE if how == "visible" else None
+            path = f"{place}/{_FOLDERS[kind]}_{side + 2}/{name}"
+            if kind == "flow":
+                coded, lost = encode_flow(values, valid)
+                write_rgb16(folder / path, coded)
+            else:
+                # To the left in the other picture, or of the right camera to the right.
+                coded, lost = encode_disparity(-values if side else values, valid)
+                write_png(folder / path, coded)
+            written.files.append(path)
+            if lost:
+                what = f"pixels of {kind} that KITTI's 16 bits do not hold"
+                written.left_out[what] = written.left_out.get(what, 0) + lost
 
     def finish(self, done: Iterable[Done], folder: Path, scratch: Path) -> list[str]:
         """Write calibration, times and poses of each sequence."""
@@ -218,6 +276,9 @@ class Kitti(Format):
             if self._depth
             else ""
         )
+        for kind, text in (("flow", _FLOW_TEXT), ("disparity", _DISPARITY_TEXT)):
+            if self.option(kind) != "no":
+                depth += f"{text} ({self.option(kind)} pixels). "
         return (
             "KITTI odometry: `sequences/NN/` with `image_2` (and `image_3` where a rig has a "
             "rectified pair), `calib.txt`, `times.txt`, and `poses/NN.txt`: the left camera "
@@ -229,6 +290,15 @@ class Kitti(Format):
             "pictures have gaps, and line i of times and poses belongs to picture i in order of "
             "names. Load with `pykitti.odometry(FOLDER, '00')`."
         )
+
+
+def _pass(frame: LoadedFrame, name: str) -> NDArray[Any]:
+    if name not in frame.passes:
+        raise FrameError(
+            f"{frame.ref.stem}.exr: has no {name}; render with --passes "
+            f"{','.join([*frame.sidecar['passes'], name])}"
+        )
+    return frame.passes[name]
 
 
 def pair_up(cameras: Mapping[str, Sequence[FrameRef]]) -> list[tuple[str, ...]]:

@@ -5,7 +5,8 @@
     data/<split>-00000-of-00003.parquet     "train" where there are no splits
 
 A row is a frame: ``image``, ``depth``, ``instance``, ``label.<level>`` as files inside the table
-(struct of bytes and path, which `datasets` shows as pictures), the camera, and ``objects`` as
+(struct of bytes and path, which `datasets` shows as pictures; of sensors with imaging, where they
+were asked for, ``image_clean`` and ``image_raw``, 16 bits), the camera, and ``objects`` as
 lists. ``category`` is the place of the label's name among the names of the level (`ClassLabel`), -1
 where an instance's faces differ. Depth is a TIFF file of float32 meters, exact, or 16 bits in PNG;
 ids of instances are RGBA: id = R + 256 G + 65536 B + 16777216 A.
@@ -20,11 +21,13 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from scenec.datasets import pictures
 from scenec.datasets.formats.contract import Format, Info, Option, Task, Written
 from scenec.datasets.formats.depth_png import to_16_bits
 from scenec.datasets.formats.encode import (
     chunks,
     encoded,
+    file_bytes,
     instance_label,
     label_type,
     narrowed,
@@ -38,6 +41,7 @@ from scenec.datasets.source import FrameRef, LoadedFrame
 from scenec.datasets.splits import ALL
 from scenec.schemas.errors import OutputError
 from scenec.schemas.files import atomic
+from scenec.schemas.frames import BESIDE
 
 #: Bytes of rows that are held back until they are written as a row group.
 _GROUP = 32_000_000
@@ -63,6 +67,7 @@ class Parquet(Format):
 
     name = "parquet"
     summary = "Parquet: tables of frames and objects for Hugging Face datasets, pandas, DuckDB"
+    beside = BESIDE
     options: ClassVar[Mapping[str, Option]] = {
         "shard": Option("500", "frames a file at most"),
         "depth": Option("tiff", "exact float32 meters, or 16 bits", ("tiff", "png")),
@@ -129,6 +134,7 @@ class Parquet(Format):
                 found["image"] = _IMAGE
             elif name in ("depth", "instance") or name.startswith("label."):
                 found[name] = _IMAGE
+        found |= {f"image_{kind}": _IMAGE for kind in self.info.beside}
         found |= {
             "frame": _value("string"),
             "batch": _value("int32"),
@@ -204,6 +210,9 @@ class Parquet(Format):
                 names = self.info.labels.get(name.removeprefix("label."), {})
                 labels = narrowed(frame, name, label_type(names))
                 row[name] = _file(encoded(labels), f"{frame.ref.key}.{name}.png")
+        for kind in pictures.kinds(frame.sidecar):
+            content = file_bytes(pictures.beside_file(frame, kind))
+            row[f"image_{kind}"] = _file(content, f"{frame.ref.key}.{kind}.png")
         if frame.table:
             row["objects"] = self._objects(frame)
         return row

@@ -23,6 +23,7 @@ _OURS = {
     "panoptic": "scenec.datasets.formats.panoptic:Panoptic",
     "parquet": "scenec.datasets.formats.parquet:Parquet",
     "rosbag2": "scenec.datasets.formats.rosbag2:Rosbag2",
+    "sintel": "scenec.datasets.formats.sintel:Sintel",
     "tum": "scenec.datasets.formats.tum:Tum",
     "webdataset": "scenec.datasets.formats.webdataset:WebDataset",
 }

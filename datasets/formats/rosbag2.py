@@ -10,6 +10,8 @@ topic                                   type                         what
 ======================================  ===========================  ===============================
 ``/<camera>/image_raw``                 ``sensor_msgs/Image``        ``rgb8``
 ``/<camera>/camera_info``               ``sensor_msgs/CameraInfo``   K, P, no distortion, R = 1
+``/<camera>/clean/image_raw``           ``sensor_msgs/Image``        ``rgb8``, without noise
+``/<camera>/mosaic/image_raw``          ``sensor_msgs/Image``        ``bayer_rggb16`` and its like
 ``/<camera>/depth/image_raw``           ``sensor_msgs/Image``        ``32FC1``, meters, +inf: no hit
 ``/<camera>/label/<level>/image_raw``   ``sensor_msgs/Image``        ``16UC1``; ``32SC1`` if too few
 ``/<camera>/instance/image_raw``        ``sensor_msgs/Image``        ``32SC1``, 0: none
@@ -36,12 +38,14 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.datasets import pictures
 from scenec.datasets.formats import trajectory
 from scenec.datasets.formats.contract import Done, Format, Info, Option, Task, Written
 from scenec.datasets.formats.poses import distortion, opencv_intrinsics, quaternion
 from scenec.datasets.source import FrameRef, LoadedFrame
 from scenec.schemas.errors import FrameError, OutputError
 from scenec.schemas.files import replace_folder, temporary_folder
+from scenec.schemas.frames import BESIDE
 from scenec.schemas.lens import BROWN_CONRADY, KANNALA_BRANDT
 
 #: What sensor_msgs/CameraInfo calls lenses of ours, and how many of their coefficients it takes.
@@ -66,6 +70,7 @@ class Rosbag2(Format):
     summary = "ROS 2 bags (MCAP): images, depth, labels, camera info, tf, poses; one a batch"
     # Pictures are taken from the PNG.
     unused = ("rgb",)
+    beside = BESIDE
     options: ClassVar = {
         "compression": Option("zstd", "of the MCAP's chunks", ("zstd", "none")),
         **trajectory.time_options("1000000000"),
@@ -196,6 +201,13 @@ class _Bag:
         images: list[tuple[str, str, NDArray[Any]]] = []
         if frame.png is not None:
             images.append(("image_raw", "rgb8", trajectory.color_pixels(frame)))
+        for kind in pictures.kinds(frame.sidecar):
+            beside = pictures.beside(frame, kind)
+            if kind == "raw":
+                bayer = f"bayer_{pictures.mosaic(frame.sidecar)}16"
+                images.append(("mosaic/image_raw", bayer, beside.astype("<u2")))
+            else:
+                images.append((f"{kind}/image_raw", "rgb8", beside))
         if "depth" in frame.passes:
             depth = frame.passes["depth"].astype("<f4")
             images.append(("depth/image_raw", "32FC1", depth))

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.datasets.formats.contract import Format, Option
+from scenec.datasets.pictures import picture
 from scenec.datasets.source import FrameRef, LoadedFrame
 from scenec.schemas.errors import FrameError, OutputError
 from scenec.schemas.files import atomic
@@ -188,17 +189,8 @@ def color_pixels(frame: LoadedFrame) -> NDArray[np.uint8]:
     Raises:
         FrameError: The frame has none, or it cannot be read.
     """
-    from PIL import Image
-
-    path = picture_path(frame)
-    try:
-        with Image.open(path) as picture:
-            pixels = np.asarray(picture.convert("RGB"))
-    except OSError as error:
-        raise FrameError(f"{path}: not a picture, or a damaged one: {error}") from error
-    if pixels.shape[:2] != (frame.height, frame.width):
-        raise FrameError(f"{path}: is {pixels.shape[1]} x {pixels.shape[0]} pixels, unlike its EXR")
-    return pixels
+    picture_path(frame)
+    return picture(frame)
 
 
 def gray_pixels(frame: LoadedFrame) -> NDArray[np.uint8]:

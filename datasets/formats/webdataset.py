@@ -25,9 +25,11 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.datasets import pictures
 from scenec.datasets.formats.contract import Done, Format, Info, Option, Task, Written
 from scenec.datasets.formats.encode import (
     encoded,
+    file_bytes,
     label_type,
     narrowed,
     picture8,
@@ -39,6 +41,7 @@ from scenec.datasets.source import FrameRef, LoadedFrame
 from scenec.schemas.errors import OutputError
 from scenec.schemas.exr import channel_names, is_id_pass
 from scenec.schemas.files import atomic, write_json
+from scenec.schemas.frames import BESIDE, beside_path
 
 INDEX = "shards.json"
 _QUALITY = 95
@@ -49,6 +52,7 @@ class WebDataset(Format):
 
     name = "webdataset"
     summary = "WebDataset: tar shards of frames to be streamed in training"
+    beside = BESIDE
     options: ClassVar[Mapping[str, Option]] = {
         "shard": Option("256", "frames a shard at most"),
         "shard_mb": Option("0", "megabytes a shard at most, by the frames' sizes; 0: any"),
@@ -108,6 +112,11 @@ class WebDataset(Format):
             else:
                 kind = np.uint32 if is_id_pass(name) else np.float32
                 self._array(found, name, array.astype(kind))
+        for beside in pictures.kinds(frame.sidecar):
+            if beside == "raw":
+                self._array(found, beside, pictures.beside(frame, beside))
+            else:
+                found[f"{beside}.png"] = file_bytes(pictures.beside_file(frame, beside))
         found["json"] = json.dumps(self._metadata(frame), ensure_ascii=False).encode()
         return found
 
@@ -169,7 +178,11 @@ class WebDataset(Format):
                 held += 4 * len(channel_names(name))
         # Of a line of the table JSON has names beside the values.
         table = ref.stem.with_name(ref.stem.name + ".instances.csv")
-        files = (ref.stem.with_suffix(".png"), 1), (table, 4), (ref.stem.with_suffix(".json"), 1)
+        files = (
+            *((ref.stem.with_suffix(".png"), 1), (table, 4), (ref.stem.with_suffix(".json"), 1)),
+            (beside_path(ref.stem, "clean"), 1),
+        )
+        held += 2 * beside_path(ref.stem, "raw").is_file()
         return width * height * held + sum(_bytes(path) * n for path, n in files)
 
     def _picture(self, frame: LoadedFrame) -> bytes:

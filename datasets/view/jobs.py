@@ -58,7 +58,9 @@ def _begin_process(sources: list[Source]) -> None:
 
 def _make(task: Task) -> Record | Fault:
     try:
-        return record(_sources[task.source].load(task.ref), task.fineness)
+        # The picture is the PNG's: radiance need not be decoded, which is half of reading.
+        frame = _sources[task.source].load(task.ref, unused=("rgb",))
+        return record(frame, task.fineness)
     except FrameError as error:
         return Fault(kind_of(error), str(error))
 

@@ -2,7 +2,7 @@
 
 A stored picture has at most as many pixels as the frame. Where it has fewer, each stored pixel is
 *one* pixel of the frame: column floor((2 x + 1) W / (2 w)) of stored column x, rows alike. Nothing
-is blended but ``rgb``. All but that are zlib streams, which browsers can unpack themselves:
+is blended but pictures. All but those are zlib streams, which browsers can unpack themselves:
 
 ``ids``   n ids (uint32, little-endian), then one index into them a pixel, of 1, 2 or 4 bytes
 ``steps`` codes of 16 bits: each row as zigzag differences to the plane through its left and upper
@@ -24,8 +24,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.schemas.picture import develop
-
 _ID_EFFORT = 9
 _STEP_EFFORT = 6
 #: What a normal can be off by, degrees; a test measures 0.95.
@@ -39,7 +37,7 @@ class Fineness:
     Attributes:
         side: Most pixels along the longer side; None: as many as the frame has.
         depth_bits: Of a depth's code, at most 16.
-        quality: Of the JPEG of ``rgb``.
+        quality: Of the JPEG of pictures.
     """
 
     side: int | None = None
@@ -84,18 +82,18 @@ def thinned(array: NDArray[Any], size: tuple[int, int]) -> NDArray[Any]:
     return array[taken(height, size[1])][:, taken(width, size[0])]
 
 
-def store_rgb(
-    rgb: NDArray[np.floating], exposure_ev: float, size: tuple[int, int], quality: int
+def store_picture(
+    name: str, pixels: NDArray[np.uint8], size: tuple[int, int], quality: int
 ) -> Layer:
-    """Linear radiance [h, w, 3] as the developed picture, a JPEG of this (width, height)."""
+    """A picture, uint8 [h, w, 3], as a JPEG of this (width, height)."""
     from PIL import Image
 
-    picture = Image.fromarray(develop(rgb, exposure_ev))
+    picture = Image.fromarray(pixels)
     if picture.size != size:
         picture = picture.resize(size, Image.Resampling.LANCZOS)
     file = io.BytesIO()
     picture.save(file, "JPEG", quality=quality, optimize=True)
-    return Layer({"name": "rgb", "code": "jpeg"}, file.getvalue())
+    return Layer({"name": name, "code": "jpeg"}, file.getvalue())
 
 
 def store_ids(name: str, ids: NDArray[np.unsignedinteger]) -> tuple[Layer, NDArray[np.uint32]]:
@@ -126,7 +124,7 @@ def store_depth(name: str, depth: NDArray[np.floating], bits: int) -> Layer:
     facts: dict[str, Any] = {"name": name, "code": "steps", "top": top, "near": near, "far": far}
     if even:
         facts["even"] = 1
-    return Layer(facts, zlib.compress(_differences(codes), _STEP_EFFORT))
+    return Layer(facts, zlib.compress(differences(codes), _STEP_EFFORT))
 
 
 def depth_error(facts: dict[str, Any]) -> float:
@@ -137,8 +135,8 @@ def depth_error(facts: dict[str, Any]) -> float:
     return math.expm1(math.log(facts["far"] / facts["near"]) / steps)
 
 
-def _differences(codes: NDArray[np.uint16]) -> bytes:
-    """Zigzag differences to left + upper - upper left, as low bytes, then high bytes."""
+def differences(codes: NDArray[np.uint16]) -> bytes:
+    """Zigzag differences to left + upper - upper left, [h, w], as low bytes, then high bytes."""
     whole = np.zeros((codes.shape[0] + 1, codes.shape[1] + 1), np.uint16)
     whole[1:, 1:] = codes
     rest = (whole[1:, 1:] - (whole[1:, :-1] + whole[:-1, 1:] - whole[:-1, :-1])).view(np.int16)
@@ -159,40 +157,3 @@ def store_normal(normal: NDArray[np.floating]) -> Layer:
     planes = codes.transpose(2, 0, 1).copy()
     planes[..., 1:] -= codes.transpose(2, 0, 1)[..., :-1]
     return Layer({"name": "normal", "code": "turns"}, zlib.compress(planes.tobytes(), 6))
-
-
-def store_passes(
-    passes: dict[str, NDArray[Any]], exposure_ev: float, fineness: Fineness
-) -> tuple[list[Layer], tuple[int, int], NDArray[np.uint32]]:
-    """All passes that the page shows.
-
-    Args:
-        passes: By name, as ``schemas.exr`` has them.
-        exposure_ev: Stops.
-        fineness: How fine.
-
-    Returns:
-        Layers, their (width, height), and the instance ids that the stored picture shows.
-    """
-    height, width = next(iter(passes.values())).shape[:2]
-    size = fineness.size(width, height)
-    layers: list[Layer] = []
-    shown = np.zeros(0, np.uint32)
-    if "rgb" in passes:
-        layers.append(store_rgb(passes["rgb"], exposure_ev, size, fineness.quality))
-    layers += [
-        store_ids(name, thinned(ids, size))[0]
-        for name, ids in passes.items()
-        if name.startswith("label.")
-    ]
-    if "instance" in passes:
-        layer, shown = store_ids("instance", thinned(passes["instance"], size))
-        layers.append(layer)
-    layers += [
-        store_depth(name, thinned(passes[name], size), fineness.depth_bits)
-        for name in ("depth", "range")
-        if name in passes
-    ]
-    if "normal" in passes:
-        layers.append(store_normal(thinned(passes["normal"], size)))
-    return layers, size, shown

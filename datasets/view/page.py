@@ -12,6 +12,7 @@ from typing import Any, BinaryIO
 
 from scenec.datasets.colors import NO_LABEL, label_colors
 from scenec.datasets.source import Source
+from scenec.datasets.view.fields import HALF_ERROR
 from scenec.datasets.view.fitting import fit, too_small
 from scenec.datasets.view.ground import Ground, ground_text, objects_text
 from scenec.datasets.view.jobs import Fault, Pool, Task
@@ -21,7 +22,7 @@ from scenec.schemas.errors import FrameError
 from scenec.schemas.files import atomic
 from scenec.schemas.manifest import FRAMES, Batch, find_batches
 
-_SCRIPTS = ("base", "decode", "paint", "grid", "frame", "map", "plots", "keys", "main")
+_SCRIPTS = ("base", "decode", "paint", "motion", "grid", "frame", "map", "plots", "keys", "main")
 #: Part of the budget for batches from above, half of it for objects: the most that are kept, and
 #: bytes of each; most and least cells along the ground's side.
 _GROUND_PART = 0.1
@@ -31,6 +32,8 @@ _MOST_CELLS = 512
 _LEAST_CELLS = 32
 #: Bytes of a stored cell at most, in base64.
 _CELL_BYTES = 2.2
+#: Values of a pixel, of passes that have more than one.
+_PLANES = {"flow": 2, "flow_backward": 2, "scene_flow": 3}
 #: Missing frames that are named one by one.
 _NAMED = 200
 
@@ -139,7 +142,7 @@ def _sizes(sources: Sequence[Source]) -> tuple[int, int]:
             try:
                 sidecar = json.loads(ref.stem.with_suffix(".json").read_bytes())
                 width, height = (int(v) for v in sidecar["resolution"])
-                layers = len(sidecar["passes"])
+                layers = 3 + sum(_PLANES.get(name, 1) for name in sidecar["passes"])
             except (OSError, ValueError, KeyError, TypeError):
                 # A damaged frame is named when it is its turn.
                 continue
@@ -190,6 +193,7 @@ class _Book:
             self._add(file, number, made)
             name = self._tasks[number].ref.name
             self._progress(number + 1, total, name)
+        self._note_strays()
         self._write_maps(file, pool, ground)
         self._element(file, "index", plain_json(self._index()))
         # One scope a page: the files share their names and hide them from the page.
@@ -304,8 +308,16 @@ class _Book:
                 # Rounded, and still no less than it is.
                 "depth_error": short(1.01 * report.depth_error, 3),
                 "normal_error_deg": NORMAL_ERROR_DEG,
+                "motion_error": HALF_ERROR,
             },
         }
+
+    def _note_strays(self) -> None:
+        """Says what lies among the frames and is no part of the output."""
+        strays = [fault for source in self._sources for fault in source.strays]
+        if strays:
+            more = f" (and {len(strays) - 1} more like it)" if len(strays) > 1 else ""
+            self._warn(f"{strays[0].message}{more}; not shown")
 
     def _levels(self) -> list[dict[str, Any]]:
         try:

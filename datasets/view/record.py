@@ -13,8 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.datasets import bins
+from scenec.datasets.motion_colors import UNITS, lengths
 from scenec.datasets.source import LoadedFrame
-from scenec.datasets.view.layers import Fineness, Layer, depth_error, store_passes
+from scenec.datasets.view.layers import Fineness, Layer, depth_error
+from scenec.datasets.view.storing import store_frame
 
 #: Edges of the histograms' bins: bin k is from edge k - 1 to edge k. Bin 0 of ``hidden`` is exactly
 #: 0, its last one exactly 1.
@@ -39,6 +41,8 @@ class Tally:
         sizes: Instances by their pixels, in bins of ``EDGES``.
         distances: Pixels by their depth, likewise.
         hidden: Instances by 1 - pixels / amodal, likewise; empty without that column.
+        motion: Pass (flow and its like) -> pixels by how far its values are from 0, in the bins of
+            ``distances``.
     """
 
     pixels: dict[str, Counter[int]] = field(default_factory=dict)
@@ -46,6 +50,7 @@ class Tally:
     sizes: Counter[int] = field(default_factory=Counter)
     distances: Counter[int] = field(default_factory=Counter)
     hidden: Counter[int] = field(default_factory=Counter)
+    motion: dict[str, Counter[int]] = field(default_factory=dict)
 
     def add(self, other: Tally) -> None:
         """Adds the counts of other frames."""
@@ -55,6 +60,8 @@ class Tally:
         self.sizes.update(other.sizes)
         self.distances.update(other.distances)
         self.hidden.update(other.hidden)
+        for name, counts in other.motion.items():
+            self.motion.setdefault(name, Counter()).update(counts)
 
     def as_json(self) -> dict[str, Any]:
         """In a fixed order: pairs of bin and count."""
@@ -64,6 +71,7 @@ class Tally:
             "sizes": sorted(self.sizes.items()),
             "distances": sorted(self.distances.items()),
             "hidden": sorted(self.hidden.items()),
+            "motion": {name: sorted(c.items()) for name, c in sorted(self.motion.items())},
         }
 
 
@@ -95,10 +103,12 @@ def _half(frame: LoadedFrame) -> float:
 
 
 def record(frame: LoadedFrame, fineness: Fineness) -> Record:
-    """What the page holds of a frame."""
-    passes = frame.passes
-    exposure = float(frame.sidecar["exposure_ev"])
-    layers, size, shown = store_passes(passes, exposure, fineness)
+    """What the page holds of a frame.
+
+    Raises:
+        FrameError: A picture of it is missing or damaged.
+    """
+    layers, size, shown = store_frame(frame, fineness)
     told = _table(frame.table, shown)
     if told:
         layers.append(Layer({"name": "table", "code": "json"}, zlib.compress(plain_json(told), 9)))
@@ -109,6 +119,8 @@ def record(frame: LoadedFrame, fineness: Fineness) -> Record:
         "K": [short(v, 12) for v in intrinsics[:2].ravel().tolist()],
         "pose": [short(v, 14) for v in pose[:3].ravel().tolist()],
         **({} if frame.lens is None else {"lens": frame.lens.model}),
+        # Its rows have poses of their own.
+        **({"rolls": True} if (frame.sidecar.get("shutter") or {}).get("readout_s") else {}),
         "layers": [layer.facts for layer in layers],
         "facts": {k: frame.sidecar[k] for k in _FACTS if frame.sidecar.get(k) is not None},
     }
@@ -181,6 +193,10 @@ def _measure(frame: LoadedFrame) -> Tally:
     depth = frame.passes.get("depth")
     if depth is not None:
         tally.distances = _counter(bins.length_counts(depth).counts)
+    for name in UNITS:
+        if name in frame.passes:
+            far = lengths(frame.passes[name])
+            tally.motion[name] = _counter(bins.length_counts(far).counts)
     table = frame.table
     if table:
         tally.instances = Counter(table["class"].tolist())

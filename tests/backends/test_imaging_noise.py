@@ -58,6 +58,15 @@ def test_philox_gives_the_words_of_its_authors_test_vectors() -> None:
     assert [int(word) for word in words] == [0xD16CFE09, 0x94FDCCEB, 0x5001E420, 0x24126EA1]
 
 
+def test_philox_of_a_line_of_counters_is_that_of_each() -> None:
+    words = np.empty((4, 37), np.uint64)
+    first, key, *rest = (np.uint64(n) for n in (2**32 - 20, 0x299F31D0A4093822, 5, 2**32 - 1, 2))
+    chance.philoxes(key, first, *rest, words)
+    for i in range(37):
+        one = chance.philox(key, np.uint64((2**32 - 20 + i) % 2**32), *rest)
+        assert words[:, i].tolist() == [int(word) for word in one]
+
+
 def test_normal_numbers_are_the_quantiles_they_should_be() -> None:
     words = np.concatenate([np.arange(0, 2**32, 99991), [0, 1, 2**32 - 1]]).astype(np.uint64)
     table = chance.quantiles()

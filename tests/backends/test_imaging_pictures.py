@@ -8,14 +8,17 @@ from dataclasses import replace
 import numba
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from numpy.typing import NDArray
 from PIL import Image
 from scipy import ndimage
 
 from scenec.backends.imaging import develop, optics, sensor
 from scenec.backends.imaging.camera import exposure, take
+from scenec.backends.imaging.jpeg import compressed
 from scenec.backends.render_scene import Camera
-from scenec.schemas.imaging import Imaging, shown_per_value
+from scenec.schemas.imaging import SUBSAMPLINGS, Imaging, shown_per_value
 from scenec.schemas.picture import srgb_encode, tone_map
 
 #: No noise, no pattern, no mosaic: the stages that are always there, finely rounded.
@@ -86,14 +89,27 @@ def test_without_noise_a_picture_is_the_shared_tone_curve() -> None:
 
 
 def test_codes_change_where_the_curve_does() -> None:
-    edges, guesses = develop.codes(2.0)
+    edges, starts = develop.codes(2.0)
     x = np.linspace(0.0, 1.0, 200001)
     curve = 255.0 * srgb_encode(np.minimum(tone_map(2.0 * x) / tone_map(np.array(2.0)), 1.0))
     found = np.searchsorted(edges, x, side="right")
     sure = np.abs(curve - np.floor(curve) - 0.5) > 1e-4
     np.testing.assert_array_equal(found[sure], np.rint(curve[sure]))
-    assert guesses[0] == 0
-    assert guesses[-1] == 255
+    assert starts[0] == 0
+    assert starts[-1] == 255
+
+
+@pytest.mark.parametrize("white", [1e-3, 0.5, 1.0, 2.0, 64.0, 1e6])
+def test_each_value_finds_its_code_by_one_comparison(white: float) -> None:
+    # What ``_show`` relies on: no step of the table has two edges.
+    edges, starts = develop.codes(white)
+    assert np.diff(starts.astype(int), append=255).max() <= 1
+    ramp = np.concatenate([np.geomspace(1e-9, 1.0, 30000), edges[:255], np.nextafter(edges, 0)])
+    ramp = np.minimum(ramp, 1.0).astype(np.float32)
+    look = develop.Look(np.ones(3), np.inf, np.eye(3) * white, white)
+    shown = develop.develop_light(np.repeat(ramp[None, :, None], 3, axis=2), look)
+    expected = np.searchsorted(edges, ramp, side="right")
+    np.testing.assert_array_equal(shown, np.repeat(expected[None, :, None], 3, axis=2))
 
 
 def test_white_light_is_white_whatever_the_colors_of_pixels() -> None:
@@ -237,14 +253,37 @@ def test_glare_of_a_sun_leaves_shadows_their_digits() -> None:
     np.testing.assert_allclose(far, 1.0, rtol=1e-5)
 
 
-def test_jpeg_changes_little_and_is_pillows() -> None:
+def test_jpeg_changes_little() -> None:
     light = scene()
     before, after = picture(light, PLAIN), picture(light, replace(PLAIN, jpeg_quality=95))
     difference = before.astype(float) - after
     assert 0.0 < np.sqrt((difference**2).mean()) < 3.0
+
+
+def pillows(picture: NDArray[np.uint8], quality: int, subsampling: str) -> NDArray[np.uint8]:
     file = io.BytesIO()
-    Image.fromarray(before).save(file, "JPEG", quality=95, subsampling="4:2:0")
-    np.testing.assert_array_equal(np.asarray(Image.open(file)), after)
+    Image.fromarray(picture).save(file, "JPEG", quality=quality, subsampling=subsampling)
+    return np.asarray(Image.open(file).convert("RGB"))
+
+
+@pytest.mark.parametrize("subsampling", SUBSAMPLINGS)
+@settings(max_examples=40, deadline=None)
+@given(
+    st.integers(1, 50) | st.integers(120, 400),
+    st.integers(1, 100),
+    st.integers(1, 100),
+    st.integers(0, 2**32 - 1),
+)
+def test_a_jpeg_in_bands_is_that_of_the_whole_to_the_bit(
+    subsampling: str, h: int, w: int, quality: int, seed: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    noise = rng.integers(0, 256, (h, w, 3), dtype=np.uint8)
+    hard = rng.choice(np.array([0, 255], np.uint8), (h, w, 3))
+    smooth = ndimage.uniform_filter(noise, (7, 7, 1))
+    for sent in (noise, hard, smooth):
+        got = compressed(sent, quality, subsampling)
+        np.testing.assert_array_equal(got, pillows(sent, quality, subsampling))
 
 
 STAGES = {
@@ -374,7 +413,7 @@ def test_any_shape_and_any_light_make_a_picture(shape: tuple[int, int], light: f
 def test_radiance_stays_what_it_was() -> None:
     light = scene()
     before = light.copy()
-    light.setflags(write=False)
+    # Not by a flag: numba would compile all anew for arrays that have it.
     take(light, camera(64, 48), FULL, 0)
     np.testing.assert_array_equal(light, before)
 

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from pruned_scenes import annotation, compiled, difference, drawn_cfg
+from pruned_scenes import annotation, compiled, difference, drawn_cfg, everything, odd_cfg
 
+from scenec.backends.reader import read_stage
 from scenec.compiler.passes.keep import Keep
 from scenec.schemas.left_out import read_left_out
 
 
-def _same(folder, cfg) -> int:
+def _same(folder, cfg, annotation=annotation) -> int:
     """Asserts equal annotation; how many instances and tiles were left out."""
     batches = {keep: compiled(folder, cfg, keep) for keep in (Keep.SEEN, Keep.UNPRUNED)}
     pairs = zip(annotation(batches[Keep.SEEN]), annotation(batches[Keep.UNPRUNED]), strict=True)
@@ -53,6 +54,30 @@ def test_with_color_annotation_is_the_same_too(tmp_path):
         for seed, folder in _folders(tmp_path, 3)
     ]
     assert any(n > 0 for n in gone)
+
+
+@pytest.mark.invariant
+@pytest.mark.slow
+def test_lenses_lidars_depth_cameras_flow_and_lamps_find_all_there_is_for_them(tmp_path):
+    gone = [
+        _same(folder, odd_cfg(seed, folder, outputs), everything)
+        for (seed, folder), outputs in zip(
+            _folders(tmp_path, 4),
+            (("label",), ("instance",), ("rgb", "label"), ("label", "instance")),
+            strict=True,
+        )
+    ]
+    assert sum(gone) > 50
+
+
+def test_keeping_everything_keeps_everything(tmp_path):
+    drawn = drawn_cfg(2, tmp_path)
+    read = [
+        read_stage(compiled(tmp_path, drawn, keep) / "stage.usda")
+        for keep in (Keep.ALL, Keep.UNPRUNED)
+    ]
+    # 400 pebbles, 8 boulders, 6 logs.
+    assert [len(np.unique(scene.rows.instance_id)) - 1 for scene in read] == [414, 414]
 
 
 @pytest.mark.slow

@@ -236,6 +236,8 @@ def test_a_backend_that_is_not_installed_says_what_to_install(monkeypatch):
         open_backend("mitsuba")
 
 
+# The same of all backends in one: tests/cli/test_commands.py, test_doctor_says_what_works_here.
+@pytest.mark.slow
 def test_doctor_renders_with_each_backend_and_knows_the_libraries():
     found = {d.name: d for d in diagnose(("mitsuba", "reference"))}
     assert found["mitsuba"].works

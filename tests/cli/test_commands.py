@@ -150,8 +150,11 @@ def test_explain_refuses_what_is_no_report(output, tmp_path, capsys):
 
 def test_doctor_says_what_works_here(capsys):
     assert main(["doctor", "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)["backends"]
+    said = json.loads(capsys.readouterr().out)
+    found = said["backends"]
     assert {b["name"] for b in found} == {"mitsuba", "cycles", "pyrender", "reference"}
+    assert all("llvm" in b["version"] for b in found if b["name"] == "mitsuba")
+    assert all(said["libraries"][name] for name in ("numba", "usd-core", "OpenEXR"))
     assert all(b["works"] for b in found)
     assert all(b["device"] in ("cpu", "cuda", "optix") for b in found)
 

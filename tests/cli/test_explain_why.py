@@ -228,3 +228,35 @@ def test_a_stage_and_a_record_that_differ_are_said(output, tmp_path):
     path.write_text("{}")
     with pytest.raises(OutputError, match=r"left_out\.json"):
         why(out, "rocks/1")
+
+
+@pytest.fixture(scope="module")
+def emptied(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two classes of rocks, and a camera that looks up: nothing of either is in the stage."""
+    folder = tmp_path_factory.mktemp("emptied")
+    cfg = small_cfg(samples=1, batches=1, outputs=["label", "instance", "depth"])
+    cfg["terrain"]["spacing_m"] = 1.0
+    cfg["objects"]["rocks"]["count"] = 40
+    cfg["objects"]["stones"] = cfg["objects"]["rocks"] | {"count": 7}
+    rover = cfg["rigs"]["rover"]
+    rover["pose"]["target"] = {"distance_m": 1, "bearing_deg": 0, "height_m": 500}
+    rover["sensors"]["front"] |= {"resolution": [24, 16], "fov_deg": 30}
+    compile_cfg(write_cfg(folder, cfg), seed=3, out=folder / "out")
+    return folder / "out"
+
+
+def test_ids_of_classes_that_were_pruned_whole_are_those_they_had(emptied, capsys):
+    stage = Usd.Stage.Open(str(emptied / "batch_0000" / "stage.usda"))
+    assert not stage.GetPrimAtPath("/World/Objects/rocks")
+    assert not stage.GetPrimAtPath("/World/Objects/stones")
+    for question, what, number in (("rocks/40", "rocks/40", 40), ("41", "stones/1", 41),
+                                   ("stones/7", "stones/7", 47), ("1", "rocks/1", 1)):  # fmt: skip
+        found = why(emptied, question)
+        assert (found.what, found.id, found.in_stage) == (what, number, False)
+        assert found.reason == str(Reason.OUT_OF_VIEW)
+        assert found.position is None
+    whole = why(emptied, "stones")
+    assert not whole.in_stage
+    assert whole.counts == {str(Reason.OUT_OF_VIEW): 7}
+    assert main(["explain", str(emptied), "--why", "48"]) == 2
+    assert "rocks 1 to 40, stones 41 to 47" in capsys.readouterr().err

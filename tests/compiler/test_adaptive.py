@@ -18,7 +18,7 @@ from scenec.compiler.ground.merge import Merge
 from scenec.compiler.ground.mesh import Meshing, grid_mesh
 from scenec.compiler.ground.surface import Surface
 from scenec.compiler.ground.tiles import build_tiles
-from scenec.compiler.scene import Rig, Sensor
+from scenec.compiler.rig import Rig, Sensor
 from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.compiler.terrain.multifractal import Multifractal
 

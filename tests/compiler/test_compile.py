@@ -65,24 +65,24 @@ CIRCUMSTANCES = {
     "another BLAS kernel": {"OPENBLAS_CORETYPE": "Prescott"},
     "numba for a generic CPU": {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""},
 }
-#: The same in two runs, for parts of the compiler: what fails here is taken apart above.
+#: The same in one run, each of which loads or compiles every kernel: what fails here is taken apart
+#: by ``make thorough``.
 TOGETHER = {
-    "all but numba's CPU at once": {
-        key: value
-        for name, change in CIRCUMSTANCES.items()
-        if not name.startswith("numba")
-        for key, value in change.items()
-    },
-    "numba for a generic CPU": CIRCUMSTANCES["numba for a generic CPU"],
+    "all at once": {
+        key: value for change in CIRCUMSTANCES.values() for key, value in change.items()
+    }
 }
 
 
-@pytest.mark.parametrize("name", list(CIRCUMSTANCES))
+@pytest.mark.parametrize(
+    "name",
+    [*TOGETHER, *(pytest.param(name, marks=pytest.mark.slow) for name in CIRCUMSTANCES)],
+)
 def test_the_same_cfg_and_seed_give_the_same_bytes_with(name, reference, tmp_path):
     out = tmp_path / "elsewhere" / "a folder with spaces ä"
     cfg = write_cfg(tmp_path, small_cfg(batches=2))
     # A machine without some feature warns about the name: only the bytes count.
-    environment = {**os.environ, **CIRCUMSTANCES[name]}
+    environment = {**os.environ, **(CIRCUMSTANCES | TOGETHER)[name]}
     subprocess.run(
         [sys.executable, "-W", "ignore", "-c", _COMPILE, str(cfg), str(out)],
         check=True,

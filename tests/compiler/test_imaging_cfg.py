@@ -22,7 +22,7 @@ from scenec.compiler.emit.imaging import write_imaging
 from scenec.compiler.frontend.load import load
 from scenec.compiler.frontend.streams import Streams
 from scenec.compiler.plan import ImagingPlan, RigPlan, SensorPlan, TrackPlan
-from scenec.compiler.scene import Rig, Sensor
+from scenec.compiler.rig import Rig, Sensor
 from scenec.schemas import imaging as formulas
 from scenec.schemas.errors import CfgError, SceneError, StageError
 from scenec.schemas.frames import beside_path, read_frame

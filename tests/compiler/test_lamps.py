@@ -21,7 +21,8 @@ from scenec.compiler.light.earthshine import earthshine_irradiance
 from scenec.compiler.light.lamps import build_lamps, lamp_irradiance, meter_lamps
 from scenec.compiler.light.plan import LampPlan, WorldMount
 from scenec.compiler.plan import RandomTargetPlan, RigPlan, SensorPlan
-from scenec.compiler.scene import Lamp, Rig, Sensor, SkyLight, SunLight
+from scenec.compiler.rig import Rig, Sensor
+from scenec.compiler.scene import Lamp, SkyLight, SunLight
 from scenec.compiler.terrain.grid import Grid, HeightField
 
 LIGHTS = "/World/Lights"

@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from scenec.compiler.emit.terrain import blended_color
 from scenec.compiler.passes.needed import Needs, with_color, without_unused
 from scenec.compiler.passes.reach import without_idle
-from scenec.compiler.scene import Ground, GroundLayer, Lamp, Material, Rig, Sensor, Tile
+from scenec.compiler.rig import Rig, Sensor
+from scenec.compiler.scene import Ground, GroundLayer, Lamp, Material, Tile
 
 SEEN = Needs(True, True, True)
 

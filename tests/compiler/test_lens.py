@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from scenec.compiler.cameras import lenses, sight
-from scenec.compiler.scene import Rig, Sensor
+from scenec.compiler.rig import Rig, Sensor
 from scenec.schemas.lens import (
     Lens,
     directions,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -12,7 +14,8 @@ from scenec.compiler.passes.outlook import in_view, outlook
 from scenec.compiler.passes.places import fine_cells, places_seen
 from scenec.compiler.passes.shadows import Sweep, shadows_seen
 from scenec.compiler.passes.visible import SHOWN, Eyes, grouped, seen_by
-from scenec.compiler.scene import Ground, GroundLayer, Rig, Sensor, Tile
+from scenec.compiler.rig import Rig, Sensor
+from scenec.compiler.scene import Ground, GroundLayer, Tile
 
 _SIDE = 48
 
@@ -94,8 +97,8 @@ def test_no_ball_that_a_pixel_can_show_is_out_of_view(focal, skew, center):
     assert out > 500
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_no_ray_reaches_what_the_ground_is_said_to_hide(seed):
+@pytest.mark.parametrize(("seed", "crowd"), [(0, 1), (1, 1), (2, 1), (3, 1), (0, 300), (1, 5000)])
+def test_no_ray_reaches_what_the_ground_is_said_to_hide(seed, crowd):
     ground = _ground(seed)
     rng = np.random.default_rng(seed)
     triangles = _triangles(ground)
@@ -104,8 +107,11 @@ def test_no_ray_reaches_what_the_ground_is_said_to_hide(seed):
     for _ in range(3):
         x, y = rng.uniform(-12, 12, 2) + np.array([3, -2])
         eye = np.array([x, y, _height(ground, x, y) + 10 ** rng.uniform(-0.5, 0.7)])
-        views = outlook((_rig(look_at(eye, eye + np.array([1.0, 0.3, -0.1]), 0.0), 3.0),))
+        rig = _rig(look_at(eye, eye + np.array([1.0, 0.3, -0.1]), 0.0), 3.0)
+        # Among many views each has a coarser horizon.
+        views = outlook((replace(rig, to_world=np.repeat(rig.to_world, crowd, axis=0)),))
         horizon = horizon_of(relief, ground, views)
+        assert len(horizon.slope) == crowd
         for _ in range(80):
             px, py = rng.uniform(-19, 19, 2) + np.array([3, -2])
             radius = 10 ** rng.uniform(-2, 0.3)

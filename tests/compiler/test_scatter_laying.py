@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -275,46 +277,39 @@ def test_the_report_says_how_well_they_sit():
     assert facts["seating_error_max_m"] <= np.spacing(np.abs(scatter.positions[:, 2]).max())
 
 
-_BYTES = """
-import hashlib, sys
-sys.path[:0] = [sys.argv[1], sys.argv[1] + "/.."]
-import numpy as np
-from laying import laid, surroundings
-around = surroundings(np.array([[0.0, 0.0, 1.0]]))
-boulders = laid(around, name="boulders", count=30, size_m=2, apart={})
-around = surroundings(around.cameras, boulders=boulders)
-digest = hashlib.sha256()
-for density in (
-    {"type": "uniform"}, {"type": "worley", "scale_m": 5}, {"type": "around", "of": "boulders"},
-    {"type": "clusters", "parents": 20, "sigma_m": 1},
-):
-    for change in (
-        {}, {"apart": {}, "shortfall": "fewer"}, {"where": [{"type": "slope", "max_deg": 9}]},
-    ):
-        s = laid(around, count=800, density=density, **change)
-        digest.update(s.positions.tobytes() + s.orientations.tobytes() + s.ids.tobytes())
-print(digest.hexdigest())
-"""
+def digest() -> str:
+    """Of what every kind of density lays under every condition."""
+    around = surroundings(np.array([[0.0, 0.0, 1.0]]))
+    boulders = laid(around, name="boulders", count=30, size_m=2, apart={})
+    around = surroundings(around.cameras, boulders=boulders)
+    made = hashlib.sha256()
+    for density in (
+        {"type": "uniform"}, {"type": "worley", "scale_m": 5}, {"type": "around", "of": "boulders"},
+        {"type": "clusters", "parents": 20, "sigma_m": 1},
+    ):  # fmt: skip
+        for change in (
+            {}, {"apart": {}, "shortfall": "fewer"}, {"where": [{"type": "slope", "max_deg": 9}]},
+        ):  # fmt: skip
+            s = laid(around, count=800, density=density, **change)
+            made.update(s.positions.tobytes() + s.orientations.tobytes() + s.ids.tobytes())
+    return made.hexdigest()
 
 
 @pytest.mark.invariant
 @pytest.mark.slow
 def test_bytes_do_not_depend_on_threads_or_the_cpu_s_extras():
-    here = os.path.dirname(__file__)
-    found = set()
-    for change in (
-        {},
-        # All at once: each run compiles or loads every kernel anew.
-        {
-            "NUMBA_NUM_THREADS": "1",
-            "NUMBA_CPU_NAME": "generic",
-            "GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX2,-FMA,-FMA4,-AVX512F",
-            "NPY_DISABLE_CPU_FEATURES": "AVX2 FMA3 AVX512F",
-        },
-    ):
-        run = subprocess.run(
-            [sys.executable, "-W", "ignore", "-c", _BYTES, here],
-            env=os.environ | change, capture_output=True, text=True, check=True,
-        )  # fmt: skip
-        found.add(run.stdout.strip())
-    assert len(found) == 1
+    here = Path(__file__).parent
+    # All at once: each run compiles or loads every kernel anew.
+    change = {
+        "PYTHONPATH": os.pathsep.join([str(here), str(here.parent)]),
+        "NUMBA_NUM_THREADS": "1",
+        "NUMBA_CPU_NAME": "generic",
+        "GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX2,-FMA,-FMA4,-AVX512F",
+        "NPY_DISABLE_CPU_FEATURES": "AVX2 FMA3 AVX512F",
+    }
+    code = "import test_scatter_laying; print(test_scatter_laying.digest())"
+    run = subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", code],
+        env=os.environ | change, capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    assert run.stdout.strip() == digest()

@@ -57,6 +57,31 @@ def test_what_is_asked_for_is_what_is_listed(output: Path) -> None:
     assert source.missing == ()
 
 
+def test_frames_where_their_camera_has_none_are_strays_and_no_part_of_the_source(
+    output: Path,
+) -> None:
+    # What an earlier stage left; only the frame at sample 1 was rendered from this one.
+    edit(files(output, 0, "rover_left", 1), trigger=[2, 1])
+    for sample in (0, 2):
+        edit(files(output, 0, "rover_left", sample), stage_digest="0" * 64)
+    beyond = files(output, 1, "rover_right", 3)
+    beyond.write_bytes(files(output, 1, "rover_right", 2).read_bytes())
+    source = Source(output)
+    names = [ref.name for ref in source.frames]
+    assert len(names) == 10
+    assert "batch_0000/rover_left/000001" in names
+    assert source.missing == ()
+    assert {fault.kind for fault in source.strays} == {"stray"}
+    told = {fault.name: fault.message for fault in source.strays}
+    assert list(told) == [
+        "batch_0000/rover_left/000000", "batch_0000/rover_left/000002",
+        "batch_0001/rover_right/000003",
+    ]  # fmt: skip
+    assert "triggered at samples 1, 3, …, not at 2; delete it" in told[list(told)[1]]
+    assert "has samples 0 to 2, not at 3; delete it" in told[list(told)[2]]
+    assert Source(output, samples=[2]).strays[0].name == "batch_0000/rover_left/000002"
+
+
 def test_a_frame_that_should_be_there_is_missing(output: Path) -> None:
     files(output, 0, "rover_left", 1).unlink()
     shutil.rmtree(output / "batch_0001/frames/reference/rover_right")

@@ -15,14 +15,24 @@ ROOT = Path(__file__).resolve().parents[2]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 
-def test_the_cfg_that_is_explained_line_by_line_is_valid(tmp_path):
+@pytest.mark.parametrize(
+    "coarse", [pytest.param(False, id="as it is", marks=pytest.mark.slow), True]
+)
+def test_the_cfg_that_is_explained_line_by_line_is_valid(coarse, tmp_path):
     (block,) = re.findall(r"```jsonc\n(.*?)```", README, re.DOTALL)
     # As if it stood in the checkout: it names models there.
     (tmp_path / "assets").symlink_to(ROOT / "assets")
     path = tmp_path / "first.json"
-    path.write_text(re.sub(r"\s+//.*", "", block), encoding="utf-8")
-    json.loads(path.read_text())
+    cfg = json.loads(re.sub(r"\s+//.*", "", block))
+    path.write_text(json.dumps(cfg), encoding="utf-8")
     assert load(path).cfg["name"] == "first"
+    if coarse:
+        cfg["terrain"]["spacing_m"] *= 4
+        cfg["objects"]["rocks"]["count"] //= 16
+        cfg["light"]["sky"]["resolution"] = 32
+        for name in ("sand", "basalt"):
+            cfg["materials"][name]["maps"]["procedural"]["resolution"] = 256
+    path.write_text(json.dumps(cfg), encoding="utf-8")
     assert compile_cfg(path, seed=1, out=tmp_path / "out", batches=range(1)).batches == (0,)
 
 

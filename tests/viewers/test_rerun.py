@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import io
 import re
 import subprocess
 import sys
 
 import made_output
+import numpy as np
 import pytest
+from PIL import Image
+from sensor_frames import add_sensor, on_disk
 
 from scenec.datasets.recording import log_frames
 from scenec.schemas.errors import FrameError, OutputError
@@ -34,6 +38,31 @@ def test_a_recording_holds_every_pass_of_every_camera(tmp_path):
             parts = ("", "/rgb", "/depth", "/label/class", "/label/surface", "/instance",
                      "/instance/boxes")  # fmt: skip
             assert {f"{base}{part}" for part in parts} <= entities
+
+
+def test_the_pictures_are_the_sensors_to_the_bit(tmp_path):
+    pytest.importorskip("rerun")
+    from rerun.chunk import RrdReader
+
+    out = made_output.make_output(tmp_path / "out", batches=1)
+    add_sensor(out)
+    log_frames(out, save=tmp_path / "all.rrd")
+    found: dict[tuple[str, int], bytes] = {}
+    for chunk in RrdReader(tmp_path / "all.rrd").stream():
+        columns = chunk.to_record_batch().to_pydict()
+        blobs = next((columns[c] for c in columns if c.endswith((":blob", "Image:buffer"))), ())
+        for row, blob in enumerate(blobs):
+            (content,) = blob
+            found[chunk.entity_path, columns["sample"][row]] = bytes(content)
+    for camera in ("rover_left", "rover_right"):
+        for sample in range(2):
+            wanted = on_disk(out, camera, sample)
+            base = f"/batch_0000/{camera}"
+            for name, kind in (("rgb", "picture"), ("clean", "clean")):
+                picture = Image.open(io.BytesIO(found[f"{base}/{name}", sample]))
+                assert np.array_equal(np.asarray(picture), wanted[kind])
+            raw = np.frombuffer(found[f"{base}/raw", sample], np.uint16)
+            assert np.array_equal(raw.reshape(wanted["raw"].shape), wanted["raw"])
 
 
 def test_labels_beyond_16_bits_and_faulty_frames_are_errors(tmp_path):

@@ -16,12 +16,12 @@ from scenec.compiler.cameras.paths.random_pose import Limits, Look, RandomPose
 from scenec.compiler.cameras.paths.rover import Rover
 from scenec.compiler.cameras.poses import compose, from_quaternion
 from scenec.compiler.cameras.se3 import matrices
-from scenec.compiler.cameras.tracks import Gaps, Sampling, resampled
+from scenec.compiler.cameras.tracks import Gaps, Sampling, TrackWay, resampled
 from scenec.compiler.frontend.load import Spec
 from scenec.compiler.frontend.resolve import resolve
 from scenec.compiler.frontend.streams import Streams
 from scenec.compiler.frontend.track import read_track
-from scenec.compiler.frontend.track_formats import read_stamped
+from scenec.compiler.frontend.track_formats import Stamped, read_stamped
 from scenec.compiler.plan import TrackPlan
 from scenec.schemas import stage as names
 from scenec.schemas.errors import SceneError
@@ -32,9 +32,14 @@ _HALF_TURN = np.diag([*names.HALF_TURN, 1.0])
 
 
 def draw_track(
-    spec: Spec, cfg: dict[str, Any], path: str, streams: Streams, samples: int
+    spec: Spec,
+    cfg: dict[str, Any],
+    path: str,
+    streams: Streams,
+    samples: int,
+    between: bool = False,
 ) -> TrackPlan:
-    """Poses from a file.
+    """Poses from a file; ``between``: whether they are asked for between the samples, too.
 
     Raises:
         SceneError: The file is none, has too few poses, or does not reach as far as is asked for.
@@ -48,7 +53,13 @@ def draw_track(
         rows = [from_quaternion(track.position_m[i], track.quaternion[i]) for i in range(samples)]
         if usd:
             rows = [compose(m, _HALF_TURN) for m in rows]
-        return TrackPlan(np.stack(rows), track.time_s[:samples])
+        way = None
+        if between:
+            begin = float(track.time_s[0])
+            stamped = Stamped(track.time_s - begin, begin, track.position_m, track.quaternion, ())
+            at, what = stamped.time_s[:samples], f"{path}: {file.name}"
+            way = TrackWay(at, stamped, "linear", Gaps(), what, usd)
+        return TrackPlan(np.stack(rows), track.time_s[:samples], way)
     stamped = read_stamped(file, form, cfg.get("quaternion"), cfg.get("frame_rate_hz"))
     what = f"{path}: {file.name}"
     if sampling is None:
@@ -58,11 +69,15 @@ def draw_track(
             )
         to_world = matrices(stamped.position_m[:samples], stamped.quaternion[:samples])
         to_world = to_world * np.diag(_HALF_TURN) if usd else to_world
-        return TrackPlan(to_world, stamped.begin_s + stamped.time_s[:samples])
+        at = stamped.time_s[:samples]
+        way = TrackWay(at, stamped, "linear", Gaps(), what, usd) if between else None
+        return TrackPlan(to_world, stamped.begin_s + stamped.time_s[:samples], way)
     at = _sampling(sampling).times(float(stamped.time_s[-1]), samples, what)
     gaps = Gaps(cfg.get("max_gap_s"), cfg.get("gaps") == "hold")
-    to_world = resampled(stamped, at, cfg.get("interpolation", "linear"), gaps, what, usd)
-    return TrackPlan(to_world, stamped.begin_s + at)
+    method = cfg.get("interpolation", "linear")
+    to_world = resampled(stamped, at, method, gaps, what, usd)
+    way = TrackWay(at, stamped, method, gaps, what, usd) if between else None
+    return TrackPlan(to_world, stamped.begin_s + at, way)
 
 
 def draw_motion(cfg: dict[str, Any], path: str, streams: Streams) -> Motion:

@@ -56,7 +56,10 @@ const allPasses = [...new Set(frames.flatMap((frame) => frame.passes))];
 
 function passTitle(pass) {
   if (pass.startsWith("label.")) return pass.slice(6);
-  return { rgb: "RGB", instance: "Instances", depth: "Depth", range: "Range", normal: "Normals" }[pass] ?? pass;
+  return { rgb: "RGB", clean: "RGB, clean", raw: "Raw", instance: "Instances", depth: "Depth", range: "Range",
+    depth_measured: "Depth, measured", normal: "Normals", flow: "Flow", flow_backward: "Flow, backward",
+    scene_flow: "Scene flow", disparity: "Disparity", occlusion: "Occlusion", occlusion_backward: "Occlusion, backward",
+    disparity_occlusion: "Occlusion by disparity" }[pass] ?? pass;
 }
 
 /** What is chosen; listeners hear of each change. */

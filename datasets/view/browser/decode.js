@@ -71,6 +71,30 @@ function keep(key, produce) {
   return entry.value;
 }
 
+/** A plane of 16 bits from its differences (`layers.differences`). */
+function unfold(raw, width, height) {
+  const n = width * height;
+  const codes = new Uint16Array(n);
+  for (let y = 0, i = 0; y < height; y++) {
+    for (let x = 0; x < width; x++, i++) {
+      const folded = raw[i] | (raw[n + i] << 8);
+      const left = x ? codes[i - 1] : 0;
+      const upper = y ? codes[i - width] : 0;
+      const corner = x && y ? codes[i - width - 1] : 0;
+      codes[i] = ((folded >>> 1) ^ -(folded & 1)) + left + upper - corner;
+    }
+  }
+  return codes;
+}
+
+/** An IEEE binary16 from the whole number that stands for it (`fields`). */
+function half(code) {
+  const bits = code & 0x8000 ? code & 0x7fff : ~code & 0xffff;
+  const [exponent, fraction] = [(bits >>> 10) & 31, bits & 1023];
+  const size = exponent ? (1 + fraction / 1024) * 2 ** (exponent - 15) : fraction * 2 ** -24;
+  return bits & 0x8000 ? -size : size;
+}
+
 const decoders = {
   async jpeg(bytes, facts, head) {
     const image = await createImageBitmap(new Blob([bytes], { type: "image/jpeg" }));
@@ -86,19 +110,9 @@ const decoders = {
   },
 
   async steps(packed, facts, head) {
-    const raw = await inflate(packed);
     const [width, height] = head.stored;
     const n = width * height;
-    const codes = new Uint16Array(n);
-    for (let y = 0, i = 0; y < height; y++) {
-      for (let x = 0; x < width; x++, i++) {
-        const folded = raw[i] | (raw[n + i] << 8);
-        const left = x ? codes[i - 1] : 0;
-        const upper = y ? codes[i - width] : 0;
-        const corner = x && y ? codes[i - width - 1] : 0;
-        codes[i] = ((folded >>> 1) ^ -(folded & 1)) + left + upper - corner;
-      }
-    }
+    const codes = unfold(await inflate(packed), width, height);
     const layer = { code: "steps", codes, width, height, ...facts, bytes: 2 * n };
     const ratio = Math.log(facts.far / facts.near);
     layer.at = (i) => {
@@ -112,6 +126,22 @@ const decoders = {
       ? (facts.far - facts.near) / (2 * (facts.top - 2))
       : Math.expm1(ratio / (2 * (facts.top - 2)));
     return layer;
+  },
+
+  /** Values at a pixel: numbers, or null where one is none. */
+  async halves(packed, facts, head) {
+    const raw = await inflate(packed);
+    const [width, height] = head.stored;
+    const n = width * height;
+    const planes = Array.from({ length: facts.planes }, (_, k) => unfold(raw.subarray(2 * n * k), width, height));
+    const at = (i) => (planes[0][i] === 0xffff ? null : planes.map((codes) => half(codes[i])));
+    return { code: "halves", planes, at, width, height, bytes: 2 * n * facts.planes };
+  },
+
+  async whole(packed, facts, head) {
+    const [width, height] = head.stored;
+    const codes = unfold(await inflate(packed), width, height);
+    return { code: "whole", codes, top: facts.top, at: (i) => codes[i], width, height, bytes: 2 * codes.length };
   },
 
   async turns(packed, facts, head) {

@@ -115,7 +115,8 @@ function fitLarge() {
   large.style.width = `${w}px`;
   large.style.height = `${h}px`;
   large.style.transform = `translate(${x}px,${y}px) scale(${scale})`;
-  large.style.imageRendering = state.layer === "rgb" && scale < 3 ? "auto" : "pixelated";
+  const photograph = state.layer === "rgb" || state.layer === "clean";
+  large.style.imageRendering = photograph && scale < 3 ? "auto" : "pixelated";
   view.scale = scale;
   view.origin = [x, y];
   markPixel();
@@ -193,13 +194,13 @@ function known(at) {
       }
     }
   }
-  for (const name of ["depth", "range"]) {
+  for (const name of ["depth", "range", "depth_measured"]) {
     const layer = layers[name];
     if (!layer) continue;
     const meters = layer.at(at.place);
     const off = layer.error * (layer.even ? 1 : meters);
-    lines.push([name, Number.isFinite(meters) ? `${meters.toPrecision(6)} m ± ${brief(off, 2)}` : Number.isNaN(meters) ? "not a number" : "∞ (nothing hit)", null]);
-    if (name === "depth" && Number.isFinite(meters) && !head.lens) {
+    lines.push([name === "depth_measured" ? "measured" : name, Number.isFinite(meters) ? `${meters.toPrecision(6)} m ± ${brief(off, 2)}` : Number.isNaN(meters) ? "not a number" : name === "depth_measured" ? "no answer" : "∞ (nothing hit)", null]);
+    if (name === "depth" && Number.isFinite(meters) && !head.lens && !head.rolls) {
       lines.push(["world", world(head, at.column, at.row, meters).map((v) => v.toFixed(3)).join(", "), null]);
     }
   }
@@ -207,7 +208,7 @@ function known(at) {
     const n = layers.normal.at(at.place);
     lines.push(["normal", n ? n.map((v) => v.toFixed(2)).join(", ") : "none", null]);
   }
-  return lines;
+  return [...lines, ...motionLines(layers, at.place)];
 }
 
 const shortClass = (path) => path.split("/").filter(Boolean).at(-1) ?? path;

@@ -69,7 +69,7 @@ function legendPanels(frame = null) {
         "data-level": level.name, "data-id": id, title: `Highlight ${name}`,
         onclick: () => setHighlight(level.name, id) },
       swatch(color), make("span", {}, name), make("small", {}, id), make("em", {}, share ? percent(Number(share.toPrecision(2))) : "–")))));
-  if (allPasses.some((name) => name === "depth" || name === "range")) {
+  if (allPasses.some((name) => name === "depth" || name === "range" || name === "depth_measured")) {
     const stops = Array.from({ length: 9 }, (_, i) => css(viridis(1 - i / 8)));
     const bar = make("div.scale");
     bar.style.background = `linear-gradient(90deg, ${stops.join(",")})`;
@@ -77,7 +77,7 @@ function legendPanels(frame = null) {
     panels.push(make("section", {}, make("h3", {}, "Depth, meters"), bar, make("div.ticks", {},
       ...[0, 0.5, 1].map((t) => make("span", {}, brief(near * (far / near) ** t, 2))))));
   }
-  return panels;
+  return [...panels, ...motionPanels()];
 }
 
 function counts() {

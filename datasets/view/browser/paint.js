@@ -20,15 +20,15 @@ function instanceColor(id) {
   });
 }
 
-/** Depths between which 99 % of all pixels lie: one scale for all frames. */
-const depthRange = (() => {
+/** Lengths between which parts of all pixels lie, rounded outward to edges of bins; null of none. */
+function lengthRange(pairsOf, from, to) {
   const bins = new Map();
   for (const [, , , tally] of index.tallies) {
-    for (const [bin, n] of tally.distances) bins.set(bin, (bins.get(bin) ?? 0) + n);
+    for (const [bin, n] of pairsOf(tally)) bins.set(bin, (bins.get(bin) ?? 0) + n);
   }
   const sorted = [...bins].sort(([a], [b]) => a - b);
   const total = sorted.reduce((sum, [, n]) => sum + n, 0);
-  if (!total) return [1, 10];
+  if (!total) return null;
   const bin = (part) => {
     let seen = 0;
     for (const [k, n] of sorted) if ((seen += n) >= part * total) return k;
@@ -36,8 +36,11 @@ const depthRange = (() => {
   };
   const edges = index.edges.distances;
   const meters = (k) => edges[Math.min(edges.length - 1, Math.max(0, k))];
-  return [meters(bin(0.005) - 1), meters(bin(0.995))];
-})();
+  return [meters(bin(from) - 1), meters(bin(to))];
+}
+
+/** Depths between which 99 % of all pixels lie: one scale for all frames. */
+const depthRange = lengthRange((tally) => tally.distances, 0.005, 0.995) ?? [1, 10];
 const depthPart = (meters) =>
   1 - Math.log(Math.min(depthRange[1], Math.max(depthRange[0], meters)) / depthRange[0]) / Math.log(depthRange[1] / depthRange[0]);
 
@@ -61,6 +64,7 @@ function stepColors(layer) {
 
 /** Colors of the pixels of a stored layer, as a function of the pixel's place. */
 function painter(layer, pass) {
+  if (layer.code === "halves" || layer.code === "whole" || isOcclusion(pass)) return motionPainter(layer, pass);
   if (layer.code === "ids") {
     const level = levelOf(pass);
     const colors = Uint32Array.from(layer.ids, (id) =>

@@ -1,0 +1,145 @@
+"""The pictures of a frame: one place for all that shows frames or hands them on.
+
+A frame's picture is what its camera gives: of a sensor with ``imaging`` what that took, else
+radiance under the shared tone curve; either way the PNG beside the EXR. ``rgb`` itself stays
+radiance. On request a sensor leaves two more beside it (``schemas.frames.BESIDE``): ``clean``, the
+picture without noise, pattern, defects, mosaic and JPEG, and ``raw``, the converter's numbers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenec.datasets.formats.contract import Format
+from scenec.datasets.source import FrameRef, LoadedFrame, sidecar_values
+from scenec.schemas.errors import FrameError
+from scenec.schemas.files import sha256
+from scenec.schemas.frames import BESIDE, Frame, beside_path
+from scenec.schemas.picture import develop
+
+#: What each picture beside the picture is, for files that say what they hold.
+TOLD = {
+    "clean": "the sensor's picture without noise, pattern, defects, mosaic, rounding and JPEG",
+    "raw": "the converter's numbers behind the mosaic of colors; imaging.parameters.mosaic in "
+    "sidecars names the colors, from the top-left pixel on",
+}
+
+
+def picture(frame: LoadedFrame | Frame) -> NDArray[np.uint8]:
+    """The frame's picture, sRGB, uint8 [h, w, 3].
+
+    Raises:
+        FrameError: It has none, or the file is missing or damaged.
+    """
+    stem, sidecar = _stem(frame), frame.sidecar
+    path = stem.with_suffix(".png")
+    if sidecar.get("png") and (path.is_file() or taken(sidecar)):
+        pixels: NDArray[np.uint8] = _read(path, sidecar, "RGB")
+        return pixels
+    if "rgb" not in frame.passes:
+        raise FrameError(f"{stem}.exr: has no rgb; render with --passes …,rgb")
+    return develop(frame.passes["rgb"], float(sidecar.get("exposure_ev", 0.0)))
+
+
+def has_picture(frame: LoadedFrame | Frame) -> bool:
+    """Whether there is light in it at all."""
+    return bool(frame.sidecar.get("png")) or "rgb" in frame.passes
+
+
+def taken(sidecar: Mapping[str, Any]) -> bool:
+    """Whether the picture is a sensor's (``imaging``), and so more than radiance developed."""
+    return isinstance(sidecar.get("imaging"), dict)
+
+
+def kinds(sidecar: Mapping[str, Any]) -> tuple[str, ...]:
+    """Which of ``BESIDE`` a frame has."""
+    told = sidecar.get("imaging") or {}
+    return tuple(kind for kind in BESIDE if told.get(kind))
+
+
+def kinds_of(frames: Iterable[FrameRef]) -> tuple[str, ...]:
+    """Which of ``BESIDE`` any camera has, by one readable sidecar of each."""
+    found: set[str] = set()
+    known: set[str] = set()
+    for ref in frames:
+        values = None if ref.camera in known else sidecar_values(ref)
+        if values is not None:
+            known.add(ref.camera)
+            found.update(kinds(values))
+    return tuple(kind for kind in BESIDE if kind in found)
+
+
+def beside(frame: LoadedFrame | Frame, kind: str) -> NDArray[Any]:
+    """A picture beside the picture: ``clean`` uint8 [h, w, 3], ``raw`` uint16 [h, w].
+
+    Raises:
+        FrameError: It has none, or the file is not the one that its sidecar names.
+    """
+    return _read(beside_file(frame, kind), frame.sidecar, "I;16" if kind == "raw" else "RGB")
+
+
+def beside_file(frame: LoadedFrame | Frame, kind: str) -> Path:
+    """The file of a picture beside the picture, held against the sidecar's checksum.
+
+    Raises:
+        FrameError: It has none, or the file is not the one that its sidecar names.
+    """
+    path = beside_path(_stem(frame), kind)
+    if kind not in kinds(frame.sidecar):
+        raise FrameError(f"{path}: its sensor was not asked for it (imaging, {kind!r})")
+    if not path.is_file():
+        raise FrameError(f"{path}: missing, though its sidecar names it; render it again")
+    if sha256(path) != frame.sidecar["imaging"][kind].get("sha256"):
+        raise FrameError(
+            f"{path}: truncated, damaged or changed since it was written (its checksum is not the "
+            "sidecar's); render it again"
+        )
+    return path
+
+
+def counted(
+    frames: Iterable[LoadedFrame], form: Format, left_out: dict[str, int]
+) -> Iterator[LoadedFrame]:
+    """The frames; counts pictures beside theirs that a format has no place for.
+
+    Args:
+        frames: As they come.
+        form: The format.
+        left_out: What it was -> how many; added to.
+    """
+    for frame in frames:
+        for kind in kinds(frame.sidecar):
+            if kind not in form.beside:
+                what = f"{kind} pictures beside a sensor's, which format {form.name} does not hold"
+                left_out[what] = left_out.get(what, 0) + 1
+        yield frame
+
+
+def mosaic(sidecar: Mapping[str, Any]) -> str:
+    """Colors of the first 2 x 2 pixels of ``raw``, as in ``rggb``."""
+    return str((sidecar["imaging"].get("parameters") or {}).get("mosaic", ""))
+
+
+def _stem(frame: LoadedFrame | Frame) -> Path:
+    return frame.path.with_suffix("") if isinstance(frame, Frame) else frame.ref.stem
+
+
+def _read(path: Path, sidecar: Mapping[str, Any], mode: str) -> NDArray[Any]:
+    from PIL import Image, UnidentifiedImageError
+
+    if not path.is_file():
+        raise FrameError(f"{path}: missing, though its sidecar is there; render it again")
+    try:
+        with Image.open(path) as image:
+            pixels = np.asarray(image.convert("RGB") if mode == "RGB" else image)
+    except (OSError, ValueError, SyntaxError, UnidentifiedImageError) as error:
+        raise FrameError(f"{path}: not a picture, or a damaged one: {error}") from error
+    width, height = (int(v) for v in sidecar["resolution"])
+    if pixels.shape[:2] != (height, width):
+        raise FrameError(f"{path}: is {pixels.shape[1]} x {pixels.shape[0]} pixels, unlike its EXR")
+    return pixels

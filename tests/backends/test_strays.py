@@ -1,0 +1,114 @@
+"""A cfg changes, and frames stay that the new stage has no place for: named, never taken."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+from small import small_cfg, write_cfg
+
+from scenec.backends.render import render
+from scenec.cli.check_command import find
+from scenec.compiler.compile import compile_cfg
+from scenec.datasets.export import Choice, export
+from scenec.datasets.source import Source
+from scenec.datasets.view.page import write_view
+from scenec.schemas.errors import FrameError
+
+#: Two compiles and two renders, each in a process of its own.
+pytestmark = pytest.mark.slow
+EVERY = {"every": 2, "first": 1}
+
+
+def cfg_of(samples: int = 5, **sensors: dict[str, Any]) -> dict[str, Any]:
+    """Small, without ids or rocks, so that a frame takes milliseconds."""
+    cfg = small_cfg(samples=samples, outputs=["depth"])
+    cfg["terrain"] |= {"spacing_m": 2.0}
+    cfg["objects"]["rocks"]["count"] = 3
+    sensor = {"resolution": [8, 6], "fov_deg": 70}
+    cfg["rigs"]["rover"]["sensors"] = {n: sensor | more for n, more in sensors.items()}
+    return cfg
+
+
+def compiled(folder: Path, cfg: dict[str, Any]) -> Path:
+    compile_cfg(write_cfg(folder, cfg), seed=1, out=folder / "out", batches=range(1))
+    return folder / "out"
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[str]]:
+    """Rendered, compiled again with other triggers and fewer samples, and rendered again."""
+    folder = tmp_path_factory.mktemp("strays")
+    out = compiled(folder, cfg_of(a={}, b={}, gone={}))
+    render(out, "reference")
+    compiled(folder, cfg_of(4, a=dict(trigger=EVERY), b={}))
+    report = render(out, "reference")
+    return out, report.warnings
+
+
+def frames(out: Path, *names: str) -> list[str]:
+    return [f"batch_0000/frames/reference/rover_{name}.json" for name in names]
+
+
+STRAY = ("a/000000", "a/000002", "a/000004", "b/000004", *(f"gone/00000{i}" for i in range(5)))
+
+
+def test_check_names_each_with_the_reason_and_what_to_do(made):
+    out, _ = made
+    told = {f.where: f.message for f in find(out) if "not of this stage" in f.message}
+    assert sorted(told) == frames(out, *STRAY)
+    assert "triggered at samples 1, 3;" in told[frames(out, "a/000002")[0]]
+    assert "has samples 0 to 3;" in told[frames(out, "b/000004")[0]]
+    assert "no camera 'rover_gone';" in told[frames(out, "gone/000001")[0]]
+    assert all("delete 00000" in message for message in told.values())
+    assert not [f for f in find(out) if f.severity == "error"]
+
+
+def test_render_warns_once(made):
+    _, warnings = made
+    (line,) = (line for line in warnings if "not of this stage" in line)
+    assert "rover_a/000000.json" in line
+    assert f"and {len(STRAY) - 1} more in batch_0000" in line
+
+
+def test_exports_pass_them_over_with_a_line_each(made, tmp_path):
+    out, _ = made
+    copied = tmp_path / "out"
+    shutil.copytree(out, copied)
+    shutil.rmtree(copied / "batch_0000/frames/reference/rover_gone")
+    said: list[str] = []
+    choice = Choice(options={"rgb": "linear"})
+    report = export(copied, "hdf5", tmp_path / "d", choice, workers=1, say=said.append)
+    assert report.frames == 2 + 4
+    told = json.loads((tmp_path / "d" / "export.json").read_bytes())["faults"]
+    assert [fault["kind"] for fault in told] == ["stray"] * 4
+    assert [fault["name"] for fault in told] == [
+        *(f"batch_0000/rover_a/00000{i}" for i in (0, 2, 4)), "batch_0000/rover_b/000004",
+    ]  # fmt: skip
+    assert "triggered at samples 1, 3, …" in told[0]["message"]
+    (line,) = (line for line in said if "not of this stage" in line)
+    assert "and 3 more like it" in line
+    again = export(copied, "hdf5", tmp_path / "d", choice, workers=1)
+    assert again.there
+    assert len(again.faults) == 4
+    warned: list[str] = []
+    assert write_view(copied, tmp_path / "v.html", warn=warned.append).frames == 6
+    assert ["not of this stage" in line for line in warned] == [True]
+
+
+def test_a_camera_that_is_gone_is_foreign_to_an_export(made, tmp_path):
+    out, _ = made
+    with pytest.raises(FrameError, match=r"rover_gone/000000\.json: foreign"):
+        export(out, "hdf5", tmp_path / "d", Choice(faults="stop"), workers=1)
+    assert len(export(out, "hdf5", tmp_path / "e", Choice(faults="skip"), workers=1).faults) == 9
+
+
+def test_what_is_asked_for_is_missing_where_it_is_not_there_and_no_stray(made):
+    out, _ = made
+    source = Source(out, cameras=["rover_a"], samples=range(2))
+    assert [ref.sample for ref in source.frames] == [1]
+    assert source.missing == ()
+    assert [fault.name for fault in source.strays] == ["batch_0000/rover_a/000000"]

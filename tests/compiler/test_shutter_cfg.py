@@ -1,0 +1,595 @@
+"""A cfg's shutter: what is drawn, where cameras are meanwhile, what stands in the stage."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import small
+from numpy.typing import NDArray
+from pruned_scenes import annotation, compiled, drawn_cfg
+from pxr import Gf, Sdf, Usd, UsdGeom
+from scipy.spatial.transform import Rotation
+
+from scenec.backends.rays import camera_rays
+from scenec.backends.reader import read_stage
+from scenec.backends.reference import Reference
+from scenec.backends.render_scene import Camera
+from scenec.backends.resolver import resolve
+from scenec.backends.session import Session
+from scenec.backends.shutter import poses_at, row_poses
+from scenec.compiler.cameras.lenses import make_lens
+from scenec.compiler.cameras.paths.descent import Descent
+from scenec.compiler.cameras.paths.lawn_mower import LawnMower
+from scenec.compiler.cameras.paths.mav import Mav
+from scenec.compiler.cameras.paths.motion import Around
+from scenec.compiler.cameras.paths.orbit import Orbit, PointAim
+from scenec.compiler.cameras.paths.rover import Rover
+from scenec.compiler.cameras.rigs import build_rigs
+from scenec.compiler.cameras.shutters import ERROR_PX, Way, codes_at, way_of
+from scenec.compiler.cameras.tracks import Gaps, Sampling, TrackWay
+from scenec.compiler.compile import compile_cfg
+from scenec.compiler.draw import draw
+from scenec.compiler.frontend.load import load
+from scenec.compiler.frontend.track_formats import Stamped
+from scenec.compiler.ground.surface import Surface
+from scenec.compiler.passes.keep import Keep
+from scenec.compiler.passes.outlook import in_view, outlook
+from scenec.compiler.plan import RigPlan, SensorPlan, TrackPlan
+from scenec.compiler.rig import OpenShutter, Rig, Sensor
+from scenec.compiler.terrain.grid import Grid, HeightField
+from scenec.schemas import stage as names
+from scenec.schemas.errors import CfgError, SceneError, StageError
+from scenec.schemas.frames import FrameKey, read_frame
+from scenec.schemas.left_out import read_left_out
+from scenec.schemas.lens import directions, to_plane
+from scenec.schemas.shutter import Shutter, between
+
+ORBIT = {
+    "type": "orbit",
+    "center": {"type": "point", "x_m": 0, "y_m": 0, "height_m": 0.5},
+    "radius_m": 5,
+    "height_m": 1.5,
+    "period_s": 6,
+    "sweep_deg": 60,
+}
+SHUTTER = {"exposure_s": 0.01, "readout_s": 0.04}
+SENSOR = SensorPlan(
+    "front", (200, 100), (180.0, 182.0, 98.0, 53.0, 0.5), np.eye(4), False, np.zeros(1),
+    ("depth",), shutter=None,
+)  # fmt: skip
+FREE = Sampling()
+NONE = np.empty((0, 2))
+
+
+def cfg(shutter: Any, pose: Any = ORBIT, **sensor: Any) -> dict[str, Any]:
+    """Little to look at, soon compiled."""
+    made = small.small_cfg()
+    made["outputs"] = ["depth", "instance"]
+    made["terrain"]["relief"] = made["terrain"]["relief"][:1]
+    made["objects"]["rocks"]["count"] = 40
+    front = {"resolution": [40, 30], "fov_deg": 70} | sensor
+    if shutter is not None:
+        front["shutter"] = shutter
+    made["rigs"]["rover"] = {"pose": pose, "sensors": {"front": front}}
+    return made
+
+
+def drawn(folder: Path, document: dict[str, Any], batch: int = 0) -> SensorPlan:
+    return draw(load(small.write_cfg(folder, document)), 1, batch).rigs[0].sensors[0]
+
+
+# What is drawn, and what is refused --------------------------------------------------------------
+
+
+def test_a_cfg_without_a_shutter_is_what_it_was(tmp_path: Path) -> None:
+    spec = load(small.write_cfg(tmp_path, cfg(None)))
+    assert "shutter" not in json.dumps(spec.cfg, default=str)
+    assert drawn(tmp_path, cfg(None)).shutter is None
+
+
+def test_the_exposure_is_that_of_a_manual_imaging(tmp_path: Path) -> None:
+    """Of each sample, where the shutter says none; its own goes before."""
+    time = {"type": "log_uniform", "min": 1e-3, "max": 1e-1}
+    imaging = {"exposure": {"type": "manual", "time_s": time, "iso": 200}}
+    made = drawn(tmp_path, cfg({"direction": "up"}, imaging=imaging))
+    assert made.imaging is not None
+    assert made.shutter is not None
+    assert [one.exposure_s for one in made.shutter] == [one.time_s for one in made.imaging.samples]
+    assert len({one.exposure_s for one in made.shutter}) == 3
+    assert {(one.readout_s, one.upward) for one in made.shutter} == {(0.0, True)}
+    own = drawn(tmp_path, cfg({"exposure_s": 0.5}, imaging=imaging))
+    assert own.shutter == (Shutter(0.5, 0.0, False),) * 3
+
+
+def test_numbers_are_drawn_once_a_batch(tmp_path: Path) -> None:
+    spread = {"type": "uniform", "min": 0.01, "max": 0.03}
+    made = [drawn(tmp_path, cfg(SHUTTER | {"readout_s": spread}), batch) for batch in (0, 1)]
+    assert made[0].shutter is not None
+    assert made[1].shutter is not None
+    assert len(set(made[0].shutter)) == 1
+    assert made[0].shutter[0].readout_s != made[1].shutter[0].readout_s
+
+
+@pytest.mark.parametrize(
+    ("shutter", "change", "where", "said"),
+    [
+        ({}, {}, "/shutter", "expected the key exposure_s"),
+        ({"readout_s": 0.1}, {"imaging": {}}, "/shutter", "exposure_s"),
+        ({"exposure_s": -1}, {}, "/shutter/exposure_s", "at least 0"),
+        ({"exposure": 1}, {}, "/shutter/exposure", "exposure_s"),
+        (SHUTTER | {"direction": "dawn"}, {}, "/shutter/direction", '"down"'),
+        (SHUTTER, {"pose": small.small_cfg()["rigs"]["rover"]["pose"]}, "/shutter", "of no time"),
+    ],
+)
+def test_each_fault_is_said_where_it_is(
+    tmp_path: Path, shutter: Any, change: dict[str, Any], where: str, said: str
+) -> None:
+    with pytest.raises(CfgError) as caught:
+        load(small.write_cfg(tmp_path, cfg(shutter, **change)))
+    text = str(caught.value)
+    assert f"/rigs/rover/sensors/front{where}" in text
+    assert said in text
+
+
+# Where cameras are -------------------------------------------------------------------------------
+
+
+def flat() -> Surface:
+    grid = Grid.with_spacing((60.0, 40.0), 0.5)
+    return Surface(HeightField(grid, np.zeros(grid.shape)))
+
+
+def rig_of(pose: Any, shutter: Shutter, samples: int = 3, **change: Any) -> tuple[Rig, Any, Way]:
+    """A rig with an open shutter, what is said of it, and its way."""
+    sensor = replace(SENSOR, ev=np.zeros(samples), shutter=(shutter,) * samples, **change)
+    plan = RigPlan("r", pose, (sensor,))
+    facts: dict[str, Any] = {}
+    surface = flat()
+    rig = build_rigs((plan,), surface, None, {}, facts)[0]
+    around = Around("rigs/r/pose", samples, surface, plan.sensors)
+    if isinstance(pose, TrackPlan):
+        assert pose.way is not None
+        return rig, facts["r"]["shutter"]["front"], Way(pose.way.at, pose.way.times)
+    way = way_of(pose, pose.built(around), around)
+    assert way is not None
+    return rig, facts["r"]["shutter"]["front"], way
+
+
+def track(spin: float = 1.0, sway: float = 1.0) -> Stamped:
+    """A handheld camera: every 0.1 s, by a clock that begins at 5."""
+    time = np.arange(40) * 0.1
+    position = np.stack([time, sway * np.sin(3.0 * time), 1.6 + 0.1 * np.cos(5.0 * time)], axis=1)
+    turn = Rotation.from_rotvec(
+        spin * np.stack([np.sin(2.0 * time), 0.5 * time, np.cos(3.0 * time)], axis=1)
+    )
+    return Stamped(time, 5.0, position, turn.as_quat(scalar_first=True), tuple(range(40)))
+
+
+def tracked(method: str = "cubic", **change: Any) -> TrackPlan:
+    at = np.array([0.0, 1.33, 3.9])
+    way = TrackWay(at, track(**change), method, Gaps(), "track.csv", False)
+    # By a clock of whose seconds a float has few digits left.
+    return TrackPlan(way.at(at), 1.7e9 + at, way)
+
+
+WAYS: dict[str, Any] = {
+    "track": tracked(),
+    "orbit": Orbit(PointAim(0.0, 0.0, 0.0), 6.0, 2.0, 0.0, 90.0, 8.0, 0.1, FREE),
+    "whole orbit": Orbit(PointAim(0.0, 0.0, 0.0), 6.0, 2.0, 0.0, 360.0, 20.0, 0.1, FREE),
+    "lawn_mower": LawnMower(0.0, 0.0, 20.0, 12.0, 30.0, 4.0, 0.2, 8.0, "ground", 5.0, 2.0, -60.0,
+                            FREE),
+    "rover": Rover(np.array([[-8.0, 0.0], [4.0, 3.0], [4.0, -6.0]]), np.empty((0, 64, 2)), 1.0, 0.8,
+                   1.2, 1.0, 40.0, 30.0, 0.2, -10.0, FREE),
+    "mav": Mav(np.array([[-15.0, -5.0], [0.0, 8.0], [15.0, -5.0]]), NONE, 5.0, 6.0, 1.0, 6.0, 4.0,
+               10.0, -30.0, True, 9.81, FREE),
+    "descent": Descent(0.0, 0.0, 40.0, 2.0, 8.0, 1.0, 3.0, 40.0, 10.0, -80.0, FREE),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", WAYS)
+def test_between_its_poses_a_camera_is_where_the_motion_takes_it(name: str) -> None:
+    """To what the report says, below a thousandth of a pixel, of points as near as the ground."""
+    to_rig = np.eye(4)
+    to_rig[:3, :3] = Rotation.from_euler("xyz", [5.0, -20.0, 3.0], degrees=True).as_matrix()
+    to_rig[:3, 3] = 0.3, -0.1, 0.4
+    rig, facts, way = rig_of(WAYS[name], Shutter(0.005, 0.02), to_rig=to_rig)
+    opened = rig.sensors[0].shutter
+    assert opened is not None
+    assert facts["error_px"] <= ERROR_PX
+    assert facts["poses"] == len(opened.times) <= 65
+    assert opened.times[0] == -0.0125
+    assert opened.times[-1] == 0.0125
+    assert rig.times is not None
+    middle = len(opened.times) // 2
+    rng = np.random.default_rng(7)
+    k = np.array([[180.0, 0.5, 98.0], [0.0, 182.0, 53.0], [0.0, 0.0, 1.0]])
+    worst = 0.0
+    for i, time in enumerate(way.times):
+        assert np.array_equal(opened.to_world[i, middle], rig.to_world[i] @ to_rig) or np.allclose(
+            opened.to_world[i, middle], rig.to_world[i] @ to_rig, rtol=0, atol=1e-15 * 50
+        )
+        at = rng.uniform(-0.0125, 0.0125, 50)
+        found = between(opened.times, opened.to_world[i], at)
+        expected = way.at(time + at) @ to_rig
+        pixel = np.stack([rng.uniform(0, 200, 50), rng.uniform(0, 100, 50), np.ones(50)], axis=1)
+        local = np.linalg.solve(k, pixel.T).T
+        local *= facts["no_nearer_than_m"] / np.linalg.norm(local, axis=1)[:, None]
+        points = expected[:, :3, 3] + (expected[:, :3, :3] @ local[:, :, None])[:, :, 0]
+        seen = (points - found[:, :3, 3])[:, None, :] @ found[:, :3, :3]
+        shown = (k @ seen[:, 0].T).T
+        worst = max(worst, float(np.abs(shown[:, :2] / shown[:, 2:] - pixel[:, :2]).max()))
+    assert worst <= 1.5 * ERROR_PX
+    assert worst <= 2.0 * max(facts["error_px"], 1e-7)
+
+
+def test_before_its_beginning_and_after_its_end_a_rig_stands_still() -> None:
+    for pose in (WAYS["orbit"], WAYS["track"], WAYS["mav"]):
+        rig = rig_of(pose, Shutter(0.0, 0.5))[0]
+        opened = rig.sensors[0].shutter
+        assert opened is not None
+        assert (opened.to_world[0][opened.times < 0.0] == rig.to_world[0]).all()
+        late = opened.to_world[-1][opened.times > 0.0]
+        assert np.abs(late - rig.to_world[-1]).max() < 1e-12
+        assert (opened.to_world[1][opened.times > 0.0] != rig.to_world[1]).any()
+
+
+def test_a_motion_of_no_length_stands_still() -> None:
+    hover = Mav(
+        np.array([[1.0, 2.0]]), NONE, 5.0, 6.0, 1.0, 6.0, 4.0, 10.0, -30.0, True, 9.81, FREE
+    )
+    point = Stamped(np.zeros(1), 2.0, np.ones((1, 3)), np.array([[1.0, 0, 0, 0]]), (1,))
+    way = TrackWay(np.zeros(1), point, "linear", Gaps(), "t", False)
+    alone = TrackPlan(way.at(np.zeros(1)), np.full(1, 2.0), way)
+    still = replace(WAYS["orbit"], sweep_deg=0.0)
+    for pose, samples in ((hover, 3), (alone, 1), (still, 3)):
+        sensor = replace(SENSOR, ev=np.zeros(samples), shutter=(Shutter(0.1, 0.2),) * samples)
+        rig = build_rigs((RigPlan("r", pose, (sensor,)),), flat(), None, {}, None)[0]
+        opened = rig.sensors[0].shutter
+        assert opened is not None
+        assert (opened.to_world == opened.to_world[:, :1]).all()
+        assert opened.times[-1] >= 0.5 * (0.1 + 0.2)
+
+
+def test_the_number_of_poses_is_bounded_and_the_error_said() -> None:
+    """A second of a shaken camera's track: more than 64 steps can follow to a thousandth."""
+    rig, facts, _ = rig_of(tracked(spin=6.0, sway=4.0), Shutter(2.0, 1.0))
+    opened = rig.sensors[0].shutter
+    assert opened is not None
+    assert facts["poses"] == len(opened.times) == 65
+    assert facts["error_px"] > ERROR_PX
+    _, calm, _ = rig_of(tracked(spin=6.0, sway=4.0), Shutter(1e-4, 0.0))
+    assert calm["poses"] == 3
+    assert calm["error_px"] < ERROR_PX
+
+
+def test_an_instant_has_one_pose() -> None:
+    rig, facts, _ = rig_of(WAYS["orbit"], Shutter(0.0, 0.0))
+    opened = rig.sensors[0].shutter
+    assert opened is not None
+    assert opened.times.tolist() == [0.0]
+    assert facts["poses"] == 1
+    assert facts["error_px"] == 0.0
+
+
+def test_a_gap_of_a_track_is_one_while_a_shutter_is_open() -> None:
+    stamped = track()
+    keep = np.r_[0:20, 30:40]
+    stamped = replace(
+        stamped, time_s=stamped.time_s[keep], position_m=stamped.position_m[keep],
+        quaternion=stamped.quaternion[keep], lines=tuple(keep.tolist()),
+    )  # fmt: skip
+    at = stamped.time_s[[5, 19]]
+    way = TrackWay(at, stamped, "linear", Gaps(0.2), "track.csv", False)
+    pose = TrackPlan(way.at(at), at, way)
+    assert rig_of(pose, Shutter(0.0, 0.0), 2)
+    with pytest.raises(
+        SceneError, match=r"while a shutter is open: track.csv:\d+: .* without a pose"
+    ):
+        rig_of(pose, Shutter(0.1, 0.0), 2)
+
+
+def test_a_pair_that_rolls_differently_is_none(tmp_path: Path) -> None:
+    document = cfg(SHUTTER)
+    sensors = document["rigs"]["rover"]["sensors"]
+    sensors["right"] = json.loads(json.dumps(sensors["front"])) | {
+        "mount": {"position_m": [0.2, 0, 0]}
+    }
+    sensors["front"] |= {"partner": "right", "outputs": ["disparity"]}
+    plans = draw(load(small.write_cfg(tmp_path, document)), 1, 0).rigs
+    assert build_rigs(plans, flat(), None)
+    sensors["right"]["shutter"]["direction"] = "up"
+    plans = draw(load(small.write_cfg(tmp_path, document)), 1, 0).rigs
+    with pytest.raises(SceneError, match="read out differently"):
+        build_rigs(plans, flat(), None)
+
+
+# Views that pruning goes by ----------------------------------------------------------------------
+
+LENSES: dict[str, Any] = {
+    "pinhole": None,
+    "kannala_brandt": {"type": "kannala_brandt", "k1": 0, "k2": 0, "k3": 0, "k4": 0,
+                       "max_angle_deg": 70},
+    "equirectangular": {"type": "equirectangular"},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("lens", LENSES)
+@pytest.mark.parametrize("spin", [0.02, 0.6, 5.0])
+def test_all_that_is_seen_at_any_time_is_in_a_view(lens: str, spin: float) -> None:
+    """Points on rays of random pixels at random times, near ones, too; and not just everything."""
+    rng = np.random.default_rng(3)
+    times = np.linspace(-1.0, 1.0, 17)
+    turn = Rotation.from_rotvec(
+        spin * np.stack([np.sin(times), 0.7 * times, np.cos(2.0 * times)], axis=1)
+    )
+    poses = np.repeat(np.eye(4)[None], 17, axis=0)
+    poses[:, :3, :3] = turn.as_matrix()
+    poses[:, :3, 3] = 0.3 * np.stack([times, np.sin(3.0 * times), times * times], axis=1)
+    opened = OpenShutter((Shutter(0.0, 2.0),), times, poses[None])
+    made = make_lens(LENSES[lens])
+    intrinsics = (60.0, 62.0, 50.0, 41.0, 0.7) if made is None else (50.0, 50.0, 48.0, 40.0, 0.0)
+    sensor = Sensor("s", (96, 80), intrinsics, np.eye(4), np.zeros(1), ("rgb",), lens=made,
+                    shutter=opened)  # fmt: skip
+    views = outlook((Rig("r", poses[8:9], (sensor,), np.zeros(1)),))
+    assert views.moving.sum() == 4
+    k = np.array([[intrinsics[0], intrinsics[4], intrinsics[2]],
+                  [0.0, intrinsics[1], intrinsics[3]], [0.0, 0.0, 1.0]])  # fmt: skip
+    n = 400
+    x, y = to_plane(k, rng.uniform(0.0, 96.0, n), rng.uniform(0.0, 80.0, n))
+    local, known = directions(made, x, y)
+    at = between(times, poses, rng.uniform(-1.0, 1.0, n))
+    t = 10.0 ** rng.uniform(-3.0, 3.0, n)
+    points = at[:, :3, 3] + t[:, None] * (at[:, :3, :3] @ local[:, :, None])[:, :, 0]
+
+    def shown(which: NDArray[np.bool_], point: NDArray[np.float64]) -> bool:
+        index = np.flatnonzero(which)
+        return any(
+            in_view(views.eye[v], views.planes[v], views.axis[v], views.cone[v], *point, 1e-9)
+            for v in index.tolist()
+        )
+
+    for point in points[known]:
+        assert shown(views.moving, point)
+    if spin < 0.1 and lens == "pinhole":
+        anywhere = rng.normal(size=(300, 3)) * 30.0
+        assert np.mean([shown(views.moving, p) for p in anywhere]) < 0.5
+
+
+@pytest.mark.invariant
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [0, 4])
+def test_pruning_changes_no_annotation_of_a_rolling_shutter(seed: int, tmp_path: Path) -> None:
+    document = drawn_cfg(seed, tmp_path)
+    for rig in document["rigs"].values():
+        rig["pose"] = ORBIT | {"radius_m": 6, "height_m": 1, "sweep_deg": 200, "period_s": 20}
+        for sensor in rig["sensors"].values():
+            sensor["shutter"] = {"exposure_s": 0.02, "readout_s": 0.3}
+    batch = compiled(tmp_path, document, Keep.SEEN)
+    record = read_left_out(batch)
+    assert record is not None
+    counts = [one.counts() for one in record.classes.values()]
+    assert sum(n for of in counts for why, n in of.items() if not why.kept) > 20
+    pairs = zip(
+        annotation(batch),
+        annotation(compiled(tmp_path, document, Keep.UNPRUNED)),
+        strict=True,
+    )
+    for (name, pruned), (other, whole) in pairs:
+        assert name == other
+        for key, values in whole.items():
+            assert np.array_equal(pruned[key], values, equal_nan=values.dtype.kind == "f"), key
+
+
+# The stage ---------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def output(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two cameras: one that rolls upwards, one whose exposures overlap."""
+    folder = tmp_path_factory.mktemp("shutter")
+    document = cfg(SHUTTER | {"direction": "up"}, mount={"position_m": [0.2, 0.1, 0.3]})
+    document["rigs"]["rover"]["sensors"]["long"] = {
+        "resolution": [24, 16], "fov_deg": 60, "shutter": {"exposure_s": 0.9, "readout_s": 0},
+    }  # fmt: skip
+    out = folder / "out"
+    compile_cfg(small.write_cfg(folder, document), seed=3, out=out, cache=folder / "cache")
+    return out
+
+
+@pytest.fixture(scope="module")
+def stage(output: Path) -> Path:
+    return output / "batch_0000" / "stage.usda"
+
+
+def front(stage: Path, sample: int = 1, index: int = 0) -> Camera:
+    return read_stage(stage).cameras[sample][index]
+
+
+def test_cameras_come_back_as_they_move(output: Path, stage: Path) -> None:
+    """Shutter, times and poses: those of the orbit, to rounding; that of the sample to the bit."""
+    orbit = Orbit(PointAim(0.0, 0.0, 0.5), 5.0, 1.5, 0.0, 60.0, 6.0, 0.1, FREE)
+    report = json.loads((output / "batch_0000" / "report.json").read_text())
+    said = report["motion"]["rover"]["shutter"]
+    for index, (name, shutter) in enumerate(
+        (("front", Shutter(0.01, 0.04, True)), ("long", Shutter(0.9, 0.0)))
+    ):
+        camera = front(stage, index=index)
+        held = camera.shutter
+        assert held is not None
+        assert held.shutter == shutter
+        assert len(held.times) == said[name]["poses"]
+        middle = len(held.times) // 2
+        assert held.times[middle] == 0.0
+        assert np.array_equal(held.camera_to_world[middle], camera.camera_to_world)
+        assert held.times[0] == -shutter.half_span
+        r = held.camera_to_world[:, :3, :3]
+        assert np.abs(r.transpose(0, 2, 1) @ r - np.eye(3)).max() < 1e-13
+        # It goes around at 60 degrees a second: 5 m away, level, without its mount.
+        if name == "long":
+            angle = np.arctan2(held.camera_to_world[:, 0, 3], held.camera_to_world[:, 1, 3])
+            expected = np.radians(60.0) * np.clip(0.5 + held.times, 0.0, 1.0)
+            assert np.abs(angle - expected).max() < 1e-12
+            assert np.abs(np.linalg.norm(held.camera_to_world[:, :2, 3], axis=1) - 5.0).max() < 1e-9
+    assert orbit.sweep_deg == 60.0
+
+
+def test_viewers_see_the_same_poses_at_fractional_time_codes(stage: Path) -> None:
+    """By USD's own transforms; shutter:open and shutter:close hold the exposures in time codes."""
+    opened = Usd.Stage.Open(str(stage))
+    scene = read_stage(stage)
+    assert (opened.GetStartTimeCode(), opened.GetEndTimeCode()) == (0.0, 2.0)
+    for sample in range(3):
+        for camera in scene.cameras[sample]:
+            prim = UsdGeom.Camera(opened.GetPrimAtPath(camera.path))
+            held = camera.shutter
+            assert held is not None
+            codes = codes_at(scene.times, scene.times[sample] + held.times)
+            low, high = (a.Get(sample) for a in (prim.GetShutterOpenAttr(),
+                                                 prim.GetShutterCloseAttr()))  # fmt: skip
+            assert abs(sample + low - codes[0]) < 1e-12
+            assert abs(sample + high - codes[-1]) < 1e-12
+            for code, pose in zip(codes.tolist(), held.camera_to_world, strict=True):
+                matrix = UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(code)
+                seen = np.array(matrix).T @ np.diag([*names.HALF_TURN, 1.0])
+                assert np.abs(seen - pose).max() < 1e-9
+
+
+def test_poses_compose_with_what_the_camera_is_below(stage: Path, tmp_path: Path) -> None:
+    """A stage that refers to it, turned, moved, and in centimeters with y up."""
+    path = tmp_path / "around.usda"
+    outer = Usd.Stage.CreateNew(str(path))
+    UsdGeom.SetStageMetersPerUnit(outer, 0.01)
+    UsdGeom.SetStageUpAxis(outer, UsdGeom.Tokens.y)
+    outer.SetStartTimeCode(0)
+    outer.SetEndTimeCode(2)
+    # As in the stage: USD scales the time samples of a layer that differs.
+    outer.SetTimeCodesPerSecond(1.0)
+    outer.SetFramesPerSecond(1.0)
+    world = outer.DefinePrim("/World")
+    xform = UsdGeom.Xformable(world)
+    matrix = Gf.Matrix4d().SetScale(100.0) * Gf.Matrix4d().SetRotate(
+        Gf.Rotation(Gf.Vec3d(1, 2, 3), 40.0)
+    )
+    xform.AddTransformOp().Set(matrix.SetTranslateOnly(Gf.Vec3d(300, -50, 20)))
+    world.GetReferences().AddReference(str(stage), "/World")
+    outer.SetDefaultPrim(world)
+    outer.GetRootLayer().Save()
+    inner = front(stage, index=0)
+    found = next(c for c in read_stage(path).cameras[1] if "front" in c.path)
+    assert inner.shutter is not None
+    assert found.shutter is not None
+    assert found.shutter.shutter == inner.shutter.shutter
+    turn = found.camera_to_world @ np.linalg.inv(inner.camera_to_world)
+    expected = turn @ inner.shutter.camera_to_world
+    assert np.abs(found.shutter.camera_to_world - expected).max() < 1e-9
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "said"),
+    [
+        (names.ATTR_SHUTTER_EXPOSURE, -1.0, "expected 0 or more"),
+        (names.ATTR_SHUTTER_READOUT, float("nan"), "expected 0 or more"),
+        (names.ATTR_SHUTTER_DIRECTION, "dwon", '"down"'),
+        (names.ATTR_SHUTTER_TIMES, [-0.1, 0.1], "0 among them"),
+        (names.ATTR_SHUTTER_TIMES, [-0.001, 0.0, 0.001], "or beyond"),
+        (names.ATTR_SHUTTER_TIMES, [-0.1, 0.0, 0.05, 0.1], "expected one for each"),
+    ],
+)
+def test_numbers_that_cannot_be_are_refused(
+    stage: Path, tmp_path: Path, name: str, value: Any, said: str
+) -> None:
+    path = tmp_path / "broken.usda"
+    layer = Sdf.Layer.CreateNew(str(path))
+    layer.subLayerPaths = [str(stage)]
+    opened = Usd.Stage.Open(layer)
+    opened.SetDefaultPrim(opened.GetPrimAtPath("/World"))
+    opened.SetStartTimeCode(0)
+    opened.SetEndTimeCode(2)
+    UsdGeom.SetStageMetersPerUnit(opened, 1.0)
+    UsdGeom.SetStageUpAxis(opened, UsdGeom.Tokens.z)
+    camera = opened.GetPrimAtPath("/World/Rigs/rover/front")
+    attribute = camera.GetAttribute(name)
+    attribute.Set(value)
+    for sample in range(3):
+        if name == names.ATTR_SHUTTER_EXPOSURE:
+            attribute.Set(value, sample)
+    layer.Save()
+    with pytest.raises(StageError, match=said.replace('"', '"')):
+        read_stage(path)
+
+
+def test_the_rows_of_a_compiled_picture_are_those_of_still_cameras(stage: Path) -> None:
+    """Brute force: a pinhole for each row, at that row's pose; labels apart, to the bit."""
+    scene = read_stage(stage)
+    reference = Reference()
+    reference.load(scene)
+    assert reference.caster is not None
+    camera = scene.cameras[1][0]
+    passes = ("depth", "instance", "normal", "position")
+    found, _ = resolve(scene, reference.caster, camera_rays(camera), None, camera, passes, 1)
+    poses = row_poses(camera)
+    assert np.abs(poses[0] - poses[-1]).max() > 0.1
+    differs = 0
+    whole = replace(camera, shutter=None)
+    before, _ = resolve(scene, reference.caster, camera_rays(whole), None, whole, passes, 1)
+    for r, pose in enumerate(poses):
+        alone = replace(camera, shutter=None, camera_to_world=pose)
+        rays = camera_rays(alone)
+        expected, _ = resolve(scene, reference.caster, rays, None, alone, passes, 1)
+        for key, values in expected.items():
+            real = values.dtype.kind == "f"
+            assert np.array_equal(found[key][r], values[r], equal_nan=real), key
+        differs += int((expected["depth"][r] != before["depth"][r]).sum())
+    assert differs > 300
+
+
+def test_sidecars_say_where_the_camera_was(stage: Path, tmp_path: Path) -> None:
+    session = Session.open(stage, "reference")
+    camera = front(stage)
+    key = FrameKey(session.scene.digest, ("depth", "instance", "position", "flow"), 0, 1, "r", "0")
+    stem = tmp_path / "000001"
+    session.render_to(stem, 0, 1, key, 1)
+    frame = read_frame(stem)
+    held = camera.shutter
+    assert held is not None
+    said = frame.sidecar["shutter"]
+    assert (said["exposure_s"], said["readout_s"], said["direction"]) == (0.01, 0.04, "up")
+    assert np.array_equal(said["camera_to_world"], held.camera_to_world)
+    assert np.array_equal(frame.sidecar["camera_to_world"], camera.camera_to_world)
+    ends = poses_at(held, np.array([0.02, -0.02]) * 29.0 / 30.0)
+    assert np.abs(np.array([said["first_row"], said["last_row"]]) - ends).max() < 1e-12
+    assert np.isfinite(frame.passes["flow"]).mean() > 0.3
+    # What a reader makes of depth and the sidecar alone is what the position pass says.
+    depth = frame.passes["depth"].astype(np.float64)
+    hit = np.isfinite(depth)
+    assert hit.mean() > 0.3
+    v, u = np.mgrid[0:30, 0:40] + 0.5
+    local = np.linalg.inv(np.array(frame.sidecar["intrinsics"])) @ np.stack(
+        [u.ravel(), v.ravel(), np.ones(1200)]
+    )
+    at = -said["readout_s"] * ((np.arange(30) + 0.5) / 30 - 0.5)
+    poses = between(np.array(said["times_s"]), np.array(said["camera_to_world"]), at)
+    pose = np.repeat(poses, 40, axis=0)
+    point = np.einsum("nij,jn->ni", pose[:, :3, :3], local) * depth.reshape(-1, 1)
+    point += pose[:, :3, 3]
+    expected = frame.passes["position"].reshape(-1, 3)
+    assert np.abs(point - expected)[hit.ravel()].max() < 1e-5
+
+
+def test_the_same_bytes_come_from_the_cache_and_from_scratch(output: Path, tmp_path: Path) -> None:
+    cache = output.parent / "cache"
+    document = output.parent / "small.json"
+    taken = compile_cfg(document, seed=3, out=tmp_path / "a", cache=cache)
+    assert taken.taken["batch_0000"]["cameras"] == 1
+    compile_cfg(document, seed=3, out=tmp_path / "b")
+    for name in ("cameras.usda", "stage.usda", "report.json"):
+        one, two, three = (
+            (folder / "batch_0000" / name).read_bytes()
+            for folder in (output, tmp_path / "a", tmp_path / "b")
+        )
+        assert one == two == three
