@@ -64,6 +64,8 @@ docs: setup  ## Generate docs/cfg.md from the schemas; the pages of errors and r
 	@.venv/bin/python docs/make_sky.py
 	@echo "== Measuring docs/motion.md"
 	@.venv/bin/python docs/make_motion.py
+	@echo "== Measuring docs/extremes.md"
+	@.venv/bin/python docs/make_extremes.py
 	@echo "== Measuring docs/converge.md"
 	@.venv/bin/python docs/make_converge.py
 	@echo "== Measuring docs/errors.md"
