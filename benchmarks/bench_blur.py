@@ -12,6 +12,7 @@ over those of the plain pinhole's picture with as many samples, drawn in the sam
 
 from __future__ import annotations
 
+import argparse
 import dataclasses
 import sys
 import time
@@ -135,4 +136,6 @@ def report(
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:] or ["mitsuba"])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("backends", nargs="*", default=["mitsuba"])
+    main(parser.parse_args().backends)

@@ -33,6 +33,8 @@ PLANCK_LIGHT = 6.62607015e-34 * 299792458.0
 RULES = ("fixed", "auto")
 MOSAICS = ("none", "rggb", "bggr", "grbg", "gbrg")
 DEMOSAICS = ("malvar", "bilinear")
+#: libjpeg's bound.
+MAX_JPEG_SIDE = 65500
 SUBSAMPLINGS = ("4:4:4", "4:2:2", "4:2:0")
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from scenec.compiler.frontend.faults import Finding
 from scenec.compiler.frontend.json_positions import Path
-from scenec.schemas.imaging import MIN_DETERMINANT, MIN_WHITE, determinant
+from scenec.schemas.imaging import MAX_JPEG_SIDE, MIN_DETERMINANT, MIN_WHITE, determinant
 from scenec.schemas.spelling import shown
 
 Spans = dict[Path, tuple[float, float]]
@@ -79,6 +79,13 @@ def _check_numbers(
             )
     shape = sensor.get("resolution")
     thin = isinstance(shape, list) and 1 in shape
+    sides = [side for side in shape if isinstance(side, int)] if isinstance(shape, list) else []
+    if "jpeg" in imaging and max(sides, default=0) > MAX_JPEG_SIDE:
+        yield Finding(
+            (*path, "imaging", "jpeg"),
+            f"a JPEG has at most {MAX_JPEG_SIDE} pixels a side, this sensor {max(sides)}: take it "
+            "away",
+        )
     if imaging.get("raw") is True and (thin or imaging.get("mosaic") == "none"):
         yield Finding(
             (*path, "imaging", "raw"),

@@ -230,6 +230,7 @@ def test_a_foreign_stages_impossible_sensor_is_one_clear_error(
         ({"bits": 8, "black_level": 255}, {}, "black_level", "less than 255"),
         ({"raw": True, "mosaic": "none"}, {}, "raw", "there is none"),
         ({"raw": True}, {"resolution": [1, 9]}, "raw", "there is none"),
+        ({"jpeg": {}}, {"resolution": [65501, 1]}, "imaging/jpeg", "at most 65500"),
         (
             {"color_matrix": [[1, 0, 0], [1, 0, 0], [0, 0, 1]]},
             {},
