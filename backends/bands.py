@@ -6,8 +6,9 @@ rays, are given a ``crop``: the band, with the principal point moved. Windows of
 row beyond their band (``settle``'s ``core``). Radiance goes by tiles with noise of their own. Of a
 picture that is no larger than one band nothing of this is done.
 
-Whole pictures are still held for: rays where haze, measured depth, flow, disparity or the table of
-instances through a lens need them; denoising, which knows no borders; rounds to a target.
+Whole pictures are still held for: the sums of sub-frames; rays where haze, measured depth, flow,
+disparity or the table of instances through a lens need them; denoising, which knows no borders;
+rounds to a target.
 """
 
 from __future__ import annotations
@@ -40,7 +41,8 @@ TALLEST = 8192
 
 def bands(camera: Camera) -> list[range]:
     """Rows of a picture that are annotated at once; of bands about as many each."""
-    count = -(-camera.height // min(max(1, PIXELS // camera.width), TALLEST))
+    # With a row beside it on either side a band is still no taller than that.
+    count = -(-camera.height // min(max(1, PIXELS // camera.width), TALLEST - 2))
     rows = -(-camera.height // count)
     return [
         range(first, min(first + rows, camera.height)) for first in range(0, camera.height, rows)

@@ -167,6 +167,9 @@ def veil(
     shown = airlight(haze, sky, rays.directions)
     floor = float(scene.bounds[0, 2]) if haze.floor_m is None else haze.floor_m
     behind = _behind(haze, rays, floor, sky)
+    if rays.known is not None:
+        # Outside of the image circle it is black.
+        passed[~rays.known] = behind[~rays.known] = 1.0
     shape = (*rays.shape, 3)
     return Veil(passed.reshape(shape), behind.reshape(shape), shown.reshape(shape), len(index))
 

@@ -133,7 +133,8 @@ def draw(
     each = max(1, int(np.ceil(spp / views.fineness**2)))
     parts = []
     for i, view in enumerate(views.cameras):
-        noise = (seed + 0x9E3779B1 * i) & 0xFFFFFFFF
+        # Another odd number than tiles of a view have between them (``bands``).
+        noise = (seed + 0x85EBCA6B * i) & 0xFFFFFFFF
         parts.append(radiance(backend, view, sample, each, noise, denoise))
     pixels = camera.height * camera.width
     channels = 7 if parts[0].denoised is None else 10

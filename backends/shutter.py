@@ -60,16 +60,6 @@ def row_poses(camera: Camera, rows: range | None = None) -> NDArray[np.float64]:
     return poses_at(camera.shutter, camera.shutter.shutter.middles(v, camera.height))
 
 
-def later(camera: Camera, seconds: float) -> Camera:
-    """The camera with all of its exposure so much later, as it moves."""
-    held = camera.shutter
-    if held is None or seconds == 0.0:
-        return camera
-    moved = OpenShutter(held.shutter, held.times - seconds, held.camera_to_world)
-    pose = poses_at(held, np.array([seconds]))[0]
-    return replace(camera, shutter=moved, camera_to_world=pose)
-
-
 def beside(camera: Camera, step: float) -> Camera:
     """The same camera, standing so many meters to its own right at all times."""
 

@@ -36,7 +36,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.backends.bands import crop, radiance
+from scenec.backends.bands import bands, crop, radiance
 from scenec.backends.compose import background
 from scenec.backends.contract import Backend, Radiance
 from scenec.backends.exact.caster import ExactCaster
@@ -426,6 +426,11 @@ class Drawing:
         from scenec.backends import resample
 
         views = resample.plan_views(camera)
+        if not views.cameras:
+            # A few rows, all of them outside of the image circle.
+            shape = (camera.height, camera.width)
+            nothing = np.zeros((2, *shape, 3), np.float32)
+            return Radiance(nothing, nothing[0, ..., 0], spp, stochastic=self._stochastic)
         return resample.draw(self._backend, camera, views, self._sample, spp, seed, False)
 
     def _complete(
@@ -435,7 +440,12 @@ class Drawing:
         light = 0.5 * (drawn.halves[0].astype(np.float64) + drawn.halves[1])
         covered = drawn.coverage.astype(np.float64)
         through = 1.0 - covered
-        behind = background(self._scene, camera, self._sample, through > 0.0, sky=self._sky)
+        open_sky, sky = through > 0.0, self._sky
+        parts = [
+            background(self._scene, camera, self._sample, open_sky[r.start : r.stop], r, sky)
+            for r in bands(camera)
+        ]
+        behind = parts[0] if len(parts) == 1 else np.concatenate(parts)
         if self._hazy:
             # Imported here: few scenes have any.
             from scenec.backends.haze import veil

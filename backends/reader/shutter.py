@@ -37,11 +37,17 @@ def read_shutter(
     exposure = prim.GetAttribute(names.ATTR_SHUTTER_EXPOSURE)
     if not exposure or not exposure.HasValue():
         return None
-    shutter = Shutter(
-        float(exposure.Get(time)),
-        float(prim.GetAttribute(names.ATTR_SHUTTER_READOUT).Get() or 0.0),
-        _upward(prim),
-    )
+    try:
+        shutter = Shutter(
+            float(exposure.Get(time)),
+            float(prim.GetAttribute(names.ATTR_SHUTTER_READOUT).Get() or 0.0),
+            _upward(prim),
+        )
+    except (TypeError, ValueError) as error:
+        raise StageError(
+            f"{prim.GetPath()}: {names.ATTR_SHUTTER_EXPOSURE} or {names.ATTR_SHUTTER_READOUT} is "
+            "no number"
+        ) from error
     if not (0.0 <= shutter.exposure_s < np.inf and 0.0 <= shutter.readout_s < np.inf):
         raise StageError(
             f"{prim.GetPath()}: {names.ATTR_SHUTTER_EXPOSURE} is {shutter.exposure_s:g} s and "

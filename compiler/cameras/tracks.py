@@ -109,7 +109,9 @@ class TrackWay:
         """
         inside = np.clip(time_s, 0.0, self.track.time_s[-1])
         what = f"while a shutter is open: {self.what}"
-        return resampled(self.track, inside, self.method, self.gaps, what, self.usd)
+        return resampled(
+            self.track, inside, self.method, self.gaps, what, self.usd, "the exposure at"
+        )
 
 
 def resampled(
@@ -119,6 +121,7 @@ def resampled(
     gaps: Gaps,
     what: str,
     usd: bool,
+    asked: str = "sample",
 ) -> NDArray[np.float64]:
     """Rig-to-world matrices with OpenCV axes at given times after the first stamp, [s, 4, 4].
 
@@ -129,6 +132,8 @@ def resampled(
         gaps: What to do where stamps are missing.
         what: Who asks, for messages.
         usd: Whether the track's axes are USD's (and Blender's): y up, looking down -z.
+        asked: What is at each time, for messages: a "sample", which is named by its number, or
+            something else, by its time.
 
     Raises:
         SceneError: A sample falls into a gap.
@@ -144,7 +149,8 @@ def resampled(
             lines = track.lines[int(i[k])], track.lines[int(i[k]) + 1]
             raise SceneError(
                 f"{what}:{lines[1]}: {after[k] - before[k]:g} s without a pose after line "
-                f"{lines[0]}, and sample {k} falls into them: expected max_gap_s "
+                f"{lines[0]}, and {asked} {k if asked == 'sample' else f'{at[k]:g} s'} falls into "
+                f"them: expected max_gap_s "
                 f'({gaps.longest_s:g} s) at most, or gaps to be "hold"'
             )
         at[inside] = before[inside]

@@ -361,6 +361,17 @@ def test_a_picture_wider_than_opengl_draws_is_drawn_in_columns(extremes: Path) -
     _run(script, str(extremes / "batch_0000" / "stage.usda"))
 
 
+@settings(max_examples=200, deadline=None)
+@given(st.integers(1, 70_000), st.integers(1, 70_000))
+def test_bands_are_all_of_a_picture_and_no_larger_than_renderers_draw(w: int, h: int) -> None:
+    camera = Camera("rig_eye", "/eye", w, h, np.eye(3), np.eye(4))
+    found = bands.bands(camera)
+    assert [row for rows in found for row in rows] == list(range(h))
+    # With a row beside it on either side.
+    assert max(len(rows) for rows in found) + 2 <= bands.TALLEST
+    assert max(len(rows) for rows in found) * w <= max(bands.PIXELS, w)
+
+
 @pytest.mark.slow
 def test_each_pose_of_a_track_is_a_sample(tmp_path: Path) -> None:
     out = compile_cfg(many_poses_cfg(tmp_path, 100_000), seed=1, out=tmp_path / "out").out

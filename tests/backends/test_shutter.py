@@ -29,7 +29,6 @@ from scenec.backends.resolver import resolve
 from scenec.backends.shutter import (
     beside,
     is_rolling,
-    later,
     places_of,
     poses_at,
     row_poses,
@@ -411,14 +410,3 @@ def test_the_sun_stands_where_the_rows_look() -> None:
     for r in range(0, 50, 7):
         expected = background(lit, still(camera, poses[r]), 0, wanted)
         assert np.abs(found[r] - expected[r]).max() < 1e-9
-
-
-def test_a_camera_later_is_on_its_way() -> None:
-    """Its rows are those whose exposure is so much later."""
-    camera = rolling("pinhole")
-    after = later(camera, 0.002)
-    assert camera.shutter is not None
-    held = camera.shutter
-    v = np.arange(camera.height) + 0.5
-    expected = poses_at(held, held.shutter.middles(v, camera.height) + 0.002)
-    assert np.abs(row_poses(after) - expected).max() < 1e-12

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scenec.backends import subframes
 from scenec.backends.bands import crop
 from scenec.backends.exact import ExactCaster
-from scenec.backends.render_scene import Camera, Focus, OpenShutter, RenderScene
+from scenec.backends.render_scene import Camera, Focus, Haze, OpenShutter, RenderScene
 from scenec.backends.rounds import Target
 from scenec.backends.session import Session
 from scenec.backends.shutter import poses_at
@@ -253,6 +253,21 @@ def test_a_bent_picture_moves_as_a_straight_one() -> None:
         at = crop(replace(bent, camera_to_world=pose), range(3, 4))
         still += picture(made, at, 16, [i])[0] / 8.0
     assert shown[3] == pytest.approx(still, abs=0.12)
+
+
+@pytest.mark.parametrize("air", [None, 5.0])
+def test_rows_outside_of_an_image_circle_are_black_whatever_moves(air: float | None) -> None:
+    """Views of a few such rows hold no ray at all; nor is there haze before them."""
+    lens = Lens("kannala_brandt", (0.0, 0.0, 0.0, 0.0), 0.5)
+    camera = panning(Shutter(0.001, 0.02), 1500.0, replace(ahead(48, 48, 40.0), lens=lens))
+    lit = scene([mesh(*plate(2.0, -9.0, 9.0, -9.0, 9.0))], [surface((0.5, 0.5, 0.5))])
+    if air is not None:
+        haze = Haze(np.full(3, 0.2), np.inf, np.full(3, air))
+        lit = replace(lit, haze=(haze,))
+    shown = picture(session(lit), camera, 16)
+    assert shown[24, 24] > 0.1
+    assert not shown[:2].any()
+    assert not shown[:, :2].any()
 
 
 def test_a_single_pixel_and_an_empty_view_are_pictures_too() -> None:
