@@ -95,6 +95,7 @@ def write_frame(
         "version": FRAME_VERSION,
         "camera": camera.name,
         "camera_prim": camera.path,
+        **({} if camera.partner is None else {"partner": partner_name(scene, camera)}),
         "sample": sample,
         "time_s": float(scene.times[sample]) if sample < len(scene.times) else None,
         "resolution": [camera.width, camera.height],
@@ -128,6 +129,12 @@ def write_frame(
         **details,
     }
     write_json(stem.with_suffix(".json"), plain(sidecar))
+
+
+def partner_name(scene: RenderScene, camera: Camera) -> str | None:
+    """Name of the camera that disparity goes to; None if the stage has no such camera."""
+    every = (other for cameras in scene.cameras for other in cameras)
+    return next((other.name for other in every if other.path == camera.partner), None)
 
 
 def lens_facts(lens: Lens) -> dict[str, Any]:

@@ -21,6 +21,8 @@ def run(options: argparse.Namespace) -> int:
     if output.suffix.lower() != ".png":
         raise OutputError(f"{output}: the sheet is a PNG picture; end its name in .png")
     sheet = write_sheet(out, output, backend=options.backend, count=options.frames)
+    for line in sheet.left_out:
+        say(f"not shown: {line}")
     say(f"frames (EXR with all passes, PNG picture, JSON sidecar): {sheet.folder}/")
     stages = f"{out}/batch_*/stage.usda" if out.is_dir() else str(out)
     say(f"stages for any USD viewer: {stages}")

@@ -30,19 +30,19 @@ from scenec.datasets.export_plan import FAULTS, Choice, Plan, make_plan
 from scenec.datasets.filters import Tally
 from scenec.datasets.formats.contract import Done, Task
 from scenec.datasets.formats.registry import find_format
-from scenec.datasets.pictures import counted
+from scenec.datasets.pictures import counted, vouch
 from scenec.datasets.source import FrameFault, LoadedFrame, kind_of
 from scenec.datasets.statistics import Statistics, measure
+from scenec.datasets.sums import SUMS, note, settle, tidy, write_sums
 from scenec.datasets.workers import default_workers, in_processes
 from scenec.schemas.errors import FrameError, OutputError
-from scenec.schemas.files import atomic, replace_folder, sha256, tree, write_json
+from scenec.schemas.files import replace_folder, sha256, write_json
 
 __all__ = ["FAULTS", "Choice", "ExportReport", "export"]
 
 EXPORT = "export.json"
 INDEX = "frames.csv"
 STATISTICS = "statistics.json"
-SUMS = "SHA256SUMS"
 CARD = "README.md"
 #: Version of what stands in ``export.json``.
 EXPORT_VERSION = 1
@@ -329,11 +329,13 @@ class _Run:
         statistics: Statistics,
     ) -> Iterator[LoadedFrame]:
         choice = self.plan.choice
+        form = find_format(self.plan.format_name)
         # Digests and statistics take in all other passes, whatever the format looks at.
-        unused = [n for n in find_format(self.plan.format_name).unused if n == "rgb"]
+        unused = [n for n in form.unused if n == "rgb"]
         for ref in task.frames:
             try:
                 frame = self.plan.source.load(ref, self.plan.needed(), unused)
+                vouch(frame, form.beside)
                 line = _index_line(frame, task.split)
                 seen = len(frame.ignored)
                 choice.remap.apply(frame)
@@ -411,13 +413,17 @@ def _finish(plan: Plan, partial: Path, report: ExportReport) -> None:
             for batch in {ref.batch_name for ref in task.frames}:
                 if last[batch] == task.number:
                     statistics.close(batch)
-            _note(plan, sums, {name: digest for name, _, digest in entry["files"]})
+            note(plan.format_name, sums, {name: digest for name, _, digest in entry["files"]})
     if not report.frames:
         raise FrameError(
             f"{plan.out}: not one of {len(report.faults)} frames can be read; the first: "
             f"{report.faults[0].message}"
         )
-    _note(plan, sums, {n: sha256(data / n) for n in plan.format().finish(records, data, scratch)})
+    settled = plan.format().settle(records)
+    _note_left_out(report, settled.left_out)
+    settle(plan.format_name, data, sums, settled.moved)
+    finished = plan.format().finish(records, data, scratch)
+    note(plan.format_name, sums, {name: sha256(data / name) for name in finished})
     report.digest = annotation.hexdigest()
     digests = {"annotation": report.digest, "pictures": pictures.hexdigest()}
     summary = _summary(plan, report, digests)
@@ -426,11 +432,9 @@ def _finish(plan: Plan, partial: Path, report: ExportReport) -> None:
     write_json(data / EXPORT, summary)
     write_card(data / CARD, summary, found, plan.format().usage(), plan.cfg())
     ours = (INDEX, STATISTICS, EXPORT, CARD)
-    _note(plan, sums, {name: sha256(data / name) for name in ours})
-    with atomic(data / SUMS) as temporary:
-        lines = [f"{digest}  {name}\n" for name, digest in sorted(sums.items())]
-        temporary.write_text("".join(lines), encoding="utf-8")
-    _tidy(data, {*sums, SUMS})
+    note(plan.format_name, sums, {name: sha256(data / name) for name in ours})
+    write_sums(data, sums)
+    tidy(data, {*sums, SUMS})
     plan.folder.parent.mkdir(parents=True, exist_ok=True)
     if plan.folder.is_dir() and not any(plan.folder.iterdir()):
         plan.folder.rmdir()
@@ -442,9 +446,13 @@ def _add_up(report: ExportReport, task: Task, entry: dict[str, Any]) -> None:
     report.frames += len(entry["index"])
     report.splits[task.split] += len(entry["index"])
     report.tally.add(**entry["tally"])
-    for what, number in entry["left_out"].items():
-        report.left_out[what] = report.left_out.get(what, 0) + number
+    _note_left_out(report, entry["left_out"])
     report.faults.extend(FrameFault(**fault) for fault in entry["faults"])
+
+
+def _note_left_out(report: ExportReport, left_out: dict[str, int]) -> None:
+    for what, number in left_out.items():
+        report.left_out[what] = report.left_out.get(what, 0) + number
 
 
 def _summary(plan: Plan, report: ExportReport, digests: dict[str, str]) -> dict[str, Any]:
@@ -476,25 +484,3 @@ def _summary(plan: Plan, report: ExportReport, digests: dict[str, str]) -> dict[
         "fault_count": len(report.faults),
         "digest": digests,
     }
-
-
-def _note(plan: Plan, sums: dict[str, str], files: dict[str, str]) -> None:
-    """Add files to the sums.
-
-    Raises:
-        OutputError: One is there already: the format does not keep its tasks apart.
-    """
-    for name in files:
-        if name in sums or name == SUMS:
-            raise OutputError(f"format {plan.format_name} wrote {name} twice")
-    sums.update(files)
-
-
-def _tidy(data: Path, known: set[str]) -> None:
-    """Delete what is no part of the dataset: of an earlier export that was cut short."""
-    for path in tree(data):
-        if path.as_posix() not in known:
-            (data / path).unlink()
-    for folder in sorted(data.rglob("*"), reverse=True):
-        if folder.is_dir() and not any(folder.iterdir()):
-            folder.rmdir()

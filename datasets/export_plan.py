@@ -14,12 +14,13 @@ from typing import Any
 from scenec.datasets.filters import Filters, make_filters
 from scenec.datasets.formats.contract import Format, Info, Task
 from scenec.datasets.formats.registry import find_format
-from scenec.datasets.pictures import kinds_of
+from scenec.datasets.pictures import kinds, taken
 from scenec.datasets.remap import Remap
-from scenec.datasets.source import FrameRef, Source
+from scenec.datasets.source import FrameRef, Source, one_of_each
 from scenec.datasets.splits import assign
 from scenec.schemas.errors import OutputError
 from scenec.schemas.files import sha256
+from scenec.schemas.frames import BESIDE
 from scenec.schemas.manifest import CFG
 from scenec.schemas.spelling import nearest
 
@@ -228,6 +229,8 @@ def make_plan(out: Path, name: str, folder: Path | str | None, choice: Choice) -
     there = sorted({ref.batch for ref in source.frames})
     split_of = assign(there, choice.splits, choice.split_seed)
     names = tuple(choice.splits) or tuple(dict.fromkeys(split_of.values()))
+    cameras = one_of_each(source.frames).values()
+    beside = {kind for sidecar in cameras for kind in kinds(sidecar)}
     info = Info(
         name=_dataset_name(source),
         labels=labels,
@@ -237,7 +240,9 @@ def make_plan(out: Path, name: str, folder: Path | str | None, choice: Choice) -
         options={key: str(value) for key, value in choice.options.items()},
         sky=_sky(source, choice.remap),
         filters=tuple(map(str, choice.filters.conditions)),
-        beside=kinds_of(source.frames),
+        beside=tuple(kind for kind in BESIDE if kind in beside),
+        anywhere=tuple(dict.fromkeys(p for sidecar in cameras for p in sidecar.get("passes", ()))),
+        imaging=any(map(taken, cameras)),
     )
     if folder is None:
         base = out if out.is_dir() else out.parent

@@ -8,25 +8,29 @@ picture without noise, pattern, defects, mosaic and JPEG, and ``raw``, the conve
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scenec.datasets.formats.contract import Format
-from scenec.datasets.source import FrameRef, LoadedFrame, sidecar_values
+from scenec.datasets.source import LoadedFrame
 from scenec.schemas.errors import FrameError
 from scenec.schemas.files import sha256
 from scenec.schemas.frames import BESIDE, Frame, beside_path
 from scenec.schemas.picture import develop
 
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
 #: What each picture beside the picture is, for files that say what they hold.
 TOLD = {
     "clean": "the sensor's picture without noise, pattern, defects, mosaic, rounding and JPEG",
-    "raw": "the converter's numbers behind the mosaic of colors; imaging.parameters.mosaic in "
-    "sidecars names the colors, from the top-left pixel on",
+    "raw": "the converter's numbers behind the mosaic of colors: parameters.mosaic of its "
+    "imaging names the colors, from the top-left pixel on, black_level and bits its range",
 }
 
 
@@ -62,16 +66,14 @@ def kinds(sidecar: Mapping[str, Any]) -> tuple[str, ...]:
     return tuple(kind for kind in BESIDE if told.get(kind))
 
 
-def kinds_of(frames: Iterable[FrameRef]) -> tuple[str, ...]:
-    """Which of ``BESIDE`` any camera has, by one readable sidecar of each."""
-    found: set[str] = set()
-    known: set[str] = set()
-    for ref in frames:
-        values = None if ref.camera in known else sidecar_values(ref)
-        if values is not None:
-            known.add(ref.camera)
-            found.update(kinds(values))
-    return tuple(kind for kind in BESIDE if kind in found)
+def imaging(sidecar: Mapping[str, Any]) -> dict[str, Any]:
+    """What a sidecar says of its sensor, which ``raw`` cannot be read without; {} without imaging.
+
+    Colors of the mosaic, level of black, bits, exposure, gain and more, as in ``imaging``, but for
+    what vouches for files.
+    """
+    told = sidecar.get("imaging") or {}
+    return {name: value for name, value in told.items() if name not in BESIDE}
 
 
 def beside(frame: LoadedFrame | Frame, kind: str) -> NDArray[Any]:
@@ -102,10 +104,30 @@ def beside_file(frame: LoadedFrame | Frame, kind: str) -> Path:
     return path
 
 
+def vouch(frame: LoadedFrame, held: Collection[str]) -> None:
+    """Hold the picture, and those beside it, against the sidecar before anything is made of them.
+
+    A PNG's own checksums say whether it is whole; those beside it have the sidecar's.
+
+    Args:
+        frame: The frame.
+        held: Kinds of ``BESIDE`` that are going to be read.
+
+    Raises:
+        FrameError: A file is missing, damaged, or not the one that the sidecar names.
+    """
+    for kind in kinds(frame.sidecar):
+        if kind in held:
+            beside_file(frame, kind)
+    if frame.png is not None:
+        with _opened(frame.png, frame.sidecar) as image:
+            image.verify()
+
+
 def counted(
     frames: Iterable[LoadedFrame], form: Format, left_out: dict[str, int]
 ) -> Iterator[LoadedFrame]:
-    """The frames; counts pictures beside theirs that a format has no place for.
+    """The frames; counts what a format has no place for: pictures beside theirs, poses of rows.
 
     Args:
         frames: As they come.
@@ -117,6 +139,9 @@ def counted(
             if kind not in form.beside:
                 what = f"{kind} pictures beside a sensor's, which format {form.name} does not hold"
                 left_out[what] = left_out.get(what, 0) + 1
+        if frame.rolls and not form.row_poses:
+            what = f"poses of rows (rolling shutter): format {form.name} has the middle row's alone"
+            left_out[what] = left_out.get(what, 0) + 1
         yield frame
 
 
@@ -130,16 +155,24 @@ def _stem(frame: LoadedFrame | Frame) -> Path:
 
 
 def _read(path: Path, sidecar: Mapping[str, Any], mode: str) -> NDArray[Any]:
+    with _opened(path, sidecar) as image:
+        return np.asarray(image.convert("RGB") if mode == "RGB" else image)
+
+
+@contextmanager
+def _opened(path: Path, sidecar: Mapping[str, Any]) -> Iterator[Image]:
+    """A picture of the frame's size; errors of reading it are a ``FrameError``."""
     from PIL import Image, UnidentifiedImageError
 
     if not path.is_file():
         raise FrameError(f"{path}: missing, though its sidecar is there; render it again")
     try:
         with Image.open(path) as image:
-            pixels = np.asarray(image.convert("RGB") if mode == "RGB" else image)
+            width, height = (int(v) for v in sidecar["resolution"])
+            if image.size != (width, height):
+                raise FrameError(
+                    f"{path}: is {image.width} x {image.height} pixels, unlike its EXR"
+                )
+            yield image
     except (OSError, ValueError, SyntaxError, UnidentifiedImageError) as error:
         raise FrameError(f"{path}: not a picture, or a damaged one: {error}") from error
-    width, height = (int(v) for v in sidecar["resolution"])
-    if pixels.shape[:2] != (height, width):
-        raise FrameError(f"{path}: is {pixels.shape[1]} x {pixels.shape[0]} pixels, unlike its EXR")
-    return pixels

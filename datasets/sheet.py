@@ -8,11 +8,11 @@ from pathlib import Path
 from scenec.datasets import pictures
 from scenec.datasets.contact_sheet import SheetFrame, contact_sheet
 from scenec.datasets.motion_colors import OCCLUSIONS, UNITS
+from scenec.datasets.source import FrameRef, LoadedFrame, Source, sidecar_values
 from scenec.schemas.depth_camera import MEASURED
-from scenec.schemas.errors import FrameError
+from scenec.schemas.errors import ForeignFrameError, FrameError
 from scenec.schemas.files import atomic
-from scenec.schemas.frames import Frame, read_frame
-from scenec.schemas.manifest import FRAMES, find_batches
+from scenec.schemas.manifest import stage_digest
 
 
 @dataclass(frozen=True)
@@ -22,10 +22,13 @@ class Sheet:
     Attributes:
         path: The PNG.
         folder: Folder of the frames shown.
+        left_out: A line each of frames that are none of the output's (strays, foreign ones) and so
+            not shown; the sheet's heading counts them.
     """
 
     path: Path
     folder: Path
+    left_out: tuple[str, ...] = ()
 
 
 def write_sheet(out: Path, output: Path, *, backend: str | None = None, count: int = 4) -> Sheet:
@@ -38,46 +41,47 @@ def write_sheet(out: Path, output: Path, *, backend: str | None = None, count: i
         count: How many at most.
 
     Raises:
-        FrameError: There are no frames.
+        FrameError: There are no frames, or one to be shown is damaged.
         OutputError: ``out`` is no output, or ``output`` cannot be written.
     """
-    sidecars = find_frames(out, backend)[: max(count, 1)]
-    frames = [read_frame(path) for path in sidecars]
+    source = Source(out, backend)
+    left_out = [fault.message for fault in source.strays]
+    frames: list[LoadedFrame] = []
+    for ref in source.frames:
+        try:
+            if _is_foreign(source, ref):
+                # Without reading all of them: after a new compile all may be.
+                raise ForeignFrameError(
+                    f"{ref.stem}.json: foreign: was rendered from another stage; render it again"
+                )
+            frames.append(source.load(ref))
+        except ForeignFrameError as error:
+            left_out.append(str(error))
+        if len(frames) == max(count, 1):
+            break
+    if not frames:
+        raise FrameError(f"{out}: all frames are of another stage, such as {left_out[-1]}")
     first = frames[0].sidecar
-    names = {
-        level: {int(number): name for number, name in table.items()}
-        for level, table in first.get("labels", {}).items()
-    }
     heading = f"{out.resolve().name}: {first['backend']}"
     if first.get("spp"):
         heading += f", {first['spp']} samples per pixel"
-    picture = contact_sheet([_shown(frame) for frame in frames], names, heading)
+    if left_out:
+        heading += f"; not shown: {len(left_out)} frames of another stage"
+    picture = contact_sheet([_shown(frame) for frame in frames], source.labels(), heading)
     with atomic(output) as temporary:
         picture.save(temporary, format="PNG")
-    return Sheet(output, sidecars[0].parent)
+    return Sheet(output, frames[0].ref.stem.parent, tuple(left_out))
 
 
-def find_frames(out: Path, backend: str | None = None) -> list[Path]:
-    """Sidecars of all frames of one backend, over batches, cameras and samples in order.
-
-    Raises:
-        FrameError: There are none.
-    """
-    folders = [batch.folder / FRAMES for batch in find_batches(out)]
-    backends = sorted(
-        {b.name for folder in folders if folder.is_dir() for b in folder.iterdir() if b.is_dir()}
-    )
-    if backend is None and backends:
-        backend = backends[0]
-    found = [p for f in folders for p in sorted((f / str(backend)).glob("*/*.json"))]
-    if not found:
-        known = f"; there are frames of {', '.join(backends)}" if backends else ""
-        whose = f" of {backend}" if backend else ""
-        raise FrameError(f"{out}: no frames{whose}{known}; render first: scenec render {out}")
-    return found
+def _is_foreign(source: Source, ref: FrameRef) -> bool:
+    """Whether a sidecar names another stage than the manifest has."""
+    if source.manifest is None:
+        return False
+    digest = stage_digest(source.manifest, ref.batch_name)
+    return (sidecar_values(ref) or {}).get("stage_digest", digest) != digest
 
 
-def _shown(frame: Frame) -> SheetFrame:
+def _shown(frame: LoadedFrame) -> SheetFrame:
     passes = frame.passes
     clean = "clean" in pictures.kinds(frame.sidecar)
     return SheetFrame(

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -127,6 +127,20 @@ class LoadedFrame:
     def lens(self) -> Lens | None:
         """What bends the plane that the intrinsics take to pixels; None: a pinhole."""
         return from_sidecar(self.sidecar.get("lens"))
+
+    @property
+    def optics(self) -> dict[str, Any]:
+        """``lens`` and ``shutter`` as the sidecar has them, of cameras that have such."""
+        return {name: self.sidecar[name] for name in ("lens", "shutter") if self.sidecar.get(name)}
+
+    @property
+    def rolls(self) -> bool:
+        """Whether rows of the picture have poses of their own (the frame's is the middle's)."""
+        shutter = self.sidecar.get("shutter") or {}
+        middle = self.sidecar["camera_to_world"]
+        return bool(shutter.get("readout_s")) and any(
+            pose != middle for pose in shutter.get("camera_to_world", ())
+        )
 
     @property
     def camera_to_world(self) -> NDArray[np.float64]:
@@ -433,6 +447,16 @@ def sidecar_values(ref: FrameRef) -> dict[str, Any] | None:
     except (OSError, ValueError):
         return None
     return values if isinstance(values, dict) else None
+
+
+def one_of_each(frames: Iterable[FrameRef]) -> dict[str, dict[str, Any]]:
+    """A readable sidecar of each camera that has one, unchecked."""
+    found: dict[str, dict[str, Any]] = {}
+    for ref in frames:
+        values = None if ref.camera in found else sidecar_values(ref)
+        if values is not None:
+            found[ref.camera] = values
+    return found
 
 
 def _vouched(frame: Frame, key: str, path: Path) -> Path:

@@ -31,6 +31,8 @@ _UNLABELED = ""
 #: Angles are rounded to this many decimals before they are put in a bin, since the last bit of an
 #: arc tangent is not the same on every machine and round angles are common.
 _DECIMALS = 6
+#: Of a sidecar's shutter, what is the camera's.
+_SHUTTER = ("readout_s", "direction")
 
 
 def measure(frame: LoadedFrame) -> dict[str, Any]:
@@ -290,11 +292,14 @@ def _made(frame: LoadedFrame, bounds: dict[str, list[float]]) -> Counts:
         "denoised": sidecar.get("denoised"),
         "passes": sidecar.get("passes"),
     }
+    shutter = sidecar.get("shutter")
     camera = {
         "camera": frame.ref.camera,
         "resolution": sidecar["resolution"],
         "intrinsics": sidecar["intrinsics"],
         **({"lens": sidecar["lens"]} if sidecar.get("lens") else {}),
+        # Where it is while the shutter is open is another in each frame.
+        **({"shutter": {name: shutter[name] for name in _SHUTTER}} if shutter else {}),
     }
     noise = (sidecar.get("estimated_error") or {}).get("relative_rms")
     if noise is not None:

@@ -179,8 +179,7 @@ class FrameDataset:
             sample["target"] = self._make_target(frame, range(len(self))[index])
         if not self._as_numpy:
             sample = _as_tensors(sample)
-        if frame.lens is not None:
-            sample["lens"] = frame.sidecar["lens"]
+        sample |= frame.optics
         sample["frame"] = frame.ref.name
         sample["batch"] = frame.ref.batch
         sample["camera"] = frame.ref.camera
@@ -239,12 +238,14 @@ def collate(samples: Sequence[Sample]) -> Sample:
     Args:
         samples: Of a ``FrameDataset``, of tensors or of arrays.
     """
-    return {name: _together(name, [s[name] for s in samples]) for name in samples[0]}
+    # A lens, and a shutter, are there where a camera has one.
+    names = dict.fromkeys(name for sample in samples for name in sample)
+    return {name: _together(name, [s.get(name) for s in samples]) for name in names}
 
 
 def _together(name: str, values: list[Any]) -> Any:
     first = values[0]
-    if name == "target" or not hasattr(first, "shape"):
+    if name == "target" or not all(hasattr(value, "shape") for value in values):
         return values
     if any(value.shape != first.shape for value in values):
         return values

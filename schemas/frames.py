@@ -86,6 +86,7 @@ CONVENTIONS = {
     "own frame of then, meters; NaN without a hit",
     "disparity": "column of the pixel's center minus column of its point in the picture of the "
     "camera's partner; NaN where that camera has it behind",
+    "partner": "name of the camera that disparity goes to; null where it is not rendered",
     "occlusion": "what the other picture shows of the point: 0 visible, 1 hidden by something, "
     "2 outside of the picture or behind the camera, 3 nothing to compare with; also "
     "occlusion_backward and disparity_occlusion",

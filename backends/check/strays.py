@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -22,17 +23,26 @@ def strays(folder: Path, firing: Firing, backend: str | None = None) -> Iterator
     Yields:
         The sidecar, and why it is none of this stage's.
     """
-    names = {name for cameras in firing for name, _ in cameras}
-    fires = {(name, i) for i, cameras in enumerate(firing) for name, on in cameras if on}
+    # Ascending; looked up by position, since there may be as many strays as samples.
+    fires: dict[str, list[int]] = {}
+    for i, cameras in enumerate(firing):
+        for name, on in cameras:
+            at = fires.setdefault(name, [])
+            if on:
+                at.append(i)
     for path in sorted((folder / FRAMES).glob(f"{backend or '*'}/*/*.json")):
         if not (path.stem.isascii() and path.stem.isdigit()):
             continue
         camera, sample = path.parent.name, int(path.stem)
-        if camera not in names:
+        if camera not in fires:
             yield path, f"the stage has no camera {camera!r}"
         elif sample >= len(firing):
             yield path, f"the stage has samples 0 to {len(firing) - 1}"
-        elif (camera, sample) not in fires:
-            at = sorted(i for name, i in fires if name == camera)
+        elif not _holds(at := fires[camera], sample):
             said = ", ".join(map(str, at[:3])) + (", …" if len(at) > 3 else "")
             yield path, f"camera {camera} is triggered at samples {said or 'beyond the last'}"
+
+
+def _holds(ascending: Sequence[int], value: int) -> bool:
+    place = bisect_left(ascending, value)
+    return place < len(ascending) and ascending[place] == value

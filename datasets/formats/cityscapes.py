@@ -98,6 +98,7 @@ class Cityscapes(Format):
 
     name = "cityscapes"
     summary = "Cityscapes: 8- and 16-bit PNG folders with labelIds, instanceIds, camera files"
+    row_poses = True
     needs = ("label",)
     options: ClassVar[Mapping[str, Option]] = {
         "levels": Option("main", "which levels of labels are written", ("main", "all")),
@@ -303,7 +304,7 @@ class Cityscapes(Format):
                 "time_s": frame.time_s,
                 "resolution": [frame.width, frame.height],
                 "intrinsics": k.tolist(),
-                **({"lens": frame.sidecar["lens"]} if frame.lens is not None else {}),
+                **frame.optics,
                 "camera_to_world": pose.tolist(),
                 "conventions": {
                     "pixel": CONVENTIONS["pixel"] + "; u0, v0 above count from that center",

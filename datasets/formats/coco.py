@@ -52,6 +52,7 @@ class Coco(Format):
 
     name = "coco"
     summary = "COCO instances: masks, boxes, categories, tracks (pycocotools, detectron2 ...)"
+    row_poses = True
     needs: ClassVar[tuple[str, ...]] = ("instance",)
     unused: ClassVar[tuple[str, ...]] = ("rgb",)
     options: ClassVar[dict[str, Option]] = {

@@ -84,7 +84,7 @@ def image_entry(frame: LoadedFrame, number: int, file_name: str) -> dict[str, An
         "sample": frame.ref.sample,
         "time_s": frame.time_s,
         "intrinsics": frame.intrinsics.tolist(),
-        **({"lens": frame.sidecar["lens"]} if frame.lens is not None else {}),
+        **frame.optics,
         "camera_to_world": frame.camera_to_world.tolist(),
     }
 

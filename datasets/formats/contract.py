@@ -63,6 +63,8 @@ class Info:
         sky: Level -> id of the sky's label (0: none), after remapping.
         filters: Conditions, as text.
         beside: Pictures that any camera has beside its picture (``schemas.frames.BESIDE``).
+        anywhere: Passes that any camera has.
+        imaging: Whether any camera's pictures are a sensor's.
     """
 
     name: str
@@ -74,6 +76,8 @@ class Info:
     sky: Mapping[str, int] = field(default_factory=dict)
     filters: tuple[str, ...] = ()
     beside: tuple[str, ...] = ()
+    anywhere: tuple[str, ...] = ()
+    imaging: bool = False
 
 
 @dataclass
@@ -108,6 +112,20 @@ class Done:
     record: dict[str, Any] | None
 
 
+@dataclass(frozen=True)
+class Settled:
+    """What becomes of tasks' files once it is known which frames could be read.
+
+    Attributes:
+        moved: Path of a task's file -> where it goes, or None: it is deleted, and ``finish`` may
+            write another in its place. No place is one that a task of this dataset may write to.
+        left_out: As of ``Written``.
+    """
+
+    moved: dict[str, str | None] = field(default_factory=dict)
+    left_out: dict[str, int] = field(default_factory=dict)
+
+
 class Format(ABC):
     """A dataset format.
 
@@ -131,6 +149,9 @@ class Format(ABC):
     unused: ClassVar[tuple[str, ...]] = ()
     #: Pictures beside the picture that it has a place for; the others are counted as left out.
     beside: ClassVar[tuple[str, ...]] = ()
+    #: Whether it has a place for the poses of a rolling shutter's rows; else frames that have such
+    #: are counted.
+    row_poses: ClassVar[bool] = False
     options: ClassVar[Mapping[str, Option]] = {}
 
     def __init__(self, info: Info) -> None:
@@ -165,6 +186,14 @@ class Format(ABC):
             scratch: Folder for what ``finish`` needs and the dataset does not; a task names its
                 files there by its number.
         """
+
+    def settle(self, done: Iterable[Done]) -> Settled:
+        """Say which files of tasks have no place where they are, after frames that are left out.
+
+        Args:
+            done: As for ``finish``, which runs afterwards.
+        """
+        return Settled()
 
     def finish(self, done: Iterable[Done], folder: Path, scratch: Path) -> list[str]:
         """Write what is common to all tasks.

@@ -6,6 +6,7 @@ In a file of n frames, all of h x w pixels::
     depth  range  label.<level>  instance  face  normal  position  flow  ...    [n, h, w(, c)]
     camera_to_world [n, 4, 4]  intrinsics [n, 3, 3]  time_s  batch  sample  exposure_ev  [n]
     camera  frame [n]  text
+    shutter  imaging [n]  JSON as in sidecars, "" without; where a camera has one
     instances/offsets [n + 1]   lines of frame i: offsets[i] to offsets[i + 1]
     instances/<column> [lines]  as in the frames' tables (scenec.schemas.instances)
     instances/classes           prim paths that instances/class_index counts in
@@ -44,7 +45,7 @@ from scenec.datasets.source import FrameRef, LoadedFrame, sidecar_values
 from scenec.schemas.errors import FrameError, OutputError
 from scenec.schemas.exr import is_id_pass
 from scenec.schemas.files import atomic
-from scenec.schemas.frames import BESIDE, CONVENTIONS
+from scenec.schemas.frames import BESIDE, CONVENTIONS, SHUTTER_CONVENTION
 from scenec.schemas.picture import DESCRIPTION
 
 if TYPE_CHECKING:
@@ -73,6 +74,12 @@ _FRAME_COLUMNS: dict[str, tuple[Any, tuple[int, ...], str, str]] = {
     "sample": (np.uint32, (), "", "time code in the batch"),
     "camera": (str, (), "", "name of the camera"),
     "frame": (str, (), "", "batch/camera/sample, as in frames.csv"),
+}
+#: Columns of JSON, there if a camera has such -> what they say.
+_BLOCKS = {
+    "shutter": f"JSON, empty where the camera has none: {SHUTTER_CONVENTION}",
+    "imaging": "JSON, empty where the camera has none: how its sensor took picture, clean and raw "
+    "(colors of the mosaic from the top-left pixel on, black_level, bits, gain, exposure ...)",
 }
 _UNITS = {
     **{"rgb": "W/(m2 sr)", "depth": "m", "range": "m", "position": "m", "scene_flow": "m"},
@@ -113,6 +120,7 @@ class Hdf5(Format):
 
     name = "hdf5"
     summary = "HDF5: a file of arrays a split and resolution, chunked by frame, for h5py"
+    row_poses = True
     version = 2
     beside = BESIDE
     options: ClassVar[Mapping[str, Option]] = {
@@ -223,6 +231,7 @@ class _File:
         self._table: dict[str, _Column] = {}
         self._classes: dict[str, int] = {}
         self._lenses: dict[str, Any] = {}
+        self._blocks: dict[str, _Column] = {}
         self._lines = 0
         self.count = 0
         self._h5 = _import_h5py().File(path, "w")
@@ -270,9 +279,24 @@ class _File:
         }
         for column in self._columns:
             column.add([values[column.name]])
+        shutter = dict(frame.sidecar.get("shutter") or {})
+        # Said once, as the column's convention.
+        shutter.pop("convention", None)
+        self._add_block("shutter", shutter)
+        self._add_block("imaging", pictures.imaging(frame.sidecar))
         if self._table:
             self._add_table(frame)
         self.count += 1
+
+    def _add_block(self, name: str, block: Mapping[str, Any]) -> None:
+        """Append to a column of JSON, which is made when the first frame has any."""
+        if block and name not in self._blocks:
+            column = self._blocks[name] = _Column(self._h5, name, str, ())
+            column.describe("", _BLOCKS[name])
+            column.add([""] * self.count)
+        if name in self._blocks:
+            text = json.dumps(block, ensure_ascii=False) if block else ""
+            self._blocks[name].add([text])
 
     def _arrays(self, frame: LoadedFrame) -> dict[str, NDArray[Any]]:
         """The passes as they are stored."""
@@ -400,7 +424,7 @@ class _File:
         for dataset in self._passes.values():
             if self.count < self._room:
                 dataset.resize(self.count, axis=0)
-        for column in (*self._columns, *self._table.values()):
+        for column in (*self._columns, *self._table.values(), *self._blocks.values()):
             column.flush()
         if self._table:
             _text(self._h5["instances"], "classes", list(self._classes))

@@ -6,7 +6,7 @@
     sequences/00/image_2/000000.png   color, the (left) camera; image_3 the right one
     sequences/00/image_0/000000.png   the same in shades of gray, and image_1 (option ``pictures``)
     sequences/00/depth_2/000000.png   16 bits, 256 steps a meter (option ``depth``); depth_3
-    sequences/00/flow_2/000000.png    16 bits, to the camera's next sample (option ``flow``); flow_3
+    sequences/00/flow_2/000000.png    16 bits, to the next picture (option ``flow``); flow_3
     sequences/00/disp_2/000000.png    16 bits, pairs alone (option ``disparity``); disp_3
     sequences/00/calib.txt            P0 ... P3, Tr
     sequences/00/times.txt            seconds
@@ -18,7 +18,9 @@ Sparsity invariant CNNs, 3DV 2017), flow and disparity as in those of the stereo
 benchmarks (``motion_png``).
 
 Two cameras of a rig are a pair where they have the same resolution and intrinsics, look the same
-way, and lie apart along x alone. Cameras in no pair are sequences of their own.
+way, and lie apart along x alone: those first of which one is the other's partner, to which its
+disparity goes. Cameras in no pair are sequences of their own. Flow leads to the sample that the
+camera is triggered at next; where the next picture of the sequence is another, none is valid.
 """
 
 from __future__ import annotations
@@ -33,7 +35,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.datasets.formats import trajectory
-from scenec.datasets.formats.contract import Done, Format, Info, Option, Task, Written
+from scenec.datasets.formats.contract import Done, Format, Info, Option, Settled, Task, Written
 from scenec.datasets.formats.depth_png import LARGEST, to_16_bits, write_png
 from scenec.datasets.formats.motion_png import encode_disparity, encode_flow, write_rgb16
 from scenec.datasets.formats.poses import (
@@ -56,12 +58,16 @@ _MICRO = 1_000_000
 _TR = np.array([[0.0, -1.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0], [1.0, 0.0, 0.0, 0.0]])
 #: What can be written of motion -> the pass that says which pixels the other picture shows.
 _SHOWN = {"flow": "occlusion", "disparity": "disparity_occlusion"}
-_FOLDERS = {"flow": "flow", "disparity": "disp"}
 _FLOW_TEXT = (
-    "`flow_2` (and `flow_3`) hold flow to the camera's next sample: u = (red - 32768) / 64, v = "
-    "(green - 32768) / 64 pixels where blue is 1"
+    "`flow_2` (and `flow_3`) hold flow to the next picture of the sequence: u = (red - 32768) / "
+    "64, v = (green - 32768) / 64 pixels where blue is 1; nowhere in the last picture, nor before "
+    "frames that were left out"
 )
-_DISPARITY_TEXT = "`disp_2` and `disp_3` hold disparity * 256 of pairs, 0 where there is none"
+_DISPARITY_TEXT = (
+    "`disp_2` (and `disp_3`, where the right camera has the pass) hold disparity * 256 of pairs, 0 "
+    "where there is none"
+)
+_ASTRAY = "pictures of flow that does not lead to the next picture here: written without any"
 _COLUMNS = (
     "sequence", "split", "batch", "left", "right", "frames", "width", "height", "baseline_m",
     "first_sample", "depth_hits", "depth_beyond", "depth_under", "first_camera_to_world",
@@ -88,7 +94,7 @@ class Kitti(Format):
         "flow": Option(
             "no",
             "flow_2 and flow_3 as 16-bit PNG: of all pixels (as flow_occ), or of those that the "
-            "next sample shows (as flow_noc)",
+            "next picture shows (as flow_noc)",
             ("no", "all", "visible"),
         ),
         "disparity": Option(
@@ -110,7 +116,8 @@ class Kitti(Format):
         for name, shown in _SHOWN.items():
             needed = {"no": (), "all": (name,), "visible": (name, shown)}[self.option(name)]
             for one in needed:
-                if one not in info.passes:
+                there = info.passes if name == "flow" else (*info.passes, *info.anywhere)
+                if one not in there:
                     raise OutputError(
                         f"format kitti, option {name}={self.option(name)}: the frames have no pass "
                         f"{one}; render with --passes {','.join([*info.passes, one])}"
@@ -118,16 +125,18 @@ class Kitti(Format):
         trajectory.start_ticks(self, _MICRO)
 
     def tasks(self, splits: Mapping[str, Sequence[FrameRef]]) -> Iterator[Task]:
-        """One a sample: a frame, or the two of a pair, left first."""
+        """One a sample: a frame, or the two of a pair, left first; with the sample after it."""
         number_of_task, sequence = 0, 0
         for split, frames in splits.items():
             for _batch, _rig, cameras in trajectory.rigs(frames):
                 for names in pair_up(cameras):
                     members = [{ref.sample: ref for ref in cameras[name]} for name in names]
                     common = sorted(set.intersection(*map(set, members)))
-                    for index, sample in enumerate(common):
+                    for index, (sample, following) in enumerate(
+                        zip(common, [*common[1:], -1], strict=True)
+                    ):
                         refs = tuple(member[sample] for member in members)
-                        yield Task(number_of_task, split, refs, (sequence, index))
+                        yield Task(number_of_task, split, refs, (sequence, index, following))
                         number_of_task += 1
                     sequence += bool(common)
 
@@ -135,31 +144,38 @@ class Kitti(Format):
         self, task: Task, frames: Iterable[LoadedFrame], folder: Path, scratch: Path
     ) -> Written:
         """Write the pictures of a sample; nothing where one of a pair cannot be read."""
-        sequence, index = map(int, task.place)
+        sequence, index, following = map(int, task.place)
         written = Written()
         poses: list[list[list[float]]] = []
         counts = np.zeros(3, np.int64)
+        place, name = f"sequences/{sequence:02d}", f"{index:06d}.png"
+        flows: list[bool] = []
         for frame in frames:
             side = next(i for i, ref in enumerate(task.frames) if ref.index == frame.ref.index)
             if side != len(poses):
                 break
-            names = {
+            folders = {
                 f"image_{side}": self.option("pictures") != "color",
                 f"image_{side + 2}": self.option("pictures") != "gray",
             }
-            for name, wanted in names.items():
+            for kind, wanted in folders.items():
                 if wanted:
-                    path = f"sequences/{sequence:02d}/{name}/{index:06d}.png"
-                    trajectory.copy_picture(frame, folder / path, gray=name == f"image_{side}")
+                    path = f"{place}/{kind}/{name}"
+                    trajectory.copy_picture(frame, folder / path, gray=kind == f"image_{side}")
                     written.files.append(path)
             if self._depth:
                 depth = to_16_bits(frame.passes["depth"], DEPTH_SCALE)
-                path = f"sequences/{sequence:02d}/depth_{side + 2}/{index:06d}.png"
+                path = f"{place}/depth_{side + 2}/{name}"
                 write_png(folder / path, depth.steps)
                 written.files.append(path)
                 counts += depth.hits, depth.beyond, depth.under
-            self._motion(frame, f"sequences/{sequence:02d}", f"{index:06d}.png", side,
-                         len(task.frames) > 1, folder, written)  # fmt: skip
+            if self.option("flow") != "no":
+                path = f"{place}/flow_{side + 2}/{name}"
+                flows.append(self._flow(frame, following, folder, path, written))
+            if self.option("disparity") != "no" and len(task.frames) > 1:
+                other = task.frames[1 - side].camera
+                path = f"{place}/disp_{side + 2}/{name}"
+                self._disparity(frame, side, other, folder, path, written)
             require_pinhole(frame)
             if side == 0:
                 micros = trajectory.stamp(self, frame, _MICRO)
@@ -176,31 +192,77 @@ class Kitti(Format):
             return Written()
         written.record["poses"] = poses
         written.record["depth"] = counts.tolist()
+        written.record["flows"] = flows
         return written
 
-    def _motion(
-        self, frame: LoadedFrame, place: str, name: str, side: int, paired: bool, folder: Path,
-        written: Written,
-    ) -> None:  # fmt: skip
-        """Write flow and disparity, where they are asked for."""
-        for kind, shown in _SHOWN.items():
-            how = self.option(kind)
-            if how == "no" or (kind == "disparity" and not paired):
+    def _flow(
+        self, frame: LoadedFrame, following: int, folder: Path, path: str, written: Written
+    ) -> bool:
+        """Write flow; returns whether any of it leads to the following sample."""
+        values = _pass(frame, "flow")
+        known = bool(np.isfinite(values).all(axis=2).any())
+        every = int((frame.sidecar.get("trigger") or (1, 0))[0])
+        leads = following == frame.ref.sample + every
+        if known and not leads:
+            _count(written.left_out, _ASTRAY, 1)
+        values = values if leads else np.full_like(values, np.nan)
+        coded, lost = encode_flow(values, self._valid(frame, "flow"))
+        write_rgb16(folder / path, coded)
+        written.files.append(path)
+        _count(written.left_out, "pixels of flow that KITTI's 16 bits do not hold", lost)
+        return known and leads
+
+    def _disparity(
+        self, frame: LoadedFrame, side: int, other: str, folder: Path, path: str, written: Written
+    ) -> None:
+        """Write disparity to the pair's other camera, where the frame has any.
+
+        Raises:
+            OutputError: The frame has disparity to another camera.
+        """
+        if "disparity" not in frame.passes:
+            # Of most pairs one camera alone names the other as its partner.
+            if not side:
+                _count(written.left_out, "left pictures of pairs without the pass disparity", 1)
+            return
+        partner = frame.sidecar.get("partner", other)
+        if partner != other:
+            raise OutputError(
+                f"{frame.ref.name}: its disparity goes to {partner or 'a camera without frames'}, "
+                f"and format kitti has it beside {other}; choose one pair with --cameras, or give "
+                "disparity=no"
+            )
+        values = frame.passes["disparity"]
+        # To the left in the other picture, or of the right camera to the right.
+        values = -values if side else values
+        coded, lost = encode_disparity(values, self._valid(frame, "disparity"))
+        write_png(folder / path, coded)
+        written.files.append(path)
+        _count(written.left_out, "pixels of disparity that KITTI's 16 bits do not hold", lost)
+
+    def _valid(self, frame: LoadedFrame, kind: str) -> NDArray[np.bool_] | None:
+        """Pixels that may have any."""
+        return _pass(frame, _SHOWN[kind]) == VISIBLE if self.option(kind) == "visible" else None
+
+    def settle(self, done: Iterable[Done]) -> Settled:
+        """Flow to a frame that could not be read is taken away."""
+        gone = dict.fromkeys(path for path, _ in self._blinded(done))
+        return Settled(dict(gone), {_ASTRAY: len(gone)} if gone else {})
+
+    @staticmethod
+    def _blinded(done: Iterable[Done]) -> Iterator[tuple[str, list[int]]]:
+        """Pictures of flow to a frame that could not be read, with their sizes."""
+        for one, after in itertools.pairwise(itertools.chain(done, (None,))):
+            # A record without a stamp is half a pair: nothing was written.
+            if one is None or not one.record or after is None or after.record:
                 continue
-            values = _pass(frame, kind)
-            valid = _pass(frame, shown) == VISIBLE if how == "visible" else None
-            path = f"{place}/{_FOLDERS[kind]}_{side + 2}/{name}"
-            if kind == "flow":
-                coded, lost = encode_flow(values, valid)
-                write_rgb16(folder / path, coded)
-            else:
-                # To the left in the other picture, or of the right camera to the right.
-                coded, lost = encode_disparity(-values if side else values, valid)
-                write_png(folder / path, coded)
-            written.files.append(path)
-            if lost:
-                what = f"pixels of {kind} that KITTI's 16 bits do not hold"
-                written.left_out[what] = written.left_out.get(what, 0) + lost
+            place, index = map(int, one.task.place[:2])
+            if int(after.task.place[0]) != place:
+                continue
+            for side, leads in enumerate(one.record["flows"]):
+                if leads:
+                    path = f"sequences/{place:02d}/flow_{side + 2}/{index:06d}.png"
+                    yield path, one.record["size"]
 
     def finish(self, done: Iterable[Done], folder: Path, scratch: Path) -> list[str]:
         """Write calibration, times and poses of each sequence."""
@@ -216,6 +278,9 @@ class Kitti(Format):
                 written += [f"sequences/{name}/calib.txt", f"sequences/{name}/times.txt",
                             f"poses/{name}.txt"]  # fmt: skip
         trajectory.write_table(folder / trajectory.SEQUENCES, _COLUMNS, table)
+        for path, (width, height) in self._blinded(done):
+            write_rgb16(folder / path, np.zeros((height, width, 3), np.uint16))
+            written.append(path)
         return written
 
     def _sequence(
@@ -301,25 +366,44 @@ def _pass(frame: LoadedFrame, name: str) -> NDArray[Any]:
     return frame.passes[name]
 
 
+def _count(left_out: dict[str, int], what: str, number: int) -> None:
+    if number:
+        left_out[what] = left_out.get(what, 0) + number
+
+
 def pair_up(cameras: Mapping[str, Sequence[FrameRef]]) -> list[tuple[str, ...]]:
-    """Cameras of a rig as rectified pairs (left, right), and those without a partner.
+    """Cameras of a rig as rectified pairs (left, right), and those that are in none.
+
+    Pairs first of which both are the other's partner, then those of which one is, then any others;
+    none of a camera whose partner is here but another.
 
     Args:
         cameras: Name -> frames.
     """
-    left_over = list(cameras)
-    found: list[tuple[str, ...]] = []
-    while left_over:
-        name = left_over.pop(0)
-        for other in left_over:
-            baseline = _baseline(cameras[name], cameras[other])
-            if baseline:
-                left_over.remove(other)
-                found.append((name, other) if baseline > 0.0 else (other, name))
-                break
-        else:
-            found.append((name,))
-    return found
+    partners = {name: _partner(refs) for name, refs in cameras.items()}
+
+    def links(pair: tuple[str, str]) -> int:
+        """How many of the two name the other."""
+        return sum(partners[a] == b for a, b in (pair, pair[::-1]))
+
+    found: dict[str, tuple[str, ...]] = {}
+    every = list(itertools.combinations(cameras, 2))
+    for a, b in sorted(every, key=links, reverse=True):
+        elsewhere = not links((a, b)) and any(partners[name] in cameras for name in (a, b))
+        if a in found or b in found or elsewhere:
+            continue
+        baseline = _baseline(cameras[a], cameras[b])
+        if baseline:
+            found[a] = found[b] = (a, b) if baseline > 0.0 else (b, a)
+    # In the order of their first cameras, each once.
+    return list(dict.fromkeys(found.get(name, (name,)) for name in cameras))
+
+
+def _partner(frames: Sequence[FrameRef]) -> str | None:
+    """The camera that disparity goes to, as the first sidecar that can be read has it."""
+    sidecar = next((s for s in map(trajectory.sidecar_of, frames) if s is not None), {})
+    partner = sidecar.get("partner")
+    return partner if isinstance(partner, str) else None
 
 
 def _baseline(a: Sequence[FrameRef], b: Sequence[FrameRef]) -> float:

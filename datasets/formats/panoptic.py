@@ -49,6 +49,7 @@ class Panoptic(Format):
 
     name = "panoptic"
     summary = "COCO panoptic: instances of things and stuff in one picture of ids (panopticapi)"
+    row_poses = True
     needs: ClassVar[tuple[str, ...]] = ("instance", "label")
     unused: ClassVar[tuple[str, ...]] = ("rgb",)
     options: ClassVar[dict[str, Option]] = OPTIONS

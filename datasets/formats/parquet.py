@@ -6,10 +6,11 @@
 
 A row is a frame: ``image``, ``depth``, ``instance``, ``label.<level>`` as files inside the table
 (struct of bytes and path, which `datasets` shows as pictures; of sensors with imaging, where they
-were asked for, ``image_clean`` and ``image_raw``, 16 bits), the camera, and ``objects`` as
-lists. ``category`` is the place of the label's name among the names of the level (`ClassLabel`), -1
-where an instance's faces differ. Depth is a TIFF file of float32 meters, exact, or 16 bits in PNG;
-ids of instances are RGBA: id = R + 256 G + 65536 B + 16777216 A.
+were asked for, ``image_clean`` and ``image_raw``, 16 bits; ``imaging``, JSON as in sidecars, says
+what raw numbers mean), the camera, and ``objects`` as lists. ``category`` is the place of the
+label's name among the names of the level (`ClassLabel`), -1 where an instance's faces differ. Depth
+is a TIFF file of float32 meters, exact, or 16 bits in PNG; ids of instances are RGBA: id = R + 256
+G + 65536 B + 16777216 A.
 """
 
 from __future__ import annotations
@@ -146,6 +147,8 @@ class Parquet(Format):
             "intrinsics": _list(_list(_value("float64"), 3), 3),
             "camera_to_world": _list(_list(_value("float64"), 4), 4),
         }
+        if self.info.imaging:
+            found["imaging"] = _value("string")
         if "instance" in self.info.passes:
             names = list(self.info.labels.get(self.info.level, {}).values())
             category = {"names": names, "_type": "ClassLabel"} if names else _value("int64")
@@ -213,6 +216,9 @@ class Parquet(Format):
         for kind in pictures.kinds(frame.sidecar):
             content = file_bytes(pictures.beside_file(frame, kind))
             row[f"image_{kind}"] = _file(content, f"{frame.ref.key}.{kind}.png")
+        imaging = pictures.imaging(frame.sidecar)
+        if imaging:
+            row["imaging"] = json.dumps(imaging, ensure_ascii=False)
         if frame.table:
             row["objects"] = self._objects(frame)
         return row

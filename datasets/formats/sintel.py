@@ -9,10 +9,11 @@
     training/occlusions/NAME/frame_0001.png    255 where the next picture does not show the point
     training/invalid/NAME/frame_0001.png       255 where there is no flow at all
 
-NAME is ``<split>_<batch>_<camera>``; frames count from 1 over those that are there. As in Sintel
-(D. Butler and others, A naturalistic open source movie for optical flow evaluation, ECCV 2012) the
-last frame of a sequence has no flow, nor has one whose next is missing. Flow is exact; 1e10 where
-it is unknown (Baker and others 2011).
+NAME is ``<split>_<batch>_<camera>``; after a gap, where frames were left out, another one begins:
+``<split>_<batch>_<camera>-<sample>``. Frames count from 1. So the k-th flow of a sequence leads
+from its k-th picture to its next, and as in Sintel (D. Butler and others, A naturalistic open
+source movie for optical flow evaluation, ECCV 2012) the last frame has none. Flow is exact; 1e10
+where it is unknown (Baker and others 2011).
 """
 
 from __future__ import annotations
@@ -26,17 +27,21 @@ from numpy.typing import NDArray
 
 from scenec.datasets import pictures
 from scenec.datasets.formats import trajectory
-from scenec.datasets.formats.contract import Done, Format, Task, Written
+from scenec.datasets.formats.contract import Done, Format, Settled, Task, Written
 from scenec.datasets.formats.encode import file_bytes, picture_png, write_bytes
-from scenec.datasets.source import FrameRef, LoadedFrame, sequences
+from scenec.datasets.source import FrameRef, LoadedFrame, one_of_each, sequences
 from scenec.schemas.correspondence import VISIBLE
-from scenec.schemas.errors import FrameError
 from scenec.schemas.picture import write_png
 
 #: What stands in a file for what is not known; readers take all beyond 1e9 for that.
 UNKNOWN = 1e10
 _MAGIC = b"PIEH"
-_COLUMNS = ("sequence", "split", "batch", "camera", "frames", "width", "height")
+_COLUMNS = ("sequence", "split", "batch", "camera", "frames", "width", "height", "first_sample")
+
+
+#: Folders of what all frames have, and of what those have whose flow leads to the next.
+_PICTURES = ("final", "clean", "invalid")
+_MOTION = ("flow", "occlusions")
 
 
 def flo_bytes(flow: NDArray[np.floating]) -> bytes:
@@ -52,31 +57,33 @@ class Sintel(Format):
 
     name = "sintel"
     summary = "MPI Sintel: pictures, clean ones, optical flow (.flo), occlusions, invalid pixels"
-    needs = ("rgb", "flow")
+    needs = ("rgb", "flow", "occlusion")
     # Pictures are taken from the PNG.
     unused = ("rgb",)
     beside = ("clean",)
 
     def tasks(self, splits: Mapping[str, Sequence[FrameRef]]) -> Iterator[Task]:
-        """One a frame, with its number in its sequence, and the sample after it (-1: none)."""
+        """One a frame: its sequence, its number there, and 1 where its flow leads to the next."""
         number = 0
         for split, frames in splits.items():
             for members in sequences(frames):
-                after = [*(ref.sample for ref in members[1:]), -1]
-                for place, (ref, following) in enumerate(zip(members, after, strict=True), 1):
-                    yield Task(number, split, (ref,), (_name(split, ref), place, following))
-                    number += 1
+                name = _name(split, members[0])
+                for run in _runs(members):
+                    if run[0] is not members[0]:
+                        name = _name(split, run[0], later=True)
+                    for place, ref in enumerate(run, 1):
+                        yield Task(number, split, (ref,), (name, place, int(place < len(run))))
+                        number += 1
 
     def write(
         self, task: Task, frames: Iterable[LoadedFrame], folder: Path, scratch: Path
     ) -> Written:
         """Write a frame's files."""
         (frame,) = frames
-        name, place, following = str(task.place[0]), int(task.place[1]), int(task.place[2])
         written = Written(record={"size": [frame.width, frame.height]})
 
-        def path(kind: str, ending: str = "png") -> Path:
-            written.files.append(f"training/{kind}/{name}/frame_{place:04d}.{ending}")
+        def path(kind: str) -> Path:
+            written.files.append(_path(kind, str(task.place[0]), int(task.place[1])))
             return folder / written.files[-1]
 
         write_bytes(path("final"), picture_png(frame))
@@ -87,28 +94,32 @@ class Sintel(Format):
         flow = frame.passes["flow"]
         unknown = ~np.isfinite(flow).all(axis=2)
         write_png(path("invalid"), _mask(unknown))
-        every = int(frame.sidecar.get("trigger", (1, 0))[0])
-        if following != frame.ref.sample + every:
-            # Flow to a picture that is not the next one here would be taken for that.
-            return written
-        write_bytes(path("flow", "flo"), flo_bytes(flow))
-        if "occlusion" not in frame.passes:
-            raise FrameError(
-                f"{frame.ref.stem}.exr: has no occlusion; render with --passes "
-                f"{','.join([*frame.sidecar['passes'], 'occlusion'])}"
-            )
-        write_png(path("occlusions"), _mask(frame.passes["occlusion"] != VISIBLE))
+        if task.place[2]:
+            write_bytes(path("flow"), flo_bytes(flow))
+            write_png(path("occlusions"), _mask(frame.passes["occlusion"] != VISIBLE))
         return written
+
+    def settle(self, done: Iterable[Done]) -> Settled:
+        """Frames after one that could not be read are a sequence of their own."""
+        moved: dict[str, str | None] = {}
+        for one, name, number, leads in _settled(done):
+            planned, place, led = str(one.task.place[0]), int(one.task.place[1]), one.task.place[2]
+            for kind in (*_PICTURES, *(_MOTION if led else ())):
+                old, new = _path(kind, planned, place), _path(kind, name, number)
+                if kind in _MOTION and not leads:
+                    moved[old] = None
+                elif new != old:
+                    moved[old] = new
+        return Settled(moved)
 
     def finish(self, done: Iterable[Done], folder: Path, scratch: Path) -> list[str]:
         """Write the list of sequences."""
         lines = []
-        for name, group in itertools.groupby(done, lambda one: str(one.task.place[0])):
-            there = [one for one in group if one.record is not None]
-            if there:
-                ref, record = there[0].task.frames[0], there[0].record or {}
-                lines.append((name, there[0].task.split, ref.batch_name, ref.camera, len(there),
-                              *record["size"]))  # fmt: skip
+        for name, group in itertools.groupby(_settled(done), lambda one: one[1]):
+            there = [one for one, *_ in group]
+            ref, record = there[0].task.frames[0], there[0].record or {}
+            lines.append((name, there[0].task.split, ref.batch_name, ref.camera, len(there),
+                          *record["size"], ref.sample))  # fmt: skip
         trajectory.write_table(folder / trajectory.SEQUENCES, _COLUMNS, lines)
         return [trajectory.SEQUENCES]
 
@@ -116,9 +127,9 @@ class Sintel(Format):
         """The layout, and how to load it."""
         return (
             "The tree of MPI Sintel: `training/{final,clean}/NAME/frame_0001.png`, "
-            "`training/flow/NAME/frame_0001.flo` (exact, in pixels right and down to the camera's "
-            "next sample; 1e10 where it is unknown; none where "
-            "the next sample has no frame here), "
+            "`training/flow/NAME/frame_0001.flo` (exact, in pixels right and down to the next "
+            "picture; 1e10 where it is unknown; none of the last; where frames were left out, a "
+            "new sequence begins), "
             "`training/occlusions` (255: the next picture does not show the point) and "
             "`training/invalid` (255: no flow). `sequences.csv` says what NAME is of.\n\n"
             "```python\n"
@@ -128,8 +139,46 @@ class Sintel(Format):
         )
 
 
-def _name(split: str, ref: FrameRef) -> str:
-    return f"{split}_{ref.batch_name}_{ref.camera}"
+def _name(split: str, ref: FrameRef, later: bool = False) -> str:
+    """Of the sequence that a frame is the first of; ``later``: after a gap."""
+    name = f"{split}_{ref.batch_name}_{ref.camera}"
+    return f"{name}-{ref.sample:06d}" if later else name
+
+
+def _path(kind: str, name: str, number: int) -> str:
+    ending = "flo" if kind == "flow" else "png"
+    return f"training/{kind}/{name}/frame_{number:04d}.{ending}"
+
+
+def _runs(members: Sequence[FrameRef]) -> Iterator[list[FrameRef]]:
+    """Frames of a camera, parted where the next is not the one that flow leads to."""
+    sidecar = one_of_each(members).get(members[0].camera, {})
+    every = int((sidecar.get("trigger") or (1, 0))[0])
+    run: list[FrameRef] = []
+    for ref in members:
+        if run and ref.sample != run[-1].sample + every:
+            yield run
+            run = []
+        run.append(ref)
+    yield run
+
+
+def _settled(done: Iterable[Done]) -> Iterator[tuple[Done, str, int, bool]]:
+    """Frames that are there: sequence, number in it, and whether flow leads to the next one of it.
+
+    A sequence that begins after a frame that could not be read has a name that no task has, for
+    that is the sample's that it begins with.
+    """
+    for planned, group in itertools.groupby(done, lambda one: str(one.task.place[0])):
+        name, number = planned, 0
+        for one, after in itertools.pairwise(itertools.chain(group, (None,))):
+            if one is None or one.record is None:
+                name = ""
+                continue
+            if not name:
+                name, number = _name(one.task.split, one.task.frames[0], later=True), 0
+            number += 1
+            yield one, name, number, after is not None and after.record is not None
 
 
 def _mask(pixels: NDArray[np.bool_]) -> NDArray[np.uint8]:

@@ -2,7 +2,8 @@
 
 A frame is the members of one key, which follow each other::
 
-    <batch>_<camera>_<sample>.json                the camera, and the table of instances
+    <batch>_<camera>_<sample>.json                the camera (lens, shutter and imaging as in
+                                                  sidecars), and the table of instances
                              .depth.npy           float32 [h, w], meters, +inf without a hit
                              .instance.npy        uint32 [h, w]
                              .label.<level>.npy   in the smallest unsigned type of the level
@@ -52,6 +53,7 @@ class WebDataset(Format):
 
     name = "webdataset"
     summary = "WebDataset: tar shards of frames to be streamed in training"
+    row_poses = True
     beside = BESIDE
     options: ClassVar[Mapping[str, Option]] = {
         "shard": Option("256", "frames a shard at most"),
@@ -204,6 +206,7 @@ class WebDataset(Format):
         lines = [dict(zip(table, values, strict=True)) for values in rows]
         for line, ignored in zip(lines, frame.ignored.tolist(), strict=True):
             line["ignored"] = ignored
+        imaging = pictures.imaging(frame.sidecar)
         return {
             "name": frame.ref.name,
             "batch": frame.ref.batch,
@@ -212,9 +215,10 @@ class WebDataset(Format):
             "time_s": frame.time_s,
             "resolution": [frame.width, frame.height],
             "intrinsics": frame.intrinsics.tolist(),
-            **({"lens": frame.sidecar["lens"]} if frame.lens is not None else {}),
+            **frame.optics,
             "camera_to_world": frame.camera_to_world.tolist(),
             "exposure_ev": float(frame.sidecar["exposure_ev"]),
+            **({"imaging": imaging} if imaging else {}),
             "instances": lines,
         }
 

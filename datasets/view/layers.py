@@ -26,6 +26,8 @@ from numpy.typing import NDArray
 
 _ID_EFFORT = 9
 _STEP_EFFORT = 6
+#: Widest picture that a JPEG holds: libjpeg's JPEG_MAX_DIMENSION.
+WIDEST = 65_500
 #: What a normal can be off by, degrees; a test measures 0.95.
 NORMAL_ERROR_DEG = 1.0
 
@@ -35,7 +37,8 @@ class Fineness:
     """How fine the page stores pictures.
 
     Attributes:
-        side: Most pixels along the longer side; None: as many as the frame has.
+        side: Most pixels along the longer side; None: as many as the frame has, if a JPEG holds
+            them.
         depth_bits: Of a depth's code, at most 16.
         quality: Of the JPEG of pictures.
     """
@@ -47,9 +50,10 @@ class Fineness:
     def size(self, width: int, height: int) -> tuple[int, int]:
         """Width and height of the stored picture of a frame."""
         longer = max(width, height)
-        if self.side is None or longer <= self.side:
+        side = WIDEST if self.side is None else min(self.side, WIDEST)
+        if longer <= side:
             return width, height
-        return max(1, width * self.side // longer), max(1, height * self.side // longer)
+        return max(1, width * side // longer), max(1, height * side // longer)
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from scenec.datasets.view.fields import HALF_ERROR
 from scenec.datasets.view.fitting import fit, too_small
 from scenec.datasets.view.ground import Ground, ground_text, objects_text
 from scenec.datasets.view.jobs import Fault, Pool, Task
-from scenec.datasets.view.layers import NORMAL_ERROR_DEG, Fineness
+from scenec.datasets.view.layers import NORMAL_ERROR_DEG, WIDEST, Fineness
 from scenec.datasets.view.record import EDGES, Record, Tally, plain_json, short
 from scenec.schemas.errors import FrameError
 from scenec.schemas.files import atomic
@@ -301,7 +301,7 @@ class _Book:
             ][:_NAMED],
             "missing_count": report.missing,
             "stored": {
-                "side": report.fineness.side,
+                "side": report.fineness.side or (WIDEST if report.reduced else None),
                 "bits": report.fineness.depth_bits,
                 "quality": report.fineness.quality,
                 "reduced": report.reduced,

@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 from small import small_cfg, write_cfg
 
+from scenec.backends.check.strays import strays
 from scenec.backends.render import render
 from scenec.cli.check_command import find
 from scenec.compiler.compile import compile_cfg
@@ -19,7 +20,7 @@ from scenec.datasets.view.page import write_view
 from scenec.schemas.errors import FrameError
 
 #: Two compiles and two renders, each in a process of its own.
-pytestmark = pytest.mark.slow
+twice = pytest.mark.slow
 EVERY = {"every": 2, "first": 1}
 
 
@@ -36,6 +37,51 @@ def cfg_of(samples: int = 5, **sensors: dict[str, Any]) -> dict[str, Any]:
 def compiled(folder: Path, cfg: dict[str, Any]) -> Path:
     compile_cfg(write_cfg(folder, cfg), seed=1, out=folder / "out", batches=range(1))
     return folder / "out"
+
+
+def test_check_and_render_name_what_an_earlier_stage_left(tmp_path):
+    cfg = cfg_of(2, a=dict(trigger=EVERY))
+    cfg["terrain"] |= {"relief": cfg["terrain"]["relief"][:1], "spacing_m": 4.0}
+    out = compiled(tmp_path, cfg)
+    left = {"a/000000": "triggered at samples 1;", "a/000002": "has samples 0 to 1;",
+            "gone/000001": "no camera 'rover_gone';"}  # fmt: skip
+    for name, path in zip(left, frames(out, *left), strict=True):
+        (out / path).parent.mkdir(parents=True, exist_ok=True)
+        (out / path).write_text(f'{{"left by": "{name}"}}')
+    (line,) = (line for line in render(out, "reference").warnings if "not of this" in line)
+    assert "rover_a/000000.json" in line
+    assert "and 2 more in batch_0000" in line
+    told = [(f.where, f.message) for f in find(out) if "not of this stage" in f.message]
+    assert [where for where, _ in told] == frames(out, *left)
+    for (_, message), reason in zip(told, left.values(), strict=True):
+        assert reason in message
+        assert "delete 00000" in message
+
+
+class Counted(str):
+    """A name that counts how often it is compared."""
+
+    __slots__ = ()
+    compared = 0
+
+    def __eq__(self, other: object) -> bool:
+        Counted.compared += 1
+        return str.__eq__(self, other)
+
+    __hash__ = str.__hash__
+
+
+def test_finding_strays_takes_as_many_steps_as_there_are_samples(tmp_path):
+    folder = tmp_path / "frames/reference/rover_a"
+    folder.mkdir(parents=True)
+    samples = 400
+    for i in range(samples):
+        (folder / f"{i:06d}.json").touch()
+    firing = [[(Counted("rover_a"), i % 4 == 1)] for i in range(samples)]
+    found = dict(strays(tmp_path, firing))
+    assert [int(p.stem) for p in found] == [i for i in range(samples) if i % 4 != 1]
+    assert set(found.values()) == {"camera rover_a is triggered at samples 1, 5, 9, …"}
+    assert Counted.compared < 10 * samples
 
 
 @pytest.fixture(scope="module")
@@ -56,6 +102,7 @@ def frames(out: Path, *names: str) -> list[str]:
 STRAY = ("a/000000", "a/000002", "a/000004", "b/000004", *(f"gone/00000{i}" for i in range(5)))
 
 
+@twice
 def test_check_names_each_with_the_reason_and_what_to_do(made):
     out, _ = made
     told = {f.where: f.message for f in find(out) if "not of this stage" in f.message}
@@ -67,6 +114,7 @@ def test_check_names_each_with_the_reason_and_what_to_do(made):
     assert not [f for f in find(out) if f.severity == "error"]
 
 
+@twice
 def test_render_warns_once(made):
     _, warnings = made
     (line,) = (line for line in warnings if "not of this stage" in line)
@@ -74,6 +122,7 @@ def test_render_warns_once(made):
     assert f"and {len(STRAY) - 1} more in batch_0000" in line
 
 
+@twice
 def test_exports_pass_them_over_with_a_line_each(made, tmp_path):
     out, _ = made
     copied = tmp_path / "out"
@@ -99,6 +148,7 @@ def test_exports_pass_them_over_with_a_line_each(made, tmp_path):
     assert ["not of this stage" in line for line in warned] == [True]
 
 
+@twice
 def test_a_camera_that_is_gone_is_foreign_to_an_export(made, tmp_path):
     out, _ = made
     with pytest.raises(FrameError, match=r"rover_gone/000000\.json: foreign"):
@@ -106,6 +156,7 @@ def test_a_camera_that_is_gone_is_foreign_to_an_export(made, tmp_path):
     assert len(export(out, "hdf5", tmp_path / "e", Choice(faults="skip"), workers=1).faults) == 9
 
 
+@twice
 def test_what_is_asked_for_is_missing_where_it_is_not_there_and_no_stray(made):
     out, _ = made
     source = Source(out, cameras=["rover_a"], samples=range(2))

@@ -187,6 +187,52 @@ def test_frames_of_rgb_alone_are_shown_and_exported(tmp_path):
     assert np.array_equal(picture, on_disk(out, "a", 1)["picture"])
 
 
+@pytest.mark.parametrize(
+    ("form", "ending", "content", "said"),
+    [
+        ("hdf5", "raw.png", b"other", "raw.png: truncated, damaged or changed"),
+        ("webdataset", "clean.png", None, "clean.png: missing, though its sidecar names it"),
+        ("tum", "png", b"no picture", "png: not a picture, or a damaged one"),
+        ("kitti", "png", "cut", "png: not a picture, or a damaged one"),
+        ("coco", "png", "turned", "png: is 8 x 12 pixels, unlike its EXR"),
+    ],
+)
+def test_frames_with_damaged_pictures_are_faults_that_can_be_skipped(
+    tmp_path, form, ending, content, said
+):
+    out = make_output(tmp_path / "out", small_ids, batches=1, cameras=("a",), samples=3)
+    add_sensor(out)
+    path = next(out.glob(f"batch_0000/frames/*/a/000001.{ending}"))
+    if content == "cut":
+        whole = path.read_bytes()
+        content = whole[: len(whole) // 2]
+    elif content == "turned":
+        content = _png(np.zeros((12, 8, 3), np.uint8))
+    path.unlink()
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(FrameError, match=said):
+        export(out, form, tmp_path / "d", workers=1)
+    report = export(out, form, tmp_path / "d", Choice(faults="skip"), workers=1)
+    assert report.frames == 2
+    assert [(fault.name, fault.kind) for fault in report.faults] == [
+        ("batch_0000/a/000001", "damaged")
+    ]
+
+
+def _png(pixels: np.ndarray) -> bytes:
+    store = io.BytesIO()
+    Image.fromarray(pixels).save(store, "PNG")
+    return store.getvalue()
+
+
+def test_what_a_format_does_not_read_need_not_be_there(tmp_path):
+    out = make_output(tmp_path / "out", small_ids, batches=1, cameras=("a",))
+    add_sensor(out)
+    next(out.glob("batch_0000/frames/*/a/000001.raw.png")).unlink()
+    assert export(out, "tum", tmp_path / "d", workers=1).frames == 2
+
+
 def test_a_picture_that_is_gone_or_another_is_an_error_and_never_made_up(tmp_path):
     out = make_output(tmp_path / "out", batches=1, cameras=("a",), samples=2)
     add_sensor(out)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import json
 from pathlib import Path
 
 import cv2
@@ -11,13 +12,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
-from made_output import Passes, make_output, some_passes
+from made_output import EXPOSURE_EV, Passes, make_output, some_passes
+from numpy.typing import NDArray
 from PIL import Image
 from sensor_frames import add_sensor, on_disk
 
 from scenec.datasets.export import Choice, export
 from scenec.datasets.formats.sintel import UNKNOWN, flo_bytes
-from scenec.schemas.errors import FrameError, OutputError
+from scenec.datasets.verify import verify
+from scenec.schemas.errors import OutputError
+from scenec.schemas.picture import develop
 
 
 def moving(number: int) -> Passes:
@@ -63,15 +67,100 @@ def test_every_file_comes_back_as_it_was(tmp_path: Path):
     ]  # fmt: skip
 
 
-def test_a_frame_whose_next_one_is_missing_has_no_flow(tmp_path: Path):
-    out = make_output(tmp_path / "out", moving, samples=4, batches=1, cameras=("a",))
-    (out / "batch_0000/frames/reference/a/000001.json").unlink()
+def zipped(folder: Path) -> list[tuple[str, int, bool]]:
+    """As torchvision's reader pairs sorted files: sequence, sample of flow, whether it fits.
+
+    Flow k leads from picture k to picture k + 1; there is one flow fewer than there are pictures.
+    """
+    found = []
+    for scene in sorted((folder / "training/final").iterdir()):
+        finals = sorted(scene.glob("*.png"))
+        flows = sorted((folder / "training/flow" / scene.name).glob("*.flo"))
+        hidden = sorted((folder / "training/occlusions" / scene.name).glob("*.png"))
+        invalid = sorted((folder / "training/invalid" / scene.name).glob("*.png"))
+        assert len(flows) == len(hidden) == len(finals) - 1 == len(invalid) - 1
+        assert [f.stem for f in flows] == [f.stem for f in finals[:-1]]
+        assert finals[0].stem == "frame_0001"
+        for k, file in enumerate(flows):
+            flow = cv2.readOpticalFlow(str(file))
+            sample = next(n for n in range(9) if same(flow, moving(n)["flow"]))
+            shown = [np.asarray(Image.open(f)) for f in finals[k : k + 2]]
+            wanted = [develop(moving(n)["rgb"], EXPOSURE_EV) for n in (sample, sample + 1)]
+            found.append((scene.name, sample, all(map(np.array_equal, shown, wanted))))
+    return found
+
+
+def same(read: NDArray, flow: NDArray) -> bool:
+    known = ~np.isnan(flow)
+    return bool(np.array_equal(read[known], flow[known]))
+
+
+def test_after_a_gap_a_new_sequence_begins(tmp_path: Path):
+    out = make_output(tmp_path / "out", moving, samples=6, batches=1, cameras=("a",))
+    (out / "batch_0000/frames/reference/a/000002.json").unlink()
     folder = export(out, "sintel", tmp_path / "d", Choice(faults="skip"), workers=1).folder
-    flows = [path.stem for path in sorted((folder / "training/flow").rglob("*.flo"))]
-    assert flows == ["frame_0002"], "samples 0, 2, 3: only from 2 to 3"
-    read = cv2.readOpticalFlow(str(folder / "training/flow/all_batch_0000_a/frame_0002.flo"))
-    known = ~np.isnan(moving(2)["flow"])
-    assert np.array_equal(read[known], moving(2)["flow"][known])
+    first, second = "all_batch_0000_a", "all_batch_0000_a-000003"
+    assert zipped(folder) == [(first, 0, True), (second, 3, True), (second, 4, True)]
+
+
+@pytest.mark.parametrize(
+    ("kind", "damaged", "flows"),
+    [
+        ("exr", (2,), [("a", 0), ("a-000003", 3), ("a-000003", 4)]),
+        ("png", (0,), [("a-000001", n) for n in (1, 2, 3, 4)]),
+        ("exr", (5,), [("a", n) for n in (0, 1, 2, 3)]),
+        ("png", (1, 3), [("a-000004", 4)]),
+        ("exr", (0, 1, 3, 4, 5), []),
+    ],
+)
+def test_a_frame_that_cannot_be_read_parts_its_sequence(tmp_path: Path, kind, damaged, flows):
+    out = make_output(tmp_path / "out", moving, samples=6, batches=1, cameras=("a",))
+    for sample in damaged:
+        (out / f"batch_0000/frames/reference/a/{sample:06d}.{kind}").write_bytes(b"damaged")
+    choice = Choice(faults="skip")
+    report = export(out, "sintel", tmp_path / "d", choice, workers=1)
+    assert zipped(report.folder) == [(f"all_batch_0000_{name}", n, True) for name, n in flows]
+    assert report.frames == 6 - len(damaged)
+    assert [fault.kind for fault in report.faults] == ["damaged"] * len(damaged)
+    assert verify(report.folder) == []
+    with (report.folder / "sequences.csv").open(encoding="utf-8", newline="") as lines:
+        table = list(csv.DictReader(lines))
+    scenes = sorted(path.name for path in (report.folder / "training/final").iterdir())
+    assert [line["sequence"] for line in table] == scenes
+    assert sum(int(line["frames"]) for line in table) == report.frames
+
+
+def test_an_export_that_is_cut_short_when_files_have_moved_goes_on(tmp_path: Path, monkeypatch):
+    out = make_output(tmp_path / "out", moving, samples=6, batches=1, cameras=("a",))
+    (out / "batch_0000/frames/reference/a/000002.exr").write_bytes(b"damaged")
+    choice = Choice(faults="skip")
+
+    def cut(*_: object) -> None:
+        raise OutputError("no room")
+
+    with monkeypatch.context() as patch:
+        patch.setattr("scenec.datasets.export.write_sums", cut)
+        with pytest.raises(OutputError, match="no room"):
+            export(out, "sintel", tmp_path / "d", choice, workers=1)
+    report = export(out, "sintel", tmp_path / "d", choice, workers=1)
+    # Of samples 0 to 5, 1 has lost its flow, and 3 to 5 have moved.
+    assert report.resumed == 2
+    whole = export(out, "sintel", tmp_path / "e", choice, workers=1)
+    sums = [(r.folder / "SHA256SUMS").read_bytes() for r in (report, whole)]
+    assert sums[0] == sums[1]
+
+
+def test_flow_of_a_camera_that_is_triggered_less_often_leads_to_its_next_picture(tmp_path: Path):
+    out = make_output(tmp_path / "out", moving, samples=5, batches=1, cameras=("a",))
+    for path in sorted((out / "batch_0000/frames/reference/a").glob("*.json")):
+        if int(path.stem) % 2:
+            path.unlink()
+        else:
+            path.write_text(json.dumps(json.loads(path.read_bytes()) | {"trigger": [2, 0]}))
+    folder = export(out, "sintel", tmp_path / "d", workers=1).folder
+    flows = sorted((folder / "training/flow").rglob("*.flo"))
+    assert [path.stem for path in flows] == ["frame_0001", "frame_0002"]
+    assert same(cv2.readOpticalFlow(str(flows[1])), moving(2)["flow"])
 
 
 def test_what_is_not_rendered_is_named(tmp_path: Path):
@@ -83,7 +172,7 @@ def test_what_is_not_rendered_is_named(tmp_path: Path):
         return {name: array for name, array in moving(number).items() if name != "occlusion"}
 
     out = make_output(tmp_path / "other", without, batches=1)
-    with pytest.raises(FrameError, match="has no occlusion; render with"):
+    with pytest.raises(OutputError, match="needs the pass occlusion"):
         export(out, "sintel", tmp_path / "d", workers=1)
 
 

@@ -8,6 +8,7 @@ import json
 import math
 import re
 import shutil
+import subprocess
 import tracemalloc
 import zlib
 from pathlib import Path
@@ -217,6 +218,36 @@ def test_the_page_keeps_its_budget_and_says_what_it_cost(tmp_path):
     assert sizes[-1] < 160
     with pytest.raises(OutputError, match=r"--budget-mb 0\.15: too small .* give 1 or more"):
         write_view(out, tmp_path / "view.html", budget_mb=0.15)
+
+
+def test_a_picture_that_is_wider_than_a_jpeg_may_be_is_stored_thinner():
+    size = Fineness().size(70_000, 2)
+    assert size == Fineness(side=80_000).size(70_000, 2) == (65_500, 1)
+    assert Fineness().size(3, 65_500) == (3, 65_500)
+    layer = stored.store_picture("rgb", np.full((2, 70_000, 3), 80, np.uint8), size, 88)
+    with Image.open(io.BytesIO(layer.data)) as image:
+        assert image.size == size
+        assert abs(int(np.asarray(image)[0, -1, 0]) - 80) < 3
+
+
+def script(name: str) -> str:
+    return (Path(stored.__file__).parent / f"browser/{name}.js").read_text(encoding="utf-8")
+
+
+def test_what_there_may_be_as_many_of_as_frames_is_no_list_of_arguments():
+    lists = r"Math\.(max|min)\([^;]*\.\.\.(frames|values|xs|ys|path|list)\b"
+    for path in sorted((Path(stored.__file__).parent / "browser").glob("*.js")):
+        assert not re.search(lists, script(path.stem)), path.name
+
+
+@pytest.mark.skipif(shutil.which("node") is None, reason="no node")
+def test_extremes_of_more_numbers_than_a_function_takes_are_found():
+    lines = re.findall(r"^const (?:highest|lowest) = .*$", script("base"), re.M)
+    many = "const many = Array.from({ length: 200000 }, (_, i) => (i * 7919) % 200009);"
+    code = [*lines, many, "console.log(highest(many), lowest(many), highest([], 1));"]
+    told = subprocess.run(["node", "-e", "\n".join(code)], capture_output=True, check=True)
+    many = [i * 7919 % 200_009 for i in range(200_000)]
+    assert told.stdout.split() == [b"%d" % max(many), b"0", b"1"]
 
 
 def test_finer_steps_come_before_coarser_ones():

@@ -25,6 +25,10 @@ function draw(tag, attributes = {}, ...children) {
   return element;
 }
 
+/** Of numbers that may be as many as frames: more than a function takes as its arguments. */
+const highest = (values, least = -Infinity) => values.reduce((a, b) => Math.max(a, b), least);
+const lowest = (values, most = Infinity) => values.reduce((a, b) => Math.min(a, b), most);
+
 const columns = Object.fromEntries(index.columns.map((name, at) => [name, at]));
 
 /** All frames, with names in place of positions. */

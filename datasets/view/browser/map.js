@@ -105,7 +105,7 @@ function mapBounds() {
     ys.push(g.corner[1] - g.step[1] / 2, g.corner[1] + (g.size[1] - 0.5) * g.step[1]);
   }
   if (!xs.length) return [-1, -1, 1, 1];
-  let box = [Math.min(...xs), Math.min(...ys), Math.max(...xs), Math.max(...ys)];
+  let box = [lowest(xs), lowest(ys), highest(xs), highest(ys)];
   const pad = g ? 0 : 0.1 * Math.max(box[2] - box[0], box[3] - box[1], 1);
   return [box[0] - pad, box[1] - pad, box[2] + pad, box[3] + pad];
 }
@@ -169,7 +169,7 @@ function drawTracks(c, to) {
     const lengths = path.slice(1).map((f, i) => Math.hypot(f.eye[0] - path[i].eye[0], f.eye[1] - path[i].eye[1])).sort((a, b) => a - b);
     const xs = path.map((f) => f.eye[0]);
     const ys = path.map((f) => f.eye[1]);
-    const extent = Math.hypot(Math.max(...xs) - Math.min(...xs), Math.max(...ys) - Math.min(...ys));
+    const extent = Math.hypot(highest(xs) - lowest(xs), highest(ys) - lowest(ys));
     if (lengths[Math.floor(lengths.length / 2)] > 0.2 * extent) continue;
     c.beginPath();
     for (const f of path) c.lineTo(...to(f.eye[0], f.eye[1]));

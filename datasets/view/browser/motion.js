@@ -9,7 +9,7 @@ const OCCLUSION = [["visible in the other picture", [222, 226, 230]], ["somethin
 const NONE = packed([0, 0, 0]);
 
 /** What 99 % of the pixels of all frames are within; of pixels no farther than from corner to corner. */
-const widest = Math.ceil(Math.max(1, ...frames.map((frame) => Math.hypot(...frame.size))));
+const widest = Math.ceil(highest(frames.map((frame) => Math.hypot(...frame.size)), 1));
 const motionScale = Object.fromEntries(Object.entries(MOTION).map(([pass, unit]) => {
   const within = (lengthRange((tally) => tally.motion[pass] ?? [], 0, 0.99) ?? [0, 1])[1];
   return [pass, unit === "px" ? Math.min(within, widest) : within];

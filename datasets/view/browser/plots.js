@@ -93,7 +93,7 @@ function series(list, valuesOf, names, colors, format) {
   const canvas = make("canvas.series", { role: "img", tabindex: "-1" });
   const told = make("p.told", {}, " ");
   const values = list.map(valuesOf);
-  const most = Math.max(...values.map((v) => v.reduce((a, b) => a + (b ?? 0), 0)), 1e-12);
+  const most = highest(values.map((v) => v.reduce((a, b) => a + (b ?? 0), 0)), 1e-12);
   const paintIt = () => {
     const ratio = window.devicePixelRatio || 1;
     const [w, h] = [canvas.clientWidth, canvas.clientHeight];
