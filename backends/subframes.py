@@ -428,8 +428,7 @@ class Drawing:
         views = resample.plan_views(camera)
         if not views.cameras:
             # A few rows, all of them outside of the image circle.
-            shape = (camera.height, camera.width)
-            nothing = np.zeros((2, *shape, 3), np.float32)
+            nothing = np.zeros((2, camera.height, camera.width, 3), np.float32)
             return Radiance(nothing, nothing[0, ..., 0], spp, stochastic=self._stochastic)
         return resample.draw(self._backend, camera, views, self._sample, spp, seed, False)
 
