@@ -8,7 +8,9 @@ taken of it, give the very pixels that the picture as a whole does, and are code
 from __future__ import annotations
 
 import io
+import os
 from concurrent.futures import ThreadPoolExecutor
+from typing import IO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,8 +45,14 @@ def compressed(picture: NDArray[np.uint8], quality: int, subsampling: str) -> ND
 def _coded(picture: NDArray[np.uint8], quality: int, subsampling: str) -> NDArray[np.uint8]:
     from PIL import Image
 
-    file = io.BytesIO()
-    Image.fromarray(picture).save(file, "JPEG", quality=quality, subsampling=subsampling)
-    file.seek(0)
-    with Image.open(file) as image:
-        return np.asarray(image.convert("RGB"))
+    with _memory() as file:
+        Image.fromarray(picture).save(file, "JPEG", quality=quality, subsampling=subsampling)
+        file.seek(0)
+        with Image.open(file) as image:
+            return np.asarray(image)
+
+
+def _memory() -> IO[bytes]:
+    """A file in memory; a real one where there are such: only then Pillow writes beside others."""
+    create = getattr(os, "memfd_create", None)
+    return io.BytesIO() if create is None else open(create("jpeg"), "w+b")
