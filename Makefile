@@ -36,11 +36,12 @@ types: setup  ## Type checker.
 	@echo "== Checking types"
 	@.venv/bin/mypy
 
+# A test that takes its process along ends the run: pytest-xdist would wait for its other tests.
 unit: setup  ## The tests alone (WORKERS=2 processes; PYTEST_ARGS for more).
 	@tools/browser.sh
 	@.venv/bin/python tests/warm_kernels.py
 	@echo "== Testing, $(WORKERS) processes"
-	@.venv/bin/python -m pytest -n $(WORKERS) --dist loadfile $(MARKED) $(PYTEST_ARGS)
+	@.venv/bin/python -m pytest -n $(WORKERS) --dist loadfile --max-worker-restart 0 $(MARKED) $(PYTEST_ARGS)
 
 format: setup  ## Format the code.
 	@.venv/bin/ruff check --fix .

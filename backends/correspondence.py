@@ -38,7 +38,7 @@ from scenec.schemas.correspondence import (
     VISIBLE,
 )
 from scenec.schemas.errors import BackendError
-from scenec.schemas.lens import project
+from scenec.schemas.lens import shown_at
 
 #: Share of the distance within which a hit is the surface that was asked for.
 _SAME = 1e-6
@@ -157,7 +157,7 @@ def match(
     target = np.where(hit[:, None], moved, origins + rays.directions)
     if not is_rolling(other):
         seen = _to_camera(other, target)
-        pixel = _project(other, seen)
+        pixel = shown_at(other.lens, other.intrinsics, seen)
     # Pixels beyond a lens's circle show nothing that could be elsewhere.
     if rays.known is not None:
         gone |= ~rays.known
@@ -251,15 +251,6 @@ def _to_camera(camera: Camera, points: NDArray[np.float64]) -> NDArray[np.float6
     offset = points - pose[:3, 3]
     # A pose's axes are orthonormal: the inverse is the transpose.
     return _turned(offset, pose[:3, :3].T)
-
-
-def _project(camera: Camera, points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Column and row of points in a camera's frame, float64 [n, 2]; NaN where it has none."""
-    k = camera.intrinsics
-    plane, shown = project(camera.lens, points)
-    plane[~shown] = np.nan
-    x, y = plane.T
-    return np.stack([k[0, 0] * x + k[0, 1] * y + k[0, 2], k[1, 1] * y + k[1, 2]], axis=1)
 
 
 def _rays_to(origins: NDArray[np.float64], points: NDArray[np.float64]) -> Rays:

@@ -15,7 +15,7 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from scenec.backends.render_scene import Camera, OpenShutter
-from scenec.schemas.lens import project
+from scenec.schemas.lens import shown_at
 from scenec.schemas.shutter import between, turn_vectors
 
 #: Of a row, pixels (and of a row's number, for rows far outside of the picture): where it counts
@@ -116,7 +116,7 @@ def places_of(camera: Camera, points: NDArray[np.float64], far: NDArray[np.bool_
     lost = np.isnan(v)
     every = np.arange(len(points))
     local, eye = search.seen(every, np.where(lost, 0.5 * camera.height, v))
-    pixel = _projected(camera, local)
+    pixel = shown_at(camera.lens, camera.intrinsics, local)
     pixel[lost] = np.nan
     return Places(pixel, local, eye)
 
@@ -210,7 +210,9 @@ class _Search:
         with np.errstate(divide="ignore", invalid="ignore"):
             rounding = self._rounding[which] / away
             rounding = np.where(rounding < 1.0, rounding, 0.0)
-        return np.asarray(_projected(self._camera, local)[:, 1] - v), rounding
+        return np.asarray(
+            shown_at(self._camera.lens, self._camera.intrinsics, local)[:, 1] - v
+        ), rounding
 
 
 @njit(cache=True, error_model="numpy", parallel=True, nogil=True)
@@ -251,11 +253,3 @@ def _see(times, poses, turns, at, points, far, local, eye):  # type: ignore[no-u
         local[n, 0] = qx - a * cx + b * (y * cz - z * cy)
         local[n, 1] = qy - a * cy + b * (z * cx - x * cz)
         local[n, 2] = qz - a * cz + b * (x * cy - y * cx)
-
-
-def _projected(camera: Camera, local: NDArray[np.float64]) -> NDArray[np.float64]:
-    k = camera.intrinsics
-    plane, shown = project(camera.lens, local)
-    plane[~shown] = np.nan
-    x, y = plane.T
-    return np.stack([k[0, 0] * x + k[0, 1] * y + k[0, 2], k[1, 1] * y + k[1, 2]], axis=1)

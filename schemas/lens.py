@@ -454,6 +454,13 @@ def to_pixels(k: Array, plane: Array) -> Array:
     return np.stack([k[0, 0] * x + k[0, 1] * y + k[0, 2], k[1, 1] * y + k[1, 2]], axis=1)
 
 
+def shown_at(lens: Lens | None, k: Array, points: Array) -> Array:
+    """Pixels of points in a camera's frame, float64 [n, 2], by K [3, 3]; NaN where none."""
+    plane, shown = project(lens, points)
+    plane[~shown] = np.nan
+    return to_pixels(k, plane)
+
+
 def from_sidecar(value: Mapping[str, Any] | None) -> Lens | None:
     """The lens that a frame's sidecar states; None: a pinhole."""
     if value is None:

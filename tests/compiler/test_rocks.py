@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import hashlib
-import os
-import subprocess
-import sys
 from collections.abc import Iterator
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
+from elsewhere import digest_elsewhere
 from small import small_cfg
 
 from scenec.compiler.cameras.sight import NO_VIEWS, Views
@@ -406,17 +403,4 @@ def digest() -> str:
 @pytest.mark.invariant
 @pytest.mark.slow
 def test_bytes_do_not_depend_on_threads_or_the_cpu_s_extras():
-    here = Path(__file__).parent
-    # All at once: each run compiles or loads every kernel anew.
-    change = {
-        "PYTHONPATH": os.pathsep.join([str(here), str(here.parent)]),
-        "NUMBA_NUM_THREADS": "1",
-        "NUMBA_CPU_NAME": "generic",
-        "GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX2,-FMA,-FMA4,-AVX512F",
-        "NPY_DISABLE_CPU_FEATURES": "AVX2 FMA3 AVX512F",
-    }
-    run = subprocess.run(
-        [sys.executable, "-W", "ignore", "-c", "import test_rocks; print(test_rocks.digest())"],
-        env=os.environ | change, capture_output=True, text=True, check=True,
-    )  # fmt: skip
-    assert run.stdout.strip() == digest()
+    assert digest_elsewhere("test_rocks") == digest()

@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import hashlib
-import os
-import subprocess
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
+from elsewhere import digest_elsewhere
 from laying import SIZE, laid, plan, surroundings
 from scipy import stats
 from scipy.spatial import cKDTree
@@ -298,18 +295,4 @@ def digest() -> str:
 @pytest.mark.invariant
 @pytest.mark.slow
 def test_bytes_do_not_depend_on_threads_or_the_cpu_s_extras():
-    here = Path(__file__).parent
-    # All at once: each run compiles or loads every kernel anew.
-    change = {
-        "PYTHONPATH": os.pathsep.join([str(here), str(here.parent)]),
-        "NUMBA_NUM_THREADS": "1",
-        "NUMBA_CPU_NAME": "generic",
-        "GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX2,-FMA,-FMA4,-AVX512F",
-        "NPY_DISABLE_CPU_FEATURES": "AVX2 FMA3 AVX512F",
-    }
-    code = "import test_scatter_laying; print(test_scatter_laying.digest())"
-    run = subprocess.run(
-        [sys.executable, "-W", "ignore", "-c", code],
-        env=os.environ | change, capture_output=True, text=True, check=True,
-    )  # fmt: skip
-    assert run.stdout.strip() == digest()
+    assert digest_elsewhere("test_scatter_laying") == digest()
