@@ -69,6 +69,8 @@ docs: setup  ## Generate docs/cfg.md from the schemas; the pages of errors and r
 	@.venv/bin/python docs/make_extremes.py
 	@echo "== Measuring docs/converge.md"
 	@.venv/bin/python docs/make_converge.py
+	@echo "== Measuring docs/leaving_out.md"
+	@.venv/bin/python docs/make_leaving_out.py
 	@echo "== Measuring docs/errors.md"
 	@.venv/bin/python docs/make_errors.py
 

@@ -26,6 +26,7 @@ from scenec.backends.exact.silhouette import (
 from scenec.backends.rays import camera_rays
 from scenec.backends.render_scene import Camera, RenderScene
 from scenec.backends.shutter import is_rolling
+from scenec.schemas.threads import over_threads
 
 #: Pixels of windows that are held at once, unless one window alone has more.
 _AT_ONCE = 1 << 25
@@ -123,8 +124,19 @@ class Outliner:
             of_lens = camera_rays(camera) if rays is None else rays
             parts = outline_rays.frame_rows(geometry, rows, of_lens)
         else:
-            frame_rows(
-                geometry, rows, self._boxes[entries], k, pose, inverse, width, height, parts, whole
+            over_threads(
+                frame_rows,
+                rows.shape[0],
+                geometry,
+                rows,
+                self._boxes[entries],
+                k,
+                pose,
+                inverse,
+                width,
+                height,
+                parts,
+                whole,
             )
         windows = _union(parts, firsts[:-1], shown)
         pixels = (windows[:, 1] - windows[:, 0]) * (windows[:, 3] - windows[:, 2])
@@ -138,7 +150,17 @@ class Outliner:
             starts = np.full(len(which), -1, np.int64)
             starts[first:end] = np.cumsum(pixels[first:end]) - pixels[first:end]
             marks = np.zeros(int(pixels[first:end].sum()), np.uint8)
-            mark_shown(row, self._slot_of_row, seen, width, windows, starts, marks)
+            over_threads(
+                mark_shown,
+                row.shape[0] // width,
+                row,
+                self._slot_of_row,
+                seen,
+                width,
+                windows,
+                starts,
+                marks,
+            )
             # The largest first: no thread is left with one at the end.
             order = first + np.argsort(-pixels[first:end], kind="stable")
             if of_lens is not None:

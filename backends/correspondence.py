@@ -37,7 +37,7 @@ from scenec.schemas.correspondence import (
     PARTNER,
     VISIBLE,
 )
-from scenec.schemas.errors import BackendError
+from scenec.schemas.errors import CameraRefusedError
 from scenec.schemas.lens import shown_at
 
 #: Share of the distance within which a hit is the surface that was asked for.
@@ -205,7 +205,7 @@ def _same_camera(scene: RenderScene, camera: Camera, sample: int) -> Camera | No
 def _partner(scene: RenderScene, camera: Camera, sample: int) -> Camera:
     found = [c for c in scene.cameras[sample] if c.path == camera.partner]
     if not found:
-        raise BackendError(
+        raise CameraRefusedError(
             f"{camera.path}: disparity needs a partner; the stage names "
             + (f"{camera.partner}, which is not rendered" if camera.partner else "none")
         )

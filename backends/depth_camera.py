@@ -19,7 +19,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from scenec.backends.contract import Rays
@@ -32,15 +32,16 @@ from scenec.backends.render_scene import Camera, RenderScene
 from scenec.backends.shutter import beside
 from scenec.schemas.correspondence import VISIBLE
 from scenec.schemas.depth_camera import MEASURED, StereoDepth, TimeOfFlightDepth
-from scenec.schemas.errors import BackendError
+from scenec.schemas.errors import CameraRefusedError
+from scenec.schemas.threads import over_threads
 
 _MEASURED = np.uint64(2)
 _ZERO = np.uint64(0)
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
-def _stereo(depth, seen, fb, noise, step, near, far, key, sample, out):  # type: ignore[no-untyped-def]
-    for k in prange(out.shape[0]):
+@njit(cache=True, error_model="numpy", nogil=True)
+def _stereo(first, last, depth, seen, fb, noise, step, near, far, key, sample, out):  # type: ignore[no-untyped-def]
+    for k in range(first, last):
         out[k] = 0.0
         if not (depth[k] < math.inf and seen[k]):
             continue
@@ -52,12 +53,14 @@ def _stereo(depth, seen, fb, noise, step, near, far, key, sample, out):  # type:
             out[k] = fb / d
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
-def _time_of_flight(seen, per_range, weights, turn, noise, bounds, key, sample, out):  # type: ignore[no-untyped-def]
+@njit(cache=True, error_model="numpy", nogil=True)
+def _time_of_flight_part(  # type: ignore[no-untyped-def]
+    first, last, seen, per_range, weights, turn, noise, bounds, key, sample, out
+):
     reach, cosine = seen
     height, width = reach.shape
     half = weights.shape[0] // 2
-    for k in prange(height * width):
+    for k in range(first, last):
         y, x = k // width, k % width
         out[k] = 0.0
         real = imaginary = total = 0.0
@@ -82,6 +85,23 @@ def _time_of_flight(seen, per_range, weights, turn, noise, bounds, key, sample, 
             out[k] = r * per_range[k]
 
 
+def _time_of_flight(seen, per_range, weights, turn, noise, bounds, key, sample, out):  # type: ignore[no-untyped-def]
+    height, width = seen[0].shape
+    over_threads(
+        _time_of_flight_part,
+        height * width,
+        seen,
+        per_range,
+        weights,
+        turn,
+        noise,
+        bounds,
+        key,
+        sample,
+        out,
+    )
+
+
 def measure_stereo(
     model: StereoDepth,
     camera: Camera,
@@ -104,7 +124,9 @@ def measure_stereo(
     """
     out = np.empty(depth.size)
     fb = float(camera.intrinsics[0, 0]) * model.baseline_m
-    _stereo(
+    over_threads(
+        _stereo,
+        len(out),
         depth.ravel(),
         seen.ravel(),
         fb,
@@ -186,7 +208,7 @@ def measure(
         BackendError: The stage does not say how the camera measures.
     """
     if camera.depth_camera is None:
-        raise BackendError(
+        raise CameraRefusedError(
             f"{camera.path}: {MEASURED} needs a depth camera, and the stage names none"
         )
     model, key = camera.depth_camera.model, camera.depth_camera.key

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from scenec.backends.pool import WorkerProcess
-from scenec.schemas.errors import StageError
+from scenec.schemas.errors import BackendError, StageError
 from scenec.schemas.frames import FrameKey, frame_stem
 from scenec.schemas.manifest import FRAMES, Batch
 from scenec.schemas.spelling import nearest
@@ -40,12 +40,14 @@ class Job:
     Attributes:
         stem: Its path without a suffix.
         what: Its name in messages.
+        camera: Whose frame it is, by name.
         key: What it is made with.
         request: What a worker is asked.
     """
 
     stem: Path
     what: str
+    camera: str
     key: FrameKey
     request: dict[str, Any]
 
@@ -75,6 +77,11 @@ class Jobs:
         if not any("instance" in self._camera(*place)["passes"] for place in self._places):
             return None
         return {"op": "instances", "folder": str((self._batch.folder / FRAMES).resolve())}
+
+    @property
+    def cameras(self) -> set[str]:
+        """Whose frames they are."""
+        return {str(self._camera(*place)["name"]) for place in self._places}
 
     @property
     def firing(self) -> list[list[tuple[str, bool]]]:
@@ -109,7 +116,7 @@ class Jobs:
 
         Raises:
             StageError: The stage cannot be read, or does not hold what is asked for.
-            BackendError: The backend cannot start.
+            BackendError: The backend cannot start, or a picture is to be denoised that cannot be.
         """
         wanted = self._wanted
         opened = worker.open(
@@ -130,6 +137,7 @@ class Jobs:
 
         Raises:
             StageError: The stage does not hold what is asked for.
+            BackendError: A picture is to be denoised that cannot be.
         """
         wanted = self._wanted
         self._opened = opened
@@ -152,8 +160,11 @@ class Jobs:
                 f"{self._batch.stage}: has no camera {unknown[0]!r}{nearest(unknown[0], seen)}"
             )
         for place in self._places:
-            if not self._camera(*place)["passes"]:
+            camera = self._camera(*place)
+            if not camera["passes"]:
                 raise StageError(f"{self._batch.stage}: no passes asked for, and none in the stage")
+            if wanted.denoise and "rgb" in camera["passes"] and camera["undenoised"]:
+                raise BackendError(camera["undenoised"])
 
     def __iter__(self) -> Iterator[Job]:
         wanted, batch = self._wanted, self._batch
@@ -171,7 +182,7 @@ class Jobs:
                 "seed": frame_seed(wanted.noise_seed, batch.name, name, sample),
                 "choice": wanted.choice,
             }
-            yield Job(stem, f"{batch.name}/{name}/{sample:06d}", key, request)
+            yield Job(stem, f"{batch.name}/{name}/{sample:06d}", name, key, request)
 
     def _camera(self, sample: int, index: int) -> dict[str, Any]:
         found: dict[str, Any] = self._opened["cameras"][sample][index]

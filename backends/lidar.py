@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from scenec.backends.contract import Rays
@@ -21,16 +21,17 @@ from scenec.backends.exact.annotate import annotate
 from scenec.backends.exact.settle import Settled, Statistics
 from scenec.backends.imaging.chance import philox, quantile, unit
 from scenec.backends.render_scene import Lidar, RenderScene
+from scenec.schemas.threads import over_threads
 
 _LOW, _HALF = np.uint64(0xFFFFFFFF), np.uint64(32)
 _TURNED, _ANSWERED = np.uint64(0), np.uint64(1)
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
-def _directions(elevations, azimuths, noise, key, sample, m, out):  # type: ignore[no-untyped-def]
+@njit(cache=True, error_model="numpy", nogil=True)
+def _directions(first, last, elevations, azimuths, noise, key, sample, m, out):  # type: ignore[no-untyped-def]
     """World directions of the rays that are cast."""
     count = azimuths.shape[0]
-    for k in prange(out.shape[0]):
+    for k in range(first, last):
         up, left = elevations[k // count], azimuths[k % count]
         if noise > 0.0:
             w = philox(key, np.uint64(k), sample, _TURNED, np.uint64(0))
@@ -42,10 +43,10 @@ def _directions(elevations, azimuths, noise, key, sample, m, out):  # type: igno
             out[k, i] = m[i, 0] * x + m[i, 1] * y + m[i, 2] * z
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
-def _answers(t, near, far, steady, ratio, lost, key, sample, out):  # type: ignore[no-untyped-def]
+@njit(cache=True, error_model="numpy", nogil=True)
+def _answers(first, last, t, near, far, steady, ratio, lost, key, sample, out):  # type: ignore[no-untyped-def]
     """Ranges with noise; +inf where there is no answer."""
-    for k in prange(t.shape[0]):
+    for k in range(first, last):
         out[k] = math.inf
         if not near <= t[k] <= far:
             continue
@@ -73,13 +74,17 @@ def scan(scene: RenderScene, caster: ExactCaster, lidar: Lidar, sample: int) -> 
     key, number = np.uint64(lidar.key), np.uint64(sample)
     noise = math.radians(lidar.angle_noise_deg)
     turn = np.ascontiguousarray(lidar.to_world[:3, :3])
-    _directions(elevations, azimuths, noise, key, number, turn, directions)
+    over_threads(
+        _directions, directions.shape[0], elevations, azimuths, noise, key, number, turn, directions
+    )
     origins = np.ascontiguousarray(np.broadcast_to(lidar.to_world[:3, 3], directions.shape))
     rays = Rays(origins, directions, shape)
     caster.pose(sample)
     row, face, t = caster.cast(rays)
     answer = np.empty(len(t))
-    _answers(
+    over_threads(
+        _answers,
+        len(t),
         t,
         *lidar.range_m,
         lidar.range_noise_m,

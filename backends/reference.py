@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from importlib.metadata import version
-
 from scenec.backends.contract import Radiance, Rays, Visibility
 from scenec.backends.exact import ExactCaster
 from scenec.backends.render_scene import Camera, RenderScene
-from scenec.schemas.errors import BackendError
+from scenec.schemas.errors import BackendError, CameraRefusedError
+from scenec.schemas.versions import version_of
 
 
 class Reference:
@@ -28,7 +27,7 @@ class Reference:
 
     def version(self) -> str:
         """Name and version, for sidecars and resume keys."""
-        return f"reference (scenec {version('scenec')})"
+        return f"reference (scenec {version_of()})"
 
     def warning(self) -> str | None:
         """Nothing to warn of."""
@@ -66,7 +65,7 @@ class Reference:
         Raises:
             BackendError: Always.
         """
-        raise BackendError(
+        raise CameraRefusedError(
             "reference renders annotation only, no rgb; leave rgb out of --passes, "
             "or use --backend mitsuba"
         )

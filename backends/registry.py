@@ -46,6 +46,9 @@ def require_name(name: str) -> None:
     Raises:
         BackendError: There is no such backend; says the nearest name.
     """
+    if name in BUILT_IN:
+        # Other packages' metadata need not be searched, which takes tens of milliseconds.
+        return
     names = backend_names()
     if name not in names:
         near = difflib.get_close_matches(name, names, n=1, cutoff=0.5)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import tempfile
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import ExitStack, suppress
@@ -10,16 +9,23 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from scenec.backends.check.strays import strays
+from scenec.backends.asked import (
+    IN_PROCESS,
+    check_backend,
+    check_rgb,
+    check_words,
+    no_denoiser,
+)
 from scenec.backends.jobs import Job, Jobs, Wanted, frame_seed
 from scenec.backends.memory import default_limit
 from scenec.backends.pool import FrameLostError, WorkerProcess
-from scenec.backends.registry import ANNOTATION_ONLY, AUTO, backend_names, require_name
+from scenec.backends.registry import AUTO
 from scenec.backends.rounds import MOST_SPP
 from scenec.backends.watch import Limits
-from scenec.schemas.errors import BackendError, ScenecError, StageError
+from scenec.schemas.errors import CameraRefusedError, StageError
 from scenec.schemas.frames import is_done
 from scenec.schemas.manifest import Batch, find_batches
+from scenec.schemas.strays import strays, told
 
 __all__ = ["Limits", "RenderReport", "check_backend", "frame_seed", "render"]
 
@@ -29,9 +35,6 @@ Say = Callable[[str], None]
 
 #: Samples per pixel where a user says nothing.
 USUAL_SPP = 64
-
-#: Annotators that need no process of their own: no renderer's libraries, nothing to collide with.
-_IN_PROCESS = ("reference",)
 
 
 @dataclass
@@ -46,6 +49,7 @@ class RenderReport:
             and were replaced.
         replaced: Worker processes replaced between two frames, before they grew too large.
         failed: A line about each frame that was given up; the others are there.
+        refused: How many of these are of cameras that the backend cannot draw.
         seconds: Per step (load, radiance, compose, visibility, resolve, write), summed.
         warnings: Lines a user should see, each once.
         backend_version: Renderer, version and variant.
@@ -64,6 +68,7 @@ class RenderReport:
     deaths: int = 0
     replaced: int = 0
     failed: list[str] = field(default_factory=list)
+    refused: int = 0
     seconds: dict[str, float] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
     backend_version: str = ""
@@ -131,11 +136,15 @@ def render(
         say: Called with lines about what is being done.
 
     A frame that kills its worker again and again is given up, said in ``failed``, and costs no
-    other.
+    other. One that the backend refuses (a camera it cannot draw, a pass the camera has not what it
+    takes for) costs the other frames of that camera in the batch, which are not tried, and no other
+    camera's.
 
     Raises:
         StageError: Nothing to render, or a stage that cannot be read.
-        BackendError: The backend is not there, or cannot do what is asked.
+        BackendError: The backend is not there, or cannot do what is asked: it refuses every camera,
+            or is to denoise the picture of one with an aperture or an open shutter, which is said
+            before anything is rendered.
         OutputError: No manifest, or a frame cannot be written.
     """
     if spp is None:
@@ -144,7 +153,7 @@ def render(
         backend, spp, passes, samples, noise_seed, device, denoise, annotate_with, error, seconds,
         cameras,
     )  # fmt: skip
-    _check_words(wanted, rgb=passes is None or "rgb" in passes)
+    check_words(wanted, rgb=passes is None or "rgb" in passes)
     chosen = find_batches(Path(out), batches)
     if backend == AUTO:
         # Imported here: it stands on ``converge``, which few renders need.
@@ -161,47 +170,6 @@ def render(
     if not run.report.frames:
         raise StageError(f"{out}: no frame to render: no camera, or no sample in the range asked")
     return run.report
-
-
-def check_backend(
-    backend: str,
-    *,
-    device: str = "auto",
-    denoise: bool = False,
-    annotate_with: str | None = None,
-    error: float | None = None,
-    seconds: float | None = None,
-    rgb: bool = True,
-) -> None:
-    """Refuse what ``render`` would refuse, before there is a stage.
-
-    Starts each renderer that is asked for, in a process of its own.
-
-    Args:
-        backend: As for ``render``.
-        device: As for ``render``.
-        denoise: As for ``render``.
-        annotate_with: As for ``render``.
-        error: As for ``render``.
-        seconds: As for ``render``.
-        rgb: Whether ``rgb`` will be among the passes.
-
-    Raises:
-        BackendError: A backend is not there, does not start, or cannot do what is asked.
-    """
-    wanted = Wanted(
-        backend, device=device, denoise=denoise, annotate_with=annotate_with, error=error,
-        seconds=seconds,
-    )  # fmt: skip
-    _check_words(wanted, rgb)
-    if backend == AUTO:
-        _check_some(wanted, rgb)
-        return
-    found = _describe(backend, device, rgb)
-    if denoise and found["denoiser"] is None:
-        raise _no_denoiser(backend)
-    if annotate_with is not None and annotate_with not in (backend, *_IN_PROCESS):
-        _describe(annotate_with, "auto", False)
 
 
 def describe(answer: dict[str, Any]) -> str:
@@ -245,8 +213,11 @@ class _Run:
         self._warn = warn
         self._say = say or (lambda line: None)
         other = wanted.annotate_with
-        alone = other is None or other in (wanted.backend, *_IN_PROCESS)
+        alone = other is None or other in (wanted.backend, *IN_PROCESS)
         self._annotator = None if alone else other
+        # Of the batch that is being rendered: by camera, the frame that was refused.
+        self._refused: dict[str, str] = {}
+        self._said: set[tuple[str, str]] = set()
         if limits.memory_bytes is None:
             share = default_limit() // (1 if self._annotator is None else 2)
             limits = replace(limits, memory_bytes=share)
@@ -263,6 +234,7 @@ class _Run:
                 folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
                 other = stack.enter_context(self._worker())
                 annotator = _Annotator(self._annotator, batch, other, folder)
+            self._refused = {}
             jobs = Jobs(batch, self._wanted)
             inside = None if annotator else self._wanted.annotate_with
             opened = jobs.open(worker, inside)
@@ -276,7 +248,7 @@ class _Run:
                     report.skipped += 1
                     text = f"{job.what}: there already"
                 else:
-                    text = self._frame(worker, annotator, job)
+                    text = self._frame(worker, annotator, job, jobs.cameras)
                 if self._progress:
                     before = number * jobs.count
                     total = self._batches * jobs.count
@@ -297,16 +269,12 @@ class _Run:
 
     def _strays(self, batch: Batch, jobs: Jobs) -> None:
         """Notes frames of an earlier stage that this one does not replace."""
-        found = list(strays(batch.folder, jobs.firing, self._wanted.backend))
+        # Of all backends: who renders with another one now may not come back to the first.
+        found = list(strays(batch.folder, jobs.firing))
         if found:
             # Once a render: other batches have them for the same reason.
             self._in_output = False
-            path, why = found[0]
-            more = f" (and {len(found) - 1} more in {batch.name})" if len(found) > 1 else ""
-            self._note(
-                f"{path}: not of this stage: {why}{more}; no render replaces it: delete it "
-                "(scenec check names all)"
-            )
+            self._note(told(found))
 
     def _worker(self) -> WorkerProcess:
         return WorkerProcess(self._note, self._limits, self._say)
@@ -314,9 +282,9 @@ class _Run:
     def _opened(self, opened: dict[str, Any], rgb: bool) -> None:
         """Tells what will render, and what it cannot."""
         wanted, report = self._wanted, self.report
-        _check_rgb(wanted, rgb)
+        check_rgb(wanted, rgb)
         if wanted.denoise and opened["denoiser"] is None:
-            raise _no_denoiser(wanted.backend)
+            raise no_denoiser(wanted.backend)
         if not report.backend_version:
             report.backend_version = opened["version"]
             report.device = opened["device"]
@@ -335,9 +303,21 @@ class _Run:
                 report.losses.append(line)
             self._note(line)
 
-    def _frame(self, worker: WorkerProcess, annotator: _Annotator | None, job: Job) -> str:
-        """Makes one frame; what a renderer cannot survive costs that frame and no other."""
+    def _frame(
+        self, worker: WorkerProcess, annotator: _Annotator | None, job: Job, cameras: set[str]
+    ) -> str:
+        """Makes one frame; what a renderer cannot survive costs that frame and no other.
+
+        Raises:
+            CameraRefusedError: Nothing has been made, and the last of the batch's cameras is
+                refused.
+        """
         report = self.report
+        if job.camera in self._refused:
+            report.refused += 1
+            first = self._refused[job.camera]
+            report.failed.append(f"{job.what}: not tried, as {first} was refused")
+            return f"{job.what}: not tried"
         whole = False
         try:
             seen = annotator.see(job) if annotator and job.annotated else None
@@ -348,6 +328,17 @@ class _Run:
             report.failed.append(str(error))
             self._note(str(error))
             return f"{job.what}: given up"
+        except CameraRefusedError as error:
+            self._refused[job.camera] = job.what
+            if report.rendered + report.skipped == 0 and cameras <= self._refused.keys():
+                raise
+            report.refused += 1
+            report.failed.append(f"{job.what}: {error}")
+            if (job.camera, str(error)) not in self._said:
+                # Once a render: it holds for the other batches, too.
+                self._said.add((job.camera, str(error)))
+                self._note(f"{job.what}: {error}; other frames of this camera are not tried")
+            return f"{job.what}: refused"
         finally:
             if not whole:
                 _sweep(job.stem)
@@ -390,53 +381,6 @@ class _Annotator:
         return seen | {name: answer[name] for name in ("file", "seconds")}
 
 
-def _check_some(wanted: Wanted, rgb: bool) -> None:
-    """Is there any backend to choose."""
-    faults = []
-    for name in backend_names():
-        if rgb and name in ANNOTATION_ONLY:
-            continue
-        try:
-            found = _describe(name, wanted.device, rgb)
-            if wanted.denoise and found["denoiser"] is None:
-                raise BackendError(f"backend {name} has no denoiser")
-        except BackendError as error:
-            faults.append(str(error))
-        else:
-            return
-    raise BackendError(f"no backend works here for what is asked: {'; '.join(faults)}")
-
-
-def _check_words(wanted: Wanted, rgb: bool) -> None:
-    if wanted.backend != AUTO:
-        require_name(wanted.backend)
-    if wanted.annotate_with is not None:
-        require_name(wanted.annotate_with)
-    if wanted.spp < 1:
-        raise BackendError(f"samples per pixel must be at least 1, not {wanted.spp}")
-    for name, value in (("error", wanted.error), ("seconds", wanted.seconds)):
-        if value is not None and not 0.0 < value < math.inf:
-            raise BackendError(f"{name} to render to must be a number above 0, not {value}")
-    _check_rgb(wanted, rgb)
-
-
-def _describe(backend: str, device: str, rgb: bool) -> dict[str, Any]:
-    request = {"op": "describe", "backend": backend, "device": device, "rgb": rgb}
-    with WorkerProcess() as worker:
-        return worker.ask(request, f"backend {backend}")
-
-
-def _check_rgb(wanted: Wanted, rgb: bool) -> None:
-    if wanted.denoise and not rgb:
-        raise BackendError(
-            "there is nothing to denoise without rgb; ask for rgb, or do not denoise"
-        )
-    if not rgb and (wanted.error is not None or wanted.seconds is not None):
-        raise BackendError(
-            "error and seconds are targets of rgb; ask for rgb, or leave the targets out"
-        )
-
-
 def _quality(wanted: Wanted) -> str:
     """How well ``rgb`` is rendered."""
     if wanted.error is None and wanted.seconds is None:
@@ -444,20 +388,6 @@ def _quality(wanted: Wanted) -> str:
     goals = [] if wanted.error is None else [f"to {100 * wanted.error:.3g} % error"]
     goals += [] if wanted.seconds is None else [f"for {wanted.seconds:g} s"]
     return f"{' or '.join(goals)}, at most {wanted.spp} samples per pixel"
-
-
-def _no_denoiser(backend: str) -> BackendError:
-    have = []
-    for name in backend_names():
-        try:
-            denoiser = None if name == backend else _describe(name, "auto", False)["denoiser"]
-        except ScenecError:
-            # Not installed, or does not start: no help here.
-            continue
-        if denoiser is not None:
-            have.append(f"{name} has one ({denoiser})")
-    others = "; " + ", ".join(have) if have else ", nor has any other that works here"
-    return BackendError(f"backend {backend} has no denoiser{others}")
 
 
 def _sweep(stem: Path) -> None:

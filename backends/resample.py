@@ -27,7 +27,7 @@ from scenec.backends.bands import radiance
 from scenec.backends.contract import Backend, Radiance
 from scenec.backends.lens import RayTable, local_rays, ray_table
 from scenec.backends.render_scene import Camera
-from scenec.schemas.errors import BackendError
+from scenec.schemas.errors import CameraRefusedError
 
 #: Pixels of the views along a side of the picture's.
 FINENESS = 2.0
@@ -129,7 +129,7 @@ def draw(
         BackendError: The backend failed, or the lens shows nothing.
     """
     if not views.cameras:
-        raise BackendError(f"camera {camera.name}: its lens has no ray in the picture")
+        raise CameraRefusedError(f"camera {camera.name}: its lens has no ray in the picture")
     each = max(1, int(np.ceil(spp / views.fineness**2)))
     parts = []
     for i, view in enumerate(views.cameras):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
-from importlib.metadata import version
 from pathlib import Path
 
 from scenec.backends.exact import ExactCaster
@@ -17,6 +16,8 @@ from scenec.schemas.errors import StageError
 from scenec.schemas.manifest import find_batches
 from scenec.schemas.scans import is_scanned, scan_key, scan_stem, write_scan
 from scenec.schemas.spelling import nearest
+from scenec.schemas.strays import stray_scans, told
+from scenec.schemas.versions import version_of
 
 
 @dataclass
@@ -27,6 +28,7 @@ class ScanReport:
         scans: Paths of all scans asked for, without suffix.
         made: How many were made now; the others were there.
         seconds: Per step (read, load, scan, write), summed.
+        warnings: Lines a user should see.
     """
 
     scans: list[Path] = field(default_factory=list)
@@ -34,6 +36,7 @@ class ScanReport:
     seconds: dict[str, float] = field(
         default_factory=lambda: dict.fromkeys(("read", "load", "scan", "write"), 0.0)
     )
+    warnings: list[str] = field(default_factory=list)
 
 
 def scan_output(
@@ -81,6 +84,11 @@ def scan_output(
             if lidars is None or lidar.name in lidars
         ]
         _scan_batch(scene, batch.folder, wanted, ply, report, progress)
+        if Path(out).is_dir() and not report.warnings:
+            # Beside a USD file there may be the scans of another.
+            firing = [[(lidar.name, True) for lidar in some] for some in scene.lidars]
+            found = list(stray_scans(batch.folder, firing))
+            report.warnings += [told(found)] if found else []
     unknown = [name for name in lidars or () if name not in names]
     if unknown or not names:
         what = f"no lidar {unknown[0]!r}{nearest(unknown[0], names)}" if unknown else "no lidar"
@@ -96,7 +104,7 @@ def _scan_batch(
     report: ScanReport,
     progress: Callable[[int, int, str], None] | None,
 ) -> None:
-    key = scan_key(scene.digest, version("scenec"))
+    key = scan_key(scene.digest, version_of())
     seconds, caster = report.seconds, None
     for done, (sample, lidar) in enumerate(wanted, 1):
         stem = scan_stem(folder, lidar.name, sample)

@@ -26,7 +26,7 @@ from scenec.backends.registry import open_backend
 from scenec.backends.render_scene import Camera, RenderScene
 from scenec.backends.resolver import Settled, pass_names
 from scenec.backends.rounds import Draw, Rounds, Target, collect
-from scenec.backends.shutter import is_rolling
+from scenec.backends.shutter import blurred_by, is_rolling, undenoised
 from scenec.schemas.amodal import AMODAL
 from scenec.schemas.correspondence import CORRESPONDENCES
 from scenec.schemas.depth_camera import MEASURED
@@ -101,6 +101,11 @@ class Session:
         """
         names = tuple(camera.outputs if wanted is None else wanted)
         return (*(["rgb"] if "rgb" in names else []), *pass_names(self.scene, names))
+
+    def undenoised(self, camera: Camera) -> str | None:
+        """Why pictures of a camera cannot be denoised, a line; None where they can be."""
+        cause = blurred_by(camera)
+        return None if cause is None else undenoised(camera.name, cause)
 
     @cached_property
     def instances(self) -> Instances:
@@ -326,6 +331,9 @@ class Session:
         """
         if camera.shutter is None and camera.focus is None:
             return None
+        why = self.undenoised(camera) if denoise else None
+        if why is not None:
+            raise BackendError(why)
         # Imported here: few cameras have either.
         from scenec.backends import subframes
 
@@ -335,11 +343,6 @@ class Session:
             blur = subframes.measure(camera, caster)
         if blur is None:
             return None
-        if denoise:
-            raise BackendError(
-                f"camera {camera.name}: its shutter or aperture makes its picture the mean of many,"
-                f" and {self.backend.name} denoises single ones: render it without denoising"
-            )
         drawing = subframes.Drawing(blur, self.backend, self.scene, sample, caster)
         details["blur"] = drawing.facts
         return drawing.draw

@@ -11,12 +11,13 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from scenec.backends.render_scene import Camera, OpenShutter
 from scenec.schemas.lens import shown_at
 from scenec.schemas.shutter import between, turn_vectors
+from scenec.schemas.threads import over_threads
 
 #: Of a row, pixels (and of a row's number, for rows far outside of the picture): where it counts
 #: as found. Rounding of the projection is a hundred times less.
@@ -44,6 +45,27 @@ def is_rolling(camera: Camera) -> bool:
     if held is None or held.shutter.readout_s == 0.0:
         return False
     return bool((held.camera_to_world != camera.camera_to_world).any())
+
+
+def blurred_by(camera: Camera) -> str | None:
+    """What makes a camera's picture the mean of many: its aperture or its shutter; None: nothing.
+
+    An open shutter of a camera that stands still is nothing.
+    """
+    if camera.focus is not None and camera.focus.aperture_radius_m > 0.0:
+        return "aperture"
+    held = camera.shutter
+    if held is None or held.shutter.half_span <= 0.0:
+        return None
+    return "shutter" if (held.camera_to_world != camera.camera_to_world).any() else None
+
+
+def undenoised(camera: str, cause: str) -> str:
+    """Why pictures of a camera of this name, ``blurred_by`` this, cannot be denoised, a line."""
+    return (
+        f"camera {camera}: its {cause} makes its picture the mean of many, and denoisers take "
+        "single ones: render it without denoising"
+    )
 
 
 def row_poses(camera: Camera, rows: range | None = None) -> NDArray[np.float64]:
@@ -195,7 +217,18 @@ class _Search:
         at = held.shutter.middles(v, self._camera.height)
         local, eye = np.empty((len(which), 3)), np.empty((len(which), 3))
         points, far = self._points[which], self._far[which]
-        _see(held.times, held.camera_to_world, self._turns, at, points, far, local, eye)
+        over_threads(
+            _see,
+            at.shape[0],
+            held.times,
+            held.camera_to_world,
+            self._turns,
+            at,
+            points,
+            far,
+            local,
+            eye,
+        )
         return local, eye
 
     def _off(
@@ -215,11 +248,11 @@ class _Search:
         ), rounding
 
 
-@njit(cache=True, error_model="numpy", parallel=True, nogil=True)
-def _see(times, poses, turns, at, points, far, local, eye):  # type: ignore[no-untyped-def]
+@njit(cache=True, error_model="numpy", nogil=True)
+def _see(begin, end, times, poses, turns, at, points, far, local, eye):  # type: ignore[no-untyped-def]
     """Points in the frames of cameras between poses: ``schemas.shutter.between``, one by one."""
     last = times.shape[0] - 1
-    for n in prange(at.shape[0]):
+    for n in range(begin, end):
         i = min(max(np.searchsorted(times, at[n], side="right") - 1, 0), last)
         j = min(i + 1, last)
         u = 0.0

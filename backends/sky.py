@@ -13,12 +13,13 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from scenec.backends.render_scene import Dome
 from scenec.schemas.errors import StageError
 from scenec.schemas.exr import read_rgb
+from scenec.schemas.threads import over_threads
 
 #: Suns narrower than this are drawn this wide (irradiance unchanged), in radians: float32
 #: directions resolve no less. 0.02 degrees, a 26th of the Sun's width from Earth.
@@ -79,7 +80,9 @@ def texel_directions(height: int, width: int) -> NDArray[np.float64]:
 def lookup(sky: Sky, directions: NDArray[np.float64]) -> NDArray[np.float32]:
     """Radiance from world directions (any length), float64 [n, 3] -> float32 [n, 3]."""
     out = np.empty((len(directions), 3), np.float32)
-    _lookup(sky.picture, np.ascontiguousarray(sky.to_world.T), directions, out)
+    over_threads(
+        _lookup, len(directions), sky.picture, np.ascontiguousarray(sky.to_world.T), directions, out
+    )
     return out
 
 
@@ -132,10 +135,10 @@ def _scaled(dome: Dome) -> NDArray[np.float32]:
     return (load_picture(dome.texture) * dome.scale).astype(np.float32)
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
-def _lookup(picture, to_dome, directions, out):  # type: ignore[no-untyped-def]
+@njit(cache=True, error_model="numpy", nogil=True)
+def _lookup(first, last, picture, to_dome, directions, out):  # type: ignore[no-untyped-def]
     height, width = picture.shape[0], picture.shape[1]
-    for i in prange(len(directions)):
+    for i in range(first, last):
         d = directions[i]
         x = to_dome[0, 0] * d[0] + to_dome[0, 1] * d[1] + to_dome[0, 2] * d[2]
         y = to_dome[1, 0] * d[0] + to_dome[1, 1] * d[1] + to_dome[1, 2] * d[2]

@@ -6,12 +6,13 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from scenec.backends.render_scene import SkyLabelMap
 from scenec.schemas.errors import StageError
 from scenec.schemas.maps import read_pixels
+from scenec.schemas.threads import over_threads
 
 
 def label_of_sky(
@@ -35,7 +36,15 @@ def label_of_sky(
     """
     out = np.empty(len(missed), np.uint32)
     ids = load_label_map(label_map.file)
-    _lookup(ids, np.ascontiguousarray(label_map.to_world.T), directions, missed, out)
+    over_threads(
+        _lookup,
+        len(missed),
+        ids,
+        np.ascontiguousarray(label_map.to_world.T),
+        directions,
+        missed,
+        out,
+    )
     return out
 
 
@@ -55,10 +64,10 @@ def load_label_map(path: Path) -> NDArray[np.uint32]:
     return pixels[..., 0].astype(np.uint32)
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
-def _lookup(ids, to_map, directions, missed, out):  # type: ignore[no-untyped-def]
+@njit(cache=True, error_model="numpy", nogil=True)
+def _lookup(first, last, ids, to_map, directions, missed, out):  # type: ignore[no-untyped-def]
     height, width = ids.shape
-    for i in prange(len(missed)):
+    for i in range(first, last):
         d = directions[missed[i]]
         x = (to_map[0, 0] * d[0] + to_map[0, 1] * d[1]) + to_map[0, 2] * d[2]
         y = (to_map[1, 0] * d[0] + to_map[1, 1] * d[1]) + to_map[1, 2] * d[2]

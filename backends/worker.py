@@ -78,6 +78,7 @@ class Worker:
                     "pixels": camera.width * camera.height,
                     "fires": camera.fires(sample),
                     "outputs": camera.outputs,
+                    "undenoised": session.undenoised(camera),
                 }
                 for camera in cameras
             ]

@@ -86,6 +86,10 @@ def _is_level(name: str) -> bool:
 
 def add_render_options(parser: argparse.ArgumentParser) -> None:
     """What ``run`` and ``render`` share."""
+    parser.epilog = (
+        "A camera that the renderer cannot draw costs its own frames and no other's. Exit status: "
+        "0 all frames are there; 1 some were given up or refused, and said; 2 it cannot be done."
+    )
     parser.add_argument(
         "--backend",
         default="mitsuba",
@@ -127,7 +131,10 @@ def add_render_options(parser: argparse.ArgumentParser) -> None:
         help="where the renderer runs (default: auto, the fastest that works here)",
     )
     parser.add_argument(
-        "--denoise", action="store_true", help="denoise rgb, if the renderer has a denoiser"
+        "--denoise",
+        action="store_true",
+        help="denoise rgb, if the renderer has a denoiser; refused where a camera has an aperture "
+        "or moves while its shutter is open",
     )
     parser.add_argument(
         "--annotate-with",

@@ -19,6 +19,7 @@ from scenec.backends.check.files import check_files
 from scenec.backends.check.finding import Finding
 from scenec.backends.check.frames import check_frames
 from scenec.backends.check.radiance import RadianceComparison
+from scenec.backends.check.scans import check_scans
 from scenec.backends.check.stage import check_stage
 from scenec.backends.reader import read_stage
 from scenec.backends.registry import require_name
@@ -98,16 +99,19 @@ def find(out: Path) -> list[Finding]:
         findings.extend(check_files(out, read_manifest(out)))
     for batch in find_batches(out):
         findings.extend(check_stage(batch.stage))
-        digest = firing = None
+        digest = firing = scanning = None
         try:
             scene = read_stage(batch.stage)
             digest = scene.digest
             if out.is_dir():
                 # Beside a USD file there may be the frames of another.
                 firing = [[(c.name, c.fires(i)) for c in of] for i, of in enumerate(scene.cameras)]
+                # Lidars of a sample are those that scan at it.
+                scanning = [[(lidar.name, True) for lidar in some] for some in scene.lidars]
         except StageError as error:
             findings.append(Finding("reader", "error", batch.name, str(error)))
         findings.extend(check_frames(batch.folder, digest, firing))
+        findings.extend(check_scans(batch.folder, digest, scanning))
     return findings
 
 

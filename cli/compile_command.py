@@ -51,6 +51,8 @@ def compile_now(options: argparse.Namespace) -> CompileReport:
                 f"view, over {facts['precision']['extent_m']:g} m; make the terrain smaller, or "
                 "keep cameras farther from it"
             )
+    for line in report.strays:
+        say(f"warning: {line}")
     if report.unchanged:
         say(
             f"{report.unchanged} of {len(report.batches)} batches were there already, byte for byte"
@@ -78,5 +80,6 @@ def as_json(report: CompileReport) -> dict[str, object]:
         "batches": list(report.batches),
         "unchanged": report.unchanged,
         "seconds": report.seconds,
+        "strays": list(report.strays),
         "steps": {"made": report.made, "taken": report.taken},
     }

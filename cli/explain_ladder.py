@@ -72,7 +72,7 @@ def ladder_table(ladder: Ladder) -> str:
         row.append({None: "-", True: "yes", False: "NO"}[ladder.holds(rung)])
         if meters or pixels:
             row.append(f"{rung.details['worst_m' if meters else 'worst_px']:.3g}")
-        row += [f"{rung.seconds:.2f}", f"{rung.bytes:,}"]
+        row += [f"{rung.seconds:.3g}", f"{rung.bytes:,}"]
         row.append("-" if rung.triangles is None else f"{rung.triangles:,}")
         rows.append(row)
     return table(rows, header)

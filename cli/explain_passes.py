@@ -159,6 +159,9 @@ def _mesh_errors(mesh: Mapping[str, Any] | None) -> Iterator[tuple[str, str]]:
     finer = mesh.get("finer")
     if finer:
         error = f"{finer['surface_error_max_px']:.2g} px worst, "
+        # Older outputs state no bound.
+        if "surface_error_bound_px" in finer:
+            error += f"at most {finer['surface_error_bound_px']:.2g} px, "
         error += f"{finer['surface_error_rms_px']:.2g} px rms"
         yield "  between samples", f"{error}; legs from {finer['finest_leg_m']:.2g} m"
     if "label_error_max_px" in mesh:

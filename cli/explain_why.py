@@ -278,6 +278,9 @@ def _of_prim(asked: _Asked, path: str) -> Why:
         number = rest.split("/")[0].removeprefix(_SINGLE)
         if rest.startswith(_SINGLE) and number.isascii() and number.isdigit():
             return _of_instance(asked, name, int(number))
+        if name not in asked.contents.classes:
+            # What stood below it is gone with it.
+            return _of_class(asked, name)
     if path.startswith(_TERRAIN):
         tile = path.removeprefix(_TERRAIN).split("/")[0]
         triangles = asked.contents.tiles.get(tile)

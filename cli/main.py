@@ -26,6 +26,7 @@ from scenec.cli.explain_arguments import add_explain_options
 from scenec.cli.export_arguments import add_export_options
 from scenec.cli.view_arguments import add_view_options
 from scenec.schemas.errors import CfgError, ScenecError
+from scenec.schemas.versions import version_of
 
 EXIT_FAILED = 1
 EXIT_BAD_INPUT = 2
@@ -225,9 +226,7 @@ class _Version(argparse.Action):
         super().__init__(option_strings, dest, nargs=0, help=options.get("help"))
 
     def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
-        from importlib.metadata import version
-
-        print(f"scenec {version('scenec')}")
+        print(f"scenec {version_of()}")
         parser.exit()
 
 

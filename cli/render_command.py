@@ -43,9 +43,13 @@ def render_now(options: argparse.Namespace) -> RenderReport:
     )
     there = f", {report.skipped} were there already" if report.skipped else ""
     seconds = sum(report.seconds.values())
-    if report.failed:
-        say(f"{len(report.failed)} frames were given up; run again to try them again")
-    say(f"{report.rendered} frames rendered in {seconds:.1f} s{there}: {report.frames[0].parent}/")
+    if report.refused:
+        say(f"{report.refused} frames were refused by {report.backend}: see the warnings")
+    if lost := len(report.failed) - report.refused:
+        say(f"{lost} frames were given up; run again to try them again")
+    made = next((stem for stem in report.frames if stem.with_suffix(".exr").exists()), None)
+    where = "" if made is None else f": {made.parent}/"
+    say(f"{report.rendered} frames rendered in {seconds:.1f} s{there}{where}")
     return report
 
 
@@ -61,6 +65,7 @@ def as_json(report: RenderReport) -> dict[str, object]:
         "rendered": report.rendered,
         "skipped": report.skipped,
         "failed": report.failed,
+        "refused": report.refused,
         "worker_deaths": report.deaths,
         "workers_replaced": report.replaced,
         "peak_memory_gb": report.peak_memory_gb,

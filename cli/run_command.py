@@ -39,9 +39,11 @@ def _refuse_early(options: argparse.Namespace) -> bool:
     from scenec.compiler.frontend.load import load
 
     wanted = options.passes
-    rigs = load(options.cfg).cfg["rigs"].values()
+    rigs = load(options.cfg).cfg["rigs"]
+    sensors = {f"{rig}_{name}": s for rig in rigs for name, s in rigs[rig]["sensors"].items()}
+    drawn = [n for n, s in sensors.items() if "rgb" in (wanted or s["outputs"])]
     if wanted is None:
-        wanted = [name for rig in rigs for s in rig["sensors"].values() for name in s["outputs"]]
+        wanted = [name for s in sensors.values() for name in s["outputs"]]
     check_backend(
         options.backend,
         device=options.device,
@@ -50,5 +52,6 @@ def _refuse_early(options: argparse.Namespace) -> bool:
         error=options.error,
         seconds=options.seconds,
         rgb="rgb" in wanted,
+        apertures=[name for name in drawn if "focus" in sensors[name]],
     )
-    return any("lidars" in rig for rig in rigs)
+    return any("lidars" in rig for rig in rigs.values())

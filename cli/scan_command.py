@@ -28,6 +28,8 @@ def scan_now(
         ply=ply,
         progress=Progress("scan", unit="scan"),
     )
+    for line in report.warnings:
+        say(f"warning: {line}")
     there = len(report.scans) - report.made
     rest = f", {there} were there already" if there else ""
     where = f": {report.scans[0].parent}/" if report.scans else ""
@@ -41,4 +43,5 @@ def as_json(report: ScanReport) -> dict[str, object]:
         "scans": [f"{stem}.json" for stem in report.scans],
         "made": report.made,
         "seconds": report.seconds,
+        "warnings": report.warnings,
     }

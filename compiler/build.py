@@ -93,11 +93,9 @@ def build(plan: Plan, log: BuildLog, keep: Keep = Keep.SEEN) -> Scene:
         SceneError: The cfg is valid, but what it asks for cannot be built.
     """
     if keep is Keep.ALL:
-        plan = _seen_everywhere(plan)
+        plan = seen_everywhere(plan)
     outputs = tuple(dict.fromkeys(o for rig in plan.rigs for s in rig.sensors for o in s.outputs))
-    # Scans hold labels and ids, whatever cameras are asked for.
-    scanned = ("label", "instance") if any(rig.lidars for rig in plan.rigs) else ()
-    needs = needed.needs_of((*outputs, *scanned), keep, bool(plan.label_table))
+    needs = needs_of_plan(plan, keep)
     color, labels = needs.color, needs.labels
     surface = build_surface(plan, log)
     terrain = surface.field
@@ -187,7 +185,20 @@ def _pruned(scene: Scene, needs: needed.Needs, keep: Keep, hills: bool) -> Prune
     return prune(scene, needs, keep, hills=hills)
 
 
-def _seen_everywhere(plan: Plan) -> Plan:
+def needs_of_plan(plan: Plan, keep: Keep) -> needed.Needs:
+    """What the sensors of a batch need of its Scene.
+
+    Args:
+        plan: The batch.
+        keep: How much stays.
+    """
+    outputs = [o for rig in plan.rigs for sensor in rig.sensors for o in sensor.outputs]
+    # Scans hold labels and ids, whatever cameras are asked for.
+    scanned = ("label", "instance") if any(rig.lidars for rig in plan.rigs) else ()
+    return needed.needs_of((*outputs, *scanned), keep, bool(plan.label_table))
+
+
+def seen_everywhere(plan: Plan) -> Plan:
     """A plan whose meshes and levels of detail are as fine out of view as in view."""
     meshing = replace(plan.terrain.meshing, unseen=1.0)
     return replace(plan, terrain=replace(plan.terrain, meshing=meshing))

@@ -5,9 +5,8 @@ from __future__ import annotations
 import hashlib
 import json
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +20,7 @@ from scenec.compiler.frontend.load import Spec, load
 from scenec.compiler.incremental.memo import Memo, memoizing
 from scenec.compiler.incremental.store import Store
 from scenec.compiler.passes.keep import Keep
+from scenec.compiler.rig import Lidar, Rig, Sensor
 from scenec.compiler.scene import Scene
 from scenec.schemas.errors import OutputError, ScenecError
 from scenec.schemas.files import (
@@ -44,6 +44,8 @@ from scenec.schemas.manifest import (
 )
 from scenec.schemas.materialx import LAYER_SUFFIX
 from scenec.schemas.scans import SCANS
+from scenec.schemas.strays import Firing, stray_scans, strays, told
+from scenec.schemas.versions import version_of
 
 #: Whose version can change the bytes of the output.
 _LIBRARIES = ("numpy", "numba", "scipy", "usd-core", "openexr")
@@ -59,6 +61,8 @@ class CompileReport:
         unchanged: How many of them were there already, byte for byte.
         seconds: Per batch, seconds of each pass.
         facts: Per batch, the contents of its report.json.
+        strays: A line for each batch beside which frames or scans of an earlier stage lie that this
+            one has no place for: nothing replaces them.
         made, taken: Per batch, how often each step was made, or taken from the cache; empty
             without one.
     """
@@ -68,6 +72,7 @@ class CompileReport:
     unchanged: int
     seconds: dict[str, dict[str, float]]
     facts: dict[str, dict[str, Any]]
+    strays: tuple[str, ...] = ()
     made: dict[str, dict[str, int]] = field(default_factory=dict)
     taken: dict[str, dict[str, int]] = field(default_factory=dict)
 
@@ -121,6 +126,7 @@ def compile_cfg(
     made: dict[str, dict[str, int]] = {}
     taken: dict[str, dict[str, int]] = {}
     unchanged = 0
+    left_over: list[str] = []
     for done, batch in enumerate(chosen):
         name = f"batch_{batch:04d}"
         say(f"compiling {name} of {spec.cfg['name']}, seed {seed}")
@@ -142,6 +148,7 @@ def compile_cfg(
             else:
                 replace_folder(folder, out / name, keep=(FRAMES, SCANS))
         seconds[name], facts[name] = log.seconds, log.facts
+        left_over += _strays(out / name, scene)
         if memo is not None:
             made[name], taken[name] = dict(memo.made), dict(memo.taken)
         _add_batch(manifest, out, name, batch, plan.samples)
@@ -149,7 +156,9 @@ def compile_cfg(
         _write_manifest(manifest, out, seconds, spec.text)
     if store is not None:
         store.tidy()
-    return CompileReport(out, tuple(chosen), unchanged, seconds, facts, made, taken)
+    return CompileReport(
+        out, tuple(chosen), unchanged, seconds, facts, tuple(left_over), made, taken
+    )
 
 
 def _teller(
@@ -165,6 +174,21 @@ def _write(folder: Path, scene: Scene, final: Path) -> None:
         # A full disk reaches us as USD's own exception.
         text = next((e.commentary for e in error.args), "USD gives no reason").splitlines()[0]
         raise OutputError(f"{final}: cannot be written: {text}") from error
+
+
+def _strays(folder: Path, scene: Scene) -> list[str]:
+    """A line about frames and scans that are none of this scene's, if there are any."""
+
+    def firing(sensors: Callable[[Rig], Iterable[Sensor | Lidar]]) -> Firing:
+        named = [(f"{rig.name}_{s.name}", s.trigger) for rig in scene.rigs for s in sensors(rig)]
+        return [
+            [(name, i >= first and (i - first) % every == 0) for name, (every, first) in named]
+            for i in range(scene.samples)
+        ]
+
+    found = list(strays(folder, firing(lambda rig: rig.sensors)))
+    found += stray_scans(folder, firing(lambda rig: rig.lidars))
+    return [told(found)] if found else []
 
 
 def _chosen(spec: Spec, batches: range | None) -> range:
@@ -196,8 +220,8 @@ def _begin_manifest(spec: Spec, seed: int, out: Path, chosen: range, keep: Keep)
         },
         "seed": seed,
         "keep": str(keep),
-        "scenec": version("scenec"),
-        "libraries": {name: version(name) for name in _LIBRARIES},
+        "scenec": version_of(),
+        "libraries": {name: version_of(name) for name in _LIBRARIES},
     }
     old = _read_manifest(out)
     if old is not None:

@@ -138,6 +138,8 @@ def export(
         )
     with _begun(plan) as partial:
         _missing(plan, report, say)
+        for line in plan.remarks():
+            say(f"warning: {line}")
         todo = []
         for task in plan.tasks():
             if _is_done(plan, partial, task):

@@ -6,8 +6,6 @@ import hashlib
 import json
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cache
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +21,7 @@ from scenec.schemas.files import sha256
 from scenec.schemas.frames import BESIDE
 from scenec.schemas.manifest import CFG
 from scenec.schemas.spelling import nearest
+from scenec.schemas.versions import version_of
 
 #: What to do about frames that are missing, foreign or damaged.
 FAULTS = ("stop", "skip")
@@ -103,6 +102,10 @@ class Plan:
         """As the format has them."""
         return self.format().tasks(self.frames())
 
+    def remarks(self) -> Iterator[str]:
+        """As the format has them."""
+        return self.format().remarks(self.frames())
+
     def task_name(self, task: Task) -> str:
         """For a line of progress."""
         first = task.frames[0].name
@@ -119,7 +122,7 @@ class Plan:
         return {
             "format": self.format_name,
             "format_version": self.format().version,
-            "scenec": _version(),
+            "scenec": version_of(),
             "level": self.info.level,
             "options": dict(sorted(self.info.options.items())),
             "keep": [str(condition) for condition in choice.filters.conditions],
@@ -250,12 +253,6 @@ def make_plan(out: Path, name: str, folder: Path | str | None, choice: Choice) -
     plan = Plan(out, name, Path(folder), choice, info, source, split_of)
     plan.format()
     return plan
-
-
-@cache
-def _version() -> str:
-    """Of scenec; a package's metadata take milliseconds to read, and a key is made a task."""
-    return version("scenec")
 
 
 def _check_options(kind: type[Format], options: Mapping[str, str]) -> None:

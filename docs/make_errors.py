@@ -2,8 +2,8 @@
 
     python docs/make_errors.py [--fast] [--out FOLDER]
 
-Needs the extra "demo" (matplotlib). Seconds are single readings on the machine that runs it; errors
-and bytes are facts of the code.
+Needs the extra "demo" (matplotlib). Seconds are readings on the machine that runs it; errors and
+bytes are facts of the code.
 """
 
 from __future__ import annotations
@@ -41,8 +41,10 @@ which is **bold**. `scenec explain OUT --ladder` measures the same for any outpu
 - **claimed** is what the compiler itself states for that value (`report.json`), and **holds**
   says whether that bounds what was measured; "-" where it states nothing.
 - **CPU s** is the processor's time to make and write what the approximation shapes, all threads
-  together: a single reading on {cores} cores ({versions}). **bytes** is what it really takes in the
-  stage, written to a temporary folder, before anything is left out that no camera sees.
+  together, on {cores} cores ({versions}): a single reading where it is long, and where it is below
+  a second the mean of repetitions that take 0.3 s together, after a first call that only warms.
+  **bytes** is what it really takes in the stage, written to a temporary folder, before anything is
+  left out that no camera sees.
 - Slopes are of the rms error, fitted through logarithms over all rungs: where error ~ cost^-a, half
   the error costs 2^(1/a) times as much. For triangles of a smooth surface theory has a = 1 (linear
   interpolation errs with the square of an edge); detail down to the finest legs, and a tolerance in
@@ -77,7 +79,7 @@ def ladder_text(ladder: Ladder) -> str:
         row.append("-" if rung.claimed is None else f"{rung.claimed:.3g}")
         row.append({None: "-", True: "yes", False: "no"}[ladder.holds(rung)])
         row += [f"{rung.details[kind]:.3g}" for kind in kinds]
-        row += [f"{rung.seconds:.2f}", f"{rung.bytes:,}"]
+        row += [f"{rung.seconds:.3g}", f"{rung.bytes:,}"]
         row.append("-" if rung.triangles is None else f"{rung.triangles:,}")
         rows.append(row)
     lines = [f"Against: {ladder.reference}.", f"Claim: {ladder.claim}."]
@@ -109,7 +111,7 @@ def findings(report: LadderReport) -> str:
             factor, rung = max(broken, key=lambda one: one[0])
             lines.append(
                 f"- {ladder.name} ({ladder.what}): {len(broken)} of {len(ladder.rungs)} claims are "
-                f"exceeded, at most {factor:.3g} times (at {rung.value:g})"
+                f"exceeded, at most {factor:.4g} times (at {rung.value:g})"
             )
     if not lines:
         return "\nEvery claim made here bounds what was measured.\n"

@@ -1,11 +1,12 @@
-"""Renders the cfgs of configs/ into docs/pictures/, and the README's table of them.
+"""Renders the cfgs of configs/ into docs/pictures/, and the README's first picture and its table.
 
     python docs/make_gallery.py [--only NAME] [--spp 64] [--keep FOLDER]
 
 Each picture shows one frame as Mitsuba draws it, made smaller (64 samples per pixel become 114 per
-pixel shown), and one of its label levels beside it. Needs the extras "mitsuba" and "demo"; takes
-some minutes on two cores. With --keep, compiled stages and frames stay in FOLDER, and frames that
-are there are not made again.
+pixel shown), and one of its label levels beside it. The README's first picture is the contact sheet
+of jacksboro's samples, as ``make demo`` makes it with fewer samples per pixel. Needs the extras
+"mitsuba" and "demo"; takes some minutes on two cores. With --keep, compiled stages and frames stay
+in FOLDER, and frames that are there are not made again.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from PIL import Image, ImageDraw, ImageFont
 from scenec.backends.render import render
 from scenec.compiler.compile import compile_cfg
 from scenec.datasets.colors import label_colors, paint_labels
+from scenec.datasets.sheet import write_sheet
 from scenec.schemas.errors import ScenecError
 from scenec.schemas.files import atomic
 from scenec.schemas.frames import read_frame
@@ -31,6 +33,8 @@ from scenec.schemas.picture import develop
 ROOT = Path(__file__).resolve().parent.parent
 PICTURES = ROOT / "docs" / "pictures"
 README = ROOT / "README.md"
+#: The cfg of the README's first picture, and how many of its samples that shows.
+FIRST, ROWS = "jacksboro", 4
 BEGIN, END = "<!-- gallery -->", "<!-- /gallery -->"
 
 SEED = 1
@@ -38,6 +42,10 @@ WIDTH = 480
 _GAP = 8
 _LEGEND = 26
 _INK = (34, 34, 34)
+#: A color on this part of a picture at least fills areas.
+_AREA = 0.002
+#: So many of them at most.
+_FLAT = 128
 
 
 @dataclass(frozen=True)
@@ -126,11 +134,45 @@ def picture(entry: Entry, out: Path, spp: int) -> Image.Image:
     return sheet
 
 
+def first_picture(out: Path, spp: int) -> Image.Image:
+    """The contact sheet of the first samples, in an output folder named after the cfg.
+
+    Raises:
+        ScenecError: It cannot be compiled, or a frame could not be made.
+    """
+    compile_cfg(ROOT / "configs" / f"{FIRST}.json", seed=SEED, out=out)
+    report = render(out, "mitsuba", spp=spp, samples=range(ROWS))
+    if report.failed:
+        raise ScenecError(f"{FIRST}: {'; '.join(report.failed)}")
+    with tempfile.TemporaryDirectory() as folder:
+        path = write_sheet(out, Path(folder) / "sheet.png", count=ROWS).path
+        with Image.open(path) as sheet:
+            return sheet.convert("RGB")
+
+
 def save(sheet: Image.Image, path: Path) -> None:
-    """Writes a small PNG: a palette of 256 colors, dithered."""
-    small = sheet.quantize(256, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
+    """Writes a small PNG: a palette of 256 colors, dithered, or skies would have steps."""
+    small = sheet.quantize(palette=_palette(sheet), dither=Image.Dither.FLOYDSTEINBERG)
     with atomic(path) as temporary:
         small.save(temporary, format="PNG", optimize=True)
+
+
+def _palette(sheet: Image.Image) -> Image.Image:
+    """A picture of 256 colors: those that fill areas (paper, labels) exactly, the best others."""
+    pixels = np.asarray(sheet).reshape(-1, 3)
+    colors, of_pixel, counts = np.unique(pixels, axis=0, return_inverse=True, return_counts=True)
+    common = np.argsort(-counts, kind="stable")[:_FLAT]
+    flat = common[counts[common] >= _AREA * len(pixels)]
+    numbers: list[int] = colors[flat].ravel().tolist()
+    rest = pixels[~np.isin(of_pixel, flat)][None]
+    if rest.size:
+        others = Image.fromarray(rest).quantize(
+            256 - len(flat), method=Image.Quantize.MEDIANCUT, kmeans=5
+        )
+        numbers += others.getpalette() or []
+    palette = Image.new("P", (1, 1))
+    palette.putpalette(numbers)
+    return palette
 
 
 def table() -> str:
@@ -161,6 +203,11 @@ def rewrite(readme: str) -> str:
     return head + table() + tail
 
 
+def told(path: Path) -> None:
+    """Says what was made."""
+    print(f"{path.relative_to(ROOT)}: {path.stat().st_size / 1000:.0f} kB", flush=True)
+
+
 def main() -> int:
     """The command."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
@@ -179,7 +226,11 @@ def main() -> int:
                 print(f"{entry.name}: compiling and rendering", flush=True)
                 path = PICTURES / f"gallery_{entry.name}.png"
                 save(picture(entry, folder / entry.name, options.spp), path)
-                print(f"{path.relative_to(ROOT)}: {path.stat().st_size / 1000:.0f} kB", flush=True)
+                told(path)
+            if not options.only or FIRST in options.only:
+                print(f"{FIRST}: rendering its first {ROWS} samples", flush=True)
+                save(first_picture(folder / FIRST, options.spp), PICTURES / f"{FIRST}.png")
+                told(PICTURES / f"{FIRST}.png")
         README.write_text(rewrite(README.read_text()))
     except ScenecError as error:
         print(f"make_gallery: {error}", file=sys.stderr)

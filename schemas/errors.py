@@ -64,5 +64,9 @@ class BackendError(ScenecError):
     """A renderer that is not installed, cannot start, or failed on a frame."""
 
 
+class CameraRefusedError(BackendError):
+    """A camera that a renderer cannot draw, whatever the sample: others it may."""
+
+
 class OutputError(ScenecError):
     """An output folder or file that cannot be written."""

@@ -13,7 +13,6 @@ import hashlib
 import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +24,7 @@ from scenec.schemas.exr import read_exr
 from scenec.schemas.files import sha256
 from scenec.schemas.instances import frame_table_path
 from scenec.schemas.manifest import FRAMES
+from scenec.schemas.versions import version_of
 
 #: Version of the sidecar's shape.
 FRAME_VERSION = "1.6"
@@ -148,7 +148,7 @@ class FrameKey:
 
     def digest(self) -> str:
         """The resume key: sha256, hex."""
-        values = {"frame": FRAME_VERSION, "scenec": version("scenec"), **asdict(self)}
+        values = {"frame": FRAME_VERSION, "scenec": version_of(), **asdict(self)}
         return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
 
 

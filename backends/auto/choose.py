@@ -105,7 +105,11 @@ class _Choosing:
         self._say = say
         with WorkerProcess(limits=limits) as worker:
             reading = Wanted(
-                _READER, passes=wanted.passes, samples=wanted.samples, cameras=wanted.cameras
+                _READER,
+                passes=wanted.passes,
+                samples=wanted.samples,
+                denoise=wanted.denoise,
+                cameras=wanted.cameras,
             )
             jobs = Jobs(self._batch, reading)
             self._digest: str = jobs.open(worker, None)["digest"]

@@ -10,10 +10,10 @@ import numpy as np
 
 from scenec.backends.check.finding import Finding
 from scenec.backends.check.instances import check_batch_table, table_faults
-from scenec.backends.check.strays import Firing, strays
 from scenec.schemas.errors import FrameError
 from scenec.schemas.frames import Frame, read_frame
 from scenec.schemas.manifest import FRAMES
+from scenec.schemas.strays import Firing, strays
 
 _NO_FACE = 0xFFFFFFFF
 

@@ -14,7 +14,7 @@ from scenec.backends.cycles.built import PASSES, Built
 from scenec.backends.cycles.camera import Lens, find_lens, place
 from scenec.backends.cycles.planetary import has_laws
 from scenec.backends.render_scene import Camera, RenderScene
-from scenec.schemas.errors import BackendError
+from scenec.schemas.errors import BackendError, CameraRefusedError
 
 #: Measured against Mitsuba, which is exact: bumpy ground of the Moon's and of a strongly
 #: backscattering law, sun 10 to 40 degrees high, with an aureole of seven times the sky's radiance.
@@ -107,7 +107,7 @@ class Cycles:
         loaded = self._require_loaded()
         lens = find_lens(camera)
         if isinstance(lens, str):
-            raise BackendError(f"cycles: cannot draw {camera.path}: it has {lens}")
+            raise CameraRefusedError(f"cycles: cannot draw {camera.path}: it has {lens}")
         loaded.set_light(sample)
         loaded.pose(sample)
         place(loaded.scene, loaded.camera, camera, lens, loaded.frame)

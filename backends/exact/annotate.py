@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from scenec.backends.contract import Rays
@@ -17,22 +17,23 @@ from scenec.schemas.amodal import AMODAL
 from scenec.schemas.correspondence import CORRESPONDENCES
 from scenec.schemas.depth_camera import MEASURED
 from scenec.schemas.errors import BackendError
+from scenec.schemas.threads import over_threads
 
 #: ``face`` where a ray meets nothing.
 NO_FACE = 0xFFFFFFFF
 
 
-@njit(cache=True, error_model="numpy", parallel=True, nogil=True)
-def _gather(start, row, face, values, missing, out):  # type: ignore[no-untyped-def]
+@njit(cache=True, error_model="numpy", nogil=True)
+def _gather(first, last, start, row, face, values, missing, out):  # type: ignore[no-untyped-def]
     """A value per face, or ``missing`` where nothing is hit."""
-    for k in prange(row.shape[0]):
+    for k in range(first, last):
         out[k] = missing if row[k] < 0 else values[start[row[k]] + face[k]]
 
 
-@njit(cache=True, error_model="numpy", parallel=True, nogil=True)
-def _normals(g, directions, row, face, out):  # type: ignore[no-untyped-def]
+@njit(cache=True, error_model="numpy", nogil=True)
+def _normals(first, last, g, directions, row, face, out):  # type: ignore[no-untyped-def]
     """Geometric unit normals that face the ray, 0 where nothing is hit."""
-    for k in prange(row.shape[0]):
+    for k in range(first, last):
         out[k, 0] = 0.0
         out[k, 1] = 0.0
         out[k, 2] = 0.0
@@ -52,18 +53,18 @@ def _normals(g, directions, row, face, out):  # type: ignore[no-untyped-def]
         out[k, 2] = z / length
 
 
-@njit(cache=True, error_model="numpy", parallel=True, nogil=True)
-def _positions(origins, directions, t, out):  # type: ignore[no-untyped-def]
+@njit(cache=True, error_model="numpy", nogil=True)
+def _positions(first, last, origins, directions, t, out):  # type: ignore[no-untyped-def]
     """Hit points, NaN where nothing is hit."""
-    for k in prange(t.shape[0]):
+    for k in range(first, last):
         for i in range(3):
             out[k, i] = origins[k, i] + t[k] * directions[k, i] if t[k] < math.inf else math.nan
 
 
-@njit(cache=True, error_model="numpy", parallel=True, nogil=True)
-def _ranges(directions, t, out):  # type: ignore[no-untyped-def]
+@njit(cache=True, error_model="numpy", nogil=True)
+def _ranges(first, last, directions, t, out):  # type: ignore[no-untyped-def]
     """Distances along the ray, +inf where nothing is hit."""
-    for k in prange(t.shape[0]):
+    for k in range(first, last):
         d = directions[k]
         out[k] = t[k] * math.sqrt((d[0] * d[0] + d[1] * d[1]) + d[2] * d[2])
 
@@ -158,16 +159,16 @@ def annotate(
             out[name] = t.copy() if rays.depth is None else _depths(rays.depth, t)
         elif name == "range":
             out[name] = np.empty(n)
-            _ranges(rays.directions, t, out[name])
+            over_threads(_ranges, t.shape[0], rays.directions, t, out[name])
         elif name == "instance":
             ids = np.append(scene.rows.instance_id, np.uint32(0))
             out[name] = ids[row].astype(np.uint32)
         elif name == "normal":
             out[name] = np.empty((n, 3))
-            _normals(g, rays.directions, row, face, out[name])
+            over_threads(_normals, row.shape[0], g, rays.directions, row, face, out[name])
         elif name == "position":
             out[name] = np.empty((n, 3))
-            _positions(rays.origins, rays.directions, t, out[name])
+            over_threads(_positions, t.shape[0], rays.origins, rays.directions, t, out[name])
         else:
             missing = NO_FACE
             tables = [np.empty(0, np.uint32)]
@@ -187,7 +188,9 @@ def annotate(
                     for mesh in scene.meshes
                 ]
             out[name] = np.empty(n, np.uint32)
-            _gather(
+            over_threads(
+                _gather,
+                row.shape[0],
                 g.row_face,
                 row,
                 face,

@@ -17,8 +17,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
+
+from scenec.schemas.threads import over_threads
 
 NODE_WORDS = 16
 #: Entries in a range below which one thread builds it alone.
@@ -235,11 +237,11 @@ def build_range(  # type: ignore[no-untyped-def]
     return used, listed
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
-def build_tasks(boxes, order, tasks, nodes, links, leaf_size, leaf_cost):  # type: ignore[no-untyped-def]
+@njit(cache=True, error_model="numpy", nogil=True)
+def build_tasks(first, last, boxes, order, tasks, nodes, links, leaf_size, leaf_cost):  # type: ignore[no-untyped-def]
     """Build the ranges that ``build_range`` left, each into the nodes from its start on."""
     none = np.empty((0, 5), np.int64)
-    for i in prange(tasks.shape[0]):
+    for i in range(first, last):
         start, stop, depth, parent, side = tasks[i]
         if stop - start == 1:
             links[parent, 12 + side] = start
@@ -303,5 +305,7 @@ def build_forest(
         first += used
         lists.append(tasks[:listed])
     tasks = np.concatenate(lists) if lists else np.empty((0, 5), np.int64)
-    build_tasks(boxes, order, tasks, nodes, links, leaf_size, leaf_cost)
+    over_threads(
+        build_tasks, tasks.shape[0], boxes, order, tasks, nodes, links, leaf_size, leaf_cost
+    )
     return nodes, links, order, roots

@@ -12,13 +12,14 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from scenec.backends.exact.build import build_forest
 from scenec.backends.exact.twins import repeated_rows
 from scenec.backends.render_scene import RenderScene
 from scenec.schemas.errors import BackendError
+from scenec.schemas.threads import over_threads
 
 #: Rounding errors of a few hundred operations, in units of the magnitudes involved. What has to be
 #: covered is below 2**-43 (the error of barycentrics, see ``intersect``); the rest is reserve.
@@ -81,10 +82,10 @@ class Geometry(NamedTuple):
     face_twin: NDArray[np.bool_]
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
-def _face_boxes(points, faces, boxes):  # type: ignore[no-untyped-def]
+@njit(cache=True, error_model="numpy", nogil=True)
+def _face_boxes(first, last, points, faces, boxes):  # type: ignore[no-untyped-def]
     """Boxes of triangles given in float32: exact."""
-    for k in prange(faces.shape[0]):
+    for k in range(first, last):
         for i in range(3):
             a = points[faces[k, 0], i]
             b = points[faces[k, 1], i]
@@ -169,7 +170,7 @@ def build_geometry(scene: RenderScene) -> Geometry:
     own = np.flatnonzero(placed.used & ~placed.regular & stands)
 
     boxes = np.empty((len(faces) + int(counts[row_mesh[own]].sum()), 6), np.float32)
-    _face_boxes(points, faces, boxes)
+    over_threads(_face_boxes, faces.shape[0], points, faces, boxes)
     ranges = [(int(a), int(b)) for a, b in pairwise(face_start)]
     entry_face = [np.arange(len(faces), dtype=np.int32)]
     row_root = np.full(len(row_mesh), -1, np.int32)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from scenec.backends.contract import NO_ROW, Rays
@@ -12,11 +12,12 @@ from scenec.backends.exact.intersect import hit_parameter, ray_frame, row_matrix
 from scenec.backends.exact.moving import MovingRows
 from scenec.backends.exact.trace import trace_all
 from scenec.backends.render_scene import RenderScene
+from scenec.schemas.threads import over_threads
 
 
-@njit(cache=True, error_model="numpy", parallel=True, nogil=True)
-def _test_all(g, origins, directions, index, row, face, t):  # type: ignore[no-untyped-def]
-    for k in prange(index.shape[0]):
+@njit(cache=True, error_model="numpy", nogil=True)
+def _test_all(first, last, g, origins, directions, index, row, face, t):  # type: ignore[no-untyped-def]
+    for k in range(first, last):
         t[k] = np.inf
         if 0 <= row[k] < g.row_face.shape[0] and 0 <= face[k] < g.row_faces[row[k]]:
             frame = ray_frame(origins[index[k]], directions[index[k]])
@@ -111,5 +112,15 @@ class ExactCaster:
             t, float64 [k]; +inf where the triangle is missed.
         """
         t = np.empty(len(index))
-        _test_all(self.geometry, rays.origins, rays.directions, index, row, face, t)
+        over_threads(
+            _test_all,
+            index.shape[0],
+            self.geometry,
+            rays.origins,
+            rays.directions,
+            index,
+            row,
+            face,
+            t,
+        )
         return t

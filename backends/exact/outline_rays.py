@@ -18,6 +18,7 @@ from scenec.backends.exact.build import STACK_SIZE
 from scenec.backends.exact.bvh import Geometry
 from scenec.backends.exact.silhouette import _LANES, _meets
 from scenec.backends.exact.small_rows import _SLACK, _TILE, _cone, _unit, eye_of
+from scenec.schemas.threads import over_threads
 
 
 @njit(cache=True, error_model="numpy")
@@ -74,7 +75,7 @@ def frame_rows(geometry: Geometry, rows: NDArray[np.int64], rays: Rays) -> NDArr
     """
     height, width = rays.shape
     unit = np.empty_like(rays.directions)
-    _unit(rays.directions, unit)
+    over_threads(_unit, rays.directions.shape[0], rays.directions, unit)
     parts = np.zeros((len(rows), 4), np.int64)
     origin, spread = eye_of(rays)
     _windows(_widened(geometry, spread), rows, origin, unit, width, height, parts)
@@ -103,12 +104,29 @@ def _at_border(known, width, height, x, y):  # type: ignore[no-untyped-def]
     return False
 
 
-@njit(cache=True, error_model="numpy", parallel=True, nogil=True)
-def _outline(  # type: ignore[no-untyped-def]
-    g, spheres, rows, parts, firsts, order, windows, starts, middle, origins, directions, known,
-    width, height, marks, areas, bounded,
-):  # fmt: skip
-    for lane in prange(min(_LANES, order.shape[0])):
+@njit(cache=True, error_model="numpy", nogil=True)
+def _outline_part(  # type: ignore[no-untyped-def]
+    first,
+    last,
+    g,
+    spheres,
+    rows,
+    parts,
+    firsts,
+    order,
+    windows,
+    starts,
+    middle,
+    origins,
+    directions,
+    known,
+    width,
+    height,
+    marks,
+    areas,
+    bounded,
+):
+    for lane in range(first, last):
         stack = np.empty(2 * STACK_SIZE, np.int32)
         axis = np.empty(3)
         for at in range(lane, order.shape[0], _LANES):
@@ -141,6 +159,33 @@ def _outline(  # type: ignore[no-untyped-def]
             areas[n, 0] = inside
             areas[n, 1] = inside
             bounded[n] = whole
+
+
+def _outline(  # type: ignore[no-untyped-def]
+    g, spheres, rows, parts, firsts, order, windows, starts, middle, origins, directions, known,
+    width, height, marks, areas, bounded,
+):  # fmt: skip
+    over_threads(
+        _outline_part,
+        min(_LANES, order.shape[0]),
+        g,
+        spheres,
+        rows,
+        parts,
+        firsts,
+        order,
+        windows,
+        starts,
+        middle,
+        origins,
+        directions,
+        known,
+        width,
+        height,
+        marks,
+        areas,
+        bounded,
+    )
 
 
 def outline(

@@ -28,7 +28,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from scenec.backends.contract import NO_ROW, Rays, Visibility
@@ -45,6 +45,7 @@ from scenec.backends.exact.small_rows import mark_small_rows
 from scenec.backends.render_scene import Camera
 from scenec.backends.shutter import is_rolling
 from scenec.schemas.errors import BackendError
+from scenec.schemas.threads import over_threads
 
 MISSED, HAIR, SLIVER, TWIN, DISCONTINUITY, SMALL_ROW, AUDIT = 1, 2, 4, 8, 16, 32, 64
 _REASONS = {
@@ -137,10 +138,10 @@ def _largest(v):  # type: ignore[no-untyped-def]
     return max(abs(v[0]), max(abs(v[1]), abs(v[2])))
 
 
-@njit(cache=True, error_model="numpy", parallel=True, nogil=True)
-def _test_own(g, origins, directions, width, height, row, face, t, doubt):  # type: ignore[no-untyped-def]
+@njit(cache=True, error_model="numpy", nogil=True)
+def _test_own(first, last, g, origins, directions, width, height, row, face, t, doubt):  # type: ignore[no-untyped-def]
     """Test each pixel's reported face; broken reports become NO_ROW, doubts are noted."""
-    for y in prange(height):
+    for y in range(first, last):
         for x in range(width):
             k = y * width + x
             r = row[k]
@@ -188,10 +189,12 @@ def _continues(origins, directions, normal, k, j, t, pixel):  # type: ignore[no-
     return abs(t[j] - predicted) <= 2.0 * pixel + 0.5 * abs(predicted - t[k])
 
 
-@njit(cache=True, error_model="numpy", parallel=True, nogil=True)
-def _test_neighbors(g, origins, directions, width, height, row, face, t, doubt, suspect):  # type: ignore[no-untyped-def]
+@njit(cache=True, error_model="numpy", nogil=True)
+def _test_neighbors(  # type: ignore[no-untyped-def]
+    first, last, g, origins, directions, width, height, row, face, t, doubt, suspect
+):
     """Compare each undoubted pixel with its 3x3 window."""
-    for y in prange(height):
+    for y in range(first, last):
         for x in range(width):
             k = y * width + x
             suspect[k] = doubt[k]
@@ -317,8 +320,23 @@ def settle(
     face = visibility.face.astype(np.int32)
     t = np.empty(n)
     doubt = np.empty(n, np.uint8)
-    _test_own(g, rays.origins, rays.directions, width, height, row, face, t, doubt)
-    _test_neighbors(g, rays.origins, rays.directions, width, height, row, face, t, doubt, suspect)
+    over_threads(
+        _test_own, height, g, rays.origins, rays.directions, width, height, row, face, t, doubt
+    )
+    over_threads(
+        _test_neighbors,
+        height,
+        g,
+        rays.origins,
+        rays.directions,
+        width,
+        height,
+        row,
+        face,
+        t,
+        doubt,
+        suspect,
+    )
     if camera is None:
         suspect |= AUDIT
     elif camera.lens is not None or is_rolling(camera):

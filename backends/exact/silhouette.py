@@ -102,8 +102,8 @@ def _all_inside(g, row, k, pose, inverse, width, height):  # type: ignore[no-unt
     return True
 
 
-@njit(cache=True, error_model="numpy", parallel=True, nogil=True)
-def frame_rows(g, rows, boxes, k, pose, inverse, width, height, windows, whole):  # type: ignore[no-untyped-def]
+@njit(cache=True, error_model="numpy", nogil=True)
+def frame_rows(first, last, g, rows, boxes, k, pose, inverse, width, height, windows, whole):  # type: ignore[no-untyped-def]
     """Windows of pixels that hold the silhouettes of rows.
 
     Args:
@@ -124,7 +124,7 @@ def frame_rows(g, rows, boxes, k, pose, inverse, width, height, windows, whole):
     left, right = -MARGIN * width, (MARGIN + 1) * width
     top, bottom = -MARGIN * height, (MARGIN + 1) * height
     eye = abs(pose[0, 3]) + abs(pose[1, 3]) + abs(pose[2, 3])
-    for n in prange(rows.shape[0]):
+    for n in range(first, last):
         row = rows[n]
         windows[n] = 0
         whole[n] = True
@@ -175,8 +175,8 @@ def frame_rows(g, rows, boxes, k, pose, inverse, width, height, windows, whole):
         whole[n] = inside or _all_inside(g, row, k, pose, inverse, width, height)
 
 
-@njit(cache=True, error_model="numpy", parallel=True, nogil=True)
-def mark_shown(row, slot_of_row, seen_of_slot, width, windows, starts, marks):  # type: ignore[no-untyped-def]
+@njit(cache=True, error_model="numpy", nogil=True)
+def mark_shown(first, last, row, slot_of_row, seen_of_slot, width, windows, starts, marks):  # type: ignore[no-untyped-def]
     """Mark the pixels that show an instance.
 
     Args:
@@ -188,7 +188,7 @@ def mark_shown(row, slot_of_row, seen_of_slot, width, windows, starts, marks):  
         starts: Of their windows in ``marks``, -1 for none, int64 [n].
         marks: uint8, in place.
     """
-    for y in prange(row.shape[0] // width):
+    for y in range(first, last):
         for x in range(width):
             r = row[y * width + x]
             if r < 0 or slot_of_row[r] < 0:

@@ -9,10 +9,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from scenec.backends.contract import Rays
+from scenec.schemas.threads import over_threads
 
 _TILE = 16
 #: Tiles along the side of a block.
@@ -21,9 +22,9 @@ _BLOCK = 8
 _SLACK = 1e-12
 
 
-@njit(cache=True, error_model="numpy", parallel=True, nogil=True)
-def _unit(directions, out):  # type: ignore[no-untyped-def]
-    for k in prange(directions.shape[0]):
+@njit(cache=True, error_model="numpy", nogil=True)
+def _unit(first, last, directions, out):  # type: ignore[no-untyped-def]
+    for k in range(first, last):
         d = directions[k]
         length = math.sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2])
         for i in range(3):
@@ -92,13 +93,14 @@ def _may_touch(axis, half, sphere, eye, step, small_px):  # type: ignore[no-unty
     return True, math.cos(min(own, math.pi)) - _SLACK, distance - radius
 
 
-@njit(cache=True, error_model="numpy", parallel=True, nogil=True)
-def _mark(spheres, eye, directions, unit, width, height, t, small_px, reason, suspect):  # type: ignore[no-untyped-def]
+@njit(cache=True, error_model="numpy", nogil=True)
+def _mark_part(  # type: ignore[no-untyped-def]
+    first, last, spheres, eye, directions, unit, width, height, t, small_px, reason, suspect
+):
     origin = eye[0]
     side = _TILE * _BLOCK
     across = -(-width // side)
-    down = -(-height // side)
-    for b in prange(across * down):
+    for b in range(first, last):
         left, top = (b % across) * side, (b // across) * side
         right, bottom = min(left + side, width), min(top + side, height)
         whole = np.empty(5)
@@ -139,6 +141,26 @@ def _mark(spheres, eye, directions, unit, width, height, t, small_px, reason, su
                             suspect[k] |= reason
 
 
+def _mark(spheres, eye, directions, unit, width, height, t, small_px, reason, suspect):  # type: ignore[no-untyped-def]
+    side = _TILE * _BLOCK
+    across = -(-width // side)
+    down = -(-height // side)
+    over_threads(
+        _mark_part,
+        across * down,
+        spheres,
+        eye,
+        directions,
+        unit,
+        width,
+        height,
+        t,
+        small_px,
+        reason,
+        suspect,
+    )
+
+
 def eye_of(rays: Rays) -> tuple[NDArray[np.float64], float]:
     """Middle and radius of a ball that all origins of rays lie in; of one eye, that and 0."""
     first = np.ascontiguousarray(rays.origins[0])
@@ -172,7 +194,7 @@ def mark_small_rows(
     """
     height, width = rays.shape
     unit = np.empty_like(rays.directions)
-    _unit(rays.directions, unit)
+    over_threads(_unit, rays.directions.shape[0], rays.directions, unit)
     _mark(
         spheres, eye_of(rays), rays.directions, unit, width, height, t, small_px, np.uint8(reason),
         suspect,

@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from scenec.backends.exact.borrowed import borrowed
 from scenec.backends.exact.build import STACK_SIZE
 from scenec.backends.exact.bvh import ROUNDING
 from scenec.backends.exact.intersect import hit_parameter, ray_frame, row_matrix
+from scenec.schemas.threads import over_threads
 
 #: Rays a thread takes at a time.
 _CHUNK = 512
@@ -222,7 +223,17 @@ def _trace_some(  # type: ignore[no-untyped-def]
         )
 
 
-@njit(cache=True, error_model="numpy", parallel=True, nogil=True)
+@njit(cache=True, error_model="numpy", nogil=True)
+def _trace_all_part(first, last, g, origins, directions, index, row, face, t):  # type: ignore[no-untyped-def]
+    count = index.shape[0]
+    for chunk in range(first, last):
+        start = chunk * _CHUNK
+        stop = min(start + _CHUNK, count)
+        stack = np.empty(2 * STACK_SIZE, np.int32)
+        keys = np.empty(2 * STACK_SIZE, np.float64)
+        _trace_some(g, origins, directions, index, start, stop, row, face, t, stack, keys)
+
+
 def trace_all(g, origins, directions, index, row, face, t):  # type: ignore[no-untyped-def]
     """Improve the hits (row, face, t) of the rays named by ``index``, in place, all threads.
 
@@ -236,9 +247,6 @@ def trace_all(g, origins, directions, index, row, face, t):  # type: ignore[no-u
         t: Their parameters, float64 [k].
     """
     count = index.shape[0]
-    for chunk in prange((count + _CHUNK - 1) // _CHUNK):
-        start = chunk * _CHUNK
-        stop = min(start + _CHUNK, count)
-        stack = np.empty(2 * STACK_SIZE, np.int32)
-        keys = np.empty(2 * STACK_SIZE, np.float64)
-        _trace_some(g, origins, directions, index, start, stop, row, face, t, stack, keys)
+    over_threads(
+        _trace_all_part, (count + _CHUNK - 1) // _CHUNK, g, origins, directions, index, row, face, t
+    )

@@ -14,7 +14,7 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from scenec.backends.imaging import develop, optics, sensor
@@ -24,6 +24,7 @@ from scenec.backends.imaging.taken import Taken
 from scenec.backends.render_scene import Camera
 from scenec.schemas import imaging as formulas
 from scenec.schemas.imaging import Imaging
+from scenec.schemas.threads import over_threads
 
 _LUMINANCE = (0.2126, 0.7152, 0.0722)
 
@@ -192,13 +193,23 @@ def _without_noise(
 ) -> NDArray[np.float32]:
     """Numbers above black of all colors of each pixel, never rounded."""
     out = np.empty(light.shape, np.float32)
-    _expected(light, shade, how.weights, how.full_well_e, how.gain, how.largest - how.black, out)
+    over_threads(
+        _expected,
+        light.shape[0],
+        light,
+        shade,
+        how.weights,
+        how.full_well_e,
+        how.gain,
+        how.largest - how.black,
+        out,
+    )
     return out
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
-def _expected(light, shade, weights, full, gain, steps, out):  # type: ignore[no-untyped-def]
-    for line in prange(light.shape[0]):
+@njit(cache=True, error_model="numpy", nogil=True)
+def _expected(first, last, light, shade, weights, full, gain, steps, out):  # type: ignore[no-untyped-def]
+    for line in range(first, last):
         y = np.int64(line)
         for x in range(light.shape[1]):
             factor = shade[min(y, shade.shape[0] - 1), min(x, shade.shape[1] - 1)]
@@ -209,11 +220,9 @@ def _expected(light, shade, weights, full, gain, steps, out):  # type: ignore[no
                 out[y, x, color] = min(min(made, full) / gain, steps)
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
-def _log_luminance(rgb):  # type: ignore[no-untyped-def]
-    """Per row, the sum of logarithms of what is lit, and how much is."""
-    out = np.zeros((rgb.shape[0], 2))
-    for line in prange(rgb.shape[0]):
+@njit(cache=True, error_model="numpy", nogil=True)
+def _log_luminance_part(first, last, rgb, out):  # type: ignore[no-untyped-def]
+    for line in range(first, last):
         y = np.int64(line)
         for x in range(rgb.shape[1]):
             value = 0.0
@@ -223,4 +232,10 @@ def _log_luminance(rgb):  # type: ignore[no-untyped-def]
             if value > 0.0:
                 out[y, 0] += log(value)
                 out[y, 1] += 1.0
+
+
+def _log_luminance(rgb):  # type: ignore[no-untyped-def]
+    """Per row, the sum of logarithms of what is lit, and how much is."""
+    out = np.zeros((rgb.shape[0], 2))
+    over_threads(_log_luminance_part, rgb.shape[0], rgb, out)
     return out

@@ -11,11 +11,12 @@ from decimal import Decimal
 from functools import lru_cache
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from scenec.backends.imaging.sensor import COLORS
 from scenec.schemas.picture import SHOULDER
+from scenec.schemas.threads import over_threads
 
 #: Bits of a float32 below those that name its step: 128 steps between powers of two. The tone
 #: curve rises by less than 112 codes a factor of e, so no step has two edges between codes.
@@ -97,7 +98,9 @@ def develop(
     padded = _balanced(raw[:, :, 0], mosaic, black, (red, green, blue))
     matrix = (look.to_rec709 / look.white).astype(np.float32)
     most = np.float32(look.most)
-    _from_mosaic(padded, *_tables(mosaic, method), most, matrix, edges, starts, out)
+    over_threads(
+        _from_mosaic, len(out), padded, *_tables(mosaic, method), most, matrix, edges, starts, out
+    )
     return out
 
 
@@ -107,7 +110,7 @@ def develop_light(light: NDArray[np.float32], look: Look) -> NDArray[np.uint8]:
     out = np.empty(light.shape, np.uint8)
     matrix = (look.to_rec709 / look.white).astype(np.float32)
     balance, most = look.balance.astype(np.float32), np.float32(look.most)
-    _from_colors(light, balance, most, matrix, edges, starts, out)
+    over_threads(_from_colors, light.shape[0], light, balance, most, matrix, edges, starts, out)
     return out
 
 
@@ -160,7 +163,7 @@ def _balanced(
     h, w = raw.shape
     factors = np.array(balance)[np.array(COLORS[mosaic])].astype(np.float32)
     out = np.empty((h + 2 * _BORDER, w + 2 * _BORDER), np.float32)
-    _balance(raw, np.float32(black), factors, out)
+    over_threads(_balance, raw.shape[0] + 4, raw, np.float32(black), factors, out)
     return out
 
 
@@ -171,10 +174,10 @@ def _mirror(i: int, n: int) -> int:
     return i if i < n else 2 * n - 2 - i
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
-def _balance(raw, black, factors, out):  # type: ignore[no-untyped-def]
+@njit(cache=True, error_model="numpy", nogil=True)
+def _balance(first, last, raw, black, factors, out):  # type: ignore[no-untyped-def]
     h, w = raw.shape
-    for line in prange(h + 4):
+    for line in range(first, last):
         y = _mirror(np.int64(line) - 2, h)
         row = out[line]
         for i in range(2):
@@ -236,22 +239,39 @@ def _show(row, most, matrix, edges, starts, out):  # type: ignore[no-untyped-def
             out[x, c] = code + 1 if edges[code] <= row[x, c] else code
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
+@njit(cache=True, error_model="numpy", nogil=True)
 def _from_mosaic(  # type: ignore[no-untyped-def]
-    padded, colors, corrections, most, matrix, edges, starts, out
+    first,
+    last,
+    padded,
+    colors,
+    corrections,
+    most,
+    matrix,
+    edges,
+    starts,
+    out,
 ):
-    for line in prange(out.shape[0]):
+    for line in range(first, last):
         row = np.empty((out.shape[1], 3), np.float32)
         for i in range(2):
             _row_colors(padded, np.int64(line), i, colors, corrections, row)
         _show(row, most, matrix, edges, starts, out[line])
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
+@njit(cache=True, error_model="numpy", nogil=True)
 def _from_colors(  # type: ignore[no-untyped-def]
-    light, balance, most, matrix, edges, starts, out
+    first,
+    last,
+    light,
+    balance,
+    most,
+    matrix,
+    edges,
+    starts,
+    out,
 ):
-    for line in prange(light.shape[0]):
+    for line in range(first, last):
         row = np.empty((light.shape[1], 3), np.float32)
         for x in range(light.shape[1]):
             for c in range(3):

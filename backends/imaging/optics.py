@@ -14,11 +14,12 @@ from decimal import Decimal
 from functools import lru_cache
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from scenec.backends.rays import camera_rays
 from scenec.backends.render_scene import Camera
+from scenec.schemas.threads import over_threads
 
 #: Shares of the scattered light, and their Gaussians' standard deviations over the first one's:
 #: what is scattered falls about with the third power of the distance, as of a dusty lens.
@@ -105,7 +106,9 @@ def bloom(rgb: Picture, share: float, sigma_px: float) -> Picture:
     before, after = _row_sums(rgb).sum(axis=0), _sum(spread, rgb.shape if last else spread.shape)
     factor = share * np.divide(before, after, out=np.ones(3), where=after > 0.0)
     out = np.empty_like(rgb)
-    _mix(rgb, np.float32(1.0 - share), factor.astype(np.float32), spread, out)
+    over_threads(
+        _mix, rgb.shape[0], rgb, np.float32(1.0 - share), factor.astype(np.float32), spread, out
+    )
     return out
 
 
@@ -127,7 +130,7 @@ def light(rgb: Picture, shade: Picture) -> Picture:
         shade: [h, w], or [1, 1] where it is the same everywhere.
     """
     out = np.empty_like(rgb)
-    _shade(rgb, shade, out)
+    over_threads(_shade, rgb.shape[0], rgb, shade, out)
     return out
 
 
@@ -166,10 +169,10 @@ def _reflect(i: int, n: int) -> int:
     return i if i < n else 2 * n - 1 - i
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
-def _shade(rgb, shade, out):  # type: ignore[no-untyped-def]
+@njit(cache=True, error_model="numpy", nogil=True)
+def _shade(first, last, rgb, shade, out):  # type: ignore[no-untyped-def]
     one = shade.size == 1
-    for line in prange(rgb.shape[0]):
+    for line in range(first, last):
         for x in range(rgb.shape[1]):
             factor = shade[0, 0] if one else shade[line, x]
             for c in range(3):
@@ -178,12 +181,11 @@ def _shade(rgb, shade, out):  # type: ignore[no-untyped-def]
                 out[line, x, c] = value * factor
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
-def _halve(picture: Picture) -> Picture:
+@njit(cache=True, error_model="numpy", nogil=True)
+def _halve_part(first: int, last: int, picture: Picture, out: NDArray) -> None:
     h, w, _ = picture.shape
-    out = np.empty(((h + 1) // 2, (w + 1) // 2, 3), np.float32)
     quarter = np.float32(0.25)
-    for line in prange(out.shape[0]):
+    for line in range(first, last):
         y = 2 * np.int64(line)
         top, bottom = picture[y], picture[y + 1 if y + 1 < h else y]
         for x in range(w // 2):
@@ -193,15 +195,25 @@ def _halve(picture: Picture) -> Picture:
         if w % 2:
             for c in range(3):
                 out[line, w // 2, c] = np.float32(0.5) * (top[w - 1, c] + bottom[w - 1, c])
+
+
+def _halve(picture: Picture) -> Picture:
+    h, w, _ = picture.shape
+    out = np.empty(((h + 1) // 2, (w + 1) // 2, 3), np.float32)
+    over_threads(_halve_part, out.shape[0], picture, out)
     return out
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
+@njit(cache=True, error_model="numpy", nogil=True)
+def _double_part(first: int, last: int, picture: Picture, h: int, out: NDArray) -> None:
+    for line in range(first, last):
+        _double_line(picture, np.int64(line), out[line])
+
+
 def _double(picture: Picture, h: int, w: int) -> Picture:
     """Twice as large, linear between centers: 3/4 of the nearer one, 1/4 of the farther."""
     out = np.empty((h, w, 3), np.float32)
-    for line in prange(h):
-        _double_line(picture, np.int64(line), out[line])
+    over_threads(_double_part, h, picture, h, out)
     return out
 
 
@@ -231,13 +243,19 @@ def _blur(picture: Picture, taps: Picture) -> Picture:
     """Down and along, mirrored at the edges."""
     out = np.empty_like(picture)
     # As lines of numbers, which loops run along faster than along colors.
-    _blur_lines(picture.reshape(len(picture), -1), taps, out.reshape(len(picture), -1))
+    over_threads(
+        _blur_lines,
+        (picture.reshape(len(picture), -1)).shape[0],
+        picture.reshape(len(picture), -1),
+        taps,
+        out.reshape(len(picture), -1),
+    )
     return out
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
-def _blur_lines(picture, taps, out):  # type: ignore[no-untyped-def]
-    for line in prange(picture.shape[0]):
+@njit(cache=True, error_model="numpy", nogil=True)
+def _blur_lines(first, last, picture, taps, out):  # type: ignore[no-untyped-def]
+    for line in range(first, last):
         _blur_line(picture, np.int64(line), taps, out[line])
 
 
@@ -266,9 +284,9 @@ def _add(row, weight, out):  # type: ignore[no-untyped-def]
         out[x] += weight * row[x]
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
-def _mix(rgb, kept, factor, spread, out):  # type: ignore[no-untyped-def]
-    for line in prange(rgb.shape[0]):
+@njit(cache=True, error_model="numpy", nogil=True)
+def _mix(first, last, rgb, kept, factor, spread, out):  # type: ignore[no-untyped-def]
+    for line in range(first, last):
         _mix_line(rgb, np.int64(line), kept, factor, spread, out)
 
 
@@ -287,15 +305,19 @@ def _mix_line(rgb, y, kept, factor, spread, out):  # type: ignore[no-untyped-def
             row[x, c] = kept * rgb[y, x, c] + factor[c] * row[x, c]
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
-def _row_sums(picture: Picture) -> NDArray[np.float64]:
-    """Of each row and channel, float64 [h, 3]: one order whatever the number of threads."""
-    out = np.zeros((picture.shape[0], 3))
-    for line in prange(picture.shape[0]):
+@njit(cache=True, error_model="numpy", nogil=True)
+def _row_sums_part(first: int, last: int, picture: Picture, out: NDArray) -> None:
+    for line in range(first, last):
         r = g = b = 0.0
         for x in range(picture.shape[1]):
             r += picture[line, x, 0]
             g += picture[line, x, 1]
             b += picture[line, x, 2]
         out[line, 0], out[line, 1], out[line, 2] = r, g, b
+
+
+def _row_sums(picture: Picture) -> NDArray[np.float64]:
+    """Of each row and channel, float64 [h, 3]: one order whatever the number of threads."""
+    out = np.zeros((picture.shape[0], 3))
+    over_threads(_row_sums_part, picture.shape[0], picture, out)
     return out

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from scenec.backends.imaging.chance import (
@@ -29,6 +29,7 @@ from scenec.backends.imaging.chance import (
     quantiles,
     unit,
 )
+from scenec.schemas.threads import over_threads
 
 #: Last word of the counter: what is drawn. Words of a pattern: PRNU, DSNU, whether hot or dead, how
 #: hot; of noise, for two neighbors in a row: shot, read, shot, read.
@@ -144,19 +145,18 @@ def expose(
     out = np.empty(sensor.gain.shape, np.uint16)
     arrays = rgb, shade, how.weights, colors, sensor.gain, sensor.offset, out
     words = np.uint64(sample), np.uint64(key)
-    _expose(*arrays, *words, numbers, how.shot, quantiles())
+    over_threads(_expose, len(out), *arrays, *words, numbers, how.shot, quantiles())
     if len(sensor.hot):
         more = sensor.rate * how.time_s
         _expose_hot(*arrays, *words, numbers, how.shot, quantiles(), sensor.hot, more)
     return out
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
-def _pattern(key, h, w, planes, prnu, dsnu_e, hot, hot_rate, dead, table):  # type: ignore[no-untyped-def]
-    gain = np.empty((h, w, planes), np.float32)
-    offset = np.empty((h, w, planes), np.float32)
-    rate = np.zeros((h, w, planes), np.float32)
-    for line in prange(h):
+@njit(cache=True, error_model="numpy", nogil=True)
+def _pattern_part(  # type: ignore[no-untyped-def]
+    first, last, key, h, w, planes, prnu, dsnu_e, hot, hot_rate, dead, table, gain, offset, rate
+):
+    for line in range(first, last):
         y = np.int64(line)
         for x in range(w):
             for p in range(planes):
@@ -168,6 +168,29 @@ def _pattern(key, h, w, planes, prnu, dsnu_e, hot, hot_rate, dead, table):  # ty
                 offset[y, x, p] = dsnu_e * normal(b, table)
                 if chosen < hot:
                     rate[y, x, p] = -hot_rate * log(unit(d))
+
+
+def _pattern(key, h, w, planes, prnu, dsnu_e, hot, hot_rate, dead, table):  # type: ignore[no-untyped-def]
+    gain = np.empty((h, w, planes), np.float32)
+    offset = np.empty((h, w, planes), np.float32)
+    rate = np.zeros((h, w, planes), np.float32)
+    over_threads(
+        _pattern_part,
+        h,
+        key,
+        h,
+        w,
+        planes,
+        prnu,
+        dsnu_e,
+        hot,
+        hot_rate,
+        dead,
+        table,
+        gain,
+        offset,
+        rate,
+    )
     return gain, offset, rate
 
 
@@ -194,11 +217,24 @@ def electrons(r, g, b, r_weight, g_weight, b_weight):  # type: ignore[no-untyped
     return max(r_weight * r + g_weight * g + b_weight * b, 0.0)
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
+@njit(cache=True, error_model="numpy", nogil=True)
 def _expose(  # type: ignore[no-untyped-def]
-    rgb, shade, weights, colors, gain, offset, out, sample, key, n, shot, table
+    first,
+    last,
+    rgb,
+    shade,
+    weights,
+    colors,
+    gain,
+    offset,
+    out,
+    sample,
+    key,
+    n,
+    shot,
+    table,
 ):
-    for line in prange(out.shape[0]):
+    for line in range(first, last):
         _expose_line(
             np.int64(line), rgb, shade, weights, colors, gain, offset, out, sample, key, n, shot,
             table,

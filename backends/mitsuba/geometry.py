@@ -10,12 +10,13 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from scenec.backends.mitsuba.corners import vertex_uv
 from scenec.backends.posing import moving
 from scenec.backends.render_scene import DEFAULT_SURFACE, RenderScene, Surface
+from scenec.schemas.threads import over_threads
 
 
 @dataclass(frozen=True)
@@ -133,16 +134,25 @@ def flatten(scene: RenderScene, group: Group, center: NDArray[np.float64]) -> Fl
         rows = group.rows[parts]
         to_world = scene.rows.to_world[rows]
         first = group.first_vertex[parts]
-        _place_points(mesh.points, to_world, center, first, points)
-        _place_faces(mesh.faces, to_world, first, group.first_face[parts], faces)
+        over_threads(_place_points, len(first), mesh.points, to_world, center, first, points)
+        over_threads(
+            _place_faces, len(first), mesh.faces, to_world, first, group.first_face[parts], faces
+        )
         if normals is not None and mesh.normals is not None:
-            _place_normals(mesh.normals, to_world, first, normals)
+            over_threads(_place_normals, len(first), mesh.normals, to_world, first, normals)
         if variation is not None and mesh.variation is not None:
-            _place_scalars(mesh.variation, first, variation)
+            over_threads(_place_scalars, len(first), mesh.variation, first, variation)
         if row_variation is not None:
-            _place_rows(scene.rows.variation[rows], len(mesh.points), first, row_variation)
+            over_threads(
+                _place_rows,
+                len(first),
+                scene.rows.variation[rows],
+                len(mesh.points),
+                first,
+                row_variation,
+            )
         for merge in range(len(surfaces) - 1):
-            _place_scalars(mesh.weights[merge], first, weights[merge])
+            over_threads(_place_scalars, len(first), mesh.weights[merge], first, weights[merge])
     projections = {s.maps.projection for s in surfaces if s.maps is not None}
     texcoords = None
     if "uv" in projections:
@@ -160,8 +170,12 @@ def _place_uv(scene: RenderScene, group: Group) -> NDArray[np.float32]:
     for mesh_index, parts in _parts_by_mesh(scene, group):
         uv = vertex_uv(scene.meshes[mesh_index])
         for axis in range(2):
-            _place_scalars(
-                np.ascontiguousarray(uv[:, axis]), group.first_vertex[parts], columns[axis]
+            over_threads(
+                _place_scalars,
+                len(parts),
+                np.ascontiguousarray(uv[:, axis]),
+                group.first_vertex[parts],
+                columns[axis],
             )
     return np.ascontiguousarray(columns.T)
 
@@ -174,9 +188,9 @@ def _parts_by_mesh(scene: RenderScene, group: Group) -> Iterator[tuple[int, NDAr
         yield int(mesh), parts
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
-def _place_points(points, to_world, center, first, out):  # type: ignore[no-untyped-def]
-    for part in prange(len(first)):
+@njit(cache=True, error_model="numpy", nogil=True)
+def _place_points(begin, end, points, to_world, center, first, out):  # type: ignore[no-untyped-def]
+    for part in range(begin, end):
         m = to_world[part]
         o = first[part]
         for i in range(len(points)):
@@ -186,9 +200,9 @@ def _place_points(points, to_world, center, first, out):  # type: ignore[no-unty
                 out[o + i, k] = value - center[k]
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
-def _place_faces(faces, to_world, first, first_face, out):  # type: ignore[no-untyped-def]
-    for part in prange(len(first)):
+@njit(cache=True, error_model="numpy", nogil=True)
+def _place_faces(begin, end, faces, to_world, first, first_face, out):  # type: ignore[no-untyped-def]
+    for part in range(begin, end):
         m = to_world[part]
         det = (
             m[0, 0] * (m[1, 1] * m[2, 2] - m[1, 2] * m[2, 1])
@@ -205,9 +219,9 @@ def _place_faces(faces, to_world, first, first_face, out):  # type: ignore[no-un
             out[q + i, 2] = o + faces[i, c]
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
-def _place_normals(normals, to_world, first, out):  # type: ignore[no-untyped-def]
-    for part in prange(len(first)):
+@njit(cache=True, error_model="numpy", nogil=True)
+def _place_normals(begin, end, normals, to_world, first, out):  # type: ignore[no-untyped-def]
+    for part in range(begin, end):
         m = to_world[part]
         # The cofactor matrix is det * inverse transpose, and needs no inverse.
         c = np.empty((3, 3))
@@ -232,16 +246,16 @@ def _place_normals(normals, to_world, first, out):  # type: ignore[no-untyped-de
             out[o + i, 2] = nz
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
-def _place_rows(values, count, first, out):  # type: ignore[no-untyped-def]
-    for part in prange(len(first)):
+@njit(cache=True, error_model="numpy", nogil=True)
+def _place_rows(begin, end, values, count, first, out):  # type: ignore[no-untyped-def]
+    for part in range(begin, end):
         for i in range(count):
             out[first[part] + i] = values[part]
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
-def _place_scalars(values, first, out):  # type: ignore[no-untyped-def]
-    for part in prange(len(first)):
+@njit(cache=True, error_model="numpy", nogil=True)
+def _place_scalars(begin, end, values, first, out):  # type: ignore[no-untyped-def]
+    for part in range(begin, end):
         o = first[part]
         for i in range(len(values)):
             out[o + i] = values[i]

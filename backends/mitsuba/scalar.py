@@ -18,7 +18,7 @@ from scenec.backends.mitsuba.emitter import dome_dict
 from scenec.backends.mitsuba.geometry import Group
 from scenec.backends.render_scene import Camera, Lamp, Lighting, Sun
 from scenec.backends.sky import MIN_SUN_DIAMETER_RAD, combine
-from scenec.schemas.errors import BackendError
+from scenec.schemas.errors import CameraRefusedError
 
 #: Half angle of the widest of Mitsuba's spots, radians.
 WIDEST_SPOT = np.radians(89.0)
@@ -141,7 +141,7 @@ def lamp_losses(lamps: Sequence[Lamp]) -> list[str]:
 def _sensor(mi: Any, camera: Camera, center: NDArray[np.float64], far: float) -> dict[str, Any]:
     k = camera.intrinsics
     if abs(k[0, 0] - k[1, 1]) > 1e-6 * k[0, 0] or k[0, 1] != 0.0:
-        raise BackendError(
+        raise CameraRefusedError(
             f"camera {camera.name}: scalar_rgb draws square pixels only (fx = {k[0, 0]:g}, "
             f"fy = {k[1, 1]:g}, skew = {k[0, 1]:g}). Mend it with: pip install llvm-nanobind"
         )

@@ -29,7 +29,7 @@ from scenec.backends.pyrender.lighting import CASCADES, DARK, fit_shadow_maps, l
 from scenec.backends.pyrender.tables import Tables, make_tables, place_maps
 from scenec.backends.pyrender.tiles import without_glow
 from scenec.backends.render_scene import Camera, RenderScene, Sun
-from scenec.schemas.errors import BackendError
+from scenec.schemas.errors import BackendError, CameraRefusedError
 
 if TYPE_CHECKING:
     from scenec.backends.pyrender.renderer import Renderer
@@ -293,7 +293,7 @@ def bands(camera: Camera, side: int, largest: int) -> list[tuple[int, int]]:
         BackendError: The picture is wider than that.
     """
     if camera.width * side > largest:
-        raise BackendError(
+        raise CameraRefusedError(
             f"pyrender: {camera.width} pixels of {side} samples across are more than this OpenGL's "
             f"{largest}; use fewer samples or a narrower picture"
         )

@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.incremental.memo import memoized
 from scenec.compiler.terrain.grid import HeightField
+from scenec.schemas.threads import over_threads
 
 # Blocks have at least so many cells along a side, and more where the work, which grows as the eyes
 # times the blocks to the power 3/2, would take more than a second.
@@ -46,22 +47,35 @@ def hidden_blocks(
     x0, y0, dx, dy = field.frame()
     frame = np.array([x0, y0, cells * dx, cells * dy])
     hidden = np.zeros((len(eyes), *low.shape), np.bool_)
-    _find(_lowest_around(low) - margin_m, high + margin_m, frame, eyes, hidden)
+    over_threads(
+        _find,
+        len(eyes) * low.shape[0],
+        _lowest_around(low) - margin_m,
+        high + margin_m,
+        frame,
+        eyes,
+        hidden,
+    )
     return hidden, frame
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
-def _extremes(height, cells):  # type: ignore[no-untyped-def]
-    """Lowest and highest sample of each block, those on its border included."""
+@njit(cache=True, error_model="numpy", nogil=True)
+def _extremes_part(first, last, height, cells, low, high):  # type: ignore[no-untyped-def]
     ny, nx = height.shape
-    low = np.full((-(-(ny - 1) // cells), -(-(nx - 1) // cells)), np.inf)
-    high = np.full(low.shape, -np.inf)
-    for j in prange(low.shape[0]):
+    for j in range(first, last):
         for row in range(j * cells, min((j + 1) * cells + 1, ny)):
             for i in range(low.shape[1]):
                 for column in range(i * cells, min((i + 1) * cells + 1, nx)):
                     low[j, i] = min(low[j, i], height[row, column])
                     high[j, i] = max(high[j, i], height[row, column])
+
+
+def _extremes(height, cells):  # type: ignore[no-untyped-def]
+    """Lowest and highest sample of each block, those on its border included."""
+    ny, nx = height.shape
+    low = np.full((-(-(ny - 1) // cells), -(-(nx - 1) // cells)), np.inf)
+    high = np.full(low.shape, -np.inf)
+    over_threads(_extremes_part, low.shape[0], height, cells, low, high)
     return low, high
 
 
@@ -75,14 +89,14 @@ def _lowest_around(low: NDArray[np.float64]) -> NDArray[np.float64]:
     )
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
-def _find(low, high, blocks, eyes, hidden):  # type: ignore[no-untyped-def]
+@njit(cache=True, error_model="numpy", nogil=True)
+def _find(first, last, low, high, blocks, eyes, hidden):  # type: ignore[no-untyped-def]
     rows, columns = low.shape
     wide, tall = blocks[2], blocks[3]
     # Half of a block's diagonal, and the length of a step: no block is stepped over.
     reach = 0.5 * np.sqrt(wide * wide + tall * tall)
     step = min(wide, tall)
-    for n in prange(len(eyes) * rows):
+    for n in range(first, last):
         c = n // rows
         j = n % rows
         ex, ey, ez = eyes[c]

@@ -134,7 +134,8 @@ def way_of(pose: RandomTargetPlan | TrackPlan | Motion, built: Built, around: Ar
         rising = np.sort(within, kind="stable")
         rising = rising[np.append(True, rising[1:] > rising[:-1])]
         sampled = dataclasses.replace(motion, sampling=Sampling(times_s=tuple(rising.tolist())))
-        made = sampled.built(dataclasses.replace(around, what=what, samples=len(rising)))
+        there = dataclasses.replace(around, what=what, samples=len(rising), exposing=True)
+        made = sampled.built(there)
         return np.asarray(made.to_world[np.searchsorted(rising, within)])
 
     return Way(at, built.times)

@@ -6,7 +6,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.cameras.hidden import hidden_blocks
@@ -16,6 +16,7 @@ from scenec.compiler.cameras.poses import camera_poses, compose
 from scenec.compiler.incremental.memo import memoized
 from scenec.compiler.rig import Rig
 from scenec.compiler.terrain.grid import HeightField
+from scenec.schemas.threads import POINTS, over_threads
 
 #: Views reach this far beyond their picture's border, in parts of its size: what lies just outside
 #: is seen from the next pixel's corner, and casts the nearest shadows.
@@ -107,7 +108,9 @@ def pixels_per_meter(field: HeightField, views: Views, unseen: float) -> NDArray
     """
     out = np.zeros(field.grid.shape)
     if len(views.poses):
-        _nearest_views(
+        over_threads(
+            _nearest_views,
+            len(field.height),
             *views,
             field.grid.x(),
             field.grid.y(),
@@ -138,7 +141,9 @@ def pixels_of_balls(
         float64 [n].
     """
     out = np.zeros(len(points))
-    _of_balls(*views, points, radius, unseen, nearest_m, out)
+    over_threads(
+        _of_balls, len(points), *views, points, radius, unseen, nearest_m, out, least=POINTS
+    )
     return out
 
 
@@ -212,16 +217,20 @@ def _pixels(poses, numbers, hidden, blocks, cones, x, y, z, radius, unseen, near
     return best
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
-def _of_balls(poses, numbers, hidden, blocks, cones, points, radius, unseen, nearest, out):  # type: ignore[no-untyped-def]
-    for n in prange(len(points)):
+@njit(cache=True, error_model="numpy", nogil=True)
+def _of_balls(  # type: ignore[no-untyped-def]
+    first, last, poses, numbers, hidden, blocks, cones, points, radius, unseen, nearest, out
+):
+    for n in range(first, last):
         x, y, z = points[n]
         out[n] = _pixels(poses, numbers, hidden, blocks, cones, x, y, z, radius[n], unseen, nearest)
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
-def _nearest_views(poses, numbers, hidden, blocks, cones, x, y, height, unseen, nearest, out):  # type: ignore[no-untyped-def]
-    for j in prange(y.size):
+@njit(cache=True, error_model="numpy", nogil=True)
+def _nearest_views(  # type: ignore[no-untyped-def]
+    first, last, poses, numbers, hidden, blocks, cones, x, y, height, unseen, nearest, out
+):
+    for j in range(first, last):
         for i in range(x.size):
             out[j, i] = _pixels(
                 poses,

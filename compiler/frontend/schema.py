@@ -44,7 +44,13 @@ def _registry() -> Registry:
 
 def validator(schema: Mapping[str, Any] | None = None) -> Draft202012Validator:
     """A validator of the whole cfg, or of one schema that may refer to the cfg's."""
-    return Draft202012Validator({"$ref": ROOT} if schema is None else schema, registry=_registry())
+    # Evolved: a validator made anew puts all schemas into a registry of its own.
+    return _whole() if schema is None else _whole().evolve(schema=schema)
+
+
+@cache
+def _whole() -> Draft202012Validator:
+    return Draft202012Validator({"$ref": ROOT}, registry=_registry())
 
 
 @dataclass(frozen=True)

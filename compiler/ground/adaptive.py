@@ -16,8 +16,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
+
+from scenec.schemas.threads import over_threads
 
 #: Cells along a leg of the coarsest triangles; a power of two.
 ROOT_CELLS = 128
@@ -66,7 +68,7 @@ def vertex_errors(
     s = 1
     while s < ROOT_CELLS:
         for center in (False, True):
-            _level_errors(
+            over_threads(_level_errors, errors.shape[0] // s + 1,
                 channels.values, channels.kind, channels.lateral, pixels_per_m, cell_m,
                 tolerance_px, s, center, errors,
             )  # fmt: skip
@@ -156,10 +158,10 @@ def _triangle_error(values, kind, lateral, ppm, cell, tol, ax, ay, bx, by, cx, c
     return worst
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
-def _level_errors(values, kind, lateral, ppm, cell, tol, s, center, errors):  # type: ignore[no-untyped-def]
+@njit(cache=True, error_model="numpy", nogil=True)
+def _level_errors(first, last, values, kind, lateral, ppm, cell, tol, s, center, errors):  # type: ignore[no-untyped-def]
     rows, columns = errors.shape
-    for b in prange(rows // s + 1):
+    for b in range(first, last):
         j = b * s
         if j >= rows:
             continue
@@ -229,14 +231,10 @@ def _close_level(active, s, center):  # type: ignore[no-untyped-def]
                         active[j, i + s] = True
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
-def _leaves(active, ny, nx, faces, first):  # type: ignore[no-untyped-def]
-    """Walk down from every root square; count its leaves, and write them if there is room."""
-    rows, columns = active.shape
-    across = (columns - 1) // 128
-    down = (rows - 1) // 128
-    counts = np.zeros(across * down, np.int64)
-    for square in prange(across * down):
+@njit(cache=True, error_model="numpy", nogil=True)
+def _leaves_part(begin, end, active, ny, nx, faces, first, counts):  # type: ignore[no-untyped-def]
+    across = (active.shape[1] - 1) // 128
+    for square in range(begin, end):
         half = 64
         i = (square % across) * 128 + half
         j = (square // across) * 128 + half
@@ -279,4 +277,13 @@ def _leaves(active, ny, nx, faces, first):  # type: ignore[no-untyped-def]
                     faces[f, 1], faces[f, 2] = cy * nx + cx, by * nx + bx
             found += 1
         counts[square] = found
+
+
+def _leaves(active, ny, nx, faces, first):  # type: ignore[no-untyped-def]
+    """Walk down from every root square; count its leaves, and write them if there is room."""
+    rows, columns = active.shape
+    across = (columns - 1) // 128
+    down = (rows - 1) // 128
+    counts = np.zeros(across * down, np.int64)
+    over_threads(_leaves_part, across * down, active, ny, nx, faces, first, counts)
     return counts

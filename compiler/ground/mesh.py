@@ -91,6 +91,7 @@ def adaptive_mesh(
     while True:
         tolerance, faces = _within_budget(errors, field.grid.shape, meshing, tolerance)
         mesh, finer = _mesh(field, faces), None
+        reached, worst_m, rms_m = _measured(field, faces, pixels_per_m)
         if not surface.smooth:
             break
         limits = Limits(
@@ -107,7 +108,6 @@ def adaptive_mesh(
         tolerance *= factor
         # Each try is a whole mesh: far off, their number must stay small.
         factor = min(factor * factor, _LEAP)
-    reached, worst_m, rms_m = _measured(field, faces, pixels_per_m)
     return mesh, {
         "tolerance_px": meshing.tolerance_px,
         "budget_bound": tolerance > meshing.tolerance_px,

@@ -10,6 +10,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.cameras.sight import NEAREST_M, Views, pixels_of_balls
+from scenec.compiler.ground.bend import bends, of_faces
+from scenec.compiler.ground.between import INSIDE, Known, Sampled, measured
 from scenec.compiler.ground.bisect import Bisectable, Halved, halve, newest_first
 from scenec.compiler.ground.cut import CutMesh
 from scenec.compiler.ground.surface import Surface
@@ -21,9 +23,6 @@ _UNRESOLVED = 0.35
 _SLACK = 0.9
 #: Slope, from crest to trough, beyond which such detail is taken for rough no more.
 _STEEP = 0.5
-# Fractions of the golden ratio's plastic cousin: where a triangle is checked differs from the next.
-_STEP = (0.7548776662466927, 0.5698402909980532)
-_CHECKS = 200_000
 
 
 @dataclass(frozen=True)
@@ -84,8 +83,8 @@ def refine(
         limits: When to stop.
 
     Returns:
-        The mesh, and the error left: measured at points inside of its faces. None if it has more
-        triangles than are allowed.
+        The mesh, and the error left: measured at points inside of its faces, and bounded. None if
+        it has more triangles than are allowed.
     """
     work = _start(mesh, surface, views, limits)
     while len(work.mesh.faces) <= limits.max_triangles:
@@ -126,7 +125,8 @@ def _doubtful(work: _Work, surface: Surface, views: Views, limits: Limits) -> ND
     pixels = pixels_of_balls(views, center, radius, limits.unseen, min(NEAREST_M, limits.finest_m))
     field = surface.field
     bend = _bends(field.height, work.points, work.mesh.faces, *field.frame())
-    off = _finer(work, work.mesh.faces, np.full(len(leg), np.inf), surface) + bend
+    detail = _finer(work, work.mesh.faces, np.full(len(leg), np.inf), surface)
+    off = detail + bend
     crossed = np.zeros(len(leg), bool)
     for side in work.sides.T:
         above = side[work.mesh.faces] >= 0.0
@@ -222,7 +222,11 @@ def _halved(work: _Work, halved: Halved, surface: Surface) -> _Work:
 
 
 def _finish(
-    coarse: CutMesh, work: _Work, surface: Surface, views: Views, limits: Limits
+    coarse: CutMesh,
+    work: _Work,
+    surface: Surface,
+    views: Views,
+    limits: Limits,
 ) -> tuple[CutMesh, dict[str, Any]]:
     faces = work.mesh.faces
     normals = np.zeros((len(work.points), 3))
@@ -239,36 +243,54 @@ def _finish(
         above=np.zeros((0, len(faces)), bool),
         normals=normals,
     )
-    _, _, leg = _balls(work.points, faces)
+    center, radius, leg = _balls(work.points, faces)
+    nearest = min(NEAREST_M, limits.finest_m)
+    pixels = pixels_of_balls(views, center, radius, limits.unseen, nearest)
+    known = _known(work, surface, radius, leg, pixels)
+    sampled = Sampled(work.points, faces, surface, views, limits.unseen, nearest)
     return mesh, {
         "triangles": len(faces),
         "triangles_refined": int(work.refined.sum()),
         "finest_leg_m": float(leg.min()),
-        **_checked(work, surface, views, limits),
+        **measured(sampled, known),
     }
 
 
-def _checked(work: _Work, surface: Surface, views: Views, limits: Limits) -> dict[str, Any]:
-    """Error at one point inside of each of many faces, spread over the mesh."""
-    faces = work.mesh.faces[:: max(1, len(work.mesh.faces) // _CHECKS)]
-    count = np.arange(1, len(faces) + 1)
-    u, v = ((count * step) % 1.0 for step in _STEP)
-    over = u + v > 1.0
-    u, v = np.where(over, 1.0 - u, u), np.where(over, 1.0 - v, v)
-    a, b, c = (work.points[faces[:, k]] for k in range(3))
-    at = a + u[:, None] * (b - a) + v[:, None] * (c - a)
-    x, y = np.ascontiguousarray(at[:, :2].T)
-    error = np.abs(surface.height_at(x, y) - at[:, 2])
-    pixels = pixels_of_balls(views, at, np.zeros(len(at)), limits.unseen, NEAREST_M)
-    shown = error * pixels
-    order = np.sort(shown, kind="stable")
-    return {
-        "checked_points": len(faces),
-        "surface_error_max_px": float(order[-1]),
-        "surface_error_99_9_px": float(order[int(0.999 * (len(order) - 1))]),
-        "surface_error_rms_px": float(np.sqrt((shown * shown).mean())),
-        "surface_error_max_m": float(error.max()),
-    }
+def _known(
+    work: _Work,
+    surface: Surface,
+    radius: NDArray[np.float64],
+    leg: NDArray[np.float64],
+    pixels: NDArray[np.float64],
+) -> Known:
+    """What faces can be off by.
+
+    Those of whole cells and halves of cells: by as much as at the samples in them, by the bend of
+    the surface between these, and by the detail. Those within a cell: by what was found at the
+    middles of their edges, and by what these miss.
+    """
+    field, faces = surface.field, work.mesh.faces
+    samples, bend, whole = of_faces(field, bends(field), work.points, faces)
+    spacing = min(field.grid.spacing_m)
+
+    def missed(face: NDArray[np.int64], apart: NDArray[np.float64]) -> NDArray[np.float64]:
+        part = np.minimum(apart / spacing, 1.0)
+        cubic, kink = bend[face].T
+        # Between cells, where second derivatives leap, points see no more of a cubic than of kinks.
+        kink = np.where(whole[face], cubic, kink)
+        unseen: NDArray[np.float64] = part * kink + part * part * part * cubic
+        return _finer(work, faces[face], 2.0 * apart, surface) + np.minimum(unseen, cubic)
+
+    room = samples + bend[:, 0]
+    room += _finer(work, faces, np.full(len(faces), np.inf), surface)
+    # All of these were looked at, before they were made or afterward.
+    small = np.flatnonzero(~whole)
+    error = _errors(
+        work.points, work.sides[:, :0], work.middles, work.middle_sides[:, :0],
+        faces[small], work.mesh.face_edges[small], leg[small],
+    )  # fmt: skip
+    room[small] = INSIDE * error + missed(small, leg[small])
+    return Known(room, pixels, samples, 0.5 * spacing, leg, radius, missed)
 
 
 @njit(cache=True, error_model="numpy")
@@ -295,9 +317,10 @@ def _balls(points, faces):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, error_model="numpy")
 def _bends(height, points, faces, x0, y0, dx, dy):  # type: ignore[no-untyped-def]
-    """How far the surface can bend away between samples of faces as small as cells, meters.
+    """About how far the surface bends away between samples of faces as small as cells, meters.
 
-    Second differences at the faces' corners; cubics stay within a quarter of their sum.
+    Second differences at the faces' corners; cubics stay within a quarter of their sum. The terrain
+    ends level at its border.
     """
     ny, nx = height.shape
     out = np.empty(len(faces))

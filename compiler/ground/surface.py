@@ -10,12 +10,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.ground.merge import Merge
 from scenec.compiler.terrain.detail import Detail, joined
 from scenec.compiler.terrain.grid import HeightField
+from scenec.schemas.threads import POINTS, over_threads
 
 
 @dataclass(frozen=True)
@@ -143,12 +144,10 @@ def _row(height, j, i, t):  # type: ignore[no-untyped-def]
     return _hermite(h0, h1, h2, h3, t)
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
-def _smooth_heights(height, x0, y0, dx, dy, x, y):  # type: ignore[no-untyped-def]
-    """Cubic in both directions through the samples, continuous with its slope: float64 [n]."""
+@njit(cache=True, error_model="numpy", nogil=True)
+def _smooth_heights_part(first, last, height, x0, y0, dx, dy, x, y, out):  # type: ignore[no-untyped-def]
     ny, nx = height.shape
-    out = np.empty(x.size)
-    for n in prange(x.size):
+    for n in range(first, last):
         u = min(max((x[n] - x0) / dx, 0.0), nx - 1.0)
         v = min(max((y[n] - y0) / dy, 0.0), ny - 1.0)
         i = min(int(u), nx - 2)
@@ -160,4 +159,10 @@ def _smooth_heights(height, x0, y0, dx, dy, x, y):  # type: ignore[no-untyped-de
         h0 = _row(height, j - 1, i, u) if j > 0 else h1 - (h2 - h1)
         h3 = _row(height, j + 2, i, u) if j + 2 < ny else h2 + (h2 - h1)
         out[n] = _hermite(h0, h1, h2, h3, v)
+
+
+def _smooth_heights(height, x0, y0, dx, dy, x, y):  # type: ignore[no-untyped-def]
+    """Cubic in both directions through the samples, continuous with its slope: float64 [n]."""
+    out = np.empty(x.size)
+    over_threads(_smooth_heights_part, x.size, height, x0, y0, dx, dy, x, y, out, least=POINTS)
     return out

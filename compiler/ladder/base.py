@@ -8,12 +8,22 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.build import BuildLog, build_surface, stand_objects, stand_rigs
+from scenec.compiler.build import (
+    BuildLog,
+    build_surface,
+    needs_of_plan,
+    seen_everywhere,
+    stand_objects,
+    stand_rigs,
+)
 from scenec.compiler.cameras.sight import Views, pixels_of_balls, pixels_per_meter, views_of
 from scenec.compiler.draw import draw
 from scenec.compiler.frontend.load import Spec
 from scenec.compiler.ground.surface import Surface
+from scenec.compiler.ladder.eyes import Eye, eyes_of
 from scenec.compiler.objects.prototypes import Looks
+from scenec.compiler.passes.keep import Keep
+from scenec.compiler.passes.needed import with_color
 from scenec.compiler.plan import Plan, ScatterPlan
 from scenec.compiler.rig import Rig
 from scenec.compiler.scene import Placed, Scatter, Tile
@@ -27,24 +37,27 @@ class Base:
     """One batch of a cfg, as far as it was built.
 
     Attributes:
-        plan: With every number drawn.
+        plan: With every number drawn, and as fine out of view as ``keep`` asks for.
         seed: It was drawn from.
-        color, labels: Whether an output shows them.
+        keep: How much of it the output has.
+        color, labels: Whether the stage has them: an output shows them, or all is kept.
         tiles: The mesh that the cfg asks for, once it was made.
     """
 
-    def __init__(self, spec: Spec, seed: int, batch: int):
+    def __init__(self, spec: Spec, seed: int, batch: int, keep: Keep = Keep.SEEN):
         """Draws the plan; nothing is built yet.
 
         Args:
             spec: The cfg.
             seed, batch: Which scene of it.
+            keep: How much of it is kept, as of ``compile``.
         """
-        self.plan: Plan = draw(spec, seed, batch)
-        self.seed = seed
+        plan = draw(spec, seed, batch)
+        self.plan: Plan = seen_everywhere(plan) if keep is Keep.ALL else plan
+        self.seed, self.keep = seed, keep
         self.tiles: tuple[Tile, ...] | None = None
-        outputs = {o for rig in self.plan.rigs for s in rig.sensors for o in s.outputs}
-        self.color, self.labels = "rgb" in outputs, "label" in outputs
+        needs = needs_of_plan(self.plan, keep)
+        self.color, self.labels = needs.color, needs.labels
 
     @cached_property
     def surface(self) -> Surface:
@@ -57,11 +70,31 @@ class Base:
         return stand_rigs(self.plan, self.surface, None, BuildLog())
 
     @cached_property
+    def eyes(self) -> tuple[Eye, ...]:
+        """All cameras and lidars, where they are and how they look."""
+        return eyes_of(self.rigs)
+
+    @cached_property
     def views(self) -> Views:
         """The views of the ground, which may hide behind hills."""
         terrain = self.surface.field
         hills = None if isinstance(terrain, MeshSurface) else terrain
         return views_of(self.rigs, hills, self.surface.amplitude_m())
+
+    @cached_property
+    def picture_views(self) -> tuple[Views, Views] | None:
+        """The views of ground and of objects that say how fine pictures are; None: nothing does.
+
+        Those of cameras that show color alone.
+        """
+        shown_to = () if self.keep is Keep.ALL else with_color(self.rigs, self.keep)
+        if not shown_to:
+            return None
+        if shown_to is self.rigs:
+            return self.views, self.object_views
+        terrain = self.surface.field
+        hills = None if isinstance(terrain, MeshSurface) else terrain
+        return views_of(shown_to, hills, self.surface.amplitude_m()), views_of(shown_to)
 
     @cached_property
     def object_views(self) -> Views:
@@ -90,8 +123,13 @@ class Base:
 
     @cached_property
     def looks(self) -> Looks | None:
-        """The materials; those of models once ``finest_objects`` are there."""
+        """The materials; those of models once objects are there."""
         return Looks(dict(self.plan.materials)) if self.color else None
+
+    @cached_property
+    def objects(self) -> tuple[Scatter | Placed, ...]:
+        """All objects where they stand, as the stage has them before anything is left out."""
+        return stand_objects(self.plan, self.surface, self.rigs, self.looks, BuildLog())
 
     @cached_property
     def finest_objects(self) -> tuple[Scatter | Placed, ...]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
 from scenec.compiler.ground.surface import Surface
@@ -44,9 +46,9 @@ def craters(base: Base, rungs: int) -> list[Ladder] | str:
     for factor in steps(finer, window.coarser):
         grid = window.grid(factor)
         clock = Clock()
-        with clock.running():
-            field, shown, left_out = _heights(found, grid)
-            size, triangles = emitted(base, HeightField(grid, field.field.height + lift))
+        (field, shown, left_out), (size, triangles) = clock.mean(
+            partial(_made, base, found, grid, lift)
+        )
         error = np.abs(field.height_at(x, y) - truth)
         details: dict[str, float | int | bool] = {"craters": shown, "craters_below_grid": left_out}
         if base.rigs:
@@ -83,6 +85,14 @@ def craters(base: Base, rungs: int) -> list[Ladder] | str:
             ),
         )
     ]
+
+
+def _made(
+    base: Base, found: list[Craters], grid: Grid, lift: float
+) -> tuple[tuple[Surface, int, int], tuple[int, int]]:
+    """The craters on a grid, and bytes and triangles of what the stage has of them."""
+    heights = _heights(found, grid)
+    return heights, emitted(base, HeightField(grid, heights[0].field.height + lift))
 
 
 def _inner(operator: ReliefOperator) -> object:

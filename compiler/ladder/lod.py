@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -106,7 +108,8 @@ def lod(base: Base, rungs: int) -> list[Ladder] | str:
             what=what,
             unit="px",
             reference=_REFERENCE,
-            claim="objects.*.lod_error_max_px of report.json, the largest",
+            claim="objects.*.lod_error_max_px of report.json, the largest: over vertices and the "
+            "middles of edges and faces, between which a point may lie a little farther",
             claim_of="worst",
             rungs=tuple(found),
             notes=tuple(notes),
@@ -141,12 +144,13 @@ def _rung(
 ) -> Rung:
     asked = [replace(one.levels, tolerance_px=factor * one.levels.tolerance_px) for one in classes]
     clock = Clock()
-    budget = None
     most = base.plan.object_triangles
-    with clock.running():
-        if most is not None:
-            budget = budget_factor(asked, most, others)
-        chosen = [choose_levels(levels, budget) for levels in asked]
+
+    def choose() -> tuple[float | None, list[tuple[Scatter, dict[str, Any]]]]:
+        budget = None if most is None else budget_factor(asked, most, others)
+        return budget, [choose_levels(levels, budget) for levels in asked]
+
+    budget, chosen = clock.mean(choose)
     found = _measure(base, classes, [levels.chosen(budget) for levels in asked], chosen, clock)
     claimed = max(float(facts["lod_error_max_px"]) for _, facts in chosen)
     return replace(
@@ -168,16 +172,15 @@ def _measure(
     """Errors of chosen levels, and what they take in the stage; in meters without cameras."""
     table = base.plan.label_table if base.labels else {}
     looks = base.looks.materials if base.looks is not None else {}
-    size = 0
+
+    def write(folder: Path) -> None:
+        for n, (scatter, _) in enumerate(chosen):
+            write_scatter(folder / f"objects_{n}.usdc", scatter, looks, table)
+
+    size = clock.mean(lambda: written(write))
     worst_px = worst_m = squares = 0.0
     count = triangles = 0
-    for one, mesh, (scatter, facts) in zip(classes, meshes, chosen, strict=True):
-        with clock.running():
-            size += written(
-                lambda folder, s=scatter: write_scatter(  # type: ignore[misc]
-                    folder / "objects.usdc", s, looks, table
-                )
-            )
+    for one, mesh, (_, facts) in zip(classes, meshes, chosen, strict=True):
         near = 1.0 if one.levels.near is None else one.levels.near
         far = one.measured.worst[mesh] * one.levels.size
         mean = one.measured.rms[mesh] * one.levels.size * near
@@ -210,13 +213,8 @@ def _by_level(base: Base, classes: Sequence[_Class]) -> Ladder:
     found = []
     for level in range(deepest - 1, -1, -1):
         clock = Clock()
-        with clock.running():
-            meshes = [
-                one.levels.finest + np.minimum(level, one.levels.lengths - 1) for one in classes
-            ]
-            chosen = [
-                _at_level(one.levels, mesh) for one, mesh in zip(classes, meshes, strict=True)
-            ]
+        meshes = [one.levels.finest + np.minimum(level, one.levels.lengths - 1) for one in classes]
+        chosen = clock.mean(partial(_at_levels, classes, meshes))
         rung = _measure(base, classes, meshes, chosen, clock)
         claimed = float(rung.details.pop("claimed_m"))
         found.append(replace(rung, value=float(level), used=level == 0, claimed=claimed))
@@ -230,6 +228,12 @@ def _by_level(base: Base, classes: Sequence[_Class]) -> Ladder:
         rungs=tuple(found),
         notes=("without cameras every instance keeps its finest level, whatever lod_px is",),
     )
+
+
+def _at_levels(
+    classes: Sequence[_Class], meshes: Sequence[NDArray[np.int64]]
+) -> list[tuple[Scatter, dict[str, Any]]]:
+    return [_at_level(one.levels, mesh) for one, mesh in zip(classes, meshes, strict=True)]
 
 
 def _at_level(levels: Levels, mesh: NDArray[np.int64]) -> tuple[Scatter, dict[str, Any]]:

@@ -14,8 +14,9 @@ from scenec.compiler.ladder.sky import sky
 from scenec.compiler.ladder.smoothing import smoothing
 from scenec.compiler.ladder.tessellation import tessellation
 from scenec.compiler.ladder.textures import textures
+from scenec.compiler.passes.keep import Keep
 from scenec.schemas.errors import CfgError, OutputError, ScenecError
-from scenec.schemas.manifest import CFG, find_batches, read_manifest
+from scenec.schemas.manifest import CFG, MANIFEST, find_batches, read_manifest
 from scenec.schemas.spelling import closest, shown
 
 #: Fewest and most rungs of a ladder.
@@ -65,7 +66,7 @@ def climb(
     manifest = read_manifest(out)
     index = find_batches(out, None if batch is None else [batch])[0].index
     spec = _load(out, manifest["cfg"]["sha256"], None if cfg is None else Path(cfg))
-    base = Base(spec, int(manifest["seed"]), index)
+    base = Base(spec, int(manifest["seed"]), index, _keep(out, manifest.get("keep", Keep.SEEN)))
     return climb_base(base, chosen, rungs, say)
 
 
@@ -96,6 +97,16 @@ def _chosen(only: Sequence[str] | None) -> list[str]:
                 + (f"; did you mean {shown(guess)}?" if guess else "")
             )
     return [name for name in APPROXIMATIONS if only is None or name in only]
+
+
+def _keep(out: Path, word: object) -> Keep:
+    try:
+        return Keep(str(word))
+    except ValueError as error:
+        raise OutputError(
+            f"{out / MANIFEST}: keep {shown(word)}: expected one of {', '.join(Keep)}; "
+            "another version of scenec wrote it"
+        ) from error
 
 
 def _load(out: Path, digest: str, cfg: Path | None) -> Spec:

@@ -2,22 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-from scenec.compiler.cameras.sight import Views
 from scenec.compiler.ground.surface import Surface
+from scenec.compiler.ladder.eyes import Eye
 from scenec.compiler.ladder.points import square
+from scenec.compiler.rig import Lidar
 from scenec.compiler.terrain.grid import HeightField, surface_height
 
-#: Points spread over the terrain; rays through pixels, of all views together.
+#: Points spread over the terrain; rays through pixels, of all eyes together.
 _OVER_ALL, _RAYS = 60_000, 40_000
 #: Places along a ray, and halvings of the piece that meets the ground.
 _ALONG, _HALVINGS = 200, 12
-#: Of silhouettes: views, bearings of each, places along a bearing.
+#: Of silhouettes: cameras, bearings of each, places along a bearing.
 _VIEWS, _BEARINGS, _PLACES = 8, 48, 320
 #: Where rays begin, meters from the eye.
 _FIRST_M = 0.2
@@ -25,18 +27,20 @@ _FIRST_M = 0.2
 
 @dataclass(frozen=True)
 class Skylines:
-    """Rays over the ground in plan, on which a view's horizon is the highest place.
+    """Rays over the ground in plan, on which a camera's horizon is the highest place.
 
     Attributes:
-        x, y: Places, float64 [views, bearings, places].
+        x, y: Places, float64 [cameras, bearings, places].
         away: Distance of each from the eye in plan, meters.
-        view: Index of each view, int64 [views].
+        eye: Index of each camera among the eyes, int64 [cameras].
+        known: Whether a camera has such a bearing, bool [cameras, bearings].
     """
 
     x: NDArray[np.float64]
     y: NDArray[np.float64]
     away: NDArray[np.float64]
-    view: NDArray[np.int64]
+    eye: NDArray[np.int64]
+    known: NDArray[np.bool_]
 
 
 def spread(field: HeightField) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -45,16 +49,17 @@ def spread(field: HeightField) -> tuple[NDArray[np.float64], NDArray[np.float64]
     return (u - 0.5) * field.grid.size_m[0], (v - 0.5) * field.grid.size_m[1]
 
 
-def looked_at(field: HeightField, views: Views) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Where rays through pixels, spread evenly over all pictures, meet the ground first.
+def looked_at(
+    field: HeightField, eyes: Sequence[Eye]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Where rays through pixels, spread evenly over all pictures and scans, meet the ground first.
 
     The ground is the grid's triangles, which only decides where points lie, never what is measured
     there.
     """
-    count = len(views.poses)
-    if not count:
+    if not eyes:
         return np.zeros(0), np.zeros(0)
-    origin, toward = _rays(views, max(_RAYS // count, 1))
+    origin, toward = _rays(eyes, max(_RAYS // len(eyes), 1))
     reach = float(np.sqrt(field.grid.size_m[0] * field.grid.size_m[0]
                           + field.grid.size_m[1] * field.grid.size_m[1]))  # fmt: skip
     far = _march(
@@ -90,19 +95,14 @@ def _grown(ratio: float, count: int) -> float:
     return out
 
 
-def _rays(views: Views, each: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _rays(eyes: Sequence[Eye], each: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Eyes and unit vectors of rays through pixels, float64 [n, 3] each."""
     u, v = square(each)
-    origins, directions = [], []
-    for pose, (fx, fy, cx, cy, skew, width, height) in zip(
-        views.poses, views.numbers.tolist(), strict=True
-    ):
-        down = (v * height - cy) / fy
-        right = (u * width - cx - skew * down) / fx
-        local = np.stack([right, down, np.ones(each)], axis=1)
-        world = (local[:, None, :] * pose[None, :, :3]).sum(axis=2)
-        directions.append(world / np.sqrt((world * world).sum(axis=1))[:, None])
-        origins.append(np.broadcast_to(pose[:, 3], (each, 3)))
+    directions = [eye.rays(u, v) for eye in eyes]
+    origins = [
+        np.broadcast_to(eye.pose[:, 3], one.shape)
+        for eye, one in zip(eyes, directions, strict=True)
+    ]
     return np.concatenate(origins), np.concatenate(directions)
 
 
@@ -131,10 +131,12 @@ def _march(height, x0, y0, dx, dy, origin, toward, first, growth, along, halving
     return out
 
 
-def skylines(field: HeightField, views: Views) -> Skylines:
-    """Where to look for the horizons of some views."""
-    count = len(views.poses)
-    chosen = np.arange(0, count, max(1, -(-count // _VIEWS)), dtype=np.int64)
+def skylines(field: HeightField, eyes: Sequence[Eye]) -> Skylines | None:
+    """Where to look for the horizons of some cameras; None: there is none."""
+    cameras = np.array([n for n, eye in enumerate(eyes) if not isinstance(eye.sensor, Lidar)])
+    if not len(cameras):
+        return None
+    chosen = cameras[:: max(1, -(-len(cameras) // _VIEWS))]
     reach = float(np.sqrt(field.grid.size_m[0] * field.grid.size_m[0]
                           + field.grid.size_m[1] * field.grid.size_m[1]))  # fmt: skip
     growth = _growth(reach, _PLACES)
@@ -145,49 +147,39 @@ def skylines(field: HeightField, views: Views) -> Skylines:
         at *= growth
     x = np.empty((len(chosen), _BEARINGS, _PLACES))
     y = np.empty_like(x)
+    known = np.empty((len(chosen), _BEARINGS), np.bool_)
+    across = (np.arange(_BEARINGS) + 0.5) / _BEARINGS
     for n, c in enumerate(chosen.tolist()):
-        pose, (fx, _, cx, _, _, width, _) = views.poses[c], views.numbers[c].tolist()
-        right = ((np.arange(_BEARINGS) + 0.5) / _BEARINGS * width - cx) / fx
+        pose = eyes[c].pose
         # Along the picture's middle row, in plan.
-        level = pose[None, :2, 0] * right[:, None] + pose[None, :2, 2]
+        local, known[n] = eyes[c].looking(across, np.full(_BEARINGS, 0.5))
+        level = eyes[c].turned(local)[:, :2]
         length = np.sqrt((level * level).sum(axis=1))
         level = level / np.where(length > 0.0, length, 1.0)[:, None]
         x[n] = pose[0, 3] + level[:, 0, None] * away
         y[n] = pose[1, 3] + level[:, 1, None] * away
-    return Skylines(x, y, np.broadcast_to(away, x.shape), chosen)
+    return Skylines(x, y, np.broadcast_to(away, x.shape), chosen, known)
 
 
-def horizons(lines: Skylines, views: Views, heights: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Row of the picture that each bearing's horizon has, float64 [views, bearings].
+def horizons(
+    lines: Skylines, eyes: Sequence[Eye], heights: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Row of the picture that each bearing's horizon has, float64 [cameras, bearings].
 
     NaN where the ground under a bearing is not there or its horizon is out of the picture.
 
     Args:
         lines: Where the ground was looked at.
-        views: The cameras.
+        eyes: Those they are of.
         heights: There, of the shape of ``lines.x``; NaN beyond the terrain.
     """
     rows = np.full(heights.shape[:2], np.nan)
-    for n, c in enumerate(lines.view.tolist()):
-        pose, (fx, fy, cx, cy, skew, width, height) = views.poses[c], views.numbers[c].tolist()
-        rise = (heights[n] - pose[2, 3]) / lines.away[n]
+    for n, c in enumerate(lines.eye.tolist()):
+        rise = (heights[n] - eyes[c].pose[2, 3]) / lines.away[n]
         highest = np.argmax(np.where(np.isnan(rise), -np.inf, rise), axis=1)
         pick = np.arange(len(highest)), highest
-        offset = np.stack(
-            [
-                lines.x[n][pick] - pose[0, 3],
-                lines.y[n][pick] - pose[1, 3],
-                heights[n][pick] - pose[2, 3],
-            ],
-            axis=1,
-        )
-        local = (offset[:, :, None] * pose[None, :, :3]).sum(axis=1)
-        depth = np.where(local[:, 2] > 0.0, local[:, 2], np.nan)
-        down = local[:, 1] / depth
-        u = fx * local[:, 0] / depth + skew * down + cx
-        v = fy * down + cy
-        shown = (u >= 0.0) & (u <= width) & (v >= 0.0) & (v <= height)
-        rows[n] = np.where(shown, v, np.nan)
+        highest_at = np.stack([lines.x[n][pick], lines.y[n][pick], heights[n][pick]], axis=1)
+        rows[n] = np.where(lines.known[n], eyes[c].rows(highest_at), np.nan)
     return rows
 
 
@@ -199,7 +191,7 @@ class Truth:
         x, y: All points, float64 [n]: over all, looked at, of skylines.
         z: Of the surface, meters.
         checked: How many count for errors; the rest are the skylines'.
-        lines: Skylines, or None without views.
+        lines: Skylines, or None without cameras.
     """
 
     x: NDArray[np.float64]
@@ -209,12 +201,12 @@ class Truth:
     lines: Skylines | None
 
     @classmethod
-    def of(cls, surface: Surface, views: Views) -> Truth:
+    def of(cls, surface: Surface, eyes: Sequence[Eye]) -> Truth:
         """Evaluates a surface that is a function of x and y."""
         field = surface.field
-        spots = [spread(field), looked_at(field, views)]
+        spots = [spread(field), looked_at(field, eyes)]
         checked = sum(len(x) for x, _ in spots)
-        lines = skylines(field, views) if len(views.poses) else None
+        lines = skylines(field, eyes)
         if lines is not None:
             spots.append((lines.x.ravel(), lines.y.ravel()))
         x, y = (np.concatenate([spot[axis] for spot in spots]) for axis in (0, 1))

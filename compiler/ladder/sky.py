@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -29,12 +30,17 @@ from scenec.schemas.exr import write_rgb
 
 #: Directions that are looked along; those that an irradiance is summed over.
 _DIRECTIONS, _MANY = 5_000, 200_000
-#: Of the reference: steps of a ray, wavelengths.
-_STEPS, _WAVELENGTHS = 128, 33
+#: Of references: how many times as many steps, and intervals between wavelengths, as the finest
+#: rung has. Steps err with the square of their length.
+_STEPS, _WAVELENGTHS = 8, 4
 #: Rows of the pictures that constants of the atmosphere are varied for.
 _ROWS = 64
 #: Rows that a picture of the sky can have.
 _LEAST, _MOST = 8, 4096
+#: Blocks of directions whose sums say how far a sum errs.
+_BLOCKS = 8
+
+type _Made = Callable[[int], tuple[SkyLight | None, SunLight | None, dict[str, Any]]]
 
 
 def sky(base: Base, rungs: int) -> list[Ladder] | str:
@@ -94,8 +100,9 @@ def _sizes(resolution: int, rungs: int) -> list[tuple[int, bool]]:
 
 
 def _clear(plan: ClearSkyPlan, sun: SunLight | None, rungs: int) -> Ladder:
-    to = upper_half(_DIRECTIONS)
-    truth = clear_along(plan, sun, to, upper_half(_MANY))
+    to, many = upper_half(_DIRECTIONS), upper_half(_MANY)
+    truth = clear_along(plan, sun, to, many)
+    level = irradiance(clear_along(plan, sun, many, many), many)
 
     def made(rows: int) -> tuple[SkyLight | None, SunLight | None, dict[str, Any]]:
         picture, facts = build_sky(replace(plan, resolution=rows), sun, 1)
@@ -109,21 +116,22 @@ def _clear(plan: ClearSkyPlan, sun: SunLight | None, rungs: int) -> Ladder:
         "even in solid angle above the horizon; errors of luminance over its mean",
         claim="none: report.json states no error of a clear sky",
         claim_of="rms",
-        rungs=tuple(_of_rows(_sizes(plan.resolution, rungs), made, to, truth)),
+        rungs=tuple(_of_rows(_sizes(plan.resolution, rungs), made, to, truth, level)),
         notes=("of the first sample's picture",),
     )
 
 
 def _rows(plan: AtmospherePlan, sun: SunLight, rungs: int) -> Ladder:
     to = upper_half(_DIRECTIONS)
-    truth = atmosphere_along(plan, sun, to, _STEPS, _WAVELENGTHS)
+    # Steps and wavelengths as of the pictures: these have ladders of their own.
+    truth = atmosphere_along(plan, sun, to, atmosphere.STEPS, atmosphere.WAVELENGTHS)
     return Ladder(
         name="sky",
         what="light.sky.resolution",
         unit="relative",
         reference=f"the atmosphere evaluated along directions even in solid angle above the "
-        f"horizon, a ray each, of {_STEPS} steps and {_WAVELENGTHS} wavelengths; errors of "
-        "luminance over its mean",
+        f"horizon, a ray each, of the picture's {atmosphere.STEPS} steps and "
+        f"{atmosphere.WAVELENGTHS} wavelengths; errors of luminance over its mean",
         claim="sky.*.resolution_error of report.json: rms of luminance over its mean, without the "
         "rows at the zenith and the horizon",
         claim_of="rms",
@@ -133,6 +141,7 @@ def _rows(plan: AtmospherePlan, sun: SunLight, rungs: int) -> Ladder:
                 lambda rows: build_atmosphere(replace(plan, resolution=rows), sun, 1),
                 to,
                 truth,
+                irradiance(truth, to),
             )
         ),
         notes=("of the first sample's picture",),
@@ -141,25 +150,20 @@ def _rows(plan: AtmospherePlan, sun: SunLight, rungs: int) -> Ladder:
 
 def _of_rows(
     sizes: list[tuple[int, bool]],
-    made: Callable[[int], tuple[SkyLight | None, SunLight | None, dict[str, Any]]],
+    made: _Made,
     to: NDArray[np.float64],
     truth: NDArray[np.float64],
+    level: tuple[float, float],
 ) -> list[Rung]:
-    mean = float(luminance(truth).mean())
-    level = 2.0 * elementary.PI * float((luminance(truth) * to[:, 2]).mean())
     # A night without light is shown without error.
-    mean, level = mean or 1.0, level or 1.0
-    made(sizes[0][0])
+    mean = float(luminance(truth).mean()) or 1.0
+    _picture(made, sizes[0][0])
     found = []
     for rows, used in sizes:
         clock = Clock()
-        with clock.running():
-            light, sun, facts = made(rows)
-        assert light is not None
+        (light, facts), size = clock.mean(partial(_picture, made, rows))
         picture = light.pictures[light.texture[0]]
         assert not isinstance(picture, Path)
-        with clock.running():
-            size = _bytes(light, sun)
         away = np.abs(luminance(bilinear(picture, to) - truth)) / mean
         # What a texel of the horizon's row or the zenith's has a part in is apart.
         texel = elementary.PI / rows
@@ -180,12 +184,47 @@ def _of_rows(
                 details={
                     "rms_off_horizon": rms(away[inner]),
                     "worst_off_horizon": worst(away[inner]),
-                    "irradiance_error": abs(arriving / level - 1.0) if arriving else 0.0,
+                    "irradiance_error": off(arriving, level[0]),
+                    # Of the sum that it is held against.
+                    "irradiance_noise": level[1],
                     "directions": len(to),
                 },
             )
         )
     return found
+
+
+def off(found: float, truth: float) -> float:
+    """Relative error of an irradiance; 1 where there is light and should be none."""
+    if truth > 0.0:
+        return abs(found / truth - 1.0)
+    return 1.0 if found > 0.0 else 0.0
+
+
+def irradiance(light: NDArray[np.float64], to: NDArray[np.float64]) -> tuple[float, float]:
+    """Luminance that reaches level ground, and how far a sum over so many directions may err.
+
+    Args:
+        light: Along directions, linear Rec.709, [n, 3].
+        to: The directions, even in solid angle, [n, 3].
+
+    Returns:
+        The irradiance, and the relative standard error of its mean over blocks of directions, each
+        of which is even in itself (all together are evener, so that it errs rather less).
+    """
+    each = 2.0 * elementary.PI * luminance(light) * to[:, 2]
+    level = float(each.mean())
+    blocks = np.array([float(block.mean()) for block in np.array_split(each, _BLOCKS)])
+    away = blocks - blocks.mean()
+    error = float(np.sqrt((away * away).sum() / (_BLOCKS * (_BLOCKS - 1))))
+    return level, error / level if level > 0.0 else 0.0
+
+
+def _picture(made: _Made, rows: int) -> tuple[tuple[SkyLight, dict[str, Any]], int]:
+    """A sky of so many rows, its facts, and its bytes in the stage."""
+    light, sun, facts = made(rows)
+    assert light is not None
+    return (light, facts), _bytes(light, sun)
 
 
 def _bytes(light: SkyLight, sun: SunLight | None) -> int:
@@ -209,7 +248,11 @@ def _bytes(light: SkyLight, sun: SunLight | None) -> int:
 
 
 def _constants(plan: AtmospherePlan, sun: SunLight, rungs: int) -> list[Ladder]:
-    """Constants of the code, at texels of small pictures: apart from the pictures' resolution."""
+    """Constants of the code, at texels of small pictures: apart from the pictures' resolution.
+
+    A ladder's reference shares the two other constants with its rungs, so that these err by the one
+    that is varied alone. More bearings than any are a ray for each texel.
+    """
     to, row, column = _texels(_ROWS)
     usual = {
         "steps": atmosphere.STEPS,
@@ -217,19 +260,24 @@ def _constants(plan: AtmospherePlan, sun: SunLight, rungs: int) -> list[Ladder]:
         "count": atmosphere.WAVELENGTHS,
     }
     finer, coarser = split(rungs)
+    finest = 1 << finer
     factors = steps(finer, min(coarser, 2))
-    plans = {
-        "steps": ("steps of a ray", "STEPS", (4 * _STEPS, atmosphere.WAVELENGTHS)),
-        "bearings": (
-            "bearings at which rays are followed",
-            "BEARINGS",
-            (atmosphere.STEPS, atmosphere.WAVELENGTHS),
-        ),
-        "count": ("wavelengths", "WAVELENGTHS", (atmosphere.STEPS, 4 * _WAVELENGTHS - 3)),
-    }
+    fine_steps = _STEPS * finest * atmosphere.STEPS
+    fine_count = _WAVELENGTHS * finest * (atmosphere.WAVELENGTHS - 1) + 1
     found = []
-    for key, (text, name, (fine_steps, fine_count)) in plans.items():
-        truth = atmosphere_along(plan, sun, to, fine_steps, fine_count)
+    for key, text in (
+        ("steps", "steps of a ray (atmosphere.STEPS, a constant)"),
+        ("bearings", "bearings at which rays are followed (atmosphere.BEARINGS, a constant)"),
+        ("count", "wavelengths (atmosphere.WAVELENGTHS, a constant)"),
+    ):
+        if key == "bearings":
+            truth = atmosphere_along(plan, sun, to, usual["steps"], usual["count"])
+            reference = "the atmosphere evaluated along the directions of texels, a ray each, of "
+            reference += f"as many steps and wavelengths ({usual['steps']} and {usual['count']})"
+        else:
+            fine = fine_steps if key == "steps" else fine_count
+            truth = _baked(plan, sun, **{**usual, key: fine})[row, column]
+            reference = f"the same picture of {fine} {text.split(' (')[0]}"
         mean = float(luminance(truth).mean()) or 1.0
         rung_list = []
         for factor in factors:
@@ -237,8 +285,7 @@ def _constants(plan: AtmospherePlan, sun: SunLight, rungs: int) -> list[Ladder]:
             ends = 0 if key == "steps" else 1
             value = max(round((usual[key] - ends) / factor) + ends, 5)
             clock = Clock()
-            with clock.running():
-                picture = _baked(plan, sun, **{**usual, key: value})
+            picture, size = clock.mean(partial(_written, plan, sun, {**usual, key: value}))
             away = np.abs(luminance(picture[row, column] - truth)) / mean
             rung_list.append(
                 Rung(
@@ -248,21 +295,16 @@ def _constants(plan: AtmospherePlan, sun: SunLight, rungs: int) -> list[Ladder]:
                     rms=rms(away),
                     claimed=None,
                     seconds=clock.seconds,
-                    bytes=written(
-                        lambda folder, p=picture: write_rgb(  # type: ignore[misc]
-                            folder / "sky.exr", p.astype(np.float32)
-                        )
-                    ),
+                    bytes=size,
                     details={"directions": len(to)},
                 )
             )
         found.append(
             Ladder(
                 name="sky",
-                what=f"{text} (atmosphere.{name}, a constant)",
+                what=text,
                 unit="relative",
-                reference="the atmosphere evaluated along the directions of texels, a ray each, "
-                f"of {fine_steps} steps and {fine_count} wavelengths",
+                reference=reference,
                 claim="none: report.json does not state it",
                 claim_of="rms",
                 rungs=tuple(rung_list),
@@ -270,6 +312,15 @@ def _constants(plan: AtmospherePlan, sun: SunLight, rungs: int) -> list[Ladder]:
             )
         )
     return found
+
+
+def _written(
+    plan: AtmospherePlan, sun: SunLight, numbers: dict[str, int]
+) -> tuple[NDArray[np.float64], int]:
+    """A picture and the bytes of its file."""
+    picture = _baked(plan, sun, **numbers)
+    single = picture.astype(np.float32)
+    return picture, written(lambda folder: write_rgb(folder / "sky.exr", single))
 
 
 def _texels(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,7 @@ from scenec.compiler.emit.maps import copy_maps
 from scenec.compiler.ground.tiles import build_tiles
 from scenec.compiler.ladder.base import Base
 from scenec.compiler.ladder.cost import Clock, written
+from scenec.compiler.ladder.pixel_means import pixel_means
 from scenec.compiler.ladder.points import rms, square, worst
 from scenec.compiler.ladder.results import Ladder, Rung, split
 from scenec.compiler.light.latlong import luminance
@@ -22,8 +24,8 @@ from scenec.compiler.surfaces.pictures import with_pictures
 from scenec.compiler.surfaces.reduce import halvings, reduced
 from scenec.compiler.surfaces.values import Source, colors, forget_pixels, stored
 
-#: Pixels that are looked through, of each material; samples of a pixel in each direction, at most.
-_PIXELS, _ACROSS = 8_000, 8
+#: Pixels that are looked through, of each material.
+_PIXELS = 8_000
 
 
 @dataclass(frozen=True)
@@ -35,8 +37,7 @@ class _Picture:
         source: Of the colors.
         pixels: That a repeat takes in the nearest view.
         halved: How often the cfg's is halved.
-        truth: Luminance that each pixel shows, [n], its mean 1.
-        at: Where in the picture the pixels' samples lie, [n, samples, 2] in repeats.
+        truth: Luminance that each pixel shows, [n], over the mean.
         mean: Luminance of the whole picture.
     """
 
@@ -46,7 +47,6 @@ class _Picture:
     pixels: float
     halved: int
     truth: NDArray[np.float64]
-    at: NDArray[np.float64]
     mean: float
 
 
@@ -59,7 +59,7 @@ def textures(base: Base, rungs: int) -> list[Ladder] | str:
     """
     if base.looks is None:
         return "no output shows color, so there are no pictures"
-    objects = base.finest_objects
+    objects = base.objects
     pictured = {
         name: material
         for name, material in base.looks.materials.items()
@@ -67,10 +67,11 @@ def textures(base: Base, rungs: int) -> list[Ladder] | str:
     }
     if not pictured:
         return "no material has pictures"
-    if not base.rigs:
-        return "without cameras all pictures stay as they are drawn"
+    views = base.picture_views
+    if views is None:
+        return "without cameras, or with --keep all, all pictures stay as they are drawn"
     ground = Ground(base.plan.terrain.layers, _tiles(base))
-    seen = footprints(pictured, ground, objects, (base.views, base.object_views), base.unseen)
+    seen = footprints(pictured, ground, objects, views, base.unseen)
     clock = Clock()
     with clock.running():
         pictures = _pictures(pictured, seen)
@@ -91,8 +92,9 @@ def textures(base: Base, rungs: int) -> list[Ladder] | str:
             what="texels across the pictures of colors, relative to the cfg's",
             unit="relative",
             reference="the pictures as drawn, read linearly between texels and averaged over "
-            "pixels of the nearest view, as the reduced ones are; luminance over its mean, which "
-            "is radiance under even light",
+            "pixels of the nearest view that shows color, as the reduced ones are (exactly, "
+            "however many texels a pixel covers); luminance over its mean, which is radiance "
+            "under even light",
             claim="none: report.json states texels_per_pixel and the error of rounding, not what a "
             "pixel loses",
             claim_of="worst",
@@ -130,7 +132,6 @@ def _pictures(materials: dict[str, Material], seen: dict[str, Footprint]) -> lis
         planes = colors(source)
         high, wide = stored(source).shape[:2]
         pixels = seen[name].seen
-        at = _samples(pixels, min(high, wide))
         mean = float(luminance(planes.astype(np.float64)).mean())
         found.append(
             _Picture(
@@ -139,60 +140,61 @@ def _pictures(materials: dict[str, Material], seen: dict[str, Footprint]) -> lis
                 source,
                 pixels,
                 halvings(high, wide, seen[name].counted),
-                _through(planes, at) / mean,
-                at,
+                _through(planes, pixels) / mean,
                 mean,
             )
         )
     return [one for one in found if one.mean > 0.0]
 
 
-def _samples(pixels: float, texels: int) -> NDArray[np.float64]:
-    """Samples of pixels spread over a repeat, float64 [n, samples, 2]."""
-    across = min(max(int(np.ceil(2.0 * texels / pixels)), 2), _ACROSS)
-    inside = (np.arange(across) + 0.5) / across - 0.5
-    dv, du = np.meshgrid(inside, inside, indexing="ij")
-    offset = np.stack([du.ravel(), dv.ravel()], axis=1) / pixels
-    u, v = square(_PIXELS)
-    return np.stack([u, v], axis=1)[:, None, :] + offset[None]
+def _through(planes: NDArray, pixels: float) -> NDArray[np.float64]:
+    """Luminance that pixels show which are spread over a repeat, float64 [n].
 
-
-def _through(planes: NDArray, at: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Luminance of pixels: means over samples read linearly between texels, which repeat."""
+    Args:
+        planes: Colors, [h, w, 3].
+        pixels: That a repeat takes, across.
+    """
     level = luminance(planes.astype(np.float64))
-    high, wide = level.shape
-    x, y = at[..., 0] * wide - 0.5, at[..., 1] * high - 0.5
-    left, top = np.floor(x), np.floor(y)
-    s, t = x - left, y - top
-    i, j = left.astype(np.int64) % wide, top.astype(np.int64) % high
-    right, below = (i + 1) % wide, (j + 1) % high
-    upper = level[j, i] + s * (level[j, right] - level[j, i])
-    lower = level[below, i] + s * (level[below, right] - level[below, i])
-    found: NDArray[np.float64] = (upper + t * (lower - upper)).mean(axis=1)
-    return found
+    return pixel_means(level, np.stack(square(_PIXELS), axis=1), 1.0 / pixels)
 
 
 def _possible(one: _Picture, times: int) -> bool:
-    """Whether a picture can be halved so often."""
-    if times < 0:
-        return False
+    """Whether a picture can be halved so often: not at all it always can."""
+    if times <= 0:
+        return times == 0
     high, wide = stored(one.source).shape[:2]
     return high % (1 << times) == 0 and wide % (1 << times) == 0 and min(high, wide) >> times >= 2
 
 
+def _nearest(one: _Picture, times: int) -> int:
+    """How often a picture is halved on a rung: as often as it can be, at most so often."""
+    return next(own for own in range(max(times, 0), -1, -1) if _possible(one, own))
+
+
+class _Smaller(NamedTuple):
+    """A picture on a rung: what its colors are multiplied with, and its bytes in the stage."""
+
+    source: Source
+    factor: tuple[float, float, float]
+    size: int
+
+
+def _smaller(one: _Picture, times: int) -> _Smaller:
+    small = reduced(one.source, "base_color", times) if times else None
+    source = one.source if small is None else small.picture
+    size = written(lambda folder: copy_maps(folder, one.name, _only(one, source)))
+    return _Smaller(source, (1.0, 1.0, 1.0) if small is None else small.factor, size)
+
+
 def _rung(pictures: list[_Picture], times: int) -> Rung:
-    size, errors, texels, least = 0, [], [], np.inf
     clock = Clock()
-    for one in pictures:
-        own = one.halved + times
-        while not _possible(one, own):
-            own += 1 if own < 0 else -1
-        with clock.running():
-            small = reduced(one.source, "base_color", own) if own else None
-            source = one.source if small is None else small.picture
-            size += written(lambda folder, o=one, s=source: copy_maps(folder, o.name, _only(o, s)))  # type: ignore[misc]
-        planes = colors(source) * np.array((1.0, 1.0, 1.0) if small is None else small.factor)
-        errors.append(np.abs(_through(planes, one.at) / one.mean - one.truth))
+    made = clock.mean(
+        lambda: [_smaller(one, _nearest(one, one.halved + times)) for one in pictures]
+    )
+    errors, texels, least = [], [], np.inf
+    for one, small in zip(pictures, made, strict=True):
+        planes = colors(small.source) * np.array(small.factor)
+        errors.append(np.abs(_through(planes, one.pixels) / one.mean - one.truth))
         texels.append(min(planes.shape[:2]))
         least = min(least, texels[-1] / one.pixels)
     away = np.concatenate(errors)
@@ -203,7 +205,7 @@ def _rung(pictures: list[_Picture], times: int) -> Rung:
         rms=rms(away),
         claimed=None,
         seconds=clock.seconds,
-        bytes=size,
+        bytes=sum(small.size for small in made),
         details={
             "texels_per_pixel_least": float(least),
             "texels_across_least": min(texels),

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.light.latlong import directions, horizontal_irradiance, luminance
+from scenec.schemas.threads import over_threads
 
 #: Angle below the horizon over which far ground fades by 1/e into the horizon's haze.
 _HAZE_RAD = 2.0 * elementary.PI / 180.0
@@ -60,13 +61,20 @@ def clear_sky(
     return picture.astype(np.float32)
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
-def _distribution(to: NDArray, sun: NDArray, zenith: NDArray, horizon: NDArray) -> NDArray:
+@njit(cache=True, error_model="numpy", nogil=True)
+def _distribution_part(
+    first: int,
+    last: int,
+    to: NDArray,
+    sun: NDArray,
+    zenith: NDArray,
+    horizon: NDArray,
+    out: NDArray,
+) -> None:
     a, b, c, d, e = -1.0, -0.32, 10.0, -3.0, 0.45
-    h, w, _ = to.shape
-    out = np.zeros((h, w, 3))
+    _h, w, _ = to.shape
     at_right_angle = elementary.exp(d * elementary.PI / 2.0)
-    for j in prange(h // 2):
+    for j in range(first, last):
         for i in range(w):
             up = to[j, i, 2]
             cos_chi = to[j, i, 0] * sun[0] + to[j, i, 1] * sun[1] + up * sun[2]
@@ -80,4 +88,10 @@ def _distribution(to: NDArray, sun: NDArray, zenith: NDArray, horizon: NDArray) 
             for k in range(3):
                 color = horizon[k] + mix * (zenith[k] - horizon[k])
                 out[j, i, k] = gradation * indicatrix * color
+
+
+def _distribution(to: NDArray, sun: NDArray, zenith: NDArray, horizon: NDArray) -> NDArray:
+    h, w, _ = to.shape
+    out = np.zeros((h, w, 3))
+    over_threads(_distribution_part, h // 2, to, sun, zenith, horizon, out)
     return out

@@ -18,11 +18,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.light.latlong import directions_of_rows, horizontal_irradiance, luminance
+from scenec.schemas.threads import over_threads
 
 #: Angle from its middle within which all of a sun lies.
 REACH_DEG = 4.0
@@ -270,11 +271,17 @@ def _of_texels(height: int, width: int, index: NDArray[np.int64]) -> NDArray[np.
     )
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
-def _interpolated(at: NDArray, points: NDArray, values: NDArray, weight: NDArray) -> NDArray:
-    """Mean of values at points, by weight / distance^2, at other points."""
-    out = np.zeros((len(at), 3))
-    for i in prange(len(at)):
+@njit(cache=True, error_model="numpy", nogil=True)
+def _interpolated_part(
+    first: int,
+    last: int,
+    at: NDArray,
+    points: NDArray,
+    values: NDArray,
+    weight: NDArray,
+    out: NDArray,
+) -> None:
+    for i in range(first, last):
         total = 0.0
         for j in range(len(points)):
             x = at[i, 0] - points[j, 0]
@@ -286,6 +293,12 @@ def _interpolated(at: NDArray, points: NDArray, values: NDArray, weight: NDArray
                 out[i, k] += share * values[j, k]
         for k in range(3):
             out[i, k] /= total
+
+
+def _interpolated(at: NDArray, points: NDArray, values: NDArray, weight: NDArray) -> NDArray:
+    """Mean of values at points, by weight / distance^2, at other points."""
+    out = np.zeros((len(at), 3))
+    over_threads(_interpolated_part, len(at), at, points, values, weight, out)
     return out
 
 

@@ -11,11 +11,12 @@ of threads.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.noise.lattice import hash2, hash3, subkey
+from scenec.schemas.threads import POINTS, over_threads
 
 _DIRECTIONS = 64
 #: The bits of a lattice point's hash that are its gradient's direction in 2-D.
@@ -132,7 +133,33 @@ def fbm2(key: np.uint64, x: float, y: float, octaves: int, gain: float, lacunari
     return total
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
+@njit(cache=True, error_model="numpy", nogil=True)
+def _fbm2_points_part(
+    first: int,
+    last: int,
+    key: np.uint64,
+    x: NDArray,
+    y: NDArray,
+    scale: float,
+    octaves: int,
+    gain: float,
+    lacunarity: float,
+    distortion: float,
+    out: NDArray,
+) -> None:
+    warp_x = subkey(key, 1 << 20)
+    warp_y = subkey(key, (1 << 20) + 1)
+    for n in range(first, last):
+        u = x[n] / scale
+        v = y[n] / scale
+        if distortion != 0.0:
+            du = perlin2(warp_x, u, v)
+            dv = perlin2(warp_y, u, v)
+            u += distortion * du
+            v += distortion * dv
+        out[n] = fbm2(key, u, v, octaves, gain, lacunarity)
+
+
 def fbm2_points(
     key: np.uint64,
     x: NDArray,
@@ -157,15 +184,18 @@ def fbm2_points(
         float64 [n], zero mean; one octave is in [-1, 1].
     """
     out = np.empty(x.size)
-    warp_x = subkey(key, 1 << 20)
-    warp_y = subkey(key, (1 << 20) + 1)
-    for n in prange(x.size):
-        u = x[n] / scale
-        v = y[n] / scale
-        if distortion != 0.0:
-            du = perlin2(warp_x, u, v)
-            dv = perlin2(warp_y, u, v)
-            u += distortion * du
-            v += distortion * dv
-        out[n] = fbm2(key, u, v, octaves, gain, lacunarity)
+    over_threads(
+        _fbm2_points_part,
+        x.size,
+        key,
+        x,
+        y,
+        scale,
+        octaves,
+        gain,
+        lacunarity,
+        distortion,
+        out,
+        least=POINTS,
+    )
     return out

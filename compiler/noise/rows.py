@@ -9,11 +9,12 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.noise.lattice import hash2, subkeys
 from scenec.compiler.noise.perlin import DIRECTION_MASK, perlin2, perlin2_of_directions
+from scenec.schemas.threads import over_threads
 
 
 class Octaves(NamedTuple):
@@ -150,10 +151,23 @@ def fbm_row(
         next_octave(u, v, lacunarity)
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
+@njit(cache=True, error_model="numpy", nogil=True)
+def _fbm_grid_part(
+    first: int,
+    last: int,
+    octaves: Octaves,
+    x: NDArray,
+    y: NDArray,
+    gain: float,
+    lacunarity: float,
+    out: NDArray,
+) -> None:
+    for j in range(first, last):
+        fbm_row(octaves, x.copy(), np.full(x.size, y[j]), gain, lacunarity, out[j])
+
+
 def fbm_grid(octaves: Octaves, x: NDArray, y: NDArray, gain: float, lacunarity: float) -> NDArray:
     """``fbm2`` on a grid of points in units of the first octave's lattice: float64 [ny, nx]."""
     out = np.empty((y.size, x.size))
-    for j in prange(y.size):
-        fbm_row(octaves, x.copy(), np.full(x.size, y[j]), gain, lacunarity, out[j])
+    over_threads(_fbm_grid_part, y.size, octaves, x, y, gain, lacunarity, out)
     return out

@@ -35,11 +35,12 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.passes.places import COARSE, FINE, Places, cell_of
 from scenec.compiler.passes.shadows import Sweep, has_ended, step_of
+from scenec.schemas.threads import over_threads
 
 #: Part of the irradiance of open level ground that all that is left out may make up at any point
 #: that is seen, by the bound. The bound adds up the worst at each object: that it hides the
@@ -106,8 +107,9 @@ def choose(
     paths = np.zeros((count, 2), np.int64)
     shadow = np.full(count, np.inf)
     if len(ways):
-        _follow(places.distance, places.frame, ways, sweep.bounds, sweep.relief.low,
-                sweep.relief.frame, middles, radii, shadow, paths)  # fmt: skip
+        over_threads(_follow, count, places.distance, places.frame, ways, sweep.bounds,
+                     sweep.relief.low, sweep.relief.frame, middles, radii, shadow,
+                     paths)  # fmt: skip
     squared = radii * radii
     with np.errstate(divide="ignore"):
         effect = factors.around * squared / (near * near)
@@ -117,7 +119,7 @@ def choose(
     np.maximum.at(tall.reshape(-1), cell, middles[:, 2] + radii)
     which = np.flatnonzero(places.seen.ravel())
     clear = np.zeros((len(which), places.seen.size), np.bool_)
-    _find_clear(_least_around(places.low), places.top, tall, which, clear)
+    over_threads(_find_clear, len(which), _least_around(places.low), places.top, tall, which, clear)
     width = times * float(places.frame[2])
 
     def reach(threshold: float) -> float:
@@ -129,7 +131,8 @@ def choose(
             _gather_paths(paths, places.distance.shape[1], shape[1], out,
                           factors.shadow * squared, shadow, far, close)  # fmt: skip
         sums = np.zeros(len(which))
-        _sum_all(which, shape[1], width, far, close, clear, places.low, tall, sums)
+        over_threads(_sum_all, len(which), which, shape[1], width, far, close, clear, places.low,
+                     tall, sums)  # fmt: skip
         return float(sums.max())
 
     low, high = 0.0, max(min(float(effect.max()), tolerance), 1e-300) * (1.0 + 1e-9)
@@ -169,10 +172,10 @@ def _nearest(distance, frame, middles, radii, times, near, cell):  # type: ignor
         cell[n] = (j // times) * columns + i // times
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
-def _follow(distance, frame, ways, bounds, low, cells, middles, radii, near, paths):  # type: ignore[no-untyped-def]
+@njit(cache=True, error_model="numpy", nogil=True)
+def _follow(first, last, distance, frame, ways, bounds, low, cells, middles, radii, near, paths):  # type: ignore[no-untyped-def]
     """Distance from shadows to the nearest place seen; the fine cells they begin and end in."""
-    for n in prange(len(middles)):
+    for n in range(first, last):
         x, y, z = middles[n]
         j, i = cell_of(frame, distance.shape, x, y)
         first_j, last_j, first_i, last_i = j, j, i, i
@@ -214,15 +217,15 @@ def _gather_paths(paths, fine, columns, out, mass, near, far, close):  # type: i
                 close[j * columns + i] += mass[n] / (near[n] * near[n])
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
-def _find_clear(least, top, tall, which, clear):  # type: ignore[no-untyped-def]
+@njit(cache=True, error_model="numpy", nogil=True)
+def _find_clear(first, last, least, top, tall, which, clear):  # type: ignore[no-untyped-def]
     """Whether there may be a straight way from what is seen in a cell to what stands in another.
 
     A way between any two of their points is, at a part of its length, at most half a cell beside
     the one between their middles, and no higher than the one between their tops.
     """
     columns = least.shape[1]
-    for n in prange(len(which)):
+    for n in range(first, last):
         rj = which[n] // columns
         ri = which[n] % columns
         for c in range(least.size):
@@ -243,10 +246,10 @@ def _find_clear(least, top, tall, which, clear):  # type: ignore[no-untyped-def]
             clear[n, c] = not blocked
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
-def _sum_all(which, columns, width, far, close, clear, low, tall, sums):  # type: ignore[no-untyped-def]
+@njit(cache=True, error_model="numpy", nogil=True)
+def _sum_all(first, last, which, columns, width, far, close, clear, low, tall, sums):  # type: ignore[no-untyped-def]
     """The sum at each cell that holds something seen."""
-    for n in prange(len(which)):
+    for n in range(first, last):
         sums[n] = _sum_at(which[n], columns, width, far, close, clear[n], low, tall)
 
 

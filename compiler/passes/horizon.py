@@ -15,11 +15,12 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.passes.outlook import Outlook, in_view
 from scenec.compiler.scene import Ground, Tile
+from scenec.schemas.threads import over_threads
 
 #: Cells along the longer side of the terrain.
 _CELLS = 640
@@ -105,8 +106,8 @@ def horizon_of(relief: Relief, ground: Ground, views: Outlook) -> Horizon:
     slope = np.full((len(eye), bins, len(edges) - 1), -np.inf, np.float32)
     # An eye that moves sees over what hides from one of its places.
     above = _are_above(ground.tiles, eye) & ~views.moving
-    _find_slopes(relief.low, relief.frame, eye, views.planes, views.axis, views.cone, above, rings,
-                 slope)  # fmt: skip
+    over_threads(_find_slopes, slope.shape[0] * slope.shape[1], relief.low, relief.frame, eye,
+                 views.planes, views.axis, views.cone, above, rings, slope)  # fmt: skip
     return Horizon(slope, rings)
 
 
@@ -251,12 +252,12 @@ def _looks(planes, axis, cone, x, y):  # type: ignore[no-untyped-def]
     return False
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
-def _find_slopes(low, frame, eye, planes, axis, cone, above, edges, slope):  # type: ignore[no-untyped-def]
+@njit(cache=True, error_model="numpy", nogil=True)
+def _find_slopes(first, last, low, frame, eye, planes, axis, cone, above, edges, slope):  # type: ignore[no-untyped-def]
     ny, nx = low.shape
     x0, y0, dx, dy = frame
     bins = slope.shape[1]
-    for n in prange(slope.shape[0] * bins):
+    for n in range(first, last):
         v = n // bins
         b = n % bins
         if not above[v]:

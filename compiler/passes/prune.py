@@ -238,7 +238,8 @@ def _shines(one: Scatter | Placed, scene: Scene) -> bool:
 
 def _seen_ground(grid: Relief, eyes: Eyes, width: float) -> NDArray[np.bool_]:
     """Fine cells whose ground a view with color may see."""
-    there = grid.low <= grid.high
+    # Of a terrain that hides nothing nothing is known to be low; where there is none, nor high.
+    there = (grid.low <= grid.high) & (grid.high > -np.inf)
     j, i = np.nonzero(there)
     low, high = np.maximum(grid.low[there], grid.high[there] - 1e6), grid.high[there]
     middles = np.stack(

@@ -11,12 +11,13 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.passes.horizon import Relief
 from scenec.compiler.passes.places import Places, cell_of
 from scenec.compiler.passes.visible import SHOWN, Eyes, shows
+from scenec.schemas.threads import over_threads
 
 #: A swept ball's steps are at least this share of the way it has come.
 _STRIDE = 1.0 / 16.0
@@ -70,19 +71,20 @@ def shadows_seen(
     for light in np.unique(lights[asked], axis=0):
         samples = sweep.sample[asked & (lights == light).all(axis=1)]
         count = np.flatnonzero(views.color & np.isin(views.sample, samples))
-        _sweep(views.eye, views.planes, views.axis, views.cone, count, horizon.slope,
-               horizon.edges, light[:3], light[3:], sweep.bounds, sweep.relief.low,
-               sweep.relief.frame, places.distance, places.peak, places.frame, middles, radii,
-               np.flatnonzero(~(done | out)), out)  # fmt: skip
+        left = np.flatnonzero(~(done | out))
+        over_threads(_sweep, len(left), views.eye, views.planes, views.axis, views.cone, count,
+                     horizon.slope, horizon.edges, light[:3], light[3:], sweep.bounds,
+                     sweep.relief.low, sweep.relief.frame, places.distance, places.peak,
+                     places.frame, middles, radii, left, out)  # fmt: skip
     return out
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
+@njit(cache=True, error_model="numpy", nogil=True)
 def _sweep(  # type: ignore[no-untyped-def]
-    eyes, planes, axes, cones, views, slopes, edges, way, widening, bounds, low, cells,
-    distance, peak, frame, middles, radii, which, out,
+    first, last, eyes, planes, axes, cones, views, slopes, edges, way, widening, bounds, low,
+    cells, distance, peak, frame, middles, radii, which, out,
 ):  # fmt: skip
-    for k in prange(len(which)):
+    for k in range(first, last):
         n = which[k]
         x, y, z = middles[n]
         out[n] = _falls(

@@ -9,11 +9,12 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.passes.horizon import Horizon, is_hidden
 from scenec.compiler.passes.outlook import Outlook, in_view
+from scenec.schemas.threads import over_threads
 
 #: What a view may show of a ball: nothing, nothing because of the ground, something.
 OUTSIDE, BEHIND, SHOWN = 0, 1, 2
@@ -92,8 +93,9 @@ def seen_by(
     out = np.full(len(middles), OUTSIDE, np.int8)
     views, horizon = eyes
     count = which & ((views.sample == sample) | (sample < 0))
-    _see(views.eye, views.planes, views.axis, views.cone, np.flatnonzero(count), horizon.slope,
-         horizon.edges, middles, radii, *groups, out)  # fmt: skip
+    over_threads(_see, len(groups.balls), views.eye, views.planes, views.axis, views.cone,
+                 np.flatnonzero(count), horizon.slope, horizon.edges, middles, radii, *groups,
+                 out)  # fmt: skip
     return out
 
 
@@ -151,9 +153,12 @@ def shows(eyes, planes, axes, cones, slopes, edges, v, x, y, z, radius):  # type
     return 2
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
-def _see(eyes, planes, axes, cones, views, slopes, edges, middles, radii, order, start, balls, out):  # type: ignore[no-untyped-def]
-    for g in prange(len(balls)):
+@njit(cache=True, error_model="numpy", nogil=True)
+def _see(  # type: ignore[no-untyped-def]
+    first, last, eyes, planes, axes, cones, views, slopes, edges, middles, radii, order, start,
+    balls, out,
+):  # fmt: skip
+    for g in range(first, last):
         x, y, z, radius = balls[g]
         maybe = np.empty(len(views), np.int64)
         count = 0

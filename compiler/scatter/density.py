@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
@@ -22,6 +22,7 @@ from scenec.compiler.terrain.craters import Craters, shown_on
 from scenec.compiler.terrain.polyline import project_on, read_polyline
 from scenec.schemas.errors import SceneError
 from scenec.schemas.maps import read_pixels
+from scenec.schemas.threads import POINTS, over_threads
 
 #: Beyond so many standard deviations of a cluster nothing of it lies (3e-4 would).
 CLUSTER_REACH = 4.0
@@ -119,16 +120,20 @@ class WorleyDensity(Everywhere):
         return self.scale_m / 16.0
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
-def _worley(key, x, y, jitter, lines, sharpness):  # type: ignore[no-untyped-def]
-    out = np.empty(x.size)
-    for n in prange(x.size):
+@njit(cache=True, error_model="numpy", nogil=True)
+def _worley_part(begin, end, key, x, y, jitter, lines, sharpness, out):  # type: ignore[no-untyped-def]
+    for n in range(begin, end):
         first, second = worley2(key, x[n], y[n], jitter)
         left = 1.0 - ((second - first) if lines else first)
         if sharpness == 0.0:
             out[n] = 1.0
         else:
             out[n] = elementary.exp(sharpness * elementary.log(left)) if left > 0.0 else 0.0
+
+
+def _worley(key, x, y, jitter, lines, sharpness):  # type: ignore[no-untyped-def]
+    out = np.empty(x.size)
+    over_threads(_worley_part, x.size, key, x, y, jitter, lines, sharpness, out, least=POINTS)
     return out
 
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.ground.surface import Surface
 from scenec.compiler.scatter.placement import rotation_rows
 from scenec.compiler.scene import Prototype
 from scenec.compiler.terrain.grid import surface_height
+from scenec.schemas.threads import over_threads
 
 #: Vertices of each object that are held against the surface: those nearest to the grid's triangles.
 LOWEST = 32
@@ -55,14 +56,27 @@ def seat_on_detail(
     return out
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
-def _lowest(  # type: ignore[no-untyped-def]
-    field, x0, y0, dx, dy, points, offsets, prototype, x, y, orientations, size, most
+@njit(cache=True, error_model="numpy", nogil=True)
+def _lowest_part(  # type: ignore[no-untyped-def]
+    first,
+    last,
+    field,
+    x0,
+    y0,
+    dx,
+    dy,
+    points,
+    offsets,
+    prototype,
+    x,
+    y,
+    orientations,
+    size,
+    most,
+    out,
+    heights,
 ):
-    """The vertices least above the grid's triangles: x, y in the world, z over the origin."""
-    out = np.empty((x.size, most, 3))
-    heights = np.empty(x.size)
-    for n in prange(x.size):
+    for n in range(first, last):
         r = rotation_rows(orientations[n])
         above = np.full(most, np.inf)
         low = np.inf
@@ -91,4 +105,31 @@ def _lowest(  # type: ignore[no-untyped-def]
                 for i in range(3):
                     out[n, k, i] = out[n, 0, i]
         heights[n] = high - low
+
+
+def _lowest(  # type: ignore[no-untyped-def]
+    field, x0, y0, dx, dy, points, offsets, prototype, x, y, orientations, size, most
+):
+    """The vertices least above the grid's triangles: x, y in the world, z over the origin."""
+    out = np.empty((x.size, most, 3))
+    heights = np.empty(x.size)
+    over_threads(
+        _lowest_part,
+        x.size,
+        field,
+        x0,
+        y0,
+        dx,
+        dy,
+        points,
+        offsets,
+        prototype,
+        x,
+        y,
+        orientations,
+        size,
+        most,
+        out,
+        heights,
+    )
     return out, heights

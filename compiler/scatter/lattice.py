@@ -6,10 +6,11 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.terrain.grid import Grid
+from scenec.schemas.threads import over_threads
 
 #: Cells that a density finer than the grid is given at most.
 MOST_CELLS = 1 << 23
@@ -103,7 +104,19 @@ def splat(
         reach: Where f ends.
     """
     out = np.zeros(lattice.shape)
-    _splat(lattice.x, lattice.y, x, y, unit_m, weight, values, reach, out)
+    over_threads(
+        _splat,
+        -(-lattice.y.size // _ROWS),
+        lattice.x,
+        lattice.y,
+        x,
+        y,
+        unit_m,
+        weight,
+        values,
+        reach,
+        out,
+    )
     return out
 
 
@@ -116,12 +129,11 @@ def _columns(at, center, reach):  # type: ignore[no-untyped-def]
     return int(min(max(first, 0.0), at.size)), int(min(max(last, 0.0), at.size))
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
-def _splat(x, y, cx, cy, unit, weight, values, reach, out):  # type: ignore[no-untyped-def]
+@njit(cache=True, error_model="numpy", nogil=True)
+def _splat(first, last, x, y, cx, cy, unit, weight, values, reach, out):  # type: ignore[no-untyped-def]
     steps = values.size - 1
-    bands = (y.size + _ROWS - 1) // _ROWS
     # A cell adds up its centers in their order, whatever thread does it.
-    for band in prange(bands):
+    for band in range(first, last):
         j0 = band * _ROWS
         j1 = min(j0 + _ROWS, y.size)
         for n in range(cx.size):
@@ -157,14 +169,15 @@ def nearest(
         reach_m: Distances beyond it are not told apart.
     """
     out = np.full(lattice.shape, reach_m)
-    _nearest(lattice.x, lattice.y, x, y, radius, reach_m, out)
+    over_threads(
+        _nearest, -(-lattice.y.size // _ROWS), lattice.x, lattice.y, x, y, radius, reach_m, out
+    )
     return out
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
-def _nearest(x, y, cx, cy, radius, reach, out):  # type: ignore[no-untyped-def]
-    bands = (y.size + _ROWS - 1) // _ROWS
-    for band in prange(bands):
+@njit(cache=True, error_model="numpy", nogil=True)
+def _nearest(first, last, x, y, cx, cy, radius, reach, out):  # type: ignore[no-untyped-def]
+    for band in range(first, last):
         j0 = band * _ROWS
         j1 = min(j0 + _ROWS, y.size)
         for n in range(cx.size):

@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.plan import Apart, Count, ScatterPlan
@@ -22,6 +22,7 @@ from scenec.compiler.scatter.surroundings import Surroundings
 from scenec.compiler.scene import Prototype, Scatter
 from scenec.compiler.terrain.mesh_surface import MeshSurface
 from scenec.schemas.errors import SceneError
+from scenec.schemas.threads import POINTS, over_threads
 
 
 def lay(
@@ -245,11 +246,9 @@ def _clear(
     return np.unique(np.concatenate(moved)) if moved else np.zeros(0, np.int64), tries
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
-def _too_near(at, reach, cameras):  # type: ignore[no-untyped-def]
-    """Whether a camera is nearer than its reach to each point; cameras are sorted by x."""
-    out = np.zeros(len(at), np.bool_)
-    for n in prange(len(at)):
+@njit(cache=True, error_model="numpy", nogil=True)
+def _too_near_part(first, last, at, reach, cameras, out):  # type: ignore[no-untyped-def]
+    for n in range(first, last):
         x, y, z = at[n]
         k = np.searchsorted(cameras[:, 0], x - reach[n])
         while k < len(cameras) and cameras[k, 0] <= x + reach[n]:
@@ -258,4 +257,10 @@ def _too_near(at, reach, cameras):  # type: ignore[no-untyped-def]
                 out[n] = True
                 break
             k += 1
+
+
+def _too_near(at, reach, cameras):  # type: ignore[no-untyped-def]
+    """Whether a camera is nearer than its reach to each point; cameras are sorted by x."""
+    out = np.zeros(len(at), np.bool_)
+    over_threads(_too_near_part, len(at), at, reach, cameras, out, least=POINTS)
     return out

@@ -9,11 +9,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.noise.lattice import hash2, subkeys
 from scenec.compiler.scatter.lattice import Lattice
+from scenec.schemas.threads import POINTS, over_threads
 
 _SHIFT = np.uint64(11)
 _TO_UNIT = 2.0**-53
@@ -77,12 +78,16 @@ def point(cumulative, corners, frame, u, v, w):  # type: ignore[no-untyped-def]
     return frame[0] + frame[2] * (index % nx + v), frame[1] + frame[3] * (index // nx + w), index
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
+@njit(cache=True, error_model="numpy", nogil=True)
+def _points_part(first, last, cumulative, corners, frame, u, x, y, index):  # type: ignore[no-untyped-def]
+    for n in range(first, last):
+        x[n], y[n], index[n] = point(cumulative, corners, frame, u[n, 0], u[n, 1], u[n, 2])
+
+
 def _points(cumulative, corners, frame, u):  # type: ignore[no-untyped-def]
     x, y = np.empty(len(u)), np.empty(len(u))
     index = np.empty(len(u), np.int64)
-    for n in prange(len(u)):
-        x[n], y[n], index[n] = point(cumulative, corners, frame, u[n, 0], u[n, 1], u[n, 2])
+    over_threads(_points_part, len(u), cumulative, corners, frame, u, x, y, index, least=POINTS)
     return x, y, index
 
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.scatter.highest import Highest, bound
 from scenec.compiler.scatter.placement import rotation_rows
 from scenec.compiler.scene import Prototype
 from scenec.compiler.terrain.grid import HeightField, surface_height
+from scenec.schemas.threads import over_threads
 
 
 def seat(
@@ -63,13 +64,29 @@ def seat(
     )
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
-def _seat(  # type: ignore[no-untyped-def]
-    height, x0, y0, dx, dy, blocks, shapes, starts,
-    points, offsets, prototype, x, y, orientations, size, embed,
-):  # fmt: skip
-    out = np.empty(x.size)
-    for n in prange(x.size):
+@njit(cache=True, error_model="numpy", nogil=True)
+def _seat_part(  # type: ignore[no-untyped-def]
+    first,
+    last,
+    height,
+    x0,
+    y0,
+    dx,
+    dy,
+    blocks,
+    shapes,
+    starts,
+    points,
+    offsets,
+    prototype,
+    x,
+    y,
+    orientations,
+    size,
+    embed,
+    out,
+):
+    for n in range(first, last):
         r = rotation_rows(orientations[n])
         start, end = offsets[prototype[n]], offsets[prototype[n] + 1]
         low = np.inf
@@ -99,4 +116,32 @@ def _seat(  # type: ignore[no-untyped-def]
             py = y[n] + size[n] * (r[3] * a + r[4] * b + r[5] * c)
             clearance = min(clearance, pz - surface_height(height, x0, y0, dx, dy, px, py))
         out[n] = -clearance - embed[n] * (high - low)
+
+
+def _seat(  # type: ignore[no-untyped-def]
+    height, x0, y0, dx, dy, blocks, shapes, starts,
+    points, offsets, prototype, x, y, orientations, size, embed,
+):  # fmt: skip
+    out = np.empty(x.size)
+    over_threads(
+        _seat_part,
+        x.size,
+        height,
+        x0,
+        y0,
+        dx,
+        dy,
+        blocks,
+        shapes,
+        starts,
+        points,
+        offsets,
+        prototype,
+        x,
+        y,
+        orientations,
+        size,
+        embed,
+        out,
+    )
     return out

@@ -10,7 +10,6 @@ import os
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
 
 from scenec.compiler.build import BuildLog, build_surface, stand_objects, stand_rigs
@@ -26,6 +25,7 @@ from scenec.compiler.settle.world import Fallen, Options, clearance_m, physics
 from scenec.compiler.terrain.mesh_surface import MeshSurface
 from scenec.schemas.errors import OutputError, ScenecError, SceneError
 from scenec.schemas.spelling import nearest, shown
+from scenec.schemas.versions import version_of
 
 #: More objects than this are not dropped at once: scattering is for the many.
 MOST_OBJECTS = 500
@@ -136,7 +136,7 @@ def settle(
     settled = [body for group in fallen for body in group.bodies]
     report = _report(files, settled, fallen, surface, built - started, time.perf_counter() - built)
     made_by = (
-        f"Made by scenec {version('scenec')} settle with MuJoCo {library.__version__}: "
+        f"Made by scenec {version_of()} settle with MuJoCo {library.__version__}: "
         f"{spec.cfg['name']}, seed {seed}, batch {batch}, friction {options.friction:g}, "
         f"restitution {options.restitution:g}, {options.cells} cells."
     )

@@ -12,7 +12,7 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
@@ -25,6 +25,7 @@ from scenec.compiler.surfaces.sources import Sources
 from scenec.compiler.surfaces.surface import Surface
 from scenec.compiler.terrain.detail import Spectrum
 from scenec.schemas.cells import SIDE, STEPS, table
+from scenec.schemas.threads import over_threads
 
 #: Root mean square of an octave of noise over its amplitude: what ``Spectrum`` speaks of.
 _RMS_OF_AMPLITUDE = 0.3
@@ -159,11 +160,9 @@ def _look_up(plane, u, v):  # type: ignore[no-untyped-def]
     return _cubic(a, b, c, d, down)
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
-def _heights(plane, size, turns, cell, x, y):  # type: ignore[no-untyped-def]
-    """The picture at points: as it repeats where ``cell`` is 0, else in cells of that side."""
-    out = np.empty(x.size)
-    for n in prange(x.size):
+@njit(cache=True, error_model="numpy", nogil=True)
+def _heights_part(first, last, plane, size, turns, cell, x, y, out):  # type: ignore[no-untyped-def]
+    for n in range(first, last):
         if cell == 0.0:
             out[n] = _look_up(plane, x[n] / size, y[n] / size)
             continue
@@ -199,4 +198,10 @@ def _heights(plane, size, turns, cell, x, y):  # type: ignore[no-untyped-def]
             squares += share * share
         # Shares over their sum; the spread over the root of their squares' sum.
         out[n] = total / np.sqrt(squares) if fourths > 0.0 else 0.0
+
+
+def _heights(plane, size, turns, cell, x, y):  # type: ignore[no-untyped-def]
+    """The picture at points: as it repeats where ``cell`` is 0, else in cells of that side."""
+    out = np.empty(x.size)
+    over_threads(_heights_part, x.size, plane, size, turns, cell, x, y, out)
     return out

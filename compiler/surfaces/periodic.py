@@ -12,13 +12,14 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.noise.lattice import hash2, subkey
 from scenec.compiler.noise.perlin import DIRECTION_MASK
 from scenec.compiler.noise.worley import feature_point
+from scenec.schemas.threads import over_threads
 
 Plane = NDArray[np.float32]
 _SHIFT = np.uint64(40)
@@ -47,21 +48,8 @@ class Cells(NamedTuple):
     hashed: NDArray[np.uint64]
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
-def octaves(key, n, count, number, gain):  # type: ignore[no-untyped-def]
-    """Octaves of periodic gradient noise after Perlin (2002), float32 [n, n].
-
-    Octave o has count * 2**o lattice cells a side and the amplitude gain**o. Each has its lattice
-    somewhere else, for noise is 0 at its lattice's points.
-
-    Args:
-        key: Noise key.
-        n: Pixels a side.
-        count: Lattice cells of the first octave a side.
-        number: Octaves.
-        gain: Ratio of successive amplitudes.
-    """
-    out = np.empty((n, n), np.float32)
+@njit(cache=True, error_model="numpy")
+def _columns(key, n, count, number):  # type: ignore[no-untyped-def]
     # Along a row all is the same for each row: the lattice point, how far past it, and its fade.
     point = np.empty((number, n), np.int32)
     past = np.empty((number, n))
@@ -75,7 +63,12 @@ def octaves(key, n, count, number, gain):  # type: ignore[no-untyped-def]
             point[octave, column] = np.int32(x)
             past[octave, column] = u
             faded[octave, column] = u * u * u * (u * (u * 6.0 - 15.0) + 10.0)
-    for line in prange(n):
+    return point, past, faded
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _octaves_part(first, last, key, n, count, number, gain, out, point, past, faded):  # type: ignore[no-untyped-def]
+    for line in range(first, last):
         row = np.int64(line)
         total = np.zeros(n)
         amplitude = 1.0
@@ -106,6 +99,24 @@ def octaves(key, n, count, number, gain):  # type: ignore[no-untyped-def]
             cells *= 2
         for column in range(n):
             out[row, column] = total[column]
+
+
+def octaves(key, n, count, number, gain):  # type: ignore[no-untyped-def]
+    """Octaves of periodic gradient noise after Perlin (2002), float32 [n, n].
+
+    Octave o has count * 2**o lattice cells a side and the amplitude gain**o. Each has its lattice
+    somewhere else, for noise is 0 at its lattice's points.
+
+    Args:
+        key: Noise key.
+        n: Pixels a side.
+        count: Lattice cells of the first octave a side.
+        number: Octaves.
+        gain: Ratio of successive amplitudes.
+    """
+    out = np.empty((n, n), np.float32)
+    point, past, faded = _columns(key, n, count, number)
+    over_threads(_octaves_part, n, key, n, count, number, gain, out, point, past, faded)
     return out
 
 
@@ -130,27 +141,25 @@ def _scatter(key, count, jitter):  # type: ignore[no-untyped-def]
     return points, hashed
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
-def cells(key, n, count, jitter, warp_x, warp_y, bordered):  # type: ignore[no-untyped-def]
-    """Periodic cellular noise after Worley (1996): the fields of ``Cells``.
-
-    Args:
-        key: Noise key.
-        n: Pixels a side.
-        count: Cells a side.
-        jitter: How far points are from a square lattice, 0 to 1.
-        warp_x, warp_y: How far each pixel is moved before the search, in cells: float32 [n, n], or
-            [1, 1] for all.
-        bordered: Whether ``border`` is asked for; without, it is 0.
-    """
-    points, hashes = _scatter(key, count, jitter)
-    near = np.empty((n, n), np.float32)
-    border = np.zeros((n, n), np.float32)
-    across = np.empty((n, n), np.float32)
-    down = np.empty((n, n), np.float32)
-    hashed = np.empty((n, n), np.uint64)
+@njit(cache=True, error_model="numpy", nogil=True)
+def _cells_part(  # type: ignore[no-untyped-def]
+    begin,
+    end,
+    n,
+    count,
+    warp_x,
+    warp_y,
+    bordered,
+    points,
+    hashes,
+    near,
+    border,
+    across,
+    down,
+    hashed,
+):
     moved = np.int64(warp_x.shape[0] == n)
-    for line in prange(n):
+    for line in range(begin, end):
         row = np.int64(line)
         for column in range(n):
             x = (column + 0.5) / n * count + warp_x[row * moved, column * moved]
@@ -211,30 +220,74 @@ def cells(key, n, count, jitter, warp_x, warp_y, bordered):  # type: ignore[no-u
                 if reach <= (inside + ring - 1.0) * (inside + ring - 1.0):
                     break
             border[row, column] = max(least, 0.0)
+
+
+def cells(key, n, count, jitter, warp_x, warp_y, bordered):  # type: ignore[no-untyped-def]
+    """Periodic cellular noise after Worley (1996): the fields of ``Cells``.
+
+    Args:
+        key: Noise key.
+        n: Pixels a side.
+        count: Cells a side.
+        jitter: How far points are from a square lattice, 0 to 1.
+        warp_x, warp_y: How far each pixel is moved before the search, in cells: float32 [n, n], or
+            [1, 1] for all.
+        bordered: Whether ``border`` is asked for; without, it is 0.
+    """
+    points, hashes = _scatter(key, count, jitter)
+    near = np.empty((n, n), np.float32)
+    border = np.zeros((n, n), np.float32)
+    across = np.empty((n, n), np.float32)
+    down = np.empty((n, n), np.float32)
+    hashed = np.empty((n, n), np.uint64)
+    over_threads(
+        _cells_part,
+        n,
+        n,
+        count,
+        warp_x,
+        warp_y,
+        bordered,
+        points,
+        hashes,
+        near,
+        border,
+        across,
+        down,
+        hashed,
+    )
     return near, border, across, down, hashed
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
-def numbers(hashed, index):  # type: ignore[no-untyped-def]
-    """Numbers in [0, 1) of hashes, one for each index: float32, of the same shape [n, n]."""
-    out = np.empty(hashed.shape, np.float32)
-    for line in prange(hashed.shape[0]):
+@njit(cache=True, error_model="numpy", nogil=True)
+def _numbers_part(first, last, hashed, index, out):  # type: ignore[no-untyped-def]
+    for line in range(first, last):
         row = np.int64(line)
         for column in range(hashed.shape[1]):
             bits = subkey(hashed[row, column], index)
             out[row, column] = np.float64(bits >> _SHIFT) * _TO_UNIT
+
+
+def numbers(hashed, index):  # type: ignore[no-untyped-def]
+    """Numbers in [0, 1) of hashes, one for each index: float32, of the same shape [n, n]."""
+    out = np.empty(hashed.shape, np.float32)
+    over_threads(_numbers_part, hashed.shape[0], hashed, index, out)
     return out
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
-def _row_sums(plane):  # type: ignore[no-untyped-def]
-    sums = np.zeros((plane.shape[0], 2))
-    for line in prange(plane.shape[0]):
+@njit(cache=True, error_model="numpy", nogil=True)
+def _row_sums_part(first, last, plane, sums):  # type: ignore[no-untyped-def]
+    for line in range(first, last):
         row = np.int64(line)
         for column in range(plane.shape[1]):
             value = np.float64(plane[row, column])
             sums[row, 0] += value
             sums[row, 1] += value * value
+
+
+def _row_sums(plane):  # type: ignore[no-untyped-def]
+    sums = np.zeros((plane.shape[0], 2))
+    over_threads(_row_sums_part, plane.shape[0], plane, sums)
     return sums
 
 

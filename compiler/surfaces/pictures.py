@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic.srgb import linear_codes
@@ -17,6 +17,7 @@ from scenec.compiler.scene import Material, MaterialMaps, Picture
 from scenec.compiler.surfaces.heights import blend_heights, painted_look, relief_m
 from scenec.compiler.surfaces.periodic import Plane, moments
 from scenec.compiler.surfaces.tile import Tile
+from scenec.schemas.threads import over_threads
 
 #: Colors are at least this share of their mean.
 _DARKEST = 0.06
@@ -157,12 +158,10 @@ def normal_codes(height: Plane, steepness: float) -> tuple[NDArray[np.uint8], fl
     return codes, float(np.sqrt(moments(squares)[0]))
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
-def _normals(height, scale):  # type: ignore[no-untyped-def]
+@njit(cache=True, error_model="numpy", nogil=True)
+def _normals_part(first, last, height, scale, codes, squares):  # type: ignore[no-untyped-def]
     n = height.shape[0]
-    codes = np.empty((n, n, 3), np.uint8)
-    squares = np.empty((n, n), np.float32)
-    for line in prange(n):
+    for line in range(first, last):
         row = np.int64(line)
         for column in range(n):
             # Rows run down the picture, and y up.
@@ -178,6 +177,13 @@ def _normals(height, scale):  # type: ignore[no-untyped-def]
             codes[row, column, 0] = np.uint8(127.5 * (x / length + 1.0) + 0.5)
             codes[row, column, 1] = np.uint8(127.5 * (y / length + 1.0) + 0.5)
             codes[row, column, 2] = np.uint8(127.5 * (1.0 / length + 1.0) + 0.5)
+
+
+def _normals(height, scale):  # type: ignore[no-untyped-def]
+    n = height.shape[0]
+    codes = np.empty((n, n, 3), np.uint8)
+    squares = np.empty((n, n), np.float32)
+    over_threads(_normals_part, n, height, scale, codes, squares)
     return codes, squares
 
 
@@ -190,10 +196,9 @@ def encoded(plane: Plane, factor: float) -> NDArray[np.uint8]:
     return codes
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
-def _encode(plane, factor, table, borders):  # type: ignore[no-untyped-def]
-    codes = np.empty(plane.shape, np.uint8)
-    for line in prange(plane.shape[0]):
+@njit(cache=True, error_model="numpy", nogil=True)
+def _encode_part(first, last, plane, factor, table, borders, codes):  # type: ignore[no-untyped-def]
+    for line in range(first, last):
         row = np.int64(line)
         for column in range(plane.shape[1]):
             value = min(max(np.float64(plane[row, column]) * factor, 0.0), 1.0)
@@ -202,4 +207,9 @@ def _encode(plane, factor, table, borders):  # type: ignore[no-untyped-def]
             while code < 255 and value > borders[code]:
                 code += np.uint8(1)
             codes[row, column] = code
+
+
+def _encode(plane, factor, table, borders):  # type: ignore[no-untyped-def]
+    codes = np.empty(plane.shape, np.uint8)
+    over_threads(_encode_part, plane.shape[0], plane, factor, table, borders, codes)
     return codes

@@ -99,7 +99,8 @@ class Tile:
         bends = [np.zeros((1, 1), np.float32)] * 2
         if warp > 0.0:
             bends = [np.float32(warp) * self.noise(warp_m or width_m, 0.6, 4) for _ in range(2)]
-        return Cells(*periodic.cells(key, self.pixels, count, jitter, *bends, bordered))
+        warp_x, warp_y = bends
+        return Cells(*periodic.cells(key, self.pixels, count, jitter, warp_x, warp_y, bordered))
 
     def waves(self, length_m: float, bend: Plane) -> Plane:
         """Phase of waves in their wavelengths, [0, 1): whole waves fit into the tile.

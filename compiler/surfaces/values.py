@@ -9,7 +9,7 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic.srgb import linear_codes
@@ -20,6 +20,7 @@ from scenec.compiler.surfaces.heights import stamp
 from scenec.compiler.surfaces.periodic import Plane, moments
 from scenec.compiler.surfaces.pictures import encoded
 from scenec.schemas.errors import SceneError
+from scenec.schemas.threads import over_threads
 
 type Source = Path | Picture
 #: float32 [h, w, 3].
@@ -93,10 +94,9 @@ def unit(vectors: NDArray[np.floating]) -> Planes:
     return found
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
-def _unit(vectors):  # type: ignore[no-untyped-def]
-    out = np.empty(vectors.shape, np.float32)
-    for line in prange(vectors.shape[0]):
+@njit(cache=True, error_model="numpy", nogil=True)
+def _unit_part(first, last, vectors, out):  # type: ignore[no-untyped-def]
+    for line in range(first, last):
         row = np.int64(line)
         for column in range(vectors.shape[1]):
             x = np.float64(vectors[row, column, 0])
@@ -111,6 +111,11 @@ def _unit(vectors):  # type: ignore[no-untyped-def]
                 out[row, column, 0] = 0.0
                 out[row, column, 1] = 0.0
                 out[row, column, 2] = 1.0
+
+
+def _unit(vectors):  # type: ignore[no-untyped-def]
+    out = np.empty(vectors.shape, np.float32)
+    over_threads(_unit_part, vectors.shape[0], vectors, out)
     return out
 
 

@@ -7,13 +7,14 @@ from pathlib import Path
 from typing import Any, ClassVar, Literal
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.terrain.dem_file import GeoReference, read_dem
 from scenec.compiler.terrain.fill_holes import fill_holes
 from scenec.compiler.terrain.grid import Grid
 from scenec.schemas.errors import SceneError
+from scenec.schemas.threads import over_threads
 
 # Holes are filled from what lies within so many pixels of the terrain.
 _FILL_MARGIN = 256
@@ -163,11 +164,12 @@ def _catmull_rom(p0: float, p1: float, p2: float, p3: float, t: float) -> float:
     )
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
-def _bicubic(samples: NDArray, u: NDArray, v: NDArray) -> NDArray:
+@njit(cache=True, error_model="numpy", nogil=True)
+def _bicubic_part(
+    first: int, last: int, samples: NDArray, u: NDArray, v: NDArray, out: NDArray
+) -> None:
     ny, nx = samples.shape
-    out = np.empty((v.size, u.size))
-    for j in prange(v.size):
+    for j in range(first, last):
         y = min(max(v[j], 0.0), ny - 1.0)
         row = int(y)
         ty = y - row
@@ -189,4 +191,9 @@ def _bicubic(samples: NDArray, u: NDArray, v: NDArray) -> NDArray:
             c = _catmull_rom(samples[r2, c0], samples[r2, c1], samples[r2, c2], samples[r2, c3], tx)
             d = _catmull_rom(samples[r3, c0], samples[r3, c1], samples[r3, c2], samples[r3, c3], tx)
             out[j, i] = _catmull_rom(a, b, c, d, ty)
+
+
+def _bicubic(samples: NDArray, u: NDArray, v: NDArray) -> NDArray:
+    out = np.empty((v.size, u.size))
+    over_threads(_bicubic_part, v.size, samples, u, v, out)
     return out

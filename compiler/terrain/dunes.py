@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
@@ -14,6 +14,7 @@ from scenec.compiler.noise.lattice import subkey
 from scenec.compiler.noise.rows import Octaves, octave_row, tabulate
 from scenec.compiler.terrain.grid import Grid
 from scenec.schemas.errors import SceneError
+from scenec.schemas.threads import over_threads
 
 #: Wavelengths of fewer grid spacings cannot be represented.
 _FINEST = 4.0
@@ -73,8 +74,8 @@ class Dunes:
         wind = self.wind_deg * (elementary.PI / 180.0)
         along, across = elementary.cos(wind), elementary.sin(wind)
         x, y = grid.x() / self.wavelength_m, grid.y() / self.wavelength_m
-        noises = [self._noise(i, x, y, along, across) for i in range(2)]
-        real, imaginary = _envelope(*noises, x, y, along, across, self.order)
+        first, second = (self._noise(i, x, y, along, across) for i in range(2))
+        real, imaginary = _envelope(first, second, x, y, along, across, self.order)
         relief = _bedforms(
             real,
             imaginary,
@@ -130,7 +131,29 @@ class Ripples(Dunes):
     rounded: ClassVar[bool] = True
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
+@njit(cache=True, error_model="numpy", nogil=True)
+def _envelope_part(
+    begin: int,
+    end: int,
+    first: Octaves,
+    second: Octaves,
+    x: NDArray,
+    y: NDArray,
+    along: float,
+    across: float,
+    order: float,
+    real: NDArray,
+    imaginary: NDArray,
+) -> None:
+    for j in range(begin, end):
+        u = (along * x + across * y[j]) / _ALONG
+        v = (along * y[j] - across * x) / _ACROSS
+        octave_row(first, 0, u, v, real[j])
+        octave_row(second, 0, u, v + 0.5, imaginary[j])
+        for i in range(x.size):
+            real[j, i] += order
+
+
 def _envelope(
     first: Octaves,
     second: Octaves,
@@ -143,13 +166,7 @@ def _envelope(
     """The complex noise of which the phase is a part: order + n1 + i n2, n of unit range."""
     real = np.empty((y.size, x.size))
     imaginary = np.empty((y.size, x.size))
-    for j in prange(y.size):
-        u = (along * x + across * y[j]) / _ALONG
-        v = (along * y[j] - across * x) / _ACROSS
-        octave_row(first, 0, u, v, real[j])
-        octave_row(second, 0, u, v + 0.5, imaginary[j])
-        for i in range(x.size):
-            real[j, i] += order
+    over_threads(_envelope_part, y.size, first, second, x, y, along, across, order, real, imaginary)
     return real, imaginary
 
 
@@ -165,8 +182,10 @@ def _difference(field: NDArray, j: int, i: int, axis: int, spacing: float) -> fl
     return (field[j, high] - field[j, low]) / ((high - low) * spacing)
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
-def _bedforms(
+@njit(cache=True, error_model="numpy", nogil=True)
+def _bedforms_part(
+    first: int,
+    last: int,
     real: NDArray,
     imaginary: NDArray,
     x: NDArray,
@@ -175,13 +194,12 @@ def _bedforms(
     across: float,
     lee: float,
     rounded: bool,
-) -> NDArray:
-    """Heights in units of the mean crest's, from positions in wavelengths: float64 [ny, nx]."""
+    out: NDArray,
+) -> None:
     dx = x[1] - x[0]
     dy = y[1] - y[0]
     turn = 0.5 / elementary.PI
-    out = np.empty(real.shape)
-    for j in prange(y.size):
+    for j in range(first, last):
         for i in range(x.size):
             a = real[j, i]
             b = imaginary[j, i]
@@ -214,4 +232,19 @@ def _bedforms(
                 profile = t * t * (3.0 - 2.0 * t) if rounded else t
             # Between ripples the sand lies at their middle, between dunes at their feet.
             out[j, i] = tall * (profile - 0.5) + 0.5 if rounded else tall * profile
+
+
+def _bedforms(
+    real: NDArray,
+    imaginary: NDArray,
+    x: NDArray,
+    y: NDArray,
+    along: float,
+    across: float,
+    lee: float,
+    rounded: bool,
+) -> NDArray:
+    """Heights in units of the mean crest's, from positions in wavelengths: float64 [ny, nx]."""
+    out = np.empty(real.shape)
+    over_threads(_bedforms_part, y.size, real, imaginary, x, y, along, across, lee, rounded, out)
     return out

@@ -5,8 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
+
+from scenec.schemas.threads import POINTS, over_threads
 
 
 @dataclass(frozen=True)
@@ -89,13 +91,28 @@ def surface_height(
     return h11 + (1.0 - u) * (h01 - h11) + (1.0 - v) * (h10 - h11)
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
+@njit(cache=True, error_model="numpy", nogil=True)
+def _heights_at_part(
+    first: int,
+    last: int,
+    height: NDArray,
+    x0: float,
+    y0: float,
+    dx: float,
+    dy: float,
+    x: NDArray,
+    y: NDArray,
+    out: NDArray,
+) -> None:
+    for n in range(first, last):
+        out[n] = surface_height(height, x0, y0, dx, dy, x[n], y[n])
+
+
 def _heights_at(
     height: NDArray, x0: float, y0: float, dx: float, dy: float, x: NDArray, y: NDArray
 ) -> NDArray:
     out = np.empty(x.size)
-    for n in prange(x.size):
-        out[n] = surface_height(height, x0, y0, dx, dy, x[n], y[n])
+    over_threads(_heights_at_part, x.size, height, x0, y0, dx, dy, x, y, out, least=POINTS)
     return out
 
 

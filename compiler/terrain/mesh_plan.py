@@ -9,8 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
+
+from scenec.schemas.threads import over_threads
 
 #: Distance from an edge within which a point counts as on it, in parts of the grid's spacing.
 HAIR = 1e-9
@@ -233,10 +235,9 @@ def top_at(
     )  # fmt: skip
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
-def _top_at(points, faces, x0, y0, size, shape, start, held, flat, x, y):  # type: ignore[no-untyped-def]
-    out = np.empty(x.size)
-    for n in prange(x.size):
+@njit(cache=True, error_model="numpy", nogil=True)
+def _top_at_part(first, last, points, faces, x0, y0, size, shape, start, held, flat, x, y, out):  # type: ignore[no-untyped-def]
+    for n in range(first, last):
         top = -np.inf
         square = square_of(x[n], y[n], x0, y0, size, shape)
         if square >= 0:
@@ -246,4 +247,11 @@ def _top_at(points, faces, x0, y0, size, shape, start, held, flat, x, y):  # typ
                 if facing != 0:
                     top = max(top, z)
         out[n] = top
+
+
+def _top_at(points, faces, x0, y0, size, shape, start, held, flat, x, y):  # type: ignore[no-untyped-def]
+    out = np.empty(x.size)
+    over_threads(
+        _top_at_part, x.size, points, faces, x0, y0, size, shape, start, held, flat, x, y, out
+    )
     return out

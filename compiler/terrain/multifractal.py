@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Literal
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.noise.lattice import subkey, subkeys
@@ -14,6 +14,7 @@ from scenec.compiler.noise.perlin import fbm2, perlin2
 from scenec.compiler.noise.rows import Octaves, fbm_row, next_octave, octave_row, tabulate
 from scenec.compiler.terrain.detail import Spectrum, octave_spectrum
 from scenec.compiler.terrain.grid import Grid
+from scenec.schemas.threads import over_threads
 
 _VARIANTS = {"fbm": 0, "hetero": 1, "ridged": 2, "hybrid": 3, "billow": 4}
 _WARP_GAIN = 0.5
@@ -188,8 +189,10 @@ def octaves_held(octaves: int, scale_m: float, lacunarity: float, extent_m: floa
     return octaves_shown(octaves, scale_m, lacunarity, 2.0**-46 * extent_m)
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
-def _relief(
+@njit(cache=True, error_model="numpy", nogil=True)
+def _relief_part(
+    first: int,
+    last: int,
     octaves: Octaves,
     warp_x: Octaves,
     warp_y: Octaves,
@@ -200,11 +203,12 @@ def _relief(
     variant: int,
     offset: float,
     distortion: float,
-) -> NDArray:
+    growth: NDArray,
+    level: NDArray,
+    out: NDArray,
+) -> None:
     count = octaves.keys.size
-    growth, level = _at_zero(count, gain, variant, offset)
-    out = np.empty((y.size, x.size))
-    for j in prange(y.size):
+    for j in range(first, last):
         u = x.copy()
         v = np.full(x.size, y[j])
         if warp_x.keys.size > 0:
@@ -242,6 +246,40 @@ def _relief(
                     value[i] = value[i] / growth - offset
                 elif variant == 2 or variant == 3:
                     value[i] -= level
+
+
+def _relief(
+    octaves: Octaves,
+    warp_x: Octaves,
+    warp_y: Octaves,
+    x: NDArray,
+    y: NDArray,
+    gain: float,
+    lacunarity: float,
+    variant: int,
+    offset: float,
+    distortion: float,
+) -> NDArray:
+    count = octaves.keys.size
+    growth, level = _at_zero(count, gain, variant, offset)
+    out = np.empty((y.size, x.size))
+    over_threads(
+        _relief_part,
+        y.size,
+        octaves,
+        warp_x,
+        warp_y,
+        x,
+        y,
+        gain,
+        lacunarity,
+        variant,
+        offset,
+        distortion,
+        growth,
+        level,
+        out,
+    )
     return out
 
 
@@ -275,17 +313,31 @@ def _warp(warp_x: Octaves, u: NDArray, v: NDArray, distortion: float, warp_y: Oc
         v[i] += distortion * dv[i]
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
-def _difference(  # type: ignore[no-untyped-def]
-    keys, x, y, scale, shown, gain, lacunarity, variant, offset, distortion, warps, key
+@njit(cache=True, error_model="numpy", nogil=True)
+def _difference_part(  # type: ignore[no-untyped-def]
+    first,
+    last,
+    keys,
+    x,
+    y,
+    scale,
+    shown,
+    gain,
+    lacunarity,
+    variant,
+    offset,
+    distortion,
+    warps,
+    key,
+    growth,
+    level,
+    growth_shown,
+    level_shown,
+    out,
 ):
-    """All octaves less the first ``shown`` ones, in units of the amplitude: float64 [n]."""
-    growth, level = _at_zero(keys.size, gain, variant, offset)
-    growth_shown, level_shown = _at_zero(shown, gain, variant, offset)
     warp_x = subkey(key, 1 << 20)
     warp_y = subkey(key, (1 << 20) + 1)
-    out = np.empty(x.size)
-    for n in prange(x.size):
+    for n in range(first, last):
         u = x[n] / scale
         v = y[n] / scale
         if warps > 0:
@@ -328,4 +380,34 @@ def _difference(  # type: ignore[no-untyped-def]
             value -= level
             coarse = coarse - level_shown if shown > 0 else 0.0
         out[n] = value - coarse
+
+
+def _difference(  # type: ignore[no-untyped-def]
+    keys, x, y, scale, shown, gain, lacunarity, variant, offset, distortion, warps, key
+):
+    """All octaves less the first ``shown`` ones, in units of the amplitude: float64 [n]."""
+    growth, level = _at_zero(keys.size, gain, variant, offset)
+    growth_shown, level_shown = _at_zero(shown, gain, variant, offset)
+    out = np.empty(x.size)
+    over_threads(
+        _difference_part,
+        x.size,
+        keys,
+        x,
+        y,
+        scale,
+        shown,
+        gain,
+        lacunarity,
+        variant,
+        offset,
+        distortion,
+        warps,
+        key,
+        growth,
+        level,
+        growth_shown,
+        level_shown,
+        out,
+    )
     return out

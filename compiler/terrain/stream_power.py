@@ -6,13 +6,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.terrain.drainage import Drainage, drain, drainage_area, outlet_samples
 from scenec.compiler.terrain.grid import Grid
 from scenec.compiler.terrain.smooth import diffuse
+from scenec.schemas.threads import POINTS, over_threads
 
 _NEWTON_STEPS = 60
 
@@ -88,11 +89,15 @@ class StreamPower:
         }
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
+@njit(cache=True, error_model="numpy", nogil=True)
+def _powers_part(first: int, last: int, x: NDArray, exponent: float, out: NDArray) -> None:
+    for i in range(first, last):
+        out[i] = np.sqrt(x[i]) if exponent == 0.5 else elementary.pow(x[i], exponent)
+
+
 def _powers(x: NDArray, exponent: float) -> NDArray:
     out = np.empty(x.size)
-    for i in prange(x.size):
-        out[i] = np.sqrt(x[i]) if exponent == 0.5 else elementary.pow(x[i], exponent)
+    over_threads(_powers_part, x.size, x, exponent, out, least=POINTS)
     return out
 
 

@@ -6,13 +6,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.noise.lattice import hash2
 from scenec.compiler.noise.rows import fbm_grid, tabulate
 from scenec.compiler.terrain.grid import Grid
 from scenec.compiler.terrain.multifractal import octaves_shown
+from scenec.schemas.threads import over_threads
 
 _GAIN = 0.5
 _LACUNARITY = 2.0
@@ -76,8 +77,10 @@ def _boundary(key: np.uint64, layer: int, irregularity: float) -> float:
     return layer + 0.5 * irregularity * (unit - 0.5)
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
-def _terraced(
+@njit(cache=True, error_model="numpy", nogil=True)
+def _terraced_part(
+    first: int,
+    last: int,
     height: NDArray,
     bend: NDArray,
     key: np.uint64,
@@ -85,10 +88,10 @@ def _terraced(
     riser: float,
     tread_slope: float,
     irregularity: float,
-) -> NDArray:
-    ny, nx = height.shape
-    out = np.empty((ny, nx))
-    for j in prange(ny):
+    out: NDArray,
+) -> None:
+    _ny, nx = height.shape
+    for j in range(first, last):
         for i in range(nx):
             level = (height[j, i] + bend[j, i]) / step
             layer = np.int64(np.floor(level))
@@ -104,4 +107,18 @@ def _terraced(
             s = min(max((t - 1.0 + riser) / riser, 0.0), 1.0)
             s = tread_slope * t + (1.0 - tread_slope) * s * s * (3.0 - 2.0 * s)
             out[j, i] = height[j, i] + step * thickness * (s - t)
+
+
+def _terraced(
+    height: NDArray,
+    bend: NDArray,
+    key: np.uint64,
+    step: float,
+    riser: float,
+    tread_slope: float,
+    irregularity: float,
+) -> NDArray:
+    ny, nx = height.shape
+    out = np.empty((ny, nx))
+    over_threads(_terraced_part, ny, height, bend, key, step, riser, tread_slope, irregularity, out)
     return out

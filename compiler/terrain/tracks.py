@@ -7,12 +7,13 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.terrain.grid import Grid
 from scenec.compiler.terrain.polyline import project, read_polyline
 from scenec.compiler.terrain.smooth import diffuse
+from scenec.schemas.threads import over_threads
 
 # Across a rut, in half widths: where its walls begin, and how wide the berm beside it is.
 _FLOOR = 0.8
@@ -88,8 +89,10 @@ class Tracks:
         }
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
-def _press(
+@njit(cache=True, error_model="numpy", nogil=True)
+def _press_part(
+    first: int,
+    last: int,
     height: NDArray,
     smooth: NDArray,
     offset: NDArray,
@@ -100,14 +103,14 @@ def _press(
     spacing: float,
     grousers: float,
     chevrons: bool,
-) -> NDArray:
-    ny, nx = height.shape
+    out: NDArray,
+) -> None:
+    _ny, nx = height.shape
     # Cross-sections over depth * half: of the rut, and of both berms for a height of 1.
     rut = 2.0 * (0.5 * (1.0 + _FLOOR))
     berm = 2.0 * _BERM * (8.0 / 15.0)
     raised = _DISPLACED * depth * rut / berm
-    out = height.copy()
-    for j in prange(ny):
+    for j in range(first, last):
         for i in range(nx):
             if not abs(offset[j, i]) < np.inf:
                 continue
@@ -125,4 +128,35 @@ def _press(
             elif s < 1.0 + _BERM:
                 t = (s - 1.0) / _BERM
                 out[j, i] += raised * 16.0 * t * t * (1.0 - t) * (1.0 - t)
+
+
+def _press(
+    height: NDArray,
+    smooth: NDArray,
+    offset: NDArray,
+    along: NDArray,
+    middle: float,
+    half: float,
+    depth: float,
+    spacing: float,
+    grousers: float,
+    chevrons: bool,
+) -> NDArray:
+    ny, _nx = height.shape
+    out = height.copy()
+    over_threads(
+        _press_part,
+        ny,
+        height,
+        smooth,
+        offset,
+        along,
+        middle,
+        half,
+        depth,
+        spacing,
+        grousers,
+        chevrons,
+        out,
+    )
     return out

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Literal
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.noise.lattice import subkeys
@@ -14,6 +14,7 @@ from scenec.compiler.noise.worley import worley2
 from scenec.compiler.terrain.detail import Spectrum, octave_spectrum
 from scenec.compiler.terrain.grid import Grid
 from scenec.compiler.terrain.multifractal import LARGEST_M, octaves_held, octaves_shown
+from scenec.schemas.threads import POINTS, over_threads
 
 
 @dataclass(frozen=True)
@@ -126,14 +127,10 @@ class WorleyDetail:
         )
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
-def _points(  # type: ignore[no-untyped-def]
-    key, x, y, shown, octaves, gain, lacunarity, jitter, difference
-):
-    """Octaves from ``shown`` on at points in units of the first one's cells: float64 [n]."""
+@njit(cache=True, error_model="numpy", nogil=True)
+def _points_part(begin, end, key, x, y, shown, octaves, gain, lacunarity, jitter, difference, out):  # type: ignore[no-untyped-def]
     keys = subkeys(key, octaves)
-    out = np.empty(x.size)
-    for n in prange(x.size):
+    for n in range(begin, end):
         u = x[n]
         v = y[n]
         value = 0.0
@@ -145,11 +142,35 @@ def _points(  # type: ignore[no-untyped-def]
             weight *= gain
             u, v = lacunarity * (0.8 * u - 0.6 * v), lacunarity * (0.6 * u + 0.8 * v)
         out[n] = value
+
+
+def _points(  # type: ignore[no-untyped-def]
+    key, x, y, shown, octaves, gain, lacunarity, jitter, difference
+):
+    """Octaves from ``shown`` on at points in units of the first one's cells: float64 [n]."""
+    out = np.empty(x.size)
+    over_threads(
+        _points_part,
+        x.size,
+        key,
+        x,
+        y,
+        shown,
+        octaves,
+        gain,
+        lacunarity,
+        jitter,
+        difference,
+        out,
+        least=POINTS,
+    )
     return out
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
-def _relief(
+@njit(cache=True, error_model="numpy", nogil=True)
+def _relief_part(
+    begin: int,
+    end: int,
     key: np.uint64,
     x: NDArray,
     y: NDArray,
@@ -158,10 +179,10 @@ def _relief(
     lacunarity: float,
     jitter: float,
     difference: bool,
-) -> NDArray:
+    out: NDArray,
+) -> None:
     keys = subkeys(key, octaves)
-    out = np.empty((y.size, x.size))
-    for j in prange(y.size):
+    for j in range(begin, end):
         for i in range(x.size):
             u = x[i]
             v = y[j]
@@ -173,4 +194,20 @@ def _relief(
                 weight *= gain
                 u, v = lacunarity * (0.8 * u - 0.6 * v), lacunarity * (0.6 * u + 0.8 * v)
             out[j, i] = value
+
+
+def _relief(
+    key: np.uint64,
+    x: NDArray,
+    y: NDArray,
+    octaves: int,
+    gain: float,
+    lacunarity: float,
+    jitter: float,
+    difference: bool,
+) -> NDArray:
+    out = np.empty((y.size, x.size))
+    over_threads(
+        _relief_part, y.size, key, x, y, octaves, gain, lacunarity, jitter, difference, out
+    )
     return out

@@ -7,7 +7,6 @@ import os
 import shutil
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +19,7 @@ from scenec.datasets.source import LoadedFrame
 from scenec.schemas import rle
 from scenec.schemas.errors import OutputError
 from scenec.schemas.files import atomic
+from scenec.schemas.versions import version_of
 
 #: Name of the only category where there are no labels at all.
 NO_LEVEL = "instance"
@@ -273,7 +273,7 @@ def write_document(
     Raises:
         OutputError: It cannot be written.
     """
-    about = {"description": info.name, "version": version("scenec")}
+    about = {"description": info.name, "version": version_of()}
     with atomic(path) as temporary, temporary.open("w", encoding="utf-8") as file:
         file.write(f'{{"info":{dumps(about)},\n"licenses":[],\n"categories":[')
         _join(file, map(dumps, categories))

@@ -169,6 +169,14 @@ class Format(ABC):
                 yield Task(number, split, (ref,))
                 number += 1
 
+    def remarks(self, splits: Mapping[str, Sequence[FrameRef]]) -> Iterator[str]:
+        """Lines that a user should see: what has to be assumed of the frames.
+
+        Args:
+            splits: As for ``tasks``.
+        """
+        yield from ()
+
     @abstractmethod
     def write(
         self, task: Task, frames: Iterable[LoadedFrame], folder: Path, scratch: Path

@@ -140,6 +140,27 @@ class Kitti(Format):
                         number_of_task += 1
                     sequence += bool(common)
 
+    def remarks(self, splits: Mapping[str, Sequence[FrameRef]]) -> Iterator[str]:
+        """A line about pairs of frames with disparity that do not say where it goes to."""
+        assumed: list[tuple[str, str]] = []
+        for frames in splits.values():
+            for _batch, _rig, cameras in trajectory.rigs(frames):
+                for names in pair_up(cameras):
+                    of_both = [cameras[name] for name in names]
+                    if len(names) < 2 or any(_partner(refs) for refs in of_both):
+                        continue
+                    if any(_before_partners(refs) for refs in of_both):
+                        assumed.append((names[0], names[1]))
+        if assumed:
+            left, right = assumed[0]
+            more = len(set(assumed)) - 1
+            rest = f" (and {more} more pairs)" if more else ""
+            yield (
+                f"{left} and {right}{rest} are a pair by where they stand: their frames have "
+                "disparity and were rendered before sidecars said to which camera it goes; render "
+                "again if it goes to another one"
+            )
+
     def write(
         self, task: Task, frames: Iterable[LoadedFrame], folder: Path, scratch: Path
     ) -> Written:
@@ -401,9 +422,19 @@ def pair_up(cameras: Mapping[str, Sequence[FrameRef]]) -> list[tuple[str, ...]]:
 
 def _partner(frames: Sequence[FrameRef]) -> str | None:
     """The camera that disparity goes to, as the first sidecar that can be read has it."""
-    sidecar = next((s for s in map(trajectory.sidecar_of, frames) if s is not None), {})
-    partner = sidecar.get("partner")
+    partner = _first_sidecar(frames).get("partner")
     return partner if isinstance(partner, str) else None
+
+
+def _before_partners(frames: Sequence[FrameRef]) -> bool:
+    """Whether a camera's frames have disparity and do not say to which camera."""
+    sidecar = _first_sidecar(frames)
+    return "disparity" in sidecar.get("passes", ()) and "partner" not in sidecar
+
+
+def _first_sidecar(frames: Sequence[FrameRef]) -> dict[str, Any]:
+    """The first that can be read."""
+    return next((s for s in map(trajectory.sidecar_of, frames) if s is not None), {})
 
 
 def _baseline(a: Sequence[FrameRef], b: Sequence[FrameRef]) -> float:

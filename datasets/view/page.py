@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from importlib.metadata import version
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -21,6 +20,7 @@ from scenec.datasets.view.record import EDGES, Record, Tally, plain_json, short
 from scenec.schemas.errors import FrameError
 from scenec.schemas.files import atomic
 from scenec.schemas.manifest import FRAMES, Batch, find_batches
+from scenec.schemas.versions import version_of
 
 _SCRIPTS = ("base", "decode", "paint", "motion", "grid", "frame", "map", "plots", "keys", "main")
 #: Part of the budget for batches from above, half of it for objects: the most that are kept, and
@@ -282,7 +282,7 @@ class _Book:
         report = self.report
         return {
             "title": self._title(),
-            "scenec": version("scenec"),
+            "scenec": version_of(),
             "cameras": self._cameras,
             "backends": self._backends,
             "batches": [name for _, name in self._batches],

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+import OpenEXR
 from numpy.typing import NDArray
 
 from scenec.backends.render_scene import (
@@ -106,6 +107,14 @@ def sun(
 def dome(radiance: float = 1.0, texture: Path | None = None) -> Dome:
     """A dome on the Z-up stage."""
     return Dome(texture, np.full(3, radiance), DOME_Z_UP)
+
+
+def write_latlong(path: Path, values: NDArray) -> Path:
+    """A picture of a sky, [rows, columns, 3], as an OpenEXR file; its path."""
+    header = {"type": OpenEXR.scanlineimage, "compression": OpenEXR.ZIP_COMPRESSION}
+    planes = {c: np.ascontiguousarray(values[..., i], np.float32) for i, c in enumerate("RGB")}
+    OpenEXR.File(header, planes).write(str(path))
+    return path
 
 
 def scene(

@@ -13,6 +13,8 @@ from scenec.backends.render import render
 from scenec.compiler.compile import compile_cfg
 from scenec.schemas.frames import read_frame
 
+pytestmark = pytest.mark.usefixtures("workers_here")
+
 
 def scene(tolerance_px: float) -> dict:
     cfg = small_cfg(samples=2, objects={}, outputs=["label", "depth"])

@@ -24,6 +24,8 @@ from scenec.cli.main import main
 from scenec.schemas.errors import BackendError
 from scenec.schemas.frames import read_frame
 
+pytestmark = pytest.mark.usefixtures("workers_here")
+
 SHAPE = (24, 32)
 #: Standard deviation of one sample of one pixel and channel, over a mean of 1.
 SIGMA = 1.0

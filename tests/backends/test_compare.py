@@ -19,6 +19,8 @@ from scenec.compiler.compile import compile_cfg
 from scenec.schemas.exr import read_exr, write_exr
 from scenec.schemas.files import sha256
 
+pytestmark = pytest.mark.usefixtures("workers_here")
+
 
 @pytest.fixture(scope="module")
 def rendered(tmp_path_factory) -> Path:

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import mitsuba_scenes as ms
 import numpy as np
-import OpenEXR
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -20,13 +19,6 @@ from scenec.backends.render_scene import Dome, RenderScene
 from scenec.backends.sky import Sky, combine, load_picture, lookup, texel_directions
 from scenec.schemas.errors import StageError
 from scenec.schemas.picture import SHOULDER, develop, srgb_encode, tone_map, write_png
-
-
-def write_latlong(path: Path, picture: NDArray) -> Path:
-    header = {"type": OpenEXR.scanlineimage, "compression": OpenEXR.ZIP_COMPRESSION}
-    planes = {c: np.ascontiguousarray(picture[..., i], np.float32) for i, c in enumerate("RGB")}
-    OpenEXR.File(header, planes).write(str(path))
-    return path
 
 
 def only_sky(scene: RenderScene) -> NDArray:
@@ -68,9 +60,9 @@ def test_texel_centers_return_their_texels():
 def test_domes_add_up_in_any_frame(tmp_path: Path):
     # A smooth picture, so that looking the smaller one up at the larger's texels loses little.
     d = texel_directions(64, 128)
-    a = write_latlong(tmp_path / "a.exr", np.repeat(2 + d[..., :1], 3, axis=2))
+    a = ms.write_latlong(tmp_path / "a.exr", np.repeat(2 + d[..., :1], 3, axis=2))
     d = texel_directions(32, 64)
-    b = write_latlong(tmp_path / "b.exr", np.repeat(2 + d[..., 1:2], 3, axis=2))
+    b = ms.write_latlong(tmp_path / "b.exr", np.repeat(2 + d[..., 1:2], 3, axis=2))
     turned = np.array([[0.0, 1, 0], [0, 0, 1], [1, 0, 0]])
     domes = (
         Dome(b, np.ones(3), turned),

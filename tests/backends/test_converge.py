@@ -25,6 +25,8 @@ from scenec.backends.converge.run import Series
 from scenec.cli.main import main
 from scenec.schemas.errors import BackendError, StageError
 
+pytestmark = pytest.mark.usefixtures("workers_here")
+
 SPP = (4, 16, 64, 256)
 
 

@@ -16,6 +16,8 @@ from scenec.compiler.draw import draw
 from scenec.compiler.frontend.load import load
 from scenec.compiler.ground.merge import label_index
 
+pytestmark = pytest.mark.usefixtures("workers_here")
+
 PASSES = ("depth", "label", "instance", "normal", "position", "face")
 
 

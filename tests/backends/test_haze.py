@@ -11,9 +11,9 @@ import pytest
 import scenes
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from mitsuba_scenes import write_latlong
 from numpy.typing import NDArray
 from scipy.integrate import quad
-from test_compose import write_latlong
 from third_party import LEVEL, Raster
 
 from scenec.backends.compose import compose

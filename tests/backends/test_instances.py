@@ -29,6 +29,8 @@ from scenec.schemas.instances import (
     write_table,
 )
 
+pytestmark = pytest.mark.usefixtures("workers_here")
+
 PASSES = ("depth", "instance", "label")
 
 

@@ -150,7 +150,8 @@ def test_opencv_makes_a_renderers_lines_straight(name: str, way: str) -> None:
     camera = before_board(lens, 320, 240, share * 320)
     backend = Mitsuba(bounces=0)
     backend.load(board())
-    picture = drawn(backend, camera, 512, way).coverage
+    # Views are finer than the picture: with fewer samples a pixel they leave less noise than rays.
+    picture = drawn(backend, camera, 256 if way == "rays" else 128, way).coverage
     off = off_straight(undistorted(picture, camera), 8)
     assert np.sqrt((off**2).mean()) < 0.02
     assert np.abs(off).max() < 0.05

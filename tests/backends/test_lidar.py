@@ -28,6 +28,8 @@ from scenec.schemas import stage as names
 from scenec.schemas.errors import CfgError, FrameError, StageError
 from scenec.schemas.scans import read_scan
 
+pytestmark = pytest.mark.usefixtures("workers_here")
+
 
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory) -> RenderScene:

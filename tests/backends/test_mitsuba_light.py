@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import mitsuba_scenes as ms
 import numpy as np
-import OpenEXR
 import pytest
 import scenes
-from numpy.typing import NDArray
 
 from scenec.backends.contract import Radiance
 from scenec.backends.mitsuba import Mitsuba
@@ -102,13 +98,6 @@ def test_a_white_cup_in_a_furnace_returns_it_once_paths_are_long_enough():
     assert abs(losses[2]) < 7 * error + ROUNDING
 
 
-def write_latlong(path: Path, picture: NDArray) -> Path:
-    header = {"type": OpenEXR.scanlineimage, "compression": OpenEXR.ZIP_COMPRESSION}
-    planes = {c: np.ascontiguousarray(picture[..., i], np.float32) for i, c in enumerate("RGB")}
-    OpenEXR.File(header, planes).write(str(path))
-    return path
-
-
 @pytest.mark.parametrize("rotation", range(2))
 def test_mitsubas_sky_is_the_shared_lookup_in_every_direction(tmp_path, rotation):
     from scenec.backends.mitsuba.emitter import dome_dict
@@ -117,7 +106,7 @@ def test_mitsubas_sky_is_the_shared_lookup_in_every_direction(tmp_path, rotation
     from scenec.backends.sky import lookup
 
     rng = np.random.default_rng(4)
-    file = write_latlong(tmp_path / "sky.exr", rng.uniform(0.1, 5, (7, 12, 3)))
+    file = ms.write_latlong(tmp_path / "sky.exr", rng.uniform(0.1, 5, (7, 12, 3)))
     to_world = ms.DOME_Z_UP if rotation == 0 else scenes.rotation(rng)
     sky = combine((Dome(file, np.array([1.0, 2.0, 0.5]), to_world),))
     assert sky is not None
@@ -141,7 +130,7 @@ def test_a_plane_under_a_textured_sky_has_the_radiance_of_its_integral(tmp_path)
     rng = np.random.default_rng(5)
     picture = rng.uniform(0.0, 4.0, (8, 16, 3))
     picture[2, 3] = 60.0
-    file = write_latlong(tmp_path / "sky.exr", picture)
+    file = ms.write_latlong(tmp_path / "sky.exr", picture)
     sky = combine((ms.dome(1.0, file),))
     assert sky is not None
     from scenec.backends.sky import lookup

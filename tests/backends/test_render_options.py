@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from small import small_cfg, write_cfg
 from third_party import LEVEL, NOISE, faults_so_far, install, plan_fault, square_stage
+from workers_here import here
 
 from scenec.backends.render import RenderReport, check_backend, render
 from scenec.cli import arguments, run_command
@@ -40,6 +41,7 @@ def assert_same(a: Frame, b: Frame, passes: tuple[str, ...] = ANNOTATION) -> Non
         assert a.passes[name].tobytes() == b.passes[name].tobytes()
 
 
+@pytest.mark.usefixtures("worker_here")
 def test_a_device_that_a_backend_lacks_is_refused_before_anything_else(tmp_path, monkeypatch):
     install(tmp_path, monkeypatch)
     # A stage that cannot be read: had it been looked at, the error would be about it.
@@ -51,6 +53,7 @@ def test_a_device_that_a_backend_lacks_is_refused_before_anything_else(tmp_path,
         render(broken, "plain", device="optix")
 
 
+@pytest.mark.usefixtures("worker_here")
 def test_the_command_refuses_a_device_in_one_line_with_status_2(stage, capsys):
     assert main(["render", str(stage), "--backend", "plain", "--device", "cuda"]) == 2
     said = capsys.readouterr().err
@@ -67,6 +70,7 @@ def test_the_command_line_knows_all_devices():
     assert arguments.DEVICES == DEVICES
 
 
+@pytest.mark.usefixtures("worker_here")
 def test_sidecar_and_report_say_where_it_ran_and_who_annotated(stage):
     report = run(stage, "plain", device="cpu")
     sidecar = read_frame(report.frames[0]).sidecar
@@ -78,6 +82,7 @@ def test_sidecar_and_report_say_where_it_ran_and_who_annotated(stage):
     assert one(stage, "plain", passes=["rgb"]).sidecar["annotation"] is None
 
 
+@pytest.mark.usefixtures("worker_here")
 def test_a_denoised_frame_states_its_denoiser_and_that_its_error_is_unknown(stage):
     texts: list[str] = []
     lines: list[str] = []
@@ -112,6 +117,7 @@ def test_denoised_and_noisy_frames_are_not_taken_for_each_other(stage):
     assert run(stage, "smooth", denoise=True).skipped == 2
 
 
+@pytest.mark.usefixtures("worker_here")
 def test_there_is_nothing_to_denoise_without_rgb(stage):
     with pytest.raises(BackendError, match="without rgb"):
         run(stage, "smooth", denoise=True, passes=["depth"])
@@ -127,6 +133,7 @@ def test_a_backend_without_a_denoiser_names_those_that_have_one(stage):
     assert not (stage.parent / "frames").exists()
 
 
+@pytest.mark.usefixtures("worker_here")
 def test_the_error_of_a_picture_without_noise_is_unknown_and_not_zero(stage):
     texts: list[str] = []
     report = run(stage, "raster", progress=lambda done, total, text: texts.append(text))
@@ -168,7 +175,8 @@ def test_the_renderer_sees_and_loads_nothing_that_another_annotates(stage, tmp_p
 
 def test_another_renderer_annotates_from_a_process_of_its_own(stage):
     passes = ["rgb", *ANNOTATION]
-    own = one(stage, "smooth", passes=passes)
+    with here():
+        own = one(stage, "smooth", passes=passes)
     report = run(stage, "smooth", passes=passes, annotate_with="mitsuba", noise_seed=1)
     other = read_frame(report.frames[0])
     assert_same(own, other)
@@ -176,7 +184,8 @@ def test_another_renderer_annotates_from_a_process_of_its_own(stage):
     assert other.sidecar["annotation"]["version"].startswith("mitsuba")
     assert {"load", "radiance", "visibility", "resolve"} <= set(other.sidecar["seconds"])
     # Who annotated is no part of the key: the frame is the same.
-    assert run(stage, "smooth", passes=passes, noise_seed=1).skipped == 2
+    with here():
+        assert run(stage, "smooth", passes=passes, noise_seed=1).skipped == 2
 
 
 @pytest.mark.slow
@@ -192,6 +201,7 @@ def test_an_annotator_that_dies_is_tried_again_like_any_worker(stage, tmp_path, 
     assert (report.rendered, len(report.failed), report.deaths) == (1, 1, 3)
 
 
+@pytest.mark.usefixtures("worker_here")
 def test_what_a_backend_leaves_out_is_said_once_and_written_to_every_sidecar(stage):
     line = "plain: every surface shines alike"
     lines: list[str] = []
@@ -252,6 +262,7 @@ REFUSED = {
 }
 
 
+@pytest.mark.usefixtures("worker_here")
 @pytest.mark.parametrize("words", list(REFUSED))
 def test_run_refuses_before_it_compiles(words, tmp_path, monkeypatch, capsys):
     install(tmp_path, monkeypatch)
@@ -265,6 +276,7 @@ def test_run_refuses_before_it_compiles(words, tmp_path, monkeypatch, capsys):
     assert not out.exists()
 
 
+@pytest.mark.usefixtures("worker_here")
 def test_run_asks_for_light_only_where_a_sensor_does(tmp_path):
     cfg = small_cfg(outputs=["depth"])
     words = ["run", str(write_cfg(tmp_path, cfg)), "--seed", "1", "-o", "OUT"]

@@ -10,6 +10,8 @@ from scenec.backends.render import render
 from scenec.compiler.compile import compile_cfg
 from scenec.schemas.frames import Frame, read_frame
 
+pytestmark = pytest.mark.usefixtures("workers_here")
+
 FAMILIES = ("weathered", "angular", "rounded", "slab", "vesicular")
 _WIDTH = 240
 _FOV_DEG = 70

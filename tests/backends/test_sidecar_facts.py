@@ -15,6 +15,8 @@ from scenec.backends.render_scene import Lighting, Sun
 from scenec.compiler.compile import compile_cfg
 from scenec.schemas.frames import CONVENTIONS
 
+pytestmark = pytest.mark.usefixtures("workers_here")
+
 
 def sun(x: float, y: float, z: float, irradiance: tuple[float, float, float]) -> Sun:
     return Sun(np.array([x, y, z]), np.array(irradiance), 0.0)

@@ -7,17 +7,25 @@ import shutil
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from small import small_cfg, write_cfg
 
-from scenec.backends.check.strays import strays
+from scenec.backends.check.scans import check_scans
+from scenec.backends.reader import read_stage
 from scenec.backends.render import render
+from scenec.backends.scan import scan_output
 from scenec.cli.check_command import find
+from scenec.cli.main import main
 from scenec.compiler.compile import compile_cfg
 from scenec.datasets.export import Choice, export
 from scenec.datasets.source import Source
 from scenec.datasets.view.page import write_view
 from scenec.schemas.errors import FrameError
+from scenec.schemas.scans import scan_stem, write_scan
+from scenec.schemas.strays import strays
+
+pytestmark = pytest.mark.usefixtures("workers_here")
 
 #: Two compiles and two renders, each in a process of its own.
 twice = pytest.mark.slow
@@ -56,6 +64,64 @@ def test_check_and_render_name_what_an_earlier_stage_left(tmp_path):
     for (_, message), reason in zip(told, left.values(), strict=True):
         assert reason in message
         assert "delete 00000" in message
+
+
+def test_compile_scan_and_check_name_what_an_earlier_stage_left(tmp_path, capsys):
+    cfg = cfg_of(3, a={})
+    cfg["terrain"] |= {"relief": cfg["terrain"]["relief"][:1], "spacing_m": 4.0}
+    lidar = {"beams": 2, "elevation_deg": [-5, -30], "azimuths": 8}
+    cfg["rigs"]["rover"]["lidars"] = {"top": lidar, "gone": lidar}
+    out = compiled(tmp_path, cfg)
+    assert len(scan_output(out).scans) == 6
+    batch = out / "batch_0000"
+    assert list(check_scans(batch, read_stage(batch / "stage.usda").digest)) == []
+    mine = [batch / "scans/rover_top/notes.json", batch / "scans/rover_top/000001.txt"]
+    for path in mine:
+        path.write_text("mine")
+    other = batch / "frames/plain/rover_a/000002.json"
+    other.parent.mkdir(parents=True)
+    other.write_text("{}")
+
+    del cfg["rigs"]["rover"]["lidars"]["gone"]
+    cfg["samples"] = 2
+    cfg["rigs"]["rover"]["lidars"]["top"] = lidar | {"trigger": EVERY}
+    left = {"gone/000000": "no lidar 'rover_gone';", "gone/000001": "no lidar 'rover_gone';",
+            "gone/000002": "no lidar 'rover_gone';", "top/000000": "triggered at samples 1;",
+            "top/000002": "has samples 0 to 1;"}  # fmt: skip
+    words = ["compile", str(write_cfg(tmp_path, cfg)), "--seed", "1", "-o", str(out), "--no-cache"]
+    assert main([*words, "--batches", "0:1"]) == 0
+    (line,) = (x for x in capsys.readouterr().err.splitlines() if x.startswith("warning"))
+    assert "plain/rover_a/000002.json: not of this stage: the stage has samples 0 to 1" in line
+    assert "and 5 more in batch_0000" in line
+
+    report = scan_output(out)
+    assert (len(report.scans), report.made) == (1, 1)
+    (line,) = report.warnings
+    assert "rover_gone/000000.json" in line
+    assert "and 4 more in batch_0000" in line
+    told = {f.where: f.message for f in find(out) if f.check == "scans"}
+    names = [f"batch_0000/scans/rover_{name}.json" for name in left]
+    assert sorted(told) == names
+    for name, reason in zip(names, left.values(), strict=True):
+        assert reason in told[name]
+        assert "delete 00000" in told[name]
+    assert all(path.read_text() == "mine" for path in mine)
+
+
+def test_check_says_which_scans_are_cut_short_damaged_or_of_another_stage(tmp_path):
+    for i in range(4):
+        stem = scan_stem(tmp_path / "b", "rover_top", i)
+        write_scan(stem, {"range": np.zeros((1, 2))}, {"stage_digest": "this" if i else "other"})
+    stem = scan_stem(tmp_path / "b", "rover_top", 1)
+    stem.with_suffix(".npz").write_bytes(b"PK")
+    stem.with_name("000002.json").unlink()
+    firing = [[("rover_top", True)]] * 4
+    told = {Path(f.where).name: str(f) for f in check_scans(tmp_path / "b", "this", firing)}
+    assert sorted(told) == ["000000.json", "000001.json", "000002.npz"]
+    assert "warning" in told["000000.json"]
+    assert "was made of another stage" in told["000000.json"]
+    assert "damaged or changed" in told["000001.json"]
+    assert "has no sidecar" in told["000002.npz"]
 
 
 class Counted(str):

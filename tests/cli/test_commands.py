@@ -61,6 +61,7 @@ def test_check_finds_the_output_sound_and_the_backends_agreed(output, capsys):
     assert all(c["differing"] == 0 for c in result["agreement"]["comparisons"])
 
 
+@pytest.mark.usefixtures("worker_here")
 def test_check_renders_what_is_missing_and_touches_nothing_else(output, tmp_path, capsys):
     import shutil
 
@@ -81,6 +82,7 @@ def test_check_renders_what_is_missing_and_touches_nothing_else(output, tmp_path
     assert "label.surface" in capsys.readouterr().out
 
 
+@pytest.mark.usefixtures("worker_here")
 def test_a_frame_without_rgb_keeps_no_picture_of_an_earlier_one(output, tmp_path):
     import shutil
 

@@ -21,6 +21,8 @@ from scenec.cli.explain_stage import read_contents
 from scenec.cli.main import main
 from scenec.compiler.compile import compile_cfg
 
+pytestmark = pytest.mark.usefixtures("workers_here")
+
 NUMBER = re.compile(r"(?<![\w.])-?\d[\d,]*(?:\.\d+)?(?:e[+-]?\d+)?(?![\w])")
 
 

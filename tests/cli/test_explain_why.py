@@ -258,5 +258,7 @@ def test_ids_of_classes_that_were_pruned_whole_are_those_they_had(emptied, capsy
     whole = why(emptied, "stones")
     assert not whole.in_stage
     assert whole.counts == {str(Reason.OUT_OF_VIEW): 7}
+    assert why(emptied, "/World/Objects/stones/instance_7") == why(emptied, "stones/7")
+    assert why(emptied, "/World/Objects/stones/Prototypes/rock_0") == whole
     assert main(["explain", str(emptied), "--why", "48"]) == 2
     assert "rocks 1 to 40, stones 41 to 47" in capsys.readouterr().err

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from elsewhere import ALL_AT_ONCE, CIRCUMSTANCES, COMPILE
 from pxr import Usd, UsdGeom
 from small import small_cfg, write_cfg
 
@@ -21,12 +22,6 @@ from scenec.compiler.passes.keep import Keep
 from scenec.schemas import materialx
 from scenec.schemas.errors import CfgError, OutputError, ScenecError, SceneError
 from scenec.schemas.manifest import read_manifest
-
-_COMPILE = """
-import sys
-from scenec.compiler.compile import compile_cfg
-compile_cfg(sys.argv[1], seed=11, out=sys.argv[2])
-"""
 
 
 def hashes(out: Path) -> dict[str, str]:
@@ -50,28 +45,9 @@ def reference(tmp_path_factory) -> Path:
     return compiled(tmp_path_factory.mktemp("compile"), small_cfg(batches=2))
 
 
-CIRCUMSTANCES = {
-    "as it is": {},
-    "another hash seed": {"PYTHONHASHSEED": "4711"},
-    "one thread": {"NUMBA_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "PXR_WORK_THREAD_LIMIT": "1"},
-    "another locale": {"LC_ALL": "tr_TR.UTF-8", "LANG": "tr_TR.UTF-8", "TZ": "Asia/Kathmandu"},
-    "NumPy without AVX": {
-        "NPY_DISABLE_CPU_FEATURES": "AVX512F AVX512CD AVX512_SKX AVX512_CLX AVX512_CNL AVX512_ICL "
-        "AVX512_SPR AVX2 FMA3 X86_V3 X86_V4"
-    },
-    "glibc without FMA": {
-        "GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX2,-FMA,-FMA4,-AVX512F,-AVX2_Usable,-FMA_Usable"
-    },
-    "another BLAS kernel": {"OPENBLAS_CORETYPE": "Prescott"},
-    "numba for a generic CPU": {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""},
-}
-#: The same in one run, each of which loads or compiles every kernel: what fails here is taken apart
-#: by ``make thorough``.
-TOGETHER = {
-    "all at once": {
-        key: value for change in CIRCUMSTANCES.values() for key, value in change.items()
-    }
-}
+#: All in one run, which loads or compiles every kernel: what fails here is taken apart by
+#: ``make thorough``.
+TOGETHER = {"all at once": ALL_AT_ONCE}
 
 
 @pytest.mark.parametrize(
@@ -84,7 +60,7 @@ def test_the_same_cfg_and_seed_give_the_same_bytes_with(name, reference, tmp_pat
     # A machine without some feature warns about the name: only the bytes count.
     environment = {**os.environ, **(CIRCUMSTANCES | TOGETHER)[name]}
     subprocess.run(
-        [sys.executable, "-W", "ignore", "-c", _COMPILE, str(cfg), str(out)],
+        [sys.executable, "-W", "ignore", "-c", COMPILE, str(cfg), str(out)],
         check=True,
         cwd=tmp_path,
         env=environment,

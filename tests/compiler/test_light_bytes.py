@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from elsewhere import COMPILE, printed_elsewhere
 from small import small_cfg, write_cfg
-from test_compile import _COMPILE, TOGETHER, compiled, hashes
+from test_compile import compiled, hashes
 
 from scenec.schemas.exr import write_rgb
 
@@ -60,17 +58,11 @@ SKIES = {
 @pytest.mark.invariant
 @pytest.mark.slow
 def test_all_of_light_has_the_same_bytes_in_all_circumstances_at_once(tmp_path):
-    together = {key: value for change in TOGETHER.values() for key, value in change.items()}
     for name, sky in SKIES.items():
         folder = tmp_path / name
         folder.mkdir()
         cfg = lit_cfg(folder, sky or panorama(folder))
         reference = compiled(folder, cfg, name="here")
         path = write_cfg(folder, cfg, "there.json")
-        subprocess.run(
-            [sys.executable, "-W", "ignore", "-c", _COMPILE, str(path), str(folder / "there")],
-            check=True,
-            cwd=folder,
-            env={**os.environ, **together},
-        )
+        printed_elsewhere(COMPILE, path, folder / "there")
         assert hashes(folder / "there") == hashes(reference), name

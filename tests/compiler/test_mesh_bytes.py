@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+from elsewhere import printed_elsewhere, printed_here
 from overhangs import shelter, write
 from pxr import Gf, Usd, UsdGeom
 from small import small_cfg, write_cfg
-from test_compile import TOGETHER
 
 _HASHES = """
 import hashlib, sys
@@ -27,17 +24,6 @@ for tile in scene.ground.tiles:
 print(hashlib.sha256(rocks.positions.tobytes() + rocks.orientations.tobytes()).hexdigest())
 print(log.facts)
 """
-
-
-def hashes(cfg: Path, name: str) -> list[str]:
-    done = subprocess.run(
-        [sys.executable, "-W", "ignore", "-c", _HASHES, str(cfg)],
-        check=True,
-        env={**os.environ, **TOGETHER.get(name, {})},
-        capture_output=True,
-        text=True,
-    )
-    return done.stdout.splitlines()
 
 
 @pytest.fixture(scope="module")
@@ -58,14 +44,9 @@ def cfg(tmp_path_factory) -> Path:
     return write_cfg(folder, content)
 
 
-@pytest.fixture(scope="module")
-def reference(cfg) -> list[str]:
-    return hashes(cfg, "as it is")
-
-
 @pytest.mark.invariant
 @pytest.mark.slow
-@pytest.mark.parametrize("name", list(TOGETHER))
-def test_a_mesh_base_has_the_same_bytes_in_all_circumstances(cfg, reference, name):
-    assert len(reference) == 9
-    assert hashes(cfg, name) == reference
+def test_a_mesh_base_has_the_same_bytes_in_all_circumstances_at_once(cfg):
+    reference = printed_here(_HASHES, cfg)
+    assert len(reference.splitlines()) == 9
+    assert printed_elsewhere(_HASHES, cfg) == reference

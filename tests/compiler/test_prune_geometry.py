@@ -12,6 +12,7 @@ from scenec.compiler.passes.faint import Factors, choose
 from scenec.compiler.passes.horizon import Horizon, horizon_of, is_hidden, relief_of
 from scenec.compiler.passes.outlook import in_view, outlook
 from scenec.compiler.passes.places import fine_cells, places_seen
+from scenec.compiler.passes.prune import _seen_ground
 from scenec.compiler.passes.shadows import Sweep, shadows_seen
 from scenec.compiler.passes.visible import SHOWN, Eyes, grouped, seen_by
 from scenec.compiler.rig import Rig, Sensor
@@ -46,23 +47,25 @@ def _triangles(ground: Ground) -> np.ndarray:
 def _first_hits(origin, ways, triangles):
     """Parameters of the nearest hits of rays (Möller and Trumbore); inf without one."""
     a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
+    s = origin - a
+    # Triple products, turned so that all but the way is the same for every ray.
+    over, first, second = np.cross(c - a, b - a), np.cross(c - a, s), np.cross(s, b - a)
+    along = ((c - a) * second).sum(1)
     found = np.full(len(ways), np.inf)
     for i, way in enumerate(ways):
-        p = np.cross(way, c - a)
-        det = ((b - a) * p).sum(1)
+        det = over @ way
         with np.errstate(all="ignore"):
-            s = origin - a
-            u = (s * p).sum(1) / det
-            q = np.cross(s, b - a)
-            v = (q * way).sum(1) / det
-            t = ((c - a) * q).sum(1) / det
+            u, v, t = first @ way / det, second @ way / det, along / det
         hit = (u >= 0) & (v >= 0) & (u + v <= 1) & (t > 1e-9)
         found[i] = t[hit].min(initial=np.inf)
     return found
 
 
 def _height(ground: Ground, x: float, y: float) -> float:
-    down = _first_hits(np.array([x, y, 100.0]), [np.array([0, 0, -1.0])], _triangles(ground))
+    triangles = _triangles(ground)
+    low, high = triangles[..., :2].min(axis=1), triangles[..., :2].max(axis=1)
+    below = ((low <= (x, y)) & (high >= (x, y))).all(axis=1)
+    down = _first_hits(np.array([x, y, 100.0]), [np.array([0, 0, -1.0])], triangles[below])
     return 100.0 - float(down[0])
 
 
@@ -233,6 +236,7 @@ def test_the_sum_of_what_is_left_out_is_no_less_than_the_exact_one():
     assert 20 < (~chosen.keep).sum() < 700
     assert 0.0 < chosen.reached <= 0.01
     out, reach = middles[~chosen.keep], radii[~chosen.keep]
+    triangles = _triangles(ground)
     for _ in range(10):
         j, i = rng.integers(20, 60), rng.integers(30, 70)
         x, y = grid.frame[:2] + (np.array([i, j]) + rng.uniform(0, 1, 2)) * grid.frame[2]
@@ -241,9 +245,10 @@ def test_the_sum_of_what_is_left_out_is_no_less_than_the_exact_one():
         normal /= np.linalg.norm(normal)
         way = out - point
         distance = np.linalg.norm(way, axis=1)
-        clear = _first_hits(point, way, _triangles(ground)) >= 0.98
-        cosine = np.maximum((way @ normal) / distance, 0.0)
-        exact = 0.8 * ((reach / distance) ** 2 * cosine)[clear].sum()
+        cosine = (way @ normal) / distance
+        facing = cosine > 0.0
+        clear = _first_hits(point, way[facing], triangles) >= 0.98
+        exact = 0.8 * ((reach / distance) ** 2 * cosine)[facing][clear].sum()
         assert exact <= chosen.reached
 
 
@@ -254,3 +259,24 @@ def test_without_a_horizon_only_the_cone_counts():
     radii = np.array([0.1, 0.1])
     shown = seen_by(eyes, middles, radii, grouped(middles, radii, 1.0), views.color)
     assert (shown == SHOWN).tolist() == [True, False]
+
+
+@pytest.mark.filterwarnings("error")
+def test_cells_without_ground_change_nothing_of_what_is_seen_beside_them():
+    """As under a mesh with holes, which hides nothing: nothing is known to be low there."""
+    ground = _ground()
+    relief = relief_of(ground)
+    relief.low[:] = -np.inf
+    relief.high[: len(relief.high) // 3] = -np.inf
+    bounds = np.array([[-17.0, -22, -4], [23, 18, 6]])
+    grid = fine_cells(relief, bounds)
+    views = outlook((_rig(look_at(np.array([3.0, -2, 8]), np.array([9.0, 6, 0]), 0.0)),))
+    eyes = Eyes(views, Horizon(np.zeros((len(views.eye), 0, 0), np.float32), np.zeros(2)))
+    seen = _seen_ground(grid, eyes, 2.0)
+    empty = grid.high == -np.inf
+    assert empty.any()
+    assert not seen[empty].any()
+    # What is told one by one, without groups, is seen no less in groups.
+    alone = _seen_ground(grid, eyes, 1e-9)
+    assert seen.any()
+    assert np.array_equal(seen, alone)

@@ -261,6 +261,37 @@ def test_a_gap_of_a_track_is_one_while_a_shutter_is_open() -> None:
         rig_of(pose, Shutter(0.1, 0.0), 2)
 
 
+@pytest.mark.parametrize(
+    ("motion", "seconds", "ends"),
+    [
+        (LawnMower(0.0, 0.0, 20.0, 0.0, 90.0, 1.0, 0.0, 1.0, "world", 1.0, 1.0, -90.0, FREE),
+         8.0, (0.0, 20.0)),
+        (Descent(0.0, 0.0, 1.0, 0.5, 0.05, 0.05, 1.0, 90.0, 0.0, -90.0, FREE), 3.5, (0.0, 10.0)),
+    ],
+)  # fmt: skip
+def test_what_is_wrong_between_samples_is_said_by_its_time_and_not_by_a_number(
+    motion: Any, seconds: float, ends: tuple[float, float]
+) -> None:
+    # A wall from x = -3 m to -1 m: a survey at 1 m/s from -10 m on is in it after 8 s, a drift
+    # whose way to the end is 0.05 t^2 m, t from 10 s down, after 3.5 s.
+    grid = Grid.with_spacing((60.0, 40.0), 0.5)
+    x = (np.arange(grid.shape[1]) - 0.5 * (grid.shape[1] - 1)) * 0.5
+    wall = np.broadcast_to(np.where(np.abs(x + 2.0) < 1.1, 9.0, 0.0), grid.shape)
+    around = Around(
+        "rigs/r/pose", 2, Surface(HeightField(grid, np.ascontiguousarray(wall))), (SENSOR,)
+    )
+    free = replace(motion, sampling=Sampling(times_s=ends))
+    way = way_of(free, free.built(around), around)
+    assert way is not None
+    with pytest.raises(SceneError) as caught:
+        way.at(np.array([0.0, 0.1, seconds, ends[1]]))
+    said = str(caught.value)
+    assert said.startswith(f"while a shutter is open: rigs/r/pose: the exposure at {seconds:g} s, ")
+    assert "below the ground" in said
+    with pytest.raises(SceneError, match=r"^rigs/r/pose: sample 1, at .* below the ground"):
+        replace(motion, sampling=Sampling(times_s=(0.0, seconds))).built(around)
+
+
 def test_a_pair_that_rolls_differently_is_none(tmp_path: Path) -> None:
     document = cfg(SHUTTER)
     sensors = document["rigs"]["rover"]["sensors"]

@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import io
 import json
-import os
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from elsewhere import COMPILE, printed_elsewhere
 from PIL import Image
 from small import small_cfg, write_cfg
-from test_compile import TOGETHER, compiled, hashes
+from test_compile import compiled, hashes
 
 from scenec.backends.check.stage import check_stage
 from scenec.backends.reader import read_stage
@@ -288,13 +286,6 @@ def test_without_rgb_no_picture_is_made(tmp_path):
     assert "surfaces" not in json.loads((out / "batch_0000/report.json").read_text())
 
 
-_COMPILE = """
-import sys
-from scenec.compiler.compile import compile_cfg
-compile_cfg(sys.argv[1], seed=11, out=sys.argv[2])
-"""
-
-
 def all_kinds_cfg() -> dict:
     """Every kind, each on rocks of its own."""
     cfg = procedural_cfg()
@@ -317,16 +308,9 @@ def reference(tmp_path_factory) -> Path:
 
 @pytest.mark.invariant
 @pytest.mark.slow
-@pytest.mark.parametrize("name", list(TOGETHER))
-def test_all_kinds_have_the_same_bytes_with(name, reference, tmp_path):
+def test_all_kinds_have_the_same_bytes_in_all_circumstances_at_once(reference, tmp_path):
     cfg = write_cfg(tmp_path, all_kinds_cfg())
-    subprocess.run(
-        [sys.executable, "-W", "ignore", "-c", _COMPILE, str(cfg), str(tmp_path / "out")],
-        check=True,
-        cwd=tmp_path,
-        env={**os.environ, **TOGETHER.get(name, {})},
-        capture_output=True,
-    )
+    printed_elsewhere(COMPILE, cfg, tmp_path / "out")
     assert hashes(tmp_path / "out") == hashes(reference)
 
 

@@ -135,6 +135,25 @@ def test_disparity_to_another_camera_than_the_pairs_is_refused(tmp_path: Path):
         export(made.out, "kitti", tmp_path / "d", choice, workers=1)
 
 
+def test_a_pair_by_geometry_of_frames_that_name_no_partner_is_said_once(tmp_path: Path):
+    cameras = (small("a"), small("b", 0.1), small("x", 9.0), small("y", 9.3))
+    made = moving(make_out(tmp_path / "out", cameras, 2))
+
+    def told(name: str) -> list[str]:
+        said: list[str] = []
+        export(made.out, "kitti", tmp_path / name, Choice(), workers=1, say=said.append)
+        return said
+
+    (line,) = told("before")
+    assert line.startswith("warning: rover_a and rover_b (and 1 more pairs) are a pair by where")
+    # Without disparity there is nothing that a pair could get wrong.
+    moving(made, dict.fromkeys((s.name for s in cameras[2:]), ("disparity",)))
+    (line,) = told("one")
+    assert line.startswith("warning: rover_a and rover_b are a pair by where")
+    partners(made.out, rover_a="rover_b")
+    assert told("after") == []
+
+
 @pytest.mark.parametrize("has", ["left", "right"])
 def test_of_a_pair_one_camera_alone_may_have_disparity(tmp_path: Path, has: str):
     made = make_out(tmp_path / "out", (small("left"), small("right", 0.25)), 1)

@@ -227,6 +227,7 @@ def test_questions_that_make_no_sense_end_in_one_line(
     assert "neither a dataset of scenec" in error[1]
 
 
+@pytest.mark.usefixtures("worker_here")
 def test_a_dataset_made_again_from_its_card_is_the_same_to_the_byte(
     tmp_path: Path, plugin: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

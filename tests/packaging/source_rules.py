@@ -6,7 +6,7 @@ Each rule guards byte-identical output (compiler) or honest kernels (everywhere 
 from __future__ import annotations
 
 import ast
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -35,7 +35,7 @@ class Violation:
 def kernel_violations(source: str, file: str) -> list[Violation]:
     """Kernels that are not cached, or may reorder floating-point arithmetic."""
     tree = ast.parse(source)
-    names = _imported_names(tree)
+    names = _imported_names(ast.walk(tree))
     found = []
     for node in ast.walk(tree):
         if isinstance(node, ast.FunctionDef):
@@ -59,12 +59,13 @@ def kernel_violations(source: str, file: str) -> list[Violation]:
 
 def determinism_violations(source: str, file: str) -> list[Violation]:
     """Constructions whose result may depend on the CPU, the hash seed or the file system."""
-    tree = ast.parse(source)
-    names = _imported_names(tree)
-    unordered = _where_order_is_lost(tree, names)
+    # Walked once: the walk is what takes time.
+    nodes = list(ast.walk(ast.parse(source)))
+    names = _imported_names(nodes)
+    unordered = _where_order_is_lost(nodes, names)
     return [
         Violation(file, _line(node), message)
-        for node in ast.walk(tree)
+        for node in nodes
         if node not in unordered
         for message in _node_messages(node, names)
     ]
@@ -73,7 +74,7 @@ def determinism_violations(source: str, file: str) -> list[Violation]:
 def random_violations(source: str, file: str) -> list[Violation]:
     """Uses of numpy.random or random other than the allowed bit generator."""
     tree = ast.parse(source)
-    names = _imported_names(tree)
+    names = _imported_names(ast.walk(tree))
     found = []
     for node in ast.walk(tree):
         if not isinstance(node, ast.Attribute | ast.Name):
@@ -90,10 +91,10 @@ def python_files(folder: Path) -> Iterator[Path]:
     return iter(sorted(folder.rglob("*.py")))
 
 
-def _where_order_is_lost(tree: ast.Module, names: dict[str, str]) -> set[ast.AST]:
+def _where_order_is_lost(nodes: Iterable[ast.AST], names: dict[str, str]) -> set[ast.AST]:
     """Nodes whose order reaches nothing: what ``sorted`` and its like are given, or loop over."""
     found: set[ast.AST] = set()
-    for node in ast.walk(tree):
+    for node in nodes:
         arguments: list[ast.expr] = []
         if isinstance(node, ast.Call) and _qualified(node.func, names) in ORDER_FREE:
             arguments = node.args
@@ -206,9 +207,9 @@ def _keywords(call: ast.Call) -> dict[str, object]:
     }
 
 
-def _imported_names(tree: ast.Module) -> dict[str, str]:
+def _imported_names(nodes: Iterable[ast.AST]) -> dict[str, str]:
     names = {}
-    for node in ast.walk(tree):
+    for node in nodes:
         if isinstance(node, ast.Import):
             for alias in node.names:
                 top = alias.name.split(".")[0]

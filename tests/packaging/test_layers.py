@@ -200,7 +200,9 @@ def test_every_kernel_is_cached_and_exact() -> None:
     found = [
         violation
         for path in files
-        for violation in kernel_violations(path.read_text(), str(path.relative_to(ROOT)))
+        # Whatever it is imported as, the decorator's own name stands somewhere.
+        if "jit" in (source := path.read_text())
+        for violation in kernel_violations(source, str(path.relative_to(ROOT)))
     ]
     assert not found, "\n".join(str(violation) for violation in found)
 

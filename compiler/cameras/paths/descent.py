@@ -67,9 +67,10 @@ class Descent:
         clearance = z - around.ground(xy)
         if not (clearance > 0.0).all():
             k = int(np.flatnonzero(~(clearance > 0.0))[0])
+            place = f"{around.named(k, times[k])}, at ({xy[k, 0]:.6g}, {xy[k, 1]:.6g}) m,"
             raise SceneError(
-                f"{around.what}: sample {k} at ({xy[k, 0]:.6g}, {xy[k, 1]:.6g}) m is "
-                f"{-clearance[k]:.4g} m below the ground: expected less drift, or another point"
+                f"{around.what}: {place} is {-clearance[k]:.4g} m below the ground: "
+                "expected less drift, or another point"
             )
         bearing = np.tile(level_bearing(self.heading_deg), (len(times), 1))
         facts = {"duration_s": duration, "deceleration_m_s2": brake,

@@ -44,6 +44,7 @@ class Around:
         surface: The ground.
         sensors: Those that the rig carries.
         bodies: Objects by class; without those of motions that do not ask for them.
+        exposing: Whether the poses are those of times between the samples, while a shutter is open.
     """
 
     what: str
@@ -51,6 +52,11 @@ class Around:
     surface: Surface
     sensors: tuple[SensorPlan, ...] = ()
     bodies: Mapping[str, Bodies] = field(default_factory=dict)
+    exposing: bool = False
+
+    def named(self, k: int, time_s: float) -> str:
+        """One of the poses, for messages: a sample by its number, others by their time."""
+        return f"the exposure at {time_s:.6g} s" if self.exposing else f"sample {k}"
 
     def ground(self, xy: NDArray[np.float64]) -> NDArray[np.float64]:
         """Heights of the ground at points [n, 2], float64 [n]."""

@@ -1,0 +1,139 @@
+"""What is asked of a render, refused before it begins where it cannot be done."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+from scenec.backends.jobs import Wanted
+from scenec.backends.pool import WorkerProcess
+from scenec.backends.registry import ANNOTATION_ONLY, AUTO, backend_names, require_name
+from scenec.schemas.errors import BackendError, ScenecError
+
+#: Annotators that need no process of their own: no renderer's libraries, nothing to collide with.
+IN_PROCESS = ("reference",)
+
+
+def check_backend(
+    backend: str,
+    *,
+    device: str = "auto",
+    denoise: bool = False,
+    annotate_with: str | None = None,
+    error: float | None = None,
+    seconds: float | None = None,
+    rgb: bool = True,
+    apertures: Sequence[str] = (),
+) -> None:
+    """Refuse what ``render`` would refuse, before there is a stage.
+
+    Starts each renderer that is asked for, in a process of its own.
+
+    Args:
+        backend: As for ``render``.
+        device: As for ``render``.
+        denoise: As for ``render``.
+        annotate_with: As for ``render``.
+        error: As for ``render``.
+        seconds: As for ``render``.
+        rgb: Whether ``rgb`` will be among the passes.
+        apertures: Cameras, by name, that ``rgb`` is asked of and that have an aperture.
+
+    Raises:
+        BackendError: A backend is not there, does not start, or cannot do what is asked.
+    """
+    wanted = Wanted(
+        backend, device=device, denoise=denoise, annotate_with=annotate_with, error=error,
+        seconds=seconds,
+    )  # fmt: skip
+    check_words(wanted, rgb)
+    if denoise and apertures:
+        # Imported here: it compiles kernels, which a command has no need of otherwise.
+        from scenec.backends.shutter import undenoised
+
+        raise BackendError(undenoised(apertures[0], "aperture"))
+    if backend == AUTO:
+        _check_some(wanted, rgb)
+        return
+    found = _describe(backend, device, rgb)
+    if denoise and found["denoiser"] is None:
+        raise no_denoiser(backend)
+    if annotate_with is not None and annotate_with not in (backend, *IN_PROCESS):
+        _describe(annotate_with, "auto", False)
+
+
+def check_words(wanted: Wanted, rgb: bool) -> None:
+    """Refuse what no stage and no machine could make possible.
+
+    Args:
+        wanted: What is asked.
+        rgb: Whether ``rgb`` will be among the passes, as far as is known.
+
+    Raises:
+        BackendError: There is no such backend, or a number is none that can be rendered to.
+    """
+    if wanted.backend != AUTO:
+        require_name(wanted.backend)
+    if wanted.annotate_with is not None:
+        require_name(wanted.annotate_with)
+    if wanted.spp < 1:
+        raise BackendError(f"samples per pixel must be at least 1, not {wanted.spp}")
+    for name, value in (("error", wanted.error), ("seconds", wanted.seconds)):
+        if value is not None and not 0.0 < value < math.inf:
+            raise BackendError(f"{name} to render to must be a number above 0, not {value}")
+    check_rgb(wanted, rgb)
+
+
+def check_rgb(wanted: Wanted, rgb: bool) -> None:
+    """Refuse what is asked of ``rgb`` where there is none.
+
+    Raises:
+        BackendError: There is none.
+    """
+    if wanted.denoise and not rgb:
+        raise BackendError(
+            "there is nothing to denoise without rgb; ask for rgb, or do not denoise"
+        )
+    if not rgb and (wanted.error is not None or wanted.seconds is not None):
+        raise BackendError(
+            "error and seconds are targets of rgb; ask for rgb, or leave the targets out"
+        )
+
+
+def no_denoiser(backend: str) -> BackendError:
+    """The error of a backend that was asked to denoise and cannot; names those that can."""
+    have = []
+    for name in backend_names():
+        try:
+            denoiser = None if name == backend else _describe(name, "auto", False)["denoiser"]
+        except ScenecError:
+            # Not installed, or does not start: no help here.
+            continue
+        if denoiser is not None:
+            have.append(f"{name} has one ({denoiser})")
+    others = "; " + ", ".join(have) if have else ", nor has any other that works here"
+    return BackendError(f"backend {backend} has no denoiser{others}")
+
+
+def _check_some(wanted: Wanted, rgb: bool) -> None:
+    """Is there any backend to choose."""
+    faults = []
+    for name in backend_names():
+        if rgb and name in ANNOTATION_ONLY:
+            continue
+        try:
+            found = _describe(name, wanted.device, rgb)
+            if wanted.denoise and found["denoiser"] is None:
+                raise BackendError(f"backend {name} has no denoiser")
+        except BackendError as error:
+            faults.append(str(error))
+        else:
+            return
+    raise BackendError(f"no backend works here for what is asked: {'; '.join(faults)}")
+
+
+def _describe(backend: str, device: str, rgb: bool) -> dict[str, Any]:
+    request = {"op": "describe", "backend": backend, "device": device, "rgb": rgb}
+    with WorkerProcess() as worker:
+        return worker.ask(request, f"backend {backend}")

@@ -1,0 +1,93 @@
+"""Frames and scans that the stage beside them has no place for: left by one compiled before it.
+
+Nothing makes them again, and nothing removes them: what they cost may be more than what they are in
+the way of. Who meets them says so: compiling, rendering, scanning, checks, exports.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+
+from scenec.schemas.manifest import FRAMES
+from scenec.schemas.scans import SCANS
+
+#: Of each sample: the name of a camera (or lidar), and whether it is triggered then.
+Firing = Sequence[Sequence[tuple[str, bool]]]
+#: A sidecar, and why it is none of the stage's.
+Stray = tuple[Path, str]
+
+
+def strays(folder: Path, firing: Firing, backend: str | None = None) -> Iterator[Stray]:
+    """Frames of cameras that the stage has not, or at samples that they are not triggered at.
+
+    Args:
+        folder: The batch's folder.
+        firing: What the stage says of each sample's cameras.
+        backend: Whose frames; None: all.
+
+    Yields:
+        The sidecar, and why it is none of this stage's.
+    """
+    found = (folder / FRAMES).glob(f"{backend or '*'}/*/*.json")
+    yield from _astray(found, firing, "camera")
+
+
+def stray_scans(folder: Path, firing: Firing) -> Iterator[Stray]:
+    """The same of scans.
+
+    Args:
+        folder: The batch's folder.
+        firing: What the stage says of each sample's lidars; those that do not scan may be missing.
+
+    Yields:
+        The sidecar, and why it is none of this stage's.
+    """
+    yield from _astray((folder / SCANS).glob("*/*.json"), firing, "lidar")
+
+
+def told(found: Sequence[Stray]) -> str:
+    """A line about some, at least one.
+
+    Args:
+        found: As above, of one folder or several.
+    """
+    path, why = found[0]
+    more = f" (and {len(found) - 1} more in {_batch(path)})" if len(found) > 1 else ""
+    return (
+        f"{path}: not of this stage: {why}{more}; nothing replaces it: delete it (scenec check "
+        "names all)"
+    )
+
+
+def _batch(sidecar: Path) -> str:
+    """The name of the batch that a frame or a scan lies in."""
+    inside = {FRAMES, SCANS}
+    return next((p.parent.name for p in sidecar.parents if p.name in inside), "")
+
+
+def _astray(paths: Iterable[Path], firing: Firing, what: str) -> Iterator[Stray]:
+    # Ascending; looked up by position, since there may be as many strays as samples.
+    fires: dict[str, list[int]] = {}
+    for i, sensors in enumerate(firing):
+        for name, on in sensors:
+            at = fires.setdefault(name, [])
+            if on:
+                at.append(i)
+    for path in sorted(paths):
+        if not (path.stem.isascii() and path.stem.isdigit()):
+            continue
+        sensor, sample = path.parent.name, int(path.stem)
+        if sensor not in fires:
+            yield path, f"the stage has no {what} {sensor!r}"
+        elif sample >= len(firing):
+            yield path, f"the stage has samples 0 to {len(firing) - 1}"
+        elif not _holds(at := fires[sensor], sample):
+            said = ", ".join(map(str, at[:3])) + (", …" if len(at) > 3 else "")
+            yield path, f"{what} {sensor} is triggered at samples {said or 'beyond the last'}"
+
+
+def _holds(ascending: Sequence[int], value: int) -> bool:
+    place = bisect_left(ascending, value)
+    return place < len(ascending) and ascending[place] == value

@@ -1,0 +1,122 @@
+"""Kernels on all threads: every number is done once, whatever happens on the way."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from threading import Lock, get_ident
+
+import numba
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from scenec.schemas.threads import over_threads
+
+
+@given(count=st.integers(0, 300), threads=st.integers(1, numba.config.NUMBA_NUM_THREADS))
+def test_every_number_is_done_once(count: int, threads: int) -> None:
+    done = np.zeros(count, np.int64)
+
+    def kernel(first: int, last: int, done: NDArray[np.int64]) -> None:
+        assert 0 <= first <= last <= count
+        done[first:last] += 1
+
+    before = numba.get_num_threads()
+    try:
+        numba.set_num_threads(threads)
+        over_threads(kernel, count, done)
+    finally:
+        numba.set_num_threads(before)
+    assert (done == 1).all()
+
+
+def test_one_thread_is_the_callers_own() -> None:
+    seen = set()
+    before = numba.get_num_threads()
+    try:
+        numba.set_num_threads(1)
+        over_threads(lambda first, last: seen.add(get_ident()), 100)
+    finally:
+        numba.set_num_threads(before)
+    assert seen == {get_ident()}
+
+
+def test_what_a_kernel_raises_is_raised() -> None:
+    def kernel(first: int, last: int) -> None:
+        if first <= 17 < last:
+            raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        over_threads(kernel, 100)
+
+
+def test_kernels_may_call_one_another_from_any_thread() -> None:
+    counted, lock = [0], Lock()
+
+    def inner(first: int, last: int) -> None:
+        with lock:
+            counted[0] += last - first
+
+    def outer(first: int, last: int) -> None:
+        for _ in range(first, last):
+            over_threads(inner, 10)
+
+    with ThreadPoolExecutor(4) as pool:
+        for future in [pool.submit(over_threads, outer, 20) for _ in range(8)]:
+            future.result(timeout=60)
+    assert counted[0] == 8 * 20 * 10
+
+
+_FOUR = """
+import sys, threading, time
+import numpy as np
+from scenec.schemas.threads import over_threads
+
+at_work = []
+
+def kernel(first, last, wait):
+    if first == last:
+        return
+    at_work.append(first)
+    time.sleep(wait)
+    if first == 0:
+        raise ZeroDivisionError
+    time.sleep(wait)
+    at_work.remove(first)
+
+try:
+    over_threads(kernel, 400, 0.05)
+except ZeroDivisionError:
+    print(at_work, sys._getframe() is not None)
+
+def late():
+    time.sleep(0.3)
+    done = np.zeros(100, int)
+    def count(first, last):
+        done[first:last] += 1
+    over_threads(count, 100)
+    print((done == 1).all())
+
+threading.Thread(target=late).start()
+"""
+
+
+def test_what_one_raises_ends_the_others_and_nothing_writes_after_it() -> None:
+    environment = {**os.environ, "NUMBA_NUM_THREADS": "4"}
+    done = subprocess.run(
+        [sys.executable, "-c", _FOUR], env=environment, capture_output=True, text=True, timeout=60
+    )
+    # Of four at work that which raised alone did not end; a thread that outlives the main one
+    # works by itself.
+    assert done.stdout.split() == ["[0]", "True", "True"], done.stderr
+
+
+def test_few_numbers_are_not_worth_a_thread() -> None:
+    seen: set[int] = set()
+    over_threads(lambda first, last: seen.add(get_ident()), 100, least=100)
+    assert seen == {get_ident()}
