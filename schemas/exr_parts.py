@@ -28,7 +28,7 @@ def without_parts(data: bytes, unwanted: Collection[str]) -> bytes:
         unwanted: Names.
 
     Raises:
-        ValueError: It is not such a file, or is cut short.
+        ValueError: It is not such a file, or is cut short or damaged.
     """
     if len(data) < 8:
         raise ValueError("no OpenEXR file")
@@ -39,8 +39,8 @@ def without_parts(data: bytes, unwanted: Collection[str]) -> bytes:
         return data
     try:
         return _cut(data, unwanted)
-    except (struct.error, IndexError, UnicodeDecodeError) as error:
-        raise ValueError(f"an OpenEXR file that is cut short: {error}") from error
+    except (struct.error, IndexError, KeyError, OverflowError, UnicodeDecodeError) as error:
+        raise ValueError(f"an OpenEXR file that is cut short or damaged: {error}") from error
 
 
 def _cut(data: bytes, unwanted: Collection[str]) -> bytes:

@@ -87,6 +87,23 @@ def test_a_file_cut_short_or_changed_anywhere_ends_in_one_error_or_is_read(tmp_p
         read_exr(cut, ("rgb",))
 
 
+def test_any_byte_of_header_and_tables_may_be_changed(tmp_path: Path):
+    path = tmp_path / "a.exr"
+    write_exr(path, passes_of(("rgb", "instance"), 20, 6))
+    whole = path.read_bytes()
+    refused = 0
+    for at in range(min(len(whole), 1500)):
+        # The highest bit of an offset makes it larger than any file.
+        for flip in (1, 0x80, 0xFF):
+            broken = bytearray(whole)
+            broken[at] ^= flip
+            try:
+                without_parts(bytes(broken), ("rgb",))
+            except ValueError:
+                refused += 1
+    assert refused > 0
+
+
 @pytest.mark.parametrize("data", [b"", b"v/1", b"no picture at all", b"v/1\x01\x02\x02\0\0"])
 def test_what_is_no_such_file_is_refused(tmp_path: Path, data: bytes):
     with pytest.raises(ValueError, match="OpenEXR"):
