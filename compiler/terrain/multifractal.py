@@ -203,8 +203,8 @@ def _relief_part(
     variant: int,
     offset: float,
     distortion: float,
-    growth: NDArray,
-    level: NDArray,
+    growth: float,
+    level: float,
     out: NDArray,
 ) -> None:
     count = octaves.keys.size
