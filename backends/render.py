@@ -55,7 +55,7 @@ class RenderReport:
         backend_version: Renderer, version and variant.
         device: Where it ran.
         denoiser: What denoised ``rgb``, or None.
-        losses: A line for each thing in the stages that ``rgb`` leaves out.
+        losses: A line for each thing in the stages that was not read, or that ``rgb`` leaves out.
         backend: The backend's name.
         choice: Why this one, where none was named (``auto.Choice.as_json``); None otherwise.
         peak_memory_gb: The most that a worker held amid a frame made now, in 10^9 bytes; None if no

@@ -487,6 +487,8 @@ class RenderScene:
     sky_label_maps: tuple[dict[str, SkyLabelMap], ...] = ()
     #: Per sample: those that scan then.
     lidars: tuple[tuple[Lidar, ...], ...] = ()
+    #: A line for each thing in the stage that was not read, whatever the backend and the pass.
+    losses: tuple[str, ...] = ()
 
     def rows_at(self, sample: int) -> Rows:
         """The rows with the matrices of a sample; the very same object where nothing moves."""

@@ -16,7 +16,7 @@ from scenec.schemas.errors import StageError
 from scenec.schemas.manifest import find_batches
 from scenec.schemas.scans import is_scanned, scan_key, scan_stem, write_scan
 from scenec.schemas.spelling import nearest
-from scenec.schemas.strays import stray_scans, told
+from scenec.schemas.strays import Stray, stray_scans, told
 from scenec.schemas.versions import version_of
 
 
@@ -66,11 +66,13 @@ def scan_output(
     """
     report = ScanReport()
     names: set[str] = set()
+    found: list[Stray] = []
     for batch in find_batches(Path(out), batches):
         start = time.perf_counter()
         scene = read_stage(batch.stage)
         report.seconds["read"] += time.perf_counter() - start
         names |= {lidar.name for some in scene.lidars for lidar in some}
+        report.warnings += [line for line in scene.losses if line not in report.warnings]
         beyond = [sample for sample in samples or () if sample >= scene.samples]
         if beyond:
             raise StageError(
@@ -84,7 +86,7 @@ def scan_output(
             if lidars is None or lidar.name in lidars
         ]
         _scan_batch(scene, batch.folder, wanted, ply, report, progress)
-        if Path(out).is_dir() and not report.warnings:
+        if Path(out).is_dir() and not found:
             # Beside a USD file there may be the scans of another.
             firing = [[(lidar.name, True) for lidar in some] for some in scene.lidars]
             found = list(stray_scans(batch.folder, firing))
@@ -144,6 +146,7 @@ def _sidecar(scene: RenderScene, lidar: Lidar, sample: int, key: str) -> dict[st
             for level in scene.levels
         },
         "instances": scene.instance_paths,
+        "losses": scene.losses,
         "stage_digest": scene.digest,
         "resume_key": key,
     }

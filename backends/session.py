@@ -79,8 +79,8 @@ class Session:
 
     @cached_property
     def losses(self) -> tuple[str, ...]:
-        """A line for each thing in the stage that the backend's ``rgb`` leaves out."""
-        lines = tuple(self.backend.losses(self.scene))
+        """A line for each thing in the stage that was not read, or that ``rgb`` leaves out."""
+        lines = (*self.scene.losses, *self.backend.losses(self.scene))
         if any(self.scene.haze):
             from scenec.backends.haze import LOSS
 
@@ -138,7 +138,7 @@ class Session:
 
         Returns:
             (arrays by pass, none for ``amodal``; details for the sidecar: ``device``, ``seconds``,
-            ``annotation`` (who saw), ``denoised``, ``resolver``; ``losses``, ``estimated_error``
+            ``annotation`` (who saw), ``denoised``, ``losses``, ``resolver``; ``estimated_error``
             ... with ``rgb``).
 
         Raises:
@@ -163,6 +163,7 @@ class Session:
             "device": self.backend.device,
             "annotation": None,
             "denoised": None,
+            "losses": self.scene.losses,
             "seconds": seconds,
         }
         arrays: dict[str, NDArray] = {}

@@ -90,7 +90,7 @@ class Worker:
             "digest": scene.digest,
             "samples": scene.samples,
             "cameras": cameras,
-            "losses": session.losses if pictures else (),
+            "losses": session.losses if pictures else scene.losses,
             **_facts(session.backend),
         }
 
