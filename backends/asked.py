@@ -6,13 +6,11 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
+from scenec.backends.auto import choose
 from scenec.backends.jobs import Wanted
 from scenec.backends.pool import WorkerProcess
-from scenec.backends.registry import ANNOTATION_ONLY, AUTO, backend_names, require_name
+from scenec.backends.registry import AUTO, backend_names, require_name
 from scenec.schemas.errors import BackendError, ScenecError
-
-#: Annotators that need no process of their own: no renderer's libraries, nothing to collide with.
-IN_PROCESS = ("reference",)
 
 
 def check_backend(
@@ -20,7 +18,6 @@ def check_backend(
     *,
     device: str = "auto",
     denoise: bool = False,
-    annotate_with: str | None = None,
     error: float | None = None,
     seconds: float | None = None,
     rgb: bool = True,
@@ -34,7 +31,6 @@ def check_backend(
         backend: As for ``render``.
         device: As for ``render``.
         denoise: As for ``render``.
-        annotate_with: As for ``render``.
         error: As for ``render``.
         seconds: As for ``render``.
         rgb: Whether ``rgb`` will be among the passes.
@@ -44,8 +40,7 @@ def check_backend(
         BackendError: A backend is not there, does not start, or cannot do what is asked.
     """
     wanted = Wanted(
-        backend, device=device, denoise=denoise, annotate_with=annotate_with, error=error,
-        seconds=seconds,
+        backend, device=device, denoise=denoise, error=error, seconds=seconds,
     )  # fmt: skip
     check_words(wanted, rgb)
     if denoise and apertures:
@@ -53,14 +48,15 @@ def check_backend(
         from scenec.backends.shutter import undenoised
 
         raise BackendError(undenoised(apertures[0], "aperture"))
-    if backend == AUTO:
-        _check_some(wanted, rgb)
+    if not rgb:
+        # Annotation needs no renderer.
         return
-    found = _describe(backend, device, rgb)
+    if backend == AUTO:
+        choose(None, wanted)
+        return
+    found = _describe(backend, device)
     if denoise and found["denoiser"] is None:
         raise no_denoiser(backend)
-    if annotate_with is not None and annotate_with not in (backend, *IN_PROCESS):
-        _describe(annotate_with, "auto", False)
 
 
 def check_words(wanted: Wanted, rgb: bool) -> None:
@@ -75,8 +71,6 @@ def check_words(wanted: Wanted, rgb: bool) -> None:
     """
     if wanted.backend != AUTO:
         require_name(wanted.backend)
-    if wanted.annotate_with is not None:
-        require_name(wanted.annotate_with)
     if wanted.spp < 1:
         raise BackendError(f"samples per pixel must be at least 1, not {wanted.spp}")
     for name, value in (("error", wanted.error), ("seconds", wanted.seconds)):
@@ -106,7 +100,7 @@ def no_denoiser(backend: str) -> BackendError:
     have = []
     for name in backend_names():
         try:
-            denoiser = None if name == backend else _describe(name, "auto", False)["denoiser"]
+            denoiser = None if name == backend else _describe(name, "auto")["denoiser"]
         except ScenecError:
             # Not installed, or does not start: no help here.
             continue
@@ -116,24 +110,7 @@ def no_denoiser(backend: str) -> BackendError:
     return BackendError(f"backend {backend} has no denoiser{others}")
 
 
-def _check_some(wanted: Wanted, rgb: bool) -> None:
-    """Is there any backend to choose."""
-    faults = []
-    for name in backend_names():
-        if rgb and name in ANNOTATION_ONLY:
-            continue
-        try:
-            found = _describe(name, wanted.device, rgb)
-            if wanted.denoise and found["denoiser"] is None:
-                raise BackendError(f"backend {name} has no denoiser")
-        except BackendError as error:
-            faults.append(str(error))
-        else:
-            return
-    raise BackendError(f"no backend works here for what is asked: {'; '.join(faults)}")
-
-
-def _describe(backend: str, device: str, rgb: bool) -> dict[str, Any]:
-    request = {"op": "describe", "backend": backend, "device": device, "rgb": rgb}
+def _describe(backend: str, device: str) -> dict[str, Any]:
+    request = {"op": "describe", "backend": backend, "device": device, "rgb": True}
     with WorkerProcess() as worker:
         return worker.ask(request, f"backend {backend}")

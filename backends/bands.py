@@ -2,9 +2,8 @@
 
 Annotation goes by bands of whole rows. Rays are those of the picture's own camera
 (``rays.camera_rays``), each the same to the bit as in one piece. Renderers that draw cameras, not
-rays, are given a ``crop``: the band, with the principal point moved. Windows of 3x3 pixels see one
-row beyond their band (``settle``'s ``core``). Radiance goes by tiles with noise of their own. Of a
-picture that is no larger than one band nothing of this is done.
+rays, are given a ``crop``: the band, with the principal point moved. Radiance goes by tiles with
+noise of their own. Of a picture that is no larger than one band nothing of this is done.
 
 Whole pictures are still held for: the sums of sub-frames; rays where haze, measured depth, flow,
 disparity or the table of instances through a lens need them; denoising, which knows no borders;
@@ -15,7 +14,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,9 +21,8 @@ from numpy.typing import NDArray
 from scenec.backends.compose import Picture, noisy_pixels, paint, through
 from scenec.backends.compose import compose as compose_whole
 from scenec.backends.contract import Backend, Radiance, Rays, Visibility
-from scenec.backends.exact.annotate import annotate
-from scenec.backends.exact.caster import ExactCaster
-from scenec.backends.exact.settle import Settled, Statistics, settle
+from scenec.backends.exact.annotate import annotate as annotate_rays
+from scenec.backends.exact.caster import ExactCaster, Hits
 from scenec.backends.haze import Veil
 from scenec.backends.noise import estimate_parts
 from scenec.backends.rays import camera_rays
@@ -41,8 +38,7 @@ TALLEST = 8192
 
 def bands(camera: Camera) -> list[range]:
     """Rows of a picture that are annotated at once; of bands about as many each."""
-    # With a row beside it on either side a band is still no taller than that.
-    count = -(-camera.height // min(max(1, PIXELS // camera.width), TALLEST - 2))
+    count = -(-camera.height // min(max(1, PIXELS // camera.width), TALLEST))
     rows = -(-camera.height // count)
     return [
         range(first, min(first + rows, camera.height)) for first in range(0, camera.height, rows)
@@ -63,136 +59,47 @@ def crop(camera: Camera, rows: range, columns: range | None = None) -> Camera:
     return replace(camera, width=len(columns), height=len(rows), intrinsics=k)
 
 
-class Annotating:
-    """Exact visibility and annotation of a picture, band by band.
-
-    For each band of ``bands``, in order: get ``rays`` of it, ask a renderer for what ``camera`` and
-    they show, ``add`` that. Then ``finish``. Whether the renderer is to be trusted is asked of all
-    bands together: if it failed in one, the others are cast ray by ray, too.
+def annotate(
+    scene: RenderScene,
+    caster: ExactCaster,
+    camera: Camera,
+    passes: Sequence[str],
+    sample: int,
+) -> tuple[Hits, dict[str, NDArray]]:
+    """First hits and annotation of a picture, every pixel cast, band by band.
 
     Args:
         scene: The scene.
         caster: Posed as at the sample.
         camera: Whose picture it is.
-        passes: What to annotate, see ``annotate``.
+        passes: What to annotate, see ``exact.annotate``.
         sample: Time code.
+
+    Returns:
+        First hits of the whole picture, and arrays as ``exact.annotate`` returns them.
     """
-
-    def __init__(
-        self,
-        scene: RenderScene,
-        caster: ExactCaster,
-        camera: Camera,
-        passes: Sequence[str],
-        sample: int,
-    ) -> None:
-        self._scene, self._caster, self._whole = scene, caster, camera
-        self._passes, self._sample = passes, sample
-        self.bands = bands(camera)
-        self._statistics: list[Statistics] = []
-        self._settled: Settled | None = None
-        self._arrays: dict[str, NDArray] = {}
-        self._all_rays: Rays | None = None
-
-    def around(self, rows: range) -> range:
-        """A band with the rows beside it that windows of 3x3 pixels look at."""
-        return range(max(rows.start - 1, 0), min(rows.stop + 1, self._whole.height))
-
-    def rays(self, rows: range) -> Rays:
-        """Rays of a band and the rows beside it."""
-        rays = camera_rays(self._whole, self.around(rows))
-        if len(self.bands) == 1:
-            self._all_rays = rays
-        return rays
-
-    def camera(self, rows: range) -> Camera:
-        """The camera of a band and the rows beside it."""
-        return crop(self._whole, self.around(rows))
-
-    def part(self, visibility: Visibility, rows: range) -> Visibility:
-        """What of a whole picture's visibility belongs to a band and the rows beside it."""
-        part = _pixels(self.around(rows), self._whole.width)
-        return Visibility(visibility.row[part], visibility.face[part])
-
-    @cached_property
-    def all_rays(self) -> Rays:
-        """Rays of the whole picture."""
-        return camera_rays(self._whole) if self._all_rays is None else self._all_rays
-
-    def add(self, rows: range, rays: Rays, visibility: Visibility | None) -> None:
-        """Settle a band.
-
-        Args:
-            rows: Of ``bands``.
-            rays: From ``rays``.
-            visibility: What a renderer saw along them; None: they are cast.
-
-        Raises:
-            BackendError: Visibility that does not fit the rays.
-        """
-        first = self.around(rows).start
-        core = range(rows.start - first, rows.stop - first)
-        settled = settle(self._caster, rays, visibility, self.camera(rows), core)
-        self._statistics.append(settled.statistics)
-        self._keep(rows, settled, _rows_of(rays, core))
-
-    def finish(self) -> tuple[Settled, dict[str, NDArray]]:
-        """The whole picture: exact visibility, and arrays as ``annotate`` returns them.
-
-        Returns:
-            Both; ``Settled.statistics`` are those of all bands together.
-        """
-        settled = self._settled
-        assert settled is not None
-        if any(one.escalated for one in self._statistics):
-            for index, rows in enumerate(self.bands):
-                if not self._statistics[index].escalated:
-                    self._statistics[index] = self._cast_again(settled, rows, index)
-        return replace(settled, statistics=_together(self._statistics)), self._arrays
-
-    def _cast_again(self, settled: Settled, rows: range, index: int) -> Statistics:
-        part = _pixels(rows, self._whole.width)
-        before = settled.row[part].copy(), settled.face[part].copy()
-        rays = camera_rays(self._whole, rows)
-        found = settle(self._caster, rays)
-        self._keep(rows, found, rays)
-        old = self._statistics[index]
-        other_row = found.row != before[0]
-        other = other_row | (found.face != before[1])
-        return replace(
-            old,
-            suspects=old.pixels,
-            reasons=old.reasons | {"audit": old.reasons["audit"] + old.pixels - old.suspects},
-            changed=old.changed + int(np.count_nonzero(other)),
-            changed_rows=old.changed_rows + int(np.count_nonzero(other_row)),
-            escalated=True,
-        )
-
-    def _keep(self, rows: range, settled: Settled, rays: Rays) -> None:
-        arrays = annotate(self._scene, settled, rays, self._passes, self._sample)
-        if len(self.bands) == 1:
-            self._settled, self._arrays = settled, arrays
-            return
-        height, width = self._whole.height, self._whole.width
-        if self._settled is None:
-            n = height * width
-            self._settled = replace(
-                settled, row=np.empty(n, np.int32), face=np.empty(n, np.int32), t=np.empty(n)
-            )
-            self._arrays = {
-                name: np.empty((height, *values.shape[1:]), values.dtype)
-                for name, values in arrays.items()
-            }
-        part = _pixels(rows, width)
-        self._settled.row[part] = settled.row
-        self._settled.face[part] = settled.face
-        self._settled.t[part] = settled.t
-        for name, values in arrays.items():
-            self._arrays[name][rows.start : rows.stop] = values
+    parts = bands(camera)
+    if len(parts) == 1:
+        rays = camera_rays(camera)
+        hits = caster.hits(rays)
+        return hits, annotate_rays(scene, hits, rays, passes, sample)
+    n = camera.height * camera.width
+    whole = Hits(np.empty(n, np.int32), np.empty(n, np.int32), np.empty(n), caster.geometry)
+    arrays: dict[str, NDArray] = {}
+    for rows in parts:
+        rays = camera_rays(camera, rows)
+        hits = caster.hits(rays)
+        pixels = slice(rows.start * camera.width, rows.stop * camera.width)
+        whole.row[pixels], whole.face[pixels], whole.t[pixels] = hits.row, hits.face, hits.t
+        for name, values in annotate_rays(scene, hits, rays, passes, sample).items():
+            if name not in arrays:
+                arrays[name] = np.empty((camera.height, *values.shape[1:]), values.dtype)
+            arrays[name][rows.start : rows.stop] = values
+    return whole, arrays
 
 
-def see(look: Callable[[Rays, Camera], Visibility | None], camera: Camera) -> Visibility | None:
-    """A renderer's visibility of a whole picture, band by band.
+def witness(look: Callable[[Rays, Camera], Visibility | None], camera: Camera) -> Visibility | None:
+    """What a renderer itself sees of a whole picture, band by band.
 
     Args:
         look: What it sees along rays of a band and its camera; None: it cannot follow them.
@@ -204,8 +111,8 @@ def see(look: Callable[[Rays, Camera], Visibility | None], camera: Camera) -> Vi
         seen = look(camera_rays(camera, rows), crop(camera, rows))
         if seen is None:
             return None
-        part = _pixels(rows, camera.width)
-        row[part], face[part] = seen.row, seen.face
+        pixels = slice(rows.start * camera.width, rows.stop * camera.width)
+        row[pixels], face[pixels] = seen.row, seen.face
     return Visibility(row, face)
 
 
@@ -227,20 +134,6 @@ def by_columns(look: Callable[[Camera], Visibility], camera: Camera, widest: int
         row[:, columns.start : columns.stop] = seen.row.reshape(camera.height, -1)
         face[:, columns.start : columns.stop] = seen.face.reshape(camera.height, -1)
     return Visibility(row.ravel(), face.ravel())
-
-
-def cast(
-    scene: RenderScene,
-    caster: ExactCaster,
-    camera: Camera,
-    passes: Sequence[str],
-    sample: int,
-) -> tuple[Settled, dict[str, NDArray]]:
-    """A picture as annotation defines it, every pixel cast: see ``Annotating``."""
-    annotating = Annotating(scene, caster, camera, passes, sample)
-    for rows in annotating.bands:
-        annotating.add(rows, annotating.rays(rows), None)
-    return annotating.finish()
 
 
 def radiance(
@@ -323,34 +216,3 @@ def _tiles(camera: Camera) -> Iterator[tuple[range, range]]:
                 range(top, min(top + high, camera.height)),
                 range(left, min(left + wide, camera.width)),
             )
-
-
-def _pixels(rows: range, width: int) -> slice:
-    return slice(rows.start * width, rows.stop * width)
-
-
-def _rows_of(rays: Rays, rows: range) -> Rays:
-    """Rays of some rows of a table."""
-    if len(rows) == rays.shape[0]:
-        return rays
-    width = rays.shape[1]
-    part = _pixels(rows, width)
-    return replace(
-        rays,
-        origins=rays.origins[part],
-        directions=rays.directions[part],
-        shape=(len(rows), width),
-        depth=None if rays.depth is None else rays.depth[part],
-        known=None if rays.known is None else rays.known[part],
-    )
-
-
-def _together(parts: Sequence[Statistics]) -> Statistics:
-    if len(parts) == 1:
-        return parts[0]
-    sums = {
-        name: sum(getattr(one, name) for one in parts)
-        for name in ("pixels", "suspects", "changed", "changed_rows")
-    }
-    reasons = {name: sum(one.reasons[name] for one in parts) for name in parts[0].reasons}
-    return Statistics(**sums, reasons=reasons, escalated=any(one.escalated for one in parts))

@@ -1,22 +1,20 @@
-"""What a backend is: it answers two questions about a RenderScene, and nothing else.
+"""What a backend is: it answers one question about a RenderScene, and bears witness.
 
-*Visibility*: which (row, face) does each ray meet first? *Radiance*: how much light arrives at each
-pixel? All annotation is resolved from visibility by shared code in float64
-(``scenec.backends.resolver``), so a renderer never computes a label, an id or a depth.
+*Radiance*: how much light arrives at each pixel? Annotation is not its business: that is the exact
+caster's (``scenec.backends.exact``), so a renderer never computes a label, an id or a depth.
+*Witness*, which only checks ask for: which (row, face) does the renderer itself meet first through
+each pixel's center? ``scenec check --backends`` holds it against the annotation.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scenec.backends.render_scene import Camera, RenderScene
-
-if TYPE_CHECKING:
-    from scenec.backends.exact import ExactCaster
 
 #: ``Visibility.row`` where a ray meets nothing.
 NO_ROW = -1
@@ -99,9 +97,6 @@ class Backend(Protocol):
     device: str
     #: Name of its denoiser; None if it has none.
     denoiser: str | None
-    #: Where the backend is exact itself (``reference``), the caster that settles nothing more; None
-    #: for renderers, whose visibility the resolver settles.
-    caster: ExactCaster | None
     #: Whether ``radiance`` draws cameras with a lens by their own rays. Where it does not (nor
     #: says so: the attribute may be missing), it draws pinhole views, and ``backends.resample``
     #: makes the picture of them.
@@ -129,23 +124,6 @@ class Backend(Protocol):
         """Build the renderer's own scene, once per batch."""
         ...
 
-    def visibility(
-        self, rays: Rays, sample: int, camera: Camera | None = None
-    ) -> Visibility | None:
-        """First hits. Never culls back faces.
-
-        Args:
-            rays: One a pixel. Hits of pixels without a ray are of no meaning.
-            sample: Time code.
-            camera: The pinhole camera the rays come from; None for a table of another kind, such
-                as of a camera with a lens.
-
-        Returns:
-            The hits; None if the backend cannot follow such rays (a rasterizer and rays of no
-            pinhole): all of them are cast exactly then.
-        """
-        ...
-
     def radiance(
         self, camera: Camera, sample: int, spp: int, seed: int, denoise: bool = False
     ) -> Radiance:
@@ -157,5 +135,20 @@ class Backend(Protocol):
             spp: Samples per pixel, at least 1.
             seed: Of the noise, 32 bits.
             denoise: Whether to fill ``Radiance.denoised``; only asked of backends with a denoiser.
+        """
+        ...
+
+    def witness(self, rays: Rays, sample: int, camera: Camera | None = None) -> Visibility | None:
+        """First hits as this renderer itself finds them; the method may be missing.
+
+        Args:
+            rays: One a pixel. Hits of pixels without a ray are of no meaning.
+            sample: Time code.
+            camera: The pinhole camera the rays come from; None for a table of another kind, such
+                as of a camera with a lens.
+
+        Returns:
+            The hits, back faces too; None if the backend cannot follow such rays (a rasterizer and
+            rays of no pinhole).
         """
         ...

@@ -24,8 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.backends.contract import Rays
-from scenec.backends.exact import ExactCaster
-from scenec.backends.exact.settle import Settled
+from scenec.backends.exact import ExactCaster, Hits
 from scenec.backends.render_scene import Camera, RenderScene
 from scenec.backends.shutter import in_rows, is_rolling, places_of
 from scenec.schemas.correspondence import (
@@ -65,7 +64,7 @@ class Match:
 def compare(
     scene: RenderScene,
     caster: ExactCaster,
-    settled: Settled,
+    hits: Hits,
     rays: Rays,
     camera: Camera,
     sample: int,
@@ -76,7 +75,7 @@ def compare(
     Args:
         scene: The scene.
         caster: Posed at ``sample``, and left so.
-        settled: Exact visibility of the frame.
+        hits: First hits of the frame.
         rays: Its rays.
         camera: Its camera.
         sample: Its time code.
@@ -104,7 +103,7 @@ def compare(
         found = (
             _nothing(len(centers))
             if other is None
-            else match(scene, caster, settled, rays, (camera, sample), (other, at))
+            else match(scene, caster, hits, rays, (camera, sample), (other, at))
         )
         made: dict[str, NDArray] = {
             flow: found.pixel - centers,
@@ -115,7 +114,7 @@ def compare(
     wanted = [name for name in PARTNER if name in passes]
     if wanted:
         other = _partner(scene, camera, sample)
-        seen = match(scene, caster, settled, rays, (camera, sample), (other, sample))
+        seen = match(scene, caster, hits, rays, (camera, sample), (other, sample))
         made = {
             "disparity": centers[:, 0] - seen.pixel[:, 0],
             "disparity_occlusion": seen.code,
@@ -128,7 +127,7 @@ def compare(
 def match(
     scene: RenderScene,
     caster: ExactCaster,
-    settled: Settled,
+    hits: Hits,
     rays: Rays,
     here: tuple[Camera, int],
     there: tuple[Camera, int],
@@ -136,17 +135,17 @@ def match(
     """Finds what one view shows in another one.
 
     Args:
-        scene, caster, settled, rays: As for ``compare``.
+        scene, caster, hits, rays: As for ``compare``.
         here, there: The two views: camera and sample.
 
     Returns:
         One entry a ray.
     """
     (camera, sample), (other, sample_there) = here, there
-    hit = settled.row >= 0
+    hit = hits.row >= 0
     n = len(hit)
-    points = rays.origins + np.where(hit, settled.t, 0.0)[:, None] * rays.directions
-    moved, gone = _moved(scene, points, settled.row, sample, sample_there)
+    points = rays.origins + np.where(hit, hits.t, 0.0)[:, None] * rays.directions
+    moved, gone = _moved(scene, points, hits.row, sample, sample_there)
     if is_rolling(other):
         # Of the sky, a direction.
         places = places_of(other, np.where(hit[:, None], moved, rays.directions), ~hit)
@@ -173,7 +172,7 @@ def match(
     caster.pose(sample_there)
     row, face, t = caster.cast(back)
     caster.pose(sample)
-    own = (row == settled.row[index]) & (face == settled.face[index])
+    own = (row == hits.row[index]) & (face == hits.face[index])
     # The ray's parameter at the point is 1; at the sky it is endless.
     nearer = (t < np.where(hit[index], 1.0 - _SAME, np.inf)) & ~(own & hit[index])
     code[index[nearer]] = HIDDEN

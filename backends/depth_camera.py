@@ -24,9 +24,8 @@ from numpy.typing import NDArray
 
 from scenec.backends.contract import Rays
 from scenec.backends.correspondence import match
-from scenec.backends.exact import ExactCaster
+from scenec.backends.exact import ExactCaster, Hits
 from scenec.backends.exact.annotate import annotate
-from scenec.backends.exact.settle import Settled
 from scenec.backends.imaging.chance import philox, quantile, unit
 from scenec.backends.render_scene import Camera, RenderScene
 from scenec.backends.shutter import beside
@@ -189,7 +188,7 @@ def _spot(blur_px: float) -> NDArray[np.float64]:
 def measure(
     scene: RenderScene,
     caster: ExactCaster,
-    settled: Settled,
+    hits: Hits,
     rays: Rays,
     camera: Camera,
     sample: int,
@@ -199,7 +198,7 @@ def measure(
     Args:
         scene: The scene.
         caster: Posed at ``sample``, and left so.
-        settled: Exact visibility of the frame.
+        hits: First hits of the frame.
         rays: Its rays.
         camera: Its camera.
         sample: Its time code.
@@ -212,10 +211,10 @@ def measure(
             f"{camera.path}: {MEASURED} needs a depth camera, and the stage names none"
         )
     model, key = camera.depth_camera.model, camera.depth_camera.key
-    exact = annotate(scene, settled, rays, ("depth", "range", "normal"), sample)
+    exact = annotate(scene, hits, rays, ("depth", "range", "normal"), sample)
     if isinstance(model, StereoDepth):
         other = beside(camera, model.baseline_m)
-        found = match(scene, caster, settled, rays, (camera, sample), (other, sample))
+        found = match(scene, caster, hits, rays, (camera, sample), (other, sample))
         seen = (found.code == VISIBLE).reshape(rays.shape)
         return measure_stereo(model, camera, exact["depth"], seen, key, sample)
     length = np.sqrt((rays.directions * rays.directions).sum(axis=1))

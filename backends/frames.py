@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +17,8 @@ from scenec.backends.instances import Seen
 from scenec.backends.render_scene import Camera, Lighting, RenderScene
 from scenec.backends.shutter import row_poses
 from scenec.schemas import picture
-from scenec.schemas.amodal import amodal_path, write_amodal
-from scenec.schemas.errors import OutputError
+from scenec.schemas.amodal import AMODAL, amodal_path, read_amodal, write_amodal
+from scenec.schemas.errors import FrameError, OutputError
 from scenec.schemas.exr import write_exr
 from scenec.schemas.files import sha256, write_json
 from scenec.schemas.frames import (
@@ -27,9 +29,11 @@ from scenec.schemas.frames import (
     SHUTTER_CONVENTION,
     FrameKey,
     beside_path,
+    read_frame,
 )
-from scenec.schemas.instances import frame_table_path, write_frame_table
+from scenec.schemas.instances import frame_table_path, read_frame_table, write_frame_table
 from scenec.schemas.lens import KANNALA_BRANDT, Lens
+from scenec.schemas.versions import version_of
 
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
@@ -129,6 +133,56 @@ def write_frame(
         **details,
     }
     write_json(stem.with_suffix(".json"), plain(sidecar))
+
+
+@dataclass(frozen=True)
+class Annotated:
+    """What a frame of another backend, or of other samples a pixel, has annotated already.
+
+    Attributes:
+        arrays: Passes by name, as on disk.
+        seen: As for ``write_frame``.
+        height_m: The sidecar's ``height_above_surface_m``.
+    """
+
+    arrays: dict[str, NDArray]
+    seen: Seen | None
+    height_m: float | None
+
+
+def annotated(stem: Path, digest: str, passes: Sequence[str]) -> Annotated | None:
+    """Annotation of this very picture that some backend's frame holds; None if none does.
+
+    Args:
+        stem: Where the frame will be.
+        digest: Of the stage.
+        passes: All but ``rgb`` that are needed.
+    """
+    for path in sorted(stem.parents[2].glob(f"*/{stem.parent.name}/{stem.name}.json")):
+        try:
+            sidecar = json.loads(path.read_bytes())
+            if (
+                sidecar["stage_digest"] != digest
+                or sidecar["annotation"] != annotation_facts()
+                or not set(passes) - {AMODAL} <= set(sidecar["passes"])
+                or (AMODAL in passes and sidecar["amodal"] is None)
+            ):
+                continue
+            frame = read_frame(path, passes, [n for n in sidecar["passes"] if n not in passes])
+            seen = None
+            if "instance" in passes:
+                masks = read_amodal(path) if AMODAL in passes else None
+                seen = Seen(read_frame_table(path), masks)
+            return Annotated(frame.passes, seen, sidecar["height_above_surface_m"])
+        except (FrameError, OSError, ValueError, KeyError, TypeError):
+            # Damaged, or of another version: it is cast again.
+            continue
+    return None
+
+
+def annotation_facts() -> dict[str, Any]:
+    """What made the annotation, for sidecars."""
+    return {"scenec": version_of()}
 
 
 def partner_name(scene: RenderScene, camera: Camera) -> str | None:

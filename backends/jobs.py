@@ -26,7 +26,6 @@ class Wanted:
     noise_seed: int = 0
     device: str = "auto"
     denoise: bool = False
-    annotate_with: str | None = None
     error: float | None = None
     seconds: float | None = None
     cameras: Collection[str] | None = None
@@ -50,11 +49,6 @@ class Job:
     camera: str
     key: FrameKey
     request: dict[str, Any]
-
-    @property
-    def annotated(self) -> bool:
-        """Whether anything but ``rgb`` is asked for."""
-        return any(name != "rgb" for name in self.key.passes)
 
 
 class Jobs:
@@ -104,12 +98,11 @@ class Jobs:
         """Whether any of them has ``rgb``."""
         return any("rgb" in self._camera(*place)["passes"] for place in self._places)
 
-    def open(self, worker: WorkerProcess, annotator: str | None) -> dict[str, Any]:
+    def open(self, worker: WorkerProcess) -> dict[str, Any]:
         """Open the stage in a worker, and find its frames.
 
         Args:
             worker: It will be asked for the frames.
-            annotator: A backend that annotates in the same process, or None.
 
         Returns:
             What the worker says about stage and backend.
@@ -125,7 +118,6 @@ class Jobs:
                 "stage": str(self._batch.stage.resolve()),
                 "backend": wanted.backend,
                 "device": wanted.device,
-                "annotator": annotator,
                 "passes": None if wanted.passes is None else list(wanted.passes),
             }
         )
@@ -172,7 +164,7 @@ class Jobs:
             camera = self._camera(sample, index)
             name = camera["name"]
             key = self._key(camera["passes"])
-            stem = frame_stem(batch.folder, wanted.backend, name, sample)
+            stem = frame_stem(batch.folder, self._opened["backend"], name, sample)
             request = {
                 "op": "render",
                 "stem": str(stem.resolve()),
@@ -195,7 +187,7 @@ class Jobs:
             passes=tuple(passes),
             spp=wanted.spp if pictures else 0,
             noise_seed=wanted.noise_seed if pictures else 0,
-            backend=wanted.backend,
+            backend=self._opened["backend"],
             backend_version=self._opened["version"],
             denoise=wanted.denoise and pictures,
             error=wanted.error if pictures else None,

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from scenec.backends.contract import Rays
 from scenec.backends.exact import ExactCaster
 from scenec.backends.exact.annotate import annotate
-from scenec.backends.exact.settle import Settled, Statistics
 from scenec.backends.imaging.chance import philox, quantile, unit
 from scenec.backends.render_scene import Lidar, RenderScene
 from scenec.schemas.threads import over_threads
@@ -80,7 +79,8 @@ def scan(scene: RenderScene, caster: ExactCaster, lidar: Lidar, sample: int) -> 
     origins = np.ascontiguousarray(np.broadcast_to(lidar.to_world[:3, 3], directions.shape))
     rays = Rays(origins, directions, shape)
     caster.pose(sample)
-    row, face, t = caster.cast(rays)
+    hits = caster.hits(rays)
+    t = hits.t
     answer = np.empty(len(t))
     over_threads(
         _answers,
@@ -95,9 +95,8 @@ def scan(scene: RenderScene, caster: ExactCaster, lidar: Lidar, sample: int) -> 
         answer,
     )
     there = np.isfinite(answer)
-    settled = Settled(row, face, t, _UNSETTLED, caster.geometry)
     labels = [f"label.{level}" for level in scene.levels]
-    made = annotate(scene, settled, rays, [*labels, "instance", "normal"], sample)
+    made = annotate(scene, hits, rays, [*labels, "instance", "normal"], sample)
     cosine = np.abs((made["normal"].reshape(-1, 3) * directions).sum(axis=1))
     told = _told(elevations, azimuths) * np.where(there, answer, np.nan)[:, None]
     ids = {name: np.where(there, made[name].ravel(), 0) for name in (*labels, "instance")}
@@ -110,10 +109,6 @@ def scan(scene: RenderScene, caster: ExactCaster, lidar: Lidar, sample: int) -> 
     }
     out = {k: v if v.ndim == 3 else v.reshape(shape) for k, v in out.items()}
     return out | {"elevation_deg": lidar.elevations_deg, "azimuth_deg": lidar.azimuths_deg}
-
-
-#: There is no renderer whose answer was settled.
-_UNSETTLED = Statistics(0, 0, {}, 0, 0, False)
 
 
 def _told(elevations: NDArray[np.float64], azimuths: NDArray[np.float64]) -> NDArray[np.float64]:

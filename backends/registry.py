@@ -23,19 +23,20 @@ BUILT_IN: dict[str, tuple[str, str | None]] = {
     "mitsuba": ("scenec.backends.mitsuba:Mitsuba", "mitsuba"),
     "cycles": ("scenec.backends.cycles:Cycles", "cycles"),
     "pyrender": ("scenec.backends.pyrender:Pyrender", "pyrender"),
-    "reference": ("scenec.backends.reference:Reference", None),
 }
 
 
-#: In place of a name: whichever measured curves speak for (``scenec.backends.auto``).
+#: In place of a name: the first that works (``scenec.backends.auto``).
 AUTO = "auto"
 
-#: Backends that carry no light: they are never asked for ``rgb`` unless a user does so by name.
-ANNOTATION_ONLY = frozenset({"reference"})
+#: In place of a name: annotation alone, which no renderer is needed for.
+ANNOTATION = "annotation"
+#: Other spellings of it.
+ANNOTATION_NAMES = (ANNOTATION, "reference")
 
 
 def backend_names() -> tuple[str, ...]:
-    """Names of all backends that could be asked for, installed or not; ours first."""
+    """Names of all renderers that could be asked for, installed or not; ours first."""
     others = sorted({point.name for point in _points()} - BUILT_IN.keys())
     return (*BUILT_IN, *others)
 
@@ -46,14 +47,15 @@ def require_name(name: str) -> None:
     Raises:
         BackendError: There is no such backend; says the nearest name.
     """
-    if name in BUILT_IN:
+    if name in BUILT_IN or name in ANNOTATION_NAMES:
         # Other packages' metadata need not be searched, which takes tens of milliseconds.
         return
     names = backend_names()
     if name not in names:
         near = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
         hint = f"did you mean {near[0]!r}? " if near else ""
-        raise BackendError(f"no backend {name!r}: {hint}there are {', '.join(names)}")
+        there = ", ".join((*names, ANNOTATION))
+        raise BackendError(f"no backend {name!r}: {hint}there are {there}")
 
 
 def open_backend(name: str, device: str = "auto") -> Backend:
@@ -68,6 +70,10 @@ def open_backend(name: str, device: str = "auto") -> Backend:
             or it cannot start.
     """
     require_name(name)
+    if name in ANNOTATION_NAMES:
+        raise BackendError(
+            f"{name} has no rgb; leave rgb out of --passes, or use --backend mitsuba"
+        )
     if name in BUILT_IN:
         target, extra = BUILT_IN[name]
         mend = f"pip install 'scenec[{extra}]'" if extra else "pip install --force-reinstall scenec"

@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Callable, Collection, Iterator, Sequence
-from contextlib import ExitStack, suppress
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from scenec.backends.asked import (
-    IN_PROCESS,
     check_backend,
     check_rgb,
     check_words,
     no_denoiser,
 )
+from scenec.backends.auto import choose
 from scenec.backends.jobs import Job, Jobs, Wanted, frame_seed
 from scenec.backends.memory import default_limit
 from scenec.backends.pool import FrameLostError, WorkerProcess
@@ -50,7 +49,7 @@ class RenderReport:
         replaced: Worker processes replaced between two frames, before they grew too large.
         failed: A line about each frame that was given up; the others are there.
         refused: How many of these are of cameras that the backend cannot draw.
-        seconds: Per step (load, radiance, compose, visibility, resolve, write), summed.
+        seconds: Per step (load, radiance, compose, annotate, write), summed.
         warnings: Lines a user should see, each once.
         backend_version: Renderer, version and variant.
         device: Where it ran.
@@ -92,7 +91,6 @@ def render(
     folder: Path | None = None,
     device: str = "auto",
     denoise: bool = False,
-    annotate_with: str | None = None,
     error: float | None = None,
     seconds: float | None = None,
     cameras: Collection[str] | None = None,
@@ -108,8 +106,8 @@ def render(
 
     Args:
         out: Output folder of a compile, or a USD file (its frames go beside it).
-        backend: Name, see ``registry``; "auto" for the one that measured curves speak for
-            (``scenec.backends.auto``).
+        backend: Name, see ``registry``; "auto" for the first that works (``scenec.backends.auto``).
+            Without ``rgb`` no renderer starts, and frames go to ``frames/annotation``.
         spp: Samples per pixel of ``rgb``; None is 64. With ``error`` or ``seconds`` it is the most
             there may be; None is 4096 then.
         passes: ``rgb``, ``depth``, ``range``, ``label`` (all levels) or ``label.<level>``,
@@ -122,8 +120,6 @@ def render(
             None puts them into the batches' own.
         device: One of the backend's devices, or "auto" for the fastest that works here.
         denoise: Whether to denoise ``rgb``; the error that remains is then unknown.
-        annotate_with: Backend whose visibility is taken for the annotation, which is the same to
-            the bit whichever it is; None takes that of ``backend``.
         error: Render ``rgb`` in rounds until its relative rms error is below this by its 95 % bound
             (``noise.estimate``).
         seconds: Render ``rgb`` in rounds for as long as this, a frame; loading and annotation do
@@ -150,16 +146,12 @@ def render(
     if spp is None:
         spp = USUAL_SPP if error is None and seconds is None else MOST_SPP
     wanted = Wanted(
-        backend, spp, passes, samples, noise_seed, device, denoise, annotate_with, error, seconds,
-        cameras,
+        backend, spp, passes, samples, noise_seed, device, denoise, error, seconds, cameras,
     )  # fmt: skip
     check_words(wanted, rgb=passes is None or "rgb" in passes)
     chosen = find_batches(Path(out), batches)
     if backend == AUTO:
-        # Imported here: it stands on ``converge``, which few renders need.
-        from scenec.backends.auto import choose
-
-        choice = choose(Path(out), chosen, wanted, limits, say or (lambda _line: None))
+        choice = choose(Path(out), wanted, say or (lambda _line: None))
         wanted = replace(wanted, backend=choice.backend, choice=choice.as_json())
     in_output = folder is None and Path(out).is_dir()
     run = _Run(wanted, limits or Limits(), len(chosen), in_output, progress, warn, say)
@@ -212,32 +204,21 @@ class _Run:
         self._progress = progress
         self._warn = warn
         self._say = say or (lambda line: None)
-        other = wanted.annotate_with
-        alone = other is None or other in (wanted.backend, *IN_PROCESS)
-        self._annotator = None if alone else other
         # Of the batch that is being rendered: by camera, the frame that was refused.
         self._refused: dict[str, str] = {}
         self._said: set[tuple[str, str]] = set()
         if limits.memory_bytes is None:
-            share = default_limit() // (1 if self._annotator is None else 2)
-            limits = replace(limits, memory_bytes=share)
+            limits = replace(limits, memory_bytes=default_limit())
         self._limits = limits
 
     def render(self, number: int, batch: Batch) -> None:
         """Renders one batch."""
         report = self.report
-        with ExitStack() as stack:
-            # A process per batch: memory goes back, whatever the renderer keeps.
-            worker = stack.enter_context(self._worker())
-            annotator = None
-            if self._annotator is not None:
-                folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
-                other = stack.enter_context(self._worker())
-                annotator = _Annotator(self._annotator, batch, other, folder)
+        # A process per batch: memory goes back, whatever the renderer keeps.
+        with WorkerProcess(self._note, self._limits, self._say) as worker:
             self._refused = {}
             jobs = Jobs(batch, self._wanted)
-            inside = None if annotator else self._wanted.annotate_with
-            opened = jobs.open(worker, inside)
+            opened = jobs.open(worker)
             self._opened(opened, rgb=jobs.rgb)
             self._table(worker, jobs)
             if self._in_output:
@@ -248,14 +229,13 @@ class _Run:
                     report.skipped += 1
                     text = f"{job.what}: there already"
                 else:
-                    text = self._frame(worker, annotator, job, jobs.cameras)
+                    text = self._frame(worker, job, jobs.cameras)
                 if self._progress:
                     before = number * jobs.count
                     total = self._batches * jobs.count
                     self._progress(before + index + 1, total, text)
-            for process in (worker, *([annotator.worker] if annotator else [])):
-                report.deaths += process.deaths
-                report.replaced += process.replaced
+            report.deaths += worker.deaths
+            report.replaced += worker.replaced
 
     def _table(self, worker: WorkerProcess, jobs: Jobs) -> None:
         """Has the batch's table of instances written, where it is asked for and not there."""
@@ -276,9 +256,6 @@ class _Run:
             self._in_output = False
             self._note(told(found))
 
-    def _worker(self) -> WorkerProcess:
-        return WorkerProcess(self._note, self._limits, self._say)
-
     def _opened(self, opened: dict[str, Any], rgb: bool) -> None:
         """Tells what will render, and what it cannot."""
         wanted, report = self._wanted, self.report
@@ -286,12 +263,11 @@ class _Run:
         if wanted.denoise and opened["denoiser"] is None:
             raise no_denoiser(wanted.backend)
         if not report.backend_version:
-            report.backend_version = opened["version"]
+            report.backend, report.backend_version = opened["backend"], opened["version"]
             report.device = opened["device"]
             report.denoiser = opened["denoiser"] if wanted.denoise else None
             parts = [f"rgb: {_quality(wanted)}"] if rgb else []
             parts += [f"denoised by {report.denoiser}"] if report.denoiser else []
-            parts += [f"annotated with {wanted.annotate_with}"] if wanted.annotate_with else []
             more = f" ({', '.join(parts)})" if parts else ""
             self._say(f"rendering with {opened['version']} on {opened['device']}{more}")
         if opened["warning"]:
@@ -303,9 +279,7 @@ class _Run:
                 report.losses.append(line)
             self._note(line)
 
-    def _frame(
-        self, worker: WorkerProcess, annotator: _Annotator | None, job: Job, cameras: set[str]
-    ) -> str:
+    def _frame(self, worker: WorkerProcess, job: Job, cameras: set[str]) -> str:
         """Makes one frame; what a renderer cannot survive costs that frame and no other.
 
         Raises:
@@ -320,9 +294,8 @@ class _Run:
             return f"{job.what}: not tried"
         whole = False
         try:
-            seen = annotator.see(job) if annotator and job.annotated else None
             deaths = worker.deaths
-            answer = worker.ask({**job.request, "seen": seen}, job.what)
+            answer = worker.ask(job.request, job.what)
             whole = worker.deaths == deaths
         except FrameLostError as error:
             report.failed.append(str(error))
@@ -355,30 +328,6 @@ class _Run:
             self.report.warnings.append(line)
             if self._warn:
                 self._warn(line)
-
-
-class _Annotator:
-    """Another renderer, in a process of its own: two renderers do not share one well."""
-
-    def __init__(self, backend: str, batch: Batch, worker: WorkerProcess, folder: Path) -> None:
-        self.worker = worker
-        self._backend = backend
-        self._stage = str(batch.stage.resolve())
-        self._file = folder / "visibility.npz"
-        self._version = ""
-
-    def see(self, job: Job) -> dict[str, Any]:
-        """A frame's visibility, as ``Session.render`` takes it; good until the next call."""
-        if not self._version:
-            # Only now: a run that finds all its frames done does not need it.
-            opened = self.worker.open(
-                {"op": "open", "stage": self._stage, "backend": self._backend, "passes": []}
-            )
-            self._version = opened["version"]
-        place = {name: job.request[name] for name in ("camera", "sample")}
-        answer = self.worker.ask({"op": "see", "file": str(self._file), **place}, job.what)
-        seen = {"backend": self._backend, "version": self._version}
-        return seen | {name: answer[name] for name in ("file", "seconds")}
 
 
 def _quality(wanted: Wanted) -> str:

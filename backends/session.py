@@ -6,8 +6,7 @@ import math
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,71 +14,90 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.backends import bands, memory
-from scenec.backends.bare import bare
-from scenec.backends.contract import Backend, Radiance, Rays, Visibility
-from scenec.backends.exact import ExactCaster
-from scenec.backends.frames import write_frame
+from scenec.backends.contract import Backend, Radiance
+from scenec.backends.exact import ExactCaster, Hits
+from scenec.backends.exact.annotate import pass_names
+from scenec.backends.frames import Annotated, annotated, annotation_facts, write_frame
 from scenec.backends.instances import Instances, Seen
 from scenec.backends.rays import camera_rays, ray_down
 from scenec.backends.reader import read_stage
-from scenec.backends.registry import open_backend
+from scenec.backends.registry import ANNOTATION, open_backend
 from scenec.backends.render_scene import Camera, RenderScene
-from scenec.backends.resolver import Settled, pass_names
 from scenec.backends.rounds import Draw, Rounds, Target, collect
 from scenec.backends.shutter import blurred_by, is_rolling, undenoised
 from scenec.schemas.amodal import AMODAL
 from scenec.schemas.correspondence import CORRESPONDENCES
 from scenec.schemas.depth_camera import MEASURED
-from scenec.schemas.errors import BackendError
+from scenec.schemas.errors import BackendError, CameraRefusedError
 from scenec.schemas.frames import FrameKey
 from scenec.schemas.instances import BATCH_TABLE, table_digest, write_table
+from scenec.schemas.versions import version_of
 
 if TYPE_CHECKING:
     from scenec.backends.haze import Veil
 
 
 class Session:
-    """A stage that has been read and a backend that has been started.
+    """A stage that has been read, and the backend that draws its pictures.
 
     The backend's own scene and the exact caster are built when the first frame needs them, so that
     a run that finds all its frames done costs no more than reading the stage.
 
     Args:
         scene: The stage.
-        backend: The renderer.
-        annotator: Another backend, whose visibility is taken instead of the renderer's; one that
-            may share a process with it. The renderer then builds its scene for ``rgb`` alone.
+        backend: The renderer; None where annotation alone is asked for, which needs none.
     """
 
-    def __init__(
-        self, scene: RenderScene, backend: Backend, annotator: Backend | None = None
-    ) -> None:
+    def __init__(self, scene: RenderScene, backend: Backend | None) -> None:
         self.scene = scene
         self.backend = backend
-        self._annotator = backend if annotator is None else annotator
         self._caster: ExactCaster | None = None
-        self._loaded: set[str] = set()
-        #: Whether ``rgb`` may be asked for: without, renderers need no materials and no light.
-        self.pictures = True
+        self._loaded = False
 
     @classmethod
     def open(
-        cls, stage: Path, backend: str, device: str = "auto", annotator: str | None = None
+        cls,
+        stage: Path,
+        backend: str,
+        device: str = "auto",
+        passes: Sequence[str] | None = None,
     ) -> Session:
-        """Read a stage and start a backend.
+        """Read a stage; start a backend if any frame is to have ``rgb``.
 
         Raises:
             StageError: The stage cannot be read.
             BackendError: A backend is not there or cannot start, or has no such device.
         """
-        # First: a backend that is not installed should not cost the reading of a stage.
-        made = open_backend(backend, device)
-        other = None if annotator in (None, backend) else open_backend(annotator)
-        return cls(read_stage(stage), made, other)
+        scene = read_stage(stage)
+        wanted = (c.outputs if passes is None else passes for of in scene.cameras for c in of)
+        if not any("rgb" in names for names in wanted):
+            return cls(scene, None)
+        return cls(scene, open_backend(backend, device))
+
+    def facts(self) -> dict[str, Any]:
+        """What draws the pictures, for sidecars, resume keys and messages."""
+        backend = self.backend
+        if backend is None:
+            return {
+                "backend": ANNOTATION,
+                "version": f"{ANNOTATION} (scenec {version_of()})",
+                "device": "cpu",
+                "denoiser": None,
+                "warning": None,
+            }
+        return {
+            "backend": backend.name,
+            "version": backend.version(),
+            "device": backend.device,
+            "denoiser": backend.denoiser,
+            "warning": backend.warning(),
+        }
 
     @cached_property
     def losses(self) -> tuple[str, ...]:
         """A line for each thing in the stage that was not read, or that ``rgb`` leaves out."""
+        if self.backend is None:
+            return self.scene.losses
         lines = (*self.scene.losses, *self.backend.losses(self.scene))
         if any(self.scene.haze):
             from scenec.backends.haze import LOSS
@@ -120,7 +138,6 @@ class Session:
         spp: int,
         seed: int,
         denoise: bool = False,
-        seen: Mapping[str, Any] | None = None,
         target: Target | None = None,
     ) -> tuple[dict[str, NDArray], dict[str, Any]]:
         """Render one frame.
@@ -132,19 +149,16 @@ class Session:
             spp: Samples per pixel of ``rgb``.
             seed: Noise seed of this very frame.
             denoise: Whether to denoise ``rgb``.
-            seen: What another process's backend saw (``see_to``), to annotate with: ``backend``,
-                ``version``, and what ``see_to`` returned.
             target: What to render ``rgb`` to, in rounds; None renders ``spp`` at once.
 
         Returns:
             (arrays by pass, none for ``amodal``; details for the sidecar: ``device``, ``seconds``,
-            ``annotation`` (who saw), ``denoised``, ``losses``, ``resolver``; ``estimated_error``
-            ... with ``rgb``).
+            ``denoised``, ``losses``; ``estimated_error`` ... with ``rgb``).
 
         Raises:
             BackendError: The renderer failed, or cannot do what is asked.
         """
-        return self._render(camera, sample, passes, spp, seed, denoise, seen, target)[:2]
+        return self._render(camera, sample, passes, spp, seed, denoise, target, None)[:2]
 
     def _render(
         self,
@@ -154,56 +168,37 @@ class Session:
         spp: int,
         seed: int,
         denoise: bool,
-        seen: Mapping[str, Any] | None,
-        target: Target | None = None,
+        target: Target | None,
+        ready: Annotated | None,
     ) -> tuple[dict[str, NDArray], dict[str, Any], Seen | None]:
-        """As ``render``, and what is seen of instances where ``instance`` is among the passes."""
-        seconds: dict[str, float] = dict(seen["seconds"]) if seen else {}
+        """As ``render``, and what is seen of instances where ``instance`` is among the passes.
+
+        What is ``ready`` is not annotated again.
+        """
+        seconds: dict[str, float] = {}
         details: dict[str, Any] = {
-            "device": self.backend.device,
-            "annotation": None,
+            "device": self.facts()["device"],
             "denoised": None,
             "losses": self.scene.losses,
             "seconds": seconds,
         }
         arrays: dict[str, NDArray] = {}
-        listed = None
-        annotation = [name for name in passes if name != "rgb"]
-        radiance = rounds = None
+        listed = hits = radiance = rounds = None
         if "rgb" in passes:
             radiance, rounds = self._radiance(camera, sample, spp, seed, denoise, details, target)
             # First of the passes, whatever is known of it only later.
             arrays["rgb"] = radiance.halves[0]
-        settled = None
+        annotation = [name for name in passes if name != "rgb"]
         if annotation:
-            annotating, settled, found = self._annotate(camera, sample, annotation, seen, details)
+            details["annotation"] = annotation_facts()
+        if ready is not None:
+            arrays |= {name: ready.arrays[name] for name in annotation if name != AMODAL}
+            listed, details["height_above_surface_m"] = ready.seen, ready.height_m
+        elif annotation:
+            hits, found, listed = self._annotate(camera, sample, annotation, details)
             arrays |= found
-            caster = self._exact(seconds)
-            details["resolver"] = asdict(settled.statistics)
-            height = float(caster.cast(ray_down(camera))[2][0])
-            details["height_above_surface_m"] = height if math.isfinite(height) else None
-            needs_rays = camera.lens is not None or is_rolling(camera)
-            if "instance" in annotation:
-                with _timed(seconds, "instances"):
-                    listed = self.instances.seen(
-                        settled.row, settled.t, camera, sample, caster.geometry, AMODAL in passes,
-                        annotating.all_rays if needs_rays else None,
-                    )  # fmt: skip
-            # Imported here: few frames ask for any.
-            if any(name in CORRESPONDENCES for name in annotation):
-                from scenec.backends.correspondence import compare
-
-                view = (self.scene, caster, settled, annotating.all_rays, camera, sample)
-                with _timed(seconds, "correspondence"):
-                    arrays |= compare(*view, annotation)
-            if MEASURED in annotation:
-                from scenec.backends.depth_camera import measure
-
-                view = (self.scene, caster, settled, annotating.all_rays, camera, sample)
-                with _timed(seconds, MEASURED):
-                    arrays[MEASURED] = measure(*view)
         if radiance is not None:
-            veil = self._veil(radiance, camera, sample, settled, details)
+            veil = self._veil(radiance, camera, sample, hits, details)
             arrays["rgb"] = self._compose(radiance, camera, sample, veil, details, rounds)
         return arrays, details, listed
 
@@ -227,7 +222,6 @@ class Session:
         sample: int,
         key: FrameKey,
         seed: int,
-        seen: Mapping[str, Any] | None = None,
         choice: Mapping[str, Any] | None = None,
     ) -> dict[str, Any]:
         """Render a frame and write it; returns its details, with the seconds of writing.
@@ -240,8 +234,10 @@ class Session:
         """
         camera = self._camera(camera_index, sample)
         memory.reset_peak()
+        annotation = [name for name in key.passes if name != "rgb"]
+        ready = annotated(stem, self.scene.digest, annotation) if annotation else None
         arrays, details, listed = self._render(
-            camera, sample, key.passes, key.spp, seed, key.denoise, seen, _target(key)
+            camera, sample, key.passes, key.spp, seed, key.denoise, _target(key), ready
         )
         peak = memory.peak()
         details["peak_memory_gb"] = None if peak is None else round(peak / memory.GB, 3)
@@ -259,26 +255,27 @@ class Session:
         details["seconds"]["write"] = time.perf_counter() - start
         return details
 
-    def see_to(self, file: Path, camera_index: int, sample: int) -> dict[str, Any]:
-        """Leave a frame's visibility in a file, for a session of another backend to annotate with.
+    def witness_to(self, file: Path, camera_index: int, sample: int) -> bool:
+        """Leave in a file what the backend itself sees of a frame, for checks.
 
         Returns:
-            ``file`` (None if the backend cannot follow this camera's rays) and ``seconds``.
+            Whether there is anything: a backend may have no such method, or be unable to follow
+            this camera's rays.
 
         Raises:
             BackendError: There is no such camera or sample, or the renderer failed.
         """
         camera = self._camera(camera_index, sample)
-        seconds: dict[str, float] = {}
-        self._load(self._annotator, seconds)
-        with _timed(seconds, "visibility"):
-            seen = bands.see(
-                lambda rays, part: _visible(self._annotator, rays, sample, part), camera
-            )
+        backend = self._renderer({})
+        look = getattr(backend, "witness", None)
+        if look is None:
+            return False
+        plain = camera.lens is None and not is_rolling(camera)
+        seen = bands.witness(lambda rays, part: look(rays, sample, part if plain else None), camera)
         if seen is None:
-            return {"file": None, "seconds": seconds}
+            return False
         np.savez(file, row=seen.row, face=seen.face)
-        return {"file": str(file), "seconds": seconds}
+        return True
 
     def _radiance(
         self,
@@ -291,9 +288,8 @@ class Session:
         target: Target | None,
     ) -> tuple[Radiance, Rounds | None]:
         """Light from surfaces; with a target, in rounds."""
-        backend, seconds = self.backend, details["seconds"]
-        self._load(backend, seconds)
-
+        seconds = details["seconds"]
+        backend = self._renderer(seconds)
         views = None
         if camera.lens is not None:
             # Imported here: few cameras have a lens.
@@ -344,7 +340,8 @@ class Session:
             blur = subframes.measure(camera, caster)
         if blur is None:
             return None
-        drawing = subframes.Drawing(blur, self.backend, self.scene, sample, caster)
+        backend = self._renderer(details["seconds"])
+        drawing = subframes.Drawing(blur, backend, self.scene, sample, caster)
         details["blur"] = drawing.facts
         return drawing.draw
 
@@ -353,7 +350,7 @@ class Session:
         radiance: Radiance,
         camera: Camera,
         sample: int,
-        settled: Settled | None,
+        hits: Hits | None,
         details: dict[str, Any],
     ) -> Veil | None:
         """The haze before a picture, if there is any; without annotation it casts its own rays."""
@@ -368,12 +365,10 @@ class Session:
         caster = self._exact(details["seconds"])
         with _timed(details["seconds"], "haze"):
             rays = camera_rays(camera)
-            if settled is None:
+            if hits is None:
                 caster.pose(sample)
-                t = caster.cast(rays)[2]
-            else:
-                t = settled.t
-            made = veil(self.scene, sample, camera, caster, rays, t, radiance.coverage)
+                hits = caster.hits(rays)
+            made = veil(self.scene, sample, camera, caster, rays, hits.t, radiance.coverage)
         if made is not None:
             details["haze"] = {"subsampled_pixels": made.subsampled}
         return made
@@ -400,48 +395,42 @@ class Session:
             details["estimated_error"] = noise
         else:
             # Denoising trades noise for bias, which the difference of two halves does not show.
-            details["denoised"] = self.backend.denoiser
+            details["denoised"] = self.facts()["denoiser"]
             details["estimated_error"] = dict.fromkeys(noise)
             details["estimated_error_before_denoising"] = noise
         return picture.rgb
 
     def _annotate(
-        self,
-        camera: Camera,
-        sample: int,
-        passes: Sequence[str],
-        seen: Mapping[str, Any] | None,
-        details: dict[str, Any],
-    ) -> tuple[bands.Annotating, Settled, dict[str, NDArray]]:
-        """Annotation, from what the annotating backend sees, or another process's saw."""
+        self, camera: Camera, sample: int, passes: Sequence[str], details: dict[str, Any]
+    ) -> tuple[Hits, dict[str, NDArray], Seen | None]:
+        """Every pass but ``rgb``: first hits, arrays by pass, and what is seen of instances."""
         seconds = details["seconds"]
-        backend, report = self._annotator, None
-        if seen is not None:
-            details["annotation"] = {"backend": seen["backend"], "version": seen["version"]}
-            report = None if seen["file"] is None else _read_visibility(Path(seen["file"]))
-        else:
-            details["annotation"] = {"backend": backend.name, "version": backend.version()}
-            self._load(backend, seconds)
-            # A backend that is exact itself lends its caster and needs no settling.
-            self._caster = self._caster or backend.caster
-        blind = seen is not None or backend.caster is not None
         caster = self._exact(seconds)
-        with _timed(seconds, "resolve"):
+        with _timed(seconds, "annotate"):
             caster.pose(sample)
-        annotating = bands.Annotating(self.scene, caster, camera, passes, sample)
-        for rows in annotating.bands:
-            rays = annotating.rays(rows)
-            with _timed(seconds, "visibility"):
-                if report is not None:
-                    visible = annotating.part(report, rows)
-                elif blind:
-                    visible = None
-                else:
-                    visible = _visible(backend, rays, sample, annotating.camera(rows))
-            with _timed(seconds, "resolve"):
-                annotating.add(rows, rays, visible)
-        with _timed(seconds, "resolve"):
-            return annotating, *annotating.finish()
+            hits, arrays = bands.annotate(self.scene, caster, camera, passes, sample)
+            height = float(caster.cast(ray_down(camera))[2][0])
+        details["height_above_surface_m"] = height if math.isfinite(height) else None
+        listed, rays = None, cache(lambda: camera_rays(camera))
+        if "instance" in passes:
+            of_pixels = camera.lens is not None or is_rolling(camera)
+            with _timed(seconds, "instances"):
+                listed = self.instances.seen(
+                    hits.row, hits.t, camera, sample, caster.geometry, AMODAL in passes,
+                    rays() if of_pixels else None,
+                )  # fmt: skip
+        # Imported here: few frames ask for any.
+        if any(name in CORRESPONDENCES for name in passes):
+            from scenec.backends.correspondence import compare
+
+            with _timed(seconds, "correspondence"):
+                arrays |= compare(self.scene, caster, hits, rays(), camera, sample, passes)
+        if MEASURED in passes:
+            from scenec.backends.depth_camera import measure
+
+            with _timed(seconds, MEASURED):
+                arrays[MEASURED] = measure(self.scene, caster, hits, rays(), camera, sample)
+        return hits, arrays, listed
 
     def _exact(self, seconds: dict[str, float]) -> ExactCaster:
         with _timed(seconds, "load"):
@@ -449,13 +438,21 @@ class Session:
                 self._caster = ExactCaster(self.scene)
         return self._caster
 
-    def _load(self, backend: Backend, seconds: dict[str, float]) -> None:
-        """Builds the backend's own scene, once."""
+    def _renderer(self, seconds: dict[str, float]) -> Backend:
+        """The backend, its own scene built.
+
+        Raises:
+            CameraRefusedError: There is none, as annotation alone was asked for.
+        """
+        if self.backend is None:
+            raise CameraRefusedError(
+                f"{ANNOTATION} has no rgb; leave rgb out of --passes, or use --backend mitsuba"
+            )
         with _timed(seconds, "load"):
-            if backend.name not in self._loaded:
-                shown = self.pictures and backend is self.backend
-                backend.load(self.scene if shown else bare(self.scene))
-                self._loaded.add(backend.name)
+            if not self._loaded:
+                self.backend.load(self.scene)
+                self._loaded = True
+        return self.backend
 
     def _camera(self, index: int, sample: int) -> Camera:
         if not 0 <= sample < len(self.scene.cameras):
@@ -475,14 +472,3 @@ def _timed(seconds: dict[str, float], name: str) -> Iterator[None]:
     start = time.perf_counter()
     yield
     seconds[name] = seconds.get(name, 0.0) + time.perf_counter() - start
-
-
-def _visible(backend: Backend, rays: Rays, sample: int, camera: Camera) -> Visibility | None:
-    """What a backend sees; only of pinholes, one pose for all rows, it is told the camera."""
-    plain = camera.lens is None and not is_rolling(camera)
-    return backend.visibility(rays, sample, camera if plain else None)
-
-
-def _read_visibility(file: Path) -> Visibility:
-    with np.load(file) as arrays:
-        return Visibility(arrays["row"], arrays["face"])

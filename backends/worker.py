@@ -2,18 +2,16 @@
 
 One JSON document a line: requests on standard input, one answer to each on standard output.
 
-    {"op": "open", "stage": PATH, "backend": NAME, "device": NAME, "annotator": NAME or null,
-     "passes": [...] or null, "frames": PATH or null}
+    {"op": "open", "stage": PATH, "backend": NAME, "device": NAME, "passes": [...] or null}
+    {"op": "instances", "folder": PATH}
     {"op": "render", "stem": PATH, "camera": INDEX, "sample": N, "key": {...}, "seed": N,
-     "seen": {"file": PATH or null, "backend": NAME, "version": TEXT, "seconds": {...}} or null,
      "choice": why this backend, for the sidecar, or null}
-    {"op": "see", "file": PATH, "camera": INDEX, "sample": N}
+    {"op": "witness", "file": PATH, "camera": INDEX, "sample": N}
     {"op": "describe", "backend": NAME, "device": NAME, "rgb": BOOL}
     {"op": "probe", "backend": NAME}
 
-``open`` leaves the batch's table of instances in ``frames``, where their ids are among the passes.
-``see`` leaves a frame's visibility in a file for another backend's worker, whose ``render`` then
-annotates with it.
+``instances`` leaves the batch's table of instances in a folder. ``witness`` leaves in a file what
+the renderer itself sees of a frame, for ``scenec check``.
 
 Answers are ``{"ok": true, ...}`` or ``{"ok": false, "error": CLASS, "message": TEXT}`` for the
 errors a user can meet. Anything else ends the process; the parent (``scenec.backends.pool``) sees
@@ -45,7 +43,7 @@ class Worker:
             "open": self._open,
             "instances": self._instances,
             "render": self._render,
-            "see": self._see,
+            "witness": self._witness,
             "describe": self._describe,
             "probe": self._probe,
         }
@@ -67,7 +65,7 @@ class Worker:
             Path(request["stage"]),
             request["backend"],
             device=request.get("device", "auto"),
-            annotator=request.get("annotator"),
+            passes=request.get("passes"),
         )
         self._session, scene = session, session.scene
         cameras: list[list[dict[str, Any]]] = [
@@ -84,14 +82,12 @@ class Worker:
             ]
             for sample, cameras in enumerate(scene.cameras)
         ]
-        pictures = any("rgb" in c["passes"] for of_sample in cameras for c in of_sample)
-        session.pictures = pictures
         return {
             "digest": scene.digest,
             "samples": scene.samples,
             "cameras": cameras,
-            "losses": session.losses if pictures else scene.losses,
-            **_facts(session.backend),
+            "losses": session.losses,
+            **session.facts(),
         }
 
     def _instances(self, request: dict[str, Any]) -> dict[str, Any]:
@@ -109,17 +105,16 @@ class Worker:
             request["sample"],
             key,
             request["seed"],
-            request.get("seen"),
             request.get("choice"),
         )
         answer: dict[str, Any] = plain(details)
         return answer
 
-    def _see(self, request: dict[str, Any]) -> dict[str, Any]:
-        answer: dict[str, Any] = self._opened().see_to(
+    def _witness(self, request: dict[str, Any]) -> dict[str, Any]:
+        there: bool = self._opened().witness_to(
             Path(request["file"]), request["camera"], request["sample"]
         )
-        return answer
+        return {"there": there}
 
     def _opened(self) -> Any:
         if self._session is None:
@@ -134,24 +129,16 @@ class Worker:
         if request.get("rgb"):
             scene = tiny_scene()
             backend.load(scene)
-            if backend.caster is not None:
-                # Exact itself: such a backend may have no light, and says so when it is asked.
-                backend.radiance(scene.cameras[0][0], 0, 1, 0)
-        return _facts(backend)
+        return {
+            "version": backend.version(),
+            "device": backend.device,
+            "denoiser": backend.denoiser,
+        }
 
     def _probe(self, request: dict[str, Any]) -> dict[str, Any]:
         from scenec.backends.doctor import probe
 
         return probe(request["backend"])
-
-
-def _facts(backend: Any) -> dict[str, Any]:
-    return {
-        "version": backend.version(),
-        "device": backend.device,
-        "denoiser": backend.denoiser,
-        "warning": backend.warning(),
-    }
 
 
 def main() -> None:

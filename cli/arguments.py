@@ -93,8 +93,8 @@ def add_render_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--backend",
         default="mitsuba",
-        help="renderer (default: mitsuba); auto is the one that measured curves of error and time "
-        "speak for: those of an earlier scenec converge, or of a short calibration",
+        help="renderer of rgb (default: mitsuba); auto is the first that works here, the most "
+        "efficient first where scenec converge has measured; without rgb none is needed",
     )
     parser.add_argument(
         "--spp",
@@ -135,11 +135,6 @@ def add_render_options(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="denoise rgb, if the renderer has a denoiser; refused where a camera has an aperture "
         "or moves while its shutter is open",
-    )
-    parser.add_argument(
-        "--annotate-with",
-        metavar="BACKEND",
-        help="take the annotation from another backend, such as reference: the same to the bit",
     )
     parser.add_argument(
         "--timeout",

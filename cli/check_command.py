@@ -21,6 +21,7 @@ from scenec.backends.check.frames import check_frames
 from scenec.backends.check.radiance import RadianceComparison
 from scenec.backends.check.scans import check_scans
 from scenec.backends.check.stage import check_stage
+from scenec.backends.check.witness import HAIR_PIXELS
 from scenec.backends.reader import read_stage
 from scenec.backends.registry import require_name
 from scenec.cli.output import print_json, say, table
@@ -120,7 +121,7 @@ def agreement_json(agreement: Agreement) -> dict[str, Any]:
     return {
         "frames": agreement.frames,
         "comparisons": [asdict(c) for c in agreement.comparisons],
-        "raw": {name: asdict(raw) for name, raw in agreement.raw.items()},
+        "witnesses": {name: asdict(found) for name, found in agreement.witnesses.items()},
         "radiance": [
             {
                 "first": r.first,
@@ -143,21 +144,24 @@ def _known(values: list[float]) -> list[float | None]:
 
 
 def print_agreement(agreement: Agreement) -> None:
-    """Tables: annotation as resolved, what renderers themselves had wrong, radiance."""
+    """Tables: annotation on disk, what renderers themselves see, radiance."""
     rows = [
-        [f"{c.first} : {c.second}", c.channel, f"{c.differing:,}", f"{c.pixels:,}"]
-        for c in agreement.comparisons
+        [c.backend, c.channel, f"{c.differing:,}", f"{c.pixels:,}"] for c in agreement.comparisons
     ]
-    print(f"\nannotation of {agreement.frames} frames, resolved:")
-    print(table(rows, ["backends", "channel", "differing", "pixels"]))
-    raw = [
-        [name, f"{r.changed:,}", f"{r.changed_rows:,}", f"{r.cast:,}", f"{r.pixels:,}"]
-        for name, r in agreement.raw.items()
-        if r.pixels
+    if rows:
+        print(f"\nannotation of {agreement.frames} frames against the exact caster:")
+        print(table(rows, ["backend", "channel", "differing", "pixels"]))
+    seen = [
+        [name, f"{w.differing:,}", f"{w.farthest_px:.2g}", f"{w.beyond:,}", f"{w.pixels:,}"]
+        for name, w in agreement.witnesses.items()
     ]
-    if raw:
-        print("\nraw, as the renderer saw it before its pixels were resolved:")
-        print(table(raw, ["backend", "other face", "other object", "cast exactly", "pixels"]))
+    if seen:
+        print("\nwhat renderers themselves see, against the exact caster:")
+        header = ["backend", "other face", "farthest, px", f"beyond {HAIR_PIXELS:.3g} px", "pixels"]
+        print(table(seen, header))
+    for name, witness in agreement.witnesses.items():
+        if witness.unseen:
+            print(f"{name} does not tell what it sees of {witness.unseen} frames")
     if agreement.radiance:
         print("\nradiance of surfaces (rgb):")
         header = ["backends", "mean ratio R", "G", "B", "relMSE", "of it noise", "FLIP", "floor"]

@@ -69,24 +69,6 @@ def print_report(found: ConvergeReport) -> None:
     if floors:
         print("\nbetween references, noise subtracted (not from FLIP):")
         print(table(floors, ["backends", "rel. rms", "95 %", "relMSE", "FLIP", "bias"]))
-    annotated = [
-        [
-            name,
-            f"{one.wrong:,}",
-            f"{one.depth_error_m:g}",
-            "-" if one.raw_wrong is None else f"{one.raw_wrong:,}",
-            "-" if one.raw_wrong_rows is None else f"{one.raw_wrong_rows:,}",
-            f"{one.pixels:,}",
-        ]
-        for name, one in found.annotation.items()
-    ]
-    print("\nannotation against the exact caster:")
-    print(
-        table(
-            annotated,
-            ["backend", "wrong", "depth error, m", "raw: other face", "other object", "pixels"],
-        )
-    )
     for path in found.files:
         print(path)
 

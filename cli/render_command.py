@@ -33,7 +33,6 @@ def render_now(options: argparse.Namespace) -> RenderReport:
         noise_seed=options.noise_seed,
         device=options.device,
         denoise=options.denoise,
-        annotate_with=options.annotate_with,
         error=options.error,
         seconds=options.seconds,
         limits=limits,

@@ -48,7 +48,6 @@ def _refuse_early(options: argparse.Namespace) -> bool:
         options.backend,
         device=options.device,
         denoise=options.denoise,
-        annotate_with=options.annotate_with,
         error=options.error,
         seconds=options.seconds,
         rgb="rgb" in wanted,

@@ -190,7 +190,7 @@ def _making(summary: dict[str, Any], statistics: dict[str, Any]) -> str:
         rows.append(("libraries", libraries or "unknown"))
     for how in statistics["made"].get("rendering", []):
         text = f"{how['version']}, {how['samples_per_pixel']} samples per pixel, noise seed "
-        text += f"{how['noise_seed']}, annotated by {how['annotated_by']}"
+        text += f"{how['noise_seed']}"
         text += f", denoised by {how['denoised']}" if how["denoised"] else ""
         rows.append((f"{how['frames']:,} frames rendered by", text))
     if "relative_rms_noise" in statistics:
@@ -253,8 +253,6 @@ def _again(summary: dict[str, Any], statistics: dict[str, Any], cfg: str | None)
             words += ["--noise-seed", str(how["noise_seed"])]
         words += ["--passes", ",".join(_asked_passes(how["passes"] or ()))]
         words += ["--denoise"] if how["denoised"] else []
-        if how["annotated_by"] not in (None, how["backend"]):
-            words += ["--annotate-with", str(how["annotated_by"])]
         words += _span("--samples", asked["samples"])
         lines.append(shlex.join(words))
     words = ["scenec", "export", out, "--format", summary["format"], "-o", "AGAIN"]

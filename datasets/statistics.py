@@ -286,7 +286,6 @@ def _made(frame: LoadedFrame, bounds: dict[str, list[float]]) -> Counts:
     how = {
         "backend": sidecar.get("backend"),
         "version": sidecar.get("backend_version"),
-        "annotated_by": (sidecar.get("annotation") or {}).get("backend"),
         "samples_per_pixel": sidecar.get("spp"),
         "noise_seed": sidecar.get("noise_seed"),
         "denoised": sidecar.get("denoised"),

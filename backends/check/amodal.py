@@ -7,9 +7,9 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.backends.exact.caster import Hits
 from scenec.backends.instances import Instances, Seen
 from scenec.backends.render_scene import Camera, RenderScene
-from scenec.backends.resolver import Settled
 from scenec.schemas.amodal import AMODAL, Amodal, read_amodal
 from scenec.schemas.frames import Frame
 from scenec.schemas.instances import read_frame_table
@@ -19,17 +19,6 @@ AREAS = "amodal areas"
 
 #: Channel, pixels compared, pixels that differ.
 Found = tuple[str, int, int]
-
-
-def between_frames(first: Frame, second: Frame) -> Iterator[Found]:
-    """Compare the masks of two frames, if both have any.
-
-    Raises:
-        FrameError: Masks cannot be read.
-    """
-    if first.sidecar.get(AMODAL) and second.sidecar.get(AMODAL):
-        own, other = read_amodal(first.path), read_amodal(second.path)
-        yield AMODAL, int(own.areas().sum()), differing_masks(own, other)
 
 
 class Definition:
@@ -42,11 +31,9 @@ class Definition:
     def __init__(self, scene: RenderScene) -> None:
         self._instances = Instances(scene)
 
-    def seen(self, settled: Settled, camera: Camera, sample: int) -> Seen:
+    def seen(self, hits: Hits, camera: Camera, sample: int) -> Seen:
         """What a picture shows of instances, every pixel of it cast."""
-        return self._instances.seen(
-            settled.row, settled.t, camera, sample, settled.geometry, masks=True
-        )
+        return self._instances.seen(hits.row, hits.t, camera, sample, hits.geometry, masks=True)
 
     def against(self, truth: Seen, frame: Frame) -> Iterator[Found]:
         """Compare a frame's areas and masks, as far as it has them.

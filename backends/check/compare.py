@@ -1,4 +1,4 @@
-"""Do backends agree: annotation bit by bit, radiance as far as it goes; and is annotation exact."""
+"""Do renderers see what is annotated, does their light agree, and is what was written exact."""
 
 from __future__ import annotations
 
@@ -9,32 +9,35 @@ from pathlib import Path
 
 import numpy as np
 
-from scenec.backends.bands import cast
-from scenec.backends.check.amodal import Definition, between_frames
+from scenec.backends.bands import annotate
+from scenec.backends.check.amodal import Definition
 from scenec.backends.check.radiance import (
     RadianceComparison,
     differing,
-    differing_pixels,
     flip,
     write_differences,
 )
+from scenec.backends.check.witness import Witness
+from scenec.backends.contract import Visibility
 from scenec.backends.exact import ExactCaster
+from scenec.backends.exact.annotate import pass_names
+from scenec.backends.jobs import Jobs, Wanted
+from scenec.backends.pool import WorkerProcess
+from scenec.backends.rays import camera_rays
 from scenec.backends.reader import read_stage
-from scenec.backends.registry import ANNOTATION_ONLY
 from scenec.backends.render import render
 from scenec.backends.render_scene import Camera, RenderScene
-from scenec.backends.resolver import pass_names
 from scenec.schemas.errors import BackendError, FrameError
 from scenec.schemas.exr import is_id_pass
 from scenec.schemas.frames import Frame, frame_stem, read_frame
 from scenec.schemas.manifest import FRAMES, Batch, find_batches
 
-#: What is compared where the stage does not say what it wants.
-ANNOTATION = ("label", "instance", "depth")
 #: Where pictures of differences go, in the output folder.
 PICTURES = "check"
 
 Say = Callable[[str], None]
+#: Sample, number of the camera, camera.
+Place = tuple[int, int, Camera]
 
 
 @dataclass
@@ -43,33 +46,15 @@ class Comparison:
 
     Attributes:
         channel: Pass name.
-        first, second: Backends; "exact" is the exact ray caster, run here on every pixel.
+        backend: Whose frames they are, by folder.
         pixels: Compared.
         differing: With different bits.
     """
 
     channel: str
-    first: str
-    second: str
+    backend: str
     pixels: int = 0
     differing: int = 0
-
-
-@dataclass
-class Raw:
-    """What a renderer itself had wrong, before the resolver.
-
-    Attributes:
-        pixels: Of all frames whose annotation this renderer made.
-        changed: With another face (or object) than resolved.
-        changed_rows: With another object than resolved, or a hit instead of none.
-        cast: Pixels that were cast exactly.
-    """
-
-    pixels: int = 0
-    changed: int = 0
-    changed_rows: int = 0
-    cast: int = 0
 
 
 @dataclass(frozen=True)
@@ -77,24 +62,25 @@ class Agreement:
     """What comparing found.
 
     Attributes:
-        comparisons: Annotation, one a channel and pair.
+        comparisons: Frames' annotation against the exact caster, one a channel and backend.
         radiance: ``rgb``, one a pair.
-        raw: By backend. Complete only where resolved annotation proved exact: a wrong pixel that
-            the resolver overlooked is not in it.
+        witnesses: What renderers themselves see against the exact caster, by backend.
         frames: Samples and cameras compared.
         pictures: Of where they differ: files.
     """
 
     comparisons: tuple[Comparison, ...]
     radiance: tuple[RadianceComparison, ...]
-    raw: dict[str, Raw]
+    witnesses: dict[str, Witness]
     frames: int
     pictures: tuple[Path, ...] = ()
 
     @property
     def differing(self) -> int:
-        """Differing pixels of all channels and pairs."""
-        return sum(comparison.differing for comparison in self.comparisons)
+        """Annotation that is not exact, and what renderers see that is not there, pixels."""
+        return sum(c.differing for c in self.comparisons) + sum(
+            w.beyond for w in self.witnesses.values()
+        )
 
 
 @dataclass(frozen=True)
@@ -107,7 +93,7 @@ class CompareOptions:
         samples: Only these time codes; None takes all.
         floor: Whether to render the first backend again with another noise seed.
         pictures: Folder for pictures of where they differ; None makes none.
-        most_pictures: For each pair with ``rgb``; where annotation differs there is always one.
+        most_pictures: For each pair with ``rgb``.
     """
 
     spp: int = 64
@@ -124,7 +110,9 @@ def compare(
     say: Say = lambda _text: None,
     options: CompareOptions | None = None,
 ) -> Agreement:
-    """Compares the frames of the first backend with those of each other.
+    """Holds each renderer's own first hits against the exact ones, on every pixel, and light.
+
+    The light of the first backend's frames is compared with that of each other.
 
     Frames that are there and made from this very stage are taken, whatever else they hold. Samples
     that a backend has no frames of are rendered into the output; where frames are there but do not
@@ -145,9 +133,9 @@ def compare(
         with tempfile.TemporaryDirectory() as aside:
             run.batch(batch, Path(aside))
     return Agreement(
-        tuple(run.comparisons.values()),
+        (),
         tuple(run.radiance.values()),
-        run.raw,
+        run.witnesses,
         run.frames,
         tuple(path for made in run.pictures.values() for path in made),
     )
@@ -156,8 +144,7 @@ def compare(
 def check_exact(out: Path, say: Say = lambda _text: None) -> Agreement:
     """Casts every pixel of all frames there are through the exact ray caster.
 
-    The caster defines annotation, and knows nothing of renderers and resolver: what differs is
-    wrong.
+    The caster defines annotation: what differs on disk is damaged, or of another version.
 
     Args:
         out: Output folder, or a USD file.
@@ -167,7 +154,6 @@ def check_exact(out: Path, say: Say = lambda _text: None) -> Agreement:
         ScenecError: A stage or frame cannot be read.
     """
     comparisons: dict[tuple[str, str], Comparison] = {}
-    raw: dict[str, Raw] = {}
     count = 0
     for batch in find_batches(out):
         scene = read_stage(batch.stage)
@@ -182,14 +168,13 @@ def check_exact(out: Path, say: Say = lambda _text: None) -> Agreement:
                 if not wanted:
                     continue
                 caster.pose(sample)
-                settled, truth = cast(scene, caster, camera, wanted, sample)
-                seen = definition.seen(settled, camera, sample)
+                hits, truth = annotate(scene, caster, camera, wanted, sample)
+                seen = definition.seen(hits, camera, sample)
                 for backend, frame in frames.items():
                     count += 1
-                    _add_raw(raw.setdefault(backend, Raw()), frame, backend)
                     for channel in (n for n in wanted if n in frame.passes):
                         entry = comparisons.setdefault(
-                            (backend, channel), Comparison(channel, "exact", backend)
+                            (backend, channel), Comparison(channel, backend)
                         )
                         # As frames store it.
                         dtype = np.uint32 if is_id_pass(channel) else np.float32
@@ -198,11 +183,11 @@ def check_exact(out: Path, say: Say = lambda _text: None) -> Agreement:
                         entry.differing += int(differing(own, frame.passes[channel]).sum())
                     for channel, pixels, wrong in definition.against(seen, frame):
                         entry = comparisons.setdefault(
-                            (backend, channel), Comparison(channel, "exact", backend)
+                            (backend, channel), Comparison(channel, backend)
                         )
                         entry.pixels += pixels
                         entry.differing += wrong
-    return Agreement(tuple(comparisons.values()), (), raw, count)
+    return Agreement(tuple(comparisons.values()), (), {}, count)
 
 
 def _current(
@@ -223,17 +208,6 @@ def _union(frames: Collection[Frame]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(name for frame in frames for name in frame.passes))
 
 
-def _add_raw(raw: Raw, frame: Frame, backend: str) -> None:
-    """Add what the sidecar says about its renderer's own visibility, if that made it."""
-    statistics = frame.sidecar.get("resolver")
-    made_by = frame.sidecar.get("annotation", {}).get("backend", backend)
-    if isinstance(statistics, dict) and made_by == backend and backend not in ANNOTATION_ONLY:
-        raw.pixels += int(statistics["pixels"])
-        raw.changed += int(statistics["changed"])
-        raw.changed_rows += int(statistics["changed_rows"])
-        raw.cast += int(statistics["suspects"])
-
-
 @dataclass
 class _Run:
     """One comparison under way."""
@@ -241,56 +215,61 @@ class _Run:
     backends: Sequence[str]
     options: CompareOptions
     say: Say
-    comparisons: dict[tuple[str, str], Comparison] = field(default_factory=dict)
     radiance: dict[str, RadianceComparison] = field(default_factory=dict)
-    raw: dict[str, Raw] = field(default_factory=dict)
+    witnesses: dict[str, Witness] = field(default_factory=dict)
     pictures: dict[str, list[Path]] = field(default_factory=dict)
     frames: int = 0
 
     def batch(self, batch: Batch, aside: Path) -> None:
         scene = read_stage(batch.stage)
+        places = self._places(scene)
+        self._witness(batch, scene, places, aside)
+        if not any("rgb" in self._wanted(camera) for _, _, camera in places):
+            return
         stems = {name: self._ready(batch, name, scene, aside / name) for name in self.backends}
-        for name in self.backends:
-            self.raw.setdefault(name, Raw())
         floors = self._floor(batch, scene, aside / "floor")
-        for number, (sample, camera) in enumerate(self._places(scene)):
+        for number in range(len(places)):
             frames = {name: read_frame(of[number]) for name, of in stems.items()}
             self.frames += 1
-            for name, frame in frames.items():
-                _add_raw(self.raw[name], frame, name)
             first = frames[self.backends[0]]
             for name in self.backends[1:]:
-                self._annotation(first, frames[name], name)
                 flip_map = self._radiance(first, frames[name], name, floors, number)
+                sample, _, camera = places[number]
                 file = f"{batch.name}_{camera.name}_{sample:06d}_{self.backends[0]}_{name}.png"
                 self._picture(file, name, first, frames[name], flip_map)
+
+    def _witness(
+        self, batch: Batch, scene: RenderScene, places: Sequence[Place], aside: Path
+    ) -> None:
+        """What each renderer itself sees of each frame."""
+        caster, file = ExactCaster(scene), aside / "witness.npz"
+        for name in self.backends:
+            found = self.witnesses.setdefault(name, Witness())
+            self.say(f"asking {name} what it sees of {len(places)} frames of {batch.name}")
+            with WorkerProcess() as worker:
+                Jobs(batch, Wanted(name, passes=("rgb",))).open(worker)
+                for sample, index, camera in places:
+                    request = {
+                        "op": "witness", "file": str(file), "camera": index, "sample": sample
+                    }  # fmt: skip
+                    what = f"{name}: {batch.name}/{camera.name}/{sample:06d}"
+                    if not worker.ask(request, what)["there"]:
+                        found.unseen += 1
+                        continue
+                    with np.load(file) as arrays:
+                        seen = Visibility(arrays["row"], arrays["face"])
+                    caster.pose(sample)
+                    rays = camera_rays(camera)
+                    found.add(rays, caster.hits(rays), seen)
 
     def _picture(
         self, file: str, name: str, first: Frame, second: Frame, flip_map: np.ndarray | None
     ) -> None:
         made = self.pictures.setdefault(name, [])
-        if self.options.pictures is None:
-            return
-        shown = "rgb" in second.passes and len(made) < self.options.most_pictures
-        if shown or differing_pixels(first, second).any():
+        if self.options.pictures is not None and len(made) < self.options.most_pictures:
             path = self.options.pictures / file
             write_differences(path, first, second, flip_map)
             made.append(path)
-
-    def _annotation(self, first: Frame, second: Frame, name: str) -> None:
-        for channel in (n for n in first.passes if n in second.passes and n != "rgb"):
-            entry = self.comparisons.setdefault(
-                (name, channel), Comparison(channel, self.backends[0], name)
-            )
-            a, b = first.passes[channel], second.passes[channel]
-            entry.pixels += int(a.shape[0] * a.shape[1])
-            entry.differing += int(differing(a, b).sum())
-        for channel, pixels, wrong in between_frames(first, second):
-            entry = self.comparisons.setdefault(
-                (name, channel), Comparison(channel, self.backends[0], name)
-            )
-            entry.pixels += pixels
-            entry.differing += wrong
 
     def _radiance(
         self, first: Frame, second: Frame, name: str, floors: list[Path], number: int
@@ -303,57 +282,55 @@ class _Run:
             entry.floor.append(np.nan if found is None else float(found.mean()))
         return entry.add(first, second)
 
-    def _places(self, scene: RenderScene) -> list[tuple[int, Camera]]:
+    def _places(self, scene: RenderScene) -> list[Place]:
         wanted = self.options.samples
         return [
-            (sample, camera)
+            (sample, index, camera)
             for sample, cameras in enumerate(scene.cameras)
-            for camera in cameras
+            for index, camera in enumerate(cameras)
             if wanted is None or sample in wanted
         ]
 
-    def _wanted(self, backend: str, camera: Camera) -> tuple[str, ...]:
-        """Passes of a camera that this backend is compared in."""
-        asked = self.options.passes or camera.outputs
-        kept = tuple(name for name in asked if name != "rgb" or backend not in ANNOTATION_ONLY)
-        return kept or ANNOTATION
+    def _wanted(self, camera: Camera) -> tuple[str, ...]:
+        """Passes of a camera that backends are compared in."""
+        return tuple(self.options.passes or camera.outputs)
 
     def _ready(self, batch: Batch, backend: str, scene: RenderScene, aside: Path) -> list[Path]:
         """Frames of one backend that can be compared, in order; missing ones are rendered first."""
         missing, unusable = [], []
-        for sample in sorted({sample for sample, _ in self._places(scene)}):
+        for sample in sorted({sample for sample, _, _ in self._places(scene)}):
             cameras = scene.cameras[sample]
             stems = [frame_stem(batch.folder, backend, camera.name, sample) for camera in cameras]
             if not any(stem.with_suffix(".json").is_file() for stem in stems):
                 missing.append(sample)
             elif not all(
-                self._usable(stem, backend, scene, camera)
+                self._usable(stem, scene, camera)
                 for stem, camera in zip(stems, cameras, strict=True)
             ):
                 unusable.append(sample)
-        cameras_asked = [camera for _, camera in self._places(scene)]
+        cameras_asked = [camera for _, _, camera in self._places(scene)]
         wanted: tuple[str, ...] | None = None
-        if any(self._wanted(backend, camera) != camera.outputs for camera in cameras_asked):
-            asked = [n for camera in cameras_asked for n in self._wanted(backend, camera)]
+        if any(self._wanted(camera) != camera.outputs for camera in cameras_asked):
+            asked = [n for camera in cameras_asked for n in self._wanted(camera)]
             wanted = tuple(dict.fromkeys(asked))
         for samples, folder in ((missing, batch.folder), (unusable, aside)):
             if samples:
                 self._render(batch, backend, wanted, samples, folder)
         return [
             frame_stem(aside if sample in unusable else batch.folder, backend, camera.name, sample)
-            for sample, camera in self._places(scene)
+            for sample, _, camera in self._places(scene)
         ]
 
     def _floor(self, batch: Batch, scene: RenderScene, aside: Path) -> list[Path]:
         """The first backend's ``rgb`` once more, with other noise."""
         first = self.backends[0]
         places = self._places(scene)
-        asked = {n for _, camera in places for n in self._wanted(first, camera)}
+        asked = {n for _, _, camera in places for n in self._wanted(camera)}
         if not self.options.floor or "rgb" not in asked:
             return []
-        samples = sorted({sample for sample, _ in places})
+        samples = sorted({sample for sample, _, _ in places})
         self._render(batch, first, ("rgb",), samples, aside, noise_seed=1)
-        return [frame_stem(aside, first, camera.name, sample) for sample, camera in places]
+        return [frame_stem(aside, first, camera.name, sample) for sample, _, camera in places]
 
     def _render(
         self,
@@ -373,8 +350,8 @@ class _Run:
         if report.failed:
             raise BackendError(report.failed[0])
 
-    def _usable(self, stem: Path, backend: str, scene: RenderScene, camera: Camera) -> bool:
-        names = self._wanted(backend, camera)
+    def _usable(self, stem: Path, scene: RenderScene, camera: Camera) -> bool:
+        names = self._wanted(camera)
         wanted = [*(["rgb"] if "rgb" in names else []), *pass_names(scene, names)]
         try:
             frame = read_frame(stem, wanted)

@@ -98,10 +98,7 @@ def flip(first: Frame, second: Frame) -> NDArray[np.float32] | None:
 def write_differences(
     path: Path, first: Frame, second: Frame, flip_map: NDArray[np.float32] | None
 ) -> None:
-    """The pictures there are side by side, then where they differ.
-
-    After the pictures comes FLIP from black (0) to white (0.5 and more), then the first picture
-    dimmed, with every pixel red whose annotation differs.
+    """Two pictures side by side, then FLIP from black (0) to white (0.5 and more).
 
     Raises:
         OutputError: It cannot be written.
@@ -113,11 +110,7 @@ def write_differences(
     if flip_map is not None:
         gray = np.rint(255.0 * np.clip(2.0 * flip_map, 0.0, 1.0)).astype(np.uint8)
         panels.append(np.repeat(gray[..., None], 3, axis=2))
-    wrong = differing_pixels(first, second)
-    marked = panels[0] // 3 if panels else np.full((*wrong.shape, 3), 40, np.uint8)
-    marked[_grown(wrong)] = [255, 40, 40]
-    panels.append(marked)
-    gap = np.full((wrong.shape[0], 4, 3), 255, np.uint8)
+    gap = np.full((len(panels[0]), 4, 3), 255, np.uint8)
     strips = [part for panel in panels for part in (panel, gap)][:-1]
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -126,28 +119,7 @@ def write_differences(
     write_png(path, np.concatenate(strips, axis=1))
 
 
-def differing_pixels(first: Frame, second: Frame) -> NDArray[np.bool_]:
-    """Pixels of which some annotation that both hold differs in a bit, [h, w]."""
-    height, width = next(iter(first.passes.values())).shape[:2]
-    wrong = np.zeros((height, width), bool)
-    for name, array in first.passes.items():
-        if name != "rgb" and name in second.passes:
-            wrong |= differing(array, second.passes[name])
-    return wrong
-
-
 def differing(a: NDArray, b: NDArray) -> NDArray[np.bool_]:
     """Pixels whose bits differ, bool [h, w]; NaN equals NaN."""
     same = a.view(np.uint32) == b.view(np.uint32)
     return ~(same.all(axis=2) if same.ndim == 3 else same)
-
-
-def _grown(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """One pixel wider all around: a lone pixel is easily overlooked."""
-    padded = np.pad(mask, 1)
-    h, w = mask.shape
-    grown = np.zeros_like(mask)
-    for dy in range(3):
-        for dx in range(3):
-            grown |= padded[dy : dy + h, dx : dx + w]
-    return grown

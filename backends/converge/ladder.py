@@ -170,7 +170,7 @@ class _Climb:
         )
         start = time.perf_counter()
         # Opened with every pass that is asked for later; requests name those of each frame.
-        self._opened: dict[str, Any] = Jobs(batch, self._wanted).open(worker, None)
+        self._opened: dict[str, Any] = Jobs(batch, self._wanted).open(worker)
         self._opening_s = time.perf_counter() - start
         self._warm = False
 

@@ -9,14 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.backends.check.radiance import differing, flip
+from scenec.backends.check.radiance import flip
 from scenec.backends.converge.ladder import Climbed, Rung, Shown
 from scenec.backends.converge.metrics import Errors, Reference, errors, square_and_error
-from scenec.backends.exact import ExactCaster
-from scenec.backends.rays import camera_rays
-from scenec.backends.render_scene import RenderScene
-from scenec.backends.resolver import annotate, settle
-from scenec.schemas.exr import is_id_pass
 from scenec.schemas.frames import Frame
 
 
@@ -59,26 +54,6 @@ class Row:
     bias_of_reference: float
     estimated: float | None
     bound: float | None
-
-
-@dataclass(frozen=True)
-class Annotated:
-    """Annotation of one backend against the exact caster, over all frames.
-
-    Attributes:
-        pixels: Compared.
-        wrong: With another label, instance or depth than cast, bit by bit.
-        depth_error_m: The largest.
-        raw_wrong: Faces that the renderer itself had wrong, before the resolver; None where it
-            reported none.
-        raw_wrong_rows: Objects, likewise.
-    """
-
-    pixels: int
-    wrong: int
-    depth_error_m: float
-    raw_wrong: int | None
-    raw_wrong_rows: int | None
 
 
 @dataclass
@@ -214,40 +189,6 @@ def floors(climbed: Sequence[Climbed], seen: Seen) -> list[dict[str, Any]]:
                 }
             )
     return found
-
-
-def annotation(scene: RenderScene, one: Climbed) -> Annotated:
-    """Compare the annotation of a backend's first references with the exact caster's."""
-    caster = ExactCaster(scene)
-    pixels = wrong = 0
-    depth_error = 0.0
-    raw = [0, 0] if one.backend != "reference" else None
-    for shown in one.references[0]:
-        frame = shown.read()
-        sample = int(frame.sidecar["sample"])
-        camera = next(c for c in scene.cameras[sample] if c.name == frame.sidecar["camera"])
-        names = [name for name in frame.passes if name != "rgb"]
-        rays = camera_rays(camera)
-        caster.pose(sample)
-        truth = annotate(scene, settle(caster, rays), rays, names, sample)
-        bad = np.zeros((camera.height, camera.width), bool)
-        for name in names:
-            own = np.ascontiguousarray(truth[name], np.uint32 if is_id_pass(name) else np.float32)
-            bad |= differing(own, frame.passes[name])
-        pixels += bad.size
-        wrong += int(bad.sum())
-        # As frames store it; a hit where the other has none is infinitely wrong.
-        exact = np.asarray(truth["depth"], np.float32).reshape(bad.shape)
-        drawn = frame.passes["depth"]
-        same = exact == drawn
-        if not same.all():
-            depth_error = max(depth_error, float(np.abs(exact[~same] - drawn[~same]).max()))
-        if raw is not None:
-            raw[0] += int(frame.sidecar["resolver"]["changed"])
-            raw[1] += int(frame.sidecar["resolver"]["changed_rows"])
-    return Annotated(
-        pixels, wrong, depth_error, None if raw is None else raw[0], None if raw is None else raw[1]
-    )
 
 
 #: Steps of a frame that light has to do with, or that a backend does once.

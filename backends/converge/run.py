@@ -16,8 +16,7 @@ from scenec.backends.converge.fits import Fit, band, fit
 from scenec.backends.converge.ladder import Climbed, Ladder, climb
 from scenec.backends.converge.measure import Row
 from scenec.backends.converge.metrics import FORMULAS, root
-from scenec.backends.reader import read_stage
-from scenec.backends.registry import ANNOTATION_ONLY, require_name
+from scenec.backends.registry import ANNOTATION_NAMES, require_name
 from scenec.schemas.errors import BackendError
 from scenec.schemas.manifest import find_batches
 
@@ -91,7 +90,6 @@ class ConvergeReport:
     Attributes:
         series: Errors over samples and seconds.
         floors: What differs between backends' references, pair by pair.
-        annotation: By backend.
         backends: By backend: version, device, losses, samples and noise of its reference, seconds
             until its first picture and of a frame's annotation, pixels of a picture.
         stages: By batch: ``RenderScene.digest``.
@@ -102,7 +100,6 @@ class ConvergeReport:
 
     series: list[Series] = field(default_factory=list)
     floors: list[dict[str, Any]] = field(default_factory=list)
-    annotation: dict[str, measure.Annotated] = field(default_factory=dict)
     backends: dict[str, dict[str, Any]] = field(default_factory=dict)
     stages: dict[str, str] = field(default_factory=dict)
     rows: list[Row] = field(default_factory=list)
@@ -117,7 +114,6 @@ class ConvergeReport:
             "backends": self.backends,
             "series": [{**asdict(one), "own": one.own, "name": one.name} for one in self.series],
             "floors": self.floors,
-            "annotation": {name: asdict(found) for name, found in self.annotation.items()},
             "notes": self.notes,
         }
 
@@ -153,14 +149,13 @@ def converge(
     for batch in find_batches(out, batches):
         aside = folder / "pictures" / batch.name
         climbed = [climb(batch, name, ladder, aside, say) for name in names]
-        scene = read_stage(batch.stage)
         seen = measure.see(climbed)
-        found.stages[batch.name] = scene.digest
+        found.stages[batch.name] = climbed[0].digest
         found.rows += measure.rows(batch.name, climbed, seen)
         for floor in measure.floors(climbed, seen):
             floors[floor["backend"], floor["against"]].append(floor)
         for one in climbed:
-            _add(found, one, measure.annotation(scene, one), seen, ladder)
+            _add(found, one, seen, ladder)
         found.files += report.pictures(folder / "differences", batch.name, climbed, seen)
     found.floors = [_mean_floor(each) for each in floors.values()]
     found.series = _series(found.rows, found.backends)
@@ -173,7 +168,7 @@ def converge(
 def _check(names: Sequence[str], ladder: Ladder) -> None:
     for name in names:
         require_name(name)
-        if name in ANNOTATION_ONLY:
+        if name in ANNOTATION_NAMES:
             raise BackendError(f"backend {name} draws no light: it has nothing that converges")
     if not names:
         raise BackendError("no backends to converge: name one or more")
@@ -188,27 +183,9 @@ def _check(names: Sequence[str], ladder: Ladder) -> None:
 def _add(
     found: ConvergeReport,
     one: Climbed,
-    annotated: measure.Annotated,
     seen: measure.Seen,
     ladder: Ladder,
 ) -> None:
-    before = found.annotation.get(one.backend)
-    if before is not None:
-        raw = [
-            None if a is None or b is None else a + b
-            for a, b in (
-                (before.raw_wrong, annotated.raw_wrong),
-                (before.raw_wrong_rows, annotated.raw_wrong_rows),
-            )
-        ]
-        annotated = measure.Annotated(
-            before.pixels + annotated.pixels,
-            before.wrong + annotated.wrong,
-            max(before.depth_error_m, annotated.depth_error_m),
-            raw[0],
-            raw[1],
-        )
-    found.annotation[one.backend] = annotated
     noises = [seen.references[one.backend, shown.place] for shown in one.references[0]]
     entry = found.backends.setdefault(
         one.backend,

@@ -39,7 +39,6 @@ class Cycles:
     name = "cycles"
     devices = ("cpu", "cuda", "optix")
     denoiser = "OpenImageDenoise"
-    caster = None
     follows_lenses = False
 
     def __init__(self, bounces: int = BOUNCES, device: str = "auto") -> None:
@@ -70,9 +69,7 @@ class Cycles:
         self._loaded = None
         self._loaded = Built(self._bpy, scene, self.device, self._bounces)
 
-    def visibility(
-        self, rays: Rays, sample: int, camera: Camera | None = None
-    ) -> Visibility | None:
+    def witness(self, rays: Rays, sample: int, camera: Camera | None = None) -> Visibility | None:
         """First hits in float32; None for rays of no camera that Blender has: skewed ones."""
         loaded = self._require_loaded()
         lens = None if camera is None else find_lens(camera)

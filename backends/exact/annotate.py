@@ -1,4 +1,4 @@
-"""Annotation from exact visibility: depth, labels, ids, normals, positions, in float64."""
+"""Annotation from exact first hits: depth, labels, ids, normals, positions, in float64."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from scenec.backends.contract import Rays
+from scenec.backends.exact.caster import Hits
 from scenec.backends.exact.intersect import world_normal
-from scenec.backends.exact.settle import Settled
 from scenec.backends.render_scene import RenderScene, SkyLabelMap
 from scenec.schemas.amodal import AMODAL
 from scenec.schemas.correspondence import CORRESPONDENCES
@@ -125,13 +125,13 @@ def pass_names(scene: RenderScene, passes: Sequence[str]) -> list[str]:
 
 
 def annotate(
-    scene: RenderScene, settled: Settled, rays: Rays, passes: Sequence[str], sample: int = 0
+    scene: RenderScene, hits: Hits, rays: Rays, passes: Sequence[str], sample: int = 0
 ) -> dict[str, NDArray]:
-    """All annotation that follows from exact visibility.
+    """All annotation that follows from first hits.
 
     Args:
         scene: The scene.
-        settled: Exact visibility of the rays.
+        hits: Of the rays.
         rays: The rays; ``depth`` is their parameter, which is planar depth for a pinhole camera, or
             what ``Rays.depth`` makes of it: 0 beside the camera, below behind it.
         passes: What to compute, see ``pass_names``.
@@ -148,7 +148,7 @@ def annotate(
     Raises:
         BackendError: A pass that is not known.
     """
-    g, row, face, t = settled.geometry, settled.row, settled.face, settled.t
+    g, row, face, t = hits.geometry, hits.row, hits.face, hits.t
     n = len(t)
     out: dict[str, NDArray] = {}
     for name in pass_names(scene, passes):

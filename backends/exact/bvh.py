@@ -16,7 +16,6 @@ from numba import njit
 from numpy.typing import NDArray
 
 from scenec.backends.exact.build import build_forest
-from scenec.backends.exact.twins import repeated_rows
 from scenec.backends.render_scene import RenderScene
 from scenec.schemas.errors import BackendError
 from scenec.schemas.threads import over_threads
@@ -56,8 +55,6 @@ class Geometry(NamedTuple):
         extent: Largest world coordinate of any row, meters.
         row_spheres: A sphere around each row: center and radius, float64 [r, 4]; radius < 0 for
             rows without surface.
-        row_twin: Rows of which there are several with the same mesh and matrix, bool [r].
-        face_twin: Faces of which there are several with the same vertices, bool [m].
     """
 
     points: NDArray[np.float32]
@@ -78,8 +75,6 @@ class Geometry(NamedTuple):
     moving_tree: int
     extent: float
     row_spheres: NDArray[np.float64]
-    row_twin: NDArray[np.bool_]
-    face_twin: NDArray[np.bool_]
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -224,8 +219,6 @@ def build_geometry(scene: RenderScene) -> Geometry:
         moving_tree=-1,
         extent=float(placed.reach[placed.used & stands].max(initial=0.0)),
         row_spheres=placed.spheres,
-        row_twin=repeated_rows(twin_keys(row_mesh, to_world)),
-        face_twin=repeated_rows(np.sort(faces, axis=1, kind="stable").astype(np.int64)),
     )
 
 
@@ -337,12 +330,6 @@ def _place_some(
     radius = np.where(used, radius * (1 + 1e-12) + ROUNDING * reach, -1.0)
     spheres = np.concatenate([world_center, radius[:, None]], axis=1)
     return PlacedRows(used, regular, to_local, pad, boxes, reach, spheres)
-
-
-def twin_keys(row_mesh: NDArray[np.int64], to_world: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Lines that are equal where rows have the same mesh and matrix, int64 [r, 13]."""
-    # Adding 0 makes -0 and 0 the same bits.
-    return np.column_stack([row_mesh, (to_world.reshape(-1, 12) + 0.0).view(np.int64)])
 
 
 def _apply(matrices: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -25,6 +27,23 @@ def _test_all(first, last, g, origins, directions, index, row, face, t):  # type
             t[k] = hit_parameter(g.points, g.faces[g.row_face[row[k]] + face[k]], matrix, frame)
 
 
+@dataclass(frozen=True)
+class Hits:
+    """First hits of a table of rays, exact.
+
+    Attributes:
+        row: int32 [n], NO_ROW where nothing is hit.
+        face: int32 [n], 0 where nothing is hit.
+        t: Ray parameter (planar depth for a pinhole camera), float64 [n], +inf without a hit.
+        geometry: What ``row`` and ``face`` refer to.
+    """
+
+    row: NDArray[np.int32]
+    face: NDArray[np.int32]
+    t: NDArray[np.float64]
+    geometry: Geometry
+
+
 class ExactCaster:
     """Casts rays at a scene; what it answers is what annotation is defined to be.
 
@@ -35,7 +54,7 @@ class ExactCaster:
         scene: The scene; ``meshes`` and ``rows`` are read and copied.
 
     Attributes:
-        geometry: Flat arrays and hierarchies, shared with the resolver's kernels.
+        geometry: Flat arrays and hierarchies.
 
     Raises:
         BackendError: The scene's arrays are broken (see ``bvh.build_geometry``).
@@ -49,7 +68,7 @@ class ExactCaster:
             self.geometry = self._moving.pose(self.geometry, 0)
 
     def pose(self, sample: int) -> None:
-        """Take everything as it is at a sample. What was settled before can no longer be annotated.
+        """Take everything as it is at a sample. Earlier hits can no longer be annotated.
 
         Costs nothing where nothing moves, and else what the rows that move cost.
         """
@@ -74,24 +93,21 @@ class ExactCaster:
         row = np.full(len(which), NO_ROW, np.int32)
         face = np.zeros(len(which), np.int32)
         t = np.full(len(which), np.inf)
-        self.improve(rays, which, row, face, t)
+        trace_all(
+            self.geometry, rays.origins, rays.directions, which.astype(np.int64), row, face, t
+        )
         return row, face, t
 
-    def improve(
-        self,
-        rays: Rays,
-        index: NDArray[np.int64],
-        row: NDArray[np.int32],
-        face: NDArray[np.int32],
-        t: NDArray[np.float64],
-    ) -> None:
-        """As ``cast``, from hits already known (each exact, or NO_ROW, 0 and +inf), in place.
-
-        The answer is the same, whatever was known; a known hit only spares work behind it.
-        """
-        trace_all(
-            self.geometry, rays.origins, rays.directions, np.asarray(index, np.int64), row, face, t
-        )
+    def hits(self, rays: Rays) -> Hits:
+        """First hits of all rays; pixels without a ray (``Rays.known``) hit nothing."""
+        if rays.known is None:
+            return Hits(*self.cast(rays), self.geometry)
+        known = np.flatnonzero(rays.known)
+        row = np.full(len(rays.origins), NO_ROW, np.int32)
+        face = np.zeros(len(row), np.int32)
+        t = np.full(len(row), np.inf)
+        row[known], face[known], t[known] = self.cast(rays, known)
+        return Hits(row, face, t, self.geometry)
 
     def test(
         self,

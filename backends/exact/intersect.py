@@ -155,7 +155,7 @@ def hit_parameter(points, face, matrix, frame):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, error_model="numpy")
 def hit_details(points, face, matrix, frame):  # type: ignore[no-untyped-def]
-    """A hit with what surrounds it, for the resolver.
+    """A hit with what surrounds it, for checks of what renderers see.
 
     Args:
         points: Local points, float32 [n, 3].
@@ -182,6 +182,47 @@ def hit_details(points, face, matrix, frame):  # type: ignore[no-untyped-def]
     margin = min(abs(u) / bc, min(abs(v) / ca, abs(w) / ab))
     size = abs((u + v) + w) / max(bc, max(ca, ab))
     return t, margin, size
+
+
+@njit(cache=True, error_model="numpy")
+def _from_segment(a, b):  # type: ignore[no-untyped-def]
+    """Where a segment is nearest to the ray: its distance, and how far along it lies (0 to 1)."""
+    x, y = b[0] - a[0], b[1] - a[1]
+    square = x * x + y * y
+    along = 0.0
+    if square > 0.0:
+        along = min(max(-(a[0] * x + a[1] * y) / square, 0.0), 1.0)
+    return math.hypot(a[0] + along * x, a[1] + along * y), along
+
+
+@njit(cache=True, error_model="numpy")
+def distance_from_face(points, face, matrix, frame):  # type: ignore[no-untyped-def]
+    """How far a ray passes from a triangle, for checks of what renderers see.
+
+    Args:
+        points: Local points, float32 [n, 3].
+        face: Vertex indices, int32 [3].
+        matrix: ``row_matrix`` in the axis order of ``frame``.
+        frame: ``ray_frame``.
+
+    Returns:
+        (t, distance): the ray parameter at which the triangle is nearest, at least 0, and how far
+        it is then, in meters in the sheared plane (see ``hit_details``); a triangle that is hit
+        has ``hit_parameter`` and 0.
+    """
+    a = _project(points[face[0]], matrix, frame)
+    b = _project(points[face[1]], matrix, frame)
+    c = _project(points[face[2]], matrix, frame)
+    u, v, w = _edges(a, b, c)
+    t = _parameter(a, b, c, u, v, w, frame[8])
+    if t < math.inf:
+        return t, 0.0
+    best, depth = math.inf, math.inf
+    for p, q in ((a, b), (b, c), (c, a)):
+        away, along = _from_segment(p, q)
+        if away < best:
+            best, depth = away, p[2] + along * (q[2] - p[2])
+    return max(depth / frame[8], 0.0), best
 
 
 @njit(cache=True, error_model="numpy")

@@ -17,16 +17,12 @@ from scenec.backends.exact.bvh import (
     Geometry,
     mesh_balls,
     place_rows,
-    twin_keys,
 )
-from scenec.backends.exact.twins import repeated_rows
 from scenec.backends.render_scene import RenderScene
 from scenec.schemas.errors import BackendError
 
 #: Widens boxes beyond any ray, yet leaves room below the largest float64.
 _WITHOUT_END = 1e200
-#: Odd, of no pattern: what keys are multiplied by to be mixed.
-_MIX = np.int64(-7046029254386353131)
 
 
 class MovingRows:
@@ -47,18 +43,7 @@ class MovingRows:
         self._mesh = scene.rows.mesh[motion.rows].astype(np.int64)
         self._balls: Balls = mesh_balls(scene)
         self._extent = geometry.extent
-        # Of the standing rows alone: which are there twice.
-        stands = np.ones(len(geometry.row_face), bool)
-        stands[self._rows] = False
-        self._standing = np.flatnonzero(stands)
-        self._mesh_of_all = scene.rows.mesh.astype(np.int64)
-        keys = twin_keys(self._mesh_of_all[stands], geometry.to_world[stands])
-        self._twin = np.zeros(len(stands), bool)
-        self._twin[self._standing] = repeated_rows(keys)
         self._make_room(geometry)
-        mixed = _mixed(keys)
-        self._order = np.argsort(mixed, kind="stable")
-        self._mixed = mixed[self._order]
 
     def _make_room(self, geometry: Geometry) -> None:
         """Tables of nodes and entries with room for a tree over the rows that move."""
@@ -98,8 +83,6 @@ class MovingRows:
         g.to_local[rows] = placed.to_local
         g.pad[rows] = placed.pad
         g.row_spheres[rows] = placed.spheres
-        g.row_twin[:] = self._twin
-        g.row_twin[self._twins(g, to_world)] = True
         present = np.flatnonzero(placed.used)
         reach = float(placed.reach[present].max(initial=0.0))
         return self._with_tree(g, placed.boxes[present], rows[present])._replace(
@@ -125,24 +108,3 @@ class MovingRows:
             row_order=self._entries,
             moving_tree=self._first_node + int(roots[0]),
         )
-
-    def _twins(self, g: Geometry, to_world: NDArray[np.float64]) -> NDArray[np.int64]:
-        """Rows that are there twice at this sample because some row moves."""
-        keys = twin_keys(self._mesh, to_world)
-        mixed = _mixed(keys)
-        low = np.searchsorted(self._mixed, mixed, side="left")
-        high = np.searchsorted(self._mixed, mixed, side="right")
-        near = [self._order[a:b] for a, b in zip(low, high, strict=True) if b > a]
-        like = self._standing[np.unique(np.concatenate(near))] if near else self._standing[:0]
-        both = np.concatenate([keys, twin_keys(self._mesh_of_all[like], g.to_world[like])])
-        who = np.concatenate([self._rows, like])
-        return who[repeated_rows(both)]
-
-
-def _mixed(keys: NDArray[np.int64]) -> NDArray[np.int64]:
-    """One number for each line, equal where lines are; int64 [n]."""
-    mixed = keys[:, 0] * _MIX
-    for column in range(1, keys.shape[1]):
-        mixed = (mixed ^ keys[:, column]) * _MIX
-        mixed ^= mixed >> 29
-    return mixed

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from scenec.backends.contract import Rays
 from scenec.backends.exact.build import STACK_SIZE
 from scenec.backends.exact.bvh import Geometry
+from scenec.backends.exact.cones import _SLACK, _TILE, _cone, _unit, eye_of
 from scenec.backends.exact.silhouette import _LANES, _meets
-from scenec.backends.exact.small_rows import _SLACK, _TILE, _cone, _unit, eye_of
 from scenec.schemas.threads import over_threads
 
 

@@ -31,7 +31,6 @@ class Mitsuba:
     name = "mitsuba"
     devices = ("cpu", "cuda")
     denoiser = None
-    caster = None
 
     def __init__(self, bounces: int = BOUNCES, device: str = "auto") -> None:
         self._mi = variant.load_mitsuba(device)
@@ -125,7 +124,7 @@ class Mitsuba:
         self._light = self._lamps = None
         if self.jit:
             parts |= self._emitters(scene)
-        # Merging equal meshes would renumber the faces that visibility reports.
+        # Merging equal meshes would renumber the faces that the witness names.
         self._scene = mi.load_dict(parts, optimize=False)
         self._integrator = mi.load_dict(
             {
@@ -158,7 +157,7 @@ class Mitsuba:
         else:
             self._light.set_lighting(lighting)
 
-    def visibility(self, rays: Rays, sample: int, camera: Camera | None = None) -> Visibility:
+    def witness(self, rays: Rays, sample: int, camera: Camera | None = None) -> Visibility:
         """First hits in float32."""
         self._pose(self._loaded(), sample)
         if not self.jit:

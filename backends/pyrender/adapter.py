@@ -56,7 +56,6 @@ class Pyrender:
     name = "pyrender"
     devices = ("cpu", "cuda")
     denoiser = None
-    caster = None
     follows_lenses = False
     stochastic = False
 
@@ -101,9 +100,7 @@ class Pyrender:
         self._posed = 0
         self._tables = None
 
-    def visibility(
-        self, rays: Rays, sample: int, camera: Camera | None = None
-    ) -> Visibility | None:
+    def witness(self, rays: Rays, sample: int, camera: Camera | None = None) -> Visibility | None:
         """First hits at pixel centers, but for float32 and rounding of edges to 1/256 pixel.
 
         Raises:
