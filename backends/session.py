@@ -21,7 +21,7 @@ from scenec.backends.frames import Annotated, annotated, annotation_facts, write
 from scenec.backends.instances import Instances, Seen
 from scenec.backends.rays import camera_rays, ray_down
 from scenec.backends.reader import read_stage
-from scenec.backends.registry import ANNOTATION, open_backend
+from scenec.backends.registry import ANNOTATION, ANNOTATION_NAMES, open_backend
 from scenec.backends.render_scene import Camera, RenderScene
 from scenec.backends.rounds import Draw, Rounds, Target, collect
 from scenec.backends.shutter import blurred_by, is_rolling, undenoised
@@ -70,7 +70,7 @@ class Session:
         """
         scene = read_stage(stage)
         wanted = (c.outputs if passes is None else passes for of in scene.cameras for c in of)
-        if not any("rgb" in names for names in wanted):
+        if backend in ANNOTATION_NAMES or not any("rgb" in names for names in wanted):
             return cls(scene, None)
         return cls(scene, open_backend(backend, device))
 

@@ -20,7 +20,6 @@ import numpy as np
 from scenec.backends.exact import ExactCaster
 from scenec.backends.lidar import scan
 from scenec.backends.reader import read_stage
-from scenec.backends.reference import Reference
 from scenec.backends.render_scene import Lidar
 from scenec.backends.session import Session
 from scenec.compiler.compile import compile_cfg
@@ -72,7 +71,7 @@ def main() -> None:
     share = 100.0 * np.isfinite(made["range"]).mean()
     print(f"building the caster, once a batch      {built:7.3f} s")
     print(f"scan, 64 x 1,800 ({share:.0f} % answered)      {wall:7.3f} s  {cpu:7.3f} CPU s")
-    session = Session(scene, Reference())
+    session = Session(scene, None)
     for name, passes in (
         ("annotation", _ANNOTATION),
         ("and flow, occlusion, scene flow", (*_ANNOTATION, "flow", "occlusion", "scene_flow")),

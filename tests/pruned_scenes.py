@@ -12,12 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 from small import write_cfg
 
+from scenec.backends.bands import annotate as annotated
+from scenec.backends.exact import ExactCaster
 from scenec.backends.lidar import scan
-from scenec.backends.rays import camera_rays
 from scenec.backends.reader import read_stage
-from scenec.backends.reference import Reference
 from scenec.backends.registry import open_backend
-from scenec.backends.resolver import resolve
 from scenec.backends.session import Session
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.passes.keep import Keep
@@ -212,16 +211,11 @@ def annotation(batch: Path) -> Iterator[tuple[str, dict[str, NDArray[Any]]]]:
         Camera and sample, and the passes.
     """
     scene = read_stage(batch / "stage.usda")
-    reference = Reference()
-    reference.load(scene)
-    assert reference.caster is not None
+    caster = ExactCaster(scene)
     for sample, cameras in enumerate(scene.cameras):
+        caster.pose(sample)
         for camera in cameras:
-            rays = camera_rays(camera)
-            shown = resolve(
-                scene, reference.caster, rays, reference.visibility(rays, sample), camera, PASSES,
-                sample,
-            )[0]  # fmt: skip
+            shown = annotated(scene, caster, camera, PASSES, sample)[1]
             yield f"{camera.name} {sample}", shown
 
 
@@ -235,19 +229,16 @@ def everything(batch: Path) -> Iterator[tuple[str, dict[str, NDArray[Any]]]]:
         Sensor and sample, and what it says.
     """
     scene = read_stage(batch / "stage.usda")
-    reference = Reference()
-    session = Session(scene, reference)
-    session.pictures = False
+    session, caster = Session(scene, None), ExactCaster(scene)
     for sample, cameras in enumerate(scene.cameras):
         for camera in cameras:
             if camera.fires(sample):
                 wanted = [name for name in camera.outputs if name != "rgb"]
                 passes = session.passes((*wanted, *PASSES), camera)
                 yield f"{camera.name} {sample}", session.render(camera, sample, passes, 1, 1)[0]
-        assert reference.caster is not None
-        reference.caster.pose(sample)
+        caster.pose(sample)
         for lidar in scene.lidars[sample]:
-            yield f"{lidar.name} {sample}", scan(scene, reference.caster, lidar, sample)
+            yield f"{lidar.name} {sample}", scan(scene, caster, lidar, sample)
 
 
 @dataclass(frozen=True)

@@ -48,9 +48,7 @@ class Flat:
         colors = np.array([one.base_color for one in scene.surfaces])
         self._colors = colors[[m.layers[0] for m in scene.meshes]]
 
-    def visibility(
-        self, rays: Rays, sample: int, camera: Camera | None = None
-    ) -> Visibility | None:
+    def witness(self, rays: Rays, sample: int, camera: Camera | None = None) -> Visibility | None:
         """None: all is cast."""
         return None
 

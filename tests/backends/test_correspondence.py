@@ -19,7 +19,6 @@ from small import small_cfg
 from scenec.backends.exact import ExactCaster
 from scenec.backends.rays import camera_rays
 from scenec.backends.reader import read_stage
-from scenec.backends.reference import Reference
 from scenec.backends.registry import open_backend
 from scenec.backends.render_scene import Camera, RenderScene
 from scenec.backends.session import Session
@@ -76,7 +75,7 @@ class Quiet(RenderScene):
 
 
 def render(scene: RenderScene, sample: int, index: int = 0, passes=MONO) -> dict[str, np.ndarray]:
-    session = Session(scene, Reference())
+    session = Session(scene, None)
     return session.render(scene.cameras[sample][index], sample, passes, 1, 0)[0]
 
 
@@ -253,7 +252,7 @@ def test_what_moves_takes_its_points_along(tmp_path):
     scene = read_stage(tmp_path / "stage.usda")
     eye = looking((0, 0, 1), (5, 0, 1))
     scene = with_cameras(scene, [[camera(eye)]] * 3)
-    session = Session(scene, Reference())
+    session = Session(scene, None)
     for sample in (1, 0, 1):
         made = session.render(scene.cameras[sample][0], sample, (*MONO, "instance"), 1, 0)[0]
         on_ball = made["depth"] < 10
@@ -412,7 +411,7 @@ def test_a_pair_of_a_cfg_has_its_disparity(tmp_path, cfg):
     scene = read_stage(compiled(tmp_path, stereo(cfg)))
     left = next(c for c in scene.cameras[1] if c.name.endswith("left"))
     assert left.partner == left.path.replace("left", "right")
-    session = Session(scene, Reference())
+    session = Session(scene, None)
     made = session.render(left, 1, session.passes(None, left), 1, 0)[0]
     hit = np.isfinite(made["depth"])
     np.testing.assert_allclose(

@@ -16,7 +16,6 @@ from small import small_cfg
 
 from scenec.backends.depth_camera import measure_stereo, measure_time_of_flight
 from scenec.backends.reader import read_stage
-from scenec.backends.reference import Reference
 from scenec.backends.render_scene import Camera
 from scenec.backends.session import Session
 from scenec.compiler.compile import compile_cfg
@@ -124,7 +123,7 @@ def step_scene(tmp_path_factory):
 def test_stereo_has_no_answer_in_the_shadow_beside_what_stands_out(step_scene):
     one = camera(STEREO)
     scene = dataclasses.replace(step_scene, cameras=((one,),), samples=1)
-    made = Session(scene, Reference()).render(one, 0, ("depth", MEASURED), 1, 0)[0]
+    made = Session(scene, None).render(one, 0, ("depth", MEASURED), 1, 0)[0]
     row_depth, row = made["depth"][24], made[MEASURED][24]
     # The other camera stands right: it sees the wall right of the board, not all of it left.
     hole = np.flatnonzero((row == 0) & (row_depth > 3))
@@ -150,7 +149,7 @@ def test_without_a_hit_or_a_model_there_is_no_answer(step_scene):
     pose[:3, 0] *= -1
     away = dataclasses.replace(away, camera_to_world=pose)
     scene = dataclasses.replace(step_scene, cameras=((away,),), samples=1)
-    session = Session(scene, Reference())
+    session = Session(scene, None)
     assert not session.render(away, 0, (MEASURED,), 1, 0)[0][MEASURED].any()
     with pytest.raises(BackendError, match="needs a depth camera"):
         session.render(dataclasses.replace(away, depth_camera=None), 0, (MEASURED,), 1, 0)
@@ -172,7 +171,7 @@ def test_a_cfg_asks_for_it(tmp_path, kind):
     scene = read_stage(tmp_path / "out" / "batch_0000" / "stage.usda")
     one = scene.cameras[1][0]
     assert kind_of(one.depth_camera.model) == kind
-    session = Session(scene, Reference())
+    session = Session(scene, None)
     made, again = (session.render(one, 1, ("depth", MEASURED), 1, 0)[0] for _ in range(2))
     assert made[MEASURED].tobytes() == again[MEASURED].tobytes()
     there = made[MEASURED] > 0

@@ -28,15 +28,14 @@ from scenes import scene
 from small import small_cfg, write_cfg
 
 from scenec.backends import bands, compose
-from scenec.backends.bands import Annotating
 from scenec.backends.check.compare import check_exact
-from scenec.backends.contract import NO_ROW, Radiance, Visibility
+from scenec.backends.contract import Radiance
 from scenec.backends.exact import ExactCaster
+from scenec.backends.exact.annotate import annotate
 from scenec.backends.rays import camera_rays
 from scenec.backends.reader import read_stage
 from scenec.backends.render import render
 from scenec.backends.render_scene import Camera, RenderScene
-from scenec.backends.resolver import Settled, annotate, settle
 from scenec.backends.session import Session
 from scenec.compiler.cameras.paths.motion import frames
 from scenec.compiler.cameras.poses import bearing_vector
@@ -175,60 +174,14 @@ def test_annotation_in_bands_is_that_of_the_whole_picture_to_the_bit(
     world, caster = stones
     camera = VIEWS[name]
     rays = camera_rays(camera)
-    exact = settle(caster, rays)
+    exact = caster.hits(rays)
     expected = annotate(world, exact, rays, PASSES)
-    # What a rasterizer does at edges: every other pixel reports its neighbor's face.
-    row, face = exact.row.copy(), exact.face.copy()
-    row[1::2], face[1::2] = exact.row[:-1:2], exact.face[:-1:2]
     monkeypatch.setattr(bands, "PIXELS", rows * camera.width)
-    for report in (None, Visibility(exact.row, exact.face), Visibility(row, face)):
-        settled, found = _in_bands(world, caster, camera, report)
-        for key, values in expected.items():
-            np.testing.assert_array_equal(found[key], values, err_msg=key)
-        for key in ("row", "face", "t"):
-            np.testing.assert_array_equal(getattr(settled, key), getattr(exact, key))
-        assert settled.statistics.pixels == camera.width * camera.height
-        if report is not None:
-            wrong = _wrong(report, exact)
-            if rays.known is not None:
-                # What is reported beyond the image circle means nothing.
-                wrong &= rays.known
-            assert settled.statistics.changed == wrong.sum()
-
-
-def test_bands_doubt_the_pixels_that_the_whole_picture_does(
-    stones: tuple[RenderScene, ExactCaster], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    world, caster = stones
-    camera = VIEWS["pinhole"]
-    rays = camera_rays(camera)
-    exact = settle(caster, rays)
-    report = Visibility(exact.row, exact.face)
-    whole = settle(caster, rays, report, camera).statistics
-    for rows in (1, 5, 20):
-        monkeypatch.setattr(bands, "PIXELS", rows * camera.width)
-        found = _in_bands(world, caster, camera, report)[0].statistics
-        for reason in set(whole.reasons) - {"audit"}:
-            assert found.reasons[reason] == whole.reasons[reason], reason
-
-
-def test_a_renderer_that_fails_in_one_band_is_trusted_in_none(
-    stones: tuple[RenderScene, ExactCaster], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    world, caster = stones
-    camera = VIEWS["pinhole"]
-    exact = settle(caster, camera_rays(camera))
-    row, face = exact.row.copy(), exact.face.copy()
-    # It sees the floor where the lowest rows show stones or floor; the upper ones are right.
-    low = slice(40 * camera.width, None)
-    row[low], face[low] = 0, 1 - face[low] % 2
-    monkeypatch.setattr(bands, "PIXELS", 8 * camera.width)
-    settled, _ = _in_bands(world, caster, camera, Visibility(row, face))
-    assert settled.statistics.escalated
-    assert settled.statistics.suspects == settled.statistics.pixels
-    np.testing.assert_array_equal(settled.row, exact.row)
-    np.testing.assert_array_equal(settled.face, exact.face)
-    assert settled.statistics.changed == _wrong(Visibility(row, face), exact).sum()
+    hits, found = bands.annotate(world, caster, camera, PASSES, 0)
+    for key, values in expected.items():
+        np.testing.assert_array_equal(found[key], values, err_msg=key)
+    for key in ("row", "face", "t"):
+        np.testing.assert_array_equal(getattr(hits, key), getattr(exact, key))
 
 
 def test_a_picture_composed_in_bands_is_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -356,7 +309,6 @@ def test_a_picture_wider_than_opengl_draws_is_drawn_in_columns(extremes: Path) -
         "type(s.backend._renderer).largest = 13\n"
         "b, parts = s.render(c, 0, p, 1, 0)\n"
         "assert all(np.array_equal(a[n], b[n]) for n in p)\n"
-        "assert whole['resolver']['changed'] <= 4 >= parts['resolver']['changed']\n"
     )
     _run(script, str(extremes / "batch_0000" / "stage.usda"))
 
@@ -397,7 +349,7 @@ def test_67_million_pixels_are_annotated_within_6_gib(tmp_path: Path) -> None:
         "p = s.passes(('label', 'instance', 'depth'), c)\n"
         "memory.reset_peak()\n"
         "a, d = s.render(c, 0, p, 1, 0)\n"
-        "print(json.dumps([memory.peak(), a['depth'].shape, d['resolver']['pixels']]))\n"
+        "print(json.dumps([memory.peak(), a['depth'].shape, a['depth'].size]))\n"
     )
     peak, shape, pixels = json.loads(_run(script, str(out / "batch_0000" / "stage.usda")))
     assert shape == [8192, 8192]
@@ -407,22 +359,6 @@ def test_67_million_pixels_are_annotated_within_6_gib(tmp_path: Path) -> None:
 
 def _cases(made: RenderScene) -> list[tuple[str, Camera]]:
     return [(camera.name.removesuffix("_eye"), camera) for camera in made.cameras[0]]
-
-
-def _in_bands(
-    world: RenderScene, caster: ExactCaster, camera: Camera, report: Visibility | None
-) -> tuple[Settled, dict[str, NDArray]]:
-    annotating = Annotating(world, caster, camera, PASSES, 0)
-    for rows in annotating.bands:
-        part = None if report is None else annotating.part(report, rows)
-        annotating.add(rows, annotating.rays(rows), part)
-    return annotating.finish()
-
-
-def _wrong(report: Visibility, exact: Settled) -> NDArray[np.bool_]:
-    """Pixels of another row or face than exact."""
-    other_face = (report.face != exact.face) & (exact.row != NO_ROW)
-    return (report.row != exact.row) | other_face
 
 
 def _shrunk(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:

@@ -292,9 +292,7 @@ class Blind(Raster):
 
     name = "blind"
 
-    def visibility(
-        self, rays: Rays, sample: int, camera: Camera | None = None
-    ) -> Visibility | None:
+    def witness(self, rays: Rays, sample: int, camera: Camera | None = None) -> Visibility | None:
         """Misses."""
         nothing = np.full(len(rays.origins), -1, np.int32)
         return Visibility(nothing, np.zeros_like(nothing))

@@ -11,16 +11,13 @@ from lens_scenes import BROWN, CAMERAS, FISHEYE, PANORAMA, around, with_lens
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdRender
 from scenes import SKY, scene
 
-from scenec.backends.contract import Visibility
+from scenec.backends.bands import annotate
 from scenec.backends.exact import ExactCaster
-from scenec.backends.exact.small_rows import mark_small_rows
 from scenec.backends.instances import Instances
 from scenec.backends.lens import ray_table
-from scenec.backends.mitsuba.adapter import Mitsuba
 from scenec.backends.rays import camera_rays
 from scenec.backends.reader import read_stage
 from scenec.backends.render_scene import Camera, RenderScene
-from scenec.backends.resolver import resolve, settle
 from scenec.schemas import stage as names
 from scenec.schemas.errors import StageError
 from scenec.schemas.lens import Lens, project, to_pixels
@@ -64,60 +61,13 @@ def test_rays_lead_to_their_pixels(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", CAMERAS)
-def test_annotation_does_not_depend_on_who_saw(
-    name: str, world: RenderScene, caster: ExactCaster
-) -> None:
-    """Mitsuba's float32 visibility, settled, is the exact caster's, bit by bit; so is nonsense."""
-    camera = CAMERAS[name]
-    rays = camera_rays(camera)
-    mitsuba = Mitsuba()
-    mitsuba.load(world)
-    seen = mitsuba.visibility(rays, 0)
-    expected, _ = resolve(world, caster, rays, None, camera, PASSES)
-    found, statistics = resolve(world, caster, rays, seen, camera, PASSES)
-    assert statistics.suspects < statistics.pixels
-    assert set(found) == set(expected)
-    for key, values in expected.items():
-        assert np.array_equal(values, found[key], equal_nan=values.dtype.kind == "f"), key
-    blind = Visibility(np.full(len(seen.row), -1, np.int32), np.zeros(len(seen.row), np.int32))
-    found, _ = resolve(world, caster, rays, blind, camera, PASSES)
-    for key, values in expected.items():
-        assert np.array_equal(values, found[key], equal_nan=values.dtype.kind == "f"), key
-
-
-@pytest.mark.parametrize("name", CAMERAS)
-def test_what_a_renderer_misses_below_two_pixels_is_found(name: str) -> None:
-    """All small stones taken from a report: every pixel that shows one is suspect for it."""
-    camera = CAMERAS[name]
-    rays = camera_rays(camera)
-    meshes, rows = around(900)
-    caster = ExactCaster(scene(meshes, rows))
-    exact = settle(caster, rays)
-    spheres = caster.geometry.row_spheres
-    away = np.linalg.norm(spheres[:, :3] - camera.camera_to_world[:3, 3], axis=1)
-    kept = np.flatnonzero(spheres[:, 3] > away / camera.intrinsics[0, 0])
-    without = settle(ExactCaster(scene(meshes, [rows[i] for i in kept])), rays)
-    row = np.where(without.row >= 0, kept[without.row], -1).astype(np.int32)
-    report = Visibility(row, without.face)
-    assert (exact.row != row).sum() > 3
-    suspect = np.zeros(len(row), np.uint8)
-    mark_small_rows(spheres, rays, without.t, 2.0, 1, suspect)
-    assert suspect[exact.row != row].all()
-    assert suspect.mean() < 0.5
-    settled = settle(caster, rays, report, camera)
-    assert np.array_equal(settled.row, exact.row)
-    assert np.array_equal(settled.face, exact.face)
-    assert np.array_equal(settled.t, exact.t)
-
-
-@pytest.mark.parametrize("name", CAMERAS)
 def test_depth_and_pose_lead_back_to_the_pixel(
     name: str, world: RenderScene, caster: ExactCaster
 ) -> None:
     """Range along the ray is position, whose z is depth; it projects to the pixel, to 1e-6."""
     camera = CAMERAS[name]
     rays = camera_rays(camera)
-    found, _ = resolve(world, caster, rays, None, camera, PASSES)
+    found = annotate(world, caster, camera, PASSES, 0)[1]
     depth, far = found["depth"].ravel(), found["range"].ravel()
     hit = np.isfinite(far)
     assert np.array_equal(hit, np.isfinite(depth))
@@ -150,8 +100,7 @@ def test_what_lies_outside_of_the_image_circle_shows_nothing(
     c = FISHEYE.coefficients
     edge = t * (1 + c[0] * t**2 + c[1] * t**4 + c[2] * t**6 + c[3] * t**8)
     assert np.array_equal(rays.known, (np.hypot(a, b) <= edge).ravel())
-    found, statistics = resolve(world, caster, rays, None, camera, PASSES)
-    assert statistics.suspects == int(rays.known.sum())
+    found = annotate(world, caster, camera, PASSES, 0)[1]
     out = ~rays.known.reshape(72, 96)
     assert (found["label.class"][out] == 0).all()
     assert (found["label.class"][~out] >= SKY).all()
@@ -166,7 +115,7 @@ def test_what_lies_outside_of_the_image_circle_shows_nothing(
 def test_a_panorama_is_six_pinhole_views(world: RenderScene, caster: ExactCaster) -> None:
     """Its pixels show what the nearest pixel of a cube's fine face does, but at edges."""
     camera = with_lens(PANORAMA, 128, 64)
-    found, _ = resolve(world, caster, camera_rays(camera), None, camera, ("label", "range"))
+    found = annotate(world, caster, camera, ("label", "range"), 0)[1]
     rays = camera_rays(camera).directions
     local = rays @ camera.camera_to_world[:3, :3]
     size, agree, counted = 256, 0, 0
@@ -179,7 +128,7 @@ def test_a_panorama_is_six_pinhole_views(world: RenderScene, caster: ExactCaster
             pose[:3, :3] = pose[:3, :3] @ basis
             k = np.array([[size / 2, 0, size / 2], [0, size / 2, size / 2], [0, 0, 1.0]])
             face = Camera("f", "/F", size, size, k, pose)
-            view, _ = resolve(world, caster, camera_rays(face), None, face, ("label", "range"))
+            view = annotate(world, caster, face, ("label", "range"), 0)[1]
             own = np.flatnonzero(np.argmax(np.abs(local), axis=1) * sign == axis * sign)
             own = own[local[own, axis] * sign > 0.0]
             seen = local[own] @ basis
@@ -201,14 +150,14 @@ def test_amodal_areas_are_those_of_each_instance_alone(
     """Against scenes that hold nothing else; pixels that show it are among them."""
     camera = CAMERAS[name]
     rays = camera_rays(camera)
-    exact = settle(caster, rays)
+    exact = caster.hits(rays)
     listed = Instances(world).seen(exact.row, exact.t, camera, 0, caster.geometry, True, rays)
     assert listed.amodal is not None
     meshes, rows = around()
     chosen = list(range(0, len(listed.table["id"]), max(1, len(listed.table["id"]) // 12)))
     for at in chosen:
         row = int(listed.table["id"][at]) - 1
-        alone = settle(ExactCaster(scene(meshes, [rows[row]])), rays)
+        alone = ExactCaster(scene(meshes, [rows[row]])).hits(rays)
         assert listed.table["amodal"][at] == (alone.row == 0).sum()
         assert listed.table["amodal_full"][at] == listed.table["amodal"][at]
         mask = listed.amodal.mask(at)
@@ -234,8 +183,8 @@ def test_a_lens_without_distortion_is_a_pinhole(
         np.abs(rays.directions - expected.directions).max()
         < 1e-13 * np.abs(expected.directions).max()
     )
-    one, _ = resolve(world, caster, expected, None, plain, ("label", "depth"))
-    two, _ = resolve(world, caster, rays, None, bent, ("label", "depth"))
+    one = annotate(world, caster, plain, ("label", "depth"), 0)[1]
+    two = annotate(world, caster, bent, ("label", "depth"), 0)[1]
     assert np.array_equal(one["label.class"], two["label.class"])
     assert np.allclose(one["depth"], two["depth"], rtol=1e-9)
 
@@ -245,14 +194,11 @@ def test_a_lens_without_distortion_is_a_pinhole(
 def test_pictures_of_a_pixel_or_a_line(
     lens: Lens, size: tuple[int, int], world: RenderScene, caster: ExactCaster
 ) -> None:
-    """With any visibility they come out as cast."""
+    """They are annotated like any other."""
     camera = with_lens(lens, *size)
-    rays = camera_rays(camera)
-    exact = settle(caster, rays)
-    n = size[0] * size[1]
-    blind = Visibility(np.full(n, -1, np.int32), np.zeros(n, np.int32))
-    settled = settle(caster, rays, blind, camera)
-    assert np.array_equal(settled.row, exact.row)
+    hits, found = annotate(world, caster, camera, PASSES, 0)
+    assert np.array_equal(hits.row, caster.hits(camera_rays(camera)).row)
+    assert found["range"].shape == (size[1], size[0])
     assert ray_table(camera).directions.ndim == 3
 
 

@@ -333,7 +333,7 @@ class Pinholes:
     def load(self, scene: RenderScene) -> None:
         """Nothing to do."""
 
-    def visibility(self, rays: Any, sample: int, camera: Camera | None = None) -> None:
+    def witness(self, rays: Any, sample: int, camera: Camera | None = None) -> None:
         """Sees nothing, but which camera it is asked of."""
         self.seen.append(camera)
 

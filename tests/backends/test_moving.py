@@ -14,7 +14,6 @@ from pxr import Gf, Sdf, Usd, UsdGeom, Vt
 from scenec.backends.exact import ExactCaster
 from scenec.backends.rays import camera_rays
 from scenec.backends.reader import read_stage
-from scenec.backends.reference import Reference
 from scenec.backends.registry import open_backend
 from scenec.backends.render_scene import Motion, RenderScene
 from scenec.backends.session import Session
@@ -35,7 +34,7 @@ def moving(tmp_path_factory) -> RenderScene:
 def truth(moving: RenderScene) -> list[dict[str, np.ndarray]]:
     """Annotation of each sample from a scene that stands still as it is then."""
     return [
-        Session(still(moving, sample), Reference()).render(
+        Session(still(moving, sample), None).render(
             moving.cameras[sample][0], sample, PASSES, 1, 0
         )[0]
         for sample in range(ms.SAMPLES)
@@ -124,7 +123,7 @@ def test_a_box_that_moves_over_a_plane_has_the_depths_of_slabs_and_plane(tmp_pat
         ms._camera(stage)
 
     scene = written(tmp_path, build)
-    session = Session(scene, Reference())
+    session = Session(scene, None)
     half = corners.astype(np.float32).astype(float).max(axis=0)
     for sample in (1, 2, 0):
         rays = camera_rays(scene.cameras[sample][0])

@@ -109,7 +109,7 @@ def test_radiance_is_drawn_through_the_same_pixels_as_visibility_for_any_intrins
     backend = Pyrender()
     backend.load(scene)
     coverage = backend.radiance(camera, 0, 16, 0).coverage
-    seen = backend.visibility(camera_rays(camera), 0, camera)
+    seen = backend.witness(camera_rays(camera), 0, camera)
     assert seen is not None
     hit = (seen.row != NO_ROW).reshape(44, 60)
     assert np.mean(coverage[hit] < 0.4) < 0.02

@@ -143,62 +143,50 @@ def test_the_error_of_a_picture_without_noise_is_unknown_and_not_zero(stage):
     assert all(text.endswith("error unknown") for text in texts)
 
 
-@pytest.mark.slow
-def test_annotation_taken_from_reference_is_the_same_to_the_bit(tmp_path):
-    cfg = write_cfg(tmp_path, small_cfg(samples=1))
-    stage = tmp_path / "out" / "batch_0000" / "stage.usda"
-    compile_cfg(cfg, seed=3, out=tmp_path / "out")
-    passes = ["rgb", "label", *ANNOTATION]
-    own = one(stage, "mitsuba", passes=passes)
-    other = one(stage, "mitsuba", passes=passes, annotate_with="reference", noise_seed=1)
-    assert_same(own, other, ("label.class", "label.surface", *ANNOTATION))
-    assert len(np.unique(own.passes["instance"])) > 10
-    assert own.sidecar["annotation"]["backend"] == "mitsuba"
-    assert own.sidecar["resolver"]["suspects"] < own.sidecar["resolver"]["pixels"]
-    assert other.sidecar["annotation"]["backend"] == "reference"
-    assert other.sidecar["annotation"]["version"].startswith("reference")
-    assert other.sidecar["resolver"]["suspects"] == other.sidecar["resolver"]["pixels"]
-    assert other.sidecar["backend"] == "mitsuba"
-
-
-@pytest.mark.slow
-def test_the_renderer_sees_and_loads_nothing_that_another_annotates(stage, tmp_path, monkeypatch):
-    plan_fault(tmp_path, monkeypatch, "exit", where="visibility")
-    report = run(stage, "plain", annotate_with="reference")
-    assert (report.rendered, report.deaths) == (2, 0)
-    plan_fault(tmp_path, monkeypatch, "exit", where="load")
-    report = run(stage, "plain", annotate_with="reference", passes=ANNOTATION)
-    assert (report.rendered, report.deaths) == (2, 0)
-    assert faults_so_far(tmp_path) == 0
-    assert np.all(read_frame(report.frames[0]).passes["depth"] == 6.0)
-
-
-def test_another_renderer_annotates_from_a_process_of_its_own(stage):
+def test_annotation_is_the_same_to_the_bit_with_a_renderer_and_without(stage):
     passes = ["rgb", *ANNOTATION]
     with here():
         own = one(stage, "smooth", passes=passes)
-    report = run(stage, "smooth", passes=passes, annotate_with="mitsuba", noise_seed=1)
-    other = read_frame(report.frames[0])
+        other = one(stage, "annotation", passes=ANNOTATION)
     assert_same(own, other)
-    assert other.sidecar["annotation"]["backend"] == "mitsuba"
-    assert other.sidecar["annotation"]["version"].startswith("mitsuba")
-    assert {"load", "radiance", "visibility", "resolve"} <= set(other.sidecar["seconds"])
-    # Who annotated is no part of the key: the frame is the same.
+    assert own.sidecar["annotation"] == other.sidecar["annotation"]
+    assert (own.sidecar["backend"], other.sidecar["backend"]) == ("smooth", "annotation")
+
+
+def test_what_is_annotated_once_is_not_cast_again(stage):
     with here():
-        assert run(stage, "smooth", passes=passes, noise_seed=1).skipped == 2
+        first = run(stage, "smooth", passes=["rgb", "instance", *ANNOTATION])
+        second = run(stage, "raster", passes=["rgb", "instance", "depth", "label"])
+        third = run(stage, "raster", passes=["rgb", "depth", "amodal"])
+    assert "annotate" in first.seconds
+    assert "annotate" not in second.seconds
+    # No frame has masks yet.
+    assert "annotate" in third.seconds
+    names = [f"{second.frames[0].name}.instances.csv", f"{first.frames[0].name}.instances.csv"]
+    one_, other = (r.frames[0].with_name(n) for r, n in zip((second, first), names, strict=True))
+    assert one_.read_bytes() == other.read_bytes()
+
+
+def test_annotation_of_another_stage_or_a_damaged_frame_is_cast_again(stage):
+    with here():
+        first = run(stage, "smooth", passes=["rgb", "depth"])
+        exr = first.frames[0].with_suffix(".exr")
+        exr.write_bytes(exr.read_bytes()[:-9] + b"123456789")
+        assert "annotate" in run(stage, "raster", samples=[0], passes=["rgb", "depth"]).seconds
+        for path in stage.parent.rglob("frames/*/*/*.json"):
+            sidecar = json.loads(path.read_text())
+            path.write_text(json.dumps(sidecar | {"stage_digest": "0" * 64}))
+        assert "annotate" in run(stage, "plain", passes=["rgb", "depth"]).seconds
 
 
 @pytest.mark.slow
-def test_an_annotator_that_dies_is_tried_again_like_any_worker(stage, tmp_path, monkeypatch):
-    plan_fault(tmp_path, monkeypatch, "kill", where="visibility", times=1)
-    lines: list[str] = []
-    report = run(stage, "smooth", annotate_with="plain", warn=lines.append)
-    assert faults_so_far(tmp_path) == 1
-    assert (report.rendered, report.deaths) == (2, 1)
-    assert any("SIGKILL" in line and "trying again" in line for line in lines)
-    plan_fault(tmp_path, monkeypatch, "kill", where="visibility", times=3)
-    report = run(stage, "smooth", annotate_with="plain", noise_seed=1)
-    assert (report.rendered, len(report.failed), report.deaths) == (1, 1, 3)
+def test_without_rgb_no_renderer_starts(stage, tmp_path, monkeypatch):
+    plan_fault(tmp_path, monkeypatch, "exit", where="load")
+    report = run(stage, "plain", passes=ANNOTATION)
+    assert (report.rendered, report.deaths, report.backend) == (2, 0, "annotation")
+    assert faults_so_far(tmp_path) == 0
+    assert report.frames[0].parts[-3] == "annotation"
+    assert np.all(read_frame(report.frames[0]).passes["depth"] == 6.0)
 
 
 @pytest.mark.usefixtures("worker_here")
@@ -212,14 +200,14 @@ def test_what_a_backend_leaves_out_is_said_once_and_written_to_every_sidecar(sta
         assert read_frame(path).sidecar["losses"] == [line]
     report = run(stage, "plain", samples=None, passes=["depth"])
     assert (report.losses, report.warnings) == ([], [])
-    assert "losses" not in read_frame(report.frames[0]).sidecar
+    assert read_frame(report.frames[0]).sidecar["losses"] == []
 
 
 @pytest.mark.slow
 def test_json_tells_scripts_the_same(stage, tmp_path, monkeypatch, capsys):
     plan_fault(tmp_path, monkeypatch, "exit", sample=0, times=1)
-    command = ["render", str(stage), "--backend", "smooth", "--denoise", "--annotate-with",
-               "reference", "--timeout", "600", "--memory-limit", "8", "--json"]  # fmt: skip
+    command = ["render", str(stage), "--backend", "smooth", "--denoise", "--timeout",
+               "600", "--memory-limit", "8", "--json"]  # fmt: skip
     assert main(command) == 0
     said = capsys.readouterr()
     result = json.loads(said.out)
@@ -229,8 +217,7 @@ def test_json_tells_scripts_the_same(stage, tmp_path, monkeypatch, capsys):
     assert result["losses"] == ["smooth: every surface shines alike"]
     assert result["peak_memory_gb"] > 0.01
     assert said.err.startswith(
-        "rendering with smooth 1.0 on cpu (rgb: 64 samples per pixel, denoised by mean, "
-        "annotated with reference)\n"
+        "rendering with smooth 1.0 on cpu (rgb: 64 samples per pixel, denoised by mean)\n"
     )
     assert "warning: smooth: every surface shines alike\n" in said.err
 
@@ -254,10 +241,10 @@ def test_a_limit_below_what_any_worker_holds_ends_in_one_line(stage, capsys):
 
 
 REFUSED = {
-    "annotation only": ["--backend", "reference"],
-    "has no device 'cuda'": ["--backend", "reference", "--device", "cuda", "--passes", "depth"],
+    "reference has no rgb": ["--backend", "reference"],
+    "has no device 'cuda'": ["--backend", "smooth", "--device", "cuda"],
     "without rgb": ["--backend", "smooth", "--denoise", "--passes", "depth"],
-    "did you mean 'reference'": ["--annotate-with", "refrence"],
+    "did you mean 'smooth'": ["--backend", "smoth"],
     "no driver for optix": ["--backend", "plain", "--device", "optix"],
 }
 
@@ -284,7 +271,7 @@ def test_run_asks_for_light_only_where_a_sensor_does(tmp_path):
     run_command._refuse_early(options)
     cfg["rigs"]["rover"]["sensors"]["front"]["outputs"] = ["rgb"]
     write_cfg(tmp_path, cfg)
-    with pytest.raises(BackendError, match="annotation only"):
+    with pytest.raises(BackendError, match="has no rgb"):
         run_command._refuse_early(options)
     # What is asked for on the command line goes before the cfg.
     run_command._refuse_early(

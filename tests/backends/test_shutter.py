@@ -14,18 +14,14 @@ from numpy.typing import NDArray
 from scenes import affine, mesh, scene
 from scipy.spatial.transform import Rotation, Slerp
 
-from scenec.backends.bands import cast
+from scenec.backends.bands import annotate
 from scenec.backends.compose import background
 from scenec.backends.correspondence import match
 from scenec.backends.depth_camera import measure
 from scenec.backends.exact import ExactCaster
-from scenec.backends.exact.settle import settle
-from scenec.backends.exact.small_rows import mark_small_rows
 from scenec.backends.instances import Instances
-from scenec.backends.mitsuba.adapter import Mitsuba
 from scenec.backends.rays import camera_rays
 from scenec.backends.render_scene import Camera, Lighting, OpenShutter, RenderScene, Sun
-from scenec.backends.resolver import resolve
 from scenec.backends.shutter import (
     beside,
     is_rolling,
@@ -146,7 +142,7 @@ def test_each_row_is_that_of_a_still_camera_with_the_rows_pose(
     """Every pass to the bit, against a whole picture for each row; bands of rows are the same."""
     camera = rolling(name, shutter)
     rays = camera_rays(camera)
-    found, _ = resolve(world, caster, rays, None, camera, PASSES)
+    found = annotate(world, caster, camera, PASSES, 0)[1]
     poses = row_poses(camera)
     sign = -1.0 if shutter.upward else 1.0
     for r in range(0, camera.height, 9):
@@ -156,7 +152,7 @@ def test_each_row_is_that_of_a_still_camera_with_the_rows_pose(
         pose = poses_at(camera.shutter, np.array([at]))[0]
         assert np.array_equal(pose, poses[r])
         alone = still(camera, pose)
-        expected, _ = resolve(world, caster, camera_rays(alone), None, alone, PASSES)
+        expected = annotate(world, caster, alone, PASSES, 0)[1]
         for key, values in expected.items():
             real = values.dtype.kind == "f"
             assert np.array_equal(found[key][r], values[r], equal_nan=real), key
@@ -167,56 +163,19 @@ def test_each_row_is_that_of_a_still_camera_with_the_rows_pose(
     assert len(np.unique(found["instance"])) > 7
 
 
-@pytest.mark.parametrize("name", ["pinhole", "kannala_brandt"])
-def test_annotation_does_not_depend_on_who_saw(
-    name: str, world: RenderScene, caster: ExactCaster
-) -> None:
-    """Mitsuba's float32 visibility along the rows' own rays, settled, is the exact caster's."""
-    camera = rolling(name)
-    rays = camera_rays(camera)
-    mitsuba = Mitsuba()
-    mitsuba.load(world)
-    expected, _ = resolve(world, caster, rays, None, camera, PASSES)
-    found, statistics = resolve(world, caster, rays, mitsuba.visibility(rays, 0), camera, PASSES)
-    assert statistics.suspects < statistics.pixels
-    assert not statistics.escalated
-    for key, values in expected.items():
-        assert np.array_equal(values, found[key], equal_nan=values.dtype.kind == "f"), key
-
-
-@pytest.mark.parametrize("name", VIEWS)
-def test_all_that_a_renderer_misses_below_two_pixels_is_suspect(name: str) -> None:
-    """From a moving eye, too: every pixel that shows a stone of under a pixel, taken away."""
-    camera = rolling(name)
-    rays = camera_rays(camera)
-    meshes, rows = around(900)
-    caster = ExactCaster(scene(meshes, rows))
-    exact = settle(caster, rays)
-    spheres = caster.geometry.row_spheres
-    away = np.linalg.norm(spheres[:, :3] - camera.camera_to_world[:3, 3], axis=1)
-    kept = np.flatnonzero(spheres[:, 3] > away / camera.intrinsics[0, 0])
-    without = settle(ExactCaster(scene(meshes, [rows[i] for i in kept])), rays)
-    row = np.where(without.row >= 0, kept[without.row], -1).astype(np.int32)
-    assert (exact.row != row).sum() > 0
-    suspect = np.zeros(len(row), np.uint8)
-    mark_small_rows(spheres, rays, without.t, 2.0, 1, suspect)
-    assert suspect[exact.row != row].all()
-    assert suspect.mean() < 0.8
-
-
 @pytest.mark.parametrize("name", ["pinhole", "equirectangular"])
 def test_amodal_masks_are_those_of_each_instance_alone(
     name: str, world: RenderScene, caster: ExactCaster
 ) -> None:
     camera = rolling(name)
     rays = camera_rays(camera)
-    exact = settle(caster, rays)
+    exact = caster.hits(rays)
     listed = Instances(world).seen(exact.row, exact.t, camera, 0, caster.geometry, True, rays)
     assert listed.amodal is not None
     meshes, rows = around(300)
     ids = listed.table["id"]
     for at in range(0, len(ids), max(1, len(ids) // 10)):
-        alone = settle(ExactCaster(scene(meshes, [rows[int(ids[at]) - 1]])), rays)
+        alone = ExactCaster(scene(meshes, [rows[int(ids[at]) - 1]])).hits(rays)
         assert np.array_equal(listed.amodal.mask(at).ravel(), alone.row == 0)
         assert listed.table["amodal"][at] == (alone.row == 0).sum()
 
@@ -229,7 +188,7 @@ def test_a_camera_that_passes_an_upright_edge_sees_it_slanted() -> None:
     eye = look_at([0.0, 0.0, 0.0], [0.0, 5.0, 0.0], 400, 80)
     speed, readout, depth = 4.0, 0.05, 5.0
     camera = moved(eye, Shutter(0.0, readout), (speed, 0.0, 0.0), keys=2 * 1 + 1)
-    found, _ = resolve(flat, ExactCaster(flat), camera_rays(camera), None, camera, ("instance",))
+    found = annotate(flat, ExactCaster(flat), camera, ("instance",), 0)[1]
     fx, cx = camera.intrinsics[0, 0], camera.intrinsics[0, 2]
     v = np.arange(80) + 0.5
     edge = cx - speed * readout * (v / 80 - 0.5) * fx / depth
@@ -251,8 +210,8 @@ def test_exposure_alone_changes_no_annotation(world: RenderScene, caster: ExactC
     one, two = camera_rays(camera), camera_rays(plain)
     assert np.array_equal(one.origins, two.origins)
     assert np.array_equal(one.directions, two.directions)
-    found, _ = cast(world, caster, camera, PASSES, 0)[1], None
-    expected = cast(world, caster, plain, PASSES, 0)[1]
+    found = annotate(world, caster, camera, PASSES, 0)[1]
+    expected = annotate(world, caster, plain, PASSES, 0)[1]
     for key, values in expected.items():
         assert np.array_equal(values, found[key], equal_nan=values.dtype.kind == "f"), key
 
@@ -281,9 +240,9 @@ def test_half_a_turn_during_the_readout_is_followed(
     turn = Rotation.from_matrix(poses[0, :3, :3]).inv() * Rotation.from_matrix(poses[-1, :3, :3])
     assert abs(turn.magnitude() - np.pi * (1.0 - 1.0 / camera.height)) < 1e-9
     rays = camera_rays(camera)
-    found = settle(caster, rays)
+    found = caster.hits(rays)
     alone = still(camera, poses[3])
-    expected = settle(caster, camera_rays(alone))
+    expected = caster.hits(camera_rays(alone))
     row = slice(3 * camera.width, 4 * camera.width)
     assert np.array_equal(found.row[row], expected.row[row])
     points = rays.origins + np.where(np.isfinite(found.t), found.t, 1.0)[:, None] * rays.directions
@@ -346,7 +305,7 @@ def test_flow_leads_to_what_the_other_picture_shows(
         (0.5, 1.0, -2.0),
     )  # fmt: skip
     rays = camera_rays(here)
-    exact = settle(caster, rays)
+    exact = caster.hits(rays)
     found = match(world, caster, exact, rays, (here, 0), (there, 0))
     hit = exact.row >= 0
     points = rays.origins + np.where(hit, exact.t, 0.0)[:, None] * rays.directions
@@ -362,7 +321,7 @@ def test_flow_leads_to_what_the_other_picture_shows(
         k = still(there, pose)
         k = dataclasses.replace(k, width=1, height=1, intrinsics=k.intrinsics - np.array(
             [[0, 0, u - 0.5], [0, 0, v - 0.5], [0, 0, 0]]))  # fmt: skip
-        again = settle(caster, camera_rays(k))
+        again = caster.hits(camera_rays(k))
         assert abs(again.t[0] - found.there[n, 2]) < 1e-6
         assert again.row[0] == exact.row[n]
     own = np.isfinite(exact.t)
@@ -376,7 +335,7 @@ def test_a_rectified_pair_that_rolls_alike_differs_along_rows_alone(
     left = rolling("pinhole")
     right = beside(left, 0.2)
     rays = camera_rays(left)
-    exact = settle(caster, rays)
+    exact = caster.hits(rays)
     found = match(world, caster, exact, rays, (left, 0), (right, 0))
     hit = exact.row >= 0
     v, u = np.divmod(np.arange(len(hit)), left.width)
@@ -390,7 +349,7 @@ def test_a_stereo_camera_rolls_with_both_eyes(world: RenderScene, caster: ExactC
     model = StereoDepth(baseline_m=0.1, noise_px=0.0, step_px=0.0, range_m=(0.05, 1e3))
     camera = dataclasses.replace(rolling("pinhole"), depth_camera=DepthCamera(model, 1))
     rays = camera_rays(camera)
-    exact = settle(caster, rays)
+    exact = caster.hits(rays)
     told = measure(world, caster, exact, rays, camera, 0).ravel()
     assert (told > 0.0).mean() > 0.4
     assert np.abs(told - exact.t)[told > 0.0].max() < 1e-9

@@ -119,7 +119,6 @@ class Plain:
     name = "plain"
     devices: tuple[str, ...] = ("cpu", "optix")
     denoiser: str | None = None
-    caster = None
     stochastic = True
 
     def __init__(self, device: str = "auto") -> None:
@@ -145,11 +144,9 @@ class Plain:
         _fail("load", None)
         self._caster = ExactCaster(scene)
 
-    def visibility(
-        self, rays: Rays, sample: int, camera: Camera | None = None
-    ) -> Visibility | None:
+    def witness(self, rays: Rays, sample: int, camera: Camera | None = None) -> Visibility | None:
         """Exact first hits."""
-        _fail("visibility", sample)
+        _fail("witness", sample)
         assert self._caster is not None
         row, face, _ = self._caster.cast(rays)
         return Visibility(row, face)

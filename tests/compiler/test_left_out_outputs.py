@@ -15,7 +15,6 @@ from small import small_cfg, write_cfg
 
 from scenec.backends.check.stage import check_stage
 from scenec.backends.reader import read_stage
-from scenec.backends.reference import Reference
 from scenec.backends.session import Session
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.passes.keep import Keep
@@ -272,7 +271,7 @@ def test_each_sensor_has_what_its_own_outputs_need(tmp_path):
 
 def annotated(batch: Path, outputs: tuple[str, ...]) -> dict[str, np.ndarray]:
     scene = read_stage(batch / "stage.usda")
-    session = Session(scene, Reference())
+    session = Session(scene, None)
     camera = scene.cameras[0][0]
     names = tuple(name for name in outputs if name != "rgb")
     passes = session.passes((*names, "range", "normal", "position", "face"), camera)

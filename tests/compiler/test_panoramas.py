@@ -16,12 +16,12 @@ from PIL import Image
 from pxr import Usd
 from small import small_cfg, write_cfg
 
+from scenec.backends.bands import annotate
 from scenec.backends.check.stage import check_stage
 from scenec.backends.contract import Rays
 from scenec.backends.exact import ExactCaster
 from scenec.backends.rays import camera_rays
 from scenec.backends.reader import read_stage
-from scenec.backends.resolver import resolve
 from scenec.backends.sky import Sky, lookup
 from scenec.backends.sky_labels import label_of_sky
 from scenec.compiler.compile import compile_cfg
@@ -369,7 +369,7 @@ def test_pixels_of_the_sky_have_the_maps_label_on_its_level_at_its_samples(label
     camera = scene.cameras[0][0]
     rays = camera_rays(camera)
     caster = ExactCaster(scene)
-    first, _ = resolve(scene, caster, rays, None, camera, ["label"], 0)
+    first = annotate(scene, caster, camera, ["label"], 0)[1]
     sky = first["label.class"] == 1
     assert sky.any()
     d = rays.directions.reshape(*rays.shape, 3)
@@ -379,7 +379,7 @@ def test_pixels_of_the_sky_have_the_maps_label_on_its_level_at_its_samples(label
     inner = np.abs((bearing % 90.0) - 45.0) > 1.0
     assert (first["label.surface"] == expected)[sky & inner].all()
     assert not np.isin(first["label.surface"][~sky], range(1000, 1004)).any()
-    second, _ = resolve(scene, caster, rays, None, camera, ["label"], 1)
+    second = annotate(scene, caster, camera, ["label"], 1)[1]
     assert (second["label.surface"][sky] == 7).all()
 
 

@@ -13,11 +13,10 @@ import small
 from pxr import Gf, Sdf, Usd, UsdGeom
 from shutter_cfgs import SHUTTER, cfg
 
-from scenec.backends.rays import camera_rays
+from scenec.backends.bands import annotate
+from scenec.backends.exact import ExactCaster
 from scenec.backends.reader import read_stage
-from scenec.backends.reference import Reference
 from scenec.backends.render_scene import Camera
-from scenec.backends.resolver import resolve
 from scenec.backends.session import Session
 from scenec.backends.shutter import poses_at, row_poses
 from scenec.compiler.cameras.paths.orbit import Orbit, PointAim
@@ -168,21 +167,18 @@ def test_numbers_that_cannot_be_are_refused(
 def test_the_rows_of_a_compiled_picture_are_those_of_still_cameras(stage: Path) -> None:
     """Brute force: a pinhole for each row, at that row's pose; labels apart, to the bit."""
     scene = read_stage(stage)
-    reference = Reference()
-    reference.load(scene)
-    assert reference.caster is not None
+    caster = ExactCaster(scene)
     camera = scene.cameras[1][0]
     passes = ("depth", "instance", "normal", "position")
-    found, _ = resolve(scene, reference.caster, camera_rays(camera), None, camera, passes, 1)
+    found = annotate(scene, caster, camera, passes, 1)[1]
     poses = row_poses(camera)
     assert np.abs(poses[0] - poses[-1]).max() > 0.1
     differs = 0
     whole = replace(camera, shutter=None)
-    before, _ = resolve(scene, reference.caster, camera_rays(whole), None, whole, passes, 1)
+    before = annotate(scene, caster, whole, passes, 1)[1]
     for r, pose in enumerate(poses):
         alone = replace(camera, shutter=None, camera_to_world=pose)
-        rays = camera_rays(alone)
-        expected, _ = resolve(scene, reference.caster, rays, None, alone, passes, 1)
+        expected = annotate(scene, caster, alone, passes, 1)[1]
         for key, values in expected.items():
             real = values.dtype.kind == "f"
             assert np.array_equal(found[key][r], values[r], equal_nan=real), key

@@ -1,0 +1,133 @@
+"""What a renderer sees is held against the annotation: a hair is let pass, a mistake is not."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+import scenes
+
+from scenec.backends.check.witness import HAIR_PIXELS, Witness
+from scenec.backends.contract import NO_ROW, Visibility
+from scenec.backends.exact import ExactCaster
+from scenec.backends.rays import camera_rays
+from scenec.schemas.errors import BackendError
+
+
+@pytest.fixture(scope="module")
+def rocks():
+    """Ground with 800 rocks; scene, caster, rays and exact hits."""
+    scene = scenes.rocky(800, 120, 40.0, seed=4, subdivisions=2)
+    view = scenes.camera(
+        200, 150, 65.0, scene.cameras[0][0].camera_to_world[:3, 3], (9.0, 2.0, -0.5)
+    )
+    caster, rays = ExactCaster(scene), camera_rays(view)
+    return scene, caster, rays, caster.hits(rays)
+
+
+def held(rays, hits, seen) -> Witness:
+    witness = Witness()
+    witness.add(rays, hits, seen)
+    return witness
+
+
+def turned(rays, pixels):
+    """The same rays, each moved to the right by a part of a pixel."""
+    beside = np.roll(rays.directions.reshape(*rays.shape, 3), -1, axis=1)
+    beside[:, -1] = rays.directions.reshape(*rays.shape, 3)[:, -1]
+    step = beside.reshape(-1, 3) - rays.directions
+    return dataclasses.replace(rays, directions=rays.directions + pixels * step)
+
+
+def test_the_exact_answer_differs_nowhere(rocks):
+    _scene, _caster, rays, hits = rocks
+    witness = held(rays, hits, Visibility(hits.row, hits.face))
+    assert (witness.differing, witness.beyond, witness.farthest_px) == (0, 0, 0.0)
+
+
+@pytest.mark.parametrize("pixels", [1e-6, 1e-3, 0.9 * HAIR_PIXELS])
+def test_rays_moved_by_less_than_a_hair_pass(rocks, pixels):
+    _scene, caster, rays, hits = rocks
+    moved = caster.hits(turned(rays, pixels))
+    witness = held(rays, hits, Visibility(moved.row, moved.face))
+    assert witness.beyond == 0
+    assert witness.farthest_px <= pixels
+    assert pixels < 1e-3 or witness.differing > 3
+
+
+@pytest.mark.parametrize("pixels", [0.1, 0.5, 1.0])
+def test_rays_moved_by_more_do_not(rocks, pixels):
+    _scene, caster, rays, hits = rocks
+    moved = caster.hits(turned(rays, pixels))
+    witness = held(rays, hits, Visibility(moved.row, moved.face))
+    assert witness.beyond > 20
+    assert HAIR_PIXELS < witness.farthest_px <= pixels * 1.01
+
+
+def without(scene, row):
+    """The same scene, one row moved away, numbered as before."""
+    rows = dataclasses.replace(scene.rows, to_world=scene.rows.to_world.copy())
+    rows.to_world[row, :, 3] += 1e4
+    return dataclasses.replace(scene, rows=rows)
+
+
+def test_one_stone_that_a_renderer_has_lost_is_found(rocks):
+    scene, _caster, rays, hits = rocks
+    ids, pixels = np.unique(hits.row[hits.row > 0], return_counts=True)
+    stone = ids[pixels == pixels[pixels > 8].min()][0]
+    seen = ExactCaster(without(scene, stone)).hits(rays)
+    witness = held(rays, hits, Visibility(seen.row, seen.face))
+    assert witness.differing == (hits.row == stone).sum()
+    assert witness.beyond > 0
+
+
+def test_one_stone_that_only_a_renderer_has_is_found(rocks):
+    scene, _caster, rays, hits = rocks
+    ids, pixels = np.unique(hits.row[hits.row > 0], return_counts=True)
+    stone = ids[pixels == pixels[pixels > 8].min()][0]
+    caster = ExactCaster(without(scene, stone))
+    truth = caster.hits(rays)
+    witness = held(rays, truth, Visibility(hits.row, hits.face))
+    assert witness.beyond == witness.differing > 8
+
+
+def test_a_renderer_that_sees_nothing_or_nonsense_is_found(rocks):
+    _scene, _caster, rays, hits = rocks
+    n = len(hits.row)
+    nothing = Visibility(np.full(n, NO_ROW, np.int32), np.zeros(n, np.int32))
+    assert held(rays, hits, nothing).beyond > 0.5 * (hits.row != NO_ROW).sum()
+    nonsense = Visibility(np.full(n, 10**6, np.int32), hits.face)
+    witness = held(rays, hits, nonsense)
+    assert witness.beyond == n
+    assert np.isinf(witness.farthest_px)
+
+
+def test_either_of_two_surfaces_in_one_place_is_a_fair_answer():
+    ball, faces = scenes.icosphere(1)
+    m = scenes.affine(1.0, (3.0, 0.0, 0.0))
+    scene = scenes.scene([scenes.mesh(ball, faces)], [(0, m), (0, m)])
+    rays = camera_rays(scenes.camera(20, 14, 60.0))
+    hits = ExactCaster(scene).hits(rays)
+    assert (hits.row == 0).any()
+    other = Visibility(np.where(hits.row == 0, 1, NO_ROW).astype(np.int32), hits.face)
+    witness = held(rays, hits, other)
+    assert witness.differing == (hits.row == 0).sum()
+    assert witness.beyond == 0
+
+
+def test_pixels_without_a_ray_do_not_count(rocks):
+    _scene, _caster, rays, hits = rocks
+    known = np.zeros(len(hits.row), bool)
+    known[:100] = True
+    n = len(hits.row)
+    nothing = Visibility(np.full(n, NO_ROW, np.int32), np.zeros(n, np.int32))
+    witness = held(dataclasses.replace(rays, known=known), hits, nothing)
+    assert witness.pixels == 100
+    assert witness.differing == (hits.row[:100] != NO_ROW).sum()
+
+
+def test_a_witness_of_another_size_is_an_error(rocks):
+    _scene, _caster, rays, hits = rocks
+    with pytest.raises(BackendError, match="one per ray"):
+        held(rays, hits, Visibility(hits.row[1:], hits.face[1:]))
