@@ -259,8 +259,7 @@ class _Run:
                     with np.load(file) as arrays:
                         seen = Visibility(arrays["row"], arrays["face"])
                     caster.pose(sample)
-                    rays = camera_rays(camera)
-                    found.add(rays, caster.hits(rays), seen)
+                    found.add(caster, camera_rays(camera), seen)
 
     def _picture(
         self, file: str, name: str, first: Frame, second: Frame, flip_map: np.ndarray | None

@@ -1,40 +1,36 @@
 """Does a renderer see what the annotation says: its own first hits against the exact ones.
 
-A renderer works in float32, and a rasterizer rounds vertices to fractions of a pixel, so that its
-ray is the exact one moved by a hair. Where the two disagree, what that would take is measured, in
-pixels: the exact face can only be passed by over one of its edges (``skip``: how far the nearest
-one is from the ray; nothing, for a face whose picture is thinner than a pixel), and the face that
-is seen instead has to be reached (``reach``: how far it is from the ray). A disagreement that takes
-more than a hair is a mistake of the renderer's scene: a face that is missing, moved or extra.
+A renderer works in float32, and a rasterizer rounds vertices to fractions of a pixel: its ray is
+the exact one moved by a hair. So where the two disagree, exact rays are cast in a ring around the
+pixel's center, in wider and wider ones, until one of them answers as the renderer did: the least
+radius that explains the disagreement, in pixels. One that takes more than a hair is a mistake of
+the renderer's scene: a face that is missing, moved, extra or numbered wrongly.
 
-The hair is what float32 can do wrong: ``16 * 2**-24`` of the coordinates involved (vertices and
-origin are rounded once, the intersection takes a handful of operations), and at least 1/64 of a
-pixel. Two faces nearer to each other than that along the ray are as good as one.
+The hair is 1/64 of a pixel, or what float32 can do wrong where that is more: ``16 * 2**-24`` of the
+coordinates involved (vertices and origin are rounded once, the intersection takes a handful of
+operations). Faces that are smaller than a ring's step are met by no ray of it: there it is enough
+that the renderer's face lies within the radius, at a depth between those of the ring on its row.
 """
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from scenec.backends.contract import NO_ROW, Rays, Visibility
-from scenec.backends.exact.caster import Hits
-from scenec.backends.exact.intersect import (
-    distance_from_face,
-    hit_details,
-    ray_frame,
-    row_matrix,
-)
+from scenec.backends.exact.caster import ExactCaster, Hits
+from scenec.backends.exact.intersect import distance_from_face, ray_frame, row_matrix
 from scenec.schemas.errors import BackendError
 from scenec.schemas.threads import over_threads
 
 HAIR_FLOAT32 = 16.0 * 2.0**-24
 HAIR_PIXELS = 1.0 / 64.0
-#: Nothing less than a face of this thickness has to be met.
-_THIN_PIXELS = 1.0
+#: Radii of the rings, pixels.
+RADII = (1.0 / 1024.0, 1.0 / 256.0, HAIR_PIXELS, 1.0 / 16.0, 1.0 / 4.0, 1.0)
+_RAYS = 8
 
 
 @dataclass
@@ -44,7 +40,8 @@ class Witness:
     Attributes:
         pixels: Compared.
         differing: With another face, or a hit instead of none.
-        farthest_px: What the worst of these takes, pixels.
+        farthest_px: The largest radius that explains one of these: 0 or one of ``RADII``, more
+            where float32 is coarser; inf if none does.
         beyond: Those that take more than a hair.
         unseen: Frames whose rays the renderer cannot follow, or that it does not tell.
     """
@@ -55,13 +52,13 @@ class Witness:
     beyond: int = 0
     unseen: int = 0
 
-    def add(self, rays: Rays, hits: Hits, seen: Visibility) -> None:
+    def add(self, caster: ExactCaster, rays: Rays, seen: Visibility) -> None:
         """Count a picture.
 
         Args:
+            caster: Posed as at the sample.
             rays: Of the whole picture.
-            hits: The exact ones.
-            seen: The renderer's.
+            seen: What the renderer met along them.
 
         Raises:
             BackendError: Arrays that do not fit the rays.
@@ -72,94 +69,100 @@ class Witness:
                 f"the witness has {seen.row.shape} rows and {seen.face.shape} faces; expected "
                 f"({n},) of each, one per ray"
             )
+        hits = caster.hits(rays)
         apart = (seen.row != hits.row) | ((seen.face != hits.face) & (hits.row != NO_ROW))
         if rays.known is not None:
             apart &= rays.known
         index = np.flatnonzero(apart)
-        takes = np.empty(len(index))
-        over_threads(
-            _take,
-            len(index),
-            hits.geometry,
-            (rays.origins, rays.directions, rays.shape),
-            index,
-            (hits.row, hits.face, hits.t),
-            (seen.row.astype(np.int32), seen.face.astype(np.int32)),
-            takes,
-        )
+        radius, hair = _explain(caster, rays, hits, seen, index)
         self.pixels += n if rays.known is None else int(np.count_nonzero(rays.known))
         self.differing += len(index)
-        self.beyond += int(np.count_nonzero(takes > HAIR_PIXELS))
-        self.farthest_px = max(self.farthest_px, float(takes.max(initial=0.0)))
+        self.beyond += int(np.count_nonzero(radius > hair))
+        self.farthest_px = max(self.farthest_px, float(radius.max(initial=0.0)))
 
 
-@njit(cache=True, error_model="numpy")
-def _footprint(directions, shape, k):  # type: ignore[no-untyped-def]
-    """Distance between the rays of neighboring pixels at ray parameter 1; inf for one pixel."""
-    height, width = shape
-    x, y = k % width, k // width
-    size = 0.0
-    for axis in range(2):
-        other = k
-        if axis == 0 and width > 1:
-            other = k + 1 if x + 1 < width else k - 1
-        if axis == 1 and height > 1:
-            other = k + width if y + 1 < height else k - width
-        dx = directions[other, 0] - directions[k, 0]
-        dy = directions[other, 1] - directions[k, 1]
-        dz = directions[other, 2] - directions[k, 2]
-        size = max(size, math.sqrt(dx * dx + dy * dy + dz * dz))
-    return size if size > 0.0 else math.inf
+def _explain(
+    caster: ExactCaster, rays: Rays, hits: Hits, seen: Visibility, index: NDArray[np.int64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Least radii that explain some pixels' answers, and the hair there; float64 [k], pixels."""
+    row, face = seen.row[index].astype(np.int32), seen.face[index].astype(np.int32)
+    origins, directions = rays.origins[index], rays.directions[index]
+    t, reach = np.empty(len(index)), np.empty(len(index))
+    over_threads(
+        _nearest, len(index), hits.geometry, (origins, directions), (row, face), (t, reach)
+    )
+    across, down = _steps(rays)
+    across, down = across[index], down[index]
+    near = np.minimum(t, hits.t[index])
+    # A face that is not there, where nothing is: no radius explains it.
+    near = np.where(np.isfinite(near), near, 0.0)
+    pixel = near * np.sqrt(np.maximum((across * across).sum(axis=1), (down * down).sum(axis=1)))
+    magnitude = np.abs(origins).max(axis=1) + near * np.abs(directions).max(axis=1)
+    float32 = 2.0 * HAIR_FLOAT32 * magnitude
+    scale = np.maximum(1.0, float32 / np.where(pixel > 0.0, pixel, np.inf) / HAIR_PIXELS)
+    none = row == NO_ROW
+    # As near as float32 tells apart along the ray: either one is a fair answer.
+    length = np.abs(directions).max(axis=1)
+    tie = ~none & (reach <= float32) & (np.abs(t - hits.t[index]) * length <= float32)
+    radius = np.where(tie, 0.0, np.inf)
+    on_row = (hits.row[index] == row) & ~none
+    low = np.where(on_row, hits.t[index], np.inf)
+    high = np.where(on_row, hits.t[index], -np.inf)
+    for ring in RADII:
+        left = np.flatnonzero(np.isinf(radius))
+        if not len(left):
+            break
+        for turn in np.arange(_RAYS) * (2.0 * np.pi / _RAYS):
+            move = np.cos(turn) * across[left] + np.sin(turn) * down[left]
+            moved = directions[left] + (ring * scale[left])[:, None] * move
+            around = replace(
+                rays, origins=origins[left], directions=moved, shape=(1, len(left)),
+                depth=None, known=None,
+            )  # fmt: skip
+            row_there, face_there, t_there = caster.cast(around)
+            same = row_there == row[left]
+            found = same & (none[left] | (face_there == face[left]))
+            radius[left[found]] = np.minimum(radius[left[found]], ring * scale[left[found]])
+            on = left[same & ~none[left]]
+            low[on] = np.minimum(low[on], t_there[same & ~none[left]])
+            high[on] = np.maximum(high[on], t_there[same & ~none[left]])
+        slack = (high - low) + float32 / length
+        within = (t >= low - slack) & (t <= high + slack) & (reach <= ring * scale * pixel)
+        radius[within] = np.minimum(radius[within], (ring * scale)[within])
+    return radius, HAIR_PIXELS * scale
 
 
-@njit(cache=True, error_model="numpy")
-def _largest(v):  # type: ignore[no-untyped-def]
-    return max(abs(v[0]), max(abs(v[1]), abs(v[2])))
+def _steps(rays: Rays) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """From each ray's direction to those of the next column and row, float64 [n, 3] each."""
+    d = rays.directions.reshape(*rays.shape, 3)
+    across, down = np.zeros_like(d), np.zeros_like(d)
+    if d.shape[1] > 1:
+        across[:, :-1] = d[:, 1:] - d[:, :-1]
+        across[:, -1] = across[:, -2]
+    if d.shape[0] > 1:
+        down[:-1] = d[1:] - d[:-1]
+        down[-1] = down[-2]
+    return across.reshape(-1, 3), down.reshape(-1, 3)
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _take(first, last, g, rays, index, exact, seen, out):  # type: ignore[no-untyped-def]
-    """Pixels by which each ray would have to move for the renderer's answer, beyond float32's.
+def _nearest(first, last, g, rays, seen, found):  # type: ignore[no-untyped-def]
+    """Where and how far from each ray a face is.
 
     Args:
-        first, last: Range of ``index``.
+        first, last: Range of the rays.
         g: ``bvh.Geometry``.
-        rays: (origins float64 [n, 3], directions float64 [n, 3], (height, width)).
-        index: Pixels that differ, int64 [k].
-        exact: (row int32 [n], face int32 [n], t float64 [n]).
-        seen: (row int32 [n], face int32 [n]).
-        out: float64 [k]; inf for a face that is not there at all.
+        rays: (origins float64 [k, 3], directions float64 [k, 3]).
+        seen: (row int32 [k], face int32 [k]).
+        found: (t, distance), float64 [k]; inf for a face that is not there.
     """
-    origins, directions, shape = rays
-    for i in range(first, last):
-        k = index[i]
-        frame = ray_frame(origins[k], directions[k])
-        footprint = _footprint(directions, shape, k)
+    for k in range(first, last):
         row, face = seen[0][k], seen[1][k]
-        there = row != NO_ROW
-        reach, t = 0.0, math.inf
-        if there:
-            if not (0 <= row < g.row_face.shape[0] and 0 <= face < g.row_faces[row]):
-                out[i] = math.inf
-                continue
+        found[0][k] = np.inf
+        found[1][k] = np.inf
+        if 0 <= row < g.row_face.shape[0] and 0 <= face < g.row_faces[row]:
+            frame = ray_frame(rays[0][k], rays[1][k])
             matrix = row_matrix(g.to_world, row, frame[0], frame[1], frame[2])
-            t, reach = distance_from_face(g.points, g.faces[g.row_face[row] + face], matrix, frame)
-        pixel = min(exact[2][k], t) * footprint
-        float32 = (
-            HAIR_FLOAT32
-            * 2.0
-            * (_largest(origins[k]) + min(exact[2][k], t) * _largest(directions[k]))
-        )
-        skip = 0.0
-        # As near as float32 tells apart along the ray: either one is a fair answer.
-        if exact[0][k] != NO_ROW and t - exact[2][k] > float32 / _largest(directions[k]):
-            matrix = row_matrix(g.to_world, exact[0][k], frame[0], frame[1], frame[2])
-            _, margin, size = hit_details(
-                g.points, g.faces[g.row_face[exact[0][k]] + exact[1][k]], matrix, frame
+            found[0][k], found[1][k] = distance_from_face(
+                g.points, g.faces[g.row_face[row] + face], matrix, frame
             )
-            if size > _THIN_PIXELS * pixel:
-                skip = margin
-        out[i] = max(0.0, max(skip, reach) - float32) / pixel
-
-
-__all__ = ["HAIR_FLOAT32", "HAIR_PIXELS", "Witness"]

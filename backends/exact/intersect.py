@@ -154,37 +154,6 @@ def hit_parameter(points, face, matrix, frame):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def hit_details(points, face, matrix, frame):  # type: ignore[no-untyped-def]
-    """A hit with what surrounds it, for checks of what renderers see.
-
-    Args:
-        points: Local points, float32 [n, 3].
-        face: Vertex indices, int32 [3].
-        matrix: ``row_matrix`` in the axis order of ``frame``.
-        frame: ``ray_frame``.
-
-    Returns:
-        (t, margin, size): ``t`` is bit for bit that of ``hit_parameter``; ``margin`` is the
-        distance of the ray from the nearest edge's line and ``size`` the triangle's least altitude,
-        both in meters in the sheared plane (a plane of constant coordinate kz, so up to sqrt(3)
-        of the distance across the ray). A missed triangle has (inf, 0, 0).
-    """
-    a = _project(points[face[0]], matrix, frame)
-    b = _project(points[face[1]], matrix, frame)
-    c = _project(points[face[2]], matrix, frame)
-    u, v, w = _edges(a, b, c)
-    t = _parameter(a, b, c, u, v, w, frame[8])
-    if t == math.inf:
-        return t, 0.0, 0.0
-    bc = math.sqrt((b[0] - c[0]) ** 2 + (b[1] - c[1]) ** 2)
-    ca = math.sqrt((c[0] - a[0]) ** 2 + (c[1] - a[1]) ** 2)
-    ab = math.sqrt((a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2)
-    margin = min(abs(u) / bc, min(abs(v) / ca, abs(w) / ab))
-    size = abs((u + v) + w) / max(bc, max(ca, ab))
-    return t, margin, size
-
-
-@njit(cache=True, error_model="numpy")
 def _from_segment(a, b):  # type: ignore[no-untyped-def]
     """Where a segment is nearest to the ray: its distance, and how far along it lies (0 to 1)."""
     x, y = b[0] - a[0], b[1] - a[1]
@@ -207,8 +176,8 @@ def distance_from_face(points, face, matrix, frame):  # type: ignore[no-untyped-
 
     Returns:
         (t, distance): the ray parameter at which the triangle is nearest, at least 0, and how far
-        it is then, in meters in the sheared plane (see ``hit_details``); a triangle that is hit
-        has ``hit_parameter`` and 0.
+        it is then, in meters in the sheared plane (a plane of constant coordinate kz, so up to
+        sqrt(3) of the distance across the ray); a triangle that is hit has ``hit_parameter`` and 0.
     """
     a = _project(points[face[0]], matrix, frame)
     b = _project(points[face[1]], matrix, frame)

@@ -80,7 +80,7 @@ def assert_nearly_exact(scene: RenderScene, camera: Camera) -> None:
     assert np.mean(seen.row != row) < 1e-3
     assert np.mean(hit & ((seen.row != row) | (seen.face != face))) < 5e-3
     witness = Witness()
-    witness.add(rays, caster.hits(rays), seen)
+    witness.add(caster, rays, seen)
     assert (witness.pixels, witness.beyond) == (len(row), 0)
 
 

@@ -75,7 +75,7 @@ def test_what_differs_is_within_a_hair_of_an_edge():
     backend.load(scene)
     rays = camera_rays(scene.cameras[0][0])
     witness = Witness()
-    witness.add(rays, ExactCaster(scene).hits(rays), backend.witness(rays, 0))
+    witness.add(ExactCaster(scene), rays, backend.witness(rays, 0))
     assert (witness.pixels, witness.beyond) == (len(rays.origins), 0)
 
 

@@ -107,7 +107,7 @@ def seen_and_true(scene: RenderScene, **options: bool) -> tuple[float, float, bo
     caster = ExactCaster(scene)
     row, face, _ = caster.cast(rays)
     witness = Witness()
-    witness.add(rays, caster.hits(rays), seen)
+    witness.add(caster, rays, seen)
     right = witness.beyond == 0
     hit = row != NO_ROW
     other = seen.row != row

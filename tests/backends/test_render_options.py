@@ -14,9 +14,9 @@ from workers_here import here
 from scenec.backends.render import RenderReport, check_backend, render
 from scenec.cli import arguments, run_command
 from scenec.cli.main import main, parser
-from scenec.compiler.compile import compile_cfg
 from scenec.schemas.errors import BackendError
 from scenec.schemas.frames import Frame, read_frame
+from scenec.schemas.versions import version_of
 
 ANNOTATION = ("depth", "range", "instance", "normal", "position", "face")
 
@@ -71,15 +71,15 @@ def test_the_command_line_knows_all_devices():
 
 
 @pytest.mark.usefixtures("worker_here")
-def test_sidecar_and_report_say_where_it_ran_and_who_annotated(stage):
+def test_sidecar_and_report_say_where_it_ran_and_what_annotated(stage):
     report = run(stage, "plain", device="cpu")
     sidecar = read_frame(report.frames[0]).sidecar
     assert sidecar["device"] == report.device == "cpu"
     assert report.backend_version == "plain 1.0"
-    assert sidecar["annotation"] == {"backend": "plain", "version": "plain 1.0"}
+    assert sidecar["annotation"] == {"scenec": version_of()}
     assert sidecar["denoised"] is None
     assert sidecar["peak_memory_gb"] > 0.01
-    assert one(stage, "plain", passes=["rgb"]).sidecar["annotation"] is None
+    assert one(stage, "plain", passes=["rgb"]).sidecar.get("annotation") is None
 
 
 @pytest.mark.usefixtures("worker_here")

@@ -26,9 +26,9 @@ def rocks():
     return scene, caster, rays, caster.hits(rays)
 
 
-def held(rays, hits, seen) -> Witness:
+def held(caster, rays, seen) -> Witness:
     witness = Witness()
-    witness.add(rays, hits, seen)
+    witness.add(caster, rays, seen)
     return witness
 
 
@@ -41,28 +41,28 @@ def turned(rays, pixels):
 
 
 def test_the_exact_answer_differs_nowhere(rocks):
-    _scene, _caster, rays, hits = rocks
-    witness = held(rays, hits, Visibility(hits.row, hits.face))
+    _scene, caster, rays, hits = rocks
+    witness = held(caster, rays, Visibility(hits.row, hits.face))
     assert (witness.differing, witness.beyond, witness.farthest_px) == (0, 0, 0.0)
 
 
 @pytest.mark.parametrize("pixels", [1e-6, 1e-3, 0.9 * HAIR_PIXELS])
 def test_rays_moved_by_less_than_a_hair_pass(rocks, pixels):
-    _scene, caster, rays, hits = rocks
+    _scene, caster, rays, _hits = rocks
     moved = caster.hits(turned(rays, pixels))
-    witness = held(rays, hits, Visibility(moved.row, moved.face))
+    witness = held(caster, rays, Visibility(moved.row, moved.face))
     assert witness.beyond == 0
-    assert witness.farthest_px <= pixels
+    assert witness.farthest_px <= HAIR_PIXELS
     assert pixels < 1e-3 or witness.differing > 3
 
 
 @pytest.mark.parametrize("pixels", [0.1, 0.5, 1.0])
 def test_rays_moved_by_more_do_not(rocks, pixels):
-    _scene, caster, rays, hits = rocks
+    _scene, caster, rays, _hits = rocks
     moved = caster.hits(turned(rays, pixels))
-    witness = held(rays, hits, Visibility(moved.row, moved.face))
+    witness = held(caster, rays, Visibility(moved.row, moved.face))
     assert witness.beyond > 20
-    assert HAIR_PIXELS < witness.farthest_px <= pixels * 1.01
+    assert witness.farthest_px > HAIR_PIXELS
 
 
 def without(scene, row):
@@ -73,13 +73,13 @@ def without(scene, row):
 
 
 def test_one_stone_that_a_renderer_has_lost_is_found(rocks):
-    scene, _caster, rays, hits = rocks
+    scene, caster, rays, hits = rocks
     ids, pixels = np.unique(hits.row[hits.row > 0], return_counts=True)
     stone = ids[pixels == pixels[pixels > 8].min()][0]
     seen = ExactCaster(without(scene, stone)).hits(rays)
-    witness = held(rays, hits, Visibility(seen.row, seen.face))
+    witness = held(caster, rays, Visibility(seen.row, seen.face))
     assert witness.differing == (hits.row == stone).sum()
-    assert witness.beyond > 0
+    assert witness.beyond > 0.5 * witness.differing
 
 
 def test_one_stone_that_only_a_renderer_has_is_found(rocks):
@@ -87,18 +87,17 @@ def test_one_stone_that_only_a_renderer_has_is_found(rocks):
     ids, pixels = np.unique(hits.row[hits.row > 0], return_counts=True)
     stone = ids[pixels == pixels[pixels > 8].min()][0]
     caster = ExactCaster(without(scene, stone))
-    truth = caster.hits(rays)
-    witness = held(rays, truth, Visibility(hits.row, hits.face))
+    witness = held(caster, rays, Visibility(hits.row, hits.face))
     assert witness.beyond == witness.differing > 8
 
 
 def test_a_renderer_that_sees_nothing_or_nonsense_is_found(rocks):
-    _scene, _caster, rays, hits = rocks
+    _scene, caster, rays, hits = rocks
     n = len(hits.row)
     nothing = Visibility(np.full(n, NO_ROW, np.int32), np.zeros(n, np.int32))
-    assert held(rays, hits, nothing).beyond > 0.5 * (hits.row != NO_ROW).sum()
+    assert held(caster, rays, nothing).beyond > 0.9 * (hits.row != NO_ROW).sum()
     nonsense = Visibility(np.full(n, 10**6, np.int32), hits.face)
-    witness = held(rays, hits, nonsense)
+    witness = held(caster, rays, nonsense)
     assert witness.beyond == n
     assert np.isinf(witness.farthest_px)
 
@@ -108,26 +107,41 @@ def test_either_of_two_surfaces_in_one_place_is_a_fair_answer():
     m = scenes.affine(1.0, (3.0, 0.0, 0.0))
     scene = scenes.scene([scenes.mesh(ball, faces)], [(0, m), (0, m)])
     rays = camera_rays(scenes.camera(20, 14, 60.0))
-    hits = ExactCaster(scene).hits(rays)
+    caster = ExactCaster(scene)
+    hits = caster.hits(rays)
     assert (hits.row == 0).any()
     other = Visibility(np.where(hits.row == 0, 1, NO_ROW).astype(np.int32), hits.face)
-    witness = held(rays, hits, other)
+    witness = held(caster, rays, other)
     assert witness.differing == (hits.row == 0).sum()
     assert witness.beyond == 0
 
 
 def test_pixels_without_a_ray_do_not_count(rocks):
-    _scene, _caster, rays, hits = rocks
+    _scene, caster, rays, hits = rocks
     known = np.zeros(len(hits.row), bool)
     known[:100] = True
     n = len(hits.row)
     nothing = Visibility(np.full(n, NO_ROW, np.int32), np.zeros(n, np.int32))
-    witness = held(dataclasses.replace(rays, known=known), hits, nothing)
+    witness = held(caster, dataclasses.replace(rays, known=known), nothing)
     assert witness.pixels == 100
     assert witness.differing == (hits.row[:100] != NO_ROW).sum()
 
 
 def test_a_witness_of_another_size_is_an_error(rocks):
-    _scene, _caster, rays, hits = rocks
+    _scene, caster, rays, hits = rocks
     with pytest.raises(BackendError, match="one per ray"):
-        held(rays, hits, Visibility(hits.row[1:], hits.face[1:]))
+        held(caster, rays, Visibility(hits.row[1:], hits.face[1:]))
+
+
+def test_the_far_side_of_a_stone_is_no_fair_answer():
+    """What a renderer shows that culls the faces in front."""
+    ball, faces = scenes.icosphere(3)
+    scene = scenes.scene([scenes.mesh(ball, faces)], [(0, scenes.affine(1.0, (3.0, 0.0, 0.0)))])
+    rays = camera_rays(scenes.camera(60, 40, 60.0))
+    caster = ExactCaster(scene)
+    behind = dataclasses.replace(rays, origins=rays.origins + 9.0 * rays.directions,
+                                 directions=-rays.directions)  # fmt: skip
+    seen = caster.hits(behind)
+    witness = held(caster, rays, Visibility(seen.row, seen.face))
+    assert witness.differing > 300
+    assert witness.beyond > 0.8 * witness.differing
