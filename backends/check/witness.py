@@ -103,8 +103,8 @@ def _explain(
     none = row == NO_ROW
     # As near as float32 tells apart along the ray: either one is a fair answer.
     length = np.abs(directions).max(axis=1)
-    apart = np.abs(np.where(none, np.inf, t) - np.where(none, 0.0, hits.t[index]))
-    tie = (reach <= float32) & (apart * length <= float32)
+    with np.errstate(invalid="ignore"):
+        tie = (reach <= float32) & (np.abs(t - hits.t[index]) * length <= float32)
     radius = np.where(tie, 0.0, np.inf)
     on_row = (hits.row[index] == row) & ~none
     low = np.where(on_row, hits.t[index], np.inf)
