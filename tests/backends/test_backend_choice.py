@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from third_party import LEVEL, NOISE, install, square_stage
 
@@ -161,7 +161,6 @@ def test_well_spread_samples_lose_some_of_their_lead_to_rounds():
 
 
 # The first call imports SciPy.
-@settings(deadline=None)
 @given(
     st.floats(0.0, 10.0), st.floats(1e-4, 10.0),
     st.lists(st.integers(1, 1000), min_size=2, max_size=6, unique=True),

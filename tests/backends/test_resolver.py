@@ -20,6 +20,7 @@ from scenec.backends.rays import camera_rays
 from scenec.backends.reference import Reference
 from scenec.backends.resolver import NO_FACE, annotate, resolve, settle
 from scenec.schemas.errors import BackendError
+from scenec.schemas.threads import at_most
 
 ALL = ("label", "instance", "depth", "range", "normal", "position", "face")
 
@@ -174,14 +175,10 @@ def test_without_a_camera_or_visibility_every_ray_is_cast(rocks):
 def test_results_do_not_depend_on_the_number_of_threads(rocks):
     scene, caster, view, rays, truth = rocks
     visibility = dithered(truth, rays.shape, (0, 1))
-    threads = numba.get_num_threads()
     results = []
-    try:
-        for count in (1, numba.config.NUMBA_NUM_THREADS):
-            numba.set_num_threads(count)
+    for count in (1, numba.config.NUMBA_NUM_THREADS):
+        with at_most(count):
             results.append(resolve(scene, caster, rays, visibility, view, ALL))
-    finally:
-        numba.set_num_threads(threads)
     (one, one_statistics), (many, many_statistics) = results
     assert one_statistics == many_statistics
     for name, values in one.items():

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numba
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -15,6 +14,7 @@ from scenec.compiler.terrain.grid import Grid
 from scenec.compiler.terrain.smooth import Diffusion, Smooth
 from scenec.compiler.terrain.stream_power import StreamPower, implicit_slope
 from scenec.compiler.terrain.thermal import Thermal
+from scenec.schemas.threads import at_most
 
 RIVERS = StreamPower(1e-5, 0.5, 1.0, 0.0, 0.0, 1e-3, 1e6, 20, SIDES)
 REPOSE = np.tan(np.deg2rad(33.0))
@@ -156,7 +156,7 @@ def test_one_step_solves_its_equation_along_every_stream():
     factor=st.floats(0.0, 1e9),
     exponent=st.floats(0.2, 5.0),
 )
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 def test_the_implicit_slope_solves_its_equation(target, factor, exponent):
     x = implicit_slope(target, factor, exponent)
     assert 0.0 <= x <= target
@@ -318,10 +318,6 @@ def test_hillslope_diffusion_is_smoothing_by_its_length():
 @pytest.mark.parametrize("operator", [RIVERS, Thermal(20.0)])
 def test_erosion_does_not_depend_on_the_number_of_threads(operator):
     grid = Grid((500.0, 400.0), (41, 51))
-    before = numba.get_num_threads()
-    try:
-        numba.set_num_threads(1)
+    with at_most(1):
         alone = apply(operator, grid, rough(grid, 1, 50.0))
-    finally:
-        numba.set_num_threads(before)
     assert np.array_equal(alone, apply(operator, grid, rough(grid, 1, 50.0)))

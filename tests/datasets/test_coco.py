@@ -7,7 +7,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +17,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 from made_output import LABELS, make_output, some_passes
 from PIL import Image
+from processes import until
 from pycocotools import mask as coco_mask
 from pycocotools.coco import COCO
 from pycocotools.cocoeval import COCOeval
@@ -363,12 +363,8 @@ def test_an_export_that_was_killed_goes_on_to_the_same_bytes(tmp_path):
     )
     process = subprocess.Popen([sys.executable, "-c", script, str(out), str(tmp_path / "cut")])
     tasks = tmp_path / ".cut.partial" / "tasks"
-    limit = time.monotonic() + 120
-    while process.poll() is None and time.monotonic() < limit:
-        if tasks.is_dir() and len(list(tasks.glob("0*.json"))) >= 5:
-            process.send_signal(signal.SIGKILL)
-            break
-        time.sleep(0.002)
+    until(lambda: len(list(tasks.glob("0*.json"))) >= 5, process)
+    process.send_signal(signal.SIGKILL)
     process.wait()
     assert not (tmp_path / "cut").exists()
     report = export(out, "coco", tmp_path / "cut", workers=1)
@@ -403,7 +399,7 @@ pictures = arrays(
 )
 
 
-@settings(deadline=None, max_examples=300)
+@settings(max_examples=300)
 @given(pictures)
 def test_polygons_hold_every_mask_exactly_as_pycocotools_fills_them(picture):
     h, w = picture.shape
@@ -414,7 +410,7 @@ def test_polygons_hold_every_mask_exactly_as_pycocotools_fills_them(picture):
         assert (filled == (picture == number)).all()
 
 
-@settings(deadline=None, max_examples=100)
+@settings(max_examples=100)
 @given(pictures)
 def test_polygons_enclose_as_many_pixels_as_the_mask_has(picture):
     """By the shoelace formula: a slit encloses nothing, whichever rule a reader fills by."""

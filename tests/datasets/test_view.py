@@ -117,7 +117,7 @@ def test_the_picture_is_the_developed_one_to_jpegs_error(tmp_path):
     assert np.abs(difference).max() <= 6
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     arrays.arrays(
         np.float32,
@@ -138,7 +138,7 @@ def test_any_depth_comes_back_within_its_stated_error(depth, bits):
     assert (np.abs(found[hit] / depth[hit].astype(float) - 1) <= bound).all()
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     arrays.arrays(
         np.uint32,

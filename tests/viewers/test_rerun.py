@@ -20,7 +20,7 @@ from scenec.schemas.errors import FrameError, OutputError
 def tool(*words: str) -> str:
     """What ``rerun rrd ...`` prints."""
     command = [sys.executable, "-m", "rerun", "rrd", *words]
-    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=120)
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
     return done.stdout + done.stderr
 
 
