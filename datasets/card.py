@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from scenec.datasets import card_tables as tables
+from scenec.datasets.formats.contract import Narrowed
 from scenec.schemas.files import atomic
 from scenec.schemas.frames import CONVENTIONS
 
@@ -207,6 +208,9 @@ def _making(summary: dict[str, Any], statistics: dict[str, Any]) -> str:
         rows.append(("kept", f"{instances['kept']:,} of {instances['seen']:,} instances"))
     for what, count in summary.get("left_out", {}).items():
         rows.append(("left out by the format", f"{count:,} {what}"))
+    for what, one in summary["narrowed"].items():
+        counts = Narrowed(one["lost"], one["of"], one["most"])
+        rows.append(("lost by the format", counts.text(what, one["mend"])))
     if summary["fault_count"]:
         kinds = sorted({fault["kind"] for fault in summary["faults"]})
         rows.append(("frames left out", f"{summary['fault_count']:,} ({', '.join(kinds)})"))

@@ -17,6 +17,7 @@ from __future__ import annotations
 import csv
 import fcntl
 import hashlib
+import itertools
 import json
 import shutil
 from collections.abc import Callable, Iterator
@@ -28,7 +29,7 @@ from typing import Any
 from scenec.datasets.card import write_card
 from scenec.datasets.export_plan import FAULTS, Choice, Plan, make_plan
 from scenec.datasets.filters import Tally
-from scenec.datasets.formats.contract import Done, Task
+from scenec.datasets.formats.contract import Done, Narrowed, Task
 from scenec.datasets.formats.registry import find_format
 from scenec.datasets.pictures import counted, vouch
 from scenec.datasets.source import FrameFault, LoadedFrame, kind_of
@@ -80,6 +81,7 @@ class ExportReport:
         tally: Of instances.
         faults: Frames left out, with the reason.
         left_out: What the format could not hold: what it was -> how many.
+        narrowed: Values that it has no room for, of those that it writes as whole numbers.
         digest: Over all annotation, the same on every machine: see ``export.json``.
     """
 
@@ -92,6 +94,7 @@ class ExportReport:
     tally: Tally = field(default_factory=Tally)
     faults: list[FrameFault] = field(default_factory=list)
     left_out: dict[str, int] = field(default_factory=dict)
+    narrowed: dict[str, Narrowed] = field(default_factory=dict)
     digest: str = ""
 
 
@@ -161,6 +164,8 @@ def export(
         _finish(plan, partial, report)
     for what, number in report.left_out.items():
         say(f"warning: left out: {number} {what}")
+    for what, one in report.narrowed.items():
+        say(f"warning: {one.text(what, plan.format().mend(one.most))}")
     return report
 
 
@@ -295,14 +300,16 @@ class _Run:
         files: list[list[Any]] = []
         record = None
         left_out: dict[str, int] = {}
+        narrowed: dict[str, Any] = {}
         if first is not None:
             form = self.plan.format()
-            told = counted(_chain(first, frames), form, left_out)
+            told = counted(itertools.chain((first,), frames), form, left_out)
             written = form.write(task, told, data, scratch)
             # What a format does not look at is in the dataset all the same.
             for _ in told:
                 pass
             record, left_out = written.record, {**left_out, **written.left_out}
+            narrowed = {what: asdict(one) for what, one in written.narrowed.items()}
             files = [
                 [n, (data / n).stat().st_size, written.digests.get(n) or sha256(data / n)]
                 for n in written.files
@@ -314,6 +321,7 @@ class _Run:
                 "files": files,
                 "record": record,
                 "left_out": left_out,
+                "narrowed": narrowed,
                 "index": lines,
                 "faults": [asdict(fault) for fault in faults],
                 "tally": asdict(tally),
@@ -351,11 +359,6 @@ class _Run:
             tally.add(seen, int((~frame.ignored).sum()), rejected)
             statistics.add(measure(frame))
             yield frame
-
-
-def _chain(first: LoadedFrame, rest: Iterator[LoadedFrame]) -> Iterator[LoadedFrame]:
-    yield first
-    yield from rest
 
 
 def _index_line(frame: LoadedFrame, split: str) -> list[str]:
@@ -421,6 +424,7 @@ def _finish(plan: Plan, partial: Path, report: ExportReport) -> None:
             f"{plan.out}: not one of {len(report.faults)} frames can be read; the first: "
             f"{report.faults[0].message}"
         )
+    report.narrowed = {what: one for what, one in report.narrowed.items() if one.lost}
     settled = plan.format().settle(records)
     _note_left_out(report, settled.left_out)
     settle(plan.format_name, data, sums, settled.moved)
@@ -449,6 +453,8 @@ def _add_up(report: ExportReport, task: Task, entry: dict[str, Any]) -> None:
     report.splits[task.split] += len(entry["index"])
     report.tally.add(**entry["tally"])
     _note_left_out(report, entry["left_out"])
+    for what, one in entry["narrowed"].items():
+        report.narrowed[what] = report.narrowed.get(what, Narrowed()) + Narrowed(**one)
     report.faults.extend(FrameFault(**fault) for fault in entry["faults"])
 
 
@@ -482,6 +488,10 @@ def _summary(plan: Plan, report: ExportReport, digests: dict[str, str]) -> dict[
         "batches": {str(batch): split for batch, split in plan.split_of.items()},
         "instances": asdict(report.tally),
         "left_out": report.left_out,
+        "narrowed": {
+            what: {**asdict(one), "mend": plan.format().mend(one.most)}
+            for what, one in report.narrowed.items()
+        },
         "faults": [asdict(fault) for fault in report.faults[:_LISTED_FAULTS]],
         "fault_count": len(report.faults),
         "digest": digests,

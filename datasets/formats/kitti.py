@@ -35,7 +35,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.datasets.formats import trajectory
-from scenec.datasets.formats.contract import Done, Format, Info, Option, Settled, Task, Written
+from scenec.datasets.formats.contract import (
+    Done,
+    Format,
+    Info,
+    Narrowed,
+    Option,
+    Settled,
+    Task,
+    Written,
+)
 from scenec.datasets.formats.depth_png import LARGEST, to_16_bits, write_png
 from scenec.datasets.formats.motion_png import encode_disparity, encode_flow, write_rgb16
 from scenec.datasets.formats.poses import (
@@ -190,6 +199,8 @@ class Kitti(Format):
                 write_png(folder / path, depth.steps)
                 written.files.append(path)
                 counts += depth.hits, depth.beyond, depth.under
+                for what, lost in depth.narrowed.items():
+                    written.narrowed[what] = written.narrowed.get(what, Narrowed()) + lost
             if self.option("flow") != "no":
                 path = f"{place}/flow_{side + 2}/{name}"
                 flows.append(self._flow(frame, following, folder, path, written))
@@ -352,6 +363,10 @@ class Kitti(Format):
                 f"{name}: its resolution, intrinsics or the place of the second camera are not "
                 "those of the frames before, and format kitti has one of each a sequence"
             )
+
+    def mend(self, most: float) -> str:
+        """The benchmark has one scale."""
+        return f"the farthest is {most:.5g} m, and KITTI has one scale: --format tum has a free one"
 
     def usage(self) -> str:
         """The layout, the conventions."""
