@@ -295,8 +295,9 @@ def _role(path: Path) -> str:
         STAGE: "root layer: open this",
         "terrain.usdc": "terrain",
         f"terrain{LAYER_SUFFIX}": "mix of the ground's materials, for MaterialX",
-        "lights.usda": "suns, sky and lamps",
-        "cameras.usda": "rigs, cameras, render products",
+        "lights.usdc": "suns, sky and lamps",
+        "sky.usdc": "labels of the sky, and haze",
+        "cameras.usdc": "rigs, cameras, render products, times of the samples",
         REPORT: "error of every pass, counts, what was left out",
         LEFT_OUT: "why each instance is in the stage or is not",
     }[path.name]

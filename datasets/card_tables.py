@@ -88,6 +88,10 @@ def levels(found: Mapping[str, Any]) -> str:
     return "\n".join(parts)
 
 
+#: ``maxDets`` of pycocotools' COCOeval, where nobody sets it.
+_COCO_DETECTIONS = 100
+
+
 def instances(found: Mapping[str, Any]) -> str:
     """Classes of instances, and histograms over all of them."""
     rows = [
@@ -102,6 +106,15 @@ def instances(found: Mapping[str, Any]) -> str:
         "\n*Seen* counts an instance once for each frame that shows it, *distinct* once for its "
         "batch.\n"
     )
+    most = found["most_in_a_frame"]
+    text += f"No frame shows more than {most:,}.\n"
+    if most > _COCO_DETECTIONS:
+        text += (
+            f"COCOeval judges the best {_COCO_DETECTIONS} detections of a category in a picture, "
+            f"unless it is told: set `params.maxDets = [1, {_COCO_DETECTIONS}, {most}]`. The first "
+            f"line of its summary stays that of {_COCO_DETECTIONS}; "
+            "`eval['precision'][..., -1]` has them all.\n"
+        )
     if found["ignored"]:
         text += f"{found['ignored']:,} are marked as not to be judged, and not counted here.\n"
     titles = {

@@ -49,8 +49,11 @@ _VAR_TYPES = {
 
 
 def write_cameras(path: Path, scene: Scene) -> None:
-    """Writes ``cameras.usda``: rigs, cameras, and a RenderProduct for each camera."""
+    """Writes ``cameras.usdc``: rigs, cameras, a RenderProduct for each camera, samples' times."""
     with new_layer(path) as stage:
+        world = stage.GetDefaultPrim()
+        time = world.CreateAttribute(names.ATTR_TIME, Sdf.ValueTypeNames.Double, custom=True)
+        author(time, scene.times.tolist())
         UsdGeom.Scope.Define(stage, RIGS)
         products = []
         for rig in scene.rigs:

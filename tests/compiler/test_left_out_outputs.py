@@ -49,8 +49,9 @@ SCHEMAS = {
     "MaterialBindingAPI ShapingAPI MaterialXConfigAPI ColorSpaceAPI": COLOR,
 }
 FILES = {
-    "looks/* lights.usda *.mtlx.usda textures/*": COLOR,
-    "objects/* stage.usda terrain.usdc cameras.usda report.json": ALWAYS,
+    "looks/* lights.usdc *.mtlx.usda textures/*": COLOR,
+    "sky.usdc": COLOR | LABELS,
+    "objects/* stage.usda terrain.usdc cameras.usdc report.json": ALWAYS,
 }
 #: All below these.
 OF_COLOR = ("/World/Lights", "/World/Looks", "/World/GroundMix")
@@ -239,7 +240,7 @@ def test_geometric_outputs_need_geometry_and_nothing_else(tmp_path):
     kept = made(tmp_path, ("range", "normal", "position", "face", "flow", "occlusion"))
     asked = [p for p in kept.rglob("*") if p.is_file()]
     assert sorted(p.name for p in asked) == [
-        "boxes.usdc", "cameras.usda", "report.json", "rocks.usdc", "stage.usda", "terrain.usdc"
+        "boxes.usdc", "cameras.usdc", "report.json", "rocks.usdc", "stage.usda", "terrain.usdc"
     ]  # fmt: skip
     assert all(needs == ALWAYS for needs in properties(kept).values())
 

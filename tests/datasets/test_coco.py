@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import copy
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -144,6 +146,27 @@ def test_the_truth_held_against_itself_scores_one(tmp_path, capsys, kind, segmen
     judged.accumulate()
     judged.summarize()
     assert judged.stats[0] == 1.0
+
+
+def test_the_card_says_how_many_detections_have_to_be_judged(tmp_path, capsys):
+    passes = blank(24, 48)
+    passes["label.class"][:] = 3
+    passes["instance"][:] = 1 + np.arange(24)[:, None] // 2 * 12 + np.arange(48) // 4
+    coco = one_frame(tmp_path, passes)
+    (words,) = re.findall(r"maxDets = \[(.*?)\]", (tmp_path / "set/README.md").read_text())
+    assert words == "1, 100, 144"
+    found = [
+        {key: a[key] for key in ("image_id", "category_id", "segmentation")} | {"score": 0.9}
+        for a in coco.dataset["annotations"]
+    ]
+    recalled = []
+    for most in ([1, 10, 100], [int(word) for word in words.split(",")]):
+        judged = COCOeval(coco, coco.loadRes(copy.deepcopy(found)), "segm")
+        judged.params.maxDets = most
+        judged.evaluate()
+        judged.accumulate()
+        recalled.append(judged.eval["recall"][:, :, 0, -1].mean())
+    assert recalled == pytest.approx([100 / 144, 1.0])
 
 
 @pytest.mark.parametrize("segmentation", ["rle", "polygon"])
