@@ -23,8 +23,6 @@ NO_ROW = -1
 #: Light paths end after this many bounces in every renderer: sun or sky, the surface that is seen,
 #: up to four surfaces between.
 BOUNCES = 4
-#: What ``--device`` takes; each backend names those it has in ``Backend.devices``.
-DEVICES = ("auto", "cpu", "cuda", "optix")
 
 
 @dataclass(frozen=True)
@@ -94,6 +92,7 @@ class Backend(Protocol):
     #: Name on the command line.
     name: str
     #: Devices that can be asked for beside "auto", such as ("cpu", "cuda").
+    #: What ``--device`` takes beside "auto".
     devices: tuple[str, ...]
     #: Where it runs: one of ``devices``.
     device: str

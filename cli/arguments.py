@@ -12,9 +12,6 @@ PASSES = (
     *("disparity", "disparity_occlusion", "depth_measured"),
 )
 
-#: As in ``scenec.backends.contract``, for the same reason.
-DEVICES = ("auto", "cpu", "cuda", "optix")
-
 
 def seed(text: str) -> int:
     """A whole number from 0 to 2^64 - 1."""
@@ -126,9 +123,10 @@ def add_render_options(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--device",
-        choices=DEVICES,
+        metavar="NAME",
         default="auto",
-        help="where the renderer runs (default: auto, the fastest that works here)",
+        help="where the renderer runs: cpu, cuda, or what else it has (default: auto, the fastest "
+        "that works here)",
     )
     parser.add_argument(
         "--denoise",

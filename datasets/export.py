@@ -36,6 +36,7 @@ from scenec.datasets.source import FrameFault, LoadedFrame, kind_of
 from scenec.datasets.statistics import Statistics, measure
 from scenec.datasets.sums import SUMS, note, settle, tidy, write_sums
 from scenec.datasets.workers import default_workers, in_processes
+from scenec.schemas.csv_cells import guarded_line
 from scenec.schemas.errors import FrameError, OutputError
 from scenec.schemas.files import replace_folder, sha256, write_json
 
@@ -409,7 +410,7 @@ def _finish(plan: Plan, partial: Path, report: ExportReport) -> None:
         index = csv.writer(index_file, lineterminator="\n")
         index.writerow(INDEX_COLUMNS)
         for task, entry in records.entries():
-            index.writerows(entry["index"])
+            index.writerows(map(guarded_line, entry["index"]))
             for line in entry["index"]:
                 annotation.update(f"{line[0]} {line[7]}\n".encode())
                 pictures.update(f"{line[0]} {line[8]}\n".encode())
@@ -420,10 +421,7 @@ def _finish(plan: Plan, partial: Path, report: ExportReport) -> None:
                     statistics.close(batch)
             note(plan.format_name, sums, {name: digest for name, _, digest in entry["files"]})
     if not report.frames:
-        raise FrameError(
-            f"{plan.out}: not one of {len(report.faults)} frames can be read; the first: "
-            f"{report.faults[0].message}"
-        )
+        raise FrameError.none_readable(plan.out, len(report.faults), report.faults[0].message)
     report.narrowed = {what: one for what, one in report.narrowed.items() if one.lost}
     settled = plan.format().settle(records)
     _note_left_out(report, settled.left_out)

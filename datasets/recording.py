@@ -43,10 +43,12 @@ class Recording:
     Attributes:
         frames: How many.
         faults: How many could not be read.
+        first_fault: What was wrong with the first of them.
     """
 
     frames: int = 0
     faults: int = 0
+    first_fault: str = ""
 
 
 def log_frames(
@@ -69,7 +71,8 @@ def log_frames(
         warn: Called with a line a fault.
 
     Raises:
-        FrameError: There are no frames, or one is faulty and ``faults`` is ``stop``.
+        FrameError: There are no frames, none can be read, or one is faulty and ``faults`` is
+            ``stop``.
         OutputError: Rerun is not installed, its viewer does not start, a label id has more than 16
             bits, or the recording cannot be written.
     """
@@ -128,6 +131,7 @@ def _log_all(
                 raise
             warn(str(error))
             report.faults += 1
+            report.first_fault = report.first_fault or str(error)
             continue
         entity = f"/{ref.batch_name}/{ref.camera}"
         if (ref.batch_name, ref.camera) not in told:
@@ -140,6 +144,8 @@ def _log_all(
         _log(rerun, stream, entity, frame)
         report.frames += 1
         progress(number, len(source.frames), ref.name)
+    if not report.frames:
+        raise FrameError.none_readable(source.out, len(source.frames), report.first_fault)
 
 
 def _context(table: dict[int, str]) -> list[tuple[int, str, tuple[int, int, int]]]:

@@ -30,6 +30,7 @@ from scenec.datasets.export import (
     SUMS,
 )
 from scenec.datasets.source import Source
+from scenec.schemas.csv_cells import unguarded
 from scenec.schemas.errors import FrameError, OutputError
 from scenec.schemas.files import sha256, tree
 from scenec.schemas.manifest import MANIFEST, STAGE_SUFFIXES
@@ -219,7 +220,7 @@ def _index(folder: Path) -> list[dict[str, str]]:
         raise OutputError(f"{path}: cannot be read: {error}") from error
     if any(line.get(name) is None for line in lines for name in INDEX_COLUMNS):
         raise OutputError(f"{path}: expected the columns {', '.join(INDEX_COLUMNS)} in each line")
-    return lines
+    return [{name: unguarded(line[name]) for name in INDEX_COLUMNS} for line in lines]
 
 
 def _contradictions(folder: Path, summary: dict[str, Any]) -> Iterator[Flaw]:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scenec.datasets.formats.contract import Format, Option
 from scenec.datasets.pictures import picture
 from scenec.datasets.source import FrameRef, LoadedFrame
+from scenec.schemas.csv_cells import guarded_line
 from scenec.schemas.errors import FrameError, OutputError
 from scenec.schemas.files import atomic
 from scenec.schemas.picture import write_png
@@ -210,4 +211,4 @@ def write_table(path: Path, columns: Sequence[str], lines: Iterable[Sequence[obj
     with atomic(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(columns)
-        writer.writerows(lines)
+        writer.writerows(map(guarded_line, lines))

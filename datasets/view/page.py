@@ -93,7 +93,8 @@ def write_view(
         warn: Called with a line a fault.
 
     Raises:
-        FrameError: There are no frames, or one is faulty and ``faults`` is ``stop``.
+        FrameError: There are no frames, none can be read, or one is faulty and ``faults`` is
+            ``stop``.
         OutputError: The page cannot be written, or not within its budget.
     """
     sources = _sources(out, backends)
@@ -193,6 +194,8 @@ class _Book:
             self._add(file, number, made)
             name = self._tasks[number].ref.name
             self._progress(number + 1, total, name)
+        if not self.report.frames:
+            raise FrameError.none_readable(self._out, total, self.report.faults[0][2])
         self._note_strays()
         self._write_maps(file, pool, ground)
         self._element(file, "index", plain_json(self._index()))

@@ -81,6 +81,11 @@ def test_labels_beyond_16_bits_and_faulty_frames_are_errors(tmp_path):
     with pytest.raises(FrameError, match="000001"):
         log_frames(out, save=tmp_path / "none.rrd", faults="stop")
     assert not (tmp_path / "none.rrd").exists()
+    for path in out.rglob("*.exr"):
+        path.write_bytes(b"")
+    with pytest.raises(FrameError, match=r"not one of 4 frames can be read; the first: .*000000"):
+        log_frames(out, save=tmp_path / "none.rrd")
+    assert not (tmp_path / "none.rrd").exists()
 
 
 def test_without_rerun_one_line_says_what_to_install(tmp_path, monkeypatch):
