@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 from pathlib import Path
 
 from scenec.cli.explain_passes import precision_text
@@ -51,6 +52,13 @@ def compile_now(options: argparse.Namespace) -> CompileReport:
                 f"view, over {facts['precision']['extent_m']:g} m; make the terrain smaller, or "
                 "keep cameras farther from it"
             )
+        for place, entry in enumerate(facts["relief"]):
+            if entry.get("error_rms_m", 0.0) > entry.get("error_aim_m", math.inf):
+                say(
+                    f"{name}: warning: /terrain/relief/{place} ({entry['type']}) errs by about "
+                    f"{entry['error_rms_m']:.2g} m rms after {entry['steps']:,} steps, its aim is "
+                    f"{entry['error_aim_m']:.2g} m; raise steps, or error_m"
+                )
     for line in report.strays:
         say(f"warning: {line}")
     if report.unchanged:

@@ -100,7 +100,7 @@ def test_every_error_of_the_report_is_printed(output):
         for path, value in errors(batch.report)
         # Stands in another unit beside, or belongs to one level of detail (--why).
         if not re.search(
-            r"levels|lod_error_max_m|height_error_(max|rms)_m|surface_error_max_m", path
+            r"levels|lod_error_max_m|height_error_(max|rms)_m|surface_error_found_m", path
         )
         and not path.endswith(("surface_error_99_9_px", "seating_error_max_m"))
     ]

@@ -161,7 +161,7 @@ def test_the_implicit_slope_solves_its_equation(target, factor, exponent):
     x = implicit_slope(target, factor, exponent)
     assert 0.0 <= x <= target
     # Between its neighbors the left side passes the target.
-    low, high = x * (1 - 1e-9), x * (1 + 1e-9) + 1e-200
+    low, high = max(x * (1 - 1e-9) - 1e-200, 0.0), x * (1 + 1e-9) + 1e-200
     assert low + factor * low**exponent <= target * (1 + 1e-12)
     assert high + factor * high**exponent >= target * (1 - 1e-9) - 1e-12 * target
 
