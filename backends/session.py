@@ -252,7 +252,7 @@ class Session:
         arrays, details, listed, surfaces = self._render(
             camera, sample, key.passes, key.spp, seed, key.denoise, seen, _target(key)
         )
-        details["exposure"] = exposure
+        details |= {} if exposure is None else {"exposure": exposure}
         for step, seconds in metering.items():
             details["seconds"][step] = details["seconds"].get(step, 0.0) + seconds
         peak = memory.peak()
