@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import tempfile
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import ExitStack, suppress
@@ -9,6 +10,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from scenec.backends import brightness
 from scenec.backends.asked import (
     IN_PROCESS,
     check_backend,
@@ -253,6 +255,7 @@ class _Run:
                     before = number * jobs.count
                     total = self._batches * jobs.count
                     self._progress(before + index + 1, total, text)
+            self._brightness(batch, jobs)
             for process in (worker, *([annotator.worker] if annotator else [])):
                 report.deaths += process.deaths
                 report.replaced += process.replaced
@@ -275,6 +278,21 @@ class _Run:
             # Once a render: other batches have them for the same reason.
             self._in_output = False
             self._note(told(found))
+
+    def _brightness(self, batch: Batch, jobs: Jobs) -> None:
+        """Notes cameras whose pictures are black or burnt out."""
+        if not jobs.rgb:
+            return
+        sidecars: dict[str, list[dict[str, Any]]] = {}
+        for job in jobs:
+            # What was given up, or was deleted meanwhile, shows nothing.
+            with suppress(OSError, ValueError):
+                sidecar = json.loads(job.stem.with_suffix(".json").read_bytes())
+                sidecars.setdefault(job.camera, []).append(brightness.brief(sidecar))
+        for camera, found in sidecars.items():
+            line = brightness.told(found)
+            if line is not None:
+                self._note(f"{batch.name}/{camera}: {line}")
 
     def _worker(self) -> WorkerProcess:
         return WorkerProcess(self._note, self._limits, self._say)

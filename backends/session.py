@@ -18,6 +18,7 @@ from scenec.backends import bands, memory
 from scenec.backends.bare import bare
 from scenec.backends.contract import Backend, Radiance, Rays, Visibility
 from scenec.backends.exact import ExactCaster
+from scenec.backends.exposure import Meter
 from scenec.backends.frames import write_frame
 from scenec.backends.instances import Instances, Seen
 from scenec.backends.rays import camera_rays, ray_down
@@ -58,6 +59,7 @@ class Session:
         self.backend = backend
         self._annotator = backend if annotator is None else annotator
         self._caster: ExactCaster | None = None
+        self._meter = Meter(scene)
         self._loaded: set[str] = set()
         #: Whether ``rgb`` may be asked for: without, renderers need no materials and no light.
         self.pictures = True
@@ -156,8 +158,8 @@ class Session:
         denoise: bool,
         seen: Mapping[str, Any] | None,
         target: Target | None = None,
-    ) -> tuple[dict[str, NDArray], dict[str, Any], Seen | None]:
-        """As ``render``, and what is seen of instances where ``instance`` is among the passes."""
+    ) -> tuple[dict[str, NDArray], dict[str, Any], Seen | None, NDArray[np.bool_] | None]:
+        """As ``render``, what is seen of instances (with ``instance``), and where surfaces are."""
         seconds: dict[str, float] = dict(seen["seconds"]) if seen else {}
         details: dict[str, Any] = {
             "device": self.backend.device,
@@ -205,7 +207,7 @@ class Session:
         if radiance is not None:
             veil = self._veil(radiance, camera, sample, settled, details)
             arrays["rgb"] = self._compose(radiance, camera, sample, veil, details, rounds)
-        return arrays, details, listed
+        return arrays, details, listed, None if radiance is None else radiance.coverage > 0.0
 
     def write_instances(self, folder: Path) -> None:
         """Write the batch's table of instances, unless it is there.
@@ -240,9 +242,19 @@ class Session:
         """
         camera = self._camera(camera_index, sample)
         memory.reset_peak()
-        arrays, details, listed = self._render(
+        exposure, metering = None, dict[str, float]()
+        if "rgb" in key.passes:
+            with _timed(metering, "exposure"):
+                camera, exposure = self._meter.exposed(
+                    camera, sample, lambda: self._exact(metering)
+                )
+            metering["exposure"] -= metering.get("load", 0.0)
+        arrays, details, listed, surfaces = self._render(
             camera, sample, key.passes, key.spp, seed, key.denoise, seen, _target(key)
         )
+        details |= {} if exposure is None else {"exposure": exposure}
+        for step, seconds in metering.items():
+            details["seconds"][step] = details["seconds"].get(step, 0.0) + seconds
         peak = memory.peak()
         details["peak_memory_gb"] = None if peak is None else round(peak / memory.GB, 3)
         if choice is not None:
@@ -254,9 +266,9 @@ class Session:
 
             with _timed(details["seconds"], "imaging"):
                 taken = take(arrays["rgb"], camera, camera.imaging, sample)
-        start = time.perf_counter()
-        write_frame(stem, arrays, key, self.scene, camera, sample, details, listed, taken)
-        details["seconds"]["write"] = time.perf_counter() - start
+        with _timed(details["seconds"], "write"):
+            more = details, listed, taken, surfaces
+            write_frame(stem, arrays, key, self.scene, camera, sample, *more)
         return details
 
     def see_to(self, file: Path, camera_index: int, sample: int) -> dict[str, Any]:

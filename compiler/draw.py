@@ -277,15 +277,20 @@ def _sensor(
     mount = resolve(cfg["mount"], streams, f"{path}/mount")
     trigger = cfg.get("trigger", {"every": 1, "first": 0})
     imaging = draw_imaging(cfg.get("imaging"), streams, f"{path}/imaging", samples)
-    metered = cfg["exposure"]["type"] == "incident"
-    key = "ev_offset" if metered else "ev"
+    exposure = cfg["exposure"]
+    key = {"incident": "ev_offset", "fixed": "ev"}.get(exposure["type"])
     return SensorPlan(
         name=name,
         resolution=(width, height),
         intrinsics=intrinsics,
         to_rig=from_euler(tuple(mount["position_m"]), tuple(mount["rotation_deg"])),
-        metered=metered,
-        ev=per_sample(cfg["exposure"][key], streams, f"{path}/exposure/{key}", samples),
+        metered=exposure["type"] != "fixed",
+        ev=(
+            np.zeros(samples)
+            if key is None
+            else per_sample(exposure[key], streams, f"{path}/exposure/{key}", samples)
+        ),
+        exposure_per=exposure["per"] if exposure["type"] == "auto" else None,
         outputs=tuple(cfg["outputs"]),
         partner=cfg.get("partner"),
         depth_camera=draw_depth_camera(cfg.get("depth_camera"), f"{path}/depth_camera", streams),

@@ -146,6 +146,12 @@ ATTR_DEPTH_MODEL = "scenec:depthCamera:model"
 ATTR_DEPTH_NUMBERS = "scenec:depthCamera:numbers"
 ATTR_DEPTH_KEY = "scenec:depthCamera:noise:key"
 
+#: On a camera. token: renderers find its exposure, one for the "batch" or each "sample", and what
+#: UsdGeomCamera's attributes of exposure say is for viewers; not authored: they are followed, and
+#: where none of them is authored either it is "batch".
+ATTR_EXPOSURE_PER = "scenec:exposure:per"
+EXPOSURES_PER = ("batch", "sample")
+
 #: On a camera whose picture is not of one instant. double, time-sampled: how long each row is
 #: exposed, seconds; double, 0 where not authored: how much later the last row's border is exposed
 #: than the first row's; token, "down" where not authored, or "up": where the first row is. Time

@@ -109,7 +109,7 @@ def _camera(request: _Request, frame: StageFrame, time: Usd.TimeCode) -> Camera:
         raise StageError(
             f"{prim.GetPath()}: a camera needs a resolution and an invertible transform"
         )
-    exposure = UsdGeom.Camera(prim).GetExposureAttr().Get(time)
+    ev, per = _exposure(prim, time)
     return Camera(
         name=request.name,
         path=str(prim.GetPath()),
@@ -117,7 +117,8 @@ def _camera(request: _Request, frame: StageFrame, time: Usd.TimeCode) -> Camera:
         height=size[1],
         intrinsics=_intrinsics(prim, size, time),
         camera_to_world=pose,
-        exposure_ev=float(exposure or 0.0),
+        exposure_ev=ev,
+        exposure_per=per,
         outputs=request.outputs,
         partner=_partner(prim),
         trigger=read_trigger(prim),
@@ -127,6 +128,45 @@ def _camera(request: _Request, frame: StageFrame, time: Usd.TimeCode) -> Camera:
         shutter=read_shutter(prim, frame, time, pose),
         focus=_focus(prim, frame, time),
     )
+
+
+def _exposure(prim: Usd.Prim, time: Usd.TimeCode) -> tuple[float, str | None]:
+    """A camera's exposure, and what one is to be found for (``scenec.backends.exposure``) or None.
+
+    By USD's definition, log2 of time * iso / 100 * 2^exposure * responsivity / fStop^2
+    (``UsdGeomCamera.ComputeLinearExposureScale``, here in float64).
+    """
+    camera = UsdGeom.Camera(prim)
+    factors = (
+        (camera.GetExposureTimeAttr(), 1.0, 1.0),
+        (camera.GetExposureIsoAttr(), 100.0, 1.0),
+        (camera.GetExposureResponsivityAttr(), 1.0, 1.0),
+        (camera.GetExposureFStopAttr(), 1.0, -2.0),
+    )
+    given = (camera.GetExposureAttr(), *(attribute for attribute, _, _ in factors))
+    authored = prim.GetAttribute(names.ATTR_EXPOSURE_PER)
+    per = None
+    if authored.HasAuthoredValue():
+        per = str(authored.Get(time))
+        if per not in names.EXPOSURES_PER:
+            raise StageError(
+                f"{prim.GetPath()}: {names.ATTR_EXPOSURE_PER} is "
+                f"{shown(per)}{nearest(per, names.EXPOSURES_PER)}"
+            )
+    elif not any(attribute.HasAuthoredValue() for attribute in given):
+        per = "batch"
+    ev = float(camera.GetExposureAttr().Get(time))
+    for attribute, usual, power in factors:
+        value = float(attribute.Get(time))
+        if not 0.0 < value < math.inf:
+            raise StageError(
+                f"{prim.GetPath()}: {attribute.GetName()} is {value:g}: expected a number above 0"
+            )
+        if value != usual:
+            ev += power * math.log2(value / usual)
+    if not math.isfinite(ev):
+        raise StageError(f"{prim.GetPath()}: exposure is {ev:g}: expected a finite number")
+    return ev, per
 
 
 def _focus(prim: Usd.Prim, frame: StageFrame, time: Usd.TimeCode) -> Focus | None:

@@ -53,10 +53,11 @@ def _flat(matrix: NDArray[np.float64]) -> bool:
 def _sun(light: UsdLux.DistantLight, axes: NDArray[np.float64], time: Usd.TimeCode) -> Sun:
     diameter = float(np.radians(light.GetAngleAttr().Get(time)))
     strength = _strength(UsdLux.LightAPI(light.GetPrim()), time)
-    if not light.GetNormalizeAttr().Get(time):
+    normalized = bool(light.GetNormalizeAttr().Get(time))
+    if not normalized:
         # Not normalized: intensity is the disc's radiance. A disc of no size then gives no light.
         strength = strength * (np.pi * np.sin(0.5 * diameter) ** 2)
-    return Sun(to_light=axes[:, 2].copy(), irradiance=strength, diameter_rad=diameter)
+    return Sun(axes[:, 2].copy(), strength, diameter, str(light.GetPath()), normalized)
 
 
 def _lamp(

@@ -95,6 +95,7 @@ def _sensor(plan: SensorPlan, irradiance: NDArray[np.float64] | None) -> Sensor:
         to_rig=plan.to_rig,
         exposure_ev=ev,
         outputs=plan.outputs,
+        exposure_per=plan.exposure_per,
         partner=plan.partner,
         trigger=plan.trigger,
         depth_camera=plan.depth_camera,

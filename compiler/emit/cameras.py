@@ -129,6 +129,10 @@ def _write_camera(stage: Usd.Stage, rig: Rig, sensor: Sensor) -> UsdGeom.Camera:
         )
     if "rgb" in sensor.outputs:
         author(camera.CreateExposureAttr(), sensor.exposure_ev.tolist())
+        if sensor.exposure_per is not None:
+            camera.GetPrim().CreateAttribute(
+                names.ATTR_EXPOSURE_PER, Sdf.ValueTypeNames.Token, custom=True
+            ).Set(sensor.exposure_per)
     if sensor.imaging is not None:
         write_imaging(camera.GetPrim(), sensor.imaging)
     camera.GetPrim().CreateAttribute(

@@ -35,8 +35,8 @@ NEEDED_BY = {
     "scenec:instanceIdsEnabled": ALWAYS,
     "normals primvars:scenec_weight_* primvars:scenec_variation primvars:displayColor "
     "primvars:displayColor:indices primvars:st scenec:layers scenec:layers:* material:binding "
-    "exposure scenec:haze:* scenec:surface:* colorSpace:name inputs:* outputs:* info:id light:* "
-    "treatAsPoint config:mtlx:version": COLOR,
+    "exposure scenec:exposure:per scenec:haze:* scenec:surface:* colorSpace:name inputs:* "
+    "outputs:* info:id light:* treatAsPoint config:mtlx:version": COLOR,
     "primvars:scenec_label_* scenec:labels:* semantics:labels:* scenec:sky:*": LABELS,
     "ids scenec:instanceIdBase scenec:localInstanceId": IDS,
     # Of subsets, which carry materials and labels.
