@@ -424,14 +424,18 @@ class Haze:
     Attributes:
         extinction: Per meter at the world's z = 0, linear Rec.709, float64 [3].
         scale_height_m: It is exp(-z / this) of that at z; inf: the same everywhere.
-        airlight: Radiance through endless haze, float64 [3]; None: the sky's at the horizon.
+        airlight: Radiance through endless haze, float64 [3]; None: what it scatters of
+            suns and sky.
         floor_m: Height of the ground below the horizon; None: the scene's lowest place.
+        asymmetry: g of its phase function (Henyey and Greenstein 1941), in (-1, 1): mean cosine of
+            the angle by which it turns light.
     """
 
     extinction: NDArray[np.float64]
     scale_height_m: float
     airlight: NDArray[np.float64] | None
     floor_m: float | None = None
+    asymmetry: float = 0.7
 
 
 @dataclass(frozen=True)

@@ -375,7 +375,8 @@ class Session:
             # Each sub-frame was seen through its own.
             return None
         # Imported here: few scenes have any.
-        from scenec.backends.haze import veil
+        from scenec.backends.haze import air_at, veil
+        from scenec.backends.sky import combine
 
         caster = self._exact(details["seconds"])
         with _timed(details["seconds"], "haze"):
@@ -385,9 +386,11 @@ class Session:
                 t = caster.cast(rays)[2]
             else:
                 t = settled.t
-            made = veil(self.scene, sample, camera, caster, rays, t, radiance.coverage)
-        if made is not None:
-            details["haze"] = {"subsampled_pixels": made.subsampled}
+            air = air_at(self.scene, sample, combine(self.scene.lighting[sample].domes))
+            if air is None:
+                return None
+            made = veil(air, camera, caster, rays, t, radiance.coverage)
+        details["haze"] = {"subsampled_pixels": made.subsampled}
         return made
 
     def _compose(

@@ -109,7 +109,7 @@ ATTR_HEIGHT_BLENDS = "scenec:layers:heightBlends"
 
 #: On the Sky prim. color3f, double, color3f, time-sampled: extinction per stage unit at z = 0, the
 #: height over which it falls to 1/e (not authored: it does not), and what endless haze shows
-#: (not authored: the sky at the horizon).
+#: (not authored: what it scatters of suns and sky).
 ATTR_HAZE_EXTINCTION = "scenec:haze:extinction"
 ATTR_HAZE_SCALE_HEIGHT = "scenec:haze:scaleHeight"
 ATTR_HAZE_AIRLIGHT = "scenec:haze:airlight"
