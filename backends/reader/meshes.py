@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from pxr import Usd, UsdGeom, UsdShade
 
 from scenec.backends.reader.coordinates import Coordinates
+from scenec.backends.reader.implicit import dimensions, tessellate
 from scenec.backends.reader.labels import LabelTable, face_labels, prim_labels
 from scenec.backends.reader.mapped import read_height_blends
 from scenec.backends.reader.surfaces import (
@@ -17,6 +18,7 @@ from scenec.backends.reader.surfaces import (
     read_layers,
     read_variation,
 )
+from scenec.backends.reader.unread import Unread
 from scenec.backends.render_scene import Mesh
 from scenec.schemas.errors import StageError
 
@@ -24,22 +26,23 @@ from scenec.schemas.errors import StageError
 class MeshTable:
     """Meshes in the order in which they were first met; one that is met again is shared."""
 
-    def __init__(self, labels: LabelTable, time: Usd.TimeCode):
+    def __init__(self, labels: LabelTable, time: Usd.TimeCode, unread: Unread | None = None):
         self.labels = labels
+        self.unread = unread or Unread()
         self.surfaces = SurfaceTable()
         self.meshes: list[Mesh] = []
         self._time = time
         self._known: dict[tuple, list[int]] = {}
 
     def add(self, prim: Usd.Prim, inherited: dict[str, int]) -> list[int]:
-        """Indices of a mesh prim's parts: one for each material bound to some of its faces.
+        """Indices of a shape's parts: one for each material bound to some of its faces.
 
         Args:
-            prim: A UsdGeomMesh, an instance proxy perhaps.
+            prim: A UsdGeomMesh or an implicit shape, an instance proxy perhaps.
             inherited: Labels of the instancer around it.
 
         Raises:
-            StageError: Its arrays contradict each other, or hold NaN.
+            StageError: Its arrays contradict each other, or hold NaN; its lengths are none.
         """
         source = prim.GetPrimInPrototype() if prim.IsInstanceProxy() else prim
         bound = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial()[0]
@@ -52,10 +55,46 @@ class MeshTable:
             # Labels can come from above an instance: only equal ones can share.
             key = (*key, tuple(sorted(prim_labels(prim, self.labels).items())))
         if key not in self._known:
+            self.unread.shape(prim, bound)
+            self.unread.material(bound)
+            if not prim.IsA(UsdGeom.Mesh):
+                return self._known.setdefault(key, [self._implicit(prim, inherited)])
             parts = self._read(UsdGeom.Mesh(prim), inherited)
             self._known[key] = list(range(len(self.meshes), len(self.meshes) + len(parts)))
             self.meshes.extend(parts)
         return self._known[key]
+
+    def _implicit(self, prim: Usd.Prim, inherited: dict[str, int]) -> int:
+        """Index of an implicit shape's mesh: equal shapes that look alike share one."""
+        shape = dimensions(prim, self._time)
+        surface = self.surfaces.add(bound_surface(prim))
+        labels = {**dict.fromkeys(self.labels.levels, 0), **inherited}
+        labels |= prim_labels(prim, self.labels)
+        key = (*shape, surface, *labels.values())
+        if key not in self._known:
+            triangles = tessellate(shape)
+            if not np.isfinite(triangles.points).all():
+                raise StageError(f"{prim.GetPath()}: a {shape[0]} too large for its points")
+            count = len(triangles.faces)
+            maps = self.surfaces.surfaces()[surface].maps
+            textured = maps is not None and maps.projection == "uv"
+            if textured:
+                self.unread.add("a texture on a shape without texture coordinates is flat", prim)
+            self._known[key] = [len(self.meshes)]
+            self.meshes.append(
+                Mesh(
+                    path=str(prim.GetPath()),
+                    points=triangles.points,
+                    faces=triangles.faces,
+                    authored_face=None,
+                    normals=triangles.normals,
+                    labels={k: np.full(count, v, np.uint32) for k, v in labels.items()},
+                    layers=(surface,),
+                    weights=np.zeros((0, len(triangles.points)), np.float32),
+                    uv=np.zeros((count, 3, 2), np.float32) if textured else None,
+                )
+            )
+        return self._known[key][0]
 
     def _read(self, mesh: UsdGeom.Mesh, inherited: dict[str, int]) -> list[Mesh]:
         prim = mesh.GetPrim()
@@ -113,6 +152,7 @@ class MeshTable:
             chosen = np.array(subset.GetIndicesAttr().Get(self._time) or (), np.int64)
             chosen = chosen[(chosen >= 0) & (chosen < count)]
             surface[chosen] = self.surfaces.add(bound_surface(subset.GetPrim()))
+            self.unread.material(UsdShade.MaterialBindingAPI(subset).ComputeBoundMaterial()[0])
         of_triangle = surface[authored]
         used = np.unique(of_triangle)
         known = self.surfaces.surfaces()
