@@ -32,7 +32,11 @@ def labeled_instances(stage: Usd.Stage, table: LabelTable) -> dict[str, int]:
     root = stage.GetDefaultPrim()
     if not table.levels or (root and root.HasAttribute(names.ATTR_SCHEMA_VERSION)):
         return {}
-    found = _instances(stage.GetPseudoRoot(), False, table)
+    found = (
+        each
+        for prim in stage.GetPseudoRoot().GetChildren()
+        for each in _instances(prim, False, table)
+    )
     return {str(prim.GetPath()): number for number, prim in enumerate(found, start=1)}
 
 

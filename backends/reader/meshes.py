@@ -14,7 +14,9 @@ from scenec.backends.reader.labels import LabelTable, face_labels, prim_labels
 from scenec.backends.reader.mapped import read_height_blends
 from scenec.backends.reader.surfaces import (
     SurfaceTable,
+    bound_material,
     bound_surface,
+    display_color,
     read_layers,
     read_variation,
 )
@@ -45,15 +47,16 @@ class MeshTable:
             StageError: Its arrays contradict each other, or hold NaN; its lengths are none.
         """
         source = prim.GetPrimInPrototype() if prim.IsInstanceProxy() else prim
-        bound = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial()[0]
+        bound = bound_material(prim)
         key: tuple[object, ...] = (
             source.GetPath(),
             tuple(sorted(inherited.items())),
             str(bound.GetPath()),
         )
         if prim.IsInstanceProxy():
-            # Labels can come from above an instance: only equal ones can share.
-            key = (*key, tuple(sorted(prim_labels(prim, self.labels).items())))
+            # Labels and colors can come from above an instance: only equal ones can share.
+            labels = tuple(sorted(prim_labels(prim, self.labels).items()))
+            key = (*key, labels, display_color(prim))
         if key not in self._known:
             self.unread.shape(prim, bound)
             self.unread.material(bound)
@@ -152,7 +155,7 @@ class MeshTable:
             chosen = np.array(subset.GetIndicesAttr().Get(self._time) or (), np.int64)
             chosen = chosen[(chosen >= 0) & (chosen < count)]
             surface[chosen] = self.surfaces.add(bound_surface(subset.GetPrim()))
-            self.unread.material(UsdShade.MaterialBindingAPI(subset).ComputeBoundMaterial()[0])
+            self.unread.material(bound_material(subset.GetPrim()))
         of_triangle = surface[authored]
         used = np.unique(of_triangle)
         known = self.surfaces.surfaces()

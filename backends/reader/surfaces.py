@@ -82,15 +82,21 @@ def _vertex_floats(prim: Usd.Prim, name: str, count: int) -> NDArray[np.float32]
     return values
 
 
+def bound_material(prim: Usd.Prim) -> UsdShade.Material:
+    """What is bound for full renderings, or for all purposes; invalid where nothing is."""
+    return UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial(UsdShade.Tokens.full)[0]
+
+
 def bound_surface(prim: Usd.Prim) -> Surface:
     """The surface of the bound material; without one, a diffuse one of displayColor."""
-    material, _ = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial()
+    material = bound_material(prim)
     if material:
-        return surface_of(material, _display_color(prim))
-    return Surface("", _display_color(prim), 0.0, 1.0, 0.0)
+        return surface_of(material, display_color(prim))
+    return Surface("", display_color(prim), 0.0, 1.0, 0.0)
 
 
-def _display_color(prim: Usd.Prim) -> tuple[float, float, float]:
+def display_color(prim: Usd.Prim) -> tuple[float, float, float]:
+    """Mean of displayColor, its own or what it inherits; gray without."""
     primvar = UsdGeom.PrimvarsAPI(prim).FindPrimvarWithInheritance("displayColor")
     value = primvar.Get(Usd.TimeCode.EarliestTime()) if primvar and primvar.HasValue() else None
     values = np.array(() if value is None else value, np.float64)

@@ -32,7 +32,7 @@ LIGHTS = ("DistantLight", "DomeLight", "DomeLight_1", "SphereLight")
 READ = frozenset(
     (
         *("Mesh", "GeomSubset", "PointInstancer", "Camera", "Material", "Shader", "NodeGraph"),
-        *("RenderProduct", "RenderVar", "RenderSettings", *LIGHTS),
+        *("RenderProduct", "RenderVar", *LIGHTS),
     )
 )
 
@@ -44,7 +44,14 @@ HARMLESS = frozenset(
     (
         *("Xform", "Scope", "SkelRoot", "Skeleton", "SkelAnimation", "BlendShape", "Backdrop"),
         *("OpenVDBAsset", "Field3DAsset", "LODDistanceHeuristic", "LODScreenSizeHeuristic"),
-        *("RenderPass", "SpatialAudio", "PhysicsScene", "PhysicsCollisionGroup", "PhysicsJoint"),
+        *(
+            "RenderSettings",
+            "RenderPass",
+            "SpatialAudio",
+            "PhysicsScene",
+            "PhysicsCollisionGroup",
+            "PhysicsJoint",
+        ),
         *("PhysicsFixedJoint", "PhysicsRevoluteJoint", "PhysicsPrismaticJoint"),
         *("PhysicsSphericalJoint", "PhysicsDistanceJoint"),
     )
@@ -313,5 +320,5 @@ def _all_equal(primvar: UsdGeom.Primvar) -> bool:
     values = primvar.Get(_FIRST) if primvar and primvar.HasValue() else None
     if values is None or primvar.GetInterpolation() == _CONSTANT:
         return True
-    colors = np.array(values, np.float64).reshape(-1, 3)
+    colors = np.array(values)
     return bool((colors == colors[:1]).all())

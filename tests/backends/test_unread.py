@@ -220,7 +220,18 @@ def older_label(stage):
     prim.CreateAttribute("semantic:Semantics:params:semanticData", TYPES.String).Set("car")
 
 
+def cards(stage):
+    api = UsdGeom.ModelAPI.Apply(square(stage, "/Root/it").GetPrim())
+    api.CreateModelDrawModeAttr("cards")
+
+
+def levels_of_detail(stage):
+    UsdGeom.Xform.Define(stage, "/Root/it").GetPrim().AddAppliedSchema("LODRootAPI")
+
+
 LOSSES = {
+    "cards": (cards, "model:drawMode is not followed"),
+    "levels": (levels_of_detail, "levels of detail are not chosen"),
     "opacity": (preview("opacity", TYPES.Float, 0.5), "opacity of UsdPreviewSurface is not"),
     "coat": (preview("clearcoat", TYPES.Float, 1.0), "clearcoat of UsdPreviewSurface is not"),
     "bumps": (preview("displacement", TYPES.Float, 0.1), "displacement of UsdPreviewSurface is"),
@@ -342,6 +353,38 @@ def test_constants_behind_a_materials_inputs_and_time_samples_are_read(tmp_path)
     bound, plain = (scene.surfaces[m.layers[0]] for m in scene.meshes)
     assert (bound.base_color, bound.roughness) == ((0.5, 0.25, 0.0), 0.75)
     assert plain.base_color == (0.25, 0.5, 0.75)
+
+
+def test_a_material_that_is_bound_for_full_renderings_counts(tmp_path):
+    def build(stage):
+        bind(stage, square(stage, "/Root/other").GetPrim()).CreateInput(
+            "roughness", TYPES.Float
+        ).Set(0.75)
+        prim = square(stage, "/Root/it").GetPrim()
+        UsdShade.MaterialBindingAPI.Apply(prim).Bind(
+            UsdShade.Material.Get(stage, "/Root/Looks/material"), materialPurpose="full"
+        )
+
+    scene = opened(tmp_path, build)
+    assert {scene.surfaces[m.layers[0]].roughness for m in scene.meshes} == {0.75}
+
+
+@pytest.mark.parametrize("kind", ["Mesh", "Sphere"])
+def test_native_instances_have_the_color_that_stands_above_each(tmp_path, kind):
+    def build(stage):
+        if kind == "Mesh":
+            square(stage, "/Model/it")
+        else:
+            stage.DefinePrim("/Model/it", kind)
+        for name, color in (("a", (1, 0, 0)), ("b", (0, 0, 1))):
+            prim = UsdGeom.Xform.Define(stage, f"/Root/{name}").GetPrim()
+            prim.GetReferences().AddInternalReference("/Model")
+            prim.SetInstanceable(True)
+            UsdGeom.PrimvarsAPI(prim).CreatePrimvar("displayColor", TYPES.Color3fArray).Set([color])
+
+    scene = opened(tmp_path, build)
+    colors = [scene.surfaces[scene.meshes[i].layers[0]].base_color for i in scene.rows.mesh]
+    assert sorted(colors) == [(0.0, 0.0, 1.0), (0.18, 0.18, 0.18), (1.0, 0.0, 0.0)]
 
 
 def test_a_dome_whose_pole_is_the_scenes_stands_up(tmp_path):
