@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -13,10 +14,12 @@ from small import write_cfg
 from scenec.backends.check.scene import check_scene
 from scenec.backends.reader import read_stage
 from scenec.backends.reader.unread import HARMLESS, KNOWN, LIGHTS, LOST, READ, TESSELLATED
+from scenec.backends.render import render
+from scenec.cli.main import main
 from scenec.compiler.compile import compile_cfg
+from scenec.schemas.frames import read_frame
 
 TYPES = Sdf.ValueTypeNames
-CONFIGS = Path(__file__).parents[2] / "configs"
 
 
 def test_of_every_type_that_usd_knows_it_is_decided_what_becomes_of_it():
@@ -444,3 +447,24 @@ def test_nothing_is_lost_of_what_is_compiled_here(tmp_path):
 
 def test_lights_that_are_drawn_are_read():
     assert set(LIGHTS) < READ
+
+
+@pytest.mark.usefixtures("worker_here")
+def test_losses_reach_the_report_the_sidecars_and_the_check(tmp_path, capsys):
+    def build(stage):
+        square(stage, "/Root/floor")
+        UsdGeom.Camera.Define(stage, "/Root/eye").AddTranslateOp().Set((0, 0, 5))
+        stage.DefinePrim("/Root/hair", "BasisCurves")
+
+    path = written(tmp_path, build)
+    line = "BasisCurves is not read: 1 prim, /Root/hair"
+    report = render(path, "reference", passes=["depth"])
+    assert (report.losses, report.warnings) == ([line], [line])
+    (frame,) = report.frames
+    assert read_frame(frame).sidecar["losses"] == [line]
+    capsys.readouterr()
+    assert main(["check", str(path), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)["findings"]
+    assert [(f["severity"], f["message"]) for f in found if f["check"] == "unread"] == [
+        ("warning", line)
+    ]
