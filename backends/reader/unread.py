@@ -209,8 +209,7 @@ class Unread:
         primvars = api.GetPrimvarsWithAuthoredValues()
         if self._changes(*(primvar.GetAttr() for primvar in primvars)):
             self.add("primvars that change stay as they are at the first sample", prim)
-        layered = prim.GetRelationship(names.REL_LAYERS)
-        if not material and not (layered and layered.HasAuthoredTargets()):
+        if not material and _shows_display_color(prim):
             if not _all_equal(api.FindPrimvarWithInheritance("displayColor")):
                 self.add("displayColor that varies over a shape is shown as its mean", prim)
             opacity = api.FindPrimvarWithInheritance("displayOpacity")
@@ -304,6 +303,17 @@ class Unread:
 
 def _in_namespace(prim: Usd.Prim, namespace: str) -> list[str]:
     return [found.GetName() for found in prim.GetAuthoredPropertiesInNamespace(namespace)]
+
+
+def _shows_display_color(prim: Usd.Prim) -> bool:
+    """Whether a prim without a bound material has faces that have none otherwise."""
+    layers = prim.GetRelationship(names.REL_LAYERS)
+    if layers and layers.HasAuthoredTargets():
+        return False
+    if not UsdShade.MaterialBindingAPI(prim).GetMaterialBindSubsets():
+        return True
+    family = UsdShade.Tokens.materialBind
+    return bool(UsdGeom.Subset.GetUnassignedIndices(UsdGeom.Mesh(prim), "face", family))
 
 
 def _corner_normals(mesh: UsdGeom.Mesh) -> bool:

@@ -322,6 +322,24 @@ def test_what_changes_nothing_is_not_a_loss(tmp_path, name):
     assert opened(tmp_path, HARMLESS_OPINIONS[name], samples=2).losses == ()
 
 
+@pytest.mark.parametrize("bound", [(0,), (0, 1)])
+def test_a_color_that_only_faces_of_other_materials_have_is_no_loss(tmp_path, bound):
+    def build(stage):
+        found = square(stage, "/Root/it")
+        found.CreateFaceVertexCountsAttr([3, 3])
+        found.CreateFaceVertexIndicesAttr([0, 1, 2, 0, 2, 3])
+        colored(found)
+        bind(stage, stage.DefinePrim("/Root/Looks"))
+        subset = UsdGeom.Subset.CreateGeomSubset(
+            found, "part", "face", Vt.IntArray(bound), UsdShade.Tokens.materialBind
+        )
+        UsdShade.MaterialBindingAPI.Apply(subset.GetPrim()).Bind(
+            UsdShade.Material.Get(stage, "/Root/Looks/material")
+        )
+
+    assert len(opened(tmp_path, build).losses) == 2 - len(bound)
+
+
 def test_all_of_a_kind_are_one_line_and_prototypes_count_once(tmp_path):
     def build(stage):
         UsdGeom.BasisCurves.Define(stage, "/Model/grass")
