@@ -140,11 +140,11 @@ class Expander:
         self,
         meshes: MeshTable,
         times: Sequence[Usd.TimeCode],
-        labeled: Mapping[str, int] | None = None,
+        labeled: Mapping[str, int],
     ):
         self._meshes = meshes
         self._times = list(times)
-        self._labeled = labeled or {}
+        self._labeled = labeled
         self._next_id = 0
         #: Instancers being expanded, the outermost first.
         self._open: list[str] = []
@@ -170,6 +170,8 @@ class Expander:
         parts: list[Expanded] = []
         self._walk(root, _Place(_IDENTITY, _IDENTITY, {}), parts)
         rows = Expanded.joined(parts)
+        if not self._labeled:
+            return rows
         # Only now all authored ids are known.
         base = self._next_id
         for path, number in self._labeled.items():

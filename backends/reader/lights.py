@@ -27,7 +27,7 @@ def read_lighting(stage: Usd.Stage, frame: StageFrame, time: Usd.TimeCode) -> Li
     prims = iter(Usd.PrimRange(stage.GetPseudoRoot(), Usd.TraverseInstanceProxies()))
     for prim in prims:
         kind = prim.GetTypeName()
-        if kind == "PointInstancer":
+        if prim.IsA(UsdGeom.PointInstancer):
             # What is below it is there only as its instances.
             prims.PruneChildren()
         if kind not in LIGHTS:

@@ -28,9 +28,9 @@ from scenec.schemas.errors import StageError
 class MeshTable:
     """Meshes in the order in which they were first met; one that is met again is shared."""
 
-    def __init__(self, labels: LabelTable, time: Usd.TimeCode, unread: Unread | None = None):
+    def __init__(self, labels: LabelTable, time: Usd.TimeCode, unread: Unread):
         self.labels = labels
-        self.unread = unread or Unread()
+        self.unread = unread
         self.surfaces = SurfaceTable()
         self.meshes: list[Mesh] = []
         self._time = time
@@ -44,7 +44,7 @@ class MeshTable:
             inherited: Labels of the instancer around it.
 
         Raises:
-            StageError: Its arrays contradict each other, or hold NaN; its lengths are none.
+            StageError: Its arrays contradict each other, or hold NaN; or a length cannot be.
         """
         source = prim.GetPrimInPrototype() if prim.IsInstanceProxy() else prim
         bound = bound_material(prim)
@@ -73,16 +73,16 @@ class MeshTable:
         surface = self.surfaces.add(bound_surface(prim))
         labels = {**dict.fromkeys(self.labels.levels, 0), **inherited}
         labels |= prim_labels(prim, self.labels)
+        maps = self.surfaces.surfaces()[surface].maps
+        textured = maps is not None and maps.projection == "uv"
+        if textured:
+            self.unread.add("a texture on a shape without texture coordinates is flat", prim)
         key = (*shape, surface, *labels.values())
         if key not in self._known:
             triangles = tessellate(shape)
             if not np.isfinite(triangles.points).all():
                 raise StageError(f"{prim.GetPath()}: a {shape[0]} too large for its points")
             count = len(triangles.faces)
-            maps = self.surfaces.surfaces()[surface].maps
-            textured = maps is not None and maps.projection == "uv"
-            if textured:
-                self.unread.add("a texture on a shape without texture coordinates is flat", prim)
             self._known[key] = [len(self.meshes)]
             self.meshes.append(
                 Mesh(

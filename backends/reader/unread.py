@@ -126,7 +126,7 @@ class Unread:
         moving: Whether there is more than one sample, so that changes over time are lost.
     """
 
-    def __init__(self, moving: bool = False):
+    def __init__(self, moving: bool):
         self._moving = moving
         #: By what is lost: the path to tell, by path of the prim (in its prototype).
         self._found: dict[str, dict[str, str]] = {}
