@@ -20,6 +20,7 @@ from scenec.backends.check.finding import Finding
 from scenec.backends.check.frames import check_frames
 from scenec.backends.check.radiance import RadianceComparison
 from scenec.backends.check.scans import check_scans
+from scenec.backends.check.scene import check_scene
 from scenec.backends.check.stage import check_stage
 from scenec.backends.reader import read_stage
 from scenec.backends.registry import require_name
@@ -102,6 +103,7 @@ def find(out: Path) -> list[Finding]:
         digest = firing = scanning = None
         try:
             scene = read_stage(batch.stage)
+            findings.extend(check_scene(scene))
             digest = scene.digest
             if out.is_dir():
                 # Beside a USD file there may be the frames of another.

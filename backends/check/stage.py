@@ -14,13 +14,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pxr import Tf, Usd, UsdGeom, UsdLux, UsdRender, UsdShade, UsdValidation
+from pxr import Tf, Usd, UsdGeom, UsdRender, UsdShade, UsdValidation
 
 from scenec.backends.check.finding import Finding
 from scenec.backends.check.sky import check_sky
 from scenec.backends.reader.cameras import intrinsics_from_apertures
 from scenec.backends.reader.labels import LabelTable, read_table
-from scenec.backends.reader.lights import KINDS
 from scenec.schemas import materialx
 from scenec.schemas import stage as names
 from scenec.schemas.errors import StageError
@@ -74,7 +73,6 @@ def check_stage(path: Path) -> list[Finding]:
                 )
     findings.extend(check_sky(stage, table))
     findings.extend(_id_ranges(stage))
-    findings.extend(_lights(stage))
     findings.extend(_usd_validation(stage))
     return findings
 
@@ -311,23 +309,6 @@ _RULES: tuple[tuple[str, Any, Rule], ...] = (
     ("surface", UsdShade.Material, _surface),
     ("materialx", UsdShade.Shader, _materialx),
 )
-
-
-def _lights(stage: Usd.Stage) -> Iterator[Finding]:
-    """Lights, and what shapes them, that no backend draws."""
-    for prim in Usd.PrimRange(stage.GetPseudoRoot(), Usd.TraverseInstanceProxies()):
-        kind = str(prim.GetTypeName())
-        if not prim.HasAPI(UsdLux.LightAPI):
-            continue
-        if kind not in KINDS:
-            message = f"a {kind or 'light'} is not drawn; {', '.join(KINDS)} are"
-            yield Finding("lights", "warning", str(prim.GetPath()), message)
-        elif kind == "SphereLight" and prim.HasAPI(UsdLux.ShapingAPI):
-            shaping = UsdLux.ShapingAPI(prim)
-            for attribute in (shaping.GetShapingFocusAttr(), shaping.GetShapingIesFileAttr()):
-                if attribute.HasAuthoredValue() and attribute.Get():
-                    message = f"{attribute.GetName()} is not heeded; cone angle and softness are"
-                    yield Finding("lights", "warning", str(prim.GetPath()), message)
 
 
 def _id_ranges(stage: Usd.Stage) -> Iterator[Finding]:

@@ -36,7 +36,8 @@ def read_cameras(
     """
     found = [_of_product(p) for p in stage.Traverse() if p.IsA(UsdRender.Product)]
     if not found:
-        cameras = [p for p in stage.Traverse() if p.IsA(UsdGeom.Camera)]
+        everywhere = stage.Traverse(Usd.TraverseInstanceProxies())
+        cameras = [p for p in everywhere if p.IsA(UsdGeom.Camera)]
         found = [
             _Request(name, p, _resolution(p), DEFAULT_OUTPUTS)
             for name, p in _distinct_names(cameras)

@@ -75,6 +75,11 @@ def prim_labels(prim: Usd.Prim, table: LabelTable) -> dict[str, int]:
     return found
 
 
+def has_label(prim: Usd.Prim, table: LabelTable) -> bool:
+    """Whether UsdSemantics labels this very prim, at any level."""
+    return any(_direct_label(prim, level, table) is not None for level in table.levels)
+
+
 def face_labels(
     mesh: UsdGeom.Mesh, table: LabelTable, inherited: dict[str, int], face_count: int
 ) -> dict[str, NDArray[np.uint32]]:

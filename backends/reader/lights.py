@@ -9,23 +9,28 @@ from numpy.typing import NDArray
 from pxr import Usd, UsdGeom, UsdLux
 
 from scenec.backends.reader.frame import StageFrame, columns
+from scenec.backends.reader.unread import LIGHTS
 from scenec.backends.render_scene import Dome, Lamp, Lighting, Sun
 from scenec.schemas.errors import StageError
 
-#: Types of lights that are read. Of others, ``scenec check`` tells.
-KINDS = ("DistantLight", "DomeLight", "DomeLight_1", "SphereLight")
+#: What a dome whose pole is +Z is turned by first: +Y goes to +Z, as OrientToStageUpAxis does.
+_POLE_Z = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 
 
 def read_lighting(stage: Usd.Stage, frame: StageFrame, time: Usd.TimeCode) -> Lighting:
-    """Visible lights of ``KINDS``. Other lights are not of this schema and are ignored.
+    """Visible lights of ``unread.LIGHTS``. Of others, and of prototypes, there are losses.
 
     Raises:
         StageError: A dome's picture does not exist, or a number is not finite.
     """
     suns, domes, lamps = [], [], []
-    for prim in Usd.PrimRange(stage.GetPseudoRoot(), Usd.TraverseInstanceProxies()):
+    prims = iter(Usd.PrimRange(stage.GetPseudoRoot(), Usd.TraverseInstanceProxies()))
+    for prim in prims:
         kind = prim.GetTypeName()
-        if kind not in KINDS:
+        if prim.IsA(UsdGeom.PointInstancer):
+            # What is below it is there only as its instances.
+            prims.PruneChildren()
+        if kind not in LIGHTS:
             continue
         if UsdGeom.Imageable(prim).ComputeVisibility(time) == UsdGeom.Tokens.invisible:
             continue
@@ -102,6 +107,12 @@ def _dome(prim: Usd.Prim, axes: NDArray[np.float64], time: Usd.TimeCode) -> Dome
         texture = Path(asset.resolvedPath or asset.path)
         if not texture.is_file():
             raise StageError(f"{prim.GetPath()}: its picture {asset.path} does not exist")
+    if prim.IsA(UsdLux.DomeLight_1):
+        pole = UsdLux.DomeLight_1(prim).GetPoleAxisAttr().Get()
+        if pole == "scene":
+            pole = UsdGeom.GetStageUpAxis(prim.GetStage())
+        if pole == "Z":
+            axes = axes @ _POLE_Z
     return Dome(texture, _strength(UsdLux.LightAPI(prim), time), axes)
 
 

@@ -9,14 +9,18 @@ from numpy.typing import NDArray
 from pxr import Usd, UsdGeom, UsdShade
 
 from scenec.backends.reader.coordinates import Coordinates
+from scenec.backends.reader.implicit import dimensions, tessellate
 from scenec.backends.reader.labels import LabelTable, face_labels, prim_labels
 from scenec.backends.reader.mapped import read_height_blends
 from scenec.backends.reader.surfaces import (
     SurfaceTable,
+    bound_material,
     bound_surface,
+    display_color,
     read_layers,
     read_variation,
 )
+from scenec.backends.reader.unread import Unread
 from scenec.backends.render_scene import Mesh
 from scenec.schemas.errors import StageError
 
@@ -24,38 +28,76 @@ from scenec.schemas.errors import StageError
 class MeshTable:
     """Meshes in the order in which they were first met; one that is met again is shared."""
 
-    def __init__(self, labels: LabelTable, time: Usd.TimeCode):
+    def __init__(self, labels: LabelTable, time: Usd.TimeCode, unread: Unread):
         self.labels = labels
+        self.unread = unread
         self.surfaces = SurfaceTable()
         self.meshes: list[Mesh] = []
         self._time = time
         self._known: dict[tuple, list[int]] = {}
 
     def add(self, prim: Usd.Prim, inherited: dict[str, int]) -> list[int]:
-        """Indices of a mesh prim's parts: one for each material bound to some of its faces.
+        """Indices of a shape's parts: one for each material bound to some of its faces.
 
         Args:
-            prim: A UsdGeomMesh, an instance proxy perhaps.
+            prim: A UsdGeomMesh or an implicit shape, an instance proxy perhaps.
             inherited: Labels of the instancer around it.
 
         Raises:
-            StageError: Its arrays contradict each other, or hold NaN.
+            StageError: Its arrays contradict each other, or hold NaN; or a length cannot be.
         """
         source = prim.GetPrimInPrototype() if prim.IsInstanceProxy() else prim
-        bound = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial()[0]
+        bound = bound_material(prim)
         key: tuple[object, ...] = (
             source.GetPath(),
             tuple(sorted(inherited.items())),
             str(bound.GetPath()),
         )
         if prim.IsInstanceProxy():
-            # Labels can come from above an instance: only equal ones can share.
-            key = (*key, tuple(sorted(prim_labels(prim, self.labels).items())))
+            # Labels and colors can come from above an instance: only equal ones can share.
+            labels = tuple(sorted(prim_labels(prim, self.labels).items()))
+            key = (*key, labels, display_color(prim))
         if key not in self._known:
+            self.unread.shape(prim, bound)
+            self.unread.material(bound)
+            if not prim.IsA(UsdGeom.Mesh):
+                return self._known.setdefault(key, [self._implicit(prim, inherited)])
             parts = self._read(UsdGeom.Mesh(prim), inherited)
             self._known[key] = list(range(len(self.meshes), len(self.meshes) + len(parts)))
             self.meshes.extend(parts)
         return self._known[key]
+
+    def _implicit(self, prim: Usd.Prim, inherited: dict[str, int]) -> int:
+        """Index of an implicit shape's mesh: equal shapes that look alike share one."""
+        shape = dimensions(prim, self._time)
+        surface = self.surfaces.add(bound_surface(prim))
+        labels = {**dict.fromkeys(self.labels.levels, 0), **inherited}
+        labels |= prim_labels(prim, self.labels)
+        maps = self.surfaces.surfaces()[surface].maps
+        textured = maps is not None and maps.projection == "uv"
+        if textured:
+            self.unread.add("a texture on a shape without texture coordinates is flat", prim)
+        key = (*shape, surface, *labels.values())
+        if key not in self._known:
+            triangles = tessellate(shape)
+            if not np.isfinite(triangles.points).all():
+                raise StageError(f"{prim.GetPath()}: a {shape[0]} too large for its points")
+            count = len(triangles.faces)
+            self._known[key] = [len(self.meshes)]
+            self.meshes.append(
+                Mesh(
+                    path=str(prim.GetPath()),
+                    points=triangles.points,
+                    faces=triangles.faces,
+                    authored_face=None,
+                    normals=triangles.normals,
+                    labels={k: np.full(count, v, np.uint32) for k, v in labels.items()},
+                    layers=(surface,),
+                    weights=np.zeros((0, len(triangles.points)), np.float32),
+                    uv=np.zeros((count, 3, 2), np.float32) if textured else None,
+                )
+            )
+        return self._known[key][0]
 
     def _read(self, mesh: UsdGeom.Mesh, inherited: dict[str, int]) -> list[Mesh]:
         prim = mesh.GetPrim()
@@ -113,6 +155,7 @@ class MeshTable:
             chosen = np.array(subset.GetIndicesAttr().Get(self._time) or (), np.int64)
             chosen = chosen[(chosen >= 0) & (chosen < count)]
             surface[chosen] = self.surfaces.add(bound_surface(subset.GetPrim()))
+            self.unread.material(bound_material(subset.GetPrim()))
         of_triangle = surface[authored]
         used = np.unique(of_triangle)
         known = self.surfaces.surfaces()

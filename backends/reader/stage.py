@@ -11,12 +11,14 @@ from pxr import Tf, Usd
 
 from scenec.backends.reader.cameras import read_cameras
 from scenec.backends.reader.frame import StageFrame
+from scenec.backends.reader.instance_labels import labeled_instances
 from scenec.backends.reader.instancers import Expanded, Expander
 from scenec.backends.reader.labels import LabelTable, prim_labels, read_table
 from scenec.backends.reader.lidars import read_lidars
 from scenec.backends.reader.lights import read_lighting
 from scenec.backends.reader.meshes import MeshTable
 from scenec.backends.reader.sky import read_haze, read_sky_label_maps
+from scenec.backends.reader.unread import Unread
 from scenec.backends.render_scene import Lighting, Mesh, Motion, RenderScene, Rows, Surface
 from scenec.schemas import stage as names
 from scenec.schemas.errors import StageError
@@ -31,8 +33,9 @@ def read_stage(path: Path | str) -> RenderScene:
     Accepted of foreign stages: polygons (fan triangulation, with a map back), either handedness,
     Y or Z up, any unit, nested instancers, native instances, mirrored and sheared transforms,
     visibility, purpose, ``inactiveIds`` and ``invisibleIds``, UsdSemantics labels in place of label
-    primvars, UsdPreviewSurface constants in place of ours. Subdivision surfaces are taken as their
-    cages.
+    primvars, UsdPreviewSurface constants in place of ours. Implicit shapes are tessellated
+    (``implicit.ERROR``). Subdivision surfaces are taken as their cages. What is not followed is
+    named in the scene's ``losses``.
     Topology and points are those of the first time code: meshes do not deform. Transforms, an
     instancer's positions, orientations and scales, and visibility are taken as they are at each
     sample's time code (between authored codes as USD has them).
@@ -55,8 +58,8 @@ def read_stage(path: Path | str) -> RenderScene:
     frame = StageFrame.of(stage)
     times = _time_codes(stage)
     table = read_table(stage)
-    meshes = MeshTable(table, times[0])
-    expander = Expander(meshes, times)
+    meshes = MeshTable(table, times[0], Unread(moving=len(times) > 1))
+    expander = Expander(meshes, times, labeled_instances(stage, table))
     rows = _rows(expander.expand(stage.GetPseudoRoot()).settled(), frame)
     cameras = read_cameras(stage, frame, times)
     lighting = tuple(read_lighting(stage, frame, time) for time in times)
@@ -85,6 +88,7 @@ def read_stage(path: Path | str) -> RenderScene:
         haze=read_haze(stage, frame, times),
         sky_label_maps=label_maps,
         lidars=lidars,
+        losses=meshes.unread.lines,
     )
 
 
@@ -122,7 +126,7 @@ def _rows(expanded: Expanded, frame: StageFrame) -> Rows:
     return Rows(
         mesh=expanded.mesh,
         to_world=np.ascontiguousarray(frame.affine(expanded.matrix)),
-        instance_id=expanded.instance_id,
+        instance_id=expanded.instance_id.astype(np.uint32),
         variation=expanded.variation,
         motion=motion,
         part=expanded.part,

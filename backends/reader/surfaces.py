@@ -11,7 +11,7 @@ from pxr import Usd, UsdGeom, UsdShade
 
 from scenec.backends.reader.mapped import read_cells, read_emission, read_far
 from scenec.backends.reader.reflectance import read_reflectance
-from scenec.backends.reader.textures import texture_maps
+from scenec.backends.reader.textures import constant, texture_maps
 from scenec.backends.render_scene import Maps, Surface
 from scenec.schemas import stage as names
 from scenec.schemas.errors import StageError
@@ -82,17 +82,24 @@ def _vertex_floats(prim: Usd.Prim, name: str, count: int) -> NDArray[np.float32]
     return values
 
 
+def bound_material(prim: Usd.Prim) -> UsdShade.Material:
+    """What is bound for full renderings, or for all purposes; invalid where nothing is."""
+    return UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial(UsdShade.Tokens.full)[0]
+
+
 def bound_surface(prim: Usd.Prim) -> Surface:
     """The surface of the bound material; without one, a diffuse one of displayColor."""
-    material, _ = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial()
+    material = bound_material(prim)
     if material:
-        return surface_of(material, _display_color(prim))
-    return Surface("", _display_color(prim), 0.0, 1.0, 0.0)
+        return surface_of(material, display_color(prim))
+    return Surface("", display_color(prim), 0.0, 1.0, 0.0)
 
 
-def _display_color(prim: Usd.Prim) -> tuple[float, float, float]:
+def display_color(prim: Usd.Prim) -> tuple[float, float, float]:
+    """Mean of displayColor, its own or what it inherits; gray without."""
     primvar = UsdGeom.PrimvarsAPI(prim).FindPrimvarWithInheritance("displayColor")
-    values = np.array(primvar.Get(), np.float64) if primvar and primvar.HasValue() else np.zeros(0)
+    value = primvar.Get(Usd.TimeCode.EarliestTime()) if primvar and primvar.HasValue() else None
+    values = np.array(() if value is None else value, np.float64)
     if not values.size:
         return (_GRAY, _GRAY, _GRAY)
     red, green, blue = values.reshape(-1, 3).mean(axis=0).tolist()
@@ -135,9 +142,9 @@ def surface_of(
     shader, _, _ = material.ComputeSurfaceSource()
     if not shader or shader.GetIdAttr().Get() != "UsdPreviewSurface":
         return Surface(path, fallback, 0.0, 1.0, 0.0)
-    diffuse = shader.GetInput("diffuseColor")
-    if diffuse and not diffuse.HasConnectedSource() and diffuse.Get() is not None:
-        red, green, blue = (float(v) for v in diffuse.Get())
+    diffuse = constant(shader, "diffuseColor")
+    if diffuse is not None:
+        red, green, blue = (float(v) for v in diffuse)
         fallback = (red, green, blue)
     specular = _input(shader, "useSpecularWorkflow", 0) == 1
     maps = texture_maps(shader, specular)
@@ -156,8 +163,7 @@ def surface_of(
 def _emission(shader: UsdShade.Shader, maps: Maps | None) -> tuple[float, float, float]:
     if maps is not None and maps.emission is not None:
         return (1.0, 1.0, 1.0)
-    emissive = shader.GetInput("emissiveColor")
-    value = emissive.Get() if emissive and not emissive.HasConnectedSource() else None
+    value = constant(shader, "emissiveColor")
     if value is None or not all(0.0 <= float(v) < math.inf for v in value):
         return (0.0, 0.0, 0.0)
     red, green, blue = (float(v) for v in value)
@@ -221,14 +227,12 @@ def _map_size(prim: Usd.Prim) -> float:
 
 def _normal_reflectance(shader: UsdShade.Shader) -> float:
     if _input(shader, "useSpecularWorkflow", 0) == 1:
-        specular = shader.GetInput("specularColor")
-        color = specular.Get() if specular and not specular.HasConnectedSource() else None
+        color = constant(shader, "specularColor")
         return float(np.mean(color)) if color is not None else 0.0
     ior = _input(shader, "ior", 1.5)
     return ((ior - 1.0) / (ior + 1.0)) ** 2
 
 
 def _input(shader: UsdShade.Shader, name: str, default: float) -> float:
-    found = shader.GetInput(name)
-    value = found.Get() if found and not found.HasConnectedSource() else None
+    value = constant(shader, name)
     return default if value is None else float(value)

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-from pxr import Ar, Sdf, UsdShade
+from pxr import Ar, Sdf, Usd, UsdShade
 
 from scenec.backends.render_scene import Maps, Reading
 from scenec.schemas.errors import StageError
 from scenec.schemas.maps import COLORS
 
 #: Inputs of UsdPreviewSurface by the kind of map they are.
-_INPUTS = {
+INPUTS = {
     "base_color": "diffuseColor",
     "roughness": "roughness",
     "metallic": "metallic",
@@ -50,10 +50,10 @@ def texture_maps(shader: UsdShade.Shader, specular: bool) -> Maps | None:
     readings: list[tuple[str, Reading]] = []
     coordinates: _Coordinates | None = None
     flip_green = False
-    for kind, name in _INPUTS.items():
+    for kind, name in INPUTS.items():
         if kind == "metallic" and specular:
             continue
-        texture, output = _connected(shader, name)
+        texture, output = connected(shader, name)
         if texture is None or texture.GetIdAttr().Get() != "UsdUVTexture":
             continue
         own = _coordinates(texture)
@@ -87,7 +87,7 @@ def texture_maps(shader: UsdShade.Shader, specular: bool) -> Maps | None:
 
 
 def _reading(texture: UsdShade.Shader, kind: str, channel: str) -> Reading:
-    space = _constant(texture, "sourceColorSpace")
+    space = constant(texture, "sourceColorSpace")
     srgb = {"raw": False, "sRGB": True}.get(str(space))
     # Numbers are raw unless it is said that they are not; colors are where they are not floating.
     if srgb == (False if kind not in COLORS else None):
@@ -101,7 +101,7 @@ def _reading(texture: UsdShade.Shader, kind: str, channel: str) -> Reading:
 
 
 def _file(texture: UsdShade.Shader) -> Path | None:
-    asset = _constant(texture, "file")
+    asset = constant(texture, "file")
     if not isinstance(asset, Sdf.AssetPath) or not asset.path:
         return None
     if Ar.IsPackageRelativePath(asset.resolvedPath):
@@ -118,16 +118,16 @@ def _file(texture: UsdShade.Shader) -> Path | None:
 def _coordinates(texture: UsdShade.Shader) -> _Coordinates:
     """The primvar that a texture's ``st`` comes from, through any UsdTransform2d."""
     transform = _IDENTITY
-    node, _ = _connected(texture, "st")
+    node, _ = connected(texture, "st")
     for _ in range(_DEEPEST):
         if node is None:
             break
         kind = node.GetIdAttr().Get()
         if kind == "UsdTransform2d":
             transform = _after(transform, _transform(node))
-            node, _ = _connected(node, "in")
+            node, _ = connected(node, "in")
         elif kind == "UsdPrimvarReader_float2":
-            return _Coordinates(str(_constant(node, "varname") or "st"), transform)
+            return _Coordinates(str(constant(node, "varname") or "st"), transform)
         else:
             break
     return _Coordinates("st", transform)
@@ -149,7 +149,7 @@ def _after(last: tuple[float, ...], first: tuple[float, ...]) -> tuple[float, ..
             d * p + e * s, d * q + e * t, d * r + e * u + f)  # fmt: skip
 
 
-def _connected(shader: UsdShade.Shader, name: str) -> tuple[UsdShade.Shader | None, str]:
+def connected(shader: UsdShade.Shader, name: str) -> tuple[UsdShade.Shader | None, str]:
     """The node that an input reads, and which output of it."""
     found = shader.GetInput(name)
     for attribute in UsdShade.Utils.GetValueProducingAttributes(found) if found else ():
@@ -159,21 +159,23 @@ def _connected(shader: UsdShade.Shader, name: str) -> tuple[UsdShade.Shader | No
     return None, ""
 
 
-def _constant(shader: UsdShade.Shader, name: str) -> object:
-    """Value of an input, or of the input of a material or node graph that it is connected to."""
+def constant(shader: UsdShade.Shader, name: str) -> Any:
+    """Value of an input, or of the input of a material or node graph that it is connected to.
+
+    Of one that changes it is the first.
+    """
     found = shader.GetInput(name)
     for attribute in UsdShade.Utils.GetValueProducingAttributes(found) if found else ():
         if UsdShade.Utils.GetType(attribute.GetName()) == UsdShade.AttributeType.Input:
-            value: object = attribute.Get()
-            return value
+            return attribute.Get(Usd.TimeCode.EarliestTime())
     return None
 
 
 def _numbers[T: tuple[float, ...]](shader: UsdShade.Shader, name: str, default: T) -> T:
     """As many numbers of an input as the default has; it, where they are no such."""
-    value = _constant(shader, name)
+    value = constant(shader, name)
     try:
-        numbers = (float(value),) if isinstance(value, float | int) else tuple(map(float, value))  # type: ignore[call-overload]
+        numbers = (float(value),) if isinstance(value, float | int) else tuple(map(float, value))
     except TypeError:
         return default
     sound = len(numbers) >= len(default) and all(map(math.isfinite, numbers))

@@ -58,6 +58,7 @@ def square_stage(path: Path, samples: int = 3, width: int | None = None) -> Path
     made.SetEndTimeCode(samples - 1)
     made.SetDefaultPrim(UsdGeom.Xform.Define(made, "/World").GetPrim())
     mesh = UsdGeom.Mesh.Define(made, "/World/Square")
+    mesh.CreateSubdivisionSchemeAttr("none")
     corners = [(-5, -5, 0), (5, -5, 0), (5, 5, 0), (-5, 5, 0)]
     mesh.CreatePointsAttr(Vt.Vec3fArray([Gf.Vec3f(*c) for c in corners]))
     mesh.CreateFaceVertexCountsAttr([4])
