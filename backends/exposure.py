@@ -28,7 +28,6 @@ from scenec.backends.exact.caster import ExactCaster
 from scenec.backends.metering import Seen, look, luminances
 from scenec.backends.render_scene import Camera, RenderScene
 from scenec.schemas import imaging as formulas
-from scenec.schemas.imaging import Imaging
 
 #: Display-linear value that the mean luminance is shown as.
 GRAY = 0.18
@@ -89,15 +88,12 @@ class Meter:
         if camera.imaging is not None and camera.imaging.rule != "metered":
             return camera, {"rule": "picture" if camera.imaging.rule == "auto" else "given"}
         if camera.exposure_per is None:
-            return camera, {"rule": "given"}
+            return _at(camera, camera.exposure_ev), {"rule": "given"}
         alone = sample if camera.exposure_per == "sample" else None
         place = camera.path, alone
         if place not in self._found:
             self._found[place] = self._meter(camera.path, alone, caster())
         found = self._found[place]
-        imaging = camera.imaging
-        if imaging is not None:
-            imaging = _set(imaging, found.ev)
         facts = {
             "rule": "auto",
             "per": camera.exposure_per,
@@ -106,7 +102,7 @@ class Meter:
             "luminance_p99": found.highlight,
             "of": found.of,
         }
-        return replace(camera, exposure_ev=found.ev, imaging=imaging), facts
+        return _at(camera, found.ev), facts
 
     def _meter(self, path: str, sample: int | None, caster: ExactCaster) -> Exposure:
         views = [
@@ -152,9 +148,16 @@ def level(luminance: NDArray[np.float64]) -> tuple[float, float]:
     return float(np.minimum(luminance, high).mean()), high
 
 
-def _set(imaging: Imaging, ev: float) -> Imaging:
-    """A metered sensor at the time and speed that show a value of 1 as 2**ev, or come nearest."""
-    time_s, iso = formulas.time_and_iso(
-        2.0**ev, imaging.f_number, 2.0**imaging.headroom, imaging.time_range_s, imaging.iso_range
-    )
-    return replace(imaging, rule="fixed", time_s=time_s, iso=iso)
+def _at(camera: Camera, ev: float) -> Camera:
+    """A camera that shows radiance * 2**ev; its sensor has the time and speed that come nearest."""
+    imaging = camera.imaging
+    if imaging is not None:
+        time_s, iso = formulas.time_and_iso(
+            2.0**ev,
+            imaging.f_number,
+            2.0**imaging.headroom,
+            imaging.time_range_s,
+            imaging.iso_range,
+        )
+        imaging = replace(imaging, rule="fixed", time_s=time_s, iso=iso)
+    return replace(camera, exposure_ev=ev, imaging=imaging)

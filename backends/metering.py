@@ -239,9 +239,11 @@ class _Paths:
         for number in np.unique(mesh_of):
             mesh, index = self._scene.meshes[number], np.flatnonzero(mesh_of == number)
             shares = _corner_shares(mesh, self._rows, row[index], face[index], at[index])
-            normal = shares.normal
-            normal *= -np.sign((normal * way[index]).sum(axis=1, keepdims=True))
-            out.normal[index] = normal
+            normal, to_viewer = shares.normal, -way[index]
+            facing = (normal * to_viewer).sum(axis=1, keepdims=True)
+            # A sliver whose area underflows has no normal of its own.
+            flat = (normal == 0.0).all(axis=1, keepdims=True)
+            out.normal[index] = np.where(flat, to_viewer, np.where(facing < 0.0, -normal, normal))
             self._add_layers(out, mesh, index, row[index], face[index], shares.corners)
         distance = np.abs(at).max(axis=1) + t * np.abs(directions).max(axis=1)
         out.at += (_LIFT * distance)[:, None] * out.normal

@@ -33,6 +33,7 @@ from scenec.backends.render import render
 from scenec.backends.render_scene import Camera, Lamp, Lighting, RenderScene
 from scenec.schemas.errors import StageError
 from scenec.schemas.imaging import Imaging, shown_per_value
+from scenec.schemas.lens import Lens
 from scenec.schemas.picture import develop, fault, tally
 
 pytestmark = pytest.mark.usefixtures("workers_here")
@@ -184,6 +185,17 @@ def test_it_depends_on_nothing_but_the_stage() -> None:
     assert evs == {ev_of(made, 1)}
 
 
+def test_a_lens_changes_nothing_where_all_is_equally_bright() -> None:
+    fisheye = dataclasses.replace(down(), lens=Lens("kannala_brandt", (0.0,) * 4, 1.2))
+    wide = automatic(look_at([0, 0, 5], [0, 0, 0], 32, 24, 120.0))
+    lights = [sun(40.0)]
+    assert (
+        ev_of(ground(lights, camera=fisheye))
+        == ev_of(ground(lights))
+        == ev_of(ground(lights, camera=wide))
+    )
+
+
 def test_a_metered_sensor_shows_what_the_exposure_says() -> None:
     imaging = Imaging(rule="metered", time_range_s=(1e-6, 10.0), iso_range=(100.0, 100.0))
     camera = dataclasses.replace(down(), imaging=imaging)
@@ -193,6 +205,13 @@ def test_a_metered_sensor_shows_what_the_exposure_says() -> None:
     assert found.imaging.rule == "fixed"
     shown = shown_per_value(4.0, found.imaging.time_s, found.imaging.iso, 2.0)
     assert np.log2(shown) == pytest.approx(found.exposure_ev, abs=1e-9)
+    # It follows an exposure that is given, too.
+    given = dataclasses.replace(camera, exposure_per=None, exposure_ev=-3.0)
+    followed, facts = Meter(made).exposed(given, 0, lambda: ExactCaster(made))
+    assert facts == {"rule": "given"}
+    assert followed.imaging is not None
+    shown = shown_per_value(4.0, followed.imaging.time_s, followed.imaging.iso, 2.0)
+    assert np.log2(shown) == pytest.approx(-3.0, abs=1e-9)
     # One with a time and a speed, or with a meter in each picture, keeps its own.
     for imaging in (Imaging(time_s=0.01, iso=100.0), Imaging(rule="auto")):
         other = dataclasses.replace(down(), imaging=imaging)
