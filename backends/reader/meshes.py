@@ -79,7 +79,8 @@ class MeshTable:
             self.unread.add("a texture on a shape without texture coordinates is flat", prim)
         key = (*shape, surface, *labels.values())
         if key not in self._known:
-            triangles = tessellate(shape)
+            with np.errstate(all="ignore"):
+                triangles = tessellate(shape)
             if not np.isfinite(triangles.points).all():
                 raise StageError(f"{prim.GetPath()}: a {shape[0]} too large for its points")
             count = len(triangles.faces)

@@ -264,6 +264,17 @@ def test_lengths_that_cannot_be_are_named(tmp_path, kind, name, value):
         opened(tmp_path, build)
 
 
+def test_caps_that_grow_beyond_all_numbers_are_named(tmp_path):
+    def build(stage):
+        capsule = UsdGeom.Capsule_1.Define(stage, "/Root/it")
+        # Tangent to a side as flat as this, a cap is as large as the world.
+        capsule.CreateHeightAttr(1e-300)
+        capsule.CreateRadiusTopAttr(0.25)
+
+    with pytest.raises(StageError, match="/Root/it: a Capsule_1 too large for its points"):
+        opened(tmp_path, build)
+
+
 def test_a_texture_on_a_shape_without_coordinates_is_a_loss(tmp_path):
     from PIL import Image
 
