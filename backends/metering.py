@@ -20,9 +20,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.backends import cells, haze, maps, reflectance
+from scenec.backends import cells, maps, reflectance
+from scenec.backends.airlight import arrive, sources
 from scenec.backends.contract import BOUNCES, Rays
 from scenec.backends.exact.caster import ExactCaster
+from scenec.backends.haze import air_at
 from scenec.backends.rays import camera_rays
 from scenec.backends.render_scene import (
     DEFAULT_SURFACE,
@@ -135,7 +137,7 @@ class _Paths:
         self._suns = lighting.suns
         self._lamps = lighting.lamps
         self._dome = None if self.sky is None else _Dome(self.sky)
-        self._haze = scene.haze[sample] if scene.haze else None
+        self._air = air_at(scene, sample, self.sky)
         self._rows = scene.rows_at(sample)
         self._random = np.random.Generator(np.random.Philox(key=_KEY + sample))
 
@@ -160,10 +162,10 @@ class _Paths:
             starts = points.at[on]
             points = self._points(starts, ways[on], row[on], face[on], far[on])
             light[alive] += weight * (points.emission + self._direct(points, 1))
-        if self._haze is not None:
-            passed = haze.transmittance(self._haze, origins, directions, t)
-            shown = haze.airlight(self._haze, self.sky, directions)
-            light = light * passed + shown * (1.0 - passed)
+        if self._air is not None:
+            source = sources(self._air, directions)
+            passed, shown = arrive(self._air, origins, directions[:, None], t[:, None], source)
+            light = light * passed + shown
         return light, hit
 
     def _direct(self, points: _Points, sky_rays: int) -> NDArray[np.float64]:
