@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from scenec.datasets.colors import NO_LABEL, label_colors
-from scenec.datasets.source import Source
+from scenec.datasets.source import Source, sidecar_values
 from scenec.datasets.view.fields import HALF_ERROR
 from scenec.datasets.view.fitting import fit, too_small
 from scenec.datasets.view.ground import Ground, ground_text, objects_text
@@ -139,13 +139,12 @@ def _sizes(sources: Sequence[Source]) -> tuple[int, int]:
     longest, most = 1, 1
     for source in sources:
         for ref in {r.camera: r for r in source.frames}.values():
-            try:
-                sidecar = json.loads(ref.stem.with_suffix(".json").read_bytes())
-                width, height = (int(v) for v in sidecar["resolution"])
-                layers = 3 + sum(_PLANES.get(name, 1) for name in sidecar["passes"])
-            except (OSError, ValueError, KeyError, TypeError):
+            sidecar = sidecar_values(ref)
+            if sidecar is None:
                 # A damaged frame is named when it is its turn.
                 continue
+            width, height = sidecar["resolution"]
+            layers = 3 + sum(_PLANES.get(name, 1) for name in sidecar["passes"])
             longest = max(longest, width, height)
             most = max(most, width * height * (2 * layers + 2) + 40_000)
     return longest, most

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import fcntl
 import json
 import os
 import shutil
@@ -22,6 +21,7 @@ from scenec.datasets.formats.registry import find_format, format_names
 from scenec.datasets.remap import parse_remap
 from scenec.datasets.splits import parse_splits
 from scenec.schemas.errors import FrameError, OutputError
+from scenec.schemas.lock import LOCK, Lock
 
 FRAME = "batch_0001/rover_left/000001"
 _EXPORT = """
@@ -206,10 +206,11 @@ def test_a_script_needs_no_main_guard(output: Path, plugin: Path, tmp_path: Path
 
 def test_two_exports_of_one_folder_do_not_mix(output: Path, tmp_path: Path, plugin: Path) -> None:
     (tmp_path / ".ds.partial").mkdir()
-    with (tmp_path / ".ds.partial" / "lock").open("wb") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        with pytest.raises(OutputError, match="another export is at work"):
-            export(output, "tiny", tmp_path / "ds", workers=1)
+    with (
+        Lock(tmp_path / ".ds.partial" / LOCK),
+        pytest.raises(OutputError, match=rf"ds: .*process {os.getpid()}.* is at work here"),
+    ):
+        export(output, "tiny", tmp_path / "ds", workers=1)
 
 
 def test_a_damaged_frame_stops_an_export_and_leaves_no_dataset(
