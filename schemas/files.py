@@ -204,6 +204,18 @@ def check_writable(*folders: Path) -> None:
             )
 
 
+def check_output(file: Path) -> None:
+    """The same for one file; what killed processes left beside it is removed.
+
+    Raises:
+        OutputError: It cannot be written.
+    """
+    if file.is_dir():
+        raise OutputError(f"{file}: cannot be written: it is a folder")
+    check_writable(file.parent)
+    sweep([file.parent])
+
+
 def read_json(path: Path, error: type[ScenecError], what: str) -> Any:
     """The JSON value in a file.
 

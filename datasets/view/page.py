@@ -18,7 +18,7 @@ from scenec.datasets.view.jobs import Fault, Pool, Task
 from scenec.datasets.view.layers import NORMAL_ERROR_DEG, WIDEST, Fineness
 from scenec.datasets.view.record import EDGES, Record, Tally, plain_json, short
 from scenec.schemas.errors import FrameError
-from scenec.schemas.files import atomic
+from scenec.schemas.files import atomic, check_output
 from scenec.schemas.manifest import FRAMES, Batch, find_batches
 from scenec.schemas.versions import version_of
 
@@ -96,6 +96,7 @@ def write_view(
         FrameError: There are no frames, or one is faulty and ``faults`` is ``stop``.
         OutputError: The page cannot be written, or not within its budget.
     """
+    check_output(output)
     sources = _sources(out, backends)
     tasks = [
         Task(index, ref, Fineness())

@@ -374,5 +374,8 @@ def test_a_disk_that_takes_no_more_ends_in_one_line_and_leaves_nothing(tmp_path)
     )  # fmt: skip
     assert done.returncode == 2
     assert "Traceback" not in done.stderr
+    assert f"{tmp_path}/out/batch_0000" in done.stderr
     assert "cannot be written" in done.stderr
-    assert not list((tmp_path / "out").glob("*"))
+    # Neither the name of something that is gone nor an empty folder.
+    assert ".scenec-" not in done.stderr
+    assert not (tmp_path / "out").exists()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import json
+import shutil
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -18,6 +19,7 @@ from made_output import make_output
 from scenec.backends.check.files import check_files
 from scenec.backends.check.frames import check_frames
 from scenec.backends.check.scans import check_scans
+from scenec.cli.main import main
 from scenec.datasets.export import Choice, export
 from scenec.datasets.export_records import read_record, record_path, write_record
 from scenec.datasets.formats.contract import Task
@@ -240,3 +242,26 @@ def test_shapes_are_as_they_are_written():
         with pytest.raises(FrameError) as caught:
             require_shape(value, shape, FrameError, "f")
         assert str(caught.value) == f"f: {message}"
+
+
+@pytest.mark.parametrize("command", ["view", "sheet", "export", "scan", "render"])
+def test_what_cannot_be_written_is_said_before_the_work(output, tmp_path, capsys, command):
+    (tmp_path / "file").write_text("")
+    place = str(tmp_path / "file" / "made.png")
+    out = shutil.copytree(output, tmp_path / "out")
+    words = {
+        "view": ["view", str(out), "-o", place.replace("png", "html")],
+        "sheet": ["sheet", str(out), "-o", place],
+        "export": ["export", str(out), "--format", "tum", "-o", place],
+    }.get(command, [command, str(out)])
+    if command in ("render", "scan"):
+        # The batch lies in a file system that takes nothing.
+        shutil.rmtree(out / "batch_0000")
+        manifest = json.loads((out / "manifest.json").read_text())
+        (out / "batch_0000").write_text("")
+        (out / "manifest.json").write_text(json.dumps(manifest))
+    assert main(words) == 2
+    told = capsys.readouterr().err
+    assert "cannot be written: " in told
+    assert "is not a folder" in told
+    assert "frame 1/" not in told
