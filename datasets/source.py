@@ -474,13 +474,10 @@ def _vouched(frame: Frame, key: str, path: Path) -> Path:
 
 
 def _label_names(frame: Frame) -> dict[str, dict[int, str]]:
-    try:
-        return {
-            level: {int(number): str(name) for number, name in table.items()}
-            for level, table in frame.sidecar["labels"].items()
-        }
-    except (AttributeError, ValueError) as error:
-        raise FrameError(f"{frame.path}: its table of labels is broken: {error}") from error
+    return {
+        level: {int(number): name for number, name in table.items()}
+        for level, table in frame.sidecar["labels"].items()
+    }
 
 
 def sequences(frames: Sequence[FrameRef]) -> Iterator[list[FrameRef]]:

@@ -7,7 +7,6 @@ from typing import Any
 
 from scenec.schemas.errors import FrameError
 from scenec.schemas.files import read_json
-from scenec.schemas.lens import COEFFICIENTS
 from scenec.schemas.shape import Each, is_number, natural, require_shape
 
 #: What a reader may rely on in every sidecar.
@@ -48,6 +47,9 @@ def _table(value: Any) -> str | None:
 
 
 def _lens(value: Any) -> str | None:
+    # Imported here: with it comes numba, and few sidecars have a lens.
+    from scenec.schemas.lens import COEFFICIENTS
+
     if not isinstance(value, dict) or value.get("model") not in list(COEFFICIENTS):
         return f"a lens of model {' or '.join(COEFFICIENTS)}"
     numbers = value.get("coefficients")

@@ -49,7 +49,12 @@ def replace_files(new: Path, root: Path, removed: Iterable[str] = ()) -> None:
             _check_place(root, path)
         (new / _REMOVED).write_text(as_json(list(removed)), encoding="utf-8")
         os.rename(new, root / UPDATE)
-        _carry_out(root)
+        try:
+            _carry_out(root)
+        except KeyboardInterrupt:
+            # It takes no longer than to say that it is not done.
+            _carry_out(root)
+            raise
     except OSError as error:
         raise OutputError(f"{root}: cannot be replaced: {error.strerror or error}") from error
 

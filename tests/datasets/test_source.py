@@ -121,7 +121,7 @@ FAULTS = {
     "cut sidecar": (cut_sidecar, "damaged", "no sidecar of scenec"),
     "empty sidecar": (lambda p: p.write_text("{}"), "damaged", "no sidecar of scenec"),
     "lost table": (lost_table, "damaged", r"000001\.instances\.csv: no such table"),
-    "broken labels": (lambda p: edit(p, labels=3), "damaged", "table of labels is broken"),
+    "broken labels": (lambda p: edit(p, labels=3), "damaged", "/labels: expected an object"),
     "another stage": (lambda p: edit(p, stage_digest="0" * 64), "foreign", "another stage"),
     "another camera": (lambda p: edit(p, camera="mast"), "foreign", "says it is mast 1"),
     "another sample": (lambda p: edit(p, sample=7), "foreign", "says it is rover_left 7"),
