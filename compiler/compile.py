@@ -120,7 +120,7 @@ def compile_cfg(
     failed = report.failed
     unchanged = 0
     with locked(out):
-        output = Output(out, spec, seed, keep, replace, say)
+        output = Output(out, spec, seed, keep, chosen, replace, say)
         for done, batch in enumerate(chosen):
             name = batch_name(batch)
             tell = _teller(step, done, len(chosen), name)

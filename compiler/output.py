@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,15 @@ from scenec.compiler.frontend import licenses
 from scenec.compiler.frontend.load import Spec, digest_of
 from scenec.compiler.passes.keep import Keep
 from scenec.schemas.errors import OutputError
-from scenec.schemas.files import as_json, check_writable, sha256, sweep, tree, write_json
+from scenec.schemas.files import (
+    as_json,
+    check_writable,
+    sha256,
+    sweep,
+    temporary_folder,
+    tree,
+    write_json,
+)
 from scenec.schemas.lock import LOCK, Lock
 from scenec.schemas.manifest import (
     CFG,
@@ -81,6 +89,7 @@ class Output:
     Args:
         out: The folder.
         spec, seed, keep: What is compiled into it.
+        chosen: The batches that are compiled now.
         replace: Whether what was compiled from something else may go.
         say: Called with a line about what goes.
 
@@ -94,6 +103,7 @@ class Output:
         spec: Spec,
         seed: int,
         keep: Keep,
+        chosen: Collection[int],
         replace: bool,
         say: Callable[[str], None],
     ) -> None:
@@ -127,7 +137,7 @@ class Output:
         self._dropped = set(old["files"]) - set(files)
         for batch in gone:
             # Frames of batches that come again are judged when their stage is known.
-            if not other or batch["index"] >= count:
+            if batch["index"] not in chosen:
                 self._dropped |= _names(out, rendered_files(out / batch["path"]))
         failed = [] if other else [f for f in old.get("failed", ()) if f["index"] < count]
         self._manifest = {**head, "batches": kept, "files": files}
@@ -213,12 +223,13 @@ class Output:
         others = [f for f in self._manifest.get("failed", ()) if f["index"] != batch]
         entry = {"index": batch, "path": batch_name(batch), "reason": reason}
         self._note_failed([*others, entry])
+        if self._stale:
+            self._dropped |= _names(self._out, rendered_files(self._out / batch_name(batch)))
 
     def close(self) -> None:
         """Writes the manifest where batches failed after the last one that came in."""
-        place = self._out / MANIFEST
-        if place.is_file() and place.read_text(encoding="utf-8") != as_json(self._manifest):
-            write_json(place, self._manifest)
+        with temporary_folder(self._out) as folder:
+            self._commit(folder, self._dropped)
 
     def foreign(self, batch: int) -> list[str]:
         """A line about files in a batch's folder that are not the compiler's, if there are any."""

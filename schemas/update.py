@@ -47,7 +47,11 @@ def replace_files(new: Path, root: Path, removed: Iterable[str] = ()) -> None:
             return
         for path in tree(new):
             _check_place(root, path)
-        (new / _REMOVED).write_text(as_json(list(removed)), encoding="utf-8")
+        removed = list(removed)
+        for name in removed:
+            if inside(root, name).is_dir():
+                raise OutputError(f"{root / name}: is a folder, and a file was there; move it away")
+        (new / _REMOVED).write_text(as_json(removed), encoding="utf-8")
         os.rename(new, root / UPDATE)
         try:
             _carry_out(root)
@@ -123,7 +127,7 @@ def _carry_out(root: Path) -> None:
             (root / path).parent.mkdir(parents=True, exist_ok=True)
             os.replace(update / path, root / path)
     for name in removed:
-        place = inside(root, name)
+        place = inside(root, name, update / _REMOVED)
         place.unlink(missing_ok=True)
         for parent in place.parents[: len(Path(name).parents) - 1]:
             # Until one holds something else.

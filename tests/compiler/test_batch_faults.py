@@ -88,6 +88,16 @@ def test_a_batch_that_was_passed_over_is_known_to_every_later_command(cfg, skipp
         assert name == "timings.json" or (skipped / name).read_bytes() == data
 
 
+def test_replacing_leaves_no_frames_of_batches_that_are_not_there_any_more(cfg, tmp_path):
+    out = tmp_path / "out"
+    compile_cfg(cfg, seed=3, out=out, faults="redraw")
+    render(out, "reference")
+    report = compile_cfg(cfg, seed=1, out=out, faults="skip", replace=True, batches=range(1, 4))
+    assert report.batches == (1,)
+    assert sorted(p.name for p in out.glob("batch_*")) == ["batch_0001"]
+    assert not list(out.rglob("000000.*"))
+
+
 def test_drawing_again_changes_no_other_batch_and_is_the_same_each_time(cfg, skipped, redrawn):
     ours, theirs = contents(redrawn), contents(skipped)
     for name in theirs:

@@ -59,7 +59,7 @@ def put(out: Path, cfg: Path, files: dict[str, str], seed: int = 1, replace: boo
     """Brings a made-up batch in, as ``compile_cfg`` does with one that it built."""
     spec = load(cfg)
     with locked(out):
-        output = Output(out, spec, seed, Keep.SEEN, replace, lambda _line: None)
+        output = Output(out, spec, seed, Keep.SEEN, [0], replace, lambda _line: None)
         with temporary_folder(out) as folder:
             write(folder / "batch_0000", files)
             same = output.put(folder, 0, 3, 0)
@@ -151,6 +151,22 @@ def test_an_update_that_cannot_be_done_is_refused_before_anything_is(output, tmp
     assert contents(out) == before
 
 
+def test_a_manifest_that_lists_what_is_elsewhere_removes_nothing_there(output, tmp_path):
+    out, cfg = output
+    (tmp_path / "theirs").write_text("theirs")
+    (out / "folder").mkdir()
+    sound = (out / "manifest.json").read_text()
+    for name, words in (("../theirs", "no path inside"), ("folder", "folder: is a folder")):
+        manifest = json.loads(sound)
+        manifest["files"][name] = {"sha256": "", "bytes": 0}
+        (out / "manifest.json").write_text(json.dumps(manifest))
+        before = contents(out)
+        with pytest.raises(OutputError, match=words):
+            put(out, cfg, NEXT, 2, replace=True)
+        assert contents(out) == before
+    assert (tmp_path / "theirs").exists()
+
+
 def test_what_leads_out_of_an_output_is_not_replaced(output, tmp_path):
     out, cfg = output
     (tmp_path / "elsewhere").mkdir()
@@ -219,7 +235,7 @@ def test_more_batches_of_the_same_cfg_are_no_other_cfg_and_fewer_are_said(tmp_pa
     more = write_cfg(tmp_path, small_cfg(batches=5))
     spec = load(more)
     with locked(out):
-        output = Output(out, spec, 1, Keep.SEEN, False, lambda _line: None)
+        output = Output(out, spec, 1, Keep.SEEN, [4], False, lambda _line: None)
         with temporary_folder(out) as folder:
             write(folder / "batch_0004", NEXT)
             output.put(folder, 4, 3, 0)
