@@ -10,6 +10,7 @@ from typing import Any
 
 from scenec.backends.pool import WorkerProcess
 from scenec.schemas.errors import BackendError, StageError
+from scenec.schemas.files import inside
 from scenec.schemas.frames import FrameKey, frame_stem
 from scenec.schemas.manifest import FRAMES, Batch
 from scenec.schemas.spelling import nearest
@@ -168,11 +169,16 @@ class Jobs:
 
     def __iter__(self) -> Iterator[Job]:
         wanted, batch = self._wanted, self._batch
+        checked: set[str] = set()
         for sample, index in self._places:
             camera = self._camera(sample, index)
             name = camera["name"]
             key = self._key(camera["passes"])
             stem = frame_stem(batch.folder, wanted.backend, name, sample)
+            if name not in checked:
+                # The name is the stage's, and what lies there may be a link.
+                inside(batch.folder, stem.relative_to(batch.folder).as_posix(), batch.stage)
+                checked.add(name)
             request = {
                 "op": "render",
                 "stem": str(stem.resolve()),

@@ -13,10 +13,12 @@ from scenec.backends.lidar import scan
 from scenec.backends.reader import read_stage
 from scenec.backends.render_scene import Lidar, RenderScene
 from scenec.schemas.errors import StageError
+from scenec.schemas.files import check_writable, inside, sweep
 from scenec.schemas.manifest import find_batches
-from scenec.schemas.scans import is_scanned, scan_key, scan_stem, write_scan
+from scenec.schemas.scans import SCANS, is_scanned, scan_key, scan_stem, write_scan
 from scenec.schemas.spelling import nearest
 from scenec.schemas.strays import Stray, stray_scans, told
+from scenec.schemas.update import reading
 from scenec.schemas.versions import version_of
 
 
@@ -64,10 +66,24 @@ def scan_output(
         StageError: A stage cannot be read, or no stage has what is asked for.
         OutputError: A file cannot be written.
     """
+    with reading(Path(out)):
+        return _scan_batches(out, samples, batches, lidars, ply, progress)
+
+
+def _scan_batches(
+    out: Path | str,
+    samples: Collection[int] | None,
+    batches: Collection[int] | None,
+    lidars: Collection[str] | None,
+    ply: bool,
+    progress: Callable[[int, int, str], None] | None,
+) -> ScanReport:
     report = ScanReport()
     names: set[str] = set()
     found: list[Stray] = []
     for batch in find_batches(Path(out), batches):
+        check_writable(batch.folder)
+        sweep((batch.folder / SCANS).glob("*"))
         start = time.perf_counter()
         scene = read_stage(batch.stage)
         report.seconds["read"] += time.perf_counter() - start
@@ -110,6 +126,8 @@ def _scan_batch(
     seconds, caster = report.seconds, None
     for done, (sample, lidar) in enumerate(wanted, 1):
         stem = scan_stem(folder, lidar.name, sample)
+        # The name is the stage's, and what lies there may be a link.
+        inside(folder, stem.relative_to(folder).as_posix(), "the stage")
         report.scans.append(stem)
         if not is_scanned(stem, key, ply):
             start = time.perf_counter()

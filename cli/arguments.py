@@ -12,6 +12,9 @@ PASSES = (
     *("disparity", "disparity_occlusion", "depth_measured"),
 )
 
+#: As in ``scenec.compiler.compile``, for the same reason.
+FAULTS = ("stop", "skip", "redraw")
+
 
 def seed(text: str) -> int:
     """A whole number from 0 to 2^64 - 1."""
@@ -230,6 +233,23 @@ def add_cache(parser: argparse.ArgumentParser) -> None:
 def add_batches(parser: argparse.ArgumentParser) -> None:
     """A choice of batches."""
     parser.add_argument("--batches", type=span, metavar="A:B", help="only batches A to B-1")
+
+
+def add_replace(parser: argparse.ArgumentParser) -> None:
+    """What a compilation may do to an output that is there, and about batches that fail."""
+    parser.add_argument(
+        "--replace",
+        action="store_true",
+        help="replace what OUT holds of another cfg, seed, --keep or version: its batches go, and "
+        "frames and scans of stages that change; files of your own stay",
+    )
+    parser.add_argument(
+        "--faults",
+        choices=FAULTS,
+        default="stop",
+        help="at a batch that cannot be built: stop (default), skip it and leave with exit status "
+        "1, or redraw it, the same each time, and skip it after 16 attempts",
+    )
 
 
 def add_json(parser: argparse.ArgumentParser) -> None:

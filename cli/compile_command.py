@@ -19,7 +19,7 @@ def run(options: argparse.Namespace) -> int:
     report = compile_now(options)
     if options.json:
         print_json(as_json(report))
-    return 0
+    return 1 if report.failed else 0
 
 
 def compile_now(options: argparse.Namespace) -> CompileReport:
@@ -34,6 +34,8 @@ def compile_now(options: argparse.Namespace) -> CompileReport:
         progress=say,
         step=Progress("compiled", unit="batch", units="batches").now,
         cache=cache,
+        replace=options.replace,
+        faults=options.faults,
     )
     for name, seconds in report.seconds.items():
         facts = report.facts[name]
@@ -59,6 +61,13 @@ def compile_now(options: argparse.Namespace) -> CompileReport:
                     f"{entry['error_rms_m']:.2g} m rms after {entry['steps']:,} steps, its aim is "
                     f"{entry['error_aim_m']:.2g} m; raise steps, or error_m"
                 )
+    for name, attempts in report.attempts.items():
+        say(f"{name}: drawn again {attempts} times, since it could not be built")
+    if report.failed:
+        say(
+            f"{len(report.failed)} of {len(report.failed) + len(report.batches)} batches cannot be "
+            f"built: {', '.join(report.failed)}"
+        )
     for line in report.strays:
         say(f"warning: {line}")
     if report.unchanged:
@@ -87,6 +96,8 @@ def as_json(report: CompileReport) -> dict[str, object]:
         "out": str(report.out),
         "batches": list(report.batches),
         "unchanged": report.unchanged,
+        "failed": report.failed,
+        "attempts": report.attempts,
         "seconds": report.seconds,
         "strays": list(report.strays),
         "steps": {"made": report.made, "taken": report.taken},

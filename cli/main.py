@@ -15,6 +15,7 @@ from scenec.cli.arguments import (
     add_json,
     add_keep,
     add_render_options,
+    add_replace,
     add_settle_options,
     passes,
     positive,
@@ -94,6 +95,7 @@ def parser() -> argparse.ArgumentParser:
     add_render_options(run)
     add_keep(run)
     add_cache(run)
+    add_replace(run)
     add_batches(run)
     add_json(run)
 
@@ -103,6 +105,7 @@ def parser() -> argparse.ArgumentParser:
     compile_.add_argument("-o", "--out", metavar="OUT", required=True, help="output folder")
     add_keep(compile_)
     add_cache(compile_)
+    add_replace(compile_)
     add_batches(compile_)
     add_json(compile_)
 

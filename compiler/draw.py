@@ -56,7 +56,7 @@ _SCATTERED: dict[str, Callable[..., ReliefOperator]] = {
 }
 
 
-def draw(spec: Spec, seed: int, batch: int) -> Plan:
+def draw(spec: Spec, seed: int, batch: int, attempt: int = 0) -> Plan:
     """The plan of one batch.
 
     Each number's stream is named by its place in the cfg, so a change in one place leaves what is
@@ -66,11 +66,13 @@ def draw(spec: Spec, seed: int, batch: int) -> Plan:
         spec: A validated cfg.
         seed: 0 <= seed < 2**64.
         batch: Index of the batch.
+        attempt: How often it was drawn before, and could not be built.
 
     Raises:
         ScenecError: The seed is out of range.
+        SceneError: What is drawn makes no scene.
     """
-    streams = Streams(seed, batch)
+    streams = Streams(seed, batch, attempt)
     cfg, samples = spec.cfg, int(spec.cfg["samples"])
     materials = draw_materials(spec, streams)
     terrain = _terrain(spec, streams, materials)

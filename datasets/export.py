@@ -15,10 +15,8 @@ export that was cut short has done is not done again.
 from __future__ import annotations
 
 import csv
-import fcntl
 import hashlib
 import itertools
-import json
 import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -28,40 +26,44 @@ from typing import Any
 
 from scenec.datasets.card import write_card
 from scenec.datasets.export_plan import FAULTS, Choice, Plan, make_plan
+from scenec.datasets.export_records import (
+    DATA,
+    EXPORT,
+    EXPORT_VERSION,
+    FAULT,
+    INDEX_COLUMNS,
+    SCRATCH,
+    TALLY,
+    TASKS,
+    Records,
+    is_done,
+    read_export,
+    write_record,
+)
 from scenec.datasets.filters import Tally
-from scenec.datasets.formats.contract import Done, Narrowed, Task
+from scenec.datasets.formats.contract import Narrowed, Task
 from scenec.datasets.formats.registry import find_format
 from scenec.datasets.pictures import counted, vouch
 from scenec.datasets.source import FrameFault, LoadedFrame, kind_of
 from scenec.datasets.statistics import Statistics, measure
-from scenec.datasets.sums import SUMS, note, settle, tidy, write_sums
+from scenec.datasets.sums import SUMS, listed, note, settle, tidy, write_sums
 from scenec.datasets.workers import default_workers, in_processes
 from scenec.schemas.csv_cells import guarded_line
 from scenec.schemas.errors import FrameError, OutputError
-from scenec.schemas.files import replace_folder, sha256, write_json
+from scenec.schemas.files import check_writable, sha256, tree, write_json
+from scenec.schemas.lock import LOCK, Lock
+from scenec.schemas.update import finish_update, reading, replace_files
 
 __all__ = ["FAULTS", "Choice", "ExportReport", "export"]
 
-EXPORT = "export.json"
 INDEX = "frames.csv"
 STATISTICS = "statistics.json"
 CARD = "README.md"
-#: Version of what stands in ``export.json``.
-EXPORT_VERSION = 1
-
-INDEX_COLUMNS = (
-    "frame", "split", "batch", "camera", "sample", "time_s", "stage_digest", "annotation_sha256",
-    "picture_sha256", "instances",
-)  # fmt: skip
 
 #: ``progress(done, total, text)``, called after each task.
 Progress = Callable[[int, int, str], None]
 Say = Callable[[str], None]
 
-_TASKS = "tasks"
-_SCRATCH = "scratch"
-_DATA = "data"
-_LOCK = "lock"
 #: More of them are counted, not listed.
 _LISTED_FAULTS = 1000
 #: More of them are said in one line.
@@ -140,13 +142,13 @@ def export(
             f"exporting the frames of {plan.source.backend}; there are those of "
             f"{', '.join(others)} too (--backend)"
         )
-    with _begun(plan) as partial:
+    with reading(Path(out)), _begun(plan) as partial:
         _missing(plan, report, say)
         for line in plan.remarks():
             say(f"warning: {line}")
         todo = []
         for task in plan.tasks():
-            if _is_done(plan, partial, task):
+            if is_done(plan, partial, task):
                 report.resumed += 1
             else:
                 todo.append(task)
@@ -162,7 +164,7 @@ def export(
                 say(f"warning: {fault.message}; left out")
             if progress:
                 progress(finished, total, plan.task_name(task))
-        _finish(plan, partial, report)
+        _finish(plan, partial, report, say)
     for what, number in report.left_out.items():
         say(f"warning: left out: {number} {what}")
     for what, one in report.narrowed.items():
@@ -173,6 +175,8 @@ def export(
 def _already_there(plan: Plan, replace: bool) -> ExportReport | None:
     """The dataset if it is there, made of the same frames in the same way."""
     folder = plan.folder
+    finish_update(folder)
+    check_writable(folder.parent)
     if not folder.exists():
         return None
     path = folder / EXPORT
@@ -183,20 +187,17 @@ def _already_there(plan: Plan, replace: bool) -> ExportReport | None:
             f"{folder}: is not empty and holds no dataset of scenec (no {EXPORT}); choose another "
             "folder with -o"
         )
-    try:
-        written = json.loads(path.read_text(encoding="utf-8"))
-        if written["key"] == plan.whole_key() and not _mended(plan, written["faults"]):
-            # A run that was killed after its last step left it.
-            shutil.rmtree(_partial(plan), ignore_errors=True)
-            report = ExportReport(folder, plan.format_name, there=True)
-            report.frames, report.splits = int(written["frames"]), dict(written["splits"])
-            report.digest = str(written["digest"]["annotation"])
-            report.tally = Tally(**written["instances"])
-            report.left_out = dict(written["left_out"])
-            report.faults = [FrameFault(**fault) for fault in written["faults"]]
-            return report
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise OutputError(f"{path}: is no {EXPORT} of scenec: {error}") from error
+    written = read_export(path)
+    if written["key"] == plan.whole_key() and not _mended(plan, written["faults"]):
+        # A run that was killed after its last step left it.
+        shutil.rmtree(_partial(plan), ignore_errors=True)
+        report = ExportReport(folder, plan.format_name, there=True)
+        report.frames, report.splits = written["frames"], written["splits"]
+        report.digest = written["digest"]["annotation"]
+        report.tally.add(*(written["instances"][key] for key in TALLY))
+        report.left_out = written["left_out"]
+        report.faults = [FrameFault(*(fault[key] for key in FAULT)) for fault in written["faults"]]
+        return report
     if not replace:
         raise OutputError(
             f"{folder}: holds another dataset (of other frames, or made in another way); choose "
@@ -231,19 +232,11 @@ def _begun(plan: Plan) -> Iterator[Path]:
     """
     partial = _partial(plan)
     try:
-        for name in (_TASKS, _SCRATCH, _DATA):
+        for name in (TASKS, SCRATCH, DATA):
             (partial / name).mkdir(parents=True, exist_ok=True)
-        lock = (partial / _LOCK).open("wb")
     except OSError as error:
         raise OutputError(f"{partial}: cannot be written: {error.strerror or error}") from error
-    with lock:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError as error:
-            raise OutputError(
-                f"{plan.folder}: another export is at work on it; wait for it, or choose another "
-                "folder with -o"
-            ) from error
+    with Lock(partial / LOCK, what=plan.folder):
         yield partial
 
 
@@ -268,20 +261,6 @@ def _missing(plan: Plan, report: ExportReport, say: Say) -> None:
     report.faults.extend(strays)
 
 
-def _record_path(partial: Path, task: Task) -> Path:
-    return partial / _TASKS / f"{task.number:08d}.json"
-
-
-def _is_done(plan: Plan, partial: Path, task: Task) -> bool:
-    try:
-        entry = json.loads(_record_path(partial, task).read_text(encoding="utf-8"))
-        return entry["key"] == plan.task_key(task) and all(
-            (partial / _DATA / name).stat().st_size == size for name, size, _ in entry["files"]
-        )
-    except (OSError, ValueError, KeyError, TypeError):
-        return False
-
-
 @dataclass
 class _Run:
     """One task in a worker process."""
@@ -296,7 +275,7 @@ class _Run:
         tally = Tally()
         statistics = Statistics()
         frames = self._frames(task, lines, faults, tally, statistics)
-        data, scratch = self.partial / _DATA, self.partial / _SCRATCH
+        data, scratch = self.partial / DATA, self.partial / SCRATCH
         first = next(frames, None)
         files: list[list[Any]] = []
         record = None
@@ -315,20 +294,18 @@ class _Run:
                 [n, (data / n).stat().st_size, written.digests.get(n) or sha256(data / n)]
                 for n in written.files
             ]
-        write_json(
-            _record_path(self.partial, task),
-            {
-                "key": self.plan.task_key(task),
-                "files": files,
-                "record": record,
-                "left_out": left_out,
-                "narrowed": narrowed,
-                "index": lines,
-                "faults": [asdict(fault) for fault in faults],
-                "tally": asdict(tally),
-                "statistics": statistics.state(),
-            },
-        )
+        entry = {
+            "key": self.plan.task_key(task),
+            "files": files,
+            "record": record,
+            "left_out": left_out,
+            "narrowed": narrowed,
+            "index": lines,
+            "faults": [asdict(fault) for fault in faults],
+            "tally": asdict(tally),
+            "statistics": statistics.state(),
+        }
+        write_record(self.partial, task, entry)
         return faults
 
     def _frames(
@@ -377,30 +354,10 @@ def _index_line(frame: LoadedFrame, split: str) -> list[str]:
     ]
 
 
-@dataclass(frozen=True)
-class _Records:
-    """All tasks' records, read one after the other, as often as they are gone through."""
-
-    plan: Plan
-    partial: Path
-
-    def entries(self) -> Iterator[tuple[Task, dict[str, Any]]]:
-        for task in self.plan.tasks():
-            path = _record_path(self.partial, task)
-            entry = json.loads(path.read_text(encoding="utf-8"))
-            if entry["key"] != self.plan.task_key(task):
-                raise OutputError(f"{path}: was changed by another process; export again")
-            yield task, entry
-
-    def __iter__(self) -> Iterator[Done]:
-        for task, entry in self.entries():
-            yield Done(task, entry["record"])
-
-
-def _finish(plan: Plan, partial: Path, report: ExportReport) -> None:
+def _finish(plan: Plan, partial: Path, report: ExportReport, say: Say) -> None:
     """What is common to all tasks; then the folder gets its name."""
-    data, scratch = partial / _DATA, partial / _SCRATCH
-    records = _Records(plan, partial)
+    data, scratch = partial / DATA, partial / SCRATCH
+    records = Records(plan, partial)
     statistics = Statistics()
     annotation, pictures = hashlib.sha256(), hashlib.sha256()
     report.splits = dict.fromkeys(plan.info.splits, 0)
@@ -442,18 +399,27 @@ def _finish(plan: Plan, partial: Path, report: ExportReport) -> None:
     plan.folder.parent.mkdir(parents=True, exist_ok=True)
     if plan.folder.is_dir() and not any(plan.folder.iterdir()):
         plan.folder.rmdir()
-    replace_folder(data, plan.folder)
+    if plan.folder.exists():
+        # What is not of the dataset that goes is somebody's own.
+        with Lock(plan.folder / LOCK):
+            replace_files(data, plan.folder, sorted(listed(plan.folder) - {*sums, SUMS}))
+        others = [p for p in tree(plan.folder) if p.as_posix() not in {*sums, SUMS}]
+        for path in others[:1]:
+            more = f" (and {len(others) - 1} more)" if others[1:] else ""
+            say(f"warning: {plan.folder / path}{more}: no part of the dataset; left as it is")
+    else:
+        replace_files(data, plan.folder)
     shutil.rmtree(partial, ignore_errors=True)
 
 
 def _add_up(report: ExportReport, task: Task, entry: dict[str, Any]) -> None:
     report.frames += len(entry["index"])
     report.splits[task.split] += len(entry["index"])
-    report.tally.add(**entry["tally"])
+    report.tally.add(*(entry["tally"][key] for key in TALLY))
     _note_left_out(report, entry["left_out"])
     for what, one in entry["narrowed"].items():
         report.narrowed[what] = report.narrowed.get(what, Narrowed()) + Narrowed(**one)
-    report.faults.extend(FrameFault(**fault) for fault in entry["faults"])
+    report.faults.extend(FrameFault(*(one[key] for key in FAULT)) for one in entry["faults"])
 
 
 def _note_left_out(report: ExportReport, left_out: dict[str, int]) -> None:

@@ -28,7 +28,7 @@ from scenec.datasets.colors import NO_LABEL, label_colors, paint_instances
 from scenec.datasets.formats.encode import file_bytes, picture_png
 from scenec.datasets.source import LoadedFrame, Source
 from scenec.schemas.errors import FrameError, OutputError
-from scenec.schemas.files import atomic
+from scenec.schemas.files import atomic, check_output
 
 if TYPE_CHECKING:
     from types import ModuleType
@@ -93,6 +93,7 @@ def log_frames(
             raise OutputError(f"the Rerun viewer does not start: {error}") from error
         _log_all(rerun, stream, source, names, faults, progress, warn, report)
         return report
+    check_output(save)
     with atomic(save) as temporary:
         stream.save(temporary)
         _log_all(rerun, stream, source, names, faults, progress, warn, report)

@@ -226,7 +226,7 @@ def _union(frames: Collection[Frame]) -> tuple[str, ...]:
 def _add_raw(raw: Raw, frame: Frame, backend: str) -> None:
     """Add what the sidecar says about its renderer's own visibility, if that made it."""
     statistics = frame.sidecar.get("resolver")
-    made_by = frame.sidecar.get("annotation", {}).get("backend", backend)
+    made_by = (frame.sidecar.get("annotation") or {}).get("backend", backend)
     if isinstance(statistics, dict) and made_by == backend and backend not in ANNOTATION_ONLY:
         raw.pixels += int(statistics["pixels"])
         raw.changed += int(statistics["changed"])

@@ -19,6 +19,7 @@ from scenec.backends.converge.metrics import FORMULAS, root
 from scenec.backends.reader import read_stage
 from scenec.backends.registry import ANNOTATION_ONLY, require_name
 from scenec.schemas.errors import BackendError
+from scenec.schemas.files import check_writable
 from scenec.schemas.manifest import find_batches
 
 #: In the output folder.
@@ -150,6 +151,7 @@ def converge(
     folder = (out if out.is_dir() else out.parent) / FOLDER
     found = ConvergeReport()
     floors: dict[tuple[str, str], list[dict[str, Any]]] = defaultdict(list)
+    check_writable(folder)
     for batch in find_batches(out, batches):
         aside = folder / "pictures" / batch.name
         climbed = [climb(batch, name, ladder, aside, say) for name in names]

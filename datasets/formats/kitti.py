@@ -55,7 +55,7 @@ from scenec.datasets.formats.poses import (
     relative,
     require_pinhole,
 )
-from scenec.datasets.source import FrameRef, LoadedFrame
+from scenec.datasets.source import FrameRef, LoadedFrame, sidecar_values
 from scenec.schemas.correspondence import VISIBLE
 from scenec.schemas.errors import FrameError, OutputError
 from scenec.schemas.files import atomic
@@ -449,7 +449,7 @@ def _before_partners(frames: Sequence[FrameRef]) -> bool:
 
 def _first_sidecar(frames: Sequence[FrameRef]) -> dict[str, Any]:
     """The first that can be read."""
-    return next((s for s in map(trajectory.sidecar_of, frames) if s is not None), {})
+    return next((s for s in map(sidecar_values, frames) if s is not None), {})
 
 
 def _baseline(a: Sequence[FrameRef], b: Sequence[FrameRef]) -> float:
@@ -458,7 +458,7 @@ def _baseline(a: Sequence[FrameRef], b: Sequence[FrameRef]) -> float:
     for ref in a:
         if ref.sample not in others:
             continue
-        one, two = trajectory.sidecar_of(ref), trajectory.sidecar_of(others[ref.sample])
+        one, two = sidecar_values(ref), sidecar_values(others[ref.sample])
         if one is None or two is None:
             continue
         if one["resolution"] != two["resolution"] or one["intrinsics"] != two["intrinsics"]:

@@ -27,6 +27,15 @@ from scenec.schemas.frames import read_frame
 QUICK = Limits(stall_s=2.0, poll_s=0.05)
 HUNG = "hung and was ended (no progress in 2 s)"
 MB = 10**6
+#: Dies amid writing a file.
+CUT_SHORT = """
+import os, signal, sys
+from pathlib import Path
+from scenec.schemas.files import atomic
+with atomic(Path(sys.argv[1])) as temporary:
+    temporary.write_text("cut sh")
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
 
 
 @pytest.fixture
@@ -59,7 +68,10 @@ def test_a_worker_that_hangs_or_dies_once_costs_nothing_but_time(
     plan_fault(tmp_path, monkeypatch, kind, sample=1, times=1)
     folder = tmp_path / "frames" / "plain" / "left"
     folder.mkdir(parents=True)
-    (folder / ".000001.0badf00d.exr").write_text("cut sh")
+    cut_short = [sys.executable, "-c", CUT_SHORT, str(folder / "000001.exr")]
+    child = subprocess.run(cut_short, check=False)
+    assert child.returncode == -signal.SIGKILL
+    assert list(folder.iterdir())
     report, lines = run(stage)
     # What one left half written, if no more, is removed.
     assert not [path for path in folder.iterdir() if path.name.startswith(".")]

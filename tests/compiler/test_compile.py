@@ -237,10 +237,7 @@ def test_compiling_again_changes_nothing_and_keeps_frames(tmp_path):
     stamp = (out / "batch_0000" / "terrain.usdc").stat().st_mtime_ns
     assert compile_cfg(cfg, seed=1, out=out).unchanged == 1
     assert (out / "batch_0000" / "terrain.usdc").stat().st_mtime_ns == stamp
-    # Another seed replaces the stage; frames are kept for the renderer to judge.
-    assert compile_cfg(cfg, seed=2, out=out).unchanged == 0
     assert frame.read_bytes() == b"frame"
-    assert read_manifest(out)["seed"] == 2
 
 
 def test_batches_can_be_compiled_in_parts(reference, tmp_path):
@@ -277,9 +274,13 @@ def test_an_interrupted_run_can_be_gone_on_with(reference, tmp_path, monkeypatch
 
 def test_batches_of_another_cfg_are_not_left_beside_new_ones(tmp_path):
     compile_cfg(write_cfg(tmp_path, small_cfg(batches=2)), seed=1, out=tmp_path / "out")
-    with pytest.raises(OutputError, match="batch_0001 of another cfg"):
+    with pytest.raises(OutputError, match=r"2 batches \(batch_0000 to batch_0001\), of seed 1"):
         compile_cfg(write_cfg(tmp_path, small_cfg()), seed=2, out=tmp_path / "out")
     assert read_manifest(tmp_path / "out")["seed"] == 1
+    out = tmp_path / "out"
+    assert compile_cfg(write_cfg(tmp_path), seed=2, out=out, replace=True).unchanged == 0
+    assert not (out / "batch_0001").exists()
+    assert hashes(out) == hashes(compiled(tmp_path, small_cfg(), seed=2, name="other"))
 
 
 def test_files_are_called_what_they_are_whatever_their_names(tmp_path):
@@ -370,5 +371,8 @@ def test_a_disk_that_takes_no_more_ends_in_one_line_and_leaves_nothing(tmp_path)
     )  # fmt: skip
     assert done.returncode == 2
     assert "Traceback" not in done.stderr
+    assert f"{tmp_path}/out/batch_0000" in done.stderr
     assert "cannot be written" in done.stderr
-    assert not list((tmp_path / "out").glob("*"))
+    # Neither the name of something that is gone nor an empty folder.
+    assert ".scenec-" not in done.stderr
+    assert not (tmp_path / "out").exists()
