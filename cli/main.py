@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import io
 import os
 import sys
 from collections.abc import Sequence
@@ -43,6 +44,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns:
         Exit status: 0 done, 1 a check failed, 2 bad input (said in one clear message), 130 Ctrl-C.
     """
+    if arguments is None:
+        _speak_utf8()
+    for word in sys.argv[1:] if arguments is None else arguments:
+        fault = _fault_of(word)
+        if fault:
+            print(f"scenec: {fault}", file=sys.stderr)
+            return EXIT_BAD_INPUT
     options = parser().parse_args(arguments)
     interrupt.watch()
     try:
@@ -75,6 +83,32 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print("scenec: interrupted", file=sys.stderr)
         return EXIT_INTERRUPTED
     return status
+
+
+def _speak_utf8() -> None:
+    """Begins again in UTF-8 mode where the locale has another encoding: USD's paths are UTF-8.
+
+    What standard output cannot show, as where PYTHONIOENCODING says so, is escaped.
+    """
+    if sys.getfilesystemencoding() != "utf-8":
+        # The mode is the environment's: processes that this one starts have it, too.
+        environment = {**os.environ, "PYTHONUTF8": "1"}
+        os.execve(sys.executable, [sys.executable, *sys.orig_argv[1:]], environment)
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="backslashreplace")
+
+
+def _fault_of(word: str) -> str:
+    """Why a word cannot be a path of USD's, nor anything else here; "" where it can."""
+    try:
+        word.encode("utf-8")
+    except UnicodeEncodeError:
+        shown = os.fsencode(word).decode("utf-8", "backslashreplace")
+        return f"{shown}: is not UTF-8, as names of files must be here"
+    control = next((letter for letter in word if ord(letter) < 32 or letter == "\x7f"), "")
+    if control:
+        return f"{word!r}: holds the control character {control!r}, which USD's paths cannot"
+    return ""
 
 
 def parser() -> argparse.ArgumentParser:

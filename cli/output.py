@@ -14,8 +14,9 @@ from scenec.cli.interrupt import stop_if_pending
 
 
 def print_json(value: Any) -> None:
-    """One JSON document on standard output."""
-    print(json.dumps(value, indent=2, ensure_ascii=False, allow_nan=False))
+    """One JSON document on standard output, in ASCII where that holds no more."""
+    narrow = sys.stdout.encoding.lower() not in ("utf-8", "utf8")
+    print(json.dumps(value, indent=2, ensure_ascii=narrow, allow_nan=False))
 
 
 def say(text: str) -> None:
