@@ -29,30 +29,46 @@ def require_resolvable(
     pixels_per_m: NDArray[np.float64] | None,
     unseen: float,
 ) -> None:
-    """Refuse cameras whose pixels are finer than the ground's positions can be.
+    """Refuse ground that float32 cannot hold, and cameras whose pixels are finer than it can.
 
     Asked before the ground is meshed as finely as such a camera would have it.
 
     Args:
         rigs: The cameras.
-        field: The terrain; float32 holds a position within half a tile in steps of 2**-24 of that,
-            so that it is off by half a step at most.
+        field: The terrain; positions in its tiles are off by between 2**-26 and 2**-25 of the
+            largest tile's size. The first of these counts.
         pixels_per_m: Of all of them, see ``cameras.sight``; None without cameras.
         unseen: As it was made with.
 
     Raises:
-        SceneError: The error of positions exceeds ``REFUSE_PX`` where one of them is nearest.
+        SceneError: The error of positions exceeds half the grid's spacing, so that its samples fall
+            together, or ``REFUSE_PX`` where a camera is nearest.
     """
+    span = _largest_tile(field)
+    error = 0.25 * FLOAT32_STEP * span
+    spacing = min(field.grid.spacing_m)
+    if error > 0.5 * spacing:
+        raise SceneError(
+            f"/terrain/relief: a tile of the ground is {span:.6g} m high, and float32 holds its "
+            f"positions within {error:.3g} m, with samples {spacing:.6g} m apart; expected at most "
+            f"half of that: relief of {0.5 * spacing / error * span:.3g} m or less within a tile"
+        )
     if pixels_per_m is None:
         return
-    cells = (n - 1 for n in reversed(field.grid.shape))
-    span = max(
-        min(TILE_CELLS, count) * step
-        for count, step in zip(cells, field.grid.spacing_m, strict=True)
-    )
-    error = 0.25 * FLOAT32_STEP * span
     if error * float(pixels_per_m.max(initial=0.0)) > REFUSE_PX:
         refuse(rigs, field, unseen, error, f"in tiles of {span:.6g} m")
+
+
+def _largest_tile(field: HeightField) -> float:
+    """Largest extent of a tile of the ground along any axis, meters."""
+    (rows, columns), (step_x, step_y) = field.height.shape, field.grid.spacing_m
+    span = 0.0
+    for v in range(0, rows - 1, TILE_CELLS):
+        for u in range(0, columns - 1, TILE_CELLS):
+            tile = field.height[v : v + TILE_CELLS + 1, u : u + TILE_CELLS + 1]
+            high, wide = tile.shape
+            span = max(span, (wide - 1) * step_x, (high - 1) * step_y, float(np.ptp(tile)))
+    return span
 
 
 def refuse(

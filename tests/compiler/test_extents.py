@@ -138,10 +138,18 @@ def test_a_camera_whose_pixels_float32_cannot_resolve_is_refused(seen, tmp_path,
     assert not (tmp_path / "out" / "batch_0000").exists()
 
 
-def test_objects_that_float32_puts_pixels_off_are_refused(tmp_path, capsys):
-    # At 10^9 m float32 has steps of 64 m; tiles hold the ground itself around their middle.
+@pytest.mark.parametrize("relief", ["high", "steep"])
+def test_a_relief_that_float32_puts_pixels_off_is_refused(relief, tmp_path, capsys):
     cfg = small_cfg(samples=1)
-    cfg["terrain"]["relief"][0] = {"type": "plane", "height_m": 1e9}
+    if relief == "high":
+        # At 10^9 m float32 has steps of 64 m: the ground is held around its tiles' middles, objects
+        # are not.
+        cfg["terrain"]["relief"][0] = {"type": "plane", "height_m": 1e9}
+    else:
+        # Its tiles are 10^9 m high and 20 m wide.
+        cfg["terrain"]["relief"][1]["amplitude_m"] = 1e9
     path = write_cfg(tmp_path, cfg)
     assert main(["compile", str(path), "--seed", "1", "-o", str(tmp_path / "out")]) == 2
-    assert "expected at most 0.5" in capsys.readouterr().err
+    where = {"high": "/rigs/rover/sensors/front: ", "steep": "/terrain/relief: "}[relief]
+    assert where in (said := capsys.readouterr().err)
+    assert "expected at most" in said
