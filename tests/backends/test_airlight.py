@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+from pathlib import Path
+
 import mitsuba_scenes as ms
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from mitsuba_volume import DISTANCE_M, EXTINCTION, HEIGHT_M, SCALE_HEIGHT_M, SUN_DEG, WAY_DEG
 from numpy.typing import NDArray
 from scipy.integrate import quad
 
@@ -308,60 +313,17 @@ def test_a_sun_in_the_picture_is_scattered_like_a_sun():
 
 @pytest.mark.parametrize("g", [0.0, 0.7])
 def test_it_is_what_mitsuba_renders_of_a_volume(g):
-    # Imported in this order (docs/architecture.md, Known limits); it sets the variant.
-    from scenec.backends.mitsuba import Mitsuba  # isort: skip
-    import mitsuba as mi
-
-    Mitsuba()
-    height, extinction, up = 40.0, 0.02, 25.0
-    way = toward(-6.0, 30.0)
-    eye = np.array([0.0, 0.0, 12.0])
-    # Linear between nodes a 64th of a scale height apart, which errs by 3e-5.
-    nodes = 64 * 10 + 1
-    layer = np.exp(-(np.arange(nodes) / 64.0)).astype(np.float32).reshape(nodes, 1, 1)
-    top, half = 10.0 * height, 4e3
-    box = mi.ScalarTransform4f().translate([0, 0, 0.5 * top]).scale([half, half, 0.5 * top])
-    texels = (
-        mi.ScalarTransform4f()
-        .translate([-half, -half, -0.5 * top / (nodes - 1)])
-        .scale([2 * half, 2 * half, top * nodes / (nodes - 1)])
+    # In a process of its own: Mitsuba and Blender do not share one.
+    script = Path(__file__).with_name("mitsuba_volume.py")
+    done = subprocess.run(
+        [sys.executable, str(script), str(g)], capture_output=True, text=True, check=True
     )
-    volume = {
-        "type": "gridvolume", "grid": mi.VolumeGrid(layer), "to_world": texels, "raw": True,
-        "wrap_mode": "clamp",
-    }  # fmt: skip
-    medium = {
-        "type": "heterogeneous", "id": "air", "sigma_t": volume, "scale": extinction,
-        "albedo": 1.0, "phase": {"type": "hg", "g": g},
-    }  # fmt: skip
-    # A black wall as large as the picture, so that it shades next to nothing.
-    distance = 80.0
-    wall = mi.ScalarTransform4f().look_at(
-        origin=list(eye + distance * way), target=list(eye), up=[0, 0, 1]
-    )
-    camera = mi.ScalarTransform4f().look_at(origin=list(eye), target=list(eye + way), up=[0, 0, 1])
-    black = {"type": "diffuse", "reflectance": {"type": "rgb", "value": 0.0}}
-    scene = mi.load_dict({
-        "type": "scene",
-        "integrator": {"type": "volpath", "max_depth": 2, "rr_depth": 100},
-        "air": medium,
-        "box": {"type": "cube", "to_world": box, "bsdf": {"type": "null"},
-                "interior": {"type": "ref", "id": "air"}},
-        "wall": {"type": "rectangle", "to_world": wall @ mi.ScalarTransform4f().scale(0.05),
-                 "bsdf": black},
-        "sun": {"type": "directional", "direction": list(-toward(up)),
-                "irradiance": {"type": "rgb", "value": 1000.0}},
-        "sensor": {"type": "perspective", "fov": 0.05, "to_world": camera,
-                   "medium": {"type": "ref", "id": "air"},
-                   "film": {"type": "hdrfilm", "width": 16, "height": 16,
-                            "rfilter": {"type": "box"}}},
-    })  # fmt: skip
-    pixels = np.array(mi.render(scene, spp=1024, seed=3))[..., 0].astype(float)
-    error = pixels.std() / 16.0
-    of = Haze(np.full(3, extinction), height, None, asymmetry=g)
-    expected = through(air_of(of, (sun(up),), None, 0.0), way, distance, eye[2])[1][0]
+    mean, error = map(float, done.stdout.split())
+    of = Haze(np.full(3, EXTINCTION), SCALE_HEIGHT_M, None, asymmetry=g)
+    air = air_of(of, (sun(SUN_DEG),), None, 0.0)
+    expected = through(air, toward(*WAY_DEG), DISTANCE_M, HEIGHT_M)[1][0]
     assert error < 0.01 * expected
-    assert abs(pixels.mean() - expected) < 5.0 * error + 1e-3 * expected
+    assert abs(mean - expected) < 5.0 * error + 1e-3 * expected
 
 
 def test_the_skys_horizon_is_that_of_the_bearing_and_has_no_steps():
