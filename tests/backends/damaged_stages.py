@@ -54,20 +54,26 @@ def attributes(stage: Path) -> list[str]:
     return sorted(found.values())
 
 
-def with_value(stage: Path, path: str, kind: str, out: Path) -> Path:
-    """A layer over a stage in which an attribute is something else, at its times, too."""
+def over(stage: Path, out: Path) -> Sdf.Layer:
+    """A layer of which a stage is the one sublayer, with the same metadata."""
     layer = Sdf.Layer.CreateNew(str(out))
     base = Sdf.Layer.FindOrOpen(str(stage))
-    layer.subLayerPaths.append(os.path.relpath(stage, out.parent))
     for name in base.pseudoRoot.ListInfoKeys():
         if name not in ("subLayers", "subLayerOffsets"):
             layer.pseudoRoot.SetInfo(name, base.pseudoRoot.GetInfo(name))
+    layer.subLayerPaths.append("./" + os.path.relpath(stage, out.parent))
+    return layer
+
+
+def with_value(stage: Path, path: str, kind: str, out: Path) -> Path:
+    """A layer over a stage in which an attribute is something else, at its times, too."""
+    layer = over(stage, out)
     place = Sdf.Path(path)
     prim = Sdf.CreatePrimInLayer(layer, place.GetPrimPath())
     value_type, value = WRONG[kind]
     spec = Sdf.AttributeSpec(prim, place.name, value_type)
     spec.default = value
-    layer.SetTimeSample(place, base.startTimeCode, value)
+    layer.SetTimeSample(place, layer.startTimeCode, value)
     layer.Save()
     return out
 
