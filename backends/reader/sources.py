@@ -45,6 +45,7 @@ class Sources:
         self._lines: dict[str, None] = {}
         self._warnings: dict[str, None] = {}
         self._digests: dict[Path, str] = {}
+        self._pictures: dict[str, Path] = {}
         # Pictures and value clips, which are no layers that USD would name.
         self._beside: set[Path] = set()
         self._listed = False
@@ -124,6 +125,9 @@ class Sources:
         asset = values.asset(attribute, time)
         if asset is None:
             return None
+        # Every mesh asks for the maps of its materials again.
+        if asset.resolvedPath in self._pictures:
+            return self._pictures[asset.resolvedPath]
         if Ar.IsPackageRelativePath(asset.resolvedPath):
             raise StageError(
                 f"{attribute.GetPath()}: {asset.path} stands inside a package: unpack that, a zip "
@@ -133,8 +137,9 @@ class Sources:
         if not asset.resolvedPath or not Path(asset.resolvedPath).is_file():
             self.miss(f"{attribute.GetPath()}: {asset.path} does not exist")
             return None
+        file = self._pictures[asset.resolvedPath] = Path(asset.resolvedPath)
         self._beside.add(_package(asset.resolvedPath))
-        return Path(asset.resolvedPath)
+        return file
 
     def digest(self, stage: Usd.Stage) -> str:
         """sha256 over relative paths and bytes of all files that the stage was read from.

@@ -422,3 +422,26 @@ def test_bad_input_costs_a_worker_one_try(tmp_path, kind):
             worker.open({"op": "open", "stage": str(tmp_path / "foreign.usda"),
                          "backend": "reference"})  # fmt: skip
         assert worker.deaths == 0
+
+
+def test_a_crash_while_a_stage_is_read_is_said_after_one_try(tmp_path, monkeypatch):
+    # Stands for a file that USD does not survive: this process does not survive its reader.
+    (tmp_path / "site").mkdir()
+    (tmp_path / "site" / "sitecustomize.py").write_text(
+        "import os, signal, sys\n"
+        "def audit(event, arguments):\n"
+        "    if event == 'import' and arguments[0] == 'scenec.backends.reader.stage':\n"
+        f"        open({str(tmp_path / 'tries')!r}, 'a').write('x')\n"
+        "        os.kill(os.getpid(), signal.SIGSEGV)\n"
+        "sys.addaudithook(audit)\n",
+        encoding="utf-8",
+    )
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path / "site"))
+    foreign(tmp_path).Save()
+    path = tmp_path / "foreign.usda"
+    with pytest.raises(StageError) as caught:
+        render(path, "reference")
+    told = f"{path}: OpenUSD crashed reading it, the worker process died (signal SIGSEGV"
+    assert str(caught.value).startswith(told)
+    assert (tmp_path / "tries").read_text(encoding="utf-8") == "x"
+    assert main(["render", str(path), "--backend", "reference"]) == 2
