@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -32,6 +33,7 @@ class Wanted:
     seconds: float | None = None
     cameras: Collection[str] | None = None
     choice: dict[str, Any] | None = None
+    allow_missing: bool = False
 
 
 @dataclass(frozen=True)
@@ -123,11 +125,12 @@ class Jobs:
         opened = worker.open(
             {
                 "op": "open",
-                "stage": str(self._batch.stage.resolve()),
+                "stage": os.path.abspath(self._batch.stage),
                 "backend": wanted.backend,
                 "device": wanted.device,
                 "annotator": annotator,
                 "passes": None if wanted.passes is None else list(wanted.passes),
+                "allow_missing": wanted.allow_missing,
             }
         )
         self.take(opened)

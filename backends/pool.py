@@ -17,14 +17,29 @@ from typing import IO, Any, Self
 from scenec.backends.memory import GB, default_limit
 from scenec.backends.watch import Growth, Limits, Watch
 from scenec.schemas import errors
-from scenec.schemas.errors import BackendError, ScenecError
+from scenec.schemas.errors import BackendError, ScenecError, StageError
 
 #: Times a request is asked again after the worker died at it.
 RETRIES = 2
 
 
+#: Signals of native code at its end: what follows from its input, and would again.
+_CRASHES = {
+    -number
+    for number in (signal.SIGSEGV, signal.SIGBUS, signal.SIGABRT, signal.SIGFPE, signal.SIGILL)
+}
+
+
 class WorkerDiedError(Exception):
-    """The process ended, or was ended, without an answer; the text says how."""
+    """The process ended, or was ended, without an answer; the text says how.
+
+    Attributes:
+        crashed: Whether by a signal of native code.
+    """
+
+    def __init__(self, text: str, crashed: bool = False) -> None:
+        super().__init__(text)
+        self.crashed = crashed
 
 
 class FrameLostError(BackendError):
@@ -81,10 +96,15 @@ class WorkerProcess:
 
         Raises:
             ScenecError: What the worker says, in its own class.
+            StageError: The worker crashed while it read the stage.
             FrameLostError: Workers died over it, again and again.
         """
         self._opened = None
-        answer = self.ask(request, f"opening {request.get('stage', request.get('backend'))}")
+        backends = {name: request.get(name) for name in ("backend", "device", "annotator")}
+        started = {name: value for name, value in backends.items() if value is not None}
+        # Apart, so that a crash of a renderer is none of the stage's.
+        self.ask({"op": "start", **started}, f"starting {request['backend']}")
+        answer = self.ask(request, f"opening {request['stage']}")
         self._opened = request
         return answer
 
@@ -97,6 +117,7 @@ class WorkerProcess:
 
         Raises:
             ScenecError: What the worker says, in its own class.
+            StageError: The worker crashed while it opened a stage.
             FrameLostError: RETRIES + 1 workers died over it.
         """
         self._replace_if_grown()
@@ -114,6 +135,11 @@ class WorkerProcess:
             except WorkerDiedError as death:
                 self.deaths += 1
                 self.close()
+                if death.crashed and request["op"] == "open":
+                    raise StageError(
+                        f"{request['stage']}: OpenUSD crashed reading it, the worker process "
+                        f"{death}: a file of it is damaged"
+                    ) from death
                 if attempt == RETRIES:
                     raise FrameLostError(
                         f"{what}: given up after {RETRIES + 1} tries: the last worker process "
@@ -198,7 +224,8 @@ class WorkerProcess:
             raise
         if not line.endswith("\n"):
             process.wait()
-            raise WorkerDiedError(f"died ({self._cause(process.returncode, watch.memory)})")
+            cause = self._cause(process.returncode, watch.memory)
+            raise WorkerDiedError(f"died ({cause})", process.returncode in _CRASHES)
         answer: dict[str, Any] = json.loads(line)
         return answer
 

@@ -102,3 +102,15 @@ def _not_imported(name: str, error: Exception, mend: str) -> BackendError:
 
 def _points() -> list[EntryPoint]:
     return list(entry_points(group=GROUP))
+
+
+def open_backends(
+    backend: str, device: str = "auto", annotator: str | None = None
+) -> tuple[Backend, Backend | None]:
+    """The backends of a session: the renderer, and who annotates in its place, or None.
+
+    Raises:
+        BackendError: One is not there or cannot start, or has no such device.
+    """
+    made = open_backend(backend, device)
+    return made, None if annotator in (None, backend) else open_backend(annotator)

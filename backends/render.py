@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import tempfile
 import time
 from collections.abc import Callable, Collection, Iterator, Sequence
@@ -104,6 +105,7 @@ def render(
     error: float | None = None,
     seconds: float | None = None,
     cameras: Collection[str] | None = None,
+    allow_missing: bool = False,
     limits: Limits | None = None,
     progress: Progress | None = None,
     warn: Say | None = None,
@@ -138,6 +140,10 @@ def render(
             not count. Such frames depend on the machine's speed; those that are there still count
             as made.
         cameras: Only these, by name.
+        allow_missing: Whether to render what is there of a stage that is not whole (layers, prims,
+            pictures that are missing, files that are not those of the manifest): sidecars then say
+            what was missing, under ``losses``, and a later render of the whole stage makes these
+            frames again.
         limits: What a worker may take: seconds without progress, seconds a frame, memory.
         progress: Called after each frame.
         warn: Called with lines worth showing at once.
@@ -153,7 +159,7 @@ def render(
     camera's.
 
     Raises:
-        StageError: Nothing to render, or no stage can be read.
+        StageError: Nothing to render, or no stage can be read, or is whole.
         BackendError: The backend is not there, or cannot do what is asked: it refuses every camera,
             or is to denoise the picture of one with an aperture or an open shutter, which is said
             before anything is rendered.
@@ -163,7 +169,7 @@ def render(
         spp = USUAL_SPP if error is None and seconds is None else MOST_SPP
     wanted = Wanted(
         backend, spp, passes, samples, noise_seed, device, denoise, annotate_with, error, seconds,
-        cameras,
+        cameras, allow_missing=allow_missing,
     )  # fmt: skip
     check_words(wanted, rgb=passes is None or "rgb" in passes)
     with reading(Path(out)):
@@ -274,7 +280,13 @@ class _Run:
             if self._annotator is not None:
                 folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
                 other = stack.enter_context(self._worker())
-                annotator = _Annotator(self._annotator, batch, other, folder)
+                opening = {
+                    "stage": os.path.abspath(batch.stage),
+                    "backend": self._annotator,
+                    "passes": [],
+                    "allow_missing": self._wanted.allow_missing,
+                }
+                annotator = _Annotator({"op": "open", **opening}, other, folder)
             self._refused = {}
             jobs = Jobs(batch, self._wanted)
             inside = None if annotator else self._wanted.annotate_with
@@ -452,10 +464,9 @@ class _Run:
 class _Annotator:
     """Another renderer, in a process of its own: two renderers do not share one well."""
 
-    def __init__(self, backend: str, batch: Batch, worker: WorkerProcess, folder: Path) -> None:
+    def __init__(self, opening: dict[str, Any], worker: WorkerProcess, folder: Path) -> None:
         self.worker = worker
-        self._backend = backend
-        self._stage = str(batch.stage.resolve())
+        self._opening = opening
         self._file = folder / "visibility.npz"
         self._version = ""
 
@@ -463,13 +474,13 @@ class _Annotator:
         """A frame's visibility, as ``Session.render`` takes it; good until the next call."""
         if not self._version:
             # Only now: a run that finds all its frames done does not need it.
-            opened = self.worker.open(
-                {"op": "open", "stage": self._stage, "backend": self._backend, "passes": []}
-            )
+            opened = self.worker.open(self._opening)
+            if opened["digest"] != job.key.stage_digest:
+                raise StageError(f"{self._opening['stage']}: has changed since rendering began")
             self._version = opened["version"]
         place = {name: job.request[name] for name in ("camera", "sample")}
         answer = self.worker.ask({"op": "see", "file": str(self._file), **place}, job.what)
-        seen = {"backend": self._backend, "version": self._version}
+        seen = {"backend": self._opening["backend"], "version": self._version}
         return seen | {name: answer[name] for name in ("file", "seconds")}
 
 

@@ -48,6 +48,7 @@ def scan_output(
     batches: Collection[int] | None = None,
     lidars: Collection[str] | None = None,
     ply: bool = False,
+    allow_missing: bool = False,
     progress: Callable[[int, int, str], None] | None = None,
 ) -> ScanReport:
     """Scan to ``<batch>/scans/<rig>_<lidar>/<sample>.{npz,json}``; see ``schemas.scans``.
@@ -60,14 +61,16 @@ def scan_output(
         batches: Only these batches.
         lidars: Only these, by name (``<rig>_<lidar>``).
         ply: Whether to write clouds of points beside the arrays.
+        allow_missing: Whether to scan what is there of a stage that is not whole; sidecars then say
+            what was missing, under ``losses``.
         progress: Called after each scan with done, total of the batch, and its name.
 
     Raises:
-        StageError: A stage cannot be read, or no stage has what is asked for.
+        StageError: A stage cannot be read or is not whole, or no stage has what is asked for.
         OutputError: A file cannot be written.
     """
     with reading(Path(out)):
-        return _scan_batches(out, samples, batches, lidars, ply, progress)
+        return _scan_batches(out, samples, batches, lidars, ply, allow_missing, progress)
 
 
 def _scan_batches(
@@ -76,6 +79,7 @@ def _scan_batches(
     batches: Collection[int] | None,
     lidars: Collection[str] | None,
     ply: bool,
+    allow_missing: bool,
     progress: Callable[[int, int, str], None] | None,
 ) -> ScanReport:
     report = ScanReport()
@@ -85,7 +89,7 @@ def _scan_batches(
         check_writable(batch.folder)
         sweep((batch.folder / SCANS).glob("*"))
         start = time.perf_counter()
-        scene = read_stage(batch.stage)
+        scene = read_stage(batch.stage, allow_missing=allow_missing)
         report.seconds["read"] += time.perf_counter() - start
         names |= {lidar.name for some in scene.lidars for lidar in some}
         report.warnings += [line for line in scene.losses if line not in report.warnings]

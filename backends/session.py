@@ -23,7 +23,7 @@ from scenec.backends.frames import write_frame
 from scenec.backends.instances import Instances, Seen
 from scenec.backends.rays import camera_rays, ray_down
 from scenec.backends.reader import read_stage
-from scenec.backends.registry import open_backend
+from scenec.backends.registry import open_backends
 from scenec.backends.render_scene import Camera, RenderScene
 from scenec.backends.resolver import Settled, pass_names
 from scenec.backends.rounds import Draw, Rounds, Target, collect
@@ -31,7 +31,7 @@ from scenec.backends.shutter import blurred_by, is_rolling, undenoised
 from scenec.schemas.amodal import AMODAL
 from scenec.schemas.correspondence import CORRESPONDENCES
 from scenec.schemas.depth_camera import MEASURED
-from scenec.schemas.errors import BackendError
+from scenec.schemas.errors import BackendError, StageError
 from scenec.schemas.frames import FrameKey
 from scenec.schemas.instances import BATCH_TABLE, table_digest, write_table
 
@@ -66,7 +66,12 @@ class Session:
 
     @classmethod
     def open(
-        cls, stage: Path, backend: str, device: str = "auto", annotator: str | None = None
+        cls,
+        stage: Path,
+        backend: str,
+        device: str = "auto",
+        annotator: str | None = None,
+        allow_missing: bool = False,
     ) -> Session:
         """Read a stage and start a backend.
 
@@ -75,9 +80,8 @@ class Session:
             BackendError: A backend is not there or cannot start, or has no such device.
         """
         # First: a backend that is not installed should not cost the reading of a stage.
-        made = open_backend(backend, device)
-        other = None if annotator in (None, backend) else open_backend(annotator)
-        return cls(read_stage(stage), made, other)
+        started = open_backends(backend, device, annotator)
+        return cls(read_stage(stage, allow_missing=allow_missing), *started)
 
     @cached_property
     def losses(self) -> tuple[str, ...]:
@@ -238,8 +242,12 @@ class Session:
 
         Raises:
             BackendError: There is no such camera or sample, or the renderer failed.
+            StageError: The frame is to be of another stage than the one that was opened.
             OutputError: A file cannot be written.
         """
+        if key.stage_digest != self.scene.digest:
+            # A process that was replaced has opened it again.
+            raise StageError(f"{self.scene.source}: has changed since rendering began; run again")
         camera = self._camera(camera_index, sample)
         memory.reset_peak()
         exposure, metering = None, dict[str, float]()

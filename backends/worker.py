@@ -2,8 +2,10 @@
 
 One JSON document a line: requests on standard input, one answer to each on standard output.
 
+    {"op": "start", "backend": NAME, "device": NAME, "annotator": NAME or null}
     {"op": "open", "stage": PATH, "backend": NAME, "device": NAME, "annotator": NAME or null,
-     "passes": [...] or null, "frames": PATH or null}
+     "passes": [...] or null, "allow_missing": BOOL}
+    {"op": "instances", "folder": PATH}
     {"op": "render", "stem": PATH, "camera": INDEX, "sample": N, "key": {...}, "seed": N,
      "seen": {"file": PATH or null, "backend": NAME, "version": TEXT, "seconds": {...}} or null,
      "choice": why this backend, for the sidecar, or null}
@@ -11,7 +13,9 @@ One JSON document a line: requests on standard input, one answer to each on stan
     {"op": "describe", "backend": NAME, "device": NAME, "rgb": BOOL}
     {"op": "probe", "backend": NAME}
 
-``open`` leaves the batch's table of instances in ``frames``, where their ids are among the passes.
+``start`` starts the backends that the ``open`` behind it names; without, that does it itself. A
+process that ends at an ``open`` behind a ``start`` has ended reading the stage. ``instances``
+leaves the batch's table of instances in a folder.
 ``see`` leaves a frame's visibility in a file for another backend's worker, whose ``render`` then
 annotates with it.
 
@@ -41,7 +45,9 @@ class Worker:
 
     def __init__(self) -> None:
         self._session: Any = None
+        self._started: dict[tuple[Any, ...], Any] = {}
         self._operations: dict[str, Callable[[dict[str, Any]], dict[str, Any]]] = {
+            "start": self._start,
             "open": self._open,
             "instances": self._instances,
             "render": self._render,
@@ -60,16 +66,25 @@ class Worker:
         except ScenecError as error:
             return {"ok": False, "error": type(error).__name__, "message": str(error)}
 
+    def _start(self, request: dict[str, Any]) -> dict[str, Any]:
+        from scenec.backends.registry import open_backends
+
+        asked = _asked(request)
+        self._started = {asked: open_backends(*asked)}
+        return {}
+
     def _open(self, request: dict[str, Any]) -> dict[str, Any]:
+        from scenec.backends.reader import read_stage
+        from scenec.backends.registry import open_backends
         from scenec.backends.session import Session
 
-        session = Session.open(
-            Path(request["stage"]),
-            request["backend"],
-            device=request.get("device", "auto"),
-            annotator=request.get("annotator"),
+        asked = _asked(request)
+        backends = self._started.pop(asked, None) or open_backends(*asked)
+        scene = read_stage(
+            Path(request["stage"]), allow_missing=request.get("allow_missing", False)
         )
-        self._session, scene = session, session.scene
+        session = Session(scene, *backends)
+        self._session = session
         cameras: list[list[dict[str, Any]]] = [
             [
                 {
@@ -143,6 +158,11 @@ class Worker:
         from scenec.backends.doctor import probe
 
         return probe(request["backend"])
+
+
+def _asked(request: dict[str, Any]) -> tuple[str, str, str | None]:
+    """Which backends a request names, as ``open_backends`` takes them."""
+    return request["backend"], request.get("device", "auto"), request.get("annotator")
 
 
 def _facts(backend: Any) -> dict[str, Any]:

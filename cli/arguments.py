@@ -230,6 +230,16 @@ def add_cache(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--no-cache", action="store_true", help="make all anew, and keep nothing")
 
 
+def add_allow_missing(parser: argparse.ArgumentParser) -> None:
+    """What to do with a stage that is not whole."""
+    parser.add_argument(
+        "--allow-missing",
+        action="store_true",
+        help="read what is there of a stage that lacks layers, prims or pictures, or whose files "
+        "are not those of the manifest (default: that is an error)",
+    )
+
+
 def add_batches(parser: argparse.ArgumentParser) -> None:
     """A choice of batches."""
     parser.add_argument("--batches", type=span, metavar="A:B", help="only batches A to B-1")

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 
 from scenec.cli import interrupt
 from scenec.cli.arguments import (
+    add_allow_missing,
     add_batches,
     add_cache,
     add_json,
@@ -153,6 +154,7 @@ def parser() -> argparse.ArgumentParser:
     render = _command(commands, "render", "render what was compiled, or any USD stage")
     render.add_argument("out", metavar="OUT", help="output folder of compile, or a USD file")
     add_render_options(render)
+    add_allow_missing(render)
     add_batches(render)
     add_json(render)
 
@@ -166,6 +168,7 @@ def parser() -> argparse.ArgumentParser:
         help="only these, by name: RIG_LIDAR",
     )
     scan.add_argument("--ply", action="store_true", help="write clouds of points, too")
+    add_allow_missing(scan)
     add_batches(scan)
     add_json(scan)
 
@@ -207,6 +210,7 @@ def parser() -> argparse.ArgumentParser:
         metavar="N",
         help="pictures of where two backends differ, in OUT/check (default: 8 a pair)",
     )
+    add_allow_missing(check)
     add_json(check)
 
     sheet = _command(commands, "sheet", "one picture of all passes of some frames")

@@ -36,6 +36,8 @@ def render_now(options: argparse.Namespace) -> RenderReport:
         annotate_with=options.annotate_with,
         error=options.error,
         seconds=options.seconds,
+        # Of ``run`` there is none: what it renders it has just compiled.
+        allow_missing=getattr(options, "allow_missing", False),
         limits=limits,
         progress=Progress("frame"),
         warn=lambda line: say(f"warning: {line}"),

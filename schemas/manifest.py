@@ -12,6 +12,7 @@ the batches that could not be built and were passed over, if there are any, each
 from __future__ import annotations
 
 import hashlib
+import os
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -146,12 +147,38 @@ def stage_digest(manifest: dict[str, Any], batch: str) -> str:
         manifest: As ``read_manifest`` returns it.
         batch: Folder name.
     """
+    return digest_of_files(_files_of(manifest, batch).items())
+
+
+def files_of_stage(stage: Path) -> dict[str, str] | None:
+    """What the manifest of the output around a stage says of the files that it is composed of.
+
+    Args:
+        stage: Root layer.
+
+    Returns:
+        Paths relative to the stage's folder -> sha256; None where no manifest lists the stage.
+    """
+    folder = Path(os.path.abspath(stage)).parent
+    try:
+        manifest = read_manifest(folder.parent)
+    except OutputError:
+        # Of no output, or beside a manifest of something else.
+        return None
+    name = f"{folder.name}/{stage.name}"
+    batch = next((b["path"] for b in manifest["batches"] if b["stage"] == name), None)
+    return None if batch is None else _files_of(manifest, str(batch))
+
+
+def _files_of(manifest: dict[str, Any], batch: str) -> dict[str, str]:
+    """Files of a batch's stage, relative to its folder, and their sha256."""
     begin = f"{batch}/"
-    return digest_of_files(
-        (path.removeprefix(begin), entry["sha256"])
+    inside = {
+        path.removeprefix(begin): str(entry["sha256"])
         for path, entry in manifest["files"].items()
-        if path.startswith(begin) and path.removeprefix(begin) not in (REPORT, LEFT_OUT)
-    )
+        if path.startswith(begin)
+    }
+    return {path: sha for path, sha in inside.items() if path not in (REPORT, LEFT_OUT)}
 
 
 def digest_of_files(files: Iterable[tuple[str, str]]) -> str:

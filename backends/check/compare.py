@@ -107,6 +107,7 @@ class CompareOptions:
         samples: Only these time codes; None takes all.
         floor: Whether to render the first backend again with another noise seed.
         pictures: Folder for pictures of where they differ; None makes none.
+        allow_missing: Whether to compare frames of a stage that is not whole.
         most_pictures: For each pair with ``rgb``; where annotation differs there is always one.
     """
 
@@ -116,6 +117,7 @@ class CompareOptions:
     floor: bool = False
     pictures: Path | None = None
     most_pictures: int = 8
+    allow_missing: bool = False
 
 
 def compare(
@@ -153,7 +155,7 @@ def compare(
     )
 
 
-def check_exact(out: Path, say: Say = lambda _text: None) -> Agreement:
+def check_exact(out: Path, say: Say = lambda _text: None, allow_missing: bool = False) -> Agreement:
     """Casts every pixel of all frames there are through the exact ray caster.
 
     The caster defines annotation, and knows nothing of renderers and resolver: what differs is
@@ -162,6 +164,7 @@ def check_exact(out: Path, say: Say = lambda _text: None) -> Agreement:
     Args:
         out: Output folder, or a USD file.
         say: Told what is cast.
+        allow_missing: Whether to take a stage that is not whole.
 
     Raises:
         ScenecError: A stage or frame cannot be read.
@@ -170,7 +173,7 @@ def check_exact(out: Path, say: Say = lambda _text: None) -> Agreement:
     raw: dict[str, Raw] = {}
     count = 0
     for batch in find_batches(out):
-        scene = read_stage(batch.stage)
+        scene = read_stage(batch.stage, allow_missing=allow_missing)
         caster, definition = ExactCaster(scene), Definition(scene)
         backends = sorted(path.name for path in (batch.folder / FRAMES).glob("*") if path.is_dir())
         if backends:
@@ -248,7 +251,7 @@ class _Run:
     frames: int = 0
 
     def batch(self, batch: Batch, aside: Path) -> None:
-        scene = read_stage(batch.stage)
+        scene = read_stage(batch.stage, allow_missing=self.options.allow_missing)
         stems = {name: self._ready(batch, name, scene, aside / name) for name in self.backends}
         for name in self.backends:
             self.raw.setdefault(name, Raw())
@@ -368,7 +371,7 @@ class _Run:
         # The stage itself, so that the folder is the one we say.
         report = render(
             batch.stage, backend, passes=passes, samples=samples, folder=folder,
-            spp=self.options.spp, noise_seed=noise_seed,
+            spp=self.options.spp, noise_seed=noise_seed, allow_missing=self.options.allow_missing,
         )  # fmt: skip
         if report.failed:
             raise BackendError(report.failed[0])

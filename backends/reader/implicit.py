@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pxr import Usd, UsdGeom
 
+from scenec.backends.reader import values
 from scenec.schemas.errors import StageError
 
 #: Attributes that are lengths, by type of prim: all types that are tessellated.
@@ -75,15 +76,12 @@ def dimensions(prim: Usd.Prim, time: Usd.TimeCode) -> tuple[str | float, ...]:
     kind = kind_of(prim)
     found: list[str | float] = [kind]
     if kind not in ("Cube", "Sphere"):
-        axis = prim.GetAttribute("axis").Get(time)
-        if axis not in _TURNS:
-            raise StageError(f'{prim.GetPath()}: axis is "{axis}", expected X, Y or Z')
-        found.append(str(axis))
+        found.append(values.word(prim.GetAttribute("axis"), "Z", time, _TURNS))
     for name in LENGTHS[kind]:
-        value = prim.GetAttribute(name).Get(time)
-        if not isinstance(value, int | float) or not 0.0 <= value <= _LARGEST:
+        value = values.number(prim.GetAttribute(name), 0.0, time)
+        if not 0.0 <= value <= _LARGEST:
             raise StageError(f"{prim.GetPath()}: {name} is {value}, expected a length from 0 on")
-        found.append(float(value))
+        found.append(value)
     return tuple(found)
 
 

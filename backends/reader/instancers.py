@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pxr import Usd, UsdGeom
 
-from scenec.backends.reader.frame import columns, composed
+from scenec.backends.reader import values
+from scenec.backends.reader.frame import composed
 from scenec.backends.reader.implicit import kind_of
 from scenec.backends.reader.labels import prim_labels
 from scenec.backends.reader.meshes import MeshTable
@@ -225,11 +226,14 @@ class Expander:
         imageable = UsdGeom.Imageable(prim)
         if not imageable:
             return True
+        # USD takes a purpose that is no token for none.
+        values.word(imageable.GetPurposeAttr(), "")
         if imageable.ComputePurpose() not in (UsdGeom.Tokens.default_, UsdGeom.Tokens.render):
             return False
         attribute = imageable.GetVisibilityAttr()
         times = self._times if attribute.ValueMightBeTimeVarying() else self._times[:1]
-        shown = np.array([attribute.Get(time) != UsdGeom.Tokens.invisible for time in times])
+        seen = [values.word(attribute, "", time) != UsdGeom.Tokens.invisible for time in times]
+        shown = np.array(seen)
         if shown.all() or not shown.any():
             return bool(shown[0])
         return shown
@@ -256,11 +260,11 @@ class Expander:
         if not xformable:
             return place
         if len(self._times) > 1 and xformable.TransformMightBeTimeVarying():
-            local = np.stack([columns(xformable.GetLocalTransformation(t)) for t in self._times])
+            local = np.stack([values.local_matrix(prim, time) for time in self._times])
             if (local == local[0]).all():
                 local = local[0]
         else:
-            local = columns(xformable.GetLocalTransformation(self._times[0]))
+            local = values.local_matrix(prim, self._times[0])
         if xformable.GetResetXformStack():
             return replace(place, matrix=local, relative=None)
         relative = place.relative
@@ -365,9 +369,7 @@ class Expander:
         """What each prototype holds, in the frame of its instances; nothing of unused ones."""
         contents = []
         counts = np.bincount(used)
-        for index, target in enumerate(
-            UsdGeom.PointInstancer(prim).GetPrototypesRel().GetForwardedTargets()
-        ):
+        for index, target in enumerate(values.targets(prim, "prototypes")):
             parts: list[Expanded] = []
             if index < len(counts) and counts[index]:
                 root = prim.GetStage().GetPrimAtPath(target)
@@ -403,7 +405,7 @@ class Expander:
         base = _number(prim, names.ATTR_INSTANCE_ID_BASE)
         if base is None:
             base = self._next_id
-        local = np.array(instancer.GetIdsAttr().Get(self._times[0]) or (), np.int64)
+        local = values.array(instancer.GetIdsAttr(), np.int64, self._times[0])
         usable = len(local) == count and (
             count == 0 or (local.min() >= 1 and local.max() < _LARGEST_LOCAL_ID)
         )
@@ -464,14 +466,8 @@ def _number(prim: Usd.Prim, name: str) -> int | None:
     attribute = prim.GetAttribute(name)
     if not attribute or not attribute.HasValue():
         return None
-    try:
-        return int(attribute.Get(Usd.TimeCode.EarliestTime()))
-    except (TypeError, ValueError) as error:
-        raise StageError(
-            f"{prim.GetPath()}: {name} is {attribute.GetTypeName()}, expected a whole number"
-        ) from error
+    return values.whole(attribute, 0, Usd.TimeCode.EarliestTime())
 
 
 def _ids_enabled(prim: Usd.Prim) -> bool:
-    attribute = prim.GetAttribute(names.ATTR_INSTANCE_IDS_ENABLED)
-    return not (attribute and attribute.Get() is False)
+    return values.flag(prim.GetAttribute(names.ATTR_INSTANCE_IDS_ENABLED), True)

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-from pxr import Ar, Sdf, Usd, UsdShade
+from pxr import Usd, UsdShade
 
+from scenec.backends.reader import values
+from scenec.backends.reader.sources import Sources
 from scenec.backends.render_scene import Maps, Reading
-from scenec.schemas.errors import StageError
 from scenec.schemas.maps import COLORS
 
+#: Of a value that changes, the first.
+FIRST = Usd.TimeCode.EarliestTime()
 #: Inputs of UsdPreviewSurface by the kind of map they are.
 INPUTS = {
     "base_color": "diffuseColor",
@@ -33,7 +36,7 @@ class _Coordinates(NamedTuple):
     transform: tuple[float, ...]
 
 
-def texture_maps(shader: UsdShade.Shader, specular: bool) -> Maps | None:
+def texture_maps(shader: UsdShade.Shader, specular: bool, sources: Sources) -> Maps | None:
     """Maps of the textures that a UsdPreviewSurface reads, or None.
 
     A mesh has one set of texture coordinates here: textures at others than the first one's are left
@@ -42,9 +45,11 @@ def texture_maps(shader: UsdShade.Shader, specular: bool) -> Maps | None:
     Args:
         shader: The surface.
         specular: Whether it is of the specular workflow, where ``metallic`` says nothing.
+        sources: Of the stage. A texture that is missing is left out.
 
     Raises:
-        StageError: A texture's file does not exist, or stands inside a package (usdz).
+        StageError: A texture's file stands inside a package (usdz), or an input is not what it can
+            be.
     """
     files: dict[str, Path] = {}
     readings: list[tuple[str, Reading]] = []
@@ -54,10 +59,10 @@ def texture_maps(shader: UsdShade.Shader, specular: bool) -> Maps | None:
         if kind == "metallic" and specular:
             continue
         texture, output = connected(shader, name)
-        if texture is None or texture.GetIdAttr().Get() != "UsdUVTexture":
+        if texture is None or values.word(texture.GetIdAttr(), "") != "UsdUVTexture":
             continue
         own = _coordinates(texture)
-        file = _file(texture)
+        file = sources.picture(constant(texture, "file"), FIRST)
         if file is None or output not in _CHANNELS or coordinates not in (None, own):
             continue
         coordinates = own
@@ -87,8 +92,8 @@ def texture_maps(shader: UsdShade.Shader, specular: bool) -> Maps | None:
 
 
 def _reading(texture: UsdShade.Shader, kind: str, channel: str) -> Reading:
-    space = constant(texture, "sourceColorSpace")
-    srgb = {"raw": False, "sRGB": True}.get(str(space))
+    space = values.word(constant(texture, "sourceColorSpace"), "", FIRST)
+    srgb = {"raw": False, "sRGB": True}.get(space)
     # Numbers are raw unless it is said that they are not; colors are where they are not floating.
     if srgb == (False if kind not in COLORS else None):
         srgb = None
@@ -100,21 +105,6 @@ def _reading(texture: UsdShade.Shader, kind: str, channel: str) -> Reading:
     )
 
 
-def _file(texture: UsdShade.Shader) -> Path | None:
-    asset = constant(texture, "file")
-    if not isinstance(asset, Sdf.AssetPath) or not asset.path:
-        return None
-    if Ar.IsPackageRelativePath(asset.resolvedPath):
-        raise StageError(
-            f"{texture.GetPath()}: its texture {asset.path} stands inside a package: unpack that, "
-            "a zip archive, and render the stage in it"
-        )
-    file = Path(asset.resolvedPath or asset.path)
-    if not file.is_file():
-        raise StageError(f"{texture.GetPath()}: its texture {asset.path} does not exist")
-    return file
-
-
 def _coordinates(texture: UsdShade.Shader) -> _Coordinates:
     """The primvar that a texture's ``st`` comes from, through any UsdTransform2d."""
     transform = _IDENTITY
@@ -122,12 +112,12 @@ def _coordinates(texture: UsdShade.Shader) -> _Coordinates:
     for _ in range(_DEEPEST):
         if node is None:
             break
-        kind = node.GetIdAttr().Get()
+        kind = values.word(node.GetIdAttr(), "")
         if kind == "UsdTransform2d":
             transform = _after(transform, _transform(node))
             node, _ = connected(node, "in")
         elif kind == "UsdPrimvarReader_float2":
-            return _Coordinates(str(constant(node, "varname") or "st"), transform)
+            return _Coordinates(values.word(constant(node, "varname"), "st", FIRST), transform)
         else:
             break
     return _Coordinates("st", transform)
@@ -159,24 +149,22 @@ def connected(shader: UsdShade.Shader, name: str) -> tuple[UsdShade.Shader | Non
     return None, ""
 
 
-def constant(shader: UsdShade.Shader, name: str) -> Any:
-    """Value of an input, or of the input of a material or node graph that it is connected to.
-
-    Of one that changes it is the first.
-    """
+def constant(shader: UsdShade.Shader, name: str) -> Usd.Attribute | None:
+    """An input, or the input of a material or node graph that it is connected to."""
     found = shader.GetInput(name)
     for attribute in UsdShade.Utils.GetValueProducingAttributes(found) if found else ():
         if UsdShade.Utils.GetType(attribute.GetName()) == UsdShade.AttributeType.Input:
-            return attribute.Get(Usd.TimeCode.EarliestTime())
+            return attribute
     return None
 
 
 def _numbers[T: tuple[float, ...]](shader: UsdShade.Shader, name: str, default: T) -> T:
-    """As many numbers of an input as the default has; it, where they are no such."""
-    value = constant(shader, name)
-    try:
-        numbers = (float(value),) if isinstance(value, float | int) else tuple(map(float, value))
-    except TypeError:
+    """As many numbers of an input as the default has; it, where there is no value."""
+    attribute = constant(shader, name)
+    if attribute is None:
         return default
-    sound = len(numbers) >= len(default) and all(map(math.isfinite, numbers))
-    return numbers[: len(default)] if sound else default  # type: ignore[return-value]
+    if len(default) == 1:
+        return (values.number(attribute, default[0], FIRST),)  # type: ignore[return-value]
+    # Scales and biases are of four, for textures without an alpha, too.
+    found = values.vector(attribute, len(default), FIRST, of_more=True)
+    return default if found is None else found  # type: ignore[return-value]

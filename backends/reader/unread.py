@@ -13,7 +13,9 @@ from collections.abc import Collection
 import numpy as np
 from pxr import Sdf, Usd, UsdGeom, UsdLux, UsdRender, UsdShade, UsdSkel
 
+from scenec.backends.reader import values
 from scenec.backends.reader.implicit import LENGTHS, kind_of
+from scenec.backends.reader.sources import Sources
 from scenec.backends.reader.textures import INPUTS, connected, constant, texture_maps
 from scenec.schemas import stage as names
 from scenec.schemas.exr import PASSES
@@ -107,7 +109,7 @@ _PRODUCT = frozenset(
 _SETTINGS = frozenset(("camera", "products", "aspectRatioConformPolicy", "renderingColorSpace"))
 
 #: Of the same effect as what holds without them.
-_NEUTRAL = frozenset((("inputs:texture:format", "latlong"),))
+_NEUTRAL = (("inputs:texture:format", "latlong"),)
 
 #: Inputs of UsdPreviewSurface that are not followed, and the value at which they do nothing.
 _WITHOUT_EFFECT = {"opacity": 1.0, "displacement": 0.0, "clearcoat": 0.0}
@@ -124,10 +126,12 @@ class Unread:
 
     Args:
         moving: Whether there is more than one sample, so that changes over time are lost.
+        sources: Of the stage.
     """
 
-    def __init__(self, moving: bool):
+    def __init__(self, moving: bool, sources: Sources):
         self._moving = moving
+        self._sources = sources
         #: By what is lost: the path to tell, by path of the prim (in its prototype).
         self._found: dict[str, dict[str, str]] = {}
         self._materials: set[str] = set()
@@ -169,7 +173,7 @@ class Unread:
         elif kind == "RenderSettings":
             self._attributes(prim, _SETTINGS)
         elif kind == "RenderVar":
-            source = str(UsdRender.Var(prim).GetSourceNameAttr().Get() or "")
+            source = values.word(UsdRender.Var(prim).GetSourceNameAttr(), "")
             if source.split(".")[0] not in PASSES:
                 self.add("a render variable of another renderer is not made", prim)
         elif kind == "PointInstancer":
@@ -179,7 +183,7 @@ class Unread:
         if prim.HasAPI("LODRootAPI"):
             self.add("levels of detail are not chosen, all are shown", prim)
         draw_mode = prim.GetAttribute("model:drawMode")
-        if draw_mode and draw_mode.Get() not in (None, "inherited", "default"):
+        if draw_mode and values.word(draw_mode, "default") not in ("inherited", "default"):
             self.add("model:drawMode is not followed, all geometry is shown", prim)
         if any(name.endswith(":semanticData") for name in _in_namespace(prim, "semantic")):
             self.add("a label of SemanticsAPI is not read, those of UsdSemantics are", prim)
@@ -194,7 +198,7 @@ class Unread:
         mesh = UsdGeom.Mesh(prim)
         api = UsdGeom.PrimvarsAPI(prim)
         if mesh:
-            if mesh.GetSubdivisionSchemeAttr().Get() in _SUBDIVIDED:
+            if values.word(mesh.GetSubdivisionSchemeAttr(), "") in _SUBDIVIDED:
                 self.add("a subdivision surface is shown as its cage", prim)
             if _corner_normals(mesh):
                 self.add("normals of face corners are not followed, faces are shaded flat", prim)
@@ -213,8 +217,10 @@ class Unread:
             if not _all_equal(api.FindPrimvarWithInheritance("displayColor")):
                 self.add("displayColor that varies over a shape is shown as its mean", prim)
             opacity = api.FindPrimvarWithInheritance("displayOpacity")
-            if opacity and opacity.HasValue() and np.min(opacity.Get(_FIRST), initial=1.0) < 1.0:
-                self.add("displayOpacity is not followed", prim)
+            if opacity and opacity.HasValue():
+                found = values.array(opacity.GetAttr(), np.float64, _FIRST)
+                if found.min(initial=1.0) < 1.0:
+                    self.add("displayOpacity is not followed", prim)
 
     def material(self, material: UsdShade.Material) -> None:
         """Notes what of a bound material is not followed; of ours nothing is lost."""
@@ -225,10 +231,10 @@ class Unread:
         if prim.GetAttribute(names.ATTR_BASE_COLOR).HasValue():
             return
         shader, _, _ = material.ComputeSurfaceSource()
-        if shader and shader.GetIdAttr().Get() == "UsdPreviewSurface":
+        if shader and values.word(shader.GetIdAttr(), "") == "UsdPreviewSurface":
             self._preview_surface(prim, shader)
         elif shader:
-            told = shader.GetIdAttr().Get() or "a shader of its own"
+            told = values.word(shader.GetIdAttr(), "") or "a shader of its own"
             self.add(f"the surface {told} is not read, displayColor is shown", prim)
         elif any(output.HasConnectedSource() for output in material.GetSurfaceOutputs()):
             self.add("a surface for other renderers is not read, displayColor is shown", prim)
@@ -242,7 +248,9 @@ class Unread:
         ):
             connected = any(output.HasConnectedSource() for output in outputs)
             # A preview surface has its displacement among its inputs.
-            if connected and not (source and source.GetIdAttr().Get() == "UsdPreviewSurface"):
+            if connected and not (
+                source and values.word(source.GetIdAttr(), "") == "UsdPreviewSurface"
+            ):
                 self.add(f"the {kind} of a material is not read", prim)
 
     def _light(self, prim: Usd.Prim, kind: str, in_prototype: bool) -> None:
@@ -267,7 +275,7 @@ class Unread:
                 name.startswith("inputs:") or definition.GetSpecType(name) != _UNKNOWN
             ):
                 continue
-            value = attribute.Get(_FIRST)
+            value = values.value_of(attribute, _FIRST)
             neutral = value is None or value == definition.GetAttributeFallbackValue(name)
             if name in _EVERYWHERE or (name, value) in _NEUTRAL:
                 neutral = True
@@ -275,26 +283,29 @@ class Unread:
                 self.add(f"{name} of {prim.GetTypeName()} is not followed", prim)
 
     def _preview_surface(self, prim: Usd.Prim, shader: UsdShade.Shader) -> None:
-        specular = constant(shader, "useSpecularWorkflow") == 1
-        maps = texture_maps(shader, specular)
+        specular = values.value_of(constant(shader, "useSpecularWorkflow"), _FIRST) == 1
+        maps = texture_maps(shader, specular, self._sources)
         for found in shader.GetInputs():
             name = found.GetBaseName()
             if name in _ASIDE or name == ("metallic" if specular else "specularColor"):
                 continue
             node, _ = connected(shader, name)
             if node is None:
-                value = constant(shader, name)
+                value = values.value_of(constant(shader, name), _FIRST)
                 if name in _WITHOUT_EFFECT and value not in (None, _WITHOUT_EFFECT[name]):
                     self.add(f"{name} of UsdPreviewSurface is not followed", prim)
                 if self._changes(*found.GetValueProducingAttributes()):
                     self.add("inputs of a material that change stay as they are first", prim)
                 continue
             if maps is not None and getattr(maps, _TEXTURED.get(name, ""), None) is not None:
-                modes = {constant(node, wrap) for wrap in ("wrapS", "wrapT")}
+                modes = {values.word(constant(node, w), "", _FIRST) for w in ("wrapS", "wrapT")}
                 if modes & {"black", "clamp", "mirror"}:
                     self.add("wrap modes of textures are not followed, they repeat", prim)
-            elif not (name == "diffuseColor" and constant(node, "varname") == "displayColor"):
-                source = node.GetIdAttr().Get() or "a node"
+            elif not (
+                name == "diffuseColor"
+                and values.word(constant(node, "varname"), "", _FIRST) == "displayColor"
+            ):
+                source = values.word(node.GetIdAttr(), "") or "a node"
                 self.add(f"{name} of UsdPreviewSurface from {source} is not read", prim)
 
     def _changes(self, *attributes: Usd.Attribute) -> bool:
@@ -327,8 +338,7 @@ def _corner_normals(mesh: UsdGeom.Mesh) -> bool:
 
 
 def _all_equal(primvar: UsdGeom.Primvar) -> bool:
-    values = primvar.Get(_FIRST) if primvar and primvar.HasValue() else None
-    if values is None or primvar.GetInterpolation() == _CONSTANT:
+    if not primvar or not primvar.HasValue() or primvar.GetInterpolation() == _CONSTANT:
         return True
-    colors = np.array(values)
+    colors = values.array(primvar.GetAttr(), np.float64, _FIRST, width=(3,))
     return bool((colors == colors[:1]).all())
