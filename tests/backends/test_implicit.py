@@ -260,7 +260,7 @@ def test_lengths_that_cannot_be_are_named(tmp_path, kind, name, value):
     def build(stage):
         stage.DefinePrim("/Root/it", kind).GetAttribute(name).Set(value)
 
-    with pytest.raises(StageError, match=rf"/Root/it: {name} is .*, expected a length from 0 on"):
+    with pytest.raises(StageError, match=rf"/Root/it(: |\.){name}:? is .*, expected"):
         opened(tmp_path, build)
 
 

@@ -67,14 +67,14 @@ def truncate(batch: Path) -> str:
 
 
 def edit(batch: Path) -> str:
-    file = batch / "lights.usda"
+    file = batch / "stage.usda"
     file.write_text(file.read_text(encoding="utf-8") + "# mine\n", encoding="utf-8")
-    return "lights.usda: its bytes are not those of the manifest.json"
+    return "stage.usda: its bytes are not those of the manifest.json"
 
 
 def of_another_batch(batch: Path) -> str:
-    shutil.copyfile(batch.with_name("batch_0001") / "cameras.usda", batch / "cameras.usda")
-    return "cameras.usda: its bytes are not those of the manifest.json"
+    shutil.copyfile(batch.with_name("batch_0001") / "cameras.usdc", batch / "cameras.usdc")
+    return "cameras.usdc: its bytes are not those of the manifest.json"
 
 
 FAULTS = (remove, remove_picture, change, truncate, edit, of_another_batch)
@@ -120,7 +120,8 @@ def test_what_is_read_is_what_the_manifest_lists(compiled, tmp_path):
     assert there.digest == stage_digest(manifest, "batch_0000")
     linked = tmp_path / "out"
     shutil.copytree(compiled, linked)
-    for file in (linked / "batch_0000").rglob("*.usd*"):
+    # But for the root layer: no path of a manifest leads out of its output.
+    for file in (linked / "batch_0000").rglob("*.usdc"):
         original = compiled / file.relative_to(linked)
         file.unlink()
         file.symlink_to(original)
@@ -132,22 +133,22 @@ def test_what_is_read_is_what_the_manifest_lists(compiled, tmp_path):
 def test_a_layer_that_the_manifest_does_not_list_is_refused(out):
     batch = out / "batch_0000"
     manifest = json.loads((out / "manifest.json").read_text(encoding="utf-8"))
-    del manifest["files"]["batch_0000/lights.usda"]
+    del manifest["files"]["batch_0000/lights.usdc"]
     (out / "manifest.json").write_text(json.dumps(manifest), encoding="utf-8")
-    with pytest.raises(StageError, match=r"lights.usda: is read, and is not in the manifest.json"):
+    with pytest.raises(StageError, match=r"lights.usdc: is read, and is not in the manifest.json"):
         read_stage(stage_of(out))
     # A layer from beyond the batch's folder is no more in it.
-    manifest["files"]["batch_0000/lights.usda"] = {"sha256": "0"}
-    (batch / "lights.usda").rename(out / "lights.usda")
+    manifest["files"]["batch_0000/lights.usdc"] = {"sha256": "0"}
+    (batch / "lights.usdc").rename(out / "lights.usdc")
     (out / "manifest.json").write_text(json.dumps(manifest), encoding="utf-8")
-    with pytest.raises(StageError, match=r"lights.usda: is in the manifest.json and not on disk"):
+    with pytest.raises(StageError, match=r"lights.usdc: is in the manifest.json and not on disk"):
         read_stage(stage_of(out))
 
 
 @pytest.mark.parametrize("entry", [3, {"bytes": 3}, None])
 def test_a_manifest_without_digests_is_none(out, entry):
     manifest = json.loads((out / "manifest.json").read_text(encoding="utf-8"))
-    manifest["files"]["batch_0000/lights.usda"] = entry
+    manifest["files"]["batch_0000/lights.usdc"] = entry
     (out / "manifest.json").write_text(json.dumps(manifest), encoding="utf-8")
     with pytest.raises(OutputError, match=r"manifest.json: is no scenec manifest"):
         render(out, "reference")
@@ -193,7 +194,7 @@ def test_a_check_that_allows_it_warns_of_what_is_missing(out, capsys):
     told = remove(out / "batch_0000")
     assert main(["check", str(out), "--allow-missing"]) == 0
     said = capsys.readouterr().out
-    assert f"warning: batch_0000: {told} [reader]" in said
+    assert f"warning: stage.usda: {told} [unread]" in said
     assert "\n0 errors," in said
 
 
@@ -220,6 +221,7 @@ def foreign(folder: Path) -> Usd.Stage:
     stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, "/World").GetPrim())
     UsdGeom.Camera.Define(stage, "/World/Camera")
     mesh = UsdGeom.Mesh.Define(stage, "/World/Floor")
+    mesh.CreateSubdivisionSchemeAttr("none")
     mesh.CreatePointsAttr([(0, 0, 0), (1, 0, 0), (0, 1, 0)])
     mesh.CreateFaceVertexCountsAttr([3])
     mesh.CreateFaceVertexIndicesAttr([0, 1, 2])
