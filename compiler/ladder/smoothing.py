@@ -138,8 +138,8 @@ def _in_space(base: Base, step: _Step, rungs: int) -> Ladder:
         if iterated
         else "the continuous equation, each mode by its exact decay, on a grid four times as fine "
         "as the finest rung",
-        claim="none: report.json states how far the last iteration moved heights "
-        "(last_iteration_m), which is convergence on its grid, not what the grid errs"
+        claim="none: report.json states what the iteration errs (error_rms_m), which is "
+        "convergence on its grid, not what the grid errs"
         if iterated
         else "none: report.json states how much the operator changes (change_rms_m), and no error",
         claim_of="worst",
@@ -180,7 +180,8 @@ def _in_time(base: Base, operator: StreamPower, step: _Step, rungs: int) -> Ladd
     for number in numbers:
         fixed = replace(operator, steps=number, error_m=None)
         rung = _rung(base, grid, height, fixed.apply, truth, 0.0)
-        found.append(replace(rung, value=float(number), used=number == used))
+        stated = float(rung.details["error_rms_m"])
+        found.append(replace(rung, value=float(number), used=number == used, claimed=stated))
     return Ladder(
         name="smoothing",
         what=f"terrain.relief/{step.place}.steps (stream_power)",
@@ -218,8 +219,7 @@ def _rung(
         "change_rms_m": rms((out - height).ravel()[inside]),
         "points": len(error),
     }
-    if "last_iteration_m" in report:
-        details["last_iteration_m"] = float(report["last_iteration_m"])
+    details |= {key: report[key] for key in ("last_iteration_m", "error_rms_m") if key in report}
     if base.rigs:
         pixels = in_pixels(base, x[inside], y[inside], error)
         details |= {"worst_px": worst(pixels), "rms_px": rms(pixels)}
@@ -228,7 +228,7 @@ def _rung(
         used=False,
         worst=worst(error),
         rms=rms(error),
-        claimed=report.get("error_rms_m"),
+        claimed=None,
         seconds=clock.seconds,
         bytes=size,
         triangles=triangles,

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.terrain.drainage import Drainage, drain, drainage_area, outlet_samples
 from scenec.compiler.terrain.grid import Grid
+from scenec.compiler.terrain.halving import halving_error, rms
 from scenec.compiler.terrain.hillslopes import Hillslopes
 from scenec.schemas.threads import POINTS, over_threads
 
@@ -73,7 +74,7 @@ class StreamPower:
         if self.steps is not None and (self.error_m is None or self.steps == 1):
             out, report = self.run(grid, height, self.steps)
             other = (self.steps + 1) // 2 if self.steps > 1 else 2
-            error = _error(out, self.steps, self.run(grid, height, other)[0], other)
+            error = halving_error(out, self.steps, self.run(grid, height, other)[0], other)
         else:
             out, report, error = self._aimed(grid, height)
         change = out - height
@@ -81,7 +82,7 @@ class StreamPower:
             **report,
             **error,
             **({} if self.error_m is None else {"error_aim_m": self.error_m}),
-            "change_rms_m": _rms(change),
+            "change_rms_m": rms(change),
             "change_max_m": float(np.abs(change).max()),
         }
 
@@ -95,8 +96,8 @@ class StreamPower:
         while True:
             coarser, before, steps = out, steps, min(2 * steps, most)
             out, report = self.run(grid, height, steps)
-            error = _error(out, steps, coarser, before)
-            aim = AIM * _rms(out - height) if self.error_m is None else self.error_m
+            error = halving_error(out, steps, coarser, before)
+            aim = AIM * rms(out - height) if self.error_m is None else self.error_m
             if error["error_rms_m"] <= aim or steps == most:
                 return out, report, error
 
@@ -134,23 +135,6 @@ class StreamPower:
             "filled_m3": filled_m3,
             "cut_m3": cut_m3,
         }
-
-
-def _error(
-    out: NDArray[np.float64], steps: int, other: NDArray[np.float64], others: int
-) -> dict[str, float]:
-    """What a run in some steps errs, from one in fewer (or more) that errs by order 1/2."""
-    difference = np.abs(out - other)
-    factor = 1.0 / abs(float(np.sqrt(steps / others)) - 1.0)
-    order = np.sort(difference, axis=None, kind="stable")
-    return {
-        "error_rms_m": factor * _rms(difference),
-        "error_99_m": factor * float(order[int(0.99 * (order.size - 1))]),
-    }
-
-
-def _rms(field: NDArray[np.float64]) -> float:
-    return float(np.sqrt((field * field).mean()))
 
 
 @njit(cache=True, error_model="numpy", nogil=True)

@@ -321,3 +321,23 @@ def test_erosion_does_not_depend_on_the_number_of_threads(operator):
     with at_most(1):
         alone = apply(operator, grid, rough(grid, 1, 50.0))
     assert np.array_equal(alone, apply(operator, grid, rough(grid, 1, 50.0)))
+
+
+@pytest.mark.parametrize("angle", [20.0, 33.0, 50.0])
+def test_slides_state_about_what_their_iteration_errs(angle, monkeypatch):
+    grid = Grid((64.0, 64.0), (65, 65))
+    rng = np.random.default_rng(4)
+    away = np.hypot(grid.x()[None, :], grid.y()[:, None])
+    for height in (
+        100.0 * rng.random(grid.shape),
+        np.where(grid.x() > 0.0, 30.0, 0.0) + np.zeros((65, 1)),
+        np.clip(60.0 - 2.0 * away, 0.0, None),
+        np.where(rng.random(grid.shape) < 0.01, 50.0, 0.0),
+    ):
+        out, report = Thermal(angle).apply(grid, height)
+        with monkeypatch.context() as patched:
+            patched.setattr("scenec.compiler.terrain.thermal._FINE", 3200)
+            error = apply(Thermal(angle), grid, height) - out
+        assert np.sqrt((error**2).mean()) <= 1.2 * report["error_rms_m"]
+        assert np.quantile(np.abs(error), 0.99) <= 1.5 * report["error_99_m"]
+    assert Thermal(angle).apply(grid, 0.0 * away)[1]["error_rms_m"] == 0.0
