@@ -14,10 +14,11 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import IO, Any, Self
 
-from scenec.backends.memory import GB, default_limit
+from scenec.backends.memory import default_limit
 from scenec.backends.watch import Growth, Limits, Watch
 from scenec.schemas import errors
 from scenec.schemas.errors import BackendError, ScenecError
+from scenec.schemas.memory import GB
 
 #: Times a request is asked again after the worker died at it.
 RETRIES = 2

@@ -33,6 +33,7 @@ from scenec.schemas.depth_camera import MEASURED
 from scenec.schemas.errors import BackendError
 from scenec.schemas.frames import FrameKey
 from scenec.schemas.instances import BATCH_TABLE, table_digest, write_table
+from scenec.schemas.memory import GB
 
 if TYPE_CHECKING:
     from scenec.backends.haze import Veil
@@ -244,7 +245,7 @@ class Session:
             camera, sample, key.passes, key.spp, seed, key.denoise, seen, _target(key)
         )
         peak = memory.peak()
-        details["peak_memory_gb"] = None if peak is None else round(peak / memory.GB, 3)
+        details["peak_memory_gb"] = None if peak is None else round(peak / GB, 3)
         if choice is not None:
             details["choice"] = choice
         taken = None
