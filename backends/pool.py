@@ -199,7 +199,7 @@ class WorkerProcess:
             raise
         if not line.endswith("\n"):
             process.wait()
-            raise WorkerDiedError(f"died ({self._cause(process.returncode, watch.memory)})")
+            raise WorkerDiedError(f"died ({self._cause(process.returncode, watch.peak)})")
         answer: dict[str, Any] = json.loads(line)
         return answer
 
@@ -225,7 +225,7 @@ class WorkerProcess:
                 cause = f"signal {-status}"
             if -status == signal.SIGKILL:
                 # The kernel leaves no word to the process it kills for its memory.
-                held = f", it held {memory / GB:.2f} GB" if memory else ""
+                held = f", it held up to {memory / GB:.2f} GB" if memory else ""
                 cause += f", out of memory?{held}"
         else:
             cause = f"exit status {status}"

@@ -455,6 +455,7 @@ class Session:
         with _timed(seconds, "load"):
             if backend.name not in self._loaded:
                 shown = self.pictures and backend is self.backend
+                memory.require_room(backend.name, getattr(backend, "load_cost", None), self.scene)
                 backend.load(self.scene if shown else bare(self.scene))
                 self._loaded.add(backend.name)
 

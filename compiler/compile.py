@@ -15,6 +15,7 @@ from pxr import Tf
 from scenec.compiler.build import BuildLog, build
 from scenec.compiler.draw import draw
 from scenec.compiler.emit.batch import STAGE, write_batch
+from scenec.compiler.estimate import needs_of, require_memory, told_time
 from scenec.compiler.frontend import licenses
 from scenec.compiler.frontend.load import Spec, load
 from scenec.compiler.incremental.memo import Memo, memoizing
@@ -129,6 +130,13 @@ def compile_cfg(
     left_over: list[str] = []
     for done, batch in enumerate(chosen):
         name = f"batch_{batch:04d}"
+        needs = needs_of(spec, seed, batch)
+        tight = require_memory(needs)
+        if tight is not None:
+            say(f"warning: {name}: {tight}")
+        long = told_time(needs, len(chosen)) if batch == chosen[0] else None
+        if long is not None:
+            say(long)
         say(f"compiling {name} of {spec.cfg['name']}, seed {seed}")
         log = BuildLog(seconds={"load": load_seconds}, tell=_teller(step, done, len(chosen), name))
         with log.timed("draw"):

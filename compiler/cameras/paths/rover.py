@@ -99,8 +99,8 @@ class Rover:
     def _top(self, around: Around) -> float:
         """Height of the highest of the rig and what it carries, above level ground."""
         axes = frames(np.array([[0.0, 1.0]]), self.pitch_deg)[0]
-        carried = (*around.sensors, *around.lidars)
-        above = [float((axes[2] * one.to_rig[:3, 3]).sum()) for one in carried]
+        mounts = [one.to_rig for one in around.sensors] + [one.to_rig for one in around.lidars]
+        above = [float((axes[2] * mount[:3, 3]).sum()) for mount in mounts]
         return self.height_m + max(0.0, *above)
 
     def _why_blocked(self, cells: Passable, point: NDArray[np.float64], around: Around) -> str:
