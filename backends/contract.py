@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.backends.memory import LoadCost
 from scenec.backends.render_scene import Camera, RenderScene
 
 if TYPE_CHECKING:
@@ -108,6 +109,10 @@ class Backend(Protocol):
     #: Whether its radiance is a Monte Carlo estimate, ``Radiance.stochastic`` (which it is where
     #: this attribute is missing): what draws many pictures for one must know before the first.
     stochastic: bool
+
+    #: Bytes that loading takes, by what is in the scene: what cannot fit is refused before. May be
+    #: missing.
+    load_cost: LoadCost
 
     def version(self) -> str:
         """Name and version of the renderer and its variant, for sidecars and resume keys."""

@@ -14,10 +14,11 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import IO, Any, Self
 
-from scenec.backends.memory import GB, default_limit
+from scenec.backends.memory import default_limit
 from scenec.backends.watch import Growth, Limits, Watch
 from scenec.schemas import errors
 from scenec.schemas.errors import BackendError, ScenecError, StageError
+from scenec.schemas.memory import GB
 
 #: Times a request is asked again after the worker died at it.
 RETRIES = 2
@@ -224,7 +225,7 @@ class WorkerProcess:
             raise
         if not line.endswith("\n"):
             process.wait()
-            cause = self._cause(process.returncode, watch.memory)
+            cause = self._cause(process.returncode, watch.peak)
             raise WorkerDiedError(f"died ({cause})", process.returncode in _CRASHES)
         answer: dict[str, Any] = json.loads(line)
         return answer
@@ -251,7 +252,7 @@ class WorkerProcess:
                 cause = f"signal {-status}"
             if -status == signal.SIGKILL:
                 # The kernel leaves no word to the process it kills for its memory.
-                held = f", it held {memory / GB:.2f} GB" if memory else ""
+                held = f", it held up to {memory / GB:.2f} GB" if memory else ""
                 cause += f", out of memory?{held}"
         else:
             cause = f"exit status {status}"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from scenec.backends.contract import Radiance, Rays, Visibility
 from scenec.backends.exact import ExactCaster
+from scenec.backends.memory import LoadCost
 from scenec.backends.render_scene import Camera, RenderScene
 from scenec.schemas.errors import BackendError, CameraRefusedError
 from scenec.schemas.versions import version_of
@@ -20,6 +21,7 @@ class Reference:
     devices = ("cpu",)
     denoiser = None
     follows_lenses = False
+    load_cost = LoadCost(row=300.0, triangle=100.0)
 
     def __init__(self, device: str = "auto") -> None:
         self.device = "cpu"

@@ -34,6 +34,7 @@ from scenec.schemas.depth_camera import MEASURED
 from scenec.schemas.errors import BackendError, StageError
 from scenec.schemas.frames import FrameKey
 from scenec.schemas.instances import BATCH_TABLE, table_digest, write_table
+from scenec.schemas.memory import GB
 
 if TYPE_CHECKING:
     from scenec.backends.haze import Veil
@@ -264,7 +265,7 @@ class Session:
         for step, seconds in metering.items():
             details["seconds"][step] = details["seconds"].get(step, 0.0) + seconds
         peak = memory.peak()
-        details["peak_memory_gb"] = None if peak is None else round(peak / memory.GB, 3)
+        details["peak_memory_gb"] = None if peak is None else round(peak / GB, 3)
         if choice is not None:
             details["choice"] = choice
         taken = None
@@ -477,6 +478,7 @@ class Session:
         with _timed(seconds, "load"):
             if backend.name not in self._loaded:
                 shown = self.pictures and backend is self.backend
+                memory.require_room(backend.name, getattr(backend, "load_cost", None), self.scene)
                 backend.load(self.scene if shown else bare(self.scene))
                 self._loaded.add(backend.name)
 

@@ -5,13 +5,12 @@ from __future__ import annotations
 import argparse
 import math
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from scenec.cli.explain_passes import precision_text
 from scenec.cli.output import Progress, print_json, say
-from scenec.compiler.compile import CompileReport, compile_cfg
-from scenec.compiler.incremental.store import default_folder
-from scenec.compiler.passes.keep import Keep
-from scenec.compiler.precision import WARN_PX
+
+if TYPE_CHECKING:
+    from scenec.compiler.compile import CompileReport
 
 
 def run(options: argparse.Namespace) -> int:
@@ -24,6 +23,13 @@ def run(options: argparse.Namespace) -> int:
 
 def compile_now(options: argparse.Namespace) -> CompileReport:
     """Compiles, and says what came of it."""
+    # First: what is imported here takes seconds where the disk is slow.
+    say(f"reading {options.cfg}")
+    from scenec.cli.explain_passes import precision_text
+    from scenec.compiler.compile import compile_cfg
+    from scenec.compiler.passes.keep import Keep
+    from scenec.compiler.precision import WARN_PX
+
     cache = cache_of(options)
     report = compile_cfg(
         options.cfg,
@@ -85,6 +91,8 @@ def compile_now(options: argparse.Namespace) -> CompileReport:
 
 def cache_of(options: argparse.Namespace) -> Path | None:
     """The folder that the options and the environment name; None: there shall be none."""
+    from scenec.compiler.incremental.store import default_folder
+
     if options.no_cache:
         return None
     return default_folder() if options.cache is None else Path(options.cache)

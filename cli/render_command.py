@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import argparse
 
-from scenec.backends.memory import GB
 from scenec.backends.render import Limits, RenderReport, render
 from scenec.cli.output import Progress, print_json, say
+from scenec.schemas.memory import GB
 
 
 def run(options: argparse.Namespace) -> int:

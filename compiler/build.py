@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.cameras.imaging import expose
-from scenec.compiler.cameras.paths.motion import Bodies
+from scenec.compiler.cameras.paths.motion import Bodies, bodies_of
 from scenec.compiler.cameras.rigs import build_rigs, build_rigs_and_report, needs_objects
 from scenec.compiler.cameras.sight import Views, pixels_per_meter, views_of
 from scenec.compiler.ground.cover import lay_and_report
@@ -263,10 +263,7 @@ def stand_rigs(
         others = tuple(rig for rig in plan.rigs if not needs_objects(rig))
         early = build_rigs(others, surface, None)
         for one in stand_objects(plan, surface, early, None, BuildLog()):
-            middle, radius = one.balls()
-            # Of an object that moves, where it is at the first sample.
-            step = len(middle) // one.count if one.count else 1
-            bodies[one.name] = Bodies(one.ids, middle[::step], radius[::step])
+            bodies[one.name] = bodies_of(one)
     rigs, motion = build_rigs_and_report(plan.rigs, surface, irradiance, bodies)
     if motion:
         log.facts["motion"] = motion

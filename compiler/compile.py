@@ -14,6 +14,7 @@ from pxr import Tf
 from scenec.compiler.build import BuildLog, build
 from scenec.compiler.draw import draw
 from scenec.compiler.emit.batch import write_batch
+from scenec.compiler.estimate import needs_of, require_memory, told_time
 from scenec.compiler.frontend.load import Spec, load
 from scenec.compiler.incremental.memo import Memo, memoizing
 from scenec.compiler.incremental.store import Store
@@ -124,6 +125,7 @@ def compile_cfg(
         for done, batch in enumerate(chosen):
             name = batch_name(batch)
             tell = _teller(step, done, len(chosen), name)
+            _require_room(spec, seed, batch, len(chosen) if done == 0 else None, say)
             for attempt in _attempts(output.attempt(batch), faults):
                 again = f", attempt {attempt + 1}" if attempt else ""
                 say(f"compiling {name} of {spec.cfg['name']}, seed {seed}{again}")
@@ -162,6 +164,28 @@ def compile_cfg(
     if store is not None:
         store.tidy()
     return replace_(report, batches=tuple(made), unchanged=unchanged, strays=tuple(left_over))
+
+
+def _require_room(
+    spec: Spec, seed: int, batch: int, batches: int | None, say: Callable[[str], None]
+) -> None:
+    """Refuses a batch that does not fit into memory; tells of one that will be tight, or long.
+
+    Args:
+        spec, seed, batch: What will be drawn.
+        batches: How many there are in all, where their time is to be told; else None.
+        say: Told.
+
+    Raises:
+        SceneError: It does not fit.
+    """
+    needs = needs_of(spec, seed, batch)
+    tight = require_memory(needs)
+    if tight is not None:
+        say(f"warning: {batch_name(batch)}: {tight}")
+    long = None if batches is None else told_time(needs, batches)
+    if long is not None:
+        say(long)
 
 
 def _attempts(first: int, faults: str) -> range:

@@ -94,7 +94,6 @@ def _write_looks(folder: Path, scene: Scene) -> list[str]:
 
 def _write_root(path: Path, scene: Scene, sublayers: list[str]) -> None:
     with new_layer(path) as stage:
-        stage.GetRootLayer().subLayerPaths = [f"./{name}" for name in sublayers]
         stage.SetStartTimeCode(0.0)
         stage.SetEndTimeCode(float(scene.samples - 1))
         stage.SetMetadata("renderSettingsPrimPath", f"{names.RENDER_SCOPE}/Settings")
@@ -129,6 +128,8 @@ def _write_root(path: Path, scene: Scene, sublayers: list[str]) -> None:
             for sensor in rig.sensors:
                 camera = UsdGeom.Camera(stage.OverridePrim(camera_path(rig, sensor)))
                 camera.CreateClippingRangeAttr(clipping_range(rig, sensor, scene.bounds))
+        # Last: after each edit USD looks through all sublayers, of which there is one a class.
+        stage.GetRootLayer().subLayerPaths = [f"./{name}" for name in sublayers]
 
 
 def _write_georeference(world: Usd.Prim, scene: Scene) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -21,6 +22,8 @@ from scenec.backends import memory
 from scenec.backends.pool import RETRIES
 from scenec.backends.render import Limits, render
 from scenec.backends.watch import Growth, Watch
+from scenec.schemas import memory as machine
+from scenec.schemas.errors import BackendError
 from scenec.schemas.frames import read_frame
 
 #: Quick to notice, and yet long beside what a busy machine takes from a worker.
@@ -80,6 +83,10 @@ def test_a_worker_that_hangs_or_dies_once_costs_nothing_but_time(
     said = [line for line in lines if "trying again" in line]
     assert len(said) == 1
     assert words in said[0]
+    if kind == "kill":
+        # What it held, what was expected, and what would help.
+        assert re.search(r"it held up to 0\.\d+ GB: plain: loading 1 rows, 2 triangles", said[0])
+        assert "about 1.2e-06 GB; fewer objects need less" in said[0]
     assert "square/left/000001" in said[0]
     assert "\n" not in said[0]
     for path in report.frames:
@@ -97,6 +104,12 @@ def test_a_frame_that_hangs_in_every_worker_is_given_up_and_costs_no_other(
     assert len(report.failed) == 1
     assert "square/left/000001: given up after 3 tries" in report.failed[0]
     assert "hung" in report.failed[0]
+
+
+def test_a_scene_that_cannot_fit_is_refused_before_it_is_loaded(stage):
+    with pytest.raises(BackendError, match=r"heavy: loading 1 rows, 2 triangles .* 3e\+06 GB") as e:
+        render(stage, "heavy", limits=QUICK, passes=["rgb"])
+    assert "object_detail/max_triangles" in str(e.value)
 
 
 def test_work_without_end_is_ended_at_the_time_limit(stage, tmp_path, monkeypatch):
@@ -232,7 +245,7 @@ def test_a_containers_memory_is_its_control_groups(tmp_path, groups, files, expe
     for name, text in files.items():
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text(text + "\n")
-    assert min(memory._limits_of(tmp_path, groups)) == expected
+    assert min(most for most, _ in machine._limits_of(tmp_path, groups)) == expected
 
 
 def test_the_default_limit_is_below_what_there_is():
