@@ -17,6 +17,7 @@ from scenec.backends.contract import Rays
 from scenec.backends.exact import outline_rays
 from scenec.backends.exact.bvh import Geometry
 from scenec.backends.exact.silhouette import (
+    LANES,
     RAY_COST,
     frame_rows,
     mark_shown,
@@ -169,9 +170,10 @@ class Outliner:
                     bounded,
                 )  # fmt: skip
             else:
-                outline_all(
-                    geometry, rows, parts, self._bases[entries], firsts, order, windows, starts,
-                    ray_cost, k, pose, inverse, width, height, marks, areas,
+                over_threads(
+                    outline_all, min(LANES, len(order)), geometry, rows, parts,
+                    self._bases[entries], firsts, order, windows, starts, ray_cost, k, pose,
+                    inverse, width, height, marks, areas,
                 )  # fmt: skip
             if masks:
                 counts.append(_runs(order, windows, starts, marks, width, height, sizes))
@@ -234,10 +236,12 @@ def _runs(
     first, end = int(order.min()), int(order.max()) + 1
     begins = np.zeros(len(sizes), np.int64)
     nothing = np.empty(0, np.uint32)
-    runs(order, windows, starts, marks, width, height, False, sizes, begins, nothing)
+    lanes = min(LANES, len(order))
+    masks = order, windows, starts, marks, width, height
+    over_threads(runs, lanes, *masks, False, sizes, begins, nothing)
     begins[first:end] = np.cumsum(sizes[first:end]) - sizes[first:end]
     counts = np.empty(int(sizes[first:end].sum()), np.uint32)
-    runs(order, windows, starts, marks, width, height, True, sizes, begins, counts)
+    over_threads(runs, lanes, *masks, True, sizes, begins, counts)
     return counts
 
 

@@ -14,6 +14,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.backends.memory import LoadCost
 from scenec.backends.render_scene import Camera, RenderScene
 
 #: ``Visibility.row`` where a ray meets nothing.
@@ -21,8 +22,6 @@ NO_ROW = -1
 #: Light paths end after this many bounces in every renderer: sun or sky, the surface that is seen,
 #: up to four surfaces between.
 BOUNCES = 4
-#: What ``--device`` takes; each backend names those it has in ``Backend.devices``.
-DEVICES = ("auto", "cpu", "cuda", "optix")
 
 
 @dataclass(frozen=True)
@@ -92,6 +91,7 @@ class Backend(Protocol):
     #: Name on the command line.
     name: str
     #: Devices that can be asked for beside "auto", such as ("cpu", "cuda").
+    #: What ``--device`` takes beside "auto".
     devices: tuple[str, ...]
     #: Where it runs: one of ``devices``.
     device: str
@@ -104,6 +104,10 @@ class Backend(Protocol):
     #: Whether its radiance is a Monte Carlo estimate, ``Radiance.stochastic`` (which it is where
     #: this attribute is missing): what draws many pictures for one must know before the first.
     stochastic: bool
+
+    #: Bytes that loading takes, by what is in the scene: what cannot fit is refused before. May be
+    #: missing.
+    load_cost: LoadCost
 
     def version(self) -> str:
         """Name and version of the renderer and its variant, for sidecars and resume keys."""

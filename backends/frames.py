@@ -16,6 +16,7 @@ from scenec.backends.imaging.taken import TONE_CURVE, Taken
 from scenec.backends.instances import Seen
 from scenec.backends.render_scene import Camera, Lighting, RenderScene
 from scenec.backends.shutter import row_poses
+from scenec.backends.sky import combine, mean_radiance
 from scenec.schemas import picture
 from scenec.schemas.amodal import AMODAL, amodal_path, read_amodal, write_amodal
 from scenec.schemas.errors import FrameError, OutputError
@@ -48,6 +49,7 @@ def write_frame(
     details: Mapping[str, Any],
     seen: Seen | None = None,
     taken: Taken | None = None,
+    surfaces: NDArray[np.bool_] | None = None,
 ) -> None:
     """Write EXR, PNG (if there is ``rgb``), table, masks and sidecar, each by atomic rename.
 
@@ -62,6 +64,7 @@ def write_frame(
         seen: What it shows of instances (``schemas.instances``, ``schemas.amodal``), if it has that
             pass.
         taken: What the camera's sensor made of ``rgb``, where it has imaging.
+        surfaces: Where ``rgb`` shows surfaces, [h, w]; None: not known.
 
     Raises:
         OutputError: A file cannot be written.
@@ -127,6 +130,7 @@ def write_frame(
         "resume_key": key.digest(),
         "exr": _vouch(exr),
         "png": "rgb" in passes,
+        "picture": picture_facts(passes, shown, surfaces, scene.lighting[sample]),
         "instance_table": None if seen is None else _vouch(listed),
         "amodal": None if seen is None or seen.amodal is None else _vouch(masks),
         **({} if taken is None else {"imaging": taken.facts | _vouch_beside(stem, beside)}),
@@ -231,6 +235,43 @@ def sun_facts(lighting: Lighting) -> dict[str, Any] | None:
         "elevation_deg": math.degrees(math.atan2(z, math.hypot(x, y))),
         "azimuth_deg": math.degrees(math.atan2(x, y)) % 360.0,
         "irradiance": sun.irradiance.tolist(),
+    }
+
+
+def picture_facts(
+    passes: Mapping[str, NDArray],
+    shown: NDArray[np.uint8] | None,
+    surfaces: NDArray[np.bool_] | None,
+    lighting: Lighting,
+) -> dict[str, Any] | None:
+    """How bright a picture shows surfaces, as sidecars state it; None where there is none.
+
+    Where it is black or burnt out, with the light that there is.
+    """
+    if shown is None or surfaces is None:
+        return None
+    found = picture.tally(shown, passes["rgb"], surfaces)
+    if picture.fault([found]) is None:
+        return found
+    return found | {"light": light_facts(lighting)}
+
+
+def light_facts(lighting: Lighting) -> dict[str, Any]:
+    """What light there is at a sample, by luminance."""
+    suns = [
+        {
+            "prim": sun.path,
+            "irradiance": float((sun.irradiance * _LUMINANCE).sum()),
+            "angle_deg": math.degrees(sun.diameter_rad),
+            "normalized": sun.normalized,
+        }
+        for sun in lighting.suns
+    ]
+    sky = combine(lighting.domes)
+    return {
+        "suns": suns,
+        "sky_radiance": 0.0 if sky is None else float((mean_radiance(sky) * _LUMINANCE).sum()),
+        "lamps_w_sr": [float((lamp.intensity * _LUMINANCE).sum()) for lamp in lighting.lamps],
     }
 
 

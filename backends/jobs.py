@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import Any
 
 from scenec.backends.pool import WorkerProcess
 from scenec.schemas.errors import BackendError, StageError
+from scenec.schemas.files import inside
 from scenec.schemas.frames import FrameKey, frame_stem
 from scenec.schemas.manifest import FRAMES, Batch
 from scenec.schemas.spelling import nearest
@@ -30,6 +32,7 @@ class Wanted:
     seconds: float | None = None
     cameras: Collection[str] | None = None
     choice: dict[str, Any] | None = None
+    allow_missing: bool = False
 
 
 @dataclass(frozen=True)
@@ -115,10 +118,11 @@ class Jobs:
         opened = worker.open(
             {
                 "op": "open",
-                "stage": str(self._batch.stage.resolve()),
+                "stage": os.path.abspath(self._batch.stage),
                 "backend": wanted.backend,
                 "device": wanted.device,
                 "passes": None if wanted.passes is None else list(wanted.passes),
+                "allow_missing": wanted.allow_missing,
             }
         )
         self.take(opened)
@@ -160,11 +164,16 @@ class Jobs:
 
     def __iter__(self) -> Iterator[Job]:
         wanted, batch = self._wanted, self._batch
+        checked: set[str] = set()
         for sample, index in self._places:
             camera = self._camera(sample, index)
             name = camera["name"]
             key = self._key(camera["passes"])
             stem = frame_stem(batch.folder, self._opened["backend"], name, sample)
+            if name not in checked:
+                # The name is the stage's, and what lies there may be a link.
+                inside(batch.folder, stem.relative_to(batch.folder).as_posix(), batch.stage)
+                checked.add(name)
             request = {
                 "op": "render",
                 "stem": str(stem.resolve()),

@@ -1,57 +1,83 @@
-"""How much memory there is, and how much of it a process has held at most."""
+"""How much memory workers may hold, what loading takes of it, and what a process has held."""
 
 from __future__ import annotations
 
 import contextlib
 import sys
+from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from scenec.schemas.errors import BackendError
+from scenec.schemas.memory import GB, available, limit
+
+if TYPE_CHECKING:
+    from scenec.backends.render_scene import RenderScene
 
 #: Share of the memory there is that workers may hold: the rest is the parent's, the system's, and
 #: what a worker can grow by between two looks at it.
 SHARE = 0.8
-#: Bytes of one GB here: powers of ten, as on data sheets.
-GB = 1e9
-
-_CGROUPS = Path("/sys/fs/cgroup")
+#: Refused is what is estimated at more than this times the memory there is: estimates err.
+MARGIN = 1.25
 _STATUS = Path("/proc/self/status")
 
 
 def default_limit() -> int:
-    """Bytes that workers may hold together: SHARE of the machine's, or of the container's.
+    """Bytes that workers may hold together: SHARE of the machine's, or of the container's."""
+    return int(SHARE * limit())
 
-    A container's limit is none of its own business as far as the system's total is concerned: that
-    is the machine's, and a process that believes it is killed by the kernel.
+
+@dataclass(frozen=True)
+class LoadCost:
+    """Bytes at the peak of loading a scene, measured (``docs/numbers.md``).
+
+    Attributes:
+        row: Of an instance of a mesh.
+        triangle: Of a triangle of a mesh, however many instances share it.
+        written: Of a triangle of an instance: above 0 where instances are written out.
     """
-    import psutil
 
-    own = Path("/proc/self/cgroup")
-    groups = own.read_text(encoding="utf-8") if own.is_file() else ""
-    return int(SHARE * min(psutil.virtual_memory().total, *_limits_of(_CGROUPS, groups)))
+    row: float
+    triangle: float
+    written: float = 0.0
+
+    def of(self, scene: RenderScene) -> tuple[float, str]:
+        """Bytes, and what for."""
+        faces = np.array([len(mesh.faces) for mesh in scene.meshes], np.int64)
+        rows, written = len(scene.rows.mesh), int(faces[scene.rows.mesh].sum())
+        size = self.row * rows + self.triangle * int(faces.sum()) + self.written * written
+        return size, f"{rows:,} rows, {written:,} triangles with all instances"
 
 
-def _limits_of(root: Path, groups: str) -> list[int]:
-    """Memory limits of the control groups that a process is in, and of those around them, bytes.
+def require_room(name: str, cost: LoadCost | None, scene: RenderScene) -> None:
+    """Refuses to load a scene that cannot fit, and notes for the log what it is expected to take.
 
     Args:
-        root: Where control groups are mounted.
-        groups: ``/proc/self/cgroup``: lines of ``id:controllers:path``; version 2 has one line
-            without controllers.
+        name: Of the backend.
+        cost: Its; None: it does not say.
+        scene: To be loaded.
+
+    Raises:
+        BackendError: It does not fit.
     """
-    found = [sys.maxsize]
-    for line in groups.splitlines():
-        _, controllers, path = line.split(":", 2)
-        if controllers == "":
-            top, name = root, "memory.max"
-        elif "memory" in controllers.split(","):
-            top, name = root / "memory", "memory.limit_in_bytes"
-        else:
-            continue
-        inside = Path(path.lstrip("/"))
-        # In a container the path is the machine's, and need not be there; the top always is.
-        for folder in (inside, *inside.parents):
-            with contextlib.suppress(OSError, ValueError):
-                found.append(int((top / folder / name).read_text(encoding="ascii")))
-    return found
+    if cost is None:
+        return
+    size, what = cost.of(scene)
+    free = available()
+    help_ = (
+        "object_detail/max_triangles and a larger lod_px in the cfg make objects coarser"
+        if cost.written
+        else "fewer objects need less"
+    )
+    # What a worker that is killed has said last is told of it.
+    print(f"{name}: loading {what}: about {size / GB:.2g} GB; {help_}", file=sys.stderr, flush=True)
+    if size > MARGIN * free:
+        raise BackendError(
+            f"{name}: loading {what} takes about {size / GB:.2g} GB, {free / GB:.2g} GB are "
+            f"available: expected less, or more memory; {help_}"
+        )
 
 
 def reset_peak() -> None:

@@ -14,17 +14,33 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import IO, Any, Self
 
-from scenec.backends.memory import GB, default_limit
+from scenec.backends.memory import default_limit
 from scenec.backends.watch import Growth, Limits, Watch
 from scenec.schemas import errors
-from scenec.schemas.errors import BackendError, ScenecError
+from scenec.schemas.errors import BackendError, ScenecError, StageError
+from scenec.schemas.memory import GB
 
 #: Times a request is asked again after the worker died at it.
 RETRIES = 2
 
 
+#: Signals of native code at its end: what follows from its input, and would again.
+_CRASHES = {
+    -number
+    for number in (signal.SIGSEGV, signal.SIGBUS, signal.SIGABRT, signal.SIGFPE, signal.SIGILL)
+}
+
+
 class WorkerDiedError(Exception):
-    """The process ended, or was ended, without an answer; the text says how."""
+    """The process ended, or was ended, without an answer; the text says how.
+
+    Attributes:
+        crashed: Whether by a signal of native code.
+    """
+
+    def __init__(self, text: str, crashed: bool = False) -> None:
+        super().__init__(text)
+        self.crashed = crashed
 
 
 class FrameLostError(BackendError):
@@ -64,7 +80,7 @@ class WorkerProcess:
         self._log: Any = None
         self._watch: Watch | None = None
         self._growth = Growth(None)
-        self._opened: dict[str, Any] | None = None
+        self._opened: list[dict[str, Any]] = []
         self._frames = 0
         self._peak = 0.0
         self.deaths = 0
@@ -81,11 +97,18 @@ class WorkerProcess:
 
         Raises:
             ScenecError: What the worker says, in its own class.
+            StageError: The worker crashed while it read the stage.
             FrameLostError: Workers died over it, again and again.
         """
-        self._opened = None
-        answer = self.ask(request, f"opening {request.get('stage', request.get('backend'))}")
-        self._opened = request
+        self._opened = []
+        stage, allowed = request["stage"], request.get("allow_missing", False)
+        # Apart, so that a crash of a renderer is none of the stage's.
+        reading = {"op": "read", "stage": stage, "allow_missing": allowed}
+        opening = {name: value for name, value in request.items() if name not in reading}
+        self.ask(reading, f"reading {stage}")
+        self._opened = [reading]
+        answer = self.ask({"op": "open", **opening}, f"opening {stage}")
+        self._opened = [reading, {"op": "open", **opening}]
         return answer
 
     def ask(self, request: dict[str, Any], what: str) -> dict[str, Any]:
@@ -97,6 +120,7 @@ class WorkerProcess:
 
         Raises:
             ScenecError: What the worker says, in its own class.
+            StageError: The worker crashed while it opened a stage.
             FrameLostError: RETRIES + 1 workers died over it.
         """
         self._replace_if_grown()
@@ -104,16 +128,21 @@ class WorkerProcess:
             try:
                 if self._process is None:
                     self._start()
-                    if self._opened is not None:
-                        _checked(self._exchange(self._opened))
+                    for earlier in self._opened:
+                        _checked(self._exchange(earlier))
                 answer = _checked(self._exchange(request))
-                self._frames += self._opened is not None
+                self._frames += len(self._opened) == 2
                 # The worker's own count misses nothing between two looks.
                 self._peak = GB * (answer.get("peak_memory_gb") or 0.0)
                 return answer
             except WorkerDiedError as death:
                 self.deaths += 1
                 self.close()
+                if death.crashed and request["op"] == "read":
+                    raise StageError(
+                        f"{request['stage']}: OpenUSD crashed reading it, the worker process "
+                        f"{death}: a file of it is damaged"
+                    ) from death
                 if attempt == RETRIES:
                     raise FrameLostError(
                         f"{what}: given up after {RETRIES + 1} tries: the last worker process "
@@ -198,7 +227,8 @@ class WorkerProcess:
             raise
         if not line.endswith("\n"):
             process.wait()
-            raise WorkerDiedError(f"died ({self._cause(process.returncode, watch.memory)})")
+            cause = self._cause(process.returncode, watch.peak)
+            raise WorkerDiedError(f"died ({cause})", process.returncode in _CRASHES)
         answer: dict[str, Any] = json.loads(line)
         return answer
 
@@ -224,7 +254,7 @@ class WorkerProcess:
                 cause = f"signal {-status}"
             if -status == signal.SIGKILL:
                 # The kernel leaves no word to the process it kills for its memory.
-                held = f", it held {memory / GB:.2f} GB" if memory else ""
+                held = f", it held up to {memory / GB:.2f} GB" if memory else ""
                 cause += f", out of memory?{held}"
         else:
             cause = f"exit status {status}"

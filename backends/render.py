@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import json
+import time
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from scenec.backends import brightness
 from scenec.backends.asked import (
     check_backend,
     check_rgb,
@@ -22,9 +25,12 @@ from scenec.backends.registry import AUTO
 from scenec.backends.rounds import MOST_SPP
 from scenec.backends.watch import Limits
 from scenec.schemas.errors import CameraRefusedError, StageError
+from scenec.schemas.files import check_writable, sweep
 from scenec.schemas.frames import is_done
-from scenec.schemas.manifest import Batch, find_batches
+from scenec.schemas.lock import LOCK, BusyError, Lock
+from scenec.schemas.manifest import FRAMES, Batch, find_batches, gaps, read_manifest
 from scenec.schemas.strays import strays, told
+from scenec.schemas.update import reading
 
 __all__ = ["Limits", "RenderReport", "check_backend", "frame_seed", "render"]
 
@@ -34,6 +40,8 @@ Say = Callable[[str], None]
 
 #: Samples per pixel where a user says nothing.
 USUAL_SPP = 64
+#: Seconds between two looks at a frame that another process is making.
+_LOOK_S = 0.1
 
 
 @dataclass
@@ -94,6 +102,7 @@ def render(
     error: float | None = None,
     seconds: float | None = None,
     cameras: Collection[str] | None = None,
+    allow_missing: bool = False,
     limits: Limits | None = None,
     progress: Progress | None = None,
     warn: Say | None = None,
@@ -126,39 +135,63 @@ def render(
             not count. Such frames depend on the machine's speed; those that are there still count
             as made.
         cameras: Only these, by name.
+        allow_missing: Whether to render what is there of a stage that is not whole (layers, prims,
+            pictures that are missing, files that are not those of the manifest): sidecars then say
+            what was missing, under ``losses``, and a later render of the whole stage makes these
+            frames again.
         limits: What a worker may take: seconds without progress, seconds a frame, memory.
         progress: Called after each frame.
         warn: Called with lines worth showing at once.
         say: Called with lines about what is being done.
 
-    A frame that kills its worker again and again is given up, said in ``failed``, and costs no
+    Several processes may render one output at once, with one backend or several: what one is making
+    the others leave to it, and look at it again in the end. While one renders nobody compiles.
+
+    A batch whose stage cannot be read costs no other; it is said in ``failed``. A frame that kills
+    its worker again and again is given up, said in ``failed``, and costs no
     other. One that the backend refuses (a camera it cannot draw, a pass the camera has not what it
     takes for) costs the other frames of that camera in the batch, which are not tried, and no other
     camera's.
 
     Raises:
-        StageError: Nothing to render, or a stage that cannot be read.
+        StageError: Nothing to render, or no stage can be read, or is whole.
         BackendError: The backend is not there, or cannot do what is asked: it refuses every camera,
             or is to denoise the picture of one with an aperture or an open shutter, which is said
             before anything is rendered.
-        OutputError: No manifest, or a frame cannot be written.
+        OutputError: No manifest, a frame cannot be written, or a compilation is at work.
     """
     if spp is None:
         spp = USUAL_SPP if error is None and seconds is None else MOST_SPP
     wanted = Wanted(
         backend, spp, passes, samples, noise_seed, device, denoise, error, seconds, cameras,
+        allow_missing=allow_missing,
     )  # fmt: skip
     check_words(wanted, rgb=passes is None or "rgb" in passes)
-    chosen = find_batches(Path(out), batches)
-    if backend == AUTO:
-        choice = choose(Path(out), wanted, say or (lambda _line: None))
-        wanted = replace(wanted, backend=choice.backend, choice=choice.as_json())
-    in_output = folder is None and Path(out).is_dir()
-    run = _Run(wanted, limits or Limits(), len(chosen), in_output, progress, warn, say)
-    for number, batch in enumerate(chosen):
-        if folder is not None:
-            batch = replace(batch, folder=folder if len(chosen) == 1 else folder / batch.name)
-        run.render(number, batch)
+    with reading(Path(out)):
+        chosen = find_batches(Path(out), batches)
+        check_writable(folder or chosen[0].folder)
+        if backend == AUTO:
+            choice = choose(Path(out), wanted, say or (lambda _line: None))
+            wanted = replace(wanted, backend=choice.backend, choice=choice.as_json())
+        in_output = folder is None and Path(out).is_dir()
+        run = _Run(wanted, limits or Limits(), len(chosen), in_output, progress, warn, say)
+        if batches is None and Path(out).is_dir():
+            run.note(gaps(read_manifest(Path(out))))
+        # Said once another batch can be read: what is wrong with all is one error.
+        unread: list[tuple[str, StageError]] = []
+        for number, batch in enumerate(chosen):
+            if folder is not None:
+                batch = replace(batch, folder=folder if len(chosen) == 1 else folder / batch.name)
+            try:
+                run.render(number, batch)
+            except StageError as error:
+                unread.append((f"{batch.name}: {error}", error))
+            if run.report.frames:
+                for line, _ in unread:
+                    run.fail(line)
+                unread.clear()
+    if unread:
+        raise unread[0][1]
     if not run.report.frames:
         raise StageError(f"{out}: no frame to render: no camera, or no sample in the range asked")
     return run.report
@@ -211,8 +244,22 @@ class _Run:
             limits = replace(limits, memory_bytes=default_limit())
         self._limits = limits
 
+    def note(self, lines: Sequence[str]) -> None:
+        """Warns of some things."""
+        for line in lines:
+            self._note(line)
+
+    def fail(self, line: str) -> None:
+        """Notes what cannot be made."""
+        self.report.failed.append(line)
+        self._note(line)
+
     def render(self, number: int, batch: Batch) -> None:
-        """Renders one batch."""
+        """Renders one batch.
+
+        Raises:
+            StageError: It cannot be read, or does not hold what is asked for.
+        """
         report = self.report
         # A process per batch: memory goes back, whatever the renderer keeps.
         with WorkerProcess(self._note, self._limits, self._say) as worker:
@@ -223,19 +270,50 @@ class _Run:
             self._table(worker, jobs)
             if self._in_output:
                 self._strays(batch, jobs)
-            for index, job in enumerate(jobs):
-                report.frames.append(job.stem)
-                if is_done(job.stem, job.key):
-                    report.skipped += 1
-                    text = f"{job.what}: there already"
-                else:
-                    text = self._frame(worker, job, jobs.cameras)
-                if self._progress:
-                    before = number * jobs.count
-                    total = self._batches * jobs.count
-                    self._progress(before + index + 1, total, text)
+            frames = batch.folder / FRAMES
+            sweep([frames, *sorted((frames / opened["backend"]).glob("*"))])
+            done = 0
+            busy: list[Job] = []
+            for wait, some in ((False, jobs), (True, busy)):
+                for job in some:
+                    if not wait:
+                        report.frames.append(job.stem)
+                    text = self._one(worker, job, jobs.cameras, wait)
+                    if text is None:
+                        busy.append(job)
+                        continue
+                    done += 1
+                    if self._progress:
+                        before = number * jobs.count
+                        total = self._batches * jobs.count
+                        self._progress(before + done, total, f"{job.what}: {text}")
+            self._brightness(batch, jobs)
             report.deaths += worker.deaths
             report.replaced += worker.replaced
+
+    def _one(self, worker: WorkerProcess, job: Job, cameras: set[str], wait: bool) -> str | None:
+        """Sees to it that a frame is there; returns what came of it, in words.
+
+        Returns:
+            None: Another process is making it (never with ``wait``).
+        """
+        said = False
+        while not is_done(job.stem, job.key):
+            try:
+                job.stem.parent.mkdir(parents=True, exist_ok=True)
+                with Lock(job.stem.with_name(f"{LOCK}-{job.stem.name}"), what=job.what):
+                    # It may have come while nobody looked.
+                    if not is_done(job.stem, job.key):
+                        return self._frame(worker, job, cameras)
+            except BusyError as error:
+                if not wait:
+                    return None
+                if not said:
+                    said = True
+                    self._say(f"waiting: {error}")
+                time.sleep(_LOOK_S)
+        self.report.skipped += 1
+        return "there already"
 
     def _table(self, worker: WorkerProcess, jobs: Jobs) -> None:
         """Has the batch's table of instances written, where it is asked for and not there."""
@@ -244,8 +322,7 @@ class _Run:
         try:
             worker.ask(jobs.table, "the table of instances")
         except FrameLostError as error:
-            self.report.failed.append(str(error))
-            self._note(str(error))
+            self.fail(str(error))
 
     def _strays(self, batch: Batch, jobs: Jobs) -> None:
         """Notes frames of an earlier stage that this one does not replace."""
@@ -255,6 +332,21 @@ class _Run:
             # Once a render: other batches have them for the same reason.
             self._in_output = False
             self._note(told(found))
+
+    def _brightness(self, batch: Batch, jobs: Jobs) -> None:
+        """Notes cameras whose pictures are black or burnt out."""
+        if not jobs.rgb:
+            return
+        sidecars: dict[str, list[dict[str, Any]]] = {}
+        for job in jobs:
+            # What was given up, or was deleted meanwhile, shows nothing.
+            with suppress(OSError, ValueError):
+                sidecar = json.loads(job.stem.with_suffix(".json").read_bytes())
+                sidecars.setdefault(job.camera, []).append(brightness.brief(sidecar))
+        for camera, found in sidecars.items():
+            line = brightness.told(found)
+            if line is not None:
+                self._note(f"{batch.name}/{camera}: {line}")
 
     def _opened(self, opened: dict[str, Any], rgb: bool) -> None:
         """Tells what will render, and what it cannot."""
@@ -291,16 +383,15 @@ class _Run:
             report.refused += 1
             first = self._refused[job.camera]
             report.failed.append(f"{job.what}: not tried, as {first} was refused")
-            return f"{job.what}: not tried"
+            return "not tried"
         whole = False
         try:
             deaths = worker.deaths
             answer = worker.ask(job.request, job.what)
             whole = worker.deaths == deaths
         except FrameLostError as error:
-            report.failed.append(str(error))
-            self._note(str(error))
-            return f"{job.what}: given up"
+            self.fail(str(error))
+            return "given up"
         except CameraRefusedError as error:
             self._refused[job.camera] = job.what
             if report.rendered + report.skipped == 0 and cameras <= self._refused.keys():
@@ -311,17 +402,17 @@ class _Run:
                 # Once a render: it holds for the other batches, too.
                 self._said.add((job.camera, str(error)))
                 self._note(f"{job.what}: {error}; other frames of this camera are not tried")
-            return f"{job.what}: refused"
+            return "refused"
         finally:
             if not whole:
-                _sweep(job.stem)
+                sweep([job.stem.parent])
         report.rendered += 1
         for step, seconds in answer["seconds"].items():
             report.seconds[step] = report.seconds.get(step, 0.0) + seconds
         peak = answer["peak_memory_gb"]
         if peak is not None:
             report.peak_memory_gb = max(peak, report.peak_memory_gb or 0.0)
-        return f"{job.what}: {describe(answer)}"
+        return describe(answer)
 
     def _note(self, line: str) -> None:
         if line not in self.report.warnings:
@@ -337,13 +428,6 @@ def _quality(wanted: Wanted) -> str:
     goals = [] if wanted.error is None else [f"to {100 * wanted.error:.3g} % error"]
     goals += [] if wanted.seconds is None else [f"for {wanted.seconds:g} s"]
     return f"{' or '.join(goals)}, at most {wanted.spp} samples per pixel"
-
-
-def _sweep(stem: Path) -> None:
-    """Removes what a process that was killed amid writing a frame left beside it."""
-    for path in sorted(stem.parent.glob(f".{stem.name}.*")):
-        with suppress(OSError):
-            path.unlink()
 
 
 #: What a stage holds only if some camera asked for it, and only what such cameras see.

@@ -285,7 +285,8 @@ class Camera:
         intrinsics: K, float64 [3, 3]: u = fx*X/Z + s*Y/Z + cx, v = fy*Y/Z + cy; pixel (0, 0) is
             the top-left one, its center is at (0.5, 0.5).
         camera_to_world: float64 [4, 4], camera axes x right, y down, z forward (OpenCV).
-        exposure_ev: Pictures show radiance * 2**exposure_ev.
+        exposure_ev: Pictures show radiance * 2**exposure_ev ...
+        exposure_per: ... or it is found for each "batch" or "sample" (``exposure``); None: given.
         outputs: Passes that its RenderProduct asks for.
         partner: Prim path of the camera that disparity goes to, or None.
         depth_camera: How it measures depth, or None.
@@ -306,6 +307,7 @@ class Camera:
     intrinsics: NDArray[np.float64]
     camera_to_world: NDArray[np.float64]
     exposure_ev: float = 0.0
+    exposure_per: str | None = None
     outputs: tuple[str, ...] = DEFAULT_OUTPUTS
     partner: str | None = None
     trigger: tuple[int, int] = (1, 0)
@@ -335,8 +337,7 @@ class Lidar:
         range_m: Nearest and farthest that is answered.
         range_noise_m, range_noise_ratio: Standard deviations of ranges, meters and as a share.
         angle_noise_deg: Of azimuth and of elevation.
-        dropout: Share of answers lost.
-        key: Of the numbers drawn, below 2**64.
+        dropout, key: Share of answers lost; of the numbers drawn, below 2**64.
     """
 
     name: str
@@ -360,11 +361,14 @@ class Sun:
         to_light: Unit vector from the scene to the light, float64 [3].
         irradiance: On a surface facing it, linear Rec.709, float64 [3].
         diameter_rad: Full angular diameter; 0 is a point.
+        path, normalized: Of the prim; whether its intensity is an irradiance, not a radiance.
     """
 
     to_light: NDArray[np.float64]
     irradiance: NDArray[np.float64]
     diameter_rad: float
+    path: str = ""
+    normalized: bool = True
 
 
 @dataclass(frozen=True)
@@ -390,12 +394,10 @@ class Lamp:
     t0 = cone * (1 - softness); the sphere's radiance is that over pi * radius**2.
 
     Attributes:
-        position: World, meters, float64 [3].
-        axis: Unit vector that it shines along, float64 [3].
+        position, axis: World, meters; unit vector that it shines along; float64 [3].
         intensity: On the axis, far away, linear Rec.709, W/sr, float64 [3].
         radius_m: Of the sphere; 0 is a point.
-        cone: Half the opening angle, radians, in (0, pi].
-        softness: In [0, 1].
+        cone, softness: Half the opening angle, radians, in (0, pi]; in [0, 1].
     """
 
     position: NDArray[np.float64]
@@ -422,14 +424,18 @@ class Haze:
     Attributes:
         extinction: Per meter at the world's z = 0, linear Rec.709, float64 [3].
         scale_height_m: It is exp(-z / this) of that at z; inf: the same everywhere.
-        airlight: Radiance through endless haze, float64 [3]; None: the sky's at the horizon.
+        airlight: Radiance through endless haze, float64 [3]; None: what it scatters of
+            suns and sky.
         floor_m: Height of the ground below the horizon; None: the scene's lowest place.
+        asymmetry: g of its phase function (Henyey and Greenstein 1941), in (-1, 1): mean cosine of
+            the angle by which it turns light.
     """
 
     extinction: NDArray[np.float64]
     scale_height_m: float
     airlight: NDArray[np.float64] | None
     floor_m: float | None = None
+    asymmetry: float = 0.7
 
 
 @dataclass(frozen=True)
@@ -453,12 +459,10 @@ class RenderScene:
         source: The stage's file.
         digest: sha256 over the stage's root layer and everything composed from it, hex.
         samples: Number of samples (time codes 0 .. samples - 1).
-        meshes, rows, surfaces: See their classes.
         levels: Label levels, in alphabetical order.
         label_names: Per level, id -> name.
         sky_labels: Per level, the label id of pixels that hit nothing.
-        cameras: Per sample, all cameras in stage order.
-        lighting: Per sample.
+        cameras, lighting: Per sample; all cameras, in stage order.
         bounds: Axis-aligned world bounds of the geometry over all samples, float64 [2, 3].
         instance_paths: Prim path of the class (or object) and what is added to a local id to get
             the frame id; ascending.

@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from scenec.backends.bands import radiance
@@ -28,6 +28,7 @@ from scenec.backends.contract import Backend, Radiance
 from scenec.backends.lens import RayTable, local_rays, ray_table
 from scenec.backends.render_scene import Camera
 from scenec.schemas.errors import CameraRefusedError
+from scenec.schemas.threads import over_threads
 
 #: Pixels of the views along a side of the picture's.
 FINENESS = 2.0
@@ -154,10 +155,10 @@ def draw(
         k = view.intrinsics
         numbers[i] = k[0, 0], k[0, 2], k[1, 2], view.width, view.height
     table = views.table
-    _gather(
-        table.directions, table.per_pixel, table.known.ravel(), camera.width, SUBPIXELS,
-        len(views.faces) == 1 and views.faces[0] == 0, FACES, index_of_face, numbers, starts,
-        stacked, out,
+    over_threads(
+        _gather, camera.height, table.directions, table.per_pixel, table.known.ravel(),
+        camera.width, SUBPIXELS, len(views.faces) == 1 and views.faces[0] == 0, FACES,
+        index_of_face, numbers, starts, stacked, out,
     )  # fmt: skip
     picture = out.reshape(camera.height, camera.width, channels)
     halves = np.stack([picture[..., :3], picture[..., 3:6]])
@@ -181,14 +182,15 @@ def _product(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float
 
 def _within(table: RayTable, cosine: float) -> bool:
     """Whether all rays lie in a cone around the axis."""
-    return bool(_least_cosine(table.directions, table.per_pixel, table.known) >= cosine)
+    least = np.ones(len(table.known))
+    over_threads(_least_cosine, len(least), table.directions, table.per_pixel, table.known, least)
+    return bool(least.min() >= cosine)
 
 
-@njit(cache=True, error_model="numpy", parallel=True, nogil=True)
-def _least_cosine(table, per_pixel, known):  # type: ignore[no-untyped-def]
-    height, width = known.shape
-    least = np.ones(height)
-    for y in prange(height):
+@njit(cache=True, error_model="numpy", nogil=True)
+def _least_cosine(first, last, table, per_pixel, known, least):  # type: ignore[no-untyped-def]
+    width = known.shape[1]
+    for y in range(first, last):
         for x in range(width):
             if not known[y, x]:
                 continue
@@ -197,7 +199,6 @@ def _least_cosine(table, per_pixel, known):  # type: ignore[no-untyped-def]
                     d = table[y * per_pixel + j, x * per_pixel + i]
                     length = np.sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2])
                     least[y] = min(least[y], d[2] / length)
-    return least.min()
 
 
 def _windows(
@@ -207,7 +208,10 @@ def _windows(
     height = len(table.known)
     low = np.full((height, len(FACES), 2), np.inf)
     high = np.full((height, len(FACES), 2), -np.inf)
-    _find_windows(table.directions, table.per_pixel, table.known, FACES, single, low, high)
+    over_threads(
+        _find_windows, height, table.directions, table.per_pixel, table.known, FACES, single, low,
+        high,
+    )  # fmt: skip
     low, high = low.min(axis=0), high.max(axis=0)
     used = np.isfinite(low).all(axis=1) & np.isfinite(high).all(axis=1)
     if not single:
@@ -224,14 +228,19 @@ def _windows(
 def _neighbors_used(table: RayTable) -> NDArray[np.bool_]:
     """Faces that places within pixels meet."""
     used = np.zeros((len(table.known), len(FACES)), np.bool_)
-    _meet_faces(table.directions, table.per_pixel, table.known, SUBPIXELS, FACES, used)
+    over_threads(
+        _meet_faces, len(used), table.directions, table.per_pixel, table.known, SUBPIXELS, FACES,
+        used,
+    )  # fmt: skip
     return used.any(axis=0)
 
 
-@njit(cache=True, error_model="numpy", parallel=True, nogil=True)
-def _find_windows(table, per_pixel, known, faces, single, low, high):  # type: ignore[no-untyped-def]
-    height, width = known.shape
-    for y in prange(height):
+@njit(cache=True, error_model="numpy", nogil=True)
+def _find_windows(  # type: ignore[no-untyped-def]
+    first, last, table, per_pixel, known, faces, single, low, high
+):
+    width = known.shape[1]
+    for y in range(first, last):
         for x in range(width):
             if not known[y, x]:
                 continue
@@ -283,10 +292,10 @@ def _between(table, per_pixel, x, y, out):  # type: ignore[no-untyped-def]
         out[c] = (1.0 - b) * top + b * bottom
 
 
-@njit(cache=True, error_model="numpy", parallel=True, nogil=True)
-def _meet_faces(table, per_pixel, known, side, faces, used):  # type: ignore[no-untyped-def]
-    height, width = known.shape
-    for y in prange(height):
+@njit(cache=True, error_model="numpy", nogil=True)
+def _meet_faces(first, last, table, per_pixel, known, side, faces, used):  # type: ignore[no-untyped-def]
+    width = known.shape[1]
+    for y in range(first, last):
         d = np.empty(3)
         for x in range(width):
             if known[y, x]:
@@ -296,13 +305,13 @@ def _meet_faces(table, per_pixel, known, side, faces, used):  # type: ignore[no-
                         used[y, _face_of(d)] = True
 
 
-@njit(cache=True, error_model="numpy", parallel=True, nogil=True)
+@njit(cache=True, error_model="numpy", nogil=True)
 def _gather(  # type: ignore[no-untyped-def]
-    table, per_pixel, known, width, side, single, faces, index_of_face, numbers, starts, pictures,
-    out,
+    first, last, table, per_pixel, known, width, side, single, faces, index_of_face, numbers,
+    starts, pictures, out,
 ):  # fmt: skip
     share = 1.0 / (side * side)
-    for y in prange(known.shape[0] // width):
+    for y in range(first, last):
         d = np.empty(3)
         total = np.empty(out.shape[1])
         for x in range(width):

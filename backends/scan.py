@@ -13,10 +13,12 @@ from scenec.backends.lidar import scan
 from scenec.backends.reader import read_stage
 from scenec.backends.render_scene import Lidar, RenderScene
 from scenec.schemas.errors import StageError
+from scenec.schemas.files import check_writable, inside, sweep
 from scenec.schemas.manifest import find_batches
-from scenec.schemas.scans import is_scanned, scan_key, scan_stem, write_scan
+from scenec.schemas.scans import SCANS, is_scanned, scan_key, scan_stem, write_scan
 from scenec.schemas.spelling import nearest
 from scenec.schemas.strays import Stray, stray_scans, told
+from scenec.schemas.update import reading
 from scenec.schemas.versions import version_of
 
 
@@ -46,6 +48,7 @@ def scan_output(
     batches: Collection[int] | None = None,
     lidars: Collection[str] | None = None,
     ply: bool = False,
+    allow_missing: bool = False,
     progress: Callable[[int, int, str], None] | None = None,
 ) -> ScanReport:
     """Scan to ``<batch>/scans/<rig>_<lidar>/<sample>.{npz,json}``; see ``schemas.scans``.
@@ -58,18 +61,35 @@ def scan_output(
         batches: Only these batches.
         lidars: Only these, by name (``<rig>_<lidar>``).
         ply: Whether to write clouds of points beside the arrays.
+        allow_missing: Whether to scan what is there of a stage that is not whole; sidecars then say
+            what was missing, under ``losses``.
         progress: Called after each scan with done, total of the batch, and its name.
 
     Raises:
-        StageError: A stage cannot be read, or no stage has what is asked for.
+        StageError: A stage cannot be read or is not whole, or no stage has what is asked for.
         OutputError: A file cannot be written.
     """
+    with reading(Path(out)):
+        return _scan_batches(out, samples, batches, lidars, ply, allow_missing, progress)
+
+
+def _scan_batches(
+    out: Path | str,
+    samples: Collection[int] | None,
+    batches: Collection[int] | None,
+    lidars: Collection[str] | None,
+    ply: bool,
+    allow_missing: bool,
+    progress: Callable[[int, int, str], None] | None,
+) -> ScanReport:
     report = ScanReport()
     names: set[str] = set()
     found: list[Stray] = []
     for batch in find_batches(Path(out), batches):
+        check_writable(batch.folder)
+        sweep((batch.folder / SCANS).glob("*"))
         start = time.perf_counter()
-        scene = read_stage(batch.stage)
+        scene = read_stage(batch.stage, allow_missing=allow_missing)
         report.seconds["read"] += time.perf_counter() - start
         names |= {lidar.name for some in scene.lidars for lidar in some}
         report.warnings += [line for line in scene.losses if line not in report.warnings]
@@ -110,6 +130,8 @@ def _scan_batch(
     seconds, caster = report.seconds, None
     for done, (sample, lidar) in enumerate(wanted, 1):
         stem = scan_stem(folder, lidar.name, sample)
+        # The name is the stage's, and what lies there may be a link.
+        inside(folder, stem.relative_to(folder).as_posix(), "the stage")
         report.scans.append(stem)
         if not is_scanned(stem, key, ply):
             start = time.perf_counter()

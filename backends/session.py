@@ -17,6 +17,7 @@ from scenec.backends import bands, memory
 from scenec.backends.contract import Backend, Radiance
 from scenec.backends.exact import ExactCaster, Hits
 from scenec.backends.exact.annotate import pass_names
+from scenec.backends.exposure import Meter
 from scenec.backends.frames import Annotated, annotated, annotation_facts, write_frame
 from scenec.backends.instances import Instances, Seen
 from scenec.backends.rays import camera_rays, ray_down
@@ -28,9 +29,10 @@ from scenec.backends.shutter import blurred_by, is_rolling, undenoised
 from scenec.schemas.amodal import AMODAL
 from scenec.schemas.correspondence import CORRESPONDENCES
 from scenec.schemas.depth_camera import MEASURED
-from scenec.schemas.errors import BackendError, CameraRefusedError
+from scenec.schemas.errors import BackendError, CameraRefusedError, StageError
 from scenec.schemas.frames import FrameKey
 from scenec.schemas.instances import BATCH_TABLE, table_digest, write_table
+from scenec.schemas.memory import GB
 from scenec.schemas.versions import version_of
 
 if TYPE_CHECKING:
@@ -52,6 +54,7 @@ class Session:
         self.scene = scene
         self.backend = backend
         self._caster: ExactCaster | None = None
+        self._meter = Meter(scene)
         self._loaded = False
 
     @classmethod
@@ -68,7 +71,21 @@ class Session:
             StageError: The stage cannot be read.
             BackendError: A backend is not there or cannot start, or has no such device.
         """
-        scene = read_stage(stage)
+        return cls.of(read_stage(stage), backend, device, passes)
+
+    @classmethod
+    def of(
+        cls,
+        scene: RenderScene,
+        backend: str,
+        device: str = "auto",
+        passes: Sequence[str] | None = None,
+    ) -> Session:
+        """As ``open``, of a stage that has been read.
+
+        Raises:
+            BackendError: A backend is not there or cannot start, or has no such device.
+        """
         wanted = (c.outputs if passes is None else passes for of in scene.cameras for c in of)
         if backend in ANNOTATION_NAMES or not any("rgb" in names for names in wanted):
             return cls(scene, None)
@@ -170,8 +187,8 @@ class Session:
         denoise: bool,
         target: Target | None,
         ready: Annotated | None,
-    ) -> tuple[dict[str, NDArray], dict[str, Any], Seen | None]:
-        """As ``render``, and what is seen of instances where ``instance`` is among the passes.
+    ) -> tuple[dict[str, NDArray], dict[str, Any], Seen | None, NDArray[np.bool_] | None]:
+        """As ``render``, what is seen of instances (with ``instance``), and where surfaces are.
 
         What is ``ready`` is not annotated again.
         """
@@ -200,7 +217,7 @@ class Session:
         if radiance is not None:
             veil = self._veil(radiance, camera, sample, hits, details)
             arrays["rgb"] = self._compose(radiance, camera, sample, veil, details, rounds)
-        return arrays, details, listed
+        return arrays, details, listed, None if radiance is None else radiance.coverage > 0.0
 
     def write_instances(self, folder: Path) -> None:
         """Write the batch's table of instances, unless it is there.
@@ -230,17 +247,31 @@ class Session:
 
         Raises:
             BackendError: There is no such camera or sample, or the renderer failed.
+            StageError: The frame is to be of another stage than the one that was opened.
             OutputError: A file cannot be written.
         """
+        if key.stage_digest != self.scene.digest:
+            # A process that was replaced has opened it again.
+            raise StageError(f"{self.scene.source}: has changed since rendering began; run again")
         camera = self._camera(camera_index, sample)
         memory.reset_peak()
         annotation = [name for name in key.passes if name != "rgb"]
         ready = annotated(stem, self.scene.digest, annotation) if annotation else None
-        arrays, details, listed = self._render(
+        exposure, metering = None, dict[str, float]()
+        if "rgb" in key.passes:
+            with _timed(metering, "exposure"):
+                camera, exposure = self._meter.exposed(
+                    camera, sample, lambda: self._exact(metering)
+                )
+            metering["exposure"] -= metering.get("load", 0.0)
+        arrays, details, listed, surfaces = self._render(
             camera, sample, key.passes, key.spp, seed, key.denoise, _target(key), ready
         )
+        details |= {} if exposure is None else {"exposure": exposure}
+        for step, seconds in metering.items():
+            details["seconds"][step] = details["seconds"].get(step, 0.0) + seconds
         peak = memory.peak()
-        details["peak_memory_gb"] = None if peak is None else round(peak / memory.GB, 3)
+        details["peak_memory_gb"] = None if peak is None else round(peak / GB, 3)
         if choice is not None:
             details["choice"] = choice
         taken = None
@@ -250,9 +281,9 @@ class Session:
 
             with _timed(details["seconds"], "imaging"):
                 taken = take(arrays["rgb"], camera, camera.imaging, sample)
-        start = time.perf_counter()
-        write_frame(stem, arrays, key, self.scene, camera, sample, details, listed, taken)
-        details["seconds"]["write"] = time.perf_counter() - start
+        with _timed(details["seconds"], "write"):
+            more = details, listed, taken, surfaces
+            write_frame(stem, arrays, key, self.scene, camera, sample, *more)
         return details
 
     def witness_to(self, file: Path, camera_index: int, sample: int) -> bool:
@@ -360,7 +391,8 @@ class Session:
             # Each sub-frame was seen through its own.
             return None
         # Imported here: few scenes have any.
-        from scenec.backends.haze import veil
+        from scenec.backends.haze import air_at, veil
+        from scenec.backends.sky import combine
 
         caster = self._exact(details["seconds"])
         with _timed(details["seconds"], "haze"):
@@ -368,9 +400,11 @@ class Session:
             if hits is None:
                 caster.pose(sample)
                 hits = caster.hits(rays)
-            made = veil(self.scene, sample, camera, caster, rays, hits.t, radiance.coverage)
-        if made is not None:
-            details["haze"] = {"subsampled_pixels": made.subsampled}
+            air = air_at(self.scene, sample, combine(self.scene.lighting[sample].domes))
+            if air is None:
+                return None
+            made = veil(air, camera, caster, rays, hits.t, radiance.coverage)
+        details["haze"] = {"subsampled_pixels": made.subsampled}
         return made
 
     def _compose(
@@ -450,6 +484,8 @@ class Session:
             )
         with _timed(seconds, "load"):
             if not self._loaded:
+                cost = getattr(self.backend, "load_cost", None)
+                memory.require_room(self.backend.name, cost, self.scene)
                 self.backend.load(self.scene)
                 self._loaded = True
         return self.backend

@@ -67,6 +67,15 @@ def combine(domes: tuple[Dome, ...]) -> Sky | None:
     return Sky(np.ascontiguousarray(total, np.float32), domes[lead].to_world)
 
 
+def mean_radiance(sky: Sky) -> NDArray[np.float64]:
+    """Over all directions, float64 [3]."""
+    height = sky.picture.shape[0]
+    # The exact solid angle of each row, over that of all.
+    rows = -0.5 * np.diff(np.cos(np.arange(height + 1) * (np.pi / height)))
+    mean: NDArray[np.float64] = sky.picture.mean(axis=1, dtype=np.float64)
+    return np.asarray((mean * rows[:, None]).sum(axis=0))
+
+
 def texel_directions(height: int, width: int) -> NDArray[np.float64]:
     """Unit directions of texel centers in the dome's frame, float64 [h, w, 3]."""
     theta = (np.arange(height) + 0.5)[:, None] * (np.pi / height)

@@ -31,7 +31,7 @@ import hashlib
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,6 +46,9 @@ from scenec.backends.shutter import poses_at
 from scenec.backends.sky import combine
 from scenec.schemas.lens import project, to_pixels
 from scenec.schemas.shutter import Shutter
+
+if TYPE_CHECKING:
+    from scenec.backends.airlight import Air
 
 #: How far copies may be apart where there are enough samples for more of them, pixels: without
 #: a rolling shutter, and with one.
@@ -361,7 +364,12 @@ class Drawing:
         self._blur, self._backend, self._scene = blur, backend, scene
         self._sample, self._caster = sample, caster
         self._sky = combine(scene.lighting[sample].domes)
-        self._hazy = bool(scene.haze) and scene.haze[sample] is not None
+        self._air: Air | None = None
+        if scene.haze and scene.haze[sample] is not None:
+            # Imported here, and below: few scenes have any.
+            from scenec.backends.haze import air_at
+
+            self._air = air_at(scene, sample, self._sky)
         self._stochastic = getattr(backend, "stochastic", True)
         self.facts: dict[str, Any] = _facts(blur, 2 if self._stochastic else 1)
 
@@ -445,17 +453,15 @@ class Drawing:
             for r in bands(camera)
         ]
         behind = parts[0] if len(parts) == 1 else np.concatenate(parts)
-        if self._hazy:
-            # Imported here: few scenes have any.
+        if self._air is not None:
             from scenec.backends.haze import veil
 
             rays = camera_rays(there)
             made = veil(
-                self._scene, self._sample, there, self._caster, rays, self._caster.cast(rays)[2],
-                drawn.coverage, edges=False, sky=self._sky,
+                self._air, there, self._caster, rays, self._caster.cast(rays)[2], drawn.coverage,
+                edges=False,
             )  # fmt: skip
-            if made is not None:
-                light, behind = made.over(light, covered), made.over_sky(behind)
+            light, behind = made.over(light, covered), made.over_sky(behind)
         return light, through[..., None] * behind
 
     def _count(self, share: Share, halves: int, pictures: int) -> None:

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 
 import psutil
 
-from scenec.backends.memory import GB
+from scenec.schemas.memory import GB
 
 #: Share of one core below which a process gets nowhere. A sleeping process uses none, timers of
 #: libraries some 1e-5, a loop that waits for a GPU 1e-2 and more.

@@ -2,7 +2,8 @@
 
 One JSON document a line: requests on standard input, one answer to each on standard output.
 
-    {"op": "open", "stage": PATH, "backend": NAME, "device": NAME, "passes": [...] or null}
+    {"op": "read", "stage": PATH, "allow_missing": BOOL}
+    {"op": "open", "backend": NAME, "device": NAME, "passes": [...] or null}
     {"op": "instances", "folder": PATH}
     {"op": "render", "stem": PATH, "camera": INDEX, "sample": N, "key": {...}, "seed": N,
      "choice": why this backend, for the sidecar, or null}
@@ -10,6 +11,8 @@ One JSON document a line: requests on standard input, one answer to each on stan
     {"op": "describe", "backend": NAME, "device": NAME, "rgb": BOOL}
     {"op": "probe", "backend": NAME}
 
+``read`` reads a stage, and nothing else: a process that ends at it has ended over the stage.
+``open`` starts the backend, if any frame is to have ``rgb``, and says what there is to render.
 ``instances`` leaves the batch's table of instances in a folder. ``witness`` leaves in a file what
 the renderer itself sees of a frame, for ``scenec check``.
 
@@ -39,7 +42,9 @@ class Worker:
 
     def __init__(self) -> None:
         self._session: Any = None
+        self._scene: Any = None
         self._operations: dict[str, Callable[[dict[str, Any]], dict[str, Any]]] = {
+            "read": self._read,
             "open": self._open,
             "instances": self._instances,
             "render": self._render,
@@ -58,11 +63,20 @@ class Worker:
         except ScenecError as error:
             return {"ok": False, "error": type(error).__name__, "message": str(error)}
 
+    def _read(self, request: dict[str, Any]) -> dict[str, Any]:
+        from scenec.backends.reader import read_stage
+
+        allowed = request.get("allow_missing", False)
+        self._scene = read_stage(Path(request["stage"]), allow_missing=allowed)
+        return {}
+
     def _open(self, request: dict[str, Any]) -> dict[str, Any]:
         from scenec.backends.session import Session
 
-        session = Session.open(
-            Path(request["stage"]),
+        if self._scene is None:
+            raise BackendError("worker: asked to open before a stage was read")
+        session = Session.of(
+            self._scene,
             request["backend"],
             device=request.get("device", "auto"),
             passes=request.get("passes"),

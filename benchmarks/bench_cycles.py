@@ -3,9 +3,12 @@
     python benchmarks/bench_cycles.py [--cfg CFG | --stage STAGE] [--spp N] [--rounds N]
 
 Two processes hold the same stage's arrays: one the adapter, one a bare script as Blender's
-documentation would have one write (a Geometry Nodes instancer, mixed shaders, a sun, an environment
-texture, ``bpy.ops.render.render``). They are asked in turns (adapter, bare, adapter, bare ...), so
-that a busy machine is busy for both; the table gives medians and medians of the paired ratios.
+documentation would have one write (a Geometry Nodes instancer, mixed shaders, a sun, an
+environment texture, ``bpy.ops.render.render``). Both draw what the bare script can: no maps, no
+metals, no haze, no lamps, the sky's picture as it is; where their mean radiance differs by more
+than 2 %, the table compares different pictures, and the status is 1. They are asked in turns
+(adapter, bare, adapter, bare ...), so that a busy machine is busy for both; the table gives medians
+and medians of the paired ratios.
 """
 
 from __future__ import annotations
@@ -18,17 +21,40 @@ import subprocess
 import sys
 import tempfile
 import time
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 
 from scenec.backends.contract import BOUNCES
 from scenec.backends.reader import read_stage
-from scenec.backends.render_scene import Mesh, RenderScene
+from scenec.backends.render_scene import Dome, Lighting, Mesh, RenderScene
 
 ROOT = Path(__file__).resolve().parent.parent
 PASSES = ("depth", "label", "instance")
+#: Dome's frame (pole +Y) to world without a turn about the vertical: all that the script knows.
+UPRIGHT = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+
+
+def plain(scene: RenderScene) -> RenderScene:
+    """What the bare script can draw of a scene, for both."""
+    surfaces = tuple(
+        replace(
+            surface, maps=None, metallic=0.0, roughness_variation=0.0, reflectance=None,
+            emission=(0.0, 0.0, 0.0),
+        )
+        for surface in scene.surfaces
+    )  # fmt: skip
+    lighting = tuple(
+        Lighting(
+            light.suns,
+            tuple(Dome(d.texture, np.ones(3), UPRIGHT) for d in light.domes if d.texture)[:1],
+        )
+        for light in scene.lighting
+    )
+    meshes = tuple(replace(mesh, uv=None, height_blends=()) for mesh in scene.meshes)
+    return replace(scene, surfaces=surfaces, lighting=lighting, meshes=meshes, haze=())
 
 
 class Adapter:
@@ -293,14 +319,14 @@ class Bare:
         return {"seconds": seconds, "mean": float(picture[..., :3].mean())}
 
 
-def serve(role: str, stage: Path) -> None:
+def serve(role: str, stage: Path) -> NoReturn:
     """Answer requests, one a line; what Blender prints goes elsewhere."""
     import os
 
     replies = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)
     start = time.perf_counter()
-    scene = read_stage(stage)
+    scene = plain(read_stage(stage))
     read = time.perf_counter() - start
     made: Any = (Adapter if role == "adapter" else Bare)(scene)
     for line in sys.stdin:
@@ -309,6 +335,7 @@ def serve(role: str, stage: Path) -> None:
         answer = getattr(made, request["op"])(*request["args"]) or {
             "seconds": time.perf_counter() - start,
             "read": read,
+            "samples": len(scene.cameras),
         }
         answer["cpu"] = time.process_time() - cpu
         answer["peak_gib"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
@@ -346,16 +373,19 @@ class Process:
         self._process.wait()
 
 
-def measure(stage: Path, spp: int, rounds: int) -> None:
-    """Ask both in turns and print the table."""
+def measure(stage: Path, spp: int, rounds: int) -> int:
+    """Ask both in turns and print the table; 1 where the pictures differ."""
     adapter, bare = Process("adapter", stage), Process("bare", stage)
     both = (adapter, bare)
     loads = [process.ask("load") for process in both]
+    samples = int(loads[0]["samples"])
     first = [process.ask("visibility", 0) for process in both]
     # Without light, as a run that asks for annotation alone has it.
-    seen = [[p.ask("visibility", turn % 4) for p in both] for turn in range(2 * rounds)]
-    light = [[p.ask("radiance", turn % 4, spp, turn) for p in both] for turn in range(rounds + 1)]
-    lit = [[p.ask("visibility", turn % 4) for p in both] for turn in range(rounds)]
+    seen = [[p.ask("visibility", turn % samples) for p in both] for turn in range(2 * rounds)]
+    light = [
+        [p.ask("radiance", turn % samples, spp, turn) for p in both] for turn in range(rounds + 1)
+    ]
+    lit = [[p.ask("visibility", turn % samples) for p in both] for turn in range(rounds)]
     # The first one builds what light needs, in both.
     light = light[1:]
 
@@ -391,9 +421,14 @@ def measure(stage: Path, spp: int, rounds: int) -> None:
     print(f"peak memory                  {peaks[0]:10.2f} GiB {peaks[1]:6.2f} GiB")
     for process in both:
         process.close()
+    apart = abs(means[0] / means[1] - 1.0)
+    if not apart < 0.02:
+        print(f"the pictures differ: their means are {100.0 * apart:.1f} % apart", file=sys.stderr)
+        return 1
+    return 0
 
 
-def main() -> None:
+def main() -> int:
     """Compile if need be, measure, print."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--cfg", type=Path, default=ROOT / "configs" / "jacksboro.json")
@@ -404,15 +439,14 @@ def main() -> None:
     args = parser.parse_args()
     if args.serve:
         serve(args.serve, args.stage)
-    elif args.stage:
-        measure(args.stage, args.spp, args.rounds)
-    else:
-        from scenec.compiler.compile import compile_cfg
+    if args.stage:
+        return measure(args.stage, args.spp, args.rounds)
+    from scenec.compiler.compile import compile_cfg
 
-        with tempfile.TemporaryDirectory() as folder:
-            out = compile_cfg(args.cfg, seed=1, out=Path(folder) / "out").out
-            measure(out / "batch_0000" / "stage.usda", args.spp, args.rounds)
+    with tempfile.TemporaryDirectory() as folder:
+        out = compile_cfg(args.cfg, seed=1, out=Path(folder) / "out").out
+        return measure(out / "batch_0000" / "stage.usda", args.spp, args.rounds)
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -28,6 +28,7 @@ from scenec.backends.exact import ExactCaster
 from scenec.backends.rays import camera_rays
 from scenec.backends.render_scene import RenderScene
 from scenec.backends.resolver import annotate, settle
+from scenec.schemas.threads import at_most
 
 PASSES = ("depth", "label", "instance")
 ALL_PASSES = (*PASSES, "range", "normal", "position", "face")
@@ -119,12 +120,12 @@ def main() -> None:
     print(f"{arguments.rocks} rocks of 1,280 triangles, {faces} triangles stored, 640 x 480")
     print(f"{'build hierarchies':32}{statistics.median(s for s, _ in seconds):8.3f} s")
     for threads in sorted({1, numba.config.NUMBA_NUM_THREADS}):
-        numba.set_num_threads(threads)
         spent, count = 0.0, 0
-        for view in full.cameras[0]:
-            rays = camera_rays(view)
-            spent += timed(caster.cast, rays)[0]
-            count += len(rays.origins)
+        with at_most(threads):
+            for view in full.cameras[0]:
+                rays = camera_rays(view)
+                spent += timed(caster.cast, rays)[0]
+                count += len(rays.origins)
         print(f"{f'cast, {threads} threads':32}{count / spent / 1e6:8.2f} M rays/s")
 
     scene = scenes.rocky(arguments.rocks, subdivisions=2)

@@ -12,8 +12,8 @@ PASSES = (
     *("disparity", "disparity_occlusion", "depth_measured"),
 )
 
-#: As in ``scenec.backends.contract``, for the same reason.
-DEVICES = ("auto", "cpu", "cuda", "optix")
+#: As in ``scenec.compiler.compile``, for the same reason.
+FAULTS = ("stop", "skip", "redraw")
 
 
 def seed(text: str) -> int:
@@ -126,9 +126,10 @@ def add_render_options(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--device",
-        choices=DEVICES,
+        metavar="NAME",
         default="auto",
-        help="where the renderer runs (default: auto, the fastest that works here)",
+        help="where the renderer runs: cpu, cuda, or what else it has (default: auto, the fastest "
+        "that works here)",
     )
     parser.add_argument(
         "--denoise",
@@ -224,9 +225,36 @@ def add_cache(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--no-cache", action="store_true", help="make all anew, and keep nothing")
 
 
+def add_allow_missing(parser: argparse.ArgumentParser) -> None:
+    """What to do with a stage that is not whole."""
+    parser.add_argument(
+        "--allow-missing",
+        action="store_true",
+        help="read what is there of a stage that lacks layers, prims or pictures, or whose files "
+        "are not those of the manifest (default: that is an error)",
+    )
+
+
 def add_batches(parser: argparse.ArgumentParser) -> None:
     """A choice of batches."""
     parser.add_argument("--batches", type=span, metavar="A:B", help="only batches A to B-1")
+
+
+def add_replace(parser: argparse.ArgumentParser) -> None:
+    """What a compilation may do to an output that is there, and about batches that fail."""
+    parser.add_argument(
+        "--replace",
+        action="store_true",
+        help="replace what OUT holds of another cfg, seed, --keep or version: its batches go, and "
+        "frames and scans of stages that change; files of your own stay",
+    )
+    parser.add_argument(
+        "--faults",
+        choices=FAULTS,
+        default="stop",
+        help="at a batch that cannot be built: stop (default), skip it and leave with exit status "
+        "1, or redraw it, the same each time, and skip it after 16 attempts",
+    )
 
 
 def add_json(parser: argparse.ArgumentParser) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +20,8 @@ from scenec.backends.check.finding import Finding
 from scenec.backends.check.frames import check_frames
 from scenec.backends.check.radiance import RadianceComparison
 from scenec.backends.check.scans import check_scans
-from scenec.backends.check.stage import check_stage
+from scenec.backends.check.scene import check_scene
+from scenec.backends.check.stage import NOT_WHOLE, check_stage
 from scenec.backends.check.witness import HAIR_PIXELS
 from scenec.backends.reader import read_stage
 from scenec.backends.registry import require_name
@@ -28,6 +29,8 @@ from scenec.cli.output import print_json, say, table
 from scenec.schemas.errors import ScenecError, StageError
 from scenec.schemas.manifest import find_batches, read_manifest
 
+#: Checks that a stage is whole.
+_WHOLE = ("files", "assets", *(f"UsdValidation:{name}" for name in NOT_WHOLE))
 #: What makes a folder a dataset, see ``scenec.datasets.export``.
 EXPORT = "export.json"
 
@@ -41,7 +44,7 @@ def run(options: argparse.Namespace) -> int:
     if options.backends and len(set(options.backends)) < 2:
         raise ScenecError(f"--backends {','.join(options.backends)}: comparing takes two or more")
     out = Path(options.out)
-    findings = find(out)
+    findings = find(out, options.allow_missing)
     bad = [f for f in findings if f.severity == "error"]
     agreement = exact = None
     if (options.backends or options.exact) and bad:
@@ -50,7 +53,7 @@ def run(options: argparse.Namespace) -> int:
         if options.backends:
             agreement = compare(out, list(dict.fromkeys(options.backends)), say, _how(out, options))
         if options.exact:
-            exact = check_exact(out, say)
+            exact = check_exact(out, say, options.allow_missing)
     if options.json:
         print_json(
             {
@@ -90,11 +93,17 @@ def _how(out: Path, options: argparse.Namespace) -> CompareOptions:
         floor=options.floor,
         pictures=(out if out.is_dir() else out.parent) / PICTURES if options.pictures > 0 else None,
         most_pictures=options.pictures,
+        allow_missing=options.allow_missing,
     )
 
 
-def find(out: Path) -> list[Finding]:
-    """All findings on an output folder or a stage."""
+def find(out: Path, allow_missing: bool = False) -> list[Finding]:
+    """All findings on an output folder or a stage.
+
+    Args:
+        out: Output folder, or a USD file.
+        allow_missing: Whether what is missing is a warning.
+    """
     findings: list[Finding] = []
     if out.is_dir():
         findings.extend(check_files(out, read_manifest(out)))
@@ -102,7 +111,8 @@ def find(out: Path) -> list[Finding]:
         findings.extend(check_stage(batch.stage))
         digest = firing = scanning = None
         try:
-            scene = read_stage(batch.stage)
+            scene = read_stage(batch.stage, allow_missing=allow_missing)
+            findings.extend(check_scene(scene))
             digest = scene.digest
             if out.is_dir():
                 # Beside a USD file there may be the frames of another.
@@ -113,6 +123,8 @@ def find(out: Path) -> list[Finding]:
             findings.append(Finding("reader", "error", batch.name, str(error)))
         findings.extend(check_frames(batch.folder, digest, firing))
         findings.extend(check_scans(batch.folder, digest, scanning))
+    if allow_missing:
+        findings = [replace(f, severity="warning") if f.check in _WHOLE else f for f in findings]
     return findings
 
 

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import argparse
+import math
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from scenec.cli.explain_passes import precision_text
 from scenec.cli.output import Progress, print_json, say
-from scenec.compiler.compile import CompileReport, compile_cfg
-from scenec.compiler.incremental.store import default_folder
-from scenec.compiler.passes.keep import Keep
-from scenec.compiler.precision import WARN_PX
+
+if TYPE_CHECKING:
+    from scenec.compiler.compile import CompileReport
 
 
 def run(options: argparse.Namespace) -> int:
@@ -18,11 +18,18 @@ def run(options: argparse.Namespace) -> int:
     report = compile_now(options)
     if options.json:
         print_json(as_json(report))
-    return 0
+    return 1 if report.failed else 0
 
 
 def compile_now(options: argparse.Namespace) -> CompileReport:
     """Compiles, and says what came of it."""
+    # First: what is imported here takes seconds where the disk is slow.
+    say(f"reading {options.cfg}")
+    from scenec.cli.explain_passes import precision_text
+    from scenec.compiler.compile import compile_cfg
+    from scenec.compiler.passes.keep import Keep
+    from scenec.compiler.precision import WARN_PX
+
     cache = cache_of(options)
     report = compile_cfg(
         options.cfg,
@@ -33,6 +40,8 @@ def compile_now(options: argparse.Namespace) -> CompileReport:
         progress=say,
         step=Progress("compiled", unit="batch", units="batches").now,
         cache=cache,
+        replace=options.replace,
+        faults=options.faults,
     )
     for name, seconds in report.seconds.items():
         facts = report.facts[name]
@@ -51,6 +60,20 @@ def compile_now(options: argparse.Namespace) -> CompileReport:
                 f"view, over {facts['precision']['extent_m']:g} m; make the terrain smaller, or "
                 "keep cameras farther from it"
             )
+        for place, entry in enumerate(facts["relief"]):
+            if entry.get("error_rms_m", 0.0) > entry.get("error_aim_m", math.inf):
+                say(
+                    f"{name}: warning: /terrain/relief/{place} ({entry['type']}) errs by about "
+                    f"{entry['error_rms_m']:.2g} m rms after {entry['steps']:,} steps, its aim is "
+                    f"{entry['error_aim_m']:.2g} m; raise steps, or error_m"
+                )
+    for name, attempts in report.attempts.items():
+        say(f"{name}: drawn again {attempts} times, since it could not be built")
+    if report.failed:
+        say(
+            f"{len(report.failed)} of {len(report.failed) + len(report.batches)} batches cannot be "
+            f"built: {', '.join(report.failed)}"
+        )
     for line in report.strays:
         say(f"warning: {line}")
     if report.unchanged:
@@ -68,6 +91,8 @@ def compile_now(options: argparse.Namespace) -> CompileReport:
 
 def cache_of(options: argparse.Namespace) -> Path | None:
     """The folder that the options and the environment name; None: there shall be none."""
+    from scenec.compiler.incremental.store import default_folder
+
     if options.no_cache:
         return None
     return default_folder() if options.cache is None else Path(options.cache)
@@ -79,6 +104,8 @@ def as_json(report: CompileReport) -> dict[str, object]:
         "out": str(report.out),
         "batches": list(report.batches),
         "unchanged": report.unchanged,
+        "failed": report.failed,
+        "attempts": report.attempts,
         "seconds": report.seconds,
         "strays": list(report.strays),
         "steps": {"made": report.made, "taken": report.taken},

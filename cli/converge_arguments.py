@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from scenec.cli.arguments import DEVICES, add_json, amount, names, positive, span
+from scenec.cli.arguments import add_json, amount, names, positive, span
 
 
 def rungs(text: str) -> tuple[int, ...]:
@@ -47,5 +47,5 @@ def add_converge_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--denoise", action="store_true", help="climb again with denoising, where there is one"
     )
-    parser.add_argument("--device", choices=DEVICES, default="auto", help="default: auto")
+    parser.add_argument("--device", metavar="NAME", default="auto", help="default: auto")
     add_json(parser)

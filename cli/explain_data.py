@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Collection
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -10,6 +9,8 @@ from typing import Any
 
 from scenec.schemas.errors import OutputError
 from scenec.schemas.manifest import FRAMES, REPORT, TIMINGS, find_batches, read_manifest
+from scenec.schemas.shape import read_shaped
+from scenec.schemas.sidecars import read_sidecar
 
 
 @dataclass(frozen=True)
@@ -87,15 +88,15 @@ def read_batches(out: Path, batches: Collection[int] | None = None) -> list[Batc
 def _frames(folder: Path) -> list[FrameTimes]:
     found = []
     for backend in sorted(path for path in (folder / FRAMES).glob("*") if path.is_dir()):
-        sidecars = [_read(path) for path in sorted(backend.glob("*/*.json"))]
+        sidecars = [read_sidecar(path) for path in sorted(backend.glob("*/*.json"))]
         if not sidecars:
             continue
         seconds: dict[str, float] = {}
         errors = []
         for sidecar in sidecars:
-            for step, value in sidecar.get("seconds", {}).items():
+            for step, value in (sidecar.get("seconds") or {}).items():
                 seconds[step] = seconds.get(step, 0.0) + value
-            error = sidecar.get("estimated_error", {}).get("relative_rms")
+            error = (sidecar.get("estimated_error") or {}).get("relative_rms")
             errors += [] if error is None else [error]
         mean = sum(errors) / len(errors) if errors else None
         found.append(FrameTimes(backend.name, len(sidecars), seconds, mean))
@@ -104,9 +105,7 @@ def _frames(folder: Path) -> list[FrameTimes]:
 
 def _read(path: Path) -> dict[str, Any]:
     try:
-        value = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise OutputError(f"{path}: cannot be read: {error}") from error
-    if not isinstance(value, dict):
-        raise OutputError(f"{path}: expected a JSON object")
+        value: dict[str, Any] = read_shaped(path, dict, OutputError, "report of scenec")
+    except FileNotFoundError as error:
+        raise OutputError(f"{path}: cannot be read: {error.strerror}") from error
     return value

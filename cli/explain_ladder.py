@@ -10,7 +10,7 @@ from scenec.cli.output import print_json, say, table
 from scenec.compiler.ladder import Ladder, LadderReport, climb
 from scenec.compiler.ladder.plots import draw
 from scenec.compiler.ladder.slopes import Slope
-from scenec.schemas.files import atomic
+from scenec.schemas.files import atomic, check_output
 
 #: Columns that the tables keep to.
 _WIDTH = 100
@@ -18,6 +18,9 @@ _WIDTH = 100
 
 def run(options: argparse.Namespace) -> int:
     """Climbs the ladders of one scene and prints them."""
+    for file in (options.csv, options.plot):
+        if file:
+            check_output(Path(file))
     report = climb(
         options.out,
         batch=options.batch,

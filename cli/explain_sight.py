@@ -50,7 +50,9 @@ def nearest_camera(path: Path, point: tuple[float, float, float]) -> Sight | Non
     """
     from pxr import Usd, UsdGeom
 
-    stage = Usd.Stage.Open(str(path))
+    from scenec.backends.reader.sources import open_stage
+
+    stage = open_stage(path)
     codes = range(int(stage.GetStartTimeCode()), int(stage.GetEndTimeCode()) + 1)
     best: Sight | None = None
     for prim in stage.Traverse():

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.schemas import stage as names
-from scenec.schemas.errors import StageError
 
 _TERRAIN = f"{names.ROOT}/Terrain"
 _OBJECTS = f"{names.ROOT}/Objects"
@@ -87,16 +86,13 @@ def read_contents(path: Path) -> StageContents:
         path: Its root layer.
 
     Raises:
-        StageError: It cannot be read.
+        StageError: It cannot be read, or is not whole.
     """
-    from pxr import Tf, Usd, UsdGeom
+    from pxr import UsdGeom
 
-    if not path.is_file():
-        raise StageError(f"{path}: no such file")
-    try:
-        stage = Usd.Stage.Open(str(path))
-    except Tf.ErrorException as error:
-        raise StageError(f"{path}: not a USD stage") from error
+    from scenec.backends.reader.sources import open_stage
+
+    stage = open_stage(path)
     terrain, objects = stage.GetPrimAtPath(_TERRAIN), stage.GetPrimAtPath(_OBJECTS)
     tiles = {}
     for prim in terrain.GetChildren() if terrain else ():

@@ -299,9 +299,11 @@ def _of_prim(asked: _Asked, path: str) -> Why:
 
 def _of_other(asked: _Asked, path: str) -> Why:
     """A prim that is neither of the terrain nor an object: a material, a light, a camera."""
-    from pxr import Sdf, Usd
+    from pxr import Sdf
 
-    stage = Usd.Stage.Open(str(asked.data.stage))
+    from scenec.backends.reader.sources import open_stage
+
+    stage = open_stage(asked.data.stage)
     if Sdf.Path.IsValidPathString(path) and stage.GetPrimAtPath(path):
         return Why(path, asked.data.name, True, "prim", "it is one of its prims")
     last = path.rsplit("/", 1)[-1]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import textwrap
+from dataclasses import asdict
 
 from scenec.cli.output import Progress, print_json, say
 from scenec.datasets.export import Choice, ExportReport, export
@@ -96,6 +97,7 @@ def as_json(report: ExportReport) -> dict[str, object]:
             {"frame": fault.name, "kind": fault.kind, "message": fault.message}
             for fault in report.faults
         ],
+        "narrowed": {what: asdict(one) for what, one in report.narrowed.items()},
         "steps_resumed": report.resumed,
         "there_already": report.there,
         "annotation_sha256": report.digest,

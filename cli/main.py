@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import io
 import os
 import sys
 from collections.abc import Sequence
 
 from scenec.cli import interrupt
 from scenec.cli.arguments import (
+    add_allow_missing,
     add_batches,
     add_cache,
     add_json,
     add_keep,
     add_render_options,
+    add_replace,
     add_settle_options,
     passes,
     positive,
@@ -42,6 +45,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns:
         Exit status: 0 done, 1 a check failed, 2 bad input (said in one clear message), 130 Ctrl-C.
     """
+    if arguments is None:
+        _speak_utf8()
+    for word in sys.argv[1:] if arguments is None else arguments:
+        fault = _fault_of(word)
+        if fault:
+            print(f"scenec: {fault}", file=sys.stderr)
+            return EXIT_BAD_INPUT
     options = parser().parse_args(arguments)
     interrupt.watch()
     try:
@@ -76,6 +86,32 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return status
 
 
+def _speak_utf8() -> None:
+    """Begins again in UTF-8 mode where the locale has another encoding: USD's paths are UTF-8.
+
+    What standard output cannot show, as where PYTHONIOENCODING says so, is escaped.
+    """
+    if sys.getfilesystemencoding() != "utf-8":
+        # The mode is the environment's: processes that this one starts have it, too.
+        environment = {**os.environ, "PYTHONUTF8": "1"}
+        os.execve(sys.executable, [sys.executable, *sys.orig_argv[1:]], environment)
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="backslashreplace")
+
+
+def _fault_of(word: str) -> str:
+    """Why a word cannot be a path of USD's, nor anything else here; "" where it can."""
+    try:
+        word.encode("utf-8")
+    except UnicodeEncodeError:
+        shown = os.fsencode(word).decode("utf-8", "backslashreplace")
+        return f"{shown}: is not UTF-8, as names of files must be here"
+    control = next((letter for letter in word if ord(letter) < 32 or letter == "\x7f"), "")
+    if control:
+        return f"{word!r}: holds the control character {control!r}, which USD's paths cannot"
+    return ""
+
+
 def parser() -> argparse.ArgumentParser:
     """The parser of all commands."""
     top = argparse.ArgumentParser(
@@ -94,6 +130,7 @@ def parser() -> argparse.ArgumentParser:
     add_render_options(run)
     add_keep(run)
     add_cache(run)
+    add_replace(run)
     add_batches(run)
     add_json(run)
 
@@ -103,6 +140,7 @@ def parser() -> argparse.ArgumentParser:
     compile_.add_argument("-o", "--out", metavar="OUT", required=True, help="output folder")
     add_keep(compile_)
     add_cache(compile_)
+    add_replace(compile_)
     add_batches(compile_)
     add_json(compile_)
 
@@ -116,6 +154,7 @@ def parser() -> argparse.ArgumentParser:
     render = _command(commands, "render", "render what was compiled, or any USD stage")
     render.add_argument("out", metavar="OUT", help="output folder of compile, or a USD file")
     add_render_options(render)
+    add_allow_missing(render)
     add_batches(render)
     add_json(render)
 
@@ -129,6 +168,7 @@ def parser() -> argparse.ArgumentParser:
         help="only these, by name: RIG_LIDAR",
     )
     scan.add_argument("--ply", action="store_true", help="write clouds of points, too")
+    add_allow_missing(scan)
     add_batches(scan)
     add_json(scan)
 
@@ -170,6 +210,7 @@ def parser() -> argparse.ArgumentParser:
         metavar="N",
         help="pictures of where two backends differ, in OUT/check (default: 8 a pair)",
     )
+    add_allow_missing(check)
     add_json(check)
 
     sheet = _command(commands, "sheet", "one picture of all passes of some frames")

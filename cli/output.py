@@ -14,8 +14,9 @@ from scenec.cli.interrupt import stop_if_pending
 
 
 def print_json(value: Any) -> None:
-    """One JSON document on standard output."""
-    print(json.dumps(value, indent=2, ensure_ascii=False, allow_nan=False))
+    """One JSON document on standard output, in ASCII where that holds no more."""
+    narrow = sys.stdout.encoding.lower() not in ("utf-8", "utf8")
+    print(json.dumps(value, indent=2, ensure_ascii=narrow, allow_nan=False))
 
 
 def say(text: str) -> None:
@@ -62,6 +63,7 @@ class Progress:
         # before (frames that are there) cost next to nothing.
         self._reports = deque([(time.perf_counter(), 0)], maxlen=_WINDOW)
         self._told = -math.inf
+        self._said = time.perf_counter()
         self._terminal = sys.stderr.isatty()
 
     def __call__(self, done: int, total: int, text: str) -> None:
@@ -76,8 +78,11 @@ class Progress:
             say(f"{self._what} {done}/{total}, {self._speed(rate)}, {_span(left)} left: {text}")
 
     def now(self, done: int, total: int, text: str) -> None:
-        """Says what is going on between two steps, where there is a bar to say it beside."""
+        """Says what is going on between two steps: beside the bar, or once a second in a line."""
         stop_if_pending()
+        if not self._terminal and time.perf_counter() - self._said >= _SAY_S:
+            self._said = time.perf_counter()
+            say(text)
         if self._terminal:
             start, first = self._reports[0]
             elapsed = time.perf_counter() - start
@@ -121,6 +126,8 @@ class Progress:
 
 #: Reports that speed is taken over.
 _WINDOW = 32
+#: Seconds between two plain lines about what is going on.
+_SAY_S = 1.0
 #: A bar that is drawn more often only costs time.
 _REDRAW_S = 0.05
 

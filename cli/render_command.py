@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import argparse
 
-from scenec.backends.memory import GB
 from scenec.backends.render import Limits, RenderReport, render
 from scenec.cli.output import Progress, print_json, say
+from scenec.schemas.memory import GB
 
 
 def run(options: argparse.Namespace) -> int:
@@ -35,6 +35,8 @@ def render_now(options: argparse.Namespace) -> RenderReport:
         denoise=options.denoise,
         error=options.error,
         seconds=options.seconds,
+        # Of ``run`` there is none: what it renders it has just compiled.
+        allow_missing=getattr(options, "allow_missing", False),
         limits=limits,
         progress=Progress("frame"),
         warn=lambda line: say(f"warning: {line}"),

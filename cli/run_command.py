@@ -22,7 +22,7 @@ def run(options: argparse.Namespace) -> int:
     made["render"] = render_command.as_json(rendered)
     if options.json:
         print_json(made)
-    return 1 if rendered.failed else 0
+    return 1 if compiled.failed or rendered.failed else 0
 
 
 def _refuse_early(options: argparse.Namespace) -> bool:

@@ -26,6 +26,8 @@ def scan_now(
         batches=options.batches,
         lidars=lidars,
         ply=ply,
+        # Of ``run`` there is none: what it scans it has just compiled.
+        allow_missing=getattr(options, "allow_missing", False),
         progress=Progress("scan", unit="scan"),
     )
     for line in report.warnings:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.cameras.imaging import expose
-from scenec.compiler.cameras.paths.motion import Bodies
+from scenec.compiler.cameras.paths.motion import Bodies, bodies_of
 from scenec.compiler.cameras.rigs import build_rigs, build_rigs_and_report, needs_objects
 from scenec.compiler.cameras.sight import Views, pixels_per_meter, views_of
 from scenec.compiler.ground.cover import lay_and_report
@@ -30,7 +30,7 @@ from scenec.compiler.passes.keep import Keep
 from scenec.compiler.passes.prune import Pruned, prune
 from scenec.compiler.passes.reach import without_idle
 from scenec.compiler.plan import Plan
-from scenec.compiler.precision import precision
+from scenec.compiler.precision import REFUSE_PX, precision, refuse, require_resolvable
 from scenec.compiler.rig import Rig
 from scenec.compiler.scatter.surroundings import Surroundings
 from scenec.compiler.scene import (
@@ -115,12 +115,14 @@ def build(plan: Plan, log: BuildLog, keep: Keep = Keep.SEEN) -> Scene:
         rigs = expose(rigs, plan.rigs)
     times = _times(rigs, plan.samples)
     looks = Looks(dict(plan.materials)) if color else None
-    objects = stand_objects(plan, surface, rigs, looks, log)
     with log.timed("ground"):
         # Under an overhang one sees what its roof would hide.
         hills = None if isinstance(terrain, MeshSurface) else terrain
         views = views_of(rigs, hills, surface.amplitude_m())
         near = pixels_per_meter(terrain, views, plan.terrain.meshing.unseen) if rigs else None
+        require_resolvable(rigs, terrain, near, plan.terrain.meshing.unseen)
+    objects = stand_objects(plan, surface, rigs, looks, log)
+    with log.timed("ground"):
         tiles, log.facts["ground"] = build_tiles(
             surface,
             plan.terrain.variation_key,
@@ -146,7 +148,11 @@ def build(plan: Plan, log: BuildLog, keep: Keep = Keep.SEEN) -> Scene:
             shown_to = () if keep is Keep.ALL else shown_to
             materials = _finished(used.materials, plan, ground, objects, seen, shown_to, log)
     bounds = _bounds(ground, objects)
-    log.facts["precision"] = precision(bounds, log.facts, near)
+    log.facts["precision"] = facts = precision(bounds, log.facts, near)
+    if facts["float32_error_max_px"] is not None and facts["float32_error_max_px"] > REFUSE_PX:
+        what = f"over {facts['extent_m']:.6g} m up to {np.abs(bounds).max():.6g} m away"
+        unseen = plan.terrain.meshing.unseen
+        refuse(rigs, terrain, unseen, facts["float32_error_max_m"], what)
     if isinstance(terrain, MeshSurface) and any(plan.terrain.displacements):
         what = "materials: their displacement"
         _note_left_out(log, entry("ground", what, "the terrain is a mesh"))
@@ -257,10 +263,7 @@ def stand_rigs(
         others = tuple(rig for rig in plan.rigs if not needs_objects(rig))
         early = build_rigs(others, surface, None)
         for one in stand_objects(plan, surface, early, None, BuildLog()):
-            middle, radius = one.balls()
-            # Of an object that moves, where it is at the first sample.
-            step = len(middle) // one.count if one.count else 1
-            bodies[one.name] = Bodies(one.ids, middle[::step], radius[::step])
+            bodies[one.name] = bodies_of(one)
     rigs, motion = build_rigs_and_report(plan.rigs, surface, irradiance, bodies)
     if motion:
         log.facts["motion"] = motion

@@ -56,7 +56,7 @@ _SCATTERED: dict[str, Callable[..., ReliefOperator]] = {
 }
 
 
-def draw(spec: Spec, seed: int, batch: int) -> Plan:
+def draw(spec: Spec, seed: int, batch: int, attempt: int = 0) -> Plan:
     """The plan of one batch.
 
     Each number's stream is named by its place in the cfg, so a change in one place leaves what is
@@ -66,11 +66,13 @@ def draw(spec: Spec, seed: int, batch: int) -> Plan:
         spec: A validated cfg.
         seed: 0 <= seed < 2**64.
         batch: Index of the batch.
+        attempt: How often it was drawn before, and could not be built.
 
     Raises:
         ScenecError: The seed is out of range.
+        SceneError: What is drawn makes no scene.
     """
-    streams = Streams(seed, batch)
+    streams = Streams(seed, batch, attempt)
     cfg, samples = spec.cfg, int(spec.cfg["samples"])
     materials = draw_materials(spec, streams)
     terrain = _terrain(spec, streams, materials)
@@ -277,15 +279,20 @@ def _sensor(
     mount = resolve(cfg["mount"], streams, f"{path}/mount")
     trigger = cfg.get("trigger", {"every": 1, "first": 0})
     imaging = draw_imaging(cfg.get("imaging"), streams, f"{path}/imaging", samples)
-    metered = cfg["exposure"]["type"] == "incident"
-    key = "ev_offset" if metered else "ev"
+    exposure = cfg["exposure"]
+    key = {"incident": "ev_offset", "fixed": "ev"}.get(exposure["type"])
     return SensorPlan(
         name=name,
         resolution=(width, height),
         intrinsics=intrinsics,
         to_rig=from_euler(tuple(mount["position_m"]), tuple(mount["rotation_deg"])),
-        metered=metered,
-        ev=per_sample(cfg["exposure"][key], streams, f"{path}/exposure/{key}", samples),
+        metered=exposure["type"] != "fixed",
+        ev=(
+            np.zeros(samples)
+            if key is None
+            else per_sample(exposure[key], streams, f"{path}/exposure/{key}", samples)
+        ),
+        exposure_per=exposure["per"] if exposure["type"] == "auto" else None,
         outputs=tuple(cfg["outputs"]),
         partner=cfg.get("partner"),
         depth_camera=draw_depth_camera(cfg.get("depth_camera"), f"{path}/depth_camera", streams),

@@ -215,6 +215,8 @@ class ImagingPlan:
 class SensorPlan:
     """A sensor; ``ev`` [s] is absolute, or relative to the incident light's if ``metered``.
 
+    An automatic exposure is metered, too: what it is before there are pictures.
+
     The other fields mean what they do in ``Sensor``.
     """
 
@@ -225,6 +227,7 @@ class SensorPlan:
     metered: bool
     ev: NDArray[np.float64]
     outputs: tuple[str, ...]
+    exposure_per: str | None = None
     partner: str | None = None
     trigger: tuple[int, int] = (1, 0)
     depth_camera: DepthCamera | None = None

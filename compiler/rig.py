@@ -71,7 +71,8 @@ class Sensor:
         resolution: (width, height), pixels.
         intrinsics: (fx, fy, cx, cy, skew), pixels.
         to_rig: Sensor-to-rig matrix, OpenCV axes on both sides, float64 [4, 4].
-        exposure_ev: Pictures show radiance * 2**ev, [s].
+        exposure_ev: Pictures show radiance * 2**ev, [s]; those of viewers alone where ...
+        exposure_per: ... renderers find one exposure for the "batch" or each "sample"; or None.
         outputs: Passes asked for.
         partner: Name of the rig's sensor that disparity goes to, or None.
         depth_camera: How it measures depth, or None.
@@ -89,6 +90,7 @@ class Sensor:
     to_rig: NDArray[np.float64]
     exposure_ev: NDArray[np.float64]
     outputs: tuple[str, ...]
+    exposure_per: str | None = None
     partner: str | None = None
     trigger: tuple[int, int] = (1, 0)
     depth_camera: DepthCamera | None = None

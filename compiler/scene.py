@@ -372,8 +372,8 @@ class Haze:
     Attributes:
         extinction: Per meter, at the world's z = 0, linear Rec.709, [s, 3].
         scale_height_m: It thins out as exp(-z / this), [s]; inf: it does not.
-        airlight: Radiance that a ray through endless haze shows, [s, 3]; None: the sky's, at the
-            horizon in the ray's bearing.
+        airlight: Radiance that a ray through endless haze shows, [s, 3]; None: what it scatters of
+            suns and sky.
     """
 
     extinction: NDArray[np.float64]

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from scenec.datasets import card_tables as tables
+from scenec.datasets.formats.contract import Narrowed
 from scenec.schemas.files import atomic
 from scenec.schemas.frames import CONVENTIONS
 
@@ -114,14 +115,15 @@ def _introduction(summary: dict[str, Any], statistics: dict[str, Any]) -> str:
     batches = len(summary["batches"])
     backends = sorted({str(how["backend"]) for how in statistics["made"].get("rendering", [])})
     return (
-        f"# {_name(summary)}\n\n"
+        f"# {tables.plain(_name(summary))}\n\n"
         f"{summary['frames']:,} frames of {batches:,} "
         f"{'batch' if batches == 1 else 'batches'} (a batch is one terrain with its objects), made "
-        f"by scenec {summary['scenec']} from a cfg and a seed, rendered by {', '.join(backends)}, "
-        f"in the format `{summary['format']}`. Nothing in them was photographed or labeled by "
+        f"by scenec {summary['scenec']} from a cfg and a seed, rendered by "
+        f"{tables.plain(', '.join(backends))}, in the format `{summary['format']}`. "
+        "Nothing in them was photographed or labeled by "
         "hand: annotation is the exact nearest hit of the ray through each pixel's center, the "
         "same whichever renderer drew the picture.\n\n"
-        f"Each frame has: {', '.join(f'`{name}`' for name in _passes(statistics))}. "
+        f"Each frame has: {', '.join(tables.code(name) for name in _passes(statistics))}. "
         "`frames.csv` lists all frames, `statistics.json` holds the numbers below, `export.json` "
         "what was exported and how.\n"
     )
@@ -132,7 +134,7 @@ def _splits(summary: dict[str, Any]) -> str:
     for batch, split in summary["batches"].items():
         batches[split].append(int(batch))
     rows = [
-        (f"`{name}`", frames, len(batches[name]), _ranges(sorted(batches[name])))
+        (tables.code(name), frames, len(batches[name]), _ranges(sorted(batches[name])))
         for name, frames in summary["splits"].items()
     ]
     text = tables.table(["split", "frames", "batches", "which"], rows, "lrr")
@@ -156,8 +158,8 @@ def _cameras(statistics: dict[str, Any]) -> str:
     for camera in statistics["made"].get("cameras", []):
         k = camera["intrinsics"]
         width, height = camera["resolution"]
-        rows.append((f"`{camera['camera']}`", f"{width} × {height}", float(k[0][0]), float(k[1][1]),
-                     float(k[0][2]), float(k[1][2]), camera["frames"]))  # fmt: skip
+        rows.append((tables.code(camera["camera"]), f"{width} × {height}", float(k[0][0]),
+                     float(k[1][1]), float(k[0][2]), float(k[1][2]), camera["frames"]))  # fmt: skip
     header = ["camera", "pixels", "fx", "fy", "cx", "cy", "frames"]
     return tables.table(header, rows[:50], "lrrrrrr")
 
@@ -180,16 +182,17 @@ def _making(summary: dict[str, Any], statistics: dict[str, Any]) -> str:
     source = summary["source"]
     rows: list[tuple[str, object]] = []
     if "stage" in source:
-        rows.append(("stage", f"`{source['stage']}`"))
+        rows.append(("stage", tables.code(source["stage"])))
     else:
         digest = source.get("cfg", {}).get("sha256", "unknown")
         libraries = ", ".join(f"{name} {v}" for name, v in source.get("libraries", {}).items())
-        rows.append(("cfg", f"`{source['name']}`, sha256 `{digest}`"))
+        rows.append(("cfg", f"{tables.code(source['name'])}, sha256 `{digest}`"))
         rows.append(("seed", str(source["seed"])))
         rows.append(("compiled by", f"scenec {source.get('scenec', 'of unknown version')}"))
         rows.append(("libraries", libraries or "unknown"))
     for how in statistics["made"].get("rendering", []):
-        text = f"{how['version']}, {how['samples_per_pixel']} samples per pixel, noise seed "
+        text = tables.plain(how["version"])
+        text += f", {how['samples_per_pixel']} samples per pixel, noise seed "
         text += f"{how['noise_seed']}"
         text += f", denoised by {how['denoised']}" if how["denoised"] else ""
         rows.append((f"{how['frames']:,} frames rendered by", text))
@@ -199,14 +202,17 @@ def _making(summary: dict[str, Any], statistics: dict[str, Any]) -> str:
     rows.append(("exported by", f"scenec {summary['scenec']}, `{summary['format']}`"))
     instances = summary["instances"]
     if summary["keep"]:
-        conditions = ", ".join(f"`{condition}`" for condition in summary["keep"])
+        conditions = ", ".join(map(tables.code, summary["keep"]))
         rest = "dropped" if summary["rejected"] == "drop" else "marked as ignored"
         rows.append(("filters", f"{conditions}; the rest is {rest}"))
         for condition, count in instances["rejected"].items():
-            rows.append((f"rejected by `{condition}`", f"{count:,} instances"))
+            rows.append((f"rejected by {tables.code(condition)}", f"{count:,} instances"))
         rows.append(("kept", f"{instances['kept']:,} of {instances['seen']:,} instances"))
     for what, count in summary.get("left_out", {}).items():
         rows.append(("left out by the format", f"{count:,} {what}"))
+    for what, one in summary["narrowed"].items():
+        counts = Narrowed(one["lost"], one["of"], one["most"])
+        rows.append(("lost by the format", counts.text(what, one["mend"])))
     if summary["fault_count"]:
         kinds = sorted({fault["kind"] for fault in summary["faults"]})
         rows.append(("frames left out", f"{summary['fault_count']:,} ({', '.join(kinds)})"))
@@ -231,9 +237,10 @@ def _licenses(summary: dict[str, Any]) -> str:
     for pointer, digest in inputs.items():
         of = said.get(pointer, {})
         rows.append((
-            f"`/{pointer}`", f"`{of['file']}`" if "file" in of else "", of.get("license")
-            or "unknown", "; ".join(of.get("copyright", ())) or "unknown",
-            of.get("source") or "nothing says so", f"`{digest[:16]}…`",
+            tables.code(f"/{pointer}"), tables.code(of["file"]) if "file" in of else "",
+            tables.plain(of.get("license") or "unknown"),
+            tables.plain("; ".join(of.get("copyright", ())) or "unknown"),
+            tables.plain(of.get("source") or "nothing says so"), f"`{digest[:16]}…`",
         ))  # fmt: skip
     header = ["in the cfg", "file", "license", "copyright", "as said by", "sha256"]
     return text + ":\n\n" + tables.table(header, rows)

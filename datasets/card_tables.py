@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import html
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
@@ -33,6 +35,20 @@ def _cell(value: object) -> str:
     if isinstance(value, float):
         return f"{value:.4g}"
     return str(value).replace("|", "\\|").replace("\n", " ")
+
+
+def plain(text: object) -> str:
+    """Text of others as Markdown shows it: no link, no tag, no code, one line."""
+    marked = re.sub(r"([\\`*~\[\]])", r"\\\1", " ".join(str(text).split()))
+    return html.escape(marked, quote=False)
+
+
+def code(text: object) -> str:
+    """Text of others as a span of code, whatever is in it."""
+    inner = " ".join(str(text).split("\n")).replace("\r", " ")
+    fence = "`" * (1 + max((len(run) for run in re.findall(r"`+", inner)), default=0))
+    room = " " if not inner.strip(" ") or inner[0] == "`" or inner[-1] == "`" else ""
+    return f"{fence}{room}{inner}{room}{fence}"
 
 
 def bar(count: int, most: int) -> str:
@@ -75,7 +91,13 @@ def levels(found: Mapping[str, Any]) -> str:
     parts = []
     for level, entry in found.items():
         rows: list[Sequence[object]] = [
-            (label["id"], name, label["pixels"], f"{100 * label['share']:.3f} %", label["frames"])
+            (
+                label["id"],
+                plain(name),
+                label["pixels"],
+                f"{100 * label['share']:.3f} %",
+                label["frames"],
+            )
             for name, label in entry["labels"].items()
         ]
         for name in ("unlabeled", "unknown"):
@@ -84,14 +106,18 @@ def levels(found: Mapping[str, Any]) -> str:
                 rows.append(("0" if name == "unlabeled" else "", name, entry[name],
                              f"{share:.3f} %", ""))  # fmt: skip
         header = ["id", "label", "pixels", "share", "frames"]
-        parts.append(f"Level `{level}`:\n\n" + table(header, rows, "rlrrr"))
+        parts.append(f"Level {code(level)}:\n\n" + table(header, rows, "rlrrr"))
     return "\n".join(parts)
+
+
+#: ``maxDets`` of pycocotools' COCOeval, where nobody sets it.
+_COCO_DETECTIONS = 100
 
 
 def instances(found: Mapping[str, Any]) -> str:
     """Classes of instances, and histograms over all of them."""
     rows = [
-        (f"`{name}`", entry["seen"], entry["distinct"], entry["frames"], entry["at_border"])
+        (code(name), entry["seen"], entry["distinct"], entry["frames"], entry["at_border"])
         for name, entry in found["classes"].items()
     ]
     if len(rows) > 1:
@@ -102,6 +128,15 @@ def instances(found: Mapping[str, Any]) -> str:
         "\n*Seen* counts an instance once for each frame that shows it, *distinct* once for its "
         "batch.\n"
     )
+    most = found["most_in_a_frame"]
+    text += f"No frame shows more than {most:,}.\n"
+    if most > _COCO_DETECTIONS:
+        text += (
+            f"COCOeval judges the best {_COCO_DETECTIONS} detections of a category in a picture, "
+            f"unless it is told: set `params.maxDets = [1, {_COCO_DETECTIONS}, {most}]`. The first "
+            f"line of its summary stays that of {_COCO_DETECTIONS}; "
+            "`eval['precision'][..., -1]` has them all.\n"
+        )
     if found["ignored"]:
         text += f"{found['ignored']:,} are marked as not to be judged, and not counted here.\n"
     titles = {

@@ -40,14 +40,17 @@ _VIRIDIS = np.array(
 
 
 def label_colors(ids: list[int]) -> dict[int, tuple[int, int, int]]:
-    """A color for each label id, in order of the ids; beyond nine, lighter and darker ones."""
+    """A color of its own for each label id, in order; beyond nine, lighter and darker ones."""
     colors = {0: NO_LABEL}
     for place, number in enumerate(sorted(i for i in ids if i)):
         color = _LABELS[place % len(_LABELS)].astype(np.float64)
         turn = place // len(_LABELS)
-        if turn:
+        for _ in range((turn + 1) // 2):
             color = color * 0.6 if turn % 2 else 0.5 * (color + 255.0)
         red, green, blue = color.astype(int).tolist()
+        while (red, green, blue) in colors.values():
+            # Of very many labels: some readers tell them apart by color alone.
+            green, blue = (green + (blue == 255)) % 256, (blue + 1) % 256
         colors[number] = (red, green, blue)
     return colors
 

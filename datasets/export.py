@@ -15,9 +15,8 @@ export that was cut short has done is not done again.
 from __future__ import annotations
 
 import csv
-import fcntl
 import hashlib
-import json
+import itertools
 import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -27,39 +26,44 @@ from typing import Any
 
 from scenec.datasets.card import write_card
 from scenec.datasets.export_plan import FAULTS, Choice, Plan, make_plan
+from scenec.datasets.export_records import (
+    DATA,
+    EXPORT,
+    EXPORT_VERSION,
+    FAULT,
+    INDEX_COLUMNS,
+    SCRATCH,
+    TALLY,
+    TASKS,
+    Records,
+    is_done,
+    read_export,
+    write_record,
+)
 from scenec.datasets.filters import Tally
-from scenec.datasets.formats.contract import Done, Task
+from scenec.datasets.formats.contract import Narrowed, Task
 from scenec.datasets.formats.registry import find_format
 from scenec.datasets.pictures import counted, vouch
 from scenec.datasets.source import FrameFault, LoadedFrame, kind_of
 from scenec.datasets.statistics import Statistics, measure
-from scenec.datasets.sums import SUMS, note, settle, tidy, write_sums
+from scenec.datasets.sums import SUMS, listed, note, settle, tidy, write_sums
 from scenec.datasets.workers import default_workers, in_processes
+from scenec.schemas.csv_cells import guarded_line
 from scenec.schemas.errors import FrameError, OutputError
-from scenec.schemas.files import replace_folder, sha256, write_json
+from scenec.schemas.files import check_writable, sha256, tree, write_json
+from scenec.schemas.lock import LOCK, Lock
+from scenec.schemas.update import finish_update, reading, replace_files
 
 __all__ = ["FAULTS", "Choice", "ExportReport", "export"]
 
-EXPORT = "export.json"
 INDEX = "frames.csv"
 STATISTICS = "statistics.json"
 CARD = "README.md"
-#: Version of what stands in ``export.json``.
-EXPORT_VERSION = 1
-
-INDEX_COLUMNS = (
-    "frame", "split", "batch", "camera", "sample", "time_s", "stage_digest", "annotation_sha256",
-    "picture_sha256", "instances",
-)  # fmt: skip
 
 #: ``progress(done, total, text)``, called after each task.
 Progress = Callable[[int, int, str], None]
 Say = Callable[[str], None]
 
-_TASKS = "tasks"
-_SCRATCH = "scratch"
-_DATA = "data"
-_LOCK = "lock"
 #: More of them are counted, not listed.
 _LISTED_FAULTS = 1000
 #: More of them are said in one line.
@@ -80,6 +84,7 @@ class ExportReport:
         tally: Of instances.
         faults: Frames left out, with the reason.
         left_out: What the format could not hold: what it was -> how many.
+        narrowed: Values that it has no room for, of those that it writes as whole numbers.
         digest: Over all annotation, the same on every machine: see ``export.json``.
     """
 
@@ -92,6 +97,7 @@ class ExportReport:
     tally: Tally = field(default_factory=Tally)
     faults: list[FrameFault] = field(default_factory=list)
     left_out: dict[str, int] = field(default_factory=dict)
+    narrowed: dict[str, Narrowed] = field(default_factory=dict)
     digest: str = ""
 
 
@@ -136,13 +142,13 @@ def export(
             f"exporting the frames of {plan.source.backend}; there are those of "
             f"{', '.join(others)} too (--backend)"
         )
-    with _begun(plan) as partial:
+    with reading(Path(out)), _begun(plan) as partial:
         _missing(plan, report, say)
         for line in plan.remarks():
             say(f"warning: {line}")
         todo = []
         for task in plan.tasks():
-            if _is_done(plan, partial, task):
+            if is_done(plan, partial, task):
                 report.resumed += 1
             else:
                 todo.append(task)
@@ -158,15 +164,19 @@ def export(
                 say(f"warning: {fault.message}; left out")
             if progress:
                 progress(finished, total, plan.task_name(task))
-        _finish(plan, partial, report)
+        _finish(plan, partial, report, say)
     for what, number in report.left_out.items():
         say(f"warning: left out: {number} {what}")
+    for what, one in report.narrowed.items():
+        say(f"warning: {one.text(what, plan.format().mend(one.most))}")
     return report
 
 
 def _already_there(plan: Plan, replace: bool) -> ExportReport | None:
     """The dataset if it is there, made of the same frames in the same way."""
     folder = plan.folder
+    finish_update(folder)
+    check_writable(folder.parent)
     if not folder.exists():
         return None
     path = folder / EXPORT
@@ -177,20 +187,17 @@ def _already_there(plan: Plan, replace: bool) -> ExportReport | None:
             f"{folder}: is not empty and holds no dataset of scenec (no {EXPORT}); choose another "
             "folder with -o"
         )
-    try:
-        written = json.loads(path.read_text(encoding="utf-8"))
-        if written["key"] == plan.whole_key() and not _mended(plan, written["faults"]):
-            # A run that was killed after its last step left it.
-            shutil.rmtree(_partial(plan), ignore_errors=True)
-            report = ExportReport(folder, plan.format_name, there=True)
-            report.frames, report.splits = int(written["frames"]), dict(written["splits"])
-            report.digest = str(written["digest"]["annotation"])
-            report.tally = Tally(**written["instances"])
-            report.left_out = dict(written["left_out"])
-            report.faults = [FrameFault(**fault) for fault in written["faults"]]
-            return report
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise OutputError(f"{path}: is no {EXPORT} of scenec: {error}") from error
+    written = read_export(path)
+    if written["key"] == plan.whole_key() and not _mended(plan, written["faults"]):
+        # A run that was killed after its last step left it.
+        shutil.rmtree(_partial(plan), ignore_errors=True)
+        report = ExportReport(folder, plan.format_name, there=True)
+        report.frames, report.splits = written["frames"], written["splits"]
+        report.digest = written["digest"]["annotation"]
+        report.tally.add(*(written["instances"][key] for key in TALLY))
+        report.left_out = written["left_out"]
+        report.faults = [FrameFault(*(fault[key] for key in FAULT)) for fault in written["faults"]]
+        return report
     if not replace:
         raise OutputError(
             f"{folder}: holds another dataset (of other frames, or made in another way); choose "
@@ -225,19 +232,11 @@ def _begun(plan: Plan) -> Iterator[Path]:
     """
     partial = _partial(plan)
     try:
-        for name in (_TASKS, _SCRATCH, _DATA):
+        for name in (TASKS, SCRATCH, DATA):
             (partial / name).mkdir(parents=True, exist_ok=True)
-        lock = (partial / _LOCK).open("wb")
     except OSError as error:
         raise OutputError(f"{partial}: cannot be written: {error.strerror or error}") from error
-    with lock:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError as error:
-            raise OutputError(
-                f"{plan.folder}: another export is at work on it; wait for it, or choose another "
-                "folder with -o"
-            ) from error
+    with Lock(partial / LOCK, what=plan.folder):
         yield partial
 
 
@@ -262,20 +261,6 @@ def _missing(plan: Plan, report: ExportReport, say: Say) -> None:
     report.faults.extend(strays)
 
 
-def _record_path(partial: Path, task: Task) -> Path:
-    return partial / _TASKS / f"{task.number:08d}.json"
-
-
-def _is_done(plan: Plan, partial: Path, task: Task) -> bool:
-    try:
-        entry = json.loads(_record_path(partial, task).read_text(encoding="utf-8"))
-        return entry["key"] == plan.task_key(task) and all(
-            (partial / _DATA / name).stat().st_size == size for name, size, _ in entry["files"]
-        )
-    except (OSError, ValueError, KeyError, TypeError):
-        return False
-
-
 @dataclass
 class _Run:
     """One task in a worker process."""
@@ -290,36 +275,37 @@ class _Run:
         tally = Tally()
         statistics = Statistics()
         frames = self._frames(task, lines, faults, tally, statistics)
-        data, scratch = self.partial / _DATA, self.partial / _SCRATCH
+        data, scratch = self.partial / DATA, self.partial / SCRATCH
         first = next(frames, None)
         files: list[list[Any]] = []
         record = None
         left_out: dict[str, int] = {}
+        narrowed: dict[str, Any] = {}
         if first is not None:
             form = self.plan.format()
-            told = counted(_chain(first, frames), form, left_out)
+            told = counted(itertools.chain((first,), frames), form, left_out)
             written = form.write(task, told, data, scratch)
             # What a format does not look at is in the dataset all the same.
             for _ in told:
                 pass
             record, left_out = written.record, {**left_out, **written.left_out}
+            narrowed = {what: asdict(one) for what, one in written.narrowed.items()}
             files = [
                 [n, (data / n).stat().st_size, written.digests.get(n) or sha256(data / n)]
                 for n in written.files
             ]
-        write_json(
-            _record_path(self.partial, task),
-            {
-                "key": self.plan.task_key(task),
-                "files": files,
-                "record": record,
-                "left_out": left_out,
-                "index": lines,
-                "faults": [asdict(fault) for fault in faults],
-                "tally": asdict(tally),
-                "statistics": statistics.state(),
-            },
-        )
+        entry = {
+            "key": self.plan.task_key(task),
+            "files": files,
+            "record": record,
+            "left_out": left_out,
+            "narrowed": narrowed,
+            "index": lines,
+            "faults": [asdict(fault) for fault in faults],
+            "tally": asdict(tally),
+            "statistics": statistics.state(),
+        }
+        write_record(self.partial, task, entry)
         return faults
 
     def _frames(
@@ -353,11 +339,6 @@ class _Run:
             yield frame
 
 
-def _chain(first: LoadedFrame, rest: Iterator[LoadedFrame]) -> Iterator[LoadedFrame]:
-    yield first
-    yield from rest
-
-
 def _index_line(frame: LoadedFrame, split: str) -> list[str]:
     ref = frame.ref
     return [
@@ -373,30 +354,10 @@ def _index_line(frame: LoadedFrame, split: str) -> list[str]:
     ]
 
 
-@dataclass(frozen=True)
-class _Records:
-    """All tasks' records, read one after the other, as often as they are gone through."""
-
-    plan: Plan
-    partial: Path
-
-    def entries(self) -> Iterator[tuple[Task, dict[str, Any]]]:
-        for task in self.plan.tasks():
-            path = _record_path(self.partial, task)
-            entry = json.loads(path.read_text(encoding="utf-8"))
-            if entry["key"] != self.plan.task_key(task):
-                raise OutputError(f"{path}: was changed by another process; export again")
-            yield task, entry
-
-    def __iter__(self) -> Iterator[Done]:
-        for task, entry in self.entries():
-            yield Done(task, entry["record"])
-
-
-def _finish(plan: Plan, partial: Path, report: ExportReport) -> None:
+def _finish(plan: Plan, partial: Path, report: ExportReport, say: Say) -> None:
     """What is common to all tasks; then the folder gets its name."""
-    data, scratch = partial / _DATA, partial / _SCRATCH
-    records = _Records(plan, partial)
+    data, scratch = partial / DATA, partial / SCRATCH
+    records = Records(plan, partial)
     statistics = Statistics()
     annotation, pictures = hashlib.sha256(), hashlib.sha256()
     report.splits = dict.fromkeys(plan.info.splits, 0)
@@ -406,7 +367,7 @@ def _finish(plan: Plan, partial: Path, report: ExportReport) -> None:
         index = csv.writer(index_file, lineterminator="\n")
         index.writerow(INDEX_COLUMNS)
         for task, entry in records.entries():
-            index.writerows(entry["index"])
+            index.writerows(map(guarded_line, entry["index"]))
             for line in entry["index"]:
                 annotation.update(f"{line[0]} {line[7]}\n".encode())
                 pictures.update(f"{line[0]} {line[8]}\n".encode())
@@ -417,10 +378,8 @@ def _finish(plan: Plan, partial: Path, report: ExportReport) -> None:
                     statistics.close(batch)
             note(plan.format_name, sums, {name: digest for name, _, digest in entry["files"]})
     if not report.frames:
-        raise FrameError(
-            f"{plan.out}: not one of {len(report.faults)} frames can be read; the first: "
-            f"{report.faults[0].message}"
-        )
+        raise FrameError.none_readable(plan.out, len(report.faults), report.faults[0].message)
+    report.narrowed = {what: one for what, one in report.narrowed.items() if one.lost}
     settled = plan.format().settle(records)
     _note_left_out(report, settled.left_out)
     settle(plan.format_name, data, sums, settled.moved)
@@ -440,16 +399,27 @@ def _finish(plan: Plan, partial: Path, report: ExportReport) -> None:
     plan.folder.parent.mkdir(parents=True, exist_ok=True)
     if plan.folder.is_dir() and not any(plan.folder.iterdir()):
         plan.folder.rmdir()
-    replace_folder(data, plan.folder)
+    if plan.folder.exists():
+        # What is not of the dataset that goes is somebody's own.
+        with Lock(plan.folder / LOCK):
+            replace_files(data, plan.folder, sorted(listed(plan.folder) - {*sums, SUMS}))
+        others = [p for p in tree(plan.folder) if p.as_posix() not in {*sums, SUMS}]
+        for path in others[:1]:
+            more = f" (and {len(others) - 1} more)" if others[1:] else ""
+            say(f"warning: {plan.folder / path}{more}: no part of the dataset; left as it is")
+    else:
+        replace_files(data, plan.folder)
     shutil.rmtree(partial, ignore_errors=True)
 
 
 def _add_up(report: ExportReport, task: Task, entry: dict[str, Any]) -> None:
     report.frames += len(entry["index"])
     report.splits[task.split] += len(entry["index"])
-    report.tally.add(**entry["tally"])
+    report.tally.add(*(entry["tally"][key] for key in TALLY))
     _note_left_out(report, entry["left_out"])
-    report.faults.extend(FrameFault(**fault) for fault in entry["faults"])
+    for what, one in entry["narrowed"].items():
+        report.narrowed[what] = report.narrowed.get(what, Narrowed()) + Narrowed(**one)
+    report.faults.extend(FrameFault(*(one[key] for key in FAULT)) for one in entry["faults"])
 
 
 def _note_left_out(report: ExportReport, left_out: dict[str, int]) -> None:
@@ -482,6 +452,10 @@ def _summary(plan: Plan, report: ExportReport, digests: dict[str, str]) -> dict[
         "batches": {str(batch): split for batch, split in plan.split_of.items()},
         "instances": asdict(report.tally),
         "left_out": report.left_out,
+        "narrowed": {
+            what: {**asdict(one), "mend": plan.format().mend(one.most)}
+            for what, one in report.narrowed.items()
+        },
         "faults": [asdict(fault) for fault in report.faults[:_LISTED_FAULTS]],
         "fault_count": len(report.faults),
         "digest": digests,

@@ -141,7 +141,7 @@ class Plan:
                 sidecar = json.loads(ref.stem.with_suffix(".json").read_bytes())
                 lasting = {key: value for key, value in sidecar.items() if key not in _VOLATILE}
                 found = hashlib.sha256(json.dumps(lasting).encode()).hexdigest()
-            except (OSError, ValueError, AttributeError):
+            except (OSError, ValueError, AttributeError, RecursionError):
                 found = ""
             self._frame_keys[ref.name] = found
         return found

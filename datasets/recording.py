@@ -28,7 +28,7 @@ from scenec.datasets.colors import NO_LABEL, label_colors, paint_instances
 from scenec.datasets.formats.encode import file_bytes, picture_png
 from scenec.datasets.source import LoadedFrame, Source
 from scenec.schemas.errors import FrameError, OutputError
-from scenec.schemas.files import atomic
+from scenec.schemas.files import atomic, check_output
 
 if TYPE_CHECKING:
     from types import ModuleType
@@ -43,10 +43,12 @@ class Recording:
     Attributes:
         frames: How many.
         faults: How many could not be read.
+        first_fault: What was wrong with the first of them.
     """
 
     frames: int = 0
     faults: int = 0
+    first_fault: str = ""
 
 
 def log_frames(
@@ -69,7 +71,8 @@ def log_frames(
         warn: Called with a line a fault.
 
     Raises:
-        FrameError: There are no frames, or one is faulty and ``faults`` is ``stop``.
+        FrameError: There are no frames, none can be read, or one is faulty and ``faults`` is
+            ``stop``.
         OutputError: Rerun is not installed, its viewer does not start, a label id has more than 16
             bits, or the recording cannot be written.
     """
@@ -90,6 +93,7 @@ def log_frames(
             raise OutputError(f"the Rerun viewer does not start: {error}") from error
         _log_all(rerun, stream, source, names, faults, progress, warn, report)
         return report
+    check_output(save)
     with atomic(save) as temporary:
         stream.save(temporary)
         _log_all(rerun, stream, source, names, faults, progress, warn, report)
@@ -128,6 +132,7 @@ def _log_all(
                 raise
             warn(str(error))
             report.faults += 1
+            report.first_fault = report.first_fault or str(error)
             continue
         entity = f"/{ref.batch_name}/{ref.camera}"
         if (ref.batch_name, ref.camera) not in told:
@@ -140,6 +145,8 @@ def _log_all(
         _log(rerun, stream, entity, frame)
         report.frames += 1
         progress(number, len(source.frames), ref.name)
+    if not report.frames:
+        raise FrameError.none_readable(source.out, len(source.frames), report.first_fault)
 
 
 def _context(table: dict[int, str]) -> list[tuple[int, str, tuple[int, int, int]]]:

@@ -11,7 +11,7 @@ from scenec.datasets.motion_colors import OCCLUSIONS, UNITS
 from scenec.datasets.source import FrameRef, LoadedFrame, Source, sidecar_values
 from scenec.schemas.depth_camera import MEASURED
 from scenec.schemas.errors import ForeignFrameError, FrameError
-from scenec.schemas.files import atomic
+from scenec.schemas.files import atomic, check_output
 from scenec.schemas.manifest import stage_digest
 
 
@@ -44,6 +44,7 @@ def write_sheet(out: Path, output: Path, *, backend: str | None = None, count: i
         FrameError: There are no frames, or one to be shown is damaged.
         OutputError: ``out`` is no output, or ``output`` cannot be written.
     """
+    check_output(output)
     source = Source(out, backend)
     left_out = [fault.message for fault in source.strays]
     frames: list[LoadedFrame] = []

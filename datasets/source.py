@@ -10,7 +10,6 @@ output, named and passed over.
 from __future__ import annotations
 
 import hashlib
-import json
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -36,6 +35,7 @@ from scenec.schemas.manifest import (
     read_manifest,
     stage_digest,
 )
+from scenec.schemas.sidecars import read_sidecar
 from scenec.schemas.spelling import nearest
 
 
@@ -317,12 +317,9 @@ class Source:
         for ref in self.frames:
             path = ref.stem.with_suffix(".json")
             try:
-                sidecar = json.loads(path.read_bytes())
-                dict(sidecar["labels"]), list(sidecar["passes"])
-            except (OSError, ValueError, KeyError, TypeError) as error:
+                return Frame(path, {}, read_sidecar(path))
+            except FrameError as error:
                 fault = error
-                continue
-            return Frame(path, {}, sidecar)
         raise FrameError(f"{self.out}: no frame has a sidecar that can be read: {fault}")
 
     def _rendered(self) -> tuple[str, ...]:
@@ -385,13 +382,13 @@ class Source:
         for sample in sorted(there):
             stem = frame_stem(batch.folder, self.backend, camera, sample)
             try:
-                sidecar = json.loads(stem.with_suffix(".json").read_bytes())
-                if digest in (None, sidecar["stage_digest"]):
-                    every, first = sidecar.get("trigger", (1, 0))
-                    return max(int(every), 1), int(first)
-            except (OSError, ValueError, KeyError, TypeError, AttributeError):
+                sidecar = read_sidecar(stem.with_suffix(".json"))
+            except FrameError:
                 # A damaged sidecar is told where its frame is read.
                 continue
+            if digest in (None, sidecar["stage_digest"]):
+                every, first = sidecar.get("trigger") or (1, 0)
+                return every, first
         return 1, 0
 
     def _numbers(self, batch: Batch, camera: str) -> set[int]:
@@ -441,16 +438,15 @@ def _astray(sample: int, known: int, every: int, first: int) -> str:
 
 
 def sidecar_values(ref: FrameRef) -> dict[str, Any] | None:
-    """A frame's sidecar, unchecked; None where it cannot be read."""
+    """A frame's sidecar; None where it cannot be read, which is told where its frame is."""
     try:
-        values = json.loads(ref.stem.with_suffix(".json").read_bytes())
-    except (OSError, ValueError):
+        return read_sidecar(ref.stem.with_suffix(".json"))
+    except FrameError:
         return None
-    return values if isinstance(values, dict) else None
 
 
 def one_of_each(frames: Iterable[FrameRef]) -> dict[str, dict[str, Any]]:
-    """A readable sidecar of each camera that has one, unchecked."""
+    """A readable sidecar of each camera that has one."""
     found: dict[str, dict[str, Any]] = {}
     for ref in frames:
         values = None if ref.camera in found else sidecar_values(ref)
@@ -478,13 +474,10 @@ def _vouched(frame: Frame, key: str, path: Path) -> Path:
 
 
 def _label_names(frame: Frame) -> dict[str, dict[int, str]]:
-    try:
-        return {
-            level: {int(number): str(name) for number, name in table.items()}
-            for level, table in frame.sidecar["labels"].items()
-        }
-    except (AttributeError, ValueError) as error:
-        raise FrameError(f"{frame.path}: its table of labels is broken: {error}") from error
+    return {
+        level: {int(number): name for number, name in table.items()}
+        for level, table in frame.sidecar["labels"].items()
+    }
 
 
 def sequences(frames: Sequence[FrameRef]) -> Iterator[list[FrameRef]]:

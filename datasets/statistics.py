@@ -54,6 +54,8 @@ def measure(frame: LoadedFrame) -> dict[str, Any]:
     seen: dict[str, dict[str, str]] = {}
     if frame.table:
         counts["instances"], ids = _instances(frame)
+        shown = float((~frame.ignored).sum())
+        bounds["instances"] = [shown, shown]
         seen = {frame.ref.batch_name: ids}
     counts["view"] = _view(frame, bounds)
     sun = _sun(frame, bounds)
@@ -131,6 +133,7 @@ class Statistics:
             }
         if "instances" in counts:
             found["instances"] = _instances_json(counts["instances"], self._distinct())
+            found["instances"]["most_in_a_frame"] = int(self._bounds["instances"][1])
         if "view" in counts:
             found["view"] = _view_json(counts["view"], self._bounds)
         if "sun" in counts:

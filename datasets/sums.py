@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import re
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from scenec.schemas.errors import OutputError
-from scenec.schemas.files import atomic, tree
+from scenec.schemas.files import atomic, inside, tree
 
 #: Of every file but itself.
 SUMS = "SHA256SUMS"
+_SUM = re.compile(r"([0-9a-f]{64})  (.+)")
 
 
 def note(form: str, sums: dict[str, str], files: Mapping[str, str]) -> None:
@@ -54,6 +56,37 @@ def settle(form: str, data: Path, sums: dict[str, str], moved: Mapping[str, str 
                 (data / old).replace(data / new)
         except OSError as error:
             raise OutputError(f"{data / old}: cannot be moved: {error.strerror}") from error
+
+
+def read_sums(folder: Path) -> Iterator[tuple[int, str, str]]:
+    """Lines of a dataset's ``SHA256SUMS``: number from 1, name, digest; both empty if it is none.
+
+    Raises:
+        FileNotFoundError: It is not there.
+        OutputError: It cannot be read.
+    """
+    try:
+        lines = (folder / SUMS).read_text(encoding="utf-8").splitlines()
+    except FileNotFoundError:
+        raise
+    except (OSError, ValueError) as error:
+        raise OutputError(f"{folder / SUMS}: cannot be read: {error}") from error
+    for number, line in enumerate(lines, 1):
+        match = _SUM.fullmatch(line)
+        try:
+            name = "" if match is None else match[2]
+            inside(folder, name)
+        except OutputError:
+            match = None
+        yield (number, "", "") if match is None else (number, match[2], match[1])
+
+
+def listed(folder: Path) -> set[str]:
+    """Names of a dataset's files, as ``SHA256SUMS`` has them; none where it is missing."""
+    try:
+        return {name for _, name, _ in read_sums(folder) if name} | {SUMS}
+    except FileNotFoundError:
+        return set()
 
 
 def write_sums(data: Path, sums: Mapping[str, str]) -> None:

@@ -9,8 +9,6 @@ from __future__ import annotations
 
 import csv
 import hashlib
-import json
-import re
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
@@ -20,23 +18,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.datasets.export import (
-    CARD,
-    EXPORT,
-    EXPORT_VERSION,
-    INDEX,
-    INDEX_COLUMNS,
-    STATISTICS,
-    SUMS,
-)
+from scenec.datasets.export import CARD, INDEX, STATISTICS
+from scenec.datasets.export_records import EXPORT, INDEX_COLUMNS, read_export
 from scenec.datasets.source import Source
+from scenec.datasets.sums import SUMS, read_sums
+from scenec.schemas.csv_cells import unguarded
 from scenec.schemas.errors import FrameError, OutputError
 from scenec.schemas.files import sha256, tree
 from scenec.schemas.manifest import MANIFEST, STAGE_SUFFIXES
+from scenec.schemas.shape import read_shaped
+from scenec.schemas.update import finish_update
 
 Say = Callable[[str], None]
 
-_SUM = re.compile(r"([0-9a-f]{64})  (.+)")
 #: Weight of the mean in relMSE's denominator, as in ``scenec check --backends``.
 _EPSILON = 0.01
 
@@ -169,39 +163,29 @@ def compare(first: Path, second: Path, say: Say | None = None) -> Comparison:
 
 
 def _summary(folder: Path) -> dict[str, Any]:
+    finish_update(folder)
     path = folder / EXPORT
     try:
-        summary: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-        version = summary["export"]
-        dict(summary["splits"]), int(summary["frames"]), str(summary["digest"]["annotation"])
+        return read_export(path)
     except FileNotFoundError as error:
         raise OutputError(f"{folder}: is no dataset of scenec (no {EXPORT})") from error
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise OutputError(f"{path}: is no {EXPORT} of scenec: {error}") from error
-    if version != EXPORT_VERSION:
-        raise OutputError(
-            f"{path}: is of version {version}, and this scenec knows {EXPORT_VERSION}"
-        )
-    return summary
 
 
 def _sums(folder: Path, flaws: list[Flaw]) -> dict[str, str]:
     """Name -> sha256, as ``SHA256SUMS`` has them."""
+    sums: dict[str, str] = {}
     try:
-        lines = (folder / SUMS).read_text(encoding="utf-8").splitlines()
+        for number, name, digest in read_sums(folder):
+            if name:
+                sums[name] = digest
+            else:
+                flaws.append(
+                    Flaw(f"{SUMS}:{number}", "is no line of sha256sum, or of a file elsewhere")
+                )
     except FileNotFoundError:
         flaws.append(Flaw(SUMS, "is missing"))
-        return {}
-    except (OSError, ValueError) as error:
-        flaws.append(Flaw(SUMS, f"cannot be read: {error}"))
-        return {}
-    sums: dict[str, str] = {}
-    for number, line in enumerate(lines, 1):
-        match = _SUM.fullmatch(line)
-        if match is None or ".." in Path(match[2]).parts or Path(match[2]).is_absolute():
-            flaws.append(Flaw(f"{SUMS}:{number}", "is no line of sha256sum"))
-        else:
-            sums[match[2]] = match[1]
+    except OutputError as error:
+        flaws.append(Flaw(SUMS, str(error)))
     return sums
 
 
@@ -219,15 +203,15 @@ def _index(folder: Path) -> list[dict[str, str]]:
         raise OutputError(f"{path}: cannot be read: {error}") from error
     if any(line.get(name) is None for line in lines for name in INDEX_COLUMNS):
         raise OutputError(f"{path}: expected the columns {', '.join(INDEX_COLUMNS)} in each line")
-    return lines
+    return [{name: unguarded(line[name]) for name in INDEX_COLUMNS} for line in lines]
 
 
 def _contradictions(folder: Path, summary: dict[str, Any]) -> Iterator[Flaw]:
     """What index, summary and statistics say of each other."""
     try:
         lines = _index(folder)
-        statistics = json.loads((folder / STATISTICS).read_text(encoding="utf-8"))
-    except (OSError, ValueError, OutputError) as error:
+        statistics = read_shaped(folder / STATISTICS, dict, OutputError, STATISTICS)
+    except (OSError, OutputError) as error:
         yield Flaw(INDEX, str(error))
         return
     for name, count in Counter(line["frame"] for line in lines).items():

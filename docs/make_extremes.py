@@ -42,6 +42,7 @@ from scenec.compiler.compile import compile_cfg
 from scenec.schemas.errors import ScenecError
 from scenec.schemas.exr import write_exr
 from scenec.schemas.frames import Frame, frame_stem, read_frame
+from scenec.schemas.memory import GB
 
 BACKENDS = ("reference", "mitsuba", "cycles", "pyrender")
 DRAWING = BACKENDS[1:]
@@ -369,7 +370,7 @@ def _large(stage: Path, backend: str, arguments: list[Any]) -> dict[str, Any]:
     digests = {name: hashlib.sha256(values).hexdigest() for name, values in arrays.items()}
     write_exr(folder / "large.exr", arrays)
     return {
-        "peak_gb": max(peak, memory.peak() or 0) / memory.GB,
+        "peak_gb": max(peak, memory.peak() or 0) / GB,
         "cpu_s": seconds,
         "bands": len(bands.bands(camera)),
         "arrays": digests,

@@ -208,7 +208,7 @@ def densities(page: Page, folder: Path) -> str:
     )
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _worst(x, y, reach):  # type: ignore[no-untyped-def]
     """Deepest overlap of two circles, meters, over all pairs; below 0 it is the least gap."""
     worst = -np.inf

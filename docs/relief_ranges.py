@@ -225,10 +225,10 @@ def dems(page: Page, folder: Path) -> str:
         # At the DEM's border the membrane's slope is 0, and no plane's.
         holes[[0, -1]] = holes[:, [0, -1]] = False
         plane = 2.0 * x - y
-        filled, residual = fill_holes(np.where(holes, 0.0, plane), holes)
+        filled, error = fill_holes(np.where(holes, 0.0, plane), holes)
         rows.append([f"{name}, in a plane", f"{int(holes.sum()):,} samples",
-                     f"off the plane by {np.abs(filled - plane).max():.1e} m at most, residual "
-                     f"{residual:.1e} m"])  # fmt: skip
+                     f"off the plane by {np.abs(filled - plane).max():.1e} m at most, said "
+                     f"{error:.1e} m"])  # fmt: skip
         samples = np.where(holes, np.nan, field)
         np.save(folder / "holes.npy", samples)
         out, report = replace(base, file=folder / "holes.npy").apply(grid, flat(grid))

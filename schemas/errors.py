@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 
 class ScenecError(Exception):
@@ -54,6 +55,11 @@ class StageError(ScenecError):
 
 class FrameError(ScenecError):
     """A frame on disk that is missing, truncated, or not of this contract."""
+
+    @classmethod
+    def none_readable(cls, out: Path, count: int, first: str) -> FrameError:
+        """Of an output whose frames are all faulty; ``first`` is what is wrong with one."""
+        return cls(f"{out}: not one of {count} frames can be read; the first: {first}")
 
 
 class ForeignFrameError(FrameError):

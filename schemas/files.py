@@ -1,4 +1,8 @@
-"""Files that appear whole or not at all, and their hashes."""
+"""Files that appear whole or not at all, where they may lie, and their hashes.
+
+What is being written has a name that begins with ``TEMPORARY`` and says whose it is. The next
+command that writes to the same folder removes it where that process is no more (``sweep``).
+"""
 
 from __future__ import annotations
 
@@ -6,14 +10,25 @@ import hashlib
 import json
 import math
 import os
+import re
 import secrets
 import shutil
-from collections.abc import Iterator
+import socket
+import tempfile
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
-from pathlib import Path
+from functools import cache
+from pathlib import Path, PurePosixPath
 from typing import Any
 
-from scenec.schemas.errors import OutputError
+from scenec.schemas.errors import OutputError, ScenecError
+from scenec.schemas.lock import LOCK, clear, is_alive
+
+#: Begins the name of what is being written: ``.scenec-<machine>-<process>-<chance>-<name>``.
+TEMPORARY = ".scenec-"
+_TEMPORARY = re.compile(r"\.scenec-([0-9a-f]{8})-([0-9]+)-[0-9a-f]{8}-.+")
+#: Bytes below which a disk counts as full: no stage and no picture is smaller.
+_LEAST_FREE = 1 << 20
 
 
 def sha256(path: Path) -> str:
@@ -29,8 +44,7 @@ def atomic(path: Path) -> Iterator[Path]:
     Raises:
         OutputError: The folder cannot be written.
     """
-    # The ending stays: libraries choose their format by it.
-    temporary = path.with_name(f".{path.stem}.{secrets.token_hex(4)}{path.suffix}")
+    temporary = _beside(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         yield temporary
@@ -42,13 +56,50 @@ def atomic(path: Path) -> Iterator[Path]:
             temporary.unlink(missing_ok=True)
 
 
+def _beside(path: Path) -> Path:
+    # The ending stays: libraries choose their format by it.
+    chance = secrets.token_hex(4)
+    return path.with_name(f"{TEMPORARY}{_machine()}-{os.getpid()}-{chance}-{path.name}")
+
+
+@cache
+def _machine() -> str:
+    """Tells processes apart that may have the same number: host, boot, container."""
+    parts = [socket.gethostname()]
+    with suppress(OSError):
+        parts.append(Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii"))
+    with suppress(OSError):
+        parts.append(str(Path("/proc/self/ns/pid").readlink()))
+    return hashlib.blake2b("\n".join(parts).encode(), digest_size=4).hexdigest()
+
+
+def sweep(folders: Iterable[Path]) -> None:
+    """Removes what killed processes left unfinished directly in some folders.
+
+    What another process may still write stays, and so does what another machine wrote.
+    """
+    for folder in folders:
+        with suppress(OSError):
+            for path in sorted(folder.glob(f"{TEMPORARY}*")):
+                whose = _TEMPORARY.fullmatch(path.name)
+                if path.name.startswith(LOCK):
+                    clear(path)
+                elif whose and whose[1] == _machine() and not is_alive(int(whose[2])):
+                    if path.is_dir() and not path.is_symlink():
+                        shutil.rmtree(path, ignore_errors=True)
+                    else:
+                        path.unlink(missing_ok=True)
+
+
 def write_json(path: Path, value: Any) -> None:
     """Writes strict JSON (no NaN or infinity: they become null), two spaces of indent."""
     with atomic(path) as temporary:
-        temporary.write_text(
-            json.dumps(_finite(value), indent=2, ensure_ascii=False, allow_nan=False) + "\n",
-            encoding="utf-8",
-        )
+        temporary.write_text(as_json(value), encoding="utf-8")
+
+
+def as_json(value: Any) -> str:
+    """The text that ``write_json`` writes."""
+    return json.dumps(_finite(value), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
 
 
 def _finite(value: Any) -> Any:
@@ -62,21 +113,22 @@ def _finite(value: Any) -> Any:
 
 
 @contextmanager
-def temporary_folder(beside: Path) -> Iterator[Path]:
-    """An empty folder next to ``beside``, removed at the end if it is still there.
+def temporary_folder(where: Path) -> Iterator[Path]:
+    """An empty folder inside of ``where``, removed at the end if it is still there.
 
     Raises:
-        OutputError: It cannot be made.
+        OutputError: It, or something in it, cannot be written; the message has the name that this
+            would have had directly in ``where``.
     """
-    folder = beside.with_name(f".{beside.name}.{secrets.token_hex(4)}")
+    folder = _beside(where / "new")
     try:
         folder.mkdir(parents=True)
-    except OSError as error:
-        raise OutputError(f"{beside.parent}: cannot be written: {error.strerror}") from error
-    try:
         yield folder
     except OSError as error:
-        raise OutputError(f"{beside}: cannot be written: {error.strerror or error}") from error
+        raise OutputError(f"{where}: cannot be written: {error.strerror or error}") from error
+    except OutputError as error:
+        # A name that is gone when it is read helps nobody.
+        raise OutputError(str(error).replace(str(folder), str(where))) from error
     finally:
         shutil.rmtree(folder, ignore_errors=True)
 
@@ -86,36 +138,94 @@ def tree(folder: Path) -> list[Path]:
     return sorted(path.relative_to(folder) for path in folder.rglob("*") if path.is_file())
 
 
-def same_tree(a: Path, b: Path, ignore: tuple[str, ...] = ()) -> bool:
-    """Whether two folders hold the same files with the same bytes.
+def same_tree(a: Path, b: Path) -> bool:
+    """Whether two folders hold the same files with the same bytes."""
+    files = tree(a)
+    return files == tree(b) and all(sha256(a / path) == sha256(b / path) for path in files)
+
+
+def inside(root: Path, name: str, said_by: object = None) -> Path:
+    """The path of something in a folder, by a name that was read from a file.
 
     Args:
-        a: One folder.
-        b: The other.
-        ignore: Names of folders directly below ``b`` that do not count.
-    """
-    files_a = tree(a)
-    files_b = [path for path in tree(b) if path.parts[0] not in ignore]
-    return files_a == files_b and all(sha256(a / path) == sha256(b / path) for path in files_a)
-
-
-def replace_folder(new: Path, final: Path, keep: tuple[str, ...] = ()) -> None:
-    """Puts ``new`` in the place of ``final``; folders named in ``keep`` are carried over.
+        root: The folder; it may be a link itself.
+        name: Relative to it, with slashes. What is there must not lead out of the folder: no
+            ``..``, no absolute path, no link to elsewhere.
+        said_by: Where the name was read, for the message.
 
     Raises:
-        OutputError: The file system refuses.
+        OutputError: It leads out of the folder, or is no name of a file.
+    """
+    why = None
+    path = root / name if "\0" not in name else root
+    parts = PurePosixPath(name)
+    if "\0" in name or not parts.parts:
+        why = "is no name of a file"
+    elif parts.is_absolute() or ".." in parts.parts or "\\" in name:
+        why = "is no path inside of this folder"
+    else:
+        try:
+            if not path.resolve().is_relative_to(root.resolve()):
+                why = f"leads out of this folder, to {path.resolve()}"
+        except (OSError, RuntimeError) as error:
+            why = f"cannot be followed: {error}"
+    if why is not None:
+        before = "" if said_by is None else f"{said_by}: "
+        raise OutputError(f"{before}{name!r} {why} ({root}); expected a file or folder in it")
+    return path
+
+
+def check_writable(*folders: Path) -> None:
+    """Tries whether files can be written, before long work whose result they will be.
+
+    Args:
+        folders: They need not be there.
+
+    Raises:
+        OutputError: One cannot be written, or its disk is full.
+    """
+    for folder in folders:
+        there = folder.absolute()
+        try:
+            while not there.exists():
+                there = there.parent
+            if not there.is_dir():
+                raise OutputError(f"{folder}: cannot be written: {there} is not a folder")
+            with tempfile.TemporaryFile(dir=there) as file:
+                file.write(bytes(4096))
+            disk = os.statvfs(there)
+        except (OSError, ValueError) as error:
+            reason = getattr(error, "strerror", None) or error
+            raise OutputError(f"{folder}: cannot be written: {reason}") from error
+        # Some network folders do not know how large they are.
+        if disk.f_blocks and disk.f_bavail * disk.f_frsize < _LEAST_FREE:
+            raise OutputError(
+                f"{folder}: the disk is full: {disk.f_bavail * disk.f_frsize} bytes are free"
+            )
+
+
+def check_output(file: Path) -> None:
+    """The same for one file; what killed processes left beside it is removed.
+
+    Raises:
+        OutputError: It cannot be written.
+    """
+    if file.is_dir():
+        raise OutputError(f"{file}: cannot be written: it is a folder")
+    check_writable(file.parent)
+    sweep([file.parent])
+
+
+def read_json(path: Path, error: type[ScenecError], what: str) -> Any:
+    """The JSON value in a file.
+
+    Raises:
+        FileNotFoundError: It is not there.
+        ScenecError: It cannot be read, as the given class: ``<path>: is no <what>: <why>``.
     """
     try:
-        if final.exists():
-            old = final.with_name(f".{final.name}.{secrets.token_hex(4)}")
-            os.rename(final, old)
-            os.rename(new, final)
-            # Only then: ``new`` is temporary, and what is kept must never be inside of it.
-            for name in keep:
-                if (old / name).is_dir():
-                    os.rename(old / name, final / name)
-            shutil.rmtree(old)
-        else:
-            os.rename(new, final)
-    except OSError as error:
-        raise OutputError(f"{final}: cannot be replaced: {error.strerror}") from error
+        return json.loads(path.read_bytes())
+    except FileNotFoundError:
+        raise
+    except (OSError, ValueError, RecursionError) as fault:
+        raise error(f"{path}: is no {what}: {fault}") from fault

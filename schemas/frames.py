@@ -24,6 +24,7 @@ from scenec.schemas.exr import read_exr
 from scenec.schemas.files import sha256
 from scenec.schemas.instances import frame_table_path
 from scenec.schemas.manifest import FRAMES
+from scenec.schemas.sidecars import read_sidecar
 from scenec.schemas.versions import version_of
 
 #: Version of the sidecar's shape.
@@ -57,10 +58,6 @@ SHUTTER_CONVENTION = (
 #: Pictures beside a sensor's picture, on request: the one without noise, and the raw numbers, 16
 #: bits behind the mosaic. A sidecar vouches for them under ``imaging``.
 BESIDE = ("clean", "raw")
-
-#: What a reader may rely on in every sidecar.
-REQUIRED_KEYS = ("camera", "sample", "resolution", "intrinsics", "camera_to_world", "passes",
-                 "labels", "backend", "exposure_ev", "stage_digest")  # fmt: skip
 
 CONVENTIONS = {
     "pixel": "column 0, row 0 is the top-left pixel; its center is at (0.5, 0.5)",
@@ -177,7 +174,7 @@ def is_done(stem: Path, key: FrameKey) -> bool:
                 for kind in BESIDE
             )
         )
-    except (OSError, ValueError, KeyError, TypeError):
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
         return False
     return done
 
@@ -204,17 +201,7 @@ def read_frame(
     path = Path(path)
     stem = path.with_suffix("") if path.suffix in (".exr", ".json", ".png") else path
     json_path, exr_path = stem.with_suffix(".json"), stem.with_suffix(".exr")
-    try:
-        sidecar = json.loads(json_path.read_bytes())
-    except FileNotFoundError as error:
-        raise FrameError(f"{json_path}: no such frame (the sidecar is missing)") from error
-    except (OSError, ValueError) as error:
-        raise FrameError(f"{json_path}: not a sidecar: {error}") from error
-    if not isinstance(sidecar, dict) or not isinstance(sidecar.get("exr"), dict):
-        raise FrameError(f"{json_path}: not a sidecar of scenec")
-    lacking = [key for key in REQUIRED_KEYS if key not in sidecar]
-    if lacking:
-        raise FrameError(f"{json_path}: a sidecar without {', '.join(lacking)}; render it again")
+    sidecar = read_sidecar(json_path)
     if not exr_path.is_file():
         raise FrameError(f"{exr_path}: missing, though its sidecar is there; render it again")
     if sha256(exr_path) != sidecar["exr"].get("sha256"):

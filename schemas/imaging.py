@@ -30,7 +30,7 @@ WAVELENGTH_M = (648.6e-9, 549.4e-9, 451.1e-9)
 #: h * c, J m.
 PLANCK_LIGHT = 6.62607015e-34 * 299792458.0
 
-RULES = ("fixed", "auto")
+RULES = ("fixed", "auto", "metered")
 MOSAICS = ("none", "rggb", "bggr", "grbg", "gbrg")
 DEMOSAICS = ("malvar", "bilinear")
 #: libjpeg's bound.
@@ -45,9 +45,10 @@ class Imaging:
     Attributes:
         pattern_seed: Key of what is the same in all its pictures (fixed pattern, defects), 64 bits.
         noise_seed: Key of the batch's noise, 64 bits.
-        rule: "fixed" (``time_s`` and ``iso`` are given) or "auto" (metered from each picture).
-        time_s, iso: Exposure time in seconds and speed; 0 with "auto".
-        time_range_s, iso_range: What "auto" chooses from: the time first, then the speed.
+        rule: "fixed" (``time_s`` and ``iso`` are given), "auto" (metered from each picture) or
+            "metered" (from the exposure that renderers find for the camera).
+        time_s, iso: Exposure time in seconds and speed; 0 but with "fixed".
+        time_range_s, iso_range: What the others choose from: the time first, then the speed.
         target: What "auto" makes the mean (or percentile) of luminance look like; white is 1.
         percentile: Which percentile that is; negative: the logarithmic mean of what is lit.
         f_number: Focal length over aperture.

@@ -46,6 +46,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.schemas.csv_cells import guarded, unguarded
 from scenec.schemas.errors import FrameError
 from scenec.schemas.files import atomic
 
@@ -182,14 +183,15 @@ def write_frame_table(path: Path, columns: dict[str, NDArray[Any]]) -> None:
 
     Args:
         path: See ``frame_table_path``.
-        columns: By name, in order, arrays of one length; floats are written with 9 digits.
+        columns: By name, in order, arrays of one length; floats are written with 9 digits, names
+            that a spreadsheet would take for formulas with an apostrophe before them.
 
     Raises:
         OutputError: It cannot be written.
     """
     kinds = ["%s" if values.dtype.kind in "UOiub" else "%.9g" for values in columns.values()]
     texts = [
-        [_quoted(value) for value in values.tolist()]
+        [_quoted(guarded(value)) for value in values.tolist()]
         if values.dtype.kind in "UO"
         else values.tolist()
         for values in columns.values()
@@ -226,7 +228,7 @@ def read_frame_table(path: Path) -> dict[str, NDArray[Any]]:
 
 def _column(name: str, values: Sequence[str]) -> NDArray[Any]:
     if name in _TEXT or name.startswith("label."):
-        return np.array(values, np.str_)
+        return np.array(list(map(unguarded, values)), np.str_)
     # By way of Python's numbers: three times as fast as NumPy's own reading of text.
     if name in _WHOLE:
         return np.array(list(map(int, values)), np.int64)

@@ -25,8 +25,6 @@ all others were never placed.
 from __future__ import annotations
 
 import base64
-import binascii
-import json
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
@@ -38,6 +36,7 @@ from numpy.typing import NDArray
 from scenec.schemas.errors import OutputError
 from scenec.schemas.files import write_json
 from scenec.schemas.manifest import LEFT_OUT as LEFT_OUT
+from scenec.schemas.shape import Each, natural, read_shaped
 from scenec.schemas.spelling import nearest
 
 _FORMAT = 1
@@ -90,6 +89,21 @@ _TEXTS = {
 
 #: The reasons in a fixed order: what arrays of reasons hold are places in it.
 ORDER = tuple(Reason)
+
+
+def _is_reason(value: Any) -> str | None:
+    return None if value in list(Reason) else f"one of {', '.join(Reason)}"
+
+
+_SHAPE = {
+    "format": natural,
+    "light": (None, {"tolerance": float, "reached": (None, float)}),
+    "tiles": Each(_is_reason),
+    "classes": Each(
+        {"drawn": natural, "bits": natural, "reasons": [_is_reason], "codes": str,
+         "ids?": [natural]}
+    ),
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -196,25 +210,22 @@ def read_left_out(folder: Path) -> Record | None:
         OutputError: The file is damaged, or of another version.
     """
     path = folder / LEFT_OUT
+    what = "record of what was left out"
     try:
-        text = path.read_text(encoding="utf-8")
+        value = read_shaped(path, _SHAPE, OutputError, what)
     except FileNotFoundError:
         return None
-    except (OSError, ValueError) as error:
-        raise OutputError(f"{path}: cannot be read: {error}") from error
-    try:
-        value = json.loads(text)
-        if value["format"] != _FORMAT:
-            raise OutputError(f"{path}: a record of another version; compile again")
-        light = value["light"] or {}
-        return Record(
-            {name: _from_json(one) for name, one in value["classes"].items()},
-            {name: Reason(reason) for name, reason in value["tiles"].items()},
-            light.get("tolerance"),
-            light.get("reached"),
-        )
-    except (ValueError, KeyError, TypeError, AttributeError, binascii.Error) as error:
-        raise OutputError(f"{path}: is no record of what was left out, or a damaged one") from error
+    if value["format"] != _FORMAT:
+        raise OutputError(f"{path}: a record of another version; compile again")
+    light = value["light"] or {}
+    classes = {}
+    for name, one in value["classes"].items():
+        try:
+            classes[name] = _from_json(one)
+        except (ValueError, OverflowError, MemoryError) as error:
+            raise OutputError(f"{path}: is no {what}: /classes/{name}: {error}") from error
+    tiles = {name: Reason(reason) for name, reason in value["tiles"].items()}
+    return Record(classes, tiles, light.get("tolerance"), light.get("reached"))
 
 
 def reason_of(folder: Path, class_name: str, local_id: int) -> Reason:
@@ -268,11 +279,14 @@ def _from_json(value: dict[str, Any]) -> ClassRecord:
     """The other way.
 
     Raises:
-        ValueError, KeyError, TypeError: It is not what ``_as_json`` makes.
+        ValueError, OverflowError: It is not what ``_as_json`` makes.
     """
     drawn, bits = int(value["drawn"]), int(value["bits"])
+    # Before there are arrays of that size: base64 takes four characters for three bytes.
+    if bits not in _BITS or ("ids" not in value and drawn > 6 * (len(value["codes"]) + 1)):
+        raise ValueError("numbers out of range")
     ids = np.array(value["ids"], np.int64) if "ids" in value else np.arange(1, drawn + 1)
-    if bits not in _BITS or (len(ids) and not 1 <= ids[0] <= ids[-1] <= drawn):
+    if len(ids) and not (ids[0] > 0 and ids[-1] <= drawn and (np.diff(ids) > 0).all()):
         raise ValueError("numbers out of range")
     names = np.array([ORDER.index(Reason(name)) for name in value["reasons"]], np.uint8)
     codes = _unpacked(base64.b64decode(value["codes"], validate=True), bits, len(ids))

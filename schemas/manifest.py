@@ -3,19 +3,25 @@
 ``cfg``: ``sha256`` of the cfg in full (defaults filled in, with its files' hashes), ``inputs``
 (JSON pointer without its first slash -> sha256 of the file named there) and ``licenses`` (the same
 pointers -> ``file`` as the cfg has it, ``license``, ``copyright`` and the ``source`` that says so).
-``files`` holds every file of the batches and ``cfg.json``, the cfg's own bytes.
+``cfg`` also has ``batch_sha256``, of all of that but the number of batches: what decides each one.
+``files`` holds every file of the batches and ``cfg.json``, the cfg's own bytes. ``failed`` lists
+the batches that could not be built and were passed over, if there are any, each with its
+``reason``; a batch has an ``attempt`` where it was drawn again.
 """
 
 from __future__ import annotations
 
 import hashlib
-import json
+import os
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from scenec.schemas.errors import OutputError, StageError
+from scenec.schemas.files import inside
+from scenec.schemas.shape import Each, natural, read_shaped
+from scenec.schemas.update import finish_update
 
 MANIFEST = "manifest.json"
 TIMINGS = "timings.json"
@@ -31,22 +37,51 @@ MANIFEST_FORMAT = 1
 STAGE_SUFFIXES = (".usda", ".usdc", ".usd", ".usdz")
 
 
+#: As the cfg's schema has it.
+_MOST_SAMPLES = 1_000_000
+
+
+def _samples(value: Any) -> str | None:
+    fine = natural(value) is None and value <= _MOST_SAMPLES
+    return None if fine else f"a whole number from 0 to {_MOST_SAMPLES}"
+
+
+_SHAPE = {
+    "batches": [{"index": natural, "path": str, "stage": str, "samples?": _samples,
+                 "attempt?": natural}],
+    "files": Each({"sha256": str, "bytes?": natural, "what?": str}),
+    "failed?": [{"index": natural, "path": str, "reason": str}],
+    "name?": str,
+    "seed?": natural,
+    "keep?": str,
+    "scenec?": str,
+    "cfg?": {"sha256?": str, "batch_sha256?": str, "inputs?": Each(str), "licenses?": Each(dict)},
+    "libraries?": Each(str),
+}  # fmt: skip
+
+
 def read_manifest(out: Path) -> dict[str, Any]:
-    """The manifest of an output folder.
+    """The manifest of an output folder; what a killed compilation began there is finished first.
 
     Raises:
-        OutputError: There is none, or it is none.
+        OutputError: There is none, it is none, or it names a path outside of the folder.
     """
+    finish_update(out)
     path = out / MANIFEST
-    if not path.is_file():
-        raise OutputError(f"{out}: holds no {MANIFEST}; compile a cfg into it first")
     try:
-        manifest = json.loads(path.read_text(encoding="utf-8"))
-        for batch in manifest["batches"]:
-            str(batch["stage"]), str(batch["path"]), int(batch["index"])
-        manifest["files"].items()
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise OutputError(f"{path}: is no scenec manifest") from error
+        manifest: dict[str, Any] = read_shaped(path, _SHAPE, OutputError, "scenec manifest")
+    except (FileNotFoundError, NotADirectoryError) as error:
+        raise OutputError(f"{out}: holds no {MANIFEST}; compile a cfg into it first") from error
+    numbers: dict[int, int] = {}
+    for i, batch in enumerate(manifest["batches"]):
+        first = numbers.setdefault(batch["index"], i)
+        if first != i:
+            raise OutputError(
+                f"{path}: is no scenec manifest: /batches/{i}/index: {batch['index']} is the index "
+                f"of /batches/{first} too"
+            )
+        for key in ("path", "stage"):
+            inside(out, batch[key], f"{path}: /batches/{i}/{key}")
     return manifest
 
 
@@ -78,18 +113,28 @@ def find_batches(out: Path, batches: Collection[int] | None = None) -> list[Batc
         if not out.is_file():
             raise StageError(f"{out}: no such file")
         return [Batch(0, out.stem, out, out.parent)]
+    manifest = read_manifest(out)
     found = {
-        int(entry["index"]): Batch(
-            int(entry["index"]), str(entry["path"]), out / entry["stage"], out / entry["path"]
+        entry["index"]: Batch(
+            entry["index"], entry["path"], out / entry["stage"], out / entry["path"]
         )
-        for entry in read_manifest(out)["batches"]
+        for entry in manifest["batches"]
     }
     missing = [index for index in batches or () if index not in found]
     if missing or not found:
         there = ", ".join(map(str, found)) or "none"
         wanted = f"batch {missing[0]}" if missing else "a batch"
-        raise StageError(f"{out}: does not hold {wanted}; it holds {there}")
+        why = [f" ({e['reason']})" for e in manifest.get("failed", ()) if e["index"] in missing]
+        raise StageError(f"{out}: does not hold {wanted}{next(iter(why), '')}; it holds {there}")
     return [found[index] for index in (found if batches is None else sorted(batches))]
+
+
+def gaps(manifest: dict[str, Any]) -> list[str]:
+    """A line about each batch that is not there since it could not be built."""
+    return [
+        f"{entry['path']} is not there: it could not be built: {entry['reason']}"
+        for entry in manifest.get("failed", ())
+    ]
 
 
 def stage_digest(manifest: dict[str, Any], batch: str) -> str:
@@ -102,12 +147,38 @@ def stage_digest(manifest: dict[str, Any], batch: str) -> str:
         manifest: As ``read_manifest`` returns it.
         batch: Folder name.
     """
+    return digest_of_files(_files_of(manifest, batch).items())
+
+
+def files_of_stage(stage: Path) -> dict[str, str] | None:
+    """What the manifest of the output around a stage says of the files that it is composed of.
+
+    Args:
+        stage: Root layer.
+
+    Returns:
+        Paths relative to the stage's folder -> sha256; None where no manifest lists the stage.
+    """
+    folder = Path(os.path.abspath(stage)).parent
+    try:
+        manifest = read_manifest(folder.parent)
+    except OutputError:
+        # Of no output, or beside a manifest of something else.
+        return None
+    name = f"{folder.name}/{stage.name}"
+    batch = next((b["path"] for b in manifest["batches"] if b["stage"] == name), None)
+    return None if batch is None else _files_of(manifest, str(batch))
+
+
+def _files_of(manifest: dict[str, Any], batch: str) -> dict[str, str]:
+    """Files of a batch's stage, relative to its folder, and their sha256."""
     begin = f"{batch}/"
-    return digest_of_files(
-        (path.removeprefix(begin), entry["sha256"])
+    inside = {
+        path.removeprefix(begin): str(entry["sha256"])
         for path, entry in manifest["files"].items()
-        if path.startswith(begin) and path.removeprefix(begin) not in (REPORT, LEFT_OUT)
-    )
+        if path.startswith(begin)
+    }
+    return {path: sha for path, sha in inside.items() if path not in (REPORT, LEFT_OUT)}
 
 
 def digest_of_files(files: Iterable[tuple[str, str]]) -> str:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +15,12 @@ from scenec.schemas.files import atomic
 SHOULDER = 0.6
 #: Numbers that are developed at once.
 _AT_ONCE = 1 << 22
+
+#: A pixel is black if no channel reaches the code ``BLACK``, and burnt out if none is below
+#: ``BURNT``. Pictures are, if more than these shares of all pixels that show surfaces are.
+BLACK, BURNT = 2, 254
+BLACK_SHARE, BURNT_SHARE = 0.999, 0.5
+_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
 #: What sidecars say about the pictures beside them.
 DESCRIPTION = (
@@ -56,6 +64,43 @@ def develop(radiance: NDArray[np.floating], exposure_ev: float = 0.0) -> NDArray
         shown = srgb_encode(tone_map(values[part], exposure_ev))
         pixels[part] = np.rint(255.0 * shown)
     return out
+
+
+def tally(
+    pixels: NDArray[np.uint8], radiance: NDArray[np.floating], surfaces: NDArray[np.bool_]
+) -> dict[str, Any]:
+    """How bright a picture shows surfaces; the sky may be as black as the Moon's.
+
+    Args:
+        pixels: The picture, [h, w, 3].
+        radiance: What it is of, [h, w, 3].
+        surfaces: Where it shows any, [h, w].
+
+    Returns:
+        JSON: ``surfaces``, how many pixels show any, how many of them are ``black`` and ``burnt``,
+        and the ``mean_luminance`` of these surfaces, W/(m^2 sr).
+    """
+    seen = pixels[surfaces]
+    luminance = radiance[surfaces].astype(np.float64) @ _LUMINANCE
+    return {
+        "surfaces": len(seen),
+        "black": int((seen < BLACK).all(axis=1).sum()),
+        "burnt": int((seen >= BURNT).all(axis=1).sum()),
+        "mean_luminance": float(luminance.mean()) if len(seen) else 0.0,
+    }
+
+
+def fault(tallies: Sequence[Mapping[str, Any]]) -> str | None:
+    """What is wrong with all pictures of a camera together: "black", "burnt out" or None.
+
+    Together, so that a sequence may begin in the dark and end in the sun.
+    """
+    surfaces, black, burnt = (
+        sum(one[key] for one in tallies) for key in ("surfaces", "black", "burnt")
+    )
+    if black > BLACK_SHARE * surfaces:
+        return "black"
+    return "burnt out" if burnt > BURNT_SHARE * surfaces else None
 
 
 def write_png(path: Path, pixels: NDArray[np.uint8] | NDArray[np.uint16]) -> None:

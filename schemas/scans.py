@@ -33,11 +33,24 @@ from numpy.typing import NDArray
 
 from scenec.schemas.errors import FrameError
 from scenec.schemas.files import atomic, sha256, write_json
+from scenec.schemas.shape import Each, natural, read_shaped
 
 #: In each batch's folder.
 SCANS = "scans"
 #: Version of the sidecar's shape.
 SCAN_VERSION = "1.0"
+
+_SIDECAR = {
+    "lidar?": str,
+    "sample?": natural,
+    "time_s?": (None, float),
+    "lidar_to_world?": [[float] * 4] * 4,
+    "labels?": Each(Each(str)),
+    "stage_digest?": str,
+    "resume_key?": str,
+    "npz": {"sha256": str, "bytes?": natural},
+    "ply?": bool,
+}
 
 CONVENTIONS = {
     "frame": "x ahead, y left, z up, meters; lidar_to_world: 4x4, row-major, column vectors",
@@ -87,7 +100,7 @@ def is_scanned(stem: Path, key: str, ply: bool = False) -> bool:
         size = stem.with_suffix(".npz").stat().st_size
         whole = bool(sidecar["resume_key"] == key and sidecar["npz"]["bytes"] == size)
         return whole and (not ply or stem.with_suffix(".ply").is_file())
-    except (OSError, ValueError, KeyError, TypeError):
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
         return False
 
 
@@ -132,14 +145,11 @@ def read_scan(path: Path) -> Scan:
     stem = path.with_suffix("") if path.suffix in (".npz", ".json", ".ply") else path
     json_path, npz_path = stem.with_suffix(".json"), stem.with_suffix(".npz")
     try:
-        sidecar = json.loads(json_path.read_bytes())
-        expected = sidecar["npz"]["sha256"]
+        sidecar = read_shaped(json_path, _SIDECAR, FrameError, "sidecar of a scan")
     except FileNotFoundError as error:
         raise FrameError(f"{json_path}: no such scan (the sidecar is missing)") from error
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise FrameError(f"{json_path}: not a sidecar of a scan: {error}") from error
     try:
-        if sha256(npz_path) != expected:
+        if sha256(npz_path) != sidecar["npz"]["sha256"]:
             raise FrameError(f"{npz_path}: damaged or changed since it was written; scan again")
         with np.load(npz_path) as stored:
             return Scan(json_path, {name: stored[name] for name in stored.files}, sidecar)

@@ -109,7 +109,7 @@ ATTR_HEIGHT_BLENDS = "scenec:layers:heightBlends"
 
 #: On the Sky prim. color3f, double, color3f, time-sampled: extinction per stage unit at z = 0, the
 #: height over which it falls to 1/e (not authored: it does not), and what endless haze shows
-#: (not authored: the sky at the horizon).
+#: (not authored: what it scatters of suns and sky).
 ATTR_HAZE_EXTINCTION = "scenec:haze:extinction"
 ATTR_HAZE_SCALE_HEIGHT = "scenec:haze:scaleHeight"
 ATTR_HAZE_AIRLIGHT = "scenec:haze:airlight"
@@ -145,6 +145,12 @@ ATTR_LIDAR_KEY = "scenec:lidar:noise:key"
 ATTR_DEPTH_MODEL = "scenec:depthCamera:model"
 ATTR_DEPTH_NUMBERS = "scenec:depthCamera:numbers"
 ATTR_DEPTH_KEY = "scenec:depthCamera:noise:key"
+
+#: On a camera. token: renderers find its exposure, one for the "batch" or each "sample", and what
+#: UsdGeomCamera's attributes of exposure say is for viewers; not authored: they are followed, and
+#: where none of them is authored either it is "batch".
+ATTR_EXPOSURE_PER = "scenec:exposure:per"
+EXPOSURES_PER = ("batch", "sample")
 
 #: On a camera whose picture is not of one instant. double, time-sampled: how long each row is
 #: exposed, seconds; double, 0 where not authored: how much later the last row's border is exposed

@@ -6,10 +6,14 @@ the way of. Who meets them says so: compiling, rendering, scanning, checks, expo
 
 from __future__ import annotations
 
+import json
+import re
 from bisect import bisect_left
 from collections.abc import Iterable, Iterator, Sequence
+from itertools import groupby
 from pathlib import Path
 
+from scenec.schemas.instances import BATCH_TABLE, table_digest
 from scenec.schemas.manifest import FRAMES
 from scenec.schemas.scans import SCANS
 
@@ -17,6 +21,10 @@ from scenec.schemas.scans import SCANS
 Firing = Sequence[Sequence[tuple[str, bool]]]
 #: A sidecar, and why it is none of the stage's.
 Stray = tuple[Path, str]
+#: Names of a frame's or a scan's files.
+_FILE = re.compile(
+    r"([0-9]{6,})\.(?:json|exr|(?:clean\.|raw\.)?png|instances\.csv|(?:amodal\.)?npz|ply)"
+)
 
 
 def strays(folder: Path, firing: Firing, backend: str | None = None) -> Iterator[Stray]:
@@ -59,6 +67,46 @@ def told(found: Sequence[Stray]) -> str:
         f"{path}: not of this stage: {why}{more}; nothing replaces it: delete it (scenec check "
         "names all)"
     )
+
+
+def rendered_files(folder: Path, digest: str | None = None) -> Iterator[Path]:
+    """Files of frames and scans that are not of a stage.
+
+    Args:
+        folder: The batch's folder.
+        digest: Of the stage, as sidecars have it; None: of no stage, so that all files count.
+
+    Yields:
+        What scenec wrote there, by its name; nothing else.
+    """
+    files = [path for path in _rendered(folder, "*") if _FILE.fullmatch(path.name)]
+    for stem, parts in groupby(files, lambda path: path.with_name(path.name.partition(".")[0])):
+        if digest is None or _digest(stem.with_suffix(".json")) != digest:
+            yield from parts
+    table = folder / FRAMES / BATCH_TABLE
+    if table.is_file() and (digest is None or table_digest(table) != digest):
+        yield table
+
+
+def count_rendered(folders: Iterable[Path]) -> tuple[int, int]:
+    """How many frames and scans there are in some batches' folders."""
+    found = [path for folder in folders for path in _rendered(folder, "*.json")]
+    scans = sum(path.parents[1].name == SCANS for path in found)
+    return len(found) - scans, scans
+
+
+def _rendered(folder: Path, name: str) -> list[Path]:
+    return [
+        *sorted((folder / FRAMES).glob(f"*/*/{name}")),
+        *sorted((folder / SCANS).glob(f"*/{name}")),
+    ]
+
+
+def _digest(sidecar: Path) -> str | None:
+    try:
+        return str(json.loads(sidecar.read_bytes())["stage_digest"])
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        return None
 
 
 def _batch(sidecar: Path) -> str:

@@ -4,15 +4,20 @@ numba's own ``parallel=True`` would do this, too, but makes of a kernel's loop a
 after an analysis that takes longer than all the rest (1.3 instead of 0.5 CPU seconds for a short
 loop), and its OpenMP threads stay awake for 200 ms after each loop. A kernel that is told where to
 begin and to end, and gives up the interpreter's lock (``nogil=True``), needs neither.
+
+Nothing here makes numba load a threading layer. It would take the system's TBB where there is one,
+and the libraries of Blender, which have a newer one of their own, would bind to that and not load.
+``numba.get_num_threads`` is enough to load it.
 """
 
 from __future__ import annotations
 
 import os
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor, wait
-from contextlib import suppress
+from contextlib import contextmanager, suppress
+from contextvars import ContextVar
 from functools import cache
 from typing import Any
 
@@ -23,6 +28,17 @@ _SHARES = 4
 #: How many points are worth a thread, where each takes a part of a microsecond: to wake one takes
 #: some 50 microseconds.
 POINTS = 512
+_most = ContextVar("_most", default=numba.config.NUMBA_NUM_THREADS)
+
+
+@contextmanager
+def at_most(threads: int) -> Iterator[None]:
+    """Kernels that are called in here, by this thread, work on so many threads or fewer."""
+    before = _most.set(min(threads, numba.config.NUMBA_NUM_THREADS))
+    try:
+        yield
+    finally:
+        _most.reset(before)
 
 
 @cache
@@ -34,7 +50,7 @@ def _pool(process: int) -> ThreadPoolExecutor:
 def over_threads(kernel: Callable[..., None], count: int, *arguments: Any, least: int = 1) -> None:
     """Calls ``kernel(first, last, *arguments)`` for ranges that are ``range(count)`` together.
 
-    As many threads work as numba is told to use (NUMBA_NUM_THREADS, ``numba.set_num_threads``).
+    As many threads work as NUMBA_NUM_THREADS says (all cores without it), or ``at_most``.
     Which of them does what, and where a range ends, differs from run to run: a kernel must write
     for each number what depends on that number alone. What one of them raises ends the others
     after the range that they are at, and is raised when none works any more.
@@ -45,7 +61,7 @@ def over_threads(kernel: Callable[..., None], count: int, *arguments: Any, least
         arguments: Of the kernel, after the range.
         least: How many numbers are worth a thread.
     """
-    threads = min(numba.get_num_threads(), -(-count // least))
+    threads = min(_most.get(), -(-count // least))
     if threads < 2:
         kernel(0, count, *arguments)
         return

@@ -5,11 +5,10 @@ from __future__ import annotations
 import os
 import sys
 
+from hypothesis import HealthCheck, settings
+
 # No test reads or fills the user's cache; those of the cache name a folder of their own.
 os.environ["SCENEC_CACHE"] = ""
-# Threads of kernels sleep while they wait for one another: where several test processes share few
-# cores, those that spin (the default) keep busy the core that the other thread needs.
-os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 # That bytes depend on no number of threads is seen where there is more than one.
 if os.process_cpu_count() == 1:
     os.environ.setdefault("NUMBA_NUM_THREADS", "2")
@@ -18,5 +17,9 @@ if os.process_cpu_count() == 1:
 # that tests start compiles the library's source.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
+
+# No test fails for a slow moment, of which a shared machine has many.
+settings.register_profile("patient", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("patient")
 
 pytest_plugins = ["workers_here"]

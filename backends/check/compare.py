@@ -93,6 +93,7 @@ class CompareOptions:
         samples: Only these time codes; None takes all.
         floor: Whether to render the first backend again with another noise seed.
         pictures: Folder for pictures of where they differ; None makes none.
+        allow_missing: Whether to compare frames of a stage that is not whole.
         most_pictures: For each pair with ``rgb``.
     """
 
@@ -102,6 +103,7 @@ class CompareOptions:
     floor: bool = False
     pictures: Path | None = None
     most_pictures: int = 8
+    allow_missing: bool = False
 
 
 def compare(
@@ -141,7 +143,7 @@ def compare(
     )
 
 
-def check_exact(out: Path, say: Say = lambda _text: None) -> Agreement:
+def check_exact(out: Path, say: Say = lambda _text: None, allow_missing: bool = False) -> Agreement:
     """Casts every pixel of all frames there are through the exact ray caster.
 
     The caster defines annotation: what differs on disk is damaged, or of another version.
@@ -149,6 +151,7 @@ def check_exact(out: Path, say: Say = lambda _text: None) -> Agreement:
     Args:
         out: Output folder, or a USD file.
         say: Told what is cast.
+        allow_missing: Whether to take a stage that is not whole.
 
     Raises:
         ScenecError: A stage or frame cannot be read.
@@ -156,7 +159,7 @@ def check_exact(out: Path, say: Say = lambda _text: None) -> Agreement:
     comparisons: dict[tuple[str, str], Comparison] = {}
     count = 0
     for batch in find_batches(out):
-        scene = read_stage(batch.stage)
+        scene = read_stage(batch.stage, allow_missing=allow_missing)
         caster, definition = ExactCaster(scene), Definition(scene)
         backends = sorted(path.name for path in (batch.folder / FRAMES).glob("*") if path.is_dir())
         if backends:
@@ -221,7 +224,7 @@ class _Run:
     frames: int = 0
 
     def batch(self, batch: Batch, aside: Path) -> None:
-        scene = read_stage(batch.stage)
+        scene = read_stage(batch.stage, allow_missing=self.options.allow_missing)
         places = self._places(scene)
         self._witness(batch, scene, places, aside)
         if not any("rgb" in self._wanted(camera) for _, _, camera in places):
@@ -247,7 +250,8 @@ class _Run:
             found = self.witnesses.setdefault(name, Witness())
             self.say(f"asking {name} what it sees of {len(places)} frames of {batch.name}")
             with WorkerProcess() as worker:
-                Jobs(batch, Wanted(name, passes=("rgb",))).open(worker)
+                wanted = Wanted(name, passes=("rgb",), allow_missing=self.options.allow_missing)
+                Jobs(batch, wanted).open(worker)
                 for sample, index, camera in places:
                     request = {
                         "op": "witness", "file": str(file), "camera": index, "sample": sample
@@ -344,7 +348,7 @@ class _Run:
         # The stage itself, so that the folder is the one we say.
         report = render(
             batch.stage, backend, passes=passes, samples=samples, folder=folder,
-            spp=self.options.spp, noise_seed=noise_seed,
+            spp=self.options.spp, noise_seed=noise_seed, allow_missing=self.options.allow_missing,
         )  # fmt: skip
         if report.failed:
             raise BackendError(report.failed[0])

@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from scenec.backends.check.finding import Finding
-from scenec.schemas.files import sha256, tree
-from scenec.schemas.manifest import FRAMES, MANIFEST, TIMINGS
+from scenec.schemas.errors import OutputError
+from scenec.schemas.files import inside, sha256, tree
+from scenec.schemas.manifest import FRAMES, MANIFEST, TIMINGS, gaps
 from scenec.schemas.scans import SCANS
 
 _NOT_IN_MANIFEST = (TIMINGS, MANIFEST)
@@ -17,11 +18,17 @@ _NOT_IN_MANIFEST = (TIMINGS, MANIFEST)
 def check_files(out: Path, manifest: dict[str, Any]) -> Iterator[Finding]:
     """Every file of the manifest is there with its bytes; what is not in it is named."""
     for name, entry in manifest["files"].items():
-        path = out / name
+        try:
+            path = inside(out, name)
+        except OutputError as error:
+            yield Finding("files", "error", name, str(error))
+            continue
         if not path.is_file():
             yield Finding("files", "error", name, "is in the manifest but not on disk")
         elif sha256(path) != entry["sha256"]:
             yield Finding("files", "error", name, "its bytes are not those of the manifest")
+    for line in gaps(manifest):
+        yield Finding("files", "warning", "manifest", line)
     batches = {batch["path"] for batch in manifest["batches"]}
     for path in tree(out):
         name = path.as_posix()

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from scenec.backends.brightness import brief, told
 from scenec.backends.check.finding import Finding
 from scenec.backends.check.instances import check_batch_table, table_faults
 from scenec.schemas.errors import FrameError
@@ -34,6 +35,7 @@ def check_frames(
     for exr in sorted(frames.glob("*/*/*.exr")):
         if not exr.with_suffix(".json").is_file():
             yield Finding("frames", "error", _name(exr, folder), "has no sidecar: cut short?")
+    pictures: dict[Path, list[dict[str, Any]]] = {}
     for path in sorted(frames.glob("*/*/*.json")):
         where = _name(path, folder)
         if path in astray:
@@ -48,11 +50,16 @@ def check_frames(
         except FrameError as error:
             yield Finding("frames", "error", where, str(error))
             continue
+        pictures.setdefault(path.parent, []).append(brief(frame.sidecar))
         if digest is not None and frame.sidecar.get("stage_digest") != digest:
             message = "was rendered from another stage; render again"
             yield Finding("frames", "warning", where, message)
         for message in (*inconsistencies(frame), *table_faults(frame)):
             yield Finding("frames", "error", where, message)
+    for camera, sidecars in pictures.items():
+        line = told(sidecars)
+        if line is not None:
+            yield Finding("brightness", "warning", _name(camera, folder), line)
 
 
 def _name(path: Path, folder: Path) -> str:

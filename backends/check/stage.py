@@ -14,13 +14,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pxr import Tf, Usd, UsdGeom, UsdLux, UsdRender, UsdShade, UsdValidation
+from pxr import Tf, Usd, UsdGeom, UsdRender, UsdShade, UsdValidation
 
 from scenec.backends.check.finding import Finding
 from scenec.backends.check.sky import check_sky
+from scenec.backends.reader import values as reading
 from scenec.backends.reader.cameras import intrinsics_from_apertures
 from scenec.backends.reader.labels import LabelTable, read_table
-from scenec.backends.reader.lights import KINDS
+from scenec.backends.reader.sources import Sources
 from scenec.schemas import materialx
 from scenec.schemas import stage as names
 from scenec.schemas.errors import StageError
@@ -43,6 +44,9 @@ _SURFACE_RANGES = {
     names.ATTR_MEAN_SLOPE: (0.0, 90.0),
 }
 
+#: Errors of UsdValidation about a stage that is not whole.
+NOT_WHOLE = ("CompositionError", "UnresolvableDependency")
+
 Rule = Callable[[Usd.Prim, LabelTable], Iterator[str]]
 
 
@@ -50,9 +54,10 @@ def check_stage(path: Path) -> list[Finding]:
     """All findings on one stage, none twice."""
     where = path.name
     try:
-        stage = Usd.Stage.Open(str(path))
-    except Tf.ErrorException as error:
-        return [Finding("opens", "error", where, f"USD cannot open it: {error}")]
+        # What of it is missing is the reader's to say, and the manifest's.
+        stage = Sources(path, allow_missing=True).open()
+    except StageError as error:
+        return [Finding("opens", "error", where, str(error))]
     findings = [
         Finding(check, "error", where, message)
         for check, message in [
@@ -70,13 +75,20 @@ def check_stage(path: Path) -> list[Finding]:
             if prim.IsA(kind):
                 findings.extend(
                     Finding(name, "error", str(prim.GetPath()), message)
-                    for message in rule(prim, table)
+                    for message in _told(rule(prim, table))
                 )
     findings.extend(check_sky(stage, table))
-    findings.extend(_id_ranges(stage))
-    findings.extend(_lights(stage))
+    findings.extend(_instance_ids(stage))
     findings.extend(_usd_validation(stage))
     return findings
+
+
+def _told(messages: Iterator[str]) -> Iterator[str]:
+    """A rule's messages; a value that is none it can judge is one, too."""
+    try:
+        yield from messages
+    except StageError as error:
+        yield str(error)
 
 
 def _layout(stage: Usd.Stage) -> Iterator[str]:
@@ -120,7 +132,7 @@ def _assets(stage: Usd.Stage, path: Path) -> Iterator[str]:
 def _mesh_topology(prim: Usd.Prim, table: LabelTable) -> Iterator[str]:
     """Finite points; counts and indices that fit them."""
     mesh = UsdGeom.Mesh(prim)
-    points = _numbers(mesh.GetPointsAttr()).reshape(-1, 3)
+    points = _numbers(mesh.GetPointsAttr(), 3)
     counts = _numbers(mesh.GetFaceVertexCountsAttr())
     indices = _numbers(mesh.GetFaceVertexIndicesAttr())
     if not np.isfinite(points).all():
@@ -139,12 +151,12 @@ def _mesh_topology(prim: Usd.Prim, table: LabelTable) -> Iterator[str]:
 def _mesh_labels(prim: Usd.Prim, table: LabelTable) -> Iterator[str]:
     """Label primvars have one value a face, and each value is in the table."""
     api = UsdGeom.PrimvarsAPI(prim)
-    faces = len(UsdGeom.Mesh(prim).GetFaceVertexCountsAttr().Get() or ())
+    faces = len(_numbers(UsdGeom.Mesh(prim).GetFaceVertexCountsAttr()))
     for level, ids in table.ids.items():
         primvar = api.FindPrimvarWithInheritance(names.label_primvar(level))
         if not primvar or not primvar.HasValue():
             continue
-        values = np.ravel(np.array(primvar.ComputeFlattened()))
+        values = reading.flattened(primvar, np.int64, reading.DEFAULT)
         expected = 1 if primvar.GetInterpolation() == UsdGeom.Tokens.constant else faces
         if values.size != expected:
             yield f"primvar {primvar.GetPrimvarName()} has {values.size} values for {faces} faces"
@@ -155,7 +167,7 @@ def _mesh_labels(prim: Usd.Prim, table: LabelTable) -> Iterator[str]:
 
 def _vertex_primvars(prim: Usd.Prim, table: LabelTable) -> Iterator[str]:
     """Scenec's vertex primvars have one finite value a point; there is a weight for each merge."""
-    count = len(UsdGeom.Mesh(prim).GetPointsAttr().Get() or ())
+    count = len(_numbers(UsdGeom.Mesh(prim).GetPointsAttr(), 3))
     wanted = [names.weight_primvar(i) for i in range(1, len(_targets(prim, names.REL_LAYERS)))]
     api = UsdGeom.PrimvarsAPI(prim)
     if api.HasPrimvar(names.PRIMVAR_VARIATION):
@@ -175,7 +187,7 @@ def _instancer_arrays(prim: Usd.Prim, table: LabelTable) -> Iterator[str]:
     """Arrays of one length, finite; indices that name a prototype; turns that are rotations."""
     instancer = UsdGeom.PointInstancer(prim)
     indices = _numbers(instancer.GetProtoIndicesAttr())
-    targets = instancer.GetPrototypesRel().GetForwardedTargets()
+    targets = reading.targets(prim, "prototypes")
     if indices.size and (indices.min() < 0 or indices.max() >= len(targets)):
         yield (
             f"protoIndices go from {int(indices.min())} to {int(indices.max())}, there are "
@@ -192,7 +204,7 @@ def _instancer_arrays(prim: Usd.Prim, table: LabelTable) -> Iterator[str]:
         "velocities": (instancer.GetVelocitiesAttr(), 3),
     }
     for name, (attribute, width) in arrays.items():
-        values = _numbers(attribute).reshape(-1, width)
+        values = _numbers(attribute, width)
         if (attribute.HasAuthoredValue() or name == "positions") and len(values) != indices.size:
             yield f"{indices.size} protoIndices, but {len(values)} {name}"
         if not np.isfinite(values).all():
@@ -202,10 +214,10 @@ def _instancer_arrays(prim: Usd.Prim, table: LabelTable) -> Iterator[str]:
     api = UsdGeom.PrimvarsAPI(prim)
     for primvar in api.GetPrimvarsWithAuthoredValues():
         if primvar.GetInterpolation() == UsdGeom.Tokens.vertex:
-            values = np.array(primvar.ComputeFlattened())
-            if len(values) != indices.size:
+            values = primvar.ComputeFlattened()
+            if values is None or len(values) != indices.size:
                 yield (
-                    f"primvar {primvar.GetPrimvarName()} has {len(values)} values for "
+                    f"primvar {primvar.GetPrimvarName()} has {len(values or ())} values for "
                     f"{indices.size} instances"
                 )
 
@@ -213,10 +225,10 @@ def _instancer_arrays(prim: Usd.Prim, table: LabelTable) -> Iterator[str]:
 def _instancer_ids(prim: Usd.Prim, table: LabelTable) -> Iterator[str]:
     """Ids are there, one an instance, none twice, none below 1."""
     instancer = UsdGeom.PointInstancer(prim)
-    ids = np.array(instancer.GetIdsAttr().Get(Usd.TimeCode.EarliestTime()) or (), np.int64)
-    count = len(instancer.GetProtoIndicesAttr().Get() or ())
+    ids = reading.array(instancer.GetIdsAttr(), np.int64, Usd.TimeCode.EarliestTime())
+    count = len(_numbers(instancer.GetProtoIndicesAttr()))
     if not ids.size:
-        enabled = prim.GetAttribute(names.ATTR_INSTANCE_IDS_ENABLED).Get() is not False
+        enabled = reading.flag(prim.GetAttribute(names.ATTR_INSTANCE_IDS_ENABLED), True)
         if count and enabled and prim.HasAttribute(names.ATTR_INSTANCE_ID_BASE):
             yield "has no ids"
         return
@@ -232,20 +244,16 @@ def _instancer_ids(prim: Usd.Prim, table: LabelTable) -> Iterator[str]:
 def _camera(prim: Usd.Prim, table: LabelTable) -> Iterator[str]:
     """K from focal length and apertures agrees with the authoritative one."""
     attribute = prim.GetAttribute(names.ATTR_INTRINSICS)
-    near, far = UsdGeom.Camera(prim).GetClippingRangeAttr().Get()
+    near, far = reading.vector(UsdGeom.Camera(prim).GetClippingRangeAttr(), 2) or (1.0, 1e6)
     if not 0.0 < near < far:
         yield f"clippingRange ({near:g}, {far:g}) is not 0 < near < far"
     if not attribute or not attribute.HasValue():
         return
-    exact = np.array(attribute.Get(), np.float64)
-    if exact.shape != (9,) or not np.isfinite(exact).all():
-        yield f"{names.ATTR_INTRINSICS} must hold 9 finite numbers"
-        return
-    size = _resolution_of(prim)
-    if size is None:
+    stated, size = reading.vector(attribute, 9), _resolution_of(prim)
+    if stated is None or size is None:
         return
     derived = intrinsics_from_apertures(prim, size, Usd.TimeCode.EarliestTime())
-    exact = exact.reshape(3, 3)
+    exact = np.array(stated).reshape(3, 3)
     # Skew has no place in a UsdGeomCamera.
     error = np.abs(derived - exact)[[0, 1, 0, 1], [0, 1, 2, 2]].max()
     if not error <= INTRINSICS_TOLERANCE_PX:
@@ -258,11 +266,8 @@ def _surface(prim: Usd.Prim, table: LabelTable) -> Iterator[str]:
     """The numbers of our surface model are finite and in their ranges."""
     for name, (low, high) in _SURFACE_RANGES.items():
         attribute = prim.GetAttribute(name)
-        try:
-            values = _numbers(attribute).ravel()
-        except (TypeError, ValueError):
-            yield f"{name} is of type {attribute.GetTypeName()}, expected numbers"
-            continue
+        count = 3 if name == names.ATTR_BASE_COLOR else 1
+        values = np.array(_some(attribute, count))
         if not np.isfinite(values).all() or (values < low).any() or (values > high).any():
             told = ", ".join(f"{value:g}" for value in values)
             yield f"{name} is {told}, expected {low:g} to {high:g}"
@@ -272,9 +277,9 @@ def _resolution_of(camera: Usd.Prim) -> tuple[int, int] | None:
     for prim in camera.GetStage().Traverse():
         if prim.IsA(UsdRender.Product):
             product = UsdRender.Product(prim)
-            if camera.GetPath() in product.GetCameraRel().GetForwardedTargets():
-                width, height = product.GetResolutionAttr().Get()
-                return int(width), int(height)
+            if camera.GetPath() in reading.targets(prim, "camera"):
+                size = reading.vector(product.GetResolutionAttr(), 2)
+                return None if size is None else (int(size[0]), int(size[1]))
     return None
 
 
@@ -313,21 +318,11 @@ _RULES: tuple[tuple[str, Any, Rule], ...] = (
 )
 
 
-def _lights(stage: Usd.Stage) -> Iterator[Finding]:
-    """Lights, and what shapes them, that no backend draws."""
-    for prim in Usd.PrimRange(stage.GetPseudoRoot(), Usd.TraverseInstanceProxies()):
-        kind = str(prim.GetTypeName())
-        if not prim.HasAPI(UsdLux.LightAPI):
-            continue
-        if kind not in KINDS:
-            message = f"a {kind or 'light'} is not drawn; {', '.join(KINDS)} are"
-            yield Finding("lights", "warning", str(prim.GetPath()), message)
-        elif kind == "SphereLight" and prim.HasAPI(UsdLux.ShapingAPI):
-            shaping = UsdLux.ShapingAPI(prim)
-            for attribute in (shaping.GetShapingFocusAttr(), shaping.GetShapingIesFileAttr()):
-                if attribute.HasAuthoredValue() and attribute.Get():
-                    message = f"{attribute.GetName()} is not heeded; cone angle and softness are"
-                    yield Finding("lights", "warning", str(prim.GetPath()), message)
+def _instance_ids(stage: Usd.Stage) -> Iterator[Finding]:
+    try:
+        yield from _id_ranges(stage)
+    except StageError as error:
+        yield Finding("instance-ids", "error", "stage", str(error))
 
 
 def _id_ranges(stage: Usd.Stage) -> Iterator[Finding]:
@@ -342,7 +337,8 @@ def _id_ranges(stage: Usd.Stage) -> Iterator[Finding]:
                 ids = _local_ids(prim)
                 yield from _repeated_ids(prim, ids)
             if ids.size:
-                first, last = int(base.Get() + ids.min()), int(base.Get() + ids.max())
+                start = reading.whole(base, 0)
+                first, last = int(start + ids.min()), int(start + ids.max())
                 ranges.append((first, last, str(prim.GetPath())))
     ranges.sort()
     for (_, end, path), (start, _, other) in pairwise(ranges):
@@ -354,7 +350,7 @@ def _id_ranges(stage: Usd.Stage) -> Iterator[Finding]:
 def _local_ids(prim: Usd.Prim) -> np.ndarray:
     """Local ids of the single objects below a class's prim."""
     attributes = [p.GetAttribute(names.ATTR_LOCAL_INSTANCE_ID) for p in Usd.PrimRange(prim)]
-    found = [int(a.Get() or 0) for a in attributes if a and a.HasAuthoredValue()]
+    found = [reading.whole(a, 0) for a in attributes if a and a.HasAuthoredValue()]
     return np.array(found, np.int64)
 
 
@@ -372,7 +368,11 @@ def _repeated_ids(prim: Usd.Prim, ids: np.ndarray) -> Iterator[Finding]:
 def _usd_validation(stage: Usd.Stage) -> Iterator[Finding]:
     registry = UsdValidation.ValidationRegistry()
     context = UsdValidation.ValidationContext(registry.GetOrLoadAllValidators())
-    for error in context.Validate(stage):
+    with Tf.DiagnosticTrap() as trap:
+        # What it finds it returns, and prints besides.
+        found = context.Validate(stage)
+        trap.Clear()
+    for error in found:
         prims = [
             site.GetProperty().GetPrim() if site.IsProperty() else site.GetPrim()
             for site in error.GetSites()
@@ -403,17 +403,27 @@ def _is_our_materialx(prim: Usd.Prim) -> bool:
 
 
 def _targets(prim: Usd.Prim, name: str) -> list[Any]:
-    relationship = prim.GetRelationship(name)
-    return list(relationship.GetTargets()) if relationship else []
+    return list(reading.targets(prim, name))
 
 
 def _primvar(api: UsdGeom.PrimvarsAPI, name: str) -> np.ndarray:
     primvar = api.GetPrimvar(name)
-    values = primvar.ComputeFlattened() if primvar and primvar.HasValue() else None
-    return np.array(values if values is not None else (), np.float64)
+    if not primvar or not primvar.HasValue():
+        return np.zeros(0)
+    return reading.flattened(primvar, np.float64, reading.DEFAULT)
 
 
-def _numbers(attribute: Usd.Attribute) -> np.ndarray:
+def _numbers(attribute: Usd.Attribute, width: int | None = None) -> np.ndarray:
     """An array attribute at the first time, as float64; empty where it is not authored."""
-    value = attribute.Get(Usd.TimeCode.EarliestTime())
-    return np.array(value if value is not None else (), np.float64)
+    shape = () if width is None else (width,)
+    first = Usd.TimeCode.EarliestTime()
+    return reading.array(attribute, np.float64, first, width=shape, finite=False)
+
+
+def _some(attribute: Usd.Attribute, count: int) -> tuple[float, ...]:
+    """A number, or a vector of some; () where it is not authored."""
+    if reading.value_of(attribute) is None:
+        return ()
+    if count == 1:
+        return (reading.number(attribute, 0.0, finite=False),)
+    return reading.vector(attribute, count, finite=False) or ()

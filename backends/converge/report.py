@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from scenec.backends.check.radiance import flip, write_differences
 from scenec.backends.converge.ladder import Climbed
 from scenec.backends.converge.measure import Row, Seen
+from scenec.schemas.csv_cells import guarded_line
 from scenec.schemas.files import atomic, write_json
 from scenec.schemas.frames import Frame
 
@@ -36,9 +37,9 @@ def write(folder: Path, found: ConvergeReport) -> None:
     table = folder / CSV
     with atomic(table) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
         names = [field.name for field in fields(Row)]
-        writer = csv.DictWriter(file, names, lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(asdict(row) for row in found.rows)
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(names)
+        writer.writerows(guarded_line(asdict(row).values()) for row in found.rows)
     found.files.append(table)
     try:
         from scenec.backends.converge import plots

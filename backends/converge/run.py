@@ -18,6 +18,7 @@ from scenec.backends.converge.measure import Row
 from scenec.backends.converge.metrics import FORMULAS, root
 from scenec.backends.registry import ANNOTATION_NAMES, require_name
 from scenec.schemas.errors import BackendError
+from scenec.schemas.files import check_writable
 from scenec.schemas.manifest import find_batches
 
 #: In the output folder.
@@ -146,6 +147,7 @@ def converge(
     folder = (out if out.is_dir() else out.parent) / FOLDER
     found = ConvergeReport()
     floors: dict[tuple[str, str], list[dict[str, Any]]] = defaultdict(list)
+    check_writable(folder)
     for batch in find_batches(out, batches):
         aside = folder / "pictures" / batch.name
         climbed = [climb(batch, name, ladder, aside, say) for name in names]

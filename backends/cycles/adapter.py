@@ -13,6 +13,7 @@ from scenec.backends.cycles import blender, render
 from scenec.backends.cycles.built import PASSES, Built
 from scenec.backends.cycles.camera import Lens, find_lens, place
 from scenec.backends.cycles.planetary import has_laws
+from scenec.backends.memory import LoadCost
 from scenec.backends.render_scene import Camera, RenderScene
 from scenec.schemas.errors import BackendError, CameraRefusedError
 
@@ -39,6 +40,7 @@ class Cycles:
     name = "cycles"
     devices = ("cpu", "cuda", "optix")
     denoiser = "OpenImageDenoise"
+    load_cost = LoadCost(row=900.0, triangle=300.0)
     follows_lenses = False
 
     def __init__(self, bounces: int = BOUNCES, device: str = "auto") -> None:

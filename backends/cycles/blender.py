@@ -34,9 +34,14 @@ def load_bpy() -> Any:
         try:
             bpy = importlib.import_module("bpy")
         except ImportError as error:
-            raise BackendError(
-                f"Blender cannot be imported ({error}). Mend it with: pip install 'scenec[cycles]'"
-            ) from error
+            other = _tbb_of_others()
+            mend = (
+                f"this process has loaded {other}, and Blender's libraries have a newer TBB of "
+                "their own: load Blender before OpenCV, numba's parallel=True or whatever took it"
+                if other
+                else "mend it with: pip install 'scenec[cycles]'"
+            )
+            raise BackendError(f"Blender cannot be imported ({error}); {mend}") from error
         bpy.ops.wm.read_factory_settings(use_empty=True)
     # Blender makes a folder for its session, and removes it only where the process ends in good
     # order, which workers do not. Nothing here uses it, and it comes back when it is needed.
@@ -49,6 +54,16 @@ def load_bpy() -> Any:
     preferences.view.show_developer_ui = True
     preferences.experimental.use_cycles_debug = True
     return bpy
+
+
+def _tbb_of_others() -> str | None:
+    """The file of a TBB in this process that is not Blender's; None where that is not known."""
+    try:
+        lines = Path("/proc/self/maps").read_text(encoding="utf-8", errors="replace").splitlines()
+    except OSError:
+        return None
+    files = {line.split(maxsplit=5)[-1] for line in lines if "/libtbb.so" in line}
+    return next((name for name in sorted(files) if "/bpy/" not in name), None)
 
 
 def choose_device(bpy: Any, device: str, works: Callable[[str], bool]) -> str:

@@ -11,13 +11,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from scenec.backends.maps import face_tangents
 from scenec.backends.posing import moving
 from scenec.backends.render_scene import Mesh, RenderScene
 from scenec.schemas.errors import BackendError
+from scenec.schemas.threads import over_threads
 
 #: Names of the attributes that shaders read.
 ROW, FACE, VARIATION = "scenec_row", "scenec_face", "scenec_variation"
@@ -183,7 +184,7 @@ def _make_mesh(bpy: Any, name: str, mesh: Mesh, scale: float) -> Any:
     )
     corners = np.array(mesh.faces, np.int32)
     if mesh.normals is not None:
-        _turn(corners, mesh.points, mesh.normals)
+        over_threads(_turn, faces, corners, mesh.points, mesh.normals)
     made.attributes[".corner_vert"].data.foreach_set("value", corners.ravel())
     made.polygons.foreach_set("loop_start", np.arange(0, 3 * faces, 3, dtype=np.int32))
     index = np.arange(faces, dtype=np.int64)
@@ -207,13 +208,13 @@ def _make_mesh(bpy: Any, name: str, mesh: Mesh, scale: float) -> Any:
     return made
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
-def _turn(faces, points, normals):  # type: ignore[no-untyped-def]
+@njit(cache=True, error_model="numpy", nogil=True)
+def _turn(first, last, faces, points, normals):  # type: ignore[no-untyped-def]
     """Wind faces as their shading normals point, in place; their order stays.
 
     Cycles turns normals to the viewer by the winding, and chooses lights by the result.
     """
-    for f in prange(len(faces)):
+    for f in range(first, last):
         a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
         along = 0.0
         for i in range(3):

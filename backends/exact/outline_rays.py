@@ -10,14 +10,14 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from scenec.backends.contract import Rays
 from scenec.backends.exact.build import STACK_SIZE
 from scenec.backends.exact.bvh import Geometry
 from scenec.backends.exact.cones import _SLACK, _TILE, _cone, _unit, eye_of
-from scenec.backends.exact.silhouette import _LANES, _meets
+from scenec.backends.exact.silhouette import LANES, _meets
 from scenec.schemas.threads import over_threads
 
 
@@ -34,14 +34,19 @@ def _sphere_cone(sphere, origin, out):  # type: ignore[no-untyped-def]
     return math.asin(sphere[3] / distance * (1.0 + 1e-9)) + 1e-9
 
 
-@njit(cache=True, error_model="numpy", parallel=True, nogil=True)
-def _windows(spheres, rows, origin, unit, width, height, parts):  # type: ignore[no-untyped-def]
-    across, down = -(-width // _TILE), -(-height // _TILE)
-    tiles = np.empty((across * down, 5))
-    for n in prange(across * down):
+@njit(cache=True, error_model="numpy", nogil=True)
+def _tiles(first, last, unit, width, height, tiles):  # type: ignore[no-untyped-def]
+    """Cones around the rays of tiles of the picture, [n, 5]."""
+    across = -(-width // _TILE)
+    for n in range(first, last):
         x0, y0 = n % across * _TILE, n // across * _TILE
         _cone(unit, width, x0, min(x0 + _TILE, width), y0, min(y0 + _TILE, height), tiles[n])
-    for k in prange(rows.shape[0]):
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _windows(first, last, spheres, rows, origin, tiles, width, height, parts):  # type: ignore[no-untyped-def]
+    across = -(-width // _TILE)
+    for k in range(first, last):
         parts[k] = 0
         sphere = spheres[rows[k]]
         if sphere[3] < 0.0:
@@ -49,7 +54,7 @@ def _windows(spheres, rows, origin, unit, width, height, parts):  # type: ignore
         axis = np.empty(3)
         own = _sphere_cone(sphere, origin, axis)
         left, right, top, bottom = width, 0, height, 0
-        for n in range(across * down):
+        for n in range(tiles.shape[0]):
             tile = tiles[n]
             reach = own + tile[3] + tile[4]
             cosine = axis[0] * tile[0] + axis[1] * tile[1] + axis[2] * tile[2]
@@ -76,9 +81,12 @@ def frame_rows(geometry: Geometry, rows: NDArray[np.int64], rays: Rays) -> NDArr
     height, width = rays.shape
     unit = np.empty_like(rays.directions)
     over_threads(_unit, rays.directions.shape[0], rays.directions, unit)
+    tiles = np.empty((-(-width // _TILE) * -(-height // _TILE), 5))
+    over_threads(_tiles, len(tiles), unit, width, height, tiles)
     parts = np.zeros((len(rows), 4), np.int64)
     origin, spread = eye_of(rays)
-    _windows(_widened(geometry, spread), rows, origin, unit, width, height, parts)
+    spheres = _widened(geometry, spread)
+    over_threads(_windows, len(rows), spheres, rows, origin, tiles, width, height, parts)
     return parts
 
 
@@ -129,7 +137,7 @@ def _outline_part(  # type: ignore[no-untyped-def]
     for lane in range(first, last):
         stack = np.empty(2 * STACK_SIZE, np.int32)
         axis = np.empty(3)
-        for at in range(lane, order.shape[0], _LANES):
+        for at in range(lane, order.shape[0], LANES):
             n = order[at]
             window = windows[n]
             across = window[1] - window[0]
@@ -167,7 +175,7 @@ def _outline(  # type: ignore[no-untyped-def]
 ):  # fmt: skip
     over_threads(
         _outline_part,
-        min(_LANES, order.shape[0]),
+        min(LANES, order.shape[0]),
         g,
         spheres,
         rows,

@@ -19,7 +19,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from scenec.backends.exact.build import STACK_SIZE
 from scenec.backends.exact.intersect import hit_parameter, ray_frame, row_matrix
@@ -37,7 +37,7 @@ _FLAT = 1e-250
 #: Padding of boxes beyond this is that of rows whose tree holds nothing back (``moving``).
 _WITHOUT_END = 1e100
 #: Instances are dealt out to so many lanes, whatever the number of threads.
-_LANES = 64
+LANES = 64
 
 
 @njit(cache=True, error_model="numpy")
@@ -404,14 +404,16 @@ def _outline(g, rows, parts, bases, window, ray_cost, k, pose, inverse, mask):  
             _fill_rows(g, row, part, k, pose, inverse, origin, bases[n], mask, window[0], window[2])
 
 
-@njit(cache=True, error_model="numpy", parallel=True, nogil=True)
+@njit(cache=True, error_model="numpy", nogil=True)
 def outline_all(  # type: ignore[no-untyped-def]
-    g, rows, parts, bases, firsts, order, windows, starts, ray_cost, k, pose, inverse, width,
-    height, marks, areas
+    first, last, g, rows, parts, bases, firsts, order, windows, starts, ray_cost, k, pose, inverse,
+    width, height, marks, areas
 ):  # fmt: skip
     """Mark the silhouettes of instances in their windows, and count their pixels.
 
     Args:
+        first: Of ``LANES``; lane i has every ``LANES``-th instance from the i-th on.
+        last: The first that is not one of them.
         g: ``bvh.Geometry``.
         rows: Rows of all instances, int64 [r].
         parts: Their windows, int64 [r, 4] (``frame_rows``).
@@ -430,8 +432,8 @@ def outline_all(  # type: ignore[no-untyped-def]
         areas: Receives pixels within the picture and within the window, int64 [n, 2].
     """
     count = order.shape[0]
-    for lane in prange(min(_LANES, count)):
-        for at in range(lane, count, _LANES):
+    for lane in range(first, last):
+        for at in range(lane, count, LANES):
             n = order[at]
             window = windows[n]
             down, across = window[3] - window[2], window[1] - window[0]
@@ -452,11 +454,15 @@ def outline_all(  # type: ignore[no-untyped-def]
             areas[n, 1] = every
 
 
-@njit(cache=True, error_model="numpy", parallel=True, nogil=True)
-def runs(order, windows, starts, marks, width, height, fill, sizes, begins, counts):  # type: ignore[no-untyped-def]
+@njit(cache=True, error_model="numpy", nogil=True)
+def runs(  # type: ignore[no-untyped-def]
+    first, last, order, windows, starts, marks, width, height, fill, sizes, begins, counts
+):
     """Run lengths of masks within the picture, along columns, zeros first (``schemas.rle``).
 
     Args:
+        first: Of the lanes, as for ``outline_all``.
+        last: The first that is not one of them.
         order: Instances, int64 [m].
         windows: Of the instances, int64 [n, 4].
         starts: Of their windows in ``marks``, int64 [n].
@@ -468,26 +474,26 @@ def runs(order, windows, starts, marks, width, height, fill, sizes, begins, coun
         begins: Where an instance's runs go, int64 [n].
         counts: Receives run lengths, uint32.
     """
-    for lane in prange(min(_LANES, order.shape[0])):
-        for at in range(lane, order.shape[0], _LANES):
+    for lane in range(first, last):
+        for at in range(lane, order.shape[0], LANES):
             n = order[at]
             window = windows[n]
             across = window[1] - window[0]
             top, bottom = max(window[2], 0), min(window[3], height)
             # Where the window has all of a column, runs go on from one into the next.
             through = top == 0 and bottom == height
-            size, last, end = 0, 0, 0
+            size, before, end = 0, 0, 0
             for x in range(max(window[0], 0), min(window[1], width)):
                 for y in range(top, bottom):
                     inside = marks[starts[n] + (y - window[2]) * across + x - window[0]]
-                    if inside != last:
+                    if inside != before:
                         if fill:
                             counts[begins[n] + size] = x * height + y - end
-                        size, last, end = size + 1, inside, x * height + y
-                if last and (not through or x + 1 == min(window[1], width)):
+                        size, before, end = size + 1, inside, x * height + y
+                if before and (not through or x + 1 == min(window[1], width)):
                     if fill:
                         counts[begins[n] + size] = x * height + bottom - end
-                    size, last, end = size + 1, 0, x * height + bottom
+                    size, before, end = size + 1, 0, x * height + bottom
             if end < width * height:
                 if fill:
                     counts[begins[n] + size] = width * height - end

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from scenec.backends.contract import BOUNCES, NO_ROW, Radiance, Rays, Visibility
 from scenec.backends.lens import RayTable, ray_table
+from scenec.backends.memory import LoadCost
 from scenec.backends.mitsuba import emitter, geometry, glow, lamps, scalar, variant
 from scenec.backends.mitsuba.corners import split_corners
 from scenec.backends.mitsuba.surfaces import make_look
@@ -31,6 +32,7 @@ class Mitsuba:
     name = "mitsuba"
     devices = ("cpu", "cuda")
     denoiser = None
+    load_cost = LoadCost(row=250.0, triangle=0.0, written=165.0)
 
     def __init__(self, bounces: int = BOUNCES, device: str = "auto") -> None:
         self._mi = variant.load_mitsuba(device)

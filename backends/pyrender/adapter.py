@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scenec.backends import posing
 from scenec.backends.bands import by_columns
 from scenec.backends.contract import NO_ROW, Radiance, Rays, Visibility
+from scenec.backends.memory import LoadCost
 from scenec.backends.pyrender import geometry, platforms
 from scenec.backends.pyrender.ambience import (
     CELLS,
@@ -56,6 +57,7 @@ class Pyrender:
     name = "pyrender"
     devices = ("cpu", "cuda")
     denoiser = None
+    load_cost = LoadCost(row=500.0, triangle=200.0)
     follows_lenses = False
     stochastic = False
 

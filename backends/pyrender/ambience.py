@@ -12,7 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from scenec.backends.posing import moving
@@ -21,6 +21,7 @@ from scenec.backends.pyrender.laws import even_albedo
 from scenec.backends.pyrender.tables import Tables
 from scenec.backends.render_scene import DEFAULT_SURFACE, Lighting, RenderScene
 from scenec.backends.sky import combine, lookup
+from scenec.schemas.threads import over_threads
 
 #: Cells on a side of the height field.
 CELLS = 192
@@ -118,7 +119,7 @@ def make_ground(
     step = size[:2] / CELLS
     horizon = np.zeros((CELLS, CELLS, AZIMUTHS), np.float32)
     seen = np.zeros((CELLS, CELLS, AZIMUTHS), np.int32)
-    _horizons(heights, step, STEPS, _directions(), horizon, seen)
+    over_threads(_horizons, CELLS, heights, step, STEPS, _directions(), horizon, seen)
     filled = np.where(there, heights, np.nanmean(heights))
     dy, dx = np.gradient(filled, step[1], step[0])
     normals = np.stack([-dx, -dy, np.ones_like(dx)], axis=-1)
@@ -178,10 +179,10 @@ def _albedo(
     return out.reshape(*ids.shape[:2], 3)
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
-def _horizons(heights, step, steps, directions, horizon, seen):  # type: ignore[no-untyped-def]
+@njit(cache=True, error_model="numpy", nogil=True)
+def _horizons(first, last, heights, step, steps, directions, horizon, seen):  # type: ignore[no-untyped-def]
     n = heights.shape[0]
-    for row in prange(n):
+    for row in range(first, last):
         for column in range(n):
             here = heights[row, column]
             for a in range(len(directions)):
@@ -228,15 +229,15 @@ def light_ground(ground: Ground, lighting: Lighting) -> Ambience:
     n = CELLS
     share = np.zeros((n, n, 4), np.float32)
     irradiance = np.zeros((n, n, 3))
-    _sky_share(
-        ground.normals, ground.own, ground.over, _directions(), _from_above(radiance), share,
-        irradiance,
+    over_threads(
+        _sky_share, n, ground.normals, ground.own, ground.over, _directions(),
+        _from_above(radiance), share, irradiance,
     )  # fmt: skip
     for sun in lighting.suns:
         irradiance += _sunlit(ground, np.asarray(sun.to_light))[..., None] * sun.irradiance
     bright = (ground.albedo / np.pi * irradiance).astype(np.float32)
     seen = np.zeros((n, n, 4), np.float32)
-    _gather(ground.horizon, ground.seen, bright, seen)
+    over_threads(_gather, n, ground.horizon, ground.seen, bright, seen)
     return Ambience(share, seen)
 
 
@@ -276,11 +277,13 @@ def _from_above(radiance: NDArray[np.float64]) -> NDArray[np.float32]:
     return sums
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
-def _sky_share(normals, own, over, directions, up, share, irradiance):  # type: ignore[no-untyped-def]
+@njit(cache=True, error_model="numpy", nogil=True)
+def _sky_share(  # type: ignore[no-untyped-def]
+    first, last, normals, own, over, directions, up, share, irradiance
+):
     n = normals.shape[0]
-    last = up.shape[1] - 2
-    for row in prange(n):
+    highest = up.shape[1] - 2
+    for row in range(first, last):
         arrives = np.empty(4, np.float32)
         whole = np.empty(4, np.float32)
         for column in range(n):
@@ -289,15 +292,15 @@ def _sky_share(normals, own, over, directions, up, share, irradiance):  # type: 
             whole[:] = 0.0
             for a in range(len(directions)):
                 along = np.float32(nx * directions[a, 0] + ny * directions[a, 1])
-                place = own[row, column, a] * (last + 1)
-                e = min(int(place), last)
+                place = own[row, column, a] * (highest + 1)
+                e = min(int(place), highest)
                 part = np.float32(place - e)
                 for k in range(4):
                     low = nz * up[a, e, k] + along * up[a, e, 4 + k]
                     high = nz * up[a, e + 1, k] + along * up[a, e + 1, 4 + k]
                     whole[k] += low + part * (high - low)
-                place = over[row, column, a] * (last + 1)
-                e = min(int(place), last)
+                place = over[row, column, a] * (highest + 1)
+                e = min(int(place), highest)
                 part = np.float32(place - e)
                 for k in range(4):
                     low = nz * up[a, e, k] + along * up[a, e, 4 + k]
@@ -324,10 +327,10 @@ def _sunlit(ground: Ground, to_sun: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.where(horizon * flat < to_sun[2], cosine, 0.0)
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
-def _gather(horizon, seen, bright, out):  # type: ignore[no-untyped-def]
+@njit(cache=True, error_model="numpy", nogil=True)
+def _gather(first, last, horizon, seen, bright, out):  # type: ignore[no-untyped-def]
     n, azimuths = horizon.shape[0], horizon.shape[2]
-    for row in prange(n):
+    for row in range(first, last):
         for column in range(n):
             total = 0.0
             for r in range(max(row - 2, 0), min(row + 3, n)):

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pxr import Usd, UsdGeom, UsdRender
 
-from scenec.backends.reader.frame import StageFrame, columns
+from scenec.backends.reader import values
+from scenec.backends.reader.frame import StageFrame
 from scenec.backends.reader.imaging import read_imaging
 from scenec.backends.reader.sensors import read_depth_camera, read_trigger
 from scenec.backends.reader.shutter import read_shutter
@@ -18,7 +19,6 @@ from scenec.schemas import stage as names
 from scenec.schemas.errors import StageError
 from scenec.schemas.exr import PASSES
 from scenec.schemas.lens import COEFFICIENTS, Lens
-from scenec.schemas.spelling import nearest, shown
 
 _DEFAULT_RESOLUTION = (640, 480)
 
@@ -36,7 +36,8 @@ def read_cameras(
     """
     found = [_of_product(p) for p in stage.Traverse() if p.IsA(UsdRender.Product)]
     if not found:
-        cameras = [p for p in stage.Traverse() if p.IsA(UsdGeom.Camera)]
+        everywhere = stage.Traverse(Usd.TraverseInstanceProxies())
+        cameras = [p for p in everywhere if p.IsA(UsdGeom.Camera)]
         found = [
             _Request(name, p, _resolution(p), DEFAULT_OUTPUTS)
             for name, p in _distinct_names(cameras)
@@ -57,15 +58,15 @@ class _Request:
 def _of_product(prim: Usd.Prim) -> _Request:
     stage = prim.GetStage()
     product = UsdRender.Product(prim)
-    targets = product.GetCameraRel().GetForwardedTargets()
+    targets = values.targets(prim, "camera")
     camera = stage.GetPrimAtPath(targets[0]) if targets else None
     if not camera or not camera.IsA(UsdGeom.Camera):
         raise StageError(f"{prim.GetPath()}: this RenderProduct names no camera")
-    width, height = product.GetResolutionAttr().Get()
+    width, height = values.vector(product.GetResolutionAttr(), 2) or _DEFAULT_RESOLUTION
     outputs: dict[str, None] = {}
-    for target in product.GetOrderedVarsRel().GetForwardedTargets():
+    for target in values.targets(prim, "orderedVars"):
         var = UsdRender.Var(stage.GetPrimAtPath(target))
-        source = str(var.GetSourceNameAttr().Get() or "") if var else ""
+        source = values.word(var.GetSourceNameAttr(), "") if var else ""
         # Foreign products name their renderer's own variables: those are not ours to make.
         if source.split(".")[0] in PASSES:
             outputs[source.split(".")[0]] = None
@@ -88,20 +89,21 @@ def _distinct_names(prims: list[Usd.Prim]) -> list[tuple[str, Usd.Prim]]:
 
 def _resolution(prim: Usd.Prim) -> tuple[int, int]:
     camera = UsdGeom.Camera(prim)
-    across = camera.GetHorizontalApertureAttr().Get()
-    up = camera.GetVerticalApertureAttr().Get()
+    across = values.number(camera.GetHorizontalApertureAttr(), 0.0)
+    up = values.number(camera.GetVerticalApertureAttr(), 0.0)
     width = _DEFAULT_RESOLUTION[0]
     return width, max(1, round(width * up / across)) if across > 0 else _DEFAULT_RESOLUTION[1]
 
 
 def _camera(request: _Request, frame: StageFrame, time: Usd.TimeCode) -> Camera:
     prim, size = request.prim, request.size
-    projection = UsdGeom.Camera(prim).GetProjectionAttr().Get(time)
+    camera = UsdGeom.Camera(prim)
+    projection = values.word(camera.GetProjectionAttr(), UsdGeom.Tokens.perspective, time)
     if projection != UsdGeom.Tokens.perspective:
         raise StageError(
             f"{prim.GetPath()}: is {projection}; only perspective cameras are rendered"
         )
-    matrix = columns(UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(time))
+    matrix = values.world_matrix(prim, time)
     pose = np.eye(4)
     pose[:3, :3] = frame.axes(matrix) * np.array(names.HALF_TURN)
     pose[:3, 3] = frame.point(matrix)
@@ -109,7 +111,7 @@ def _camera(request: _Request, frame: StageFrame, time: Usd.TimeCode) -> Camera:
         raise StageError(
             f"{prim.GetPath()}: a camera needs a resolution and an invertible transform"
         )
-    exposure = UsdGeom.Camera(prim).GetExposureAttr().Get(time)
+    ev, per = _exposure(prim, time)
     return Camera(
         name=request.name,
         path=str(prim.GetPath()),
@@ -117,7 +119,8 @@ def _camera(request: _Request, frame: StageFrame, time: Usd.TimeCode) -> Camera:
         height=size[1],
         intrinsics=_intrinsics(prim, size, time),
         camera_to_world=pose,
-        exposure_ev=float(exposure or 0.0),
+        exposure_ev=ev,
+        exposure_per=per,
         outputs=request.outputs,
         partner=_partner(prim),
         trigger=read_trigger(prim),
@@ -129,22 +132,56 @@ def _camera(request: _Request, frame: StageFrame, time: Usd.TimeCode) -> Camera:
     )
 
 
+def _exposure(prim: Usd.Prim, time: Usd.TimeCode) -> tuple[float, str | None]:
+    """A camera's exposure, and what one is to be found for (``scenec.backends.exposure``) or None.
+
+    By USD's definition, log2 of time * iso / 100 * 2^exposure * responsivity / fStop^2
+    (``UsdGeomCamera.ComputeLinearExposureScale``, here in float64).
+    """
+    camera = UsdGeom.Camera(prim)
+    factors = (
+        (camera.GetExposureTimeAttr(), 1.0, 1.0),
+        (camera.GetExposureIsoAttr(), 100.0, 1.0),
+        (camera.GetExposureResponsivityAttr(), 1.0, 1.0),
+        (camera.GetExposureFStopAttr(), 1.0, -2.0),
+    )
+    given = (camera.GetExposureAttr(), *(attribute for attribute, _, _ in factors))
+    authored = prim.GetAttribute(names.ATTR_EXPOSURE_PER)
+    per = None
+    if authored.HasAuthoredValue():
+        per = values.word(authored, names.EXPOSURES_PER[0], time, names.EXPOSURES_PER)
+    elif not any(attribute.HasAuthoredValue() for attribute in given):
+        per = "batch"
+    ev = values.number(camera.GetExposureAttr(), 0.0, time)
+    for attribute, usual, power in factors:
+        value = values.number(attribute, usual, time)
+        if not 0.0 < value < math.inf:
+            raise StageError(
+                f"{prim.GetPath()}: {attribute.GetName()} is {value:g}: expected a number above 0"
+            )
+        if value != usual:
+            ev += power * math.log2(value / usual)
+    if not math.isfinite(ev):
+        raise StageError(f"{prim.GetPath()}: exposure is {ev:g}: expected a finite number")
+    return ev, per
+
+
 def _focus(prim: Usd.Prim, frame: StageFrame, time: Usd.TimeCode) -> Focus | None:
     """The aperture of a camera; without a distance or an f-stop above 0 none, as in USD."""
     camera = UsdGeom.Camera(prim)
-    stop = float(camera.GetFStopAttr().Get(time) or 0.0)
-    distance = frame.meters_per_unit * float(camera.GetFocusDistanceAttr().Get(time) or 0.0)
+    stop = values.number(camera.GetFStopAttr(), 0.0, time)
+    distance = values.number(camera.GetFocusDistanceAttr(), 0.0, time) * frame.meters_per_unit
     if stop == 0.0 or distance == 0.0:
         return None
     # A focal length is in tenths of a unit.
-    focal = 0.1 * frame.meters_per_unit * float(camera.GetFocalLengthAttr().Get(time))
+    focal = 0.1 * frame.meters_per_unit * values.number(camera.GetFocalLengthAttr(), 0.0, time)
     radius = 0.5 * focal / stop
     if not (0.0 < distance < math.inf and 0.0 < radius < math.inf):
         raise StageError(
             f"{prim.GetPath()}: fStop is {stop:g} and focusDistance {distance:g} m; expected "
             "numbers above 0, or 0 for no depth of field"
         )
-    if prim.GetAttribute(names.ATTR_LENS_MODEL).Get():
+    if values.word(prim.GetAttribute(names.ATTR_LENS_MODEL), ""):
         raise StageError(
             f"{prim.GetPath()}: has both fStop and {names.ATTR_LENS_MODEL}; depth of field is "
             "drawn of cameras without a lens of the schema's: set fStop to 0"
@@ -154,48 +191,36 @@ def _focus(prim: Usd.Prim, frame: StageFrame, time: Usd.TimeCode) -> Focus | Non
 
 def _lens(prim: Usd.Prim) -> Lens | None:
     """The lens of a camera; without one of the schema's a pinhole, as viewers show it."""
-    model = prim.GetAttribute(names.ATTR_LENS_MODEL).Get()
+    model = values.word(prim.GetAttribute(names.ATTR_LENS_MODEL), "", known=COEFFICIENTS)
     if not model:
         return None
-    if model not in COEFFICIENTS:
-        raise StageError(
-            f"{prim.GetPath()}: {names.ATTR_LENS_MODEL} is {shown(str(model))}"
-            f"{nearest(str(model), COEFFICIENTS)}"
-        )
-    values = prim.GetAttribute(names.ATTR_LENS_COEFFICIENTS).Get()
-    coefficients = np.array(() if values is None else values, np.float64)
     count = len(COEFFICIENTS[model])
-    if coefficients.shape != (count,) or not np.isfinite(coefficients).all():
+    coefficients = values.vector(prim.GetAttribute(names.ATTR_LENS_COEFFICIENTS), count)
+    if coefficients is None:
         raise StageError(
             f"{prim.GetPath()}: {names.ATTR_LENS_COEFFICIENTS} of {model} must hold {count} finite "
             "numbers"
         )
-    angle = prim.GetAttribute(names.ATTR_LENS_MAX_ANGLE).Get()
-    farthest = math.pi if angle is None else float(angle)
+    farthest = values.number(prim.GetAttribute(names.ATTR_LENS_MAX_ANGLE), math.pi)
     if not 0.0 < farthest <= math.pi:
         raise StageError(
             f"{prim.GetPath()}: {names.ATTR_LENS_MAX_ANGLE} is {farthest:g}; expected an angle "
             "above 0, at most pi"
         )
-    return Lens(str(model), tuple(coefficients.tolist()), farthest)
+    return Lens(model, coefficients, farthest)
 
 
 def _partner(prim: Usd.Prim) -> str | None:
-    targets = prim.GetRelationship(names.REL_PARTNER).GetForwardedTargets()
+    targets = values.targets(prim, names.REL_PARTNER)
     return str(targets[0]) if targets else None
 
 
 def _intrinsics(prim: Usd.Prim, size: tuple[int, int], time: Usd.TimeCode) -> NDArray[np.float64]:
-    attribute = prim.GetAttribute(names.ATTR_INTRINSICS)
-    if attribute and attribute.HasValue():
-        values = np.array(attribute.Get(time), np.float64)
-        if values.shape != (9,) or not np.isfinite(values).all():
-            raise StageError(
-                f"{prim.GetPath()}: {names.ATTR_INTRINSICS} must hold 9 finite numbers"
-            )
-        k = values.reshape(3, 3)
-    else:
+    stated = values.vector(prim.GetAttribute(names.ATTR_INTRINSICS), 9, time)
+    if stated is None:
         k = intrinsics_from_apertures(prim, size, time)
+    else:
+        k = np.array(stated).reshape(3, 3)
     if k[0, 0] <= 0.0 or k[1, 1] <= 0.0:
         raise StageError(f"{prim.GetPath()}: a camera's focal length must be positive")
     return k
@@ -206,11 +231,16 @@ def intrinsics_from_apertures(
 ) -> NDArray[np.float64]:
     """K in pixels from a camera's focal length, apertures and offsets, float64 [3, 3]."""
     camera = UsdGeom.Camera(prim)
-    focal = camera.GetFocalLengthAttr().Get(time)
-    across = camera.GetHorizontalApertureAttr().Get(time)
-    up = camera.GetVerticalApertureAttr().Get(time)
-    shift_x = camera.GetHorizontalApertureOffsetAttr().Get(time)
-    shift_y = camera.GetVerticalApertureOffsetAttr().Get(time)
+    focal, across, up, shift_x, shift_y = (
+        values.number(attribute, 0.0, time)
+        for attribute in (
+            camera.GetFocalLengthAttr(),
+            camera.GetHorizontalApertureAttr(),
+            camera.GetVerticalApertureAttr(),
+            camera.GetHorizontalApertureOffsetAttr(),
+            camera.GetVerticalApertureOffsetAttr(),
+        )
+    )
     if across <= 0.0 or up <= 0.0:
         raise StageError(f"{prim.GetPath()}: a camera's apertures must be positive")
     width, height = size

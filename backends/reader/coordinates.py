@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pxr import Usd, UsdGeom
 
+from scenec.backends.reader import values
 from scenec.backends.render_scene import Maps, Surface
 from scenec.schemas import stage as names
 from scenec.schemas.errors import StageError
@@ -74,7 +75,7 @@ class Coordinates:
                 )
             # What UsdPrimvarReader_float2 gives where there is none.
             return np.zeros((len(self._faces), 3, 2), np.float32)
-        values = np.array(primvar.ComputeFlattened(self._time) or (), np.float32)
+        found = values.flattened(primvar, np.float32, self._time, width=(2,))
         vertices, corners, polygons = self._sizes
         kind = primvar.GetInterpolation()
         tokens = UsdGeom.Tokens
@@ -85,9 +86,9 @@ class Coordinates:
             needed, at = polygons, np.repeat(self._authored[:, None], 3, axis=1)
         elif kind == tokens.constant:
             needed, at = 1, np.zeros_like(self._faces)
-        if values.shape != (needed, 2) or not np.isfinite(values).all():
+        if len(found) != needed or not np.isfinite(found).all():
             raise StageError(
                 f"{prim.GetPath()}: primvar {name} ({kind}) must hold {needed} finite pairs of "
-                f"numbers, has {len(values)}"
+                f"numbers, has {len(found)}"
             )
-        return np.ascontiguousarray(values[at])
+        return np.ascontiguousarray(found[at])

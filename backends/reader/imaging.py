@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
+import numpy as np
 from pxr import Usd
 
+from scenec.backends.reader import values
 from scenec.schemas import imaging as formulas
 from scenec.schemas.errors import StageError
 from scenec.schemas.imaging import Imaging
@@ -24,13 +27,7 @@ def read_imaging(prim: Usd.Prim, time: Usd.TimeCode) -> Imaging | None:
         attribute = prim.GetAttribute(formulas.attribute(field))
         if not attribute.HasAuthoredValue():
             continue
-        if str(attribute.GetTypeName()) != _SPELLED[kind]:
-            raise StageError(
-                f"{prim.GetPath()}: {attribute.GetName()} is of type {attribute.GetTypeName()}: "
-                f"expected {_SPELLED[kind]}"
-            )
-        value = attribute.Get(time)
-        found[field] = tuple(map(float, value)) if kind == "DoubleArray" else value
+        found[field] = _READERS[kind](attribute, time)
     imaging = Imaging(**found)
     faults = formulas.faults(imaging)
     if faults:
@@ -38,12 +35,14 @@ def read_imaging(prim: Usd.Prim, time: Usd.TimeCode) -> Imaging | None:
     return imaging
 
 
-#: USD's spelling of ``Sdf.ValueTypeNames``.
-_SPELLED = {
-    "Bool": "bool",
-    "Double": "double",
-    "DoubleArray": "double[]",
-    "Int": "int",
-    "Token": "token",
-    "UInt64": "uint64",
+#: By the names of ``Sdf.ValueTypeNames``.
+_READERS: dict[str, Callable[[Usd.Attribute, Usd.TimeCode], Any]] = {
+    "Bool": lambda attribute, time: values.flag(attribute, False, time),
+    "Double": lambda attribute, time: values.number(attribute, 0.0, time),
+    "DoubleArray": lambda attribute, time: tuple(
+        values.array(attribute, np.float64, time).tolist()
+    ),
+    "Int": lambda attribute, time: values.whole(attribute, 0, time),
+    "Token": lambda attribute, time: values.word(attribute, "", time),
+    "UInt64": lambda attribute, time: values.whole(attribute, 0, time),
 }

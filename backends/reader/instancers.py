@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from pxr import Usd, UsdGeom
 
-from scenec.backends.reader.frame import columns, composed
+from scenec.backends.reader import values
+from scenec.backends.reader.frame import composed
+from scenec.backends.reader.implicit import kind_of
 from scenec.backends.reader.labels import prim_labels
 from scenec.backends.reader.meshes import MeshTable
 from scenec.backends.reader.placing import instance_mask, instance_matrices
@@ -29,13 +31,15 @@ class Expanded:
     """Rows to be: arrays as in ``render_scene.Rows``, matrices in stage units.
 
     Attributes:
+        instance_id: Frame ids; of labeled prims (``labeled_instances``) the number below 0, until
+            ``Expander.expand`` gives it an id.
         moving: Rows that (may) move, ascending, int64 [k].
         path: Their matrices, float64 [samples, k, 3, 4]; None where there are none.
     """
 
     mesh: NDArray[np.int32]
     matrix: NDArray[np.float64]
-    instance_id: NDArray[np.uint32]
+    instance_id: NDArray[np.int64]
     variation: NDArray[np.float32]
     part: NDArray[np.int32]
     moving: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
@@ -46,7 +50,7 @@ class Expanded:
         cls,
         mesh: NDArray[np.int32],
         poses: NDArray[np.float64],
-        instance_id: NDArray[np.uint32],
+        instance_id: NDArray[np.int64],
         variation: NDArray[np.float32],
         part: NDArray[np.int32],
     ) -> Expanded:
@@ -65,7 +69,7 @@ class Expanded:
         return cls(
             np.concatenate([np.zeros(0, np.int32), *(p.mesh for p in parts)]),
             np.concatenate([np.zeros((0, 3, 4)), *(p.matrix for p in parts)]),
-            np.concatenate([np.zeros(0, np.uint32), *(p.instance_id for p in parts)]),
+            np.concatenate([np.zeros(0, np.int64), *(p.instance_id for p in parts)]),
             np.concatenate([np.zeros(0, np.float32), *(p.variation for p in parts)]),
             np.concatenate([np.zeros(0, np.int32), *(p.part for p in parts)]),
             np.concatenate(
@@ -130,11 +134,18 @@ class Expander:
     Args:
         meshes: Filled with the meshes that are met.
         times: Of the samples. Topology, points and ids are those of the first.
+        labeled: Numbers from 1, by path, of prims that are instances unless they say so themselves.
     """
 
-    def __init__(self, meshes: MeshTable, times: Sequence[Usd.TimeCode]):
+    def __init__(
+        self,
+        meshes: MeshTable,
+        times: Sequence[Usd.TimeCode],
+        labeled: Mapping[str, int],
+    ):
         self._meshes = meshes
         self._times = list(times)
+        self._labeled = labeled
         self._next_id = 0
         #: Instancers being expanded, the outermost first.
         self._open: list[str] = []
@@ -159,7 +170,15 @@ class Expander:
         """Rows of everything that is visible at or below a prim at some sample."""
         parts: list[Expanded] = []
         self._walk(root, _Place(_IDENTITY, _IDENTITY, {}), parts)
-        return Expanded.joined(parts)
+        rows = Expanded.joined(parts)
+        if not self._labeled:
+            return rows
+        # Only now all authored ids are known.
+        base = self._next_id
+        for path, number in self._labeled.items():
+            self._take(path, base + number - 1, 1)
+        ids = np.where(rows.instance_id < 0, base - rows.instance_id, rows.instance_id)
+        return replace(rows, instance_id=ids)
 
     def _walk(self, prim: Usd.Prim, place: _Place, parts: list[Expanded]) -> None:
         shown = self._shown(prim)
@@ -170,16 +189,20 @@ class Expander:
             place = replace(place, shown=shown if place.shown is None else shown & place.shown)
             if not place.shown.any():  # type: ignore[union-attr]
                 return
+        self._meshes.unread.prim(prim, in_prototype=bool(self._open))
         place = self._with_id(prim, self._moved(prim, place))
         if prim.IsA(UsdGeom.PointInstancer):
             path = str(prim.GetPath())
             if path in self._open:
                 raise StageError(f"{path}: is a part of its own prototypes")
             self._open.append(path)
+            if (place.instance_id or 0) < 0:
+                # Not said to be one thing: its instances are some.
+                place = replace(place, instance_id=None)
             parts.append(self._expand_instancer(UsdGeom.PointInstancer(prim), place))
             self._open.pop()
             return
-        if prim.IsA(UsdGeom.Mesh):
+        if prim.IsA(UsdGeom.Mesh) or kind_of(prim):
             found = self._meshes.add(prim, place.labels)
             part = 0 if place.instance_id is None else self._part(place.relative)
             matrix = self._where_shown(place.matrix[..., None, :, :], place.shown)
@@ -187,7 +210,7 @@ class Expander:
                 Expanded.of(
                     np.array(found, np.int32),
                     np.repeat(matrix, len(found), axis=-3),
-                    np.full(len(found), place.instance_id or 0, np.uint32),
+                    np.full(len(found), place.instance_id or 0, np.int64),
                     np.zeros(len(found), np.float32),
                     np.full(len(found), part, np.int32),
                 )
@@ -203,11 +226,14 @@ class Expander:
         imageable = UsdGeom.Imageable(prim)
         if not imageable:
             return True
+        # USD takes a purpose that is no token for none.
+        values.word(imageable.GetPurposeAttr(), "")
         if imageable.ComputePurpose() not in (UsdGeom.Tokens.default_, UsdGeom.Tokens.render):
             return False
         attribute = imageable.GetVisibilityAttr()
         times = self._times if attribute.ValueMightBeTimeVarying() else self._times[:1]
-        shown = np.array([attribute.Get(time) != UsdGeom.Tokens.invisible for time in times])
+        seen = [values.word(attribute, "", time) != UsdGeom.Tokens.invisible for time in times]
+        shown = np.array(seen)
         if shown.all() or not shown.any():
             return bool(shown[0])
         return shown
@@ -234,11 +260,11 @@ class Expander:
         if not xformable:
             return place
         if len(self._times) > 1 and xformable.TransformMightBeTimeVarying():
-            local = np.stack([columns(xformable.GetLocalTransformation(t)) for t in self._times])
+            local = np.stack([values.local_matrix(prim, time) for time in self._times])
             if (local == local[0]).all():
                 local = local[0]
         else:
-            local = columns(xformable.GetLocalTransformation(self._times[0]))
+            local = values.local_matrix(prim, self._times[0])
         if xformable.GetResetXformStack():
             return replace(place, matrix=local, relative=None)
         relative = place.relative
@@ -248,7 +274,7 @@ class Expander:
 
     def _with_id(self, prim: Usd.Prim, place: _Place) -> _Place:
         """The place with what the prim says about ids: a class of single objects, or one."""
-        if place.instance_id is not None or prim.IsPseudoRoot():
+        if prim.IsPseudoRoot() or (place.instance_id is not None and place.instance_id >= 0):
             return place
         path = str(prim.GetPath())
         own, local = (
@@ -272,6 +298,8 @@ class Expander:
                 return replace(place, instance_id=0, relative=_IDENTITY)
             self._take(of_class.path, of_class.base, local)
             return replace(place, instance_id=of_class.base + local, relative=_IDENTITY)
+        if path in self._labeled:
+            return replace(place, instance_id=-self._labeled[path], relative=_IDENTITY)
         if not prim.IsA(UsdGeom.PointInstancer):
             base, enabled = _number(prim, names.ATTR_INSTANCE_ID_BASE), _ids_enabled(prim)
             if base is not None:
@@ -288,7 +316,7 @@ class Expander:
             ids = self._frame_ids(instancer, count)
         else:
             # Inside another instance: all of it is part of that one.
-            ids = np.full(count, place.instance_id, np.uint32)
+            ids = np.full(count, place.instance_id, np.int64)
         variation = read_variation(prim, count)
         if variation is None:
             variation = np.zeros(count, np.float32)
@@ -341,9 +369,7 @@ class Expander:
         """What each prototype holds, in the frame of its instances; nothing of unused ones."""
         contents = []
         counts = np.bincount(used)
-        for index, target in enumerate(
-            UsdGeom.PointInstancer(prim).GetPrototypesRel().GetForwardedTargets()
-        ):
+        for index, target in enumerate(values.targets(prim, "prototypes")):
             parts: list[Expanded] = []
             if index < len(counts) and counts[index]:
                 root = prim.GetStage().GetPrimAtPath(target)
@@ -374,12 +400,12 @@ class Expander:
         places = _placed(composed(relative, local), content)
         return np.fromiter((self._part(p) for p in places), np.int32, rows)
 
-    def _frame_ids(self, instancer: UsdGeom.PointInstancer, count: int) -> NDArray[np.uint32]:
+    def _frame_ids(self, instancer: UsdGeom.PointInstancer, count: int) -> NDArray[np.int64]:
         prim = instancer.GetPrim()
         base = _number(prim, names.ATTR_INSTANCE_ID_BASE)
         if base is None:
             base = self._next_id
-        local = np.array(instancer.GetIdsAttr().Get(self._times[0]) or (), np.int64)
+        local = values.array(instancer.GetIdsAttr(), np.int64, self._times[0])
         usable = len(local) == count and (
             count == 0 or (local.min() >= 1 and local.max() < _LARGEST_LOCAL_ID)
         )
@@ -388,8 +414,8 @@ class Expander:
             local = np.arange(1, count + 1, dtype=np.int64)
         self._take(str(prim.GetPath()), base, int(local.max(initial=0)))
         if not _ids_enabled(prim):
-            return np.zeros(count, np.uint32)
-        return (base + local).astype(np.uint32)
+            return np.zeros(count, np.int64)
+        return (base + local).astype(np.int64)
 
     def _take(self, path: str, base: int, local: int) -> None:
         """Notes that a class has this base and local ids up to this one.
@@ -420,7 +446,7 @@ def _interleaved(total: int, made: list[tuple[NDArray[np.int64], Expanded]]) -> 
         return made[0][1]
     mesh = np.empty(total, np.int32)
     matrix = np.empty((total, 3, 4))
-    ids = np.empty(total, np.uint32)
+    ids = np.empty(total, np.int64)
     variation = np.empty(total, np.float32)
     part = np.empty(total, np.int32)
     moving, paths = [np.zeros(0, np.int64)], []
@@ -440,14 +466,8 @@ def _number(prim: Usd.Prim, name: str) -> int | None:
     attribute = prim.GetAttribute(name)
     if not attribute or not attribute.HasValue():
         return None
-    try:
-        return int(attribute.Get(Usd.TimeCode.EarliestTime()))
-    except (TypeError, ValueError) as error:
-        raise StageError(
-            f"{prim.GetPath()}: {name} is {attribute.GetTypeName()}, expected a whole number"
-        ) from error
+    return values.whole(attribute, 0, Usd.TimeCode.EarliestTime())
 
 
 def _ids_enabled(prim: Usd.Prim) -> bool:
-    attribute = prim.GetAttribute(names.ATTR_INSTANCE_IDS_ENABLED)
-    return not (attribute and attribute.Get() is False)
+    return values.flag(prim.GetAttribute(names.ATTR_INSTANCE_IDS_ENABLED), True)

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pxr import Usd, UsdGeom, UsdSemantics
 
+from scenec.backends.reader import values
 from scenec.schemas import stage as names
 from scenec.schemas.errors import StageError
 
@@ -38,13 +39,13 @@ def read_table(stage: Usd.Stage) -> LabelTable:
         if not (name.startswith(prefix) and name.endswith(suffix)):
             continue
         level = name[len(prefix) : -len(suffix)]
-        ids = root.GetAttribute(names.ATTR_LABEL_IDS.format(level=level)).Get()
-        labels = attribute.Get()
-        if labels is None or ids is None or len(labels) != len(ids):
+        ids = values.array(root.GetAttribute(names.ATTR_LABEL_IDS.format(level=level)), np.uint32)
+        labels = values.words(attribute)
+        if not labels or len(labels) != len(ids):
             raise StageError(
                 f"{root.GetPath()}: label level {level!r}: names and ids differ in number"
             )
-        table[level] = dict(zip(map(str, labels), map(int, ids), strict=True))
+        table[level] = dict(zip(labels, ids.tolist(), strict=True))
     if table:
         # Attributes come in alphabetical order; the order of first labels' ids is no better.
         return LabelTable(table)
@@ -55,8 +56,8 @@ def _from_semantics(stage: Usd.Stage) -> dict[str, dict[str, int]]:
     found: dict[str, set[str]] = {}
     for prim in Usd.PrimRange(stage.GetPseudoRoot(), Usd.TraverseInstanceProxies()):
         for level in UsdSemantics.LabelsAPI.GetDirectTaxonomies(prim):
-            labels = UsdSemantics.LabelsAPI(prim, level).GetLabelsAttr().Get() or ()
-            found.setdefault(str(level), set()).update(map(str, labels))
+            labels = values.words(UsdSemantics.LabelsAPI(prim, level).GetLabelsAttr())
+            found.setdefault(str(level), set()).update(labels)
     return {
         level: {name: number for number, name in enumerate(sorted(labels), start=1)}
         for level, labels in sorted(found.items())
@@ -73,6 +74,11 @@ def prim_labels(prim: Usd.Prim, table: LabelTable) -> dict[str, int]:
         if label_id is not None:
             found[level] = label_id
     return found
+
+
+def has_label(prim: Usd.Prim, table: LabelTable) -> bool:
+    """Whether UsdSemantics labels this very prim, at any level."""
+    return any(_direct_label(prim, level, table) is not None for level in table.levels)
 
 
 def face_labels(
@@ -93,11 +99,11 @@ def face_labels(
     own = prim_labels(prim, table)
     labels = {}
     for level in table.levels:
-        values = _uniform_primvar(prim, level, face_count)
-        if values is None:
-            values = np.full(face_count, own.get(level, inherited.get(level, 0)), np.uint32)
-            _label_subsets(mesh, level, table, values)
-        labels[level] = values
+        found = _uniform_primvar(prim, level, face_count)
+        if found is None:
+            found = np.full(face_count, own.get(level, inherited.get(level, 0)), np.uint32)
+            _label_subsets(mesh, level, table, found)
+        labels[level] = found
     return labels
 
 
@@ -107,15 +113,18 @@ def _uniform_primvar(prim: Usd.Prim, level: str, face_count: int) -> NDArray[np.
         return None
     if primvar.GetInterpolation() == UsdGeom.Tokens.constant:
         return None
-    values = np.array(primvar.ComputeFlattened())
-    if primvar.GetInterpolation() != UsdGeom.Tokens.uniform or values.shape != (face_count,):
+    found = values.flattened(primvar, np.int64, values.DEFAULT)
+    if primvar.GetInterpolation() != UsdGeom.Tokens.uniform or len(found) != face_count:
         raise StageError(
             f"{prim.GetPath()}: primvar {primvar.GetPrimvarName()} must be uniform with "
-            f"{face_count} values, one a face; it has {values.size} ({primvar.GetInterpolation()})"
+            f"{face_count} values, one a face; it has {len(found)} ({primvar.GetInterpolation()})"
         )
-    if values.size and values.min() < 0:
-        raise StageError(f"{prim.GetPath()}: primvar {primvar.GetPrimvarName()}: a label below 0")
-    return values.astype(np.uint32)
+    if found.size and not 0 <= found.min() <= found.max() < 2**32:
+        raise StageError(
+            f"{prim.GetPath()}: primvar {primvar.GetPrimvarName()}: a label below 0, or beyond 32 "
+            "bits"
+        )
+    return found.astype(np.uint32)
 
 
 def _constant_primvar(prim: Usd.Prim, level: str) -> int | None:
@@ -124,10 +133,10 @@ def _constant_primvar(prim: Usd.Prim, level: str) -> int | None:
         return None
     if primvar.GetInterpolation() != UsdGeom.Tokens.constant:
         return None
-    value = np.ravel(primvar.Get())
-    if value.size != 1 or value[0] < 0:
+    value = values.flattened(primvar, np.int64, values.DEFAULT)
+    if value.size != 1 or not 0 <= value[0] < 2**32:
         raise StageError(
-            f"{prim.GetPath()}: primvar {primvar.GetPrimvarName()} must be one id >= 0"
+            f"{prim.GetPath()}: primvar {primvar.GetPrimvarName()} must be one id >= 0, of 32 bits"
         )
     return int(value[0])
 
@@ -145,16 +154,24 @@ def _semantic_label(prim: Usd.Prim, level: str, table: LabelTable) -> int | None
 def _direct_label(prim: Usd.Prim, level: str, table: LabelTable) -> int | None:
     if not prim.HasAPI(UsdSemantics.LabelsAPI, level):
         return None
-    labels = UsdSemantics.LabelsAPI(prim, level).GetLabelsAttr().Get()
+    labels = values.words(UsdSemantics.LabelsAPI(prim, level).GetLabelsAttr())
     # USD allows several labels of a taxonomy; a face has one: the first that the table knows.
-    known = [table.ids[level][str(name)] for name in labels or () if str(name) in table.ids[level]]
+    known = [table.ids[level][name] for name in labels if name in table.ids[level]]
     return known[0] if known else None
 
 
 def _label_subsets(
-    mesh: UsdGeom.Mesh, level: str, table: LabelTable, values: NDArray[np.uint32]
+    mesh: UsdGeom.Mesh, level: str, table: LabelTable, labels: NDArray[np.uint32]
 ) -> None:
     for subset in UsdGeom.Subset.GetAllGeomSubsets(mesh):
         label_id = _direct_label(subset.GetPrim(), level, table)
-        if label_id is not None and subset.GetElementTypeAttr().Get() == UsdGeom.Tokens.face:
-            values[np.array(subset.GetIndicesAttr().Get() or (), dtype=np.int64)] = label_id
+        kind = values.word(subset.GetElementTypeAttr(), "")
+        if label_id is None or kind != UsdGeom.Tokens.face:
+            continue
+        chosen = values.array(subset.GetIndicesAttr(), np.int64)
+        if chosen.size and not 0 <= chosen.min() <= chosen.max() < len(labels):
+            raise StageError(
+                f"{subset.GetIndicesAttr().GetPath()}: holds indices from {chosen.min()} to "
+                f"{chosen.max()}, of {len(labels)} faces"
+            )
+        labels[chosen] = label_id

@@ -2,34 +2,43 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 from numpy.typing import NDArray
 from pxr import Usd, UsdGeom, UsdLux
 
-from scenec.backends.reader.frame import StageFrame, columns
+from scenec.backends.reader import values
+from scenec.backends.reader.frame import StageFrame
+from scenec.backends.reader.sources import Sources
+from scenec.backends.reader.unread import LIGHTS
 from scenec.backends.render_scene import Dome, Lamp, Lighting, Sun
 from scenec.schemas.errors import StageError
 
-#: Types of lights that are read. Of others, ``scenec check`` tells.
-KINDS = ("DistantLight", "DomeLight", "DomeLight_1", "SphereLight")
+#: What a dome whose pole is +Z is turned by first: +Y goes to +Z, as OrientToStageUpAxis does.
+_POLE_Z = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 
 
-def read_lighting(stage: Usd.Stage, frame: StageFrame, time: Usd.TimeCode) -> Lighting:
-    """Visible lights of ``KINDS``. Other lights are not of this schema and are ignored.
+def read_lighting(
+    stage: Usd.Stage, frame: StageFrame, time: Usd.TimeCode, sources: Sources
+) -> Lighting:
+    """Visible lights of ``unread.LIGHTS``. Of others, and of prototypes, there are losses.
+
+    A dome whose picture is missing is left out.
 
     Raises:
-        StageError: A dome's picture does not exist, or a number is not finite.
+        StageError: A value is not what it can be, or not finite.
     """
     suns, domes, lamps = [], [], []
-    for prim in Usd.PrimRange(stage.GetPseudoRoot(), Usd.TraverseInstanceProxies()):
+    prims = iter(Usd.PrimRange(stage.GetPseudoRoot(), Usd.TraverseInstanceProxies()))
+    for prim in prims:
         kind = prim.GetTypeName()
-        if kind not in KINDS:
+        if prim.IsA(UsdGeom.PointInstancer):
+            # What is below it is there only as its instances.
+            prims.PruneChildren()
+        if kind not in LIGHTS:
             continue
-        if UsdGeom.Imageable(prim).ComputeVisibility(time) == UsdGeom.Tokens.invisible:
+        if not values.visible(prim, time):
             continue
-        matrix = columns(UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(time))
+        matrix = values.world_matrix(prim, time)
         if kind == "SphereLight":
             lamp = _lamp(UsdLux.SphereLight(prim), matrix, frame, time)
             lamps += [] if lamp is None else [lamp]
@@ -41,7 +50,8 @@ def read_lighting(stage: Usd.Stage, frame: StageFrame, time: Usd.TimeCode) -> Li
         if kind == "DistantLight":
             suns.append(_sun(UsdLux.DistantLight(prim), axes, time))
         else:
-            domes.append(_dome(prim, axes, time))
+            dome = _dome(prim, axes, time, sources)
+            domes += [] if dome is None else [dome]
     return Lighting(tuple(suns), tuple(domes), tuple(lamps))
 
 
@@ -51,12 +61,13 @@ def _flat(matrix: NDArray[np.float64]) -> bool:
 
 
 def _sun(light: UsdLux.DistantLight, axes: NDArray[np.float64], time: Usd.TimeCode) -> Sun:
-    diameter = float(np.radians(light.GetAngleAttr().Get(time)))
+    diameter = float(np.radians(values.number(light.GetAngleAttr(), 0.0, time)))
     strength = _strength(UsdLux.LightAPI(light.GetPrim()), time)
-    if not light.GetNormalizeAttr().Get(time):
+    normalized = values.flag(light.GetNormalizeAttr(), False, time)
+    if not normalized:
         # Not normalized: intensity is the disc's radiance. A disc of no size then gives no light.
         strength = strength * (np.pi * np.sin(0.5 * diameter) ** 2)
-    return Sun(to_light=axes[:, 2].copy(), irradiance=strength, diameter_rad=diameter)
+    return Sun(axes[:, 2].copy(), strength, diameter, str(light.GetPath()), normalized)
 
 
 def _lamp(
@@ -70,14 +81,16 @@ def _lamp(
     cone, softness = np.pi, 0.0
     if light.GetPrim().HasAPI(UsdLux.ShapingAPI):
         shaping = UsdLux.ShapingAPI(light.GetPrim())
-        cone = np.radians(min(float(shaping.GetShapingConeAngleAttr().Get(time)), 180.0))
-        softness = float(np.clip(shaping.GetShapingConeSoftnessAttr().Get(time), 0.0, 1.0))
+        angle = values.number(shaping.GetShapingConeAngleAttr(), 180.0, time, finite=False)
+        cone = np.radians(min(angle, 180.0))
+        softness = values.number(shaping.GetShapingConeSoftnessAttr(), 0.0, time, finite=False)
+        softness = float(np.clip(softness, 0.0, 1.0))
     if not cone > 0.0 or (_flat(matrix) and cone < np.pi):
         return None
     stretch = float(np.cbrt(np.abs(np.linalg.det(matrix[:, :3]))))
-    radius = abs(float(light.GetRadiusAttr().Get(time))) * stretch * frame.meters_per_unit
+    radius = abs(values.number(light.GetRadiusAttr(), 0.0, time)) * stretch * frame.meters_per_unit
     intensity = np.maximum(_strength(UsdLux.LightAPI(light.GetPrim()), time), 0.0)
-    if light.GetNormalizeAttr().Get(time):
+    if values.flag(light.GetNormalizeAttr(), False, time):
         # Divided by the surface in stage units: the radius drops out.
         intensity = intensity * (0.25 * frame.meters_per_unit**2)
     else:
@@ -88,30 +101,37 @@ def _lamp(
     if not intensity.any():
         return None
     axis = np.array([0.0, 0.0, -1.0]) if _flat(matrix) else -frame.axes(matrix)[:, 2]
-    if light.GetTreatAsPointAttr().Get(time):
+    if values.flag(light.GetTreatAsPointAttr(), False, time):
         radius = 0.0
     return Lamp(position, axis, intensity, radius, float(cone), softness)
 
 
-def _dome(prim: Usd.Prim, axes: NDArray[np.float64], time: Usd.TimeCode) -> Dome:
+def _dome(
+    prim: Usd.Prim, axes: NDArray[np.float64], time: Usd.TimeCode, sources: Sources
+) -> Dome | None:
     attribute = prim.GetAttribute("inputs:texture:file")
-    asset = attribute.Get(time) if attribute else None
-    texture = None
-    if asset is not None and asset.path:
-        texture = Path(asset.resolvedPath or asset.path)
-        if not texture.is_file():
-            raise StageError(f"{prim.GetPath()}: its picture {asset.path} does not exist")
+    texture = sources.picture(attribute, time)
+    if texture is None and values.asset(attribute, time) is not None:
+        # Of a color alone it would be another light.
+        return None
+    if prim.IsA(UsdLux.DomeLight_1):
+        pole = values.word(UsdLux.DomeLight_1(prim).GetPoleAxisAttr(), "")
+        if pole == "scene":
+            pole = UsdGeom.GetStageUpAxis(prim.GetStage())
+        if pole == "Z":
+            axes = axes @ _POLE_Z
     return Dome(texture, _strength(UsdLux.LightAPI(prim), time), axes)
 
 
 def _strength(light: UsdLux.LightAPI, time: Usd.TimeCode) -> NDArray[np.float64]:
-    color = np.array(light.GetColorAttr().Get(time), np.float64)
-    if light.GetEnableColorTemperatureAttr().Get(time):
-        kelvin = light.GetColorTemperatureAttr().Get(time)
+    color = np.array(values.vector(light.GetColorAttr(), 3, time) or (1.0, 1.0, 1.0))
+    if values.flag(light.GetEnableColorTemperatureAttr(), False, time):
+        kelvin = values.number(light.GetColorTemperatureAttr(), 6500.0, time)
         color = color * np.array(UsdLux.BlackbodyTemperatureAsRgb(kelvin), np.float64)
     with np.errstate(over="ignore"):
         # Of NumPy: Python's own power raises where it overflows.
-        gain = light.GetIntensityAttr().Get(time) * np.exp2(light.GetExposureAttr().Get(time))
+        stops = np.exp2(values.number(light.GetExposureAttr(), 0.0, time))
+        gain = values.number(light.GetIntensityAttr(), 1.0, time) * stops
     strength: NDArray[np.float64] = color * gain
     if not np.isfinite(strength).all():
         raise StageError(f"{light.GetPath()}: a light whose strength is not finite")

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 from pxr import Usd, UsdGeom
 
+from scenec.backends.reader import values
 from scenec.backends.render_scene import Cells
 from scenec.schemas import stage as names
 from scenec.schemas.errors import StageError
@@ -17,20 +19,20 @@ def read_cells(prim: Usd.Prim, projection: str) -> Cells | None:
     Raises:
         StageError: A size that is not above 0, or another projection than from above.
     """
-    size = _numbers(prim, names.ATTR_MAP_CELL_SIZE, 1)
-    if size is None:
+    attribute = prim.GetAttribute(names.ATTR_MAP_CELL_SIZE)
+    if values.value_of(attribute) is None:
         return None
-    size_m = size[0] * UsdGeom.GetStageMetersPerUnit(prim.GetStage())
+    size_m = values.number(attribute, 0.0) * UsdGeom.GetStageMetersPerUnit(prim.GetStage())
     if not 0.0 < size_m < math.inf:
         raise StageError(f"{prim.GetPath()}: {names.ATTR_MAP_CELL_SIZE} must be above 0")
     _require_above(prim, names.ATTR_MAP_CELL_SIZE, projection)
-    seed = _numbers(prim, names.ATTR_MAP_CELL_SEED, 1) or (0.0,)
-    if not 0.0 <= seed[0] < 2.0**32 or seed[0] != math.floor(seed[0]):
+    seed = values.whole(prim.GetAttribute(names.ATTR_MAP_CELL_SEED), 0)
+    if not 0 <= seed < 2**32:
         raise StageError(
-            f"{prim.GetPath()}: {names.ATTR_MAP_CELL_SEED} is {seed[0]:g}, expected a whole number "
+            f"{prim.GetPath()}: {names.ATTR_MAP_CELL_SEED} is {seed}, expected a whole number "
             "from 0 to 2**32 - 1"
         )
-    return Cells(size_m, int(seed[0]))
+    return Cells(size_m, seed)
 
 
 def read_far(prim: Usd.Prim, projection: str) -> tuple[float, float] | None:
@@ -40,7 +42,7 @@ def read_far(prim: Usd.Prim, projection: str) -> tuple[float, float] | None:
         StageError: A factor below 1, a share outside of [0, 1], or another projection than from
             above.
     """
-    found = _numbers(prim, names.ATTR_MAP_FAR, 2)
+    found = values.vector(prim.GetAttribute(names.ATTR_MAP_FAR), 2)
     if found is None:
         return None
     factor, share = found
@@ -59,7 +61,7 @@ def read_emission(prim: Usd.Prim) -> tuple[float, float, float]:
     Raises:
         StageError: Not three finite numbers, none below 0.
     """
-    found = _numbers(prim, names.ATTR_EMISSION, 3)
+    found = values.vector(prim.GetAttribute(names.ATTR_EMISSION), 3)
     if found is None:
         return (0.0, 0.0, 0.0)
     red, green, blue = found
@@ -79,13 +81,9 @@ def read_height_blends(prim: Usd.Prim, merges: int) -> tuple[float, ...]:
     """
     name = names.ATTR_HEIGHT_BLENDS
     attribute = prim.GetAttribute(name)
-    value = attribute.Get() if attribute else None
-    if value is None:
+    if values.value_of(attribute) is None:
         return ()
-    try:
-        found = tuple(float(v) for v in value)
-    except (TypeError, ValueError):
-        found = (math.nan,)
+    found = tuple(values.array(attribute, np.float64).tolist())
     if len(found) != merges or not all(0.0 <= depth < math.inf for depth in found):
         raise StageError(
             f"{prim.GetPath()}: {name} must hold {merges} finite floats, one a merge and none "
@@ -99,19 +97,3 @@ def _require_above(prim: Usd.Prim, name: str, projection: str) -> None:
         raise StageError(
             f"{prim.GetPath()}: {name} is for maps of the projection above, not {projection}"
         )
-
-
-def _numbers(prim: Usd.Prim, name: str, count: int) -> tuple[float, ...] | None:
-    """An attribute's numbers, or None where it is not authored."""
-    attribute = prim.GetAttribute(name)
-    value = attribute.Get() if attribute else None
-    if value is None:
-        return None
-    try:
-        found = (float(value),) if count == 1 else tuple(float(v) for v in value)
-    except (TypeError, ValueError):
-        found = ()
-    if len(found) != count or not all(map(math.isfinite, found)):
-        wanted = "a finite number" if count == 1 else f"{count} finite numbers"
-        raise StageError(f"{prim.GetPath()}: {name} is {value}, expected {wanted}")
-    return found

@@ -9,6 +9,7 @@ from numba import njit
 from numpy.typing import NDArray
 from pxr import Usd, UsdGeom
 
+from scenec.backends.reader import values
 from scenec.schemas.errors import StageError
 
 
@@ -28,8 +29,8 @@ def instance_matrices(
         StageError: Arrays that contradict each other, or hold NaN.
     """
     path = instancer.GetPrim().GetPath()
-    prototype = np.array(instancer.GetProtoIndicesAttr().Get(times[0]) or (), np.int32)
-    targets = len(instancer.GetPrototypesRel().GetForwardedTargets())
+    prototype = values.array(instancer.GetProtoIndicesAttr(), np.int32, times[0])
+    targets = len(values.targets(instancer.GetPrim(), "prototypes"))
     if len(prototype) and (prototype.min() < 0 or prototype.max() >= targets):
         raise StageError(f"{path}: protoIndices name a prototype beyond the {targets} there are")
     moving = len(times) > 1 and any(
@@ -55,6 +56,8 @@ def instance_mask(
     """Which instances are there (``inactiveIds``, ``invisibleIds``): bool [samples or 1, n]."""
     if not instancer.GetInvisibleIdsAttr().ValueMightBeTimeVarying():
         times = times[:1]
+    # USD masks nothing where ids are none.
+    values.array(instancer.GetInvisibleIdsAttr(), np.int64, times[0])
     masks = [np.array(instancer.ComputeMaskAtTime(time), bool) for time in times]
     return np.stack([mask if len(mask) == count else np.ones(count, bool) for mask in masks])
 
@@ -63,10 +66,11 @@ def _matrices(
     instancer: UsdGeom.PointInstancer, count: int, time: Usd.TimeCode
 ) -> NDArray[np.float64]:
     path = instancer.GetPrim().GetPath()
-    positions = _array(path, "positions", instancer.GetPositionsAttr().Get(time), count, 3)
-    scales = _array(path, "scales", instancer.GetScalesAttr().Get(time), count, 3)
-    turns = instancer.GetOrientationsfAttr().Get(time) or instancer.GetOrientationsAttr().Get(time)
-    quaternions = _array(path, "orientations", turns, count, 4)
+    positions = _array(instancer.GetPositionsAttr(), time, count, 3)
+    scales = _array(instancer.GetScalesAttr(), time, count, 3)
+    quaternions = _array(instancer.GetOrientationsfAttr(), time, count, 4)
+    if quaternions is None:
+        quaternions = _array(instancer.GetOrientationsAttr(), time, count, 4)
     if positions is None and count:
         raise StageError(f"{path}: has {count} protoIndices but no positions")
     matrix = np.zeros((count, 3, 4))
@@ -114,14 +118,13 @@ def _set_rotations(quaternions, out):  # type: ignore[no-untyped-def]
 
 
 def _array(
-    path: object, name: str, values: object, count: int, width: int
+    attribute: Usd.Attribute, time: Usd.TimeCode, count: int, width: int
 ) -> NDArray[np.float64] | None:
     """An instancer's attribute as float64 [count, width]; None where it is not authored."""
-    if values is None or len(values) == 0:  # type: ignore[arg-type]
+    found = values.array(attribute, np.float64, time, width=(width,))
+    if not len(found):
         return None
-    array = np.array(values, np.float64).reshape(-1, width)
-    if len(array) != count:
-        raise StageError(f"{path}: {count} protoIndices, but {len(array)} {name}")
-    if not np.isfinite(array).all():
-        raise StageError(f"{path}: {name} hold NaN or infinity")
-    return array
+    if len(found) != count:
+        path, name = attribute.GetPrimPath(), attribute.GetName()
+        raise StageError(f"{path}: {count} protoIndices, but {len(found)} {name}")
+    return found

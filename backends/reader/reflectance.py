@@ -6,6 +6,7 @@ import math
 
 from pxr import Usd
 
+from scenec.backends.reader import values
 from scenec.backends.render_scene import Reflectance
 from scenec.schemas import stage as names
 from scenec.schemas.errors import StageError
@@ -27,12 +28,7 @@ def read_reflectance(prim: Usd.Prim) -> Reflectance | None:
         StageError: A law that is not known, or a number outside of its range.
     """
     attribute = prim.GetAttribute(names.ATTR_REFLECTANCE)
-    model = (attribute.Get() if attribute else None) or names.REFLECTANCES[0]
-    if model not in names.REFLECTANCES:
-        expected = ", ".join(names.REFLECTANCES)
-        raise StageError(
-            f'{prim.GetPath()}: {names.ATTR_REFLECTANCE} is "{model}", expected one of: {expected}'
-        )
+    model = values.word(attribute, names.REFLECTANCES[0], known=names.REFLECTANCES)
     if model == names.REFLECTANCES[0]:
         return None
     opposition = _number(prim, names.ATTR_OPPOSITION)
@@ -49,19 +45,14 @@ def read_reflectance(prim: Usd.Prim) -> Reflectance | None:
 
 def _number(prim: Usd.Prim, name: str) -> float:
     """An attribute within its range; 0 where it is not authored."""
-    attribute = prim.GetAttribute(name)
-    given = attribute.Get() if attribute else None
-    try:
-        value = float(given or 0.0)
-    except (TypeError, ValueError):
-        value = math.nan
+    value = values.number(prim.GetAttribute(name), 0.0, finite=False)
     low, with_low, high, with_high = _RANGES[name]
     above = value >= low if with_low else value > low
     below = value <= high if with_high else value < high
     if not (above and below):
         left, right = "[" if with_low else "(", "]" if with_high else ")"
         raise StageError(
-            f"{prim.GetPath()}: {name} is {given}, expected a number in "
+            f"{prim.GetPath()}: {name} is {value:g}, expected a number in "
             f"{left}{low:g}, {high:g}{right}"
         )
     return value

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import numpy as np
 from pxr import Usd
 
+from scenec.backends.reader import values
 from scenec.schemas import stage as names
 from scenec.schemas.depth_camera import DepthCamera, of_numbers
 from scenec.schemas.errors import StageError
@@ -17,13 +19,13 @@ def read_trigger(prim: Usd.Prim) -> tuple[int, int]:
     """
     if not prim.HasAttribute(names.ATTR_TRIGGER):
         return 1, 0
-    every, first = map(int, prim.GetAttribute(names.ATTR_TRIGGER).Get() or (0, 0))
+    every, first = values.vector(prim.GetAttribute(names.ATTR_TRIGGER), 2) or (0.0, 0.0)
     if every < 1 or first < 0:
         raise StageError(
-            f"{prim.GetPath()}: {names.ATTR_TRIGGER} is ({every}, {first}), expected at least "
+            f"{prim.GetPath()}: {names.ATTR_TRIGGER} is ({every:g}, {first:g}), expected at least "
             "(1, 0)"
         )
-    return every, first
+    return int(every), int(first)
 
 
 def read_depth_camera(prim: Usd.Prim) -> DepthCamera | None:
@@ -32,12 +34,12 @@ def read_depth_camera(prim: Usd.Prim) -> DepthCamera | None:
     Raises:
         StageError: Numbers that cannot be.
     """
-    kind = prim.GetAttribute(names.ATTR_DEPTH_MODEL).Get()
+    kind = values.word(prim.GetAttribute(names.ATTR_DEPTH_MODEL), "")
     if not kind:
         return None
-    numbers = prim.GetAttribute(names.ATTR_DEPTH_NUMBERS).Get()
-    key = prim.GetAttribute(names.ATTR_DEPTH_KEY).Get()
+    numbers = values.array(prim.GetAttribute(names.ATTR_DEPTH_NUMBERS), np.float64, finite=False)
+    key = values.whole(prim.GetAttribute(names.ATTR_DEPTH_KEY), 0)
     try:
-        return DepthCamera(of_numbers(str(kind), list(numbers or ())), int(key or 0))
+        return DepthCamera(of_numbers(kind, numbers.tolist()), key)
     except ValueError as error:
         raise StageError(f"{prim.GetPath()}: {names.ATTR_DEPTH_NUMBERS}: {error}") from error

@@ -6,12 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 from pxr import Gf, Usd, UsdGeom
 
+from scenec.backends.reader import values
 from scenec.backends.reader.frame import StageFrame, columns
 from scenec.backends.render_scene import OpenShutter
 from scenec.schemas import stage as names
 from scenec.schemas.errors import StageError
 from scenec.schemas.shutter import Shutter
-from scenec.schemas.spelling import nearest, shown
+from scenec.schemas.spelling import shown
 
 _DIRECTIONS = ("down", "up")
 #: How far a relative pose may be from a rigid one.
@@ -37,28 +38,28 @@ def read_shutter(
     exposure = prim.GetAttribute(names.ATTR_SHUTTER_EXPOSURE)
     if not exposure or not exposure.HasValue():
         return None
-    try:
-        shutter = Shutter(
-            float(exposure.Get(time)),
-            float(prim.GetAttribute(names.ATTR_SHUTTER_READOUT).Get() or 0.0),
-            _upward(prim),
-        )
-    except (TypeError, ValueError) as error:
-        raise StageError(
-            f"{prim.GetPath()}: {names.ATTR_SHUTTER_EXPOSURE} or {names.ATTR_SHUTTER_READOUT} is "
-            "no number"
-        ) from error
-    if not (0.0 <= shutter.exposure_s < np.inf and 0.0 <= shutter.readout_s < np.inf):
+    direction = prim.GetAttribute(names.ATTR_SHUTTER_DIRECTION)
+    shutter = Shutter(
+        values.number(exposure, 0.0, time),
+        values.number(prim.GetAttribute(names.ATTR_SHUTTER_READOUT), 0.0),
+        values.word(direction, "down", known=_DIRECTIONS) == "up",
+    )
+    if shutter.exposure_s < 0.0 or shutter.readout_s < 0.0:
         raise StageError(
             f"{prim.GetPath()}: {names.ATTR_SHUTTER_EXPOSURE} is {shutter.exposure_s:g} s and "
             f"{names.ATTR_SHUTTER_READOUT} {shutter.readout_s:g} s; expected 0 or more"
         )
-    listed = prim.GetAttribute(names.ATTR_SHUTTER_TIMES).Get()
-    times = np.array([0.0] if listed is None else listed, np.float64)
-    given = prim.GetAttribute(names.ATTR_SHUTTER_POSES).Get(time)
-    steps = [Gf.Matrix4d(1.0)] if given is None else list(given)
+    listed, moved = (
+        prim.GetAttribute(name) for name in (names.ATTR_SHUTTER_TIMES, names.ATTR_SHUTTER_POSES)
+    )
+    times = np.zeros(1)
+    if values.value_of(listed) is not None:
+        times = values.array(listed, np.float64)
+    steps = np.eye(4)[None]
+    if values.value_of(moved, time) is not None:
+        steps = values.array(moved, np.float64, time, width=(4, 4), finite=False)
     half = shutter.half_span * (1.0 - _ENDS)
-    sound = np.isfinite(times).all() and len(times) > 0 and bool((np.diff(times) > 0.0).all())
+    sound = len(times) > 0 and bool((np.diff(times) > 0.0).all())
     if (
         not sound
         or 0.0 not in times
@@ -77,23 +78,14 @@ def read_shutter(
     whole = UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(time)
     poses = np.repeat(pose[None], len(times), axis=0)
     for k in np.flatnonzero(times != 0.0).tolist():
-        step = columns(steps[k])
+        matrix = Gf.Matrix4d(steps[k].tolist())
+        step = columns(matrix)
         off = step[:, :3].T @ step[:, :3] - np.eye(3)
         if not np.isfinite(step).all() or np.abs(off).max() > _RIGID:
             raise StageError(
                 f"{prim.GetPath()}: {names.ATTR_SHUTTER_POSES}[{k}] is no rigid motion"
             )
-        moved = columns(steps[k] * whole)
-        poses[k, :3, :3] = frame.axes(moved) * np.array(names.HALF_TURN)
-        poses[k, :3, 3] = frame.point(moved)
+        then = columns(matrix * whole)
+        poses[k, :3, :3] = frame.axes(then) * np.array(names.HALF_TURN)
+        poses[k, :3, 3] = frame.point(then)
     return OpenShutter(shutter, times, poses)
-
-
-def _upward(prim: Usd.Prim) -> bool:
-    direction = prim.GetAttribute(names.ATTR_SHUTTER_DIRECTION).Get() or "down"
-    if direction not in _DIRECTIONS:
-        raise StageError(
-            f"{prim.GetPath()}: {names.ATTR_SHUTTER_DIRECTION} is {shown(str(direction))}"
-            f"{nearest(str(direction), _DIRECTIONS)}"
-        )
-    return str(direction) == "up"

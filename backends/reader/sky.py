@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
-from pxr import Sdf, Usd
+from pxr import Usd
 
+from scenec.backends.reader import values
 from scenec.backends.reader.frame import StageFrame
 from scenec.backends.reader.labels import LabelTable
+from scenec.backends.reader.sources import Sources
 from scenec.backends.render_scene import Haze, SkyLabelMap
 from scenec.schemas import stage as names
 from scenec.schemas.errors import StageError
@@ -20,28 +19,31 @@ _STANDING = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 
 
 def read_sky_label_maps(
-    stage: Usd.Stage, table: LabelTable, times: list[Usd.TimeCode]
+    stage: Usd.Stage, table: LabelTable, times: list[Usd.TimeCode], sources: Sources
 ) -> tuple[dict[str, SkyLabelMap], ...]:
     """Label maps by level, at each sample; () where the stage has none.
 
+    Where one is missing, the sky has its one label.
+
     Raises:
-        StageError: A picture does not exist.
+        StageError: A value is not what it can be.
     """
     prim = stage.GetPrimAtPath(names.SKY_PRIM)
-    found = tuple(_label_maps(prim, table, time) if prim else {} for time in times)
+    found = tuple(_label_maps(prim, table, time, sources) if prim else {} for time in times)
     return found if any(found) else ()
 
 
-def _label_maps(prim: Usd.Prim, table: LabelTable, time: Usd.TimeCode) -> dict[str, SkyLabelMap]:
+def _label_maps(
+    prim: Usd.Prim, table: LabelTable, time: Usd.TimeCode, sources: Sources
+) -> dict[str, SkyLabelMap]:
     maps = {}
     for level in table.levels:
-        asset = _value(prim, names.ATTR_SKY_LABEL_MAP.format(level=level), time)
-        if not isinstance(asset, Sdf.AssetPath) or not asset.path:
+        attribute = prim.GetAttribute(names.ATTR_SKY_LABEL_MAP.format(level=level))
+        file = sources.picture(attribute, time)
+        if file is None:
             continue
-        file = Path(asset.resolvedPath or asset.path)
-        if not file.is_file():
-            raise StageError(f"{prim.GetPath()}: its label map {asset.path} does not exist")
-        turn = np.radians(float(_value(prim, names.ATTR_SKY_ROTATION, time) or 0.0))
+        rotation = prim.GetAttribute(names.ATTR_SKY_ROTATION)
+        turn = np.radians(values.number(rotation, 0.0, time))
         # Clockwise from above is negative about +Z.
         c, s = np.cos(turn), np.sin(turn)
         maps[level] = SkyLabelMap(
@@ -67,32 +69,28 @@ def _haze(prim: Usd.Prim, frame: StageFrame, time: Usd.TimeCode) -> Haze | None:
     extinction = _color(prim, names.ATTR_HAZE_EXTINCTION, time)
     if extinction is None or not extinction.any():
         return None
-    height = _value(prim, names.ATTR_HAZE_SCALE_HEIGHT, time)
-    if height is not None and not float(height) > 0.0:
+    scale = prim.GetAttribute(names.ATTR_HAZE_SCALE_HEIGHT)
+    height = values.number(scale, np.inf, time, finite=False)
+    if not height > 0.0:
         raise StageError(
             f"{prim.GetPath()}: {names.ATTR_HAZE_SCALE_HEIGHT} is {height}, expected above 0"
         )
-    floor = _value(prim, names.ATTR_HAZE_FLOOR, time)
-    if floor is not None and not np.isfinite(float(floor)):
-        raise StageError(f"{prim.GetPath()}: {names.ATTR_HAZE_FLOOR} is {floor}, expected a height")
+    ground = prim.GetAttribute(names.ATTR_HAZE_FLOOR)
+    floor = None
+    if values.value_of(ground, time) is not None:
+        floor = values.number(ground, 0.0, time) * frame.meters_per_unit
     return Haze(
         extinction=extinction / frame.meters_per_unit,
-        scale_height_m=np.inf if height is None else float(height) * frame.meters_per_unit,
+        scale_height_m=height * frame.meters_per_unit,
         airlight=_color(prim, names.ATTR_HAZE_AIRLIGHT, time),
-        floor_m=None if floor is None else float(floor) * frame.meters_per_unit,
+        floor_m=floor,
     )
 
 
 def _color(prim: Usd.Prim, name: str, time: Usd.TimeCode) -> NDArray[np.float64] | None:
-    value = _value(prim, name, time)
+    value = values.vector(prim.GetAttribute(name), 3, time)
     if value is None:
         return None
-    color = np.array(value, np.float64)
-    if color.shape != (3,) or not np.isfinite(color).all() or (color < 0.0).any():
+    if min(value) < 0.0:
         raise StageError(f"{prim.GetPath()}: {name} is {value}, expected three numbers from 0 on")
-    return color
-
-
-def _value(prim: Usd.Prim, name: str, time: Usd.TimeCode) -> Any:
-    attribute = prim.GetAttribute(name)
-    return attribute.Get(time) if attribute and attribute.HasValue() else None
+    return np.array(value)

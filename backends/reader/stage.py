@@ -2,70 +2,76 @@
 
 from __future__ import annotations
 
-import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from pxr import Tf, Usd
+from pxr import Usd
 
+from scenec.backends.reader import values
 from scenec.backends.reader.cameras import read_cameras
 from scenec.backends.reader.frame import StageFrame
+from scenec.backends.reader.instance_labels import labeled_instances
 from scenec.backends.reader.instancers import Expanded, Expander
 from scenec.backends.reader.labels import LabelTable, prim_labels, read_table
 from scenec.backends.reader.lidars import read_lidars
 from scenec.backends.reader.lights import read_lighting
 from scenec.backends.reader.meshes import MeshTable
 from scenec.backends.reader.sky import read_haze, read_sky_label_maps
-from scenec.backends.render_scene import Lighting, Mesh, Motion, RenderScene, Rows, Surface
+from scenec.backends.reader.sources import Sources
+from scenec.backends.reader.unread import Unread
+from scenec.backends.render_scene import Mesh, Motion, RenderScene, Rows
 from scenec.schemas import stage as names
 from scenec.schemas.errors import StageError
-from scenec.schemas.files import sha256
-from scenec.schemas.manifest import digest_of_files
-from scenec.schemas.maps import MAP_CHANNELS
+
+#: Time codes of a stage, one a sample.
+_MOST_SAMPLES = 1_000_000
 
 
-def read_stage(path: Path | str) -> RenderScene:
+def read_stage(path: Path | str, *, allow_missing: bool = False) -> RenderScene:
     """Reads a stage of scenec's schema, or any other, into flat arrays.
 
     Accepted of foreign stages: polygons (fan triangulation, with a map back), either handedness,
     Y or Z up, any unit, nested instancers, native instances, mirrored and sheared transforms,
     visibility, purpose, ``inactiveIds`` and ``invisibleIds``, UsdSemantics labels in place of label
-    primvars, UsdPreviewSurface constants in place of ours. Subdivision surfaces are taken as their
-    cages.
+    primvars, UsdPreviewSurface constants in place of ours. Implicit shapes are tessellated
+    (``implicit.ERROR``). Subdivision surfaces are taken as their cages. What is not followed is
+    named in the scene's ``losses``.
     Topology and points are those of the first time code: meshes do not deform. Transforms, an
     instancer's positions, orientations and scales, and visibility are taken as they are at each
     sample's time code (between authored codes as USD has them).
 
     Args:
         path: ``.usda``, ``.usdc``, ``.usd`` or ``.usdz``.
+        allow_missing: Whether to read what is there of a stage that lacks layers, prims or
+            pictures, or whose files are not those of its manifest; ``losses`` then names these.
 
     Raises:
-        StageError: Not a stage, a newer schema, or arrays that contradict each other.
+        StageError: Not a stage, a newer schema, one that is not whole, or values that no reader
+            could make sense of.
     """
-    path = Path(path)
-    if not path.is_file():
-        raise StageError(f"{path}: no such file")
-    try:
-        stage = Usd.Stage.Open(str(path))
-    except Tf.ErrorException as error:
-        reason = str(error).strip().splitlines()[-1].strip(" '\"")
-        raise StageError(f"{path}: not a USD stage: {reason}") from error
+    sources = Sources(Path(path), allow_missing)
+    with sources.reading() as stage:
+        scene = _read(stage, Path(path), sources)
+    return replace(scene, losses=(*scene.losses, *sources.losses))
+
+
+def _read(stage: Usd.Stage, path: Path, sources: Sources) -> RenderScene:
     _require_schema(stage, path)
     frame = StageFrame.of(stage)
     times = _time_codes(stage)
     table = read_table(stage)
-    meshes = MeshTable(table, times[0])
-    expander = Expander(meshes, times)
+    meshes = MeshTable(table, times[0], Unread(len(times) > 1, sources), sources)
+    expander = Expander(meshes, times, labeled_instances(stage, table))
     rows = _rows(expander.expand(stage.GetPseudoRoot()).settled(), frame)
     cameras = read_cameras(stage, frame, times)
-    lighting = tuple(read_lighting(stage, frame, time) for time in times)
-    label_maps = read_sky_label_maps(stage, table, times)
-    of_sky = [*_domes(lighting), *(each.file for maps in label_maps for each in maps.values())]
+    lighting = tuple(read_lighting(stage, frame, time, sources) for time in times)
+    label_maps = read_sky_label_maps(stage, table, times, sources)
     lidars = read_lidars(stage, frame, times)
     return RenderScene(
         source=path,
-        digest=_digest(stage, path, [*of_sky, *_maps(meshes.surfaces.surfaces())]),
+        digest=sources.digest(stage),
         samples=len(times),
         meshes=tuple(meshes.meshes),
         rows=rows,
@@ -85,6 +91,7 @@ def read_stage(path: Path | str) -> RenderScene:
         haze=read_haze(stage, frame, times),
         sky_label_maps=label_maps,
         lidars=lidars,
+        losses=meshes.unread.lines,
     )
 
 
@@ -93,7 +100,7 @@ def _require_schema(stage: Usd.Stage, path: Path) -> None:
     attribute = root.GetAttribute(names.ATTR_SCHEMA_VERSION) if root else None
     if not attribute or not attribute.HasValue():
         return
-    version = str(attribute.Get())
+    version = values.word(attribute, "")
     major = version.split(".")[0]
     if not major.isdigit() or int(major) > int(names.SCHEMA_VERSION.split(".")[0]):
         raise StageError(
@@ -106,11 +113,12 @@ def _time_codes(stage: Usd.Stage) -> list[Usd.TimeCode]:
         # The first sample of whatever is animated, the default of all else.
         return [Usd.TimeCode.EarliestTime()]
     first, last = stage.GetStartTimeCode(), stage.GetEndTimeCode()
-    count = int(np.floor(last - first)) + 1
-    if count < 1:
+    if not 0.0 <= last - first < _MOST_SAMPLES:
         raise StageError(
-            f"{stage.GetRootLayer().identifier}: endTimeCode lies before startTimeCode"
+            f"{stage.GetRootLayer().identifier}: startTimeCode is {first:g} and endTimeCode "
+            f"{last:g}; expected one not after the other, and fewer than {_MOST_SAMPLES} samples"
         )
+    count = int(np.floor(last - first)) + 1
     return [Usd.TimeCode(first + i) for i in range(count)]
 
 
@@ -122,7 +130,7 @@ def _rows(expanded: Expanded, frame: StageFrame) -> Rows:
     return Rows(
         mesh=expanded.mesh,
         to_world=np.ascontiguousarray(frame.affine(expanded.matrix)),
-        instance_id=expanded.instance_id,
+        instance_id=expanded.instance_id.astype(np.uint32),
         variation=expanded.variation,
         motion=motion,
         part=expanded.part,
@@ -174,27 +182,6 @@ def _times(stage: Usd.Stage, times: list[Usd.TimeCode]) -> NDArray[np.float64]:
     root = stage.GetDefaultPrim()
     attribute = root.GetAttribute(names.ATTR_TIME) if root else None
     if attribute and attribute.HasValue():
-        return np.array([float(attribute.Get(time)) for time in times])
+        return np.array([values.number(attribute, 0.0, time) for time in times])
     rate = stage.GetTimeCodesPerSecond() or 1.0
     return np.arange(len(times)) / rate
-
-
-def _domes(lighting: tuple[Lighting, ...]) -> list[Path]:
-    return [d.texture for light in lighting for d in light.domes if d.texture is not None]
-
-
-def _maps(surfaces: tuple[Surface, ...]) -> list[Path]:
-    files: list[Path] = []
-    for maps in (surface.maps for surface in surfaces):
-        if maps is not None:
-            chosen = (getattr(maps, kind) for kind in MAP_CHANNELS)
-            files.extend(file for file in chosen if file is not None)
-    return files
-
-
-def _digest(stage: Usd.Stage, path: Path, pictures: list[Path]) -> str:
-    """sha256 over the bytes of all files the stage is composed from, and their relative places."""
-    folder = path.resolve().parent
-    files = {Path(layer.realPath) for layer in stage.GetUsedLayers() if layer.realPath}
-    files |= set(pictures)
-    return digest_of_files((os.path.relpath(f, folder), sha256(f)) for f in files if f.is_file())

@@ -9,9 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pxr import Usd, UsdGeom, UsdShade
 
+from scenec.backends.reader import values
 from scenec.backends.reader.mapped import read_cells, read_emission, read_far
 from scenec.backends.reader.reflectance import read_reflectance
-from scenec.backends.reader.textures import texture_maps
+from scenec.backends.reader.sources import Sources
+from scenec.backends.reader.textures import FIRST, constant, texture_maps
 from scenec.backends.render_scene import Maps, Surface
 from scenec.schemas import stage as names
 from scenec.schemas.errors import StageError
@@ -36,7 +38,7 @@ class SurfaceTable:
 
 
 def read_layers(
-    mesh: UsdGeom.Mesh, point_count: int
+    mesh: UsdGeom.Mesh, point_count: int, sources: Sources
 ) -> tuple[list[Surface], NDArray[np.float32]] | None:
     """Ordered ground materials and the weights of their merges, [layers - 1, point_count].
 
@@ -46,8 +48,7 @@ def read_layers(
         StageError: A target is no material, or a weight is missing or of the wrong length.
     """
     prim = mesh.GetPrim()
-    relationship = prim.GetRelationship(names.REL_LAYERS)
-    targets = relationship.GetTargets() if relationship else []
+    targets = values.targets(prim, names.REL_LAYERS)
     if not targets:
         return None
     surfaces = []
@@ -55,7 +56,7 @@ def read_layers(
         material = UsdShade.Material(prim.GetStage().GetPrimAtPath(target))
         if not material:
             raise StageError(f"{prim.GetPath()}: {names.REL_LAYERS} names {target}: no material")
-        surfaces.append(surface_of(material))
+        surfaces.append(surface_of(material, sources))
     weights = np.zeros((len(targets) - 1, point_count), np.float32)
     for merge in range(1, len(targets)):
         weights[merge - 1] = _vertex_floats(prim, names.weight_primvar(merge), point_count)
@@ -72,35 +73,45 @@ def read_variation(prim: Usd.Prim, count: int) -> NDArray[np.float32] | None:
 
 def _vertex_floats(prim: Usd.Prim, name: str, count: int) -> NDArray[np.float32]:
     primvar = UsdGeom.PrimvarsAPI(prim).GetPrimvar(name)
-    values = (
-        np.array(primvar.ComputeFlattened(), np.float32) if primvar else np.zeros(0, np.float32)
-    )
-    if values.shape != (count,) or not np.isfinite(values).all():
+    found = np.zeros(0, np.float32)
+    if primvar:
+        found = values.flattened(primvar, np.float32, values.DEFAULT)
+    if len(found) != count or not np.isfinite(found).all():
         raise StageError(
-            f"{prim.GetPath()}: primvar {name} must hold {count} finite floats, has {values.size}"
+            f"{prim.GetPath()}: primvar {name} must hold {count} finite floats, has {len(found)}"
         )
-    return values
+    return found
 
 
-def bound_surface(prim: Usd.Prim) -> Surface:
+def bound_material(prim: Usd.Prim) -> UsdShade.Material:
+    """What is bound for full renderings, or for all purposes; invalid where nothing is."""
+    return UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial(UsdShade.Tokens.full)[0]
+
+
+def bound_surface(prim: Usd.Prim, sources: Sources) -> Surface:
     """The surface of the bound material; without one, a diffuse one of displayColor."""
-    material, _ = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial()
+    material = bound_material(prim)
     if material:
-        return surface_of(material, _display_color(prim))
-    return Surface("", _display_color(prim), 0.0, 1.0, 0.0)
+        return surface_of(material, sources, display_color(prim))
+    return Surface("", display_color(prim), 0.0, 1.0, 0.0)
 
 
-def _display_color(prim: Usd.Prim) -> tuple[float, float, float]:
+def display_color(prim: Usd.Prim) -> tuple[float, float, float]:
+    """Mean of displayColor, its own or what it inherits; gray without."""
     primvar = UsdGeom.PrimvarsAPI(prim).FindPrimvarWithInheritance("displayColor")
-    values = np.array(primvar.Get(), np.float64) if primvar and primvar.HasValue() else np.zeros(0)
-    if not values.size:
+    if not primvar or not primvar.HasValue():
         return (_GRAY, _GRAY, _GRAY)
-    red, green, blue = values.reshape(-1, 3).mean(axis=0).tolist()
+    found = values.array(primvar.GetAttr(), np.float64, Usd.TimeCode.EarliestTime(), width=(3,))
+    if not len(found):
+        return (_GRAY, _GRAY, _GRAY)
+    red, green, blue = found.mean(axis=0).tolist()
     return (red, green, blue)
 
 
 def surface_of(
-    material: UsdShade.Material, fallback: tuple[float, float, float] = (_GRAY, _GRAY, _GRAY)
+    material: UsdShade.Material,
+    sources: Sources,
+    fallback: tuple[float, float, float] = (_GRAY, _GRAY, _GRAY),
 ) -> Surface:
     """The shared surface model's numbers of a material.
 
@@ -110,37 +121,38 @@ def surface_of(
 
     Args:
         material: The material.
+        sources: Of the stage. A map that is missing is left out.
         fallback: Color where diffuseColor is connected to something that is not read.
 
     Raises:
-        StageError: One of our numbers is none, or not finite; or a map does not exist.
+        StageError: One of its numbers is none, or not finite.
     """
     prim = material.GetPrim()
     path = str(prim.GetPath())
     color = prim.GetAttribute(names.ATTR_BASE_COLOR)
     if color and color.HasValue():
-        red, green, blue = (float(v) for v in color.Get())
+        red, green, blue = values.vector(color, 3) or fallback
         return Surface(
             path,
             (red, green, blue),
-            _number(prim, names.ATTR_SPECULAR),
-            _number(prim, names.ATTR_ROUGHNESS),
-            _number(prim, names.ATTR_COLOR_VARIATION),
-            _number(prim, names.ATTR_METALLIC),
-            _maps(prim),
-            _number(prim, names.ATTR_ROUGHNESS_VARIATION),
+            values.number(prim.GetAttribute(names.ATTR_SPECULAR), 0.0),
+            values.number(prim.GetAttribute(names.ATTR_ROUGHNESS), 0.0),
+            values.number(prim.GetAttribute(names.ATTR_COLOR_VARIATION), 0.0),
+            values.number(prim.GetAttribute(names.ATTR_METALLIC), 0.0),
+            _maps(prim, sources),
+            values.number(prim.GetAttribute(names.ATTR_ROUGHNESS_VARIATION), 0.0),
             reflectance=read_reflectance(prim),
             emission=read_emission(prim),
         )
     shader, _, _ = material.ComputeSurfaceSource()
-    if not shader or shader.GetIdAttr().Get() != "UsdPreviewSurface":
+    if not shader or values.word(shader.GetIdAttr(), "") != "UsdPreviewSurface":
         return Surface(path, fallback, 0.0, 1.0, 0.0)
-    diffuse = shader.GetInput("diffuseColor")
-    if diffuse and not diffuse.HasConnectedSource() and diffuse.Get() is not None:
-        red, green, blue = (float(v) for v in diffuse.Get())
+    diffuse = _color_input(shader, "diffuseColor")
+    if diffuse is not None:
+        red, green, blue = diffuse
         fallback = (red, green, blue)
     specular = _input(shader, "useSpecularWorkflow", 0) == 1
-    maps = texture_maps(shader, specular)
+    maps = texture_maps(shader, specular, sources)
     return Surface(
         path,
         (1.0, 1.0, 1.0) if maps is not None and maps.base_color is not None else fallback,
@@ -156,52 +168,28 @@ def surface_of(
 def _emission(shader: UsdShade.Shader, maps: Maps | None) -> tuple[float, float, float]:
     if maps is not None and maps.emission is not None:
         return (1.0, 1.0, 1.0)
-    emissive = shader.GetInput("emissiveColor")
-    value = emissive.Get() if emissive and not emissive.HasConnectedSource() else None
-    if value is None or not all(0.0 <= float(v) < math.inf for v in value):
-        return (0.0, 0.0, 0.0)
-    red, green, blue = (float(v) for v in value)
-    return (red, green, blue)
+    red, green, blue = _color_input(shader, "emissiveColor") or (0.0, 0.0, 0.0)
+    return (red, green, blue) if min(red, green, blue) >= 0.0 else (0.0, 0.0, 0.0)
 
 
-def _number(prim: Usd.Prim, name: str) -> float:
-    """An attribute of the surface model, 0 where it is not authored."""
-    value = prim.GetAttribute(name).Get()
-    try:
-        number = float(value or 0.0)
-    except (TypeError, ValueError):
-        number = math.nan
-    if not math.isfinite(number):
-        raise StageError(f"{prim.GetPath()}: {name} is {value}, expected a finite number")
-    return number
-
-
-def _maps(prim: Usd.Prim) -> Maps | None:
+def _maps(prim: Usd.Prim, sources: Sources) -> Maps | None:
     files: dict[str, Path] = {}
     for kind, name in names.ATTR_MAPS.items():
-        attribute = prim.GetAttribute(name)
-        asset = attribute.Get() if attribute else None
-        if asset is not None and asset.path:
-            files[kind] = Path(asset.resolvedPath or asset.path)
-            if not files[kind].is_file():
-                raise StageError(f"{prim.GetPath()}: its map {asset.path} does not exist")
+        file = sources.picture(prim.GetAttribute(name))
+        if file is not None:
+            files[kind] = file
     if not files:
         return None
-    asked = prim.GetAttribute(names.ATTR_MAP_PROJECTION)
-    projection = (asked.Get() if asked else None) or names.MAP_PROJECTIONS[0]
-    if projection not in names.MAP_PROJECTIONS:
-        expected = ", ".join(names.MAP_PROJECTIONS)
-        raise StageError(
-            f'{prim.GetPath()}: {names.ATTR_MAP_PROJECTION} is "{projection}", expected {expected}'
-        )
-    convention = prim.GetAttribute(names.ATTR_NORMAL_CONVENTION)
+    lie = names.MAP_PROJECTIONS
+    projection = values.word(prim.GetAttribute(names.ATTR_MAP_PROJECTION), lie[0], known=lie)
+    convention = values.word(prim.GetAttribute(names.ATTR_NORMAL_CONVENTION), "")
     return Maps(
         size_m=1.0 if projection == "uv" else _map_size(prim),
         base_color=files.get("base_color"),
         roughness=files.get("roughness"),
         metallic=files.get("metallic"),
         normal=files.get("normal"),
-        flip_green=bool(convention and convention.Get() == "directx"),
+        flip_green=convention == "directx",
         projection=projection,
         emission=files.get("emission"),
         height=files.get("height"),
@@ -211,9 +199,8 @@ def _maps(prim: Usd.Prim) -> Maps | None:
 
 
 def _map_size(prim: Usd.Prim) -> float:
-    size = prim.GetAttribute(names.ATTR_MAP_SIZE)
     meters = UsdGeom.GetStageMetersPerUnit(prim.GetStage())
-    size_m = meters * float(size.Get() or 0.0) if size else 0.0
+    size_m = meters * values.number(prim.GetAttribute(names.ATTR_MAP_SIZE), 0.0)
     if not 0.0 < size_m < math.inf:
         raise StageError(f"{prim.GetPath()}: {names.ATTR_MAP_SIZE} must be above 0")
     return size_m
@@ -221,14 +208,15 @@ def _map_size(prim: Usd.Prim) -> float:
 
 def _normal_reflectance(shader: UsdShade.Shader) -> float:
     if _input(shader, "useSpecularWorkflow", 0) == 1:
-        specular = shader.GetInput("specularColor")
-        color = specular.Get() if specular and not specular.HasConnectedSource() else None
+        color = _color_input(shader, "specularColor")
         return float(np.mean(color)) if color is not None else 0.0
     ior = _input(shader, "ior", 1.5)
     return ((ior - 1.0) / (ior + 1.0)) ** 2
 
 
 def _input(shader: UsdShade.Shader, name: str, default: float) -> float:
-    found = shader.GetInput(name)
-    value = found.Get() if found and not found.HasConnectedSource() else None
-    return default if value is None else float(value)
+    return values.number(constant(shader, name), default, FIRST)
+
+
+def _color_input(shader: UsdShade.Shader, name: str) -> tuple[float, ...] | None:
+    return values.vector(constant(shader, name), 3, FIRST)

@@ -6,14 +6,17 @@ import math
 from pathlib import Path
 from typing import NamedTuple
 
-from pxr import Ar, Sdf, UsdShade
+from pxr import Usd, UsdShade
 
+from scenec.backends.reader import values
+from scenec.backends.reader.sources import Sources
 from scenec.backends.render_scene import Maps, Reading
-from scenec.schemas.errors import StageError
 from scenec.schemas.maps import COLORS
 
+#: Of a value that changes, the first.
+FIRST = Usd.TimeCode.EarliestTime()
 #: Inputs of UsdPreviewSurface by the kind of map they are.
-_INPUTS = {
+INPUTS = {
     "base_color": "diffuseColor",
     "roughness": "roughness",
     "metallic": "metallic",
@@ -33,7 +36,7 @@ class _Coordinates(NamedTuple):
     transform: tuple[float, ...]
 
 
-def texture_maps(shader: UsdShade.Shader, specular: bool) -> Maps | None:
+def texture_maps(shader: UsdShade.Shader, specular: bool, sources: Sources) -> Maps | None:
     """Maps of the textures that a UsdPreviewSurface reads, or None.
 
     A mesh has one set of texture coordinates here: textures at others than the first one's are left
@@ -42,22 +45,24 @@ def texture_maps(shader: UsdShade.Shader, specular: bool) -> Maps | None:
     Args:
         shader: The surface.
         specular: Whether it is of the specular workflow, where ``metallic`` says nothing.
+        sources: Of the stage. A texture that is missing is left out.
 
     Raises:
-        StageError: A texture's file does not exist, or stands inside a package (usdz).
+        StageError: A texture's file stands inside a package (usdz), or an input is not what it can
+            be.
     """
     files: dict[str, Path] = {}
     readings: list[tuple[str, Reading]] = []
     coordinates: _Coordinates | None = None
     flip_green = False
-    for kind, name in _INPUTS.items():
+    for kind, name in INPUTS.items():
         if kind == "metallic" and specular:
             continue
-        texture, output = _connected(shader, name)
-        if texture is None or texture.GetIdAttr().Get() != "UsdUVTexture":
+        texture, output = connected(shader, name)
+        if texture is None or values.word(texture.GetIdAttr(), "") != "UsdUVTexture":
             continue
         own = _coordinates(texture)
-        file = _file(texture)
+        file = sources.picture(constant(texture, "file"), FIRST)
         if file is None or output not in _CHANNELS or coordinates not in (None, own):
             continue
         coordinates = own
@@ -87,8 +92,8 @@ def texture_maps(shader: UsdShade.Shader, specular: bool) -> Maps | None:
 
 
 def _reading(texture: UsdShade.Shader, kind: str, channel: str) -> Reading:
-    space = _constant(texture, "sourceColorSpace")
-    srgb = {"raw": False, "sRGB": True}.get(str(space))
+    space = values.word(constant(texture, "sourceColorSpace"), "", FIRST)
+    srgb = {"raw": False, "sRGB": True}.get(space)
     # Numbers are raw unless it is said that they are not; colors are where they are not floating.
     if srgb == (False if kind not in COLORS else None):
         srgb = None
@@ -100,34 +105,19 @@ def _reading(texture: UsdShade.Shader, kind: str, channel: str) -> Reading:
     )
 
 
-def _file(texture: UsdShade.Shader) -> Path | None:
-    asset = _constant(texture, "file")
-    if not isinstance(asset, Sdf.AssetPath) or not asset.path:
-        return None
-    if Ar.IsPackageRelativePath(asset.resolvedPath):
-        raise StageError(
-            f"{texture.GetPath()}: its texture {asset.path} stands inside a package: unpack that, "
-            "a zip archive, and render the stage in it"
-        )
-    file = Path(asset.resolvedPath or asset.path)
-    if not file.is_file():
-        raise StageError(f"{texture.GetPath()}: its texture {asset.path} does not exist")
-    return file
-
-
 def _coordinates(texture: UsdShade.Shader) -> _Coordinates:
     """The primvar that a texture's ``st`` comes from, through any UsdTransform2d."""
     transform = _IDENTITY
-    node, _ = _connected(texture, "st")
+    node, _ = connected(texture, "st")
     for _ in range(_DEEPEST):
         if node is None:
             break
-        kind = node.GetIdAttr().Get()
+        kind = values.word(node.GetIdAttr(), "")
         if kind == "UsdTransform2d":
             transform = _after(transform, _transform(node))
-            node, _ = _connected(node, "in")
+            node, _ = connected(node, "in")
         elif kind == "UsdPrimvarReader_float2":
-            return _Coordinates(str(_constant(node, "varname") or "st"), transform)
+            return _Coordinates(values.word(constant(node, "varname"), "st", FIRST), transform)
         else:
             break
     return _Coordinates("st", transform)
@@ -149,7 +139,7 @@ def _after(last: tuple[float, ...], first: tuple[float, ...]) -> tuple[float, ..
             d * p + e * s, d * q + e * t, d * r + e * u + f)  # fmt: skip
 
 
-def _connected(shader: UsdShade.Shader, name: str) -> tuple[UsdShade.Shader | None, str]:
+def connected(shader: UsdShade.Shader, name: str) -> tuple[UsdShade.Shader | None, str]:
     """The node that an input reads, and which output of it."""
     found = shader.GetInput(name)
     for attribute in UsdShade.Utils.GetValueProducingAttributes(found) if found else ():
@@ -159,22 +149,22 @@ def _connected(shader: UsdShade.Shader, name: str) -> tuple[UsdShade.Shader | No
     return None, ""
 
 
-def _constant(shader: UsdShade.Shader, name: str) -> object:
-    """Value of an input, or of the input of a material or node graph that it is connected to."""
+def constant(shader: UsdShade.Shader, name: str) -> Usd.Attribute | None:
+    """An input, or the input of a material or node graph that it is connected to."""
     found = shader.GetInput(name)
     for attribute in UsdShade.Utils.GetValueProducingAttributes(found) if found else ():
         if UsdShade.Utils.GetType(attribute.GetName()) == UsdShade.AttributeType.Input:
-            value: object = attribute.Get()
-            return value
+            return attribute
     return None
 
 
 def _numbers[T: tuple[float, ...]](shader: UsdShade.Shader, name: str, default: T) -> T:
-    """As many numbers of an input as the default has; it, where they are no such."""
-    value = _constant(shader, name)
-    try:
-        numbers = (float(value),) if isinstance(value, float | int) else tuple(map(float, value))  # type: ignore[call-overload]
-    except TypeError:
+    """As many numbers of an input as the default has; it, where there is no value."""
+    attribute = constant(shader, name)
+    if attribute is None:
         return default
-    sound = len(numbers) >= len(default) and all(map(math.isfinite, numbers))
-    return numbers[: len(default)] if sound else default  # type: ignore[return-value]
+    if len(default) == 1:
+        return (values.number(attribute, default[0], FIRST),)  # type: ignore[return-value]
+    # Scales and biases are of four, for textures without an alpha, too.
+    found = values.vector(attribute, len(default), FIRST, of_more=True)
+    return default if found is None else found  # type: ignore[return-value]

@@ -135,6 +135,10 @@ def _at_sample(cfg: dict[str, Any], pattern: int, noise: int) -> Imaging:
 
 def _exposed(sensor: Sensor, plan: ImagingPlan) -> Sensor:
     samples = plan.samples
+    if plan.metered and sensor.exposure_per is not None:
+        # Time and speed follow the exposure that renderers find.
+        samples = tuple(dataclasses.replace(imaging, rule="metered") for imaging in samples)
+        return dataclasses.replace(sensor, imaging=samples)
     if plan.metered:
         samples = tuple(
             _metered(imaging, float(ev))
@@ -143,7 +147,8 @@ def _exposed(sensor: Sensor, plan: ImagingPlan) -> Sensor:
     ev = sensor.exposure_ev
     if all(imaging.rule == "fixed" for imaging in samples):
         ev = np.array([_shown_ev(imaging) for imaging in samples])
-    return dataclasses.replace(sensor, imaging=samples, exposure_ev=ev)
+    # Manual ones, and those that meter each picture, have an exposure of their own.
+    return dataclasses.replace(sensor, imaging=samples, exposure_ev=ev, exposure_per=None)
 
 
 def _metered(imaging: Imaging, ev: float) -> Imaging:

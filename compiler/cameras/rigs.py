@@ -42,7 +42,7 @@ def build_rigs(
     for plan in plans:
         what = f"rigs/{plan.name}/pose"
         samples = len(plan.sensors[0].ev) if plan.sensors else 0
-        around = Around(what, samples, surface, plan.sensors, bodies or {})
+        around = Around(what, samples, surface, plan.sensors, bodies or {}, lidars=plan.lidars)
         built = _built(plan, around)
         sensors = tuple(_sensor(sensor, irradiance) for sensor in plan.sensors)
         still = Rig(plan.name, built.to_world, sensors, built.times, plan.lidars)
@@ -95,6 +95,7 @@ def _sensor(plan: SensorPlan, irradiance: NDArray[np.float64] | None) -> Sensor:
         to_rig=plan.to_rig,
         exposure_ev=ev,
         outputs=plan.outputs,
+        exposure_per=plan.exposure_per,
         partner=plan.partner,
         trigger=plan.trigger,
         depth_camera=plan.depth_camera,

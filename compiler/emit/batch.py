@@ -8,7 +8,7 @@ from pathlib import Path
 from pxr import Gf, Sdf, Usd, UsdGeom, Vt
 
 from scenec.compiler.emit.cameras import camera_path, clipping_range, write_cameras
-from scenec.compiler.emit.layer import author, label_names, new_layer
+from scenec.compiler.emit.layer import label_names, new_layer
 from scenec.compiler.emit.lights import write_lights
 from scenec.compiler.emit.looks import write_look
 from scenec.compiler.emit.maps import copy_maps
@@ -57,10 +57,14 @@ def write_batch(folder: Path, scene: Scene) -> None:
         else:
             write_scatter(folder / sublayers[-1], objects, shown, table)
     sublayers.extend(_write_looks(folder, scene))
+    # Binary, whatever is in them: samples of many time codes are large and slow as text.
     if scene.sun is not None or scene.sky is not None or scene.more_suns or scene.lamps:
-        sublayers.append("lights.usda")
+        sublayers.append("lights.usdc")
         write_lights(folder / sublayers[-1], scene)
-    sublayers.append("cameras.usda")
+    if scene.sky_labels or scene.haze is not None:
+        sublayers.append("sky.usdc")
+        write_sky_prim(folder / sublayers[-1], scene)
+    sublayers.append("cameras.usdc")
     write_cameras(folder / sublayers[-1], scene)
     _write_root(folder / STAGE, scene, sublayers)
 
@@ -90,7 +94,6 @@ def _write_looks(folder: Path, scene: Scene) -> list[str]:
 
 def _write_root(path: Path, scene: Scene, sublayers: list[str]) -> None:
     with new_layer(path) as stage:
-        stage.GetRootLayer().subLayerPaths = [f"./{name}" for name in sublayers]
         stage.SetStartTimeCode(0.0)
         stage.SetEndTimeCode(float(scene.samples - 1))
         stage.SetMetadata("renderSettingsPrimPath", f"{names.RENDER_SCOPE}/Settings")
@@ -112,17 +115,21 @@ def _write_root(path: Path, scene: Scene, sublayers: list[str]) -> None:
                 Sdf.ValueTypeNames.UIntArray,
                 custom=True,
             ).Set(Vt.UIntArray(list(table.values())))
-        author(
-            world.CreateAttribute(names.ATTR_TIME, Sdf.ValueTypeNames.Double, custom=True),
-            scene.times.tolist(),
-        )
-        write_sky_prim(stage, path.parent, scene)
+        if scene.haze is not None:
+            # Of all there was: what was pruned must not move it.
+            sky = stage.OverridePrim(names.SKY_PRIM)
+            floor = sky.CreateAttribute(
+                names.ATTR_HAZE_FLOOR, Sdf.ValueTypeNames.Double, custom=True
+            )
+            floor.Set(float(scene.bounds[0, 2]))
         _write_georeference(world, scene)
         _write_instance_bases(stage, scene)
         for rig in scene.rigs:
             for sensor in rig.sensors:
                 camera = UsdGeom.Camera(stage.OverridePrim(camera_path(rig, sensor)))
                 camera.CreateClippingRangeAttr(clipping_range(rig, sensor, scene.bounds))
+        # Last: after each edit USD looks through all sublayers, of which there is one a class.
+        stage.GetRootLayer().subLayerPaths = [f"./{name}" for name in sublayers]
 
 
 def _write_georeference(world: Usd.Prim, scene: Scene) -> None:

@@ -49,8 +49,11 @@ _VAR_TYPES = {
 
 
 def write_cameras(path: Path, scene: Scene) -> None:
-    """Writes ``cameras.usda``: rigs, cameras, and a RenderProduct for each camera."""
+    """Writes ``cameras.usdc``: rigs, cameras, a RenderProduct for each camera, samples' times."""
     with new_layer(path) as stage:
+        world = stage.GetDefaultPrim()
+        time = world.CreateAttribute(names.ATTR_TIME, Sdf.ValueTypeNames.Double, custom=True)
+        author(time, scene.times.tolist())
         UsdGeom.Scope.Define(stage, RIGS)
         products = []
         for rig in scene.rigs:
@@ -126,6 +129,10 @@ def _write_camera(stage: Usd.Stage, rig: Rig, sensor: Sensor) -> UsdGeom.Camera:
         )
     if "rgb" in sensor.outputs:
         author(camera.CreateExposureAttr(), sensor.exposure_ev.tolist())
+        if sensor.exposure_per is not None:
+            camera.GetPrim().CreateAttribute(
+                names.ATTR_EXPOSURE_PER, Sdf.ValueTypeNames.Token, custom=True
+            ).Set(sensor.exposure_per)
     if sensor.imaging is not None:
         write_imaging(camera.GetPrim(), sensor.imaging)
     camera.GetPrim().CreateAttribute(

@@ -25,7 +25,7 @@ _POINT_M = 1e-3
 
 
 def write_lights(path: Path, scene: Scene) -> None:
-    """Writes ``lights.usda`` and the sky's pictures beside it, in ``textures/``."""
+    """Writes ``lights.usdc`` and the sky's pictures beside it, in ``textures/``."""
     sky = scene.sky
     with new_layer(path) as stage:
         UsdGeom.Scope.Define(stage, LIGHTS)

@@ -8,27 +8,23 @@ import numpy as np
 from pxr import Gf, Sdf, Usd, UsdGeom
 
 from scenec.compiler.assets.pictures import png
-from scenec.compiler.emit.layer import author, constant_label_ids, label, label_names
+from scenec.compiler.emit.layer import author, constant_label_ids, label, label_names, new_layer
 from scenec.compiler.emit.maps import TEXTURES
 from scenec.compiler.scene import Haze, Scene, SkyLabelMaps
 from scenec.schemas import stage as names
 
 
-def write_sky_prim(stage: Usd.Stage, folder: Path, scene: Scene) -> None:
-    """Labels of the sky, label maps (with their pictures in ``textures/``) and haze, if any."""
-    if not scene.sky_labels and scene.haze is None:
-        return
-    sky = UsdGeom.Scope.Define(stage, names.SKY_PRIM).GetPrim()
-    if scene.sky_labels:
-        constant_label_ids(sky, scene.sky_labels)
-        label(sky, label_names(scene.label_table, scene.sky_labels))
-    if scene.sky_label_maps is not None:
-        _write_label_maps(sky, folder, scene.sky_label_maps)
-    if scene.haze is not None:
-        _write_haze(sky, scene.haze)
-        # Of all there was: what was pruned must not move it.
-        floor = sky.CreateAttribute(names.ATTR_HAZE_FLOOR, Sdf.ValueTypeNames.Double, custom=True)
-        floor.Set(float(scene.bounds[0, 2]))
+def write_sky_prim(path: Path, scene: Scene) -> None:
+    """Writes ``sky.usdc``: labels, label maps (with their pictures in ``textures/``) and haze."""
+    with new_layer(path) as stage:
+        sky = UsdGeom.Scope.Define(stage, names.SKY_PRIM).GetPrim()
+        if scene.sky_labels:
+            constant_label_ids(sky, scene.sky_labels)
+            label(sky, label_names(scene.label_table, scene.sky_labels))
+        if scene.sky_label_maps is not None:
+            _write_label_maps(sky, path.parent, scene.sky_label_maps)
+        if scene.haze is not None:
+            _write_haze(sky, scene.haze)
 
 
 def _write_label_maps(sky: Usd.Prim, folder: Path, maps: SkyLabelMaps) -> None:

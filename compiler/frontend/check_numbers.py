@@ -14,6 +14,7 @@ from typing import Any
 
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.frontend.faults import Finding
+from scenec.compiler.frontend.json_positions import Path
 from scenec.compiler.frontend.normal import MAX_SIGMAS
 from scenec.compiler.frontend.numbers import Distribution, Number
 from scenec.compiler.frontend.schema import Field
@@ -21,11 +22,17 @@ from scenec.schemas.spelling import shown
 
 # Beyond it, whole numbers are no longer told apart by a double.
 _LARGEST_WHOLE = 2**53
+# Nearer to 0 a number's inverse, or the square of that, is beyond what a double holds.
+_SMALLEST = 1e-100
 
 
 def check_number(field: Field) -> Iterator[Finding]:
     """Findings on a number that its schemas find nothing wrong with."""
     whole = _is_whole_key(field.keywords)
+    tiny = list(_check_tiny(field.path, field.value))
+    yield from tiny
+    if tiny:
+        return
     if not isinstance(field.value, dict):
         if whole and not _is_whole(field.value):
             yield Finding(field.path, f"{shown(field.value)}: expected a whole number")
@@ -39,6 +46,18 @@ def check_number(field: Field) -> Iterator[Finding]:
     yield from _check_support(field)
     if whole:
         yield from _check_whole(field)
+
+
+def _check_tiny(path: Path, value: Any) -> Iterator[Finding]:
+    """Numbers in a number that are next to 0 and not 0."""
+    if isinstance(value, dict):
+        for key, entry in value.items():
+            yield from _check_tiny((*path, key), entry)
+    elif isinstance(value, list):
+        for i, entry in enumerate(value):
+            yield from _check_tiny((*path, i), entry)
+    elif isinstance(value, float) and 0.0 < abs(value) < _SMALLEST:
+        yield Finding(path, f"{shown(value)}: expected 0, or at least {_SMALLEST:g} from it")
 
 
 def read_number(value: Any, keywords: Mapping[str, Any]) -> Number:

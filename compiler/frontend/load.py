@@ -81,7 +81,7 @@ def load(path: FilePath | str) -> Spec:
     if faults:
         raise CfgError(faults)
     cfg = fill(document.value)
-    return Spec(cfg, path, files, _digest(cfg, files), text)
+    return Spec(cfg, path, files, digest_of(cfg, files), text)
 
 
 def _read(path: FilePath, name: str) -> tuple[bytes, Document]:
@@ -120,7 +120,8 @@ def _sound_numbers(
     return numbers, findings
 
 
-def _digest(cfg: dict[str, Any], files: Mapping[str, InputFile]) -> str:
+def digest_of(cfg: dict[str, Any], files: Mapping[str, InputFile]) -> str:
+    """sha256 over a cfg, or a part of one, and the hashes of its files; see ``Spec``."""
     content = {"cfg": cfg, "files": {name: file.sha256 for name, file in files.items()}}
     # Keys are not sorted: the order of objects decides their instance ids.
     text = json.dumps(

@@ -1,7 +1,8 @@
 """Randomness keyed by name: the only place in the compiler where a random generator lives.
 
 Each stream is a function of (seed, batch, sample, the path of the thing it is drawn for), so adding
-a thing to a cfg, or asking in another order, changes no other draw.
+a thing to a cfg, or asking in another order, changes no other draw. A batch that is drawn again
+because it could not be built has streams of its own for each attempt.
 """
 
 from __future__ import annotations
@@ -27,10 +28,12 @@ class Streams:
     Attributes:
         seed: 0 <= seed < 2**64; 0 is a seed like any other.
         batch: Index of the batch, from 0.
+        attempt: How often the batch was drawn before.
     """
 
     seed: int
     batch: int
+    attempt: int = 0
 
     def __post_init__(self) -> None:
         """Checks the ranges.
@@ -77,5 +80,8 @@ class Streams:
             0 if sample is None else operator.index(sample),
         )
         message = numbers + path.encode("utf-8")
-        digest = hashlib.blake2b(message, digest_size=size, person=b"scenec/" + purpose).digest()
+        # No salt and a salt of zeros are the same to BLAKE2: the first attempt's streams.
+        salt = struct.pack("<Q", self.attempt)
+        person = b"scenec/" + purpose
+        digest = hashlib.blake2b(message, digest_size=size, person=person, salt=salt).digest()
         return int.from_bytes(digest, "little")

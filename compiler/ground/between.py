@@ -1,4 +1,4 @@
-"""What a mesh errs between the points that shaped it: measured where it errs most, and bounded.
+"""What a mesh errs between the points that shaped it: looked for where it can be most, and bounded.
 
 A mesh is refined by what lies above the middles of its edges. What it misses, it misses where
 detail is finer than its triangles: a pit between three edges. So the largest error is looked for
@@ -8,7 +8,8 @@ between these (``bend.py``), and the amplitude of all detail. Of a smaller one i
 at the middles of its edges, what these miss of the bend, and the amplitude of all detail finer than
 twice their distance. The faces of the most room are evaluated at more points, which finds errors
 and lowers what can still be missed, until none has more room than was found, or the points are used
-up (best-first branch and bound). The largest room that is left is the bound.
+up (best-first branch and bound). The largest room that is left is the bound. What was found is no
+bound: more points find more.
 
 The bend in a cell is proven. Not proven is the rest: a detail's amplitude is the root sum of
 squares of its octaves (``Spectrum``), the largest at the face's corners, and that points see what
@@ -154,7 +155,8 @@ def measured(mesh: Sampled, known: Known) -> dict[str, Any]:
 
     Returns:
         For the report: of points spread evenly their root mean square and the error that 99.9 % of
-        them stay within; the largest error of these and of the points of a search; its bound.
+        them stay within; the largest error of these and of the points of a search, which others may
+        exceed; the bound of all.
     """
     face = np.arange(0, len(mesh.faces), max(1, len(mesh.faces) // _EVEN))
     error, shown = mesh.errors(face, np.arange(1, len(face) + 1))
@@ -163,11 +165,11 @@ def measured(mesh: Sampled, known: Known) -> dict[str, Any]:
     return {
         "checked_points": len(face),
         "searched_points": found.points,
-        "surface_error_max_px": found.worst_px,
+        "surface_error_found_px": found.worst_px,
         "surface_error_bound_px": max(found.worst_px, found.room_px),
         "surface_error_99_9_px": float(order[int(0.999 * (len(order) - 1))]),
         "surface_error_rms_px": float(np.sqrt((shown * shown).mean())),
-        "surface_error_max_m": max(float(error.max()), found.worst_m),
+        "surface_error_found_m": max(float(error.max()), found.worst_m),
     }
 
 

@@ -26,11 +26,14 @@ from scenec.compiler.incremental.memo import memoized
 from scenec.compiler.noise.perlin import fbm2_points
 from scenec.compiler.scene import Tile
 from scenec.compiler.terrain.mesh_surface import MeshSurface
+from scenec.schemas.errors import SceneError
 
 #: Grid cells along a tile's side: no triangle reaches over its border.
 TILE_CELLS = ROOT_CELLS
 #: As the plain grid.
 WHOLE_GRID = Meshing(None, 0, 0.0)
+#: Steps of float32 at most, as a part of the grid's spacing.
+_COARSEST = 0.5
 _VARIATION_SCALE_M = 3.0
 _VARIATION_OCTAVES = 6
 _VARIATION_GAIN = 0.75
@@ -59,6 +62,9 @@ def build_tiles(
 
     Returns:
         Tiles in row order, and the report: errors of the mesh, of the cuts and of float32.
+
+    Raises:
+        SceneError: float32 cannot hold the samples: heights are too far apart for their spacing.
     """
     report: dict[str, Any] = {}
     field, merges = surface.field, surface.merges
@@ -100,6 +106,13 @@ def build_tiles(
     span = _largest_span(mesh, tile_of_face)
     # Half the span is below 2**exponent, so 24 bits of mantissa hold it in steps of the quantum.
     quantum = math.ldexp(1.0, math.frexp(0.5 * span)[1] - 24)
+    spacing = min(field.grid.spacing_m)
+    if quantum > _COARSEST * spacing:
+        raise SceneError(
+            f"terrain: heights from {mesh.points[:, 2].min():.3g} to "
+            f"{mesh.points[:, 2].max():.3g} m need steps of {quantum:g} m in float32, which "
+            f"samples {spacing:g} m apart do not survive; lower the relief, or raise spacing_m"
+        )
     points = np.round(mesh.points / quantum) * quantum
     moved = np.abs(points - mesh.points).max(initial=0.0)
 

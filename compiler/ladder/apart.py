@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.ladder.points import triangle
 from scenec.compiler.scene import Prototype
+from scenec.schemas.threads import over_threads
 
 #: Points of each mesh at least, beside its vertices; and as many as it has faces.
 _POINTS = 6_000
@@ -47,42 +48,61 @@ def spread_over(mesh: Prototype) -> NDArray[np.float64]:
     return points
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
-def nearest(at: NDArray, points: NDArray, faces: NDArray) -> NDArray:
+def nearest(
+    at: NDArray[np.float64], points: NDArray[np.float64], faces: NDArray[np.int64]
+) -> NDArray[np.float64]:
     """Distance of each point to the nearest of all triangles, float64 [n].
 
     Args:
         at: float64 [n, 3].
         points, faces: The triangles, float64 [v, 3] and int64 [m, 3].
     """
-    middle = np.empty((len(faces), 3))
-    radius = np.empty(len(faces))
-    for f in range(len(faces)):
+    balls = np.empty((len(faces), 4))
+    over_threads(_balls, len(faces), points, faces, balls)
+    out = np.empty(len(at))
+    over_threads(_nearest, len(at), at, points, faces, balls, out)
+    return out
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _balls(first: int, last: int, points: NDArray, faces: NDArray, balls: NDArray) -> None:
+    """Center and radius of a ball around each triangle, [m, 4]."""
+    for f in range(first, last):
         for k in range(3):
-            middle[f, k] = (
+            balls[f, k] = (
                 points[faces[f, 0], k] + points[faces[f, 1], k] + points[faces[f, 2], k]
             ) / 3.0
         largest = 0.0
         for corner in range(3):
             square = 0.0
             for k in range(3):
-                d = points[faces[f, corner], k] - middle[f, k]
+                d = points[faces[f, corner], k] - balls[f, k]
                 square += d * d
             largest = max(largest, square)
-        radius[f] = np.sqrt(largest)
-    out = np.empty(len(at))
-    for n in prange(len(at)):
+        balls[f, 3] = np.sqrt(largest)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _nearest(
+    first: int,
+    last: int,
+    at: NDArray,
+    points: NDArray,
+    faces: NDArray,
+    balls: NDArray,
+    out: NDArray,
+) -> None:
+    for n in range(first, last):
         best = np.inf
         for f in range(len(faces)):
-            x = at[n, 0] - middle[f, 0]
-            y = at[n, 1] - middle[f, 1]
-            z = at[n, 2] - middle[f, 2]
-            least = best + radius[f]
+            x = at[n, 0] - balls[f, 0]
+            y = at[n, 1] - balls[f, 1]
+            z = at[n, 2] - balls[f, 2]
+            least = best + balls[f, 3]
             if x * x + y * y + z * z >= least * least:
                 continue
             best = min(best, _to_triangle(at[n], points, faces[f]))
         out[n] = best
-    return out
 
 
 @njit(cache=True, error_model="numpy")

@@ -44,15 +44,16 @@ class Base:
         tiles: The mesh that the cfg asks for, once it was made.
     """
 
-    def __init__(self, spec: Spec, seed: int, batch: int, keep: Keep = Keep.SEEN):
+    def __init__(self, spec: Spec, seed: int, batch: int, keep: Keep = Keep.SEEN, attempt: int = 0):
         """Draws the plan; nothing is built yet.
 
         Args:
             spec: The cfg.
             seed, batch: Which scene of it.
             keep: How much of it is kept, as of ``compile``.
+            attempt: How often it was drawn again.
         """
-        plan = draw(spec, seed, batch)
+        plan = draw(spec, seed, batch, attempt)
         self.plan: Plan = seen_everywhere(plan) if keep is Keep.ALL else plan
         self.seed, self.keep = seed, keep
         self.tiles: tuple[Tile, ...] | None = None

@@ -9,8 +9,10 @@ noise.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
+
+from scenec.schemas.threads import over_threads
 
 
 def pixel_means(
@@ -27,10 +29,12 @@ def pixel_means(
     # Sums of small numbers lose less.
     mean = float(level.mean())
     nodes = level - mean
-    found: NDArray[np.float64] = mean + _means(
-        nodes, *_sums(nodes), np.ascontiguousarray(middle, np.float64), side
-    )
-    return found
+    found = np.empty(len(middle))
+    over_threads(
+        _means, len(found), nodes, *_sums(nodes), np.ascontiguousarray(middle, np.float64), side,
+        found,
+    )  # fmt: skip
+    return mean + found
 
 
 @njit(cache=True, error_model="numpy")
@@ -53,11 +57,10 @@ def _sums(nodes):  # type: ignore[no-untyped-def]
     return whole, down, across
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
-def _means(nodes, whole, down, across, middle, side):  # type: ignore[no-untyped-def]
+@njit(cache=True, error_model="numpy", nogil=True)
+def _means(first, last, nodes, whole, down, across, middle, side, out):  # type: ignore[no-untyped-def]
     high, wide = nodes.shape
-    out = np.empty(len(middle))
-    for n in prange(len(middle)):
+    for n in range(first, last):
         # In texels, from the center of the first.
         x0, x1 = (middle[n, 0] - 0.5 * side) * wide - 0.5, (middle[n, 0] + 0.5 * side) * wide - 0.5
         y0, y1 = (middle[n, 1] - 0.5 * side) * high - 0.5, (middle[n, 1] + 0.5 * side) * high - 0.5
@@ -66,7 +69,6 @@ def _means(nodes, whole, down, across, middle, side):  # type: ignore[no-untyped
         total -= _integral(nodes, whole, down, across, x1, y0)
         total += _integral(nodes, whole, down, across, x0, y0)
         out[n] = total / ((x1 - x0) * (y1 - y0))
-    return out
 
 
 @njit(cache=True, error_model="numpy")

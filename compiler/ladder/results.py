@@ -10,6 +10,7 @@ from functools import cached_property
 from typing import Any, Literal
 
 from scenec.compiler.ladder.slopes import Slope, slope
+from scenec.schemas.csv_cells import guarded_line
 
 #: All there are, in the order of reports.
 APPROXIMATIONS = ("tessellation", "lod", "sky", "smoothing", "craters", "textures")
@@ -147,12 +148,13 @@ class LadderReport:
         )  # fmt: skip
         for ladder in self.ladders:
             for rung in ladder.rungs:
-                writer.writerow(
-                    [self.scene, self.batch, ladder.name, ladder.what, rung.value,
-                     _word(rung.used), ladder.unit, rung.worst, rung.rms, _cell(rung.claimed),
-                     ladder.claim_of, _word(ladder.holds(rung)), rung.seconds, rung.bytes,
-                     _cell(rung.triangles)]
-                )  # fmt: skip
+                line = [
+                    self.scene, self.batch, ladder.name, ladder.what, rung.value,
+                    _word(rung.used), ladder.unit, rung.worst, rung.rms, _cell(rung.claimed),
+                    ladder.claim_of, _word(ladder.holds(rung)), rung.seconds, rung.bytes,
+                    _cell(rung.triangles),
+                ]  # fmt: skip
+                writer.writerow(guarded_line(line))
         return out.getvalue()
 
 

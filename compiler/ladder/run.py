@@ -65,8 +65,13 @@ def climb(
     out = Path(out)
     manifest = read_manifest(out)
     index = find_batches(out, None if batch is None else [batch])[0].index
-    spec = _load(out, manifest["cfg"]["sha256"], None if cfg is None else Path(cfg))
-    base = Base(spec, int(manifest["seed"]), index, _keep(out, manifest.get("keep", Keep.SEEN)))
+    digest = manifest.get("cfg", {}).get("sha256")
+    if digest is None or "seed" not in manifest:
+        raise OutputError(f"{out / MANIFEST}: does not say what it was compiled from")
+    spec = _load(out, digest, None if cfg is None else Path(cfg))
+    attempt = next(b.get("attempt", 0) for b in manifest["batches"] if b["index"] == index)
+    keep = _keep(out, manifest.get("keep", Keep.SEEN))
+    base = Base(spec, int(manifest["seed"]), index, keep, attempt)
     return climb_base(base, chosen, rungs, say)
 
 

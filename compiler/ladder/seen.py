@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.ground.surface import Surface
@@ -14,6 +14,7 @@ from scenec.compiler.ladder.eyes import Eye
 from scenec.compiler.ladder.points import square
 from scenec.compiler.rig import Lidar
 from scenec.compiler.terrain.grid import HeightField, surface_height
+from scenec.schemas.threads import over_threads
 
 #: Points spread over the terrain; rays through pixels, of all eyes together.
 _OVER_ALL, _RAYS = 60_000, 40_000
@@ -62,9 +63,10 @@ def looked_at(
     origin, toward = _rays(eyes, max(_RAYS // len(eyes), 1))
     reach = float(np.sqrt(field.grid.size_m[0] * field.grid.size_m[0]
                           + field.grid.size_m[1] * field.grid.size_m[1]))  # fmt: skip
-    far = _march(
-        field.height, *field.frame(), origin, toward, _FIRST_M, _growth(reach, _ALONG), _ALONG,
-        _HALVINGS,
+    far = np.full(len(origin), -1.0)
+    over_threads(
+        _march, len(origin), field.height, *field.frame(), origin, toward, _growth(reach, _ALONG),
+        far,
     )  # fmt: skip
     met = np.flatnonzero(far > 0.0)
     place = origin[met] + far[met, None] * toward[met]
@@ -106,13 +108,12 @@ def _rays(eyes: Sequence[Eye], each: int) -> tuple[NDArray[np.float64], NDArray[
     return np.concatenate(origins), np.concatenate(directions)
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
-def _march(height, x0, y0, dx, dy, origin, toward, first, growth, along, halvings):  # type: ignore[no-untyped-def]
-    """How far along rays the ground is first above them, float64 [n]; -1 where it never is."""
-    out = np.full(len(origin), -1.0)
-    for n in prange(len(origin)):
-        before, at = 0.0, first
-        for _ in range(along):
+@njit(cache=True, error_model="numpy", nogil=True)
+def _march(first, last, height, x0, y0, dx, dy, origin, toward, growth, out):  # type: ignore[no-untyped-def]
+    """How far along rays the ground is first above them; ``out`` stays where it never is."""
+    for n in range(first, last):
+        before, at = 0.0, _FIRST_M
+        for _ in range(_ALONG):
             x, y = origin[n, 0] + at * toward[n, 0], origin[n, 1] + at * toward[n, 1]
             if origin[n, 2] + at * toward[n, 2] < surface_height(height, x0, y0, dx, dy, x, y):
                 out[n] = at
@@ -121,14 +122,13 @@ def _march(height, x0, y0, dx, dy, origin, toward, first, growth, along, halving
             at *= growth
         if out[n] < 0.0:
             continue
-        for _ in range(halvings):
+        for _ in range(_HALVINGS):
             at = 0.5 * (before + out[n])
             x, y = origin[n, 0] + at * toward[n, 0], origin[n, 1] + at * toward[n, 1]
             if origin[n, 2] + at * toward[n, 2] < surface_height(height, x0, y0, dx, dy, x, y):
                 out[n] = at
             else:
                 before = at
-    return out
 
 
 def skylines(field: HeightField, eyes: Sequence[Eye]) -> Skylines | None:

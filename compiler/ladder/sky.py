@@ -244,7 +244,7 @@ def _bytes(light: SkyLight, sun: SunLight | None) -> int:
         outputs=(),
         bounds=np.zeros((2, 3)),
     )
-    return written(lambda folder: write_lights(folder / "lights.usda", bare))
+    return written(lambda folder: write_lights(folder / "lights.usdc", bare))
 
 
 def _constants(plan: AtmospherePlan, sun: SunLight, rungs: int) -> list[Ladder]:

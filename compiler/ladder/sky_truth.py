@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.light.atmosphere import _EYE_M
 from scenec.compiler.light.atmosphere_multiple import (
+    Air,
+    Look,
     _again,
     _forward_again,
     make_table,
@@ -23,6 +25,7 @@ from scenec.compiler.light.latlong import luminance
 from scenec.compiler.light.plan import AtmospherePlan, ClearSkyPlan
 from scenec.compiler.light.sky import sun_direction
 from scenec.compiler.scene import SunLight
+from scenec.schemas.threads import over_threads
 
 _RADIAN = elementary.PI / 180.0
 
@@ -83,34 +86,23 @@ def atmosphere_along(
     albedo = spectral_albedo(wavelengths(count), plan.ground_color[0])
     r0 = float(sizes[0] + plan.altitude_m[0])
     elevation = float(sun.elevation_deg[0]) * _RADIAN
-    found = _along(
-        to,
-        r0,
-        float(min(sizes[0], r0 - _EYE_M)),
-        np.array([elementary.cos(elevation), elementary.sin(elevation)]),
-        steps,
-        sizes,
-        spectra,
-        even,
-        g,
-        medium.phase,
-        make_table(sizes, even, albedo),
-        nodes,
-        plan.scattering == "multiple",
-    )
+    toward = np.array([elementary.cos(elevation), elementary.sin(elevation)])
+    look = Look(r0, float(min(sizes[0], r0 - _EYE_M)), toward, steps, nodes)
+    air = Air(sizes, spectra, even, g, medium.phase, make_table(sizes, even, albedo))
+    found = np.zeros((len(to), 3))
+    over_threads(_along, len(to), to, look, air, plan.scattering == "multiple", found)
     white = nodes.sum(axis=0)
     above = sun.color[0] / luminance(sun.color[0] * white) * sun.irradiance[0]
     lit: NDArray[np.float64] = found * above
     return lit
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
-def _along(  # type: ignore[no-untyped-def]
-    to, r0, ground, sun, steps, sizes, spectra, even, g, phase, table, weights, multiple
-):
+@njit(cache=True, error_model="numpy", nogil=True)
+def _along(first, last, to, look, air, multiple, out):  # type: ignore[no-untyped-def]
+    r0, ground, sun, steps, weights = look
+    sizes, spectra, even, g, phase, table = air
     nodes = spectra.shape[1]
-    out = np.zeros((len(to), 3))
-    for n in prange(len(to)):
+    for n in range(first, last):
         t, middle = np.empty(2 * steps + 1), np.empty(2 * steps)
         full = np.empty((2, 2 * steps, nodes))
         less = np.empty((2, 2 * steps, nodes))
@@ -142,7 +134,6 @@ def _along(  # type: ignore[no-untyped-def]
                 more[i] += weights[w, i] * again
         for i in range(3):
             out[n, i] = max(out[n, i], 0.0) + max(more[i], 0.0)
-    return out
 
 
 def clear_along(

@@ -31,7 +31,7 @@ _REFERENCE = (
 )
 _CLAIM = (
     "ground.mesh of report.json: surface_error_bound_px, the room that a search of the faces with "
-    "most of it left; it found surface_error_max_px"
+    "most of it left; it found surface_error_found_px"
 )
 
 
@@ -157,10 +157,10 @@ def _rung(
             "99_9_percent_px": float(order[int(0.999 * (len(order) - 1))]) if len(order) else 0.0,
             **_silhouettes(base, truth, heights),
             "found_px": float(
-                max(mesh["height_error_max_px"], finer.get("surface_error_max_px", 0.0))
+                max(mesh["height_error_max_px"], finer.get("surface_error_found_px", 0.0))
             ),
             "found_m": float(
-                max(mesh["height_error_max_m"], finer.get("surface_error_max_m", 0.0))
+                max(mesh["height_error_max_m"], finer.get("surface_error_found_m", 0.0))
             ),
             "tolerance_reached_px": float(mesh["tolerance_reached_px"]),
             "budget_bound": bool(mesh["budget_bound"]),

@@ -10,15 +10,16 @@ on both sides of their middle and one serves every bearing.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.light.atmosphere_bearings import angle_to_sun, cubic
 from scenec.compiler.light.atmosphere_columns import columns
-from scenec.compiler.light.atmosphere_multiple import bake_again
+from scenec.compiler.light.atmosphere_multiple import FarGround, Look, bake_again, far_suns
 from scenec.compiler.light.atmosphere_planets import Medium
 from scenec.compiler.light.atmosphere_rays import aerosol_phase, gas_phase, gather, prepare
+from scenec.schemas.threads import over_threads
 
 #: Steps of a ray up or down.
 STEPS = 32
@@ -74,10 +75,13 @@ def bake(
     r0 = sizes[0] + altitude_m
     ground = min(sizes[0], r0 - _EYE_M)
     sun = np.array([elementary.cos(sun_elevation), elementary.sin(sun_elevation)])
-    half = _rows(
-        r0, ground, sun, height, steps, bearings, sizes, spectra, medium.phase, weights,
-        ground_color,
-    )  # fmt: skip
+    look = Look(r0, ground, sun, steps, weights)
+    low, high = far_suns(look)
+    skylight = np.empty((_SUNS, spectra.shape[1]))
+    over_threads(_skylights, _SUNS, low, high, sizes, spectra, medium.phase, skylight)
+    far = FarGround(low, high, skylight, ground_color)
+    half = np.zeros((height, height, 3))
+    over_threads(_rows, height, look, bearings, sizes, spectra, medium.phase, far, half)
     picture = np.concatenate([half, half[:, ::-1]], axis=1)
     if multiple:
         picture += bake_again(
@@ -181,32 +185,26 @@ def _skylight(
     return total
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
+@njit(cache=True, error_model="numpy", nogil=True)
+def _skylights(
+    first: int, last: int, low: float, high: float, sizes: NDArray, spectra: NDArray,
+    phase: NDArray, out: NDArray,
+) -> None:  # fmt: skip
+    for n in range(first, last):
+        out[n] = _skylight(low + (high - low) * n / (_SUNS - 1), sizes, spectra, phase)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
 def _rows(
-    r0: float,
-    ground: float,
-    sun: NDArray,
-    height: int,
-    steps: int,
-    bearings: int,
-    sizes: NDArray,
-    spectra: NDArray,
-    phase: NDArray,
-    weights: NDArray,
-    albedo: NDArray,
-) -> NDArray[np.float64]:
+    first: int, last: int, look: Look, bearings: int, sizes: NDArray, spectra: NDArray,
+    phase: NDArray, far: FarGround, out: NDArray,
+) -> None:  # fmt: skip
     """The left half of the picture: bearings from 180 degrees off the sun to the sun."""
-    wavelengths = spectra.shape[1]
+    r0, ground, sun, steps, weights = look
+    low, high, skylight, albedo = far
+    wavelengths, height = spectra.shape[1], out.shape[0]
     horizon = elementary.acos(ground / r0)
-    # Ground that is in sight has the sun at heights up to the horizon's dip away.
-    sun_elevation = elementary.atan2(sun[1], sun[0])
-    low = elementary.sin(max(sun_elevation - horizon, -0.5 * elementary.PI))
-    high = elementary.sin(min(sun_elevation + horizon, 0.5 * elementary.PI))
-    skylight = np.empty((_SUNS, wavelengths))
-    for n in prange(_SUNS):
-        skylight[n] = _skylight(low + (high - low) * n / (_SUNS - 1), sizes, spectra, phase)
-    out = np.zeros((height, height, 3))
-    for row in prange(height):
+    for row in range(first, last):
         t, middle = np.empty(2 * steps + 1), np.empty(2 * steps)
         scattered = np.empty((2, 2 * steps, wavelengths))
         arriving = np.empty(wavelengths)
@@ -253,7 +251,6 @@ def _rows(
                     )
                 for i in range(3):
                     out[row, column, i] += max(color[i], 0.0) / lines
-    return out
 
 
 @njit(cache=True, error_model="numpy")
@@ -273,7 +270,8 @@ def _ground(
         sun_sine: Of the sun's elevation over the ground that is seen.
         low, high, skylight: Light of the sky over that sine, evenly from low to high.
         arriving: Transmission of the air between.
-        sizes, spectra, weights: As in ``_rows``.
+        sizes, spectra: As in ``atmosphere_multiple.Air``.
+        weights: Of the wavelengths, [wavelengths, 3].
     """
     place = 0.0
     if high > low:

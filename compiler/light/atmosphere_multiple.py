@@ -16,8 +16,10 @@ function and the rest is even. What the single-scattered sky lacks is then
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
@@ -26,6 +28,7 @@ from scenec.compiler.light.atmosphere_columns import columns
 from scenec.compiler.light.atmosphere_planets import Medium
 from scenec.compiler.light.atmosphere_rays import gather, lobe, prepare, shadow
 from scenec.compiler.light.atmosphere_spectra import wavelengths
+from scenec.schemas.threads import over_threads
 
 #: Nodes of the table over height and the sun's elevation.
 HEIGHTS, SUNS = 12, 25
@@ -69,8 +72,71 @@ def spectral_albedo(nm: NDArray[np.float64], color: NDArray[np.float64]) -> NDAr
     return np.interp(nm, [465.0, 550.0, 610.0], color[::-1])
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
-def make_table(sizes: NDArray, spectra: NDArray, albedo: NDArray) -> NDArray[np.float64]:
+class Look(NamedTuple):
+    """An eye under a sky.
+
+    Attributes:
+        r0: Its distance from the planet's center.
+        ground: Radius of the ground that is seen.
+        sun: Cosine and sine of its elevation, [2].
+        steps: Of each ray up or down.
+        weights: Of the wavelengths, [wavelengths, 3].
+    """
+
+    r0: float
+    ground: float
+    sun: NDArray[np.float64]
+    steps: int
+    weights: NDArray[np.float64]
+
+
+class Air(NamedTuple):
+    """An atmosphere, and what light that is scattered again needs of it.
+
+    Attributes:
+        sizes: ``Planet.sizes``.
+        spectra, even: Coefficients of the medium and of the reduced one (``reduced``).
+        g: The aerosol's mean cosine.
+        phase: ``Medium.phase``.
+        table: Of ``make_table``.
+    """
+
+    sizes: NDArray[np.float64]
+    spectra: NDArray[np.float64]
+    even: NDArray[np.float64]
+    g: NDArray[np.float64]
+    phase: NDArray[np.float64]
+    table: NDArray[np.float64]
+
+
+class FarGround(NamedTuple):
+    """Light on the ground in sight.
+
+    Attributes:
+        low, high: Sines of the sun's elevation over it, least and greatest.
+        light: At sines evenly between these, [n, wavelengths].
+        albedo: Linear Rec.709, [3].
+    """
+
+    low: float
+    high: float
+    light: NDArray[np.float64]
+    albedo: NDArray[np.float64]
+
+
+def far_suns(look: Look) -> tuple[float, float]:
+    """Sines of the sun's elevation over ground in sight: up to the horizon's dip away."""
+    horizon = elementary.acos(look.ground / look.r0)
+    elevation = elementary.atan2(look.sun[1], look.sun[0])
+    return (
+        elementary.sin(max(elevation - horizon, -0.5 * elementary.PI)),
+        elementary.sin(min(elevation + horizon, 0.5 * elementary.PI)),
+    )
+
+
+def make_table(
+    sizes: NDArray[np.float64], spectra: NDArray[np.float64], albedo: NDArray[np.float64]
+) -> NDArray[np.float64]:
     """Light scattered twice or more, mean over all directions, by height and the sun's elevation.
 
     Args:
@@ -81,9 +147,17 @@ def make_table(sizes: NDArray, spectra: NDArray, albedo: NDArray) -> NDArray[np.
     Returns:
         Radiance over the sun's irradiance, float64 [HEIGHTS, SUNS, wavelengths], 1/sr.
     """
+    out = np.zeros((HEIGHTS, SUNS, spectra.shape[1]))
+    over_threads(_table_part, HEIGHTS, sizes, spectra, albedo, out)
+    return out
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _table_part(
+    first: int, last: int, sizes: NDArray, spectra: NDArray, albedo: NDArray, out: NDArray
+) -> None:
     nodes = spectra.shape[1]
-    out = np.zeros((HEIGHTS, SUNS, nodes))
-    for i in prange(HEIGHTS):
+    for i in range(first, last):
         share = i / (HEIGHTS - 1.0)
         # Not on the ground itself: rays down would have no length.
         r0 = sizes[0] + max(sizes[1] * share * share * 0.9, 1.0)
@@ -130,7 +204,6 @@ def make_table(sizes: NDArray, spectra: NDArray, albedo: NDArray) -> NDArray[np.
         for j in range(SUNS):
             for w in range(nodes):
                 out[i, j, w] /= 1.0 - min(again[w], _MOST_AGAIN)
-    return out
 
 
 @njit(cache=True, error_model="numpy")
@@ -207,10 +280,13 @@ def bake_again(
     even = reduced(spectra, g)
     albedo = spectral_albedo(wavelengths(len(medium.gas)), ground_color)
     sun = np.array([elementary.cos(sun_elevation), elementary.sin(sun_elevation)])
-    half = again_rows(
-        sizes[0] + altitude_m, ground, sun, height, steps, sizes, spectra, even, g, medium.phase,
-        make_table(sizes, even, albedo), weights, ground_color,
-    )  # fmt: skip
+    look = Look(sizes[0] + altitude_m, ground, sun, steps, weights)
+    air = Air(sizes, spectra, even, g, medium.phase, make_table(sizes, even, albedo))
+    low, high = far_suns(look)
+    light = np.zeros((_GROUND_SUNS, len(g)))
+    over_threads(_on_far_ground, _GROUND_SUNS, low, high, air, light)
+    half = np.zeros((height, height, 3))
+    over_threads(_again_rows, height, look, air, FarGround(low, high, light, ground_color), half)
     return np.maximum(np.concatenate([half, half[:, ::-1]], axis=1), 0.0)
 
 
@@ -237,7 +313,7 @@ def _again(
 
     Args:
         count, r0, sine, toward, sun_sine, sizes, t, middle: As of ``atmosphere_rays.gather``.
-        spectra, even, g, table: As of ``again_rows``.
+        spectra, even, g, table: As in ``Air``.
         full, less: The ray, prepared in the medium and in the reduced one.
         part: Room for two spectra.
         total: Receives it.
@@ -340,41 +416,25 @@ def _on_level_ground(
                 out[w] += total[w] * sine * 2.0 * elementary.PI / ((_UP // 2) * _AROUND)
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
-def again_rows(
-    r0: float,
-    ground: float,
-    sun: NDArray,
-    height: int,
-    steps: int,
-    sizes: NDArray,
-    spectra: NDArray,
-    even: NDArray,
-    g: NDArray,
-    phase: NDArray,
-    table: NDArray,
-    weights: NDArray,
-    albedo: NDArray,
-) -> NDArray[np.float64]:
-    """What a single-scattered picture lacks, linear Rec.709, [height, height, 3]: its left half.
-
-    Args:
-        r0, ground, sun, height, steps, sizes, spectra, weights, albedo: As in ``atmosphere._rows``.
-        even, g: The reduced medium, and the aerosol's mean cosine.
-        phase: ``Medium.phase``.
-        table: Of ``make_table``.
-    """
-    nodes = spectra.shape[1]
-    horizon = elementary.acos(ground / r0)
-    sun_elevation = elementary.atan2(sun[1], sun[0])
-    low = elementary.sin(max(sun_elevation - horizon, -0.5 * elementary.PI))
-    high = elementary.sin(min(sun_elevation + horizon, 0.5 * elementary.PI))
-    on_ground = np.zeros((_GROUND_SUNS, nodes))
-    for n in prange(_GROUND_SUNS):
+@njit(cache=True, error_model="numpy", nogil=True)
+def _on_far_ground(first: int, last: int, low: float, high: float, air: Air, out: NDArray) -> None:
+    """Light on the ground at heights of the sun, [_GROUND_SUNS, wavelengths]."""
+    for n in range(first, last):
         sine = low + (high - low) * n / (_GROUND_SUNS - 1.0)
-        _on_level_ground(sine, sizes, spectra, even, g, phase, table, on_ground[n])
-    out = np.zeros((height, height, 3))
-    for row in prange(height):
+        _on_level_ground(
+            sine, air.sizes, air.spectra, air.even, air.g, air.phase, air.table, out[n]
+        )
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _again_rows(first: int, last: int, look: Look, air: Air, far: FarGround, out: NDArray) -> None:
+    """What a single-scattered picture lacks, linear Rec.709, [height, height, 3]: its left half."""
+    r0, ground, sun, steps, weights = look
+    sizes, spectra, even, g, phase, table = air
+    low, high, on_ground, albedo = far
+    nodes, height = spectra.shape[1], out.shape[0]
+    horizon = elementary.acos(ground / r0)
+    for row in range(first, last):
         t, middle = np.empty(2 * steps + 1), np.empty(2 * steps)
         full = np.empty((2, 2 * steps, nodes))
         less = np.empty((2, 2 * steps, nodes))
@@ -426,4 +486,3 @@ def again_rows(
                     for i in range(3):
                         more = weights[w, i] * (light + albedo[i] * given)
                         out[row, column, i] += more / lines
-    return out

@@ -154,7 +154,7 @@ def _spot(level: NDArray[np.float64], height: int, row: int, column: int) -> _Sp
         weight = np.broadcast_to(_solid_angles(height, width)[top:bottom, None], values.shape)
         ring = (angle > REACH_DEG) & (angle <= 2.0 * REACH_DEG) & (values >= 0.0)
         if not ring.any():
-            return _nothing("the picture is too coarse to tell a sun from its surroundings")
+            return _nothing(_COARSE)
         median, decile = _quantiles(values[ring], weight[ring], (0.5, 0.9))
         floor = max(CONTRAST * median, 2.0 * decile)
         bright = (angle <= REACH_DEG) & (values > floor)
@@ -174,7 +174,9 @@ def _spot(level: NDArray[np.float64], height: int, row: int, column: int) -> _Sp
     taken = _wider(bright)
     rim = ~taken & (angle <= hole + 2.5 * texel)
     if not rim.any():
-        rim = ring
+        rim = ring & ~taken
+    if not rim.any():
+        return _nothing(_COARSE)
     found = np.flatnonzero(rim) + top * width
     return _Spot(np.flatnonzero(taken) + top * width, found[:: -(-len(found) // _RIM)], total, "")
 
@@ -189,6 +191,7 @@ def _wider(bright: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 
 _EMPTY = np.zeros(0, np.int64)
+_COARSE = "the picture is too coarse to tell a sun from its surroundings"
 
 
 def _nothing(why: str) -> _Spot:

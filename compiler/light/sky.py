@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +29,8 @@ def build_sky(
 
 def _clear_sky(plan: ClearSkyPlan, sun: SunLight | None, samples: int) -> SkyLight:
     pictures: dict[str, NDArray[np.float32]] = {}
+    # By digest: of many samples each picture would be compared with all before it.
+    name_of: dict[bytes, str] = {}
     texture = []
     for i in range(samples):
         picture = clear_sky(
@@ -39,8 +42,8 @@ def _clear_sky(plan: ClearSkyPlan, sun: SunLight | None, samples: int) -> SkyLig
             plan.ground_color[i],
             level_sun_irradiance(sun, i),
         )
-        same = [name for name, other in pictures.items() if np.array_equal(other, picture)]
-        name = same[0] if same else f"sky_{i:04d}.exr"
+        digest = hashlib.sha256(picture.tobytes()).digest()
+        name = name_of.setdefault(digest, f"sky_{i:04d}.exr")
         pictures[name] = picture
         texture.append(name)
     return SkyLight({**pictures}, tuple(texture), np.ones(samples), np.zeros(samples))

@@ -14,11 +14,12 @@ from scenec.compiler.plan import Apart, Count, ScatterPlan
 from scenec.compiler.scatter.apart import MOST_TRIES, Circles
 from scenec.compiler.scatter.lod import finest
 from scenec.compiler.scatter.on_mesh import MeshPlaces
-from scenec.compiler.scatter.placement import places_on
+from scenec.compiler.scatter.placement import places_on, turned
 from scenec.compiler.scatter.places import Places, numbers
 from scenec.compiler.scatter.rocks import Chain
 from scenec.compiler.scatter.stand import Standing, seating_report
 from scenec.compiler.scatter.surroundings import Surroundings
+from scenec.compiler.scatter.voxels import Cubes
 from scenec.compiler.scene import Prototype, Scatter
 from scenec.compiler.terrain.mesh_surface import MeshSurface
 from scenec.schemas.errors import SceneError
@@ -65,7 +66,9 @@ def lay(
     apart_lost = n - len(placed)
     moved = np.zeros(0, np.int64)
     if places is not None and len(around.cameras):
-        moved, tries = _clear(plan, standing, thrower, radius, places, u, tries, around.cameras)
+        moved, tries = _clear(
+            plan, prototypes, standing, thrower, radius, places, u, tries, around.cameras
+        )
     kept = np.flatnonzero(tries >= 0)
     _require_all(
         plan, n, len(kept) + apart_lost, _clear_of(plan.clearance_m),
@@ -89,7 +92,7 @@ def lay(
         prototype=plan.prototype[kept],
         positions=standing.positions(kept),
         orientations=standing.orientations[kept],
-        scales=np.repeat(plan.scale[kept].astype(np.float32)[:, None], 3, axis=1),
+        scales=_scales(plan, kept),
         variation=plan.variation[kept].astype(np.float32),
         ids=kept + 1,
         drawn=n,
@@ -104,6 +107,11 @@ def stem(prototype: Prototype) -> Prototype:
     height = max(float(prototype.points[:, 2].max()), 0.0)
     points = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, height]], np.float32)
     return replace(prototype, points=points)
+
+
+def _scales(plan: ScatterPlan, which: NDArray[np.int64]) -> NDArray[np.float32]:
+    """Of some instances as the stage will have them, [m, 3]."""
+    return np.repeat(plan.scale[which].astype(np.float32)[:, None], 3, axis=1)
 
 
 def _places(plan: ScatterPlan, around: Surroundings) -> tuple[Places | None, MeshPlaces | None]:
@@ -184,8 +192,10 @@ def _require_all(
     if found == n or plan.fewer:
         return
     size = around.surface.field.grid.size_m
-    part = np.pi * float((reach * reach).sum()) / (size[0] * size[1])
-    covered = f" (side by side their circles would cover {100 * part:.3g} % of the terrain)"
+    allowed = 1.0 if places is None else places.allowed()
+    part = np.pi * float((reach * reach).sum()) / (size[0] * size[1] * allowed)
+    where = "the terrain" if allowed == 1.0 else f"the {100 * allowed:.3g} % of it they may be on"
+    covered = f" (side by side their circles would cover {100 * part:.3g} % of {where})"
     raise SceneError(
         f"objects/{plan.name}: only {found:,} of {n:,} found a place where they {what}, in at "
         f"most {MOST_TRIES} tries each{covered if plan.apart else ''}; ask for fewer or smaller "
@@ -196,11 +206,12 @@ def _require_all(
 def _clear_of(clearance_m: float) -> str:
     if clearance_m > 0.0:
         return f"keep {clearance_m:g} m from every camera"
-    return "have no camera inside of the ball around them"
+    return "have no camera inside of them"
 
 
 def _clear(
     plan: ScatterPlan,
+    prototypes: tuple[Prototype, ...],
     standing: Standing,
     thrower: _Thrower | None,
     radius: NDArray[np.float64],
@@ -223,12 +234,21 @@ def _clear(
     sorted_cameras = np.ascontiguousarray(cameras[np.argsort(cameras[:, 0], kind="stable")])
     first = np.zeros(len(tries), np.int64)
     looked_at = np.flatnonzero(tries >= 0)
+    cubes = Cubes(prototypes)
     moved = []
     while len(looked_at):
         at = standing.positions(looked_at).astype(np.float64)
-        near = looked_at[
-            _too_near(at, np.maximum(radius[looked_at] + plan.clearance_m, 0.0), sorted_cameras)
-        ]
+        reach = np.maximum(radius[looked_at] + plan.clearance_m, 0.0)
+        # Of those whose ball a camera is in, the ones that have geometry there.
+        some = np.flatnonzero(_too_near(at, reach, sorted_cameras))
+        near = looked_at[some]
+        near = near[
+            cubes.near(
+                plan.prototype[near], at[some],
+                turned(standing.orientations[near], _scales(plan, near)), reach[some],
+                max(plan.clearance_m, 0.0), sorted_cameras,
+            )
+        ]  # fmt: skip
         if not len(near):
             break
         moved.append(near)

@@ -108,3 +108,23 @@ def rotation_rows(q: NDArray) -> tuple[float, ...]:
         s * (x * y + z * w), 1.0 - s * (x * x + z * z), s * (y * z - x * w),
         s * (x * z - y * w), s * (y * z + x * w), 1.0 - s * (x * x + y * y),
     )  # fmt: skip
+
+
+def turned(orientations: NDArray[np.float16], scales: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Matrices from prototypes' axes to the world's, scale included, float32 [n, 3, 3].
+
+    Args:
+        orientations: Quaternions (x, y, z, w) of any length, [n, 4].
+        scales: Of the three axes, [n, 3].
+    """
+    out = np.empty((len(scales), 3, 3), np.float32)
+    _turned(orientations.astype(np.float64), scales, out)
+    return out
+
+
+@njit(cache=True, error_model="numpy")
+def _turned(turns, scales, out):  # type: ignore[no-untyped-def]
+    for n in range(len(turns)):
+        rows = rotation_rows(turns[n])
+        for k in range(9):
+            out[n, k // 3, k % 3] = rows[k] * scales[n, k % 3]

@@ -52,6 +52,19 @@ class Places:
         """
         return _points(*self.frame(), np.ascontiguousarray(u))
 
+    def allowed(self) -> float:
+        """Share of the ground in plan that is in cells or faces where anything may be."""
+        if not self.cumulative.size:
+            return 1.0
+        held = np.diff(self.cumulative, prepend=0.0) > 0.0
+        if not len(self.corners):
+            return int(held.sum()) / held.size
+        a, b, c = (self.corners[:, k] for k in range(3))
+        area = np.abs(
+            (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
+        )
+        return float(area[held].sum() / area.sum())
+
 
 @njit(cache=True, error_model="numpy")
 def point(cumulative, corners, frame, u, v, w):  # type: ignore[no-untyped-def]

@@ -6,7 +6,6 @@ Not a part of compiling, whose bytes are the same on every CPU: where things com
 from __future__ import annotations
 
 import math
-import os
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -24,6 +23,7 @@ from scenec.compiler.settle.table import write_poses
 from scenec.compiler.settle.world import Fallen, Options, clearance_m, physics
 from scenec.compiler.terrain.mesh_surface import MeshSurface
 from scenec.schemas.errors import OutputError, ScenecError, SceneError
+from scenec.schemas.files import check_output
 from scenec.schemas.spelling import nearest, shown
 from scenec.schemas.versions import version_of
 
@@ -210,11 +210,7 @@ def _files(out: Path, chosen: Sequence[str]) -> dict[str, Path]:
     else:
         files = {name: out.with_name(f"{out.stem}_{name}{out.suffix}") for name in chosen}
     for file in files.values():
-        if file.is_dir():
-            raise OutputError(f"{file}: is a folder")
-        parent = next(p for p in file.absolute().parents if p.exists())
-        if not parent.is_dir() or not os.access(parent, os.W_OK | os.X_OK):
-            raise OutputError(f"{file}: cannot be written: {parent} is no folder to write in")
+        check_output(file)
     return files
 
 

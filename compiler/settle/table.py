@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -22,7 +23,8 @@ def write_poses(file: Path, bodies: Sequence[Body], comments: Sequence[str]) -> 
         OutputError: It cannot be written.
     """
     columns = [name for name in COLUMNS if name != "time_s"]
-    lines = [f"# {' '.join(text.split())}" for text in comments]
+    # One cell each, which begins with a #: what stands behind a comma could be a formula.
+    lines = [f"# {' '.join(re.split(r'[\s,;]+', text.strip()))}" for text in comments]
     lines.append(",".join(columns))
     for body in sorted(bodies, key=lambda body: body.id):
         numbers = [*body.position.tolist(), *body.quaternion.tolist(), body.scale]

@@ -130,12 +130,12 @@ class Dem:
         if holes[wide].all():
             raise SceneError(f"{self.file.name}: there is no data under or near the terrain")
         filled = samples.copy()
-        filled[wide], residual = fill_holes(
+        filled[wide], error = fill_holes(
             np.ascontiguousarray(samples[wide]), np.ascontiguousarray(holes[wide])
         )
         return filled, {
             "holes_filled": count,
-            "holes_residual_m": residual * abs(self.height_scale),
+            "holes_error_m": error * abs(self.height_scale),
         }
 
 

@@ -169,8 +169,8 @@ class MeshBase:
                 "over or under them; make the terrain smaller or the mesh larger, or say "
                 '"holes": "fill"'
             )
-        filled, residual = _without_holes(seen)
-        return filled, {"holes_filled": count, "holes_residual_m": residual}
+        filled, error = _without_holes(seen)
+        return filled, {"holes_filled": count, "holes_error_m": error}
 
 
 def _without_holes(seen: Above) -> tuple[NDArray[np.float64], float]:

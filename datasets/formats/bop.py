@@ -29,6 +29,7 @@ from __future__ import annotations
 import fnmatch
 import itertools
 import json
+import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from functools import lru_cache
@@ -40,7 +41,13 @@ from numpy.typing import NDArray
 
 from scenec.datasets.formats import trajectory
 from scenec.datasets.formats.contract import Done, Format, Info, Option, Task, Written
-from scenec.datasets.formats.depth_png import LARGEST, positive, to_16_bits, write_png
+from scenec.datasets.formats.depth_png import (
+    LARGEST,
+    fitting_scale,
+    positive,
+    to_16_bits,
+    write_png,
+)
 from scenec.datasets.formats.poses import (
     inverse,
     opencv_intrinsics,
@@ -97,8 +104,8 @@ class Bop(Format):
         """Write a frame's pictures, and its annotation for ``finish``."""
         (frame,) = frames
         place, name = _place(task), f"{frame.ref.sample:06d}"
-        written = Written()
         depth = to_16_bits(frame.passes["depth"], 1000.0 / self._step_mm)
+        written = Written(narrowed=depth.narrowed)
         write_png(folder / place / "depth" / f"{name}.png", depth.steps)
         written.files.append(f"{place}/depth/{name}.png")
         if frame.png is not None:
@@ -177,6 +184,11 @@ class Bop(Format):
         write_json(folder / "objects.json", objects)
         write_json(folder / "models" / "models_info.json", models)
         return written
+
+    def mend(self, most: float) -> str:
+        """The step that holds all depth."""
+        step = math.ceil(1e5 / fitting_scale(most)) / 100.0
+        return f"--set depth_scale={step:g} holds the farthest, {most:.5g} m"
 
     def usage(self) -> str:
         """The layout, what is exact and what is not."""

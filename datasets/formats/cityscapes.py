@@ -21,6 +21,7 @@ id = R + 256 G + 65536 B + 16777216 A.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, ClassVar
@@ -29,8 +30,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.datasets.colors import label_colors, paint_labels
-from scenec.datasets.formats.contract import Done, Format, Info, Option, Task, Written
-from scenec.datasets.formats.depth_png import to_16_bits
+from scenec.datasets.formats.contract import Done, Format, Info, Narrowed, Option, Task, Written
+from scenec.datasets.formats.depth_png import fitting_scale, to_16_bits
 from scenec.datasets.formats.encode import (
     encoded,
     label_type,
@@ -179,13 +180,15 @@ class Cityscapes(Format):
                 files.append(f"{around}gtFine/{core}_gtFine_instances.json")
                 write_json(folder / files[-1], {str(value): n for value, n in named.items()})
         depth: dict[str, Any] = {}
+        narrowed_depth: dict[str, Narrowed] = {}
         if self.option("depth") != "none" and "depth" in frame.passes:
             which = self.option("depth")
-            values, depth = self._depth(frame)
+            values, depth, narrowed_depth = self._depth(frame)
             save(which, which, values)
         files.append(f"camera/{core}_camera.json")
         write_json(folder / files[-1], self._camera(frame, depth))
-        return Written(files, {"camera": [frame.ref.camera, camera]})
+        record = {"camera": [frame.ref.camera, camera]}
+        return Written(files, record, narrowed=narrowed_depth)
 
     def finish(self, done: Iterable[Done], folder: Path, scratch: Path) -> list[str]:
         """Write the table of labels, with their colors, and the cameras' numbers."""
@@ -253,25 +256,39 @@ class Cityscapes(Format):
             )
         return values.astype(np.uint16), named
 
-    def _depth(self, frame: LoadedFrame) -> tuple[NDArray[np.uint16], dict[str, Any]]:
+    def _depth(
+        self, frame: LoadedFrame
+    ) -> tuple[NDArray[np.uint16], dict[str, Any], dict[str, Narrowed]]:
         """16-bit depth or disparity, and what a reader has to know of it."""
         depth = frame.passes["depth"]
         if self.option("depth") == "depth":
             found = to_16_bits(depth, self._scale)
             told = {"scale": self._scale, "meters": "value / scale", **found.counts()}
-            return found.steps, told
+            return found.steps, told, found.narrowed
         require_pinhole(frame)
         hit = np.isfinite(depth)
         focal = float(frame.intrinsics[0, 0])
         near = np.maximum(np.where(hit, depth, 1.0).astype(np.float64), 1e-9)
         values = np.rint(focal * self._baseline / near * 256.0) + 1.0
         fits = hit & (values <= _HIGHEST)
-        return np.where(fits, values, 0.0).astype(np.uint16), {
+        hits, lost = int(hit.sum()), int((hit & ~fits).sum())
+        told = {
             "disparity": "(value - 1) / 256 pixels",
             "baseline_m": self._baseline,
-            "hits": int(hit.sum()),
-            "under": int((hit & ~fits).sum()),
+            "hits": hits,
+            "under": lost,
         }
+        what = f"hits have no disparity: 16 bits hold {_HIGHEST // 256} pixels"
+        most = float(values[hit].max()) if hits else 0.0
+        lost_here = {what: Narrowed(lost, hits, most)}
+        return np.where(fits, values, 0.0).astype(np.uint16), told, lost_here
+
+    def mend(self, most: float) -> str:
+        """The scale of depth, or the baseline of disparity, that holds all."""
+        if self.option("depth") == "depth":
+            return f"--set depth_scale={fitting_scale(most):g} holds the farthest, {most:.5g} m"
+        baseline = self._baseline * (_HIGHEST - 1) / most
+        return f"--set baseline_m={math.floor(baseline * 1e4) / 1e4:g} holds the nearest"
 
     def _camera(self, frame: LoadedFrame, depth: dict[str, Any]) -> dict[str, Any]:
         """Cityscapes' camera file, with ours beside it.

@@ -80,6 +80,29 @@ class Info:
     imaging: bool = False
 
 
+@dataclass(frozen=True)
+class Narrowed:
+    """Values that a format's whole numbers do not all hold; pixels of the others have none.
+
+    Attributes:
+        lost: How many it does not hold.
+        of: Of how many.
+        most: The largest of all, which a scale has to hold.
+    """
+
+    lost: int = 0
+    of: int = 0
+    most: float = 0.0
+
+    def __add__(self, other: Narrowed) -> Narrowed:
+        return Narrowed(self.lost + other.lost, self.of + other.of, max(self.most, other.most))
+
+    def text(self, what: str, mend: str) -> str:
+        """``12 of 80 (15.0 %) hits farther than 13.1 m; --set depth_scale=1000 holds them``."""
+        share = f"{self.lost:,} of {self.of:,} ({100.0 * self.lost / self.of:.3g} %)"
+        return f"{share} {what}; {mend}" if mend else f"{share} {what}"
+
+
 @dataclass
 class Written:
     """What a task left.
@@ -91,12 +114,16 @@ class Written:
             said, and written into ``export.json``.
         digests: sha256 of those of ``files`` where it is known already, as that of a picture that
             is copied is (``LoadedFrame.picture_digest``).
+        narrowed: Values that were written as whole numbers of few bits: what those are that do not
+            fit -> how many. Summed over all tasks; where any is lost, that is said, with
+            ``Format.mend``, and stands in ``export.json`` and in the card.
     """
 
     files: list[str] = field(default_factory=list)
     record: dict[str, Any] = field(default_factory=dict)
     left_out: dict[str, int] = field(default_factory=dict)
     digests: dict[str, str] = field(default_factory=dict)
+    narrowed: dict[str, Narrowed] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -216,6 +243,10 @@ class Format(ABC):
             Paths of the files written, relative to the folder.
         """
         return []
+
+    def mend(self, most: float) -> str:
+        """What to set so that the largest of ``Written.narrowed`` fits; "" where nothing helps."""
+        return ""
 
     def usage(self) -> str:
         """A paragraph of Markdown for the dataset's card: the layout, and how to load it.

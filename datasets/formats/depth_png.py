@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.datasets.formats.contract import Narrowed
 from scenec.schemas.errors import OutputError
 from scenec.schemas.files import atomic
 
@@ -26,12 +27,14 @@ class Depth16:
         hits: Pixels that hit something.
         beyond: Of these, those farther than ``LARGEST`` steps; they are 0.
         under: Of these, those nearer than half a step; they are 0.
+        narrowed: All that are 0 though they hit something, for ``Written.narrowed``.
     """
 
     steps: NDArray[np.uint16]
     hits: int
     beyond: int
     under: int
+    narrowed: dict[str, Narrowed]
 
     def counts(self) -> dict[str, int]:
         """What a task records."""
@@ -49,7 +52,19 @@ def to_16_bits(depth: NDArray[np.floating], steps_per_m: float) -> Depth16:
     steps = np.rint(np.where(hit, depth, 0.0).astype(np.float64) * steps_per_m)
     beyond, under = hit & (steps > LARGEST), hit & (steps <= 0.0)
     kept = np.where(beyond, 0.0, np.maximum(steps, 0.0)).astype(np.uint16)
-    return Depth16(kept, int(hit.sum()), int(beyond.sum()), int(under.sum()))
+    hits, lost = int(hit.sum()), int(beyond.sum()) + int(under.sum())
+    what = (
+        f"hits have no depth: 16 bits hold {0.5 / steps_per_m:.3g} to {LARGEST / steps_per_m:.5g} m"
+    )
+    narrowed = {what: Narrowed(lost, hits, float(depth[hit].max()) if hits else 0.0)}
+    return Depth16(kept, hits, int(beyond.sum()), int(under.sum()), narrowed)
+
+
+def fitting_scale(farthest: float) -> float:
+    """Most steps a meter, of two digits, at which 16 bits hold a depth in meters."""
+    most = LARGEST / farthest
+    unit = 10.0 ** (math.floor(math.log10(most)) - 1)
+    return math.floor(most / unit * (1.0 + 1e-12)) * unit
 
 
 def write_png(path: Path, pixels: NDArray[Any]) -> None:

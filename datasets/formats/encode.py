@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import json
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -13,7 +12,7 @@ from numpy.typing import NDArray
 
 from scenec.datasets.formats.contract import Format
 from scenec.datasets.pictures import picture
-from scenec.datasets.source import FrameRef, LoadedFrame, sequences
+from scenec.datasets.source import FrameRef, LoadedFrame, sequences, sidecar_values
 from scenec.schemas.errors import FrameError, OutputError
 from scenec.schemas.files import atomic
 
@@ -38,12 +37,8 @@ def resolutions(frames: Sequence[FrameRef]) -> Iterator[tuple[FrameRef, tuple[in
 
 
 def _resolution(ref: FrameRef) -> tuple[int, int] | None:
-    try:
-        sidecar = json.loads(ref.stem.with_suffix(".json").read_bytes())
-        width, height = map(int, sidecar["resolution"])
-    except (OSError, ValueError, KeyError, TypeError):
-        return None
-    return width, height
+    sidecar = sidecar_values(ref)
+    return None if sidecar is None else (sidecar["resolution"][0], sidecar["resolution"][1])
 
 
 def whole_option(form: Format, name: str, lowest: int = 0) -> int:

@@ -35,7 +35,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.datasets.formats import trajectory
-from scenec.datasets.formats.contract import Done, Format, Info, Option, Settled, Task, Written
+from scenec.datasets.formats.contract import (
+    Done,
+    Format,
+    Info,
+    Narrowed,
+    Option,
+    Settled,
+    Task,
+    Written,
+)
 from scenec.datasets.formats.depth_png import LARGEST, to_16_bits, write_png
 from scenec.datasets.formats.motion_png import encode_disparity, encode_flow, write_rgb16
 from scenec.datasets.formats.poses import (
@@ -46,7 +55,7 @@ from scenec.datasets.formats.poses import (
     relative,
     require_pinhole,
 )
-from scenec.datasets.source import FrameRef, LoadedFrame
+from scenec.datasets.source import FrameRef, LoadedFrame, sidecar_values
 from scenec.schemas.correspondence import VISIBLE
 from scenec.schemas.errors import FrameError, OutputError
 from scenec.schemas.files import atomic
@@ -190,6 +199,8 @@ class Kitti(Format):
                 write_png(folder / path, depth.steps)
                 written.files.append(path)
                 counts += depth.hits, depth.beyond, depth.under
+                for what, lost in depth.narrowed.items():
+                    written.narrowed[what] = written.narrowed.get(what, Narrowed()) + lost
             if self.option("flow") != "no":
                 path = f"{place}/flow_{side + 2}/{name}"
                 flows.append(self._flow(frame, following, folder, path, written))
@@ -353,6 +364,10 @@ class Kitti(Format):
                 "those of the frames before, and format kitti has one of each a sequence"
             )
 
+    def mend(self, most: float) -> str:
+        """The benchmark has one scale."""
+        return f"the farthest is {most:.5g} m, and KITTI has one scale: --format tum has a free one"
+
     def usage(self) -> str:
         """The layout, the conventions."""
         depth = (
@@ -434,7 +449,7 @@ def _before_partners(frames: Sequence[FrameRef]) -> bool:
 
 def _first_sidecar(frames: Sequence[FrameRef]) -> dict[str, Any]:
     """The first that can be read."""
-    return next((s for s in map(trajectory.sidecar_of, frames) if s is not None), {})
+    return next((s for s in map(sidecar_values, frames) if s is not None), {})
 
 
 def _baseline(a: Sequence[FrameRef], b: Sequence[FrameRef]) -> float:
@@ -443,7 +458,7 @@ def _baseline(a: Sequence[FrameRef], b: Sequence[FrameRef]) -> float:
     for ref in a:
         if ref.sample not in others:
             continue
-        one, two = trajectory.sidecar_of(ref), trajectory.sidecar_of(others[ref.sample])
+        one, two = sidecar_values(ref), sidecar_values(others[ref.sample])
         if one is None or two is None:
             continue
         if one["resolution"] != two["resolution"] or one["intrinsics"] != two["intrinsics"]:

@@ -33,6 +33,7 @@ from scenec.datasets.formats.encode import encoded, picture_png, write_bytes
 from scenec.datasets.formats.poses import quaternion
 from scenec.datasets.source import LoadedFrame
 from scenec.datasets.splits import ALL
+from scenec.schemas.csv_cells import guarded_line
 from scenec.schemas.errors import OutputError
 from scenec.schemas.exr import write_rgb
 from scenec.schemas.files import atomic, write_json
@@ -164,7 +165,8 @@ class Oaisys(Format):
                 atomic(folder / files[-1]) as temporary,
                 temporary.open("w", encoding="utf-8", newline="") as file,
             ):
-                csv.writer(file, lineterminator="\n").writerows(record["pose"] for record in group)
+                lines = (guarded_line(record["pose"]) for record in group)
+                csv.writer(file, lineterminator="\n").writerows(lines)
         code = self.generation
         write_json(
             folder / LABELS,

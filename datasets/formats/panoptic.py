@@ -19,6 +19,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.datasets.colors import label_colors
 from scenec.datasets.formats.coco_parts import (
     OPTIONS,
     Seen,
@@ -83,8 +84,14 @@ class Panoptic(Format):
     def finish(self, done: Iterable[Done], folder: Path, scratch: Path) -> list[str]:
         """Join the fragments, now that it is known which categories are things."""
         seen, numbers = gathered(done, self.info.splits)
+        colors = label_colors(list(self.info.labels[self.info.level]))
         categories = [
-            {**category, "isthing": int(category["id"] in seen.things)}
+            {
+                **category,
+                "isthing": int(category["id"] in seen.things),
+                # Those of pictures of labels; panopticapi paints segments in shades of it.
+                "color": list(colors[category["id"]]),
+            }
             for category in seen.categories(self.info, self.option("categories"))
         ]
         written = []

@@ -23,8 +23,8 @@ from typing import Any, ClassVar
 import numpy as np
 
 from scenec.datasets import pictures
-from scenec.datasets.formats.contract import Format, Info, Option, Task, Written
-from scenec.datasets.formats.depth_png import to_16_bits
+from scenec.datasets.formats.contract import Format, Info, Narrowed, Option, Task, Written
+from scenec.datasets.formats.depth_png import fitting_scale, to_16_bits
 from scenec.datasets.formats.encode import (
     chunks,
     encoded,
@@ -108,6 +108,7 @@ class Parquet(Format):
 
         schema = self.schema()
         name = str(task.place[0])
+        written = Written([name])
         with (
             atomic(folder / name) as temporary,
             # Pictures are compressed already; dictionaries of them would only cost memory.
@@ -118,14 +119,14 @@ class Parquet(Format):
             rows: list[dict[str, Any]] = []
             held = 0
             for frame in frames:
-                rows.append(self.row(frame))
+                rows.append(self.row(frame, written))
                 held += sum(len(v["bytes"]) for v in rows[-1].values() if _is_file(v))
                 if held >= _GROUP or len(rows) >= _GROUP_ROWS:
                     writer.write_table(pa.Table.from_pylist(rows, schema))
                     rows, held = [], 0
             if rows:
                 writer.write_table(pa.Table.from_pylist(rows, schema))
-        return Written([name])
+        return written
 
     def features(self) -> dict[str, _Feature]:
         """Columns as `datasets` describes them."""
@@ -183,8 +184,8 @@ class Parquet(Format):
             [(name, _arrow(feature)) for name, feature in features.items()], metadata=metadata
         )
 
-    def row(self, frame: LoadedFrame) -> dict[str, Any]:
-        """A frame's row."""
+    def row(self, frame: LoadedFrame, written: Written) -> dict[str, Any]:
+        """A frame's row; what its numbers do not hold is added to what was written."""
         require_pinhole(frame)
         row: dict[str, Any] = {
             "frame": frame.ref.name,
@@ -205,8 +206,10 @@ class Parquet(Format):
                 content = encoded(depth, "TIFF", compression="tiff_adobe_deflate")
                 row[name] = _file(content, f"{frame.ref.key}.depth.tiff")
             elif name == "depth":
-                pixels = to_16_bits(array, self._scale).steps
-                row[name] = _file(encoded(pixels), f"{frame.ref.key}.depth.png")
+                found = to_16_bits(array, self._scale)
+                row[name] = _file(encoded(found.steps), f"{frame.ref.key}.depth.png")
+                for what, lost in found.narrowed.items():
+                    written.narrowed[what] = written.narrowed.get(what, Narrowed()) + lost
             elif name == "instance":
                 row[name] = _file(encoded(split_ids(array)), f"{frame.ref.key}.instance.png")
             elif name.startswith("label."):
@@ -222,6 +225,13 @@ class Parquet(Format):
         if frame.table:
             row["objects"] = self._objects(frame)
         return row
+
+    def mend(self, most: float) -> str:
+        """The scale that holds all depth, or a format of it that has none."""
+        return (
+            f"--set depth_scale={fitting_scale(most):g} holds the farthest, {most:.5g} m, and "
+            "--set depth=tiff has no scale"
+        )
 
     def usage(self) -> str:
         """How to load it."""

@@ -30,7 +30,9 @@ from __future__ import annotations
 import importlib.util
 import itertools
 import json
+import os
 import re
+import shutil
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, ClassVar, Literal
@@ -44,7 +46,7 @@ from scenec.datasets.formats.contract import Done, Format, Info, Option, Task, W
 from scenec.datasets.formats.poses import distortion, opencv_intrinsics, quaternion
 from scenec.datasets.source import FrameRef, LoadedFrame
 from scenec.schemas.errors import FrameError, OutputError
-from scenec.schemas.files import replace_folder, temporary_folder
+from scenec.schemas.files import temporary_folder
 from scenec.schemas.frames import BESIDE
 from scenec.schemas.lens import BROWN_CONRADY, KANNALA_BRANDT
 
@@ -99,12 +101,14 @@ class Rosbag2(Format):
         place = f"{task.split}/{name}"
         cameras = _ros_names(sorted({ref.camera for ref in task.frames}), "camera")
         # In scratch: a bag that was cut short must not stay in the dataset.
-        with temporary_folder(scratch / f"{task.number:08d}") as temporary:
+        with temporary_folder(scratch) as temporary:
             # Of the same name: the writer puts it into the bag.
             bag = _Bag(self, temporary / name, cameras)
             count = bag.write(frames)
             (folder / place).parent.mkdir(parents=True, exist_ok=True)
-            replace_folder(temporary / name, folder / place)
+            # What an export that was cut short left: nothing vouches for it.
+            shutil.rmtree(folder / place, ignore_errors=True)
+            os.rename(temporary / name, folder / place)
         return Written(
             [f"{place}/metadata.yaml", f"{place}/{name}.mcap"],
             {"cameras": " ".join(cameras.values()), "frames": count, "messages": bag.messages},

@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 import csv
-import json
 import shutil
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from decimal import Decimal, InvalidOperation
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scenec.datasets.formats.contract import Format, Option
 from scenec.datasets.pictures import picture
-from scenec.datasets.source import FrameRef, LoadedFrame
+from scenec.datasets.source import FrameRef, LoadedFrame, sidecar_values
+from scenec.schemas.csv_cells import guarded_line
 from scenec.schemas.errors import FrameError, OutputError
 from scenec.schemas.files import atomic
 from scenec.schemas.picture import write_png
@@ -91,7 +90,7 @@ def check_after(form: Format, frame: LoadedFrame, before: int, ticks: int) -> No
     if before < 0 or form.option("times") == "samples":
         return
     other = replace(frame.ref, sample=before, stem=frame.ref.stem.with_name(f"{before:06d}"))
-    seconds = (sidecar_of(other) or {}).get("time_s")
+    seconds = (sidecar_values(other) or {}).get("time_s")
     if isinstance(seconds, int | float):
         now = _to_ticks(form, frame.time_s, ticks), frame.ref.name
         check_rising(form, (_to_ticks(form, seconds, ticks), other.name), now)
@@ -119,18 +118,6 @@ def check_rising(form: Format, before: tuple[int, str] | None, now: tuple[int, s
         )
 
 
-def sidecar_of(ref: FrameRef) -> dict[str, Any] | None:
-    """A frame's sidecar, unchecked; None where it cannot be read."""
-    try:
-        values = json.loads(ref.stem.with_suffix(".json").read_bytes())
-        np.array(values["intrinsics"], np.float64).reshape(3, 3)
-        np.array(values["camera_to_world"], np.float64).reshape(4, 4)
-        int(values["resolution"][0]), int(values["resolution"][1])
-    except (OSError, ValueError, KeyError, IndexError, TypeError):
-        return None
-    return values if isinstance(values, dict) else None
-
-
 def rigs(frames: Sequence[FrameRef]) -> list[tuple[str, str, dict[str, list[FrameRef]]]]:
     """Frames by batch and rig: cameras below ``/World/Rigs/<rig>`` are one rig's.
 
@@ -146,7 +133,7 @@ def rigs(frames: Sequence[FrameRef]) -> list[tuple[str, str, dict[str, list[Fram
         cameras.setdefault((ref.batch_name, ref.camera), []).append(ref)
     found: dict[tuple[str, str], dict[str, list[FrameRef]]] = {}
     for (batch, camera), refs in cameras.items():
-        sidecar = next((s for s in map(sidecar_of, refs) if s is not None), {})
+        sidecar = next((s for s in map(sidecar_values, refs) if s is not None), {})
         parts = str(sidecar.get("camera_prim") or "").strip("/").split("/")
         on_rig = len(parts) >= 3 and parts[-3] == "Rigs"
         found.setdefault((batch, parts[-2] if on_rig else camera), {})[camera] = refs
@@ -210,4 +197,4 @@ def write_table(path: Path, columns: Sequence[str], lines: Iterable[Sequence[obj
     with atomic(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(columns)
-        writer.writerows(lines)
+        writer.writerows(map(guarded_line, lines))

@@ -27,7 +27,13 @@ import numpy as np
 
 from scenec.datasets.formats import trajectory
 from scenec.datasets.formats.contract import Done, Format, Info, Option, Task, Written
-from scenec.datasets.formats.depth_png import LARGEST, positive, to_16_bits, write_png
+from scenec.datasets.formats.depth_png import (
+    LARGEST,
+    fitting_scale,
+    positive,
+    to_16_bits,
+    write_png,
+)
 from scenec.datasets.formats.poses import number, numbers, pinhole, quaternion, require_pinhole
 from scenec.datasets.source import FrameRef, LoadedFrame, sequences
 from scenec.schemas.errors import OutputError
@@ -103,7 +109,7 @@ class Tum(Format):
             "camera": [frame.width, frame.height, *map(number, intrinsics)],
             **steps.counts(),
         }
-        return Written([f"{place}/{color}", f"{place}/{depth}"], record)
+        return Written([f"{place}/{color}", f"{place}/{depth}"], record, narrowed=steps.narrowed)
 
     def finish(self, done: Iterable[Done], folder: Path, scratch: Path) -> list[str]:
         """Write the lists and the trajectory of each sequence."""
@@ -157,6 +163,10 @@ class Tum(Format):
         frames, *lost = counts.tolist()
         return [place, split, ref.batch_name, ref.camera, frames, *camera, number(self._scale),
                 *lost]  # fmt: skip
+
+    def mend(self, most: float) -> str:
+        """The scale that holds all depth."""
+        return f"--set depth_scale={fitting_scale(most):g} holds the farthest, {most:.5g} m"
 
     def usage(self) -> str:
         """The layout, the convention of depth and its error."""

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from scenec.datasets.colors import NO_LABEL, label_colors
-from scenec.datasets.source import Source
+from scenec.datasets.source import Source, sidecar_values
 from scenec.datasets.view.fields import HALF_ERROR
 from scenec.datasets.view.fitting import fit, too_small
 from scenec.datasets.view.ground import Ground, ground_text, objects_text
@@ -18,7 +18,7 @@ from scenec.datasets.view.jobs import Fault, Pool, Task
 from scenec.datasets.view.layers import NORMAL_ERROR_DEG, WIDEST, Fineness
 from scenec.datasets.view.record import EDGES, Record, Tally, plain_json, short
 from scenec.schemas.errors import FrameError
-from scenec.schemas.files import atomic
+from scenec.schemas.files import atomic, check_output
 from scenec.schemas.manifest import FRAMES, Batch, find_batches
 from scenec.schemas.versions import version_of
 
@@ -93,9 +93,11 @@ def write_view(
         warn: Called with a line a fault.
 
     Raises:
-        FrameError: There are no frames, or one is faulty and ``faults`` is ``stop``.
+        FrameError: There are no frames, none can be read, or one is faulty and ``faults`` is
+            ``stop``.
         OutputError: The page cannot be written, or not within its budget.
     """
+    check_output(output)
     sources = _sources(out, backends)
     tasks = [
         Task(index, ref, Fineness())
@@ -139,13 +141,12 @@ def _sizes(sources: Sequence[Source]) -> tuple[int, int]:
     longest, most = 1, 1
     for source in sources:
         for ref in {r.camera: r for r in source.frames}.values():
-            try:
-                sidecar = json.loads(ref.stem.with_suffix(".json").read_bytes())
-                width, height = (int(v) for v in sidecar["resolution"])
-                layers = 3 + sum(_PLANES.get(name, 1) for name in sidecar["passes"])
-            except (OSError, ValueError, KeyError, TypeError):
+            sidecar = sidecar_values(ref)
+            if sidecar is None:
                 # A damaged frame is named when it is its turn.
                 continue
+            width, height = sidecar["resolution"]
+            layers = 3 + sum(_PLANES.get(name, 1) for name in sidecar["passes"])
             longest = max(longest, width, height)
             most = max(most, width * height * (2 * layers + 2) + 40_000)
     return longest, most
@@ -193,6 +194,8 @@ class _Book:
             self._add(file, number, made)
             name = self._tasks[number].ref.name
             self._progress(number + 1, total, name)
+        if not self.report.frames:
+            raise FrameError.none_readable(self._out, total, self.report.faults[0][2])
         self._note_strays()
         self._write_maps(file, pool, ground)
         self._element(file, "index", plain_json(self._index()))

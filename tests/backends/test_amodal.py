@@ -237,7 +237,7 @@ def crowds(draw):
     return scenes.scene(meshes, rows, ids), dataclasses.replace(camera, intrinsics=k)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(crowds())
 def test_silhouettes_are_those_of_scenes_of_one_instance(case):
     hold_against_scenes_of_one(*case)

@@ -158,7 +158,7 @@ def test_arrays_that_contradict_each_other_are_refused(tmp_path, change):
         read_amodal(tmp_path / "a")
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.integers(1, 7), st.integers(1, 7), st.integers(0, 2**32))
 def test_masks_hold_the_pixels_that_they_show(height, width, seed):
     rng = np.random.default_rng(seed)

@@ -162,12 +162,12 @@ def test_changed_missing_and_foreign_files_are_found(output, tmp_path):
     shutil.copytree(output, out)
     manifest = read_manifest(out)
     assert list(check_files(out, manifest)) == []
-    (out / "batch_0000" / "lights.usda").write_text("changed")
+    (out / "batch_0000" / "lights.usdc").write_text("changed")
     (out / "batch_0000" / "terrain.usdc").unlink()
     (out / "batch_0000" / "notes.txt").write_text("")
     found = {(f.where, f.severity) for f in check_files(out, manifest)}
     assert found == {
-        ("batch_0000/lights.usda", "error"),
+        ("batch_0000/lights.usdc", "error"),
         ("batch_0000/terrain.usdc", "error"),
         ("batch_0000/notes.txt", "warning"),
     }

@@ -6,7 +6,6 @@ import sys
 from fractions import Fraction
 from pathlib import Path
 
-import numba
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -21,6 +20,7 @@ from scenec.backends.exact.build import TASK_SIZE
 from scenec.backends.exact.intersect import edge_function
 from scenec.backends.rays import camera_rays
 from scenec.schemas.errors import BackendError
+from scenec.schemas.threads import at_most
 
 
 def table(origins, directions) -> Rays:
@@ -95,7 +95,7 @@ def soups(draw):
     return scene, Rays(origins, directions, (6, 10))
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(soups())
 def test_caster_agrees_with_brute_force_to_the_bit(case):
     scene, rays = case
@@ -281,16 +281,11 @@ def test_a_row_flattened_along_an_axis_is_its_shadow():
 def test_answers_do_not_depend_on_the_number_of_threads_or_on_what_was_known():
     scene = scenes.rocky(400, 80, 20.0, subdivisions=2)
     rays = camera_rays(scene.cameras[0][0])
-    threads = numba.get_num_threads()
-    try:
-        numba.set_num_threads(1)
+    with at_most(1):
         one = ExactCaster(scene)
         expected = one.cast(rays)
-        numba.set_num_threads(numba.config.NUMBA_NUM_THREADS)
-        many = ExactCaster(scene)
-        got = many.cast(rays)
-    finally:
-        numba.set_num_threads(threads)
+    many = ExactCaster(scene)
+    got = many.cast(rays)
     for a, b in zip(expected, got, strict=True):
         np.testing.assert_array_equal(a, b)
     for name in ("face_order", "row_order", "row_root"):

@@ -127,7 +127,7 @@ def test_near_and_far_in_a_ratio_of_1e9_keep_their_digits(tmp_path: Path) -> Non
         )
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.data())
 def test_rays_of_some_rows_are_those_of_the_whole_picture(data: st.DataObject) -> None:
     camera = VIEWS[data.draw(st.sampled_from(sorted(VIEWS)))]
@@ -148,7 +148,7 @@ def test_rays_of_some_rows_are_those_of_the_whole_picture(data: st.DataObject) -
             np.testing.assert_array_equal(own, all_of_them[part])
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(
     columns=st.tuples(st.integers(0, 60), st.integers(1, 61)).filter(lambda c: c[0] < c[1]),
     rows=st.tuples(st.integers(0, 46), st.integers(1, 47)).filter(lambda r: r[0] < r[1]),
@@ -313,7 +313,7 @@ def test_a_picture_wider_than_opengl_draws_is_drawn_in_columns(extremes: Path) -
     _run(script, str(extremes / "batch_0000" / "stage.usda"))
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(st.integers(1, 70_000), st.integers(1, 70_000))
 def test_bands_are_all_of_a_picture_and_no_larger_than_renderers_draw(w: int, h: int) -> None:
     camera = Camera("rig_eye", "/eye", w, h, np.eye(3), np.eye(4))

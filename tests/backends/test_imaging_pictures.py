@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 from dataclasses import replace
 
-import numba
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -20,6 +19,7 @@ from scenec.backends.imaging.jpeg import compressed
 from scenec.backends.render_scene import Camera
 from scenec.schemas.imaging import SUBSAMPLINGS, Imaging, shown_per_value
 from scenec.schemas.picture import srgb_encode, tone_map
+from scenec.schemas.threads import at_most
 
 #: No noise, no pattern, no mosaic: the stages that are always there, finely rounded.
 PLAIN = Imaging(
@@ -267,7 +267,7 @@ def pillows(picture: NDArray[np.uint8], quality: int, subsampling: str) -> NDArr
 
 
 @pytest.mark.parametrize("subsampling", SUBSAMPLINGS)
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     st.integers(1, 50) | st.integers(120, 400),
     st.integers(1, 100),
@@ -423,13 +423,9 @@ def test_the_picture_is_the_same_on_any_number_of_threads_and_in_any_order() -> 
     light = scene(97, 131)
     seen = camera(131, 97)
     first = [take(light, seen, FULL, sample) for sample in (0, 1, 2)]
-    threads = numba.get_num_threads()
-    try:
-        numba.set_num_threads(1)
+    with at_most(1):
         sensor.pattern.cache_clear()
         again = [take(light, seen, FULL, sample) for sample in (2, 1, 0)][::-1]
-    finally:
-        numba.set_num_threads(threads)
     for one, other in zip(first, again, strict=True):
         assert one.picture.tobytes() == other.picture.tobytes()
         assert one.clean is not None

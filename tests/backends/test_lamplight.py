@@ -14,7 +14,6 @@ import scenes
 from numpy.typing import NDArray
 from pxr import Gf, Usd, UsdGeom, UsdLux
 
-from scenec.backends.check.stage import check_stage
 from scenec.backends.contract import Backend
 from scenec.backends.mitsuba.scalar import lamp_losses
 from scenec.backends.rays import camera_rays
@@ -366,7 +365,7 @@ def test_a_light_whose_strength_is_not_finite_is_named(tmp_path, inputs):
         opened(tmp_path, lambda stage: sphere_light(stage, "a", **inputs))
 
 
-def test_the_check_warns_of_lights_that_are_not_drawn(tmp_path):
+def test_lights_that_are_not_drawn_are_losses(tmp_path):
     def build(stage: Usd.Stage) -> None:
         UsdLux.RectLight.Define(stage, "/rect")
         UsdLux.DiskLight.Define(stage, "/disk")
@@ -374,11 +373,11 @@ def test_the_check_warns_of_lights_that_are_not_drawn(tmp_path):
         UsdLux.ShapingAPI.Apply(light.GetPrim()).CreateShapingFocusAttr(2.0)
         sphere_light(stage, "plain")
 
-    opened(tmp_path, build)
-    found = [f for f in check_stage(tmp_path / "stage.usda") if f.check == "lights"]
-    assert sorted(f.where for f in found) == ["/disk", "/focused", "/rect"]
-    assert {f.severity for f in found} == {"warning"}
-    assert "shaping:focus" in next(f.message for f in found if f.where == "/focused")
+    assert opened(tmp_path, build).losses == (
+        "RectLight is not read: 1 prim, /rect",
+        "DiskLight is not read: 1 prim, /disk",
+        "inputs:shaping:focus of SphereLight is not followed: 1 prim, /focused",
+    )
 
 
 def test_losses_name_what_lamps_lose():

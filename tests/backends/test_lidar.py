@@ -107,7 +107,7 @@ def test_ranges_and_points_are_those_of_plane_and_balls(scene):
 
 
 @given(st.integers(0, 2**64 - 1), st.floats(0.0, 0.5), st.floats(0.0, 0.02), st.floats(0, 1))
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 def test_noise_has_the_deviation_asked_for_and_losses_their_share(scene, key, a, b, lost):
     one = lidar(
         range_noise_m=a,

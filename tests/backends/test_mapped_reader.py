@@ -102,7 +102,12 @@ def test_what_is_not_authored_is_not_there(tmp_path):
     [
         (names.ATTR_MAP_CELL_SIZE, TYPES.Double, 0.0, "/Root/A.*cellSize must be above 0"),
         (names.ATTR_MAP_CELL_SIZE, TYPES.Double, float("nan"), "/Root/A.*a finite number"),
-        (names.ATTR_MAP_CELL_SIZE, TYPES.String, "wide", "/Root/A.*cellSize is wide"),
+        (
+            names.ATTR_MAP_CELL_SIZE,
+            TYPES.String,
+            "wide",
+            "/Root/A.*cellSize: is of type string",
+        ),
         (names.ATTR_MAP_CELL_SEED, TYPES.Int, -1, "cellSeed is -1, expected a whole number"),
         (names.ATTR_MAP_FAR, TYPES.Float2, Gf.Vec2f(0.5, 0.5), r"far is \(0.5, 0.5\)"),
         (names.ATTR_MAP_FAR, TYPES.Float2, Gf.Vec2f(3.0, 1.5), "share in"),

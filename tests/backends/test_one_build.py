@@ -22,7 +22,7 @@ from scenec.schemas.manifest import read_manifest
 
 SENSOR = {"resolution": [24, 16], "fov_deg": 70}
 #: Written anew for each camera: the cameras themselves, and what is to be rendered of them.
-OF_CAMERAS = ("cameras.usda", "stage.usda", "report.json")
+OF_CAMERAS = ("cameras.usdc", "stage.usda", "report.json")
 
 
 def compiled(folder: Path, sensors: dict[str, Any], **change: Any) -> Path:
@@ -108,7 +108,7 @@ def test_a_second_camera_in_the_same_place_adds_not_one_byte_of_geometry(tmp_pat
     assert list(first) == list(second)
     changed = {name.partition("/")[2] or name for name in first if first[name] != second[name]}
     assert changed <= {*OF_CAMERAS, "cfg.json"}
-    assert "cameras.usda" in changed
+    assert "cameras.usdc" in changed
     assert "batch_0000/terrain.usdc" in first
     both = read_stage(two / "batch_0000" / "stage.usda")
     assert [len(cameras) for cameras in both.cameras] == [2, 2]

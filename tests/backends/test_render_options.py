@@ -12,7 +12,7 @@ from third_party import LEVEL, NOISE, faults_so_far, install, plan_fault, square
 from workers_here import here
 
 from scenec.backends.render import RenderReport, check_backend, render
-from scenec.cli import arguments, run_command
+from scenec.cli import run_command
 from scenec.cli.main import main, parser
 from scenec.schemas.errors import BackendError
 from scenec.schemas.frames import Frame, read_frame
@@ -59,15 +59,16 @@ def test_the_command_refuses_a_device_in_one_line_with_status_2(stage, capsys):
     said = capsys.readouterr().err
     assert said == "scenec: backend plain has no device 'cuda'; it has auto, cpu, optix\n"
     assert not (stage.parent / "frames").exists()
-    with pytest.raises(SystemExit) as left:
-        main(["render", str(stage), "--device", "tpu"])
-    assert left.value.code == 2
+    for command in ("render", "converge"):
+        backend = ["--backends" if command == "converge" else "--backend", "plain"]
+        assert main([command, str(stage), *backend, "--device", "tpu"]) == 2
+        assert "no device 'tpu'; it has auto, cpu, optix" in capsys.readouterr().err
 
 
-def test_the_command_line_knows_all_devices():
-    from scenec.backends.contract import DEVICES
-
-    assert arguments.DEVICES == DEVICES
+def test_a_third_partys_own_device_is_taken(stage, tmp_path, monkeypatch):
+    monkeypatch.setattr("third_party.Plain.devices", ("cpu", "optix", "metal"))
+    with here():
+        assert main(["render", str(stage), "--backend", "plain", "--device", "metal"]) == 0
 
 
 @pytest.mark.usefixtures("worker_here")

@@ -85,7 +85,7 @@ def caster(world: RenderScene) -> ExactCaster:
 angles = st.floats(-3.0, 3.0)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     st.lists(st.tuples(angles, angles, angles), min_size=2, max_size=5),
     st.sampled_from([1.0, 1e-3, 1e-7, 1e-10]),

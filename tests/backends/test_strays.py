@@ -43,7 +43,17 @@ def cfg_of(samples: int = 5, **sensors: dict[str, Any]) -> dict[str, Any]:
 
 
 def compiled(folder: Path, cfg: dict[str, Any]) -> Path:
-    compile_cfg(write_cfg(folder, cfg), seed=1, out=folder / "out", batches=range(1))
+    """Compiles; what ``--replace`` would throw away is put back, as one who copies frames does."""
+    batch = folder / "out" / "batch_0000"
+    aside = folder / "aside"
+    aside.mkdir(exist_ok=True)
+    there = [name for name in ("frames", "scans") if (batch / name).is_dir()]
+    for name in there:
+        (batch / name).rename(aside / name)
+    path = write_cfg(folder, cfg)
+    compile_cfg(path, seed=1, out=folder / "out", batches=range(1), replace=True)
+    for name in there:
+        (aside / name).rename(batch / name)
     return folder / "out"
 
 
@@ -88,7 +98,9 @@ def test_compile_scan_and_check_name_what_an_earlier_stage_left(tmp_path, capsys
     left = {"gone/000000": "no lidar 'rover_gone';", "gone/000001": "no lidar 'rover_gone';",
             "gone/000002": "no lidar 'rover_gone';", "top/000000": "triggered at samples 1;",
             "top/000002": "has samples 0 to 1;"}  # fmt: skip
-    words = ["compile", str(write_cfg(tmp_path, cfg)), "--seed", "1", "-o", str(out), "--no-cache"]
+    cfg_file = write_cfg(tmp_path, cfg)
+    compiled(tmp_path, cfg)
+    words = ["compile", str(cfg_file), "--seed", "1", "-o", str(out), "--no-cache"]
     assert main([*words, "--batches", "0:1"]) == 0
     (line,) = (x for x in capsys.readouterr().err.splitlines() if x.startswith("warning"))
     assert "plain/rover_a/000002.json: not of this stage: the stage has samples 0 to 1" in line

@@ -52,7 +52,7 @@ def edges(values: NDArray[np.floating], low: float = 0.0) -> NDArray[np.float64]
     count=st.integers(1, 9),
     seed=st.integers(0, 2**32 - 1),
 )
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=80)
 def test_every_row_has_equally_many_sub_frames_within_its_own_exposure(
     exposure: float, readout: float, upward: bool, height: int, count: int, seed: int
 ) -> None:

@@ -254,5 +254,5 @@ def test_a_mesh_without_the_coordinates_of_our_material_is_told(tmp_path):
 
 
 def test_an_unknown_projection_is_told(tmp_path):
-    with pytest.raises(StageError, match='"box", expected above, triplanar, uv'):
+    with pytest.raises(StageError, match='"box"; known: above, triplanar, uv'):
         own(tmp_path, "vertex", projection="box")

@@ -7,11 +7,11 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
 import pytest
+from processes import until_gone
 from third_party import square_stage
 
 from scenec.backends import pool
@@ -155,13 +155,7 @@ def test_a_worker_goes_with_its_parent(stage):
     parent.kill()
     parent.wait()
     parent.stdout.close()
-    for _ in range(200):
-        # A zombie is dead too: nobody here may reap it.
-        status = Path(f"/proc/{worker}/stat")
-        if not status.exists() or status.read_text().rsplit(")", 1)[1].split()[0] == "Z":
-            return
-        time.sleep(0.05)
-    pytest.fail(f"worker {worker} outlived its parent")
+    until_gone(worker)
 
 
 def test_what_libraries_print_does_not_reach_the_protocol():

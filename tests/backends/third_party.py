@@ -21,6 +21,7 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux, UsdRender, Vt
 
 from scenec.backends.contract import Radiance, Rays, Visibility
 from scenec.backends.exact import ExactCaster
+from scenec.backends.memory import LoadCost
 from scenec.backends.render_scene import Camera, RenderScene
 from scenec.schemas.errors import BackendError
 
@@ -28,7 +29,7 @@ HERE = Path(__file__).resolve().parent
 FAULT = "SCENEC_TEST_FAULT"
 #: Radiance of every surface, and the standard deviation of each half's noise.
 LEVEL, NOISE = 2.0, 0.5
-NAMES = {"plain": "Plain", "smooth": "Smooth", "raster": "Raster"}
+NAMES = {"plain": "Plain", "heavy": "Heavy", "smooth": "Smooth", "raster": "Raster"}
 
 
 def install(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -58,6 +59,7 @@ def square_stage(path: Path, samples: int = 3, width: int | None = None) -> Path
     made.SetEndTimeCode(samples - 1)
     made.SetDefaultPrim(UsdGeom.Xform.Define(made, "/World").GetPrim())
     mesh = UsdGeom.Mesh.Define(made, "/World/Square")
+    mesh.CreateSubdivisionSchemeAttr("none")
     corners = [(-5, -5, 0), (5, -5, 0), (5, 5, 0), (-5, 5, 0)]
     mesh.CreatePointsAttr(Vt.Vec3fArray([Gf.Vec3f(*c) for c in corners]))
     mesh.CreateFaceVertexCountsAttr([4])
@@ -120,6 +122,7 @@ class Plain:
     devices: tuple[str, ...] = ("cpu", "optix")
     denoiser: str | None = None
     stochastic = True
+    load_cost = LoadCost(row=1000.0, triangle=100.0)
 
     def __init__(self, device: str = "auto") -> None:
         if device == "optix":
@@ -165,6 +168,13 @@ class Plain:
         return Radiance(
             halves.astype(np.float32), covered, spp, denoised=smooth, stochastic=self.stochastic
         )
+
+
+class Heavy(Plain):
+    """As ``Plain``, and says that it takes more memory than there is anywhere."""
+
+    name = "heavy"
+    load_cost = LoadCost(row=1e15, triangle=0.0, written=1e15)
 
 
 class Smooth(Plain):

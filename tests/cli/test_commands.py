@@ -7,10 +7,10 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
+from processes import until
 from small import small_cfg, write_cfg
 
 from scenec.cli.main import main, parser
@@ -262,11 +262,9 @@ def test_interrupting_leaves_no_half_written_output(tmp_path):
         stderr=subprocess.PIPE,
         text=True,
     )
-    deadline = time.monotonic() + 120
-    while not (out / "batch_0001").exists() and time.monotonic() < deadline:
-        time.sleep(0.05)
+    until((out / "batch_0001").exists, process)
     process.send_signal(signal.SIGINT)
-    _, said = process.communicate(timeout=60)
+    _, said = process.communicate()
     assert process.returncode == 130
     assert "Traceback" not in said
     assert not [name for name in os.listdir(out) if name.startswith(".")]

@@ -105,11 +105,16 @@ def test_a_line_amid_a_bar_takes_the_bars_place(
     assert "\x1b[K" not in terminal.getvalue().split("a line\n")[1]
 
 
-def test_steps_between_are_shown_on_a_terminal_only(
+def test_steps_between_are_shown_on_a_terminal_and_once_a_second_elsewhere(
     clock: Clock, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    Progress("compiled").now(0, 2, "relief")
+    progress = Progress("compiled")
+    progress.now(0, 2, "relief")
     assert capsys.readouterr().err == ""
+    clock.now += 1.5
+    progress.now(0, 2, "objects")
+    progress.now(0, 2, "ground")
+    assert capsys.readouterr().err == "objects\n"
     terminal = Terminal()
     monkeypatch.setattr("sys.stderr", terminal)
     Progress("compiled").now(0, 2, "relief")

@@ -23,7 +23,7 @@ SLABS = (
 )
 
 
-@njit
+@njit(cache=True, error_model="numpy")
 def scattered_down(
     rng: np.random.Generator, depth: float, albedo: float, forward: float, g: float, sine: float
 ) -> float:

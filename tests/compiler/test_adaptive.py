@@ -72,7 +72,7 @@ def require_whole(faces: np.ndarray, shape: tuple[int, int]) -> None:
     assert (uses[~border] == 2).all()
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.integers(2, 300), st.integers(2, 300), st.integers(0, 2**32 - 1), st.floats(0.0, 1.0))
 def test_any_choice_of_samples_gives_a_mesh_without_cracks(ny, nx, seed, part):
     root = adaptive.ROOT_CELLS

@@ -14,12 +14,12 @@ import pytest
 from elsewhere import ALL_AT_ONCE, CIRCUMSTANCES, COMPILE
 from pxr import Usd, UsdGeom
 from small import small_cfg, write_cfg
+from usd_validator import independent_findings
 
 from scenec.backends.check.files import check_files
 from scenec.backends.check.stage import check_stage
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.passes.keep import Keep
-from scenec.schemas import materialx
 from scenec.schemas.errors import CfgError, OutputError, ScenecError, SceneError
 from scenec.schemas.manifest import read_manifest
 
@@ -72,7 +72,7 @@ def test_the_same_cfg_and_seed_give_the_same_bytes_with(name, reference, tmp_pat
 def test_another_seed_and_another_batch_give_other_scenes(reference, tmp_path):
     other = compiled(tmp_path, small_cfg(batches=2), seed=12)
     ours, theirs = hashes(reference), hashes(other)
-    for name in ("terrain.usdc", "objects/rocks.usdc", "cameras.usda", "lights.usda"):
+    for name in ("terrain.usdc", "objects/rocks.usdc", "cameras.usdc", "lights.usdc"):
         assert ours[f"batch_0000/{name}"] != theirs[f"batch_0000/{name}"]
         assert ours[f"batch_0000/{name}"] != ours[f"batch_0001/{name}"]
 
@@ -133,33 +133,30 @@ def test_the_stage_is_sound_to_us_and_to_usd(reference):
     assert list(check_files(reference, read_manifest(reference))) == []
 
 
-def independent_findings(stage: Path, report: Path) -> set[tuple[str, str]]:
-    """(severity, rule) of everything that usd-validation-nvidia finds.
-
-    But MaterialX nodes: usd-core, which it works on, has no library of them.
-    """
-    # Its exit status is 1 for warnings, too: the report tells them apart.
-    subprocess.run(
-        [sys.executable, "-m", "usd_validation_nvidia", "--json-output", str(report), str(stage)],
-        check=False,
-        capture_output=True,
-    )
-    rules = json.loads(report.read_text())["rules"]
-    issues = [issue for rule in rules for issue in rule.get("issues", [])]
-    unknown = [f"shaderId '{node}' specified on" for node in materialx.NODES]
-    return {
-        (issue["severity"], issue["rule"]["name"])
-        for issue in issues
-        if not any(issue["message"].startswith(words) for words in unknown)
-    }
-
-
 def test_the_stage_passes_an_independent_validator(reference, tmp_path):
     found = independent_findings(
         reference / "batch_0000" / "stage.usda", tmp_path / "findings.json"
     )
     # Its advice to index primvars that repeat values would cost more than it saves.
     assert found <= {("WARNING", "IndexedPrimvarChecker")}
+
+
+def test_many_samples_of_everything_pass_the_independent_validator(tmp_path):
+    cfg = small_cfg(samples=8)
+    cfg["light"]["haze"] = {"visibility_m": {"type": "uniform", "min": 500, "max": 900}}
+    out = compiled(tmp_path, cfg)
+    found = independent_findings(out / "batch_0000" / "stage.usda", tmp_path / "findings.json")
+    assert found <= {("WARNING", "IndexedPrimvarChecker")}
+    stage = Usd.Stage.Open(str(out / "batch_0000" / "stage.usda"))
+    moving = [
+        attribute.GetPath().pathString
+        for prim in stage.Traverse()
+        for attribute in prim.GetAttributes()
+        if attribute.GetNumTimeSamples() == 8
+    ]
+    # Were they constant, nothing would be tested.
+    for prim in ("/World.", "/World/Rigs/", "/World/Lights/", "/World/Sky."):
+        assert any(path.startswith(prim) for path in moving), prim
 
 
 def test_the_independent_validator_does_find_faults(tmp_path):
@@ -200,7 +197,7 @@ def test_a_cfg_that_asks_for_depth_only_makes_no_material_light_or_label(tmp_pat
         "stage.usda",
         "terrain.usdc",
         "objects",
-        "cameras.usda",
+        "cameras.usdc",
         "report.json",
         "left_out.json",
     }
@@ -240,10 +237,7 @@ def test_compiling_again_changes_nothing_and_keeps_frames(tmp_path):
     stamp = (out / "batch_0000" / "terrain.usdc").stat().st_mtime_ns
     assert compile_cfg(cfg, seed=1, out=out).unchanged == 1
     assert (out / "batch_0000" / "terrain.usdc").stat().st_mtime_ns == stamp
-    # Another seed replaces the stage; frames are kept for the renderer to judge.
-    assert compile_cfg(cfg, seed=2, out=out).unchanged == 0
     assert frame.read_bytes() == b"frame"
-    assert read_manifest(out)["seed"] == 2
 
 
 def test_batches_can_be_compiled_in_parts(reference, tmp_path):
@@ -280,9 +274,13 @@ def test_an_interrupted_run_can_be_gone_on_with(reference, tmp_path, monkeypatch
 
 def test_batches_of_another_cfg_are_not_left_beside_new_ones(tmp_path):
     compile_cfg(write_cfg(tmp_path, small_cfg(batches=2)), seed=1, out=tmp_path / "out")
-    with pytest.raises(OutputError, match="batch_0001 of another cfg"):
+    with pytest.raises(OutputError, match=r"2 batches \(batch_0000 to batch_0001\), of seed 1"):
         compile_cfg(write_cfg(tmp_path, small_cfg()), seed=2, out=tmp_path / "out")
     assert read_manifest(tmp_path / "out")["seed"] == 1
+    out = tmp_path / "out"
+    assert compile_cfg(write_cfg(tmp_path), seed=2, out=out, replace=True).unchanged == 0
+    assert not (out / "batch_0001").exists()
+    assert hashes(out) == hashes(compiled(tmp_path, small_cfg(), seed=2, name="other"))
 
 
 def test_files_are_called_what_they_are_whatever_their_names(tmp_path):
@@ -292,7 +290,7 @@ def test_files_are_called_what_they_are_whatever_their_names(tmp_path):
     files = read_manifest(compiled(tmp_path, cfg))["files"]
     assert files["batch_0000/looks/lights.usda"]["what"] == "material"
     assert files["batch_0000/objects/terrain.usdc"]["what"] == "object class"
-    assert files["batch_0000/lights.usda"]["what"] == "suns, sky and lamps"
+    assert files["batch_0000/lights.usdc"]["what"] == "suns, sky and lamps"
 
 
 def test_each_sensor_asks_for_its_own_outputs(tmp_path):
@@ -373,5 +371,8 @@ def test_a_disk_that_takes_no_more_ends_in_one_line_and_leaves_nothing(tmp_path)
     )  # fmt: skip
     assert done.returncode == 2
     assert "Traceback" not in done.stderr
+    assert f"{tmp_path}/out/batch_0000" in done.stderr
     assert "cannot be written" in done.stderr
-    assert not list((tmp_path / "out").glob("*"))
+    # Neither the name of something that is gone nor an empty folder.
+    assert ".scenec-" not in done.stderr
+    assert not (tmp_path / "out").exists()

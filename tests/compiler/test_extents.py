@@ -118,3 +118,38 @@ def test_a_camera_too_near_for_float32_is_warned_of(tmp_path, capsys):
     assert "positions in float32: promised 6e-06 m" in said
     assert main(["explain", str(tmp_path / "near")]) == 0
     assert "positions in float32" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("seen", ["fov_deg", "intrinsics"])
+def test_a_camera_whose_pixels_float32_cannot_resolve_is_refused(seen, tmp_path, capsys):
+    cfg = small_cfg(samples=1)
+    sensor = cfg["rigs"]["rover"]["sensors"]["front"]
+    if seen == "fov_deg":
+        sensor["fov_deg"] = 1e-9
+    else:
+        del sensor["fov_deg"]
+        sensor["intrinsics"] = {"fx": 1e9, "fy": 1e9, "cx": 48, "cy": 32}
+    path = write_cfg(tmp_path, cfg)
+    assert main(["compile", str(path), "--seed", "1", "-o", str(tmp_path / "out")]) == 2
+    said = capsys.readouterr().err
+    assert "/rigs/rover/sensors/front" in said
+    assert "expected at most 0.5" in said
+    assert "Traceback" not in said
+    assert not (tmp_path / "out" / "batch_0000").exists()
+
+
+@pytest.mark.parametrize("relief", ["high", "steep"])
+def test_a_relief_that_float32_puts_pixels_off_is_refused(relief, tmp_path, capsys):
+    cfg = small_cfg(samples=1)
+    if relief == "high":
+        # At 10^9 m float32 has steps of 64 m: the ground is held around its tiles' middles, objects
+        # are not.
+        cfg["terrain"]["relief"][0] = {"type": "plane", "height_m": 1e9}
+    else:
+        # Its tiles are 10^9 m high and 20 m wide.
+        cfg["terrain"]["relief"][1]["amplitude_m"] = 1e9
+    path = write_cfg(tmp_path, cfg)
+    assert main(["compile", str(path), "--seed", "1", "-o", str(tmp_path / "out")]) == 2
+    where = {"high": "/rigs/rover/sensors/front: ", "steep": "/terrain/relief: "}[relief]
+    assert where in (said := capsys.readouterr().err)
+    assert "expected at most" in said

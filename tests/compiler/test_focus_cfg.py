@@ -55,7 +55,8 @@ def test_a_sensor_without_focus_has_none_and_says_nothing_of_it(tmp_path: Path) 
     assert drawn(tmp_path) is None
     stage, cameras = compiled(tmp_path)
     assert all(camera.focus is None for camera in cameras)
-    assert "fStop" not in (stage.parent / "cameras.usda").read_text()
+    layer = Sdf.Layer.FindOrOpen(str(stage.parent / "cameras.usdc"))
+    assert "fStop" not in layer.ExportToString()
 
 
 def test_without_imaging_the_aperture_is_focal_length_over_twice_the_f_number(

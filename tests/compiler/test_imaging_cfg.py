@@ -276,7 +276,7 @@ def test_pictures_are_the_sensors_rgb_is_the_scenes_and_nothing_else_moves(tmp_p
         folders.append(tmp_path / name / "batch_0000")
     for file in sorted(folders[0].rglob("*.usd*")):
         other = folders[1] / file.relative_to(folders[0])
-        assert (file.read_bytes() == other.read_bytes()) == (file.name != "cameras.usda"), file
+        assert (file.read_bytes() == other.read_bytes()) == (file.name != "cameras.usdc"), file
     reports = [render(folder.parent, "mitsuba", spp=4) for folder in folders]
     for sample in range(2):
         before, after = (read_frame(report.frames[sample]) for report in reports)

@@ -255,8 +255,9 @@ def test_a_cache_that_cannot_be_is_said_once(place, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_bound_is_kept(place, tmp_path):
-    _, found = place.compiled(_cfg(), tmp_path / "cache", cache_max=100_000)
+def test_a_bound_is_kept(place, tmp_path, monkeypatch):
+    monkeypatch.setenv("SCENEC_CACHE_MAX", "100000")
+    _, found = place.compiled(_cfg(), tmp_path / "cache")
     assert found == place.scratch(_cfg())
     assert 0 < Store(tmp_path / "cache").size()[1] <= 100_000
 

@@ -308,6 +308,7 @@ def test_rivers_in_more_steps_come_nearer_to_many(tmp_path):
     assert errors == sorted(errors, reverse=True)
     # First order in time.
     assert 1.3 < errors[1] / errors[2] < 3.0
+    assert all(rivers.holds(rung) for rung in rivers.rungs)
     # How far an iteration converged is no claim of what the spacing errs.
     assert all(rung.claimed is None for rung in slides.rungs)
     assert all(rung.details["last_iteration_m"] > 0.0 for rung in slides.rungs)

@@ -328,4 +328,4 @@ def test_without_rgb_there_are_no_lamps(tmp_path):
         "Head": {"mount": {"type": "rig", "rig": "rover"}, "intensity": 1},
     }
     compile_cfg(write_cfg(tmp_path, cfg), seed=2, out=tmp_path / "out")
-    assert not (tmp_path / "out/batch_0000/lights.usda").exists()
+    assert not (tmp_path / "out/batch_0000/lights.usdc").exists()

@@ -34,8 +34,8 @@ NEEDED_BY = {
     "scenec:instanceIdsEnabled": ALWAYS,
     "normals primvars:scenec_weight_* primvars:scenec_variation primvars:displayColor "
     "primvars:displayColor:indices primvars:st scenec:layers scenec:layers:* material:binding "
-    "exposure scenec:haze:* scenec:surface:* colorSpace:name inputs:* outputs:* info:id light:* "
-    "treatAsPoint config:mtlx:version": COLOR,
+    "exposure scenec:exposure:per scenec:haze:* scenec:surface:* colorSpace:name inputs:* "
+    "outputs:* info:id light:* treatAsPoint config:mtlx:version": COLOR,
     "primvars:scenec_label_* scenec:labels:* semantics:labels:* scenec:sky:*": LABELS,
     "ids scenec:instanceIdBase scenec:localInstanceId": IDS,
     # Of subsets, which carry materials and labels.
@@ -48,8 +48,9 @@ SCHEMAS = {
     "MaterialBindingAPI ShapingAPI MaterialXConfigAPI ColorSpaceAPI": COLOR,
 }
 FILES = {
-    "looks/* lights.usda *.mtlx.usda textures/*": COLOR,
-    "objects/* stage.usda terrain.usdc cameras.usda report.json": ALWAYS,
+    "looks/* lights.usdc *.mtlx.usda textures/*": COLOR,
+    "sky.usdc": COLOR | LABELS,
+    "objects/* stage.usda terrain.usdc cameras.usdc report.json": ALWAYS,
 }
 #: All below these.
 OF_COLOR = ("/World/Lights", "/World/Looks", "/World/GroundMix")
@@ -238,7 +239,7 @@ def test_geometric_outputs_need_geometry_and_nothing_else(tmp_path):
     kept = made(tmp_path, ("range", "normal", "position", "face", "flow", "occlusion"))
     asked = [p for p in kept.rglob("*") if p.is_file()]
     assert sorted(p.name for p in asked) == [
-        "boxes.usdc", "cameras.usda", "report.json", "rocks.usdc", "stage.usda", "terrain.usdc"
+        "boxes.usdc", "cameras.usdc", "report.json", "rocks.usdc", "stage.usda", "terrain.usdc"
     ]  # fmt: skip
     assert all(needs == ALWAYS for needs in properties(kept).values())
 

@@ -58,7 +58,6 @@ def test_a_layer_that_shows_nowhere_goes_with_its_material():
 weight = st.sampled_from([0.0, 0.0, 0.25, 1.0])
 
 
-@settings(deadline=None)
 @given(st.lists(st.lists(weight, min_size=4, max_size=4), max_size=4), st.data())
 def test_colors_and_labels_stay_as_they_are(weights, data):
     layer = [data.draw(st.integers(0, len(weights))) for _ in range(2)]
@@ -109,7 +108,7 @@ coordinate = st.floats(-4, 4)
 vector = st.tuples(coordinate, coordinate, coordinate).map(np.array)
 
 
-@settings(deadline=None, max_examples=300)
+@settings(max_examples=300)
 @given(vector, vector, st.floats(0.1, 179), st.floats(0, 0.5))
 def test_no_lamp_goes_that_shines_on_a_point_of_the_ground(direction, at, cone_deg, radius):
     if np.linalg.norm(direction) < 0.1:

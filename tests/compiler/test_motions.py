@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import trimesh
 
 from scenec.compiler.cameras.paths.descent import Descent
 from scenec.compiler.cameras.paths.lawn_mower import LawnMower
@@ -19,6 +20,7 @@ from scenec.compiler.cameras.poses import look_at
 from scenec.compiler.cameras.tracks import Sampling
 from scenec.compiler.ground.surface import Surface
 from scenec.compiler.plan import SensorPlan
+from scenec.compiler.scene import Prototype
 from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.schemas.errors import SceneError
 
@@ -41,9 +43,30 @@ def hills(x, y):
     return 0.5 * np.sin(0.4 * x) * np.cos(0.3 * y)
 
 
-def balls(*rows) -> Bodies:
+def prototype(mesh: trimesh.Trimesh) -> Prototype:
+    points = mesh.vertices.astype(np.float32)
+    radius = float(np.linalg.norm(points, axis=1).max()) * (1 + 1e-6)
+    none = np.zeros(len(points), np.float32)
+    faces = mesh.faces.astype(np.int32)
+    return Prototype("p", points, faces, np.zeros_like(points), none, radius=radius)
+
+
+def bodies_of_meshes(meshes, rows) -> Bodies:
+    """Rows of x, y, z, scale and the index of a mesh, each turned about the vertical by its x."""
     table = np.array(rows, float)
-    return Bodies(np.arange(1, len(rows) + 1), table[:, :3], table[:, 3])
+    made = tuple(prototype(mesh) for mesh in meshes)
+    which = table[:, 4].astype(np.int32)
+    c, s, zero = np.cos(table[:, 0]), np.sin(table[:, 0]), 0 * table[:, 0]
+    turn = np.array([[c, -s, zero], [s, c, zero], [zero, zero, zero + 1]]).transpose(2, 0, 1)
+    radius = np.array([p.radius for p in made])[which] * table[:, 3]
+    turn = (turn * table[:, 3, None, None]).astype(np.float32)
+    return Bodies(np.arange(1, len(table) + 1), table[:, :3], radius, turn, which, made)
+
+
+def balls(*rows) -> Bodies:
+    """Spheres: rows of x, y, z and the radius."""
+    sphere = trimesh.creation.icosphere(subdivisions=3, radius=1.0)
+    return bodies_of_meshes([sphere], [[*row, 0] for row in rows])
 
 
 def orthonormal(to_world) -> bool:
@@ -422,7 +445,7 @@ def test_where_no_way_leads_the_error_says_why():
         rover([[-10, 0], [10, 0]]).built(around(wall))
     with pytest.raises(SceneError, match=r"at waypoint 1 .* the ground has a slope of .*max_slope"):
         rover([[-10, 0], [1, 0]]).built(around(wall))
-    with pytest.raises(SceneError, match=r"at waypoint 0 .* an object"):
+    with pytest.raises(SceneError, match=r"waypoints_m/0: .* object 1 of objects/a is 0"):
         rover([[0, 0], [5, 0]]).built(around(bodies={"a": balls((0, 0, 0, 1))}))
     goals = replace(rover(NONE), goals_u=np.full((1, 64, 2), 0.5))
     with pytest.raises(SceneError, match="no place for goal 0 in 64 tries: 64 on slopes above 30"):

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 import pytest
 
 from scenec.compiler.noise.lattice import mix, subkey
 from scenec.compiler.noise.perlin import fbm2_points, perlin2, perlin3
+from scenec.schemas.threads import at_most
 
 
 def octave(key: int, x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -76,12 +76,8 @@ def test_noise_does_not_depend_on_the_number_of_threads():
     rng = np.random.default_rng(8)
     x, y = rng.uniform(-100, 100, (2, 50_000))
     args = (np.uint64(5), x, y, 7.0, 6, 0.5, 2.1, 0.4)
-    before = numba.get_num_threads()
-    try:
-        numba.set_num_threads(1)
+    with at_most(1):
         alone = fbm2_points(*args)
-    finally:
-        numba.set_num_threads(before)
     assert np.array_equal(alone, fbm2_points(*args))
 
 

@@ -13,7 +13,6 @@ from test_compile import hashes
 from test_motions import around, balls, hills
 
 from scenec.compiler.build import BuildLog, build
-from scenec.compiler.cameras.paths.motion import Bodies
 from scenec.compiler.cameras.paths.random_pose import Limits, Look, RandomPose
 from scenec.compiler.cameras.paths.rays import hits, span_of
 from scenec.compiler.compile import compile_cfg
@@ -151,7 +150,7 @@ def test_a_region_inside_of_an_object_has_no_poses():
     inside = drawn(polygon=((-1, -1), (1, 1)), limits=limited(clearance_m=0.1))
     with pytest.raises(SceneError, match=r"500 inside of an object or nearer than 0\.1 m to it"):
         inside.built(around(samples=1, bodies={"rocks": balls((0, 0, 0, 9))}))
-    none = Bodies(np.empty(0, np.int64), np.empty((0, 3)), np.empty(0))
+    none = balls((0, 0, 0, 1)).only(np.array([False]))
     with pytest.raises(SceneError, match="no object of the class rocks"):
         drawn("object").built(around(bodies={"rocks": none}))
 

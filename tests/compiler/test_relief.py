@@ -211,7 +211,7 @@ def test_octaves_finer_than_the_grid_are_left_out_and_counted():
     assert (report["octaves"], report["octaves_below_grid"]) == (3, 5)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     octaves=st.integers(0, 24),
     lacunarity=st.floats(1.0, 8.0),

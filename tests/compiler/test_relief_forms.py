@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numba
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -17,6 +16,7 @@ from scenec.compiler.terrain.dunes import Dunes, Ripples
 from scenec.compiler.terrain.grid import Grid
 from scenec.compiler.terrain.terraces import Terraces
 from scenec.schemas.errors import SceneError
+from scenec.schemas.threads import at_most
 
 DUNES = Dunes(5, 2.0, 30.0, 0.0, 33.0, 0.3)
 RIPPLES = Ripples(6, 0.012, 0.15, 0.0, 28.0, 0.4)
@@ -123,7 +123,7 @@ def test_bedforms_that_the_grid_cannot_show_are_left_out_and_impossible_ones_ref
         apply(replace(DUNES, height_m=10.0))
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     height=st.floats(1e-6, 0.2),
     order=st.floats(0.0, 100.0),
@@ -143,12 +143,8 @@ def test_bedforms_are_finite_and_within_bounds_at_any_scale(height, order, wind,
 @pytest.mark.parametrize("operator", [DUNES, LAYERS])
 def test_forms_do_not_depend_on_the_number_of_threads(operator):
     ramp = 0.1 * GRID.x()[None, :] + np.zeros(GRID.shape)
-    before = numba.get_num_threads()
-    try:
-        numba.set_num_threads(1)
+    with at_most(1):
         alone = apply(operator, GRID, ramp)
-    finally:
-        numba.set_num_threads(before)
     assert np.array_equal(alone, apply(operator, GRID, ramp))
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numba
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -18,6 +17,7 @@ from scenec.compiler.noise.worley import feature_point, worley2
 from scenec.compiler.terrain.grid import Grid
 from scenec.compiler.terrain.multifractal import Multifractal
 from scenec.compiler.terrain.worley import Worley
+from scenec.schemas.threads import at_most
 
 VARIANTS = ["fbm", "hetero", "hybrid", "ridged", "billow"]
 FRACTAL = Multifractal(7, 3.0, 25.0, 6, 2.13, 0.6, "fbm", 0.7)
@@ -102,12 +102,8 @@ def test_a_table_that_would_be_too_large_is_left_out_without_a_trace():
 
 @pytest.mark.parametrize("operator", [replace(FRACTAL, distortion=0.4), CELLS])
 def test_relief_does_not_depend_on_the_number_of_threads(operator):
-    before = numba.get_num_threads()
-    try:
-        numba.set_num_threads(1)
+    with at_most(1):
         alone = apply(operator)
-    finally:
-        numba.set_num_threads(before)
     assert np.array_equal(alone, apply(operator))
 
 
@@ -131,7 +127,7 @@ def test_a_warp_moves_the_noise_by_its_strength_at_most():
     assert 0.0 < np.abs(warped - apply(plain)).max() < 3.0 * 0.02 * plain.amplitude_m
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     octaves=st.integers(0, 24),
     lacunarity=st.floats(1.0, 8.0),

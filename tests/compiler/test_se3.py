@@ -47,7 +47,7 @@ def test_turns_are_those_of_scipy_and_positions_linear():
 
 
 @pytest.mark.parametrize("method", ALL)
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(data=st.data())
 def test_any_keys_give_unit_quaternions_and_come_back_at_their_times(method, data):
     n = data.draw(st.integers(1, 6))

@@ -405,7 +405,7 @@ def test_what_is_flat_gets_some_thickness():
     assert 1e-3 < np.ptp(hull[:, 2]) < 1e-2
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(st.integers(0, 2**32 - 1))
 def test_a_quaternion_of_a_matrix_gives_the_matrix(seed):
     q = np.random.default_rng(seed).normal(size=4)

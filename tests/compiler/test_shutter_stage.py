@@ -225,7 +225,7 @@ def test_the_same_bytes_come_from_the_cache_and_from_scratch(output: Path, tmp_p
     taken = compile_cfg(document, seed=3, out=tmp_path / "a", cache=cache)
     assert taken.taken["batch_0000"]["cameras"] == 1
     compile_cfg(document, seed=3, out=tmp_path / "b")
-    for name in ("cameras.usda", "stage.usda", "report.json"):
+    for name in ("cameras.usdc", "stage.usda", "report.json"):
         one, two, three = (
             (folder / "batch_0000" / name).read_bytes()
             for folder in (output, tmp_path / "a", tmp_path / "b")

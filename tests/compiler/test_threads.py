@@ -15,7 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from scenec.schemas.threads import over_threads
+from scenec.schemas.threads import at_most, over_threads
 
 
 @given(count=st.integers(0, 300), threads=st.integers(1, numba.config.NUMBA_NUM_THREADS))
@@ -26,23 +26,15 @@ def test_every_number_is_done_once(count: int, threads: int) -> None:
         assert 0 <= first <= last <= count
         done[first:last] += 1
 
-    before = numba.get_num_threads()
-    try:
-        numba.set_num_threads(threads)
+    with at_most(threads):
         over_threads(kernel, count, done)
-    finally:
-        numba.set_num_threads(before)
     assert (done == 1).all()
 
 
 def test_one_thread_is_the_callers_own() -> None:
     seen = set()
-    before = numba.get_num_threads()
-    try:
-        numba.set_num_threads(1)
+    with at_most(1):
         over_threads(lambda first, last: seen.add(get_ident()), 100)
-    finally:
-        numba.set_num_threads(before)
     assert seen == {get_ident()}
 
 
@@ -68,7 +60,7 @@ def test_kernels_may_call_one_another_from_any_thread() -> None:
 
     with ThreadPoolExecutor(4) as pool:
         for future in [pool.submit(over_threads, outer, 20) for _ in range(8)]:
-            future.result(timeout=60)
+            future.result()
     assert counted[0] == 8 * 20 * 10
 
 
@@ -109,7 +101,7 @@ threading.Thread(target=late).start()
 def test_what_one_raises_ends_the_others_and_nothing_writes_after_it() -> None:
     environment = {**os.environ, "NUMBA_NUM_THREADS": "4"}
     done = subprocess.run(
-        [sys.executable, "-c", _FOUR], env=environment, capture_output=True, text=True, timeout=60
+        [sys.executable, "-c", _FOUR], env=environment, capture_output=True, text=True
     )
     # Of four at work that which raised alone did not end; a thread that outlives the main one
     # works by itself.

@@ -11,7 +11,10 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from made_output import make_output
 from tiny_format import contents, install
 
@@ -29,6 +32,9 @@ FLINT = {
     "copyright": ["2020 A. Stone", "2021 B | C"],
     "source": "flint.glb.license beside it",
 }
+
+
+_FENCED = re.compile(r"^(`{3,})\w*\n.*?\n\1$", re.DOTALL | re.MULTILINE)
 
 
 @pytest.fixture(scope="module")
@@ -125,8 +131,47 @@ def test_numbers_are_those_of_the_statistics(card: str, dataset: Path) -> None:
     assert "relative RMS 0.125 to 0.125" in section(card, "How it was made")
 
 
+EVIL = [
+    "<script>alert(1)</script>", "](javascript:alert(1))", "![x](http://a.b/c.png)", "`</td>` <b>",
+    "``` |\n# heading", "=HYPERLINK(1)", "&lt;script&gt;", "\\](x)", "[a]: javascript:alert(1)",
+]  # fmt: skip
+
+
+def test_names_of_others_are_text_in_the_card(tmp_path: Path) -> None:
+    labels = {"class": dict(enumerate(EVIL, start=1))}
+    passes = {
+        "label.class": np.arange(1, len(EVIL) + 1, dtype=np.uint32).repeat(4)[None].repeat(8, 0),
+        "instance": np.zeros((8, 4 * len(EVIL)), np.uint32),
+    }
+    out = make_output(
+        tmp_path / "out", lambda _: passes, batches=1, cameras=("c",), samples=1, labels=labels,
+        name=EVIL[0],
+    )  # fmt: skip
+    export(out, "webdataset", tmp_path / "set", workers=1)
+    text = _FENCED.sub("", (tmp_path / "set" / "README.md").read_text()).split("\n---\n", 1)[1]
+    # Without spans of code, whose content is text whatever it is.
+    text = re.sub(r"(?<![`\\])(`+)(?!`).*?(?<!`)\1(?!`)", "", text)
+    assert "<script" not in text
+    assert "&lt;script&gt;alert" in text
+    assert "&amp;lt;script" in text
+    assert not re.search(r"(?<!\\)(?:\\\\)*[\[\]]", text)
+    assert "\n# heading" not in text
+
+
+@given(st.text(min_size=1))
+def test_code_holds_any_text(text: str) -> None:
+    """As CommonMark reads a span: one space off both ends where there are two, and not only."""
+    span = card_tables.code(text)
+    fence = re.match(r"`+", span)[0]
+    inner = span[len(fence) : -len(fence)]
+    assert fence not in re.findall(r"`+", inner)
+    if inner[0] == inner[-1] == " " and inner.strip(" "):
+        inner = inner[1:-1] if "`" in (inner[1], inner[-2]) else inner
+    assert inner.split() == text.split() or not text.strip()
+
+
 def test_every_table_has_one_number_of_columns(card: str) -> None:
-    tables = re.findall(r"(?:^\|.*\|\n)+", re.sub(r"```.*?```", "", card, flags=re.DOTALL), re.M)
+    tables = re.findall(r"(?:^\|.*\|\n)+", _FENCED.sub("", card), re.M)
     assert len(tables) > 10
     for table in tables:
         widths = {len(re.findall(r"(?<!\\)\|", line)) for line in table.splitlines()}

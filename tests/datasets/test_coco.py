@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import copy
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 from made_output import LABELS, make_output, some_passes
 from PIL import Image
+from processes import until
 from pycocotools import mask as coco_mask
 from pycocotools.coco import COCO
 from pycocotools.cocoeval import COCOeval
@@ -144,6 +146,27 @@ def test_the_truth_held_against_itself_scores_one(tmp_path, capsys, kind, segmen
     judged.accumulate()
     judged.summarize()
     assert judged.stats[0] == 1.0
+
+
+def test_the_card_says_how_many_detections_have_to_be_judged(tmp_path, capsys):
+    passes = blank(24, 48)
+    passes["label.class"][:] = 3
+    passes["instance"][:] = 1 + np.arange(24)[:, None] // 2 * 12 + np.arange(48) // 4
+    coco = one_frame(tmp_path, passes)
+    (words,) = re.findall(r"maxDets = \[(.*?)\]", (tmp_path / "set/README.md").read_text())
+    assert words == "1, 100, 144"
+    found = [
+        {key: a[key] for key in ("image_id", "category_id", "segmentation")} | {"score": 0.9}
+        for a in coco.dataset["annotations"]
+    ]
+    recalled = []
+    for most in ([1, 10, 100], [int(word) for word in words.split(",")]):
+        judged = COCOeval(coco, coco.loadRes(copy.deepcopy(found)), "segm")
+        judged.params.maxDets = most
+        judged.evaluate()
+        judged.accumulate()
+        recalled.append(judged.eval["recall"][:, :, 0, -1].mean())
+    assert recalled == pytest.approx([100 / 144, 1.0])
 
 
 @pytest.mark.parametrize("segmentation", ["rle", "polygon"])
@@ -363,12 +386,8 @@ def test_an_export_that_was_killed_goes_on_to_the_same_bytes(tmp_path):
     )
     process = subprocess.Popen([sys.executable, "-c", script, str(out), str(tmp_path / "cut")])
     tasks = tmp_path / ".cut.partial" / "tasks"
-    limit = time.monotonic() + 120
-    while process.poll() is None and time.monotonic() < limit:
-        if tasks.is_dir() and len(list(tasks.glob("0*.json"))) >= 5:
-            process.send_signal(signal.SIGKILL)
-            break
-        time.sleep(0.002)
+    until(lambda: len(list(tasks.glob("0*.json"))) >= 5, process)
+    process.send_signal(signal.SIGKILL)
     process.wait()
     assert not (tmp_path / "cut").exists()
     report = export(out, "coco", tmp_path / "cut", workers=1)
@@ -403,7 +422,7 @@ pictures = arrays(
 )
 
 
-@settings(deadline=None, max_examples=300)
+@settings(max_examples=300)
 @given(pictures)
 def test_polygons_hold_every_mask_exactly_as_pycocotools_fills_them(picture):
     h, w = picture.shape
@@ -414,7 +433,7 @@ def test_polygons_hold_every_mask_exactly_as_pycocotools_fills_them(picture):
         assert (filled == (picture == number)).all()
 
 
-@settings(deadline=None, max_examples=100)
+@settings(max_examples=100)
 @given(pictures)
 def test_polygons_enclose_as_many_pixels_as_the_mask_has(picture):
     """By the shoelace formula: a slit encloses nothing, whichever rule a reader fills by."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import fcntl
 import json
 import os
 import shutil
@@ -13,6 +12,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from killed import contents as contents_of
+from killed import killed_at_each_call
 from made_output import make_output, some_passes
 from tiny_format import KILL, contents, counts_of, install
 
@@ -21,7 +22,9 @@ from scenec.datasets.filters import make_filters
 from scenec.datasets.formats.registry import find_format, format_names
 from scenec.datasets.remap import parse_remap
 from scenec.datasets.splits import parse_splits
+from scenec.datasets.verify import verify
 from scenec.schemas.errors import FrameError, OutputError
+from scenec.schemas.lock import LOCK, Lock
 
 FRAME = "batch_0001/rover_left/000001"
 _EXPORT = """
@@ -206,10 +209,11 @@ def test_a_script_needs_no_main_guard(output: Path, plugin: Path, tmp_path: Path
 
 def test_two_exports_of_one_folder_do_not_mix(output: Path, tmp_path: Path, plugin: Path) -> None:
     (tmp_path / ".ds.partial").mkdir()
-    with (tmp_path / ".ds.partial" / "lock").open("wb") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        with pytest.raises(OutputError, match="another export is at work"):
-            export(output, "tiny", tmp_path / "ds", workers=1)
+    with (
+        Lock(tmp_path / ".ds.partial" / LOCK),
+        pytest.raises(OutputError, match=rf"ds: .*process {os.getpid()}.* is at work here"),
+    ):
+        export(output, "tiny", tmp_path / "ds", workers=1)
 
 
 def test_a_damaged_frame_stops_an_export_and_leaves_no_dataset(
@@ -311,3 +315,35 @@ def test_frames_without_a_pass_that_a_format_needs_are_refused(
     out = make_output(tmp_path / "out", without, batches=1)
     with pytest.raises(OutputError, match="needs the pass instance"):
         export(out, "tiny", tmp_path / "ds", workers=1)
+
+
+@pytest.mark.slow
+def test_a_dataset_is_replaced_whole_or_not_at_all_whenever_its_process_is_killed(
+    tmp_path: Path, plugin: Path
+) -> None:
+    old = make_output(tmp_path / "old", batches=1, cameras=("left",), samples=2)
+    new = make_output(tmp_path / "new", batches=2, cameras=("left",), samples=1, name="new")
+    ds = tmp_path / "ds"
+
+    def act() -> None:
+        export(new, "tiny", ds, workers=1, replace=True)
+
+    export(old, "tiny", ds, workers=1)
+    export(new, "tiny", tmp_path / "clean", workers=1)
+    (ds / "mine.txt").write_text("mine")
+    before = contents_of(ds)
+    after = contents_of(tmp_path / "clean") | {"mine.txt": b"mine"}
+    shutil.copytree(ds, tmp_path / "kept")
+    seen = set()
+    for _ in killed_at_each_call(act):
+        # Whoever reads a dataset finishes what was begun; a user's own file is all that is wrong.
+        assert [flaw.where for flaw in verify(ds)] == ["mine.txt"]
+        now = contents_of(ds)
+        assert now in (before, after)
+        seen.add(now == after)
+        act()
+        assert contents_of(ds) == after
+        assert sorted(p.name for p in tmp_path.iterdir() if p.name.startswith(".")) == []
+        shutil.rmtree(ds)
+        shutil.copytree(tmp_path / "kept", ds)
+    assert seen == {True, False}

@@ -56,7 +56,7 @@ relations = {
 }  # fmt: skip
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(
     st.sampled_from([name for name in QUANTITIES if name != "class"]),
     st.sampled_from(list(relations)),

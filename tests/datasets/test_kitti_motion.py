@@ -268,7 +268,7 @@ def test_what_is_infinitely_far_away_has_the_least_disparity_and_negative_ones_n
     assert lost == 2
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     arrays.arrays(
         np.float32,

@@ -100,7 +100,7 @@ def unpacked(data: bytes, planes: int, shape: tuple[int, int]) -> NDArray[np.int
     return out[:, 1:, 1:]
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     arrays.arrays(
         np.float32,

@@ -12,11 +12,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from made_output import LABELS, make_output, some_passes
 from numpy.typing import NDArray
 from PIL import Image
 from pycocotools import mask as coco_mask
 
+from scenec.datasets.colors import label_colors
 from scenec.datasets.export import Choice, export
 from scenec.datasets.filters import make_filters
 from scenec.datasets.remap import parse_remap
@@ -102,6 +105,25 @@ def test_every_pixel_has_its_label_and_its_instance(tmp_path, level):
     things = [c["name"] for c in truth["categories"] if c["isthing"]]
     assert things == [LABELS[level][max(LABELS[level])]]
     assert {c["id"] for c in truth["categories"]} == set(LABELS[level])
+
+
+def test_categories_have_what_panopticapi_takes(tmp_path):
+    """Its converters take out ``isthing`` and ``color``; its IdGenerator tells stuff by color."""
+    out = make_output(tmp_path / "out", lambda n: some_passes(n, 40, 30))
+    export(out, "panoptic", tmp_path / "set", Choice(level="surface"), workers=1)
+    truth, _ = read(tmp_path / "set")
+    colors = [category["color"] for category in truth["categories"]]
+    assert all(len(c) == 3 and all(0 <= part <= 255 for part in c) for c in colors)
+    assert len({tuple(color) for color in colors}) == len(colors)
+    assert [0, 0, 0] not in colors
+    assert {category["isthing"] for category in truth["categories"]} <= {0, 1}
+
+
+@given(st.sets(st.integers(1, 2**31), max_size=600))
+def test_no_two_labels_have_one_color(ids):
+    colors = label_colors(sorted(ids))
+    assert len(set(colors.values())) == len(ids | {0})
+    assert all(0 <= part <= 255 for color in colors.values() for part in color)
 
 
 def test_images_are_found_beside_their_segments(tmp_path):

@@ -33,7 +33,6 @@ def theirs(mask: NDArray[np.bool_]) -> dict:
     return coco_mask.encode(np.asfortranarray(mask, np.uint8))
 
 
-@settings(deadline=None)
 @given(pictures)
 def test_the_text_of_every_id_is_that_of_pycocotools(picture):
     ids = ids_of(picture)
@@ -41,7 +40,6 @@ def test_the_text_of_every_id_is_that_of_pycocotools(picture):
     assert texts == [theirs(picture == i)["counts"].decode() for i in ids]
 
 
-@settings(deadline=None)
 @given(pictures)
 def test_areas_and_boxes_are_those_of_pycocotools(picture):
     ids = ids_of(picture)
@@ -53,7 +51,6 @@ def test_areas_and_boxes_are_those_of_pycocotools(picture):
         assert boxes[at].tolist() == coco_mask.toBbox(encoded).tolist()
 
 
-@settings(deadline=None)
 @given(masks)
 def test_a_mask_comes_back_from_its_run_lengths(mask):
     counts = rle.encode_mask(mask)
@@ -61,7 +58,6 @@ def test_a_mask_comes_back_from_its_run_lengths(mask):
     assert rle.area(counts) == mask.sum()
 
 
-@settings(deadline=None)
 @given(masks)
 def test_pycocotools_reads_the_mask_from_our_text(mask):
     counts = rle.encode_mask(mask)
@@ -71,7 +67,7 @@ def test_pycocotools_reads_the_mask_from_our_text(mask):
 
 
 # Longer runs take more than the six characters that pycocotools keeps room for, and it writes on.
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(st.lists(st.integers(0, 2**24 - 1), min_size=1, max_size=30))
 def test_runs_get_the_text_of_pycocotools(runs):
     counts = np.array(runs, np.uint32)
@@ -80,7 +76,7 @@ def test_runs_get_the_text_of_pycocotools(runs):
     assert text == known["counts"].decode()
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(st.lists(st.integers(0, 2**32 - 1), min_size=1, max_size=30))
 def test_runs_of_any_length_get_the_text_of_the_definition(runs):
     """Differences to the run before the last, five bits a character, the sixth for "more"."""
@@ -97,14 +93,12 @@ def test_runs_of_any_length_get_the_text_of_the_definition(runs):
     assert rle.compressed(counts, np.array([0, len(counts)], np.int64)) == [expected]
 
 
-@settings(deadline=None)
 @given(pictures, st.sets(st.sampled_from([1, 2, 5, 70_000, LARGEST])))
 def test_only_the_wanted_ids_are_left(picture, wanted):
     keys = np.array(sorted(wanted), np.uint32)
     assert (rle.only(picture, keys) == np.where(np.isin(picture, keys), picture, 0)).all()
 
 
-@settings(deadline=None)
 @given(pictures, st.sets(st.sampled_from([1, 2, 5, 70_000, LARGEST])))
 def test_each_pixel_has_the_place_of_its_id_among_the_wanted(picture, wanted):
     keys = np.array(sorted(wanted), np.uint32)

@@ -176,7 +176,7 @@ def test_what_is_not_rendered_is_named(tmp_path: Path):
         export(out, "sintel", tmp_path / "d", workers=1)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(
     arrays.arrays(
         np.float32,

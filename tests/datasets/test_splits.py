@@ -22,7 +22,7 @@ def shares(draw: st.DrawFn) -> dict[str, float | range]:
     return {key: weight / sum(weights) for key, weight in zip(keys, weights, strict=True)}
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 @given(batch_sets, shares(), st.integers(0, 2**64 - 1), st.randoms(use_true_random=False))
 def test_every_batch_is_in_one_split_and_sizes_are_within_one_of_the_shares(
     batches, splits, seed, random

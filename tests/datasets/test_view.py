@@ -21,6 +21,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from PIL import Image
 
+from scenec.cli.main import main
 from scenec.datasets.view import layers as stored
 from scenec.datasets.view.fitting import steps
 from scenec.datasets.view.ground import Ground, ground_text
@@ -117,7 +118,7 @@ def test_the_picture_is_the_developed_one_to_jpegs_error(tmp_path):
     assert np.abs(difference).max() <= 6
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     arrays.arrays(
         np.float32,
@@ -138,7 +139,7 @@ def test_any_depth_comes_back_within_its_stated_error(depth, bits):
     assert (np.abs(found[hit] / depth[hit].astype(float) - 1) <= bound).all()
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     arrays.arrays(
         np.uint32,
@@ -320,6 +321,19 @@ def test_faulty_frames_are_named_and_never_shown(tmp_path):
     with pytest.raises(FrameError, match="000001"):
         write_view(out, tmp_path / "other.html", faults="stop")
     assert not (tmp_path / "other.html").exists()
+
+
+def test_a_page_of_nothing_but_damaged_frames_is_none(tmp_path, capsys):
+    out = made_output.make_output(tmp_path / "out", batches=1, cameras=("front",), samples=2)
+    for path in out.glob("batch_*/frames/*/*/*.exr"):
+        path.write_bytes(path.read_bytes()[:-20])
+    with pytest.raises(FrameError, match=r"not one of 2 frames can be read; the first: .*000000"):
+        write_view(out, tmp_path / "view.html")
+    assert not (tmp_path / "view.html").exists()
+    for command in (["view"], ["export", "--format", "webdataset", "--faults", "skip"], ["sheet"]):
+        assert main([*command, str(out)]) == 2
+        assert "000000" in capsys.readouterr().err
+    assert not [*out.glob("*.html"), *out.glob("*.png")]
 
 
 def test_an_output_without_frames_says_what_to_do(tmp_path):

@@ -17,7 +17,9 @@ from scenec.compiler.frontend.resolve import resolve
 from scenec.compiler.frontend.streams import Streams
 from scenec.schemas.errors import CfgError
 
-_SHARED_FOLDER = settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
+_SHARED_FOLDER = settings(
+    suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture]
+)
 
 _FULL = minimal()
 _FULL["terrain"]["relief"].append({"type": "multifractal", "amplitude_m": 1, "scale_m": 5})
@@ -124,7 +126,7 @@ def _load_or_faults(file: Path):
 
 
 @pytest.mark.slow
-@settings(_SHARED_FOLDER, max_examples=400, deadline=None)
+@settings(_SHARED_FOLDER, max_examples=400)
 @given(_CHANGES, st.integers(0, 3))
 def test_a_mutated_cfg_loads_and_can_be_drawn_or_its_faults_are_told(tmp_path, changes, seed):
     file = tmp_path / "cfg.json"
@@ -147,7 +149,7 @@ def _leaves(value):
         yield value
 
 
-@settings(_SHARED_FOLDER, deadline=None)
+@settings(_SHARED_FOLDER)
 @given(st.binary(max_size=200))
 def test_any_bytes_load_or_are_told_to_be_no_cfg(tmp_path, data):
     file = tmp_path / "cfg.json"
@@ -155,7 +157,7 @@ def test_any_bytes_load_or_are_told_to_be_no_cfg(tmp_path, data):
     assert _load_or_faults(file) is None
 
 
-@settings(_SHARED_FOLDER, deadline=None, max_examples=60)
+@settings(_SHARED_FOLDER, max_examples=60)
 @given(st.data())
 def test_a_cfg_with_one_byte_changed_loads_or_its_faults_are_told(tmp_path, data):
     text = json.dumps(_FULL, indent=1).encode()

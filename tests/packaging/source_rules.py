@@ -14,10 +14,19 @@ from pathlib import Path
 STABLE_KINDS = ("stable", "mergesort")
 #: What the module of streams may take from numpy.random: the one bit generator, nothing that draws.
 ALLOWED_RANDOM = ("numpy.random.Philox",)
+#: What goes on while others have the processor.
+WALL_CLOCKS = tuple(
+    f"time.{clock}{unit}" for clock in ("time", "monotonic", "perf_counter") for unit in ("", "_ns")
+)
 DIRECTORY_METHODS = ("iterdir", "glob", "rglob")
 #: Functions whose result does not depend on the order of what they are given.
 ORDER_FREE = ("sorted", "any", "all", "len", "min", "max", "set", "frozenset")
 SET_METHODS = ("union", "intersection", "difference", "symmetric_difference")
+
+
+#: Each loads a threading layer, even the one that only asks for a number.
+_NUMBA_THREADS = ("numba.prange", "numba.get_num_threads", "numba.set_num_threads",
+                  "numba.get_thread_id", "numba.set_parallel_chunksize")  # fmt: skip
 
 
 @dataclass(frozen=True, order=True)
@@ -33,10 +42,15 @@ class Violation:
 
 
 def kernel_violations(source: str, file: str) -> list[Violation]:
-    """Kernels that are not cached, or may reorder floating-point arithmetic."""
+    """Kernels that are not cached, or may reorder arithmetic; uses of numba's own threads."""
     tree = ast.parse(source)
     names = _imported_names(ast.walk(tree))
-    found = []
+    found = [
+        Violation(file, node.lineno, f"{name} makes numba load a threading layer: over_threads")
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Attribute | ast.Name)
+        and (name := _qualified(node, names)) in _NUMBA_THREADS
+    ]
     for node in ast.walk(tree):
         if isinstance(node, ast.FunctionDef):
             for decorator in node.decorator_list:
@@ -45,6 +59,11 @@ def kernel_violations(source: str, file: str) -> list[Violation]:
                     continue
                 options = _keywords(decorator) if isinstance(decorator, ast.Call) else {}
                 messages = []
+                if "parallel" in options:
+                    messages.append(
+                        "parallel=True makes numba load a threading layer: the system's TBB, with "
+                        "which Blender's libraries do not load; over_threads does the same"
+                    )
                 if "fastmath" in options:
                     messages.append("fastmath lets the compiler reorder arithmetic")
                 if options.get("cache") is not True:
@@ -84,6 +103,31 @@ def random_violations(source: str, file: str) -> list[Violation]:
         if chance and not name.startswith(ALLOWED_RANDOM):
             found.append(Violation(file, node.lineno, f"{name} draws apart from the named streams"))
     return found
+
+
+def wait_violations(source: str, file: str) -> list[Violation]:
+    """What makes a test fail on a slow machine: deadlines, clocks on the wall, waits that end."""
+    nodes = list(ast.walk(ast.parse(source)))
+    names = _imported_names(nodes)
+    found = []
+    for node in nodes:
+        if not isinstance(node, ast.Call):
+            continue
+        options = _keywords(node)
+        name = _qualified(node.func, names)
+        method = node.func.attr if isinstance(node.func, ast.Attribute) else ""
+        if "deadline" in options:
+            found.append(Violation(file, node.lineno, "tests/conftest.py takes deadlines away"))
+        if name in WALL_CLOCKS:
+            found.append(Violation(file, node.lineno, f"{name} says how busy the machine is"))
+        limited = "timeout" in options or (method in ("wait", "join") and _is_number(node.args))
+        if limited or method == "wait_for_timeout":
+            found.append(Violation(file, node.lineno, "wait for what happens, as long as it takes"))
+    return found
+
+
+def _is_number(arguments: list[ast.expr]) -> bool:
+    return any(_literal(argument) is not None for argument in arguments)
 
 
 def python_files(folder: Path) -> Iterator[Path]:

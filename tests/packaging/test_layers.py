@@ -7,11 +7,13 @@ import sys
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
 from source_rules import (
     determinism_violations,
     kernel_violations,
     python_files,
     random_violations,
+    wait_violations,
 )
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -157,7 +159,8 @@ def test_a_harmless_construction_is_let_through(line: str) -> None:
     ("decorator", "count"),
     [
         ('@njit(cache=True, error_model="numpy")', 0),
-        ('@njit(cache=True, error_model="numpy", parallel=True)', 0),
+        ('@njit(cache=True, error_model="numpy", nogil=True)', 0),
+        ('@njit(cache=True, error_model="numpy", parallel=True)', 1),
         ("@njit", 2),
         ('@njit(error_model="numpy")', 1),
         ("@njit(cache=True)", 1),
@@ -168,6 +171,14 @@ def test_a_harmless_construction_is_let_through(line: str) -> None:
 def test_a_kernel_is_cached_exact_and_divides_like_numpy(decorator: str, count: int) -> None:
     source = f"from numba import njit\n{decorator}\ndef kernel(x):\n    return x\n"
     assert len(kernel_violations(source, "scratch.py")) == count
+
+
+@pytest.mark.parametrize(
+    "line", ["for i in numba.prange(3): pass", "threads = get_num_threads()", "set_num_threads(1)"]
+)
+def test_a_use_of_numbas_own_threads_is_found(line: str) -> None:
+    source = f"import numba\nfrom numba import get_num_threads, set_num_threads\n{line}\n"
+    assert [v.line for v in kernel_violations(source, "scratch.py")] == [3]
 
 
 def test_a_random_source_apart_from_philox_is_found() -> None:
@@ -196,15 +207,46 @@ def test_the_compiler_holds_no_machine_dependent_construction() -> None:
 
 
 def test_every_kernel_is_cached_and_exact() -> None:
-    files = [path for layer in LAYERS for path in python_files(ROOT / layer)]
+    layers = (*LAYERS, "benchmarks", "docs", "tests")
+    files = [path for layer in layers for path in python_files(ROOT / layer)]
     found = [
         violation
         for path in files
-        # Whatever it is imported as, the decorator's own name stands somewhere.
-        if "jit" in (source := path.read_text())
+        # Whatever it is imported as, the library's own name stands somewhere.
+        if "numba" in (source := path.read_text())
         for violation in kernel_violations(source, str(path.relative_to(ROOT)))
     ]
     assert not found, "\n".join(str(violation) for violation in found)
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "@settings(deadline=200)\ndef test(): pass",
+        "assert perf_counter() - start < 1.0",
+        "end = time.monotonic() + 120",
+        "process.communicate(timeout=60)",
+        "subprocess.run(command, timeout=5)",
+        "process.wait(10)",
+        "page.wait_for_timeout(300)",
+    ],
+)
+def test_what_a_slow_moment_would_fail_is_found(line: str) -> None:
+    source = f"import subprocess, time\nfrom time import perf_counter\n{line}\n"
+    assert [v.line for v in wait_violations(source, "scratch.py")] == [3]
+
+
+def test_no_test_fails_for_a_slow_moment() -> None:
+    files = list(python_files(ROOT / "tests"))
+    assert len(files) > 200
+    found = [
+        violation
+        for path in files
+        if path != ROOT / "tests" / "conftest.py"
+        for violation in wait_violations(path.read_text(), str(path.relative_to(ROOT)))
+    ]
+    assert not found, "\n".join(str(violation) for violation in found)
+    assert settings().deadline is None
 
 
 def test_streams_take_nothing_from_numpy_random_but_philox() -> None:

@@ -7,9 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 import viewer_scene
 from pxr import Usd, UsdGeom
 
+from scenec.backends.reader.implicit import ERROR
 from scenec.backends.reader.stage import read_stage
 from scenec.backends.render_scene import RenderScene
 
@@ -124,3 +126,43 @@ def test_blender_makes_the_preview_looks_of_the_materials(scene, imported):
         assert attribute == "displayColor"
         assert float(roughness) == pytest.approx(surface.roughness)
         assert float(metallic) == pytest.approx(surface.metallic)
+
+
+_SHAPES: list[tuple[str, dict[str, float | str]]] = [
+    ("Cube", {"size": 2.5}),
+    ("Sphere", {"radius": 1.5}),
+    ("Cylinder", {"axis": "X", "radius": 0.5, "height": 3.0}),
+    ("Cylinder_1", {"axis": "Y", "radiusBottom": 2.0, "radiusTop": 1.0, "height": 3.0}),
+    ("Cone", {"axis": "Y", "radius": 1.0, "height": 2.0}),
+    ("Capsule", {"axis": "X", "radius": 0.5, "height": 2.0}),
+    ("Capsule_1", {"axis": "Y", "radiusBottom": 0.5, "radiusTop": 1.0, "height": 2.0}),
+    ("Plane", {"axis": "X", "width": 2.0, "length": 3.0}),
+    ("Plane", {"axis": "Y", "width": 2.0, "length": 3.0}),
+]
+
+
+def test_points_of_its_implicit_shapes_lie_on_ours(tmp_path):
+    path = tmp_path / "shapes.usda"
+    stage = Usd.Stage.CreateNew(str(path))
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
+    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, "/Root").GetPrim())
+    for index, (kind, attributes) in enumerate(_SHAPES):
+        prim = stage.DefinePrim(f"/Root/shape_{index}", kind)
+        for name, value in attributes.items():
+            prim.GetAttribute(name).Set(value)
+        UsdGeom.Xformable(prim).AddTranslateOp().Set((10.0 * index, 0.0, 0.0))
+    stage.Save()
+    script = Path(__file__).with_name("blender_shapes.py")
+    done = viewer_scene.run_apart(script, path, tmp_path / "shapes.npz")
+    assert done.returncode == 0, done.stderr
+    theirs = np.load(tmp_path / "shapes.npz")
+    scene = read_stage(path)
+    assert len(scene.meshes) == len(theirs.files) == len(_SHAPES)
+    for mesh, place in zip(scene.meshes, scene.rows.to_world, strict=True):
+        points = theirs[mesh.path.split("/")[-1]] - place[:, 3]
+        assert len(points) >= 4
+        # None of these has a radius above 2.1.
+        surface = trimesh.Trimesh(mesh.points, mesh.faces)
+        _, distance, _ = trimesh.proximity.closest_point_naive(surface, points)
+        assert distance.max() < 2.1 * ERROR

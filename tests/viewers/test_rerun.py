@@ -20,7 +20,7 @@ from scenec.schemas.errors import FrameError, OutputError
 def tool(*words: str) -> str:
     """What ``rerun rrd ...`` prints."""
     command = [sys.executable, "-m", "rerun", "rrd", *words]
-    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=120)
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
     return done.stdout + done.stderr
 
 
@@ -80,6 +80,11 @@ def test_labels_beyond_16_bits_and_faulty_frames_are_errors(tmp_path):
     assert (report.frames, report.faults, len(told)) == (3, 1, 1)
     with pytest.raises(FrameError, match="000001"):
         log_frames(out, save=tmp_path / "none.rrd", faults="stop")
+    assert not (tmp_path / "none.rrd").exists()
+    for path in out.rglob("*.exr"):
+        path.write_bytes(b"")
+    with pytest.raises(FrameError, match=r"not one of 4 frames can be read; the first: .*000000"):
+        log_frames(out, save=tmp_path / "none.rrd")
     assert not (tmp_path / "none.rrd").exists()
 
 

@@ -87,6 +87,8 @@ class Opened:
 
     def __enter__(self):
         page = self._context.new_page()
+        # Ten minutes: a page that gets nowhere, and no machine that is slow.
+        page.set_default_timeout(600_000)
         page.on("console", lambda m: m.type in ("error", "warning") and self.errors.append(m.text))
         page.on("pageerror", lambda error: self.errors.append(str(error)))
         page.on("request", lambda r: r.url.startswith("http") and self.errors.append(r.url))
@@ -299,7 +301,6 @@ def test_a_class_is_highlighted_and_frames_are_sorted_by_it(page, out):
     open_layer(page, "label.class")
     before = pixels(page, "#large").astype(int)
     page.click('#facts [data-level="class"][data-id="3"]')
-    page.wait_for_timeout(300)
     page.wait_for_selector('#large[data-done$="/label.class"]')
     after = pixels(page, "#large").astype(int)
     rock = frame_at(out, page)["label.class"] == 3
@@ -423,9 +424,15 @@ def test_ten_thousand_frames_scroll_with_a_few_tiles(chromium, tmp_path):
         for part in (0.3, 0.9, 0.5):
             page.evaluate(f"document.querySelector('#grid').scrollTop = "
                           f"{part} * document.querySelector('#grid').scrollHeight")  # fmt: skip
-            page.wait_for_timeout(100)
+            page.wait_for_function(
+                """() => {
+                    const room = document.querySelector("#grid").getBoundingClientRect();
+                    const done = [...document.querySelectorAll(".tile canvas[data-done]")];
+                    return done.map((tile) => tile.getBoundingClientRect()).some(
+                        (box) => box.bottom > room.top && box.top < room.bottom);
+                }"""
+            )
             assert page.locator(".tile").count() < 100
-            painted(page, "rgb")
         page.focus("#grid")
         page.keyboard.press("End")
         assert page.get_attribute('.tile[aria-selected="true"]', "data-frame") == "9999"

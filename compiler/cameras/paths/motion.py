@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -11,6 +11,9 @@ from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.ground.surface import Surface
+from scenec.compiler.rig import Lidar
+from scenec.compiler.scatter.placement import turned
+from scenec.compiler.scene import Placed, Prototype, Scatter
 from scenec.schemas.errors import SceneError
 
 if TYPE_CHECKING:
@@ -21,17 +24,47 @@ _DEGREE = elementary.PI / 180.0
 
 @dataclass(frozen=True)
 class Bodies:
-    """Balls around one class's objects, by rising id.
+    """One class's objects, by rising id.
 
     Attributes:
         id: Local instance ids, int64 [n].
-        middle: float64 [n, 3], meters.
-        radius: float64 [n].
+        middle: Of the ball around each, where its prototype's origin is, float64 [n, 3], meters.
+        radius: Of the ball, float64 [n].
+        turn: From the prototype's axes to the world's, scale included, float32 [n, 3, 3].
+        prototype: Which one, int32 [n].
+        prototypes: What there is of them.
     """
 
     id: NDArray[np.int64]
     middle: NDArray[np.float64]
     radius: NDArray[np.float64]
+    turn: NDArray[np.float32]
+    prototype: NDArray[np.int32]
+    prototypes: tuple[Prototype, ...]
+
+    def only(self, which: NDArray[np.bool_]) -> Bodies:
+        """Some of them, bool [n]."""
+        return replace(
+            self,
+            id=self.id[which],
+            middle=self.middle[which],
+            radius=self.radius[which],
+            turn=self.turn[which],
+            prototype=self.prototype[which],
+        )
+
+
+def bodies_of(objects: Scatter | Placed) -> Bodies:
+    """The objects of one class; of one that moves, where it is at the first sample."""
+    middle, radius = objects.balls()
+    if isinstance(objects, Scatter):
+        turn = turned(objects.orientations, objects.scales)
+        return Bodies(objects.ids, middle, radius, turn, objects.prototype, objects.prototypes)
+    step = len(middle) // objects.count if objects.count else 1
+    turn = objects.to_world[:, 0, :, :3].astype(np.float32)
+    return Bodies(
+        objects.ids, middle[::step], radius[::step], turn, objects.prototype, objects.prototypes
+    )
 
 
 @dataclass(frozen=True)
@@ -45,6 +78,7 @@ class Around:
         sensors: Those that the rig carries.
         bodies: Objects by class; without those of motions that do not ask for them.
         exposing: Whether the poses are those of times between the samples, while a shutter is open.
+        lidars: Those that the rig carries.
     """
 
     what: str
@@ -53,6 +87,7 @@ class Around:
     sensors: tuple[SensorPlan, ...] = ()
     bodies: Mapping[str, Bodies] = field(default_factory=dict)
     exposing: bool = False
+    lidars: tuple[Lidar, ...] = ()
 
     def named(self, k: int, time_s: float) -> str:
         """One of the poses, for messages: a sample by its number, others by their time."""

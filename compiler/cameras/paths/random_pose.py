@@ -27,6 +27,7 @@ from scenec.compiler.cameras.paths.rays import hits, normal_at, span_of
 from scenec.compiler.cameras.poses import compose
 from scenec.compiler.frontend.numbers import Number, at_uniforms
 from scenec.compiler.noise.lattice import hash2
+from scenec.compiler.scatter.voxels import Cubes
 from scenec.schemas.errors import SceneError
 
 #: Rays over a sensor's width and height that say what share of its picture is sky.
@@ -58,7 +59,7 @@ class Limits:
     """What a pose must keep; None does not ask.
 
     Attributes:
-        clearance_m: Least distance from balls around objects, and from the ground.
+        clearance_m: Least distance from objects, and from the ground.
         distance_m: Of what is looked at, least and most.
         elevation_deg: Of the view above the horizon, least and most.
         incidence_deg: Between the view and the ground's normal where it meets it, least and most.
@@ -106,6 +107,7 @@ class RandomPose:
         tried = 0
         # All samples at once: the ground is asked for many points in one call.
         span = span_of(around.surface.field)
+        cubes = {name: Cubes(bodies.prototypes) for name, bodies in around.bodies.items()}
         for k in range(self.tries):
             if not len(waiting):
                 break
@@ -113,7 +115,7 @@ class RandomPose:
             drawn = self._drawn(around, waiting, k)
             still = []
             for n, sample in enumerate(waiting.tolist()):
-                pose, why = self._judged(around, drawn, n, span)
+                pose, why = self._judged(around, drawn, n, span, cubes)
                 if pose is None:
                     rejected[sample][why] = rejected[sample].get(why, 0) + 1
                     still.append(sample)
@@ -189,7 +191,12 @@ class RandomPose:
         return _Drawn(eye, ground, axes, way, own)
 
     def _judged(
-        self, around: Around, drawn: _Drawn, n: int, span: NDArray[np.float64]
+        self,
+        around: Around,
+        drawn: _Drawn,
+        n: int,
+        span: NDArray[np.float64],
+        cubes: Mapping[str, Cubes],
     ) -> tuple[NDArray[np.float64] | None, str]:
         """One pose, or which limit rejects it."""
         limits = self.limits
@@ -199,8 +206,8 @@ class RandomPose:
             return None, "below the ground"
         if not self.above_ground and above < limits.clearance_m:
             return None, f"nearer to the ground than {limits.clearance_m:g} m (clearance_m)"
-        for bodies in around.bodies.values():
-            if _inside(bodies, eye, limits.clearance_m):
+        for name, bodies in around.bodies.items():
+            if _inside(bodies, cubes[name], eye, limits.clearance_m):
                 return None, f"inside of an object or nearer than {limits.clearance_m:g} m to it"
         distance = float(np.sqrt((way * way).sum()))
         if distance == 0.0:
@@ -270,7 +277,14 @@ class _Drawn:
     own: NDArray[np.float64]
 
 
-_NONE = Bodies(np.empty(0, np.int64), np.empty((0, 3)), np.empty(0))
+_NONE = Bodies(
+    np.empty(0, np.int64),
+    np.empty((0, 3)),
+    np.empty(0),
+    np.empty((0, 3, 3), np.float32),
+    np.empty(0, np.int32),
+    (),
+)
 
 
 @njit(cache=True, error_model="numpy")
@@ -306,10 +320,17 @@ def _places(polygon, key_x, key_y, samples, k, out):  # type: ignore[no-untyped-
         out[n, 1] = y
 
 
-def _inside(bodies: Bodies, eye: NDArray[np.float64], clearance: float) -> bool:
+def _inside(bodies: Bodies, cubes: Cubes, eye: NDArray[np.float64], clearance: float) -> bool:
+    """Whether a point is in an object or nearer; below 0, only as far as within its ball."""
     away = bodies.middle - eye
     reach = np.maximum(bodies.radius + clearance, 0.0)
-    return bool(((away * away).sum(axis=1) < reach * reach).any())
+    near = np.flatnonzero((away * away).sum(axis=1) < reach * reach)
+    return bool(
+        cubes.near(
+            bodies.prototype[near], bodies.middle[near], bodies.turn[near], reach[near],
+            max(clearance, 0.0), eye[None],
+        ).any()
+    )  # fmt: skip
 
 
 def _between(value: float, bounds: tuple[float | None, float | None]) -> bool:

@@ -11,6 +11,13 @@ from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.cameras.paths.motion import Around, Bodies
+from scenec.compiler.cameras.paths.obstacles import (
+    Band,
+    Nearest,
+    Obstacles,
+    nearest,
+    obstacles_of,
+)
 
 #: Cells along the longer side at most.
 _CELLS: Final = 384
@@ -25,23 +32,38 @@ class Passable:
         cell_m: Its width and height.
         slope_deg: Of the ground within a vehicle's reach of each cell, float64 [ny, nx].
         free: bool [ny, nx].
+        band: Where the vehicle is when its middle is in a cell.
+        obstacles: What is in its way.
     """
 
     corner: tuple[float, float]
     cell_m: tuple[float, float]
     slope_deg: NDArray[np.float64]
     free: NDArray[np.bool_]
+    band: Band
+    obstacles: tuple[Obstacles, ...]
 
     def is_free(self, xy: NDArray[np.float64]) -> bool:
         """Whether a point [2] lies in a free cell."""
-        j, i = self._cell(xy)
+        j, i = self.cell(xy)
         return bool(self.free[j, i])
 
     def slope_at(self, xy: NDArray[np.float64]) -> float:
         """Slope of the cell that a point [2] lies in, degrees."""
-        return float(self.slope_deg[self._cell(xy)])
+        return float(self.slope_deg[self.cell(xy)])
 
-    def _cell(self, xy: NDArray[np.float64]) -> tuple[int, int]:
+    def nearest(self, xy: NDArray[np.float64]) -> Nearest | None:
+        """What is nearest to a point [2] at a vehicle's height there; None: nothing is."""
+        return nearest(self.obstacles, self.band, self.cell(xy), xy)
+
+    def slack_m(self) -> float:
+        """How much more room than the vehicle's own a free way may need, to each side."""
+        width, height = self.cell_m
+        diagonal = float(np.sqrt(width * width + height * height))
+        return diagonal + max((one.slack_m() for one in self.obstacles), default=0.0)
+
+    def cell(self, xy: NDArray[np.float64]) -> tuple[int, int]:
+        """Row and column of the cell that a point [2] lies in."""
         ny, nx = self.free.shape
         i = int(np.floor((xy[0] - self.corner[0]) / self.cell_m[0]))
         j = int(np.floor((xy[1] - self.corner[1]) / self.cell_m[1]))
@@ -54,7 +76,7 @@ class Passable:
 
         The shortest over the grid's eight directions, pulled straight where cells allow.
         """
-        ends = self._cell(begin), self._cell(end)
+        ends = self.cell(begin), self.cell(end)
         if not (self.free[ends[0]] and self.free[ends[1]]):
             return None
         frame = np.array([*self.corner, *self.cell_m])
@@ -69,16 +91,24 @@ class Passable:
 
 
 def passable(
-    around: Around, max_slope_deg: float, width_m: float, largest_m: float, base_m: float
+    around: Around,
+    max_slope_deg: float,
+    width_m: float,
+    base_m: float,
+    top_m: float,
+    largest_m: float,
 ) -> Passable:
     """The cells of a terrain that a vehicle can drive in.
+
+    It turns on the spot, so it sweeps the circle around its wheels, from the ground to its top; on
+    a slope it leans, by its height times the slope's sine.
 
     Args:
         around: Ground and objects.
         max_slope_deg: Steeper cells are not free.
-        width_m: Of the vehicle: so far it keeps off objects and from the terrain's border.
-        largest_m: Objects whose ball has a larger radius are kept off.
-        base_m: Length over which slopes are taken.
+        width_m, base_m: Between its wheels, across and along. Slopes are taken over ``base_m``.
+        top_m: Height of the vehicle above the plane through its wheels.
+        largest_m: Objects whose ball has a larger radius are driven around.
     """
     size = around.surface.field.grid.size_m
     cell = max(base_m, max(size) / _CELLS)
@@ -89,22 +119,32 @@ def passable(
     y = corner[1] + (np.arange(counts[1]) + 0.5) * cells[1]
     xx, yy = (a.ravel() for a in np.meshgrid(x, y))
     half = 0.5 * base_m
-    heights = [
-        around.ground(np.column_stack([xx + dx, yy + dy]))
-        for dx, dy in ((-half, 0.0), (half, 0.0), (0.0, -half), (0.0, half))
-    ]
+    heights = np.stack(
+        [
+            around.ground(np.column_stack([xx + dx, yy + dy])).reshape(counts[1], counts[0])
+            for dx, dy in ((-half, 0.0), (half, 0.0), (0.0, -half), (0.0, half))
+        ]
+    )
     east, north = (heights[1] - heights[0]) / base_m, (heights[3] - heights[2]) / base_m
-    slope = elementary.atan_array(np.sqrt(east * east + north * north)) * 180.0 / elementary.PI
     # A wheel is so far from the middle at most: a cell is as steep as the steepest it reaches.
-    cells_off = int(np.ceil(0.5 * np.sqrt(base_m * base_m + width_m * width_m) / min(cells)))
-    slope = _largest_around(slope.reshape(counts[1], counts[0]), cells_off)
+    reach = 0.5 * float(np.sqrt(base_m * base_m + width_m * width_m))
+    cells_off = int(np.ceil(reach / min(cells)))
+    grade = _largest_around(np.sqrt(east * east + north * north), cells_off)
+    slope = elementary.atan_array(grade) * 180.0 / elementary.PI
     inside = (np.abs(xx) <= 0.5 * (size[0] - width_m)) & (np.abs(yy) <= 0.5 * (size[1] - width_m))
     free = (slope <= max_slope_deg) & inside.reshape(slope.shape)
-    for bodies in around.bodies.values():
-        large = bodies.radius > largest_m
-        reach = bodies.radius[large] + 0.5 * width_m
-        _block(free, np.array([*corner, *cells]), bodies.middle[large], reach)
-    return Passable(corner, cells, slope, free)
+    # Between the heights that were looked at, the ground may go on rising or falling.
+    between = 0.5 * float(np.sqrt(cells[0] * cells[0] + cells[1] * cells[1])) * grade
+    band = Band(
+        np.array([*corner, *cells]),
+        -_largest_around(-heights.min(axis=0), cells_off) - between,
+        _largest_around(heights.max(axis=0), cells_off) + between + top_m,
+        reach + top_m * grade / np.sqrt(1.0 + grade * grade),
+    )
+    obstacles = obstacles_of(around.bodies, largest_m, min(cells))
+    for one in obstacles:
+        one.block(free, band)
+    return Passable(corner, cells, slope, free, band, obstacles)
 
 
 def _largest_around(values: NDArray[np.float64], reach: int) -> NDArray[np.float64]:
@@ -129,25 +169,6 @@ def driven_over(
     """
     touched = _touched(xy, bodies.middle, bodies.radius + 0.5 * width_m + margin_m)
     return [int(k) for k in bodies.id[touched].tolist()]
-
-
-@njit(cache=True, error_model="numpy")
-def _block(free, frame, middle, reach):  # type: ignore[no-untyped-def]
-    """Cells that circles touch are not free."""
-    rows, columns = free.shape
-    for k in range(len(middle)):
-        x, y = middle[k, 0], middle[k, 1]
-        i0 = max(int(np.floor((x - reach[k] - frame[0]) / frame[2])), 0)
-        i1 = min(int(np.floor((x + reach[k] - frame[0]) / frame[2])), columns - 1)
-        j0 = max(int(np.floor((y - reach[k] - frame[1]) / frame[3])), 0)
-        j1 = min(int(np.floor((y + reach[k] - frame[1]) / frame[3])), rows - 1)
-        for j in range(j0, j1 + 1):
-            for i in range(i0, i1 + 1):
-                near_x = min(max(x, frame[0] + i * frame[2]), frame[0] + (i + 1) * frame[2])
-                near_y = min(max(y, frame[1] + j * frame[3]), frame[1] + (j + 1) * frame[3])
-                away = (near_x - x) * (near_x - x) + (near_y - y) * (near_y - y)
-                if away <= reach[k] * reach[k]:
-                    free[j, i] = False
 
 
 @njit(cache=True, error_model="numpy")

@@ -29,10 +29,12 @@ class Rover:
         goals_u: Candidates of each goal as numbers in [0, 1), float64 [goals, tries, 2]: the first
             that can be reached is taken.
         wheel_base_m, track_width_m: Between the wheels, along and across.
-        height_m: Of the rig above the plane through the wheels, along its normal.
+        height_m: Of the rig above the plane through the wheels, along its normal; the vehicle is as
+            high, or as its highest sensor.
         speed_m_s, turn_rate_deg_s: Limits; it turns on the spot where it must.
         max_slope_deg: Steeper ground is driven around.
-        max_object_m: Objects whose ball has a larger radius are driven around.
+        max_object_m: Objects whose ball has a larger radius are driven around, where any of them is
+            at the height of the vehicle.
         pitch_deg: Of the view above the body's level.
         sampling: When.
     """
@@ -53,7 +55,12 @@ class Rover:
     def built(self, around: Around) -> Built:
         """The poses; see ``Motion``."""
         cells = passable(
-            around, self.max_slope_deg, self.track_width_m, self.max_object_m, self.wheel_base_m
+            around,
+            self.max_slope_deg,
+            self.track_width_m,
+            self.wheel_base_m,
+            self._top(around),
+            self.max_object_m,
         )
         if len(self.waypoints):
             points, way = self.waypoints, self._along(cells, around)
@@ -68,30 +75,52 @@ class Rover:
     def _along(self, cells: Passable, around: Around) -> NDArray[np.float64]:
         """The way through the waypoints."""
         around.require_on_terrain(self.waypoints, "a waypoint")
+        for n, point in enumerate(self.waypoints):
+            if not cells.is_free(point):
+                why = self._why_blocked(cells, point, around)
+                raise SceneError(
+                    f"{around.what}/waypoints_m/{n}: at waypoint {n} ({point[0]:g}, {point[1]:g}) "
+                    f"m {why}"
+                )
         way = [self.waypoints[:1]]
         for k in range(1, len(self.waypoints)):
             a, b = self.waypoints[k - 1], self.waypoints[k]
             found = cells.way(a, b)
             if found is None:
-                raise SceneError(f"{around.what}: {self._why(cells, k, a, b)}")
+                raise SceneError(
+                    f"{around.what}: no way from waypoint {k - 1} ({a[0]:g}, {a[1]:g}) m to {k} "
+                    f"({b[0]:g}, {b[1]:g}) m over slopes of at most {self.max_slope_deg:g} degrees "
+                    f"(max_slope_deg) and around objects of a radius above {self.max_object_m:g} m "
+                    "(max_object_m)"
+                )
             way.append(found[1:])
         return np.concatenate(way)
 
-    def _why(self, cells: Passable, k: int, a: NDArray[np.float64], b: NDArray[np.float64]) -> str:
-        for n, point in ((k - 1, a), (k, b)):
-            if not cells.is_free(point):
-                slope = cells.slope_at(point)
-                reason = (
-                    f"the ground has a slope of {slope:.3g} degrees (max_slope_deg: "
-                    f"{self.max_slope_deg:g})"
-                    if slope > self.max_slope_deg
-                    else "an object or the terrain's border is too near"
-                )
-                return f"at waypoint {n} ({point[0]:g}, {point[1]:g}) m {reason}"
+    def _top(self, around: Around) -> float:
+        """Height of the highest of the rig and what it carries, above level ground."""
+        axes = frames(np.array([[0.0, 1.0]]), self.pitch_deg)[0]
+        mounts = [one.to_rig for one in around.sensors] + [one.to_rig for one in around.lidars]
+        above = [float((axes[2] * mount[:3, 3]).sum()) for mount in mounts]
+        return self.height_m + max(0.0, *above)
+
+    def _why_blocked(self, cells: Passable, point: NDArray[np.float64], around: Around) -> str:
+        """Why a cell is not free, and what would help."""
+        slope = cells.slope_at(point)
+        if slope > self.max_slope_deg:
+            return (
+                f"the ground has a slope of {slope:.3g} degrees (max_slope_deg: "
+                f"{self.max_slope_deg:g})"
+            )
+        object_ = cells.nearest(point)
+        room = float(cells.band.reach[cells.cell(point)]) + cells.slack_m()
+        if object_ is None or object_.distance_m > room:
+            width = self.track_width_m
+            return f"the terrain's border is nearer than half of track_width_m ({width:g} m)"
         return (
-            f"no way from waypoint {k - 1} ({a[0]:g}, {a[1]:g}) m to {k} ({b[0]:g}, {b[1]:g}) m "
-            f"over slopes of at most {self.max_slope_deg:g} degrees (max_slope_deg) and around "
-            f"objects of a radius above {self.max_object_m:g} m (max_object_m)"
+            f"object {object_.id} of objects/{object_.name} is {object_.distance_m:.2g} m away "
+            f"below {self._top(around):.3g} m, the vehicle's height: expected a point {room:.2g} m "
+            f"from it, or a max_object_m of {object_.radius_m:.3g} or more (now "
+            f"{self.max_object_m:g}), which drives over it"
         )
 
     def _drawn(
@@ -171,7 +200,9 @@ class Rover:
         slope = self._stand(xy, heading, around)[2]
         margin = 0.5 * length / looks
         over = {
-            name: driven_over(xy, self.track_width_m, bodies, margin)
+            name: driven_over(
+                xy, self.track_width_m, bodies.only(bodies.radius <= self.max_object_m), margin
+            )
             for name, bodies in around.bodies.items()
         }
         return {

@@ -1,0 +1,185 @@
+"""What compiling a batch will take, from the cfg alone: refused before work where it cannot fit.
+
+Bytes and seconds are those of what grows without bound with a key: instances, height samples,
+pictures of skies, vertices of prototypes, samples, classes. They were measured at the peak of a
+compilation on two cores (``docs/numbers.md`` holds the table): memory within 25 %, time within a
+factor of 3, which depends on the machine. What has a bound of its own is in ``BASE_BYTES``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+from scenec.compiler.frontend.laws import golombek_rapp_per_m2
+from scenec.compiler.frontend.load import Spec
+from scenec.compiler.frontend.numbers import Distribution
+from scenec.compiler.frontend.resolve import resolve
+from scenec.compiler.frontend.streams import Streams
+from scenec.compiler.terrain.grid import Grid
+from scenec.schemas.errors import SceneError
+from scenec.schemas.memory import GB, available
+
+#: Of libraries, compiled kernels and what is bounded.
+BASE_BYTES: Final = 300e6
+#: Refused is what is estimated at more than this times the memory there is: estimates err.
+MARGIN: Final = 1.25
+#: Above this share of the memory there is, it is said.
+TIGHT: Final = 0.8
+#: Compilations that take longer than this are announced, seconds.
+LONG_S: Final = 180.0
+_INSTANCE: Final = (250.0, 2e-5)
+_HEIGHT_SAMPLE: Final = (160.0, 1.2e-6)
+#: Of each further layer of the ground, a height sample.
+_LAYER: Final = (40.0, 0.5e-6)
+_TRIANGLE: Final = (45.0, 0.5e-6)
+#: Of all pictures, and of the one that is being made.
+_SKY_PIXEL: Final = (22.0, 1e-6)
+_SKY_BEING_MADE: Final = 45.0
+_PROTOTYPE_TRIANGLE: Final = (60.0, 3e-6)
+_SAMPLE: Final = (2000.0, 2e-4)
+_CLASS: Final = (150e3, 3e-2)
+#: Numbers of the cfg that each take less are not named, share of all.
+_NAMED: Final = 0.05
+
+
+@dataclass(frozen=True)
+class Need:
+    """What one key of a cfg asks for.
+
+    Attributes:
+        pointer: The key: "objects/rocks/count".
+        what: How many of what.
+        bytes: At the peak of a batch.
+        seconds: Of a batch.
+    """
+
+    pointer: str
+    what: str
+    bytes: float
+    seconds: float
+
+
+def needs_of(spec: Spec, seed: int, batch: int) -> list[Need]:
+    """What compiling a batch needs, the largest first.
+
+    Args:
+        spec: A validated cfg.
+        seed, batch: Of the batch: the numbers are those that it will draw.
+    """
+    streams = Streams(seed, batch)
+    found = [*_terrain(spec, streams), *_objects(spec, streams), *_light(spec)]
+    sensors = sum(len(rig["sensors"]) for rig in spec.cfg["rigs"].values())
+    samples = int(spec.cfg["samples"])
+    found.append(_need("samples", samples * max(sensors, 1), "poses of sensors", _SAMPLE))
+    return sorted(found, key=lambda need: (-need.bytes, need.pointer))
+
+
+def require_memory(needs: list[Need], free: int | None = None) -> str | None:
+    """Refuses what does not fit into memory; returns a line where it will be tight.
+
+    Args:
+        needs: Of a batch.
+        free: Bytes that are free; None: what this machine and its container have left.
+
+    Raises:
+        SceneError: It does not fit.
+    """
+    free = available() if free is None else free
+    most = BASE_BYTES + sum(need.bytes for need in needs)
+    if most <= TIGHT * free:
+        return None
+    named = "; ".join(
+        f"{need.pointer}: {need.what}, about {need.bytes / GB:.2g} GB"
+        for need in needs
+        if need.bytes >= _NAMED * most
+    )
+    said = f"compiling needs about {most / GB:.2g} GB, {free / GB:.2g} GB are available"
+    if most <= MARGIN * free:
+        return f"{said} ({named})"
+    raise SceneError(f"{named}: {said}: expected fewer, or more memory")
+
+
+def told_time(needs: list[Need], batches: int) -> str | None:
+    """A line where compiling takes long, with what causes it; None where it does not.
+
+    Args:
+        needs: Of a batch.
+        batches: How many there are.
+    """
+    seconds = sum(need.seconds for need in needs)
+    if seconds * batches < LONG_S:
+        return None
+    named = "; ".join(
+        f"{need.pointer}: {need.what}"
+        for need in sorted(needs, key=lambda need: (-need.seconds, need.pointer))[:3]
+        if need.seconds >= _NAMED * seconds
+    )
+    each = f" for {batches:,} batches" if batches > 1 else ""
+    return f"compiling takes some {seconds * batches / 60.0:.2g} minutes{each}: {named}"
+
+
+def _need(pointer: str, number: float, what: str, cost: tuple[float, float]) -> Need:
+    return Need(pointer, f"{number:,.0f} {what}", number * cost[0], number * cost[1])
+
+
+def _terrain(spec: Spec, streams: Streams) -> Iterator[Need]:
+    terrain = spec.cfg["terrain"]
+    node = resolve({key: terrain[key] for key in ("size_m", "spacing_m")}, streams, "terrain")
+    shape = Grid.with_spacing((node["size_m"][0], node["size_m"][1]), node["spacing_m"]).shape
+    samples = shape[0] * shape[1]
+    yield _need("terrain/spacing_m", samples, "height samples", _HEIGHT_SAMPLE)
+    layers = samples * (len(terrain["ground"]) - 1)
+    yield _need("terrain/ground", layers, "weights of layers", _LAYER)
+    if terrain["mesh"]["tolerance_px"] == 0:
+        triangles = min(2 * samples, terrain["mesh"]["max_triangles"])
+        yield _need("terrain/mesh/tolerance_px", triangles, "triangles", _TRIANGLE)
+
+
+def _objects(spec: Spec, streams: Streams) -> Iterator[Need]:
+    size = resolve(spec.cfg["terrain"]["size_m"], streams, "terrain/size_m")
+    classes = 0
+    for name, cfg in spec.cfg["objects"].items():
+        classes += 1
+        path = f"objects/{name}"
+        if cfg["type"] == "rocks":
+            node = resolve({k: cfg[k] for k in ("prototypes", "subdivisions")}, streams, path)
+            triangles = int(node["prototypes"]) * 20 * 4 ** int(node["subdivisions"])
+            yield _need(
+                f"{path}/subdivisions", triangles, "prototype triangles", _PROTOTYPE_TRIANGLE
+            )
+        if "count" not in cfg:
+            continue
+        key = "count" if cfg["count"] is not None else "per_m2"
+        number = resolve(cfg[key], streams, f"{path}/{key}")
+        if key == "per_m2":
+            if number is None:
+                key, law = "size_m", cfg["size_m"]
+                assert isinstance(law, Distribution)
+                number = golombek_rapp_per_m2(law.min, law.max, law.shape)
+            number *= size[0] * size[1]
+        yield _need(f"{path}/{key}", number, "instances", _INSTANCE)
+    if classes:
+        yield _need("objects", classes, "classes", _CLASS)
+
+
+def _light(spec: Spec) -> Iterator[Need]:
+    light = spec.cfg["light"]
+    sky = light["sky"] or {}
+    if "resolution" not in sky:
+        return
+    varies = any(map(_per_sample, (sky, light["sun"])))
+    pictures = int(spec.cfg["samples"]) if varies else 1
+    pixels = 2 * sky["resolution"] * sky["resolution"]
+    all_ = _need("light/sky/resolution", pictures * pixels, "pixels of skies", _SKY_PIXEL)
+    yield replace(all_, bytes=all_.bytes + _SKY_BEING_MADE * pixels)
+
+
+def _per_sample(node: Any) -> bool:
+    """Whether any number of a part of a cfg is drawn for each sample."""
+    if isinstance(node, Distribution):
+        return node.per == "sample"
+    if isinstance(node, dict):
+        return any(map(_per_sample, node.values()))
+    return isinstance(node, list) and any(map(_per_sample, node))

@@ -1,0 +1,355 @@
+"""Airlight: its closed forms against quadrature, its limits, and a volume rendered by Mitsuba."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import mitsuba_scenes as ms
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mitsuba_volume import DISTANCE_M, EXTINCTION, HEIGHT_M, SCALE_HEIGHT_M, SUN_DEG, WAY_DEG
+from numpy.typing import NDArray
+from scipy.integrate import quad
+
+from scenec.backends.airlight import (
+    BAND_DEG,
+    Air,
+    air_of,
+    arrive,
+    horizon,
+    optical_depth,
+    phase,
+    scattered,
+    sources,
+)
+from scenec.backends.render_scene import Haze, Sun
+from scenec.backends.sky import Sky, lookup, texel_directions
+
+GRAY = np.array([0.4, 0.5, 0.6])
+FLAT = Sky(GRAY.reshape(1, 1, 3).astype(np.float32), np.eye(3))
+DARK = Sky(np.zeros((1, 1, 3), np.float32), np.eye(3))
+
+
+def haze(visibility: float = 100.0, height: float = np.inf, g: float = 0.7) -> Haze:
+    return Haze(np.full(3, 3.912 / visibility), height, None, asymmetry=g)
+
+
+def toward(elevation_deg: float, bearing_deg: float = 0.0) -> NDArray:
+    e, a = np.radians([elevation_deg, bearing_deg])
+    return np.array([np.cos(e) * np.sin(a), np.cos(e) * np.cos(a), np.sin(e)])
+
+
+def sun(elevation_deg: float, irradiance: float = 1000.0, bearing_deg: float = 0.0) -> Sun:
+    return Sun(toward(elevation_deg, bearing_deg), np.full(3, irradiance), np.radians(0.53))
+
+
+def through(
+    air: Air, direction: NDArray, distance: float, z: float = 0.0
+) -> tuple[NDArray, NDArray]:
+    """Transmittance and airlight of one ray, [3] each."""
+    origin = np.array([[0.0, 0.0, z]])
+    source = sources(air, direction[None])
+    passed, added = arrive(air, origin, direction[None, None], np.array([[distance]]), source)
+    return passed[0], added[0]
+
+
+def aureole(sun_elevation_deg: float, width_deg: float = 8.0, rows: int = 180) -> Sky:
+    """A sky whose horizon is 8 times as bright below the sun as elsewhere; dark ground."""
+    to = texel_directions(rows, 2 * rows) @ ms.DOME_Z_UP.T
+    angle = np.degrees(np.arccos(np.clip(to @ toward(sun_elevation_deg), -1, 1)))
+    level = 10.0 + 70.0 * np.exp(-angle / width_deg + sun_elevation_deg / width_deg)
+    level = np.where(to[..., 2] < 0.0, 3.0, level)
+    return Sky(np.repeat(level[..., None], 3, -1).astype(np.float32), ms.DOME_Z_UP)
+
+
+def depth(height: float, z0: float, z1: float, distance: float) -> float:
+    return float(optical_depth(height, z0, z1 - z0, distance))
+
+
+@settings(deadline=None)
+@given(
+    st.floats(0.1, 1e6),
+    st.floats(-20.0, 20.0),
+    st.floats(-30.0, 30.0),
+    st.floats(1e-3, 1e5),
+)
+def test_the_closed_form_is_the_integral(height, start, rise, distance):
+    z0, z1 = start * height, (start + rise) * height
+    lowest = min(z0, z1) / height
+    # In units of the density at the lowest point, where the integrand is at most 1.
+    slope = abs(rise)
+    expected = distance * quad(lambda x: np.exp(-slope * x), 0, 1, epsabs=0, epsrel=1e-12)[0]
+    assert depth(height, z0, z1, distance) == pytest.approx(expected * np.exp(-lowest), rel=1e-9)
+
+
+@settings(deadline=None)
+@given(st.floats(-1e12, 1e12), st.floats(-1e12, 1e12), st.floats(0, 1e12), st.floats(1e-3, 1e9))
+def test_it_is_finite_and_not_negative_for_any_ray(z0, z1, distance, height):
+    found = depth(height, z0, z1, distance)
+    assert np.isfinite(found)
+    assert found >= 0.0
+
+
+def test_its_limits():
+    assert depth(50.0, 3.0, 3.0, 0.0) == 0.0
+    # Level, straight up to space, and with no end of its height.
+    assert depth(50.0, 100.0, 100.0, 7.0) == pytest.approx(7.0 * np.exp(-2.0), rel=1e-14)
+    assert depth(50.0, 0.0, 1e9, 1e9) == pytest.approx(50.0, rel=1e-12)
+    assert depth(np.inf, -1e5, 1e5, 321.0) == 321.0
+    # Nearly level: the two branches of (1 - exp(-x)) / x meet.
+    steps = [depth(1.0, 0.0, rise, 1.0) for rise in (0.0, 0.9e-12, 1.1e-12, 1e-9)]
+    np.testing.assert_allclose(steps, 1.0, rtol=1e-9)
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.floats(0.0, 1.0), st.floats(-0.99, 0.99))
+def test_two_parts_of_a_way_weaken_as_the_whole(share, slope):
+    whole = depth(30.0, 5.0, 5.0 + 400.0 * slope, 400.0)
+    middle = 5.0 + 400.0 * slope * share
+    first = depth(30.0, 5.0, middle, 400.0 * share)
+    second = depth(30.0, middle, 5.0 + 400.0 * slope, 400.0 * (1.0 - share))
+    assert first + second == pytest.approx(whole, rel=1e-9)
+
+
+@settings(deadline=None)
+@given(st.floats(-0.95, 0.95))
+def test_the_phase_function_is_a_density_with_mean_cosine_g(g):
+    whole = quad(lambda c: 2 * np.pi * phase(np.array(c), g), -1, 1, epsrel=1e-10)[0]
+    mean = quad(lambda c: 2 * np.pi * c * phase(np.array(c), g), -1, 1, epsrel=1e-10)[0]
+    assert whole == pytest.approx(1.0, rel=1e-8)
+    assert mean == pytest.approx(g, abs=1e-8)
+
+
+@settings(deadline=None)
+@given(
+    st.floats(-89.0, 89.0),
+    st.floats(0.5, 90.0),
+    st.floats(0.1, 3000.0),
+    st.floats(-50.0, 200.0),
+    st.floats(5.0, 500.0),
+)
+def test_airlight_in_a_layer_is_the_integral_of_single_scattering(e, up, distance, z, height):
+    air = air_of(haze(200.0, height), (sun(up),), None, 0.0)
+    direction = toward(e, 40.0)
+    _, added = through(air, direction, distance, z)
+    extinction = 3.912 / 200.0
+    slant = 1.0 / np.sin(np.radians(up))
+    lobe = float(phase(direction @ toward(up), 0.7))
+
+    def source(d: float) -> float:
+        there = z + d * direction[2]
+        local = extinction * np.exp(-there / height)
+        before = extinction * depth(height, z, there, d)
+        return 1000.0 * lobe * local * np.exp(-before - local * height * slant)
+
+    # Nodes where the integrand has a scale of its own, so that quadrature cannot step over it.
+    nodes = np.unique(np.clip(np.geomspace(1e-3, 1.0, 24) * distance, 0.0, distance))
+    parts = zip([0.0, *nodes[:-1]], nodes, strict=True)
+    expected = sum(quad(source, a, b, epsabs=1e-13, epsrel=1e-10)[0] for a, b in parts)
+    np.testing.assert_allclose(added, expected, rtol=1e-7, atol=1e-12)
+
+
+def test_homogeneous_air_with_a_constant_phase_has_e_over_4_pi_times_what_it_takes():
+    air = air_of(haze(500.0, g=0.0), (sun(35.0),), None, 0.0)
+    for distance in (0.0, 1.0, 100.0, 1e5):
+        passed, added = through(air, toward(-20.0, 77.0), distance)
+        np.testing.assert_allclose(passed, np.exp(-3.912 / 500.0 * distance), rtol=1e-12)
+        np.testing.assert_allclose(added, 1000.0 / (4 * np.pi) * (1.0 - passed), rtol=1e-12)
+
+
+@settings(deadline=None)
+@given(st.floats(0.0, 1.0), st.floats(-89.0, 89.0), st.floats(-5.0, 90.0), st.floats(-300.0, 300.0))
+def test_two_pieces_of_a_ray_compose_to_the_whole(share, e, up, z):
+    air = air_of(haze(150.0, 60.0), (sun(up), sun(20.0, 80.0, 120.0)), aureole(up), -30.0)
+    direction, length = toward(e, 25.0), 400.0
+    whole_passed, whole_added = through(air, direction, length, z)
+    passed, added = through(air, direction, share * length, z)
+    then_passed, then_added = through(
+        air, direction, (1.0 - share) * length, z + share * length * direction[2]
+    )
+    np.testing.assert_allclose(passed * then_passed, whole_passed, rtol=1e-8, atol=1e-300)
+    np.testing.assert_allclose(added + passed * then_added, whole_added, rtol=1e-8, atol=1e-12)
+
+
+@pytest.mark.parametrize("bearing", [0.0, 10.0, 90.0, 180.0])
+@pytest.mark.parametrize("e", [-50.0, -10.0, 0.0, 20.0])
+def test_two_meters_of_haze_of_a_kilometer_add_less_than_a_hundredth(bearing, e):
+    sky = aureole(10.0)
+    air = air_of(haze(1000.0), (sun(10.0),), sky, 0.0)
+    _, added = through(air, toward(e, bearing), 2.0)
+    _, endless = through(air, toward(e, bearing), 1e7)
+    np.testing.assert_allclose(added / endless, 1.0 - np.exp(-3.912 * 0.002), rtol=1e-9)
+    assert (added < 0.008 * 160.0).all()
+
+
+def test_airlight_50_degrees_below_the_sun_is_as_beside_it_in_the_row():
+    # The horizon is 6 times as bright below the sun as 40 degrees beside it. Haze on the ground in
+    # front of the camera is 50 degrees from the sun there, and 60 degrees in the row beside.
+    up = 8.0
+    sky = aureole(up)
+    shown = horizon(sky)
+    assert shown[0, 0] > 5.0 * shown[80, 0]
+    for suns in ((sun(up),), ()):
+        air = air_of(haze(30.0), suns, sky, 0.0)
+        row = [through(air, toward(-42.0, b), 2.0)[1][0] for b in range(0, 181, 5)]
+        # No more than the phase function has it, by the angles to the sun.
+        angles = np.array([toward(-42.0, b) @ toward(up) for b in (0.0, 40.0)])
+        near, far = phase(angles, 0.7)
+        assert 1.5 < near / far < 1.7
+        assert row[0] < near / far * row[8]
+        assert (np.diff(row) < 0.0).all()
+
+
+def test_endless_haze_at_the_horizon_is_the_skys_horizon():
+    sky = aureole(12.0)
+    lights = {"two suns": (sun(12.0), sun(30.0, 90.0, 140.0)), "none": (), "set": (sun(-3.0),)}
+    for suns in lights.values():
+        for height in (np.inf, 300.0):
+            air = air_of(haze(50.0, height), suns, sky, 7.0)
+            for i, expected in enumerate(horizon(sky)[::45]):
+                level = toward(0.0, 0.25 + i * 22.5)
+                np.testing.assert_allclose(through(air, level, 1e6, 7.0)[1], expected, rtol=1e-6)
+
+
+def test_it_has_no_steps_in_bearing_elevation_distance_or_the_suns_height():
+    sky = aureole(5.0)
+    air = air_of(haze(80.0, 40.0), (sun(5.0),), sky, 0.0)
+
+    def of_sun(up: float) -> NDArray:
+        return through(air_of(haze(80.0), (sun(up, 10.0),), FLAT, 0.0), toward(-20.0, 10.0), 60.0)[
+            1
+        ]
+
+    ways = {
+        "bearing": (lambda b: through(air, toward(-1.0, b), 60.0, 2.0)[1], 0.0, 360.0),
+        "elevation": (lambda e: through(air, toward(e, 3.0), 60.0, 2.0)[1], -90.0, 90.0),
+        "distance": (lambda d: through(air, toward(-3.0, 3.0), d, 2.0)[1], 0.0, 300.0),
+        "sun": (of_sun, -1.0, 1.0),
+    }
+    for name, (value, low, high) in ways.items():
+        steps = []
+        for count in (200, 800):
+            found = np.array([value(x)[0] for x in np.linspace(low, high, count + 1)])
+            steps.append(np.abs(np.diff(found)).max() / found.max())
+        # Four times as many steps are about a fourth as large each.
+        assert steps[1] < 0.4 * steps[0], name
+        assert steps[1] < 0.05, name
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.floats(-1e6, 1e6), st.floats(-90.0, 90.0), st.floats(-90.0, 90.0), st.floats(1e-3, 1e9))
+def test_it_is_finite_and_between_nothing_and_endless_haze(z, e, up, height):
+    air = air_of(haze(1.0, height), (sun(up),), aureole(up, rows=16), z)
+    for distance in (0.0, 1e-9, 1.0, 1e12):
+        passed, added = through(air, toward(e), distance, z)
+        ambient, beams = sources(air, toward(e)[None])
+        assert ((passed >= 0.0) & (passed <= 1.0)).all()
+        endless = ambient[0] + beams[0].sum(axis=0)
+        assert np.isfinite(added).all()
+        assert ((added >= 0.0) & (added <= endless * (1.0 - passed + 1e-12))).all()
+
+
+def test_suns_add_up_and_one_that_has_set_adds_nothing():
+    way = toward(-10.0, 30.0)
+
+    def added(*suns: Sun) -> NDArray:
+        return through(air_of(haze(), suns, None, 0.0), way, 50.0)[1]
+
+    one, other = sun(20.0), sun(50.0, 300.0, 80.0)
+    np.testing.assert_allclose(added(one, other), added(one) + added(other), rtol=1e-12)
+    np.testing.assert_array_equal(added(one, sun(-1.0)), added(one))
+    assert not added(sun(-1.0)).any()
+
+
+def test_a_sky_of_one_color_is_its_own_airlight_in_every_direction():
+    rng = np.random.default_rng(0)
+    to = np.vstack([rng.normal(size=(200, 3)), [[0, 0, 1], [0, 0, -1], [0, 1, 0], [-1e-9, 1, 0]]])
+    ambient, _ = sources(air_of(haze(), (), FLAT, 0.0), to)
+    np.testing.assert_allclose(ambient, np.tile(GRAY, (len(to), 1)), 1e-6)
+    picture = Sky(np.tile(GRAY, (90, 180, 1)).astype(np.float32), ms.DOME_Z_UP)
+    ambient, _ = sources(air_of(haze(), (), picture, 0.0), to)
+    np.testing.assert_allclose(ambient, np.tile(GRAY, (len(to), 1)), 1e-5)
+    assert not sources(air_of(haze(), (), DARK, 0.0), to)[0].any()
+
+
+@pytest.mark.parametrize("shape", [(5, 8), (64, 128), (300, 512)])
+def test_scattered_skylight_is_the_integral_over_the_picture(shape):
+    rng = np.random.default_rng(1)
+    picture = rng.uniform(0.0, 2.0, (*shape, 3)).astype(np.float32)
+    sky = Sky(picture, ms.DOME_Z_UP)
+    to = rng.normal(size=(40, 3))
+    to /= np.linalg.norm(to, axis=1)[:, None]
+    found = lookup(scattered(sky, 0.6), to)
+    # Each texel a constant, by points a quarter of it apart.
+    fine = np.repeat(np.repeat(picture, 4, 0), 4, 1).astype(float)
+    rows, columns = fine.shape[:2]
+    from_there = (texel_directions(rows, columns) @ ms.DOME_Z_UP.T).reshape(-1, 3)
+    edges = np.cos(np.arange(rows + 1) * np.pi / rows)
+    solid = np.repeat((edges[:-1] - edges[1:]) * (2 * np.pi / columns), columns)
+    for direction, value in zip(to, found, strict=True):
+        weight = solid * phase(from_there @ direction, 0.6)
+        expected = (weight[:, None] * fine.reshape(-1, 3)).sum(axis=0)
+        np.testing.assert_allclose(value, expected, rtol=0.01)
+
+
+def test_a_sun_in_the_picture_is_scattered_like_a_sun():
+    picture = np.zeros((512, 1024, 3), np.float32)
+    row, column = 150, 700
+    picture[row, column] = 1e6
+    sky = Sky(picture, ms.DOME_Z_UP)
+    to_sun = (texel_directions(512, 1024) @ ms.DOME_Z_UP.T)[row, column]
+    edges = np.cos(np.arange(row, row + 2) * np.pi / 512)
+    irradiance = 1e6 * (edges[0] - edges[1]) * (2 * np.pi / 1024)
+    rng = np.random.default_rng(2)
+    to = np.vstack([rng.normal(size=(500, 3)), to_sun + 0.3 * rng.normal(size=(500, 3))])
+    to /= np.linalg.norm(to, axis=1)[:, None]
+    expected = irradiance * phase(to @ to_sun, 0.7)
+    np.testing.assert_allclose(lookup(scattered(sky, 0.7), to)[:, 0], expected, rtol=0.02)
+
+
+@pytest.mark.parametrize("g", [0.0, 0.7])
+def test_it_is_what_mitsuba_renders_of_a_volume(g):
+    # In a process of its own: Mitsuba and Blender do not share one.
+    script = Path(__file__).with_name("mitsuba_volume.py")
+    done = subprocess.run(
+        [sys.executable, str(script), str(g)], capture_output=True, text=True, check=True
+    )
+    mean, error = map(float, done.stdout.split())
+    of = Haze(np.full(3, EXTINCTION), SCALE_HEIGHT_M, None, asymmetry=g)
+    air = air_of(of, (sun(SUN_DEG),), None, 0.0)
+    expected = through(air, toward(*WAY_DEG), DISTANCE_M, HEIGHT_M)[1][0]
+    assert error < 0.01 * expected
+    assert abs(mean - expected) < 5.0 * error + 1e-3 * expected
+
+
+def test_the_skys_horizon_is_that_of_the_bearing_and_has_no_steps():
+    # Rises with sin of the bearing: brightest to the east, +x.
+    bearing = (np.arange(720) + 0.5) * (2 * np.pi / 720)
+    level = np.broadcast_to(2.0 + np.sin(bearing)[None, :, None], (360, 720, 3))
+    table = horizon(Sky(np.ascontiguousarray(level, np.float32), ms.DOME_Z_UP))
+    np.testing.assert_allclose(table[:, 0], 2.0 + np.sin(bearing), atol=3e-3)
+    steps = np.abs(np.diff(np.vstack([table, table[:1]]), axis=0))
+    assert steps.max() < 0.01
+
+
+def test_a_sun_in_the_picture_is_no_horizon():
+    picture = np.full((360, 720, 3), 0.5, np.float32)
+    # A disc of a degree, 10^4 times the sky, one degree above the horizon to the south.
+    picture[177:179, 359:361] = 5000.0
+    table = horizon(Sky(picture, ms.DOME_Z_UP))
+    assert table.max() < 0.5 * 1.1
+    # What is bright over a wide arc is the sky.
+    picture[170:180, 300:420] = 3.0
+    table = horizon(Sky(picture, ms.DOME_Z_UP))
+    assert table[360, 0] == pytest.approx(3.0, rel=0.2)
+
+
+def test_the_band_is_the_lowest_3_degrees():
+    picture = np.ones((360, 720, 3), np.float32)
+    picture[: 180 - int(2 * BAND_DEG) - 2] = 9.0
+    picture[181:] = 9.0
+    np.testing.assert_allclose(horizon(Sky(picture, ms.DOME_Z_UP)), 1.0, atol=1e-6)

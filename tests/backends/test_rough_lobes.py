@@ -1,0 +1,56 @@
+"""How much light the shared model's GGX lobe loses, as docs/stage.md says."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from scenec.backends.pyrender.lighting import gloss_albedo
+
+
+def albedo(roughness: float, mu: float, nodes: int = 300) -> float:
+    """Directional albedo of a white single-scatter lobe with alpha = roughness^2.
+
+    Over half vectors h drawn by D cos (tan^2 = alpha^2 u / (1 - u)), with height-correlated G2
+    (Heitz 2014): f cos_i dw_i = D G2 (o.h) / mu dw_h, so the mean of G2 (o.h) / (mu cos_h).
+    """
+    alpha = roughness * roughness
+    u = (np.arange(nodes) + 0.5) / nodes
+    u, phi = np.meshgrid(u, 2.0 * np.pi * u)
+    cosine = 1.0 / np.sqrt(1.0 + alpha * alpha * u / (1.0 - u))
+    sine = np.sqrt(1.0 - cosine * cosine)
+    along = np.sqrt(1.0 - mu * mu) * sine * np.cos(phi) + mu * cosine
+    out = 2.0 * along * cosine - mu
+    there = (along > 0.0) & (out > 0.0)
+
+    def hidden(c):
+        return 0.5 * np.sqrt(1.0 + alpha * alpha * (1.0 - c * c) / (c * c)) - 0.5
+
+    g2 = 1.0 / (1.0 + hidden(mu) + hidden(np.where(there, out, 1.0)))
+    return float(np.where(there, g2 * along / (mu * cosine), 0.0).mean())
+
+
+def lost(roughness: float) -> float:
+    """What a white metal ball in a furnace loses: the mean over directions by their cosine."""
+    x, weight = np.polynomial.legendre.leggauss(24)
+    mu = 0.5 * (x + 1.0)
+    return 1.0 - float(sum(w * m * albedo(roughness, m) for m, w in zip(mu, weight, strict=True)))
+
+
+@pytest.mark.parametrize(
+    ("roughness", "share"), [(0.2, 0.01), (0.33, 0.03), (0.5, 0.12), (0.7, 0.29), (0.9, 0.50)]
+)
+def test_a_rough_white_metal_loses_what_the_page_says(roughness: float, share: float) -> None:
+    assert lost(roughness) == pytest.approx(share, abs=0.005)
+
+
+def test_from_the_front_it_is_less_at_half_and_more_at_full_roughness() -> None:
+    assert 1.0 - albedo(0.5, 0.999) == pytest.approx(0.08, abs=0.005)
+    assert 1.0 - albedo(0.9, 0.999) == pytest.approx(0.58, abs=0.005)
+
+
+def test_the_table_of_albedos_agrees() -> None:
+    table = gloss_albedo()
+    for row, column in ((8, 31), (16, 20), (24, 10), (31, 25)):
+        roughness, mu = row / 31.0, min(column / 31.0, 0.9999)
+        assert table[row, column] == pytest.approx(albedo(roughness, mu), abs=0.01)
