@@ -82,7 +82,7 @@ def test_what_is_no_law_is_refused_where_it_stands(tmp_path, law, place):
 @pytest.mark.parametrize(
     ("name", "kind", "value", "refused"),
     [
-        ("reflectance", "Token", "minnaert", 'is "minnaert"; known: lambert, lommel_seeliger, hapke'),
+        ("reflectance", "Token", "minnaert", "; known: lambert, lommel_seeliger, hapke"),
         ("phase:b", "Float", 1.0, r"is 1.0, expected a number in \[0, 1\)"),
         ("phase:c", "Float", math.nan, "is nan, expected a number"),
         ("opposition", "Float", math.inf, r"is inf, expected a number in \[0, inf\)"),
