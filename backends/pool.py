@@ -104,8 +104,9 @@ class WorkerProcess:
         backends = {name: request.get(name) for name in ("backend", "device", "annotator")}
         started = {name: value for name, value in backends.items() if value is not None}
         # Apart, so that a crash of a renderer is none of the stage's.
-        self.ask({"op": "start", **started}, f"starting {request['backend']}")
-        answer = self.ask(request, f"opening {request['stage']}")
+        what = f"opening {request['stage']}"
+        self.ask({"op": "start", **started}, what)
+        answer = self.ask(request, what)
         self._opened = request
         return answer
 
