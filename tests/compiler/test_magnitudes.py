@@ -107,7 +107,7 @@ def test_high_relief_that_float32_holds_compiles(tmp_path, amplitude):
     assert_finite(tmp_path / "out")
 
 
-@pytest.mark.parametrize("value", [5e-324, 1e-300, 9e-101])
+@pytest.mark.parametrize("value", [5e-324, 1e-300, 9e-31])
 @pytest.mark.parametrize("place", [(), ("min",)])
 def test_a_number_next_to_zero_is_a_fault_at_its_place(tmp_path, value, place):
     given = value if not place else {"type": "uniform", "min": value, "max": 1}
@@ -116,9 +116,9 @@ def test_a_number_next_to_zero_is_a_fault_at_its_place(tmp_path, value, place):
         load(write_cfg(tmp_path, changed(path, given)))
     (fault,) = caught.value.faults
     assert fault.pointer == "/" + "/".join(map(str, (*path, *place)))
-    assert "expected 0, or at least 1e-100 from it" in fault.message
+    assert "expected 0, or at least 1e-30 from it" in fault.message
 
 
 def test_zero_and_small_numbers_are_no_faults(tmp_path):
-    for value in (1e-100, np.nextafter(1e-100, 1.0), 1e-12):
+    for value in (1e-30, np.nextafter(1e-30, 1.0), 1e-12):
         load(write_cfg(tmp_path, changed(("terrain", "ground", 1, "noise", "scale_m"), value)))
