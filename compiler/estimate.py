@@ -38,7 +38,7 @@ _TRIANGLE: Final = (45.0, 0.5e-6)
 _SKY_PIXEL: Final = (22.0, 1e-6)
 _SKY_BEING_MADE: Final = 45.0
 _PROTOTYPE_TRIANGLE: Final = (60.0, 3e-6)
-_SAMPLE: Final = (2000.0, 2e-4)
+_SAMPLE: Final = (1000.0, 5e-4)
 _CLASS: Final = (150e3, 3e-2)
 #: Numbers of the cfg that each take less are not named, share of all.
 _NAMED: Final = 0.05
