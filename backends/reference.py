@@ -21,7 +21,7 @@ class Reference:
     devices = ("cpu",)
     denoiser = None
     follows_lenses = False
-    load_cost = LoadCost(row=300.0, triangle=100.0)
+    load_cost = LoadCost(row=600.0, triangle=100.0)
 
     def __init__(self, device: str = "auto") -> None:
         self.device = "cpu"

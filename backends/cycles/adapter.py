@@ -41,7 +41,7 @@ class Cycles:
     devices = ("cpu", "cuda", "optix")
     denoiser = "OpenImageDenoise"
     caster = None
-    load_cost = LoadCost(row=900.0, triangle=300.0)
+    load_cost = LoadCost(row=2400.0, triangle=300.0)
     follows_lenses = False
 
     def __init__(self, bounces: int = BOUNCES, device: str = "auto") -> None:

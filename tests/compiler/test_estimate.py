@@ -118,6 +118,15 @@ def test_long_compilations_are_announced_with_their_causes(tmp_path):
     assert "for 90,000 batches" in (told_time(found, 90_000) or "")
 
 
+def test_long_erosion_is_announced(tmp_path):
+    def change(cfg):
+        operator = {"type": "stream_power", "erodibility": 1e-5, "duration_a": 1e5}
+        cfg["terrain"]["relief"].append(operator | {"steps": 100_000})
+
+    found = list(needs(tmp_path, change).values())
+    assert "terrain/relief/3/steps: 818,100,000 steps" in (told_time(found, 1) or "")
+
+
 def test_nothing_is_written_where_a_batch_is_refused(tmp_path):
     cfg = small_cfg()
     cfg["samples"] = 1_000_000
