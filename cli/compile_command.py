@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,7 +16,9 @@ if TYPE_CHECKING:
 
 def run(options: argparse.Namespace) -> int:
     """Compiles."""
-    say(f"reading {options.cfg}")
+    if sys.stderr.isatty():
+        # Imports take a second; where nobody looks, what is wrong stands alone.
+        say(f"reading {options.cfg}")
     report = compile_now(options)
     if options.json:
         print_json(as_json(report))

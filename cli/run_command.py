@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 
 from scenec.cli import compile_command
 from scenec.cli.output import print_json, say
@@ -10,7 +11,9 @@ from scenec.cli.output import print_json, say
 
 def run(options: argparse.Namespace) -> int:
     """Compiles, renders, and scans."""
-    say(f"reading {options.cfg}")
+    if sys.stderr.isatty():
+        # Imports take a second; where nobody looks, what is wrong stands alone.
+        say(f"reading {options.cfg}")
     from scenec.cli import render_command
 
     lidars = _refuse_early(options)
