@@ -105,7 +105,7 @@ class WorkerProcess:
         # Apart, so that a crash of a renderer is none of the stage's.
         reading = {"op": "read", "stage": stage, "allow_missing": allowed}
         opening = {name: value for name, value in request.items() if name not in reading}
-        self.ask(reading, f"reading {stage}")
+        self.ask(reading, f"opening {stage}")
         self._opened = [reading]
         answer = self.ask({"op": "open", **opening}, f"opening {stage}")
         self._opened = [reading, {"op": "open", **opening}]

@@ -286,7 +286,6 @@ class Camera:
             the top-left one, its center is at (0.5, 0.5).
         camera_to_world: float64 [4, 4], camera axes x right, y down, z forward (OpenCV).
         exposure_ev: Pictures show radiance * 2**exposure_ev ...
-        exposure_per: ... or it is found for each "batch" or "sample" (``exposure``); None: given.
         outputs: Passes that its RenderProduct asks for.
         partner: Prim path of the camera that disparity goes to, or None.
         depth_camera: How it measures depth, or None.
@@ -298,6 +297,8 @@ class Camera:
         shutter: Where it is while the shutter is open; None: still. ``camera_to_world`` is where it
             is in the middle of the middle row's exposure.
         focus: What is sharp; None: everything.
+        exposure_per: "batch" or "sample": ``exposure_ev`` is to be found for each
+            (``backends.exposure``); None: it is given.
     """
 
     name: str
@@ -307,7 +308,6 @@ class Camera:
     intrinsics: NDArray[np.float64]
     camera_to_world: NDArray[np.float64]
     exposure_ev: float = 0.0
-    exposure_per: str | None = None
     outputs: tuple[str, ...] = DEFAULT_OUTPUTS
     partner: str | None = None
     trigger: tuple[int, int] = (1, 0)
@@ -322,6 +322,7 @@ class Camera:
     imaging: Imaging | None = None
     shutter: OpenShutter | None = None
     focus: Focus | None = None
+    exposure_per: str | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,10 +5,10 @@
 Two processes hold the same stage's arrays: one the adapter, one a bare script as Blender's
 documentation would have one write (a Geometry Nodes instancer, mixed shaders, a sun, an
 environment texture, ``bpy.ops.render.render``). Both draw what the bare script can: no maps, no
-metals, no haze, no lamps, the sky's picture as it is; where their mean radiance differs by more
-than 2 %, the table compares different pictures, and the status is 1. They are asked in turns
-(adapter, bare, adapter, bare ...), so that a busy machine is busy for both; the table gives medians
-and medians of the paired ratios.
+metals, no haze, no lamps, nothing that moves, the sky's picture as it is; where their mean radiance
+differs by more than 2 %, the table compares different pictures, and the status is 1. They are asked
+in turns (adapter, bare, adapter, bare ...), so that a busy machine is busy for both; the table has
+medians and medians of the paired ratios.
 """
 
 from __future__ import annotations
@@ -54,7 +54,11 @@ def plain(scene: RenderScene) -> RenderScene:
         for light in scene.lighting
     )
     meshes = tuple(replace(mesh, uv=None, height_blends=()) for mesh in scene.meshes)
-    return replace(scene, surfaces=surfaces, lighting=lighting, meshes=meshes, haze=())
+    # What moves stays where it is at the first sample.
+    rows = replace(scene.rows, motion=None)
+    return replace(
+        scene, surfaces=surfaces, lighting=lighting, meshes=meshes, rows=rows, haze=()
+    )  # fmt: skip
 
 
 class Adapter:
@@ -395,7 +399,7 @@ def measure(stage: Path, spp: int, rounds: int) -> int:
     def ratio(table: list[list[dict[str, float]]], key: str) -> float:
         return statistics.median(row[0][key] / row[1][key] for row in table)
 
-    print(f"640x480, {spp} spp, {rounds} rounds       adapter       bare   adapter / bare")
+    print(f"{spp} spp, {rounds} rounds                adapter       bare   adapter / bare")
     print(
         f"load (Blender's scene)       {loads[0]['seconds']:10.2f} s {loads[1]['seconds']:8.2f} s"
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,6 +16,9 @@ if TYPE_CHECKING:
 
 def run(options: argparse.Namespace) -> int:
     """Compiles."""
+    if sys.stderr.isatty():
+        # Imports take a second; where nobody looks, what is wrong stands alone.
+        say(f"reading {options.cfg}")
     report = compile_now(options)
     if options.json:
         print_json(as_json(report))
@@ -23,8 +27,7 @@ def run(options: argparse.Namespace) -> int:
 
 def compile_now(options: argparse.Namespace) -> CompileReport:
     """Compiles, and says what came of it."""
-    # First: what is imported here takes seconds where the disk is slow.
-    say(f"reading {options.cfg}")
+    # Here: importing these takes seconds, in which a line is read already.
     from scenec.cli.explain_passes import precision_text
     from scenec.compiler.compile import compile_cfg
     from scenec.compiler.passes.keep import Keep

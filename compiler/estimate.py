@@ -33,12 +33,14 @@ _INSTANCE: Final = (250.0, 2e-5)
 _HEIGHT_SAMPLE: Final = (160.0, 1.2e-6)
 #: Of each further layer of the ground, a height sample.
 _LAYER: Final = (40.0, 0.5e-6)
+#: Of each sample, in the sample's own memory.
+_EROSION_STEP: Final = (0.0, 2.5e-7)
 _TRIANGLE: Final = (45.0, 0.5e-6)
 #: Of all pictures, and of the one that is being made.
 _SKY_PIXEL: Final = (22.0, 1e-6)
 _SKY_BEING_MADE: Final = 45.0
 _PROTOTYPE_TRIANGLE: Final = (60.0, 3e-6)
-_SAMPLE: Final = (2000.0, 2e-4)
+_SAMPLE: Final = (1000.0, 5e-4)
 _CLASS: Final = (150e3, 3e-2)
 #: Numbers of the cfg that each take less are not named, share of all.
 _NAMED: Final = 0.05
@@ -130,6 +132,11 @@ def _terrain(spec: Spec, streams: Streams) -> Iterator[Need]:
     shape = Grid.with_spacing((node["size_m"][0], node["size_m"][1]), node["spacing_m"]).shape
     samples = shape[0] * shape[1]
     yield _need("terrain/spacing_m", samples, "height samples", _HEIGHT_SAMPLE)
+    for i, operator in enumerate(terrain["relief"]):
+        if "steps" in operator:
+            pointer = f"terrain/relief/{i}/steps"
+            steps = samples * resolve(operator["steps"], streams, pointer)
+            yield _need(pointer, steps, "steps of height samples", _EROSION_STEP)
     layers = samples * (len(terrain["ground"]) - 1)
     yield _need("terrain/ground", layers, "weights of layers", _LAYER)
     if terrain["mesh"]["tolerance_px"] == 0:

@@ -20,6 +20,7 @@ import relief_diffusion
 import relief_erosion
 import relief_forms
 import relief_ranges
+import relief_steps
 from page import Page, flat, table
 
 from scenec.compiler.terrain.drainage import SIDES
@@ -90,7 +91,11 @@ def main() -> None:
             lambda: relief_diffusion.schemes(page),
             lambda: relief_diffusion.convergence(page),
             lambda: relief_erosion.rivers(page),
+            lambda: relief_steps.river_steps(page),
+            lambda: relief_steps.hillslopes(page),
             lambda: relief_erosion.slides(page),
+            lambda: relief_steps.iterations(page),
+            lambda: relief_steps.inventory(page),
             lambda: relief_ranges.noises(page),
             lambda: relief_ranges.extents(page, folder),
             lambda: relief_ranges.origins(page, folder),

@@ -95,7 +95,7 @@ def steps(page: Page) -> str:
         rows.append([*cells, f"{seconds:.4f}", f"{count:,}", f"{one * count:.3g}"])
     return (
         "## Diffusion: any step, no new extrema, the mean kept\n\n"
-        "`smooth`, `diffusion` and the hillslopes of `stream_power` are one exact step of the "
+        "`smooth` and `diffusion` are one exact step of the "
         f"semi-discrete equation (DCT-II with the discrete eigenvalues). {n}², κΔt/Δx² from 1e-6 "
         "to 1e6; explicit Euler is unstable above 1/4, so it needs many steps (its time is that of "
         "one step times their number). Columns: relative drift of the mean, and overshoot over the "

@@ -28,7 +28,7 @@ from scenec.schemas.sidecars import read_sidecar
 from scenec.schemas.versions import version_of
 
 #: Version of the sidecar's shape.
-FRAME_VERSION = "1.6"
+FRAME_VERSION = "1.7"
 
 #: What the plane is that ``intrinsics`` take to pixels, where a sidecar has a ``lens``.
 LENS_CONVENTION = {

@@ -32,7 +32,7 @@ class Mitsuba:
     name = "mitsuba"
     devices = ("cpu", "cuda")
     denoiser = None
-    load_cost = LoadCost(row=250.0, triangle=0.0, written=165.0)
+    load_cost = LoadCost(row=0.0, triangle=0.0, written=140.0)
 
     def __init__(self, bounces: int = BOUNCES, device: str = "auto") -> None:
         self._mi = variant.load_mitsuba(device)

@@ -195,8 +195,8 @@ def _lens(prim: Usd.Prim) -> Lens | None:
     if not model:
         return None
     count = len(COEFFICIENTS[model])
-    coefficients = values.vector(prim.GetAttribute(names.ATTR_LENS_COEFFICIENTS), count)
-    if coefficients is None:
+    coefficients = values.vector(prim.GetAttribute(names.ATTR_LENS_COEFFICIENTS), count) or ()
+    if len(coefficients) != count:
         raise StageError(
             f"{prim.GetPath()}: {names.ATTR_LENS_COEFFICIENTS} of {model} must hold {count} finite "
             "numbers"

@@ -52,7 +52,7 @@ def _number(prim: Usd.Prim, name: str) -> float:
     if not (above and below):
         left, right = "[" if with_low else "(", "]" if with_high else ")"
         raise StageError(
-            f"{prim.GetPath()}: {name} is {value:g}, expected a number in "
+            f"{prim.GetPath()}: {name} is {value}, expected a number in "
             f"{left}{low:g}, {high:g}{right}"
         )
     return value

@@ -22,8 +22,8 @@ from scenec.schemas.spelling import shown
 
 # Beyond it, whole numbers are no longer told apart by a double.
 _LARGEST_WHOLE = 2**53
-# Nearer to 0 a number's inverse, or the square of that, is beyond what a double holds.
-_SMALLEST = 1e-100
+# Nearer to 0 the inverse of a number is beyond float32, and its powers soon beyond a double.
+_SMALLEST = 1e-30
 
 
 def check_number(field: Field) -> Iterator[Finding]:

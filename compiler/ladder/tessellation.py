@@ -31,7 +31,7 @@ _REFERENCE = (
 )
 _CLAIM = (
     "ground.mesh of report.json: surface_error_bound_px, the room that a search of the faces with "
-    "most of it left; it found surface_error_found_px"
+    "most of it left; surface_error_found_px is the worst of the points that it looked at"
 )
 
 

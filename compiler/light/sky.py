@@ -29,23 +29,22 @@ def build_sky(
 
 def _clear_sky(plan: ClearSkyPlan, sun: SunLight | None, samples: int) -> SkyLight:
     pictures: dict[str, NDArray[np.float32]] = {}
-    # By digest: of many samples each picture would be compared with all before it.
+    # By what it is made from, and by what it then is: samples may be many.
     name_of: dict[bytes, str] = {}
+    same: dict[bytes, str] = {}
     texture = []
     for i in range(samples):
-        picture = clear_sky(
-            plan.resolution,
-            sun_direction(sun, i) if sun else (0.0, 0.0, 1.0),
-            float(plan.irradiance[i]),
-            plan.zenith_color[i],
-            plan.horizon_color[i],
-            plan.ground_color[i],
-            level_sun_irradiance(sun, i),
-        )
-        digest = hashlib.sha256(picture.tobytes()).digest()
-        name = name_of.setdefault(digest, f"sky_{i:04d}.exr")
-        pictures[name] = picture
-        texture.append(name)
+        toward = sun_direction(sun, i) if sun else (0.0, 0.0, 1.0)
+        level = level_sun_irradiance(sun, i)
+        colors = plan.zenith_color[i], plan.horizon_color[i], plan.ground_color[i]
+        numbers = (toward, [plan.irradiance[i]], *colors, level)
+        key = np.concatenate([np.asarray(one, np.float64) for one in numbers]).tobytes()
+        if key not in name_of:
+            picture = clear_sky(plan.resolution, toward, float(plan.irradiance[i]), *colors, level)
+            digest = hashlib.sha256(picture.tobytes()).digest()
+            name_of[key] = same.setdefault(digest, f"sky_{i:04d}.exr")
+            pictures[name_of[key]] = picture
+        texture.append(name_of[key])
     return SkyLight({**pictures}, tuple(texture), np.ones(samples), np.zeros(samples))
 
 

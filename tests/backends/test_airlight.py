@@ -70,7 +70,6 @@ def depth(height: float, z0: float, z1: float, distance: float) -> float:
     return float(optical_depth(height, z0, z1 - z0, distance))
 
 
-@settings(deadline=None)
 @given(
     st.floats(0.1, 1e6),
     st.floats(-20.0, 20.0),
@@ -86,7 +85,6 @@ def test_the_closed_form_is_the_integral(height, start, rise, distance):
     assert depth(height, z0, z1, distance) == pytest.approx(expected * np.exp(-lowest), rel=1e-9)
 
 
-@settings(deadline=None)
 @given(st.floats(-1e12, 1e12), st.floats(-1e12, 1e12), st.floats(0, 1e12), st.floats(1e-3, 1e9))
 def test_it_is_finite_and_not_negative_for_any_ray(z0, z1, distance, height):
     found = depth(height, z0, z1, distance)
@@ -105,7 +103,7 @@ def test_its_limits():
     np.testing.assert_allclose(steps, 1.0, rtol=1e-9)
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(st.floats(0.0, 1.0), st.floats(-0.99, 0.99))
 def test_two_parts_of_a_way_weaken_as_the_whole(share, slope):
     whole = depth(30.0, 5.0, 5.0 + 400.0 * slope, 400.0)
@@ -115,7 +113,6 @@ def test_two_parts_of_a_way_weaken_as_the_whole(share, slope):
     assert first + second == pytest.approx(whole, rel=1e-9)
 
 
-@settings(deadline=None)
 @given(st.floats(-0.95, 0.95))
 def test_the_phase_function_is_a_density_with_mean_cosine_g(g):
     whole = quad(lambda c: 2 * np.pi * phase(np.array(c), g), -1, 1, epsrel=1e-10)[0]
@@ -124,7 +121,6 @@ def test_the_phase_function_is_a_density_with_mean_cosine_g(g):
     assert mean == pytest.approx(g, abs=1e-8)
 
 
-@settings(deadline=None)
 @given(
     st.floats(-89.0, 89.0),
     st.floats(0.5, 90.0),
@@ -161,7 +157,6 @@ def test_homogeneous_air_with_a_constant_phase_has_e_over_4_pi_times_what_it_tak
         np.testing.assert_allclose(added, 1000.0 / (4 * np.pi) * (1.0 - passed), rtol=1e-12)
 
 
-@settings(deadline=None)
 @given(st.floats(0.0, 1.0), st.floats(-89.0, 89.0), st.floats(-5.0, 90.0), st.floats(-300.0, 300.0))
 def test_two_pieces_of_a_ray_compose_to_the_whole(share, e, up, z):
     air = air_of(haze(150.0, 60.0), (sun(up), sun(20.0, 80.0, 120.0)), aureole(up), -30.0)
@@ -240,7 +235,7 @@ def test_it_has_no_steps_in_bearing_elevation_distance_or_the_suns_height():
         assert steps[1] < 0.05, name
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.floats(-1e6, 1e6), st.floats(-90.0, 90.0), st.floats(-90.0, 90.0), st.floats(1e-3, 1e9))
 def test_it_is_finite_and_between_nothing_and_endless_haze(z, e, up, height):
     air = air_of(haze(1.0, height), (sun(up),), aureole(up, rows=16), z)

@@ -27,7 +27,7 @@ PASSES = ("depth", "label", "instance", "normal", "position", "face")
 
 
 def compiled(folder: Path, cfg: dict, seed: int) -> Path:
-    compile_cfg(write_cfg(folder, cfg), seed=seed, out=folder / "out")
+    compile_cfg(write_cfg(folder, cfg), seed=seed, out=folder / "out", replace=True)
     return folder / "out" / "batch_0000" / "stage.usda"
 
 

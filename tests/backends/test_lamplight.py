@@ -361,7 +361,7 @@ def test_sphere_lights_that_give_nothing_are_passed_over(tmp_path):
     [{"exposure": 2000.0}, {"intensity": np.nan}, {"intensity": np.inf}, {"radius": np.inf}],
 )
 def test_a_light_whose_strength_is_not_finite_is_named(tmp_path, inputs):
-    with pytest.raises(StageError, match=r"/a: a light whose .* is not finite"):
+    with pytest.raises(StageError, match=r"/a(: a light whose|\.inputs:).* finite"):
         opened(tmp_path, lambda stage: sphere_light(stage, "a", **inputs))
 
 

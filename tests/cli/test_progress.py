@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import io
 import re
+import subprocess
+import sys
 
 import pytest
 
@@ -133,3 +135,11 @@ def test_many_quick_steps_are_told_now_and_then(
     assert told[0] == 1
     assert told[-1] == 100
     assert len(told) <= 7
+
+
+@pytest.mark.parametrize("command", ["compile", "run"])
+def test_a_command_says_what_it_reads_before_it_imports_what_takes_long(command: str) -> None:
+    heavy = "{'numba', 'pxr', 'scipy'}"
+    code = f"import sys, scenec.cli.{command}_command; print(sorted({heavy} & sys.modules.keys()))"
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert found.stdout == "[]\n"

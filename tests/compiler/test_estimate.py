@@ -90,7 +90,7 @@ def test_each_key_that_multiplies_memory_is_named(tmp_path, pointer, change):
         require_memory(list(found.values()), int(0.3 * GB))
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(st.integers(0, 2**32), st.integers(0, 5))
 def test_a_drawn_number_is_the_one_that_is_compiled(tmp_path_factory, seed, batch):
     cfg = small_cfg()
@@ -116,6 +116,15 @@ def test_long_compilations_are_announced_with_their_causes(tmp_path):
     assert "objects/rocks/count: 20,000,000 instances" in (told_time(found, 1) or "")
     assert told_time(list(needs(tmp_path, rocks(count=10)).values()), 1) is None
     assert "for 90,000 batches" in (told_time(found, 90_000) or "")
+
+
+def test_long_erosion_is_announced(tmp_path):
+    def change(cfg):
+        operator = {"type": "stream_power", "erodibility": 1e-5, "duration_a": 1e5}
+        cfg["terrain"]["relief"].append(operator | {"steps": 100_000})
+
+    found = list(needs(tmp_path, change).values())
+    assert "terrain/relief/3/steps: 818,100,000 steps" in (told_time(found, 1) or "")
 
 
 def test_nothing_is_written_where_a_batch_is_refused(tmp_path):

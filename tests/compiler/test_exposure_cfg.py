@@ -22,7 +22,7 @@ def compiled(folder: Path, **sensor: Any) -> Path:
     cfg = small_cfg()
     cfg["objects"]["rocks"]["count"] = 20
     cfg["rigs"]["rover"]["sensors"]["front"] |= sensor
-    compile_cfg(write_cfg(folder, cfg), seed=3, out=folder / "out")
+    compile_cfg(write_cfg(folder, cfg), seed=3, out=folder / "out", replace=True)
     return folder / "out"
 
 

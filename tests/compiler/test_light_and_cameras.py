@@ -10,9 +10,11 @@ from scenec.compiler.cameras.poses import compose, from_euler, from_quaternion, 
 from scenec.compiler.cameras.rigs import incident_exposure
 from scenec.compiler.emit.cameras import HALF_TURN
 from scenec.compiler.emit.lights import _pointing_from
+from scenec.compiler.light import sky as skies
 from scenec.compiler.light.clear_sky import clear_sky
 from scenec.compiler.light.latlong import directions, horizontal_irradiance, luminance
-from scenec.compiler.light.sky import sun_direction
+from scenec.compiler.light.plan import ClearSkyPlan
+from scenec.compiler.light.sky import build_sky, sun_direction
 from scenec.compiler.scene import SunLight
 
 COLORS = tuple(
@@ -138,3 +140,19 @@ def test_the_half_turn_relates_opencv_and_usd_cameras():
     assert np.allclose(frustum.ComputeViewDirection(), pose[:3, 2])
     assert np.allclose(frustum.ComputeUpVector(), -pose[:3, 1])
     assert np.allclose(frustum.GetPosition(), pose[:3, 3])
+
+
+def test_samples_under_one_sky_share_a_picture_that_is_made_once(monkeypatch):
+    made = []
+
+    def counted(*arguments):
+        made.append(arguments)
+        return clear_sky(*arguments)
+
+    monkeypatch.setattr(skies, "clear_sky", counted)
+    irradiance = np.tile([50.0, 80.0], 20)
+    colors = (np.tile(color, (40, 1)) for color in ([0.1, 0.3, 0.9], [0.4, 0.6, 0.9], [0.3] * 3))
+    sky, _ = build_sky(ClearSkyPlan(8, irradiance, *colors), None, 40)
+    assert len(made) == 2
+    assert list(sky.pictures) == ["sky_0000.exr", "sky_0001.exr"]
+    assert sky.texture == ("sky_0000.exr", "sky_0001.exr") * 20

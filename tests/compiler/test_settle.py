@@ -22,6 +22,7 @@ from scenec.compiler.compile import compile_cfg
 from scenec.compiler.draw import draw
 from scenec.compiler.frontend.load import load
 from scenec.compiler.frontend.pose_table import PoseTable, read_poses
+from scenec.compiler.passes.keep import Keep
 from scenec.compiler.scene import Prototype
 from scenec.compiler.settle.bodies import quaternion_of_matrix
 from scenec.compiler.settle.settle import settle
@@ -235,7 +236,7 @@ def test_a_compile_with_the_table_puts_objects_where_it_says(tmp_path):
         "labels": {"class": "rock"}, "models": node["objects"]["b"]["models"],
     }  # fmt: skip
     cfg.write_text(json.dumps(node))
-    compile_cfg(cfg, seed=1, out=tmp_path / "out")
+    compile_cfg(cfg, seed=1, out=tmp_path / "out", keep=Keep.ALL)
     scene = read_stage(tmp_path / "out/batch_0000/stage.usda")
     for n in range(4):
         row = int(np.flatnonzero(scene.rows.instance_id == n + 1)[0])

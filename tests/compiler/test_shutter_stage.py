@@ -134,7 +134,7 @@ def test_poses_compose_with_what_the_camera_is_below(stage: Path, tmp_path: Path
     ("name", "value", "said"),
     [
         (names.ATTR_SHUTTER_EXPOSURE, -1.0, "expected 0 or more"),
-        (names.ATTR_SHUTTER_READOUT, float("nan"), "expected 0 or more"),
+        (names.ATTR_SHUTTER_READOUT, float("nan"), "expected a finite number"),
         (names.ATTR_SHUTTER_DIRECTION, "dwon", '"down"'),
         (names.ATTR_SHUTTER_TIMES, [-0.1, 0.1], "0 among them"),
         (names.ATTR_SHUTTER_TIMES, [-0.001, 0.0, 0.001], "or beyond"),

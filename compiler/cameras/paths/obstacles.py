@@ -24,7 +24,7 @@ _CUBES: Final = 64
 #: Cubes are so much smaller than the cells that are driven in, where there are not too many.
 _FINER: Final = 8.0
 #: From a cube's middle to its corners, in sides.
-_CORNER: Final = 0.5 * 3.0**0.5
+_CORNER: Final = 0.5 * float(np.sqrt(3.0))
 #: What float32 rotations are off by, in radii.
 _ROUNDING: Final = 1e-6
 

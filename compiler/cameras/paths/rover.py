@@ -101,7 +101,7 @@ class Rover:
         axes = frames(np.array([[0.0, 1.0]]), self.pitch_deg)[0]
         mounts = [one.to_rig for one in around.sensors] + [one.to_rig for one in around.lidars]
         above = [float((axes[2] * mount[:3, 3]).sum()) for mount in mounts]
-        return self.height_m + max(0.0, *above)
+        return self.height_m + max([0.0, *above])
 
     def _why_blocked(self, cells: Passable, point: NDArray[np.float64], around: Around) -> str:
         """Why a cell is not free, and what would help."""
@@ -119,7 +119,7 @@ class Rover:
         return (
             f"object {object_.id} of objects/{object_.name} is {object_.distance_m:.2g} m away "
             f"below {self._top(around):.3g} m, the vehicle's height: expected a point {room:.2g} m "
-            f"from it, or a max_object_m of {object_.radius_m:.3g} or more (now "
+            f"from it, or a max_object_m of {1.01 * object_.radius_m:.3g} or more (now "
             f"{self.max_object_m:g}), which drives over it"
         )
 
