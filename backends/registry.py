@@ -15,6 +15,7 @@ from typing import Any
 
 from scenec.backends.contract import Backend
 from scenec.schemas.errors import BackendError
+from scenec.schemas.frames import ANNOTATION, ANNOTATION_NAMES
 
 GROUP = "scenec.backends"
 
@@ -28,11 +29,6 @@ BUILT_IN: dict[str, tuple[str, str | None]] = {
 
 #: In place of a name: the first that works (``scenec.backends.auto``).
 AUTO = "auto"
-
-#: In place of a name: annotation alone, which no renderer is needed for.
-ANNOTATION = "annotation"
-#: Other spellings of it.
-ANNOTATION_NAMES = (ANNOTATION, "reference")
 
 
 def backend_names() -> tuple[str, ...]:

@@ -22,7 +22,7 @@ from scenec.backends.frames import Annotated, annotated, annotation_facts, write
 from scenec.backends.instances import Instances, Seen
 from scenec.backends.rays import camera_rays, ray_down
 from scenec.backends.reader import read_stage
-from scenec.backends.registry import ANNOTATION, ANNOTATION_NAMES, open_backend
+from scenec.backends.registry import open_backend
 from scenec.backends.render_scene import Camera, RenderScene
 from scenec.backends.rounds import Draw, Rounds, Target, collect
 from scenec.backends.shutter import blurred_by, is_rolling, undenoised
@@ -30,7 +30,7 @@ from scenec.schemas.amodal import AMODAL
 from scenec.schemas.correspondence import CORRESPONDENCES
 from scenec.schemas.depth_camera import MEASURED
 from scenec.schemas.errors import BackendError, CameraRefusedError, StageError
-from scenec.schemas.frames import FrameKey
+from scenec.schemas.frames import ANNOTATION, ANNOTATION_NAMES, FrameKey
 from scenec.schemas.instances import BATCH_TABLE, table_digest, write_table
 from scenec.schemas.memory import GB
 from scenec.schemas.versions import version_of

@@ -24,7 +24,7 @@ from scenec.schemas.amodal import AMODAL, Amodal, amodal_path, read_amodal
 from scenec.schemas.errors import ForeignFrameError, FrameError
 from scenec.schemas.exr import is_id_pass
 from scenec.schemas.files import sha256
-from scenec.schemas.frames import Frame, frame_stem, read_frame
+from scenec.schemas.frames import ANNOTATION, ANNOTATION_NAMES, Frame, frame_stem, read_frame
 from scenec.schemas.instances import frame_table_path, read_frame_table
 from scenec.schemas.lens import Lens, from_sidecar
 from scenec.schemas.manifest import (
@@ -325,12 +325,14 @@ class Source:
     def _rendered(self) -> tuple[str, ...]:
         folders = [batch.folder / FRAMES for batch in self._batches]
         names = {p.name for f in folders if f.is_dir() for p in f.iterdir() if p.is_dir()}
-        return tuple(sorted(names))
+        # Annotation alone comes last: of several backends the first with pictures is taken.
+        return tuple(sorted(names, key=lambda name: (name == ANNOTATION, name)))
 
     def _choose(self, wanted: str | None) -> str:
         there = self.backends
         if not there:
             raise FrameError(f"{self.out}: no frames; render first: scenec render {self.out}")
+        wanted = ANNOTATION if wanted in ANNOTATION_NAMES else wanted
         if wanted is not None and wanted not in there:
             raise FrameError(f"{self.out}: no frames of {wanted}{nearest(wanted, there)}")
         return wanted or there[0]

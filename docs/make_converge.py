@@ -89,7 +89,7 @@ class Example:
     def true_error(self, stem: Path, backend: str) -> str:
         """Of a frame, against the ladder's reference of its backend, with its 95 % interval."""
         frame = read_frame(stem)
-        folder = self.out / "converge" / "pictures" / "batch_0000" / backend / "reference"
+        folder = self.out / "converge" / "pictures" / "batch_0000" / backend / "annotation"
         first, second = (
             read_frame(folder / name / "frames" / backend / stem.parent.name / stem.name)
             for name in ("first", "second")

@@ -135,7 +135,7 @@ def make_output(
         path = f"batch_{batch:04d}"
         for camera in cameras:
             for sample in range(samples):
-                stem = frame_stem(folder / path, "reference", camera, sample)
+                stem = frame_stem(folder / path, "annotation", camera, sample)
                 digest = stage_digest(manifest, path)
                 _write(stem, make(number), camera, sample, digest, labels or LABELS)
                 number += 1
@@ -183,7 +183,7 @@ def _write(
             level: {str(i): text for i, text in names.items()} for level, names in labels.items()
         },
         "sky_labels": SKY,
-        "backend": "reference",
+        "backend": "annotation",
         "stage_digest": digest,
         "exr": {"bytes": exr.stat().st_size, "sha256": sha256(exr)},
         "png": "rgb" in passes,

@@ -16,9 +16,10 @@ from scenec.backends.converge.fits import Fit, band, fit
 from scenec.backends.converge.ladder import Climbed, Ladder, climb
 from scenec.backends.converge.measure import Row
 from scenec.backends.converge.metrics import FORMULAS, root
-from scenec.backends.registry import ANNOTATION_NAMES, require_name
+from scenec.backends.registry import require_name
 from scenec.schemas.errors import BackendError
 from scenec.schemas.files import check_writable
+from scenec.schemas.frames import ANNOTATION_NAMES
 from scenec.schemas.manifest import find_batches
 
 #: In the output folder.

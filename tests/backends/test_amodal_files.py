@@ -46,7 +46,7 @@ def copied(rendered, tmp_path) -> Path:
 
 
 def stem_in(folder: Path, sample: int = 0) -> Path:
-    return folder / "frames" / "reference" / "front" / f"{sample:06d}"
+    return folder / "frames" / "annotation" / "front" / f"{sample:06d}"
 
 
 def test_masks_stand_beside_the_frame_and_agree_with_its_table(rendered):

@@ -77,8 +77,8 @@ def test_every_wrong_pixel_is_found_by_exact_casting(out):
 
 
 def test_what_is_missing_is_rendered_and_what_differs_is_counted_and_shown(out, tmp_path):
-    shutil.copytree(out / "batch_0000/frames/mitsuba", out / "batch_0000/frames/reference")
-    for stem in (out / "batch_0000/frames/reference/rover_front").glob("000001.*"):
+    shutil.copytree(out / "batch_0000/frames/mitsuba", out / "batch_0000/frames/annotation")
+    for stem in (out / "batch_0000/frames/annotation/rover_front").glob("000001.*"):
         stem.unlink()
     change(out, "mitsuba", 0, lambda passes: passes["instance"].__setitem__((2, 3), 77))
     options = CompareOptions(pictures=tmp_path / "pictures")
@@ -98,7 +98,7 @@ def test_what_is_missing_is_rendered_and_what_differs_is_counted_and_shown(out, 
 
 
 def test_brighter_frames_show_as_a_ratio_and_a_relative_error(out):
-    shutil.copytree(out / "batch_0000/frames/mitsuba", out / "batch_0000/frames/reference")
+    shutil.copytree(out / "batch_0000/frames/mitsuba", out / "batch_0000/frames/annotation")
     for sample in range(2):
         change(out, "reference", sample, lambda p: p["rgb"].__imul__(np.float32([1.5, 1.0, 1.0])))
     entry = compare(out, ["mitsuba", "reference"]).radiance[0]
@@ -109,7 +109,7 @@ def test_brighter_frames_show_as_a_ratio_and_a_relative_error(out):
 
 def test_the_floor_is_what_noise_alone_does(out):
     frames = out / "batch_0000/frames"
-    shutil.copytree(frames / "mitsuba", frames / "reference")
+    shutil.copytree(frames / "mitsuba", frames / "annotation")
     options = CompareOptions(spp=16, floor=True)
     entry = compare(out, ["mitsuba", "reference"], options=options).radiance[0]
     assert entry.flip == [0.0, 0.0]

@@ -73,7 +73,7 @@ def test_the_batch_table_holds_every_instance_where_the_stage_puts_it(rendered):
 def test_a_frame_lists_what_its_pixels_show(rendered):
     frames, _ = rendered
     for sample in range(ms.SAMPLES):
-        stem = frames / "reference" / "front" / f"{sample:06d}"
+        stem = frames / "annotation" / "front" / f"{sample:06d}"
         arrays, table = read_exr(stem.with_suffix(".exr")), read_frame_table(stem)
         ids, counts = np.unique(arrays["instance"], return_counts=True)
         assert table["id"].tolist() == ids[ids > 0].tolist()
@@ -98,7 +98,7 @@ def test_boxes_by_the_pose_in_the_camera_hold_the_pixels_and_no_more(rendered):
     """Corners by the camera-frame pose project around the pixels; tightly for the whole ball."""
     frames, _ = rendered
     for sample in range(ms.SAMPLES):
-        stem = frames / "reference" / "front" / f"{sample:06d}"
+        stem = frames / "annotation" / "front" / f"{sample:06d}"
         table, sidecar = read_frame_table(stem), json.loads(stem.with_suffix(".json").read_text())
         k = np.array(sidecar["intrinsics"])
         size, middle = (
@@ -170,14 +170,14 @@ def test_several_backends_write_the_same_tables(rendered, tmp_path):
     for sample in range(ms.SAMPLES):
         name = f"front/{sample:06d}.instances.csv"
         own = (tmp_path / "frames" / "mitsuba" / name).read_bytes()
-        assert own == (frames / "reference" / name).read_bytes()
+        assert own == (frames / "annotation" / name).read_bytes()
 
 
 def test_a_lost_table_is_made_again_and_nothing_else(rendered, tmp_path):
     _, scene = rendered
     ask = {"passes": ("instance",), "samples": [0, 1], "folder": tmp_path}
     assert render(scene.source, "reference", **ask).rendered == 2
-    stem = tmp_path / "frames" / "reference" / "front" / "000001"
+    stem = tmp_path / "frames" / "annotation" / "front" / "000001"
     frame_table_path(stem).unlink()
     (tmp_path / "frames" / BATCH_TABLE).unlink()
     report = render(scene.source, "reference", **ask)
@@ -194,7 +194,7 @@ def test_check_holds_tables_against_frames(rendered, tmp_path):
     folder = tmp_path / "batch"
     render(scene.source, "reference", passes=PASSES, samples=[0], folder=folder)
     assert list(check_frames(folder, scene.digest)) == []
-    stem = folder / "frames" / "reference" / "front" / "000000"
+    stem = folder / "frames" / "annotation" / "front" / "000000"
     path = frame_table_path(stem)
     table, whole = read_frame_table(stem), path.read_bytes()
 
@@ -275,5 +275,5 @@ def test_a_frame_without_instances_has_an_empty_table(tmp_path):
 
 def test_frames_with_tables_read_back(rendered):
     frames, _ = rendered
-    frame = read_frame(frames / "reference" / "front" / "000000")
+    frame = read_frame(frames / "annotation" / "front" / "000000")
     assert frame.sidecar["instance_table"]["bytes"] > 0

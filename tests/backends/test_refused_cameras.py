@@ -53,27 +53,27 @@ def test_the_frames_of_other_cameras_are_rendered_and_the_command_ends_with_1(st
     frames = [Path(path) for path in report["frames"]]
     assert [path.is_file() for path in frames] == [False, True] * 3
     assert np.all(read_frame(frames[1].with_suffix("")).passes["depth"] == 6.0)
-    assert not list(stage.parent.glob("frames/reference/left/*.*"))
+    assert not list(stage.parent.glob("frames/annotation/left/*.*"))
     tried, *others = report["failed"]
-    assert tried.startswith("square/left/000000: reference renders annotation only")
+    assert tried.startswith("square/left/000000: annotation has no rgb")
     assert others == [
         f"square/left/00000{i}: not tried, as square/left/000000 was refused" for i in (1, 2)
     ]
     (line,) = (line for line in said.err.splitlines() if line.startswith("warning"))
-    assert line.startswith("warning: square/left/000000: reference renders annotation only")
+    assert line.startswith("warning: square/left/000000: annotation has no rgb")
     assert line.endswith("other frames of this camera are not tried")
-    assert "3 frames were refused by reference" in said.err
+    assert "3 frames were refused by annotation" in said.err
     assert "given up" not in said.err
 
 
 def test_where_every_camera_is_refused_the_run_ends_at_once(stage, capsys):
     command = ["render", str(stage), "--backend", "reference", "--passes", "rgb"]
     assert main(command) == 2
-    said = [x for x in capsys.readouterr().err.splitlines() if "annotation only" in x]
-    assert [line.split(": reference")[0] for line in said] == [
+    said = [x for x in capsys.readouterr().err.splitlines() if "no rgb" in x]
+    assert [line.split(": annotation")[0] for line in said] == [
         "warning: square/left/000000", "scenec"
     ]  # fmt: skip
-    assert not list(stage.parent.glob("frames/reference/*/*.*"))
+    assert not list(stage.parent.glob("frames/annotation/*/*.*"))
 
 
 @pytest.mark.slow

@@ -78,7 +78,7 @@ def test_a_scan_is_whole_or_not_there_whenever_its_process_is_killed(tmp_path):
 
 
 def test_a_frame_that_another_process_is_making_is_left_to_it_until_the_end(copy):
-    folder = copy / "batch_0000" / "frames" / "reference" / "rover_a"
+    folder = copy / "batch_0000" / "frames" / "annotation" / "rover_a"
     folder.mkdir(parents=True)
     claim = Lock(folder / f"{LOCK}-000001")
     order: list[str] = []
@@ -135,7 +135,7 @@ def test_frames_go_nowhere_but_into_the_output(copy, tmp_path):
 
 
 def test_what_killed_renders_left_half_written_is_removed_by_the_next(copy):
-    folder = copy / "batch_0001" / "frames" / "reference" / "rover_a"
+    folder = copy / "batch_0001" / "frames" / "annotation" / "rover_a"
     code = (
         "import os, signal, sys; from pathlib import Path; from scenec.schemas.lock import Lock; "
         "from scenec.schemas.files import atomic; folder = Path(sys.argv[1]); "

@@ -150,7 +150,7 @@ class Counted(str):
 
 
 def test_finding_strays_takes_as_many_steps_as_there_are_samples(tmp_path):
-    folder = tmp_path / "frames/reference/rover_a"
+    folder = tmp_path / "frames/annotation/rover_a"
     folder.mkdir(parents=True)
     samples = 400
     for i in range(samples):
@@ -174,7 +174,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[str]]:
 
 
 def frames(out: Path, *names: str) -> list[str]:
-    return [f"batch_0000/frames/reference/rover_{name}.json" for name in names]
+    return [f"batch_0000/frames/annotation/rover_{name}.json" for name in names]
 
 
 STRAY = ("a/000000", "a/000002", "a/000004", "b/000004", *(f"gone/00000{i}" for i in range(5)))
@@ -205,7 +205,7 @@ def test_exports_pass_them_over_with_a_line_each(made, tmp_path):
     out, _ = made
     copied = tmp_path / "out"
     shutil.copytree(out, copied)
-    shutil.rmtree(copied / "batch_0000/frames/reference/rover_gone")
+    shutil.rmtree(copied / "batch_0000/frames/annotation/rover_gone")
     said: list[str] = []
     choice = Choice(options={"rgb": "linear"})
     report = export(copied, "hdf5", tmp_path / "d", choice, workers=1, say=said.append)

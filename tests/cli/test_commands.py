@@ -154,7 +154,7 @@ def test_doctor_says_what_works_here(capsys):
     assert main(["doctor", "--json"]) == 0
     said = json.loads(capsys.readouterr().out)
     found = said["backends"]
-    assert {b["name"] for b in found} == {"mitsuba", "cycles", "pyrender", "reference"}
+    assert {b["name"] for b in found} == {"mitsuba", "cycles", "pyrender"}
     assert all("llvm" in b["version"] for b in found if b["name"] == "mitsuba")
     assert all(said["libraries"][name] for name in ("numba", "usd-core", "OpenEXR"))
     assert all(b["works"] for b in found)

@@ -23,4 +23,4 @@ def test_it_compiles_renders_and_scans(tmp_path, capsys):
     assert made.keys() == {"compile", "scan", "render"}
     assert made["scan"]["made"] == made["render"]["rendered"] == 1
     assert (out / "batch_0000" / "scans" / "rover_top" / "000000.npz").is_file()
-    assert (out / "batch_0000" / "frames" / "reference" / "rover_front" / "000000.exr").is_file()
+    assert (out / "batch_0000" / "frames" / "annotation" / "rover_front" / "000000.exr").is_file()

@@ -42,8 +42,8 @@ NEXT = {
 MINE = {
     "batch_0000/notes.txt": "mine",
     "batch_0000/textures/mine.png": "mine",
-    "batch_0000/frames/reference/rover_front/000000.json": "{}",
-    "batch_0000/frames/reference/rover_front/000000.exr": "exr",
+    "batch_0000/frames/annotation/rover_front/000000.json": "{}",
+    "batch_0000/frames/annotation/rover_front/000000.exr": "exr",
     "batch_0000/scans/rover_lidar/000000.npz": "npz",
     "notes.txt": "mine",
 }
@@ -219,7 +219,7 @@ def test_another_seed_or_cfg_is_refused_without_replace_and_says_what_would_go(o
 
 def test_replacing_throws_frames_of_other_stages_away_and_keeps_those_of_the_same(output):
     out, cfg = output
-    frames = out / "batch_0000" / "frames" / "reference" / "rover_front"
+    frames = out / "batch_0000" / "frames" / "annotation" / "rover_front"
     digest = stage_digest(read_manifest(out), "batch_0000")
     write(frames, {"000001.json": json.dumps({"stage_digest": digest}), "000001.exr": "exr"})
     write(frames, {"000002.clean.png": "half a frame", "mine.png": "mine", "000003.txt": "mine"})
@@ -240,7 +240,7 @@ def test_more_batches_of_the_same_cfg_are_no_other_cfg_and_fewer_are_said(tmp_pa
             write(folder / "batch_0004", NEXT)
             output.put(folder, 4, 3, 0)
     assert [b["index"] for b in read_manifest(out)["batches"]] == [0, 4]
-    write(out, {"batch_0004/frames/reference/rover_front/000000.json": "{}"})
+    write(out, {"batch_0004/frames/annotation/rover_front/000000.json": "{}"})
     fewer = write_cfg(tmp_path, small_cfg(batches=2))
     with pytest.raises(OutputError, match="batch_0004 with 1 frames, which this cfg has no more"):
         put(out, fewer, STAGE)

@@ -61,10 +61,10 @@ def output(tmp_path_factory: pytest.TempPathFactory) -> Path:
         },
     }
     (out / "manifest.json").write_text(json.dumps(manifest), encoding="utf-8")
-    for path in out.glob("batch_*/frames/reference/*/*.json"):
+    for path in out.glob("batch_*/frames/annotation/*/*.json"):
         sidecar = json.loads(path.read_text(encoding="utf-8"))
         sidecar |= {
-            "backend_version": "reference 1",
+            "backend_version": "annotation 1",
             "spp": 16,
             "noise_seed": 3,
             "sun": {"elevation_deg": 30.0, "azimuth_deg": 100.0, "irradiance": [1, 1, 1]},
@@ -193,7 +193,7 @@ def test_commands_are_ones_that_the_command_line_takes(card: str) -> None:
         options.append(parser().parse_args(words[1:]))
     compile_, render, export_, check = options
     assert (compile_.cfg, compile_.seed, compile_.out) == ("cfg.json", 7, "OUT")
-    assert (render.backend, render.spp, render.noise_seed) == ("reference", 16, 3)
+    assert (render.backend, render.spp, render.noise_seed) == ("annotation", 16, 3)
     assert render.passes == ("rgb", "label", "instance", "depth")
     assert export_.keep == ["id<4000000000", "depth_mean<=35.123456789"]
     assert (export_.rejected, export_.remap, export_.level) == ("ignore", "remap.json", "surface")

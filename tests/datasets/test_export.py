@@ -65,7 +65,7 @@ def copy(output: Path, tmp_path: Path) -> Path:
 
 def damage(out: Path, name: str = FRAME) -> Path:
     batch, camera, sample = name.split("/")
-    path = out / batch / "frames" / "reference" / camera / f"{sample}.exr"
+    path = out / batch / "frames" / "annotation" / camera / f"{sample}.exr"
     data = bytearray(path.read_bytes())
     data[len(data) // 2] ^= 0xFF
     path.write_bytes(data)
@@ -81,7 +81,7 @@ def test_a_format_of_another_package_is_found_beside_ours(plugin: Path) -> None:
 
 def test_a_dataset_lists_every_frame_and_every_file(output: Path, dataset: Path) -> None:
     lines = list(csv.DictReader((dataset / "frames.csv").open(encoding="utf-8")))
-    stems = sorted(output.glob("batch_*/frames/reference/*/*.json"))
+    stems = sorted(output.glob("batch_*/frames/annotation/*/*.json"))
     expected = [f"{p.parts[-5]}/{p.parts[-2]}/{p.stem}" for p in stems]
     assert [line["frame"] for line in lines] == expected
     assert counts_of(dataset) == {line["frame"]: int(line["instances"]) for line in lines}
@@ -103,7 +103,7 @@ def test_the_same_frames_give_the_same_bytes_with_any_number_of_workers(
 def test_what_making_a_frame_cost_is_no_part_of_the_dataset(
     copy: Path, dataset: Path, tmp_path: Path
 ) -> None:
-    for path in copy.glob("batch_*/frames/reference/*/*.json"):
+    for path in copy.glob("batch_*/frames/annotation/*/*.json"):
         sidecar = json.loads(path.read_text(encoding="utf-8"))
         sidecar |= {"seconds": {"load": 1.5}, "peak_memory_gb": 0.5, "device": "cpu"}
         path.write_text(json.dumps(sidecar), encoding="utf-8")
@@ -230,7 +230,7 @@ def test_skipped_frames_are_named_and_come_back_once_they_are_mended(
     copy: Path, output: Path, tmp_path: Path, plugin: Path
 ) -> None:
     sound = damage(copy).read_bytes()
-    (copy / "batch_0000/frames/reference/rover_right/000000.json").unlink()
+    (copy / "batch_0000/frames/annotation/rover_right/000000.json").unlink()
     skip = Choice(faults="skip")
     lines: list[str] = []
     report = export(copy, "tiny", tmp_path / "ds", skip, workers=1, say=lines.append)
@@ -244,7 +244,7 @@ def test_skipped_frames_are_named_and_come_back_once_they_are_mended(
     )
     assert report.frames == 6
     assert export(copy, "tiny", tmp_path / "ds", skip, workers=1).there
-    path = copy / f"{FRAME.replace('/rover', '/frames/reference/rover')}.exr"
+    path = copy / f"{FRAME.replace('/rover', '/frames/annotation/rover')}.exr"
     assert path.read_bytes() == sound
     shutil.copy(output / path.relative_to(copy), path)
     mended = export(copy, "tiny", tmp_path / "ds", skip, workers=1, replace=True)

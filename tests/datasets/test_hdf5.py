@@ -111,7 +111,7 @@ def test_everything_says_what_it_is(out: Path, tmp_path: Path):
 def test_the_picture_is_the_one_beside_the_frame(out: Path, tmp_path: Path):
     with h5py.File(exported(out, tmp_path / "d", rgb="srgb8") / "all_12x8.h5") as file:
         assert "rgb" not in file
-        picture = Image.open(out / "batch_0000/frames/reference/rover_left/000001.png")
+        picture = Image.open(out / "batch_0000/frames/annotation/rover_left/000001.png")
         assert (file["rgb8"][1] == np.array(picture)).all()
         assert (file["rgb8"][1] == develop(some_passes(1)["rgb"], EXPOSURE_EV)).all()
 
@@ -140,7 +140,7 @@ def test_a_file_holds_one_resolution_and_on_request_one_camera(tmp_path: Path):
 
 def test_frames_that_are_left_out_leave_no_gap(tmp_path: Path):
     out = make_output(tmp_path / "out", batches=1)
-    (out / "batch_0000/frames/reference/rover_left/000001.exr").write_bytes(b"torn")
+    (out / "batch_0000/frames/annotation/rover_left/000001.exr").write_bytes(b"torn")
     report = export(out, "hdf5", tmp_path / "d", Choice(faults="skip"), workers=1)
     assert report.frames == 3
     with h5py.File(report.folder / "all_12x8.h5") as file:

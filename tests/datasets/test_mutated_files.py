@@ -121,7 +121,7 @@ def test_a_manifest_is_taken_or_refused_in_one_line(output, data):
 @given(data=st.data())
 def test_a_frame_s_sidecar_is_taken_or_refused_in_one_line(output, data, tmp_path_factory):
     batch = output / "batch_0000"
-    path = batch / "frames" / "reference" / "left" / "000000.json"
+    path = batch / "frames" / "annotation" / "left" / "000000.json"
     sound = path.read_text()
     path.write_text(json.dumps(data.draw(mutated(json.loads(sound)))))
     folder = tmp_path_factory.mktemp("exported")

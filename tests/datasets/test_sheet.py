@@ -14,7 +14,7 @@ from PIL import Image
 from scenec.datasets.sheet import write_sheet
 from scenec.schemas.errors import FrameError
 
-CAMERA = "batch_0000/frames/reference/a"
+CAMERA = "batch_0000/frames/annotation/a"
 
 
 def marked(folder: Path, **more: object) -> Path:

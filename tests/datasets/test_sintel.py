@@ -97,7 +97,7 @@ def same(read: NDArray, flow: NDArray) -> bool:
 
 def test_after_a_gap_a_new_sequence_begins(tmp_path: Path):
     out = make_output(tmp_path / "out", moving, samples=6, batches=1, cameras=("a",))
-    (out / "batch_0000/frames/reference/a/000002.json").unlink()
+    (out / "batch_0000/frames/annotation/a/000002.json").unlink()
     folder = export(out, "sintel", tmp_path / "d", Choice(faults="skip"), workers=1).folder
     first, second = "all_batch_0000_a", "all_batch_0000_a-000003"
     assert zipped(folder) == [(first, 0, True), (second, 3, True), (second, 4, True)]
@@ -116,7 +116,7 @@ def test_after_a_gap_a_new_sequence_begins(tmp_path: Path):
 def test_a_frame_that_cannot_be_read_parts_its_sequence(tmp_path: Path, kind, damaged, flows):
     out = make_output(tmp_path / "out", moving, samples=6, batches=1, cameras=("a",))
     for sample in damaged:
-        (out / f"batch_0000/frames/reference/a/{sample:06d}.{kind}").write_bytes(b"damaged")
+        (out / f"batch_0000/frames/annotation/a/{sample:06d}.{kind}").write_bytes(b"damaged")
     choice = Choice(faults="skip")
     report = export(out, "sintel", tmp_path / "d", choice, workers=1)
     assert zipped(report.folder) == [(f"all_batch_0000_{name}", n, True) for name, n in flows]
@@ -132,7 +132,7 @@ def test_a_frame_that_cannot_be_read_parts_its_sequence(tmp_path: Path, kind, da
 
 def test_an_export_that_is_cut_short_when_files_have_moved_goes_on(tmp_path: Path, monkeypatch):
     out = make_output(tmp_path / "out", moving, samples=6, batches=1, cameras=("a",))
-    (out / "batch_0000/frames/reference/a/000002.exr").write_bytes(b"damaged")
+    (out / "batch_0000/frames/annotation/a/000002.exr").write_bytes(b"damaged")
     choice = Choice(faults="skip")
 
     def cut(*_: object) -> None:
@@ -152,7 +152,7 @@ def test_an_export_that_is_cut_short_when_files_have_moved_goes_on(tmp_path: Pat
 
 def test_flow_of_a_camera_that_is_triggered_less_often_leads_to_its_next_picture(tmp_path: Path):
     out = make_output(tmp_path / "out", moving, samples=5, batches=1, cameras=("a",))
-    for path in sorted((out / "batch_0000/frames/reference/a").glob("*.json")):
+    for path in sorted((out / "batch_0000/frames/annotation/a").glob("*.json")):
         if int(path.stem) % 2:
             path.unlink()
         else:

@@ -22,7 +22,7 @@ def output(tmp_path: Path) -> Path:
 
 
 def files(out: Path, batch: int, camera: str, sample: int) -> Path:
-    return out / f"batch_{batch:04d}/frames/reference/{camera}/{sample:06d}.json"
+    return out / f"batch_{batch:04d}/frames/annotation/{camera}/{sample:06d}.json"
 
 
 def edit(path: Path, **change: Any) -> None:
@@ -84,7 +84,7 @@ def test_frames_where_their_camera_has_none_are_strays_and_no_part_of_the_source
 
 def test_a_frame_that_should_be_there_is_missing(output: Path) -> None:
     files(output, 0, "rover_left", 1).unlink()
-    shutil.rmtree(output / "batch_0001/frames/reference/rover_right")
+    shutil.rmtree(output / "batch_0001/frames/annotation/rover_right")
     source = Source(output)
     assert [fault.name for fault in source.missing] == [
         "batch_0000/rover_left/000001",
@@ -180,8 +180,9 @@ def test_no_frame_that_can_be_read_is_one_error(output: Path) -> None:
 
 
 def test_what_is_not_there_is_said_with_what_is(output: Path, tmp_path: Path) -> None:
-    with pytest.raises(FrameError, match='did you mean "reference"'):
-        Source(output, "referense")
+    with pytest.raises(FrameError, match='did you mean "annotation"'):
+        Source(output, "anotation")
+    assert Source(output, "reference").backend == "annotation"
     with pytest.raises(FrameError, match='did you mean "rover_left"'):
         Source(output, cameras=["rover_lef"])
     with pytest.raises(FrameError, match="render first"):

@@ -136,7 +136,7 @@ def test_a_dataset_can_be_pickled(out: Path):
 
 def test_damaged_and_missing_frames_are_named(tmp_path: Path):
     out = make_output(tmp_path / "out", batches=1)
-    folder = out / "batch_0000/frames/reference/rover_left"
+    folder = out / "batch_0000/frames/annotation/rover_left"
     (folder / "000001.exr").write_bytes(b"torn")
     dataset = arrays(out)
     assert dataset[0]["depth"].shape == (8, 12)

@@ -179,7 +179,7 @@ def test_missing_and_unreadable_frames_are_named(
     dataset: Path, output: Path, tmp_path: Path
 ) -> None:
     shutil.copytree(output, tmp_path / "out")
-    frames = tmp_path / "out/batch_0000/frames/reference"
+    frames = tmp_path / "out/batch_0000/frames/annotation"
     (frames / "rover_right/000000.json").unlink()
     (frames / "rover_left/000001.exr").write_bytes(b"\0")
     found = compare(dataset, tmp_path / "out")
@@ -195,7 +195,7 @@ def test_pictures_with_other_noise_do_not_make_a_dataset_another(
 ) -> None:
     """The tiny format holds no pictures: only two outputs have them at hand."""
     shutil.copytree(output, tmp_path / "out")
-    path = tmp_path / "out/batch_0000/frames/reference/rover_left/000000.png"
+    path = tmp_path / "out/batch_0000/frames/annotation/rover_left/000000.png"
     pixels = np.asarray(Image.open(path)).copy()
     changed = np.where(pixels < 128, pixels + 2, pixels - 2)
     Image.fromarray(changed).save(path)

@@ -89,7 +89,9 @@ def test_ids_come_back_exactly_and_depth_within_the_stated_error(tmp_path):
     for number, row in enumerate(rows_of(tmp_path / "view.html")):
         _, batch, camera, sample = row["at"]
         frame = read_frame(
-            frame_stem(out / index["batches"][batch], "reference", index["cameras"][camera], sample)
+            frame_stem(
+                out / index["batches"][batch], "annotation", index["cameras"][camera], sample
+            )
         )
         facts, data = unpacked(texts[f"f{number}"])
         of = {layer["name"]: layer for layer in facts["layers"]}
@@ -297,7 +299,7 @@ def test_names_cannot_break_out_of_the_page(tmp_path):
 
 def test_faulty_frames_are_named_and_never_shown(tmp_path):
     out = made_output.make_output(tmp_path / "out", batches=1, cameras=("front",), samples=5)
-    folder = out / "batch_0000" / "frames" / "reference" / "front"
+    folder = out / "batch_0000" / "frames" / "annotation" / "front"
     damaged = folder / "000001.exr"
     damaged.write_bytes(damaged.read_bytes()[:-20])
     (folder / "000002.json").write_text("{", encoding="utf-8")
@@ -317,7 +319,7 @@ def test_faulty_frames_are_named_and_never_shown(tmp_path):
     ]  # fmt: skip
     assert not any(str(tmp_path) in row["fault"][1] for row in rows[1:])
     assert set(elements(tmp_path / "view.html")) == {"f0", "index"}
-    assert index_of(tmp_path / "view.html")["missing"] == ["reference: batch_0000/front/000004"]
+    assert index_of(tmp_path / "view.html")["missing"] == ["annotation: batch_0000/front/000004"]
     with pytest.raises(FrameError, match="000001"):
         write_view(out, tmp_path / "other.html", faults="stop")
     assert not (tmp_path / "other.html").exists()
@@ -349,9 +351,9 @@ def test_an_output_without_frames_says_what_to_do(tmp_path):
 def test_all_backends_are_shown_and_one_can_be_asked_for(tmp_path):
     out = made_output.make_output(tmp_path / "out", batches=1)
     frames = out / "batch_0000" / "frames"
-    shutil.copytree(frames / "reference", frames / "another")
+    shutil.copytree(frames / "annotation", frames / "another")
     assert write_view(out, tmp_path / "view.html").frames == 8
-    assert index_of(tmp_path / "view.html")["backends"] == ["another", "reference"]
+    assert index_of(tmp_path / "view.html")["backends"] == ["another", "annotation"]
     assert write_view(out, tmp_path / "view.html", backends=["another"]).frames == 4
 
 
@@ -442,7 +444,7 @@ def many_frames(folder: Path, batches: int, samples: int) -> Path:
     for batch in manifest["batches"]:
         batch["samples"] = samples
     (out / "manifest.json").write_text(json.dumps(manifest))
-    for first in sorted(out.glob("batch_*/frames/reference/*/000000.json")):
+    for first in sorted(out.glob("batch_*/frames/annotation/*/000000.json")):
         sidecar = json.loads(first.read_bytes())
         for sample in range(1, samples):
             stem = first.with_name(f"{sample:06d}")

@@ -73,7 +73,7 @@ def test_labels_beyond_16_bits_and_faulty_frames_are_errors(tmp_path):
         log_frames(out, save=tmp_path / "large.rrd")
     assert not (tmp_path / "large.rrd").exists()
     out = made_output.make_output(tmp_path / "out", batches=1)
-    broken = out / "batch_0000" / "frames" / "reference" / "rover_left" / "000001.exr"
+    broken = out / "batch_0000" / "frames" / "annotation" / "rover_left" / "000001.exr"
     broken.write_bytes(b"")
     told: list[str] = []
     report = log_frames(out, save=tmp_path / "some.rrd", warn=told.append)

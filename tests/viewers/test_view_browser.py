@@ -45,7 +45,7 @@ def hill(batch: Batch) -> Ground:
 def out(tmp_path_factory) -> Path:
     out = made_output.make_output(tmp_path_factory.mktemp("made") / "out", scene, samples=3)
     for batch in out.glob("batch_*/frames"):
-        shutil.copytree(batch / "reference", batch / "second")
+        shutil.copytree(batch / "annotation", batch / "second")
         for path in batch.glob("second/*/*.json"):
             told = json.loads(path.read_bytes())
             told |= {"seconds": {"load": 0.5, "radiance": 2.0}}
@@ -198,7 +198,7 @@ def test_hovering_tells_the_values_of_the_arrays_at_that_pixel(page, out):
     places += [np.argwhere(passes["instance"] == number)[0].tolist() for number in table["id"]]
     places += [[0, 0], [HEIGHT - 1, WIDTH - 1]]
     batch, camera, sample = page.text_content(".where b").split(" / ")
-    sidecar = read_frame(frame_stem(out / batch, "reference", camera, int(sample))).sidecar
+    sidecar = read_frame(frame_stem(out / batch, "annotation", camera, int(sample))).sidecar
     for row, column in places:
         x = box["x"] + (column + 0.5) * box["width"] / WIDTH
         y = box["y"] + (row + 0.5) * box["height"] / HEIGHT
@@ -348,7 +348,7 @@ def test_statistics_say_what_the_frames_hold(page, out):
                   "Hidden part of instances", "Seconds a frame, by step"):  # fmt: skip
         assert title in cards
     rock = total = 0
-    for path in out.glob("batch_*/frames/reference/*/*.exr"):
+    for path in out.glob("batch_*/frames/annotation/*/*.exr"):
         labels = read_frame(path).passes["label.class"]
         rock, total = rock + int((labels == 3).sum()), total + labels.size
     text = page.locator("#stats figure", has_text="Pixels, level class").inner_text()
