@@ -3,10 +3,10 @@
     NUMBA_NUM_THREADS=1 python benchmarks/bench_amodal.py [CFG]
 
 First the frames of a cfg (default: configs/jacksboro.json), then scenes of its kind with about 100,
-1,000 and 13,000 instances in sight. *resolve* settles a picture that a renderer has got right and
-annotates it (labels, ids, depth): the least that annotation costs. *table* is the table of
+1,000 and 13,000 instances in sight. *cast* makes labels,
+ids and depth. *table* is the table of
 instances without amodal columns; *areas* and *masks* are what the columns, and the masks on top of
-them, add. Shares are of resolve and table together: of annotation as it was without them. Each
+them, add. Shares are of cast and table together: of annotation as it was without them. Each
 number is processor time, the least of a few rounds, and one process measures all; with several
 threads it counts the time that they wait for each other, too.
 """
@@ -26,13 +26,12 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests" / "backe
 import scenes
 
 from scenec.backends.amodal import Silhouettes
-from scenec.backends.contract import Visibility
+from scenec.backends.bands import annotate
 from scenec.backends.exact import ExactCaster
 from scenec.backends.instances import Instances
 from scenec.backends.rays import camera_rays
 from scenec.backends.reader import read_stage
 from scenec.backends.render_scene import Camera, RenderScene
-from scenec.backends.resolver import annotate, settle
 from scenec.compiler.compile import compile_cfg
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -60,15 +59,11 @@ def measure(what: str, scene: RenderScene, views: list[tuple[int, Camera]]) -> N
     total = np.zeros(4)
     seen = pixels = amodal = full = bytes_of_masks = 0
     for sample, camera in views:
-        rays = camera_rays(camera)
         caster.pose(sample)
-        exact = settle(caster, rays)
-        report = Visibility(exact.row, exact.face)
+        exact = caster.hits(camera_rays(camera))
 
-        def resolve(
-            rays: Any = rays, report: Any = report, camera: Camera = camera, sample: int = sample
-        ) -> None:
-            annotate(scene, settle(caster, rays, report, camera), rays, PASSES, sample)
+        def cast(camera: Camera = camera, sample: int = sample) -> None:
+            annotate(scene, caster, camera, PASSES, sample)
 
         def table(
             masks: bool, exact: Any = exact, camera: Camera = camera, sample: int = sample
@@ -86,7 +81,7 @@ def measure(what: str, scene: RenderScene, views: list[tuple[int, Camera]]) -> N
         plain = best(lambda: table(False))
         outliner.outline = own  # type: ignore[method-assign]
         with_areas, with_masks = best(lambda: table(False)), best(lambda: table(True))
-        total += best(resolve), plain, with_areas - plain, with_masks - with_areas
+        total += best(cast), plain, with_areas - plain, with_masks - with_areas
         seen += len(found.table["id"])
         pixels += int(found.table["pixels"].sum())
         amodal += int(found.table["amodal"].sum())
@@ -109,7 +104,7 @@ def main() -> None:
     cfg = Path(sys.argv[1]) if len(sys.argv) > 1 else ROOT / "configs" / "jacksboro.json"
     print("milliseconds a frame of 640 x 480; share of annotation; what is hidden, cut off; kB")
     print(
-        f"{'scene':22}{'seen':>8}{'resolve':>9}{'table':>9}{'areas':>9}{'masks':>9}{'areas':>9}"
+        f"{'scene':22}{'seen':>8}{'cast':>9}{'table':>9}{'areas':>9}{'masks':>9}{'areas':>9}"
         f"{'masks':>9}{'occluded':>10}{'truncated':>10}{'masks':>9}"
     )
     with tempfile.TemporaryDirectory() as folder:

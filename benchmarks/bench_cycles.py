@@ -62,12 +62,12 @@ def plain(scene: RenderScene) -> RenderScene:
 
 
 class Adapter:
-    """The backend, with the resolver behind it."""
+    """The backend."""
 
     def __init__(self, scene: RenderScene) -> None:
         from scenec.backends.cycles import Cycles
 
-        self.scene, self.backend, self.caster = scene, Cycles(), None
+        self.scene, self.backend = scene, Cycles()
 
     def load(self) -> None:
         """Build the scene."""
@@ -75,20 +75,13 @@ class Adapter:
 
     def visibility(self, sample: int) -> dict[str, float]:
         """Row and face of each pixel."""
-        from scenec.backends.exact import ExactCaster
         from scenec.backends.rays import camera_rays
-        from scenec.backends.resolver import resolve
 
-        if self.caster is None:
-            self.caster = ExactCaster(self.scene)
         camera = self.scene.cameras[sample][0]
         rays = camera_rays(camera)
         start = time.perf_counter()
-        seen = self.backend.visibility(rays, sample, camera)
-        middle = time.perf_counter()
-        _, statistics = resolve(self.scene, self.caster, rays, seen, camera, PASSES)
-        end = time.perf_counter()
-        return {"seconds": middle - start, "resolve": end - middle, "raw": statistics.changed}
+        self.backend.witness(rays, sample, camera)
+        return {"seconds": time.perf_counter() - start}
 
     def radiance(self, sample: int, spp: int, seed: int) -> dict[str, float]:
         """One picture, its light made anew."""
@@ -412,13 +405,8 @@ def measure(stage: Path, spp: int, rounds: int) -> int:
         ("radiance, new light each", light),
     ):
         ours, theirs = median(table, 0), median(table, 1)
-        # The adapter's visibility is resolved in the same request.
         cpu = "" if table is not light else f"({ratio(table, 'cpu'):.3f} of processor time)"
         print(f"{name:28} {ours:10.2f} s {theirs:8.2f} s {ratio(table, 'seconds'):14.3f} {cpu}")
-    print(f"resolve                      {median(seen, 0, 'resolve'):10.2f} s")
-    annotated = [row[0]["seconds"] + row[0]["resolve"] for row in seen]
-    print(f"annotated frame              {statistics.median(annotated):10.2f} s   target <= 1.0")
-    print(f"pixels wrong before resolve  {median(seen, 0, 'raw'):10.0f}")
     means = [statistics.mean(row[who]["mean"] for row in light) for who in range(2)]
     print(f"mean radiance                {means[0]:10.3f}   {means[1]:8.3f}")
     peaks = [process.ask("visibility", 0)["peak_gib"] for process in both]

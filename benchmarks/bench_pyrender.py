@@ -2,7 +2,7 @@
 
     python benchmarks/bench_pyrender.py [--cfg CFG | --out OUT] [--spp N] [--rounds N]
 
-Annotation is visibility by pyrender and resolving it exactly; the preview is its radiance.
+The witness is what pyrender itself sees, row and face of each pixel; the preview is its radiance.
 Everything is loaded, and what is timed is what each further frame costs; the columns are medians
 and the worst of all samples and rounds. The bare script is what pyrender's ways would have one
 write: a primitive with instances' poses for each mesh, a program of its own for ids, one call each,
@@ -27,13 +27,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.backends.compose import compose
-from scenec.backends.exact import ExactCaster
 from scenec.backends.pyrender import Pyrender
 from scenec.backends.pyrender.camera import camera_view
 from scenec.backends.rays import camera_rays
 from scenec.backends.reader import read_stage
 from scenec.backends.render_scene import Camera, RenderScene
-from scenec.backends.resolver import settle
 from scenec.compiler.compile import compile_cfg
 from scenec.schemas.frames import frame_stem, read_frame
 from scenec.schemas.picture import develop
@@ -161,29 +159,22 @@ def frames(scene: RenderScene, spp: int, rounds: int, culling: bool) -> None:
     """Prints seconds of each step, medians and the worst over all samples and rounds but one."""
     backend = Pyrender(culling=culling)
     load, _ = timed(lambda: backend.load(scene))
-    caster = ExactCaster(scene)
     first, _ = timed(lambda: backend.radiance(scene.cameras[0][0], 0, spp, 0))
-    seconds: dict[str, list[float]] = {"visibility": [], "resolve": [], "both": [], "preview": []}
-    changed = 0
+    seconds: dict[str, list[float]] = {"witness": [], "preview": []}
     for turn in range(rounds + 1):
         for sample, cameras in enumerate(scene.cameras):
             camera = cameras[0]
             rays = camera_rays(camera)
-            see, seen = timed(lambda r=rays, s=sample, c=camera: backend.visibility(r, s, c))
-            resolve, settled = timed(lambda r=rays, v=seen, c=camera: settle(caster, r, v, c))
+            see, _ = timed(lambda r=rays, s=sample, c=camera: backend.witness(r, s, c))
             preview, _ = timed(lambda s=sample, c=camera: backend.radiance(c, s, spp, 0))
             if turn:
-                for name, value in zip(
-                    seconds, (see, resolve, see + resolve, preview), strict=True
-                ):
-                    seconds[name].append(value)
-                changed += settled.statistics.changed
-    number = rounds * len(scene.cameras)
+                seconds["witness"].append(see)
+                seconds["preview"].append(preview)
     cells = "".join(
         f"{statistics.median(column):9.3f}{max(column):7.3f}" for column in seconds.values()
     )
     name = "with culling" if culling else "without"
-    print(f"{name:14}{cells}{changed / number:9.1f}{load:7.2f}{first:9.2f}")
+    print(f"{name:14}{cells}{load:7.2f}{first:9.2f}")
 
 
 def beside_bare(scene: RenderScene, rounds: int) -> None:
@@ -198,7 +189,7 @@ def beside_bare(scene: RenderScene, rounds: int) -> None:
             for sample, cameras in enumerate(scene.cameras):
                 camera = cameras[0]
                 rays = camera_rays(camera)
-                ours, _ = timed(lambda r=rays, s=sample, c=camera: backend.visibility(r, s, c))  # noqa: B023
+                ours, _ = timed(lambda r=rays, s=sample, c=camera: backend.witness(r, s, c))  # noqa: B023
                 theirs, _ = timed(lambda c=camera: bare.visibility(c))
                 if turn:
                     ratios.append(ours / theirs)
@@ -246,8 +237,8 @@ def main() -> None:
             out = compile_cfg(arguments.cfg, seed=1, out=Path(folder) / "out").out
         scene = read_stage(out / "batch_0000" / "stage.usda")
         print(f"{Pyrender().version()}, {os.cpu_count()} cores, {arguments.spp} samples a pixel")
-        heads = ("visibility", "resolve", "both", "preview")
-        print(f"{'':14}{''.join(f'{head:>9.9}  worst' for head in heads)}  changed   load    first")
+        heads = ("witness", "preview")
+        print(f"{'':14}{''.join(f'{head:>9.9}  worst' for head in heads)}   load    first")
         for culling in (True, False):
             frames(scene, arguments.spp, arguments.rounds, culling)
         beside_bare(scene, arguments.rounds)

@@ -169,24 +169,6 @@ class Example:
                 text += self.show(f"differences/{path.name}", "differences")
         return text
 
-    def annotation(self) -> str:
-        """Of each backend."""
-        rows = [
-            [
-                name,
-                f"{one.wrong:,}",
-                f"{one.depth_error_m:g}",
-                "-" if one.raw_wrong is None else f"{one.raw_wrong:,}",
-                "-" if one.raw_wrong_rows is None else f"{one.raw_wrong_rows:,}",
-                f"{one.pixels:,}",
-            ]
-            for name, one in self.found.annotation.items()
-        ]
-        return "## Annotation\n\nAgainst the exact caster, on every pixel.\n\n" + table(
-            ["backend", "wrong pixels", "depth error, m", "raw: other face", "raw: other object",
-             "pixels"], rows
-        )  # fmt: skip
-
     def targets(self) -> str:
         """Rendered to an error, and for a time."""
         rows = []
@@ -263,7 +245,7 @@ def main() -> None:
         page.write(
             HEAD,
             ("mitsuba", "bpy", "pyrender-maintained"),
-            [example.ladders, example.slopes, example.floors, example.annotation, example.targets,
+            [example.ladders, example.slopes, example.floors, example.targets,
              example.choice, example.estimate],
         )  # fmt: skip
 

@@ -32,7 +32,9 @@ from small import small_cfg, write_cfg  # isort: skip
 
 from scenec.backends import bands, memory
 from scenec.backends.check.compare import check_exact
+from scenec.backends.check.witness import Witness, ask
 from scenec.backends.exact import ExactCaster
+from scenec.backends.jobs import Wanted
 from scenec.backends.rays import camera_rays
 from scenec.backends.reader import read_stage
 from scenec.backends.render import render
@@ -42,9 +44,10 @@ from scenec.compiler.compile import compile_cfg
 from scenec.schemas.errors import ScenecError
 from scenec.schemas.exr import write_exr
 from scenec.schemas.frames import Frame, frame_stem, read_frame
+from scenec.schemas.manifest import find_batches
 from scenec.schemas.memory import GB
 
-BACKENDS = ("reference", "mitsuba", "cycles", "pyrender")
+BACKENDS = ("annotation", "mitsuba", "cycles", "pyrender")
 DRAWING = BACKENDS[1:]
 PASSES = ("label", "instance", "depth", "range")
 #: Rays along a pixel's side by which its exact coverage is told.
@@ -70,6 +73,7 @@ class Drawn:
         folder: Of the output.
         scene: Its stage.
         frames: By backend and case.
+        seen: Pixels that a renderer itself sees otherwise, by backend and case, in words.
         refusals: What a backend said it cannot draw, by backend and case.
         cameras: By case.
         compile_s: Seconds of compiling.
@@ -78,6 +82,7 @@ class Drawn:
     folder: Path
     scene: RenderScene
     frames: dict[tuple[str, str], Frame] = field(default_factory=dict)
+    seen: dict[tuple[str, str], str] = field(default_factory=dict)
     refusals: dict[tuple[str, str], str] = field(default_factory=dict)
     cameras: dict[str, Camera] = field(default_factory=dict)
     compile_s: float = 0.0
@@ -98,16 +103,34 @@ def draw_cases(page: Page, folder: Path) -> Drawn:
                 render(out, backend, spp=2, cameras=[f"{case.name}_eye"])
             except ScenecError as error:
                 drawn.refusals[backend, case.name] = str(error)
-        passes = PASSES if backend == "reference" else ("rgb", *PASSES)
+        passes = PASSES if backend == "annotation" else ("rgb", *PASSES)
         others = [f"{case.name}_eye" for case in CASES if case not in limited]
         render(out, backend, spp=SPP, passes=passes, cameras=others)
         if limited:
             names = [f"{case.name}_eye" for case in limited]
-            render(out, backend, passes=PASSES, cameras=names)
+            render(out, "annotation", passes=PASSES, cameras=names)
         for case in CASES:
-            stem = frame_stem(batch, backend, f"{case.name}_eye", 0)
+            by = "annotation" if case in limited else backend
+            stem = frame_stem(batch, by, f"{case.name}_eye", 0)
             drawn.frames[backend, case.name] = read_frame(stem)
+        if backend in DRAWING:
+            witness(drawn, backend, folder)
     return drawn
+
+
+def witness(drawn: Drawn, backend: str, folder: Path) -> None:
+    """Pixels of each case of which a renderer itself sees another face or object than exact."""
+    caster, cameras = ExactCaster(drawn.scene), drawn.scene.cameras[0]
+    (batch,) = find_batches(drawn.folder)
+    told = ask(
+        batch, Wanted(backend, passes=("rgb",)), [(0, i) for i in range(len(cameras))], folder
+    )
+    for camera, seen in zip(cameras, told, strict=True):
+        found = Witness()
+        if seen is not None:
+            found.add(caster, camera_rays(camera), seen)
+        case = camera.name.removesuffix("_eye")
+        drawn.seen[backend, case] = "-" if seen is None else str(found.differing)
 
 
 def annotation(drawn: Drawn) -> str:
@@ -115,7 +138,7 @@ def annotation(drawn: Drawn) -> str:
     rows = []
     for case in CASES:
         camera = drawn.cameras[case.name]
-        truth = drawn.frames["reference", case.name].passes
+        truth = drawn.frames["annotation", case.name].passes
         hit, parameter = true_plane(camera)
         ground, shown = truth["label.class"] == GROUND, np.isfinite(truth["range"])
         wrong = int((ground & ~hit).sum() + (hit & ~shown).sum())
@@ -125,13 +148,10 @@ def annotation(drawn: Drawn) -> str:
         row.append("none seen" if error is None else f"{error:.0e}")
         for backend in DRAWING:
             frame = drawn.frames[backend, case.name]
-            facts = frame.sidecar["resolver"]
-            # Doubts have reasons; what nobody reported has none.
-            cast = facts["suspects"] > 0 and not any(facts["reasons"].values())
             after = sum(
                 int((frame.passes[name] != truth[name]).sum()) for name in truth if name != "rgb"
             )
-            row.append(f"{'cast' if cast else facts['changed']} → {after}")
+            row.append(f"{drawn.seen[backend, case.name]} → {after}")
         rows.append(row)
     agreement = check_exact(drawn.folder)
     values = sum(one.pixels for one in agreement.comparisons)
@@ -142,9 +162,8 @@ def annotation(drawn: Drawn) -> str:
         "the lens's formula in 80-bit arithmetic meets the plane and the frame shows nothing, or "
         "the other way round. *Depth*: the most that it is off the closed form on ground, "
         "relative, in float64 (frames on disk hold float32: 6e-8). Of each renderer: pixels with "
-        "another face or object than exact, before the resolver → values of all passes that "
-        "differ from `reference` after it; *cast*: it cannot follow such rays, so all are cast "
-        "exactly.\n\n"
+        "another face or object than exact, as it sees them itself → values of all passes "
+        "of its frame that are not the annotation; *-*: it cannot follow such rays.\n\n"
         + table(["case", "pixels", "ground seen", "footprint wrong", "depth", *DRAWING], rows)
         + "\nMost cameras stand over an edge of the mesh: 1 × 1 pixel and half of 20,000 × 1 "
         "pixels look straight at it, where two faces are equally near and the lowest counts.\n"
@@ -272,23 +291,20 @@ def near_and_far(page: Page, folder: Path) -> str:
         frame = read_frame(report.frames[0])
         truth = frame if truth is None else truth
         near, far = (np.isclose(frame.passes["depth"], d, rtol=1e-6, atol=0) for d in (0.01, 1e7))
-        facts = frame.sidecar["resolver"]
         after = sum(int((frame.passes[k] != v).sum()) for k, v in truth.passes.items())
         rows.append([f"`{backend}`", str(int(near.sum())), str(int(far.sum())),
                      f"{float(frame.passes['depth'].max() / frame.passes['depth'].min()):.3g}",
-                     str(facts["changed"]), str(after)])  # fmt: skip
+                     str(after)])  # fmt: skip
     return (
         "## Near and far in one picture\n\n"
         "A sheet 1 cm before the camera that hides its left half, another one 10,000 km away "
         "behind it: a USD file without a cfg. A usual depth buffer between 1 cm and 10,000 km "
         "keeps no digit of what is far; `pyrender` draws reversed float32 depth with its far plane "
-        "at infinity, and depth itself comes from the resolver. `mitsuba` has float32 coordinates "
+        "at infinity, and depth itself comes from the exact caster. `mitsuba` has float32 coordinates "
         "around the scene's middle, here 5,000 km away, whose step is half a meter: it loses the "
         "near sheet, and so would its picture. Annotation does not. A scene should not be 10⁷ "
         "times as large as the distance of what its pictures show.\n\n"
-        + table(
-            ["backend", "pixels at 1 cm", "at 10,000 km", "ratio", "wrong before", "after"], rows
-        )
+        + table(["backend", "pixels at 1 cm", "at 10,000 km", "ratio", "wrong values"], rows)
     )
 
 
@@ -302,7 +318,7 @@ def poses(page: Page, folder: Path) -> str:
     size = sum(f.stat().st_size for f in (out / "batch_0000").rglob("*") if f.is_file())
     start = time.perf_counter()
     last = count - 1
-    report = render(out, "reference", samples=[0, count // 2, last], passes=("depth", "label"))
+    report = render(out, "annotation", samples=[0, count // 2, last], passes=("depth", "label"))
     rendered = time.perf_counter() - start
     pose = read_frame(report.frames[-1]).sidecar["camera_to_world"]
     asked = np.loadtxt(folder / "many.csv", delimiter=",")[last, 1:4]
@@ -323,7 +339,7 @@ def sizes(page: Page, folder: Path) -> str:
     cfg = write_cfg(folder, small_cfg(samples=1))
     stage = compile_cfg(cfg, seed=4, out=folder / "sizes").out / "batch_0000" / "stage.usda"
     rows = []
-    todo = {"reference": (512, 2048), "mitsuba": (2048, 4096, 8192)}
+    todo = {"annotation": (512, 2048), "mitsuba": (2048, 4096, 8192)}
     for backend, sides in todo.items():
         for size in sides[:1] if page.fast else sides:
             found = _apart(_large, stage, backend, [size, False, folder])

@@ -17,12 +17,10 @@ from scenec.backends.check.radiance import (
     flip,
     write_differences,
 )
-from scenec.backends.check.witness import Witness
-from scenec.backends.contract import Visibility
+from scenec.backends.check.witness import Witness, ask
 from scenec.backends.exact import ExactCaster
 from scenec.backends.exact.annotate import pass_names
-from scenec.backends.jobs import Jobs, Wanted
-from scenec.backends.pool import WorkerProcess
+from scenec.backends.jobs import Wanted
 from scenec.backends.rays import camera_rays
 from scenec.backends.reader import read_stage
 from scenec.backends.render import render
@@ -245,25 +243,18 @@ class _Run:
         self, batch: Batch, scene: RenderScene, places: Sequence[Place], aside: Path
     ) -> None:
         """What each renderer itself sees of each frame."""
-        caster, file = ExactCaster(scene), aside / "witness.npz"
+        caster = ExactCaster(scene)
         for name in self.backends:
             found = self.witnesses.setdefault(name, Witness())
             self.say(f"asking {name} what it sees of {len(places)} frames of {batch.name}")
-            with WorkerProcess() as worker:
-                wanted = Wanted(name, passes=("rgb",), allow_missing=self.options.allow_missing)
-                Jobs(batch, wanted).open(worker)
-                for sample, index, camera in places:
-                    request = {
-                        "op": "witness", "file": str(file), "camera": index, "sample": sample
-                    }  # fmt: skip
-                    what = f"{name}: {batch.name}/{camera.name}/{sample:06d}"
-                    if not worker.ask(request, what)["there"]:
-                        found.unseen += 1
-                        continue
-                    with np.load(file) as arrays:
-                        seen = Visibility(arrays["row"], arrays["face"])
-                    caster.pose(sample)
-                    found.add(caster, camera_rays(camera), seen)
+            wanted = Wanted(name, passes=("rgb",), allow_missing=self.options.allow_missing)
+            told = ask(batch, wanted, [place[:2] for place in places], aside)
+            for (sample, _, camera), seen in zip(places, told, strict=True):
+                if seen is None:
+                    found.unseen += 1
+                    continue
+                caster.pose(sample)
+                found.add(caster, camera_rays(camera), seen)
 
     def _picture(
         self, file: str, name: str, first: Frame, second: Frame, flip_map: np.ndarray | None

@@ -14,7 +14,9 @@ that the renderer's face lies within the radius, at a depth between those of the
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from numba import njit
@@ -23,7 +25,10 @@ from numpy.typing import NDArray
 from scenec.backends.contract import NO_ROW, Rays, Visibility
 from scenec.backends.exact.caster import ExactCaster, Hits
 from scenec.backends.exact.intersect import distance_from_face, ray_frame, row_matrix
+from scenec.backends.jobs import Jobs, Wanted
+from scenec.backends.pool import WorkerProcess
 from scenec.schemas.errors import BackendError
+from scenec.schemas.manifest import Batch
 from scenec.schemas.threads import over_threads
 
 HAIR_FLOAT32 = 16.0 * 2.0**-24
@@ -79,6 +84,35 @@ class Witness:
         self.differing += len(index)
         self.beyond += int(np.count_nonzero(radius > hair))
         self.farthest_px = max(self.farthest_px, float(radius.max(initial=0.0)))
+
+
+def ask(
+    batch: Batch, wanted: Wanted, places: Sequence[tuple[int, int]], folder: Path
+) -> Iterator[Visibility | None]:
+    """What a renderer sees of frames of a batch, asked in a process of its own.
+
+    Args:
+        batch: The batch.
+        wanted: Names the backend; its ``passes`` hold ``rgb``, or no renderer starts.
+        places: Samples and numbers of cameras.
+        folder: For a file between the processes.
+
+    Yields:
+        For each place, what it sees; None if it does not tell.
+
+    Raises:
+        ScenecError: The stage cannot be read, or the backend does not start.
+    """
+    file = folder / "witness.npz"
+    with WorkerProcess() as worker:
+        Jobs(batch, wanted).open(worker)
+        for sample, camera in places:
+            request = {"op": "witness", "file": str(file), "camera": camera, "sample": sample}
+            if not worker.ask(request, f"{wanted.backend}: {batch.name}/{sample:06d}")["there"]:
+                yield None
+                continue
+            with np.load(file) as arrays:
+                yield Visibility(arrays["row"], arrays["face"])
 
 
 def _explain(
