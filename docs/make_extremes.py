@@ -300,9 +300,10 @@ def near_and_far(page: Page, folder: Path) -> str:
         "A sheet 1 cm before the camera that hides its left half, another one 10,000 km away "
         "behind it: a USD file without a cfg. A usual depth buffer between 1 cm and 10,000 km "
         "keeps no digit of what is far; `pyrender` draws reversed float32 depth with its far plane "
-        "at infinity, and depth itself comes from the exact caster. `mitsuba` has float32 coordinates "
-        "around the scene's middle, here 5,000 km away, whose step is half a meter: it loses the "
-        "near sheet, and so would its picture. Annotation does not. A scene should not be 10⁷ "
+        "at infinity, and depth itself comes from the exact caster. `mitsuba` has float32 "
+        "coordinates around the scene's middle, here 5,000 km away, whose step is half a meter: it "
+        "loses the near sheet, and so would its picture. Annotation does not. A scene should not "
+        "be 10⁷ "
         "times as large as the distance of what its pictures show.\n\n"
         + table(["backend", "pixels at 1 cm", "at 10,000 km", "ratio", "wrong values"], rows)
     )

@@ -173,7 +173,7 @@ def test_masks_hold_the_pixels_that_they_show(height, width, seed):
 
 def test_amodal_is_asked_for_by_a_stage_and_an_unknown_pass_still_refused(rendered):
     scene = read_stage(rendered / "m.usda")
-    from scenec.backends.resolver import pass_names
+    from scenec.backends.exact.annotate import pass_names
 
     assert pass_names(scene, ("rgb", "amodal")) == ["instance", "amodal"]
     with pytest.raises(BackendError, match='no pass "amodel"'):
