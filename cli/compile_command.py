@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from scenec.cli.output import Progress, print_json, say
+from scenec.cli.output import Progress, print_json, say, status
 
 if TYPE_CHECKING:
     from scenec.compiler.compile import CompileReport
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 def run(options: argparse.Namespace) -> int:
     """Compiles."""
-    say(f"reading {options.cfg}")
+    status(f"reading {options.cfg}")
     report = compile_now(options)
     if options.json:
         print_json(as_json(report))

@@ -5,12 +5,12 @@ from __future__ import annotations
 import argparse
 
 from scenec.cli import compile_command
-from scenec.cli.output import print_json, say
+from scenec.cli.output import print_json, status
 
 
 def run(options: argparse.Namespace) -> int:
     """Compiles, renders, and scans."""
-    say(f"reading {options.cfg}")
+    status(f"reading {options.cfg}")
     from scenec.cli import render_command
 
     lidars = _refuse_early(options)
