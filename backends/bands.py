@@ -16,6 +16,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +31,7 @@ from scenec.backends.haze import Veil
 from scenec.backends.noise import estimate_parts
 from scenec.backends.rays import camera_rays
 from scenec.backends.render_scene import Camera, RenderScene
+from scenec.backends.shutter import is_rolling
 
 #: Pixels of a band, and of a tile.
 PIXELS = 1 << 22
@@ -207,6 +209,18 @@ def see(look: Callable[[Rays, Camera], Visibility | None], camera: Camera) -> Vi
         part = _pixels(rows, camera.width)
         row[part], face[part] = seen.row, seen.face
     return Visibility(row, face)
+
+
+def visible(backend: Backend, rays: Rays, sample: int, camera: Camera) -> Visibility | None:
+    """What a backend sees; only of pinholes, one pose for all rows, it is told the camera."""
+    plain = camera.lens is None and not is_rolling(camera)
+    return backend.visibility(rays, sample, camera if plain else None)
+
+
+def read_visibility(file: Path) -> Visibility:
+    """What ``Session.see_to`` left in a file."""
+    with np.load(file) as arrays:
+        return Visibility(arrays["row"], arrays["face"])
 
 
 def by_columns(look: Callable[[Camera], Visibility], camera: Camera, widest: int) -> Visibility:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from scenec.backends import bands, memory
 from scenec.backends.bare import bare
-from scenec.backends.contract import Backend, Radiance, Rays, Visibility
+from scenec.backends.contract import Backend, Radiance
 from scenec.backends.exact import ExactCaster
 from scenec.backends.exposure import Meter
 from scenec.backends.frames import write_frame
@@ -251,6 +251,8 @@ class Session:
             raise StageError(f"{self.scene.source}: has changed since rendering began; run again")
         camera = self._camera(camera_index, sample)
         memory.reset_peak()
+        once = key.error is None and key.seconds is None
+        target = None if once else Target(key.error, key.seconds, key.spp)
         exposure, metering = None, dict[str, float]()
         if "rgb" in key.passes:
             with _timed(metering, "exposure"):
@@ -259,7 +261,7 @@ class Session:
                 )
             metering["exposure"] -= metering.get("load", 0.0)
         arrays, details, listed, surfaces = self._render(
-            camera, sample, key.passes, key.spp, seed, key.denoise, seen, _target(key)
+            camera, sample, key.passes, key.spp, seed, key.denoise, seen, target
         )
         details |= {} if exposure is None else {"exposure": exposure}
         for step, seconds in metering.items():
@@ -294,7 +296,7 @@ class Session:
         self._load(self._annotator, seconds)
         with _timed(seconds, "visibility"):
             seen = bands.see(
-                lambda rays, part: _visible(self._annotator, rays, sample, part), camera
+                lambda rays, part: bands.visible(self._annotator, rays, sample, part), camera
             )
         if seen is None:
             return {"file": None, "seconds": seconds}
@@ -442,7 +444,7 @@ class Session:
         backend, report = self._annotator, None
         if seen is not None:
             details["annotation"] = {"backend": seen["backend"], "version": seen["version"]}
-            report = None if seen["file"] is None else _read_visibility(Path(seen["file"]))
+            report = None if seen["file"] is None else bands.read_visibility(Path(seen["file"]))
         else:
             details["annotation"] = {"backend": backend.name, "version": backend.version()}
             self._load(backend, seconds)
@@ -461,7 +463,7 @@ class Session:
                 elif blind:
                     visible = None
                 else:
-                    visible = _visible(backend, rays, sample, annotating.camera(rows))
+                    visible = bands.visible(backend, rays, sample, annotating.camera(rows))
             with _timed(seconds, "resolve"):
                 annotating.add(rows, rays, visible)
         with _timed(seconds, "resolve"):
@@ -488,26 +490,9 @@ class Session:
         return self.scene.cameras[sample][index]
 
 
-def _target(key: FrameKey) -> Target | None:
-    if key.error is None and key.seconds is None:
-        return None
-    return Target(key.error, key.seconds, key.spp)
-
-
 @contextmanager
 def _timed(seconds: dict[str, float], name: str) -> Iterator[None]:
     """Adds what the block takes to the seconds of a step."""
     start = time.perf_counter()
     yield
     seconds[name] = seconds.get(name, 0.0) + time.perf_counter() - start
-
-
-def _visible(backend: Backend, rays: Rays, sample: int, camera: Camera) -> Visibility | None:
-    """What a backend sees; only of pinholes, one pose for all rows, it is told the camera."""
-    plain = camera.lens is None and not is_rolling(camera)
-    return backend.visibility(rays, sample, camera if plain else None)
-
-
-def _read_visibility(file: Path) -> Visibility:
-    with np.load(file) as arrays:
-        return Visibility(arrays["row"], arrays["face"])
