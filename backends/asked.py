@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 from scenec.backends.auto import choose
@@ -114,3 +114,19 @@ def _describe(backend: str, device: str) -> dict[str, Any]:
     request = {"op": "describe", "backend": backend, "device": device, "rgb": True}
     with WorkerProcess() as worker:
         return worker.ask(request, f"backend {backend}")
+
+
+#: What a stage holds only if some camera asked for it, and only what such cameras see.
+_PRUNED_BY = ("rgb", "label", "instance")
+
+
+def unasked(cameras: list[dict[str, Any]]) -> Iterator[str]:
+    """A line for each camera that is to render what its stage was not compiled for."""
+    for camera in cameras:
+        asked = {name.split(".")[0] for name in camera["passes"]}
+        missing = [n for n in _PRUNED_BY if n in asked and n not in camera["outputs"]]
+        if missing:
+            yield (
+                f"camera {camera['name']} did not ask for {', '.join(missing)}: what only that "
+                "would show may not be in the stage; compile with that output, or with --keep all"
+            )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -16,6 +16,7 @@ from scenec.backends.asked import (
     check_rgb,
     check_words,
     no_denoiser,
+    unasked,
 )
 from scenec.backends.auto import choose
 from scenec.backends.jobs import Job, Jobs, Wanted, frame_seed
@@ -364,7 +365,7 @@ class _Run:
             self._say(f"rendering with {opened['version']} on {opened['device']}{more}")
         if opened["warning"]:
             self._note(opened["warning"])
-        for line in _unasked(opened["cameras"][0] if opened["cameras"] else []):
+        for line in unasked(opened["cameras"][0] if opened["cameras"] else []):
             self._note(line)
         for line in opened["losses"]:
             if line not in report.losses:
@@ -428,19 +429,3 @@ def _quality(wanted: Wanted) -> str:
     goals = [] if wanted.error is None else [f"to {100 * wanted.error:.3g} % error"]
     goals += [] if wanted.seconds is None else [f"for {wanted.seconds:g} s"]
     return f"{' or '.join(goals)}, at most {wanted.spp} samples per pixel"
-
-
-#: What a stage holds only if some camera asked for it, and only what such cameras see.
-_PRUNED_BY = ("rgb", "label", "instance")
-
-
-def _unasked(cameras: list[dict[str, Any]]) -> Iterator[str]:
-    """A line for each camera that is to render what its stage was not compiled for."""
-    for camera in cameras:
-        asked = {name.split(".")[0] for name in camera["passes"]}
-        missing = [n for n in _PRUNED_BY if n in asked and n not in camera["outputs"]]
-        if missing:
-            yield (
-                f"camera {camera['name']} did not ask for {', '.join(missing)}: what only that "
-                "would show may not be in the stage; compile with that output, or with --keep all"
-            )

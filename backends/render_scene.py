@@ -285,7 +285,7 @@ class Camera:
         intrinsics: K, float64 [3, 3]: u = fx*X/Z + s*Y/Z + cx, v = fy*Y/Z + cy; pixel (0, 0) is
             the top-left one, its center is at (0.5, 0.5).
         camera_to_world: float64 [4, 4], camera axes x right, y down, z forward (OpenCV).
-        exposure_ev: Pictures show radiance * 2**exposure_ev ...
+        exposure_ev: Pictures show radiance * 2**exposure_ev, unless ``exposure_per`` is set.
         outputs: Passes that its RenderProduct asks for.
         partner: Prim path of the camera that disparity goes to, or None.
         depth_camera: How it measures depth, or None.
@@ -297,8 +297,7 @@ class Camera:
         shutter: Where it is while the shutter is open; None: still. ``camera_to_world`` is where it
             is in the middle of the middle row's exposure.
         focus: What is sharp; None: everything.
-        exposure_per: "batch" or "sample": ``exposure_ev`` is to be found for each
-            (``backends.exposure``); None: it is given.
+        exposure_per: What ``backends.exposure`` finds one for, "batch" or "sample"; None: given.
     """
 
     name: str

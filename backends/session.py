@@ -257,6 +257,8 @@ class Session:
         memory.reset_peak()
         annotation = [name for name in key.passes if name != "rgb"]
         ready = annotated(stem, self.scene.digest, annotation) if annotation else None
+        once = key.error is None and key.seconds is None
+        target = None if once else Target(key.error, key.seconds, key.spp)
         exposure, metering = None, dict[str, float]()
         if "rgb" in key.passes:
             with _timed(metering, "exposure"):
@@ -265,7 +267,7 @@ class Session:
                 )
             metering["exposure"] -= metering.get("load", 0.0)
         arrays, details, listed, surfaces = self._render(
-            camera, sample, key.passes, key.spp, seed, key.denoise, _target(key), ready
+            camera, sample, key.passes, key.spp, seed, key.denoise, target, ready
         )
         details |= {} if exposure is None else {"exposure": exposure}
         for step, seconds in metering.items():
@@ -494,12 +496,6 @@ class Session:
         if not 0 <= sample < len(self.scene.cameras):
             raise BackendError(f"{self.scene.source}: has no sample {sample}")
         return self.scene.cameras[sample][index]
-
-
-def _target(key: FrameKey) -> Target | None:
-    if key.error is None and key.seconds is None:
-        return None
-    return Target(key.error, key.seconds, key.spp)
 
 
 @contextmanager

@@ -497,8 +497,8 @@ def _facts(blur: Blur, halves: int) -> dict[str, Any]:
 
 
 def _digest(seed: int, half: int, what: str) -> int:
-    key = f"{seed}/{half}/{what}".encode()
-    return int.from_bytes(hashlib.blake2b(key, digest_size=8).digest(), "little")
+    digest = hashlib.blake2b(f"{seed}/{half}/{what}".encode(), digest_size=8).digest()
+    return int.from_bytes(digest, "little")
 
 
 def _number(seed: int, half: int, what: str) -> float:

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import argparse
 import math
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from scenec.cli.output import Progress, print_json, say
+from scenec.cli.output import Progress, print_json, say, status
 
 if TYPE_CHECKING:
     from scenec.compiler.compile import CompileReport
@@ -16,9 +15,7 @@ if TYPE_CHECKING:
 
 def run(options: argparse.Namespace) -> int:
     """Compiles."""
-    if sys.stderr.isatty():
-        # Imports take a second; where nobody looks, what is wrong stands alone.
-        say(f"reading {options.cfg}")
+    status(f"reading {options.cfg}")
     report = compile_now(options)
     if options.json:
         print_json(as_json(report))

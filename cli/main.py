@@ -27,6 +27,7 @@ from scenec.cli.arguments import (
 from scenec.cli.converge_arguments import add_converge_options
 from scenec.cli.explain_arguments import add_explain_options
 from scenec.cli.export_arguments import add_export_options
+from scenec.cli.output import clear_bar
 from scenec.cli.view_arguments import add_view_options
 from scenec.schemas.errors import CfgError, ScenecError
 from scenec.schemas.versions import version_of
@@ -60,6 +61,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sys.stdout.flush()
     except ScenecError as error:
         text = str(error)
+        clear_bar()
         print(text if isinstance(error, CfgError) else f"scenec: {text}", file=sys.stderr)
         return EXIT_BAD_INPUT
     except MemoryError as error:

@@ -22,8 +22,21 @@ def print_json(value: Any) -> None:
 def say(text: str) -> None:
     """A line about what is being done, on standard error: standard output is for results."""
     stop_if_pending()
-    _clear_bar()
+    clear_bar()
     print(text, file=sys.stderr, flush=True)
+
+
+def status(text: str) -> None:
+    """What is going on until there is more to say: on a terminal alone, and the next line wipes it.
+
+    Elsewhere the answer to bad input stays its faults and no more.
+    """
+    if sys.stderr.isatty():
+        clear_bar()
+        columns = shutil.get_terminal_size((118, 24)).columns - 1
+        sys.stderr.write(f"\r{text[:columns]}")
+        sys.stderr.flush()
+        _Bar.open = True
 
 
 class _Bar:
@@ -32,7 +45,8 @@ class _Bar:
     open = False
 
 
-def _clear_bar() -> None:
+def clear_bar() -> None:
+    """Wipes the bar, if one is open, before something else is printed."""
     if _Bar.open:
         _Bar.open = False
         # Carriage return, erase the line (ECMA-48 EL).

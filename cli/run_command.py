@@ -3,22 +3,34 @@
 from __future__ import annotations
 
 import argparse
-import sys
 
 from scenec.cli import compile_command
-from scenec.cli.output import print_json, say
+from scenec.cli.output import print_json, status
+from scenec.schemas.errors import SceneError
 
 
 def run(options: argparse.Namespace) -> int:
-    """Compiles, renders, and scans."""
-    if sys.stderr.isatty():
-        # Imports take a second; where nobody looks, what is wrong stands alone.
-        say(f"reading {options.cfg}")
+    """Compiles, renders, and scans.
+
+    Raises:
+        SceneError: A batch cannot be built; those before it are rendered.
+    """
+    status(f"reading {options.cfg}")
     from scenec.cli import render_command
 
     lidars = _refuse_early(options)
-    compiled = compile_command.compile_now(options)
-    made = {"compile": compile_command.as_json(compiled)}
+    made: dict[str, object] = {}
+    stopped: SceneError | None = None
+    failed = False
+    try:
+        compiled = compile_command.compile_now(options)
+        made["compile"] = compile_command.as_json(compiled)
+        failed = bool(compiled.failed)
+    except SceneError as error:
+        if not error.batches:
+            raise
+        # What compiled before it is rendered all the same; that it stopped is said at the end.
+        stopped, options.batches = error, error.batches
     if lidars:
         from scenec.cli import scan_command
 
@@ -28,7 +40,9 @@ def run(options: argparse.Namespace) -> int:
     made["render"] = render_command.as_json(rendered)
     if options.json:
         print_json(made)
-    return 1 if compiled.failed or rendered.failed else 0
+    if stopped is not None:
+        raise stopped
+    return 1 if failed or rendered.failed else 0
 
 
 def _refuse_early(options: argparse.Namespace) -> bool:

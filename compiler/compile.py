@@ -138,7 +138,7 @@ def compile_cfg(
                         unchanged += output.put(folder, batch, scene.samples, attempt)
                 except SceneError as error:
                     if faults == "stop":
-                        raise _stopped(error, name, done, len(chosen)) from error
+                        raise _stopped(error, name, made, len(chosen)) from error
                     say(f"warning: {name} cannot be built: {error}")
                     failed[name] = str(error)
                 else:
@@ -193,15 +193,17 @@ def _attempts(first: int, faults: str) -> range:
     return range(first, max(first + 1, _MOST_ATTEMPTS if faults == "redraw" else 0))
 
 
-def _stopped(error: SceneError, name: str, done: int, total: int) -> SceneError:
+def _stopped(error: SceneError, name: str, made: list[int], total: int) -> SceneError:
     """The same, with the batch and what can be done, where there are several."""
     if total == 1:
         return error
-    before = f"{done} batches before it are there" if done else "no batch is there yet"
-    return SceneError(
+    before = f"{len(made)} batches before it are there" if made else "no batch is there yet"
+    stopped = SceneError(
         f"{name}: {error} ({before}; --faults skip passes such a batch over, --faults redraw draws "
         "it again)"
     )
+    stopped.batches = tuple(made)
+    return stopped
 
 
 def _build(

@@ -22,7 +22,7 @@ from scenec.schemas.errors import SceneError
 from scenec.schemas.memory import GB, available
 
 #: Of libraries, compiled kernels and what is bounded.
-BASE_BYTES: Final = 300e6
+BASE_BYTES: Final = 340e6
 #: Refused is what is estimated at more than this times the memory there is: estimates err.
 MARGIN: Final = 1.25
 #: Above this share of the memory there is, it is said.
@@ -40,7 +40,7 @@ _TRIANGLE: Final = (45.0, 0.5e-6)
 _SKY_PIXEL: Final = (22.0, 1e-6)
 _SKY_BEING_MADE: Final = 45.0
 _PROTOTYPE_TRIANGLE: Final = (60.0, 3e-6)
-_SAMPLE: Final = (1000.0, 5e-4)
+_SAMPLE: Final = (1000.0, 3.5e-3)
 _CLASS: Final = (150e3, 3e-2)
 #: Numbers of the cfg that each take less are not named, share of all.
 _NAMED: Final = 0.05

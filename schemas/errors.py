@@ -46,7 +46,13 @@ class CfgError(ScenecError):
 
 
 class SceneError(ScenecError):
-    """A valid cfg that cannot be built: a density that is zero everywhere, a DEM with holes."""
+    """A valid cfg that cannot be built: a density that is zero everywhere, a DEM with holes.
+
+    Attributes:
+        batches: Those that were compiled before the one that cannot be built.
+    """
+
+    batches: tuple[int, ...] = ()
 
 
 class StageError(ScenecError):

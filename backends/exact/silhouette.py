@@ -467,8 +467,7 @@ def runs(  # type: ignore[no-untyped-def]
         windows: Of the instances, int64 [n, 4].
         starts: Of their windows in ``marks``, int64 [n].
         marks: uint8.
-        width: Of the picture.
-        height: Of the picture.
+        width, height: Of the picture.
         fill: Whether to write ``counts``, or only ``sizes``.
         sizes: Receives the number of runs, int64 [n].
         begins: Where an instance's runs go, int64 [n].

@@ -128,8 +128,11 @@ def _write_root(path: Path, scene: Scene, sublayers: list[str]) -> None:
             for sensor in rig.sensors:
                 camera = UsdGeom.Camera(stage.OverridePrim(camera_path(rig, sensor)))
                 camera.CreateClippingRangeAttr(clipping_range(rig, sensor, scene.bounds))
-        # Last: after each edit USD looks through all sublayers, of which there is one a class.
-        stage.GetRootLayer().subLayerPaths = [f"./{name}" for name in sublayers]
+    # On the layer alone: a stage is composed anew with each of them, and there is one a class.
+    layer = Sdf.Layer.FindOrOpen(str(path))
+    del stage
+    layer.subLayerPaths = [f"./{name}" for name in sublayers]
+    layer.Save()
 
 
 def _write_georeference(world: Usd.Prim, scene: Scene) -> None:

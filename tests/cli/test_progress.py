@@ -10,6 +10,7 @@ import sys
 import pytest
 
 from scenec.cli import output
+from scenec.cli.main import main
 from scenec.cli.output import Progress, say
 
 
@@ -135,6 +136,19 @@ def test_many_quick_steps_are_told_now_and_then(
     assert told[0] == 1
     assert told[-1] == 100
     assert len(told) <= 7
+
+
+def test_a_status_is_on_a_terminal_alone_and_goes_before_the_next_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    output.status("reading a.json")
+    assert capsys.readouterr().err == ""
+    terminal = Terminal()
+    monkeypatch.setattr("sys.stderr", terminal)
+    output.status("reading a.json")
+    assert terminal.getvalue() == "\rreading a.json"
+    assert main(["compile", "none.json", "--seed", "1", "-o", "OUT"]) == 2
+    assert "\r\x1b[Knone.json:1:1: /: No such file or directory\n" in terminal.getvalue()
 
 
 @pytest.mark.parametrize("command", ["compile", "run"])

@@ -147,13 +147,16 @@ def test_run_renders_what_can_be_built_and_leaves_with_status_1(cfg, tmp_path, c
     words = ["run", str(cfg), "--seed", "1", "-o", str(tmp_path / "out"), "--no-cache", "--json"]
     words += ["--backend", "reference"]
     assert main(words) == 2
-    assert "--faults redraw draws it again" in capsys.readouterr().err
+    told = capsys.readouterr()
+    # By default it stops there: what compiled before is rendered, and the error comes last.
+    assert json.loads(told.out)["render"]["rendered"] == 2
+    assert "--faults redraw draws it again" in told.err.splitlines()[-1]
     assert main([*words, "--faults", "skip"]) == 1
     told = capsys.readouterr()
     assert "2 of 4 batches cannot be built: batch_0002, batch_0003" in told.err
     found = json.loads(told.out)
     assert list(found["compile"]["failed"]) == ["batch_0002", "batch_0003"]
-    assert found["render"]["rendered"] == 2
+    assert found["render"]["skipped"] == 2
     assert main([*words, "--faults", "redraw"]) == 0
     assert "batch_0003: drawn again 3 times" in capsys.readouterr().err
 
