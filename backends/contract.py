@@ -14,8 +14,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.backends.memory import LoadCost
-from scenec.backends.render_scene import Camera, RenderScene
+from scenec.backends.run.memory import LoadCost
+from scenec.backends.stage.scene import Camera, RenderScene
 
 #: ``Visibility.row`` where a ray meets nothing.
 NO_ROW = -1

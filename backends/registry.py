@@ -27,7 +27,7 @@ BUILT_IN: dict[str, tuple[str, str | None]] = {
 }
 
 
-#: In place of a name: the first that works (``scenec.backends.auto``).
+#: In place of a name: the first that works (``scenec.backends.run.auto``).
 AUTO = "auto"
 
 

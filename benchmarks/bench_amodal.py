@@ -25,13 +25,13 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests" / "backends"))
 import scenes
 
-from scenec.backends.amodal import Silhouettes
-from scenec.backends.bands import annotate
+from scenec.backends.annotation.amodal import Silhouettes
+from scenec.backends.annotation.instances import Instances
+from scenec.backends.camera.rays import camera_rays
 from scenec.backends.exact import ExactCaster
-from scenec.backends.instances import Instances
-from scenec.backends.rays import camera_rays
-from scenec.backends.reader import read_stage
-from scenec.backends.render_scene import Camera, RenderScene
+from scenec.backends.picture.bands import annotate
+from scenec.backends.stage.read import read_stage
+from scenec.backends.stage.scene import Camera, RenderScene
 from scenec.compiler.compile import compile_cfg
 
 ROOT = Path(__file__).resolve().parent.parent

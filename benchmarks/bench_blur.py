@@ -28,12 +28,12 @@ from blur_scenes import shaken
 from mitsuba_scenes import dome, look_at, mesh, plane, scene, sun, surface
 from scenes import icosphere
 
-from scenec.backends.compose import compose
 from scenec.backends.exact import ExactCaster
-from scenec.backends.noise import Noise
+from scenec.backends.picture.compose import compose
+from scenec.backends.picture.noise import Noise
+from scenec.backends.picture.subframes import Drawing, measure
 from scenec.backends.registry import open_backend
-from scenec.backends.render_scene import Camera, Focus, RenderScene
-from scenec.backends.subframes import Drawing, measure
+from scenec.backends.stage.scene import Camera, Focus, RenderScene
 from scenec.schemas.shutter import Shutter
 
 WIDTH, HEIGHT, SPP = 96, 64, 64

@@ -31,9 +31,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pycocotools import mask as coco_mask
 
-from scenec.backends.frames import write_frame
-from scenec.backends.instances import Seen
-from scenec.backends.render_scene import Camera, Lighting, RenderScene, Rows
+from scenec.backends.annotation.instances import Seen
+from scenec.backends.run.writer import write_frame
+from scenec.backends.stage.scene import Camera, Lighting, RenderScene, Rows
 from scenec.datasets.formats.coco import Coco
 from scenec.datasets.formats.coco_parts import dumps, place_picture
 from scenec.datasets.formats.contract import Info, Task

@@ -56,7 +56,7 @@ def do(step: str, cfg: str, out: str) -> None:
 
         compile_cfg(cfg, seed=1, out=out)
         return
-    from scenec.backends.render import render
+    from scenec.backends.run.render import render
 
     passes = [*PASSES, "rgb"] if step == "mitsuba" else PASSES
     render(out, step, spp=2, passes=passes, samples=[0])

@@ -28,8 +28,8 @@ from typing import Any, NoReturn
 import numpy as np
 
 from scenec.backends.contract import BOUNCES
-from scenec.backends.reader import read_stage
-from scenec.backends.render_scene import Dome, Lighting, Mesh, RenderScene
+from scenec.backends.stage.read import read_stage
+from scenec.backends.stage.scene import Dome, Lighting, Mesh, RenderScene
 
 ROOT = Path(__file__).resolve().parent.parent
 PASSES = ("depth", "label", "instance")
@@ -75,7 +75,7 @@ class Adapter:
 
     def visibility(self, sample: int) -> dict[str, float]:
         """Row and face of each pixel."""
-        from scenec.backends.rays import camera_rays
+        from scenec.backends.camera.rays import camera_rays
 
         camera = self.scene.cameras[sample][0]
         rays = camera_rays(camera)

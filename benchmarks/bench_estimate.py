@@ -34,9 +34,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.backends.contract import Radiance
-from scenec.backends.noise import estimate
-from scenec.backends.rounds import Target, collect, round_seed
-from scenec.backends.session import Session
+from scenec.backends.picture.adaptive import Target, collect, round_seed
+from scenec.backends.picture.noise import estimate
+from scenec.backends.run.session import Session
 from scenec.compiler.compile import compile_cfg
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))

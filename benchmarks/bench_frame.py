@@ -13,7 +13,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from scenec.backends.session import Session
+from scenec.backends.run.session import Session
 from scenec.compiler.compile import compile_cfg
 
 ROOT = Path(__file__).resolve().parent.parent

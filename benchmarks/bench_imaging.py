@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from scenec.backends.imaging import optics, sensor
 from scenec.backends.imaging.camera import take
 from scenec.backends.imaging.jpeg import compressed
-from scenec.backends.render_scene import Camera
+from scenec.backends.stage.scene import Camera
 from scenec.schemas import picture
 from scenec.schemas.imaging import Imaging
 

@@ -28,13 +28,13 @@ from lens_scenes import BROWN, FISHEYE, PANORAMA, with_lens
 from mitsuba_scenes import mesh, scene, surface
 from scenes import icosphere
 
-from scenec.backends import resample
+from scenec.backends.camera.lens import ray_table
+from scenec.backends.camera.rays import camera_rays, subpixel_directions
 from scenec.backends.contract import Rays
 from scenec.backends.exact import ExactCaster
-from scenec.backends.lens import ray_table
-from scenec.backends.rays import camera_rays, subpixel_directions
+from scenec.backends.picture import resample
 from scenec.backends.registry import open_backend
-from scenec.backends.render_scene import Camera, RenderScene
+from scenec.backends.stage.scene import Camera, RenderScene
 from scenec.schemas.lens import Lens
 
 WIDTH, HEIGHT, SPP = 160, 120, 64

@@ -17,11 +17,11 @@ from pathlib import Path
 
 import numpy as np
 
+from scenec.backends.annotation.lidar import scan
 from scenec.backends.exact import ExactCaster
-from scenec.backends.lidar import scan
-from scenec.backends.reader import read_stage
-from scenec.backends.render_scene import Lidar
-from scenec.backends.session import Session
+from scenec.backends.run.session import Session
+from scenec.backends.stage.read import read_stage
+from scenec.backends.stage.scene import Lidar
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.passes.keep import Keep
 

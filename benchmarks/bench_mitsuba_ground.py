@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from scenec.backends.mitsuba import Mitsuba
-from scenec.backends.render_scene import (
+from scenec.backends.stage.scene import (
     Camera,
     Cells,
     Dome,

@@ -34,8 +34,8 @@ ROOT = Path(__file__).resolve().parent.parent
 sys.path[:0] = [str(ROOT / "tests")]
 from pruned_scenes import annotation, compiled, difference, drawn_cfg  # noqa: E402
 
-from scenec.backends.reader import read_stage  # noqa: E402
-from scenec.backends.session import Session  # noqa: E402
+from scenec.backends.run.session import Session  # noqa: E402
+from scenec.backends.stage.read import read_stage  # noqa: E402
 from scenec.compiler.passes.keep import Keep  # noqa: E402
 
 _SCENEC = [sys.executable, "-c", "from scenec.cli.main import main; raise SystemExit(main())"]

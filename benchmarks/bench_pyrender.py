@@ -26,12 +26,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.backends.compose import compose
+from scenec.backends.camera.rays import camera_rays
+from scenec.backends.picture.compose import compose
 from scenec.backends.pyrender import Pyrender
 from scenec.backends.pyrender.camera import camera_view
-from scenec.backends.rays import camera_rays
-from scenec.backends.reader import read_stage
-from scenec.backends.render_scene import Camera, RenderScene
+from scenec.backends.stage.read import read_stage
+from scenec.backends.stage.scene import Camera, RenderScene
 from scenec.compiler.compile import compile_cfg
 from scenec.schemas.frames import frame_stem, read_frame
 from scenec.schemas.picture import develop

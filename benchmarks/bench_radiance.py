@@ -24,8 +24,9 @@ from numpy.typing import NDArray
 from scenec.backends.mitsuba import Mitsuba
 from scenec.backends.mitsuba.emitter import dome_dict
 from scenec.backends.mitsuba.scalar import disc_dict
-from scenec.backends.reader import read_stage
-from scenec.backends.render_scene import (
+from scenec.backends.picture.sky import combine
+from scenec.backends.stage.read import read_stage
+from scenec.backends.stage.scene import (
     Camera,
     Dome,
     Lighting,
@@ -35,7 +36,6 @@ from scenec.backends.render_scene import (
     Sun,
     Surface,
 )
-from scenec.backends.sky import combine
 from scenec.compiler.compile import compile_cfg
 
 ROOT = Path(__file__).resolve().parent.parent

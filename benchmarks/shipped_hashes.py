@@ -17,7 +17,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from scenec.backends.render import render
+from scenec.backends.run.render import render
 from scenec.compiler.compile import compile_cfg
 from scenec.schemas.frames import read_frame
 

@@ -23,8 +23,8 @@ from scenec.backends.check.scans import check_scans
 from scenec.backends.check.scene import check_scene
 from scenec.backends.check.stage import NOT_WHOLE, check_stage
 from scenec.backends.check.witness import HAIR_PIXELS
-from scenec.backends.reader import read_stage
 from scenec.backends.registry import require_name
+from scenec.backends.stage.read import read_stage
 from scenec.cli.output import print_json, say, table
 from scenec.schemas.errors import ScenecError, StageError
 from scenec.schemas.manifest import find_batches, read_manifest

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from dataclasses import asdict
 
-from scenec.backends.doctor import diagnose, library_versions
+from scenec.backends.run.doctor import diagnose, library_versions
 from scenec.cli.output import print_json, table
 
 

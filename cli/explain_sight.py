@@ -50,7 +50,7 @@ def nearest_camera(path: Path, point: tuple[float, float, float]) -> Sight | Non
     """
     from pxr import Usd, UsdGeom
 
-    from scenec.backends.reader.sources import open_stage
+    from scenec.backends.stage.sources import open_stage
 
     stage = open_stage(path)
     codes = range(int(stage.GetStartTimeCode()), int(stage.GetEndTimeCode()) + 1)

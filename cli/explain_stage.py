@@ -90,7 +90,7 @@ def read_contents(path: Path) -> StageContents:
     """
     from pxr import UsdGeom
 
-    from scenec.backends.reader.sources import open_stage
+    from scenec.backends.stage.sources import open_stage
 
     stage = open_stage(path)
     terrain, objects = stage.GetPrimAtPath(_TERRAIN), stage.GetPrimAtPath(_OBJECTS)

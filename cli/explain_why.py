@@ -301,7 +301,7 @@ def _of_other(asked: _Asked, path: str) -> Why:
     """A prim that is neither of the terrain nor an object: a material, a light, a camera."""
     from pxr import Sdf
 
-    from scenec.backends.reader.sources import open_stage
+    from scenec.backends.stage.sources import open_stage
 
     stage = open_stage(asked.data.stage)
     if Sdf.Path.IsValidPathString(path) and stage.GetPrimAtPath(path):

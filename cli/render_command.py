@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from scenec.backends.render import Limits, RenderReport, render
+from scenec.backends.run.render import Limits, RenderReport, render
 from scenec.cli.output import Progress, print_json, say
 from scenec.schemas.memory import GB
 

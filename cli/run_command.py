@@ -55,7 +55,7 @@ def _refuse_early(options: argparse.Namespace) -> bool:
         CfgError: The cfg has faults.
         BackendError: The backend cannot render what is asked for.
     """
-    from scenec.backends.render import check_backend
+    from scenec.backends.run.render import check_backend
     from scenec.compiler.frontend.load import load
 
     wanted = options.passes

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from scenec.backends.scan import ScanReport, scan_output
+from scenec.backends.run.scan import ScanReport, scan_output
 from scenec.cli.output import Progress, print_json, say
 
 

@@ -47,7 +47,7 @@ def run(options: argparse.Namespace) -> int:
 def ground_of(batch: Batch) -> Ground | None:
     """The ground of a batch from above; None where its stage cannot be read."""
     # Reading stages costs USD and numba: only where it is done.
-    from scenec.backends.relief import read_relief
+    from scenec.backends.stage.ground import read_relief
 
     try:
         relief = read_relief(batch.stage, _CELLS)

@@ -24,7 +24,7 @@ from small import small_cfg
 from scenec.backends.converge import ConvergeReport, Ladder, converge
 from scenec.backends.converge.metrics import FORMULAS, Reference, root, square_and_error
 from scenec.backends.converge.run import NORMAL_95
-from scenec.backends.render import render
+from scenec.backends.run.render import render
 from scenec.compiler.compile import compile_cfg
 from scenec.schemas.frames import read_frame
 

@@ -30,16 +30,17 @@ from extreme_scenes import (  # isort: skip
 )
 from small import small_cfg, write_cfg  # isort: skip
 
-from scenec.backends import bands, memory
+from scenec.backends.camera.rays import camera_rays
 from scenec.backends.check.compare import check_exact
 from scenec.backends.check.witness import Witness, ask
 from scenec.backends.exact import ExactCaster
-from scenec.backends.jobs import Wanted
-from scenec.backends.rays import camera_rays
-from scenec.backends.reader import read_stage
-from scenec.backends.render import render
-from scenec.backends.render_scene import Camera, RenderScene
-from scenec.backends.session import Session
+from scenec.backends.picture import bands
+from scenec.backends.run import memory
+from scenec.backends.run.jobs import Wanted
+from scenec.backends.run.render import render
+from scenec.backends.run.session import Session
+from scenec.backends.stage.read import read_stage
+from scenec.backends.stage.scene import Camera, RenderScene
 from scenec.compiler.compile import compile_cfg
 from scenec.schemas.errors import ScenecError
 from scenec.schemas.exr import write_exr
@@ -360,9 +361,9 @@ def sizes(page: Page, folder: Path) -> str:
 SIZES = """## Large pictures
 
 Above 2048 × 2048 pixels annotation goes band by band, radiance by tiles of 4 million pixels at most
-(`backends/bands.py`). Annotation is the same to the bit as in one piece: the page's script compares
-digests. The noise of radiance is that of other seeds. Passes `label` (two levels), `instance`,
-`depth`; the peak is that of the process with interpreter, renderer and scene.
+(`backends/picture/bands.py`). Annotation is the same to the bit as in one piece: the page's script
+compares digests. The noise of radiance is that of other seeds. Passes `label` (two levels),
+`instance`, `depth`; the peak is that of the process with interpreter, renderer and scene.
 
 """
 

@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from scenec.backends.render import render
+from scenec.backends.run.render import render
 from scenec.compiler.compile import compile_cfg
 from scenec.datasets.colors import label_colors, paint_labels
 from scenec.datasets.sheet import write_sheet

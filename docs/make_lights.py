@@ -26,7 +26,7 @@ from page import ROOT, table
 from PIL import Image, ImageDraw, ImageFont
 
 from scenec.backends.check.radiance import flip
-from scenec.backends.render import render
+from scenec.backends.run.render import render
 from scenec.compiler.compile import compile_cfg
 from scenec.schemas.errors import ScenecError
 from scenec.schemas.files import atomic

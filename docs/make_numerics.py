@@ -17,10 +17,10 @@ from page import Page, table
 from scenes import affine, mesh, scene
 from small import small_cfg, write_cfg
 
-from scenec.backends.compose import compose
 from scenec.backends.contract import Rays
 from scenec.backends.exact import ExactCaster
-from scenec.backends.session import Session
+from scenec.backends.picture.compose import compose
+from scenec.backends.run.session import Session
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.ground.merge import Merge, label_index

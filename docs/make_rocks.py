@@ -19,7 +19,7 @@ import numpy as np
 from page import Page, table
 from PIL import Image
 
-from scenec.backends.render import render
+from scenec.backends.run.render import render
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.draw import draw
 from scenec.compiler.frontend.load import load

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from page import Page, flat, table
 from small import scaled, small_cfg, write_cfg
 
-from scenec.backends.rays import camera_rays
-from scenec.backends.session import Session
+from scenec.backends.camera.rays import camera_rays
+from scenec.backends.run.session import Session
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.draw import draw
 from scenec.compiler.frontend.load import load

@@ -1,7 +1,7 @@
 """Cells that pictures are laid in so that they do not repeat: how each is turned and shifted.
 
 What compiler and renderers must agree on, so that relief that is geometry lies where the picture of
-its colors does. ``scenec.backends.cells`` says what is done with it.
+its colors does. ``scenec.backends.surface.cells`` says what is done with it.
 """
 
 from __future__ import annotations

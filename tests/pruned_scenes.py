@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 from small import write_cfg
 
-from scenec.backends.bands import annotate as annotated
+from scenec.backends.annotation.lidar import scan
 from scenec.backends.exact import ExactCaster
-from scenec.backends.lidar import scan
-from scenec.backends.reader import read_stage
+from scenec.backends.picture.bands import annotate as annotated
 from scenec.backends.registry import open_backend
-from scenec.backends.session import Session
+from scenec.backends.run.session import Session
+from scenec.backends.stage.read import read_stage
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.passes.keep import Keep
 

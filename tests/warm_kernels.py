@@ -23,7 +23,7 @@ compile_cfg(write_cfg(folder, small_cfg(samples=1)), seed=1, out=folder / "out")
 """,
     "backends": """
 from third_party import square_stage
-from scenec.backends.render import render
+from scenec.backends.run.render import render
 stage = square_stage(folder / "square.usda", samples=1)
 render(stage, "mitsuba", spp=2, passes=["rgb", "depth", "instance", "face", "normal", "amodal"])
 """,

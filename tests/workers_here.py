@@ -18,7 +18,7 @@ from typing import Any
 
 import pytest
 
-from scenec.backends import pool
+from scenec.backends.run import supervise as pool
 
 
 @contextmanager
@@ -46,7 +46,7 @@ def worker_here() -> Iterator[None]:
 
 def _ask(self: Any, request: dict[str, Any], what: str) -> dict[str, Any]:
     # Imported here: most tests have no worker.
-    from scenec.backends.worker import Worker
+    from scenec.backends.run.worker import Worker
 
     if not hasattr(self, "here"):
         self.here = Worker()

@@ -7,9 +7,9 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.backends.annotation.instances import Instances, Seen
 from scenec.backends.exact.caster import Hits
-from scenec.backends.instances import Instances, Seen
-from scenec.backends.render_scene import Camera, RenderScene
+from scenec.backends.stage.scene import Camera, RenderScene
 from scenec.schemas.amodal import AMODAL, Amodal, read_amodal
 from scenec.schemas.frames import Frame
 from scenec.schemas.instances import read_frame_table

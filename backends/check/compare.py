@@ -9,7 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from scenec.backends.bands import annotate
+from scenec.backends.annotation.annotate import pass_names
+from scenec.backends.camera.rays import camera_rays
 from scenec.backends.check.amodal import Definition
 from scenec.backends.check.radiance import (
     RadianceComparison,
@@ -19,12 +20,11 @@ from scenec.backends.check.radiance import (
 )
 from scenec.backends.check.witness import Witness, ask
 from scenec.backends.exact import ExactCaster
-from scenec.backends.exact.annotate import pass_names
-from scenec.backends.jobs import Wanted
-from scenec.backends.rays import camera_rays
-from scenec.backends.reader import read_stage
-from scenec.backends.render import render
-from scenec.backends.render_scene import Camera, RenderScene
+from scenec.backends.picture.bands import annotate
+from scenec.backends.run.jobs import Wanted
+from scenec.backends.run.render import render
+from scenec.backends.stage.read import read_stage
+from scenec.backends.stage.scene import Camera, RenderScene
 from scenec.schemas.errors import BackendError, FrameError
 from scenec.schemas.exr import is_id_pass
 from scenec.schemas.frames import Frame, frame_stem, read_frame

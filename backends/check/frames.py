@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from scenec.backends.brightness import brief, told
 from scenec.backends.check.finding import Finding
 from scenec.backends.check.instances import check_batch_table, table_faults
+from scenec.backends.picture.brightness import brief, told
 from scenec.schemas.errors import FrameError
 from scenec.schemas.frames import Frame, read_frame
 from scenec.schemas.manifest import FRAMES

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from scenec.backends.check.finding import Finding
-from scenec.backends.render_scene import RenderScene
-from scenec.backends.sky_labels import load_label_map
+from scenec.backends.stage.scene import RenderScene
+from scenec.backends.stage.sky_labels import load_label_map
 from scenec.schemas.errors import StageError
 
 

@@ -9,8 +9,8 @@ import numpy as np
 from pxr import Sdf, Usd
 
 from scenec.backends.check.finding import Finding
-from scenec.backends.reader.labels import LabelTable
-from scenec.backends.sky_labels import load_label_map
+from scenec.backends.stage.labels import LabelTable
+from scenec.backends.stage.sky_labels import load_label_map
 from scenec.schemas import stage as names
 from scenec.schemas.errors import StageError
 

@@ -18,10 +18,10 @@ from pxr import Tf, Usd, UsdGeom, UsdRender, UsdShade, UsdValidation
 
 from scenec.backends.check.finding import Finding
 from scenec.backends.check.sky import check_sky
-from scenec.backends.reader import values as reading
-from scenec.backends.reader.cameras import intrinsics_from_apertures
-from scenec.backends.reader.labels import LabelTable, read_table
-from scenec.backends.reader.sources import Sources
+from scenec.backends.stage import values as reading
+from scenec.backends.stage.cameras import intrinsics_from_apertures
+from scenec.backends.stage.labels import LabelTable, read_table
+from scenec.backends.stage.sources import Sources
 from scenec.schemas import materialx
 from scenec.schemas import stage as names
 from scenec.schemas.errors import StageError

@@ -25,8 +25,8 @@ from numpy.typing import NDArray
 from scenec.backends.contract import NO_ROW, Rays, Visibility
 from scenec.backends.exact.caster import ExactCaster, Hits
 from scenec.backends.exact.intersect import distance_from_face, ray_frame, row_matrix
-from scenec.backends.jobs import Jobs, Wanted
-from scenec.backends.pool import WorkerProcess
+from scenec.backends.run.jobs import Jobs, Wanted
+from scenec.backends.run.supervise import WorkerProcess
 from scenec.schemas.errors import BackendError
 from scenec.schemas.manifest import Batch
 from scenec.schemas.threads import over_threads

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from scenec.backends.noise import CONFIDENCE
+from scenec.backends.picture.noise import CONFIDENCE
 
 #: RMSE over samples, for independent ones.
 INDEPENDENT = -0.5

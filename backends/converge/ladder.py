@@ -10,9 +10,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from scenec.backends.jobs import Job, Jobs, Wanted
-from scenec.backends.pool import WorkerProcess
-from scenec.backends.rounds import MOST_SPP
+from scenec.backends.picture.adaptive import MOST_SPP
+from scenec.backends.run.jobs import Job, Jobs, Wanted
+from scenec.backends.run.supervise import WorkerProcess
 from scenec.schemas.files import write_json
 from scenec.schemas.frames import Frame, is_done, read_frame
 from scenec.schemas.manifest import Batch

@@ -7,14 +7,14 @@ import hashlib
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.backends.bands import by_columns
 from scenec.backends.contract import BOUNCES, Radiance, Rays, Visibility
 from scenec.backends.cycles import blender, render
 from scenec.backends.cycles.built import PASSES, Built
 from scenec.backends.cycles.camera import Lens, find_lens, place
 from scenec.backends.cycles.planetary import has_laws
-from scenec.backends.memory import LoadCost
-from scenec.backends.render_scene import Camera, RenderScene
+from scenec.backends.picture.bands import by_columns
+from scenec.backends.run.memory import LoadCost
+from scenec.backends.stage.scene import Camera, RenderScene
 from scenec.schemas.errors import BackendError, CameraRefusedError
 
 #: Measured against Mitsuba, which is exact: bumpy ground of the Moon's and of a strongly

@@ -7,9 +7,9 @@ from typing import Any
 
 from scenec.backends.cycles import blender, geometry, light, materials, planetary, render
 from scenec.backends.cycles.shares import Shares
-from scenec.backends.posing import posable, pose
-from scenec.backends.render_scene import Lamp, RenderScene, Sun
-from scenec.backends.sky import combine
+from scenec.backends.picture.sky import combine
+from scenec.backends.stage.posing import posable, pose
+from scenec.backends.stage.scene import Lamp, RenderScene, Sun
 
 #: What materials write for visibility.
 PASSES = (materials.ROW_PASS, materials.FACE_PASS)

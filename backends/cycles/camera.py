@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.backends.cycles.geometry import Frame
-from scenec.backends.render_scene import Camera
+from scenec.backends.stage.scene import Camera
 
 #: Blender's pictures have at least so many pixels a side, and at most so many.
 SIDES = (4, 65536)

@@ -7,11 +7,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from scenec.backends import cells
 from scenec.backends.cycles.geometry import Frame
 from scenec.backends.cycles.graph import Graph
-from scenec.backends.maps import map_key, map_source
-from scenec.backends.render_scene import Cells, Maps
+from scenec.backends.stage.scene import Cells, Maps
+from scenec.backends.surface import cells
+from scenec.backends.surface.maps import map_key, map_source
 
 (_, _LEAN), (_, _RISE) = cells.TO_WORLD
 

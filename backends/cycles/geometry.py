@@ -14,9 +14,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from scenec.backends.maps import face_tangents
-from scenec.backends.posing import moving
-from scenec.backends.render_scene import Mesh, RenderScene
+from scenec.backends.stage.posing import moving
+from scenec.backends.stage.scene import Mesh, RenderScene
+from scenec.backends.surface.maps import face_tangents
 from scenec.schemas.errors import BackendError
 from scenec.schemas.threads import over_threads
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from scenec.backends.cells import has_maps
 from scenec.backends.cycles.geometry import weight_name
 from scenec.backends.cycles.graph import Graph, Scalar
 from scenec.backends.cycles.projection import Pictures
-from scenec.backends.heights import FLAT, LEAST_DEPTH, needed
-from scenec.backends.render_scene import Surface
+from scenec.backends.stage.scene import Surface
+from scenec.backends.surface.cells import has_maps
+from scenec.backends.surface.heights import FLAT, LEAST_DEPTH, needed
 
 
 def merge_weights(

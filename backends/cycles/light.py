@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from scenec.backends.cycles.geometry import Frame
 from scenec.backends.cycles.graph import Graph
 from scenec.backends.cycles.materials import picture_image
-from scenec.backends.render_scene import Lamp, Sun
-from scenec.backends.sky import MIN_SUN_DIAMETER_RAD, Sky
+from scenec.backends.picture.sky import MIN_SUN_DIAMETER_RAD, Sky
+from scenec.backends.stage.scene import Lamp, Sun
 
 #: A dome's picture is written out with at least so many rows: see ``env_rows``.
 MIN_ROWS = 1024

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from scenec.backends import cells
 from scenec.backends.cycles.geometry import (
     FACE,
     ROW,
@@ -22,8 +21,9 @@ from scenec.backends.cycles.graph import BLACK, Graph, Scalar, Vector
 from scenec.backends.cycles.heights import merge_weights
 from scenec.backends.cycles.planetary import KnownLight, Laws
 from scenec.backends.cycles.projection import Pictures
-from scenec.backends.maps import load_map, map_key
-from scenec.backends.render_scene import DEFAULT_SURFACE, RenderScene, Surface
+from scenec.backends.stage.scene import DEFAULT_SURFACE, RenderScene, Surface
+from scenec.backends.surface import cells
+from scenec.backends.surface.maps import load_map, map_key
 
 #: Passes that carry row + 1 and face, each as two halves of 16 bits.
 ROW_PASS, FACE_PASS = "scenec_row", "scenec_face"

@@ -1,4 +1,4 @@
-"""The laws of ``scenec.backends.reflectance`` in Cycles, whose shaders see no light.
+"""The laws of ``scenec.backends.surface.reflectance`` in Cycles, whose shaders see no light.
 
 A shader knows one light, whose direction stands in a node group, and scales a diffuse closure such
 that this light's radiance is right. So a picture is made of shares (``shares.py``): for each light
@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 
 from scenec.backends.cycles.expression import Nodes, Value
 from scenec.backends.cycles.graph import Graph, Scalar, Vector
-from scenec.backends.reflectance import (
+from scenec.backends.stage.scene import Reflectance, RenderScene
+from scenec.backends.surface.reflectance import (
     ALBEDO_NODES,
     albedo,
     albedo_table,
@@ -28,7 +29,6 @@ from scenec.backends.reflectance import (
     terms,
     value,
 )
-from scenec.backends.render_scene import Reflectance, RenderScene
 
 #: Nodes over the cosine of a table for one color.
 _COSINES = 65

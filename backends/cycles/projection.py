@@ -1,7 +1,7 @@
 """Maps at the point shaded, as shader nodes: from above, along three axes, by coordinates.
 
-The arithmetic is that of ``scenec.backends.maps``. Blender's own box projection mixes otherwise,
-and its tangents are MikkTSpace's.
+The arithmetic is that of ``scenec.backends.surface.maps``. Blender's own box projection mixes
+otherwise, and its tangents are MikkTSpace's.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ import numpy as np
 from scenec.backends.cycles.cells import CellPictures
 from scenec.backends.cycles.geometry import ALONG_U, ALONG_V, UV, Frame
 from scenec.backends.cycles.graph import Graph
-from scenec.backends.maps import PLANES, map_key, map_source
-from scenec.backends.render_scene import Maps
+from scenec.backends.stage.scene import Maps
+from scenec.backends.surface.maps import PLANES, map_key, map_source
 
 #: Cosine of viewers whom the shading normal leans away from.
 _GRAZING = 1e-5

@@ -15,8 +15,8 @@ import numpy as np
 from scenec.backends.cycles.geometry import Frame
 from scenec.backends.cycles.graph import Graph
 from scenec.backends.cycles.planetary import KnownLight
-from scenec.backends.render_scene import Lamp, Sun
-from scenec.backends.sky import MIN_SUN_DIAMETER_RAD
+from scenec.backends.picture.sky import MIN_SUN_DIAMETER_RAD
+from scenec.backends.stage.scene import Lamp, Sun
 
 _UP = np.array([0.0, 0.0, 1.0])
 

@@ -16,7 +16,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from scenec.backends.exact.build import build_forest
-from scenec.backends.render_scene import RenderScene
+from scenec.backends.stage.scene import RenderScene
 from scenec.schemas.errors import BackendError
 from scenec.schemas.threads import over_threads
 

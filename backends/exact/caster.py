@@ -13,7 +13,7 @@ from scenec.backends.exact.bvh import Geometry, build_geometry
 from scenec.backends.exact.intersect import hit_parameter, ray_frame, row_matrix
 from scenec.backends.exact.moving import MovingRows
 from scenec.backends.exact.trace import trace_all
-from scenec.backends.render_scene import RenderScene
+from scenec.backends.stage.scene import RenderScene
 from scenec.schemas.threads import over_threads
 
 

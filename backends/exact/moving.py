@@ -18,7 +18,7 @@ from scenec.backends.exact.bvh import (
     mesh_balls,
     place_rows,
 )
-from scenec.backends.render_scene import RenderScene
+from scenec.backends.stage.scene import RenderScene
 from scenec.schemas.errors import BackendError
 
 #: Widens boxes beyond any ray, yet leaves room below the largest float64.

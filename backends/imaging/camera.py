@@ -21,7 +21,7 @@ from scenec.backends.imaging import develop, optics, sensor
 from scenec.backends.imaging.chance import log
 from scenec.backends.imaging.jpeg import compressed
 from scenec.backends.imaging.taken import Taken
-from scenec.backends.render_scene import Camera
+from scenec.backends.stage.scene import Camera
 from scenec.schemas import imaging as formulas
 from scenec.schemas.imaging import Imaging
 from scenec.schemas.threads import over_threads

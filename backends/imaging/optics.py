@@ -17,8 +17,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from scenec.backends.rays import camera_rays
-from scenec.backends.render_scene import Camera
+from scenec.backends.camera.rays import camera_rays
+from scenec.backends.stage.scene import Camera
 from scenec.schemas.threads import over_threads
 
 #: Shares of the scattered light, and their Gaussians' standard deviations over the first one's:

@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.backends.camera.lens import RayTable, ray_table
 from scenec.backends.contract import BOUNCES, NO_ROW, Radiance, Rays, Visibility
-from scenec.backends.lens import RayTable, ray_table
-from scenec.backends.memory import LoadCost
 from scenec.backends.mitsuba import emitter, geometry, glow, lamps, scalar, variant
 from scenec.backends.mitsuba.corners import split_corners
 from scenec.backends.mitsuba.surfaces import make_look
-from scenec.backends.posing import posable, pose
-from scenec.backends.render_scene import Camera, Lighting, RenderScene
+from scenec.backends.run.memory import LoadCost
+from scenec.backends.stage.posing import posable, pose
+from scenec.backends.stage.scene import Camera, Lighting, RenderScene
 from scenec.schemas.errors import BackendError
 
 #: Samples in flight at once; above it a half is rendered in several passes (16 bytes a sample).

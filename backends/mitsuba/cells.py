@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.backends import cells
-from scenec.backends.render_scene import Maps
+from scenec.backends.stage.scene import Maps
+from scenec.backends.surface import cells
 
 PLUGIN, FAR_PLUGIN = "scenec_cells", "scenec_far"
 

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.backends.render_scene import Mesh, RenderScene
+from scenec.backends.stage.scene import Mesh, RenderScene
 
 
 def split_corners(scene: RenderScene) -> RenderScene:

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.backends.render_scene import Lighting
-from scenec.backends.sky import MIN_SUN_DIAMETER_RAD, Sky, combine
+from scenec.backends.picture.sky import MIN_SUN_DIAMETER_RAD, Sky, combine
+from scenec.backends.stage.scene import Lighting
 
 PLUGIN = "scenec_sky_sun"
 #: Bounds of the fraction of light samples that go to the suns where there is a sky too.

@@ -14,8 +14,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from scenec.backends.mitsuba.corners import vertex_uv
-from scenec.backends.posing import moving
-from scenec.backends.render_scene import DEFAULT_SURFACE, RenderScene, Surface
+from scenec.backends.stage.posing import moving
+from scenec.backends.stage.scene import DEFAULT_SURFACE, RenderScene, Surface
 from scenec.schemas.threads import over_threads
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.backends.mitsuba.geometry import FlatMesh
-from scenec.backends.render_scene import RenderScene, Surface
+from scenec.backends.stage.scene import RenderScene, Surface
 
 PLUGIN = "scenec_glow"
 #: Of ``light_share``.

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from functools import lru_cache
 from typing import Any
 
-from scenec.backends.heights import LEAST_DEPTH
+from scenec.backends.surface.heights import LEAST_DEPTH
 
 WEIGHT_PLUGIN, MIX_PLUGIN = "scenec_heeded_weight", "scenec_glow_mix"
 #: A texture, or a number that is the same everywhere.

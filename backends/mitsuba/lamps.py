@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.backends.mitsuba.emitter import average_irradiance
-from scenec.backends.render_scene import Lamp, Lighting
-from scenec.backends.sky import combine
+from scenec.backends.picture.sky import combine
+from scenec.backends.stage.scene import Lamp, Lighting
 
 PLUGIN = "scenec_lamps"
 #: Bounds of the fraction of light samples that go to lamps where there are sky or suns too.

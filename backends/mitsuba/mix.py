@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.backends.render_scene import Surface
+from scenec.backends.stage.scene import Surface
 
 PLUGIN = "scenec_layer_mix"
 #: Largest number of channels that one mesh attribute holds.

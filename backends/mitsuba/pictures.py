@@ -13,11 +13,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.backends import cells
-from scenec.backends.maps import PLANES, map_values
 from scenec.backends.mitsuba.cells import Corner, Lattice, seen_from_above, turned_back
 from scenec.backends.mitsuba.projection import handedness, plane_shares, seen_from_sides
-from scenec.backends.render_scene import Maps
+from scenec.backends.stage.scene import Maps
+from scenec.backends.surface import cells
+from scenec.backends.surface.maps import PLANES, map_values
 
 #: What is looked up for what a surface throws back, in the order of the channels.
 KINDS = ("base_color", "normal", "roughness", "metallic", "height")

@@ -1,4 +1,4 @@
-"""The laws of ``scenec.backends.reflectance`` as a BSDF, exact for all light.
+"""The laws of ``scenec.backends.surface.reflectance`` as a BSDF, exact for all light.
 
 Directions are drawn as for Lambert's, whose shape both are near but for the opposition surge.
 """
@@ -9,8 +9,8 @@ from functools import lru_cache
 from typing import Any
 
 from scenec.backends.mitsuba.functions import drjit_functions
-from scenec.backends.reflectance import Numbers, numbers_of, terms, value
-from scenec.backends.render_scene import Reflectance
+from scenec.backends.stage.scene import Reflectance
+from scenec.backends.surface.reflectance import Numbers, numbers_of, terms, value
 
 PLUGIN = "scenec_planetary"
 

@@ -1,7 +1,7 @@
 """Textures that Mitsuba lacks: pictures along the axes of the world, and normals of maps.
 
-The arithmetic is that of ``scenec.backends.maps``. What only multiplies texture coordinates is left
-to Mitsuba's own bitmap.
+The arithmetic is that of ``scenec.backends.surface.maps``. What only multiplies texture coordinates
+is left to Mitsuba's own bitmap.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.backends.maps import PLANES, map_values
 from scenec.backends.mitsuba.cells import cell_texture, far_texture, seen_from_above
-from scenec.backends.render_scene import Maps
+from scenec.backends.stage.scene import Maps
+from scenec.backends.surface.maps import PLANES, map_values
 
 PLUGIN = "scenec_projected"
 

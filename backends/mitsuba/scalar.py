@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from scenec.backends.contract import NO_ROW, Rays, Visibility
 from scenec.backends.mitsuba.emitter import dome_dict
 from scenec.backends.mitsuba.geometry import Group
-from scenec.backends.render_scene import Camera, Lamp, Lighting, Sun
-from scenec.backends.sky import MIN_SUN_DIAMETER_RAD, combine
+from scenec.backends.picture.sky import MIN_SUN_DIAMETER_RAD, combine
+from scenec.backends.stage.scene import Camera, Lamp, Lighting, Sun
 from scenec.schemas.errors import CameraRefusedError
 
 #: Half angle of the widest of Mitsuba's spots, radians.

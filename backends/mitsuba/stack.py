@@ -19,7 +19,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.backends.heights import FLAT, LEAST_DEPTH, needed
 from scenec.backends.mitsuba import mix
 from scenec.backends.mitsuba.functions import drjit_functions
 from scenec.backends.mitsuba.geometry import FlatMesh
@@ -27,8 +26,9 @@ from scenec.backends.mitsuba.ggx import SEEN
 from scenec.backends.mitsuba.mix import MIN_ALPHA
 from scenec.backends.mitsuba.pictures import Pictures
 from scenec.backends.mitsuba.sided import GRAZING
-from scenec.backends.reflectance import Numbers, numbers_of, terms, value
-from scenec.backends.render_scene import Surface
+from scenec.backends.stage.scene import Surface
+from scenec.backends.surface.heights import FLAT, LEAST_DEPTH, needed
+from scenec.backends.surface.reflectance import Numbers, numbers_of, terms, value
 
 PLUGIN = "scenec_stack"
 

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.backends.heights import FLAT, needed
 from scenec.backends.mitsuba import ggx, heights, mix, planetary, product, projection, sided, stack
 from scenec.backends.mitsuba.geometry import FlatMesh
 from scenec.backends.mitsuba.mix import MIN_ALPHA
-from scenec.backends.render_scene import Maps, Surface
+from scenec.backends.stage.scene import Maps, Surface
+from scenec.backends.surface.heights import FLAT, needed
 
 
 @dataclass(frozen=True)

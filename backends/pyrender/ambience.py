@@ -15,12 +15,12 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from scenec.backends.posing import moving
+from scenec.backends.picture.sky import combine, lookup
 from scenec.backends.pyrender.geometry import Geometry, Selection, View
 from scenec.backends.pyrender.laws import even_albedo
 from scenec.backends.pyrender.tables import Tables
-from scenec.backends.render_scene import DEFAULT_SURFACE, Lighting, RenderScene
-from scenec.backends.sky import combine, lookup
+from scenec.backends.stage.posing import moving
+from scenec.backends.stage.scene import DEFAULT_SURFACE, Lighting, RenderScene
 from scenec.schemas.threads import over_threads
 
 #: Cells on a side of the height field.

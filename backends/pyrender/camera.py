@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.backends.pyrender.geometry import View
-from scenec.backends.render_scene import Camera
+from scenec.backends.stage.scene import Camera
 
 #: Nearest distance that is drawn, over the farthest one there is. Float32 depth has room for it.
 NEAR = 1e-15

@@ -19,7 +19,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from scenec.backends.pyrender.geometry import DrawnMesh, Geometry, Items
-from scenec.backends.render_scene import Mesh, RenderScene
+from scenec.backends.stage.scene import Mesh, RenderScene
 
 #: Sizes of the levels' cells, in mean lengths of a group's edges.
 CELLS = (2.2, 4.5, 9.0)

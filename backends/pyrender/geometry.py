@@ -13,8 +13,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from scenec.backends import posing
-from scenec.backends.render_scene import Mesh, RenderScene
+from scenec.backends.stage import posing
+from scenec.backends.stage.scene import Mesh, RenderScene
 
 #: Faces a group; fewer would cost more calls than they save triangles.
 GROUP_FACES = 4096

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scenec.backends.pyrender.camera import NEAR
 from scenec.backends.pyrender.geometry import View
 from scenec.backends.pyrender.lighting import ShadowMap
-from scenec.backends.render_scene import Lamp
+from scenec.backends.stage.scene import Lamp
 
 #: Half angle of the widest cone that one view holds, radians; wider ones take a cube's faces.
 WIDEST = np.radians(60.0)

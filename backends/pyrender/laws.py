@@ -1,4 +1,4 @@
-"""The laws of ``scenec.backends.reflectance`` as the shading program looks them up."""
+"""The laws of ``scenec.backends.surface.reflectance`` as the shading program looks them up."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.backends.reflectance import ALBEDO_NODES, albedo, albedo_table, numbers_of
-from scenec.backends.render_scene import Reflectance, RenderScene, Surface
+from scenec.backends.stage.scene import Reflectance, RenderScene, Surface
+from scenec.backends.surface.reflectance import ALBEDO_NODES, albedo, albedo_table, numbers_of
 
 #: Rows of a law's part of the table: albedos, then its numbers.
 LAW_ROWS = ALBEDO_NODES[0] + 1

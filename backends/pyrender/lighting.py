@@ -9,9 +9,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from scenec.backends.picture.sky import combine, texel_directions
 from scenec.backends.pyrender.geometry import View
-from scenec.backends.render_scene import Lighting, RenderScene, Sun
-from scenec.backends.sky import combine, texel_directions
+from scenec.backends.stage.scene import Lighting, RenderScene, Sun
 
 #: GGX in float32 loses its digits below this; roughness under 0.032 is drawn as 0.032.
 MIN_ALPHA = 1e-3

@@ -31,7 +31,7 @@ from scenec.backends.pyrender.lighting import (
     gloss_albedo,
 )
 from scenec.backends.pyrender.tables import Tables
-from scenec.backends.render_scene import Lamp, RenderScene, Sun
+from scenec.backends.stage.scene import Lamp, RenderScene, Sun
 from scenec.schemas.errors import BackendError
 
 SHADERS = Path(__file__).parent / "shaders"

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.backends.maps import map_file, map_values
 from scenec.backends.pyrender.geometry import DrawnMesh, Geometry
 from scenec.backends.pyrender.laws import law_features, law_table, laws_of
 from scenec.backends.pyrender.tiles import (
@@ -17,7 +16,8 @@ from scenec.backends.pyrender.tiles import (
     third_picture,
     tile_features,
 )
-from scenec.backends.render_scene import DEFAULT_SURFACE, Maps, Mesh, RenderScene, Surface
+from scenec.backends.stage.scene import DEFAULT_SURFACE, Maps, Mesh, RenderScene, Surface
+from scenec.backends.surface.maps import map_file, map_values
 from scenec.schemas.maps import MAP_CHANNELS
 
 #: Maps are brought to one size, at most this, in texels.

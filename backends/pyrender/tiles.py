@@ -11,10 +11,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.backends import cells
-from scenec.backends.heights import FLAT
-from scenec.backends.maps import map_values
-from scenec.backends.render_scene import Maps, RenderScene, Surface
+from scenec.backends.stage.scene import Maps, RenderScene, Surface
+from scenec.backends.surface import cells
+from scenec.backends.surface.heights import FLAT
+from scenec.backends.surface.maps import map_values
 
 #: Texels of a block: (1 / side of the lattice or 0, that side in repeats of the picture, first
 #: texel of its table, layer of emission and height after the first or 0), (1 / factor or 0, share,

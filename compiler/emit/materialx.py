@@ -30,7 +30,7 @@ from scenec.schemas import stage as names
 GROUND_MIX = f"{names.ROOT}/GroundMix"
 _X_AXIS = Gf.Vec3f(1.0, 0.0, 0.0)
 #: The axes across which pictures are laid from three sides, and the world's axes that are u and v
-#: there, as ``scenec.backends.maps`` has them.
+#: there, as ``scenec.backends.surface.maps`` has them.
 _PLANES = (("x", 1, 2), ("y", 0, 2), ("z", 0, 1))
 
 type Value = UsdShade.Output | Gf.Vec2f | Gf.Vec3f | Sdf.AssetPath | float | int | str

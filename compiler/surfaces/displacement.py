@@ -1,8 +1,8 @@
 """Pictures of heights as relief of the ground, at any point.
 
 Between texels heights are cubic (Catmull and Rom 1974: continuous with their slopes, and exact at
-texels' centers); the picture repeats, or lies in cells as its colors do (``scenec.backends.cells``
-defines them; there is no clip here, which would leave kinks).
+texels' centers); the picture repeats, or lies in cells as its colors do
+(``scenec.backends.surface.cells`` defines them; there is no clip here, which would leave kinks).
 """
 
 from __future__ import annotations

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from scenec.backends.annotation.instances import Instances
+from scenec.backends.camera.rays import camera_rays
 from scenec.backends.exact import ExactCaster
-from scenec.backends.instances import Instances
-from scenec.backends.rays import camera_rays
-from scenec.backends.render_scene import Camera, RenderScene
+from scenec.backends.stage.scene import Camera, RenderScene
 
 
 def look(scene: RenderScene, camera: Camera, sample: int = 0, instances: Instances | None = None):

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from scenec.backends.contract import Radiance, Rays, Visibility
 from scenec.backends.exact import ExactCaster
-from scenec.backends.render_scene import Camera, OpenShutter, RenderScene
-from scenec.backends.session import Session
+from scenec.backends.run.session import Session
+from scenec.backends.stage.scene import Camera, OpenShutter, RenderScene
 from scenec.schemas.shutter import Shutter
 
 

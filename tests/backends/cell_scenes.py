@@ -15,8 +15,8 @@ import projection_scenes as ps
 from numpy.typing import NDArray
 from PIL import Image
 
-from scenec.backends import cells, heights, maps
-from scenec.backends.render_scene import Cells, Maps, RenderScene, Surface
+from scenec.backends.stage.scene import Cells, Maps, RenderScene, Surface
+from scenec.backends.surface import cells, heights, maps
 
 IRRADIANCE = 1000.0
 COLOR = (0.9, 0.8, 0.7)

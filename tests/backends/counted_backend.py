@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from third_party import HERE, Plain
 
-from scenec.backends.render_scene import RenderScene
+from scenec.backends.stage.scene import RenderScene
 
 LOG = "SCENEC_TEST_COUNTED"
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from scenec.backends.contract import Radiance
 from scenec.backends.cycles import Cycles
-from scenec.backends.render_scene import Mesh, RenderScene, Surface
+from scenec.backends.stage.scene import Mesh, RenderScene, Surface
 
 ABOVE = ms.look_at((0, 0, 10), (0, 0, 0), 24, 16)
 SUN = ms.sun(60.0, diameter_deg=2.0)

@@ -136,7 +136,7 @@ def outcomes(stages: Sequence[Path], allow_missing: bool = False) -> Iterator[tu
 
 
 def _child(path: str, allow_missing: bool, pipe: int) -> None:
-    from scenec.backends.reader import read_stage
+    from scenec.backends.stage.read import read_stage
     from scenec.schemas.errors import StageError
 
     try:
@@ -156,7 +156,7 @@ def _child(path: str, allow_missing: bool, pipe: int) -> None:
 
 
 def _serve() -> None:
-    from scenec.backends.reader import placing
+    from scenec.backends.stage import placing
 
     placing.rotations(np.zeros((1, 4)))
     allow_missing, paths = json.loads(sys.stdin.read())

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from small import small_cfg
 
-from scenec.backends.render_scene import Camera
+from scenec.backends.stage.scene import Camera
 from scenec.schemas.lens import EQUIRECTANGULAR, KANNALA_BRANDT
 
 SIDE = 512.0

@@ -8,8 +8,8 @@ from typing import Any
 
 from pxr import Sdf, Usd, UsdGeom, UsdSemantics, UsdShade
 
-from scenec.backends.reader import read_stage
-from scenec.backends.render_scene import RenderScene
+from scenec.backends.stage.read import read_stage
+from scenec.backends.stage.scene import RenderScene
 
 
 def written(folder: Path, build: Callable[[Usd.Stage], None], **layout: Any) -> Path:

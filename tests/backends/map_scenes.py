@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from scenec.backends.render_scene import Camera, Maps, RenderScene, Surface
+from scenec.backends.stage.scene import Camera, Maps, RenderScene, Surface
 
 IRRADIANCE = 1000.0
 WIDTH, HEIGHT = 48, 36

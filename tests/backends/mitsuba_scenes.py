@@ -10,7 +10,7 @@ import numpy as np
 import OpenEXR
 from numpy.typing import NDArray
 
-from scenec.backends.render_scene import (
+from scenec.backends.stage.scene import (
     Camera,
     Dome,
     Lighting,

@@ -1,7 +1,7 @@
 """Objects with surface maps by every projection, and what they must look like in any renderer.
 
 The oracle meets triangles in float64 and takes values and normals from the definitions in
-``scenec.backends.maps``; light is one sun, on which nothing else throws a shadow.
+``scenec.backends.surface.maps``; light is one sun, on which nothing else throws a shadow.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from PIL import Image
 from scenes import icosphere
 
-from scenec.backends import maps
-from scenec.backends.render_scene import Maps, Mesh, RenderScene, Surface
+from scenec.backends.stage.scene import Maps, Mesh, RenderScene, Surface
+from scenec.backends.surface import maps
 
 IRRADIANCE = 1000.0
 COLOR = (0.9, 0.8, 0.7)

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from scenec.backends.contract import Radiance
 from scenec.backends.pyrender import Pyrender
-from scenec.backends.render_scene import Mesh, RenderScene, Surface
+from scenec.backends.stage.scene import Mesh, RenderScene, Surface
 
 CAMERA = ms.look_at((0, 0, 10), (0, 0, 0), 24, 16)
 #: The preview's arithmetic is float32, and nothing in it is random.

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from scenec.backends.render_scene import Camera, Dome, Maps, RenderScene, Sun, Surface
+from scenec.backends.stage.scene import Camera, Dome, Maps, RenderScene, Sun, Surface
 
 #: Of four strips and of the whole mesh: the last strip's roughness passes 1 and is clipped.
 VERTEX, ROW = (-1.0, -0.4, 0.1, 0.9), 0.25

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.backends.render_scene import Camera, Lighting, Mesh, RenderScene, Rows
+from scenec.backends.stage.scene import Camera, Lighting, Mesh, RenderScene, Rows
 
 SKY = 1
 

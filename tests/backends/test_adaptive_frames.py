@@ -9,7 +9,7 @@ import pytest
 from scipy import ndimage
 from small import small_cfg, write_cfg
 
-from scenec.backends.render import render
+from scenec.backends.run.render import render
 from scenec.compiler.compile import compile_cfg
 from scenec.schemas.frames import read_frame
 

@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 from scipy.stats import f as snedecor
 from third_party import LEVEL, NOISE, install, square_stage
 
-from scenec.backends import rounds
 from scenec.backends.contract import Radiance
-from scenec.backends.noise import QUANTILE, bound_factor, estimate
-from scenec.backends.render import check_backend, render
-from scenec.backends.rounds import Target, collect, grid, round_seed
+from scenec.backends.picture import adaptive as rounds
+from scenec.backends.picture.adaptive import Target, collect, grid, round_seed
+from scenec.backends.picture.noise import QUANTILE, bound_factor, estimate
+from scenec.backends.run.render import check_backend, render
 from scenec.cli.main import main
 from scenec.schemas.errors import BackendError
 from scenec.schemas.frames import read_frame

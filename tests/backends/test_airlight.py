@@ -15,7 +15,7 @@ from mitsuba_volume import DISTANCE_M, EXTINCTION, HEIGHT_M, SCALE_HEIGHT_M, SUN
 from numpy.typing import NDArray
 from scipy.integrate import quad
 
-from scenec.backends.airlight import (
+from scenec.backends.picture.airlight import (
     BAND_DEG,
     Air,
     air_of,
@@ -26,8 +26,8 @@ from scenec.backends.airlight import (
     scattered,
     sources,
 )
-from scenec.backends.render_scene import Haze, Sun
-from scenec.backends.sky import Sky, lookup, texel_directions
+from scenec.backends.picture.sky import Sky, lookup, texel_directions
+from scenec.backends.stage.scene import Haze, Sun
 
 GRAY = np.array([0.4, 0.5, 0.6])
 FLAT = Sky(GRAY.reshape(1, 1, 3).astype(np.float32), np.eye(3))

@@ -12,14 +12,14 @@ from amodal_looks import look
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from scenec.backends import amodal as outlining
+from scenec.backends.annotation import amodal as outlining
+from scenec.backends.annotation.instances import Instances
+from scenec.backends.camera.rays import camera_rays
 from scenec.backends.contract import Rays
 from scenec.backends.exact import ExactCaster
 from scenec.backends.exact.silhouette import RAY_COST, set_direction
-from scenec.backends.instances import Instances
-from scenec.backends.rays import camera_rays
-from scenec.backends.reader import read_stage
-from scenec.backends.render_scene import Camera, RenderScene
+from scenec.backends.stage.read import read_stage
+from scenec.backends.stage.scene import Camera, RenderScene
 
 #: Costs of a ray that leave all to rays, to spans, and to either.
 WAYS = (0, 1 << 40, RAY_COST)

@@ -16,9 +16,9 @@ from hypothesis import strategies as st
 
 from scenec.backends.check.compare import check_exact
 from scenec.backends.check.frames import check_frames
-from scenec.backends.reader import read_stage
-from scenec.backends.render import render
-from scenec.backends.session import Session
+from scenec.backends.run.render import render
+from scenec.backends.run.session import Session
+from scenec.backends.stage.read import read_stage
 from scenec.schemas import rle
 from scenec.schemas.amodal import Amodal, amodal_path, read_amodal, write_amodal
 from scenec.schemas.errors import BackendError, FrameError
@@ -173,7 +173,7 @@ def test_masks_hold_the_pixels_that_they_show(height, width, seed):
 
 def test_amodal_is_asked_for_by_a_stage_and_an_unknown_pass_still_refused(rendered):
     scene = read_stage(rendered / "m.usda")
-    from scenec.backends.exact.annotate import pass_names
+    from scenec.backends.annotation.annotate import pass_names
 
     assert pass_names(scene, ("rgb", "amodal")) == ["instance", "amodal"]
     with pytest.raises(BackendError, match='no pass "amodel"'):

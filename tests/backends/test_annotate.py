@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 import scenes
 
-from scenec.backends.bands import annotate
+from scenec.backends.annotation.annotate import NO_FACE, pass_names
+from scenec.backends.camera.rays import camera_rays
 from scenec.backends.exact import ExactCaster
-from scenec.backends.exact.annotate import NO_FACE, pass_names
-from scenec.backends.rays import camera_rays
+from scenec.backends.picture.bands import annotate
 from scenec.schemas.errors import BackendError
 
 ALL = ("label", "instance", "depth", "range", "normal", "position", "face")

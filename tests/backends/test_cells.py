@@ -10,8 +10,8 @@ import pytest
 from PIL import Image
 from scipy import ndimage
 
-from scenec.backends import cells, maps
-from scenec.backends.render_scene import Cells, Maps
+from scenec.backends.stage.scene import Cells, Maps
+from scenec.backends.surface import cells, maps
 
 SIZE = 2.0
 

@@ -13,7 +13,7 @@ from small import small_cfg, write_cfg
 
 from scenec.backends.check.compare import CompareOptions, check_exact, compare
 from scenec.backends.check.radiance import relative_mse
-from scenec.backends.render import render
+from scenec.backends.run.render import render
 from scenec.cli.main import main
 from scenec.compiler.compile import compile_cfg
 from scenec.schemas.exr import read_exr, write_exr

@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from PIL import Image
 
-from scenec.backends.compose import compose, disc_fraction
+from scenec.backends.camera.rays import camera_rays
 from scenec.backends.contract import Radiance
-from scenec.backends.rays import camera_rays
-from scenec.backends.render_scene import Dome, RenderScene
-from scenec.backends.sky import Sky, combine, load_picture, lookup, texel_directions
+from scenec.backends.picture.compose import compose, disc_fraction
+from scenec.backends.picture.sky import Sky, combine, load_picture, lookup, texel_directions
+from scenec.backends.stage.scene import Dome, RenderScene
 from scenec.schemas.errors import StageError
 from scenec.schemas.picture import SHOULDER, develop, srgb_encode, tone_map, write_png
 

@@ -16,12 +16,12 @@ from pxr import Usd, UsdGeom
 from scenes import icosphere
 from small import small_cfg
 
+from scenec.backends.camera.rays import camera_rays
 from scenec.backends.exact import ExactCaster
-from scenec.backends.rays import camera_rays
-from scenec.backends.reader import read_stage
 from scenec.backends.registry import open_backend
-from scenec.backends.render_scene import Camera, RenderScene
-from scenec.backends.session import Session
+from scenec.backends.run.session import Session
+from scenec.backends.stage.read import read_stage
+from scenec.backends.stage.scene import Camera, RenderScene
 from scenec.compiler.compile import compile_cfg
 from scenec.schemas.correspondence import (
     BEFORE,

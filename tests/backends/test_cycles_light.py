@@ -11,11 +11,11 @@ import scenes
 from cycles_pictures import ABOVE, draw, loaded, picture
 from numpy.typing import NDArray
 
+from scenec.backends.camera.rays import camera_rays
 from scenec.backends.contract import Radiance
 from scenec.backends.cycles import camera, render
-from scenec.backends.rays import camera_rays
-from scenec.backends.render_scene import Dome, RenderScene
-from scenec.backends.sky import combine, lookup
+from scenec.backends.picture.sky import combine, lookup
+from scenec.backends.stage.scene import Dome, RenderScene
 
 #: Standard errors allowed; two-sided odds of a false alarm are 6e-7 a test.
 Z = 5.0

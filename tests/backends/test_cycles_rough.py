@@ -14,7 +14,7 @@ import scenes
 from numpy.typing import NDArray
 
 from scenec.backends.cycles import Cycles
-from scenec.backends.render_scene import RenderScene, Surface
+from scenec.backends.stage.scene import RenderScene, Surface
 
 
 def halves(scene: RenderScene, spp: int) -> NDArray:

@@ -14,7 +14,7 @@ from cycles_pictures import ABOVE, SUN, draw, lit, picture, reflected
 from numpy.typing import NDArray
 from PIL import Image
 
-from scenec.backends.render_scene import Maps, RenderScene, Surface
+from scenec.backends.stage.scene import Maps, RenderScene, Surface
 
 
 def ggx(wi: NDArray, wo: NDArray, roughness: float) -> float:

@@ -14,12 +14,12 @@ import numpy as np
 import pytest
 import scenes
 
+from scenec.backends.camera.rays import camera_rays
 from scenec.backends.check.witness import Witness
 from scenec.backends.contract import NO_ROW
 from scenec.backends.cycles import Cycles
 from scenec.backends.exact import ExactCaster
-from scenec.backends.rays import camera_rays
-from scenec.backends.render_scene import Camera, Mesh, RenderScene
+from scenec.backends.stage.scene import Camera, Mesh, RenderScene
 from scenec.schemas.errors import BackendError
 
 

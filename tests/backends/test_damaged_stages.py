@@ -28,7 +28,7 @@ from damaged_stages import (
 )
 from rich_stage import compile_rich
 
-from scenec.backends.reader import read_stage
+from scenec.backends.stage.read import read_stage
 
 #: Of each kind: enough to see that it is looked at, few enough to wait for.
 QUICK = 60

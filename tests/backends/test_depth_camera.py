@@ -14,10 +14,10 @@ from hypothesis import strategies as st
 from pxr import Usd, UsdGeom
 from small import small_cfg
 
-from scenec.backends.depth_camera import measure_stereo, measure_time_of_flight
-from scenec.backends.reader import read_stage
-from scenec.backends.render_scene import Camera
-from scenec.backends.session import Session
+from scenec.backends.annotation.depth_camera import measure_stereo, measure_time_of_flight
+from scenec.backends.run.session import Session
+from scenec.backends.stage.read import read_stage
+from scenec.backends.stage.scene import Camera
 from scenec.compiler.compile import compile_cfg
 from scenec.schemas.depth_camera import (
     MEASURED,

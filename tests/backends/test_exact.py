@@ -14,11 +14,11 @@ from hypothesis import strategies as st
 sys.path.insert(0, str(Path(__file__).parent))
 import scenes
 
+from scenec.backends.camera.rays import camera_rays
 from scenec.backends.contract import NO_ROW, Rays
 from scenec.backends.exact import ExactCaster
 from scenec.backends.exact.build import TASK_SIZE
 from scenec.backends.exact.intersect import edge_function
-from scenec.backends.rays import camera_rays
 from scenec.schemas.errors import BackendError
 from scenec.schemas.threads import at_most
 

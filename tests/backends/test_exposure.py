@@ -26,11 +26,11 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux, Vt
 
 from scenec.backends.check.frames import check_frames
 from scenec.backends.exact import ExactCaster
-from scenec.backends.exposure import GRAY, Meter, level
-from scenec.backends.metering import LUMINANCE, look
-from scenec.backends.reader import read_stage
-from scenec.backends.render import render
-from scenec.backends.render_scene import Camera, Lamp, Lighting, RenderScene
+from scenec.backends.picture.exposure import GRAY, Meter, level
+from scenec.backends.picture.metering import LUMINANCE, look
+from scenec.backends.run.render import render
+from scenec.backends.stage.read import read_stage
+from scenec.backends.stage.scene import Camera, Lamp, Lighting, RenderScene
 from scenec.schemas.errors import StageError
 from scenec.schemas.imaging import Imaging, shown_per_value
 from scenec.schemas.lens import Lens

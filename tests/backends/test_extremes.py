@@ -27,16 +27,16 @@ from scenes import camera as pinhole
 from scenes import scene
 from small import small_cfg, write_cfg
 
-from scenec.backends import bands, compose
+from scenec.backends.annotation.annotate import annotate
+from scenec.backends.camera.rays import camera_rays
 from scenec.backends.check.compare import check_exact
 from scenec.backends.contract import Radiance
 from scenec.backends.exact import ExactCaster
-from scenec.backends.exact.annotate import annotate
-from scenec.backends.rays import camera_rays
-from scenec.backends.reader import read_stage
-from scenec.backends.render import render
-from scenec.backends.render_scene import Camera, RenderScene
-from scenec.backends.session import Session
+from scenec.backends.picture import bands, compose
+from scenec.backends.run.render import render
+from scenec.backends.run.session import Session
+from scenec.backends.stage.read import read_stage
+from scenec.backends.stage.scene import Camera, RenderScene
 from scenec.compiler.cameras.paths.motion import frames
 from scenec.compiler.cameras.poses import bearing_vector
 from scenec.compiler.cameras.se3 import METHODS, interpolate
@@ -301,7 +301,7 @@ def test_a_picture_wider_than_opengl_draws_is_drawn_in_columns(extremes: Path) -
     # In a process of its own: GL contexts stay.
     script = (
         "import sys, numpy as np\n"
-        "from scenec.backends.session import Session\n"
+        "from scenec.backends.run.session import Session\n"
         "s = Session.open(sys.argv[1], 'pyrender')\n"
         "c = next(c for c in s.scene.cameras[0] if c.name == 'down_eye')\n"
         "p = ('depth', 'instance', 'face')\n"
@@ -340,7 +340,7 @@ def test_67_million_pixels_are_annotated_within_6_gib(tmp_path: Path) -> None:
     script = (
         "import dataclasses, json, sys\n"
         "from scenec.backends import memory\n"
-        "from scenec.backends.session import Session\n"
+        "from scenec.backends.run.session import Session\n"
         "s = Session.open(sys.argv[1], 'reference')\n"
         "c = s.scene.cameras[0][0]\n"
         "k = c.intrinsics * (8192 / c.width)\n"

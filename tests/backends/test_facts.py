@@ -9,12 +9,12 @@ import pytest
 from pxr import Gf, Usd, UsdGeom
 from small import small_cfg, write_cfg
 
+from scenec.backends.camera.rays import camera_rays
 from scenec.backends.check.witness import Witness
 from scenec.backends.exact import ExactCaster
-from scenec.backends.rays import camera_rays
-from scenec.backends.reader import read_stage
 from scenec.backends.registry import open_backend
-from scenec.backends.session import Session
+from scenec.backends.run.session import Session
+from scenec.backends.stage.read import read_stage
 from scenec.compiler.build import BuildLog, build
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.draw import draw
@@ -154,7 +154,7 @@ def plane_stage(path: Path) -> Path:
 
 @pytest.mark.parametrize("backend", ["reference", "mitsuba"])
 def test_depth_of_an_inclined_plane_is_exact_in_memory_and_on_disk(backend, tmp_path):
-    from scenec.backends.render import render
+    from scenec.backends.run.render import render
     from scenec.schemas.frames import read_frame
 
     stage = plane_stage(tmp_path / "plane.usda")

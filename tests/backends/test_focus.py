@@ -12,9 +12,9 @@ from mitsuba_scenes import dome, mesh, scene, surface
 from numpy.typing import NDArray
 
 from scenec.backends.exact import ExactCaster
-from scenec.backends.render_scene import Camera, Focus, Haze, Lighting, RenderScene, Sun
-from scenec.backends.session import Session
-from scenec.backends.subframes import measure, moved_eye
+from scenec.backends.picture.subframes import measure, moved_eye
+from scenec.backends.run.session import Session
+from scenec.backends.stage.scene import Camera, Focus, Haze, Lighting, RenderScene, Sun
 from scenec.schemas.lens import to_pixels
 
 #: A plate whose picture is 4 by 4 pixels, right of the middle: 4 m away, 40 pixels of focal length.
@@ -170,7 +170,7 @@ def lit() -> RenderScene:
 
 def blurred(backend: Any, of: RenderScene, spp: int) -> NDArray[np.float32]:
     """What surfaces cover of each pixel."""
-    from scenec.backends.subframes import Drawing
+    from scenec.backends.picture.subframes import Drawing
 
     backend.load(of)
     caster = ExactCaster(of)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from scenec.backends.frames import write_frame
+from scenec.backends.run.writer import write_frame
 from scenec.schemas.errors import FrameError, OutputError
 from scenec.schemas.exr import channel_names, read_exr, write_exr
 from scenec.schemas.frames import FrameKey, frame_stem, is_done, read_frame

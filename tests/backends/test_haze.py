@@ -13,14 +13,14 @@ from mitsuba_scenes import write_latlong
 from numpy.typing import NDArray
 from third_party import LEVEL, Raster
 
-from scenec.backends.compose import compose
+from scenec.backends.camera.rays import camera_rays
 from scenec.backends.contract import Radiance, Rays, Visibility
 from scenec.backends.exact import ExactCaster
-from scenec.backends.haze import Veil, air_at, veil
-from scenec.backends.rays import camera_rays
-from scenec.backends.render_scene import Camera, Dome, Haze, Lighting, RenderScene
-from scenec.backends.session import Session
-from scenec.backends.sky import combine
+from scenec.backends.picture.compose import compose
+from scenec.backends.picture.haze import Veil, air_at, veil
+from scenec.backends.picture.sky import combine
+from scenec.backends.run.session import Session
+from scenec.backends.stage.scene import Camera, Dome, Haze, Lighting, RenderScene
 
 GRAY = np.array([0.4, 0.5, 0.6])
 
@@ -242,11 +242,11 @@ def test_haze_is_bit_identical_whatever_the_renderer_saw_and_is_asked_for():
 
 
 def test_without_haze_nothing_is_done_or_imported(monkeypatch):
-    monkeypatch.delitem(sys.modules, "scenec.backends.haze")
+    monkeypatch.delitem(sys.modules, "scenec.backends.picture.haze")
     camera = scenes.camera(8, 6)
     session = Session(replace(edge(0.0), cameras=((camera,),)), Raster())
     arrays, details = session.render(camera, 0, ("rgb", "depth"), 2, 0)
-    assert "scenec.backends.haze" not in sys.modules
+    assert "scenec.backends.picture.haze" not in sys.modules
     assert "haze" not in details["seconds"]
     assert "haze" not in details
     np.testing.assert_array_equal(arrays["rgb"], np.float32(LEVEL))

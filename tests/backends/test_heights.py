@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from scenec.backends.heights import heeded, heeded_weights, needed
+from scenec.backends.surface.heights import heeded, heeded_weights, needed
 
 DEPTHS = (1e-9, 1e-3, 0.05, 0.3, 1.0, 40.0)
 HEIGHTS = np.linspace(0.0, 1.0, 11)

@@ -16,7 +16,7 @@ from scipy import ndimage
 from scenec.backends.imaging import develop, optics, sensor
 from scenec.backends.imaging.camera import exposure, take
 from scenec.backends.imaging.jpeg import compressed
-from scenec.backends.render_scene import Camera
+from scenec.backends.stage.scene import Camera
 from scenec.schemas.imaging import SUBSAMPLINGS, Imaging, shown_per_value
 from scenec.schemas.picture import srgb_encode, tone_map
 from scenec.schemas.threads import at_most

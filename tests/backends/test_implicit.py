@@ -14,7 +14,7 @@ from foreign_stages import bind, label, opened, square
 
 from scenec.backends.contract import NO_ROW, Rays
 from scenec.backends.exact import ExactCaster
-from scenec.backends.reader.implicit import ERROR, LENGTHS, dimensions, tessellate
+from scenec.backends.stage.implicit import ERROR, LENGTHS, dimensions, tessellate
 from scenec.schemas.errors import StageError
 
 PI = np.pi

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 import scenes
 
+from scenec.backends.annotation.instances import Instances, quaternions
 from scenec.backends.check.frames import check_frames
 from scenec.backends.exact import ExactCaster
-from scenec.backends.instances import Instances, quaternions
-from scenec.backends.reader import read_stage
-from scenec.backends.render import render
-from scenec.backends.render_scene import RenderScene
+from scenec.backends.run.render import render
+from scenec.backends.stage.read import read_stage
+from scenec.backends.stage.scene import RenderScene
 from scenec.schemas.errors import FrameError
 from scenec.schemas.exr import read_exr
 from scenec.schemas.frames import read_frame

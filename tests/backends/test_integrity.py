@@ -11,11 +11,11 @@ from pxr import Sdf, Usd, UsdGeom, UsdLux, UsdShade
 from small import small_cfg, write_cfg
 
 from scenec.backends.check.stage import check_stage
-from scenec.backends.pool import WorkerProcess
-from scenec.backends.reader import read_stage
-from scenec.backends.render import render
-from scenec.backends.scan import scan_output
-from scenec.backends.session import Session
+from scenec.backends.run.render import render
+from scenec.backends.run.scan import scan_output
+from scenec.backends.run.session import Session
+from scenec.backends.run.supervise import WorkerProcess
+from scenec.backends.stage.read import read_stage
 from scenec.cli.main import main
 from scenec.compiler.compile import compile_cfg
 from scenec.schemas.errors import OutputError, StageError
@@ -432,7 +432,7 @@ def test_a_crash_while_a_stage_is_read_is_said_after_one_try(tmp_path, monkeypat
     (tmp_path / "site" / "sitecustomize.py").write_text(
         "import os, signal, sys\n"
         "def audit(event, arguments):\n"
-        "    if event == 'import' and arguments[0] == 'scenec.backends.reader.stage':\n"
+        "    if event == 'import' and arguments[0] == 'scenec.backends.stage.read':\n"
         f"        open({str(tmp_path / 'tries')!r}, 'a').write('x')\n"
         "        os.kill(os.getpid(), signal.SIGSEGV)\n"
         "sys.addaudithook(audit)\n",

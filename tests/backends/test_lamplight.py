@@ -14,12 +14,12 @@ import scenes
 from numpy.typing import NDArray
 from pxr import Gf, Usd, UsdGeom, UsdLux
 
+from scenec.backends.camera.rays import camera_rays
 from scenec.backends.contract import Backend
 from scenec.backends.mitsuba.scalar import lamp_losses
-from scenec.backends.rays import camera_rays
-from scenec.backends.reader.stage import read_stage
 from scenec.backends.registry import open_backend
-from scenec.backends.render_scene import Camera, Lamp, Lighting, RenderScene
+from scenec.backends.stage.read import read_stage
+from scenec.backends.stage.scene import Camera, Lamp, Lighting, RenderScene
 from scenec.schemas.errors import StageError
 
 BACKENDS = ("cycles", "mitsuba", "pyrender")

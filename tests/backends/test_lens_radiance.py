@@ -12,15 +12,15 @@ from lens_scenes import BROWN, CAMERAS, FISHEYE, PANORAMA, with_lens
 from mitsuba_scenes import dome, look_at, mesh, plane, scene, sun, surface
 from numpy.typing import NDArray
 
-from scenec.backends import resample
-from scenec.backends.compose import compose, lens_disc_fraction
+from scenec.backends.camera.lens import TOLERANCE_PX, ray_table
+from scenec.backends.camera.rays import camera_rays, subpixel_directions
 from scenec.backends.contract import Radiance, Rays
 from scenec.backends.exact import ExactCaster
-from scenec.backends.lens import TOLERANCE_PX, ray_table
 from scenec.backends.mitsuba.adapter import Mitsuba
-from scenec.backends.rays import camera_rays, subpixel_directions
-from scenec.backends.render_scene import Camera, RenderScene
-from scenec.backends.session import Session
+from scenec.backends.picture import resample
+from scenec.backends.picture.compose import compose, lens_disc_fraction
+from scenec.backends.run.session import Session
+from scenec.backends.stage.scene import Camera, RenderScene
 from scenec.schemas.errors import BackendError
 from scenec.schemas.lens import Lens
 

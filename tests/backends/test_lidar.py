@@ -16,11 +16,11 @@ from pxr import Sdf, Usd, UsdGeom
 from scenes import icosphere
 from small import small_cfg
 
+from scenec.backends.annotation.lidar import scan
 from scenec.backends.exact import ExactCaster
-from scenec.backends.lidar import scan
-from scenec.backends.reader import read_stage
-from scenec.backends.render_scene import Lidar, RenderScene
-from scenec.backends.scan import scan_output
+from scenec.backends.run.scan import scan_output
+from scenec.backends.stage.read import read_stage
+from scenec.backends.stage.scene import Lidar, RenderScene
 from scenec.cli.main import main
 from scenec.compiler.compile import compile_cfg
 from scenec.datasets.source import Source

@@ -7,9 +7,9 @@ import pytest
 from PIL import Image
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade, Vt
 
-from scenec.backends import maps
-from scenec.backends.reader import read_stage
-from scenec.backends.render_scene import Cells
+from scenec.backends.stage.read import read_stage
+from scenec.backends.stage.scene import Cells
+from scenec.backends.surface import maps
 from scenec.schemas import stage as names
 from scenec.schemas.errors import StageError
 

@@ -10,8 +10,8 @@ import scenes
 from scenec.backends.contract import Radiance
 from scenec.backends.mitsuba import Mitsuba
 from scenec.backends.mitsuba.adapter import MAX_WAVEFRONT, mix, split_samples
-from scenec.backends.render_scene import RenderScene
-from scenec.backends.sky import combine, texel_directions
+from scenec.backends.picture.sky import combine, texel_directions
+from scenec.backends.stage.scene import RenderScene
 
 #: Standard errors allowed; two-sided odds of a false alarm are 6e-7 a test.
 Z = 5.0
@@ -102,8 +102,8 @@ def test_a_white_cup_in_a_furnace_returns_it_once_paths_are_long_enough():
 def test_mitsubas_sky_is_the_shared_lookup_in_every_direction(tmp_path, rotation):
     from scenec.backends.mitsuba.emitter import dome_dict
     from scenec.backends.mitsuba.variant import load_mitsuba
-    from scenec.backends.render_scene import Dome
-    from scenec.backends.sky import lookup
+    from scenec.backends.picture.sky import lookup
+    from scenec.backends.stage.scene import Dome
 
     rng = np.random.default_rng(4)
     file = ms.write_latlong(tmp_path / "sky.exr", rng.uniform(0.1, 5, (7, 12, 3)))
@@ -133,7 +133,7 @@ def test_a_plane_under_a_textured_sky_has_the_radiance_of_its_integral(tmp_path)
     file = ms.write_latlong(tmp_path / "sky.exr", picture)
     sky = combine((ms.dome(1.0, file),))
     assert sky is not None
-    from scenec.backends.sky import lookup
+    from scenec.backends.picture.sky import lookup
 
     # The integral of radiance * cosine over the upper half, by the midpoint rule.
     theta = (np.arange(600) + 0.5) * (np.pi / 2 / 600)

@@ -70,7 +70,7 @@ def test_mapped_and_plain_layers_mix_by_their_weights(tmp_path):
     import mitsuba_scenes as ms
     from PIL import Image
 
-    from scenec.backends.render_scene import Maps
+    from scenec.backends.stage.scene import Maps
 
     file = tmp_path / "flat.png"
     Image.fromarray(np.full((2, 2, 3), 188, np.uint8)).save(file)

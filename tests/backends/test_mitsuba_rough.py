@@ -14,7 +14,7 @@ import rough_scenes
 from numpy.typing import NDArray
 
 from scenec.backends.mitsuba import Mitsuba, variant
-from scenec.backends.render_scene import RenderScene
+from scenec.backends.stage.scene import RenderScene
 
 
 def picture(scene: RenderScene, spp: int) -> NDArray:
@@ -44,7 +44,7 @@ def test_a_map_of_roughness_varies_as_a_number_does(tmp_path):
 def test_a_number_beside_another_map_varies_too(tmp_path):
     from PIL import Image
 
-    from scenec.backends.render_scene import Maps
+    from scenec.backends.stage.scene import Maps
 
     file = tmp_path / "white.png"
     Image.fromarray(np.full((2, 2, 3), 255, np.uint8)).save(file)

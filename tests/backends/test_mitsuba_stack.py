@@ -17,7 +17,7 @@ from PIL import Image
 
 from scenec.backends.mitsuba import Mitsuba, surfaces
 from scenec.backends.mitsuba.pictures import Pictures
-from scenec.backends.render_scene import Maps, Reflectance, RenderScene, Surface
+from scenec.backends.stage.scene import Maps, Reflectance, RenderScene, Surface
 
 HAPKE = Reflectance("hapke", 0.25, 0.2, 1.5, 0.06, math.radians(20.0))
 #: Directions that each point is asked about.

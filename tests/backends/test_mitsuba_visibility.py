@@ -14,12 +14,12 @@ import numpy as np
 import pytest
 import scenes
 
+from scenec.backends.camera.rays import camera_rays
 from scenec.backends.check.witness import Witness
 from scenec.backends.contract import NO_ROW
 from scenec.backends.exact import ExactCaster
 from scenec.backends.mitsuba import Mitsuba, variant
-from scenec.backends.rays import camera_rays
-from scenec.backends.render_scene import RenderScene
+from scenec.backends.stage.scene import RenderScene
 
 
 def field(offset: np.ndarray | None = None) -> RenderScene:
@@ -119,7 +119,7 @@ sys.path.insert(0, sys.argv[1])
 import numpy as np, mitsuba_scenes as ms, scenes
 from test_mitsuba_visibility import glossy_scene
 from scenec.backends.mitsuba import Mitsuba
-from scenec.backends.rays import camera_rays
+from scenec.backends.camera.rays import camera_rays
 scene = glossy_scene()
 backend = Mitsuba()
 backend.load(scene)

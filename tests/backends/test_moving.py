@@ -11,13 +11,13 @@ import pytest
 import scenes
 from pxr import Gf, Sdf, Usd, UsdGeom, Vt
 
+from scenec.backends.camera.rays import camera_rays
 from scenec.backends.check.witness import Witness
 from scenec.backends.exact import ExactCaster
-from scenec.backends.rays import camera_rays
-from scenec.backends.reader import read_stage
 from scenec.backends.registry import open_backend
-from scenec.backends.render_scene import Motion, RenderScene
-from scenec.backends.session import Session
+from scenec.backends.run.session import Session
+from scenec.backends.stage.read import read_stage
+from scenec.backends.stage.scene import Motion, RenderScene
 from scenec.schemas import stage as names
 from scenec.schemas.errors import StageError
 

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from small import small_cfg, write_cfg
 
-from scenec.backends import session
 from scenec.backends.contract import Backend
-from scenec.backends.reader import read_stage
 from scenec.backends.registry import open_backend
-from scenec.backends.render import render
-from scenec.backends.render_scene import RenderScene
-from scenec.backends.session import Session
+from scenec.backends.run import session
+from scenec.backends.run.render import render
+from scenec.backends.run.session import Session
+from scenec.backends.stage.read import read_stage
+from scenec.backends.stage.scene import RenderScene
 from scenec.compiler.compile import compile_cfg
 from scenec.schemas.manifest import read_manifest
 

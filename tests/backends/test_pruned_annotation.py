@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from pruned_scenes import annotation, compiled, difference, drawn_cfg, everything, odd_cfg
 
-from scenec.backends.reader import read_stage
+from scenec.backends.stage.read import read_stage
 from scenec.compiler.passes.keep import Keep
 from scenec.schemas.left_out import read_left_out
 

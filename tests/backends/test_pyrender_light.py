@@ -16,14 +16,14 @@ import scenes
 from numpy.typing import NDArray
 from pyrender_pictures import CAMERA, CLOSE, busy, lit, over_plane, picture, render
 
+from scenec.backends.camera.rays import camera_rays
 from scenec.backends.contract import NO_ROW
+from scenec.backends.picture.sky import combine, lookup
 from scenec.backends.pyrender import Pyrender, platforms
 from scenec.backends.pyrender.detail import add_levels, border
 from scenec.backends.pyrender.geometry import LEVELS, prepare
 from scenec.backends.pyrender.lighting import polynomials, smooth_sky
-from scenec.backends.rays import camera_rays
-from scenec.backends.render_scene import Dome
-from scenec.backends.sky import combine, lookup
+from scenec.backends.stage.scene import Dome
 
 
 @pytest.mark.parametrize("elevation_deg", [90.0, 40.0, 8.0])
@@ -247,7 +247,7 @@ def test_irradiance_of_a_smooth_sky_is_exact(tmp_path):
     # Radiance that is itself of second order in the direction.
     rng = np.random.default_rng(8)
     to_world = scenes.rotation(rng)
-    from scenec.backends.sky import texel_directions
+    from scenec.backends.picture.sky import texel_directions
 
     world = texel_directions(64, 128).reshape(-1, 3) @ to_world.T
     values = (polynomials(world) @ rng.uniform(-0.2, 0.2, (9, 3)) + 2.0).reshape(64, 128, 3)

@@ -9,7 +9,7 @@ import rough_scenes
 from numpy.typing import NDArray
 
 from scenec.backends.pyrender import Pyrender
-from scenec.backends.render_scene import RenderScene
+from scenec.backends.stage.scene import RenderScene
 
 
 def picture(scene: RenderScene, spp: int = 4) -> NDArray:

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from PIL import Image
 from pyrender_pictures import CAMERA, CLOSE, lit, picture
 
+from scenec.backends.camera.rays import camera_rays
 from scenec.backends.pyrender.lighting import gloss_albedo
 from scenec.backends.pyrender.tables import resample
-from scenec.backends.rays import camera_rays
-from scenec.backends.render_scene import Maps, Surface
+from scenec.backends.stage.scene import Maps, Surface
 
 
 def sun_irradiance() -> float:

@@ -16,13 +16,13 @@ import pytest
 import scenes
 from numpy.typing import NDArray
 
+from scenec.backends.camera.rays import camera_rays
 from scenec.backends.check.witness import Witness
 from scenec.backends.contract import NO_ROW
 from scenec.backends.exact import ExactCaster
 from scenec.backends.pyrender import Pyrender, adapter, platforms
 from scenec.backends.pyrender.geometry import GROUP_FACES, prepare, spatial_order
-from scenec.backends.rays import camera_rays
-from scenec.backends.render_scene import Camera, RenderScene
+from scenec.backends.stage.scene import Camera, RenderScene
 from scenec.schemas.errors import BackendError
 
 

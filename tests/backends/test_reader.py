@@ -10,9 +10,9 @@ import pytest
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux, UsdRender, UsdSemantics, UsdShade, Vt
 from small import write_cfg
 
-from scenec.backends.reader import read_stage
-from scenec.backends.reader.meshes import triangulate
-from scenec.backends.render_scene import RenderScene
+from scenec.backends.stage.meshes import triangulate
+from scenec.backends.stage.read import read_stage
+from scenec.backends.stage.scene import RenderScene
 from scenec.compiler.build import BuildLog, build
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.draw import draw

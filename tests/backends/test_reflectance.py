@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from scenec.backends.reflectance import ALBEDO_NODES, albedo, albedo_table, brdf
-from scenec.backends.render_scene import Reflectance
+from scenec.backends.stage.scene import Reflectance
+from scenec.backends.surface.reflectance import ALBEDO_NODES, albedo, albedo_table, brdf
 
 CLASSIC = Reflectance("lommel_seeliger", 0.0, 0.0, 0.0, 0.06, 0.0)
 MARE = Reflectance("hapke", 0.254, 0.16, 1.993, 0.06, math.radians(23.657))

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from scenec.backends.cycles import Cycles
 from scenec.backends.mitsuba import Mitsuba
 from scenec.backends.pyrender import Pyrender
-from scenec.backends.reflectance import albedo, brdf
-from scenec.backends.render_scene import (
+from scenec.backends.stage.scene import (
     Camera,
     Dome,
     Lighting,
@@ -25,6 +24,7 @@ from scenec.backends.render_scene import (
     Sun,
     Surface,
 )
+from scenec.backends.surface.reflectance import albedo, brdf
 
 MARE = Reflectance("hapke", 0.254, 0.16, 1.993, 0.06, math.radians(23.657))
 GRAINS = Reflectance("lommel_seeliger", 0.3, -0.2, 0.8, 0.05, 0.0)

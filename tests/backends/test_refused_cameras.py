@@ -13,9 +13,9 @@ from pxr import Sdf, Usd, UsdGeom, UsdRender
 from small import small_cfg, write_cfg
 from third_party import install, plan_fault, square_stage
 
-from scenec.backends.render import check_backend, render
-from scenec.backends.render_scene import Camera, Focus, OpenShutter
-from scenec.backends.shutter import blurred_by
+from scenec.backends.camera.shutter import blurred_by
+from scenec.backends.run.render import check_backend, render
+from scenec.backends.stage.scene import Camera, Focus, OpenShutter
 from scenec.cli.main import main
 from scenec.schemas import stage as names
 from scenec.schemas.errors import BackendError

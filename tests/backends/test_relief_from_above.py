@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from scenec.backends.relief import read_relief
+from scenec.backends.stage.ground import read_relief
 from scenec.schemas.errors import StageError
 
 STAGE = """#usda 1.0

@@ -11,7 +11,7 @@ from small import small_cfg, write_cfg
 from third_party import LEVEL, NOISE, faults_so_far, install, plan_fault, square_stage
 from workers_here import here
 
-from scenec.backends.render import RenderReport, check_backend, render
+from scenec.backends.run.render import RenderReport, check_backend, render
 from scenec.cli import run_command
 from scenec.cli.main import main, parser
 from scenec.schemas.errors import BackendError

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from small import small_cfg, write_cfg
 
-from scenec.backends.render import render
+from scenec.backends.run.render import render
 from scenec.compiler.compile import compile_cfg
 from scenec.schemas.frames import Frame, read_frame
 

@@ -15,8 +15,8 @@ from killed import contents, killed_at_each_call
 from small import small_cfg, write_cfg
 from test_frames import KEY, arrays, written
 
-from scenec.backends.render import render
-from scenec.backends.scan import scan_output
+from scenec.backends.run.render import render
+from scenec.backends.run.scan import scan_output
 from scenec.compiler.compile import compile_cfg
 from scenec.schemas.errors import OutputError
 from scenec.schemas.files import sweep

@@ -14,21 +14,21 @@ from numpy.typing import NDArray
 from scenes import affine, mesh, scene
 from scipy.spatial.transform import Rotation, Slerp
 
-from scenec.backends.bands import annotate
-from scenec.backends.compose import background
-from scenec.backends.correspondence import match
-from scenec.backends.depth_camera import measure
-from scenec.backends.exact import ExactCaster
-from scenec.backends.instances import Instances
-from scenec.backends.rays import camera_rays
-from scenec.backends.render_scene import Camera, Lighting, OpenShutter, RenderScene, Sun
-from scenec.backends.shutter import (
+from scenec.backends.annotation.correspondence import match
+from scenec.backends.annotation.depth_camera import measure
+from scenec.backends.annotation.instances import Instances
+from scenec.backends.camera.rays import camera_rays
+from scenec.backends.camera.shutter import (
     beside,
     is_rolling,
     places_of,
     poses_at,
     row_poses,
 )
+from scenec.backends.exact import ExactCaster
+from scenec.backends.picture.bands import annotate
+from scenec.backends.picture.compose import background
+from scenec.backends.stage.scene import Camera, Lighting, OpenShutter, RenderScene, Sun
 from scenec.schemas.correspondence import VISIBLE
 from scenec.schemas.depth_camera import DepthCamera, StereoDepth
 from scenec.schemas.shutter import Shutter, between

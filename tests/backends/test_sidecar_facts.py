@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from small import small_cfg, write_cfg
 
-from scenec.backends.frames import sun_facts
-from scenec.backends.render import render
-from scenec.backends.render_scene import Lighting, Sun
+from scenec.backends.run.render import render
+from scenec.backends.run.writer import sun_facts
+from scenec.backends.stage.scene import Lighting, Sun
 from scenec.compiler.compile import compile_cfg
 from scenec.schemas.frames import CONVENTIONS
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from scenec.backends.contract import Backend
 from scenec.backends.registry import open_backend
-from scenec.backends.render_scene import RenderScene
+from scenec.backends.stage.scene import RenderScene
 
 ALBEDO = 0.5
 

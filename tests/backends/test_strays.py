@@ -12,9 +12,9 @@ import pytest
 from small import small_cfg, write_cfg
 
 from scenec.backends.check.scans import check_scans
-from scenec.backends.reader import read_stage
-from scenec.backends.render import render
-from scenec.backends.scan import scan_output
+from scenec.backends.run.render import render
+from scenec.backends.run.scan import scan_output
+from scenec.backends.stage.read import read_stage
 from scenec.cli.check_command import find
 from scenec.cli.main import main
 from scenec.compiler.compile import compile_cfg

@@ -12,14 +12,14 @@ from hypothesis import strategies as st
 from mitsuba_scenes import dome, mesh, scene, surface
 from numpy.typing import NDArray
 
-from scenec.backends import subframes
-from scenec.backends.bands import crop
+from scenec.backends.camera.shutter import poses_at
 from scenec.backends.exact import ExactCaster
-from scenec.backends.render_scene import Camera, Focus, Haze, OpenShutter, RenderScene
-from scenec.backends.rounds import Target
-from scenec.backends.session import Session
-from scenec.backends.shutter import poses_at
-from scenec.backends.subframes import Blur, measure, share_out, sub_frames
+from scenec.backends.picture import subframes
+from scenec.backends.picture.adaptive import Target
+from scenec.backends.picture.bands import crop
+from scenec.backends.picture.subframes import Blur, measure, share_out, sub_frames
+from scenec.backends.run.session import Session
+from scenec.backends.stage.scene import Camera, Focus, Haze, OpenShutter, RenderScene
 from scenec.schemas.errors import BackendError
 from scenec.schemas.lens import Lens
 from scenec.schemas.shutter import Shutter

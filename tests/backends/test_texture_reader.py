@@ -9,9 +9,9 @@ import pytest
 from PIL import Image
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade, UsdUtils, Vt
 
-from scenec.backends import maps
-from scenec.backends.reader import read_stage
-from scenec.backends.render_scene import RenderScene
+from scenec.backends.stage.read import read_stage
+from scenec.backends.stage.scene import RenderScene
+from scenec.backends.surface import maps
 from scenec.compiler.emit.looks import look_path, write_look
 from scenec.compiler.scene import Material, MaterialMaps
 from scenec.schemas import stage as names

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from scenec.backends.doctor import diagnose
+from scenec.backends.run.doctor import diagnose
 
 TESTS = Path(__file__).resolve().parents[1]
 #: Debian's and Ubuntu's; OpenCV and ROS bring it.
@@ -35,7 +35,7 @@ from pathlib import Path
 import numba
 from small import small_cfg, write_cfg
 from workers_here import here
-from scenec.backends.render import render
+from scenec.backends.run.render import render
 from scenec.compiler.compile import compile_cfg
 
 folder = Path(sys.argv[1])

@@ -12,9 +12,9 @@ from pxr import Gf, Plug, Sdf, Tf, Usd, UsdGeom, UsdLux, UsdRender, UsdShade, Us
 from small import write_cfg
 
 from scenec.backends.check.scene import check_scene
-from scenec.backends.reader import read_stage
-from scenec.backends.reader.unread import HARMLESS, KNOWN, LIGHTS, LOST, READ, TESSELLATED
-from scenec.backends.render import render
+from scenec.backends.run.render import render
+from scenec.backends.stage.read import read_stage
+from scenec.backends.stage.unread import HARMLESS, KNOWN, LIGHTS, LOST, READ, TESSELLATED
 from scenec.cli.main import main
 from scenec.compiler.compile import compile_cfg
 from scenec.schemas.frames import read_frame

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 import scenes
 
+from scenec.backends.camera.rays import camera_rays
 from scenec.backends.check.witness import HAIR_PIXELS, Witness
 from scenec.backends.contract import NO_ROW, Visibility
 from scenec.backends.exact import ExactCaster
-from scenec.backends.rays import camera_rays
 from scenec.schemas.errors import BackendError
 
 

@@ -14,11 +14,11 @@ import pytest
 from processes import until_gone
 from third_party import square_stage
 
-from scenec.backends import pool
-from scenec.backends.doctor import diagnose, library_versions
-from scenec.backends.pool import WorkerProcess
 from scenec.backends.registry import backend_names, open_backend, require_name
-from scenec.backends.render import frame_seed, render
+from scenec.backends.run import supervise as pool
+from scenec.backends.run.doctor import diagnose, library_versions
+from scenec.backends.run.render import frame_seed, render
+from scenec.backends.run.supervise import WorkerProcess
 from scenec.schemas.errors import BackendError, OutputError, StageError
 from scenec.schemas.frames import read_frame
 from scenec.schemas.manifest import find_batches
@@ -143,7 +143,7 @@ def test_a_broken_stage_is_the_stages_error_across_the_pipe(tmp_path):
 def test_a_worker_goes_with_its_parent(stage):
     code = (
         "import sys, time\n"
-        "from scenec.backends.pool import WorkerProcess\n"
+        "from scenec.backends.run.supervise import WorkerProcess\n"
         "w = WorkerProcess()\n"
         f"w.open({{'op': 'open', 'stage': {str(stage)!r}, 'backend': 'reference'}})\n"
         "print(w.pid, flush=True)\n"
@@ -162,7 +162,7 @@ def test_what_libraries_print_does_not_reach_the_protocol():
     # At descriptor level, as native code does: it must land on standard error.
     code = (
         "import os, sys, runpy\n"
-        "import scenec.backends.worker as w\n"
+        "import scenec.backends.run.worker as w\n"
         "real = w.Worker.answer\n"
         "def noisy(self, request):\n"
         "    os.write(1, b'LLVM says hello\\n'); print('python too', flush=True)\n"

@@ -18,10 +18,10 @@ import pytest
 from processes import until, until_gone
 from third_party import faults_so_far, install, plan_fault, square_stage
 
-from scenec.backends import memory
-from scenec.backends.pool import RETRIES
-from scenec.backends.render import Limits, render
-from scenec.backends.watch import Growth, Watch
+from scenec.backends.run import memory
+from scenec.backends.run.limits import Growth, Watch
+from scenec.backends.run.render import Limits, render
+from scenec.backends.run.supervise import RETRIES
 from scenec.schemas import memory as machine
 from scenec.schemas.errors import BackendError
 from scenec.schemas.frames import read_frame
@@ -290,7 +290,7 @@ def test_an_interrupt_amid_a_frame_ends_at_once_and_leaves_nothing_behind(
 def test_workers_offer_themselves_to_the_kernel_before_their_parent(stage, tmp_path, monkeypatch):
     if not os.path.exists("/proc/self/oom_score_adj"):
         pytest.skip("no such system call here")
-    from scenec.backends.pool import WorkerProcess
+    from scenec.backends.run.supervise import WorkerProcess
 
     with WorkerProcess() as worker:
         worker.open({"op": "open", "stage": str(stage), "backend": "plain"})

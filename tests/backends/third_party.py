@@ -21,8 +21,8 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux, UsdRender, Vt
 
 from scenec.backends.contract import Radiance, Rays, Visibility
 from scenec.backends.exact import ExactCaster
-from scenec.backends.memory import LoadCost
-from scenec.backends.render_scene import Camera, RenderScene
+from scenec.backends.run.memory import LoadCost
+from scenec.backends.stage.scene import Camera, RenderScene
 from scenec.schemas.errors import BackendError
 
 HERE = Path(__file__).resolve().parent

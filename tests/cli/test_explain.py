@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from small import small_cfg, write_cfg
 
-from scenec.backends.render import render
+from scenec.backends.run.render import render
 from scenec.cli.explain_data import read_batches
 from scenec.cli.explain_left_out import LeftOut, Rates, left_out_of, rates_of, size
 from scenec.cli.explain_passes import rows_of, wrapped

@@ -10,9 +10,9 @@ import pytest
 from pxr import Usd, UsdGeom
 from small import small_cfg, write_cfg
 
+from scenec.backends.camera.rays import camera_rays
 from scenec.backends.exact import ExactCaster
-from scenec.backends.rays import camera_rays
-from scenec.backends.reader import read_stage
+from scenec.backends.stage.read import read_stage
 from scenec.cli.explain_sight import nearest_camera
 from scenec.cli.explain_why import why
 from scenec.cli.main import main

@@ -11,7 +11,7 @@ from killed import contents
 from small import small_cfg, write_cfg
 
 from scenec.backends.check.files import check_files
-from scenec.backends.render import render
+from scenec.backends.run.render import render
 from scenec.cli.main import main
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.frontend.load import load

@@ -294,7 +294,7 @@ def test_files_are_called_what_they_are_whatever_their_names(tmp_path):
 
 
 def test_each_sensor_asks_for_its_own_outputs(tmp_path):
-    from scenec.backends.reader import read_stage
+    from scenec.backends.stage.read import read_stage
 
     cfg = small_cfg()
     sensors = cfg["rigs"]["rover"]["sensors"]

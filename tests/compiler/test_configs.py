@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from usd_validator import independent_findings
 
-from scenec.backends.reader import read_stage
+from scenec.backends.stage.read import read_stage
 from scenec.compiler.build import BuildLog, build
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.draw import draw

@@ -12,9 +12,9 @@ import pytest
 from PIL import Image
 from small import small_cfg, write_cfg
 
-from scenec.backends import cells as shown
-from scenec.backends.render_scene import Cells as ShownCells
-from scenec.backends.render_scene import Maps
+from scenec.backends.stage.scene import Cells as ShownCells
+from scenec.backends.stage.scene import Maps
+from scenec.backends.surface import cells as shown
 from scenec.compiler.build import BuildLog, build_surface
 from scenec.compiler.draw import draw
 from scenec.compiler.frontend.load import load

@@ -10,8 +10,8 @@ import pytest
 from pxr import Usd, UsdGeom
 from small import small_cfg, write_cfg
 
-from scenec.backends.reader import read_stage
-from scenec.backends.render import render
+from scenec.backends.run.render import render
+from scenec.backends.stage.read import read_stage
 from scenec.compiler.compile import compile_cfg
 from scenec.schemas.errors import CfgError
 

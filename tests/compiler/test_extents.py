@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from small import scaled, small_cfg, write_cfg
 
-from scenec.backends.rays import camera_rays
-from scenec.backends.session import Session
+from scenec.backends.camera.rays import camera_rays
+from scenec.backends.run.session import Session
 from scenec.cli.main import main
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.draw import draw

@@ -10,8 +10,8 @@ import pytest
 from pxr import Sdf, Usd, UsdGeom
 from small import small_cfg, write_cfg
 
-from scenec.backends.reader import read_stage
-from scenec.backends.render_scene import Camera
+from scenec.backends.stage.read import read_stage
+from scenec.backends.stage.scene import Camera
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.draw import draw
 from scenec.compiler.frontend.load import load

@@ -11,7 +11,7 @@ from pxr import Usd
 from small import small_cfg, write_cfg
 
 from scenec.backends.check.stage import check_stage
-from scenec.backends.session import Session
+from scenec.backends.run.session import Session
 from scenec.compiler.compile import compile_cfg
 from scenec.schemas import stage as names
 from scenec.schemas.errors import CfgError

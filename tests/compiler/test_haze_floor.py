@@ -8,7 +8,7 @@ import pytest
 from pxr import Usd, UsdGeom
 from small import small_cfg, write_cfg
 
-from scenec.backends.reader import read_stage
+from scenec.backends.stage.read import read_stage
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.passes.keep import Keep
 from scenec.schemas import stage as names

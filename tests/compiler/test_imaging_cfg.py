@@ -14,8 +14,8 @@ import small
 from PIL import Image
 from pxr import Sdf, Usd, UsdGeom
 
-from scenec.backends.reader.imaging import read_imaging
-from scenec.backends.render import render
+from scenec.backends.run.render import render
+from scenec.backends.stage.imaging import read_imaging
 from scenec.compiler.cameras.imaging import draw_imaging, expose
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.emit.imaging import write_imaging

@@ -11,7 +11,7 @@ from pxr import Usd, UsdGeom, UsdLux
 from small import small_cfg, write_cfg
 
 from scenec.backends.check.stage import check_stage
-from scenec.backends.reader.stage import read_stage
+from scenec.backends.stage.read import read_stage
 from scenec.compiler.cameras.rigs import incident_exposure
 from scenec.compiler.compile import CompileReport, compile_cfg
 from scenec.compiler.ground.surface import Surface

@@ -14,8 +14,8 @@ from pxr import Usd, UsdGeom
 from small import small_cfg, write_cfg
 
 from scenec.backends.check.stage import check_stage
-from scenec.backends.reader import read_stage
-from scenec.backends.session import Session
+from scenec.backends.run.session import Session
+from scenec.backends.stage.read import read_stage
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.passes.keep import Keep
 from scenec.compiler.passes.needed import Needs, needs_of

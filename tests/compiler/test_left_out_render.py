@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from small import small_cfg, write_cfg
 
-from scenec.backends.reader import read_stage
-from scenec.backends.render_scene import RenderScene
-from scenec.backends.session import Session
-from scenec.backends.worker import Worker
+from scenec.backends.run.session import Session
+from scenec.backends.run.worker import Worker
+from scenec.backends.stage.read import read_stage
+from scenec.backends.stage.scene import RenderScene
 from scenec.compiler.compile import compile_cfg
 
 PASSES = ("depth", "instance", "label", "normal", "face")

@@ -14,7 +14,7 @@ from pxr import Usd, UsdGeom
 from small import small_cfg, write_cfg
 
 from scenec.backends.check.stage import check_stage
-from scenec.backends.reader import read_stage
+from scenec.backends.stage.read import read_stage
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.emit.maps import average_color
 from scenec.compiler.scene import Material, MaterialMaps

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade, UsdUtils
 from small import small_cfg, write_cfg
 
-from scenec.backends.reader import read_stage
+from scenec.backends.stage.read import read_stage
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.objects.draw import quaternion_of
 from scenec.compiler.objects.placed import upright_to

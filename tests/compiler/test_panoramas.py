@@ -16,14 +16,14 @@ from PIL import Image
 from pxr import Usd
 from small import small_cfg, write_cfg
 
-from scenec.backends.bands import annotate
+from scenec.backends.camera.rays import camera_rays
 from scenec.backends.check.stage import check_stage
 from scenec.backends.contract import Rays
 from scenec.backends.exact import ExactCaster
-from scenec.backends.rays import camera_rays
-from scenec.backends.reader import read_stage
-from scenec.backends.sky import Sky, lookup
-from scenec.backends.sky_labels import label_of_sky
+from scenec.backends.picture.bands import annotate
+from scenec.backends.picture.sky import Sky, lookup
+from scenec.backends.stage.read import read_stage
+from scenec.backends.stage.sky_labels import label_of_sky
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.draw import draw
 from scenec.compiler.frontend.load import load

@@ -11,7 +11,7 @@ from pxr import Sdf, Usd
 from small import small_cfg, write_cfg
 
 from scenec.backends.check.stage import check_stage
-from scenec.backends.reader import read_stage
+from scenec.backends.stage.read import read_stage
 from scenec.compiler.compile import compile_cfg
 from scenec.schemas.errors import CfgError, StageError
 

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from overhangs import shelter, write
 from small import small_cfg, write_cfg
 
-from scenec.backends.reader import read_stage
+from scenec.backends.stage.read import read_stage
 from scenec.compiler.build import BuildLog, build_surface
 from scenec.compiler.cameras.poses import from_quaternion
 from scenec.compiler.compile import compile_cfg

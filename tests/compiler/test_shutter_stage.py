@@ -13,12 +13,12 @@ import small
 from pxr import Gf, Sdf, Usd, UsdGeom
 from shutter_cfgs import SHUTTER, cfg
 
-from scenec.backends.bands import annotate
+from scenec.backends.camera.shutter import poses_at, row_poses
 from scenec.backends.exact import ExactCaster
-from scenec.backends.reader import read_stage
-from scenec.backends.render_scene import Camera
-from scenec.backends.session import Session
-from scenec.backends.shutter import poses_at, row_poses
+from scenec.backends.picture.bands import annotate
+from scenec.backends.run.session import Session
+from scenec.backends.stage.read import read_stage
+from scenec.backends.stage.scene import Camera
 from scenec.compiler.cameras.paths.orbit import Orbit, PointAim
 from scenec.compiler.cameras.shutters import codes_at
 from scenec.compiler.cameras.tracks import Sampling

@@ -11,7 +11,7 @@ from pxr import Usd, UsdShade
 from small import small_cfg, write_cfg
 
 from scenec.backends.check.stage import check_stage
-from scenec.backends.reader import read_stage
+from scenec.backends.stage.read import read_stage
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.draw import draw
 from scenec.compiler.frontend.load import load

@@ -15,7 +15,7 @@ from small import small_cfg, write_cfg
 from test_compile import compiled, hashes
 
 from scenec.backends.check.stage import check_stage
-from scenec.backends.reader import read_stage
+from scenec.backends.stage.read import read_stage
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.emit.maps import average_color
 from scenec.compiler.frontend.schema import describe, load_schemas

@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 from small import small_cfg, write_cfg
 
-from scenec.backends.reader import read_stage
+from scenec.backends.stage.read import read_stage
 from scenec.compiler.assets.texture_set import TextureSetError, recognize
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.frontend.load import load

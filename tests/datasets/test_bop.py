@@ -23,7 +23,7 @@ from scipy import ndimage
 from scipy.spatial.transform import Rotation
 from small import small_cfg, write_cfg
 
-from scenec.backends.render import render
+from scenec.backends.run.render import render
 from scenec.compiler.compile import compile_cfg
 from scenec.datasets.export import Choice, export
 from scenec.datasets.filters import make_filters

@@ -18,8 +18,8 @@ from hypothesis.extra import numpy as arrays
 from made_frames import LEFT, RIGHT, SIDE, Made, Sensor, make_out
 from numpy.typing import NDArray
 
-from scenec.backends.frames import write_frame
-from scenec.backends.render_scene import Camera, Lighting, RenderScene, Rows
+from scenec.backends.run.writer import write_frame
+from scenec.backends.stage.scene import Camera, Lighting, RenderScene, Rows
 from scenec.datasets.export import Choice, ExportReport, export
 from scenec.datasets.formats.motion_png import encode_disparity, encode_flow, write_rgb16
 from scenec.datasets.verify import verify

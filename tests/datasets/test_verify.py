@@ -16,7 +16,7 @@ from PIL import Image
 from small import small_cfg, write_cfg
 from tiny_format import contents, install
 
-from scenec.backends.render import render
+from scenec.backends.run.render import render
 from scenec.cli.main import main
 from scenec.compiler.compile import compile_cfg
 from scenec.datasets.export import Choice, export

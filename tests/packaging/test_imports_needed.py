@@ -82,7 +82,7 @@ def test_compiling_imports_no_renderer_and_no_backend(tmp_path):
 def test_rendering_imports_neither_compiler_nor_other_renderers(tmp_path):
     out, _ = compiled(tmp_path, ["depth", "instance"])
     processes = imported(tmp_path, "render", str(out), "--backend", "reference")
-    assert any("scenec.backends.session" in names for names in processes)
+    assert any("scenec.backends.run.session" in names for names in processes)
     for names in processes:
         assert not names & (RENDERERS | OTHERS)
         assert not {name for name in names if name.startswith("scenec.compiler.")}

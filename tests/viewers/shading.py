@@ -14,9 +14,9 @@ import numpy as np
 import viewer_scene
 from numpy.typing import NDArray
 
-from scenec.backends.maps import load_map
-from scenec.backends.rays import camera_rays
-from scenec.backends.render_scene import Camera, Maps, Mesh, RenderScene, Surface
+from scenec.backends.camera.rays import camera_rays
+from scenec.backends.stage.scene import Camera, Maps, Mesh, RenderScene, Surface
+from scenec.backends.surface.maps import load_map
 
 
 @dataclass(frozen=True)

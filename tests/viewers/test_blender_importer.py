@@ -11,9 +11,9 @@ import trimesh
 import viewer_scene
 from pxr import Usd, UsdGeom
 
-from scenec.backends.reader.implicit import ERROR
-from scenec.backends.reader.stage import read_stage
-from scenec.backends.render_scene import RenderScene
+from scenec.backends.stage.implicit import ERROR
+from scenec.backends.stage.read import read_stage
+from scenec.backends.stage.scene import RenderScene
 
 pytestmark = pytest.mark.skipif(
     importlib.util.find_spec("bpy") is None, reason="needs bpy (the extra 'cycles')"

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import viewer_scene
 
-from scenec.backends.reader.stage import read_stage
-from scenec.backends.render_scene import RenderScene
+from scenec.backends.stage.read import read_stage
+from scenec.backends.stage.scene import RenderScene
 from scenec.schemas import materialx
 from scenec.schemas import stage as names
 

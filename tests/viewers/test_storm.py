@@ -15,8 +15,8 @@ import storm_render
 import viewer_scene
 from numpy.typing import NDArray
 
-from scenec.backends.reader.stage import read_stage
-from scenec.backends.render_scene import Camera, RenderScene
+from scenec.backends.stage.read import read_stage
+from scenec.backends.stage.scene import Camera, RenderScene
 
 pytestmark = pytest.mark.skipif(
     not all(importlib.util.find_spec(name) for name in ("bpy", "moderngl")),

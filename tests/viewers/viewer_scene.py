@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from PIL import Image
 from small import small_cfg, write_cfg
 
+from scenec.backends.camera.rays import camera_rays
 from scenec.backends.contract import Visibility
 from scenec.backends.exact import ExactCaster
-from scenec.backends.rays import camera_rays
-from scenec.backends.render_scene import Camera, RenderScene
+from scenec.backends.stage.scene import Camera, RenderScene
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.passes.keep import Keep
 

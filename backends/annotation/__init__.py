@@ -1,0 +1,1 @@
+"""Every pass but ``rgb``: what the exact caster's hits say."""

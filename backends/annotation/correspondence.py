@@ -1,0 +1,258 @@
+"""Where what a frame shows is in another view: flow, scene flow, disparity, and what is hidden.
+
+Everything follows from exact visibility and poses, in float64. The point X that a pixel's center
+shows belongs to a row; at the other sample the row stands elsewhere, and X with it:
+X' = M' M^-1 X. The other camera projects X' to (u', v', Z'). Flow is (u', v') minus the pixel's
+center. Whether the other picture shows X' is asked of the exact caster, with the ray from that
+camera through X': it does if nothing is hit before it. A sky pixel stands for a direction: a point
+infinitely far away, which moves by the camera's rotation alone.
+
+The ray back to X' meets the surface X' lies on as well, at a parameter that rounding moves by a few
+parts in 1e15 over the cosine of the angle of incidence. What is hit nearer than ``_SAME`` of the
+distance before X' therefore counts as the surface itself.
+
+With a rolling shutter each row has a frame of its own: X is seen in that of its pixel's row, X' in
+that of the row that sees it in the other picture (``shutter.places_of``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenec.backends.camera.shutter import in_rows, is_rolling, places_of
+from scenec.backends.contract import Rays
+from scenec.backends.exact import ExactCaster, Hits
+from scenec.backends.stage.scene import Camera, RenderScene
+from scenec.schemas.correspondence import (
+    BEFORE,
+    HIDDEN,
+    NEXT,
+    NOTHING,
+    OUTSIDE,
+    PARTNER,
+    VISIBLE,
+)
+from scenec.schemas.errors import CameraRefusedError
+from scenec.schemas.lens import shown_at
+
+#: Share of the distance within which a hit is the surface that was asked for.
+_SAME = 1e-6
+
+
+@dataclass(frozen=True)
+class Match:
+    """Where the points that a frame shows are in another view.
+
+    Attributes:
+        pixel: Column and row in the other picture, float64 [n, 2]; NaN where that camera's lens
+            has no place for it (a pinhole: it is behind), or where it is gone.
+        here, there: The points in both cameras' frames (x right, y down, z forward), meters,
+            float64 [n, 3]; NaN without a hit, or where it is gone.
+        code: What became of them (``schemas.correspondence``), uint32 [n].
+    """
+
+    pixel: NDArray[np.float64]
+    here: NDArray[np.float64]
+    there: NDArray[np.float64]
+    code: NDArray[np.uint32]
+
+
+def compare(
+    scene: RenderScene,
+    caster: ExactCaster,
+    hits: Hits,
+    rays: Rays,
+    camera: Camera,
+    sample: int,
+    passes: Sequence[str],
+) -> dict[str, NDArray]:
+    """The passes out of ``schemas.correspondence.CORRESPONDENCES`` that are asked for.
+
+    Args:
+        scene: The scene.
+        caster: Posed at ``sample``, and left so.
+        hits: First hits of the frame.
+        rays: Its rays.
+        camera: Its camera.
+        sample: Its time code.
+        passes: Names; others are skipped.
+
+    Returns:
+        Per pass: ``flow`` and ``flow_backward`` float64 [h, w, 2], ``scene_flow`` [h, w, 3],
+        ``disparity`` [h, w], NaN where there is none; the codes uint32 [h, w].
+
+    Raises:
+        BackendError: A disparity is asked for, and the camera's partner is not in the stage.
+    """
+    out: dict[str, NDArray] = {}
+    centers = _centers(camera)
+    for names, step, flow, code in (
+        (NEXT, 1, "flow", "occlusion"),
+        (BEFORE, -1, "flow_backward", "occlusion_backward"),
+    ):
+        wanted = [name for name in names if name in passes]
+        if not wanted:
+            continue
+        # The next time that it is triggered.
+        at = sample + step * camera.trigger[0]
+        other = _same_camera(scene, camera, at)
+        found = (
+            _nothing(len(centers))
+            if other is None
+            else match(scene, caster, hits, rays, (camera, sample), (other, at))
+        )
+        made: dict[str, NDArray] = {
+            flow: found.pixel - centers,
+            "scene_flow": found.there - found.here,
+            code: found.code,
+        }
+        out |= {name: made[name] for name in wanted}
+    wanted = [name for name in PARTNER if name in passes]
+    if wanted:
+        other = _partner(scene, camera, sample)
+        seen = match(scene, caster, hits, rays, (camera, sample), (other, sample))
+        made = {
+            "disparity": centers[:, 0] - seen.pixel[:, 0],
+            "disparity_occlusion": seen.code,
+        }
+        out |= {name: made[name] for name in wanted}
+    h, w = rays.shape
+    return {name: out[name].reshape(h, w, *out[name].shape[1:]) for name in passes if name in out}
+
+
+def match(
+    scene: RenderScene,
+    caster: ExactCaster,
+    hits: Hits,
+    rays: Rays,
+    here: tuple[Camera, int],
+    there: tuple[Camera, int],
+) -> Match:
+    """Finds what one view shows in another one.
+
+    Args:
+        scene, caster, hits, rays: As for ``compare``.
+        here, there: The two views: camera and sample.
+
+    Returns:
+        One entry a ray.
+    """
+    (camera, sample), (other, sample_there) = here, there
+    hit = hits.row >= 0
+    n = len(hit)
+    points = rays.origins + np.where(hit, hits.t, 0.0)[:, None] * rays.directions
+    moved, gone = _moved(scene, points, hits.row, sample, sample_there)
+    if is_rolling(other):
+        # Of the sky, a direction.
+        places = places_of(other, np.where(hit[:, None], moved, rays.directions), ~hit)
+        seen, pixel, origins = places.local, places.pixel, places.eye
+    else:
+        origins = np.broadcast_to(other.camera_to_world[:3, 3], points.shape)
+    # The sky's pixels are directions: as if from the other camera, one unit away.
+    target = np.where(hit[:, None], moved, origins + rays.directions)
+    if not is_rolling(other):
+        seen = _to_camera(other, target)
+        pixel = shown_at(other.lens, other.intrinsics, seen)
+    # Pixels beyond a lens's circle show nothing that could be elsewhere.
+    if rays.known is not None:
+        gone |= ~rays.known
+    pixel[gone] = np.nan
+    with np.errstate(invalid="ignore"):
+        inside = (pixel[:, 0] >= 0.0) & (pixel[:, 0] <= other.width)
+        inside &= (pixel[:, 1] >= 0.0) & (pixel[:, 1] <= other.height)
+    code = np.full(n, OUTSIDE, np.uint32)
+    code[gone] = NOTHING
+    index = np.flatnonzero(inside)
+    code[index] = VISIBLE
+    back = _rays_to(origins[index], target[index])
+    caster.pose(sample_there)
+    row, face, t = caster.cast(back)
+    caster.pose(sample)
+    own = (row == hits.row[index]) & (face == hits.face[index])
+    # The ray's parameter at the point is 1; at the sky it is endless.
+    nearer = (t < np.where(hit[index], 1.0 - _SAME, np.inf)) & ~(own & hit[index])
+    code[index[nearer]] = HIDDEN
+    nowhere = ~hit | gone
+    local = in_rows(camera, points) if is_rolling(camera) else _to_camera(camera, points)
+    local[nowhere] = np.nan
+    after = seen.copy()
+    after[nowhere] = np.nan
+    return Match(pixel, local, after, code)
+
+
+def _nothing(n: int) -> Match:
+    empty = np.full((n, 3), np.nan)
+    return Match(empty[:, :2], empty, empty, np.full(n, NOTHING, np.uint32))
+
+
+def _centers(camera: Camera) -> NDArray[np.float64]:
+    """Pixel centers, float64 [h * w, 2]."""
+    v, u = np.meshgrid(np.arange(camera.height) + 0.5, np.arange(camera.width) + 0.5, indexing="ij")
+    return np.stack([u.ravel(), v.ravel()], axis=1)
+
+
+def _same_camera(scene: RenderScene, camera: Camera, sample: int) -> Camera | None:
+    if not camera.trigger[1] <= sample < len(scene.cameras):
+        return None
+    return next((c for c in scene.cameras[sample] if c.name == camera.name), None)
+
+
+def _partner(scene: RenderScene, camera: Camera, sample: int) -> Camera:
+    found = [c for c in scene.cameras[sample] if c.path == camera.partner]
+    if not found:
+        raise CameraRefusedError(
+            f"{camera.path}: disparity needs a partner; the stage names "
+            + (f"{camera.partner}, which is not rendered" if camera.partner else "none")
+        )
+    return found[0]
+
+
+def _moved(
+    scene: RenderScene,
+    points: NDArray[np.float64],
+    row: NDArray[np.int32],
+    sample: int,
+    other: int,
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Where points on rows are at another sample, and which of them are gone by then."""
+    gone = np.zeros(len(points), bool)
+    motion = scene.rows.motion
+    if motion is None or sample == other or not len(motion.rows):
+        return points, gone
+    place = np.searchsorted(motion.rows, row)
+    place[place == len(motion.rows)] = 0
+    moves = np.flatnonzero((row >= 0) & (motion.rows[place] == row))
+    points = points.copy()
+    for k in np.unique(place[moves]).tolist():
+        some = moves[place[moves] == k]
+        now, then = motion.to_world[sample, k], motion.to_world[other, k]
+        if not then[:, :3].any():
+            gone[some] = True
+            continue
+        local = _turned(points[some] - now[:, 3], np.linalg.inv(now[:, :3]))
+        points[some] = _turned(local, then[:, :3]) + then[:, 3]
+    return points, gone
+
+
+def _turned(vectors: NDArray[np.float64], m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Each v as m v: sums written out, since BLAS' last bits depend on how many there are."""
+    x, y, z = vectors[:, 0], vectors[:, 1], vectors[:, 2]
+    return np.stack([m[i, 0] * x + m[i, 1] * y + m[i, 2] * z for i in range(3)], axis=1)
+
+
+def _to_camera(camera: Camera, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """World points in a camera's frame."""
+    pose = camera.camera_to_world
+    offset = points - pose[:3, 3]
+    # A pose's axes are orthonormal: the inverse is the transpose.
+    return _turned(offset, pose[:3, :3].T)
+
+
+def _rays_to(origins: NDArray[np.float64], points: NDArray[np.float64]) -> Rays:
+    """Rays from places of cameras that reach points at parameter 1."""
+    directions = np.ascontiguousarray(points - origins)
+    return Rays(np.ascontiguousarray(origins), directions, (1, len(points)))

@@ -1,0 +1,225 @@
+"""What a depth camera would say: exact depth with the errors of its way of measuring.
+
+Stereo. A pair of focal length f (pixels) and baseline b sees depth Z at the disparity d = f b / Z.
+The disparity that is found has a normal error and is a multiple of a step, so depth errs by
+Z^2 / (f b) times that (Khoshelham and Elberink, Sensors 12 (2012) 1437). Where the other camera
+does not see the point there is no answer: the shadow at one side of whatever stands out.
+
+Time of flight. A pixel adds up light that left in phase and comes back with the phase 4 pi f r / c;
+the range is told modulo c / (2 f) (Lange and Seitz, IEEE J. Quantum Electronics 37 (2001) 390). In
+sunlight the noise of the phase goes inversely with the amplitude that comes back, and that with
+cos(angle of incidence) / r^2, so a range has the deviation s (r / r0)^2 / cos. A pixel gathers from
+a spot: the phasors of its neighborhood are added by their amplitudes, which at outlines gives
+ranges between the two ("flying pixels"). Albedo is taken as even, and light that comes back by way
+of other surfaces is left out.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from scenec.backends.annotation.annotate import annotate
+from scenec.backends.annotation.correspondence import match
+from scenec.backends.camera.shutter import beside
+from scenec.backends.contract import Rays
+from scenec.backends.exact import ExactCaster, Hits
+from scenec.backends.imaging.chance import philox, quantile, unit
+from scenec.backends.stage.scene import Camera, RenderScene
+from scenec.schemas.correspondence import VISIBLE
+from scenec.schemas.depth_camera import MEASURED, StereoDepth, TimeOfFlightDepth
+from scenec.schemas.errors import CameraRefusedError
+from scenec.schemas.threads import over_threads
+
+_MEASURED = np.uint64(2)
+_ZERO = np.uint64(0)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _stereo(first, last, depth, seen, fb, noise, step, near, far, key, sample, out):  # type: ignore[no-untyped-def]
+    for k in range(first, last):
+        out[k] = 0.0
+        if not (depth[k] < math.inf and seen[k]):
+            continue
+        w = philox(key, np.uint64(k), sample, _MEASURED, _ZERO)
+        d = fb / depth[k] + noise * quantile(unit(w[0]))
+        if step > 0.0:
+            d = step * math.floor(d / step + 0.5)
+        if d > 0.0 and near <= fb / d <= far:
+            out[k] = fb / d
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _time_of_flight_part(  # type: ignore[no-untyped-def]
+    first, last, seen, per_range, weights, turn, noise, bounds, key, sample, out
+):
+    reach, cosine = seen
+    height, width = reach.shape
+    half = weights.shape[0] // 2
+    for k in range(first, last):
+        y, x = k // width, k % width
+        out[k] = 0.0
+        real = imaginary = total = 0.0
+        for j in range(-half, half + 1):
+            for i in range(-half, half + 1):
+                v, u = min(max(y + j, 0), height - 1), min(max(x + i, 0), width - 1)
+                r = reach[v, u]
+                if r < math.inf and r > 0.0:
+                    a = weights[j + half] * weights[i + half] * cosine[v, u] / (r * r)
+                    real += a * math.cos(turn * r)
+                    imaginary += a * math.sin(turn * r)
+                    total += a
+        amplitude = math.sqrt(real * real + imaginary * imaginary)
+        if not amplitude > 0.0:
+            continue
+        r = math.atan2(imaginary, real) / turn
+        w = philox(key, np.uint64(k), sample, _MEASURED, _ZERO)
+        r += noise / amplitude * quantile(unit(w[0]))
+        whole = 2.0 * math.pi / turn
+        r -= whole * math.floor(r / whole)
+        if bounds[0] <= r <= bounds[1]:
+            out[k] = r * per_range[k]
+
+
+def _time_of_flight(seen, per_range, weights, turn, noise, bounds, key, sample, out):  # type: ignore[no-untyped-def]
+    height, width = seen[0].shape
+    over_threads(
+        _time_of_flight_part,
+        height * width,
+        seen,
+        per_range,
+        weights,
+        turn,
+        noise,
+        bounds,
+        key,
+        sample,
+        out,
+    )
+
+
+def measure_stereo(
+    model: StereoDepth,
+    camera: Camera,
+    depth: NDArray[np.float64],
+    seen: NDArray[np.bool_],
+    key: int,
+    sample: int,
+) -> NDArray[np.float64]:
+    """What a stereo camera says.
+
+    Args:
+        model: The camera's pair.
+        camera: Its left half (or that at the smaller x).
+        depth: Exact planar depth, [h, w], +inf without a hit.
+        seen: Whether the other half sees the point, bool [h, w].
+        key, sample: Of the random numbers.
+
+    Returns:
+        Planar depth, float64 [h, w], 0 where there is no answer.
+    """
+    out = np.empty(depth.size)
+    fb = float(camera.intrinsics[0, 0]) * model.baseline_m
+    over_threads(
+        _stereo,
+        len(out),
+        depth.ravel(),
+        seen.ravel(),
+        fb,
+        model.noise_px,
+        model.step_px,
+        *model.range_m,
+        np.uint64(key),
+        np.uint64(sample),
+        out,
+    )
+    return out.reshape(depth.shape)
+
+
+def measure_time_of_flight(
+    model: TimeOfFlightDepth,
+    reach: NDArray[np.float64],
+    cosine: NDArray[np.float64],
+    per_range: NDArray[np.float64],
+    key: int,
+    sample: int,
+) -> NDArray[np.float64]:
+    """What a time-of-flight camera says.
+
+    Args:
+        model: The camera.
+        reach: Exact range, [h, w], +inf without a hit.
+        cosine: Of the angle between ray and surface's normal, [h, w].
+        per_range: Planar depth of a range of 1 along each pixel's ray, [h, w].
+        key, sample: Of the random numbers.
+
+    Returns:
+        As ``measure_stereo``.
+    """
+    out = np.empty(reach.size)
+    _time_of_flight(
+        (reach, cosine),
+        per_range.ravel(),
+        _spot(model.blur_px),
+        2.0 * math.pi / model.ambiguity_m,
+        # Of a surface at ``at_m`` that faces the camera the amplitude is 1 / at_m^2.
+        model.noise_m / model.at_m**2,
+        model.range_m,
+        np.uint64(key),
+        np.uint64(sample),
+        out,
+    )
+    return out.reshape(reach.shape)
+
+
+def _spot(blur_px: float) -> NDArray[np.float64]:
+    """Weights of a spot along one axis, which add up to 1; out to three deviations."""
+    half = math.ceil(3.0 * blur_px)
+    if half == 0:
+        return np.ones(1)
+    at = np.arange(-half, half + 1) / blur_px
+    weights = np.exp(-0.5 * at * at)
+    return np.asarray(weights / weights.sum())
+
+
+def measure(
+    scene: RenderScene,
+    caster: ExactCaster,
+    hits: Hits,
+    rays: Rays,
+    camera: Camera,
+    sample: int,
+) -> NDArray[np.float64]:
+    """The pass ``depth_measured`` of a frame, float64 [h, w], 0 where there is no answer.
+
+    Args:
+        scene: The scene.
+        caster: Posed at ``sample``, and left so.
+        hits: First hits of the frame.
+        rays: Its rays.
+        camera: Its camera.
+        sample: Its time code.
+
+    Raises:
+        BackendError: The stage does not say how the camera measures.
+    """
+    if camera.depth_camera is None:
+        raise CameraRefusedError(
+            f"{camera.path}: {MEASURED} needs a depth camera, and the stage names none"
+        )
+    model, key = camera.depth_camera.model, camera.depth_camera.key
+    exact = annotate(scene, hits, rays, ("depth", "range", "normal"), sample)
+    if isinstance(model, StereoDepth):
+        other = beside(camera, model.baseline_m)
+        found = match(scene, caster, hits, rays, (camera, sample), (other, sample))
+        seen = (found.code == VISIBLE).reshape(rays.shape)
+        return measure_stereo(model, camera, exact["depth"], seen, key, sample)
+    length = np.sqrt((rays.directions * rays.directions).sum(axis=1))
+    unit_rays = (rays.directions / length[:, None]).reshape(*rays.shape, 3)
+    cosine = np.abs((exact["normal"] * unit_rays).sum(axis=-1))
+    deep = np.ones(len(length)) if rays.depth is None else rays.depth
+    per_range = (deep / length).reshape(rays.shape)
+    return measure_time_of_flight(model, exact["range"], cosine, per_range, key, sample)

@@ -1,0 +1,119 @@
+"""A lidar's scan: rays of the shared exact caster, and what a real lidar gets wrong.
+
+Each beam meets the nearest surface along its direction, in float64; label, instance and incidence
+are those of the face it meets. Noise comes after: ranges get a normal error of the standard
+deviation sqrt(a^2 + (b r)^2), answers are lost by chance, and with angular noise the ray that is
+cast is turned away from the direction that is told. Numbers are counted by ray, sample and key
+(``imaging.chance``): no other ray, and no order, changes them.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from scenec.backends.annotation.annotate import annotate
+from scenec.backends.contract import Rays
+from scenec.backends.exact import ExactCaster
+from scenec.backends.imaging.chance import philox, quantile, unit
+from scenec.backends.stage.scene import Lidar, RenderScene
+from scenec.schemas.threads import over_threads
+
+_LOW, _HALF = np.uint64(0xFFFFFFFF), np.uint64(32)
+_TURNED, _ANSWERED = np.uint64(0), np.uint64(1)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _directions(first, last, elevations, azimuths, noise, key, sample, m, out):  # type: ignore[no-untyped-def]
+    """World directions of the rays that are cast."""
+    count = azimuths.shape[0]
+    for k in range(first, last):
+        up, left = elevations[k // count], azimuths[k % count]
+        if noise > 0.0:
+            w = philox(key, np.uint64(k), sample, _TURNED, np.uint64(0))
+            up += noise * quantile(unit(w[0]))
+            left += noise * quantile(unit(w[1]))
+        flat = math.cos(up)
+        x, y, z = flat * math.cos(left), flat * math.sin(left), math.sin(up)
+        for i in range(3):
+            out[k, i] = m[i, 0] * x + m[i, 1] * y + m[i, 2] * z
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _answers(first, last, t, near, far, steady, ratio, lost, key, sample, out):  # type: ignore[no-untyped-def]
+    """Ranges with noise; +inf where there is no answer."""
+    for k in range(first, last):
+        out[k] = math.inf
+        if not near <= t[k] <= far:
+            continue
+        w = philox(key, np.uint64(k), sample, _ANSWERED, np.uint64(0))
+        if unit(w[0]) >= lost:
+            deviation = math.sqrt(steady * steady + ratio * ratio * t[k] * t[k])
+            out[k] = max(t[k] + deviation * quantile(unit(w[1])), 0.0)
+
+
+def scan(scene: RenderScene, caster: ExactCaster, lidar: Lidar, sample: int) -> dict[str, NDArray]:
+    """One scan.
+
+    Args:
+        scene: The scene.
+        caster: Of the scene; is posed at the sample.
+        lidar: At this sample.
+        sample: Time code.
+
+    Returns:
+        Arrays by name, as ``schemas.scans`` has them.
+    """
+    elevations, azimuths = np.radians(lidar.elevations_deg), np.radians(lidar.azimuths_deg)
+    shape = (len(elevations), len(azimuths))
+    directions = np.empty((shape[0] * shape[1], 3))
+    key, number = np.uint64(lidar.key), np.uint64(sample)
+    noise = math.radians(lidar.angle_noise_deg)
+    turn = np.ascontiguousarray(lidar.to_world[:3, :3])
+    over_threads(
+        _directions, directions.shape[0], elevations, azimuths, noise, key, number, turn, directions
+    )
+    origins = np.ascontiguousarray(np.broadcast_to(lidar.to_world[:3, 3], directions.shape))
+    rays = Rays(origins, directions, shape)
+    caster.pose(sample)
+    hits = caster.hits(rays)
+    t = hits.t
+    answer = np.empty(len(t))
+    over_threads(
+        _answers,
+        len(t),
+        t,
+        *lidar.range_m,
+        lidar.range_noise_m,
+        lidar.range_noise_ratio,
+        lidar.dropout,
+        key,
+        number,
+        answer,
+    )
+    there = np.isfinite(answer)
+    labels = [f"label.{level}" for level in scene.levels]
+    made = annotate(scene, hits, rays, [*labels, "instance", "normal"], sample)
+    cosine = np.abs((made["normal"].reshape(-1, 3) * directions).sum(axis=1))
+    told = _told(elevations, azimuths) * np.where(there, answer, np.nan)[:, None]
+    ids = {name: np.where(there, made[name].ravel(), 0) for name in (*labels, "instance")}
+    out: dict[str, NDArray] = {
+        "points": told.astype(np.float32).reshape(*shape, 3),
+        "range": answer.astype(np.float32),
+        "range_true": np.where(there, t, np.inf),
+        "incidence": np.where(there, cosine, 0.0).astype(np.float32),
+        **{name: values.astype(np.uint32) for name, values in ids.items()},
+    }
+    out = {k: v if v.ndim == 3 else v.reshape(shape) for k, v in out.items()}
+    return out | {"elevation_deg": lidar.elevations_deg, "azimuth_deg": lidar.azimuths_deg}
+
+
+def _told(elevations: NDArray[np.float64], azimuths: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Directions that the lidar tells, in its frame, [b * a, 3]."""
+    up, left = elevations[:, None], azimuths[None, :]
+    flat = np.cos(up)
+    told = [flat * np.cos(left), flat * np.sin(left), np.sin(up) + 0.0 * left]
+    return np.stack(told, axis=-1).reshape(-1, 3)

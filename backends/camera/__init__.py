@@ -1,0 +1,1 @@
+"""Rays of pixels: lenses, shutters."""

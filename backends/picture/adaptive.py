@@ -1,0 +1,235 @@
+"""Rendering until the noise is small enough, or the time is used: rounds of independent halves.
+
+Each round is a picture of its own noise. Their halves are summed, so memory does not grow with
+rounds, and no backend knows of it. Rounds double until the estimate can be trusted; then the law
+of independent samples, error ~ 1 / sqrt(samples), says how many are left to draw.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenec.backends.contract import Radiance
+from scenec.backends.picture.noise import UNKNOWN, Noise, estimate, sky_differs
+
+#: Most samples per pixel, where a user does not say.
+MOST_SPP = 4096
+#: Of the first round.
+FIRST_SPP = 8
+#: Fewer samples than this prove nothing, however alike the halves are.
+LEAST_TRUSTED = 16
+#: A bound farther above its estimate comes from few pixels; the estimate says little then.
+TRUSTED_RATIO = 1.5
+#: No prediction makes the picture more than this many times as costly in one go.
+_MOST_GROWTH = 8
+#: A round that adds less than a part in this many of what is there is not worth its start.
+_LEAST_PART = 8
+
+#: ``draw(spp, seed)``: a picture of its own noise.
+Draw = Callable[[int, int], Radiance]
+Clock = Callable[[], float]
+
+
+@dataclass(frozen=True)
+class Target:
+    """What a picture is rendered to.
+
+    Attributes:
+        error: Relative rms error that its 95 % bound must not exceed; None for any.
+        seconds: What drawing its light may take; None for any.
+        most: Samples per pixel that it ends at, whatever is reached.
+    """
+
+    error: float | None
+    seconds: float | None
+    most: int
+
+
+@dataclass(frozen=True)
+class Round:
+    """One round, and the picture's estimates after it."""
+
+    spp: int
+    seed: int
+    seconds: float
+    relative_rms: float | None
+    relative_rms_bound_95: float | None
+
+
+@dataclass
+class Rounds:
+    """Rounds that were made.
+
+    Attributes:
+        target: What they were to reach.
+        made: In order.
+        stopped: Why there are no more: "error" (met), "seconds" (used), "spp" (the most there may
+            be), or "unknown" (no noise to estimate: more samples would not be known to help).
+    """
+
+    target: Target
+    made: list[Round] = field(default_factory=list)
+    stopped: str = ""
+
+    @property
+    def spp(self) -> int:
+        """Samples per pixel of all rounds."""
+        return sum(one.spp for one in self.made)
+
+    @property
+    def seconds(self) -> float:
+        """Of all rounds."""
+        return sum(one.seconds for one in self.made)
+
+    def as_json(self, bound: float | None) -> dict[str, Any]:
+        """As sidecars hold it.
+
+        Args:
+            bound: Of the finished picture, before denoising; haze comes after the rounds.
+        """
+        goal = self.target.error
+        return {
+            "target_relative_rms": goal,
+            "target_seconds": self.target.seconds,
+            "most_samples_per_pixel": self.target.most,
+            "target_met": None if goal is None or bound is None else bound <= goal,
+            "stopped_by": self.stopped,
+            "seconds": self.seconds,
+            "reproducible": self.target.seconds is None,
+            "rounds": [asdict(one) for one in self.made],
+        }
+
+
+def collect(
+    draw: Draw, seed: int, target: Target, clock: Clock = time.perf_counter
+) -> tuple[Radiance, Rounds]:
+    """Draw rounds until the target is met, and sum them up.
+
+    With a limit of time, how many rounds there are depends on the machine's speed, and so does the
+    picture; without one it follows from the seed.
+
+    Args:
+        draw: Draws one round.
+        seed: Of the frame; that of each round is derived from it and the round's number.
+        target: What to reach.
+        clock: Seconds from anywhere.
+    """
+    total = _Sum()
+    rounds = Rounds(target)
+    spp = min(FIRST_SPP, target.most)
+    while True:
+        name = round_seed(seed, len(rounds.made))
+        start = clock()
+        total.add(draw(spp, name))
+        noise = total.noise()
+        rounds.made.append(
+            Round(spp, name, clock() - start, noise.relative_rms, noise.relative_rms_bound)
+        )
+        spp, rounds.stopped = plan(rounds, noise)
+        if rounds.stopped:
+            return total.radiance(), rounds
+
+
+def plan(rounds: Rounds, noise: Noise) -> tuple[int, str]:
+    """Samples per pixel of the next round, and "" or why there is none (``Rounds.stopped``)."""
+    target, total = rounds.target, rounds.spp
+    if noise.relative_rms is None:
+        return 0, "unknown"
+    bound = noise.relative_rms_bound or 0.0
+    enough = total >= min(LEAST_TRUSTED, target.most)
+    if target.error is not None and enough and bound <= target.error:
+        return 0, "error"
+    left = target.most - total
+    if left < 2:
+        return 0, "spp"
+    wanted = total
+    if target.error is not None and enough and bound <= TRUSTED_RATIO * noise.relative_rms:
+        needed = total * (bound / target.error) ** 2 - total
+        wanted = round(min(max(needed, total / _LEAST_PART), (_MOST_GROWTH - 1) * total))
+    # Few sizes: a renderer may compile anew for each.
+    wanted = min(grid(wanted), left - left % 2)
+    if target.seconds is not None:
+        last = rounds.made[-1]
+        fits = (target.seconds - rounds.seconds) * last.spp / max(last.seconds, 1e-9)
+        if fits < max(2.0, total / _LEAST_PART):
+            return 0, "seconds"
+        if fits < wanted:
+            wanted = grid(int(fits), up=False)
+    return wanted, ""
+
+
+def grid(spp: int, up: bool = True) -> int:
+    """The next even number of the form {4, 5, 6, 7} * 2**k (or 2) that is not below, or above."""
+    if spp <= 4:
+        return 2 if spp < 3 or (spp < 4 and not up) else 4
+    step = 2 ** max(1, int(math.log2(spp)) - 2)
+    return -(-spp // step) * step if up else spp // step * step
+
+
+def round_seed(seed: int, number: int) -> int:
+    """Seed of one round, 32 bits, unrelated to any other's."""
+    digest = hashlib.blake2b(f"{seed}/round/{number}".encode(), digest_size=4).digest()
+    return int.from_bytes(digest, "little")
+
+
+class _Sum:
+    """Running sums over rounds, each weighed by its samples."""
+
+    def __init__(self) -> None:
+        self._spp = 0
+        self._dropped = 0
+        self._halves: NDArray[np.float64] = np.zeros(0)
+        self._coverage: NDArray[np.float64] = np.zeros(0)
+        self._denoised: NDArray[np.float64] | None = None
+        self._background: NDArray[np.float64] | None = None
+        self._stochastic = True
+
+    def add(self, one: Radiance) -> None:
+        """Counts a round."""
+        if self._spp == 0:
+            self._halves = np.zeros(one.halves.shape)
+            self._coverage = np.zeros(one.coverage.shape)
+            self._denoised = None if one.denoised is None else np.zeros(one.denoised.shape)
+            self._background = None if one.background is None else np.zeros(one.background.shape)
+        # What overflowed counts as it is: infinity, and an error that is unknown.
+        with np.errstate(invalid="ignore"):
+            self._halves += one.spp * one.halves.astype(np.float64)
+        self._coverage += one.spp * one.coverage.astype(np.float64)
+        if self._denoised is not None and one.denoised is not None:
+            self._denoised += one.spp * one.denoised.astype(np.float64)
+        if self._background is not None and one.background is not None:
+            self._background += one.spp * one.background.astype(np.float64)
+        self._spp += one.spp
+        self._dropped += one.dropped
+        self._stochastic &= one.stochastic
+
+    def noise(self) -> Noise:
+        """Of the mean so far."""
+        if not self._stochastic:
+            return UNKNOWN
+        if self._background is None:
+            return estimate(self._halves / self._spp, self._coverage > 0.0)
+        halves = (self._halves + self._background) / self._spp
+        return estimate(halves, (self._coverage > 0.0) | sky_differs(self._background))
+
+    def radiance(self) -> Radiance:
+        """The mean of all rounds."""
+        denoised = None if self._denoised is None else self._denoised / self._spp
+        background = None if self._background is None else self._background / self._spp
+        return Radiance(
+            (self._halves / self._spp).astype(np.float32),
+            np.minimum(self._coverage / self._spp, 1.0).astype(np.float32),
+            self._spp,
+            self._dropped,
+            None if denoised is None else denoised.astype(np.float32),
+            self._stochastic,
+            None if background is None else background.astype(np.float32),
+        )

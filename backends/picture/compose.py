@@ -1,0 +1,246 @@
+"""From a backend's surface light to the picture: sky and suns drawn once, by shared code.
+
+No renderer shows the sky or a sun's disc, so none differs in them and none counts them twice.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenec.backends.camera.rays import camera_rays, subpixel_directions
+from scenec.backends.camera.shutter import is_rolling
+from scenec.backends.contract import Radiance
+from scenec.backends.picture.noise import Noise, estimate, sky_differs
+from scenec.backends.picture.sky import MIN_SUN_DIAMETER_RAD, Sky, combine, lookup
+from scenec.backends.stage.scene import Camera, RenderScene, Sun
+
+if TYPE_CHECKING:
+    from scenec.backends.picture.haze import Veil
+
+#: Sub-pixels per side at the rim of a sun's disc.
+DISC_SUBPIXELS = 16
+
+
+@dataclass(frozen=True)
+class Picture:
+    """Radiance with everything in it, and how far it is from converged.
+
+    Attributes:
+        rgb: Linear Rec.709 radiance, float32 [h, w, 3].
+        noise: Its error, over all pixels that surfaces cover, from the two halves
+            (``noise.estimate``). Of a denoised picture it is the error before denoising.
+    """
+
+    rgb: NDArray[np.float32]
+    noise: Noise
+
+    @property
+    def relative_error(self) -> float | None:
+        """Estimated rms error over the mean; None where it is unknown."""
+        return self.noise.relative_rms
+
+    @property
+    def relative_mse(self) -> float | None:
+        """Estimated relMSE, which weighs dark pixels as much as bright ones."""
+        return self.noise.relative_mse
+
+
+def compose(
+    radiance: Radiance,
+    scene: RenderScene,
+    camera: Camera,
+    sample: int,
+    veil: Veil | None = None,
+) -> Picture:
+    """Mean of the halves (denoised, if it was), plus (1 - coverage) * (sky + suns' discs).
+
+    With haze, both halves are seen through it, so noise and its estimates shrink with what arrives
+    of the surfaces' light, and are relative to the picture with airlight.
+
+    Where radiance brings what is behind (``Radiance.background``) it is the mean of both together.
+
+    Args:
+        radiance: What the renderer has.
+        scene, camera, sample: For the sky behind it.
+        veil: Haze before it, if there is any.
+    """
+    rgb = paint(radiance, scene, camera, sample, veil)
+    noise = estimate(through(radiance, veil), noisy_pixels(radiance), radiance.stochastic)
+    return Picture(rgb, noise)
+
+
+def noisy_pixels(radiance: Radiance) -> NDArray[np.bool_]:
+    """Pixels that estimates of noise are of, bool [h, w]: those with surfaces.
+
+    With a background of its own also those where that differs between the halves.
+    """
+    covered = radiance.coverage > 0.0
+    if radiance.background is not None:
+        covered = covered | sky_differs(radiance.background)
+    return covered
+
+
+def through(radiance: Radiance, veil: Veil | None) -> NDArray[np.float64]:
+    """The halves as haze lets them through, float64 [2, h, w, 3]; with a background of their own.
+
+    What surfaces hide of the sky differs between the halves as their light does.
+    """
+    halves = radiance.halves.astype(np.float64)
+    if radiance.background is not None:
+        return halves + radiance.background
+    if veil is None:
+        return halves
+    return veil.over(halves, radiance.coverage.astype(np.float64))
+
+
+def paint(
+    radiance: Radiance,
+    scene: RenderScene,
+    camera: Camera,
+    sample: int,
+    veil: Veil | None = None,
+    rows: range | None = None,
+) -> NDArray[np.float32]:
+    """The picture of ``compose``, float32 [h, w, 3].
+
+    Args:
+        radiance, scene, camera, sample, veil: As for ``compose``.
+        rows: Of the camera's picture, that ``radiance`` and ``veil`` are of; None: all.
+    """
+    if radiance.background is not None:
+        halves = through(radiance, None)
+        return np.asarray(0.5 * (halves[0] + halves[1]), np.float32)
+    open_sky = 1.0 - radiance.coverage.astype(np.float64)
+    if radiance.denoised is None:
+        halves = through(radiance, veil)
+        light = 0.5 * (halves[0] + halves[1])
+    else:
+        light = radiance.denoised.astype(np.float64)
+        if veil is not None:
+            light = veil.over(light, radiance.coverage.astype(np.float64))
+    behind = background(scene, camera, sample, open_sky > 0.0, rows)
+    if veil is not None:
+        behind = veil.over_sky(behind)
+    return np.asarray(light + open_sky[..., None] * behind, np.float32)
+
+
+def background(
+    scene: RenderScene,
+    camera: Camera,
+    sample: int,
+    wanted: NDArray[np.bool_],
+    rows: range | None = None,
+    sky: Sky | None = None,
+) -> NDArray[np.float64]:
+    """Radiance of sky and suns behind the wanted pixels, float64 [h, w, 3]; 0 elsewhere.
+
+    The sky is looked up at pixel centers; a sun's disc is uniform, E / (pi * sin(diameter/2)**2),
+    and is averaged over the pixel. ``rows``: of the picture, that ``wanted`` is of; None: all.
+    ``sky``: of the sample's domes, where it is combined already.
+    """
+    rows = range(camera.height) if rows is None else rows
+    out = np.zeros((len(rows) * camera.width, 3))
+    index = np.flatnonzero(wanted.ravel())
+    lighting = scene.lighting[sample]
+    if len(index) == 0 or not (lighting.domes or lighting.suns):
+        return out.reshape(len(rows), camera.width, 3)
+    rays = camera_rays(camera, rows)
+    if rays.known is not None:
+        # Outside of the image circle it is black.
+        index = index[rays.known[index]]
+    directions = rays.directions[index]
+    sky = combine(lighting.domes) if sky is None else sky
+    if sky is not None:
+        out[index] = lookup(sky, directions)
+    for sun in lighting.suns:
+        if camera.lens is None and not is_rolling(camera):
+            near, fraction = disc_fraction(sun, camera, directions)
+        else:
+            pixels = index + rows.start * camera.width
+            near, fraction = lens_disc_fraction(sun, camera, directions, pixels)
+        half = 0.5 * max(sun.diameter_rad, MIN_SUN_DIAMETER_RAD)
+        disc = np.asarray(sun.irradiance) / (np.pi * np.sin(half) ** 2)
+        out[index[near]] += fraction[:, None] * disc
+    return out.reshape(len(rows), camera.width, 3)
+
+
+def disc_fraction(
+    sun: Sun, camera: Camera, directions: NDArray[np.float64]
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Which of the pixels a sun's disc may touch, and what fraction of each it fills.
+
+    Args:
+        sun: The sun.
+        camera: The camera.
+        directions: Rays through the pixels' centers, float64 [n, 3], z = 1 in the camera's frame.
+
+    Returns:
+        (which of the rays, int64 [k]; fractions, float64 [k]).
+    """
+    half = 0.5 * max(sun.diameter_rad, MIN_SUN_DIAMETER_RAD)
+    k = camera.intrinsics
+    # No point of a pixel is farther from its center's ray than this angle (the image plane's
+    # distance is at least 1).
+    reach = np.hypot(0.5 / k[0, 0] * (1.0 + abs(k[0, 1] / k[1, 1])), 0.5 / k[1, 1])
+    near = np.flatnonzero(_angle(directions, sun.to_light) <= half + reach)
+    if len(near) == 0:
+        return near, np.zeros(0)
+    steps = (np.arange(DISC_SUBPIXELS) + 0.5) / DISC_SUBPIXELS - 0.5
+    dv, du = (a.ravel() for a in np.meshgrid(steps, steps, indexing="ij"))
+    pose = camera.camera_to_world
+    y = dv / k[1, 1]
+    x = (du - k[0, 1] * y) / k[0, 0]
+    offsets = x[:, None] * pose[:3, 0] + y[:, None] * pose[:3, 1]
+    fractions = np.empty(len(near))
+    for start in range(0, len(near), 4096):
+        part = near[start : start + 4096]
+        rays = directions[part][:, None, :] + offsets[None, :, :]
+        fractions[start : start + 4096] = (_angle(rays, sun.to_light) <= half).mean(axis=1)
+    return near, fractions
+
+
+def lens_disc_fraction(
+    sun: Sun, camera: Camera, directions: NDArray[np.float64], index: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """The same of a camera with a lens or a rolling shutter.
+
+    Args:
+        sun, camera: Which.
+        directions: Rays through the pixels' centers, float64 [n, 3].
+        index: Which pixels they are, row-major, int64 [n].
+    """
+    half = 0.5 * max(sun.diameter_rad, MIN_SUN_DIAMETER_RAD)
+    away = _angle(directions, sun.to_light)
+    # Where a lens magnifies least a pixel may be larger than at the axis: its corners say.
+    k = camera.intrinsics
+    wide = 0.75 / min(k[0, 0], k[1, 1]) * (1.0 + abs(k[0, 1] / k[1, 1]))
+    near = np.flatnonzero(away <= half + max(0.1, 8.0 * wide))
+    corner = np.array([-0.5, 0.5])
+    dv, du = (a.ravel() for a in np.meshgrid(corner, corner, indexing="ij"))
+    if len(near):
+        corners = subpixel_directions(camera, index[near], du, dv)
+        spread = np.stack([_between(corners[:, i], directions[near]) for i in range(4)]).max(axis=0)
+        near = near[away[near] <= half + 1.5 * spread]
+    steps = (np.arange(DISC_SUBPIXELS) + 0.5) / DISC_SUBPIXELS - 0.5
+    dv, du = (a.ravel() for a in np.meshgrid(steps, steps, indexing="ij"))
+    fractions = np.empty(len(near))
+    for start in range(0, len(near), 1024):
+        rays = subpixel_directions(camera, index[near[start : start + 1024]], du, dv)
+        fractions[start : start + 1024] = (_angle(rays, sun.to_light) <= half).mean(axis=1)
+    return near, fractions
+
+
+def _between(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Angles between directions."""
+    cross = np.cross(a, b)
+    return np.arctan2(np.sqrt((cross**2).sum(-1)), (a * b).sum(-1))
+
+
+def _angle(directions: NDArray[np.float64], axis: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Angle to a unit axis; atan2 of cross and dot keeps digits where acos has none."""
+    cross = np.cross(directions, axis)
+    return np.arctan2(np.sqrt((cross**2).sum(-1)), (directions * axis).sum(-1))

@@ -1,0 +1,403 @@
+"""What a light meter sees of a scene: radiance estimated by a few paths of the exact caster.
+
+An exposure must not depend on who draws the picture, on which frames are drawn, or on their noise;
+so it does not look at pictures. A coarse grid of a camera's rays is cast, and from each hit a path
+of diffuse reflections: at each of its points the light of suns, lamps and sky is gathered through
+shadow rays (next event estimation). The numbers that choose directions have one fixed key.
+
+The surfaces are those of the shared model with colors from maps, variation and layers, and with
+their laws of reflectance, but glossy lobes scatter like diffuse ones: a highlight is what a meter
+should not heed. Left out beside these: normal maps, the order that height maps give to layers, and
+the size of suns and lamps. What that costs against the pictures
+of renderers is measured in ``docs/sensors.md``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenec.backends.camera.rays import camera_rays
+from scenec.backends.contract import BOUNCES, Rays
+from scenec.backends.exact.caster import ExactCaster
+from scenec.backends.picture.airlight import arrive, sources
+from scenec.backends.picture.haze import air_at
+from scenec.backends.picture.sky import Sky, combine, lookup, texel_directions
+from scenec.backends.stage.scene import (
+    DEFAULT_SURFACE,
+    Camera,
+    Lamp,
+    Mesh,
+    Reflectance,
+    RenderScene,
+    Rows,
+    Sun,
+    Surface,
+)
+from scenec.backends.surface import cells, maps, reflectance
+
+#: Rec.709.
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
+#: Directions to the sky at the first hit; one at later ones.
+_SKY_RAYS = 8
+#: Rows of the lat-long picture that directions to the sky are drawn from, 1.4 degrees each.
+_SKY_ROWS = 128
+#: Points are lifted by this share of their distance, so that they do not shade themselves.
+_LIFT = 1e-8
+_KEY = 0x5CE9EC
+
+
+@dataclass(frozen=True)
+class Seen:
+    """Luminance that a grid of a camera's rays brings, [W/(m^2 sr)], without the suns' discs.
+
+    Attributes:
+        surfaces: Of rays that hit one, float64 [n].
+        sky: Of the others, float64 [m].
+    """
+
+    surfaces: NDArray[np.float64]
+    sky: NDArray[np.float64]
+
+
+def look(scene: RenderScene, caster: ExactCaster, camera: Camera, sample: int, rays: int) -> Seen:
+    """Estimate what a camera sees at a sample.
+
+    Args:
+        scene: The stage.
+        caster: Its caster; left posed as at the sample.
+        camera: The camera at the sample.
+        sample: Time code.
+        rays: About how many rays of the camera are cast.
+    """
+    caster.pose(sample)
+    paths = _Paths(scene, caster, sample)
+    table = camera_rays(_coarse(camera, rays))
+    known = np.ones(len(table.origins), np.bool_) if table.known is None else table.known
+    table = Rays(table.origins[known], table.directions[known], (int(known.sum()), 1))
+    surfaces, hit = paths.radiance(table)
+    sky = np.zeros((int((~hit).sum()), 3))
+    if paths.sky is not None:
+        sky = lookup(paths.sky, table.directions[~hit]).astype(np.float64)
+    return Seen((surfaces * LUMINANCE).sum(axis=1), (sky * LUMINANCE).sum(axis=1))
+
+
+def _coarse(camera: Camera, rays: int) -> Camera:
+    """The same view in about so many pixels."""
+    share = min(1.0, float(np.sqrt(rays / (camera.width * camera.height))))
+    width, height = max(1, round(share * camera.width)), max(1, round(share * camera.height))
+    scale = np.array([width / camera.width, height / camera.height, 1.0])
+    return replace(
+        camera, width=width, height=height, intrinsics=scale[:, None] * camera.intrinsics
+    )
+
+
+@dataclass
+class _Points:
+    """Hits, and what surfaces do there.
+
+    Attributes:
+        at, normal, to_viewer: World, float64 [k, 3]; the normal faces the viewer, both are units.
+        diffuse: Albedo of what scatters as Lambert's law says, float64 [k, 3].
+        emission: float64 [k, 3].
+        laws: Other laws: (law, which hits, their share [n, 1], their color [n, 3]).
+    """
+
+    at: NDArray[np.float64]
+    normal: NDArray[np.float64]
+    to_viewer: NDArray[np.float64]
+    diffuse: NDArray[np.float64]
+    emission: NDArray[np.float64]
+    laws: list[tuple[Reflectance, NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]] = (
+        field(default_factory=list)
+    )
+
+    def reflected(self, to_light: NDArray[np.float64]) -> NDArray[np.float64]:
+        """BRDF times the cosine for unit vectors [k, 3], float64 [k, 3]."""
+        cosine = (self.normal * to_light).sum(axis=1)[:, None]
+        out = self.diffuse / np.pi
+        for law, which, share, color in self.laws:
+            mu = (self.normal * self.to_viewer).sum(axis=1)[which, None]
+            phase = (to_light * self.to_viewer).sum(axis=1)[which, None]
+            out[which] += share * reflectance.brdf(law, color, cosine[which], mu, phase)
+        return np.asarray(out * np.maximum(cosine, 0.0))
+
+
+class _Paths:
+    """A scene at one sample, as paths meet it."""
+
+    def __init__(self, scene: RenderScene, caster: ExactCaster, sample: int) -> None:
+        lighting = scene.lighting[sample]
+        self.sky = combine(lighting.domes)
+        self._scene = scene
+        self._caster = caster
+        self._suns = lighting.suns
+        self._lamps = lighting.lamps
+        self._dome = None if self.sky is None else _Dome(self.sky)
+        self._air = air_at(scene, sample, self.sky)
+        self._rows = scene.rows_at(sample)
+        self._random = np.random.Generator(np.random.Philox(key=_KEY + sample))
+
+    def radiance(self, rays: Rays) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+        """Radiance along rays that hit something, float64 [n, 3], and which ones do."""
+        row, face, t = self._caster.cast(rays)
+        hit = np.isfinite(t)
+        origins, directions, t = rays.origins[hit], rays.directions[hit], t[hit]
+        points = self._points(origins, directions, row[hit], face[hit], t)
+        light = points.emission + self._direct(points, _SKY_RAYS)
+        alive, weight = np.arange(len(t)), np.ones((len(t), 3))
+        for _ in range(BOUNCES):
+            # By the cosine, which cancels: pi times the BRDF is what is left.
+            ways = self._bounces(points.normal)
+            cosine = np.maximum((points.normal * ways).sum(axis=1), 1e-12)[:, None]
+            weight = weight * (np.pi / cosine) * points.reflected(ways)
+            row, face, far = self._caster.cast(_rays(points, ways))
+            on = np.isfinite(far) & (weight > 0.0).any(axis=1)
+            if not on.any():
+                break
+            alive, weight = alive[on], weight[on]
+            starts = points.at[on]
+            points = self._points(starts, ways[on], row[on], face[on], far[on])
+            light[alive] += weight * (points.emission + self._direct(points, 1))
+        if self._air is not None:
+            source = sources(self._air, directions)
+            passed, shown = arrive(self._air, origins, directions[:, None], t[:, None], source)
+            light = light * passed + shown
+        return light, hit
+
+    def _direct(self, points: _Points, sky_rays: int) -> NDArray[np.float64]:
+        """What is reflected of suns, lamps and sky, float64 [k, 3]."""
+        out = np.zeros(points.at.shape)
+        for sun in self._suns:
+            out += self._sunlight(points, sun)
+        if self._lamps:
+            out += self._lamplight(points)
+        if self._dome is not None and self._dome.total > 0.0:
+            for k in range(sky_rays):
+                # One of each part of the sky, from its top down.
+                u = (k + self._random.random(len(out))) / sky_rays
+                ways, light = self._dome.draw(u)
+                lit = points.reflected(ways) * light
+                out += self._unshaded(points, lit, ways, np.inf) / sky_rays
+        return out
+
+    def _sunlight(self, points: _Points, sun: Sun) -> NDArray[np.float64]:
+        ways = np.broadcast_to(sun.to_light, points.at.shape)
+        return self._unshaded(points, points.reflected(ways) * sun.irradiance, ways, np.inf)
+
+    def _lamplight(self, points: _Points) -> NDArray[np.float64]:
+        """One of the lamps, drawn by what each would give if nothing stood before it."""
+        each = np.stack([_irradiance(lamp, points.at) for lamp in self._lamps], axis=1)
+        strength = (each * LUMINANCE).sum(axis=2)
+        sums = np.cumsum(strength, axis=1)
+        total = sums[:, -1]
+        drawn = self._random.random(len(total)) * total
+        which = np.minimum((sums <= drawn[:, None]).sum(axis=1), len(self._lamps) - 1)
+        k = np.arange(len(total))
+        chance = np.where(strength[k, which] > 0.0, strength[k, which], 1.0)
+        ways = np.stack([lamp.position for lamp in self._lamps])[which] - points.at
+        length = np.sqrt((ways * ways).sum(axis=1))[:, None]
+        units = ways / np.where(length > 0.0, length, 1.0)
+        light = each[k, which] * (total / chance)[:, None]
+        return self._unshaded(points, points.reflected(units) * light, ways, 1.0)
+
+    def _unshaded(
+        self, points: _Points, lit: NDArray[np.float64], ways: NDArray[np.float64], end: float
+    ) -> NDArray[np.float64]:
+        """Light where nothing stands between a point and ``end`` ways from it; 0 elsewhere."""
+        index = np.flatnonzero((lit > 0.0).any(axis=1))
+        out = np.zeros(lit.shape)
+        t = self._caster.cast(_rays(points, ways), index)[2]
+        free = index[t >= end]
+        out[free] = lit[free]
+        return out
+
+    def _bounces(self, normals: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Directions by the cosine to the normals (Malley's method), float64 [k, 3]."""
+        u = self._random.random((len(normals), 2))
+        turn, radius = 2.0 * np.pi * u[:, :1], np.sqrt(u[:, 1:])
+        # An axis across the normal: of the world's the one that is farthest from it.
+        least = np.argmin(np.abs(normals), axis=1)
+        across = np.cross(normals, np.eye(3)[least])
+        across /= np.sqrt((across * across).sum(axis=1))[:, None]
+        flat = np.cos(turn) * across + np.sin(turn) * np.cross(normals, across)
+        return np.asarray(radius * flat + np.sqrt(1.0 - u[:, 1:]) * normals)
+
+    def _points(
+        self,
+        origins: NDArray[np.float64],
+        directions: NDArray[np.float64],
+        row: NDArray[np.int32],
+        face: NDArray[np.int32],
+        t: NDArray[np.float64],
+    ) -> _Points:
+        way = directions / np.sqrt((directions * directions).sum(axis=1))[:, None]
+        at = origins + t[:, None] * directions
+        out = _Points(at, np.empty_like(at), -way, np.zeros_like(at), np.zeros_like(at))
+        mesh_of = self._rows.mesh[row]
+        for number in np.unique(mesh_of):
+            mesh, index = self._scene.meshes[number], np.flatnonzero(mesh_of == number)
+            shares = _corner_shares(mesh, self._rows, row[index], face[index], at[index])
+            normal, to_viewer = shares.normal, -way[index]
+            facing = (normal * to_viewer).sum(axis=1, keepdims=True)
+            # A sliver whose area underflows has no normal of its own.
+            flat = (normal == 0.0).all(axis=1, keepdims=True)
+            out.normal[index] = np.where(flat, to_viewer, np.where(facing < 0.0, -normal, normal))
+            self._add_layers(out, mesh, index, row[index], face[index], shares.corners)
+        distance = np.abs(at).max(axis=1) + t * np.abs(directions).max(axis=1)
+        out.at += (_LIFT * distance)[:, None] * out.normal
+        return out
+
+    def _add_layers(
+        self,
+        out: _Points,
+        mesh: Mesh,
+        index: NDArray[np.int64],
+        row: NDArray[np.int32],
+        face: NDArray[np.int32],
+        corners: NDArray[np.float64],
+    ) -> None:
+        surfaces = [self._scene.surfaces[i] for i in mesh.layers] or [DEFAULT_SURFACE]
+        vertices = mesh.faces[face]
+        own = np.zeros(len(index))
+        if mesh.variation is not None:
+            own = (corners * mesh.variation[vertices]).sum(axis=1)
+        uv = None if mesh.uv is None else (corners[..., None] * mesh.uv[face]).sum(axis=1)
+        # From the top down: what a merge leaves is for those below.
+        left = np.ones(len(index))
+        for layer in range(len(surfaces) - 1, -1, -1):
+            surface, share = surfaces[layer], left
+            if layer:
+                weight = (corners * mesh.weights[layer - 1][vertices]).sum(axis=1)
+                share, left = left * weight, left * (1.0 - weight)
+            at, normal = out.at[index], out.normal[index]
+            color = np.array(surface.base_color) * _map(surface, "base_color", at, normal, uv)
+            for variation in (own, self._rows.variation[row]):
+                color = color * (1.0 + surface.variation * variation)[:, None]
+            color = np.clip(color, 0.0, 1.0)
+            dull, part = (1.0 - surface.metallic) * (1.0 - surface.specular), share[:, None]
+            gloss = (1.0 - surface.metallic) * surface.specular + surface.metallic * color
+            if surface.reflectance is None:
+                gloss = gloss + dull * color
+            else:
+                out.laws.append((surface.reflectance, index, part * dull, color))
+            out.diffuse[index] += part * gloss
+            if surface.emits:
+                glow = np.array(surface.emission) * _map(surface, "emission", at, normal, uv)
+                out.emission[index] += part * glow
+
+
+@dataclass(frozen=True)
+class _Corners:
+    """Barycentric coordinates [k, 3] and unit normals [k, 3] of hits on one mesh."""
+
+    corners: NDArray[np.float64]
+    normal: NDArray[np.float64]
+
+
+def _corner_shares(
+    mesh: Mesh,
+    rows: Rows,
+    row: NDArray[np.int32],
+    face: NDArray[np.int32],
+    at: NDArray[np.float64],
+) -> _Corners:
+    local = mesh.points[mesh.faces[face]].astype(np.float64)
+    matrix = rows.to_world[row]
+    world = np.einsum("kij,kcj->kci", matrix[:, :, :3], local) + matrix[:, None, :, 3]
+    first, second = world[:, 1] - world[:, 0], world[:, 2] - world[:, 0]
+    across = np.cross(first, second)
+    area = (across * across).sum(axis=1)
+    area = np.where(area > 0.0, area, 1.0)
+    offset = at - world[:, 0]
+    b = (np.cross(offset, second) * across).sum(axis=1) / area
+    c = (np.cross(first, offset) * across).sum(axis=1) / area
+    shares = np.clip(np.stack([1.0 - b - c, b, c], axis=1), 0.0, 1.0)
+    shares /= shares.sum(axis=1)[:, None]
+    return _Corners(shares, across / np.sqrt(area)[:, None])
+
+
+def _map(
+    surface: Surface,
+    kind: str,
+    at: NDArray[np.float64],
+    normal: NDArray[np.float64],
+    uv: NDArray[np.float64] | None,
+) -> NDArray[np.float64]:
+    """What a map multiplies a color with, float64 [k, 3] or a scalar's shape; 1 without one."""
+    described = surface.maps
+    if described is None or maps.map_file(described, kind) is None:
+        return np.ones(1)
+    if described.projection == "above":
+        return cells.value(described, kind, at[:, :2])
+    picture = maps.map_values(described, kind)
+    if described.projection == "triplanar":
+        return maps.triplanar(picture, described.size_m, at, normal)
+    if uv is None:
+        return picture.mean(axis=(0, 1), dtype=np.float64)
+    return maps.sample(picture, uv[:, 0], uv[:, 1])
+
+
+def _rays(points: _Points, ways: NDArray[np.float64]) -> Rays:
+    return Rays(points.at, np.ascontiguousarray(ways), (len(points.at), 1))
+
+
+def _irradiance(lamp: Lamp, at: NDArray[np.float64]) -> NDArray[np.float64]:
+    """On surfaces that face a lamp, as if it were a point, float64 [k, 3]."""
+    offset = at - lamp.position
+    squared = (offset * offset).sum(axis=1)
+    outside = squared > lamp.radius_m * lamp.radius_m
+    squared = np.where(outside, squared, 1.0)
+    cosine = (offset * lamp.axis).sum(axis=1) / np.sqrt(squared)
+    angle = np.arccos(np.clip(cosine, -1.0, 1.0))
+    start = lamp.cone * (1.0 - lamp.softness)
+    x = np.clip((angle - start) / max(lamp.cone - start, 1e-12), 0.0, 1.0)
+    falloff = np.where(outside & (angle <= lamp.cone), 1.0 - x * x * (3.0 - 2.0 * x), 0.0)
+    return np.asarray((falloff / squared)[:, None] * lamp.intensity)
+
+
+class _Dome:
+    """A sky to draw directions from, by the luminance that comes from there.
+
+    Attributes:
+        total: Luminance over all directions, times their solid angle.
+    """
+
+    def __init__(self, sky: Sky) -> None:
+        picture = sky.picture.astype(np.float64)
+        if sky.constant:
+            picture = np.broadcast_to(picture, (_SKY_ROWS // 4, _SKY_ROWS // 2, 3))
+        picture = _reduced(picture, max(1, picture.shape[0] // _SKY_ROWS))
+        height, width = picture.shape[:2]
+        rows = -np.diff(np.cos(np.arange(height + 1) * (np.pi / height)))
+        luminance = (picture * LUMINANCE).sum(axis=2)
+        self._sums = np.cumsum((luminance * rows[:, None]).ravel())
+        self.total = float(self._sums[-1]) * 2.0 * np.pi / width
+        self._colors = (picture / np.where(luminance > 0.0, luminance, 1.0)[..., None]).reshape(
+            -1, 3
+        )
+        self._directions = (texel_directions(height, width) @ sky.to_world.T).reshape(-1, 3)
+
+    def draw(self, u: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Unit vectors [k, 3] and radiance over their density [k, 3], from numbers in [0, 1)."""
+        which = np.searchsorted(self._sums, u * self._sums[-1], side="right")
+        which = np.minimum(which, len(self._sums) - 1)
+        return self._directions[which], self.total * self._colors[which]
+
+
+def _reduced(picture: NDArray[np.float64], factor: int) -> NDArray[np.float64]:
+    """Means over blocks of texels; what does not fill a block at the right or below is left."""
+    height, width = picture.shape[0] // factor * factor, picture.shape[1] // factor * factor
+    blocks = picture[:height, :width].reshape(height // factor, factor, width // factor, factor, 3)
+    mean: NDArray[np.float64] = blocks.mean(axis=(1, 3))
+    return mean
+
+
+def luminances(seen: Sequence[Seen]) -> Seen:
+    """Several of them as one."""
+    return Seen(
+        np.concatenate([one.surfaces for one in seen]), np.concatenate([one.sky for one in seen])
+    )

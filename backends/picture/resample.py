@@ -1,0 +1,383 @@
+"""Pictures through a lens from pinhole views, for renderers that know pinholes alone.
+
+One view where all rays lie within ``WIDEST`` of the axis, else those faces of a cube around the eye
+that any ray meets; each only as large as its rays need, and so fine that ``FINENESS`` of its pixels
+go along a side of the picture's, everywhere (of pixels more than twice as long as wide, which
+panoramas have at their poles: along half of the longer side). A pixel of the picture is the mean of
+its own area (box filter, as contracts say), at ``SUBPIXELS``^2 places, of what is bilinear between
+the views' pixels: radiance and coverage alike, ids never. That blurs: to the filter's variance of
+1/12 square pixels it adds 1/(4 FINENESS^2) at most; edges stay where they are (without
+interpolation they would move by up to 0.1 pixel), and so does mean brightness.
+
+Both halves go the same way, so they stay independent and ((A - B)/2)^2 stays an unbiased estimate
+of the variance of each pixel; neighbors share samples, so their errors are no longer independent,
+which only averages over regions show (they are as noisy as before, not less).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from scenec.backends.camera.lens import RayTable, local_rays, ray_table
+from scenec.backends.contract import Backend, Radiance
+from scenec.backends.picture.bands import radiance
+from scenec.backends.stage.scene import Camera
+from scenec.schemas.errors import CameraRefusedError
+from scenec.schemas.threads import over_threads
+
+#: Pixels of the views along a side of the picture's.
+FINENESS = 2.0
+#: Places along a side of a pixel at which views are looked up.
+SUBPIXELS = 4
+#: Farthest rays from the axis that a single view holds, degrees.
+WIDEST = 60.0
+#: A view's longest side, pixels.
+LARGEST = 8192
+#: Pixels of the picture at which the views' scale is measured, along a side.
+_SAMPLES = 64
+
+#: Camera axes to those of the faces of a cube, z forward: ahead, right, left, down, up, behind.
+FACES = np.array(
+    [
+        [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
+        [[0, 0, -1], [0, 1, 0], [1, 0, 0]],
+        [[0, 0, 1], [0, 1, 0], [-1, 0, 0]],
+        [[1, 0, 0], [0, 0, -1], [0, 1, 0]],
+        [[1, 0, 0], [0, 0, 1], [0, -1, 0]],
+        [[-1, 0, 0], [0, 1, 0], [0, 0, -1]],
+    ],
+    np.float64,
+)
+
+
+@dataclass(frozen=True)
+class Views:
+    """Pinhole views that hold a picture.
+
+    Attributes:
+        cameras: Those that are rendered.
+        faces: Which of ``FACES`` each is.
+        table: The picture's rays.
+        fineness: Pixels of the views along a side of the picture's, the least; ``FINENESS``, unless
+            ``LARGEST`` bounds it.
+    """
+
+    cameras: tuple[Camera, ...]
+    faces: tuple[int, ...]
+    table: RayTable
+    fineness: float
+
+    def as_json(self) -> dict[str, Any]:
+        """What sidecars say of them."""
+        return {
+            "views": len(self.cameras),
+            "view_pixels": sum(view.width * view.height for view in self.cameras),
+            "pixels_per_pixel_side": self.fineness,
+            "interpolation_px": self.table.error_px,
+        }
+
+
+def plan_views(camera: Camera) -> Views:
+    """The views of a camera with a lens."""
+    table = ray_table(camera)
+    low, high, used = _windows(table, single=True)
+    single = bool(used[0]) and _within(table, np.cos(np.radians(WIDEST)))
+    if not single:
+        low, high, used = _windows(table, single=False)
+    finest = _finest(camera, single)
+    cameras, faces, fineness = [], [], []
+    for face in np.flatnonzero(used).tolist():
+        focal = FINENESS * finest[face]
+        # A pixel more on each side: what rounding may add.
+        span = float((high[face] - low[face]).max())
+        if span * focal > LARGEST - 4:
+            focal = (LARGEST - 4) / span
+        fineness.append(float(focal / finest[face]))
+        size = np.ceil((high[face] - low[face]) * focal).astype(int) + 2
+        k = np.eye(3)
+        k[0, 0] = k[1, 1] = focal
+        k[:2, 2] = 1.0 - low[face] * focal
+        pose = np.array(camera.camera_to_world, np.float64)
+        pose[:3, :3] = _product(pose[:3, :3], FACES[face].T)
+        cameras.append(
+            replace(
+                camera, width=int(size[0]), height=int(size[1]), intrinsics=k, camera_to_world=pose,
+                lens=None,
+            )
+        )  # fmt: skip
+        faces.append(face)
+    return Views(tuple(cameras), tuple(faces), table, min(fineness, default=FINENESS))
+
+
+def draw(
+    backend: Backend, camera: Camera, views: Views, sample: int, spp: int, seed: int, denoise: bool
+) -> Radiance:
+    """A picture of a camera with a lens, of views that a backend renders.
+
+    Args:
+        backend: Loaded.
+        camera: With a lens.
+        views: From ``plan_views``.
+        sample, spp, seed, denoise: As for ``Backend.radiance``. Of the samples a pixel of the
+            views gets its share by area, rounded up.
+
+    Raises:
+        BackendError: The backend failed, or the lens shows nothing.
+    """
+    if not views.cameras:
+        raise CameraRefusedError(f"camera {camera.name}: its lens has no ray in the picture")
+    each = max(1, int(np.ceil(spp / views.fineness**2)))
+    parts = []
+    for i, view in enumerate(views.cameras):
+        # Another odd number than tiles of a view have between them (``bands``).
+        noise = (seed + 0x85EBCA6B * i) & 0xFFFFFFFF
+        parts.append(radiance(backend, view, sample, each, noise, denoise))
+    pixels = camera.height * camera.width
+    channels = 7 if parts[0].denoised is None else 10
+    out = np.zeros((pixels, channels), np.float32)
+    index_of_face = np.full(len(FACES), -1, np.int64)
+    index_of_face[list(views.faces)] = np.arange(len(views.faces))
+    starts = np.cumsum([0, *(view.width * view.height for view in views.cameras)])
+    stacked = np.empty((starts[-1], channels), np.float32)
+    numbers = np.empty((len(parts), 5))
+    for i, (view, part) in enumerate(zip(views.cameras, parts, strict=True)):
+        own = slice(starts[i], starts[i + 1])
+        stacked[own, :3] = part.halves[0].reshape(-1, 3)
+        stacked[own, 3:6] = part.halves[1].reshape(-1, 3)
+        stacked[own, 6] = part.coverage.ravel()
+        if part.denoised is not None:
+            stacked[own, 7:] = part.denoised.reshape(-1, 3)
+        k = view.intrinsics
+        numbers[i] = k[0, 0], k[0, 2], k[1, 2], view.width, view.height
+    table = views.table
+    over_threads(
+        _gather, camera.height, table.directions, table.per_pixel, table.known.ravel(),
+        camera.width, SUBPIXELS, len(views.faces) == 1 and views.faces[0] == 0, FACES,
+        index_of_face, numbers, starts, stacked, out,
+    )  # fmt: skip
+    picture = out.reshape(camera.height, camera.width, channels)
+    halves = np.stack([picture[..., :3], picture[..., 3:6]])
+    shown = max(1, int(np.count_nonzero(table.known)))
+    samples = sum(part.spp * view.width * view.height
+                  for part, view in zip(parts, views.cameras, strict=True))  # fmt: skip
+    return Radiance(
+        np.ascontiguousarray(halves),
+        np.clip(picture[..., 6], 0.0, 1.0),
+        max(1, round(samples / shown)),
+        sum(part.dropped for part in parts),
+        None if channels == 7 else np.ascontiguousarray(picture[..., 7:]),
+        all(part.stochastic for part in parts),
+    )
+
+
+def _product(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+    total: NDArray[np.float64] = (a[:, :, None] * b[None, :, :]).sum(axis=1)
+    return total
+
+
+def _within(table: RayTable, cosine: float) -> bool:
+    """Whether all rays lie in a cone around the axis."""
+    least = np.ones(len(table.known))
+    over_threads(_least_cosine, len(least), table.directions, table.per_pixel, table.known, least)
+    return bool(least.min() >= cosine)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _least_cosine(first, last, table, per_pixel, known, least):  # type: ignore[no-untyped-def]
+    width = known.shape[1]
+    for y in range(first, last):
+        for x in range(width):
+            if not known[y, x]:
+                continue
+            for j in range(per_pixel + 1):
+                for i in range(per_pixel + 1):
+                    d = table[y * per_pixel + j, x * per_pixel + i]
+                    length = np.sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2])
+                    least[y] = min(least[y], d[2] / length)
+
+
+def _windows(
+    table: RayTable, single: bool
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
+    """What the rays take of each face's plane, lowest and highest (x, y), [6, 2], and whether."""
+    height = len(table.known)
+    low = np.full((height, len(FACES), 2), np.inf)
+    high = np.full((height, len(FACES), 2), -np.inf)
+    over_threads(
+        _find_windows, height, table.directions, table.per_pixel, table.known, FACES, single, low,
+        high,
+    )  # fmt: skip
+    low, high = low.min(axis=0), high.max(axis=0)
+    used = np.isfinite(low).all(axis=1) & np.isfinite(high).all(axis=1)
+    if not single:
+        # A pixel at an edge of the cube has parts on both sides: its places may lie between the
+        # lattice's points.
+        wide = 1.0 / (4.0 * max(table.known.shape))
+        low, high = np.maximum(low - wide, -1.0), np.minimum(high + wide, 1.0)
+        used |= _neighbors_used(table)
+        low[used & ~np.isfinite(low).all(axis=1)] = -1.0
+        high[used & ~np.isfinite(high).all(axis=1)] = 1.0
+    return low, high, used
+
+
+def _neighbors_used(table: RayTable) -> NDArray[np.bool_]:
+    """Faces that places within pixels meet."""
+    used = np.zeros((len(table.known), len(FACES)), np.bool_)
+    over_threads(
+        _meet_faces, len(used), table.directions, table.per_pixel, table.known, SUBPIXELS, FACES,
+        used,
+    )  # fmt: skip
+    return used.any(axis=0)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _find_windows(  # type: ignore[no-untyped-def]
+    first, last, table, per_pixel, known, faces, single, low, high
+):
+    width = known.shape[1]
+    for y in range(first, last):
+        for x in range(width):
+            if not known[y, x]:
+                continue
+            meets = 0
+            for j in range(per_pixel + 1):
+                for i in range(per_pixel + 1):
+                    d = table[y * per_pixel + j, x * per_pixel + i]
+                    meets |= 1 << (0 if single else _face_of(d))
+            for j in range(per_pixel + 1):
+                for i in range(per_pixel + 1):
+                    d = table[y * per_pixel + j, x * per_pixel + i]
+                    for f in range(6):
+                        if meets >> f & 1 == 0:
+                            continue
+                        z = faces[f, 2, 0] * d[0] + faces[f, 2, 1] * d[1] + faces[f, 2, 2] * d[2]
+                        if z <= 0.0:
+                            # Beyond all bounds: a single view cannot hold it, a face ends at 1.
+                            low[y, f] = -1.0
+                            high[y, f] = 1.0
+                            continue
+                        for c in range(2):
+                            axis = faces[f, c]
+                            at = (axis[0] * d[0] + axis[1] * d[1] + axis[2] * d[2]) / z
+                            low[y, f, c] = min(low[y, f, c], at)
+                            high[y, f, c] = max(high[y, f, c], at)
+
+
+@njit(cache=True, error_model="numpy")
+def _face_of(d):  # type: ignore[no-untyped-def]
+    """The face of the cube that a ray meets."""
+    x, y, z = abs(d[0]), abs(d[1]), abs(d[2])
+    if z >= x and z >= y:
+        return 0 if d[2] >= 0.0 else 5
+    if x >= y:
+        return 1 if d[0] >= 0.0 else 2
+    return 3 if d[1] >= 0.0 else 4
+
+
+@njit(cache=True, error_model="numpy")
+def _between(table, per_pixel, x, y, out):  # type: ignore[no-untyped-def]
+    """The ray through a point of the picture, pixels."""
+    u, v = x * per_pixel, y * per_pixel
+    i = min(int(u), table.shape[1] - 2)
+    j = min(int(v), table.shape[0] - 2)
+    a, b = u - i, v - j
+    for c in range(3):
+        top = (1.0 - a) * table[j, i, c] + a * table[j, i + 1, c]
+        bottom = (1.0 - a) * table[j + 1, i, c] + a * table[j + 1, i + 1, c]
+        out[c] = (1.0 - b) * top + b * bottom
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _meet_faces(first, last, table, per_pixel, known, side, faces, used):  # type: ignore[no-untyped-def]
+    width = known.shape[1]
+    for y in range(first, last):
+        d = np.empty(3)
+        for x in range(width):
+            if known[y, x]:
+                for j in range(side):
+                    for i in range(side):
+                        _between(table, per_pixel, x + (i + 0.5) / side, y + (j + 0.5) / side, d)
+                        used[y, _face_of(d)] = True
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _gather(  # type: ignore[no-untyped-def]
+    first, last, table, per_pixel, known, width, side, single, faces, index_of_face, numbers,
+    starts, pictures, out,
+):  # fmt: skip
+    share = 1.0 / (side * side)
+    for y in range(first, last):
+        d = np.empty(3)
+        total = np.empty(out.shape[1])
+        for x in range(width):
+            k = y * width + x
+            if not known[k]:
+                continue
+            total[:] = 0.0
+            for j in range(side):
+                for i in range(side):
+                    _between(table, per_pixel, x + (i + 0.5) / side, y + (j + 0.5) / side, d)
+                    f = 0 if single else _face_of(d)
+                    z = faces[f, 2, 0] * d[0] + faces[f, 2, 1] * d[1] + faces[f, 2, 2] * d[2]
+                    a = faces[f, 0, 0] * d[0] + faces[f, 0, 1] * d[1] + faces[f, 0, 2] * d[2]
+                    b = faces[f, 1, 0] * d[0] + faces[f, 1, 1] * d[1] + faces[f, 1, 2] * d[2]
+                    n = index_of_face[f]
+                    focal, cx, cy, columns, rows = numbers[n]
+                    # Between the centers of pixels; views have one more on each side.
+                    u = min(max(focal * a / z + cx - 0.5, 0.0), columns - 1.000001)
+                    v = min(max(focal * b / z + cy - 0.5, 0.0), rows - 1.000001)
+                    left, top = int(u), int(v)
+                    p, q = u - left, v - top
+                    at = starts[n] + top * int(columns) + left
+                    below = at + int(columns)
+                    for c in range(out.shape[1]):
+                        upper = (1.0 - p) * pictures[at, c] + p * pictures[at + 1, c]
+                        lower = (1.0 - p) * pictures[below, c] + p * pictures[below + 1, c]
+                        total[c] += (1.0 - q) * upper + q * lower
+            for c in range(out.shape[1]):
+                out[k, c] = total[c] * share
+
+
+def _finest(camera: Camera, single: bool) -> NDArray[np.float64]:
+    """Focal lengths, pixels, at which each face's pixels are as small as the picture's, [6].
+
+    The sides of a pixel of the picture on a face's plane are the singular values of the plane's
+    derivative by pixels, here of differences.
+    """
+    step = 1e-3
+    sides = [np.linspace(0.0, side, _SAMPLES) for side in (camera.width, camera.height)]
+    at, known = local_rays(camera, sides[0], sides[1])
+    right, there = local_rays(camera, sides[0] + step, sides[1])
+    down, also = local_rays(camera, sides[0], sides[1] + step)
+    known &= there & also
+    out = np.zeros(len(FACES))
+    for face in range(1 if single else len(FACES)):
+        planes = []
+        for rays in (at, right, down):
+            turned = (rays[..., None, :] * FACES[face]).sum(axis=-1)
+            inside = turned[..., 2] > 0.0
+            with np.errstate(divide="ignore", invalid="ignore"):
+                plane = turned[..., :2] / turned[..., 2:]
+            # What lies on the face, and a little more.
+            near = inside if single else inside & (np.abs(plane) <= 1.1).all(axis=-1)
+            planes.append((plane, near))
+        good = known & planes[0][1] & planes[1][1] & planes[2][1]
+        if not good.any():
+            out[face] = np.inf
+            continue
+        a, b = ((planes[i][0] - planes[0][0])[good] / step for i in (1, 2))
+        square = (a * a).sum(axis=1) + (b * b).sum(axis=1)
+        area = np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
+        largest = 0.5 * (square + np.sqrt(np.maximum(square * square - 4.0 * area * area, 0.0)))
+        longer = np.sqrt(largest)
+        size = np.maximum(area / np.maximum(longer, 1e-300), 0.5 * longer)
+        out[face] = 1.0 / max(float(size.min()), 1e-12)
+    if not np.isfinite(out).all():
+        known_faces = out[np.isfinite(out) & (out > 0.0)]
+        out[~np.isfinite(out)] = known_faces.max() if len(known_faces) else float(camera.width)
+    return out

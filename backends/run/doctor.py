@@ -1,0 +1,156 @@
+"""Which backends work here, and what to do about those that do not."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import platform
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from scenec.backends.registry import backend_names, open_backend
+from scenec.backends.run.supervise import WorkerProcess
+from scenec.backends.stage.scene import (
+    Camera,
+    Dome,
+    Lighting,
+    Mesh,
+    RenderScene,
+    Rows,
+    Sun,
+    Surface,
+)
+from scenec.schemas.errors import BackendError
+
+LIBRARIES = (
+    "scenec",
+    "numpy",
+    "numba",
+    "usd-core",
+    "OpenEXR",
+    "pillow",
+    "trimesh",
+    "mitsuba",
+    "llvm-nanobind",
+    "bpy",
+    "pyrender-maintained",
+    "PyOpenGL",
+    "lavavu-osmesa",
+    "flip-evaluator",
+)
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """One backend here.
+
+    Attributes:
+        name: The backend's.
+        works: Whether it rendered the test scene rightly.
+        version: Renderer and variant; "" if it did not get that far.
+        device: Where it ran: the fastest device that works here; "" likewise.
+        message: What is wrong, with the command that mends it; or a warning; or "".
+    """
+
+    name: str
+    works: bool
+    version: str
+    device: str
+    message: str
+
+
+def diagnose(names: tuple[str, ...] | None = None) -> list[Diagnosis]:
+    """Try each backend on a tiny scene, in its worker process: a crash is a finding, no more."""
+    found = []
+    for name in names or backend_names():
+        with WorkerProcess() as worker:
+            try:
+                answer = worker.ask({"op": "probe", "backend": name}, f"backend {name}")
+                message = answer["warning"] or ""
+                found.append(Diagnosis(name, True, answer["version"], answer["device"], message))
+            except BackendError as error:
+                found.append(Diagnosis(name, False, "", "", str(error)))
+    return found
+
+
+def library_versions() -> dict[str, str]:
+    """Versions of what scenec stands on; "not installed" where it is not."""
+    versions = {"python": platform.python_version(), "platform": platform.platform()}
+    for name in LIBRARIES:
+        try:
+            versions[name] = importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            versions[name] = "not installed"
+    return versions
+
+
+def probe(name: str) -> dict[str, Any]:
+    """Render a tiny scene with a backend, in this process, and check what comes out.
+
+    Raises:
+        BackendError: It cannot start, or what it renders is wrong.
+    """
+    backend = open_backend(name)
+    scene = tiny_scene()
+    camera = scene.cameras[0][0]
+    backend.load(scene)
+    light = backend.radiance(camera, 0, 16, 0)
+    if light.coverage[0].any() or not (light.coverage[-1] == 1.0).all():
+        raise BackendError(f"backend {name} starts, but sees the test scene wrongly")
+    value = float(light.halves.mean(axis=0)[-1].mean())
+    expected = 0.5 * (np.pi + 1.0) / np.pi
+    if not abs(value - expected) < 0.1 * expected:
+        raise BackendError(
+            f"backend {name} starts, but the test scene's ground has radiance {value:g} "
+            f"instead of {expected:g}"
+        )
+    return {
+        "version": backend.version(),
+        "device": backend.device,
+        "warning": backend.warning(),
+    }
+
+
+def tiny_scene() -> RenderScene:
+    """Gray ground to the horizon under a sun in the zenith (E = 1) and a sky of radiance 1."""
+    size = 1000.0
+    points = np.array([[-size, -size, 0], [size, -size, 0], [size, size, 0], [-size, size, 0]])
+    pose = np.eye(4)
+    pose[:3, 0], pose[:3, 1], pose[:3, 2] = [1, 0, 0], [0, 0, -1], [0, 1, 0]
+    pose[:3, 3] = [0, 0, 2]
+    k = np.array([[8.0, 0, 8.0], [0, 8.0, 8.0], [0, 0, 1]])
+    mesh = Mesh(
+        path="/World/Ground",
+        points=points.astype(np.float32),
+        faces=np.array([[0, 1, 2], [0, 2, 3]], np.int32),
+        authored_face=None,
+        normals=None,
+        labels={},
+        layers=(0,),
+        weights=np.empty((0, 4), np.float32),
+    )
+    lighting = Lighting(
+        (Sun(np.array([0.0, 0.0, 1.0]), np.ones(3), np.radians(0.53)),),
+        (Dome(None, np.ones(3), np.eye(3)),),
+    )
+    return RenderScene(
+        source=Path("doctor"),
+        digest="",
+        samples=1,
+        meshes=(mesh,),
+        rows=Rows(
+            np.zeros(1, np.int32),
+            np.eye(4)[None, :3],
+            np.zeros(1, np.uint32),
+            np.zeros(1, np.float32),
+        ),
+        surfaces=(Surface("", (0.5, 0.5, 0.5), 0.0, 0.5, 0.0),),
+        levels=(),
+        label_names={},
+        sky_labels={},
+        cameras=((Camera("doctor", "/doctor", 16, 16, k, pose),),),
+        lighting=(lighting,),
+        bounds=np.array([points.min(0), points.max(0)]),
+    )

@@ -1,0 +1,98 @@
+"""How much memory workers may hold, what loading takes of it, and what a process has held."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from scenec.schemas.errors import BackendError
+from scenec.schemas.memory import GB, available, limit
+
+if TYPE_CHECKING:
+    from scenec.backends.stage.scene import RenderScene
+
+#: Share of the memory there is that workers may hold: the rest is the parent's, the system's, and
+#: what a worker can grow by between two looks at it.
+SHARE = 0.8
+#: Refused is what is estimated at more than this times the memory there is: estimates err.
+MARGIN = 1.25
+_STATUS = Path("/proc/self/status")
+
+
+def default_limit() -> int:
+    """Bytes that workers may hold together: SHARE of the machine's, or of the container's."""
+    return int(SHARE * limit())
+
+
+@dataclass(frozen=True)
+class LoadCost:
+    """Bytes at the peak of loading a scene, measured (``docs/numbers.md``).
+
+    Attributes:
+        row: Of an instance of a mesh.
+        triangle: Of a triangle of a mesh, however many instances share it.
+        written: Of a triangle of an instance: above 0 where instances are written out.
+    """
+
+    row: float
+    triangle: float
+    written: float = 0.0
+
+    def of(self, scene: RenderScene) -> tuple[float, str]:
+        """Bytes, and what for."""
+        faces = np.array([len(mesh.faces) for mesh in scene.meshes], np.int64)
+        rows, written = len(scene.rows.mesh), int(faces[scene.rows.mesh].sum())
+        size = self.row * rows + self.triangle * int(faces.sum()) + self.written * written
+        return size, f"{rows:,} rows, {written:,} triangles with all instances"
+
+
+def require_room(name: str, cost: LoadCost | None, scene: RenderScene) -> None:
+    """Refuses to load a scene that cannot fit, and notes for the log what it is expected to take.
+
+    Args:
+        name: Of the backend.
+        cost: Its; None: it does not say.
+        scene: To be loaded.
+
+    Raises:
+        BackendError: It does not fit.
+    """
+    if cost is None:
+        return
+    size, what = cost.of(scene)
+    free = available()
+    help_ = (
+        "object_detail/max_triangles and a larger lod_px in the cfg make objects coarser"
+        if cost.written
+        else "fewer objects need less"
+    )
+    # What a worker that is killed has said last is told of it.
+    print(f"{name}: loading {what}: about {size / GB:.2g} GB; {help_}", file=sys.stderr, flush=True)
+    if size > MARGIN * free:
+        raise BackendError(
+            f"{name}: loading {what} takes about {size / GB:.2g} GB, {free / GB:.2g} GB are "
+            f"available: expected less, or more memory; {help_}"
+        )
+
+
+def reset_peak() -> None:
+    """Forget the highest resident memory of this process so far, where the system can (Linux)."""
+    with contextlib.suppress(OSError):
+        Path("/proc/self/clear_refs").write_text("5", encoding="ascii")
+
+
+def peak() -> int | None:
+    """Highest resident memory of this process since ``reset_peak``, bytes; None if unknown.
+
+    Not ``getrusage``: the peak it tells starts with that of the process that started this one.
+    """
+    with contextlib.suppress(OSError, ValueError):
+        for line in _STATUS.read_text(encoding="ascii", errors="replace").splitlines():
+            if line.startswith("VmHWM:"):
+                return 1024 * int(line.split()[1])
+    return None

@@ -1,0 +1,508 @@
+"""One stage, one backend: what a worker process holds while it renders a batch."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from functools import cache, cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenec.backends.annotation.annotate import pass_names
+from scenec.backends.annotation.instances import Instances, Seen
+from scenec.backends.camera.rays import camera_rays, ray_down
+from scenec.backends.camera.shutter import blurred_by, is_rolling, undenoised
+from scenec.backends.contract import Backend, Radiance
+from scenec.backends.exact import ExactCaster, Hits
+from scenec.backends.picture import bands
+from scenec.backends.picture.adaptive import Draw, Rounds, Target, collect
+from scenec.backends.picture.exposure import Meter
+from scenec.backends.registry import open_backend
+from scenec.backends.run import memory
+from scenec.backends.run.writer import Annotated, annotated, annotation_facts, write_frame
+from scenec.backends.stage.read import read_stage
+from scenec.backends.stage.scene import Camera, RenderScene
+from scenec.schemas.amodal import AMODAL
+from scenec.schemas.correspondence import CORRESPONDENCES
+from scenec.schemas.depth_camera import MEASURED
+from scenec.schemas.errors import BackendError, CameraRefusedError, StageError
+from scenec.schemas.frames import ANNOTATION, ANNOTATION_NAMES, FrameKey
+from scenec.schemas.instances import BATCH_TABLE, table_digest, write_table
+from scenec.schemas.memory import GB
+from scenec.schemas.versions import version_of
+
+if TYPE_CHECKING:
+    from scenec.backends.picture.haze import Veil
+
+
+class Session:
+    """A stage that has been read, and the backend that draws its pictures.
+
+    The backend's own scene and the exact caster are built when the first frame needs them, so that
+    a run that finds all its frames done costs no more than reading the stage.
+
+    Args:
+        scene: The stage.
+        backend: The renderer; None where annotation alone is asked for, which needs none.
+    """
+
+    def __init__(self, scene: RenderScene, backend: Backend | None) -> None:
+        self.scene = scene
+        self.backend = backend
+        self._caster: ExactCaster | None = None
+        self._meter = Meter(scene)
+        self._loaded = False
+
+    @classmethod
+    def open(
+        cls,
+        stage: Path,
+        backend: str,
+        device: str = "auto",
+        passes: Sequence[str] | None = None,
+    ) -> Session:
+        """Read a stage; start a backend if any frame is to have ``rgb``.
+
+        Raises:
+            StageError: The stage cannot be read.
+            BackendError: A backend is not there or cannot start, or has no such device.
+        """
+        return cls.of(read_stage(stage), backend, device, passes)
+
+    @classmethod
+    def of(
+        cls,
+        scene: RenderScene,
+        backend: str,
+        device: str = "auto",
+        passes: Sequence[str] | None = None,
+    ) -> Session:
+        """As ``open``, of a stage that has been read.
+
+        Raises:
+            BackendError: A backend is not there or cannot start, or has no such device.
+        """
+        wanted = (c.outputs if passes is None else passes for of in scene.cameras for c in of)
+        if backend in ANNOTATION_NAMES or not any("rgb" in names for names in wanted):
+            return cls(scene, None)
+        return cls(scene, open_backend(backend, device))
+
+    def facts(self) -> dict[str, Any]:
+        """What draws the pictures, for sidecars, resume keys and messages."""
+        backend = self.backend
+        if backend is None:
+            return {
+                "backend": ANNOTATION,
+                "version": f"{ANNOTATION} (scenec {version_of()})",
+                "device": "cpu",
+                "denoiser": None,
+                "warning": None,
+            }
+        return {
+            "backend": backend.name,
+            "version": backend.version(),
+            "device": backend.device,
+            "denoiser": backend.denoiser,
+            "warning": backend.warning(),
+        }
+
+    @cached_property
+    def losses(self) -> tuple[str, ...]:
+        """A line for each thing in the stage that was not read, or that ``rgb`` leaves out."""
+        if self.backend is None:
+            return self.scene.losses
+        lines = (*self.scene.losses, *self.backend.losses(self.scene))
+        if any(self.scene.haze):
+            from scenec.backends.picture.haze import LOSS
+
+            lines += (LOSS,)
+        return lines
+
+    def passes(self, wanted: Sequence[str] | None, camera: Camera) -> tuple[str, ...]:
+        """Passes as they are written: ``rgb`` first, ``label`` spelled out as its levels.
+
+        ``amodal``, a file of its own, brings ``instance`` with it, whose ids name its masks.
+
+        Args:
+            wanted: As a user asks for them; None takes what the camera's render product asks for.
+            camera: Whose frame it is.
+
+        Raises:
+            BackendError: A pass nobody knows.
+        """
+        names = tuple(camera.outputs if wanted is None else wanted)
+        return (*(["rgb"] if "rgb" in names else []), *pass_names(self.scene, names))
+
+    def undenoised(self, camera: Camera) -> str | None:
+        """Why pictures of a camera cannot be denoised, a line; None where they can be."""
+        cause = blurred_by(camera)
+        return None if cause is None else undenoised(camera.name, cause)
+
+    @cached_property
+    def instances(self) -> Instances:
+        """What there is to say of the stage's instances."""
+        return Instances(self.scene)
+
+    def render(
+        self,
+        camera: Camera,
+        sample: int,
+        passes: Sequence[str],
+        spp: int,
+        seed: int,
+        denoise: bool = False,
+        target: Target | None = None,
+    ) -> tuple[dict[str, NDArray], dict[str, Any]]:
+        """Render one frame.
+
+        Args:
+            camera: The camera at this sample.
+            sample: Time code.
+            passes: As ``passes`` returns them.
+            spp: Samples per pixel of ``rgb``.
+            seed: Noise seed of this very frame.
+            denoise: Whether to denoise ``rgb``.
+            target: What to render ``rgb`` to, in rounds; None renders ``spp`` at once.
+
+        Returns:
+            (arrays by pass, none for ``amodal``; details for the sidecar: ``device``, ``seconds``,
+            ``denoised``, ``losses``; ``estimated_error`` ... with ``rgb``).
+
+        Raises:
+            BackendError: The renderer failed, or cannot do what is asked.
+        """
+        return self._render(camera, sample, passes, spp, seed, denoise, target, None)[:2]
+
+    def _render(
+        self,
+        camera: Camera,
+        sample: int,
+        passes: Sequence[str],
+        spp: int,
+        seed: int,
+        denoise: bool,
+        target: Target | None,
+        ready: Annotated | None,
+    ) -> tuple[dict[str, NDArray], dict[str, Any], Seen | None, NDArray[np.bool_] | None]:
+        """As ``render``, what is seen of instances (with ``instance``), and where surfaces are.
+
+        What is ``ready`` is not annotated again.
+        """
+        seconds: dict[str, float] = {}
+        details: dict[str, Any] = {
+            "device": self.facts()["device"],
+            "denoised": None,
+            "losses": self.scene.losses,
+            "seconds": seconds,
+        }
+        arrays: dict[str, NDArray] = {}
+        listed = hits = radiance = rounds = None
+        if "rgb" in passes:
+            radiance, rounds = self._radiance(camera, sample, spp, seed, denoise, details, target)
+            # First of the passes, whatever is known of it only later.
+            arrays["rgb"] = radiance.halves[0]
+        annotation = [name for name in passes if name != "rgb"]
+        if annotation:
+            details["annotation"] = annotation_facts()
+        if ready is not None:
+            arrays |= {name: ready.arrays[name] for name in annotation if name != AMODAL}
+            listed, details["height_above_surface_m"] = ready.seen, ready.height_m
+        elif annotation:
+            hits, found, listed = self._annotate(camera, sample, annotation, details)
+            arrays |= found
+        if radiance is not None:
+            veil = self._veil(radiance, camera, sample, hits, details)
+            arrays["rgb"] = self._compose(radiance, camera, sample, veil, details, rounds)
+        return arrays, details, listed, None if radiance is None else radiance.coverage > 0.0
+
+    def write_instances(self, folder: Path) -> None:
+        """Write the batch's table of instances, unless it is there.
+
+        Args:
+            folder: Where the batch's frames go.
+
+        Raises:
+            OutputError: It cannot be written.
+        """
+        path = folder / BATCH_TABLE
+        if table_digest(path) != self.scene.digest:
+            write_table(path, self.instances.table())
+
+    def render_to(
+        self,
+        stem: Path,
+        camera_index: int,
+        sample: int,
+        key: FrameKey,
+        seed: int,
+        choice: Mapping[str, Any] | None = None,
+    ) -> dict[str, Any]:
+        """Render a frame and write it; returns its details, with the seconds of writing.
+
+        A ``choice`` of this backend (``auto.Choice``) is noted in the sidecar.
+
+        Raises:
+            BackendError: There is no such camera or sample, or the renderer failed.
+            StageError: The frame is to be of another stage than the one that was opened.
+            OutputError: A file cannot be written.
+        """
+        if key.stage_digest != self.scene.digest:
+            # A process that was replaced has opened it again.
+            raise StageError(f"{self.scene.source}: has changed since rendering began; run again")
+        camera = self._camera(camera_index, sample)
+        memory.reset_peak()
+        annotation = [name for name in key.passes if name != "rgb"]
+        ready = annotated(stem, self.scene.digest, annotation) if annotation else None
+        once = key.error is None and key.seconds is None
+        target = None if once else Target(key.error, key.seconds, key.spp)
+        exposure, metering = None, dict[str, float]()
+        if "rgb" in key.passes:
+            with _timed(metering, "exposure"):
+                camera, exposure = self._meter.exposed(
+                    camera, sample, lambda: self._exact(metering)
+                )
+            metering["exposure"] -= metering.get("load", 0.0)
+        arrays, details, listed, surfaces = self._render(
+            camera, sample, key.passes, key.spp, seed, key.denoise, target, ready
+        )
+        details |= {} if exposure is None else {"exposure": exposure}
+        for step, seconds in metering.items():
+            details["seconds"][step] = details["seconds"].get(step, 0.0) + seconds
+        peak = memory.peak()
+        details["peak_memory_gb"] = None if peak is None else round(peak / GB, 3)
+        if choice is not None:
+            details["choice"] = choice
+        taken = None
+        if camera.imaging is not None and "rgb" in arrays:
+            # Imported here: few cameras have any.
+            from scenec.backends.imaging.camera import take
+
+            with _timed(details["seconds"], "imaging"):
+                taken = take(arrays["rgb"], camera, camera.imaging, sample)
+        with _timed(details["seconds"], "write"):
+            more = details, listed, taken, surfaces
+            write_frame(stem, arrays, key, self.scene, camera, sample, *more)
+        return details
+
+    def witness_to(self, file: Path, camera_index: int, sample: int) -> bool:
+        """Leave in a file what the backend itself sees of a frame, for checks.
+
+        Returns:
+            Whether there is anything: a backend may have no such method, or be unable to follow
+            this camera's rays.
+
+        Raises:
+            BackendError: There is no such camera or sample, or the renderer failed.
+        """
+        camera = self._camera(camera_index, sample)
+        backend = self._renderer({})
+        look = getattr(backend, "witness", None)
+        if look is None:
+            return False
+        plain = camera.lens is None and not is_rolling(camera)
+        seen = bands.witness(lambda rays, part: look(rays, sample, part if plain else None), camera)
+        if seen is None:
+            return False
+        np.savez(file, row=seen.row, face=seen.face)
+        return True
+
+    def _radiance(
+        self,
+        camera: Camera,
+        sample: int,
+        spp: int,
+        seed: int,
+        denoise: bool,
+        details: dict[str, Any],
+        target: Target | None,
+    ) -> tuple[Radiance, Rounds | None]:
+        """Light from surfaces; with a target, in rounds."""
+        seconds = details["seconds"]
+        backend = self._renderer(seconds)
+        views = None
+        if camera.lens is not None:
+            # Imported here: few cameras have a lens.
+            from scenec.backends.camera import lens
+            from scenec.backends.picture import resample
+
+            if getattr(backend, "follows_lenses", False):
+                error = lens.ray_table(camera).error_px
+                details["lens_radiance"] = {"way": "rays", "interpolation_px": error}
+            else:
+                views = resample.plan_views(camera)
+                details["lens_radiance"] = {"way": "resampled", **views.as_json()}
+
+        def draw(count: int, noise: int) -> Radiance:
+            if views is not None:
+                return resample.draw(backend, camera, views, sample, count, noise, denoise)
+            return bands.radiance(backend, camera, sample, count, noise, denoise)
+
+        blurred = self._blurred(camera, sample, denoise, details)
+        rounds = None
+        with _timed(seconds, "radiance"):
+            if target is None:
+                radiance = (blurred or draw)(spp, seed)
+            else:
+                radiance, rounds = collect(blurred or draw, seed, target)
+        if denoise and radiance.denoised is None:
+            raise BackendError(f"backend {backend.name} was asked to denoise, and did not")
+        return radiance, rounds
+
+    def _blurred(
+        self, camera: Camera, sample: int, denoise: bool, details: dict[str, Any]
+    ) -> Draw | None:
+        """What draws a camera with an open shutter or an aperture; None where there is neither.
+
+        Raises:
+            BackendError: Its picture is to be denoised.
+        """
+        if camera.shutter is None and camera.focus is None:
+            return None
+        why = self.undenoised(camera) if denoise else None
+        if why is not None:
+            raise BackendError(why)
+        # Imported here: few cameras have either.
+        from scenec.backends.picture import subframes
+
+        caster = self._exact(details["seconds"])
+        caster.pose(sample)
+        with _timed(details["seconds"], "blur"):
+            blur = subframes.measure(camera, caster)
+        if blur is None:
+            return None
+        backend = self._renderer(details["seconds"])
+        drawing = subframes.Drawing(blur, backend, self.scene, sample, caster)
+        details["blur"] = drawing.facts
+        return drawing.draw
+
+    def _veil(
+        self,
+        radiance: Radiance,
+        camera: Camera,
+        sample: int,
+        hits: Hits | None,
+        details: dict[str, Any],
+    ) -> Veil | None:
+        """The haze before a picture, if there is any; without annotation it casts its own rays."""
+        if not self.scene.haze or self.scene.haze[sample] is None:
+            return None
+        if radiance.background is not None:
+            # Each sub-frame was seen through its own.
+            return None
+        # Imported here: few scenes have any.
+        from scenec.backends.picture.haze import air_at, veil
+        from scenec.backends.picture.sky import combine
+
+        caster = self._exact(details["seconds"])
+        with _timed(details["seconds"], "haze"):
+            rays = camera_rays(camera)
+            if hits is None:
+                caster.pose(sample)
+                hits = caster.hits(rays)
+            air = air_at(self.scene, sample, combine(self.scene.lighting[sample].domes))
+            if air is None:
+                return None
+            made = veil(air, camera, caster, rays, hits.t, radiance.coverage)
+        details["haze"] = {"subsampled_pixels": made.subsampled}
+        return made
+
+    def _compose(
+        self,
+        radiance: Radiance,
+        camera: Camera,
+        sample: int,
+        veil: Veil | None,
+        details: dict[str, Any],
+        rounds: Rounds | None,
+    ) -> NDArray[np.float32]:
+        """``rgb``, with what there is to say of it."""
+        with _timed(details["seconds"], "compose"):
+            picture = bands.compose(radiance, self.scene, camera, sample, veil)
+        noise = picture.noise.as_json()
+        if rounds is not None:
+            details["rounds"] = rounds.as_json(picture.noise.relative_rms_bound)
+        details["losses"] = self.losses
+        details["samples_per_pixel"] = radiance.spp
+        details["samples_dropped"] = radiance.dropped
+        if radiance.denoised is None:
+            details["estimated_error"] = noise
+        else:
+            # Denoising trades noise for bias, which the difference of two halves does not show.
+            details["denoised"] = self.facts()["denoiser"]
+            details["estimated_error"] = dict.fromkeys(noise)
+            details["estimated_error_before_denoising"] = noise
+        return picture.rgb
+
+    def _annotate(
+        self, camera: Camera, sample: int, passes: Sequence[str], details: dict[str, Any]
+    ) -> tuple[Hits, dict[str, NDArray], Seen | None]:
+        """Every pass but ``rgb``: first hits, arrays by pass, and what is seen of instances."""
+        seconds = details["seconds"]
+        caster = self._exact(seconds)
+        with _timed(seconds, "annotate"):
+            caster.pose(sample)
+            hits, arrays = bands.annotate(self.scene, caster, camera, passes, sample)
+            height = float(caster.cast(ray_down(camera))[2][0])
+        details["height_above_surface_m"] = height if math.isfinite(height) else None
+        listed, rays = None, cache(lambda: camera_rays(camera))
+        if "instance" in passes:
+            of_pixels = camera.lens is not None or is_rolling(camera)
+            with _timed(seconds, "instances"):
+                listed = self.instances.seen(
+                    hits.row, hits.t, camera, sample, caster.geometry, AMODAL in passes,
+                    rays() if of_pixels else None,
+                )  # fmt: skip
+        # Imported here: few frames ask for any.
+        if any(name in CORRESPONDENCES for name in passes):
+            from scenec.backends.annotation.correspondence import compare
+
+            with _timed(seconds, "correspondence"):
+                arrays |= compare(self.scene, caster, hits, rays(), camera, sample, passes)
+        if MEASURED in passes:
+            from scenec.backends.annotation.depth_camera import measure
+
+            with _timed(seconds, MEASURED):
+                arrays[MEASURED] = measure(self.scene, caster, hits, rays(), camera, sample)
+        return hits, arrays, listed
+
+    def _exact(self, seconds: dict[str, float]) -> ExactCaster:
+        with _timed(seconds, "load"):
+            if self._caster is None:
+                self._caster = ExactCaster(self.scene)
+        return self._caster
+
+    def _renderer(self, seconds: dict[str, float]) -> Backend:
+        """The backend, its own scene built.
+
+        Raises:
+            CameraRefusedError: There is none, as annotation alone was asked for.
+        """
+        if self.backend is None:
+            raise CameraRefusedError(
+                f"{ANNOTATION} has no rgb; leave rgb out of --passes, or use --backend mitsuba"
+            )
+        with _timed(seconds, "load"):
+            if not self._loaded:
+                cost = getattr(self.backend, "load_cost", None)
+                memory.require_room(self.backend.name, cost, self.scene)
+                self.backend.load(self.scene)
+                self._loaded = True
+        return self.backend
+
+    def _camera(self, index: int, sample: int) -> Camera:
+        if not 0 <= sample < len(self.scene.cameras):
+            raise BackendError(f"{self.scene.source}: has no sample {sample}")
+        return self.scene.cameras[sample][index]
+
+
+@contextmanager
+def _timed(seconds: dict[str, float], name: str) -> Iterator[None]:
+    """Adds what the block takes to the seconds of a step."""
+    start = time.perf_counter()
+    yield
+    seconds[name] = seconds.get(name, 0.0) + time.perf_counter() - start

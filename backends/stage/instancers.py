@@ -1,0 +1,473 @@
+"""Expands prims into rows: single meshes, point instancers, and instancers within instancers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from pxr import Usd, UsdGeom
+
+from scenec.backends.stage import values
+from scenec.backends.stage.frame import composed
+from scenec.backends.stage.implicit import kind_of
+from scenec.backends.stage.labels import prim_labels
+from scenec.backends.stage.meshes import MeshTable
+from scenec.backends.stage.placing import instance_mask, instance_matrices
+from scenec.backends.stage.surfaces import read_variation
+from scenec.schemas import stage as names
+from scenec.schemas.errors import StageError
+
+_IDENTITY = np.eye(4)[:3]
+#: A local id above this would leave no room for others.
+_LARGEST_LOCAL_ID = 2**31
+#: ``Expanded.part`` of rows that do not keep their place within their instance.
+_NO_PART = -1
+
+
+@dataclass(frozen=True)
+class Expanded:
+    """Rows to be: arrays as in ``render_scene.Rows``, matrices in stage units.
+
+    Attributes:
+        instance_id: Frame ids; of labeled prims (``labeled_instances``) the number below 0, until
+            ``Expander.expand`` gives it an id.
+        moving: Rows that (may) move, ascending, int64 [k].
+        path: Their matrices, float64 [samples, k, 3, 4]; None where there are none.
+    """
+
+    mesh: NDArray[np.int32]
+    matrix: NDArray[np.float64]
+    instance_id: NDArray[np.int64]
+    variation: NDArray[np.float32]
+    part: NDArray[np.int32]
+    moving: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
+    path: NDArray[np.float64] | None = None
+
+    @classmethod
+    def of(
+        cls,
+        mesh: NDArray[np.int32],
+        poses: NDArray[np.float64],
+        instance_id: NDArray[np.int64],
+        variation: NDArray[np.float32],
+        part: NDArray[np.int32],
+    ) -> Expanded:
+        """Rows that stand (poses [r, 3, 4]) or that all may move ([samples, r, 3, 4])."""
+        if poses.ndim == 3:
+            return cls(mesh, poses, instance_id, variation, part)
+        return cls(mesh, poses[0], instance_id, variation, part, np.arange(len(mesh)), poses)
+
+    @classmethod
+    def joined(cls, parts: Sequence[Expanded]) -> Expanded:
+        """All rows of all parts, in order."""
+        if len(parts) == 1:
+            return parts[0]
+        starts = np.cumsum([0, *(len(p.mesh) for p in parts)])
+        paths = [p.path for p in parts if p.path is not None]
+        return cls(
+            np.concatenate([np.zeros(0, np.int32), *(p.mesh for p in parts)]),
+            np.concatenate([np.zeros((0, 3, 4)), *(p.matrix for p in parts)]),
+            np.concatenate([np.zeros(0, np.int64), *(p.instance_id for p in parts)]),
+            np.concatenate([np.zeros(0, np.float32), *(p.variation for p in parts)]),
+            np.concatenate([np.zeros(0, np.int32), *(p.part for p in parts)]),
+            np.concatenate(
+                [
+                    np.zeros(0, np.int64),
+                    *(p.moving + s for p, s in zip(parts, starts, strict=False)),
+                ]
+            ),
+            np.concatenate(paths, axis=1) if paths else None,
+        )
+
+    @property
+    def poses(self) -> NDArray[np.float64]:
+        """All matrices: [r, 3, 4] where nothing moves, else [samples, r, 3, 4]."""
+        if self.path is None:
+            return self.matrix
+        poses = np.repeat(self.matrix[None], len(self.path), axis=0)
+        poses[:, self.moving] = self.path
+        return poses
+
+    def settled(self) -> Expanded:
+        """The same; what does not move after all is no longer said to."""
+        if self.path is None:
+            return self
+        moves = (self.path != self.path[:1]).any(axis=(0, 2, 3))
+        path = self.path[:, moves] if moves.any() else None
+        return replace(self, moving=self.moving[moves], path=path)
+
+
+@dataclass(frozen=True)
+class _Class:
+    """A class of single objects: its prim, and what is added to local ids (None: ids are off)."""
+
+    path: str
+    base: int | None
+
+
+@dataclass(frozen=True)
+class _Place:
+    """What a prim has from those above it.
+
+    Attributes:
+        matrix: Of the frame it stands in, float64 [3, 4], or [samples, 3, 4] where that moves.
+        relative: The same from the frame of the instance around it; None where that is not known.
+        labels: Labels of the instancer around it.
+        instance_id: Id of the instance that it is part of; None outside of instances.
+        of_class: The class of single objects that it is below of.
+        shown: At which samples, bool [samples]; None: at all.
+    """
+
+    matrix: NDArray[np.float64]
+    relative: NDArray[np.float64] | None
+    labels: dict[str, int]
+    instance_id: int | None = None
+    of_class: _Class | None = None
+    shown: NDArray[np.bool_] | None = None
+
+
+class Expander:
+    """Walks a stage; remembers meshes and which ids are taken.
+
+    Args:
+        meshes: Filled with the meshes that are met.
+        times: Of the samples. Topology, points and ids are those of the first.
+        labeled: Numbers from 1, by path, of prims that are instances unless they say so themselves.
+    """
+
+    def __init__(
+        self,
+        meshes: MeshTable,
+        times: Sequence[Usd.TimeCode],
+        labeled: Mapping[str, int],
+    ):
+        self._meshes = meshes
+        self._times = list(times)
+        self._labeled = labeled
+        self._next_id = 0
+        #: Instancers being expanded, the outermost first.
+        self._open: list[str] = []
+        #: Base and largest frame id of each class, by path.
+        self._ranges: dict[str, list[int]] = {}
+        self._parts: dict[bytes, int] = {}
+        self._part(_IDENTITY)
+
+    @property
+    def bases(self) -> dict[str, int]:
+        """First frame id (less one) of each class or object, by path, ascending."""
+        # Of equal bases the last is the one that has ids.
+        ordered = sorted(self._ranges.items(), key=lambda item: item[1])
+        return {path: base for path, (base, _) in ordered}
+
+    @property
+    def parts(self) -> NDArray[np.float64]:
+        """Places of meshes within their instances, float64 [p, 3, 4], for ``Expanded.part``."""
+        return np.array([np.frombuffer(key).reshape(3, 4) for key in self._parts])
+
+    def expand(self, root: Usd.Prim) -> Expanded:
+        """Rows of everything that is visible at or below a prim at some sample."""
+        parts: list[Expanded] = []
+        self._walk(root, _Place(_IDENTITY, _IDENTITY, {}), parts)
+        rows = Expanded.joined(parts)
+        if not self._labeled:
+            return rows
+        # Only now all authored ids are known.
+        base = self._next_id
+        for path, number in self._labeled.items():
+            self._take(path, base + number - 1, 1)
+        ids = np.where(rows.instance_id < 0, base - rows.instance_id, rows.instance_id)
+        return replace(rows, instance_id=ids)
+
+    def _walk(self, prim: Usd.Prim, place: _Place, parts: list[Expanded]) -> None:
+        shown = self._shown(prim)
+        if isinstance(shown, bool):
+            if not shown:
+                return
+        else:
+            place = replace(place, shown=shown if place.shown is None else shown & place.shown)
+            if not place.shown.any():  # type: ignore[union-attr]
+                return
+        self._meshes.unread.prim(prim, in_prototype=bool(self._open))
+        place = self._with_id(prim, self._moved(prim, place))
+        if prim.IsA(UsdGeom.PointInstancer):
+            path = str(prim.GetPath())
+            if path in self._open:
+                raise StageError(f"{path}: is a part of its own prototypes")
+            self._open.append(path)
+            if (place.instance_id or 0) < 0:
+                # Not said to be one thing: its instances are some.
+                place = replace(place, instance_id=None)
+            parts.append(self._expand_instancer(UsdGeom.PointInstancer(prim), place))
+            self._open.pop()
+            return
+        if prim.IsA(UsdGeom.Mesh) or kind_of(prim):
+            found = self._meshes.add(prim, place.labels)
+            part = 0 if place.instance_id is None else self._part(place.relative)
+            matrix = self._where_shown(place.matrix[..., None, :, :], place.shown)
+            parts.append(
+                Expanded.of(
+                    np.array(found, np.int32),
+                    np.repeat(matrix, len(found), axis=-3),
+                    np.full(len(found), place.instance_id or 0, np.int64),
+                    np.zeros(len(found), np.float32),
+                    np.full(len(found), part, np.int32),
+                )
+            )
+        for child in prim.GetFilteredChildren(Usd.TraverseInstanceProxies()):
+            self._walk(child, place, parts)
+
+    def _shown(self, prim: Usd.Prim) -> bool | NDArray[np.bool_]:
+        """Whether a prim (and what is below it) is rendered: visible, purpose default or render.
+
+        Bool [samples] where that changes.
+        """
+        imageable = UsdGeom.Imageable(prim)
+        if not imageable:
+            return True
+        # USD takes a purpose that is no token for none.
+        values.word(imageable.GetPurposeAttr(), "")
+        if imageable.ComputePurpose() not in (UsdGeom.Tokens.default_, UsdGeom.Tokens.render):
+            return False
+        attribute = imageable.GetVisibilityAttr()
+        times = self._times if attribute.ValueMightBeTimeVarying() else self._times[:1]
+        seen = [values.word(attribute, "", time) != UsdGeom.Tokens.invisible for time in times]
+        shown = np.array(seen)
+        if shown.all() or not shown.any():
+            return bool(shown[0])
+        return shown
+
+    def _where_shown(
+        self, poses: NDArray[np.float64], shown: NDArray[np.bool_] | None
+    ) -> NDArray[np.float64]:
+        """Matrices [..., r, 3, 4], scaled to a point at samples where they are hidden.
+
+        Args:
+            poses: With the samples in front, or without.
+            shown: bool [samples] or [samples, r]; None: always.
+        """
+        if shown is None:
+            return poses
+        poses = np.array(np.broadcast_to(poses, (len(self._times), *poses.shape[-3:])))
+        shown = np.broadcast_to(shown.reshape(len(shown), -1), poses.shape[:2])
+        poses[~shown, :, :3] = 0.0
+        return poses
+
+    def _moved(self, prim: Usd.Prim, place: _Place) -> _Place:
+        """The frame that a prim makes for what is in it."""
+        xformable = UsdGeom.Xformable(prim)
+        if not xformable:
+            return place
+        if len(self._times) > 1 and xformable.TransformMightBeTimeVarying():
+            local = np.stack([values.local_matrix(prim, time) for time in self._times])
+            if (local == local[0]).all():
+                local = local[0]
+        else:
+            local = values.local_matrix(prim, self._times[0])
+        if xformable.GetResetXformStack():
+            return replace(place, matrix=local, relative=None)
+        relative = place.relative
+        if place.instance_id is not None and relative is not None:
+            relative = composed(relative, local)
+        return replace(place, matrix=composed(place.matrix, local), relative=relative)
+
+    def _with_id(self, prim: Usd.Prim, place: _Place) -> _Place:
+        """The place with what the prim says about ids: a class of single objects, or one."""
+        if prim.IsPseudoRoot() or (place.instance_id is not None and place.instance_id >= 0):
+            return place
+        path = str(prim.GetPath())
+        own, local = (
+            _number(prim, name) for name in (names.ATTR_INSTANCE_ID, names.ATTR_LOCAL_INSTANCE_ID)
+        )
+        if own is not None:
+            if own != 0:
+                self._take(path, own - 1, 1)
+            return replace(place, instance_id=own, relative=_IDENTITY)
+        if local is not None:
+            of_class = place.of_class
+            if of_class is None:
+                # No base: the first number that is free, one for all objects beside each other.
+                parent = str(prim.GetParent().GetPath())
+                of_class = _Class(parent, self._ranges.get(parent, [self._next_id])[0])
+            if not 1 <= local < _LARGEST_LOCAL_ID:
+                raise StageError(
+                    f"{path}: {names.ATTR_LOCAL_INSTANCE_ID} is {local}, expected 1 or more"
+                )
+            if of_class.base is None:
+                return replace(place, instance_id=0, relative=_IDENTITY)
+            self._take(of_class.path, of_class.base, local)
+            return replace(place, instance_id=of_class.base + local, relative=_IDENTITY)
+        if path in self._labeled:
+            return replace(place, instance_id=-self._labeled[path], relative=_IDENTITY)
+        if not prim.IsA(UsdGeom.PointInstancer):
+            base, enabled = _number(prim, names.ATTR_INSTANCE_ID_BASE), _ids_enabled(prim)
+            if base is not None:
+                self._take(path, base, 0)
+            if base is not None or not enabled:
+                return replace(place, of_class=_Class(path, base if enabled else None))
+        return place
+
+    def _expand_instancer(self, instancer: UsdGeom.PointInstancer, place: _Place) -> Expanded:
+        prim = instancer.GetPrim()
+        prototype, local = instance_matrices(instancer, self._times)
+        count = len(prototype)
+        if place.instance_id is None:
+            ids = self._frame_ids(instancer, count)
+        else:
+            # Inside another instance: all of it is part of that one.
+            ids = np.full(count, place.instance_id, np.int64)
+        variation = read_variation(prim, count)
+        if variation is None:
+            variation = np.zeros(count, np.float32)
+        labels = {**place.labels, **prim_labels(prim, self._meshes.labels)}
+        mask = instance_mask(instancer, self._times, count)
+        shown = mask.any(axis=0)
+        world = _placed(place.matrix[..., None, :, :], local)
+        if not mask[:, shown].all():
+            hidden = mask if place.shown is None else mask & place.shown[:, None]
+            world = self._where_shown(world, hidden)
+        else:
+            world = self._where_shown(world, place.shown)
+        contents = self._contents(prim, prototype[shown], labels)
+        sizes = np.array([len(content.mesh) for content in contents], np.int64)
+        # Rows in the order of the instances, whatever prototype they have.
+        chosen = np.flatnonzero(shown)
+        last = np.cumsum(sizes[prototype[chosen]])
+        total = int(last[-1]) if len(last) else 0
+        first = last - sizes[prototype[chosen]]
+        made: list[tuple[NDArray[np.int64], Expanded]] = []
+        for index, content in enumerate(contents):
+            if not len(content.mesh):
+                continue
+            mine = np.flatnonzero(prototype[chosen] == index)
+            rows = len(content.mesh)
+            at = (first[mine, None] + np.arange(rows)).ravel()
+            who = chosen[mine]
+            poses = _placed(world[..., who, :, :], content.poses)
+            if place.instance_id is None:
+                part = np.tile(content.part, len(mine))
+            else:
+                part = self._parts_of(place.relative, local[..., who, :, :], content.poses)
+            made.append(
+                (
+                    at,
+                    Expanded.of(
+                        np.tile(content.mesh, len(mine)),
+                        poses,
+                        np.repeat(ids[who], rows),
+                        np.repeat(variation[who], rows) + np.tile(content.variation, len(mine)),
+                        part,
+                    ),
+                )
+            )
+        return _interleaved(total, made)
+
+    def _contents(
+        self, prim: Usd.Prim, used: NDArray[np.int32], labels: dict[str, int]
+    ) -> list[Expanded]:
+        """What each prototype holds, in the frame of its instances; nothing of unused ones."""
+        contents = []
+        counts = np.bincount(used)
+        for index, target in enumerate(values.targets(prim, "prototypes")):
+            parts: list[Expanded] = []
+            if index < len(counts) and counts[index]:
+                root = prim.GetStage().GetPrimAtPath(target)
+                if not root:
+                    raise StageError(f"{prim.GetPath()}: prototype {target} does not exist")
+                # Id 0 here only says "inside of an instance".
+                self._walk(root, _Place(_IDENTITY, _IDENTITY, labels, instance_id=0), parts)
+            contents.append(Expanded.joined(parts))
+        return contents
+
+    def _part(self, relative: NDArray[np.float64] | None) -> int:
+        """Number of a place within an instance."""
+        if relative is None or relative.ndim > 2:
+            return _NO_PART
+        # Adding 0 makes -0 and 0 the same bytes.
+        return self._parts.setdefault((relative + 0.0).tobytes(), len(self._parts))
+
+    def _parts_of(
+        self,
+        relative: NDArray[np.float64] | None,
+        local: NDArray[np.float64],
+        content: NDArray[np.float64],
+    ) -> NDArray[np.int32]:
+        """Numbers of the places of an instancer's rows within the instance around it."""
+        rows = local.shape[-3] * content.shape[-3]
+        if relative is None or max(relative.ndim - 1, local.ndim, content.ndim) > 3:
+            return np.full(rows, _NO_PART, np.int32)
+        places = _placed(composed(relative, local), content)
+        return np.fromiter((self._part(p) for p in places), np.int32, rows)
+
+    def _frame_ids(self, instancer: UsdGeom.PointInstancer, count: int) -> NDArray[np.int64]:
+        prim = instancer.GetPrim()
+        base = _number(prim, names.ATTR_INSTANCE_ID_BASE)
+        if base is None:
+            base = self._next_id
+        local = values.array(instancer.GetIdsAttr(), np.int64, self._times[0])
+        usable = len(local) == count and (
+            count == 0 or (local.min() >= 1 and local.max() < _LARGEST_LOCAL_ID)
+        )
+        if not usable:
+            # Foreign ids may start at 0 or be missing: the place in the array then counts.
+            local = np.arange(1, count + 1, dtype=np.int64)
+        self._take(str(prim.GetPath()), base, int(local.max(initial=0)))
+        if not _ids_enabled(prim):
+            return np.zeros(count, np.int64)
+        return (base + local).astype(np.int64)
+
+    def _take(self, path: str, base: int, local: int) -> None:
+        """Notes that a class has this base and local ids up to this one.
+
+        Raises:
+            StageError: Frame ids do not fit into 32 bits.
+        """
+        if base < 0 or base + local >= 2**32:
+            raise StageError(f"{path}: instance ids do not fit into 32 bits")
+        self._next_id = max(self._next_id, base + local)
+        known = self._ranges.setdefault(path, [base, base])
+        known[1] = max(known[1], base + local)
+
+
+def _placed(world: NDArray[np.float64], content: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Every row of some content at every instance: [..., n, 3, 4] and [..., m, 3, 4], n * m."""
+    if content.shape == (1, 3, 4) and (content[0] == _IDENTITY).all():
+        return world
+    if world.shape == (1, 3, 4) and (world[0] == _IDENTITY).all():
+        return content
+    each = composed(world[..., :, None, :, :], content[..., None, :, :, :])
+    return each.reshape(*each.shape[:-4], -1, 3, 4)
+
+
+def _interleaved(total: int, made: list[tuple[NDArray[np.int64], Expanded]]) -> Expanded:
+    """Rows from several parts, each at its places: all of ``range(total)``."""
+    if len(made) == 1:
+        return made[0][1]
+    mesh = np.empty(total, np.int32)
+    matrix = np.empty((total, 3, 4))
+    ids = np.empty(total, np.int64)
+    variation = np.empty(total, np.float32)
+    part = np.empty(total, np.int32)
+    moving, paths = [np.zeros(0, np.int64)], []
+    for at, rows in made:
+        mesh[at], matrix[at], ids[at] = rows.mesh, rows.matrix, rows.instance_id
+        variation[at], part[at] = rows.variation, rows.part
+        if rows.path is not None:
+            moving.append(at[rows.moving])
+            paths.append(rows.path)
+    which = np.concatenate(moving)
+    order = np.argsort(which, kind="stable")
+    path = np.concatenate(paths, axis=1)[:, order] if paths else None
+    return Expanded(mesh, matrix, ids, variation, part, which[order], path)
+
+
+def _number(prim: Usd.Prim, name: str) -> int | None:
+    attribute = prim.GetAttribute(name)
+    if not attribute or not attribute.HasValue():
+        return None
+    return values.whole(attribute, 0, Usd.TimeCode.EarliestTime())
+
+
+def _ids_enabled(prim: Usd.Prim) -> bool:
+    return values.flag(prim.GetAttribute(names.ATTR_INSTANCE_IDS_ENABLED), True)

@@ -1,0 +1,257 @@
+"""Meshes of a stage as triangles, each with its labels and materials."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from pxr import Usd, UsdGeom, UsdShade
+
+from scenec.backends.stage import values
+from scenec.backends.stage.coordinates import Coordinates
+from scenec.backends.stage.implicit import dimensions, tessellate
+from scenec.backends.stage.labels import LabelTable, face_labels, prim_labels
+from scenec.backends.stage.mapped import read_height_blends
+from scenec.backends.stage.scene import Mesh
+from scenec.backends.stage.sources import Sources
+from scenec.backends.stage.surfaces import (
+    SurfaceTable,
+    bound_material,
+    bound_surface,
+    display_color,
+    read_layers,
+    read_variation,
+)
+from scenec.backends.stage.unread import Unread
+from scenec.schemas.errors import StageError
+
+
+class MeshTable:
+    """Meshes in the order in which they were first met; one that is met again is shared."""
+
+    def __init__(
+        self, labels: LabelTable, time: Usd.TimeCode, unread: Unread, sources: Sources
+    ) -> None:
+        self.labels = labels
+        self.unread = unread
+        self.surfaces = SurfaceTable()
+        self._sources = sources
+        self.meshes: list[Mesh] = []
+        self._time = time
+        self._known: dict[tuple, list[int]] = {}
+
+    def add(self, prim: Usd.Prim, inherited: dict[str, int]) -> list[int]:
+        """Indices of a shape's parts: one for each material bound to some of its faces.
+
+        Args:
+            prim: A UsdGeomMesh or an implicit shape, an instance proxy perhaps.
+            inherited: Labels of the instancer around it.
+
+        Raises:
+            StageError: Its arrays contradict each other, or hold NaN; or a length cannot be.
+        """
+        source = prim.GetPrimInPrototype() if prim.IsInstanceProxy() else prim
+        bound = bound_material(prim)
+        key: tuple[object, ...] = (
+            source.GetPath(),
+            tuple(sorted(inherited.items())),
+            str(bound.GetPath()),
+        )
+        if prim.IsInstanceProxy():
+            # Labels and colors can come from above an instance: only equal ones can share.
+            labels = tuple(sorted(prim_labels(prim, self.labels).items()))
+            key = (*key, labels, display_color(prim))
+        if key not in self._known:
+            self.unread.shape(prim, bound)
+            self.unread.material(bound)
+            if not prim.IsA(UsdGeom.Mesh):
+                return self._known.setdefault(key, [self._implicit(prim, inherited)])
+            parts = self._read(UsdGeom.Mesh(prim), inherited)
+            self._known[key] = list(range(len(self.meshes), len(self.meshes) + len(parts)))
+            self.meshes.extend(parts)
+        return self._known[key]
+
+    def _implicit(self, prim: Usd.Prim, inherited: dict[str, int]) -> int:
+        """Index of an implicit shape's mesh: equal shapes that look alike share one."""
+        shape = dimensions(prim, self._time)
+        surface = self.surfaces.add(bound_surface(prim, self._sources))
+        labels = {**dict.fromkeys(self.labels.levels, 0), **inherited}
+        labels |= prim_labels(prim, self.labels)
+        maps = self.surfaces.surfaces()[surface].maps
+        textured = maps is not None and maps.projection == "uv"
+        if textured:
+            self.unread.add("a texture on a shape without texture coordinates is flat", prim)
+        key = (*shape, surface, *labels.values())
+        if key not in self._known:
+            with np.errstate(all="ignore"):
+                triangles = tessellate(shape)
+            if not np.isfinite(triangles.points).all():
+                raise StageError(f"{prim.GetPath()}: a {shape[0]} too large for its points")
+            count = len(triangles.faces)
+            self._known[key] = [len(self.meshes)]
+            self.meshes.append(
+                Mesh(
+                    path=str(prim.GetPath()),
+                    points=triangles.points,
+                    faces=triangles.faces,
+                    authored_face=None,
+                    normals=triangles.normals,
+                    labels={k: np.full(count, v, np.uint32) for k, v in labels.items()},
+                    layers=(surface,),
+                    weights=np.zeros((0, len(triangles.points)), np.float32),
+                    uv=np.zeros((count, 3, 2), np.float32) if textured else None,
+                )
+            )
+        return self._known[key][0]
+
+    def _read(self, mesh: UsdGeom.Mesh, inherited: dict[str, int]) -> list[Mesh]:
+        prim = mesh.GetPrim()
+        time = self._time
+        points = values.array(mesh.GetPointsAttr(), np.float32, time, width=(3,))
+        counts = values.array(mesh.GetFaceVertexCountsAttr(), np.int32, time)
+        indices = values.array(mesh.GetFaceVertexIndicesAttr(), np.int32, time)
+        holes = values.array(mesh.GetHoleIndicesAttr(), np.int64, time)
+        _require_sound(prim, points, counts, indices, holes)
+        left_handed = values.word(mesh.GetOrientationAttr(), "", time) == UsdGeom.Tokens.leftHanded
+        faces, authored = triangulate(counts, indices, holes, left_handed)
+        labels = face_labels(mesh, self.labels, inherited, len(counts))
+        layers = read_layers(mesh, len(points), self._sources)
+        weights = np.zeros((0, len(points)), np.float32)
+        if layers is not None:
+            surfaces, weights = layers
+            indices_of_layers = tuple(self.surfaces.add(surface) for surface in surfaces)
+        else:
+            indices_of_layers = (self.surfaces.add(bound_surface(prim, self._sources)),)
+
+        def corners() -> NDArray[np.int32]:
+            order = np.arange(len(indices), dtype=np.int32)
+            return triangulate(counts, order, holes, left_handed)[0]
+
+        sizes = (len(points), len(indices), len(counts))
+        coordinates = Coordinates(mesh, corners, faces, authored, sizes, self._time)
+        same = len(counts) == len(faces) and bool((authored == np.arange(len(faces))).all())
+        whole = Mesh(
+            path=str(prim.GetPath()),
+            points=points,
+            faces=faces,
+            authored_face=None if same else authored,
+            normals=_normals(mesh, len(points), self._time),
+            labels={level: ids[authored] for level, ids in labels.items()},
+            layers=indices_of_layers,
+            weights=weights,
+            variation=read_variation(prim, len(points)),
+            height_blends=read_height_blends(prim, len(weights)) if layers is not None else (),
+        )
+        if layers is not None:
+            return [replace(whole, uv=coordinates.of(surfaces))]
+        return self._by_material(mesh, whole, authored, coordinates)
+
+    def _by_material(
+        self,
+        mesh: UsdGeom.Mesh,
+        whole: Mesh,
+        authored: NDArray[np.int32],
+        coordinates: Coordinates,
+    ) -> list[Mesh]:
+        """Splits a mesh whose subsets are bound to several materials."""
+        subsets = UsdShade.MaterialBindingAPI(mesh.GetPrim()).GetMaterialBindSubsets()
+        count = int(authored.max(initial=-1)) + 1
+        surface = np.full(count, whole.layers[0], np.int32)
+        for subset in subsets:
+            chosen = values.array(subset.GetIndicesAttr(), np.int64, self._time)
+            chosen = chosen[(chosen >= 0) & (chosen < count)]
+            bound = bound_surface(subset.GetPrim(), self._sources)
+            surface[chosen] = self.surfaces.add(bound)
+            self.unread.material(bound_material(subset.GetPrim()))
+        of_triangle = surface[authored]
+        used = np.unique(of_triangle)
+        known = self.surfaces.surfaces()
+        uv = {s: coordinates.of([known[s]]) for s in used.tolist()}
+        if len(used) <= 1:
+            return [replace(whole, layers=(s,), uv=uv[s]) for s in uv] or [whole]
+        return [_part(whole, authored, of_triangle == s, s, uv[s]) for s in uv]
+
+
+def _part(
+    whole: Mesh,
+    authored: NDArray[np.int32],
+    chosen: NDArray[np.bool_],
+    surface: int,
+    uv: NDArray[np.float32] | None,
+) -> Mesh:
+    return replace(
+        whole,
+        faces=whole.faces[chosen],
+        authored_face=authored[chosen],
+        labels={level: ids[chosen] for level, ids in whole.labels.items()},
+        layers=(surface,),
+        uv=None if uv is None else uv[chosen],
+    )
+
+
+def triangulate(
+    counts: NDArray[np.int32],
+    indices: NDArray[np.int32],
+    holes: NDArray[np.int64],
+    left_handed: bool,
+) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """Fans of triangles from polygons.
+
+    Args:
+        counts: Vertices of each polygon, [f].
+        indices: Their vertices, one polygon after the other.
+        holes: Polygons to leave out.
+        left_handed: Whether polygons are wound clockwise; triangles come out counter-clockwise.
+
+    Returns:
+        int32 [m, 3], and the polygon each triangle comes from, int32 [m]. Polygons of fewer than
+        three vertices give none.
+    """
+    starts = np.cumsum(counts, dtype=np.int64) - counts
+    fans = np.maximum(counts - 2, 0)
+    fans[holes] = 0
+    authored = np.repeat(np.arange(len(counts), dtype=np.int32), fans)
+    first = np.repeat(np.cumsum(fans, dtype=np.int64) - fans, fans)
+    corner = np.arange(len(authored)) - first
+    at = starts[authored]
+    faces = np.stack([indices[at], indices[at + corner + 1], indices[at + corner + 2]], axis=1)
+    if left_handed:
+        faces = faces[:, [0, 2, 1]]
+    return np.ascontiguousarray(faces.reshape(-1, 3), np.int32), authored
+
+
+def _require_sound(
+    prim: Usd.Prim, points: NDArray, counts: NDArray, indices: NDArray, holes: NDArray
+) -> None:
+    path = prim.GetPath()
+    if counts.size and counts.min() < 0:
+        raise StageError(f"{path}: a face has {counts.min()} vertices")
+    total = int(counts.sum(dtype=np.int64))
+    if total != indices.size:
+        raise StageError(
+            f"{path}: faceVertexCounts add up to {total}, but there are {indices.size} "
+            "faceVertexIndices"
+        )
+    if indices.size and (indices.min() < 0 or indices.max() >= len(points)):
+        raise StageError(f"{path}: faceVertexIndices reach beyond the {len(points)} points")
+    if holes.size and (holes.min() < 0 or holes.max() >= len(counts)):
+        raise StageError(f"{path}: holeIndices reach beyond the {len(counts)} faces")
+
+
+def _normals(
+    mesh: UsdGeom.Mesh, point_count: int, time: Usd.TimeCode
+) -> NDArray[np.float32] | None:
+    """Vertex normals; other interpolations are shaded flat."""
+    primvar = UsdGeom.PrimvarsAPI(mesh.GetPrim()).GetPrimvar("normals")
+    if primvar and primvar.HasValue():
+        normals = values.flattened(primvar, np.float32, time, width=(3,))
+        interpolation = primvar.GetInterpolation()
+    else:
+        attribute = mesh.GetNormalsAttr()
+        normals = values.array(attribute, np.float32, time, width=(3,), finite=False)
+        interpolation = mesh.GetNormalsInterpolation()
+    smooth = interpolation in (UsdGeom.Tokens.vertex, UsdGeom.Tokens.varying)
+    if not smooth or len(normals) != point_count or not np.isfinite(normals).all():
+        return None
+    return normals

@@ -1,0 +1,37 @@
+"""A scene whose rows can be put where they are at a sample, in place."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenec.backends.stage.scene import RenderScene
+
+
+def posable(scene: RenderScene) -> RenderScene:
+    """The same scene with matrices of its own, for ``pose``; itself where nothing moves."""
+    if scene.rows.motion is None:
+        return scene
+    return replace(scene, rows=scene.rows_at(0))
+
+
+def pose(scene: RenderScene, sample: int) -> None:
+    """Put the rows that move where they are at a sample, in place.
+
+    Args:
+        scene: From ``posable``.
+        sample: Time code.
+    """
+    motion = scene.rows.motion
+    if motion is not None:
+        scene.rows.to_world[motion.rows] = motion.to_world[sample]
+
+
+def moving(scene: RenderScene) -> NDArray[np.bool_]:
+    """Which rows move, bool [r]."""
+    moves = np.zeros(len(scene.rows.mesh), bool)
+    if scene.rows.motion is not None:
+        moves[scene.rows.motion.rows] = True
+    return moves

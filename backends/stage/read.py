@@ -1,0 +1,187 @@
+"""The way from a stage on disk to a RenderScene."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from pxr import Usd
+
+from scenec.backends.stage import values
+from scenec.backends.stage.cameras import read_cameras
+from scenec.backends.stage.frame import StageFrame
+from scenec.backends.stage.instance_labels import labeled_instances
+from scenec.backends.stage.instancers import Expanded, Expander
+from scenec.backends.stage.labels import LabelTable, prim_labels, read_table
+from scenec.backends.stage.lidars import read_lidars
+from scenec.backends.stage.lights import read_lighting
+from scenec.backends.stage.meshes import MeshTable
+from scenec.backends.stage.scene import Mesh, Motion, RenderScene, Rows
+from scenec.backends.stage.sky import read_haze, read_sky_label_maps
+from scenec.backends.stage.sources import Sources
+from scenec.backends.stage.unread import Unread
+from scenec.schemas import stage as names
+from scenec.schemas.errors import StageError
+
+#: Time codes of a stage, one a sample.
+_MOST_SAMPLES = 1_000_000
+
+
+def read_stage(path: Path | str, *, allow_missing: bool = False) -> RenderScene:
+    """Reads a stage of scenec's schema, or any other, into flat arrays.
+
+    Accepted of foreign stages: polygons (fan triangulation, with a map back), either handedness,
+    Y or Z up, any unit, nested instancers, native instances, mirrored and sheared transforms,
+    visibility, purpose, ``inactiveIds`` and ``invisibleIds``, UsdSemantics labels in place of label
+    primvars, UsdPreviewSurface constants in place of ours. Implicit shapes are tessellated
+    (``implicit.ERROR``). Subdivision surfaces are taken as their cages. What is not followed is
+    named in the scene's ``losses``.
+    Topology and points are those of the first time code: meshes do not deform. Transforms, an
+    instancer's positions, orientations and scales, and visibility are taken as they are at each
+    sample's time code (between authored codes as USD has them).
+
+    Args:
+        path: ``.usda``, ``.usdc``, ``.usd`` or ``.usdz``.
+        allow_missing: Whether to read what is there of a stage that lacks layers, prims or
+            pictures, or whose files are not those of its manifest; ``losses`` then names these.
+
+    Raises:
+        StageError: Not a stage, a newer schema, one that is not whole, or values that no reader
+            could make sense of.
+    """
+    sources = Sources(Path(path), allow_missing)
+    with sources.reading() as stage:
+        scene = _read(stage, Path(path), sources)
+    return replace(scene, losses=(*scene.losses, *sources.losses))
+
+
+def _read(stage: Usd.Stage, path: Path, sources: Sources) -> RenderScene:
+    _require_schema(stage, path)
+    frame = StageFrame.of(stage)
+    times = _time_codes(stage)
+    table = read_table(stage)
+    meshes = MeshTable(table, times[0], Unread(len(times) > 1, sources), sources)
+    expander = Expander(meshes, times, labeled_instances(stage, table))
+    rows = _rows(expander.expand(stage.GetPseudoRoot()).settled(), frame)
+    cameras = read_cameras(stage, frame, times)
+    lighting = tuple(read_lighting(stage, frame, time, sources) for time in times)
+    label_maps = read_sky_label_maps(stage, table, times, sources)
+    lidars = read_lidars(stage, frame, times)
+    return RenderScene(
+        source=path,
+        digest=sources.digest(stage),
+        samples=len(times),
+        meshes=tuple(meshes.meshes),
+        rows=rows,
+        surfaces=meshes.surfaces.surfaces(),
+        levels=table.levels,
+        label_names={
+            level: {number: name for name, number in ids.items()}
+            for level, ids in table.ids.items()
+        },
+        sky_labels=_sky_labels(stage, table),
+        cameras=cameras,
+        lighting=lighting,
+        bounds=_bounds(tuple(meshes.meshes), rows),
+        instance_paths=expander.bases,
+        times=_times(stage, times),
+        parts=expander.parts,
+        haze=read_haze(stage, frame, times),
+        sky_label_maps=label_maps,
+        lidars=lidars,
+        losses=meshes.unread.lines,
+    )
+
+
+def _require_schema(stage: Usd.Stage, path: Path) -> None:
+    root = stage.GetDefaultPrim()
+    attribute = root.GetAttribute(names.ATTR_SCHEMA_VERSION) if root else None
+    if not attribute or not attribute.HasValue():
+        return
+    version = values.word(attribute, "")
+    major = version.split(".")[0]
+    if not major.isdigit() or int(major) > int(names.SCHEMA_VERSION.split(".")[0]):
+        raise StageError(
+            f"{path}: its schema version is {version}; this scenec reads {names.SCHEMA_VERSION}"
+        )
+
+
+def _time_codes(stage: Usd.Stage) -> list[Usd.TimeCode]:
+    if not stage.HasAuthoredTimeCodeRange():
+        # The first sample of whatever is animated, the default of all else.
+        return [Usd.TimeCode.EarliestTime()]
+    first, last = stage.GetStartTimeCode(), stage.GetEndTimeCode()
+    if not 0.0 <= last - first < _MOST_SAMPLES:
+        raise StageError(
+            f"{stage.GetRootLayer().identifier}: startTimeCode is {first:g} and endTimeCode "
+            f"{last:g}; expected one not after the other, and fewer than {_MOST_SAMPLES} samples"
+        )
+    count = int(np.floor(last - first)) + 1
+    return [Usd.TimeCode(first + i) for i in range(count)]
+
+
+def _rows(expanded: Expanded, frame: StageFrame) -> Rows:
+    motion = None
+    if expanded.path is not None:
+        path = np.ascontiguousarray(frame.affine(expanded.path))
+        motion = Motion(expanded.moving.astype(np.int32), path)
+    return Rows(
+        mesh=expanded.mesh,
+        to_world=np.ascontiguousarray(frame.affine(expanded.matrix)),
+        instance_id=expanded.instance_id.astype(np.uint32),
+        variation=expanded.variation,
+        motion=motion,
+        part=expanded.part,
+    )
+
+
+def _sky_labels(stage: Usd.Stage, table: LabelTable) -> dict[str, int]:
+    prim = stage.GetPrimAtPath(names.SKY_PRIM)
+    own = prim_labels(prim, table) if prim else {}
+    return {level: own.get(level, 0) for level in table.levels}
+
+
+def _bounds(meshes: tuple[Mesh, ...], rows: Rows) -> NDArray[np.float64]:
+    """World bounds at all samples: of the corners of each row's local bounds, a little generous."""
+    if not len(rows.mesh):
+        return np.zeros((2, 3))
+    low = np.full((len(meshes), 3), 0.0)
+    high = np.full((len(meshes), 3), 0.0)
+    for index, mesh in enumerate(meshes):
+        if len(mesh.points):
+            low[index], high[index] = mesh.points.min(axis=0), mesh.points.max(axis=0)
+    center, half = 0.5 * (low + high), 0.5 * (high - low)
+    boxes = [_world_box(rows.to_world, rows.mesh, center, half)]
+    if rows.motion is not None:
+        mesh_of = rows.mesh[rows.motion.rows]
+        boxes += [_world_box(at, mesh_of, center, half) for at in rows.motion.to_world]
+    return np.stack([np.min(boxes, axis=0)[0], np.max(boxes, axis=0)[1]])
+
+
+def _world_box(
+    to_world: NDArray[np.float64],
+    mesh: NDArray[np.int32],
+    center: NDArray[np.float64],
+    half: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    box = np.array([np.full(3, np.inf), np.full(3, -np.inf)])
+    # In parts: the products of a million rows at once would be most of what reading takes.
+    for start in range(0, len(mesh), 1 << 16):
+        part = slice(start, start + (1 << 16))
+        linear, index = to_world[part, :, :3], mesh[part]
+        middle = (linear * center[index][:, None, :]).sum(axis=2) + to_world[part, :, 3]
+        reach = (np.abs(linear) * half[index][:, None, :]).sum(axis=2)
+        box[0] = np.minimum(box[0], (middle - reach).min(axis=0))
+        box[1] = np.maximum(box[1], (middle + reach).max(axis=0))
+    return box
+
+
+def _times(stage: Usd.Stage, times: list[Usd.TimeCode]) -> NDArray[np.float64]:
+    root = stage.GetDefaultPrim()
+    attribute = root.GetAttribute(names.ATTR_TIME) if root else None
+    if attribute and attribute.HasValue():
+        return np.array([values.number(attribute, 0.0, time) for time in times])
+    rate = stage.GetTimeCodesPerSecond() or 1.0
+    return np.arange(len(times)) / rate

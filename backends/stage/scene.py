@@ -1,0 +1,505 @@
+"""RenderScene: a stage as flat arrays, what every renderer and the resolver work on.
+
+World frame: the stage's own, in meters, Z up, right-handed. Triangles only. Every renderer
+addresses a surface point by (row, face): ``row`` indexes ``RenderScene.rows`` (one row for every
+instance of every mesh), ``face`` indexes the triangles of that row's mesh.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenec.schemas.depth_camera import DepthCamera
+from scenec.schemas.imaging import Imaging
+from scenec.schemas.lens import Lens
+from scenec.schemas.shutter import Shutter
+
+#: Passes of a camera that no RenderProduct says more about.
+DEFAULT_OUTPUTS = ("rgb", "label", "instance", "depth")
+
+
+@dataclass(frozen=True)
+class Reading:
+    """How a picture's numbers are meant where that is not as ``Maps`` says: UsdUVTexture's inputs.
+
+    Attributes:
+        channel: "r", "g" or "b": where a single number stands.
+        srgb: Whether they are in sRGB's transfer function; None: as ``Maps`` says.
+        scale, bias: value * scale + bias is what is meant; of each channel, [3].
+    """
+
+    channel: str = "r"
+    srgb: bool | None = None
+    scale: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    bias: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Cells:
+    """Pictures laid in cells, each turned and shifted; ``surface.cells`` defines them.
+
+    Attributes:
+        size_m: Side of the lattice, meters.
+        seed: Of the table of turns and shifts.
+    """
+
+    size_m: float
+    seed: int
+
+
+@dataclass(frozen=True)
+class Maps:
+    """Pictures that vary a surface; ``surface.maps`` loads them and defines projections.
+
+    They repeat, (u, v) = (0, 0) is the picture's lower left corner, and between texel centers they
+    are bilinear. Where (u, v) lie is the projection's matter:
+
+    - "above": along the world's z, u = x / size_m, v = y / size_m.
+    - "triplanar": along the world's x, y and z, (u, v) = (y, z), (x, z) and (x, y) / size_m, mixed
+      by the shading normal (``maps.triplanar_weights``).
+    - "uv": the mesh's texture coordinates, ``Mesh.uv``.
+
+    Attributes:
+        size_m: Side of one repeat, meters; of no meaning with the projection "uv".
+        base_color: Multiplies ``Surface.base_color``; sRGB if 8 or 16 bits, linear if OpenEXR.
+        roughness: Perceptual roughness, raw, takes the place of ``Surface.roughness`` and varies as
+            that does.
+        metallic: Raw, takes the place of ``Surface.metallic``.
+        normal: Tangent-space normals n = 2 * rgb - 1, raw: x along +u, y along +v.
+        flip_green: Whether ``normal`` has y along -v (DirectX's handedness).
+        projection: "above", "triplanar" or "uv".
+        readings: (kind, how its picture is meant), of those that are not as said here.
+        primvar: Which texture coordinates ("uv").
+        uv_transform: What they are multiplied with first, (a, b, c, d, e, f):
+            u' = a u + b v + c, v' = d u + e v + f; done by the reader.
+        emission: Multiplies ``Surface.emission``; color space as of ``base_color``.
+        height: In [0, 1], raw: what ``Mesh.height_blends`` go by.
+        cells: How they are kept from repeating ("above" only), or None.
+        far: (factor, share): colors c become c * (1 + share * (c_far / mean - 1)), c_far the same
+            picture factor times as large ("above" only); or None.
+    """
+
+    size_m: float
+    base_color: Path | None = None
+    roughness: Path | None = None
+    metallic: Path | None = None
+    normal: Path | None = None
+    flip_green: bool = False
+    projection: str = "above"
+    readings: tuple[tuple[str, Reading], ...] = ()
+    primvar: str = "st"
+    uv_transform: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0)
+    emission: Path | None = None
+    height: Path | None = None
+    cells: Cells | None = None
+    far: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True)
+class Reflectance:
+    """A law in place of Lambert's; ``scenec.backends.surface.reflectance`` defines it.
+
+    Attributes:
+        model: "lommel_seeliger" or "hapke".
+        b, c: Of the double Henyey-Greenstein phase function.
+        opposition, opposition_width: B0 and h.
+        roughness: Mean slope theta bar, radians; 0 for Lommel and Seeliger's.
+    """
+
+    model: str
+    b: float
+    c: float
+    opposition: float
+    opposition_width: float
+    roughness: float
+
+
+@dataclass(frozen=True)
+class Surface:
+    """One material of the shared surface model.
+
+    f = (1-m) * ((1-s) * Lambert(c) + s * GGX(white)) + m * GGX(c), each GGX a single-scatter
+    microfacet reflection with alpha = roughness**2 and height-correlated Smith masking (Heitz
+    2014), without Fresnel, scaled by its color.
+
+    Attributes:
+        path: Prim path of the Material, or "" for the default one.
+        base_color: c, linear Rec.709, shape [3].
+        specular: s, in [0, 1].
+        roughness: Perceptual roughness, in [0, 1].
+        variation: c = base_color * (1 + variation * primvar) * (1 + variation * row's), clipped to
+            [0, 1]; the primvar and the row's value in [-1, 1].
+        metallic: m, in [0, 1].
+        maps: Pictures that vary it, or None.
+        roughness_variation: r = roughness * (1 + roughness_variation * primvar) *
+            (1 + roughness_variation * row's), clipped to [0, 1]; both lobes have it.
+        reflectance: What stands in place of Lambert(c), or None.
+        emission: Radiance given off, linear Rec.709.
+    """
+
+    path: str
+    base_color: tuple[float, float, float]
+    specular: float
+    roughness: float
+    variation: float
+    metallic: float = 0.0
+    maps: Maps | None = None
+    roughness_variation: float = 0.0
+    reflectance: Reflectance | None = None
+    emission: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    @property
+    def glossy(self) -> bool:
+        """Whether it has a GGX lobe anywhere."""
+        mapped = self.maps is not None and self.maps.metallic is not None
+        return mapped or self.specular > 0.0 or self.metallic > 0.0
+
+    @property
+    def emits(self) -> bool:
+        """Whether it gives off light."""
+        return any(self.emission)
+
+    @property
+    def varies(self) -> bool:
+        """Whether it looks different where the variation of vertices or rows is."""
+        return self.variation != 0.0 or (self.glossy and self.roughness_variation != 0.0)
+
+
+#: What UsdPreviewSurface shows without a color.
+DEFAULT_SURFACE = Surface("", (0.18, 0.18, 0.18), 0.0, 0.5, 0.0)
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """Triangles in a local frame: a terrain tile, a rock prototype.
+
+    Attributes:
+        path: Prim path.
+        points: Local positions as authored, float32 [n, 3], stage units already in meters.
+        faces: Vertex indices, int32 [m, 3].
+        authored_face: Index of the authored polygon each triangle comes from, int32 [m]; None
+            where they are the same.
+        normals: Shading normals at the vertices, float32 [n, 3], or None (flat).
+        labels: Per level, the label id of each triangle, uint32 [m].
+        layers: Indices into ``RenderScene.surfaces``; layer 0 is the base. Empty: a plain gray
+            (``DEFAULT_SURFACE``).
+        weights: Weight of merge i at the vertices, float32 [len(layers) - 1, n]: from the base up,
+            each merge i mixes BSDFs, (1 - w_i) * what is below + w_i * layer i + 1.
+        variation: Variation of albedo and roughness at the vertices, float32 [n], or None.
+        uv: Texture coordinates at the corners of the triangles, v up, float32 [m, 3, 2], where a
+            surface has maps that are projected by them; else None.
+        height_blends: For each merge, the depth over which height maps decide (``scenec.backends.
+            heights`` defines it), 0 where the weight alone does; empty: 0 for all.
+    """
+
+    path: str
+    points: NDArray[np.float32]
+    faces: NDArray[np.int32]
+    authored_face: NDArray[np.int32] | None
+    normals: NDArray[np.float32] | None
+    labels: dict[str, NDArray[np.uint32]]
+    layers: tuple[int, ...]
+    weights: NDArray[np.float32]
+    variation: NDArray[np.float32] | None = None
+    uv: NDArray[np.float32] | None = None
+    height_blends: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Rows that are not where they were at the first sample.
+
+    Attributes:
+        rows: Which, ascending, int32 [k].
+        to_world: Their matrices at each sample, float64 [samples, k, 3, 4]. Where a row is hidden
+            its linear part is 0: a row scaled to a point has no surface.
+    """
+
+    rows: NDArray[np.int32]
+    to_world: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Rows:
+    """One row for every instance of every mesh, in the order that breaks ties.
+
+    Attributes:
+        mesh: Index into ``RenderScene.meshes``, int32 [r].
+        to_world: Affine local-to-world matrices, column vectors, float64 [r, 3, 4]; of the first
+            sample where they move.
+        instance_id: Frame id, uint32 [r]; 0 is "no instance".
+        variation: Variation of the whole instance, float32 [r].
+        motion: Of the rows that move, or None where none does.
+        part: Index into ``RenderScene.parts`` of the row's place within its instance, int32 [r]; -1
+            where that changes over the samples. None: each row is its instance's frame.
+    """
+
+    mesh: NDArray[np.int32]
+    to_world: NDArray[np.float64]
+    instance_id: NDArray[np.uint32]
+    variation: NDArray[np.float32]
+    motion: Motion | None = None
+    part: NDArray[np.int32] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class OpenShutter:
+    """When rows of a picture are exposed, and where the camera is meanwhile.
+
+    Attributes:
+        shutter: When which row is exposed.
+        times: Seconds from the sample's time, ascending, float64 [k]; they enclose all exposures.
+        camera_to_world: Poses then, float64 [k, 4, 4]; between them
+        ``scenec.backends.camera.shutter``.
+    """
+
+    shutter: Shutter
+    times: NDArray[np.float64]
+    camera_to_world: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Focus:
+    """A lens of finite aperture.
+
+    Attributes:
+        distance_m: Of the plane that is sharp, along the optical axis.
+        aperture_radius_m: Of the entrance pupil, a disk around the camera's origin.
+    """
+
+    distance_m: float
+    aperture_radius_m: float
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A camera at one sample: a pinhole, or one with a lens.
+
+    Attributes:
+        name: Name in file paths: ``<rig>_<sensor>``.
+        path: Prim path.
+        width, height: Pixels.
+        intrinsics: K, float64 [3, 3]: u = fx*X/Z + s*Y/Z + cx, v = fy*Y/Z + cy; pixel (0, 0) is
+            the top-left one, its center is at (0.5, 0.5).
+        camera_to_world: float64 [4, 4], camera axes x right, y down, z forward (OpenCV).
+        exposure_ev: Pictures show radiance * 2**exposure_ev, unless ``exposure_per`` is set.
+        outputs: Passes that its RenderProduct asks for.
+        partner: Prim path of the camera that disparity goes to, or None.
+        depth_camera: How it measures depth, or None.
+        trigger: Of the samples it is triggered at, how many come from one to the next, and the
+            first.
+        lens: Which ray a point of the plane that K maps to pixels belongs to; None: a pinhole,
+            as said above. Rays: ``scenec.backends.camera.rays``.
+        imaging: What its sensor makes of radiance in pictures; None: they show it as it is.
+        shutter: Where it is while the shutter is open; None: still. ``camera_to_world`` is where it
+            is in the middle of the middle row's exposure.
+        focus: What is sharp; None: everything.
+        exposure_per: What ``backends.exposure`` finds one for, "batch" or "sample"; None: given.
+    """
+
+    name: str
+    path: str
+    width: int
+    height: int
+    intrinsics: NDArray[np.float64]
+    camera_to_world: NDArray[np.float64]
+    exposure_ev: float = 0.0
+    outputs: tuple[str, ...] = DEFAULT_OUTPUTS
+    partner: str | None = None
+    trigger: tuple[int, int] = (1, 0)
+    depth_camera: DepthCamera | None = None
+
+    def fires(self, sample: int) -> bool:
+        """Whether it is triggered at a sample."""
+        every, first = self.trigger
+        return sample >= first and (sample - first) % every == 0
+
+    lens: Lens | None = None
+    imaging: Imaging | None = None
+    shutter: OpenShutter | None = None
+    focus: Focus | None = None
+    exposure_per: str | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Lidar:
+    """A scanner at one sample; its frame is x ahead, y left, z up.
+
+    Attributes:
+        name: Name in file paths: ``<rig>_<lidar>``.
+        path: Prim path.
+        to_world: float64 [4, 4].
+        elevations_deg: Of each beam, float64 [b].
+        azimuths_deg: Of each ray of a beam, counterclockwise from above, float64 [a].
+        range_m: Nearest and farthest that is answered.
+        range_noise_m, range_noise_ratio: Standard deviations of ranges, meters and as a share.
+        angle_noise_deg: Of azimuth and of elevation.
+        dropout, key: Share of answers lost; of the numbers drawn, below 2**64.
+    """
+
+    name: str
+    path: str
+    to_world: NDArray[np.float64]
+    elevations_deg: NDArray[np.float64]
+    azimuths_deg: NDArray[np.float64]
+    range_m: tuple[float, float]
+    range_noise_m: float = 0.0
+    range_noise_ratio: float = 0.0
+    angle_noise_deg: float = 0.0
+    dropout: float = 0.0
+    key: int = 0
+
+
+@dataclass(frozen=True)
+class Sun:
+    """A distant disc light.
+
+    Attributes:
+        to_light: Unit vector from the scene to the light, float64 [3].
+        irradiance: On a surface facing it, linear Rec.709, float64 [3].
+        diameter_rad: Full angular diameter; 0 is a point.
+        path, normalized: Of the prim; whether its intensity is an irradiance, not a radiance.
+    """
+
+    to_light: NDArray[np.float64]
+    irradiance: NDArray[np.float64]
+    diameter_rad: float
+    path: str = ""
+    normalized: bool = True
+
+
+@dataclass(frozen=True)
+class Dome:
+    """Light from all around, as a lat-long picture.
+
+    Attributes:
+        texture: File of the lat-long picture, or None for a constant 1.
+        scale: Radiance of a texel of 1, linear Rec.709, float64 [3].
+        to_world: Rotation of the dome's frame (USD: pole +Y, center +Z) to world, float64 [3, 3].
+    """
+
+    texture: Path | None
+    scale: NDArray[np.float64]
+    to_world: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Lamp:
+    """A spot light: a sphere that shines into a cone; cameras do not see it.
+
+    Its intensity at an angle t from the axis is ``intensity`` * (1 - smoothstep(t0, cone, t)),
+    t0 = cone * (1 - softness); the sphere's radiance is that over pi * radius**2.
+
+    Attributes:
+        position, axis: World, meters; unit vector that it shines along; float64 [3].
+        intensity: On the axis, far away, linear Rec.709, W/sr, float64 [3].
+        radius_m: Of the sphere; 0 is a point.
+        cone, softness: Half the opening angle, radians, in (0, pi]; in [0, 1].
+    """
+
+    position: NDArray[np.float64]
+    axis: NDArray[np.float64]
+    intensity: NDArray[np.float64]
+    radius_m: float
+    cone: float
+    softness: float
+
+
+@dataclass(frozen=True)
+class Lighting:
+    """All light of one sample."""
+
+    suns: tuple[Sun, ...]
+    domes: tuple[Dome, ...]
+    lamps: tuple[Lamp, ...] = ()
+
+
+@dataclass(frozen=True)
+class Haze:
+    """What lies between camera and surfaces at one sample; ``picture.haze`` applies it.
+
+    Attributes:
+        extinction: Per meter at the world's z = 0, linear Rec.709, float64 [3].
+        scale_height_m: It is exp(-z / this) of that at z; inf: the same everywhere.
+        airlight: Radiance through endless haze, float64 [3]; None: what it scatters of
+            suns and sky.
+        floor_m: Height of the ground below the horizon; None: the scene's lowest place.
+        asymmetry: g of its phase function (Henyey and Greenstein 1941), in (-1, 1): mean cosine of
+            the angle by which it turns light.
+    """
+
+    extinction: NDArray[np.float64]
+    scale_height_m: float
+    airlight: NDArray[np.float64] | None
+    floor_m: float | None = None
+    asymmetry: float = 0.7
+
+
+@dataclass(frozen=True)
+class SkyLabelMap:
+    """Label ids of one level over all directions of the sky at one sample.
+
+    Attributes:
+        file: Lat-long picture of ids, one 8- or 16-bit channel, looked up at the nearest texel.
+        to_world: Rotation of its frame (as of a dome) to world, float64 [3, 3].
+    """
+
+    file: Path
+    to_world: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class RenderScene:
+    """Everything a backend needs of one stage.
+
+    Attributes:
+        source: The stage's file.
+        digest: sha256 over the stage's root layer and everything composed from it, hex.
+        samples: Number of samples (time codes 0 .. samples - 1).
+        levels: Label levels, in alphabetical order.
+        label_names: Per level, id -> name.
+        sky_labels: Per level, the label id of pixels that hit nothing.
+        cameras, lighting: Per sample; all cameras, in stage order.
+        bounds: Axis-aligned world bounds of the geometry over all samples, float64 [2, 3].
+        instance_paths: Prim path of the class (or object) and what is added to a local id to get
+            the frame id; ascending.
+        parts: Places of meshes within their instances, float64 [p, 3, 4]; see ``Rows.part``.
+    """
+
+    source: Path
+    digest: str
+    samples: int
+    meshes: tuple[Mesh, ...]
+    rows: Rows
+    surfaces: tuple[Surface, ...]
+    levels: tuple[str, ...]
+    label_names: dict[str, dict[int, str]]
+    sky_labels: dict[str, int]
+    cameras: tuple[tuple[Camera, ...], ...]
+    lighting: tuple[Lighting, ...]
+    bounds: NDArray[np.float64]
+    instance_paths: dict[str, int] = field(default_factory=dict)
+    #: Real time of each sample in seconds, float64 [samples].
+    times: NDArray[np.float64] = field(default_factory=lambda: np.zeros(1))
+    parts: NDArray[np.float64] = field(default_factory=lambda: np.eye(4)[None, :3])
+    #: Per sample; None without haze. Empty: none at all.
+    haze: tuple[Haze | None, ...] = ()
+    #: Per sample, by level: labels of directions that hit nothing, in place of ``sky_labels``.
+    sky_label_maps: tuple[dict[str, SkyLabelMap], ...] = ()
+    #: Per sample: those that scan then.
+    lidars: tuple[tuple[Lidar, ...], ...] = ()
+    #: A line for each thing in the stage that was not read, whatever the backend and the pass.
+    losses: tuple[str, ...] = ()
+
+    def rows_at(self, sample: int) -> Rows:
+        """The rows with the matrices of a sample; the very same object where nothing moves."""
+        motion = self.rows.motion
+        if motion is None:
+            return self.rows
+        to_world = self.rows.to_world.copy()
+        to_world[motion.rows] = motion.to_world[sample]
+        return replace(self.rows, to_world=to_world)

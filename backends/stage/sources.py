@@ -1,0 +1,274 @@
+"""The files of a stage: each that it names is there, and has the bytes that its manifest states."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from pxr import Ar, Sdf, Tf, Usd
+
+from scenec.backends.stage import values
+from scenec.backends.stage.values import said
+from scenec.schemas.errors import StageError
+from scenec.schemas.files import sha256
+from scenec.schemas.manifest import MANIFEST, digest_of_files, files_of_stage
+
+#: Lines of one error.
+_MOST_LINES = 8
+#: What the digest of a stage that is not whole has in the place of a path: no file is named so.
+_MISSING = "<missing>"
+
+# Texts of OpenUSD 26 (pxr/usd/pcp/errors.cpp): its Python classes say neither file nor arc. A text
+# that none of these matches is passed on as it is.
+_SUBLAYER = re.compile(r"Could not load sublayer @(.+?)@ of layer @(.+?)@(?: -- (.*?))?; skipping")
+_ASSET = re.compile(
+    r"Could not open asset @(.+?)@ for (\w+) introduced by @(.+?)@<.*?>(?: -- (.*))?\.$"
+)
+_PRIM = re.compile(r"Unresolved (\w+) prim path @(.+?)@<(.*?)> introduced by @(.+?)@<.*?>")
+
+
+class Sources:
+    """What a stage is read from, and what of it is missing.
+
+    Args:
+        path: Root layer.
+        allow_missing: Whether ``require_whole`` lets a stage pass that lacks files.
+    """
+
+    def __init__(self, path: Path, allow_missing: bool = False) -> None:
+        self._path = path
+        self._folder = Path(os.path.abspath(path)).parent
+        self._allowed = allow_missing
+        self._lines: dict[str, None] = {}
+        self._warnings: dict[str, None] = {}
+        self._digests: dict[Path, str] = {}
+        self._pictures: dict[str, Path] = {}
+        # Pictures and value clips, which are no layers that USD would name.
+        self._beside: set[Path] = set()
+        self._listed = False
+
+    @property
+    def losses(self) -> tuple[str, ...]:
+        """A line for each thing that is missing, and for whatever else USD warned of."""
+        return tuple(self._lines | self._warnings)
+
+    def miss(self, line: str) -> None:
+        """Notes that something is missing."""
+        self._lines[line] = None
+
+    def require_whole(self) -> None:
+        """Ends the reading of a stage that lacks something, unless that is allowed.
+
+        Raises:
+            StageError: Something is missing; names all of it.
+        """
+        lines = list(self._lines)
+        if not lines or self._allowed:
+            return
+        more = f"; and {len(lines) - _MOST_LINES} more" if len(lines) > _MOST_LINES else ""
+        raise StageError(
+            f"{self._path}: is not whole: {'; '.join(lines[:_MOST_LINES])}{more}. Compile it again "
+            "or put back what is missing; --allow-missing reads what is there"
+        )
+
+    def open(self) -> Usd.Stage:
+        """The composed stage. Its files are held against the manifest before USD reads any.
+
+        Raises:
+            StageError: No file, not USD, or not whole.
+        """
+        if not self._path.is_file():
+            raise StageError(f"{self._path}: no such file")
+        self._hold_against_manifest()
+        self.require_whole()
+        # Warnings about composition come again, as errors that can be told apart.
+        with Tf.DiagnosticTrap() as trap:
+            try:
+                stage = Usd.Stage.Open(str(self._path))
+            except Tf.ErrorException as error:
+                raise _unreadable(self._path, error) from error
+            finally:
+                trap.Clear()
+            self._compose(stage)
+            self._open_clips(stage)
+            trap.Clear()
+        self.require_whole()
+        return stage
+
+    @contextmanager
+    def reading(self) -> Iterator[Usd.Stage]:
+        """The stage as ``open`` returns it, for the block that reads its values.
+
+        Raises:
+            StageError: As ``open`` does, or where USD gives up on a value.
+        """
+        stage = self.open()
+        with Tf.DiagnosticTrap() as trap:
+            try:
+                yield stage
+            except Tf.ErrorException as error:
+                raise StageError(f"{self._path}: cannot be read: {said(error)}") from error
+            finally:
+                for warning in trap.GetWarnings():
+                    self._warnings[f"USD: {_plain(warning.commentary)}"] = None
+                trap.Clear()
+
+    def picture(self, attribute: Usd.Attribute, time: Usd.TimeCode = values.DEFAULT) -> Path | None:
+        """The file that an asset attribute names; None where it names none, or is missing.
+
+        Raises:
+            StageError: It is no asset, or stands inside a package (usdz).
+        """
+        asset = values.asset(attribute, time)
+        if asset is None:
+            return None
+        # Every mesh asks for the maps of its materials again.
+        if asset.resolvedPath in self._pictures:
+            return self._pictures[asset.resolvedPath]
+        if Ar.IsPackageRelativePath(asset.resolvedPath):
+            raise StageError(
+                f"{attribute.GetPath()}: {asset.path} stands inside a package: unpack that, a zip "
+                "archive, and render the stage in it"
+            )
+        # Unresolved, it may be there by chance: relative to the working directory.
+        if not asset.resolvedPath or not Path(asset.resolvedPath).is_file():
+            self.miss(f"{attribute.GetPath()}: {asset.path} does not exist")
+            return None
+        file = self._pictures[asset.resolvedPath] = Path(asset.resolvedPath)
+        self._beside.add(_package(asset.resolvedPath))
+        return file
+
+    def digest(self, stage: Usd.Stage) -> str:
+        """sha256 over relative paths and bytes of all files that the stage was read from.
+
+        A stage that lacks something has another digest than the whole one, so that what was
+        rendered of it is never taken for a picture of that.
+
+        Args:
+            stage: As ``open`` returned it; its values have been read.
+
+        Raises:
+            StageError: Something is missing, or the manifest lists other files than these.
+        """
+        used = {_package(layer.realPath) for layer in stage.GetUsedLayers() if layer.realPath}
+        for file in sorted((used | self._beside) - self._digests.keys()):
+            self._digests[file] = _hash(file)
+            if self._listed:
+                self.miss(f"{self._named(file)}: is read, and is not in the {MANIFEST}")
+        self.require_whole()
+        pairs = [(self._named(file), digest) for file, digest in self._digests.items()]
+        return digest_of_files([*pairs, *((_MISSING, line) for line in self._lines)])
+
+    def _hold_against_manifest(self) -> None:
+        listed = files_of_stage(self._path)
+        self._listed = listed is not None
+        for name, expected in (listed or {}).items():
+            file = self._folder / name
+            if not file.is_file():
+                self.miss(f"{name}: is in the {MANIFEST} and not on disk")
+                continue
+            self._digests[file] = _hash(file)
+            if self._digests[file] != expected:
+                self.miss(f"{name}: its bytes are not those of the {MANIFEST}")
+
+    def _named(self, file: str | Path) -> str:
+        """A file in messages and digests: relative to the stage's folder."""
+        return Path(os.path.relpath(_package(str(file)), self._folder)).as_posix()
+
+    def _compose(self, stage: Usd.Stage) -> None:
+        """Notes each file and prim that composition looked for in vain, however many look."""
+        found: dict[str, list[str]] = {}
+        for error in stage.GetCompositionErrors():
+            prim, text = str(error.rootSite.path), " ".join(str(error).split())
+            if match := _SUBLAYER.search(text):
+                file, layer, reason = match.groups()
+                prim = self._named(layer)
+                line = f"its sublayer {self._named(file)} {_state(file, reason)}"
+            elif match := _ASSET.search(text):
+                file, arc, layer, reason = match.groups()
+                line = f"its {arc} to {self._named(file)} {_state(file, reason)}"
+            elif match := _PRIM.search(text):
+                arc, file, path, layer = match.groups()
+                line = f"its {arc} to {self._named(file)} finds no prim {path} there"
+            else:
+                line = text
+            found.setdefault(line, []).append(prim)
+        for line, prims in found.items():
+            more = f" (and so of {len(prims) - 1} more)" if len(prims) > 1 else ""
+            self.miss(f"{prims[0]}: {line}{more}")
+
+    def _open_clips(self, stage: Usd.Stage) -> None:
+        """Opens the layers of value clips, which USD would do, or not, when a value is read."""
+        for prim in stage.TraverseAll():
+            if not prim.HasMetadata("clips"):
+                continue
+            api = Usd.ClipsAPI(prim)
+            for name in api.GetClips():
+                assets = [*(api.GetClipAssetPaths(name) or ()), api.GetClipManifestAssetPath(name)]
+                for asset in assets:
+                    if asset is None or not asset.path:
+                        continue
+                    told = f"{prim.GetPath()}: its value clip {asset.path}"
+                    if not asset.resolvedPath:
+                        self.miss(f"{told} does not exist")
+                        continue
+                    self._beside.add(_package(asset.resolvedPath))
+                    try:
+                        Sdf.Layer.FindOrOpen(asset.resolvedPath)
+                    except Tf.ErrorException as error:
+                        self.miss(f"{told} cannot be read: {said(error)}")
+
+
+def open_stage(path: Path) -> Usd.Stage:
+    """A composed stage of which every layer is there, and as its manifest has it.
+
+    Raises:
+        StageError: No file, not USD, or not whole.
+    """
+    return Sources(path).open()
+
+
+def _unreadable(path: Path, error: Tf.ErrorException) -> StageError:
+    reason = said(error)
+    # The parser says where in the file: that belongs behind the file's name.
+    match = re.match(rf"(?:{re.escape(os.path.abspath(path))}|{re.escape(str(path))})(:\d+:\d+): ",
+                     reason)  # fmt: skip
+    place = match[1] if match else ""
+    return StageError(
+        f"{path}{place}: not a USD stage: {reason[match.end() :] if match else reason}"
+    )
+
+
+def _hash(file: Path) -> str:
+    try:
+        return sha256(file)
+    except OSError as error:
+        raise StageError(f"{file}: cannot be read: {error.strerror}") from error
+
+
+def _plain(text: str) -> str:
+    """What USD says, in one line and without the addresses that it adds."""
+    return " ".join(re.sub(r"\(?\b[\w ]*@[^@]*@ <0x[0-9a-f]+>\)?", "", text).split())
+
+
+def _state(file: str, reason: str | None) -> str:
+    """Why a file that is named was not read."""
+    path = _package(file)
+    if path.is_file():
+        return f"cannot be read: {_located(reason or 'it is no USD')}"
+    return "does not exist"
+
+
+def _located(reason: str) -> str:
+    """Of what USD says of a file, separated by semicolons, the part that names a line in it."""
+    parts = [part.strip() for part in reason.split(" ; ")]
+    return next((part for part in parts if re.search(r":\d+:\d+: ", part)), parts[0])
+
+
+def _package(file: str) -> Path:
+    """The file that a layer lies in: itself, or the package around it."""
+    outer = Ar.SplitPackageRelativePathOuter(file)[0]
+    return Path(os.path.abspath(outer))

@@ -1,0 +1,222 @@
+"""Materials of meshes: scenec's layers and weights, else the bound preview surface."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from pxr import Usd, UsdGeom, UsdShade
+
+from scenec.backends.stage import values
+from scenec.backends.stage.mapped import read_cells, read_emission, read_far
+from scenec.backends.stage.reflectance import read_reflectance
+from scenec.backends.stage.scene import Maps, Surface
+from scenec.backends.stage.sources import Sources
+from scenec.backends.stage.textures import FIRST, constant, texture_maps
+from scenec.schemas import stage as names
+from scenec.schemas.errors import StageError
+
+#: What UsdPreviewSurface shows without a color.
+_GRAY = 0.18
+
+
+class SurfaceTable:
+    """Surfaces in the order in which they were first met."""
+
+    def __init__(self) -> None:
+        self._index: dict[Surface, int] = {}
+
+    def add(self, surface: Surface) -> int:
+        """Index of a surface."""
+        return self._index.setdefault(surface, len(self._index))
+
+    def surfaces(self) -> tuple[Surface, ...]:
+        """All of them."""
+        return tuple(self._index)
+
+
+def read_layers(
+    mesh: UsdGeom.Mesh, point_count: int, sources: Sources
+) -> tuple[list[Surface], NDArray[np.float32]] | None:
+    """Ordered ground materials and the weights of their merges, [layers - 1, point_count].
+
+    Returns None for a mesh without ``scenec:layers``.
+
+    Raises:
+        StageError: A target is no material, or a weight is missing or of the wrong length.
+    """
+    prim = mesh.GetPrim()
+    targets = values.targets(prim, names.REL_LAYERS)
+    if not targets:
+        return None
+    surfaces = []
+    for target in targets:
+        material = UsdShade.Material(prim.GetStage().GetPrimAtPath(target))
+        if not material:
+            raise StageError(f"{prim.GetPath()}: {names.REL_LAYERS} names {target}: no material")
+        surfaces.append(surface_of(material, sources))
+    weights = np.zeros((len(targets) - 1, point_count), np.float32)
+    for merge in range(1, len(targets)):
+        weights[merge - 1] = _vertex_floats(prim, names.weight_primvar(merge), point_count)
+    return surfaces, weights
+
+
+def read_variation(prim: Usd.Prim, count: int) -> NDArray[np.float32] | None:
+    """The variation's values, float32 [count], or None where none are authored."""
+    primvar = UsdGeom.PrimvarsAPI(prim).GetPrimvar(names.PRIMVAR_VARIATION)
+    if not primvar or not primvar.HasValue():
+        return None
+    return _vertex_floats(prim, names.PRIMVAR_VARIATION, count)
+
+
+def _vertex_floats(prim: Usd.Prim, name: str, count: int) -> NDArray[np.float32]:
+    primvar = UsdGeom.PrimvarsAPI(prim).GetPrimvar(name)
+    found = np.zeros(0, np.float32)
+    if primvar:
+        found = values.flattened(primvar, np.float32, values.DEFAULT)
+    if len(found) != count or not np.isfinite(found).all():
+        raise StageError(
+            f"{prim.GetPath()}: primvar {name} must hold {count} finite floats, has {len(found)}"
+        )
+    return found
+
+
+def bound_material(prim: Usd.Prim) -> UsdShade.Material:
+    """What is bound for full renderings, or for all purposes; invalid where nothing is."""
+    return UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial(UsdShade.Tokens.full)[0]
+
+
+def bound_surface(prim: Usd.Prim, sources: Sources) -> Surface:
+    """The surface of the bound material; without one, a diffuse one of displayColor."""
+    material = bound_material(prim)
+    if material:
+        return surface_of(material, sources, display_color(prim))
+    return Surface("", display_color(prim), 0.0, 1.0, 0.0)
+
+
+def display_color(prim: Usd.Prim) -> tuple[float, float, float]:
+    """Mean of displayColor, its own or what it inherits; gray without."""
+    primvar = UsdGeom.PrimvarsAPI(prim).FindPrimvarWithInheritance("displayColor")
+    if not primvar or not primvar.HasValue():
+        return (_GRAY, _GRAY, _GRAY)
+    found = values.array(primvar.GetAttr(), np.float64, Usd.TimeCode.EarliestTime(), width=(3,))
+    if not len(found):
+        return (_GRAY, _GRAY, _GRAY)
+    red, green, blue = found.mean(axis=0).tolist()
+    return (red, green, blue)
+
+
+def surface_of(
+    material: UsdShade.Material,
+    sources: Sources,
+    fallback: tuple[float, float, float] = (_GRAY, _GRAY, _GRAY),
+) -> Surface:
+    """The shared surface model's numbers of a material.
+
+    Ours stand in ``scenec:surface:*``. From a foreign UsdPreviewSurface diffuseColor, roughness,
+    metallic and normal are taken, constants or textures (``texture_maps``), and the reflectance at
+    normal incidence.
+
+    Args:
+        material: The material.
+        sources: Of the stage. A map that is missing is left out.
+        fallback: Color where diffuseColor is connected to something that is not read.
+
+    Raises:
+        StageError: One of its numbers is none, or not finite.
+    """
+    prim = material.GetPrim()
+    path = str(prim.GetPath())
+    color = prim.GetAttribute(names.ATTR_BASE_COLOR)
+    if color and color.HasValue():
+        red, green, blue = values.vector(color, 3) or fallback
+        return Surface(
+            path,
+            (red, green, blue),
+            values.number(prim.GetAttribute(names.ATTR_SPECULAR), 0.0),
+            values.number(prim.GetAttribute(names.ATTR_ROUGHNESS), 0.0),
+            values.number(prim.GetAttribute(names.ATTR_COLOR_VARIATION), 0.0),
+            values.number(prim.GetAttribute(names.ATTR_METALLIC), 0.0),
+            _maps(prim, sources),
+            values.number(prim.GetAttribute(names.ATTR_ROUGHNESS_VARIATION), 0.0),
+            reflectance=read_reflectance(prim),
+            emission=read_emission(prim),
+        )
+    shader, _, _ = material.ComputeSurfaceSource()
+    if not shader or values.word(shader.GetIdAttr(), "") != "UsdPreviewSurface":
+        return Surface(path, fallback, 0.0, 1.0, 0.0)
+    diffuse = _color_input(shader, "diffuseColor")
+    if diffuse is not None:
+        red, green, blue = diffuse
+        fallback = (red, green, blue)
+    specular = _input(shader, "useSpecularWorkflow", 0) == 1
+    maps = texture_maps(shader, specular, sources)
+    return Surface(
+        path,
+        (1.0, 1.0, 1.0) if maps is not None and maps.base_color is not None else fallback,
+        _normal_reflectance(shader),
+        _input(shader, "roughness", 0.5),
+        0.0,
+        0.0 if specular else min(max(_input(shader, "metallic", 0.0), 0.0), 1.0),
+        maps,
+        emission=_emission(shader, maps),
+    )
+
+
+def _emission(shader: UsdShade.Shader, maps: Maps | None) -> tuple[float, float, float]:
+    if maps is not None and maps.emission is not None:
+        return (1.0, 1.0, 1.0)
+    red, green, blue = _color_input(shader, "emissiveColor") or (0.0, 0.0, 0.0)
+    return (red, green, blue) if min(red, green, blue) >= 0.0 else (0.0, 0.0, 0.0)
+
+
+def _maps(prim: Usd.Prim, sources: Sources) -> Maps | None:
+    files: dict[str, Path] = {}
+    for kind, name in names.ATTR_MAPS.items():
+        file = sources.picture(prim.GetAttribute(name))
+        if file is not None:
+            files[kind] = file
+    if not files:
+        return None
+    lie = names.MAP_PROJECTIONS
+    projection = values.word(prim.GetAttribute(names.ATTR_MAP_PROJECTION), lie[0], known=lie)
+    convention = values.word(prim.GetAttribute(names.ATTR_NORMAL_CONVENTION), "")
+    return Maps(
+        size_m=1.0 if projection == "uv" else _map_size(prim),
+        base_color=files.get("base_color"),
+        roughness=files.get("roughness"),
+        metallic=files.get("metallic"),
+        normal=files.get("normal"),
+        flip_green=convention == "directx",
+        projection=projection,
+        emission=files.get("emission"),
+        height=files.get("height"),
+        cells=read_cells(prim, projection),
+        far=read_far(prim, projection),
+    )
+
+
+def _map_size(prim: Usd.Prim) -> float:
+    meters = UsdGeom.GetStageMetersPerUnit(prim.GetStage())
+    size_m = meters * values.number(prim.GetAttribute(names.ATTR_MAP_SIZE), 0.0)
+    if not 0.0 < size_m < math.inf:
+        raise StageError(f"{prim.GetPath()}: {names.ATTR_MAP_SIZE} must be above 0")
+    return size_m
+
+
+def _normal_reflectance(shader: UsdShade.Shader) -> float:
+    if _input(shader, "useSpecularWorkflow", 0) == 1:
+        color = _color_input(shader, "specularColor")
+        return float(np.mean(color)) if color is not None else 0.0
+    ior = _input(shader, "ior", 1.5)
+    return ((ior - 1.0) / (ior + 1.0)) ** 2
+
+
+def _input(shader: UsdShade.Shader, name: str, default: float) -> float:
+    return values.number(constant(shader, name), default, FIRST)
+
+
+def _color_input(shader: UsdShade.Shader, name: str) -> tuple[float, ...] | None:
+    return values.vector(constant(shader, name), 3, FIRST)

@@ -1,0 +1,170 @@
+"""Textures of a foreign UsdPreviewSurface as maps."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import NamedTuple
+
+from pxr import Usd, UsdShade
+
+from scenec.backends.stage import values
+from scenec.backends.stage.scene import Maps, Reading
+from scenec.backends.stage.sources import Sources
+from scenec.schemas.maps import COLORS
+
+#: Of a value that changes, the first.
+FIRST = Usd.TimeCode.EarliestTime()
+#: Inputs of UsdPreviewSurface by the kind of map they are.
+INPUTS = {
+    "base_color": "diffuseColor",
+    "roughness": "roughness",
+    "metallic": "metallic",
+    "normal": "normal",
+    "emission": "emissiveColor",
+}
+_CHANNELS = {"r": "r", "g": "g", "b": "b", "rgb": "r"}
+_IDENTITY: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0)
+#: Of links from node to node: a network that goes in circles ends.
+_DEEPEST = 8
+
+
+class _Coordinates(NamedTuple):
+    """Where a texture is read: a primvar, and what it is multiplied with."""
+
+    primvar: str
+    transform: tuple[float, ...]
+
+
+def texture_maps(shader: UsdShade.Shader, specular: bool, sources: Sources) -> Maps | None:
+    """Maps of the textures that a UsdPreviewSurface reads, or None.
+
+    A mesh has one set of texture coordinates here: textures at others than the first one's are left
+    out. They repeat, whatever their wrap modes.
+
+    Args:
+        shader: The surface.
+        specular: Whether it is of the specular workflow, where ``metallic`` says nothing.
+        sources: Of the stage. A texture that is missing is left out.
+
+    Raises:
+        StageError: A texture's file stands inside a package (usdz), or an input is not what it can
+            be.
+    """
+    files: dict[str, Path] = {}
+    readings: list[tuple[str, Reading]] = []
+    coordinates: _Coordinates | None = None
+    flip_green = False
+    for kind, name in INPUTS.items():
+        if kind == "metallic" and specular:
+            continue
+        texture, output = connected(shader, name)
+        if texture is None or values.word(texture.GetIdAttr(), "") != "UsdUVTexture":
+            continue
+        own = _coordinates(texture)
+        file = sources.picture(constant(texture, "file"), FIRST)
+        if file is None or output not in _CHANNELS or coordinates not in (None, own):
+            continue
+        coordinates = own
+        files[kind] = file
+        if kind == "normal":
+            # Scale and bias say how 8 bits hold [-1, 1], and so which way y is.
+            flip_green = _numbers(texture, "scale", (1.0, 1.0, 1.0))[1] < 0.0
+        else:
+            reading = _reading(texture, kind, _CHANNELS[output])
+            if reading != Reading():
+                readings.append((kind, reading))
+    if not files or coordinates is None:
+        return None
+    return Maps(
+        size_m=1.0,
+        base_color=files.get("base_color"),
+        roughness=files.get("roughness"),
+        metallic=files.get("metallic"),
+        normal=files.get("normal"),
+        emission=files.get("emission"),
+        flip_green=flip_green,
+        projection="uv",
+        readings=tuple(readings),
+        primvar=coordinates.primvar,
+        uv_transform=coordinates.transform,
+    )
+
+
+def _reading(texture: UsdShade.Shader, kind: str, channel: str) -> Reading:
+    space = values.word(constant(texture, "sourceColorSpace"), "", FIRST)
+    srgb = {"raw": False, "sRGB": True}.get(space)
+    # Numbers are raw unless it is said that they are not; colors are where they are not floating.
+    if srgb == (False if kind not in COLORS else None):
+        srgb = None
+    return Reading(
+        channel,
+        srgb,
+        _numbers(texture, "scale", (1.0, 1.0, 1.0)),
+        _numbers(texture, "bias", (0.0, 0.0, 0.0)),
+    )
+
+
+def _coordinates(texture: UsdShade.Shader) -> _Coordinates:
+    """The primvar that a texture's ``st`` comes from, through any UsdTransform2d."""
+    transform = _IDENTITY
+    node, _ = connected(texture, "st")
+    for _ in range(_DEEPEST):
+        if node is None:
+            break
+        kind = values.word(node.GetIdAttr(), "")
+        if kind == "UsdTransform2d":
+            transform = _after(transform, _transform(node))
+            node, _ = connected(node, "in")
+        elif kind == "UsdPrimvarReader_float2":
+            return _Coordinates(values.word(constant(node, "varname"), "st", FIRST), transform)
+        else:
+            break
+    return _Coordinates("st", transform)
+
+
+def _transform(node: UsdShade.Shader) -> tuple[float, ...]:
+    """Its input * scale, turned counter-clockwise by rotation (degrees), + translation."""
+    angle = math.radians(_numbers(node, "rotation", (0.0,))[0])
+    across, up = _numbers(node, "scale", (1.0, 1.0))
+    x, y = _numbers(node, "translation", (0.0, 0.0))
+    cosine, sine = math.cos(angle), math.sin(angle)
+    return (cosine * across, -sine * up, x, sine * across, cosine * up, y)
+
+
+def _after(last: tuple[float, ...], first: tuple[float, ...]) -> tuple[float, ...]:
+    a, b, c, d, e, f = last
+    p, q, r, s, t, u = first
+    return (a * p + b * s, a * q + b * t, a * r + b * u + c,
+            d * p + e * s, d * q + e * t, d * r + e * u + f)  # fmt: skip
+
+
+def connected(shader: UsdShade.Shader, name: str) -> tuple[UsdShade.Shader | None, str]:
+    """The node that an input reads, and which output of it."""
+    found = shader.GetInput(name)
+    for attribute in UsdShade.Utils.GetValueProducingAttributes(found) if found else ():
+        if UsdShade.Utils.GetType(attribute.GetName()) == UsdShade.AttributeType.Output:
+            node = UsdShade.Shader(attribute.GetPrim())
+            return (node or None), UsdShade.Utils.GetBaseNameAndType(attribute.GetName())[0]
+    return None, ""
+
+
+def constant(shader: UsdShade.Shader, name: str) -> Usd.Attribute | None:
+    """An input, or the input of a material or node graph that it is connected to."""
+    found = shader.GetInput(name)
+    for attribute in UsdShade.Utils.GetValueProducingAttributes(found) if found else ():
+        if UsdShade.Utils.GetType(attribute.GetName()) == UsdShade.AttributeType.Input:
+            return attribute
+    return None
+
+
+def _numbers[T: tuple[float, ...]](shader: UsdShade.Shader, name: str, default: T) -> T:
+    """As many numbers of an input as the default has; it, where there is no value."""
+    attribute = constant(shader, name)
+    if attribute is None:
+        return default
+    if len(default) == 1:
+        return (values.number(attribute, default[0], FIRST),)  # type: ignore[return-value]
+    # Scales and biases are of four, for textures without an alpha, too.
+    found = values.vector(attribute, len(default), FIRST, of_more=True)
+    return default if found is None else found  # type: ignore[return-value]

@@ -1,0 +1,344 @@
+"""What a stage has that the reader does not follow: a line for each kind of it.
+
+Nothing is dropped in silence. Of every concrete type that USD knows one of four tables says what
+becomes of it (a test goes through USD's registry); of types that are read, attributes that are
+authored, differ from what they are without, and are not followed are named as well. Only what would
+be drawn counts: the reader's walk leaves out what is hidden, guides and proxies.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+
+import numpy as np
+from pxr import Sdf, Usd, UsdGeom, UsdLux, UsdRender, UsdShade, UsdSkel
+
+from scenec.backends.stage import values
+from scenec.backends.stage.implicit import LENGTHS, kind_of
+from scenec.backends.stage.sources import Sources
+from scenec.backends.stage.textures import INPUTS, connected, constant, texture_maps
+from scenec.schemas import stage as names
+from scenec.schemas.exr import PASSES
+
+_FIRST = Usd.TimeCode.EarliestTime()
+_CONSTANT = UsdGeom.Tokens.constant
+_UNKNOWN = Sdf.SpecTypeUnknown
+_SUBDIVIDED = (UsdGeom.Tokens.catmullClark, UsdGeom.Tokens.loop)
+#: Attributes of meshes whose change deforms them.
+_DEFORMING = ("points", "faceVertexCounts", "faceVertexIndices", "holeIndices", "normals")
+
+#: Types of lights that are drawn.
+LIGHTS = ("DistantLight", "DomeLight", "DomeLight_1", "SphereLight")
+
+#: Types that become something of a RenderScene.
+READ = frozenset(
+    (
+        *("Mesh", "GeomSubset", "PointInstancer", "Camera", "Material", "Shader", "NodeGraph"),
+        *("RenderProduct", "RenderVar", *LIGHTS),
+    )
+)
+
+#: Types that become triangles.
+TESSELLATED = frozenset(LENGTHS)
+
+#: Types that show nothing themselves: groups, what others refer to and then are named for, physics.
+HARMLESS = frozenset(
+    (
+        *("Xform", "Scope", "SkelRoot", "Skeleton", "SkelAnimation", "BlendShape", "Backdrop"),
+        *("OpenVDBAsset", "Field3DAsset", "LODDistanceHeuristic", "LODScreenSizeHeuristic"),
+        *(
+            "RenderSettings",
+            "RenderPass",
+            "SpatialAudio",
+            "PhysicsScene",
+            "PhysicsCollisionGroup",
+            "PhysicsJoint",
+        ),
+        *("PhysicsFixedJoint", "PhysicsRevoluteJoint", "PhysicsPrismaticJoint"),
+        *("PhysicsSphericalJoint", "PhysicsDistanceJoint"),
+    )
+)
+
+#: Types that show something, or shape light, and are not read.
+LOST = frozenset(
+    (
+        *("BasisCurves", "HermiteCurves", "NurbsCurves", "NurbsPatch", "Points", "TetMesh"),
+        *("Volume", "ParticleField", "ParticleField3DGaussianSplat", "GenerativeProcedural"),
+        *("CylinderLight", "DiskLight", "RectLight", "GeometryLight", "PortalLight"),
+        *("PluginLight", "LightFilter", "PluginLightFilter"),
+    )
+)
+
+KNOWN = READ | TESSELLATED | HARMLESS | LOST
+#: A plug-in's type that derives from one of these is taken for it.
+_BASES = (
+    *(UsdGeom.Mesh, UsdGeom.PointInstancer, UsdGeom.Xform, UsdGeom.Scope),
+    *(getattr(UsdGeom, kind) for kind in LENGTHS),
+)
+
+#: Of no effect here, or followed, whatever the type.
+_EVERYWHERE = frozenset(("visibility", "purpose", "xformOpOrder", "extent"))
+#: Followed, or of no effect, on every light.
+_LIGHT = frozenset(
+    (
+        *("inputs:color", "inputs:enableColorTemperature", "inputs:colorTemperature"),
+        *("inputs:intensity", "inputs:exposure", "inputs:normalize", "guideRadius"),
+        *("light:shaderId", "light:materialSyncMode"),
+    )
+)
+#: The same of each type of light.
+_OF_LIGHT = {
+    "DistantLight": _LIGHT | {"inputs:angle"},
+    "DomeLight": _LIGHT | {"inputs:texture:file"},
+    "DomeLight_1": _LIGHT | {"inputs:texture:file", "poleAxis"},
+    "SphereLight": _LIGHT
+    | {"inputs:radius", "treatAsPoint"}
+    | {"inputs:shaping:cone:angle", "inputs:shaping:cone:softness"},
+}
+#: The same of cameras. The contract knows no clipping planes, so a clipping range hides nothing.
+_CAMERA = frozenset(
+    (
+        *("projection", "focalLength", "horizontalAperture", "verticalAperture"),
+        *("horizontalApertureOffset", "verticalApertureOffset", "focusDistance", "fStop"),
+        *("exposure", "clippingRange", "stereoRole"),
+    )
+)
+_PRODUCT = frozenset(
+    ("camera", "orderedVars", "resolution", "productName", "aspectRatioConformPolicy")
+)
+_SETTINGS = frozenset(("camera", "products", "aspectRatioConformPolicy", "renderingColorSpace"))
+
+#: Of the same effect as what holds without them.
+_NEUTRAL = (("inputs:texture:format", "latlong"),)
+
+#: Inputs of UsdPreviewSurface that are not followed, and the value at which they do nothing.
+_WITHOUT_EFFECT = {"opacity": 1.0, "displacement": 0.0, "clearcoat": 0.0}
+#: Those that may be textures, by the kind of map that they become.
+_TEXTURED = {name: kind for kind, name in INPUTS.items()}
+#: Those that only say how one of the others is meant, or of no effect on traced light.
+_ASIDE = frozenset(
+    ("useSpecularWorkflow", "opacityThreshold", "opacityMode", "clearcoatRoughness", "occlusion")
+)
+
+
+class Unread:
+    """Collects what is not followed, in the order in which it is met.
+
+    Args:
+        moving: Whether there is more than one sample, so that changes over time are lost.
+        sources: Of the stage.
+    """
+
+    def __init__(self, moving: bool, sources: Sources):
+        self._moving = moving
+        self._sources = sources
+        #: By what is lost: the path to tell, by path of the prim (in its prototype).
+        self._found: dict[str, dict[str, str]] = {}
+        self._materials: set[str] = set()
+
+    @property
+    def lines(self) -> tuple[str, ...]:
+        """What is lost, of how many prims, and of which first; a prototype counts once."""
+        return tuple(
+            f"{what}: {len(paths)} prim{'s, the first is' if len(paths) > 1 else ','} "
+            f"{next(iter(paths.values()))}"
+            for what, paths in self._found.items()
+        )
+
+    def add(self, what: str, prim: Usd.Prim) -> None:
+        """Notes that something of a prim is not followed."""
+        source = prim.GetPrimInPrototype() if prim.IsInstanceProxy() else prim
+        self._found.setdefault(what, {}).setdefault(str(source.GetPath()), str(prim.GetPath()))
+
+    def prim(self, prim: Usd.Prim, in_prototype: bool) -> None:
+        """Notes what of a prim is not followed, apart from its shape.
+
+        Args:
+            prim: Any prim that the reader comes by.
+            in_prototype: Whether it is part of an instancer's prototype.
+        """
+        kind = str(prim.GetTypeName())
+        if kind in LOST:
+            self.add(f"{kind} is not read", prim)
+        elif kind and kind not in KNOWN and not any(prim.IsA(schema) for schema in _BASES):
+            self.add(f"the type {kind} is not known", prim)
+        if prim.HasAPI(UsdLux.LightAPI) and kind not in LOST:
+            self._light(prim, kind, in_prototype)
+        elif kind == "Camera":
+            ours = prim.HasAttribute(names.ATTR_SHUTTER_EXPOSURE)
+            shutter = {"shutter:open", "shutter:close"} if ours else set()
+            self._attributes(prim, _CAMERA | shutter)
+        elif kind == "RenderProduct":
+            self._attributes(prim, _PRODUCT)
+        elif kind == "RenderSettings":
+            self._attributes(prim, _SETTINGS)
+        elif kind == "RenderVar":
+            source = values.word(UsdRender.Var(prim).GetSourceNameAttr(), "")
+            if source.split(".")[0] not in PASSES:
+                self.add("a render variable of another renderer is not made", prim)
+        elif kind == "PointInstancer":
+            primvar = UsdGeom.PrimvarsAPI(prim).GetPrimvar("displayColor")
+            if primvar and primvar.HasValue() and primvar.GetInterpolation() != _CONSTANT:
+                self.add("displayColor of single instances is not shown", prim)
+        if prim.HasAPI("LODRootAPI"):
+            self.add("levels of detail are not chosen, all are shown", prim)
+        draw_mode = prim.GetAttribute("model:drawMode")
+        if draw_mode and values.word(draw_mode, "default") not in ("inherited", "default"):
+            self.add("model:drawMode is not followed, all geometry is shown", prim)
+        if any(name.endswith(":semanticData") for name in _in_namespace(prim, "semantic")):
+            self.add("a label of SemanticsAPI is not read, those of UsdSemantics are", prim)
+
+    def shape(self, prim: Usd.Prim, material: UsdShade.Material) -> None:
+        """Notes what of the shape and the colors of a drawn prim is not followed.
+
+        Args:
+            prim: A mesh, or an implicit shape.
+            material: What is bound to it; may be invalid.
+        """
+        mesh = UsdGeom.Mesh(prim)
+        api = UsdGeom.PrimvarsAPI(prim)
+        if mesh:
+            if values.word(mesh.GetSubdivisionSchemeAttr(), "") in _SUBDIVIDED:
+                self.add("a subdivision surface is shown as its cage", prim)
+            if _corner_normals(mesh):
+                self.add("normals of face corners are not followed, faces are shaded flat", prim)
+            binding = UsdSkel.BindingAPI(prim)
+            if binding.GetJointIndicesPrimvar().HasValue() or (
+                binding.GetBlendShapeTargetsRel().HasAuthoredTargets()
+            ):
+                self.add("a skinned mesh stands in its rest pose", prim)
+        lengths = () if mesh else ("axis", *LENGTHS[kind_of(prim)])
+        if self._changes(*(prim.GetAttribute(name) for name in (*_DEFORMING, *lengths))):
+            self.add("a shape that deforms stands still, as it is at the first sample", prim)
+        primvars = api.GetPrimvarsWithAuthoredValues()
+        if self._changes(*(primvar.GetAttr() for primvar in primvars)):
+            self.add("primvars that change stay as they are at the first sample", prim)
+        if not material and _shows_display_color(prim):
+            if not _all_equal(api.FindPrimvarWithInheritance("displayColor")):
+                self.add("displayColor that varies over a shape is shown as its mean", prim)
+            opacity = api.FindPrimvarWithInheritance("displayOpacity")
+            if opacity and opacity.HasValue():
+                found = values.array(opacity.GetAttr(), np.float64, _FIRST)
+                if found.min(initial=1.0) < 1.0:
+                    self.add("displayOpacity is not followed", prim)
+
+    def material(self, material: UsdShade.Material) -> None:
+        """Notes what of a bound material is not followed; of ours nothing is lost."""
+        prim = material.GetPrim()
+        if not prim or str(prim.GetPath()) in self._materials:
+            return
+        self._materials.add(str(prim.GetPath()))
+        if prim.GetAttribute(names.ATTR_BASE_COLOR).HasValue():
+            return
+        shader, _, _ = material.ComputeSurfaceSource()
+        if shader and values.word(shader.GetIdAttr(), "") == "UsdPreviewSurface":
+            self._preview_surface(prim, shader)
+        elif shader:
+            told = values.word(shader.GetIdAttr(), "") or "a shader of its own"
+            self.add(f"the surface {told} is not read, displayColor is shown", prim)
+        elif any(output.HasConnectedSource() for output in material.GetSurfaceOutputs()):
+            self.add("a surface for other renderers is not read, displayColor is shown", prim)
+        for kind, outputs, (source, _, _) in (
+            (
+                "displacement",
+                material.GetDisplacementOutputs(),
+                material.ComputeDisplacementSource(),
+            ),
+            ("volume", material.GetVolumeOutputs(), material.ComputeVolumeSource()),
+        ):
+            connected = any(output.HasConnectedSource() for output in outputs)
+            # A preview surface has its displacement among its inputs.
+            if connected and not (
+                source and values.word(source.GetIdAttr(), "") == "UsdPreviewSurface"
+            ):
+                self.add(f"the {kind} of a material is not read", prim)
+
+    def _light(self, prim: Usd.Prim, kind: str, in_prototype: bool) -> None:
+        if kind not in LIGHTS:
+            self.add("a shape that is a light gives no light", prim)
+            return
+        if in_prototype:
+            self.add("a light in the prototype of an instancer is not read", prim)
+        self._attributes(prim, _OF_LIGHT[kind])
+        for relationship in prim.GetAuthoredRelationships():
+            name = relationship.GetName()
+            followed = not name.startswith(("light:", "portals", "collection:"))
+            if not followed and relationship.HasAuthoredTargets():
+                self.add(f"{name} of {kind} is not followed", prim)
+
+    def _attributes(self, prim: Usd.Prim, followed: Collection[str]) -> None:
+        """Notes each attribute of a prim's schemas that is not as it is without being authored."""
+        definition = prim.GetPrimDefinition()
+        for attribute in prim.GetAuthoredAttributes():
+            name = attribute.GetName()
+            if name in followed or not (
+                name.startswith("inputs:") or definition.GetSpecType(name) != _UNKNOWN
+            ):
+                continue
+            value = values.value_of(attribute, _FIRST)
+            neutral = value is None or value == definition.GetAttributeFallbackValue(name)
+            if name in _EVERYWHERE or (name, value) in _NEUTRAL:
+                neutral = True
+            if not neutral or attribute.ValueMightBeTimeVarying():
+                self.add(f"{name} of {prim.GetTypeName()} is not followed", prim)
+
+    def _preview_surface(self, prim: Usd.Prim, shader: UsdShade.Shader) -> None:
+        specular = values.value_of(constant(shader, "useSpecularWorkflow"), _FIRST) == 1
+        maps = texture_maps(shader, specular, self._sources)
+        for found in shader.GetInputs():
+            name = found.GetBaseName()
+            if name in _ASIDE or name == ("metallic" if specular else "specularColor"):
+                continue
+            node, _ = connected(shader, name)
+            if node is None:
+                value = values.value_of(constant(shader, name), _FIRST)
+                if name in _WITHOUT_EFFECT and value not in (None, _WITHOUT_EFFECT[name]):
+                    self.add(f"{name} of UsdPreviewSurface is not followed", prim)
+                if self._changes(*found.GetValueProducingAttributes()):
+                    self.add("inputs of a material that change stay as they are first", prim)
+                continue
+            if maps is not None and getattr(maps, _TEXTURED.get(name, ""), None) is not None:
+                modes = {values.word(constant(node, w), "", _FIRST) for w in ("wrapS", "wrapT")}
+                if modes & {"black", "clamp", "mirror"}:
+                    self.add("wrap modes of textures are not followed, they repeat", prim)
+            elif not (
+                name == "diffuseColor"
+                and values.word(constant(node, "varname"), "", _FIRST) == "displayColor"
+            ):
+                source = values.word(node.GetIdAttr(), "") or "a node"
+                self.add(f"{name} of UsdPreviewSurface from {source} is not read", prim)
+
+    def _changes(self, *attributes: Usd.Attribute) -> bool:
+        return self._moving and any(a and a.ValueMightBeTimeVarying() for a in attributes)
+
+
+def _in_namespace(prim: Usd.Prim, namespace: str) -> list[str]:
+    return [found.GetName() for found in prim.GetAuthoredPropertiesInNamespace(namespace)]
+
+
+def _shows_display_color(prim: Usd.Prim) -> bool:
+    """Whether a prim without a bound material has faces that have none otherwise."""
+    layers = prim.GetRelationship(names.REL_LAYERS)
+    if layers and layers.HasAuthoredTargets():
+        return False
+    if not UsdShade.MaterialBindingAPI(prim).GetMaterialBindSubsets():
+        return True
+    family = UsdShade.Tokens.materialBind
+    return bool(UsdGeom.Subset.GetUnassignedIndices(UsdGeom.Mesh(prim), "face", family))
+
+
+def _corner_normals(mesh: UsdGeom.Mesh) -> bool:
+    """Whether the normals in force are of face corners."""
+    primvar = UsdGeom.PrimvarsAPI(mesh.GetPrim()).GetPrimvar("normals")
+    if primvar and primvar.HasValue():
+        kind = primvar.GetInterpolation()
+    else:
+        kind = mesh.GetNormalsInterpolation() if mesh.GetNormalsAttr().HasValue() else ""
+    return bool(kind == UsdGeom.Tokens.faceVarying)
+
+
+def _all_equal(primvar: UsdGeom.Primvar) -> bool:
+    if not primvar or not primvar.HasValue() or primvar.GetInterpolation() == _CONSTANT:
+        return True
+    colors = values.array(primvar.GetAttr(), np.float64, _FIRST, width=(3,))
+    return bool((colors == colors[:1]).all())

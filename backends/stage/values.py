@@ -1,0 +1,378 @@
+"""Values of attributes, checked: what a reader gets is of the type and the shape that it expects.
+
+USD hands out whatever was authored: a string where a schema has points, NaN, two numbers for three.
+All of these end here, in an error that names prim and attribute, what it is and what was expected.
+An attribute that is not there, or has no value, is no error: the reader's default stands for it.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+from pxr import Gf, Sdf, Tf, Usd, UsdGeom, Vt
+
+from scenec.backends.stage.frame import columns
+from scenec.schemas.errors import StageError
+from scenec.schemas.spelling import nearest, shown
+
+DEFAULT = Usd.TimeCode.Default()
+#: Longest value that a message quotes.
+_QUOTED = 40
+
+
+def value_of(attribute: Usd.Attribute, time: Usd.TimeCode = DEFAULT) -> Any:
+    """What an attribute holds, of any type; None where it is not there or has no value.
+
+    Raises:
+        StageError: USD cannot read it.
+    """
+    if not attribute:
+        return None
+    try:
+        return attribute.Get(time)
+    except Tf.ErrorException as error:
+        raise StageError(f"{attribute.GetPath()}: cannot be read: {said(error)}") from error
+
+
+def number(
+    attribute: Usd.Attribute,
+    default: float,
+    time: Usd.TimeCode = DEFAULT,
+    *,
+    finite: bool = True,
+) -> float:
+    """A number.
+
+    Raises:
+        StageError: It is none, or not finite where it has to be.
+    """
+    value = value_of(attribute, time)
+    if value is None:
+        return default
+    expected = "a finite number" if finite else "a number"
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise _mistyped(attribute, value, expected)
+    found = float(value)
+    if math.isnan(found) or (finite and math.isinf(found)):
+        raise StageError(f"{attribute.GetPath()}: is {found:g}, expected {expected}")
+    return found
+
+
+def whole(attribute: Usd.Attribute, default: int, time: Usd.TimeCode = DEFAULT) -> int:
+    """A whole number.
+
+    Raises:
+        StageError: It is none.
+    """
+    value = value_of(attribute, time)
+    if value is None:
+        return default
+    if isinstance(value, bool) or not isinstance(value, int):
+        raise _mistyped(attribute, value, "a whole number")
+    return value
+
+
+def flag(attribute: Usd.Attribute, default: bool, time: Usd.TimeCode = DEFAULT) -> bool:
+    """True or false.
+
+    Raises:
+        StageError: Neither.
+    """
+    value = value_of(attribute, time)
+    if value is None:
+        return default
+    if not isinstance(value, bool):
+        raise _mistyped(attribute, value, "a bool")
+    return value
+
+
+def word(
+    attribute: Usd.Attribute,
+    default: str,
+    time: Usd.TimeCode = DEFAULT,
+    known: Iterable[str] = (),
+) -> str:
+    """A token or a string; the default where it is empty.
+
+    Raises:
+        StageError: It is none, or none of those known.
+    """
+    value = value_of(attribute, time)
+    if value is None or value == "":
+        return default
+    if not isinstance(value, str):
+        raise _mistyped(attribute, value, "a token")
+    choices = list(known)
+    if choices and value not in choices:
+        raise StageError(f"{attribute.GetPath()}: is {shown(value)}{nearest(value, choices)}")
+    return value
+
+
+def words(attribute: Usd.Attribute, time: Usd.TimeCode = DEFAULT) -> list[str]:
+    """Tokens or strings.
+
+    Raises:
+        StageError: They are none.
+    """
+    value = value_of(attribute, time)
+    if value is None:
+        return []
+    if not isinstance(value, Vt.TokenArray | Vt.StringArray):
+        raise _mistyped(attribute, value, "an array of tokens")
+    return [str(each) for each in value]
+
+
+def vector(
+    attribute: Usd.Attribute,
+    count: int,
+    time: Usd.TimeCode = DEFAULT,
+    *,
+    finite: bool = True,
+    of_more: bool = False,
+) -> tuple[float, ...] | None:
+    """So many numbers, of a vector or an array; None where there is no value.
+
+    Args:
+        attribute: The attribute.
+        count: How many.
+        time: When.
+        finite: Whether infinity is refused; NaN always is.
+        of_more: Whether they may be the first of more.
+
+    Raises:
+        StageError: They are none, or more or fewer, or not finite where they have to be.
+    """
+    value = value_of(attribute, time)
+    if value is None:
+        return None
+    expected = f"{count} {'finite ' if finite else ''}numbers"
+    found = _numeric(value)
+    if found is None or found.ndim != 1:
+        raise _mistyped(attribute, value, expected)
+    if len(found) != count and not (of_more and len(found) > count):
+        raise StageError(f"{attribute.GetPath()}: holds {len(found)} numbers, expected {count}")
+    numbers = found[:count].astype(np.float64)
+    if np.isnan(numbers).any() or (finite and np.isinf(numbers).any()):
+        raise StageError(f"{attribute.GetPath()}: is {_quoted(value)}, expected {expected}")
+    return tuple(numbers.tolist())
+
+
+def array(
+    attribute: Usd.Attribute,
+    dtype: DTypeLike,
+    time: Usd.TimeCode = DEFAULT,
+    *,
+    width: tuple[int, ...] = (),
+    finite: bool = True,
+) -> NDArray[Any]:
+    """An array attribute as an array of its own, dtype [n, *width]; empty without a value.
+
+    Args:
+        attribute: The attribute.
+        dtype: What its values have to fit in: whole numbers where it is one of these.
+        time: When.
+        width: Shape of one value; () of plain numbers.
+        finite: Whether NaN and infinity are refused.
+
+    Raises:
+        StageError: It is none, of another width, or holds what does not fit.
+    """
+    return as_array(attribute, value_of(attribute, time), dtype, width=width, finite=finite)
+
+
+def as_array(
+    attribute: Usd.Attribute,
+    value: Any,
+    dtype: DTypeLike,
+    *,
+    width: tuple[int, ...] = (),
+    finite: bool = True,
+) -> NDArray[Any]:
+    """As ``array``, of a value that was made from the attribute's."""
+    kind = np.dtype(dtype)
+    if value is None:
+        return np.zeros((0, *width), kind)
+    what = "whole numbers" if kind.kind in "iu" else "numbers"
+    each = what if not width else f"{' x '.join(map(str, width))} {what} each"
+    found = _numeric(value)
+    if (
+        found is None
+        or found.ndim != 1 + len(width)
+        or (kind.kind in "iu" and found.dtype.kind == "f")
+    ):
+        raise _mistyped(attribute, value, f"an array of {each}")
+    if found.shape[1:] != width:
+        # Of an empty one nobody knows.
+        if not found.size:
+            return np.zeros((0, *width), kind)
+        raise _mistyped(attribute, value, f"an array of {each}")
+    if kind.kind in "iu" and found.size and found.dtype != kind:
+        low, high = int(found.min()), int(found.max())
+        if low < np.iinfo(kind).min or high > np.iinfo(kind).max:
+            wrong = low if low < np.iinfo(kind).min else high
+            raise StageError(f"{attribute.GetPath()}: holds {wrong}, which does not fit in {kind}")
+    with np.errstate(over="ignore"):
+        # What is too large becomes infinite, and is refused as that.
+        made = np.array(found, kind)
+    if finite and kind.kind == "f" and not np.isfinite(made).all():
+        raise StageError(f"{attribute.GetPath()}: holds NaN or infinity")
+    return made
+
+
+def flattened(
+    primvar: UsdGeom.Primvar, dtype: DTypeLike, time: Usd.TimeCode, *, width: tuple[int, ...] = ()
+) -> NDArray[Any]:
+    """A primvar's values behind its indices, [n, *width]; one value is an array of one.
+
+    NaN and infinity pass: what they mean is the reader's to say.
+
+    Raises:
+        StageError: They are none, of another width, or its indices reach beyond them.
+    """
+    attribute = primvar.GetAttr()
+    value = value_of(attribute, time)
+    if value is not None and not _is_array(value):
+        found = _numeric(value)
+        if found is None or found.shape != width:
+            raise _mistyped(attribute, value, "numbers")
+        value = found[None]
+    values = as_array(attribute, value, dtype, width=width, finite=False)
+    if not primvar.IsIndexed():
+        return values
+    indices = array(primvar.GetIndicesAttr(), np.int64, time)
+    if indices.size and not 0 <= indices.min() <= indices.max() < len(values):
+        raise StageError(
+            f"{primvar.GetIndicesAttr().GetPath()}: holds indices from {indices.min()} to "
+            f"{indices.max()}, of {len(values)} values"
+        )
+    return values[indices]
+
+
+def targets(prim: Usd.Prim, name: str) -> list[Sdf.Path]:
+    """Paths that a relationship leads to; none where there is none.
+
+    Raises:
+        StageError: It is an attribute, or goes in circles.
+    """
+    relationship = prim.GetRelationship(name)
+    if not relationship:
+        if prim.HasAttribute(name):
+            raise StageError(f"{prim.GetPath()}.{name}: is an attribute, expected a relationship")
+        return []
+    try:
+        return list(relationship.GetForwardedTargets())
+    except Tf.ErrorException as error:
+        raise StageError(f"{relationship.GetPath()}: cannot be read: {said(error)}") from error
+
+
+def asset(attribute: Usd.Attribute, time: Usd.TimeCode = DEFAULT) -> Sdf.AssetPath | None:
+    """The path of a file; None where it is empty.
+
+    Raises:
+        StageError: It is no asset.
+    """
+    value = value_of(attribute, time)
+    if value is None or (isinstance(value, Sdf.AssetPath) and not value.path):
+        return None
+    if not isinstance(value, Sdf.AssetPath):
+        raise _mistyped(attribute, value, "an asset")
+    return value
+
+
+def visible(prim: Usd.Prim, time: Usd.TimeCode) -> bool:
+    """Whether neither a prim nor one above it is invisible.
+
+    Raises:
+        StageError: A visibility is no token.
+    """
+    above = prim
+    while above and not above.IsPseudoRoot():
+        if imageable := UsdGeom.Imageable(above):
+            shown = word(imageable.GetVisibilityAttr(), "", time)
+            if shown == UsdGeom.Tokens.invisible:
+                return False
+        above = above.GetParent()
+    return True
+
+
+def local_matrix(prim: Usd.Prim, time: Usd.TimeCode) -> NDArray[np.float64]:
+    """Where a prim stands in its parent, affine columns in stage units, float64 [3, 4].
+
+    Raises:
+        StageError: One of its operations is no transform, or holds NaN or infinity.
+    """
+    xformable = UsdGeom.Xformable(prim)
+    _require_order(xformable)
+    try:
+        return _affine(prim, xformable.GetLocalTransformation(time))
+    except Tf.ErrorException as error:
+        raise _no_transform(prim, error) from error
+
+
+def world_matrix(prim: Usd.Prim, time: Usd.TimeCode) -> NDArray[np.float64]:
+    """Where a prim stands in the world, affine columns in stage units, float64 [3, 4].
+
+    Raises:
+        StageError: An operation of it, or of a prim above it, is no transform, or holds NaN or
+            infinity.
+    """
+    above = prim
+    while above and not above.IsPseudoRoot():
+        if xformable := UsdGeom.Xformable(above):
+            _require_order(xformable)
+        above = above.GetParent()
+    try:
+        return _affine(prim, UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(time))
+    except Tf.ErrorException as error:
+        raise _no_transform(prim, error) from error
+
+
+def said(error: Tf.ErrorException) -> str:
+    """What USD says, in one line: first of what names a place in a file."""
+    lines = [" ".join(str(each.commentary).split()) for each in error.args]
+    located = [line for line in lines if re.search(r":\d+:\d+: ", line)]
+    return next((line for line in (*located, *lines) if line), "USD gives no reason")
+
+
+def _require_order(xformable: UsdGeom.Xformable) -> None:
+    # USD takes a prim for one without a transform where this is of another type.
+    words(xformable.GetXformOpOrderAttr())
+
+
+def _affine(prim: Usd.Prim, matrix: Gf.Matrix4d) -> NDArray[np.float64]:
+    affine = columns(matrix)
+    if not np.isfinite(affine).all():
+        raise StageError(f"{prim.GetPath()}: its transform holds NaN or infinity")
+    return affine
+
+
+def _no_transform(prim: Usd.Prim, error: Tf.ErrorException) -> StageError:
+    return StageError(f"{prim.GetPath()}: its transform cannot be read: {said(error)}")
+
+
+def _is_array(value: Any) -> bool:
+    return type(value).__module__.endswith("Vt") and type(value).__name__.endswith("Array")
+
+
+def _numeric(value: Any) -> NDArray[Any] | None:
+    """A value's numbers; None where it holds none."""
+    try:
+        found = np.asarray(value)
+    except (TypeError, ValueError):
+        return None
+    return found if found.dtype.kind in "iuf" else None
+
+
+def _mistyped(attribute: Usd.Attribute, value: Any, expected: str) -> StageError:
+    kind = str(Sdf.GetValueTypeNameForValue(value)) or type(value).__name__
+    return StageError(f"{attribute.GetPath()}: is of type {kind}, expected {expected}")
+
+
+def _quoted(value: Any) -> str:
+    text = str(value)
+    return text if len(text) <= _QUOTED else f"{text[:_QUOTED]}…"
