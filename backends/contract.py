@@ -14,7 +14,6 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.backends.run.memory import LoadCost
 from scenec.backends.stage.scene import Camera, RenderScene
 
 #: ``Visibility.row`` where a ray meets nothing.
@@ -79,6 +78,28 @@ class Radiance:
     denoised: NDArray[np.float32] | None = None
     stochastic: bool = True
     background: NDArray[np.float32] | None = None
+
+
+@dataclass(frozen=True)
+class LoadCost:
+    """Bytes at the peak of loading a scene, measured (``docs/numbers.md``).
+
+    Attributes:
+        row: Of an instance of a mesh.
+        triangle: Of a triangle of a mesh, however many instances share it.
+        written: Of a triangle of an instance: above 0 where instances are written out.
+    """
+
+    row: float
+    triangle: float
+    written: float = 0.0
+
+    def of(self, scene: RenderScene) -> tuple[float, str]:
+        """Bytes, and what for."""
+        faces = np.array([len(mesh.faces) for mesh in scene.meshes], np.int64)
+        rows, written = len(scene.rows.mesh), int(faces[scene.rows.mesh].sum())
+        size = self.row * rows + self.triangle * int(faces.sum()) + self.written * written
+        return size, f"{rows:,} rows, {written:,} triangles with all instances"
 
 
 class Backend(Protocol):

@@ -9,11 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.backends.camera.lens import RayTable, ray_table
-from scenec.backends.contract import BOUNCES, NO_ROW, Radiance, Rays, Visibility
+from scenec.backends.contract import BOUNCES, NO_ROW, LoadCost, Radiance, Rays, Visibility
 from scenec.backends.mitsuba import emitter, geometry, glow, lamps, scalar, variant
 from scenec.backends.mitsuba.corners import split_corners
 from scenec.backends.mitsuba.surfaces import make_look
-from scenec.backends.run.memory import LoadCost
 from scenec.backends.stage.posing import posable, pose
 from scenec.backends.stage.scene import Camera, Lighting, RenderScene
 from scenec.schemas.errors import BackendError

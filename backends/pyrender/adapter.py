@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from scenec.backends.contract import NO_ROW, Radiance, Rays, Visibility
+from scenec.backends.contract import NO_ROW, LoadCost, Radiance, Rays, Visibility
 from scenec.backends.picture.bands import by_columns
 from scenec.backends.pyrender import geometry, platforms
 from scenec.backends.pyrender.ambience import (
@@ -27,7 +27,6 @@ from scenec.backends.pyrender.lamps import lamp_shadow_maps
 from scenec.backends.pyrender.lighting import CASCADES, DARK, fit_shadow_maps, losses, smooth_sky
 from scenec.backends.pyrender.tables import Tables, make_tables, place_maps
 from scenec.backends.pyrender.tiles import without_glow
-from scenec.backends.run.memory import LoadCost
 from scenec.backends.stage import posing
 from scenec.backends.stage.scene import Camera, RenderScene, Sun
 from scenec.schemas.errors import BackendError, CameraRefusedError

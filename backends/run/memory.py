@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import contextlib
 import sys
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
-
-import numpy as np
 
 from scenec.schemas.errors import BackendError
 from scenec.schemas.memory import GB, available, limit
 
 if TYPE_CHECKING:
+    from scenec.backends.contract import LoadCost
     from scenec.backends.stage.scene import RenderScene
 
 #: Share of the memory there is that workers may hold: the rest is the parent's, the system's, and
@@ -27,28 +25,6 @@ _STATUS = Path("/proc/self/status")
 def default_limit() -> int:
     """Bytes that workers may hold together: SHARE of the machine's, or of the container's."""
     return int(SHARE * limit())
-
-
-@dataclass(frozen=True)
-class LoadCost:
-    """Bytes at the peak of loading a scene, measured (``docs/numbers.md``).
-
-    Attributes:
-        row: Of an instance of a mesh.
-        triangle: Of a triangle of a mesh, however many instances share it.
-        written: Of a triangle of an instance: above 0 where instances are written out.
-    """
-
-    row: float
-    triangle: float
-    written: float = 0.0
-
-    def of(self, scene: RenderScene) -> tuple[float, str]:
-        """Bytes, and what for."""
-        faces = np.array([len(mesh.faces) for mesh in scene.meshes], np.int64)
-        rows, written = len(scene.rows.mesh), int(faces[scene.rows.mesh].sum())
-        size = self.row * rows + self.triangle * int(faces.sum()) + self.written * written
-        return size, f"{rows:,} rows, {written:,} triangles with all instances"
 
 
 def require_room(name: str, cost: LoadCost | None, scene: RenderScene) -> None:

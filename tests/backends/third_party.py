@@ -19,9 +19,8 @@ import pytest
 from numpy.typing import NDArray
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux, UsdRender, Vt
 
-from scenec.backends.contract import Radiance, Rays, Visibility
+from scenec.backends.contract import LoadCost, Radiance, Rays, Visibility
 from scenec.backends.exact import ExactCaster
-from scenec.backends.run.memory import LoadCost
 from scenec.backends.stage.scene import Camera, RenderScene
 from scenec.schemas.errors import BackendError
 
