@@ -26,10 +26,10 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests" / "backe
 import scenes
 
 from scenec.backends.annotation.amodal import Silhouettes
+from scenec.backends.annotation.bands import annotate
 from scenec.backends.annotation.instances import Instances
 from scenec.backends.camera.rays import camera_rays
 from scenec.backends.exact import ExactCaster
-from scenec.backends.picture.bands import annotate
 from scenec.backends.stage.read import read_stage
 from scenec.backends.stage.scene import Camera, RenderScene
 from scenec.compiler.compile import compile_cfg

@@ -30,11 +30,11 @@ from extreme_scenes import (  # isort: skip
 )
 from small import small_cfg, write_cfg  # isort: skip
 
+from scenec.backends.camera import tiles
 from scenec.backends.camera.rays import camera_rays
 from scenec.backends.check.compare import check_exact
 from scenec.backends.check.witness import Witness, ask
 from scenec.backends.exact import ExactCaster
-from scenec.backends.picture import bands
 from scenec.backends.run import memory
 from scenec.backends.run.jobs import Wanted
 from scenec.backends.run.render import render
@@ -361,7 +361,7 @@ def sizes(page: Page, folder: Path) -> str:
 SIZES = """## Large pictures
 
 Above 2048 × 2048 pixels annotation goes band by band, radiance by tiles of 4 million pixels at most
-(`backends/picture/bands.py`). Annotation is the same to the bit as in one piece: the page's script
+(`backends/camera/tiles.py`). Annotation is the same to the bit as in one piece: the page's script
 compares digests. The noise of radiance is that of other seeds. Passes `label` (two levels),
 `instance`, `depth`; the peak is that of the process with interpreter, renderer and scene.
 
@@ -378,9 +378,9 @@ def _large(stage: Path, backend: str, arguments: list[Any]) -> dict[str, Any]:
     camera = replace(camera, width=size, height=size, intrinsics=k)
     passes = session.passes(("label", "instance", "depth"), camera)
     # What the first picture alone costs.
-    session.render(bands.crop(camera, range(16), range(16)), 0, passes, 1, 0)
+    session.render(tiles.crop(camera, range(16), range(16)), 0, passes, 1, 0)
     if whole:
-        bands.PIXELS = bands.TALLEST = 1 << 40
+        tiles.PIXELS = tiles.TALLEST = 1 << 40
     memory.reset_peak()
     start = time.process_time()
     arrays, _ = session.render(camera, 0, passes, 1, 0)
@@ -390,7 +390,7 @@ def _large(stage: Path, backend: str, arguments: list[Any]) -> dict[str, Any]:
     return {
         "peak_gb": max(peak, memory.peak() or 0) / GB,
         "cpu_s": seconds,
-        "bands": len(bands.bands(camera)),
+        "bands": len(tiles.bands(camera)),
         "arrays": digests,
     }
 

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from small import write_cfg
 
+from scenec.backends.annotation.bands import annotate as annotated
 from scenec.backends.annotation.lidar import scan
 from scenec.backends.exact import ExactCaster
-from scenec.backends.picture.bands import annotate as annotated
 from scenec.backends.registry import open_backend
 from scenec.backends.run.session import Session
 from scenec.backends.stage.read import read_stage

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from scenec.backends.annotation.annotate import pass_names
+from scenec.backends.annotation.bands import annotate
 from scenec.backends.camera.rays import camera_rays
 from scenec.backends.check.amodal import Definition
 from scenec.backends.check.radiance import (
@@ -20,7 +21,6 @@ from scenec.backends.check.radiance import (
 )
 from scenec.backends.check.witness import Witness, ask
 from scenec.backends.exact import ExactCaster
-from scenec.backends.picture.bands import annotate
 from scenec.backends.run.jobs import Wanted
 from scenec.backends.run.render import render
 from scenec.backends.stage.read import read_stage

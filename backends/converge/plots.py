@@ -15,7 +15,7 @@ from scenec.backends.converge.fits import Fit
 from scenec.schemas.files import atomic
 
 if TYPE_CHECKING:
-    from scenec.backends.converge.run import ConvergeReport, Series
+    from scenec.backends.converge.series import ConvergeReport, Series
 
 #: Colors that color-blind people tell apart (Okabe and Ito 2008).
 _COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")

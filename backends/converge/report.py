@@ -16,7 +16,7 @@ from scenec.schemas.files import atomic, write_json
 from scenec.schemas.frames import Frame
 
 if TYPE_CHECKING:
-    from scenec.backends.converge.run import ConvergeReport, Series
+    from scenec.backends.converge.series import ConvergeReport, Series
 
 CSV, JSON = "converge.csv", "converge.json"
 NO_PLOTS = "no plots without matplotlib; mend it with: pip install 'scenec[plots]'"

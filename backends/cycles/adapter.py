@@ -7,12 +7,12 @@ import hashlib
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.backends.camera.tiles import by_columns
 from scenec.backends.contract import BOUNCES, LoadCost, Radiance, Rays, Visibility
 from scenec.backends.cycles import blender, render
 from scenec.backends.cycles.built import PASSES, Built
 from scenec.backends.cycles.camera import Lens, find_lens, place
 from scenec.backends.cycles.planetary import has_laws
-from scenec.backends.picture.bands import by_columns
 from scenec.backends.stage.scene import Camera, RenderScene
 from scenec.schemas.errors import BackendError, CameraRefusedError
 

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from scenec.backends.camera.lens import RayTable, local_rays, ray_table
 from scenec.backends.contract import Backend, Radiance
-from scenec.backends.picture.bands import radiance
+from scenec.backends.picture.tiles import radiance
 from scenec.backends.stage.scene import Camera
 from scenec.schemas.errors import CameraRefusedError
 from scenec.schemas.threads import over_threads

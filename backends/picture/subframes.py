@@ -38,11 +38,12 @@ from numpy.typing import NDArray
 
 from scenec.backends.camera.rays import camera_rays
 from scenec.backends.camera.shutter import poses_at
+from scenec.backends.camera.tiles import bands, crop
 from scenec.backends.contract import Backend, Radiance
 from scenec.backends.exact.caster import ExactCaster
-from scenec.backends.picture.bands import bands, crop, radiance
 from scenec.backends.picture.compose import background
 from scenec.backends.picture.sky import combine
+from scenec.backends.picture.tiles import radiance
 from scenec.backends.stage.scene import Camera, Focus, RenderScene
 from scenec.schemas.lens import project, to_pixels
 from scenec.schemas.shutter import Shutter

@@ -8,8 +8,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from scenec.backends.camera.tiles import by_columns
 from scenec.backends.contract import NO_ROW, LoadCost, Radiance, Rays, Visibility
-from scenec.backends.picture.bands import by_columns
 from scenec.backends.pyrender import geometry, platforms
 from scenec.backends.pyrender.ambience import (
     CELLS,

@@ -14,12 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.backends.annotation.annotate import pass_names
+from scenec.backends.annotation.bands import annotate
 from scenec.backends.annotation.instances import Instances, Seen
 from scenec.backends.camera.rays import camera_rays, ray_down
 from scenec.backends.camera.shutter import blurred_by, is_rolling, undenoised
+from scenec.backends.camera.tiles import witness
 from scenec.backends.contract import Backend, Radiance
 from scenec.backends.exact import ExactCaster, Hits
-from scenec.backends.picture import bands
+from scenec.backends.picture import tiles
 from scenec.backends.picture.adaptive import Draw, Rounds, Target, collect
 from scenec.backends.picture.exposure import Meter
 from scenec.backends.registry import open_backend
@@ -305,7 +307,7 @@ class Session:
         if look is None:
             return False
         plain = camera.lens is None and not is_rolling(camera)
-        seen = bands.witness(lambda rays, part: look(rays, sample, part if plain else None), camera)
+        seen = witness(lambda rays, part: look(rays, sample, part if plain else None), camera)
         if seen is None:
             return False
         np.savez(file, row=seen.row, face=seen.face)
@@ -340,7 +342,7 @@ class Session:
         def draw(count: int, noise: int) -> Radiance:
             if views is not None:
                 return resample.draw(backend, camera, views, sample, count, noise, denoise)
-            return bands.radiance(backend, camera, sample, count, noise, denoise)
+            return tiles.radiance(backend, camera, sample, count, noise, denoise)
 
         blurred = self._blurred(camera, sample, denoise, details)
         rounds = None
@@ -422,7 +424,7 @@ class Session:
     ) -> NDArray[np.float32]:
         """``rgb``, with what there is to say of it."""
         with _timed(details["seconds"], "compose"):
-            picture = bands.compose(radiance, self.scene, camera, sample, veil)
+            picture = tiles.compose(radiance, self.scene, camera, sample, veil)
         noise = picture.noise.as_json()
         if rounds is not None:
             details["rounds"] = rounds.as_json(picture.noise.relative_rms_bound)
@@ -446,7 +448,7 @@ class Session:
         caster = self._exact(seconds)
         with _timed(seconds, "annotate"):
             caster.pose(sample)
-            hits, arrays = bands.annotate(self.scene, caster, camera, passes, sample)
+            hits, arrays = annotate(self.scene, caster, camera, passes, sample)
             height = float(caster.cast(ray_down(camera))[2][0])
         details["height_above_surface_m"] = height if math.isfinite(height) else None
         listed, rays = None, cache(lambda: camera_rays(camera))

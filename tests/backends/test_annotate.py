@@ -8,9 +8,9 @@ import pytest
 import scenes
 
 from scenec.backends.annotation.annotate import NO_FACE, pass_names
+from scenec.backends.annotation.bands import annotate
 from scenec.backends.camera.rays import camera_rays
 from scenec.backends.exact import ExactCaster
-from scenec.backends.picture.bands import annotate
 from scenec.schemas.errors import BackendError
 
 ALL = ("label", "instance", "depth", "range", "normal", "position", "face")

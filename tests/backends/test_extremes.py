@@ -27,12 +27,15 @@ from scenes import camera as pinhole
 from scenes import scene
 from small import small_cfg, write_cfg
 
-from scenec.backends.annotation.annotate import annotate
+from scenec.backends.annotation.annotate import annotate as annotate_rays
+from scenec.backends.annotation.bands import annotate
+from scenec.backends.camera import tiles
 from scenec.backends.camera.rays import camera_rays
 from scenec.backends.check.compare import check_exact
 from scenec.backends.contract import Radiance
 from scenec.backends.exact import ExactCaster
-from scenec.backends.picture import bands, compose
+from scenec.backends.picture import compose
+from scenec.backends.picture import tiles as drawn
 from scenec.backends.run.render import render
 from scenec.backends.run.session import Session
 from scenec.backends.stage.read import read_stage
@@ -157,7 +160,7 @@ def test_a_crop_looks_along_the_rays_of_its_part(
     columns: tuple[int, int], rows: tuple[int, int]
 ) -> None:
     camera = VIEWS["pinhole"]
-    part = bands.crop(camera, range(*rows), range(*columns))
+    part = tiles.crop(camera, range(*rows), range(*columns))
     whole = camera_rays(camera).directions.reshape(camera.height, camera.width, 3)
     np.testing.assert_allclose(
         camera_rays(part).directions.reshape(part.height, part.width, 3),
@@ -175,9 +178,9 @@ def test_annotation_in_bands_is_that_of_the_whole_picture_to_the_bit(
     camera = VIEWS[name]
     rays = camera_rays(camera)
     exact = caster.hits(rays)
-    expected = annotate(world, exact, rays, PASSES)
-    monkeypatch.setattr(bands, "PIXELS", rows * camera.width)
-    hits, found = bands.annotate(world, caster, camera, PASSES, 0)
+    expected = annotate_rays(world, exact, rays, PASSES)
+    monkeypatch.setattr(tiles, "PIXELS", rows * camera.width)
+    hits, found = annotate(world, caster, camera, PASSES, 0)
     for key, values in expected.items():
         np.testing.assert_array_equal(found[key], values, err_msg=key)
     for key in ("row", "face", "t"):
@@ -192,8 +195,8 @@ def test_a_picture_composed_in_bands_is_the_same(monkeypatch: pytest.MonkeyPatch
     light = rng.exponential(size=(2, 19, 23, 3)).astype(np.float32) * coverage[..., None]
     radiance = Radiance(light, coverage, 8)
     whole = compose.compose(radiance, made, camera, 0)
-    monkeypatch.setattr(bands, "PIXELS", 4 * 23)
-    parts = bands.compose(radiance, made, camera, 0)
+    monkeypatch.setattr(tiles, "PIXELS", 4 * 23)
+    parts = drawn.compose(radiance, made, camera, 0)
     np.testing.assert_array_equal(parts.rgb, whole.rgb)
     for key, value in whole.noise.as_json().items():
         assert parts.noise.as_json()[key] == pytest.approx(value, rel=1e-12), key
@@ -202,12 +205,12 @@ def test_a_picture_composed_in_bands_is_the_same(monkeypatch: pytest.MonkeyPatch
 def test_noise_of_a_black_picture_and_of_nothing_is_nothing_in_bands(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(bands, "PIXELS", 10)
+    monkeypatch.setattr(tiles, "PIXELS", 10)
     camera = pinhole(5, 6)
     made = scene([], [], cameras=[camera])
     for coverage in (0.0, 1.0):
         dark = Radiance(np.zeros((2, 6, 5, 3), np.float32), np.full((6, 5), coverage, "f4"), 2)
-        assert bands.compose(dark, made, camera, 0).noise.relative_rms == 0.0
+        assert drawn.compose(dark, made, camera, 0).noise.relative_rms == 0.0
 
 
 def test_radiance_in_tiles_is_as_bright_and_none_has_the_noise_of_another(
@@ -216,10 +219,10 @@ def test_radiance_in_tiles_is_as_bright_and_none_has_the_noise_of_another(
     session = Session.open(extremes / "batch_0000" / "stage.usda", "mitsuba")
     camera = dict(_cases(session.scene))["down"]
     session.backend.load(session.scene)
-    whole = bands.radiance(session.backend, camera, 0, 16, 5)
-    monkeypatch.setattr(bands, "PIXELS", 12 * 18)
-    monkeypatch.setattr(bands, "WIDEST", 12)
-    tiled = bands.radiance(session.backend, camera, 0, 16, 5)
+    whole = drawn.radiance(session.backend, camera, 0, 16, 5)
+    monkeypatch.setattr(tiles, "PIXELS", 12 * 18)
+    monkeypatch.setattr(tiles, "WIDEST", 12)
+    tiled = drawn.radiance(session.backend, camera, 0, 16, 5)
     assert tiled.spp == whole.spp
     np.testing.assert_array_equal(tiled.coverage, whole.coverage)
     variance = (0.5 * (whole.halves[0] - whole.halves[1]).astype(float)) ** 2
@@ -317,11 +320,11 @@ def test_a_picture_wider_than_opengl_draws_is_drawn_in_columns(extremes: Path) -
 @given(st.integers(1, 70_000), st.integers(1, 70_000))
 def test_bands_are_all_of_a_picture_and_no_larger_than_renderers_draw(w: int, h: int) -> None:
     camera = Camera("rig_eye", "/eye", w, h, np.eye(3), np.eye(4))
-    found = bands.bands(camera)
+    found = tiles.bands(camera)
     assert [row for rows in found for row in rows] == list(range(h))
     # With a row beside it on either side.
-    assert max(len(rows) for rows in found) + 2 <= bands.TALLEST
-    assert max(len(rows) for rows in found) * w <= max(bands.PIXELS, w)
+    assert max(len(rows) for rows in found) + 2 <= tiles.TALLEST
+    assert max(len(rows) for rows in found) * w <= max(tiles.PIXELS, w)
 
 
 @pytest.mark.slow

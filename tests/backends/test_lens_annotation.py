@@ -11,11 +11,11 @@ from lens_scenes import BROWN, CAMERAS, FISHEYE, PANORAMA, around, with_lens
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdRender
 from scenes import SKY, scene
 
+from scenec.backends.annotation.bands import annotate
 from scenec.backends.annotation.instances import Instances
 from scenec.backends.camera.lens import ray_table
 from scenec.backends.camera.rays import camera_rays
 from scenec.backends.exact import ExactCaster
-from scenec.backends.picture.bands import annotate
 from scenec.backends.stage.read import read_stage
 from scenec.backends.stage.scene import Camera, RenderScene
 from scenec.schemas import stage as names

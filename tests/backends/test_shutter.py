@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scenes import affine, mesh, scene
 from scipy.spatial.transform import Rotation, Slerp
 
+from scenec.backends.annotation.bands import annotate
 from scenec.backends.annotation.correspondence import match
 from scenec.backends.annotation.depth_camera import measure
 from scenec.backends.annotation.instances import Instances
@@ -26,7 +27,6 @@ from scenec.backends.camera.shutter import (
     row_poses,
 )
 from scenec.backends.exact import ExactCaster
-from scenec.backends.picture.bands import annotate
 from scenec.backends.picture.compose import background
 from scenec.backends.stage.scene import Camera, Lighting, OpenShutter, RenderScene, Sun
 from scenec.schemas.correspondence import VISIBLE

@@ -13,10 +13,10 @@ from mitsuba_scenes import dome, mesh, scene, surface
 from numpy.typing import NDArray
 
 from scenec.backends.camera.shutter import poses_at
+from scenec.backends.camera.tiles import crop
 from scenec.backends.exact import ExactCaster
 from scenec.backends.picture import subframes
 from scenec.backends.picture.adaptive import Target
-from scenec.backends.picture.bands import crop
 from scenec.backends.picture.subframes import Blur, measure, share_out, sub_frames
 from scenec.backends.run.session import Session
 from scenec.backends.stage.scene import Camera, Focus, Haze, OpenShutter, RenderScene

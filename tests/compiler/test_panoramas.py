@@ -16,11 +16,11 @@ from PIL import Image
 from pxr import Usd
 from small import small_cfg, write_cfg
 
+from scenec.backends.annotation.bands import annotate
 from scenec.backends.camera.rays import camera_rays
 from scenec.backends.check.stage import check_stage
 from scenec.backends.contract import Rays
 from scenec.backends.exact import ExactCaster
-from scenec.backends.picture.bands import annotate
 from scenec.backends.picture.sky import Sky, lookup
 from scenec.backends.stage.read import read_stage
 from scenec.backends.stage.sky_labels import label_of_sky

@@ -13,9 +13,9 @@ import small
 from pxr import Gf, Sdf, Usd, UsdGeom
 from shutter_cfgs import SHUTTER, cfg
 
+from scenec.backends.annotation.bands import annotate
 from scenec.backends.camera.shutter import poses_at, row_poses
 from scenec.backends.exact import ExactCaster
-from scenec.backends.picture.bands import annotate
 from scenec.backends.run.session import Session
 from scenec.backends.stage.read import read_stage
 from scenec.backends.stage.scene import Camera
