@@ -27,6 +27,7 @@ from scenec.backends.registry import require_name
 from scenec.backends.stage.read import read_stage
 from scenec.cli.output import print_json, say, table
 from scenec.schemas.errors import ScenecError, StageError
+from scenec.schemas.frames import ANNOTATION_NAMES
 from scenec.schemas.manifest import find_batches, read_manifest
 
 #: Checks that a stage is whole.
@@ -41,8 +42,11 @@ def run(options: argparse.Namespace) -> int:
         return _check_dataset(options)
     for name in options.backends:
         require_name(name)
-    if options.backends and len(set(options.backends)) < 2:
-        raise ScenecError(f"--backends {','.join(options.backends)}: comparing takes two or more")
+    if options.backends and set(options.backends) <= set(ANNOTATION_NAMES):
+        raise ScenecError(
+            f"--backends {','.join(options.backends)}: names no renderer; renderers are held "
+            "against the annotation"
+        )
     out = Path(options.out)
     findings = find(out, options.allow_missing)
     bad = [f for f in findings if f.severity == "error"]

@@ -191,6 +191,11 @@ class LoadedFrame:
         return state.hexdigest()
 
 
+def pictures_first(backends: Iterable[str]) -> tuple[str, ...]:
+    """Names in the order they are taken in: of several backends first those with pictures."""
+    return tuple(sorted(backends, key=lambda name: (name == ANNOTATION, name)))
+
+
 class Source:
     """The frames of one backend in an output folder (or beside a USD file).
 
@@ -325,8 +330,7 @@ class Source:
     def _rendered(self) -> tuple[str, ...]:
         folders = [batch.folder / FRAMES for batch in self._batches]
         names = {p.name for f in folders if f.is_dir() for p in f.iterdir() if p.is_dir()}
-        # Annotation alone comes last: of several backends the first with pictures is taken.
-        return tuple(sorted(names, key=lambda name: (name == ANNOTATION, name)))
+        return pictures_first(names)
 
     def _choose(self, wanted: str | None) -> str:
         there = self.backends

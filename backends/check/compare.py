@@ -27,7 +27,7 @@ from scenec.backends.stage.read import read_stage
 from scenec.backends.stage.scene import Camera, RenderScene
 from scenec.schemas.errors import BackendError, FrameError
 from scenec.schemas.exr import is_id_pass
-from scenec.schemas.frames import Frame, frame_stem, read_frame
+from scenec.schemas.frames import ANNOTATION_NAMES, Frame, frame_stem, read_frame
 from scenec.schemas.manifest import FRAMES, Batch, find_batches
 
 #: Where pictures of differences go, in the output folder.
@@ -120,7 +120,7 @@ def compare(
 
     Args:
         out: Output folder, or a USD file.
-        backends: Two or more names.
+        backends: Names; the exact caster's own counts for nothing: all are held against it.
         say: Told what is rendered.
         options: See ``CompareOptions``.
 
@@ -128,7 +128,7 @@ def compare(
         ScenecError: A stage cannot be read, or a backend fails.
     """
     options = options or CompareOptions()
-    run = _Run(backends, options, say)
+    run = _Run([name for name in backends if name not in ANNOTATION_NAMES], options, say)
     for batch in find_batches(out):
         with tempfile.TemporaryDirectory() as aside:
             run.batch(batch, Path(aside))
@@ -224,14 +224,15 @@ class _Run:
     def batch(self, batch: Batch, aside: Path) -> None:
         scene = read_stage(batch.stage, allow_missing=self.options.allow_missing)
         places = self._places(scene)
+        self.frames += len(places)
         self._witness(batch, scene, places, aside)
-        if not any("rgb" in self._wanted(camera) for _, _, camera in places):
+        colored = any("rgb" in self._wanted(camera) for _, _, camera in places)
+        if len(self.backends) < 2 or not colored:
             return
         stems = {name: self._ready(batch, name, scene, aside / name) for name in self.backends}
         floors = self._floor(batch, scene, aside / "floor")
         for number in range(len(places)):
             frames = {name: read_frame(of[number]) for name, of in stems.items()}
-            self.frames += 1
             first = frames[self.backends[0]]
             for name in self.backends[1:]:
                 flip_map = self._radiance(first, frames[name], name, floors, number)

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from scenec.datasets.colors import NO_LABEL, label_colors
-from scenec.datasets.source import Source, sidecar_values
+from scenec.datasets.source import Source, pictures_first, sidecar_values
 from scenec.datasets.view.fields import HALF_ERROR
 from scenec.datasets.view.fitting import fit, too_small
 from scenec.datasets.view.ground import Ground, ground_text, objects_text
@@ -122,15 +122,14 @@ def write_view(
 
 
 def _sources(out: Path, backends: Sequence[str] | None) -> list[Source]:
-    there = sorted(
-        {
-            path.name
-            for batch in find_batches(out)
-            if (batch.folder / FRAMES).is_dir()
-            for path in (batch.folder / FRAMES).iterdir()
-            if path.is_dir() and any(path.glob("*/*.json"))
-        }
-    )
+    names = {
+        path.name
+        for batch in find_batches(out)
+        if (batch.folder / FRAMES).is_dir()
+        for path in (batch.folder / FRAMES).iterdir()
+        if path.is_dir() and any(path.glob("*/*.json"))
+    }
+    there = pictures_first(names)
     # Without any, the source says what to do.
     chosen: Sequence[str | None] = backends or there or [None]
     return [Source(out, backend) for backend in chosen]

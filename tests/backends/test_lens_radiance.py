@@ -317,7 +317,6 @@ class Pinholes:
     name = "pinholes"
     device = "cpu"
     denoiser = None
-    caster = None
 
     def __init__(self) -> None:
         self.seen: list[Camera | None] = []
@@ -329,6 +328,10 @@ class Pinholes:
     def version(self) -> str:
         """One."""
         return "1"
+
+    def warning(self) -> str | None:
+        """Nothing."""
+        return None
 
     def load(self, scene: RenderScene) -> None:
         """Nothing to do."""

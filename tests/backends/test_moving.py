@@ -223,8 +223,6 @@ def test_a_posed_caster_is_one_of_the_posed_scene_whatever_the_matrices():
         fresh = ExactCaster(still(scene, sample))
         for a, b in zip(caster.cast(rays), fresh.cast(rays), strict=True):
             assert same(a, b)
-        assert same(caster.geometry.row_twin, fresh.geometry.row_twin)
-        assert caster.geometry.row_twin[[8, 9]].all()
         np.testing.assert_array_equal(caster.geometry.row_spheres, fresh.geometry.row_spheres)
     assert np.count_nonzero(caster.cast(rays)[0] >= 0) > 300
 

@@ -58,7 +58,7 @@ def test_a_foreign_stage_renders_every_camera_and_sample(stage: Path):
     report = run(stage, progress=lambda done, total, text: steps.append((done, total)))
     assert (report.rendered, report.skipped, report.deaths) == (6, 0, 0)
     assert steps == [(i, 6) for i in range(1, 7)]
-    assert {"load", "radiance", "compose", "visibility", "resolve", "write"} <= set(report.seconds)
+    assert {"load", "radiance", "compose", "annotate", "write"} <= set(report.seconds)
     frame = read_frame(report.frames[0])
     height, width = frame.passes["depth"].shape
     assert frame.passes["depth"][height // 2, width // 2] == np.float32(6.0)
