@@ -342,7 +342,7 @@ def test_67_million_pixels_are_annotated_within_6_gib(tmp_path: Path) -> None:
     out = compile_cfg(write_cfg(tmp_path, small_cfg(samples=1)), seed=4, out=tmp_path / "out").out
     script = (
         "import dataclasses, json, sys\n"
-        "from scenec.backends import memory\n"
+        "from scenec.backends.run import memory\n"
         "from scenec.backends.run.session import Session\n"
         "s = Session.open(sys.argv[1], 'reference')\n"
         "c = s.scene.cameras[0][0]\n"

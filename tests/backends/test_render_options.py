@@ -50,7 +50,7 @@ def test_a_device_that_a_backend_lacks_is_refused_before_anything_else(tmp_path,
     with pytest.raises(BackendError, match=r"plain has no device 'cuda'; it has auto, cpu, optix$"):
         render(broken, "plain", device="cuda")
     with pytest.raises(BackendError, match="no driver for optix"):
-        render(broken, "plain", device="optix")
+        render(square_stage(tmp_path / "square.usda", width=32), "plain", device="optix")
 
 
 @pytest.mark.usefixtures("worker_here")

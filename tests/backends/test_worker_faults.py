@@ -254,7 +254,7 @@ def test_the_default_limit_is_below_what_there_is():
 
 def test_the_peak_of_a_process_is_its_own_and_can_be_reset():
     code = (
-        "from scenec.backends import memory\n"
+        "from scenec.backends.run import memory\n"
         "held = bytearray(300_000_000); del held\n"
         "print(memory.peak()); memory.reset_peak(); print(memory.peak())\n"
     )
