@@ -54,6 +54,33 @@ def require_name(name: str) -> None:
         raise BackendError(f"no backend {name!r}: {hint}there are {there}")
 
 
+def backend_class(name: str, device: str = "auto") -> type[Backend]:
+    """Import a backend's class, which says what it can do: no renderer starts.
+
+    Args:
+        name: One of ``backend_names``.
+        device: "auto", or one of the backend's own devices.
+
+    Raises:
+        BackendError: No such backend, its class cannot be imported, or it has no such device.
+    """
+    require_name(name)
+    if name in ANNOTATION_NAMES:
+        raise BackendError(
+            f"{name} has no rgb; leave rgb out of --passes, or use --backend mitsuba"
+        )
+    load, mend = _target(name)
+    try:
+        found: type[Backend] = load()
+    except (ImportError, AttributeError) as error:
+        raise _not_imported(name, error, mend) from error
+    if device not in ("auto", *found.devices):
+        raise BackendError(
+            f"backend {name} has no device {device!r}; it has auto, {', '.join(found.devices)}"
+        )
+    return found
+
+
 def open_backend(name: str, device: str = "auto") -> Backend:
     """Import a backend and make one.
 
@@ -65,37 +92,23 @@ def open_backend(name: str, device: str = "auto") -> Backend:
         BackendError: No such backend, not installed (says what to install), it has no such device,
             or it cannot start.
     """
-    require_name(name)
-    if name in ANNOTATION_NAMES:
-        raise BackendError(
-            f"{name} has no rgb; leave rgb out of --passes, or use --backend mitsuba"
-        )
+    made = backend_class(name, device)
+    try:
+        return made(device=device)  # type: ignore[call-arg]
+    except ImportError as error:
+        raise _not_imported(name, error, _target(name)[1]) from error
+
+
+def _target(name: str) -> tuple[Callable[[], Any], str]:
+    """What imports a backend's class, and what mends it if that fails."""
     if name in BUILT_IN:
         target, extra = BUILT_IN[name]
-        mend = f"pip install 'scenec[{extra}]'" if extra else "pip install --force-reinstall scenec"
         module, _, attribute = target.partition(":")
-        return _make(
-            name, lambda: getattr(importlib.import_module(module), attribute), mend, device
-        )
+        mend = f"pip install 'scenec[{extra}]'" if extra else "pip install --force-reinstall scenec"
+        return lambda: getattr(importlib.import_module(module), attribute), mend
     point = next(point for point in _points() if point.name == name)
     package = point.dist.name if point.dist else name
-    return _make(name, point.load, f"pip install --force-reinstall {package}", device)
-
-
-def _make(name: str, load: Callable[[], Any], mend: str, device: str) -> Backend:
-    try:
-        made = load()
-    except (ImportError, AttributeError) as error:
-        raise _not_imported(name, error, mend) from error
-    if device not in ("auto", *made.devices):
-        raise BackendError(
-            f"backend {name} has no device {device!r}; it has auto, {', '.join(made.devices)}"
-        )
-    try:
-        backend: Backend = made(device=device)
-        return backend
-    except ImportError as error:
-        raise _not_imported(name, error, mend) from error
+    return point.load, f"pip install --force-reinstall {package}"
 
 
 def _not_imported(name: str, error: Exception, mend: str) -> BackendError:

@@ -137,6 +137,7 @@ def add_render_options(parser: argparse.ArgumentParser) -> None:
         help="denoise rgb, if the renderer has a denoiser; refused where a camera has an aperture "
         "or moves while its shutter is open",
     )
+    add_executor(parser)
     parser.add_argument(
         "--timeout",
         type=amount,
@@ -150,6 +151,30 @@ def add_render_options(parser: argparse.ArgumentParser) -> None:
         metavar="GB",
         help="memory a renderer's process may hold before it is replaced "
         "(default: 80 %% of what there is)",
+    )
+
+
+def count(text: str) -> int:
+    """A whole number from 0 to 1024."""
+    if not text.isdecimal() or int(text) > 1024:
+        raise argparse.ArgumentTypeError(f"{text!r}: expected a whole number from 0 to 1024")
+    return int(text)
+
+
+def add_executor(parser: argparse.ArgumentParser) -> None:
+    """Who works."""
+    parser.add_argument(
+        "--workers",
+        type=count,
+        metavar="N",
+        help="processes that work side by side, each with its share of the cores; 0: none but this "
+        "one (default: $SCENEC_WORKERS, or 1)",
+    )
+    parser.add_argument(
+        "--cluster",
+        metavar="ADDRESS",
+        help="workers of a dask cluster instead: its scheduler's address or file, or local "
+        "(docs/cluster.md)",
     )
 
 

@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import fields
 
-from scenec.backends.run.render import Limits, RenderReport, render
+from scenec.backends.run.executors import make_executor
+from scenec.backends.run.limits import Limits
+from scenec.backends.run.plan import RenderPlan
+from scenec.backends.run.render import RenderReport, render
 from scenec.cli.output import Progress, print_json, say
 from scenec.schemas.memory import GB
 
@@ -19,29 +23,15 @@ def run(options: argparse.Namespace) -> int:
 
 def render_now(options: argparse.Namespace) -> RenderReport:
     """Renders, and says what came of it."""
-    limit = options.memory_limit
-    limits = Limits(
-        timeout_s=options.timeout, memory_bytes=None if limit is None else round(limit * GB)
-    )
-    report = render(
-        options.out,
-        options.backend,
-        spp=options.spp,
-        passes=options.passes,
-        samples=options.samples,
-        batches=options.batches,
-        noise_seed=options.noise_seed,
-        device=options.device,
-        denoise=options.denoise,
-        error=options.error,
-        seconds=options.seconds,
-        # Of ``run`` there is none: what it renders it has just compiled.
-        allow_missing=getattr(options, "allow_missing", False),
-        limits=limits,
-        progress=Progress("frame"),
-        warn=lambda line: say(f"warning: {line}"),
-        say=say,
-    )
+    with make_executor(options.workers, options.cluster, limits_of(options)) as executor:
+        report = render(
+            options.out,
+            plan_of(options),
+            executor=executor,
+            progress=Progress("frame"),
+            warn=lambda line: say(f"warning: {line}"),
+            say=say,
+        )
     there = f", {report.skipped} were there already" if report.skipped else ""
     seconds = sum(report.seconds.values())
     if report.refused:
@@ -52,6 +42,22 @@ def render_now(options: argparse.Namespace) -> RenderReport:
     where = "" if made is None else f": {made.parent}/"
     say(f"{report.rendered} frames rendered in {seconds:.1f} s{there}{where}")
     return report
+
+
+def plan_of(options: argparse.Namespace) -> RenderPlan:
+    """What a command line asks to be rendered.
+
+    Raises:
+        BackendError: It cannot be.
+    """
+    names = {field.name for field in fields(RenderPlan)}
+    return RenderPlan(**{name: value for name, value in vars(options).items() if name in names})
+
+
+def limits_of(options: argparse.Namespace) -> Limits:
+    """What a command line lets workers take."""
+    memory = options.memory_limit
+    return Limits(options.timeout, memory_bytes=None if memory is None else round(memory * GB))
 
 
 def as_json(report: RenderReport) -> dict[str, object]:

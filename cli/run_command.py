@@ -55,7 +55,8 @@ def _refuse_early(options: argparse.Namespace) -> bool:
         CfgError: The cfg has faults.
         BackendError: The backend cannot render what is asked for.
     """
-    from scenec.backends.run.render import check_backend
+    from scenec.backends.run.auto import check_backend
+    from scenec.cli.render_command import plan_of
     from scenec.compiler.frontend.load import load
 
     wanted = options.passes
@@ -64,13 +65,6 @@ def _refuse_early(options: argparse.Namespace) -> bool:
     drawn = [n for n, s in sensors.items() if "rgb" in (wanted or s["outputs"])]
     if wanted is None:
         wanted = [name for s in sensors.values() for name in s["outputs"]]
-    check_backend(
-        options.backend,
-        device=options.device,
-        denoise=options.denoise,
-        error=options.error,
-        seconds=options.seconds,
-        rgb="rgb" in wanted,
-        apertures=[name for name in drawn if "focus" in sensors[name]],
-    )
+    apertures = [name for name in drawn if "focus" in sensors[name]]
+    check_backend(plan_of(options), rgb="rgb" in wanted, apertures=apertures)
     return any("lidars" in rig for rig in rigs.values())

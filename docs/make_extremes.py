@@ -36,7 +36,7 @@ from scenec.backends.check.compare import check_exact
 from scenec.backends.check.witness import Witness, ask
 from scenec.backends.exact import ExactCaster
 from scenec.backends.run import memory
-from scenec.backends.run.jobs import Wanted
+from scenec.backends.run.plan import RenderPlan
 from scenec.backends.run.render import render
 from scenec.backends.run.session import Session
 from scenec.backends.stage.read import read_stage
@@ -123,9 +123,7 @@ def witness(drawn: Drawn, backend: str, folder: Path) -> None:
     """Pixels of each case of which a renderer itself sees another face or object than exact."""
     caster, cameras = ExactCaster(drawn.scene), drawn.scene.cameras[0]
     (batch,) = find_batches(drawn.folder)
-    told = ask(
-        batch, Wanted(backend, passes=("rgb",)), [(0, i) for i in range(len(cameras))], folder
-    )
+    told = ask(batch, RenderPlan(backend, ("rgb",)), [(0, i) for i in range(len(cameras))])
     for camera, seen in zip(cameras, told, strict=True):
         found = Witness()
         if seen is not None:

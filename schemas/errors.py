@@ -44,6 +44,10 @@ class CfgError(ScenecError):
         self.faults = tuple(sorted(faults))
         super().__init__("\n".join(str(fault) for fault in self.faults))
 
+    def __reduce__(self) -> tuple[type[CfgError], tuple[tuple[Fault, ...]]]:
+        """Between processes it goes with its faults."""
+        return CfgError, (self.faults,)
+
 
 class SceneError(ScenecError):
     """A valid cfg that cannot be built: a density that is zero everywhere, a DEM with holes.

@@ -21,7 +21,7 @@ from scenec.backends.check.radiance import (
 )
 from scenec.backends.check.witness import Witness, ask
 from scenec.backends.exact import ExactCaster
-from scenec.backends.run.jobs import Wanted
+from scenec.backends.run.plan import RenderPlan
 from scenec.backends.run.render import render
 from scenec.backends.stage.read import read_stage
 from scenec.backends.stage.scene import Camera, RenderScene
@@ -225,7 +225,7 @@ class _Run:
         scene = read_stage(batch.stage, allow_missing=self.options.allow_missing)
         places = self._places(scene)
         self.frames += len(places)
-        self._witness(batch, scene, places, aside)
+        self._witness(batch, scene, places)
         colored = any("rgb" in self._wanted(camera) for _, _, camera in places)
         if len(self.backends) < 2 or not colored:
             return
@@ -240,16 +240,14 @@ class _Run:
                 file = f"{batch.name}_{camera.name}_{sample:06d}_{self.backends[0]}_{name}.png"
                 self._picture(file, name, first, frames[name], flip_map)
 
-    def _witness(
-        self, batch: Batch, scene: RenderScene, places: Sequence[Place], aside: Path
-    ) -> None:
+    def _witness(self, batch: Batch, scene: RenderScene, places: Sequence[Place]) -> None:
         """What each renderer itself sees of each frame."""
         caster = ExactCaster(scene)
         for name in self.backends:
             found = self.witnesses.setdefault(name, Witness())
             self.say(f"asking {name} what it sees of {len(places)} frames of {batch.name}")
-            wanted = Wanted(name, passes=("rgb",), allow_missing=self.options.allow_missing)
-            told = ask(batch, wanted, [place[:2] for place in places], aside)
+            plan = RenderPlan(name, ("rgb",), allow_missing=self.options.allow_missing)
+            told = ask(batch, plan, [place[:2] for place in places])
             for (sample, _, camera), seen in zip(places, told, strict=True):
                 if seen is None:
                     found.unseen += 1

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
+from functools import partial
 
 import numpy as np
 from numba import njit
@@ -25,11 +25,14 @@ from numpy.typing import NDArray
 from scenec.backends.contract import NO_ROW, Rays, Visibility
 from scenec.backends.exact.caster import ExactCaster, Hits
 from scenec.backends.exact.intersect import distance_from_face, ray_frame, row_matrix
-from scenec.backends.run.jobs import Jobs, Wanted
-from scenec.backends.run.supervise import WorkerProcess
+from scenec.backends.run.executors import make_executor
+from scenec.backends.run.frames import opening
+from scenec.backends.run.plan import RenderPlan
+from scenec.backends.run.units import OfSession, witness
 from scenec.schemas.errors import BackendError
 from scenec.schemas.manifest import Batch
 from scenec.schemas.threads import over_threads
+from scenec.schemas.units import run_all
 
 HAIR_FLOAT32 = 16.0 * 2.0**-24
 HAIR_PIXELS = 1.0 / 64.0
@@ -87,15 +90,14 @@ class Witness:
 
 
 def ask(
-    batch: Batch, wanted: Wanted, places: Sequence[tuple[int, int]], folder: Path
+    batch: Batch, plan: RenderPlan, places: Sequence[tuple[int, int]]
 ) -> Iterator[Visibility | None]:
     """What a renderer sees of frames of a batch, asked in a process of its own.
 
     Args:
         batch: The batch.
-        wanted: Names the backend; its ``passes`` hold ``rgb``, or no renderer starts.
+        plan: Names the backend; its ``passes`` hold ``rgb``, or no renderer starts.
         places: Samples and numbers of cameras.
-        folder: For a file between the processes.
 
     Yields:
         For each place, what it sees; None if it does not tell.
@@ -103,16 +105,17 @@ def ask(
     Raises:
         ScenecError: The stage cannot be read, or the backend does not start.
     """
-    file = folder / "witness.npz"
-    with WorkerProcess() as worker:
-        Jobs(batch, wanted).open(worker)
-        for sample, camera in places:
-            request = {"op": "witness", "file": str(file), "camera": camera, "sample": sample}
-            if not worker.ask(request, f"{wanted.backend}: {batch.name}/{sample:06d}")["there"]:
-                yield None
-                continue
-            with np.load(file) as arrays:
-                yield Visibility(arrays["row"], arrays["face"])
+    holds = opening(batch, plan)
+    units = (
+        OfSession(
+            holds, f"{plan.backend}: {batch.name}/{sample:06d}", partial(witness, camera, sample)
+        )
+        for sample, camera in places
+    )
+    # One worker: what it sees comes in order.
+    with make_executor() as executor:
+        for _, outcome in run_all(executor, units):
+            yield outcome.result()
 
 
 def _explain(

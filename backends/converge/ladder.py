@@ -11,11 +11,14 @@ from pathlib import Path
 from typing import Any
 
 from scenec.backends.picture.adaptive import MOST_SPP
-from scenec.backends.run.jobs import Job, Jobs, Wanted
-from scenec.backends.run.supervise import WorkerProcess
+from scenec.backends.run.executors import make_executor
+from scenec.backends.run.frames import frames_of, opening
+from scenec.backends.run.plan import RenderPlan
+from scenec.backends.run.units import Opened, OpenStage, RenderFrame
 from scenec.schemas.files import write_json
 from scenec.schemas.frames import Frame, is_done, read_frame
 from scenec.schemas.manifest import Batch
+from scenec.schemas.units import Executor, Unit, run_all
 
 Say = Callable[[str], None]
 
@@ -138,8 +141,8 @@ def climb(batch: Batch, backend: str, ladder: Ladder, folder: Path, say: Say) ->
         BackendError: The backend cannot draw it.
         OutputError: A frame cannot be written.
     """
-    with WorkerProcess(say) as worker:
-        one = _Climb(batch, backend, ladder, folder, say, worker)
+    with make_executor(1) as executor:
+        one = _Climb(batch, backend, ladder, folder, say, executor)
         return one.all()
 
 
@@ -153,14 +156,14 @@ class _Climb:
         ladder: Ladder,
         folder: Path,
         say: Say,
-        worker: WorkerProcess,
+        executor: Executor,
     ) -> None:
         self._batch = batch
         self._ladder = ladder
         self._folder = folder
         self._say = say
-        self._worker = worker
-        self._wanted = Wanted(
+        self._executor = executor
+        self._wanted = RenderPlan(
             backend,
             spp=1,
             passes=("rgb", *ANNOTATION),
@@ -170,7 +173,7 @@ class _Climb:
         )
         start = time.perf_counter()
         # Opened with every pass that is asked for later; requests name those of each frame.
-        self._opened: dict[str, Any] = Jobs(batch, self._wanted).open(worker)
+        self._opened: Opened = self._ask(OpenStage(opening(batch, self._wanted)))
         self._opening_s = time.perf_counter() - start
         self._warm = False
 
@@ -188,7 +191,7 @@ class _Climb:
             again = _REFERENCE_SEED + 1
             references += (self._render("reference/second", spp=ladder.reference, seed=again),)
             for denoise in (False, True) if ladder.denoise else (False,):
-                if denoise and opened["denoiser"] is None:
+                if denoise and opened.denoiser is None:
                     self._say(f"{self._wanted.backend} has no denoiser: one ladder for it")
                     continue
                 rungs += [(rung, denoise, self._repeats(rung, denoise)) for rung in ladder.rungs]
@@ -199,21 +202,21 @@ class _Climb:
             )
         return Climbed(
             self._wanted.backend,
-            opened["version"],
-            opened["device"],
+            opened.version,
+            opened.device,
             stochastic,
             references,
             rungs,
-            opened["denoiser"] if ladder.denoise else None,
-            tuple(opened["losses"]),
-            opened["digest"],
+            opened.denoiser if ladder.denoise else None,
+            opened.losses,
+            opened.digest,
             self._start_s(),
         )
 
     def _start_s(self) -> float | None:
         try:
             known = json.loads((self._folder / self._wanted.backend / START).read_bytes())
-            same = known["stage_digest"] == self._opened["digest"]
+            same = known["stage_digest"] == self._opened.digest
             return float(known["seconds"]) if same else None
         except (OSError, ValueError, KeyError, TypeError):
             return None
@@ -239,38 +242,36 @@ class _Climb:
         all_: bool = False,
     ) -> list[Shown]:
         """All frames of one quality and noise; with annotation if ``all_``."""
-        wanted = replace(self._wanted, spp=spp, noise_seed=seed, denoise=denoise, seconds=seconds)
+        plan = replace(self._wanted, spp=spp, noise_seed=seed, denoise=denoise, seconds=seconds)
         folder = self._folder / self._wanted.backend / name
-        jobs = self._jobs(wanted, folder, all_)
-        todo = [job for job in jobs if not is_done(job.stem, job.key)]
+        frames = self._frames(plan, folder, all_)
+        todo = [frame for frame in frames if not is_done(frame.stem, frame.key)]
         if todo:
             self._say(f"{self._batch.name}: {self._wanted.backend} {name}, {len(todo)} frames")
         if todo and not self._warm:
             self._warm_up()
-        for job in todo:
-            self._worker.ask(job.request, f"{self._wanted.backend} {name} {job.what}")
-        return [Shown(job.stem, job.what) for job in jobs]
+        for frame in todo:
+            self._ask(replace(frame, what=f"{plan.backend} {name} {frame.what}"))
+        return [Shown(frame.stem, frame.what) for frame in frames]
 
-    def _jobs(self, wanted: Wanted, folder: Path, all_: bool) -> list[Job]:
-        jobs = Jobs(replace(self._batch, folder=folder), wanted)
-        opened = self._opened
-        if not all_:
-            cameras = [
-                [{**camera, "passes": ["rgb"]} for camera in cameras]
-                for cameras in opened["cameras"]
-            ]
-            opened = {**opened, "cameras": cameras}
-        jobs.take(opened)
-        return list(jobs)
+    def _ask(self, unit: Unit) -> Any:
+        ((_, outcome),) = run_all(self._executor, [unit])
+        for line in outcome.warnings:
+            self._say(line)
+        return outcome.result()
+
+    def _frames(self, plan: RenderPlan, folder: Path, all_: bool) -> list[RenderFrame]:
+        batch = replace(self._batch, folder=folder)
+        return frames_of(batch, plan, self._opened, passes=None if all_ else ("rgb",))
 
     def _warm_up(self) -> None:
         self._warm = True
         start = time.perf_counter()
         with tempfile.TemporaryDirectory() as aside:
-            job = self._jobs(replace(self._wanted, spp=2), Path(aside), all_=False)[0]
-            self._worker.ask(job.request, f"{self._wanted.backend}: the first picture")
+            frame = self._frames(replace(self._wanted, spp=2), Path(aside), all_=False)[0]
+            self._ask(replace(frame, what=f"{self._wanted.backend}: the first picture"))
         seconds = self._opening_s + time.perf_counter() - start
         write_json(
             self._folder / self._wanted.backend / START,
-            {"stage_digest": self._opened["digest"], "seconds": seconds},
+            {"stage_digest": self._opened.digest, "seconds": seconds},
         )

@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from statistics import median
 from typing import Any
 
-from scenec.backends.registry import backend_names
-from scenec.backends.run.jobs import Wanted
-from scenec.backends.run.supervise import WorkerProcess
+from scenec.backends.registry import AUTO, backend_class, backend_names
+from scenec.backends.run.doctor import start
+from scenec.backends.run.executors import ask
+from scenec.backends.run.plan import RenderPlan
+from scenec.backends.run.units import OfBackend
 from scenec.schemas.errors import BackendError
+from scenec.schemas.frames import ANNOTATION_NAMES
 
 #: What ``scenec converge`` measured, in the output folder.
 MEASURED = Path("converge", "converge.json")
@@ -40,7 +44,7 @@ class Choice:
         return asdict(self)
 
 
-def choose(out: Path | None, wanted: Wanted, say: Say = lambda _line: None) -> Choice:
+def choose(out: Path | None, plan: RenderPlan, say: Say = lambda _line: None) -> Choice:
     """Choose the backend that is to render, and say why.
 
     Where ``scenec converge`` has measured the output, renderers with less variance times seconds
@@ -49,7 +53,7 @@ def choose(out: Path | None, wanted: Wanted, say: Say = lambda _line: None) -> C
 
     Args:
         out: Output folder; None: there is none yet.
-        wanted: What is to be rendered; its ``backend`` does not count.
+        plan: What is to be rendered; its ``backend`` does not count.
         say: Told the reasons.
 
     Raises:
@@ -60,12 +64,10 @@ def choose(out: Path | None, wanted: Wanted, say: Say = lambda _line: None) -> C
     order = ", ".join(names) + (f" (variance times seconds, {MEASURED})" if costs else "")
     left_out: dict[str, str] = {}
     for name in names:
-        request = {"op": "describe", "backend": name, "device": wanted.device, "rgb": True}
         try:
-            with WorkerProcess() as worker:
-                found = worker.ask(request, f"backend {name}")
-            if wanted.denoise and found["denoiser"] is None:
+            if backend_class(name, plan.device).denoiser is None and plan.denoise:
                 raise BackendError("it has no denoiser")
+            ask(OfBackend(name, partial(start, plan.device)))
         except BackendError as error:
             left_out[name] = str(error)
             say(f"auto: {name} is left out: {error}")
@@ -88,3 +90,31 @@ def _costs(file: Path) -> dict[str, float]:
     except (OSError, ValueError, KeyError, TypeError):
         # Not measured, or not to be told from the noise of its own reference.
         return {}
+
+
+def check_backend(plan: RenderPlan, *, rgb: bool, apertures: Sequence[str] = ()) -> None:
+    """Refuse what ``render`` would refuse, before there is a stage.
+
+    Starts each renderer that is asked for, in a process of its own.
+
+    Args:
+        plan: What will be asked.
+        rgb: Whether ``rgb`` will be among the passes.
+        apertures: Cameras, by name, that ``rgb`` is asked of and that have an aperture.
+
+    Raises:
+        BackendError: A backend is not there, does not start, or cannot do what is asked.
+    """
+    plan.check_rgb(rgb=rgb)
+    if plan.denoise and apertures:
+        # Imported here: it compiles kernels, which a command has no need of otherwise.
+        from scenec.backends.camera.shutter import undenoised
+
+        raise BackendError(undenoised(apertures[0], "aperture"))
+    if not rgb or plan.backend in ANNOTATION_NAMES:
+        # Annotation needs no renderer.
+        return
+    if plan.backend == AUTO:
+        choose(None, plan)
+        return
+    ask(OfBackend(plan.backend, partial(start, plan.device)))

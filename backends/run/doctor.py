@@ -6,12 +6,12 @@ import importlib.metadata
 import platform
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from scenec.backends.registry import backend_names, open_backend
-from scenec.backends.run.supervise import WorkerProcess
+from scenec.backends.run.executors import ask
+from scenec.backends.run.units import OfBackend
 from scenec.backends.stage.scene import (
     Camera,
     Dome,
@@ -65,13 +65,10 @@ def diagnose(names: tuple[str, ...] | None = None) -> list[Diagnosis]:
     """Try each backend on a tiny scene, in its worker process: a crash is a finding, no more."""
     found = []
     for name in names or backend_names():
-        with WorkerProcess() as worker:
-            try:
-                answer = worker.ask({"op": "probe", "backend": name}, f"backend {name}")
-                message = answer["warning"] or ""
-                found.append(Diagnosis(name, True, answer["version"], answer["device"], message))
-            except BackendError as error:
-                found.append(Diagnosis(name, False, "", "", str(error)))
+        try:
+            found.append(ask(OfBackend(name, probe)))
+        except BackendError as error:
+            found.append(Diagnosis(name, False, "", "", str(error)))
     return found
 
 
@@ -86,7 +83,16 @@ def library_versions() -> dict[str, str]:
     return versions
 
 
-def probe(name: str) -> dict[str, Any]:
+def start(device: str, name: str) -> None:
+    """Start a backend in this process, and have it load a tiny scene.
+
+    Raises:
+        BackendError: It cannot start.
+    """
+    open_backend(name, device).load(tiny_scene())
+
+
+def probe(name: str) -> Diagnosis:
     """Render a tiny scene with a backend, in this process, and check what comes out.
 
     Raises:
@@ -106,11 +112,7 @@ def probe(name: str) -> dict[str, Any]:
             f"backend {name} starts, but the test scene's ground has radiance {value:g} "
             f"instead of {expected:g}"
         )
-    return {
-        "version": backend.version(),
-        "device": backend.device,
-        "warning": backend.warning(),
-    }
+    return Diagnosis(name, True, backend.version(), backend.device, backend.warning() or "")
 
 
 def tiny_scene() -> RenderScene:

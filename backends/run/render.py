@@ -4,43 +4,42 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Collection, Sequence
-from contextlib import suppress
+from collections import deque
+from collections.abc import Callable, Hashable, Sequence
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from scenec.backends.picture import brightness
-from scenec.backends.picture.adaptive import MOST_SPP
 from scenec.backends.registry import AUTO
-from scenec.backends.run.asked import (
-    check_backend,
-    check_rgb,
-    check_words,
-    no_denoiser,
-    unasked,
-)
 from scenec.backends.run.auto import choose
-from scenec.backends.run.jobs import Job, Jobs, Wanted, frame_seed
-from scenec.backends.run.limits import Limits
-from scenec.backends.run.memory import default_limit
-from scenec.backends.run.supervise import FrameLostError, WorkerProcess
+from scenec.backends.run.executors import make_executor
+from scenec.backends.run.frames import frames_of, opening, unasked
+from scenec.backends.run.plan import RenderPlan
+from scenec.backends.run.supervise import FrameLostError
+from scenec.backends.run.units import (
+    Made,
+    OfSession,
+    Opened,
+    OpenStage,
+    RenderFrame,
+    write_instances,
+)
 from scenec.schemas.errors import CameraRefusedError, StageError
 from scenec.schemas.files import check_writable, sweep
-from scenec.schemas.frames import is_done
-from scenec.schemas.lock import LOCK, BusyError, Lock
+from scenec.schemas.frames import frame_stem, is_done
+from scenec.schemas.lock import BusyError, Lock
 from scenec.schemas.manifest import FRAMES, Batch, find_batches, gaps, read_manifest
 from scenec.schemas.strays import strays, told
+from scenec.schemas.units import Executor, Outcome, Unit
 from scenec.schemas.update import reading
-
-__all__ = ["Limits", "RenderReport", "check_backend", "frame_seed", "render"]
 
 #: ``progress(done, total, text)``, called after each frame.
 Progress = Callable[[int, int, str], None]
 Say = Callable[[str], None]
 
-#: Samples per pixel where a user says nothing.
-USUAL_SPP = 64
 #: Seconds between two looks at a frame that another process is making.
 _LOOK_S = 0.1
 
@@ -90,70 +89,35 @@ class RenderReport:
 
 def render(
     out: Path | str,
-    backend: str,
+    plan: RenderPlan | str,
     *,
-    spp: int | None = None,
-    passes: Sequence[str] | None = None,
-    samples: Collection[int] | None = None,
-    batches: Collection[int] | None = None,
-    noise_seed: int = 0,
-    folder: Path | None = None,
-    device: str = "auto",
-    denoise: bool = False,
-    error: float | None = None,
-    seconds: float | None = None,
-    cameras: Collection[str] | None = None,
-    allow_missing: bool = False,
-    limits: Limits | None = None,
+    executor: Executor | None = None,
     progress: Progress | None = None,
     warn: Say | None = None,
     say: Say | None = None,
+    **options: Any,
 ) -> RenderReport:
     """Render to ``<batch>/frames/<backend>/<camera>/<sample>.{exr,png,json}``.
 
     Frames that are there and were made from the same stage with the same passes, samples per pixel
     (or target), noise seed, denoising and backend are not made again.
 
-    Args:
-        out: Output folder of a compile, or a USD file (its frames go beside it).
-        backend: Name, see ``registry``; "auto" for the first that works
-            (``scenec.backends.run.auto``). Without ``rgb`` no renderer starts, and frames go to
-            ``frames/annotation``.
-        spp: Samples per pixel of ``rgb``; None is 64. With ``error`` or ``seconds`` it is the most
-            there may be; None is 4096 then.
-        passes: ``rgb``, ``depth``, ``range``, ``label`` (all levels) or ``label.<level>``,
-            ``instance``, ``normal``, ``position``, ``face``, ``amodal`` (masks, a file of their
-            own; it brings ``instance`` with it); None takes the stage's own choice.
-        samples: Only these time codes.
-        batches: Only these batches.
-        noise_seed: Renderings with different ones have independent noise.
-        folder: Where frames go (``<folder>/frames``; for several batches, a folder each in it);
-            None puts them into the batches' own.
-        device: One of the backend's devices, or "auto" for the fastest that works here.
-        denoise: Whether to denoise ``rgb``; the error that remains is then unknown.
-        error: Render ``rgb`` in rounds until its relative rms error is below this by its 95 % bound
-            (``noise.estimate``).
-        seconds: Render ``rgb`` in rounds for as long as this, a frame; loading and annotation do
-            not count. Such frames depend on the machine's speed; those that are there still count
-            as made.
-        cameras: Only these, by name.
-        allow_missing: Whether to render what is there of a stage that is not whole (layers, prims,
-            pictures that are missing, files that are not those of the manifest): sidecars then say
-            what was missing, under ``losses``, and a later render of the whole stage makes these
-            frames again.
-        limits: What a worker may take: seconds without progress, seconds a frame, memory.
-        progress: Called after each frame.
-        warn: Called with lines worth showing at once.
-        say: Called with lines about what is being done.
-
     Several processes may render one output at once, with one backend or several: what one is making
     the others leave to it, and look at it again in the end. While one renders nobody compiles.
 
     A batch whose stage cannot be read costs no other; it is said in ``failed``. A frame that kills
-    its worker again and again is given up, said in ``failed``, and costs no
-    other. One that the backend refuses (a camera it cannot draw, a pass the camera has not what it
-    takes for) costs the other frames of that camera in the batch, which are not tried, and no other
-    camera's.
+    its worker again and again is given up, said in ``failed``, and costs no other. One that the
+    backend refuses (a camera it cannot draw, a pass the camera has not what it takes for) costs the
+    other frames of that camera in the batch, which are not tried, and no other camera's.
+
+    Args:
+        out: Output folder of a compile, or a USD file (its frames go beside it).
+        plan: What is asked; or the backend's name, and the other fields as ``options``.
+        executor: Who renders, see ``run.executors``; None: one process of its own.
+        progress: Called after each frame.
+        warn: Called with lines worth showing at once.
+        say: Called with lines about what is being done.
+        options: Fields of ``RenderPlan``.
 
     Raises:
         StageError: Nothing to render, or no stage can be read, or is whole.
@@ -162,271 +126,318 @@ def render(
             before anything is rendered.
         OutputError: No manifest, a frame cannot be written, or a compilation is at work.
     """
-    if spp is None:
-        spp = USUAL_SPP if error is None and seconds is None else MOST_SPP
-    wanted = Wanted(
-        backend, spp, passes, samples, noise_seed, device, denoise, error, seconds, cameras,
-        allow_missing=allow_missing,
-    )  # fmt: skip
-    check_words(wanted, rgb=passes is None or "rgb" in passes)
-    with reading(Path(out)):
-        chosen = find_batches(Path(out), batches)
-        check_writable(folder or chosen[0].folder)
-        if backend == AUTO:
-            choice = choose(Path(out), wanted, say or (lambda _line: None))
-            wanted = replace(wanted, backend=choice.backend, choice=choice.as_json())
-        in_output = folder is None and Path(out).is_dir()
-        run = _Run(wanted, limits or Limits(), len(chosen), in_output, progress, warn, say)
-        if batches is None and Path(out).is_dir():
-            run.note(gaps(read_manifest(Path(out))))
-        # Said once another batch can be read: what is wrong with all is one error.
-        unread: list[tuple[str, StageError]] = []
-        for number, batch in enumerate(chosen):
-            if folder is not None:
-                batch = replace(batch, folder=folder if len(chosen) == 1 else folder / batch.name)
-            try:
-                run.render(number, batch)
-            except StageError as error:
-                unread.append((f"{batch.name}: {error}", error))
-            if run.report.frames:
-                for line, _ in unread:
-                    run.fail(line)
-                unread.clear()
-    if unread:
-        raise unread[0][1]
-    if not run.report.frames:
-        raise StageError(f"{out}: no frame to render: no camera, or no sample in the range asked")
-    return run.report
-
-
-def describe(answer: dict[str, Any]) -> str:
-    """One line about a frame: seconds by step, and how far ``rgb`` is from converged."""
-    seconds = answer["seconds"]
-    parts = [f"{sum(seconds.values()):.2f} s"]
-    parts += [f"{step} {value:.2f}" for step, value in seconds.items() if value >= 0.005]
-    if answer.get("estimated_error"):
-        error = answer["estimated_error"]["relative_rms"]
-        parts.append("error unknown" if error is None else f"error {100 * error:.1f} %")
-        before = (answer.get("estimated_error_before_denoising") or {}).get("relative_rms")
-        if before is not None:
-            parts[-1] += f" ({100 * before:.1f} % before denoising)"
-    if answer.get("rounds"):
-        made = len(answer["rounds"]["rounds"])
-        parts.append(f"{answer['samples_per_pixel']} samples per pixel in {made} rounds")
-        if answer["rounds"]["target_met"] is False:
-            parts.append("target not met")
-    return ", ".join(parts)
-
-
-class _Run:
-    """One call of ``render``: what it wants, whom it tells, what came of it."""
-
-    def __init__(
-        self,
-        wanted: Wanted,
-        limits: Limits,
-        batches: int,
-        in_output: bool,
-        progress: Progress | None,
-        warn: Say | None,
-        say: Say | None,
-    ) -> None:
+    plan = RenderPlan(plan, **options) if isinstance(plan, str) else replace(plan, **options)
+    out, say = Path(out), say or (lambda _line: None)
+    with ExitStack() as stack:
+        stack.enter_context(reading(out))
+        batches = find_batches(out, plan.batches)
+        check_writable(plan.folder or batches[0].folder)
+        choice = None
+        if plan.backend == AUTO:
+            choice = choose(out, plan, say)
+            plan = replace(plan, backend=choice.backend)
+        if plan.folder is not None:
+            single = len(batches) == 1
+            batches = [
+                replace(b, folder=plan.folder if single else plan.folder / b.name) for b in batches
+            ]
+        report = RenderReport(
+            backend=plan.backend, choice=None if choice is None else choice.as_json()
+        )
+        run = _Render(plan, batches, report, _Tell(progress, warn, say, report))
         # Beside a USD file there may be the frames of another.
-        self._in_output = in_output
-        self.report = RenderReport(backend=wanted.backend, choice=wanted.choice)
-        self._wanted = wanted
-        self._batches = batches
-        self._progress = progress
-        self._warn = warn
-        self._say = say or (lambda line: None)
-        # Of the batch that is being rendered: by camera, the frame that was refused.
-        self._refused: dict[str, str] = {}
-        self._said: set[tuple[str, str]] = set()
-        if limits.memory_bytes is None:
-            limits = replace(limits, memory_bytes=default_limit())
-        self._limits = limits
+        run.strays_count = plan.folder is None and out.is_dir()
+        if plan.batches is None and out.is_dir():
+            run.tell.warn_all(gaps(read_manifest(out)))
+        executor = executor or stack.enter_context(make_executor())
+        executor.prepare(plan.folder or batches[0].folder, plan.device)
+        run.run(executor)
+    if not report.frames:
+        raise StageError(f"{out}: no frame to render: no camera, or no sample in the range asked")
+    return report
 
-    def note(self, lines: Sequence[str]) -> None:
+
+@dataclass
+class _Tell:
+    """Whom a render tells what."""
+
+    progress: Progress | None
+    _warn: Say | None
+    say: Say
+    _report: RenderReport
+
+    def warn(self, line: str) -> None:
+        """Warns of something, once."""
+        if line not in self._report.warnings:
+            self._report.warnings.append(line)
+            if self._warn:
+                self._warn(line)
+
+    def warn_all(self, lines: Sequence[str]) -> None:
         """Warns of some things."""
         for line in lines:
-            self._note(line)
+            self.warn(line)
 
     def fail(self, line: str) -> None:
         """Notes what cannot be made."""
-        self.report.failed.append(line)
-        self._note(line)
+        self._report.failed.append(line)
+        self.warn(line)
 
-    def render(self, number: int, batch: Batch) -> None:
-        """Renders one batch.
+
+@dataclass
+class _Work:
+    """A batch that has been opened: its frames, and what is known of them.
+
+    Attributes:
+        ready: Units to give out, in order.
+        left: Frames of which nothing came yet.
+        refused: By camera, the frame that was refused.
+    """
+
+    batch: Batch
+    opened: Opened
+    frames: list[RenderFrame]
+    ready: deque[Unit]
+    left: int
+    refused: dict[str, str] = field(default_factory=dict)
+
+
+class _Render:
+    """One call of ``render``: gives out units, and notes what came of them.
+
+    Args:
+        plan: What is asked.
+        batches: Of what.
+        report: Filled.
+        tell: Told.
+    """
+
+    def __init__(
+        self, plan: RenderPlan, batches: Sequence[Batch], report: RenderReport, tell: _Tell
+    ) -> None:
+        self.tell = tell
+        self.strays_count = False
+        self._plan = plan
+        self._report = report
+        self._batches = {opening(batch, plan): batch for batch in batches}
+        self._count = len(batches)
+        self._unopened = deque(self._batches)
+        self._works: dict[Hashable, _Work] = {}
+        #: Frames that others are making.
+        self._busy: list[RenderFrame] = []
+        self._under_way = 0
+        self._done = 0
+        self._said: set[tuple[str, str]] = set()
+        # Said once another batch can be read: what is wrong with all is one error.
+        self._unread: list[tuple[str, StageError]] = []
+
+    def run(self, executor: Executor) -> None:
+        """Render all.
 
         Raises:
-            StageError: It cannot be read, or does not hold what is asked for.
+            ScenecError: See ``render``.
         """
-        report = self.report
-        # A process per batch: memory goes back, whatever the renderer keeps.
-        with WorkerProcess(self._note, self._limits, self._say) as worker:
-            self._refused = {}
-            jobs = Jobs(batch, self._wanted)
-            opened = jobs.open(worker)
-            self._opened(opened, rgb=jobs.rgb)
-            self._table(worker, jobs)
-            if self._in_output:
-                self._strays(batch, jobs)
-            frames = batch.folder / FRAMES
-            sweep([frames, *sorted((frames / opened["backend"]).glob("*"))])
-            done = 0
-            busy: list[Job] = []
-            for wait, some in ((False, jobs), (True, busy)):
-                for job in some:
-                    if not wait:
-                        report.frames.append(job.stem)
-                    text = self._one(worker, job, jobs.cameras, wait)
-                    if text is None:
-                        busy.append(job)
-                        continue
-                    done += 1
-                    if self._progress:
-                        before = number * jobs.count
-                        total = self._batches * jobs.count
-                        self._progress(before + done, total, f"{job.what}: {text}")
-            self._brightness(batch, jobs)
-            report.deaths += worker.deaths
-            report.replaced += worker.replaced
+        for unit, outcome in executor.work(self._take):
+            self._under_way -= 1
+            self._report.deaths += outcome.deaths
+            self._report.replaced += outcome.replaced
+            self.tell.warn_all(outcome.warnings)
+            for line in outcome.notes:
+                self.tell.say(line)
+            if isinstance(unit, OpenStage):
+                self._open(unit, outcome)
+            elif isinstance(unit, RenderFrame):
+                self._frame(unit, outcome)
+            elif isinstance(outcome.error, FrameLostError):
+                self.tell.fail(str(outcome.error))
+            else:
+                outcome.result()
+        if self._unread and not self._report.frames:
+            raise self._unread[0][1]
+        order = {batch.folder: number for number, batch in enumerate(self._batches.values())}
+        self._report.frames.sort(key=lambda stem: order[stem.parents[3]])
 
-    def _one(self, worker: WorkerProcess, job: Job, cameras: set[str], wait: bool) -> str | None:
-        """Sees to it that a frame is there; returns what came of it, in words.
+    def _take(self, holds: Hashable) -> Unit | None:
+        """A unit for a worker: of the stage it holds, a stage to open, or of another's stage."""
+        own = self._works.get(holds)
+        works = ([own] if own else []) + (
+            sorted(self._works.values(), key=lambda work: -len(work.ready))
+            if not self._unopened
+            else []
+        )
+        for work in works:
+            if work.ready:
+                self._under_way += 1
+                return work.ready.popleft()
+        if self._unopened:
+            self._under_way += 1
+            return OpenStage(self._unopened.popleft())
+        if self._busy and not self._under_way:
+            self._under_way += 1
+            return self._wait()
+        return None
 
-        Returns:
-            None: Another process is making it (never with ``wait``).
-        """
+    def _wait(self) -> Unit:
+        """The first frame that nobody else is making any more."""
         said = False
-        while not is_done(job.stem, job.key):
-            try:
-                job.stem.parent.mkdir(parents=True, exist_ok=True)
-                with Lock(job.stem.with_name(f"{LOCK}-{job.stem.name}"), what=job.what):
-                    # It may have come while nobody looked.
-                    if not is_done(job.stem, job.key):
-                        return self._frame(worker, job, cameras)
-            except BusyError as error:
-                if not wait:
-                    return None
-                if not said:
-                    said = True
-                    self._say(f"waiting: {error}")
-                time.sleep(_LOOK_S)
-        self.report.skipped += 1
-        return "there already"
+        while True:
+            for frame in self._busy:
+                try:
+                    with Lock(frame.claim, what=frame.what):
+                        pass
+                except BusyError as error:
+                    if not said and not is_done(frame.stem, frame.key):
+                        self.tell.say(f"waiting: {error}")
+                        said = True
+                    continue
+                self._busy.remove(frame)
+                return frame
+            time.sleep(_LOOK_S)
 
-    def _table(self, worker: WorkerProcess, jobs: Jobs) -> None:
-        """Has the batch's table of instances written, where it is asked for and not there."""
-        if jobs.table is None:
-            return
+    def _open(self, unit: OpenStage, outcome: Outcome) -> None:
+        """Notes what a batch holds."""
+        batch = self._batches[unit.opening]
         try:
-            worker.ask(jobs.table, "the table of instances")
-        except FrameLostError as error:
-            self.fail(str(error))
-
-    def _strays(self, batch: Batch, jobs: Jobs) -> None:
-        """Notes frames of an earlier stage that this one does not replace."""
-        # Of all backends: who renders with another one now may not come back to the first.
-        found = list(strays(batch.folder, jobs.firing))
-        if found:
-            # Once a render: other batches have them for the same reason.
-            self._in_output = False
-            self._note(told(found))
-
-    def _brightness(self, batch: Batch, jobs: Jobs) -> None:
-        """Notes cameras whose pictures are black or burnt out."""
-        if not jobs.rgb:
+            opened: Opened = outcome.result()
+            frames = frames_of(batch, self._plan, opened, self._report.choice)
+        except StageError as error:
+            self._unread.append((f"{batch.name}: {error}", error))
+            self._tell_unread()
             return
-        sidecars: dict[str, list[dict[str, Any]]] = {}
-        for job in jobs:
-            # What was given up, or was deleted meanwhile, shows nothing.
-            with suppress(OSError, ValueError):
-                sidecar = json.loads(job.stem.with_suffix(".json").read_bytes())
-                sidecars.setdefault(job.camera, []).append(brightness.brief(sidecar))
-        for camera, found in sidecars.items():
-            line = brightness.told(found)
-            if line is not None:
-                self._note(f"{batch.name}/{camera}: {line}")
+        self._tell_opened(opened, rgb=any("rgb" in frame.key.passes for frame in frames))
+        if self.strays_count:
+            self._strays(batch, opened)
+        folder = batch.folder / FRAMES
+        sweep([folder, *sorted((folder / opened.backend).glob("*"))])
+        work = _Work(batch, opened, frames, deque(), len(frames))
+        self._works[unit.opening] = work
+        for frame in frames:
+            self._report.frames.append(
+                frame_stem(batch.folder, opened.backend, frame.camera, frame.sample)
+            )
+        self._tell_unread()
+        if any("instance" in frame.key.passes for frame in frames):
+            table = partial(write_instances, folder.absolute())
+            work.ready.append(OfSession(unit.opening, "the table of instances", table))
+        for frame in frames:
+            if is_done(frame.stem, frame.key):
+                self._ended(work, frame, "there already")
+                self._report.skipped += 1
+            else:
+                work.ready.append(frame)
+        self._finish(work)
 
-    def _opened(self, opened: dict[str, Any], rgb: bool) -> None:
-        """Tells what will render, and what it cannot."""
-        wanted, report = self._wanted, self.report
-        check_rgb(wanted, rgb)
-        if wanted.denoise and opened["denoiser"] is None:
-            raise no_denoiser(wanted.backend)
-        if not report.backend_version:
-            report.backend, report.backend_version = opened["backend"], opened["version"]
-            report.device = opened["device"]
-            report.denoiser = opened["denoiser"] if wanted.denoise else None
-            parts = [f"rgb: {_quality(wanted)}"] if rgb else []
-            parts += [f"denoised by {report.denoiser}"] if report.denoiser else []
-            more = f" ({', '.join(parts)})" if parts else ""
-            self._say(f"rendering with {opened['version']} on {opened['device']}{more}")
-        if opened["warning"]:
-            self._note(opened["warning"])
-        for line in unasked(opened["cameras"][0] if opened["cameras"] else []):
-            self._note(line)
-        for line in opened["losses"]:
-            if line not in report.losses:
-                report.losses.append(line)
-            self._note(line)
+    def _tell_unread(self) -> None:
+        if self._report.frames:
+            for line, _ in self._unread:
+                self.tell.fail(line)
+            self._unread.clear()
 
-    def _frame(self, worker: WorkerProcess, job: Job, cameras: set[str]) -> str:
-        """Makes one frame; what a renderer cannot survive costs that frame and no other.
+    def _frame(self, frame: RenderFrame, outcome: Outcome) -> None:
+        """Notes what came of a frame; what a renderer cannot survive costs no other.
 
         Raises:
             CameraRefusedError: Nothing has been made, and the last of the batch's cameras is
                 refused.
         """
-        report = self.report
-        if job.camera in self._refused:
+        work, report = self._works[frame.opening], self._report
+        if outcome.deaths or outcome.error is not None:
+            frame.clean()
+        if isinstance(outcome.error, FrameLostError):
+            self.tell.fail(str(outcome.error))
+            self._ended(work, frame, "given up")
+        elif isinstance(outcome.error, CameraRefusedError):
+            self._refuse(work, frame, outcome.error)
+        else:
+            made: Made = outcome.result()
+            if made.busy is not None:
+                self._busy.append(frame)
+                return
+            if made.now:
+                report.rendered += 1
+            else:
+                report.skipped += 1
+            for step, seconds in made.seconds.items():
+                report.seconds[step] = report.seconds.get(step, 0.0) + seconds
+            if made.peak_memory_gb is not None:
+                report.peak_memory_gb = max(made.peak_memory_gb, report.peak_memory_gb or 0.0)
+            self._ended(work, frame, made.text)
+        self._finish(work)
+
+    def _refuse(self, work: _Work, frame: RenderFrame, error: CameraRefusedError) -> None:
+        """Leaves out the other frames of a camera that the backend cannot draw."""
+        report = self._report
+        work.refused.setdefault(frame.camera, frame.what)
+        cameras = {of.camera for of in work.frames}
+        if report.rendered + report.skipped == 0 and cameras <= work.refused.keys():
+            raise error
+        report.refused += 1
+        report.failed.append(f"{frame.what}: {error}")
+        if (frame.camera, str(error)) not in self._said:
+            # Once a render: it holds for the other batches, too.
+            self._said.add((frame.camera, str(error)))
+            self.tell.warn(f"{frame.what}: {error}; other frames of this camera are not tried")
+        self._ended(work, frame, "refused")
+        others = [
+            of for of in work.ready if isinstance(of, RenderFrame) and of.camera == frame.camera
+        ]
+        for other in others:
+            work.ready.remove(other)
             report.refused += 1
-            first = self._refused[job.camera]
-            report.failed.append(f"{job.what}: not tried, as {first} was refused")
-            return "not tried"
-        whole = False
-        try:
-            deaths = worker.deaths
-            answer = worker.ask(job.request, job.what)
-            whole = worker.deaths == deaths
-        except FrameLostError as error:
-            self.fail(str(error))
-            return "given up"
-        except CameraRefusedError as error:
-            self._refused[job.camera] = job.what
-            if report.rendered + report.skipped == 0 and cameras <= self._refused.keys():
-                raise
-            report.refused += 1
-            report.failed.append(f"{job.what}: {error}")
-            if (job.camera, str(error)) not in self._said:
-                # Once a render: it holds for the other batches, too.
-                self._said.add((job.camera, str(error)))
-                self._note(f"{job.what}: {error}; other frames of this camera are not tried")
-            return "refused"
-        finally:
-            if not whole:
-                sweep([job.stem.parent])
-        report.rendered += 1
-        for step, seconds in answer["seconds"].items():
-            report.seconds[step] = report.seconds.get(step, 0.0) + seconds
-        peak = answer["peak_memory_gb"]
-        if peak is not None:
-            report.peak_memory_gb = max(peak, report.peak_memory_gb or 0.0)
-        return describe(answer)
+            report.failed.append(
+                f"{other.what}: not tried, as {work.refused[frame.camera]} was refused"
+            )
+            self._ended(work, other, "not tried")
 
-    def _note(self, line: str) -> None:
-        if line not in self.report.warnings:
-            self.report.warnings.append(line)
-            if self._warn:
-                self._warn(line)
+    def _ended(self, work: _Work, frame: RenderFrame, text: str) -> None:
+        work.left -= 1
+        self._done += 1
+        if self.tell.progress:
+            known = sum(len(of.frames) for of in self._works.values())
+            total = known + (self._count - len(self._works)) * len(work.frames)
+            self.tell.progress(self._done, total, f"{frame.what}: {text}")
 
+    def _finish(self, work: _Work) -> None:
+        """Notes cameras whose pictures are black or burnt out, once a batch is whole."""
+        if work.left or not any("rgb" in frame.key.passes for frame in work.frames):
+            return
+        sidecars: dict[str, list[dict[str, Any]]] = {}
+        for frame in work.frames:
+            # What was given up, or was deleted meanwhile, shows nothing.
+            with suppress(OSError, ValueError):
+                sidecar = json.loads(frame.stem.with_suffix(".json").read_bytes())
+                sidecars.setdefault(frame.camera, []).append(brightness.brief(sidecar))
+        for camera, found in sidecars.items():
+            line = brightness.told(found)
+            if line is not None:
+                self.tell.warn(f"{work.batch.name}/{camera}: {line}")
 
-def _quality(wanted: Wanted) -> str:
-    """How well ``rgb`` is rendered."""
-    if wanted.error is None and wanted.seconds is None:
-        return f"{wanted.spp} samples per pixel"
-    goals = [] if wanted.error is None else [f"to {100 * wanted.error:.3g} % error"]
-    goals += [] if wanted.seconds is None else [f"for {wanted.seconds:g} s"]
-    return f"{' or '.join(goals)}, at most {wanted.spp} samples per pixel"
+    def _strays(self, batch: Batch, opened: Opened) -> None:
+        """Notes frames of an earlier stage that this one does not replace."""
+        # Of all backends: who renders with another one now may not come back to the first.
+        firing = [[(camera.name, camera.fires) for camera in of] for of in opened.cameras]
+        found = list(strays(batch.folder, firing))
+        if found:
+            # Once a render: other batches have them for the same reason.
+            self.strays_count = False
+            self.tell.warn(told(found))
+
+    def _tell_opened(self, opened: Opened, *, rgb: bool) -> None:
+        """Tells what will render, and what it cannot."""
+        plan, report = self._plan, self._report
+        plan.check_rgb(rgb=rgb)
+        if not report.backend_version:
+            report.backend, report.backend_version = opened.backend, opened.version
+            report.device = opened.device
+            report.denoiser = opened.denoiser if plan.denoise else None
+            parts = [f"rgb: {plan.quality}"] if rgb else []
+            parts += [f"denoised by {report.denoiser}"] if report.denoiser else []
+            more = f" ({', '.join(parts)})" if parts else ""
+            self.tell.say(f"rendering with {opened.version} on {opened.device}{more}")
+        if opened.warning:
+            self.tell.warn(opened.warning)
+        self.tell.warn_all(list(unasked(opened.cameras[0] if opened.cameras else [])))
+        for line in opened.losses:
+            if line not in report.losses:
+                report.losses.append(line)
+            self.tell.warn(line)

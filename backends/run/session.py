@@ -19,7 +19,7 @@ from scenec.backends.annotation.instances import Instances, Seen
 from scenec.backends.camera.rays import camera_rays, ray_down
 from scenec.backends.camera.shutter import blurred_by, is_rolling, undenoised
 from scenec.backends.camera.tiles import witness
-from scenec.backends.contract import Backend, Radiance
+from scenec.backends.contract import Backend, Radiance, Visibility
 from scenec.backends.exact import ExactCaster, Hits
 from scenec.backends.picture import tiles
 from scenec.backends.picture.adaptive import Draw, Rounds, Target, collect
@@ -291,12 +291,12 @@ class Session:
             write_frame(stem, arrays, key, self.scene, camera, sample, *more)
         return details
 
-    def witness_to(self, file: Path, camera_index: int, sample: int) -> bool:
-        """Leave in a file what the backend itself sees of a frame, for checks.
+    def witness(self, camera_index: int, sample: int) -> Visibility | None:
+        """What the backend itself sees of a frame, for checks.
 
         Returns:
-            Whether there is anything: a backend may have no such method, or be unable to follow
-            this camera's rays.
+            None if it does not tell: a backend may have no such method, or be unable to follow this
+            camera's rays.
 
         Raises:
             BackendError: There is no such camera or sample, or the renderer failed.
@@ -305,13 +305,9 @@ class Session:
         backend = self._renderer({})
         look = getattr(backend, "witness", None)
         if look is None:
-            return False
+            return None
         plain = camera.lens is None and not is_rolling(camera)
-        seen = witness(lambda rays, part: look(rays, sample, part if plain else None), camera)
-        if seen is None:
-            return False
-        np.savez(file, row=seen.row, face=seen.face)
-        return True
+        return witness(lambda rays, part: look(rays, sample, part if plain else None), camera)
 
     def _radiance(
         self,

@@ -2,27 +2,28 @@
 
 from __future__ import annotations
 
-import contextlib
-import json
-import queue
+import os
+import pickle
 import signal
 import subprocess
 import sys
 import tempfile
-import threading
-from collections.abc import Callable
+from collections.abc import Hashable
+from contextlib import suppress
 from dataclasses import replace
-from typing import IO, Any, Self
+from multiprocessing.connection import Connection, Pipe
+from typing import Any, Self
 
 from scenec.backends.run.limits import Growth, Limits, Watch
 from scenec.backends.run.memory import default_limit
-from scenec.schemas import errors
 from scenec.schemas.errors import BackendError, ScenecError, StageError
 from scenec.schemas.memory import GB
+from scenec.schemas.units import Outcome, Unit
 
-#: Times a request is asked again after the worker died at it.
+#: Times a unit is tried again after the worker died at it.
 RETRIES = 2
-
+#: What libraries that count threads themselves go by; ours and the renderers' go by the first.
+THREADS = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 
 #: Signals of native code at its end: what follows from its input, and would again.
 _CRASHES = {
@@ -47,44 +48,35 @@ class FrameLostError(BackendError):
     """Work over which fresh workers died again and again; other work may still succeed."""
 
 
-class WorkerProcess:
-    """One worker; ends with the ``with`` block, or with this process.
+class Supervisor:
+    """One worker process; ends with the ``with`` block, or with this process.
 
     A worker that crashes, hangs, takes too long or grows too large is ended and replaced, and its
-    request asked again; one that would grow too large is replaced before its next frame.
+    unit tried again; one that would grow too large is replaced before its next unit, and one that
+    is to hold something else (another stage) is, too: memory goes back, whatever a renderer keeps.
 
     Args:
-        on_death: Called with one line whenever a worker dies and its request is tried again.
-        limits: What a worker may take.
-        on_replace: Called with one line whenever a worker is replaced before it grows too large.
-
-    Attributes:
-        deaths: Workers that died, or were ended amid a request.
-        replaced: Workers that were replaced between two frames.
+        limits: What the worker may take; its memory, where it is not said, is all there is for
+            workers.
+        threads: How many it may work with; None is all cores.
     """
 
-    def __init__(
-        self,
-        on_death: Callable[[str], None] | None = None,
-        limits: Limits | None = None,
-        on_replace: Callable[[str], None] | None = None,
-    ) -> None:
-        self._on_death = on_death or (lambda line: None)
-        self._on_replace = on_replace or (lambda line: None)
+    def __init__(self, limits: Limits | None = None, threads: int | None = None) -> None:
         limits = limits or Limits()
         if limits.memory_bytes is None:
             limits = replace(limits, memory_bytes=default_limit())
         self._limits = limits
-        self._process: subprocess.Popen[str] | None = None
-        self._answers: queue.SimpleQueue[str] = queue.SimpleQueue()
+        self._threads = threads
+        self._process: subprocess.Popen[bytes] | None = None
+        self._pipe: Connection | None = None
         self._log: Any = None
         self._watch: Watch | None = None
         self._growth = Growth(None)
-        self._opened: list[dict[str, Any]] = []
-        self._frames = 0
-        self._peak = 0.0
-        self.deaths = 0
-        self.replaced = 0
+        self._blame: str | None = None
+        self._holds: Hashable = None
+        self._done = 0
+        self._peak = 0
+        self._stopped = False
 
     def __enter__(self) -> Self:
         return self
@@ -92,73 +84,71 @@ class WorkerProcess:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def open(self, request: dict[str, Any]) -> dict[str, Any]:
-        """Open a stage, now and again in every worker that replaces this one.
+    @property
+    def holds(self) -> Hashable:
+        """What the worker keeps; None without one."""
+        return self._holds if self._process is not None else None
 
-        Raises:
-            ScenecError: What the worker says, in its own class.
-            StageError: The worker crashed while it read the stage.
-            FrameLostError: Workers died over it, again and again.
+    @property
+    def pid(self) -> int | None:
+        """Process id of the worker that runs now."""
+        return self._process.pid if self._process else None
+
+    def do(self, unit: Unit) -> Outcome:
+        """Have a unit run; a dead worker is replaced and it is tried again.
+
+        The outcome's error is what the unit raised; ``StageError`` where the worker crashed while
+        it read a stage; ``FrameLostError`` where RETRIES + 1 workers died over it.
         """
-        self._opened = []
-        stage, allowed = request["stage"], request.get("allow_missing", False)
-        # Apart, so that a crash of a renderer is none of the stage's.
-        reading = {"op": "read", "stage": stage, "allow_missing": allowed}
-        opening = {name: value for name, value in request.items() if name not in reading}
-        self.ask(reading, f"opening {stage}")
-        self._opened = [reading]
-        answer = self.ask({"op": "open", **opening}, f"opening {stage}")
-        self._opened = [reading, {"op": "open", **opening}]
-        return answer
+        outcome = Outcome()
+        try:
+            outcome.value = self._do(unit, outcome)
+        except ScenecError as error:
+            outcome.error = error
+        return outcome
 
-    def ask(self, request: dict[str, Any], what: str) -> dict[str, Any]:
-        """Send a request and wait for the answer; a dead worker is replaced and asked again.
-
-        Args:
-            request: See ``scenec.backends.run.worker``.
-            what: Names the work in messages, such as "frame rover_front/000003".
-
-        Raises:
-            ScenecError: What the worker says, in its own class.
-            StageError: The worker crashed while it opened a stage.
-            FrameLostError: RETRIES + 1 workers died over it.
-        """
-        self._replace_if_grown()
+    def _do(self, unit: Unit, outcome: Outcome) -> Any:
+        if self._process is not None and unit.holds != self._holds:
+            self.close()
+        self._replace_if_grown(outcome)
         for attempt in range(RETRIES + 1):
             try:
                 if self._process is None:
                     self._start()
-                    for earlier in self._opened:
-                        _checked(self._exchange(earlier))
-                answer = _checked(self._exchange(request))
-                self._frames += len(self._opened) == 2
-                # The worker's own count misses nothing between two looks.
-                self._peak = GB * (answer.get("peak_memory_gb") or 0.0)
-                return answer
+                self._holds = unit.holds
+                value = self._exchange(unit)
+                self._done += 1
+                return value
             except WorkerDiedError as death:
-                self.deaths += 1
+                outcome.deaths += 1
+                blame = self._blame
                 self.close()
-                if death.crashed and request["op"] == "read":
-                    raise StageError(
-                        f"{request['stage']}: OpenUSD crashed reading it, the worker process "
-                        f"{death}: a file of it is damaged"
-                    ) from death
+                if self._stopped:
+                    raise BackendError(f"{unit.what}: stopped") from death
+                if death.crashed and blame is not None:
+                    raise StageError(f"{blame}; the worker process {death}") from death
                 if attempt == RETRIES:
                     raise FrameLostError(
-                        f"{what}: given up after {RETRIES + 1} tries: the last worker process "
-                        f"{death}"
+                        f"{unit.what}: given up after {RETRIES + 1} tries: the last worker "
+                        f"process {death}"
                     ) from death
-                self._on_death(f"{what}: the worker process {death}; trying again")
+                outcome.warnings.append(f"{unit.what}: the worker process {death}; trying again")
         raise AssertionError("unreachable")
 
+    def stop(self) -> None:
+        """End the worker amid its unit, which is not tried again; called by another thread."""
+        self._stopped = True
+        if self._watch is not None:
+            self._watch.kill()
+
     def close(self) -> None:
-        """End the worker, at once if it does not go by itself."""
+        """End the worker; by force if it does not go by itself."""
         process, self._process = self._process, None
+        if self._pipe is not None:
+            # Its end is the worker's sign to go.
+            self._pipe.close()
+            self._pipe = None
         if process is not None:
-            if process.stdin is not None:
-                # End of input is the worker's sign to go.
-                with contextlib.suppress(BrokenPipeError):
-                    process.stdin.close()
             try:
                 process.wait(timeout=5.0)
             except subprocess.TimeoutExpired:
@@ -169,82 +159,84 @@ class WorkerProcess:
         if self._log is not None:
             self._log.close()
             self._log = None
-
-    @property
-    def pid(self) -> int | None:
-        """Process id of the worker that runs now."""
-        return self._process.pid if self._process else None
+        self._blame = self._holds = None
+        self._done = 0
 
     def _start(self) -> None:
-        # Kept apart from our own standard error: shown only if the worker dies.
+        # Kept apart from our own output: shown only if the worker dies.
         self._log = tempfile.TemporaryFile()  # noqa: SIM115 - lives as long as the process
-        self._process = subprocess.Popen(
-            [sys.executable, "-m", "scenec.backends.run.worker"],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=self._log,
-            text=True,
-            encoding="utf-8",
-        )
-        assert self._process.stdout is not None
-        self._answers = queue.SimpleQueue()
-        # A thread reads, so that waiting can be broken off to look at the process.
-        threading.Thread(
-            target=_pass_on, args=(self._process.stdout, self._answers), daemon=True
-        ).start()
+        self._pipe, theirs = Pipe()
+        environment = dict(os.environ)
+        if self._threads is not None:
+            environment |= dict.fromkeys(THREADS, str(self._threads))
+        with theirs:
+            self._process = subprocess.Popen(
+                [sys.executable, "-m", "scenec.backends.run.worker", str(theirs.fileno())],
+                stdin=subprocess.DEVNULL,
+                stdout=self._log,
+                stderr=self._log,
+                pass_fds=[theirs.fileno()],
+                env=environment,
+            )
         self._watch = Watch(self._process.pid, self._limits)
         self._growth = Growth(self._limits.memory_bytes)
-        self._frames = 0
+        self._done = 0
 
-    def _replace_if_grown(self) -> None:
-        """Note what the last frame left behind; end a worker that should not make another."""
-        if self._process is None or self._watch is None or self._frames == 0:
+    def _replace_if_grown(self, outcome: Outcome) -> None:
+        """Note what the last unit left behind; end a worker that should not run another."""
+        # The first one opens what the others work with.
+        if self._process is None or self._watch is None or self._done < 2:
             return
-        peak = max(self._watch.peak, round(self._peak))
+        peak = max(self._watch.peak, self._peak)
         self._watch.measure()
         self._growth.add(self._watch.memory, peak)
         reason = self._growth.reason()
         if reason is not None:
             self.close()
-            self.replaced += 1
-            self._on_replace(f"the worker process {reason}: replaced by a fresh one")
+            outcome.replaced += 1
+            outcome.notes.append(f"the worker process {reason}: replaced by a fresh one")
 
-    def _exchange(self, request: dict[str, Any]) -> dict[str, Any]:
-        process, watch = self._process, self._watch
+    def _exchange(self, unit: Unit) -> Any:
+        process, watch, pipe = self._process, self._watch, self._pipe
         assert process is not None
-        assert process.stdin is not None
         assert watch is not None
+        assert pipe is not None
         try:
-            watch.begin(fresh=self._frames == 0)
-            process.stdin.write(json.dumps(request) + "\n")
-            process.stdin.flush()
-            line = self._wait(watch)
-        except BrokenPipeError:
-            line = ""
+            watch.begin(fresh=self._done < 2)
+            pipe.send(unit)
+            while True:
+                kind, value, peak = self._wait(pipe, watch)
+                if kind == "blame":
+                    self._blame = value
+                    continue
+                # The worker's own count misses nothing between two looks.
+                self._peak = peak or 0
+                if kind == "error":
+                    raise value
+                return value
+        except (EOFError, OSError, pickle.UnpicklingError):
+            process.wait()
+            cause = self._cause(process.returncode, watch.peak)
+            raise WorkerDiedError(f"died ({cause})", process.returncode in _CRASHES) from None
         except KeyboardInterrupt:
             watch.kill()
             process.wait()
             raise
-        if not line.endswith("\n"):
-            process.wait()
-            cause = self._cause(process.returncode, watch.peak)
-            raise WorkerDiedError(f"died ({cause})", process.returncode in _CRASHES)
-        answer: dict[str, Any] = json.loads(line)
-        return answer
 
-    def _wait(self, watch: Watch) -> str:
-        """The answer's line; without an end of line if the worker ended instead.
+    def _wait(self, pipe: Connection, watch: Watch) -> tuple[str, Any, int | None]:
+        """The next message.
 
         Raises:
             WorkerDiedError: The worker is past its limits, and has been ended.
+            EOFError: It has ended.
         """
-        while True:
-            with contextlib.suppress(queue.Empty):
-                return self._answers.get(timeout=self._limits.poll_s)
+        while not pipe.poll(self._limits.poll_s):
             verdict = watch.look()
             if verdict is not None:
                 watch.kill()
                 raise WorkerDiedError(verdict)
+        message: tuple[str, Any, int | None] = pipe.recv()
+        return message
 
     def _cause(self, status: int, memory: int) -> str:
         if status < 0:
@@ -258,26 +250,9 @@ class WorkerProcess:
                 cause += f", out of memory?{held}"
         else:
             cause = f"exit status {status}"
-        self._log.seek(0, 2)
-        self._log.seek(max(0, self._log.tell() - 4096))
-        lines = self._log.read().decode(errors="replace").strip().splitlines()
-        return f"{cause}: {lines[-1].strip()}" if lines else cause
-
-
-def _pass_on(stream: IO[str], answers: queue.SimpleQueue[str]) -> None:
-    """Read answers until the process ends; an empty one, or one cut short, says that it did."""
-    try:
-        with stream:
-            for line in stream:
-                answers.put(line)
-    finally:
-        answers.put("")
-
-
-def _checked(answer: dict[str, Any]) -> dict[str, Any]:
-    if answer.get("ok"):
-        return answer
-    kind = getattr(errors, answer.get("error", ""), BackendError)
-    if not (isinstance(kind, type) and issubclass(kind, ScenecError)) or kind is errors.CfgError:
-        kind = BackendError
-    raise kind(answer.get("message", "the worker process gave no reason"))
+        with suppress(ValueError):
+            self._log.seek(0, 2)
+            self._log.seek(max(0, self._log.tell() - 4096))
+            lines = self._log.read().decode(errors="replace").strip().splitlines()
+            cause = f"{cause}: {lines[-1].strip()}" if lines else cause
+        return cause

@@ -19,7 +19,8 @@ from scenec.backends.contract import Radiance
 from scenec.backends.picture import adaptive as rounds
 from scenec.backends.picture.adaptive import Target, collect, grid, round_seed
 from scenec.backends.picture.noise import QUANTILE, bound_factor, estimate
-from scenec.backends.run.render import check_backend, render
+from scenec.backends.run.plan import RenderPlan
+from scenec.backends.run.render import render
 from scenec.cli.main import main
 from scenec.schemas.errors import BackendError
 from scenec.schemas.frames import read_frame
@@ -237,7 +238,7 @@ def test_the_command_refuses_it_in_one_message(words, capsys):
 
 def test_a_target_without_rgb_is_refused():
     with pytest.raises(BackendError, match="targets of rgb"):
-        check_backend("mitsuba", error=0.1, rgb=False)
+        RenderPlan("mitsuba", ["depth"], error=0.1)
 
 
 def bench() -> ModuleType:

@@ -14,7 +14,8 @@ from scenec.backends.check.stage import check_stage
 from scenec.backends.run.render import render
 from scenec.backends.run.scan import scan_output
 from scenec.backends.run.session import Session
-from scenec.backends.run.supervise import WorkerProcess
+from scenec.backends.run.supervise import Supervisor
+from scenec.backends.run.units import Opening, OpenStage
 from scenec.backends.stage.read import read_stage
 from scenec.cli.main import main
 from scenec.compiler.compile import compile_cfg
@@ -419,11 +420,11 @@ def test_bad_input_costs_a_worker_one_try(tmp_path, kind):
     if kind == "text":
         (tmp_path / "foreign.usda").write_text("#usda 1.0\ndef {\n", encoding="utf-8")
     told = "is of type string, expected" if kind == "type" else "foreign.usda:2:"
-    with WorkerProcess() as worker:
-        with pytest.raises(StageError, match=told):
-            worker.open({"op": "open", "stage": str(tmp_path / "foreign.usda"),
-                         "backend": "reference"})  # fmt: skip
-        assert worker.deaths == 0
+    with Supervisor() as worker:
+        outcome = worker.do(OpenStage(Opening(str(tmp_path / "foreign.usda"), "annotation")))
+    assert outcome.deaths == 0
+    with pytest.raises(StageError, match=told):
+        outcome.result()
 
 
 def test_a_crash_while_a_stage_is_read_is_said_after_one_try(tmp_path, monkeypatch):

@@ -14,7 +14,9 @@ from small import small_cfg, write_cfg
 from third_party import install, plan_fault, square_stage
 
 from scenec.backends.camera.shutter import blurred_by
-from scenec.backends.run.render import check_backend, render
+from scenec.backends.run.auto import check_backend
+from scenec.backends.run.plan import RenderPlan
+from scenec.backends.run.render import render
 from scenec.backends.stage.scene import Camera, Focus, OpenShutter
 from scenec.cli.main import main
 from scenec.schemas import stage as names
@@ -135,7 +137,7 @@ def test_run_refuses_to_denoise_an_aperture_before_it_compiles(tmp_path, capsys)
     assert line.startswith("scenec: camera rover_front: its aperture")
     assert not out.exists()
     with pytest.raises(BackendError, match="camera a: its aperture"):
-        check_backend("auto", denoise=True, apertures=["a"])
+        check_backend(RenderPlan("auto", denoise=True), rgb=True, apertures=["a"])
 
 
 def test_an_open_shutter_counts_where_the_camera_moves():

@@ -11,7 +11,9 @@ from small import small_cfg, write_cfg
 from third_party import LEVEL, NOISE, faults_so_far, install, plan_fault, square_stage
 from workers_here import here
 
-from scenec.backends.run.render import RenderReport, check_backend, render
+from scenec.backends.run.auto import check_backend
+from scenec.backends.run.plan import RenderPlan
+from scenec.backends.run.render import RenderReport, render
 from scenec.cli import run_command
 from scenec.cli.main import main, parser
 from scenec.schemas.errors import BackendError
@@ -123,8 +125,8 @@ def test_there_is_nothing_to_denoise_without_rgb(stage):
     with pytest.raises(BackendError, match="without rgb"):
         run(stage, "smooth", denoise=True, passes=["depth"])
     with pytest.raises(BackendError, match="without rgb"):
-        check_backend("smooth", denoise=True, rgb=False)
-    check_backend("smooth", denoise=True)
+        check_backend(RenderPlan("smooth", denoise=True), rgb=False)
+    check_backend(RenderPlan("smooth", denoise=True), rgb=True)
 
 
 @pytest.mark.slow

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import os
 import signal
 import subprocess
 import sys
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,13 +16,15 @@ from processes import until_gone
 from third_party import square_stage
 
 from scenec.backends.registry import backend_names, open_backend, require_name
-from scenec.backends.run import supervise as pool
 from scenec.backends.run.doctor import diagnose, library_versions
-from scenec.backends.run.render import frame_seed, render
-from scenec.backends.run.supervise import WorkerProcess
+from scenec.backends.run.frames import frame_seed
+from scenec.backends.run.render import render
+from scenec.backends.run.supervise import RETRIES, Supervisor
+from scenec.backends.run.units import RenderFrame
 from scenec.schemas.errors import BackendError, OutputError, StageError
 from scenec.schemas.frames import read_frame
 from scenec.schemas.manifest import find_batches
+from scenec.schemas.units import Keeper, Unit
 
 
 @pytest.fixture
@@ -37,19 +40,17 @@ def run(stage: Path, **options):
 def assassin(monkeypatch: pytest.MonkeyPatch, sample: int, times: int) -> list[int]:
     """Kill the worker by SIGKILL once it has a render request for this sample, ``times`` times."""
     killed: list[int] = []
-    exchange = WorkerProcess._exchange
+    exchange = Supervisor._exchange
 
-    def deadly(self: WorkerProcess, request: dict) -> dict:
-        process = self._process
-        aimed = request["op"] == "render" and request["sample"] == sample
-        if aimed and len(killed) < times and process is not None and process.stdin is not None:
-            process.stdin.write(json.dumps(request) + "\n")
-            process.stdin.flush()
-            os.kill(process.pid, signal.SIGKILL)
-            killed.append(process.pid)
-        return exchange(self, request)
+    def deadly(self: Supervisor, unit: Unit) -> Any:
+        aimed = isinstance(unit, RenderFrame) and unit.sample == sample
+        if aimed and len(killed) < times and self._pipe is not None and self.pid is not None:
+            self._pipe.send(unit)
+            os.kill(self.pid, signal.SIGKILL)
+            killed.append(self.pid)
+        return exchange(self, unit)
 
-    monkeypatch.setattr(WorkerProcess, "_exchange", deadly)
+    monkeypatch.setattr(Supervisor, "_exchange", deadly)
     return killed
 
 
@@ -85,7 +86,7 @@ def test_a_frame_that_kills_every_worker_is_named_and_costs_no_other(stage, monk
     killed = assassin(monkeypatch, sample=1, times=99)
     report = run(stage)
     # Two cameras see the sample; all that comes after it is rendered.
-    assert len(killed) == 2 * (pool.RETRIES + 1)
+    assert len(killed) == 2 * (RETRIES + 1)
     assert report.rendered == 4
     assert len(report.failed) == 2
     assert all("000001" in line and "given up after 3 tries" in line for line in report.failed)
@@ -143,9 +144,10 @@ def test_a_broken_stage_is_the_stages_error_across_the_pipe(tmp_path):
 def test_a_worker_goes_with_its_parent(stage):
     code = (
         "import sys, time\n"
-        "from scenec.backends.run.supervise import WorkerProcess\n"
-        "w = WorkerProcess()\n"
-        f"w.open({{'op': 'open', 'stage': {str(stage)!r}, 'backend': 'reference'}})\n"
+        "from scenec.backends.run.supervise import Supervisor\n"
+        "from scenec.backends.run.units import Opening, OpenStage\n"
+        "w = Supervisor()\n"
+        f"w.do(OpenStage(Opening({str(stage)!r}, 'annotation'))).result()\n"
         "print(w.pid, flush=True)\n"
         "time.sleep(60)\n"
     )
@@ -158,37 +160,30 @@ def test_a_worker_goes_with_its_parent(stage):
     until_gone(worker)
 
 
-def test_what_libraries_print_does_not_reach_the_protocol():
-    # At descriptor level, as native code does: it must land on standard error.
-    code = (
-        "import os, sys, runpy\n"
-        "import scenec.backends.run.worker as w\n"
-        "real = w.Worker.answer\n"
-        "def noisy(self, request):\n"
-        "    os.write(1, b'LLVM says hello\\n'); print('python too', flush=True)\n"
-        "    return real(self, request)\n"
-        "w.Worker.answer = noisy\n"
-        "w.main()\n"
-    )
-    with subprocess.Popen(
-        [sys.executable, "-c", code],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    ) as process:
-        assert process.stdin is not None
-        assert process.stdout is not None
-        assert process.stderr is not None
-        # The pipe stays open until the answer is there: its end means that the parent is gone.
-        process.stdin.write('{"op": "nonsense"}\n')
-        process.stdin.flush()
-        assert json.loads(process.stdout.readline())["ok"] is False
-        process.stdin.close()
-        assert process.stdout.read() == ""
-        printed = process.stderr.read()
-    assert "LLVM says hello" in printed
-    assert "python too" in printed
+@dataclass(frozen=True)
+class Noisy:
+    """Prints at descriptor level, as native code does, and ends its process if it is to."""
+
+    status: int | None = None
+    what = "noise"
+    holds = None
+
+    def run(self, keeper: Keeper) -> int:
+        """Print, and end or not."""
+        os.write(1, b"LLVM says hello\n")
+        print("python too", flush=True)
+        if self.status is not None:
+            os._exit(self.status)
+        return 7
+
+
+def test_what_libraries_print_does_not_reach_the_protocol(capfd):
+    with Supervisor() as worker:
+        assert worker.do(Noisy()).result() == 7
+        # It is told where it may explain a death.
+        with pytest.raises(BackendError, match=r"exit status 5: python too"):
+            worker.do(Noisy(5)).result()
+    assert capfd.readouterr() == ("", "")
 
 
 def test_no_two_frames_share_their_noise():

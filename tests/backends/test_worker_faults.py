@@ -19,9 +19,11 @@ from processes import until, until_gone
 from third_party import faults_so_far, install, plan_fault, square_stage
 
 from scenec.backends.run import memory
-from scenec.backends.run.limits import Growth, Watch
-from scenec.backends.run.render import Limits, render
-from scenec.backends.run.supervise import RETRIES
+from scenec.backends.run.executors import Processes
+from scenec.backends.run.limits import Growth, Limits, Watch
+from scenec.backends.run.render import render
+from scenec.backends.run.supervise import RETRIES, Supervisor
+from scenec.backends.run.units import Opening, OpenStage
 from scenec.schemas import memory as machine
 from scenec.schemas.errors import BackendError
 from scenec.schemas.frames import read_frame
@@ -50,7 +52,9 @@ def stage(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def run(stage: Path, limits: Limits = QUICK, **options):
     lines: list[str] = []
     options = {"passes": ["rgb", "depth"], "samples": range(3), **options}
-    report = render(stage, "plain", limits=limits, warn=lines.append, say=lines.append, **options)
+    told = {"warn": lines.append, "say": lines.append}
+    with Processes(limits=limits) as executor:
+        report = render(stage, "plain", executor=executor, **told, **options)
     return report, lines
 
 
@@ -108,7 +112,7 @@ def test_a_frame_that_hangs_in_every_worker_is_given_up_and_costs_no_other(
 
 def test_a_scene_that_cannot_fit_is_refused_before_it_is_loaded(stage):
     with pytest.raises(BackendError, match=r"heavy: loading 1 rows, 2 triangles .* 3e\+06 GB") as e:
-        render(stage, "heavy", limits=QUICK, passes=["rgb"])
+        render(stage, "heavy", passes=["rgb"])
     assert "object_detail/max_triangles" in str(e.value)
 
 
@@ -290,10 +294,8 @@ def test_an_interrupt_amid_a_frame_ends_at_once_and_leaves_nothing_behind(
 def test_workers_offer_themselves_to_the_kernel_before_their_parent(stage, tmp_path, monkeypatch):
     if not os.path.exists("/proc/self/oom_score_adj"):
         pytest.skip("no such system call here")
-    from scenec.backends.run.supervise import WorkerProcess
-
-    with WorkerProcess() as worker:
-        worker.open({"op": "open", "stage": str(stage), "backend": "plain"})
+    with Supervisor() as worker:
+        worker.do(OpenStage(Opening(str(stage), "plain"))).result()
         own = int(Path("/proc/self/oom_score_adj").read_text())
         its = int(Path(f"/proc/{worker.pid}/oom_score_adj").read_text())
     assert its > own

@@ -7,10 +7,11 @@ import pytest
 from small import small_cfg, write_cfg
 
 from scenec.backends.run.session import Session
-from scenec.backends.run.worker import Worker
+from scenec.backends.run.units import Opening, OpenStage
 from scenec.backends.stage.read import read_stage
 from scenec.backends.stage.scene import RenderScene
 from scenec.compiler.compile import compile_cfg
+from scenec.schemas.units import Keeper
 
 PASSES = ("depth", "instance", "label", "normal", "face")
 
@@ -33,12 +34,10 @@ def annotated(scene: RenderScene) -> dict:
 
 @pytest.mark.parametrize(("passes", "pictures"), [(["depth"], False), (["rgb", "depth"], True)])
 def test_a_worker_starts_a_renderer_only_where_there_will_be_pictures(colored, passes, pictures):
-    worker = Worker()
-    assert worker.answer({"op": "read", "stage": str(colored.source)})["ok"]
-    told = worker.answer({"op": "open", "backend": "mitsuba", "passes": passes})
-    assert told["ok"]
-    assert (worker._session.backend is not None) is pictures
-    assert told["backend"] == ("mitsuba" if pictures else "annotation")
+    opening, keeper = Opening(str(colored.source), "mitsuba", passes=tuple(passes)), Keeper()
+    told = OpenStage(opening).run(keeper)
+    assert (opening.session(keeper).backend is not None) is pictures
+    assert told.backend == ("mitsuba" if pictures else "annotation")
 
 
 def test_a_render_of_depth_reads_no_picture(colored):

@@ -1,0 +1,165 @@
+"""Who runs units: this process, or several of this machine (a cluster: ``cluster``)."""
+
+from __future__ import annotations
+
+import os
+import queue
+import threading
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Self
+
+from scenec.backends.run.limits import Limits
+from scenec.backends.run.memory import default_limit
+from scenec.backends.run.supervise import Supervisor
+from scenec.schemas.errors import BackendError, ScenecError
+from scenec.schemas.units import Executor, Keeper, Outcome, Take, Unit, run_all
+
+#: How many processes work where nobody says; 0: none but this one.
+WORKERS = "SCENEC_WORKERS"
+
+
+class Here:
+    """Runs units in this process, one after the other: nothing to start, nothing to survive.
+
+    A renderer's crash is this process's. For tests, and for programs that want no other process.
+    """
+
+    def __init__(self) -> None:
+        self._keeper = Keeper()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._keeper = Keeper()
+
+    def prepare(self, folder: Path, device: str = "auto") -> None:
+        """See ``Executor``: this process sees what it sees."""
+
+    def work(self, take: Take) -> Iterator[tuple[Unit, Outcome]]:
+        """See ``Executor``."""
+        holds = None
+        while (unit := take(holds)) is not None:
+            outcome = Outcome()
+            try:
+                outcome.value = unit.run(self._keeper)
+            except ScenecError as error:
+                outcome.error = error
+            holds = unit.holds
+            yield unit, outcome
+
+
+class Processes:
+    """Runs units in worker processes of this machine, each supervised, each with its cores.
+
+    Args:
+        workers: How many.
+        limits: What each may take; memory, where it is not said, is shared out evenly.
+        threads: How many threads each works with; None shares the cores out.
+    """
+
+    def __init__(
+        self, workers: int = 1, limits: Limits | None = None, threads: int | None = None
+    ) -> None:
+        limits = limits or Limits()
+        if limits.memory_bytes is None:
+            limits = replace(limits, memory_bytes=default_limit() // workers)
+        if threads is None and workers > 1:
+            threads = max(1, (os.process_cpu_count() or 1) // workers)
+        self._hands = [Supervisor(limits, threads) for _ in range(workers)]
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for hand in self._hands:
+            hand.close()
+
+    def prepare(self, folder: Path, device: str = "auto") -> None:
+        """See ``Executor``: processes of this machine see what this one sees."""
+
+    def work(self, take: Take) -> Iterator[tuple[Unit, Outcome]]:
+        """See ``Executor``."""
+        ended: queue.SimpleQueue[tuple[Supervisor, Unit, Outcome | BaseException]]
+        ended = queue.SimpleQueue()
+        free, busy = list(self._hands), 0
+        threads: list[threading.Thread] = []
+        try:
+            while True:
+                # Those first that keep something.
+                for hand in sorted(free, key=lambda hand: hand.holds is None):
+                    unit = take(hand.holds)
+                    if unit is not None:
+                        free.remove(hand)
+                        busy += 1
+                        thread = threading.Thread(target=_do, args=(hand, unit, ended), daemon=True)
+                        thread.start()
+                        threads = [t for t in threads if t.is_alive()] + [thread]
+                if not busy:
+                    return
+                hand, unit, outcome = ended.get()
+                free.append(hand)
+                busy -= 1
+                if isinstance(outcome, BaseException):
+                    raise outcome
+                yield unit, outcome
+        finally:
+            # Left amid work: by an error, an interrupt, or who had enough.
+            while any(thread.is_alive() for thread in threads) and busy:
+                for hand in self._hands:
+                    hand.stop()
+                for thread in threads:
+                    thread.join(0.05)
+
+
+def _do(
+    hand: Supervisor,
+    unit: Unit,
+    ended: queue.SimpleQueue[tuple[Supervisor, Unit, Outcome | BaseException]],
+) -> None:
+    outcome: Outcome | BaseException
+    try:
+        outcome = hand.do(unit)
+    except BaseException as error:  # noqa: BLE001 - raised again by who waits
+        outcome = error
+    ended.put((hand, unit, outcome))
+
+
+def make_executor(
+    workers: int | None = None, cluster: str | None = None, limits: Limits | None = None
+) -> Executor:
+    """The executor of a command's ``--workers`` and ``--cluster``.
+
+    Args:
+        workers: Processes of this machine; 0: none, this one works. On a cluster "local", how many
+            it starts. None: ``$SCENEC_WORKERS``, or 1.
+        cluster: Of a dask scheduler: its address, its file, or "local"; None: this machine.
+        limits: What each worker may take.
+
+    Raises:
+        BackendError: The cluster cannot be reached or used; says what to mend.
+    """
+    if workers is None:
+        text = os.environ.get(WORKERS, "") or "1"
+        if not text.isdecimal():
+            raise BackendError(f"{WORKERS}: expected a whole number of processes, not {text!r}")
+        workers = int(text)
+    if cluster is not None:
+        # Imported here: dask takes half a second.
+        from scenec.backends.run.cluster import Cluster
+
+        return Cluster(cluster, workers, limits)
+    return Processes(workers, limits) if workers else Here()
+
+
+def ask(unit: Unit) -> Any:
+    """Run one unit, by a worker of its own; returns what it returns.
+
+    Raises:
+        ScenecError: What it raises, or that workers died over it.
+    """
+    with make_executor(None if os.environ.get(WORKERS) == "0" else 1) as executor:
+        ((_, outcome),) = run_all(executor, [unit])
+        return outcome.result()

@@ -1,0 +1,111 @@
+"""The frames of a batch: which there are, where each goes, what makes it."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+from scenec.backends.run.plan import RenderPlan
+from scenec.backends.run.units import CameraFacts, Opened, Opening, RenderFrame
+from scenec.schemas.errors import BackendError, StageError
+from scenec.schemas.files import inside
+from scenec.schemas.frames import frame_stem
+from scenec.schemas.manifest import Batch
+from scenec.schemas.spelling import nearest
+
+
+def opening(batch: Batch, plan: RenderPlan) -> Opening:
+    """What a worker keeps for a batch."""
+    passes = None if plan.passes is None else tuple(plan.passes)
+    stage = os.path.abspath(batch.stage)
+    return Opening(stage, plan.backend, plan.device, passes, plan.allow_missing)
+
+
+def frames_of(
+    batch: Batch,
+    plan: RenderPlan,
+    opened: Opened,
+    choice: Mapping[str, Any] | None = None,
+    passes: Sequence[str] | None = None,
+) -> list[RenderFrame]:
+    """The frames that a plan asks of a batch, in the order of their samples.
+
+    Args:
+        batch: The batch; its folder takes the frames.
+        plan: What is asked.
+        opened: What its stage holds.
+        choice: Why this backend, for sidecars.
+        passes: Of these frames; None: all that the stage was opened for.
+
+    Raises:
+        StageError: The stage does not hold what is asked for.
+        BackendError: A picture is to be denoised that cannot be.
+    """
+    there = range(len(opened.cameras))
+    beyond = [sample for sample in plan.samples or () if sample not in there]
+    if beyond:
+        raise StageError(f"{batch.stage}: has samples 0 to {len(there) - 1}, not {beyond[0]}")
+    seen = sorted({camera.name for cameras in opened.cameras for camera in cameras})
+    unknown = [name for name in plan.cameras or () if name not in seen]
+    if unknown:
+        raise StageError(f"{batch.stage}: has no camera {unknown[0]!r}{nearest(unknown[0], seen)}")
+    for name in seen if plan.cameras is None else plan.cameras:
+        # The name is the stage's, and what lies there may be a link.
+        stem = frame_stem(batch.folder, opened.backend, name, 0)
+        inside(batch.folder, stem.relative_to(batch.folder).as_posix(), batch.stage)
+    holds = opening(batch, plan)
+    found = []
+    for sample, number, camera in _wanted(plan, opened):
+        made = tuple(camera.passes if passes is None else passes)
+        if not made:
+            raise StageError(f"{batch.stage}: no passes asked for, and none in the stage")
+        if plan.denoise and "rgb" in made and camera.undenoised:
+            raise BackendError(camera.undenoised)
+        stem = frame_stem(batch.folder, opened.backend, camera.name, sample)
+        found.append(
+            RenderFrame(
+                opening=holds,
+                what=f"{batch.name}/{camera.name}/{sample:06d}",
+                stem=stem.absolute(),
+                camera=camera.name,
+                number=number,
+                sample=sample,
+                key=plan.key(opened.digest, made, opened.backend, opened.version),
+                seed=frame_seed(plan.noise_seed, batch.name, camera.name, sample),
+                choice=choice,
+            )
+        )
+    return found
+
+
+def _wanted(plan: RenderPlan, opened: Opened) -> Iterator[tuple[int, int, CameraFacts]]:
+    """Sample, number of the camera, camera."""
+    samples = range(len(opened.cameras)) if plan.samples is None else sorted(plan.samples)
+    for sample in samples:
+        for number, camera in enumerate(opened.cameras[sample]):
+            if camera.fires and (plan.cameras is None or camera.name in plan.cameras):
+                yield sample, number, camera
+
+
+#: What a stage holds only if some camera asked for it, and only what such cameras see.
+_PRUNED_BY = ("rgb", "label", "instance")
+
+
+def unasked(cameras: Sequence[CameraFacts]) -> Iterator[str]:
+    """A line for each camera that is to render what its stage was not compiled for."""
+    for camera in cameras:
+        asked = {name.split(".")[0] for name in camera.passes}
+        missing = [n for n in _PRUNED_BY if n in asked and n not in camera.outputs]
+        if missing:
+            yield (
+                f"camera {camera.name} did not ask for {', '.join(missing)}: what only that "
+                "would show may not be in the stage; compile with that output, or with --keep all"
+            )
+
+
+def frame_seed(noise_seed: int, batch: str, camera: str, sample: int) -> int:
+    """Seed of one frame's noise, 32 bits: no two frames share their noise."""
+    text = f"{noise_seed}/{batch}/{camera}/{sample}"
+    return int.from_bytes(hashlib.blake2b(text.encode(), digest_size=4).digest(), "little")

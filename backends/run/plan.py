@@ -1,0 +1,152 @@
+"""What is asked of a render: one plan, checked when it is made, before anything is read."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from scenec.backends.picture.adaptive import MOST_SPP
+from scenec.backends.registry import AUTO, backend_class, backend_names, require_name
+from scenec.schemas.errors import BackendError
+from scenec.schemas.frames import ANNOTATION_NAMES, FrameKey
+
+#: Samples per pixel where a user says nothing.
+USUAL_SPP = 64
+
+
+@dataclass(frozen=True)
+class RenderPlan:
+    """What to render, of what, how well.
+
+    Attributes:
+        backend: Name, see ``registry``; "auto" for the first that works (``run.auto``).
+            Without ``rgb`` no renderer starts, and frames go to ``frames/annotation``.
+        passes: ``rgb``, ``depth``, ``range``, ``label`` (all levels) or ``label.<level>``,
+            ``instance``, ``normal``, ``position``, ``face``, ``amodal`` (masks, a file of their
+            own; it brings ``instance`` with it); None takes the stage's own choice.
+        samples: Only these time codes.
+        batches: Only these batches.
+        cameras: Only these, by name.
+        spp: Samples per pixel of ``rgb``; None is 64. With ``error`` or ``seconds`` it is the most
+            there may be; None is 4096 then.
+        error: Render ``rgb`` in rounds until its relative rms error is below this by its 95 % bound
+            (``noise.estimate``).
+        seconds: Render ``rgb`` in rounds for as long as this, a frame; loading and annotation do
+            not count. Such frames depend on the machine's speed; those that are there still count
+            as made.
+        denoise: Whether to denoise ``rgb``; the error that remains is then unknown.
+        noise_seed: Renderings with different ones have independent noise.
+        device: One of the backend's devices, or "auto" for the fastest that works here.
+        folder: Where frames go (``<folder>/frames``; for several batches, a folder each in it);
+            None puts them into the batches' own.
+        allow_missing: Whether to render what is there of a stage that is not whole (layers, prims,
+            pictures that are missing, files that are not those of the manifest): sidecars then say
+            what was missing, under ``losses``, and a later render of the whole stage makes these
+            frames again.
+
+    Raises:
+        BackendError: What no stage and no machine could make possible: there is no such backend, it
+            has no such device or no denoiser, or a number is none that can be rendered to.
+    """
+
+    backend: str
+    passes: Sequence[str] | None = None
+    samples: Collection[int] | None = None
+    batches: Collection[int] | None = None
+    cameras: Collection[str] | None = None
+    spp: int | None = None
+    error: float | None = None
+    seconds: float | None = None
+    denoise: bool = False
+    noise_seed: int = 0
+    device: str = "auto"
+    folder: Path | None = None
+    allow_missing: bool = False
+
+    def __post_init__(self) -> None:
+        if self.backend != AUTO:
+            require_name(self.backend)
+        if self.most_spp < 1:
+            raise BackendError(f"samples per pixel must be at least 1, not {self.spp}")
+        for name, value in (("error", self.error), ("seconds", self.seconds)):
+            if value is not None and not 0.0 < value < math.inf:
+                raise BackendError(f"{name} to render to must be a number above 0, not {value}")
+        self.check_rgb(rgb=self.passes is None or "rgb" in self.passes)
+
+    @property
+    def most_spp(self) -> int:
+        """Samples per pixel; with a target the most there may be."""
+        if self.spp is not None:
+            return self.spp
+        return USUAL_SPP if self.error is None and self.seconds is None else MOST_SPP
+
+    @property
+    def quality(self) -> str:
+        """How well ``rgb`` is rendered, in words."""
+        if self.error is None and self.seconds is None:
+            return f"{self.most_spp} samples per pixel"
+        goals = [] if self.error is None else [f"to {100 * self.error:.3g} % error"]
+        goals += [] if self.seconds is None else [f"for {self.seconds:g} s"]
+        return f"{' or '.join(goals)}, at most {self.most_spp} samples per pixel"
+
+    def check_rgb(self, *, rgb: bool) -> None:
+        """Refuse what cannot be had of ``rgb``: where there is none, or of its backend.
+
+        Args:
+            rgb: Whether ``rgb`` is among the passes, as far as is known.
+
+        Raises:
+            BackendError: There is none, or its backend has no such device or no denoiser.
+        """
+        if not rgb and self.denoise:
+            raise BackendError(
+                "there is nothing to denoise without rgb; ask for rgb, or do not denoise"
+            )
+        if not rgb and (self.error is not None or self.seconds is not None):
+            raise BackendError(
+                "error and seconds are targets of rgb; ask for rgb, or leave the targets out"
+            )
+        if not rgb or self.backend == AUTO or self.backend in ANNOTATION_NAMES:
+            return
+        if self.device != "auto":
+            backend_class(self.backend, self.device)
+        if self.denoise and backend_class(self.backend).denoiser is None:
+            raise BackendError(f"backend {self.backend} has no denoiser{_denoisers()}")
+
+    def key(self, digest: str, passes: Sequence[str], backend: str, version: str) -> FrameKey:
+        """What decides a frame's content: its resume key.
+
+        Args:
+            digest: Of the stage.
+            passes: Of this frame, as ``Session.passes`` returns them.
+            backend: Who draws it, or "annotation".
+            version: Of that.
+        """
+        pictures = "rgb" in passes
+        return FrameKey(
+            stage_digest=digest,
+            passes=tuple(passes),
+            spp=self.most_spp if pictures else 0,
+            noise_seed=self.noise_seed if pictures else 0,
+            backend=backend,
+            backend_version=version,
+            denoise=self.denoise and pictures,
+            error=self.error if pictures else None,
+            seconds=self.seconds if pictures else None,
+        )
+
+
+def _denoisers() -> str:
+    """Which other backends have a denoiser."""
+    have = []
+    for name in backend_names():
+        try:
+            denoiser = backend_class(name).denoiser
+        except BackendError:
+            # Not installed: no help here.
+            continue
+        if denoiser is not None:
+            have.append(f"{name} has one ({denoiser})")
+    return "; " + ", ".join(have) if have else ", nor has any other that is installed"

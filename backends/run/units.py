@@ -1,0 +1,296 @@
+"""Units of rendering (``schemas.units``): what a worker is asked, and what it answers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from scenec.schemas.files import sweep
+from scenec.schemas.frames import FrameKey, is_done
+from scenec.schemas.lock import LOCK, BusyError, Lock
+from scenec.schemas.units import Keeper
+
+if TYPE_CHECKING:
+    from scenec.backends.contract import Visibility
+    from scenec.backends.run.session import Session
+
+
+@dataclass(frozen=True)
+class Opening:
+    """A stage, and who draws it: what a worker keeps from frame to frame.
+
+    Attributes:
+        stage: Absolute path.
+        backend, device, allow_missing: As of ``RenderPlan``.
+        passes: Those that any frame will have; None: what each camera asks for.
+    """
+
+    stage: str
+    backend: str
+    device: str = "auto"
+    passes: tuple[str, ...] | None = None
+    allow_missing: bool = False
+
+    def session(self, keeper: Keeper) -> Session:
+        """The stage, read, and its renderer, started if it is needed."""
+        return keeper.keep(self, lambda: self._open(keeper))
+
+    def _open(self, keeper: Keeper) -> Session:
+        from scenec.backends.run.session import Session
+
+        with keeper.blaming(f"{self.stage}: OpenUSD crashed reading it: a file of it is damaged"):
+            from scenec.backends.stage.read import read_stage
+
+            scene = read_stage(Path(self.stage), allow_missing=self.allow_missing)
+        return Session.of(scene, self.backend, self.device, self.passes)
+
+
+@dataclass(frozen=True)
+class CameraFacts:
+    """A camera at one sample.
+
+    Attributes:
+        name: Its own.
+        passes: What its frame will have (``Session.passes``).
+        pixels: Of its picture.
+        fires: Whether it is triggered.
+        outputs: What the stage was compiled for.
+        undenoised: Why its picture cannot be denoised, or None.
+    """
+
+    name: str
+    passes: tuple[str, ...]
+    pixels: int
+    fires: bool
+    outputs: tuple[str, ...]
+    undenoised: str | None
+
+
+@dataclass(frozen=True)
+class Opened:
+    """What there is to render, and who renders it (``Session.facts``).
+
+    Attributes:
+        digest: Of the stage.
+        cameras: Of each sample.
+        losses: A line for each thing that is not read, or that ``rgb`` leaves out.
+        backend, version, device, denoiser, warning: Of who draws.
+    """
+
+    digest: str
+    cameras: list[list[CameraFacts]]
+    losses: tuple[str, ...]
+    backend: str
+    version: str
+    device: str
+    denoiser: str | None
+    warning: str | None
+
+
+@dataclass(frozen=True)
+class OpenStage:
+    """Open a stage, and say what there is to render; returns ``Opened``."""
+
+    opening: Opening
+
+    @property
+    def what(self) -> str:
+        """In messages."""
+        return f"opening {self.opening.stage}"
+
+    @property
+    def holds(self) -> Opening:
+        """The stage."""
+        return self.opening
+
+    def run(self, keeper: Keeper) -> Opened:
+        """Open it.
+
+        Raises:
+            StageError: It cannot be read.
+            BackendError: The backend cannot start.
+        """
+        session = self.opening.session(keeper)
+        cameras = [
+            [
+                CameraFacts(
+                    name=camera.name,
+                    passes=session.passes(self.opening.passes, camera),
+                    pixels=camera.width * camera.height,
+                    fires=camera.fires(sample),
+                    outputs=tuple(camera.outputs),
+                    undenoised=session.undenoised(camera),
+                )
+                for camera in cameras
+            ]
+            for sample, cameras in enumerate(session.scene.cameras)
+        ]
+        return Opened(session.scene.digest, cameras, session.losses, **session.facts())
+
+
+@dataclass(frozen=True)
+class Made:
+    """What came of a frame.
+
+    Attributes:
+        busy: Who else is making it, in words; None: it is there.
+        now: Whether it was made now.
+        seconds: Per step.
+        peak_memory_gb: At most, 10^9 bytes; None where the system does not say.
+        text: One line about it.
+    """
+
+    busy: str | None = None
+    now: bool = False
+    seconds: dict[str, float] = field(default_factory=dict)
+    peak_memory_gb: float | None = None
+    text: str = "there already"
+
+
+@dataclass(frozen=True)
+class RenderFrame:
+    """Make a frame, unless it is there or another process is making it; returns ``Made``.
+
+    Attributes:
+        opening: Its stage.
+        what: Its name in messages.
+        stem: Its path without a suffix.
+        camera: Whose frame it is, by name.
+        number: Of the camera.
+        sample: Time code.
+        key: What it is made with.
+        seed: Of its noise.
+        choice: Why this backend, for the sidecar (``auto.Choice``), or None.
+    """
+
+    opening: Opening
+    what: str
+    stem: Path
+    camera: str
+    number: int
+    sample: int
+    key: FrameKey
+    seed: int
+    choice: Mapping[str, Any] | None = None
+
+    @property
+    def holds(self) -> Opening:
+        """The stage."""
+        return self.opening
+
+    @property
+    def claim(self) -> Path:
+        """The lock file of who makes it."""
+        return self.stem.with_name(f"{LOCK}-{self.stem.name}")
+
+    def run(self, keeper: Keeper) -> Made:
+        """Make it.
+
+        Raises:
+            BackendError: The renderer failed, or cannot do what is asked.
+            StageError: The stage is no more what it was.
+            OutputError: A file cannot be written.
+        """
+        session = self.opening.session(keeper)
+        self.stem.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            with Lock(self.claim, what=self.what):
+                # It may have come while nobody looked.
+                if is_done(self.stem, self.key):
+                    return Made()
+                place = self.number, self.sample
+                details = session.render_to(self.stem, *place, self.key, self.seed, self.choice)
+        except BusyError as error:
+            return Made(busy=str(error))
+        return Made(
+            now=True,
+            seconds=dict(details["seconds"]),
+            peak_memory_gb=details["peak_memory_gb"],
+            text=describe(details),
+        )
+
+    def clean(self) -> None:
+        """Remove what a worker that died left half written."""
+        sweep([self.stem.parent])
+
+
+def describe(details: Mapping[str, Any]) -> str:
+    """One line about a frame: seconds by step, and how far ``rgb`` is from converged."""
+    seconds = details["seconds"]
+    parts = [f"{sum(seconds.values()):.2f} s"]
+    parts += [f"{step} {value:.2f}" for step, value in seconds.items() if value >= 0.005]
+    if details.get("estimated_error"):
+        error = details["estimated_error"]["relative_rms"]
+        parts.append("error unknown" if error is None else f"error {100 * error:.1f} %")
+        before = (details.get("estimated_error_before_denoising") or {}).get("relative_rms")
+        if before is not None:
+            parts[-1] += f" ({100 * before:.1f} % before denoising)"
+    if details.get("rounds"):
+        made = len(details["rounds"]["rounds"])
+        parts.append(f"{details['samples_per_pixel']} samples per pixel in {made} rounds")
+        if details["rounds"]["target_met"] is False:
+            parts.append("target not met")
+    return ", ".join(parts)
+
+
+@dataclass(frozen=True)
+class OfSession:
+    """Have something done with an open stage that makes no frame; returns what it returns.
+
+    Attributes:
+        opening: The stage.
+        what: In messages.
+        do: Takes the session; a function of a module, or a ``functools.partial`` of one.
+    """
+
+    opening: Opening
+    what: str
+    do: Callable[[Session], Any]
+
+    @property
+    def holds(self) -> Opening:
+        """The stage."""
+        return self.opening
+
+    def run(self, keeper: Keeper) -> Any:
+        """Do it."""
+        return self.do(self.opening.session(keeper))
+
+
+def write_instances(folder: Path, session: Session) -> None:
+    """Leave the batch's table of instances in a folder, unless it is there."""
+    session.write_instances(folder)
+
+
+def witness(number: int, sample: int, session: Session) -> Visibility | None:
+    """What the renderer itself sees of a frame; None if it does not tell."""
+    return session.witness(number, sample)
+
+
+@dataclass(frozen=True)
+class OfBackend:
+    """Have something done with a backend and no stage; returns what it returns.
+
+    Attributes:
+        backend: Name.
+        do: Takes the name; a function of a module, or a ``functools.partial`` of one.
+    """
+
+    backend: str
+    do: Callable[[str], Any]
+
+    @property
+    def what(self) -> str:
+        """In messages."""
+        return f"backend {self.backend}"
+
+    @property
+    def holds(self) -> None:
+        """Nothing."""
+        return
+
+    def run(self, keeper: Keeper) -> Any:
+        """Do it."""
+        return self.do(self.backend)

@@ -1,0 +1,146 @@
+"""Units of work, and who runs them: what compiling, rendering, scanning and exporting agree on.
+
+All long work is cut into units: small, frozen descriptions that can be pickled. A unit can be run
+again (it renames what it makes into place), in any process that sees the same files. An executor
+runs them: here, in several processes, or on a cluster (``backends.run.executors``).
+It takes units as it has hands free, and tells what came of each in the order in which they end.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Protocol, Self, TypeVar
+
+from scenec.schemas.errors import ScenecError
+
+T = TypeVar("T")
+
+
+class Keeper:
+    """What a worker keeps from one unit to the next: one thing, such as a stage that was read.
+
+    Args:
+        tell: Told whose fault a crash of native code would be, and None when that is over.
+    """
+
+    def __init__(self, tell: Callable[[str | None], None] = lambda _text: None) -> None:
+        self._tell = tell
+        self._name: Hashable = None
+        self._kept: Any = None
+
+    def keep(self, name: Hashable, make: Callable[[], T]) -> T:
+        """What is kept under a name, made if it is not; what was kept under another is let go."""
+        if self._name != name or self._kept is None:
+            self._name = self._kept = None
+            self._kept = make()
+            self._name = name
+        kept: T = self._kept
+        return kept
+
+    @contextmanager
+    def blaming(self, text: str) -> Iterator[None]:
+        """Within, a crash of native code is a fault of the stage, and the text says of what."""
+        self._tell(text)
+        yield
+        self._tell(None)
+
+
+class Unit(Protocol):
+    """One piece of work. Implementations are frozen dataclasses of plain values."""
+
+    @property
+    def what(self) -> str:
+        """Its name in messages, such as ``batch_0000/rover_front/000003``."""
+        ...
+
+    @property
+    def holds(self) -> Hashable:
+        """What it needs a worker to keep (``Keeper.keep``'s name); None for nothing."""
+        ...
+
+    def run(self, keeper: Keeper) -> Any:
+        """Do it; returns something that can be pickled.
+
+        Raises:
+            ScenecError: It cannot be done, however often it is tried.
+        """
+        ...
+
+
+@dataclass
+class Outcome:
+    """What came of a unit.
+
+    Attributes:
+        value: What it returned.
+        error: Why there is none, or None.
+        deaths: Workers that died, or were ended, over it.
+        replaced: Workers that were replaced before it, as they had grown.
+        warnings: A line for each death after which it was tried again.
+        notes: A line for each replacement.
+    """
+
+    value: Any = None
+    error: ScenecError | None = None
+    deaths: int = 0
+    replaced: int = 0
+    warnings: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+
+    def result(self) -> Any:
+        """The value.
+
+        Raises:
+            ScenecError: There is none.
+        """
+        if self.error is not None:
+            raise self.error
+        return self.value
+
+
+#: Gives out a unit to a worker that keeps something (``Unit.holds``); None: none is ready. It is
+#: asked again after every outcome, and where nothing is under way there is none any more.
+Take = Callable[[Hashable], Unit | None]
+
+
+class Executor(Protocol):
+    """Runs units. Used in a ``with``, at whose end no worker is left that it started."""
+
+    def prepare(self, folder: Path, device: str = "auto") -> None:
+        """Make sure that workers can do what will be asked, before any work.
+
+        Args:
+            folder: They see it, and write there.
+            device: They have it.
+
+        Raises:
+            BackendError: One cannot; says which and why.
+        """
+        ...
+
+    def work(self, take: Take) -> Iterator[tuple[Unit, Outcome]]:
+        """Take units and run them, until there are none.
+
+        Args:
+            take: Gives them out.
+
+        Yields:
+            Each unit that ended and what came of it. What is yielded may let others be given out.
+
+        Raises:
+            ScenecError: Workers cannot be had.
+        """
+        ...
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(self, *_: object) -> None: ...
+
+
+def run_all(executor: Executor, units: Iterable[Unit]) -> Iterator[tuple[Unit, Outcome]]:
+    """As ``Executor.work``, of units that wait for nothing."""
+    left = iter(units)
+    return executor.work(lambda _holds: next(left, None))
