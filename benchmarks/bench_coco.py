@@ -192,9 +192,11 @@ def write_output(out: Path, count: int) -> int:
 
 EXPORT = """
 import sys
+from scenec.backends.run.executors import make_executor
 from scenec.datasets.export import Choice, export
 out, folder, count, workers = sys.argv[1:]
-export(out, "coco", folder, Choice(samples=range(int(count))), workers=int(workers))
+with make_executor(int(workers)) as executor:
+    export(out, "coco", folder, Choice(samples=range(int(count))), executor=executor)
 """
 
 

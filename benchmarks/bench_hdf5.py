@@ -104,7 +104,7 @@ def end_to_end(out: Path, work: Path) -> None:
         raw += sum(array.nbytes for array in source.load(ref).passes.values())
     reading = time.perf_counter() - start
     start = time.perf_counter()
-    export(out, "hdf5", work / "dataset", Choice(), workers=1)
+    export(out, "hdf5", work / "dataset", Choice())
     whole = time.perf_counter() - start
     count = len(source)
     print(

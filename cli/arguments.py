@@ -161,14 +161,14 @@ def count(text: str) -> int:
     return int(text)
 
 
-def add_executor(parser: argparse.ArgumentParser) -> None:
+def add_executor(parser: argparse.ArgumentParser, default: str = "$SCENEC_WORKERS, or 1") -> None:
     """Who works."""
     parser.add_argument(
         "--workers",
         type=count,
         metavar="N",
         help="processes that work side by side, each with its share of the cores; 0: none but this "
-        "one (default: $SCENEC_WORKERS, or 1)",
+        f"one (default: {default})",
     )
     parser.add_argument(
         "--cluster",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -31,18 +32,32 @@ def compile_now(options: argparse.Namespace) -> CompileReport:
     from scenec.compiler.precision import WARN_PX
 
     cache = cache_of(options)
-    report = compile_cfg(
-        options.cfg,
-        seed=options.seed,
-        out=options.out,
-        batches=options.batches,
-        keep=Keep(options.keep),
-        progress=say,
-        step=Progress("compiled", unit="batch", units="batches").now,
-        cache=cache,
-        replace=options.replace,
-        faults=options.faults,
-    )
+    bar = Progress("compiled", unit="batch", units="batches")
+
+    def tell(text: str, place: tuple[int, int] | None) -> None:
+        if place is None:
+            say(text)
+        else:
+            bar.now(*place, text)
+
+    with ExitStack() as stack:
+        executor = None
+        if options.workers or options.cluster:
+            from scenec.backends.run.executors import make_executor
+
+            executor = stack.enter_context(make_executor(options.workers, options.cluster))
+        report = compile_cfg(
+            options.cfg,
+            seed=options.seed,
+            out=options.out,
+            batches=options.batches,
+            keep=Keep(options.keep),
+            progress=tell,
+            cache=cache,
+            replace=options.replace,
+            faults=options.faults,
+            executor=executor,
+        )
     for name, seconds in report.seconds.items():
         facts = report.facts[name]
         objects = sum(entry["count"] for entry in facts.get("objects", {}).values())

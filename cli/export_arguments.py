@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from scenec.cli.arguments import add_batches, add_json, names, positive, seed, span
+from scenec.cli.arguments import add_batches, add_executor, add_json, names, seed, span
 
 EPILOG = """\
 conditions of --keep: NAME OPERATOR VALUE, in quotes, all must hold
@@ -81,9 +81,7 @@ def add_export_options(parser: argparse.ArgumentParser) -> None:
         default="stop",
         help="what to do about missing, foreign and damaged frames (default: stop)",
     )
-    parser.add_argument(
-        "--workers", type=positive, metavar="N", help="processes (default: one a core)"
-    )
+    add_executor(parser, "one a core")
     parser.add_argument(
         "--replace", action="store_true", help="replace another dataset in the same folder"
     )

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import os
 import textwrap
 from dataclasses import asdict
 
+from scenec.backends.run.executors import make_executor
 from scenec.cli.output import Progress, print_json, say
 from scenec.datasets.export import Choice, ExportReport, export
 from scenec.datasets.filters import make_filters
@@ -26,16 +28,18 @@ def run(options: argparse.Namespace) -> int:
         raise OutputError(
             f"say to which format: --format {'|'.join(format_names())} (scenec export --list)"
         )
-    report = export(
-        options.out,
-        options.format,
-        options.output,
-        _choice(options),
-        workers=options.workers,
-        replace=options.replace,
-        progress=Progress("exported", unit="step", every_s=2.0),
-        say=say,
-    )
+    workers = options.workers if options.workers is not None else os.process_cpu_count()
+    with make_executor(workers, options.cluster) as executor:
+        report = export(
+            options.out,
+            options.format,
+            options.output,
+            _choice(options),
+            executor=executor,
+            replace=options.replace,
+            progress=Progress("exported", unit="step", every_s=2.0),
+            say=say,
+        )
     if options.json:
         print_json(as_json(report))
     _tell(report)

@@ -14,6 +14,7 @@ from scenec.cli.arguments import (
     add_allow_missing,
     add_batches,
     add_cache,
+    add_executor,
     add_json,
     add_keep,
     add_render_options,
@@ -144,6 +145,7 @@ def parser() -> argparse.ArgumentParser:
     add_cache(compile_)
     add_replace(compile_)
     add_batches(compile_)
+    add_executor(compile_, "0")
     add_json(compile_)
 
     settle = _command(commands, "settle", "drop chosen objects by physics, into a table of poses")
@@ -170,6 +172,7 @@ def parser() -> argparse.ArgumentParser:
         help="only these, by name: RIG_LIDAR",
     )
     scan.add_argument("--ply", action="store_true", help="write clouds of points, too")
+    add_executor(scan)
     add_allow_missing(scan)
     add_batches(scan)
     add_json(scan)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 
+from scenec.backends.run.executors import make_executor
 from scenec.backends.run.scan import ScanReport, scan_output
 from scenec.cli.output import Progress, print_json, say
 
@@ -20,16 +21,18 @@ def scan_now(
     options: argparse.Namespace, lidars: list[str] | None = None, ply: bool = False
 ) -> ScanReport:
     """Scans, and says what came of it."""
-    report = scan_output(
-        options.out,
-        samples=options.samples,
-        batches=options.batches,
-        lidars=lidars,
-        ply=ply,
-        # Of ``run`` there is none: what it scans it has just compiled.
-        allow_missing=getattr(options, "allow_missing", False),
-        progress=Progress("scan", unit="scan"),
-    )
+    with make_executor(options.workers, options.cluster) as executor:
+        report = scan_output(
+            options.out,
+            samples=options.samples,
+            batches=options.batches,
+            lidars=lidars,
+            ply=ply,
+            # Of ``run`` there is none: what it scans it has just compiled.
+            allow_missing=getattr(options, "allow_missing", False),
+            progress=Progress("scan", unit="scan"),
+            executor=executor,
+        )
     for line in report.warnings:
         say(f"warning: {line}")
     there = len(report.scans) - report.made

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import argparse
+import os
 from pathlib import Path
 
 from scenec.cli.output import Progress, print_json, say
 from scenec.datasets.view.ground import Ground
 from scenec.datasets.view.page import ViewReport, write_view
-from scenec.datasets.workers import default_workers
 from scenec.schemas.errors import OutputError, ScenecError
 from scenec.schemas.manifest import Batch
 
@@ -30,7 +30,7 @@ def run(options: argparse.Namespace) -> int:
         output,
         backends=options.backend,
         budget_mb=options.budget_mb,
-        workers=options.workers or default_workers(),
+        workers=options.workers or os.process_cpu_count() or 1,
         faults=options.faults,
         ground=None if options.no_ground else ground_of,
         progress=Progress("frame"),

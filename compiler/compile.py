@@ -3,35 +3,27 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from dataclasses import replace as replace_
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from pxr import Tf
-
-from scenec.compiler.build import BuildLog, build
-from scenec.compiler.draw import draw
-from scenec.compiler.emit.batch import write_batch
+from scenec.compiler.batch_unit import CompileBatch, Compiled
 from scenec.compiler.estimate import needs_of, require_memory, told_time
 from scenec.compiler.frontend.load import Spec, load
-from scenec.compiler.incremental.memo import Memo, memoizing
 from scenec.compiler.incremental.store import Store
 from scenec.compiler.output import Output, batch_name, locked
 from scenec.compiler.passes.keep import Keep
-from scenec.compiler.rig import Lidar, Rig, Sensor
-from scenec.compiler.scene import Scene
-from scenec.schemas.errors import OutputError, ScenecError, SceneError
-from scenec.schemas.files import temporary_folder, tree, write_json
-from scenec.schemas.left_out import write_left_out
-from scenec.schemas.manifest import REPORT
-from scenec.schemas.strays import Firing, stray_scans, strays, told
+from scenec.schemas.errors import ScenecError, SceneError
+from scenec.schemas.files import temporary_folder
+from scenec.schemas.strays import stray_scans, strays, told
+from scenec.schemas.units import Executor, Outcome, run_all
 
+Tell = Callable[[str, tuple[int, int] | None], None]
 #: What to do about a batch that cannot be built.
 FAULTS = ("stop", "skip", "redraw")
-#: How often a batch is drawn before it is given up.
-_MOST_ATTEMPTS = 16
 
 
 @dataclass(frozen=True)
@@ -72,16 +64,17 @@ def compile_cfg(
     out: Path | str,
     batches: range | None = None,
     keep: Keep = Keep.SEEN,
-    progress: Callable[[str], None] | None = None,
-    step: Callable[[int, int, str], None] | None = None,
+    progress: Tell | None = None,
     cache: Path | str | None = None,
     replace: bool = False,
     faults: str = "stop",
+    executor: Executor | None = None,
 ) -> CompileReport:
     """Compiles a cfg into USD stages, one per batch.
 
-    The same cfg, seed and version give the same bytes in every file of the manifest. Batches that
-    are there already with the same bytes are left alone, and so are their frames.
+    The same cfg, seed and version give the same bytes in every file of the manifest, whoever
+    compiles which batch. Batches that are there already with the same bytes are left alone, and so
+    are their frames.
 
     Args:
         cfg: The cfg's JSON file.
@@ -89,8 +82,8 @@ def compile_cfg(
         out: Output folder; made if it is not there.
         batches: Which batches; None compiles all.
         keep: How much stays in the stages.
-        progress: Called with a line of text before each batch.
-        step: Called when a step of a batch begins, with batches done, batches in all, and a text.
+        progress: Called with lines worth saying, and None; and with a text when a step of a batch
+            begins (with an executor: when a batch is there), and batches done and in all.
         cache: Folder of steps that were made before and are taken where nothing they depend on
             has changed (``incremental.store.default_folder`` is the command line's); the bytes are
             the same with it and without, and ``$SCENEC_CACHE_MAX`` bounds it. None: all is made.
@@ -98,6 +91,7 @@ def compile_cfg(
             in the folder; those that are not compiled now go, and so do frames of other stages.
         faults: What to do about a batch that cannot be built: ``stop``, ``skip`` it, or ``redraw``
             it from other streams, up to 15 times (the bytes are the same each time).
+        executor: Who compiles the batches; None: this process, one after the other.
 
     Raises:
         CfgError: The cfg has faults; all of them are in the error.
@@ -106,64 +100,101 @@ def compile_cfg(
         OutputError: The output folder cannot be written, holds something that is not to be
             replaced, or another process is at work on it.
     """
-    say = progress or (lambda _text: None)
+    tell = progress or (lambda _text, _place: None)
     started = time.perf_counter()
     if faults not in FAULTS:
         raise ScenecError(f"faults: {faults!r}: expected one of {', '.join(FAULTS)}")
     spec = load(Path(cfg))
     load_seconds = time.perf_counter() - started
     out = Path(out)
+    cache = None if cache is None else Path(cache).absolute()
     chosen = _chosen(spec, batches)
     report = CompileReport(out, (), 0, {}, {})
-    store = None if cache is None else Store(Path(cache), say=say)
     left_over: list[str] = []
     made: list[int] = []
     failed = report.failed
     unchanged = 0
-    with locked(out):
-        output = Output(out, spec, seed, keep, chosen, replace, say)
-        for done, batch in enumerate(chosen):
-            name = batch_name(batch)
-            tell = _teller(step, done, len(chosen), name)
-            _require_room(spec, seed, batch, len(chosen) if done == 0 else None, say)
-            for attempt in _attempts(output.attempt(batch), faults):
-                again = f", attempt {attempt + 1}" if attempt else ""
-                say(f"compiling {name} of {spec.cfg['name']}, seed {seed}{again}")
-                log = BuildLog(seconds={"load": load_seconds}, tell=tell)
-                memo = None if store is None else Memo(store)
-                try:
-                    scene = _build(spec, (seed, batch, attempt), keep, log, memo)
-                    with temporary_folder(out) as folder, memoizing(memo):
-                        _emit(folder / name, scene, log, batch, attempt)
-                        unchanged += output.put(folder, batch, scene.samples, attempt)
-                except SceneError as error:
-                    if faults == "stop":
-                        raise _stopped(error, name, made, len(chosen)) from error
-                    say(f"warning: {name} cannot be built: {error}")
-                    failed[name] = str(error)
-                else:
-                    failed.pop(name, None)
-                    break
-            if name in failed:
+    with locked(out), temporary_folder(out) as folder:
+        output = Output(out, spec, seed, keep, chosen, replace, lambda line: tell(line, None))
+        units = [
+            CompileBatch(
+                cfg=Path(cfg).absolute(),
+                digest=spec.digest,
+                seed=seed,
+                batch=batch,
+                keep=keep,
+                first=output.attempt(batch),
+                redraw=faults == "redraw",
+                cache=cache,
+                folder=folder.absolute() / str(batch),
+            )
+            for batch in chosen
+        ]
+        for unit, compiled in _compiled(units, spec, executor, tell):
+            name, batch = unit.what, unit.batch
+            if compiled.error is not None:
+                if faults == "stop":
+                    raise _stopped(compiled.error, name, made, len(chosen)) from compiled.error
+                if faults == "skip":
+                    tell(f"warning: {name} cannot be built: {compiled.error}", None)
+                failed[name] = str(compiled.error)
                 output.fail(batch, failed[name])
                 continue
+            unchanged += output.put(unit.folder, batch, compiled.samples, compiled.attempt)
             made.append(batch)
-            if attempt:
-                report.attempts[name] = attempt
-            report.seconds[name], report.facts[name] = log.seconds, log.facts
-            left_over += _strays(out / name, scene)
+            if compiled.attempt:
+                report.attempts[name] = compiled.attempt
+            report.seconds[name] = {"load": load_seconds, **compiled.seconds}
+            report.facts[name] = compiled.facts
+            left_over += _strays(out / name, compiled)
             left_over += output.foreign(batch)
-            if memo is not None:
-                report.made[name], report.taken[name] = dict(memo.made), dict(memo.taken)
+            if compiled.made is not None and compiled.taken is not None:
+                report.made[name], report.taken[name] = compiled.made, compiled.taken
             # After each batch: what an interrupted run has finished can be gone on with.
             output.write_timings(report.seconds)
         if not made:
             reason = next(iter(failed.values()))
             raise SceneError(f"none of {len(chosen)} batches can be built; the first: {reason}")
         output.close()
-    if store is not None:
-        store.tidy()
+    if cache is not None:
+        Store(cache, say=lambda line: tell(line, None)).tidy()
     return replace_(report, batches=tuple(made), unchanged=unchanged, strays=tuple(left_over))
+
+
+def _compiled(
+    units: Sequence[CompileBatch],
+    spec: Spec,
+    executor: Executor | None,
+    tell: Tell,
+) -> Iterator[tuple[CompileBatch, Compiled]]:
+    """What came of each batch, in their order, whoever compiled it."""
+
+    def say(line: str) -> None:
+        tell(line, None)
+
+    total = len(units)
+    if executor is None:
+        for done, unit in enumerate(units):
+            _require_room(spec, unit.seed, unit.batch, total if done == 0 else None, say)
+            yield unit, unit.make(spec, say, partial(_step, tell, unit.what, (done, total)))
+        return
+    for number, unit in enumerate(units):
+        _require_room(spec, unit.seed, unit.batch, total if number == 0 else None, say)
+    executor.prepare(units[0].folder.parent)
+    ready: dict[str, Outcome] = {}
+    following = 0
+    for done, (ended, outcome) in enumerate(run_all(executor, units), 1):
+        for line in (*outcome.notes, *(f"warning: {line}" for line in outcome.warnings)):
+            say(line)
+        tell(f"{ended.what} is there", (done, total))
+        ready[ended.what] = outcome
+        # In their order: where one cannot be built, those before it are there, and no others.
+        while following < total and units[following].what in ready:
+            compiled: Compiled = ready.pop(units[following].what).result()
+            for line in compiled.lines:
+                say(line)
+            following += 1
+            yield units[following - 1], compiled
 
 
 def _require_room(
@@ -188,11 +219,6 @@ def _require_room(
         say(long)
 
 
-def _attempts(first: int, faults: str) -> range:
-    """Numbers of the attempts at a batch."""
-    return range(first, max(first + 1, _MOST_ATTEMPTS if faults == "redraw" else 0))
-
-
 def _stopped(error: SceneError, name: str, made: list[int], total: int) -> SceneError:
     """The same, with the batch and what can be done, where there are several."""
     if total == 1:
@@ -206,55 +232,14 @@ def _stopped(error: SceneError, name: str, made: list[int], total: int) -> Scene
     return stopped
 
 
-def _build(
-    spec: Spec, drawn: tuple[int, int, int], keep: Keep, log: BuildLog, memo: Memo | None
-) -> Scene:
-    """The scene of one batch; ``drawn``: seed, batch, attempt."""
-    with log.timed("draw"):
-        plan = draw(spec, *drawn)
-    with memoizing(memo):
-        return build(plan, log, keep)
+def _step(tell: Tell, name: str, place: tuple[int, int], text: str) -> None:
+    tell(f"{name}: {text}", place)
 
 
-def _emit(folder: Path, scene: Scene, log: BuildLog, batch: int, attempt: int) -> None:
-    """Writes a batch and its report."""
-    folder.mkdir()
-    with log.timed("emit"):
-        _write(folder, scene)
-    log.facts["bytes"] = sum((folder / path).stat().st_size for path in tree(folder))
-    drawn = {"batch": batch} | ({"attempt": attempt} if attempt else {})
-    write_json(folder / REPORT, {**drawn, **log.facts})
-    if log.record is not None:
-        write_left_out(folder, log.record)
-
-
-def _teller(
-    step: Callable[[int, int, str], None] | None, done: int, total: int, batch: str
-) -> Callable[[str], None] | None:
-    return None if step is None else lambda text: step(done, total, f"{batch}: {text}")
-
-
-def _write(folder: Path, scene: Scene) -> None:
-    try:
-        write_batch(folder, scene)
-    except Tf.ErrorException as error:
-        # A full disk reaches us as USD's own exception.
-        text = next((e.commentary for e in error.args), "USD gives no reason").splitlines()[0]
-        raise OutputError(f"{folder}: cannot be written: {text}") from error
-
-
-def _strays(folder: Path, scene: Scene) -> list[str]:
-    """A line about frames and scans that are none of this scene's, if there are any."""
-
-    def firing(sensors: Callable[[Rig], Iterable[Sensor | Lidar]]) -> Firing:
-        named = [(f"{rig.name}_{s.name}", s.trigger) for rig in scene.rigs for s in sensors(rig)]
-        return [
-            [(name, i >= first and (i - first) % every == 0) for name, (every, first) in named]
-            for i in range(scene.samples)
-        ]
-
-    found = list(strays(folder, firing(lambda rig: rig.sensors)))
-    found += stray_scans(folder, firing(lambda rig: rig.lidars))
+def _strays(folder: Path, compiled: Compiled) -> list[str]:
+    """A line about frames and scans that are none of this stage's, if there are any."""
+    found = list(strays(folder, compiled.cameras))
+    found += stray_scans(folder, compiled.lidars)
     return [told(found)] if found else []
 
 

@@ -19,7 +19,7 @@ import hashlib
 import itertools
 import shutil
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -47,11 +47,11 @@ from scenec.datasets.pictures import counted, vouch
 from scenec.datasets.source import FrameFault, LoadedFrame, kind_of
 from scenec.datasets.statistics import Statistics, measure
 from scenec.datasets.sums import SUMS, listed, note, settle, tidy, write_sums
-from scenec.datasets.workers import default_workers, in_processes
 from scenec.schemas.csv_cells import guarded_line
 from scenec.schemas.errors import FrameError, OutputError
 from scenec.schemas.files import check_writable, sha256, tree, write_json
 from scenec.schemas.lock import LOCK, Lock
+from scenec.schemas.units import Executor, Keeper, run_all
 from scenec.schemas.update import finish_update, reading, replace_files
 
 __all__ = ["FAULTS", "Choice", "ExportReport", "export"]
@@ -107,7 +107,7 @@ def export(
     folder: Path | str | None = None,
     choice: Choice | None = None,
     *,
-    workers: int | None = None,
+    executor: Executor | None = None,
     replace: bool = False,
     progress: Progress | None = None,
     say: Say | None = None,
@@ -119,7 +119,7 @@ def export(
         format_name: See ``formats.registry``.
         folder: The dataset's; None takes ``<out>/datasets/<format>``.
         choice: What, and how.
-        workers: Processes; None takes one a core.
+        executor: Who writes its parts, see ``backends.run.executors``; None: this process.
         replace: Whether another dataset may be replaced that lies in ``folder``.
         progress: Called after each task.
         say: Called with lines worth showing.
@@ -155,21 +155,36 @@ def export(
         total = report.resumed + len(todo)
         if report.resumed:
             say(f"{report.resumed} of {total} steps were done already")
-        count = default_workers() if workers is None else max(1, workers)
-        run = _Run(plan, partial)
         finished = report.resumed
-        for task, faults in in_processes(run, todo, min(count, max(1, len(todo)))):
+        parts = (ExportPart(plan, partial.absolute(), task) for task in todo)
+        for what, faults in _written(parts, executor, partial, say):
             finished += 1
             for fault in faults:
                 say(f"warning: {fault.message}; left out")
             if progress:
-                progress(finished, total, plan.task_name(task))
+                progress(finished, total, what)
         _finish(plan, partial, report, say)
     for what, number in report.left_out.items():
         say(f"warning: left out: {number} {what}")
     for what, one in report.narrowed.items():
         say(f"warning: {one.text(what, plan.format().mend(one.most))}")
     return report
+
+
+def _written(
+    parts: Iterator[ExportPart], executor: Executor | None, partial: Path, say: Say
+) -> Iterator[tuple[str, list[FrameFault]]]:
+    """Name of each part that is there now, and the frames left out."""
+    if executor is None:
+        for part in parts:
+            yield part.what, part.run(Keeper())
+        return
+    executor.prepare(partial)
+    with closing(run_all(executor, parts)) as ended:
+        for unit, outcome in ended:
+            for line in outcome.warnings:
+                say(f"warning: {line}")
+            yield unit.what, outcome.result()
 
 
 def _already_there(plan: Plan, replace: bool) -> ExportReport | None:
@@ -262,14 +277,37 @@ def _missing(plan: Plan, report: ExportReport, say: Say) -> None:
 
 
 @dataclass
-class _Run:
-    """One task in a worker process."""
+class ExportPart:
+    """A part of a dataset as a unit of work; returns the frames left out.
+
+    Attributes:
+        plan: Of the dataset.
+        partial: Where it is made, absolute.
+        task: Which part.
+    """
 
     plan: Plan
     partial: Path
+    task: Task
 
-    def __call__(self, task: Task) -> list[FrameFault]:
-        """Write it and its record; returns the frames left out."""
+    @property
+    def what(self) -> str:
+        """In messages."""
+        return self.plan.task_name(self.task)
+
+    @property
+    def holds(self) -> None:
+        """Nothing."""
+        return
+
+    def run(self, keeper: Keeper) -> list[FrameFault]:
+        """Write it and its record.
+
+        Raises:
+            FrameError: A frame is damaged, and none is to be skipped.
+            OutputError: A file cannot be written.
+        """
+        task = self.task
         lines: list[list[str]] = []
         faults: list[FrameFault] = []
         tally = Tally()

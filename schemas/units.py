@@ -8,7 +8,7 @@ It takes units as it has hands free, and tells what came of each in the order in
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Iterable, Iterator
+from collections.abc import Callable, Generator, Hashable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -121,7 +121,7 @@ class Executor(Protocol):
         """
         ...
 
-    def work(self, take: Take) -> Iterator[tuple[Unit, Outcome]]:
+    def work(self, take: Take) -> Generator[tuple[Unit, Outcome]]:
         """Take units and run them, until there are none.
 
         Args:
@@ -140,7 +140,7 @@ class Executor(Protocol):
     def __exit__(self, *_: object) -> None: ...
 
 
-def run_all(executor: Executor, units: Iterable[Unit]) -> Iterator[tuple[Unit, Outcome]]:
+def run_all(executor: Executor, units: Iterable[Unit]) -> Generator[tuple[Unit, Outcome]]:
     """As ``Executor.work``, of units that wait for nothing."""
     left = iter(units)
     return executor.work(lambda _holds: next(left, None))

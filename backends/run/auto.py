@@ -17,7 +17,6 @@ from scenec.backends.run.executors import ask
 from scenec.backends.run.plan import RenderPlan
 from scenec.backends.run.units import OfBackend
 from scenec.schemas.errors import BackendError
-from scenec.schemas.frames import ANNOTATION_NAMES
 
 #: What ``scenec converge`` measured, in the output folder.
 MEASURED = Path("converge", "converge.json")
@@ -111,7 +110,7 @@ def check_backend(plan: RenderPlan, *, rgb: bool, apertures: Sequence[str] = ())
         from scenec.backends.camera.shutter import undenoised
 
         raise BackendError(undenoised(apertures[0], "aperture"))
-    if not rgb or plan.backend in ANNOTATION_NAMES:
+    if not rgb:
         # Annotation needs no renderer.
         return
     if plan.backend == AUTO:

@@ -15,7 +15,7 @@ import secrets
 import socket
 import threading
 from collections import Counter
-from collections.abc import Hashable, Iterator
+from collections.abc import Generator, Hashable
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -108,7 +108,7 @@ class Cluster:
         self._wanted = folder, device
         self._refresh()
 
-    def work(self, take: Take) -> Iterator[tuple[Unit, Outcome]]:
+    def work(self, take: Take) -> Generator[tuple[Unit, Outcome]]:
         """See ``Executor``."""
         from distributed import as_completed
 

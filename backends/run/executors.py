@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import queue
 import threading
-from collections.abc import Iterator
+from collections.abc import Generator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Self
@@ -38,7 +38,7 @@ class Here:
     def prepare(self, folder: Path, device: str = "auto") -> None:
         """See ``Executor``: this process sees what it sees."""
 
-    def work(self, take: Take) -> Iterator[tuple[Unit, Outcome]]:
+    def work(self, take: Take) -> Generator[tuple[Unit, Outcome]]:
         """See ``Executor``."""
         holds = None
         while (unit := take(holds)) is not None:
@@ -80,7 +80,7 @@ class Processes:
     def prepare(self, folder: Path, device: str = "auto") -> None:
         """See ``Executor``: processes of this machine see what this one sees."""
 
-    def work(self, take: Take) -> Iterator[tuple[Unit, Outcome]]:
+    def work(self, take: Take) -> Generator[tuple[Unit, Outcome]]:
         """See ``Executor``."""
         ended: queue.SimpleQueue[tuple[Supervisor, Unit, Outcome | BaseException]]
         ended = queue.SimpleQueue()

@@ -6,7 +6,7 @@ import json
 import time
 from collections import deque
 from collections.abc import Callable, Hashable, Sequence
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack, closing, suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -225,7 +225,7 @@ class _Render:
         self._works: dict[Hashable, _Work] = {}
         #: Frames that others are making.
         self._busy: list[RenderFrame] = []
-        self._under_way = 0
+        self._under_way: list[Unit] = []
         self._done = 0
         self._said: set[tuple[str, str]] = set()
         # Said once another batch can be read: what is wrong with all is one error.
@@ -237,27 +237,43 @@ class _Render:
         Raises:
             ScenecError: See ``render``.
         """
-        for unit, outcome in executor.work(self._take):
-            self._under_way -= 1
-            self._report.deaths += outcome.deaths
-            self._report.replaced += outcome.replaced
-            self.tell.warn_all(outcome.warnings)
-            for line in outcome.notes:
-                self.tell.say(line)
-            if isinstance(unit, OpenStage):
-                self._open(unit, outcome)
-            elif isinstance(unit, RenderFrame):
-                self._frame(unit, outcome)
-            elif isinstance(outcome.error, FrameLostError):
-                self.tell.fail(str(outcome.error))
-            else:
-                outcome.result()
+        try:
+            with closing(executor.work(self._take)) as ended:
+                for unit, outcome in ended:
+                    self._ended_unit(unit, outcome)
+        finally:
+            # Amid work only: what a worker that was ended had begun.
+            for unit in self._under_way:
+                if isinstance(unit, RenderFrame):
+                    unit.clean()
         if self._unread and not self._report.frames:
             raise self._unread[0][1]
         order = {batch.folder: number for number, batch in enumerate(self._batches.values())}
         self._report.frames.sort(key=lambda stem: order[stem.parents[3]])
 
+    def _ended_unit(self, unit: Unit, outcome: Outcome) -> None:
+        self._under_way.remove(unit)
+        self._report.deaths += outcome.deaths
+        self._report.replaced += outcome.replaced
+        self.tell.warn_all(outcome.warnings)
+        for line in outcome.notes:
+            self.tell.say(line)
+        if isinstance(unit, OpenStage):
+            self._open(unit, outcome)
+        elif isinstance(unit, RenderFrame):
+            self._frame(unit, outcome)
+        elif isinstance(outcome.error, FrameLostError):
+            self.tell.fail(str(outcome.error))
+        else:
+            outcome.result()
+
     def _take(self, holds: Hashable) -> Unit | None:
+        unit = self._next(holds)
+        if unit is not None:
+            self._under_way.append(unit)
+        return unit
+
+    def _next(self, holds: Hashable) -> Unit | None:
         """A unit for a worker: of the stage it holds, a stage to open, or of another's stage."""
         own = self._works.get(holds)
         works = ([own] if own else []) + (
@@ -267,13 +283,10 @@ class _Render:
         )
         for work in works:
             if work.ready:
-                self._under_way += 1
                 return work.ready.popleft()
         if self._unopened:
-            self._under_way += 1
             return OpenStage(self._unopened.popleft())
         if self._busy and not self._under_way:
-            self._under_way += 1
             return self._wait()
         return None
 

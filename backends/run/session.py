@@ -468,6 +468,10 @@ class Session:
                 arrays[MEASURED] = measure(self.scene, caster, hits, rays(), camera, sample)
         return hits, arrays, listed
 
+    def caster(self) -> ExactCaster:
+        """The exact caster, of the scene as it was posed last."""
+        return self._exact({})
+
     def _exact(self, seconds: dict[str, float]) -> ExactCaster:
         with _timed(seconds, "load"):
             if self._caster is None:

@@ -38,9 +38,8 @@ class Opening:
         return keeper.keep(self, lambda: self._open(keeper))
 
     def _open(self, keeper: Keeper) -> Session:
-        from scenec.backends.run.session import Session
-
         with keeper.blaming(f"{self.stage}: OpenUSD crashed reading it: a file of it is damaged"):
+            from scenec.backends.run.session import Session
             from scenec.backends.stage.read import read_stage
 
             scene = read_stage(Path(self.stage), allow_missing=self.allow_missing)

@@ -356,6 +356,7 @@ def test_a_backend_that_knows_pinholes_alone_draws_lenses_and_the_sidecar_says_h
     backend = Pinholes()
     session = Session(world, backend)  # type: ignore[arg-type]
     arrays, details = session.render(camera, 0, ["rgb", "depth"], 4, 1)
+    assert session.witness(0, 0) is None
     assert backend.seen == [None]
     assert details["lens_radiance"]["way"] == "resampled"
     assert details["lens_radiance"]["views"] == 5

@@ -208,7 +208,7 @@ def test_exports_pass_them_over_with_a_line_each(made, tmp_path):
     shutil.rmtree(copied / "batch_0000/frames/annotation/rover_gone")
     said: list[str] = []
     choice = Choice(options={"rgb": "linear"})
-    report = export(copied, "hdf5", tmp_path / "d", choice, workers=1, say=said.append)
+    report = export(copied, "hdf5", tmp_path / "d", choice, say=said.append)
     assert report.frames == 2 + 4
     told = json.loads((tmp_path / "d" / "export.json").read_bytes())["faults"]
     assert [fault["kind"] for fault in told] == ["stray"] * 4
@@ -218,7 +218,7 @@ def test_exports_pass_them_over_with_a_line_each(made, tmp_path):
     assert "triggered at samples 1, 3, …" in told[0]["message"]
     (line,) = (line for line in said if "not of this stage" in line)
     assert "and 3 more like it" in line
-    again = export(copied, "hdf5", tmp_path / "d", choice, workers=1)
+    again = export(copied, "hdf5", tmp_path / "d", choice)
     assert again.there
     assert len(again.faults) == 4
     warned: list[str] = []
@@ -230,8 +230,8 @@ def test_exports_pass_them_over_with_a_line_each(made, tmp_path):
 def test_a_camera_that_is_gone_is_foreign_to_an_export(made, tmp_path):
     out, _ = made
     with pytest.raises(FrameError, match=r"rover_gone/000000\.json: foreign"):
-        export(out, "hdf5", tmp_path / "d", Choice(faults="stop"), workers=1)
-    assert len(export(out, "hdf5", tmp_path / "e", Choice(faults="skip"), workers=1).faults) == 9
+        export(out, "hdf5", tmp_path / "d", Choice(faults="stop"))
+    assert len(export(out, "hdf5", tmp_path / "e", Choice(faults="skip")).faults) == 9
 
 
 @twice

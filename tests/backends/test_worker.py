@@ -6,7 +6,6 @@ import os
 import signal
 import subprocess
 import sys
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -20,11 +19,11 @@ from scenec.backends.run.doctor import diagnose, library_versions
 from scenec.backends.run.frames import frame_seed
 from scenec.backends.run.render import render
 from scenec.backends.run.supervise import RETRIES, Supervisor
-from scenec.backends.run.units import RenderFrame
+from scenec.backends.run.units import OfBackend, RenderFrame
 from scenec.schemas.errors import BackendError, OutputError, StageError
 from scenec.schemas.frames import read_frame
 from scenec.schemas.manifest import find_batches
-from scenec.schemas.units import Keeper, Unit
+from scenec.schemas.units import Unit
 
 
 @pytest.fixture
@@ -160,29 +159,14 @@ def test_a_worker_goes_with_its_parent(stage):
     until_gone(worker)
 
 
-@dataclass(frozen=True)
-class Noisy:
-    """Prints at descriptor level, as native code does, and ends its process if it is to."""
-
-    status: int | None = None
-    what = "noise"
-    holds = None
-
-    def run(self, keeper: Keeper) -> int:
-        """Print, and end or not."""
-        os.write(1, b"LLVM says hello\n")
-        print("python too", flush=True)
-        if self.status is not None:
-            os._exit(self.status)
-        return 7
-
-
 def test_what_libraries_print_does_not_reach_the_protocol(capfd):
     with Supervisor() as worker:
-        assert worker.do(Noisy()).result() == 7
+        assert worker.do(OfBackend("echo LLVM says hello", os.system)).result() == 0
+        assert worker.do(OfBackend("python too", print)).result() is None
         # It is told where it may explain a death.
-        with pytest.raises(BackendError, match=r"exit status 5: python too"):
-            worker.do(Noisy(5)).result()
+        dies = "import os; os.write(1, b'the end'); os._exit(5)"
+        with pytest.raises(BackendError, match=r"exit status 5: the end"):
+            worker.do(OfBackend(dies, exec)).result()
     assert capfd.readouterr() == ("", "")
 
 

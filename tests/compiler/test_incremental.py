@@ -235,11 +235,11 @@ def test_entries_damaged_in_any_way_are_made_again(place, tmp_path):
 def test_a_cache_deleted_on_the_way_changes_nothing(place, tmp_path):
     shutil.copytree(place.cache, tmp_path / "cache")
 
-    def delete(_done: int, _total: int, text: str) -> None:
-        if text.endswith("ground"):
+    def delete(text: str, place: tuple[int, int] | None) -> None:
+        if place and text.endswith("ground"):
             shutil.rmtree(tmp_path / "cache")
 
-    report, found = place.compiled(_cfg(), tmp_path / "cache", step=delete)
+    report, found = place.compiled(_cfg(), tmp_path / "cache", progress=delete)
     assert found == place.scratch(_cfg())
     assert "ground" in _made(report)
     assert "relief" not in _made(report)
@@ -249,7 +249,11 @@ def test_a_cache_deleted_on_the_way_changes_nothing(place, tmp_path):
 def test_a_cache_that_cannot_be_is_said_once(place, tmp_path):
     (tmp_path / "file").write_text("no folder")
     said: list[str] = []
-    _, found = place.compiled(_cfg(), tmp_path / "file" / "cache", progress=said.append)
+
+    def tell(text: str, _place: tuple[int, int] | None) -> None:
+        said.append(text)
+
+    _, found = place.compiled(_cfg(), tmp_path / "file" / "cache", progress=tell)
     assert found == place.scratch(_cfg())
     assert len([line for line in said if "cache" in line]) == 1
 

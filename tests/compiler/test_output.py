@@ -329,9 +329,13 @@ def test_names_in_a_folder_that_is_a_link_itself_are_fine(tmp_path):
 def test_a_place_that_cannot_be_written_is_said_before_the_compilation(tmp_path):
     (tmp_path / "file").write_text("")
     said: list[str] = []
+
+    def tell(text: str, _place: tuple[int, int] | None) -> None:
+        said.append(text)
+
     for out in (tmp_path / "file" / "out", Path("/proc/nowhere/out")):
         with pytest.raises(OutputError, match="cannot be written"):
-            compile_cfg(write_cfg(tmp_path), seed=1, out=out, progress=said.append)
+            compile_cfg(write_cfg(tmp_path), seed=1, out=out, progress=tell)
     assert said == []
 
 

@@ -80,7 +80,7 @@ def made(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def dataset(made):
-    export(made.out, "bop", workers=1)
+    export(made.out, "bop")
     return made.out / "datasets/bop"
 
 
@@ -209,12 +209,12 @@ def test_objects_are_classes_and_the_rigid_ones_are_told(dataset):
 
 def test_a_pattern_that_nothing_matches_is_refused_with_what_there_is(made, tmp_path):
     with pytest.raises(OutputError, match=r"no frame shows anything of .*/landr.*lander"):
-        export(made.out, "bop", tmp_path / "d", Choice(options={"objects": "*/landr"}), workers=1)
+        export(made.out, "bop", tmp_path / "d", Choice(options={"objects": "*/landr"}))
     assert not (tmp_path / "d").exists()
 
 
 def test_only_chosen_objects_are_written(made, tmp_path):
-    export(made.out, "bop", tmp_path / "d", Choice(options={"objects": "*/lander"}), workers=1)
+    export(made.out, "bop", tmp_path / "d", Choice(options={"objects": "*/lander"}))
     scene = Scene(tmp_path / "d/all/000000")
     assert [[e["inst_id"] for e in entries] for entries in scene.gt.values()] == [[2]] * 3
     assert json.loads((tmp_path / "d/objects.json").read_text()).keys() == {"1"}
@@ -223,7 +223,7 @@ def test_only_chosen_objects_are_written(made, tmp_path):
 
 def test_filtered_instances_are_not_written(made, tmp_path):
     filters = make_filters(["area>=45"])
-    export(made.out, "bop", tmp_path / "d", Choice(filters=filters), workers=1)
+    export(made.out, "bop", tmp_path / "d", Choice(filters=filters))
     scene = Scene(tmp_path / "d/all/000000")
     counts = [i["px_count_visib"] for infos in scene.info.values() for i in infos]
     assert counts
@@ -231,7 +231,7 @@ def test_filtered_instances_are_not_written(made, tmp_path):
 
 
 def test_depth_in_tenths_of_a_millimeter_ends_where_16_bits_do(made, tmp_path):
-    export(made.out, "bop", tmp_path / "d", Choice(options={"depth_scale": "0.1"}), workers=1)
+    export(made.out, "bop", tmp_path / "d", Choice(options={"depth_scale": "0.1"}))
     scene = Scene(tmp_path / "d/all/000000")
     assert scene.camera[0]["depth_scale"] == 0.1
     truth = made.passes["rover_left", 0]["depth"].astype(float)
@@ -243,7 +243,7 @@ def test_depth_in_tenths_of_a_millimeter_ends_where_16_bits_do(made, tmp_path):
 
 def test_without_amodal_masks_what_they_say_is_left_out(tmp_path):
     out = make_out(tmp_path / "out", (LEFT,), 1, amodal=False, without=["rgb"]).out
-    export(out, "bop", workers=1)
+    export(out, "bop")
     scene = Scene(out / "datasets/bop/all/000000")
     assert sorted(path.name for path in scene.path.iterdir() if path.is_dir()) == [
         "depth",
@@ -255,7 +255,7 @@ def test_without_amodal_masks_what_they_say_is_left_out(tmp_path):
 
 def test_frames_without_instances_have_empty_lists(tmp_path):
     out = make_out(tmp_path / "out", (LEFT,), 1, empty=True).out
-    export(out, "bop", workers=1)
+    export(out, "bop")
     scene = Scene(out / "datasets/bop/all/000000")
     assert scene.gt == scene.info == {0: []}
     assert (scene.depth(0) == 0).all()
@@ -263,7 +263,7 @@ def test_frames_without_instances_have_empty_lists(tmp_path):
 
 def test_the_largest_frame_ids_are_kept(tmp_path):
     out = make_out(tmp_path / "out", (LEFT,), 1, ids={2: 2**32 - 1, 9: 2**31}).out
-    export(out, "bop", workers=1)
+    export(out, "bop")
     scene = Scene(out / "datasets/bop/all/000000")
     assert [entry["inst_id"] for entry in scene.gt[0]] == [5, 6, 2**31, 2**32 - 1]
 
@@ -273,11 +273,11 @@ def test_a_batch_whose_table_is_gone_is_refused(made, tmp_path):
     shutil.copytree(made.out, out, ignore=shutil.ignore_patterns("datasets"))
     (out / "batch_0000/frames/instances.npz").unlink()
     with pytest.raises(FrameError, match=r"instances.npz: no such table"):
-        export(out, "bop", workers=1)
+        export(out, "bop")
 
 
 def test_the_same_frames_give_the_same_bytes_in_another_folder(made, dataset, tmp_path):
-    export(made.out, "bop", tmp_path / "d", workers=1)
+    export(made.out, "bop", tmp_path / "d")
     assert (tmp_path / "d/SHA256SUMS").read_bytes() == (dataset / "SHA256SUMS").read_bytes()
 
 
@@ -289,7 +289,7 @@ def test_a_compiled_and_rendered_scene_agrees_with_itself_from_frame_to_frame(tm
     pose["target"] = {"distance_m": 6, "bearing_deg": 0, "height_m": 0}
     compile_cfg(write_cfg(tmp_path, cfg), seed=1, out=tmp_path / "out")
     render(tmp_path / "out", "reference", passes=("instance", "depth", "amodal"))
-    export(tmp_path / "out", "bop", workers=1)
+    export(tmp_path / "out", "bop")
     scene = Scene(tmp_path / "out/datasets/bop/all/000000")
     b_from_a = np.linalg.inv(scene.pose(1)) @ scene.pose(0)
     k = scene.k(0)

@@ -50,7 +50,7 @@ def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def exported(out: Path, folder: Path, form: str, **options: str) -> Path:
-    return export(out, form, folder, Choice(options=options), workers=1).folder
+    return export(out, form, folder, Choice(options=options)).folder
 
 
 def sidecars(out: Path) -> list[dict[str, Any]]:
@@ -104,7 +104,7 @@ def test_webdataset_has_them_in_the_json(out, tmp_path):
 
 
 def test_parquet_has_the_sensor_and_counts_the_poses_of_rows(out, tmp_path):
-    report = export(out, "parquet", tmp_path / "d", workers=1)
+    report = export(out, "parquet", tmp_path / "d")
     (file,) = report.folder.glob("data/*.parquet")
     for row, wanted in zip(pq.read_table(file).to_pylist(), sidecars(out), strict=True):
         if wanted["camera"] == STILL:
@@ -137,7 +137,7 @@ def test_formats_with_one_pose_a_frame_say_that_it_is_the_middle_rows(out, tmp_p
     said: list[str] = []
     options = {"times": "samples"} if form == "rosbag2" else {}
     choice = Choice(options=options, cameras=[ROLLS])
-    report = export(out, form, tmp_path / "d", choice, workers=1, say=said.append)
+    report = export(out, form, tmp_path / "d", choice, say=said.append)
     what = f"poses of rows (rolling shutter): format {form} has the middle row's alone"
     assert report.left_out[what] == 2
     assert said.count(f"warning: left out: 2 {what}") == 1
@@ -154,7 +154,7 @@ def test_a_camera_that_stands_still_or_reads_out_at_once_has_one_pose(tmp_path):
         else:
             shutter["camera_to_world"] = [told["camera_to_world"]] * 2
         path.write_text(json.dumps(told | {"shutter": shutter}), encoding="utf-8")
-    assert export(out, "tum", tmp_path / "d", workers=1).left_out == {}
+    assert export(out, "tum", tmp_path / "d").left_out == {}
 
 
 def test_statistics_say_how_a_shutter_reads_out(out, tmp_path):

@@ -87,7 +87,7 @@ def dataset(output: Path, plugin: Path, tmp_path_factory: pytest.TempPathFactory
         level="surface",
         options={"ending": "txt"},
     )
-    export(output, "tiny", folder, choice, workers=1)
+    export(output, "tiny", folder, choice)
     return folder
 
 
@@ -147,7 +147,7 @@ def test_names_of_others_are_text_in_the_card(tmp_path: Path) -> None:
         tmp_path / "out", lambda _: passes, batches=1, cameras=("c",), samples=1, labels=labels,
         name=EVIL[0],
     )  # fmt: skip
-    export(out, "webdataset", tmp_path / "set", workers=1)
+    export(out, "webdataset", tmp_path / "set")
     text = _FENCED.sub("", (tmp_path / "set" / "README.md").read_text()).split("\n---\n", 1)[1]
     # Without spans of code, whose content is text whatever it is.
     text = re.sub(r"(?<![`\\])(`+)(?!`).*?(?<!`)\1(?!`)", "", text)
@@ -223,7 +223,7 @@ def test_a_cfg_that_is_not_the_manifest_s_is_not_shown(
 ) -> None:
     (output / "cfg.json").write_text(CFG + " ", encoding="utf-8")
     try:
-        export(output, "tiny", tmp_path / "ds", workers=1)
+        export(output, "tiny", tmp_path / "ds")
     finally:
         (output / "cfg.json").write_text(CFG, encoding="utf-8")
     text = (tmp_path / "ds/README.md").read_text(encoding="utf-8")
@@ -234,7 +234,7 @@ def test_a_cfg_that_is_not_the_manifest_s_is_not_shown(
 def test_frames_of_a_mere_stage_have_a_card_too(tmp_path: Path, plugin: Path) -> None:
     made = make_output(tmp_path / "made", batches=1, cameras=("a",))
     folder = made / "batch_0000"
-    export(folder / "stage.usda", "tiny", tmp_path / "ds", workers=1)
+    export(folder / "stage.usda", "tiny", tmp_path / "ds")
     text = (tmp_path / "ds/README.md").read_text(encoding="utf-8")
     assert text.count("scenec compile") == 0
     assert "scenec render stage.usda" in text

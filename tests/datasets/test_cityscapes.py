@@ -30,7 +30,7 @@ def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def exported(out: Path, folder: Path, **options: str) -> Path:
-    return export(out, "cityscapes", folder, Choice(options=options), workers=1).folder
+    return export(out, "cityscapes", folder, Choice(options=options)).folder
 
 
 def read(path: Path) -> np.ndarray:
@@ -143,12 +143,12 @@ def test_more_instances_than_cityscapes_has_room_for_are_refused_or_grouped(tmp_
 def test_a_label_whose_instances_do_not_fit_sixteen_bits_is_refused(out: Path, tmp_path: Path):
     choice = Choice(level="surface")
     with pytest.raises(OutputError, match="no room for instances of a label above 65"):
-        export(out, "cityscapes", tmp_path / "d", choice, workers=1)
+        export(out, "cityscapes", tmp_path / "d", choice)
 
 
 def test_instances_that_a_filter_ignores_get_the_plain_label(out: Path, tmp_path: Path):
     choice = Choice(filters=make_filters(["id=5"], "ignore"))
-    folder = export(out, "cityscapes", tmp_path / "d", choice, workers=1).folder
+    folder = export(out, "cityscapes", tmp_path / "d", choice).folder
     made = some_passes(3)
     values = read(folder / f"gtFine/{CORE}_gtFine_instanceIds.png")
     assert (values[made["instance"] > 5] == 3).all()

@@ -24,6 +24,7 @@ from pycocotools import mask as coco_mask
 from pycocotools.coco import COCO
 from pycocotools.cocoeval import COCOeval
 
+from scenec.backends.run.executors import Processes
 from scenec.datasets.export import Choice, export
 from scenec.datasets.filters import make_filters
 from scenec.datasets.outlines import outlines
@@ -56,7 +57,7 @@ def one_frame(folder: Path, passes: dict[str, Any], **choice: Any) -> COCO:
 
 
 def coco_of(out: Path, folder: Path, split: str = "all", **choice: Any) -> COCO:
-    export(out, "coco", folder, Choice(**choice), workers=1)
+    export(out, "coco", folder, Choice(**choice))
     return COCO(folder / "annotations" / f"instances_{split}.json")
 
 
@@ -223,7 +224,7 @@ def test_instances_without_a_label_are_left_out_and_counted(tmp_path):
     passes["label.class"][0, :3], passes["label.class"][3:5] = 0, 3
     out = make_output(tmp_path / "out", lambda _: passes, batches=1, cameras=("c",), samples=2)
     said: list[str] = []
-    report = export(out, "coco", tmp_path / "set", workers=1, say=said.append)
+    report = export(out, "coco", tmp_path / "set", say=said.append)
     coco = COCO(tmp_path / "set" / "annotations" / "instances_all.json")
     assert list(masks(coco)) == [(1, 9), (2, 9)]
     assert report.left_out == {"instances without a label": 2}
@@ -303,7 +304,7 @@ def test_a_split_whose_frames_cannot_be_read_is_an_empty_file(tmp_path):
     out = make_output(tmp_path / "out", batches=2, cameras=("cam",), samples=1)
     next((out / "batch_0001").rglob("*.exr")).write_bytes(b"nothing")
     choice = Choice(splits=parse_splits("train=0:1,val=1:2"), faults="skip")
-    export(out, "coco", tmp_path / "set", choice, workers=1)
+    export(out, "coco", tmp_path / "set", choice)
     val = COCO(tmp_path / "set" / "annotations" / "instances_val.json")
     assert val.dataset["images"] == val.dataset["annotations"] == []
     assert len(val.dataset["categories"]) == 1
@@ -321,7 +322,7 @@ def test_frames_without_pictures_and_depth_are_exported_too(tmp_path):
 def test_pictures_are_linked_copied_or_left_out(tmp_path):
     out = make_output(tmp_path / "out")
     for how in ("link", "copy", "none"):
-        export(out, "coco", tmp_path / how, Choice(options={"images": how}), workers=1)
+        export(out, "coco", tmp_path / how, Choice(options={"images": how}))
     name = "images/all/batch_0000_rover_left_000000.png"
     source = next((out / "batch_0000").rglob("rover_left/000000.png"))
     assert os.path.samefile(tmp_path / "link" / name, source)
@@ -367,22 +368,23 @@ def test_amodal_masks_go_along_where_a_frame_has_them(tmp_path):
     assert coco.annToMask(each).sum() == 6
     masks_file.write_bytes(masks_file.read_bytes()[:-9])
     with pytest.raises(FrameError, match=r"amodal\.npz.*changed since"):
-        export(out, "coco", tmp_path / "again", workers=1)
+        export(out, "coco", tmp_path / "again")
 
 
 def test_the_same_bytes_come_from_one_process_and_from_two(tmp_path):
     out = make_output(tmp_path / "out", batches=3)
-    for workers in (1, 2):
-        export(out, "coco", tmp_path / f"by_{workers}", workers=workers)
+    export(out, "coco", tmp_path / "by_1")
+    with Processes(2) as executor:
+        export(out, "coco", tmp_path / "by_2", executor=executor)
     assert same_tree(tmp_path / "by_1", tmp_path / "by_2")
 
 
 def test_an_export_that_was_killed_goes_on_to_the_same_bytes(tmp_path):
     out = make_output(tmp_path / "out", lambda n: some_passes(n, 64, 48), batches=2, samples=20)
-    export(out, "coco", tmp_path / "whole", workers=1)
+    export(out, "coco", tmp_path / "whole")
     script = (
         "import sys; from scenec.datasets.export import export; "
-        "export(sys.argv[1], 'coco', sys.argv[2], workers=1)"
+        "export(sys.argv[1], 'coco', sys.argv[2])"
     )
     process = subprocess.Popen([sys.executable, "-c", script, str(out), str(tmp_path / "cut")])
     tasks = tmp_path / ".cut.partial" / "tasks"
@@ -390,7 +392,7 @@ def test_an_export_that_was_killed_goes_on_to_the_same_bytes(tmp_path):
     process.send_signal(signal.SIGKILL)
     process.wait()
     assert not (tmp_path / "cut").exists()
-    report = export(out, "coco", tmp_path / "cut", workers=1)
+    report = export(out, "coco", tmp_path / "cut")
     assert 5 <= report.resumed < 80
     assert same_tree(tmp_path / "whole", tmp_path / "cut")
     assert not any(".partial" in path.as_posix() for path in tree(tmp_path))
@@ -412,7 +414,7 @@ def test_a_table_that_was_changed_since_is_damage(tmp_path):
     values["instance_table"] = {"bytes": 1, "sha256": "0" * 64}
     sidecar.write_text(json.dumps(values), encoding="utf-8")
     with pytest.raises(FrameError, match=r"instances\.csv.*changed since"):
-        export(out, "coco", tmp_path / "set", workers=1)
+        export(out, "coco", tmp_path / "set")
 
 
 pictures = arrays(

@@ -35,7 +35,7 @@ def made(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def mav0(made):
-    export(made.out, "euroc", workers=1)
+    export(made.out, "euroc")
     return made.out / "datasets/euroc/all/batch_0000_rover/mav0"
 
 
@@ -120,7 +120,7 @@ def test_velocities_are_differences_of_the_positions(mav0, made, tmp_path):
     assert np.abs(values[:, 8:11] - np.gradient(positions, 0.1, axis=0)).max() < 1e-9
     assert (values[:, 11:] == 0.0).all()
     choice = Choice(options={"velocity": "zero", "pictures": "color"})
-    export(made.out, "euroc", tmp_path / "d", choice, workers=1)
+    export(made.out, "euroc", tmp_path / "d", choice)
     other = tmp_path / "d/all/batch_0000_rover/mav0"
     still = np.loadtxt(other / "state_groundtruth_estimate0/data.csv", delimiter=",", comments="#")
     assert (still[:, 8:] == 0.0).all()
@@ -136,7 +136,7 @@ def test_the_body_frame_is_stated_and_every_yaml_is_one(mav0):
 
 
 def test_the_same_frames_give_the_same_bytes_in_another_folder(made, mav0, tmp_path):
-    export(made.out, "euroc", tmp_path / "d", workers=1)
+    export(made.out, "euroc", tmp_path / "d")
     there = made.out / "datasets/euroc/SHA256SUMS"
     assert (tmp_path / "d/SHA256SUMS").read_bytes() == there.read_bytes()
 
@@ -148,7 +148,7 @@ def test_a_camera_that_moves_on_its_rig_is_refused(tmp_path):
     sidecar["camera_to_world"][0][3] += 1e-3
     path.write_text(json.dumps(sidecar))
     with pytest.raises(OutputError, match=r"rover_right/000002: the camera has moved on its rig"):
-        export(out, "euroc", workers=1)
+        export(out, "euroc")
 
 
 def test_a_camera_whose_lens_changes_is_refused(tmp_path):
@@ -158,7 +158,7 @@ def test_a_camera_whose_lens_changes_is_refused(tmp_path):
     sidecar["intrinsics"][0][0] += 1.0
     path.write_text(json.dumps(sidecar))
     with pytest.raises(OutputError, match=r"rover_left/000001: its resolution or intrinsics"):
-        export(out, "euroc", workers=1)
+        export(out, "euroc")
 
 
 def test_skew_is_refused_where_a_format_has_four_numbers(tmp_path):
@@ -168,12 +168,12 @@ def test_skew_is_refused_where_a_format_has_four_numbers(tmp_path):
     sidecar["intrinsics"][0][1] = 0.25
     path.write_text(json.dumps(sidecar))
     with pytest.raises(OutputError, match=r"has skew 0.25"):
-        export(out, "euroc", workers=1)
+        export(out, "euroc")
 
 
 def test_one_frame_has_no_velocity(tmp_path):
     out = make_out(tmp_path / "out", (Sensor("c", "/World/c", size=(1, 1)),), 1).out
-    export(out, "euroc", workers=1)
+    export(out, "euroc")
     path = out / "datasets/euroc/all/batch_0000_c/mav0/state_groundtruth_estimate0/data.csv"
     assert (np.loadtxt(path, delimiter=",", comments="#")[8:] == 0.0).all()
 
@@ -181,4 +181,4 @@ def test_one_frame_has_no_velocity(tmp_path):
 def test_equal_time_stamps_are_refused_before_one_picture_takes_anothers_name(tmp_path):
     out = make_out(tmp_path / "out", (LEFT,), 2, times=[1.0, 1.0 + 1e-10]).out
     with pytest.raises(OutputError, match=r"rover_left/000001: its time stamp .*times=samples"):
-        export(out, "euroc", workers=1)
+        export(out, "euroc")

@@ -17,6 +17,7 @@ from killed import killed_at_each_call
 from made_output import make_output, some_passes
 from tiny_format import KILL, contents, counts_of, install
 
+from scenec.backends.run.executors import Processes
 from scenec.datasets.export import Choice, export
 from scenec.datasets.filters import make_filters
 from scenec.datasets.formats.registry import find_format, format_names
@@ -29,10 +30,12 @@ from scenec.schemas.lock import LOCK, Lock
 FRAME = "batch_0001/rover_left/000001"
 _EXPORT = """
 import sys
+from scenec.backends.run.executors import make_executor
 from scenec.datasets.export import export
 from scenec.schemas.errors import ScenecError
 try:
-    report = export(sys.argv[1], "tiny", sys.argv[2], workers=int(sys.argv[3]))
+    with make_executor(int(sys.argv[3])) as executor:
+        report = export(sys.argv[1], "tiny", sys.argv[2], executor=executor)
     print("resumed", report.resumed)
 except ScenecError as error:
     sys.exit(f"said: {error}")
@@ -53,7 +56,7 @@ def output(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def dataset(output: Path, plugin: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("whole") / "ds"
-    export(output, "tiny", folder, workers=1)
+    export(output, "tiny", folder)
     return folder
 
 
@@ -96,7 +99,8 @@ def test_a_dataset_lists_every_frame_and_every_file(output: Path, dataset: Path)
 def test_the_same_frames_give_the_same_bytes_with_any_number_of_workers(
     output: Path, dataset: Path, tmp_path: Path
 ) -> None:
-    export(output, "tiny", tmp_path / "elsewhere" / "ä b", workers=2)
+    with Processes(2) as executor:
+        export(output, "tiny", tmp_path / "elsewhere" / "ä b", executor=executor)
     assert contents(tmp_path / "elsewhere" / "ä b") == contents(dataset)
 
 
@@ -107,13 +111,13 @@ def test_what_making_a_frame_cost_is_no_part_of_the_dataset(
         sidecar = json.loads(path.read_text(encoding="utf-8"))
         sidecar |= {"seconds": {"load": 1.5}, "peak_memory_gb": 0.5, "device": "cpu"}
         path.write_text(json.dumps(sidecar), encoding="utf-8")
-    export(copy, "tiny", tmp_path / "ds", workers=1)
+    export(copy, "tiny", tmp_path / "ds")
     assert contents(tmp_path / "ds") == contents(dataset)
 
 
 def test_the_same_dataset_again_does_nothing(output: Path, dataset: Path) -> None:
     before = {path: path.stat().st_mtime_ns for path in dataset.rglob("*")}
-    report = export(output, "tiny", dataset, workers=1)
+    report = export(output, "tiny", dataset)
     assert report.there
     assert report.frames == 8
     assert {path: path.stat().st_mtime_ns for path in dataset.rglob("*")} == before
@@ -126,9 +130,9 @@ def test_another_dataset_in_the_folder_is_replaced_only_when_asked(
     shutil.copytree(dataset, folder)
     other = Choice(options={"ending": "txt"})
     with pytest.raises(OutputError, match="--replace"):
-        export(output, "tiny", folder, other, workers=1)
+        export(output, "tiny", folder, other)
     assert contents(folder) == contents(dataset)
-    export(output, "tiny", folder, other, workers=1, replace=True)
+    export(output, "tiny", folder, other, replace=True)
     assert len(list(folder.rglob("*.txt"))) == 8
     assert not (folder / "all").exists() or not list((folder / "all").glob("*.json"))
 
@@ -140,13 +144,13 @@ def test_a_folder_that_is_not_ours_is_never_touched(
     (tmp_path / "thesis").mkdir()
     (tmp_path / "thesis" / "chapter.txt").write_text("all I have")
     with pytest.raises(OutputError, match=r"holds no dataset of scenec"):
-        export(output, "tiny", tmp_path / "thesis", workers=1, replace=replace)
+        export(output, "tiny", tmp_path / "thesis", replace=replace)
     assert contents(tmp_path) == {"thesis/chapter.txt": b"all I have"}
 
 
 def test_an_empty_folder_may_become_a_dataset(output: Path, dataset: Path, tmp_path: Path) -> None:
     (tmp_path / "ds").mkdir()
-    export(output, "tiny", tmp_path / "ds", workers=1)
+    export(output, "tiny", tmp_path / "ds")
     assert contents(tmp_path / "ds") == contents(dataset)
 
 
@@ -166,7 +170,7 @@ def test_a_killed_export_goes_on_where_it_was_and_ends_with_the_same_bytes(
     killed = run(output, tmp_path / "ds", plugin, 1, **{KILL: FRAME.replace("/", "_")})
     assert killed.returncode == -9
     assert not (tmp_path / "ds").exists()
-    report = export(output, "tiny", tmp_path / "ds", workers=1)
+    report = export(output, "tiny", tmp_path / "ds")
     assert report.resumed == 5
     assert contents(tmp_path / "ds") == contents(dataset)
     assert os.listdir(tmp_path) == ["ds"]
@@ -179,7 +183,7 @@ def test_a_killed_worker_is_said_in_one_line_and_costs_what_it_did(
     assert killed.returncode == 1
     assert killed.stderr.startswith("said: a worker process was killed"), killed.stderr
     assert not (tmp_path / "ds").exists()
-    assert export(output, "tiny", tmp_path / "ds", workers=1).resumed >= 1
+    assert export(output, "tiny", tmp_path / "ds").resumed >= 1
     assert contents(tmp_path / "ds") == contents(dataset)
 
 
@@ -190,7 +194,7 @@ def test_what_was_done_for_another_dataset_is_not_left_in_this_one(
     partial = tmp_path / ".ds.partial" / "data"
     (partial / ".half.0123abcd.json").write_text("cut short")
     (partial / "all" / "old.txt").write_text("of another option")
-    assert export(output, "tiny", tmp_path / "ds", workers=1).resumed == 5
+    assert export(output, "tiny", tmp_path / "ds").resumed == 5
     assert contents(tmp_path / "ds") == contents(dataset)
 
 
@@ -213,7 +217,7 @@ def test_two_exports_of_one_folder_do_not_mix(output: Path, tmp_path: Path, plug
         Lock(tmp_path / ".ds.partial" / LOCK),
         pytest.raises(OutputError, match=rf"ds: .*process {os.getpid()}.* is at work here"),
     ):
-        export(output, "tiny", tmp_path / "ds", workers=1)
+        export(output, "tiny", tmp_path / "ds")
 
 
 def test_a_damaged_frame_stops_an_export_and_leaves_no_dataset(
@@ -221,7 +225,7 @@ def test_a_damaged_frame_stops_an_export_and_leaves_no_dataset(
 ) -> None:
     path = damage(copy)
     with pytest.raises(FrameError, match=r"000001\.exr: truncated, damaged or changed") as caught:
-        export(copy, "tiny", tmp_path / "ds", workers=1)
+        export(copy, "tiny", tmp_path / "ds")
     assert str(path) in str(caught.value)
     assert not (tmp_path / "ds").exists()
 
@@ -233,7 +237,7 @@ def test_skipped_frames_are_named_and_come_back_once_they_are_mended(
     (copy / "batch_0000/frames/annotation/rover_right/000000.json").unlink()
     skip = Choice(faults="skip")
     lines: list[str] = []
-    report = export(copy, "tiny", tmp_path / "ds", skip, workers=1, say=lines.append)
+    report = export(copy, "tiny", tmp_path / "ds", skip, say=lines.append)
     assert [(f.name, f.kind) for f in report.faults] == [
         ("batch_0000/rover_right/000000", "missing"),
         (FRAME, "damaged"),
@@ -243,11 +247,11 @@ def test_skipped_frames_are_named_and_come_back_once_they_are_mended(
         line["frame"] for line in csv.DictReader((tmp_path / "ds/frames.csv").open())
     )
     assert report.frames == 6
-    assert export(copy, "tiny", tmp_path / "ds", skip, workers=1).there
+    assert export(copy, "tiny", tmp_path / "ds", skip).there
     path = copy / f"{FRAME.replace('/rover', '/frames/annotation/rover')}.exr"
     assert path.read_bytes() == sound
     shutil.copy(output / path.relative_to(copy), path)
-    mended = export(copy, "tiny", tmp_path / "ds", skip, workers=1, replace=True)
+    mended = export(copy, "tiny", tmp_path / "ds", skip, replace=True)
     assert (mended.there, mended.frames) == (False, 7)
 
 
@@ -256,7 +260,7 @@ def test_an_export_of_frames_that_are_all_damaged_says_so(tmp_path: Path, plugin
     for sample in range(2):
         damage(out, f"batch_0000/a/{sample:06d}")
     with pytest.raises(FrameError, match="not one of 2 frames can be read"):
-        export(out, "tiny", tmp_path / "ds", Choice(faults="skip"), workers=1)
+        export(out, "tiny", tmp_path / "ds", Choice(faults="skip"))
     assert not (tmp_path / "ds").exists()
 
 
@@ -268,7 +272,7 @@ def test_filters_remap_and_splits_reach_the_format(
         remap=parse_remap({"class": {"rock": "stone", "sky": None}}),
         splits=parse_splits("train=0.5,val=0.5"),
     )
-    report = export(output, "tiny", tmp_path / "ds", choice, workers=1)
+    report = export(output, "tiny", tmp_path / "ds", choice)
     assert report.splits == {"train": 4, "val": 4}
     assert report.tally.rejected["id<100"] == report.tally.seen - report.tally.kept > 0
     for path in sorted((tmp_path / "ds").glob("*/batch_*.json")):
@@ -278,7 +282,7 @@ def test_filters_remap_and_splits_reach_the_format(
     summary = json.loads((tmp_path / "ds/export.json").read_text())
     assert summary["instances"]["kept"] == report.tally.kept
     # The digest is of what was rendered, whatever became of it.
-    plain = export(output, "tiny", tmp_path / "plain", workers=1)
+    plain = export(output, "tiny", tmp_path / "plain")
     assert sorted(digests(tmp_path / "ds")) == sorted(digests(tmp_path / "plain"))
     assert plain.tally.kept == report.tally.seen
 
@@ -300,9 +304,9 @@ def test_bad_choices_end_in_one_message_before_anything_is_written(
         (Choice(remap=parse_remap({"class": {"rok": "x"}})), 'did you mean "rock"'),
     ):
         with pytest.raises(OutputError, match=words):
-            export(output, "tiny", tmp_path / "ds", choice, workers=1)
+            export(output, "tiny", tmp_path / "ds", choice)
     with pytest.raises(FrameError, match='did you mean "rover_left"'):
-        export(output, "tiny", tmp_path / "ds", Choice(cameras=["rover_lef"]), workers=1)
+        export(output, "tiny", tmp_path / "ds", Choice(cameras=["rover_lef"]))
     assert os.listdir(tmp_path) == []
 
 
@@ -314,7 +318,7 @@ def test_frames_without_a_pass_that_a_format_needs_are_refused(
 
     out = make_output(tmp_path / "out", without, batches=1)
     with pytest.raises(OutputError, match="needs the pass instance"):
-        export(out, "tiny", tmp_path / "ds", workers=1)
+        export(out, "tiny", tmp_path / "ds")
 
 
 @pytest.mark.slow
@@ -326,10 +330,10 @@ def test_a_dataset_is_replaced_whole_or_not_at_all_whenever_its_process_is_kille
     ds = tmp_path / "ds"
 
     def act() -> None:
-        export(new, "tiny", ds, workers=1, replace=True)
+        export(new, "tiny", ds, replace=True)
 
-    export(old, "tiny", ds, workers=1)
-    export(new, "tiny", tmp_path / "clean", workers=1)
+    export(old, "tiny", ds)
+    export(new, "tiny", tmp_path / "clean")
     (ds / "mine.txt").write_text("mine")
     before = contents_of(ds)
     after = contents_of(tmp_path / "clean") | {"mine.txt": b"mine"}

@@ -13,6 +13,7 @@ import pytest
 from made_output import EXPOSURE_EV, LABELS, frame_table, make_output, pose_of, some_passes
 from PIL import Image
 
+from scenec.backends.run.executors import Processes
 from scenec.datasets.export import Choice, export
 from scenec.datasets.formats.contract import Info
 from scenec.datasets.formats.registry import find_format
@@ -28,7 +29,7 @@ def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def exported(out: Path, folder: Path, **options: str) -> Path:
-    return export(out, "hdf5", folder, Choice(options=options), workers=1).folder
+    return export(out, "hdf5", folder, Choice(options=options)).folder
 
 
 @pytest.mark.parametrize("compression", ["none", "lzf", "gzip"])
@@ -117,8 +118,10 @@ def test_the_picture_is_the_one_beside_the_frame(out: Path, tmp_path: Path):
 
 
 def test_files_are_the_same_bytes_whatever_the_workers(out: Path, tmp_path: Path):
-    a = export(out, "hdf5", tmp_path / "a", Choice(options={"shard": "3"}), workers=1).folder
-    b = export(out, "hdf5", tmp_path / "b", Choice(options={"shard": "3"}), workers=2).folder
+    a = export(out, "hdf5", tmp_path / "a", Choice(options={"shard": "3"})).folder
+    with Processes(2) as executor:
+        choice = Choice(options={"shard": "3"})
+        b = export(out, "hdf5", tmp_path / "b", choice, executor=executor).folder
     names = sorted(path.name for path in a.glob("*.h5"))
     assert names == [f"all_12x8_{i:05d}.h5" for i in range(3)]
     for name in names:
@@ -141,7 +144,7 @@ def test_a_file_holds_one_resolution_and_on_request_one_camera(tmp_path: Path):
 def test_frames_that_are_left_out_leave_no_gap(tmp_path: Path):
     out = make_output(tmp_path / "out", batches=1)
     (out / "batch_0000/frames/annotation/rover_left/000001.exr").write_bytes(b"torn")
-    report = export(out, "hdf5", tmp_path / "d", Choice(faults="skip"), workers=1)
+    report = export(out, "hdf5", tmp_path / "d", Choice(faults="skip"))
     assert report.frames == 3
     with h5py.File(report.folder / "all_12x8.h5") as file:
         assert len(file["depth"]) == len(file["camera"]) == 3

@@ -26,6 +26,7 @@ from made_frames import (
 )
 from PIL import Image
 
+from scenec.backends.run.executors import Processes
 from scenec.datasets.export import Choice, export
 from scenec.datasets.formats.trajectory import rigs
 from scenec.datasets.source import Source
@@ -51,7 +52,7 @@ def made(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def dataset(made):
-    export(made.out, "kitti", choice=BOTH, workers=1)
+    export(made.out, "kitti", choice=BOTH)
     return made.out / "datasets" / "kitti"
 
 
@@ -143,7 +144,7 @@ def test_the_first_pose_puts_a_sequence_back_into_the_world(dataset):
 
 
 def test_without_the_option_there_is_no_depth_and_no_gray(made, tmp_path):
-    export(made.out, "kitti", tmp_path / "d", workers=1)
+    export(made.out, "kitti", tmp_path / "d")
     folders = {path.name for path in (tmp_path / "d/sequences/00").iterdir() if path.is_dir()}
     assert folders == {"image_2", "image_3"}
 
@@ -153,7 +154,7 @@ def test_a_damaged_frame_of_a_pair_leaves_out_both_and_lines_follow_the_names(ma
     shutil.copytree(made.out, out, ignore=shutil.ignore_patterns("datasets"))
     broken = out / "batch_0000/frames/mitsuba/rover_a/000001.exr"
     broken.write_bytes(broken.read_bytes()[:-100])
-    export(out, "kitti", choice=Choice(faults="skip", batches=[0]), workers=1)
+    export(out, "kitti", choice=Choice(faults="skip", batches=[0]))
     data = odometry(str(out / "datasets/kitti"), "00")
     names = [path[-10:] for path in data.cam2_files]
     assert names == ["000000.png", "000002.png", "000003.png"]
@@ -163,7 +164,8 @@ def test_a_damaged_frame_of_a_pair_leaves_out_both_and_lines_follow_the_names(ma
 
 
 def test_the_same_frames_give_the_same_bytes_however_many_processes(made, dataset, tmp_path):
-    export(made.out, "kitti", tmp_path / "d", BOTH, workers=2)
+    with Processes(2) as executor:
+        export(made.out, "kitti", tmp_path / "d", BOTH, executor=executor)
     assert (tmp_path / "d/SHA256SUMS").read_bytes() == (dataset / "SHA256SUMS").read_bytes()
 
 
@@ -182,7 +184,7 @@ def test_the_same_frames_give_the_same_bytes_however_many_processes(made, datase
 )
 def test_cameras_that_are_no_rectified_pair_are_sequences_of_their_own(tmp_path, other):
     out = make_out(tmp_path / "out", (LEFT, other), 2).out
-    export(out, "kitti", workers=1)
+    export(out, "kitti")
     lines = table(out / "datasets/kitti")
     assert {line["left"] for line in lines} == {LEFT.name, other.name}
     data = odometry(str(out / "datasets/kitti"), "00")
@@ -203,11 +205,11 @@ def test_rigs_are_told_by_their_prims_even_with_underscores_in_names(tmp_path):
 def test_depth_without_the_pass_is_refused(tmp_path):
     out = make_out(tmp_path / "out", (LEFT,), 1, without=["depth"]).out
     with pytest.raises(OutputError, match=r"depth=yes: the frames have no pass depth.*,depth"):
-        export(out, "kitti", choice=BOTH, workers=1)
+        export(out, "kitti", choice=BOTH)
 
 
 def test_an_empty_picture_has_no_depth_and_still_a_pose(tmp_path):
     out = make_out(tmp_path / "out", (LEFT,), 1, empty=True).out
-    export(out, "kitti", choice=BOTH, workers=1)
+    export(out, "kitti", choice=BOTH)
     assert (depth_of(out / "datasets/kitti", "00", 0) == 0).all()
     assert (odometry(str(out / "datasets/kitti"), "00").poses[0] == np.eye(4)).all()

@@ -83,7 +83,7 @@ def small(name: str, x: float = 0.0) -> Sensor:
 
 
 def exported(out: Path, folder: Path, faults: str = "stop", **options: str) -> ExportReport:
-    return export(out, "kitti", folder, Choice(options=options, faults=faults), workers=1)
+    return export(out, "kitti", folder, Choice(options=options, faults=faults))
 
 
 def pairs(dataset: Path) -> list[tuple[str, str]]:
@@ -132,7 +132,7 @@ def test_disparity_to_another_camera_than_the_pairs_is_refused(tmp_path: Path):
     partners(made.out, rover_a="rover_c")
     choice = Choice(cameras=["rover_a", "rover_b"], options={"disparity": "all"})
     with pytest.raises(OutputError, match="disparity goes to rover_c, and format kitti has it bes"):
-        export(made.out, "kitti", tmp_path / "d", choice, workers=1)
+        export(made.out, "kitti", tmp_path / "d", choice)
 
 
 def test_a_pair_by_geometry_of_frames_that_name_no_partner_is_said_once(tmp_path: Path):
@@ -141,7 +141,7 @@ def test_a_pair_by_geometry_of_frames_that_name_no_partner_is_said_once(tmp_path
 
     def told(name: str) -> list[str]:
         said: list[str] = []
-        export(made.out, "kitti", tmp_path / name, Choice(), workers=1, say=said.append)
+        export(made.out, "kitti", tmp_path / name, Choice(), say=said.append)
         return said
 
     (line,) = told("before")
@@ -217,7 +217,7 @@ def devkit_disparity(path: Path) -> tuple[NDArray[np.float64], NDArray[np.bool_]
 @pytest.mark.parametrize("how", ["all", "visible"])
 def test_flow_and_disparity_come_back_within_half_a_step(made: Made, tmp_path: Path, how: str):
     choice = Choice(options={"flow": how, "disparity": how})
-    report = export(made.out, "kitti", tmp_path / "d", choice, workers=1)
+    report = export(made.out, "kitti", tmp_path / "d", choice)
     beyond = 0
     for place, camera in (("00", "rover_left"), ("00", "rover_right"), ("01", "rover_side")):
         side = 3 if camera == "rover_right" else 2
@@ -249,7 +249,7 @@ def test_flow_and_disparity_come_back_within_half_a_step(made: Made, tmp_path: P
 
 
 def test_nothing_of_motion_is_written_unless_it_is_asked_for(made: Made, tmp_path: Path):
-    folder = export(made.out, "kitti", tmp_path / "d", workers=1).folder
+    folder = export(made.out, "kitti", tmp_path / "d").folder
     assert not [p for p in folder.rglob("*") if p.name.startswith(("flow", "disp"))]
 
 
@@ -259,7 +259,7 @@ def test_nothing_of_motion_is_written_unless_it_is_asked_for(made: Made, tmp_pat
 def test_a_pass_that_is_not_there_is_named(tmp_path: Path, option, lacking):
     out = make_out(tmp_path / "made", (LEFT,), samples=1).out
     with pytest.raises(OutputError, match=f"the frames have no pass {lacking}; render with"):
-        export(out, "kitti", tmp_path / "d", Choice(options=option), workers=1)
+        export(out, "kitti", tmp_path / "d", Choice(options=option))
 
 
 def test_what_is_infinitely_far_away_has_the_least_disparity_and_negative_ones_none():

@@ -49,7 +49,7 @@ def test_euroc_has_the_distortion(
     tmp_path: Path, lens: dict[str, Any], model: str, count: int
 ) -> None:
     """In sensor.yaml, k1, k2, p1, p2 or Kannala and Brandt's four."""
-    folder = Path(export(made_with(tmp_path, lens), "euroc", workers=1).folder)
+    folder = Path(export(made_with(tmp_path, lens), "euroc").folder)
     (path,) = folder.rglob("cam0/sensor.yaml")
     sensor = yaml.safe_load(path.read_text())
     assert sensor["distortion_model"] == model
@@ -71,7 +71,7 @@ def test_a_bags_camera_info_has_the_distortion(
     """Read by rosbags: model and coefficients as image_geometry takes them."""
     from rosbags.highlevel import AnyReader
 
-    folder = Path(export(made_with(tmp_path, lens), "rosbag2", workers=1).folder)
+    folder = Path(export(made_with(tmp_path, lens), "rosbag2").folder)
     bags = [path.parent for path in folder.rglob("metadata.yaml")]
     with AnyReader(bags) as reader:
         infos = [c for c in reader.connections if c.topic.endswith("camera_info")]
@@ -98,7 +98,7 @@ def test_what_a_format_cannot_hold_is_one_line(
 ) -> None:
     """With the frame, the camera, and how to leave it out."""
     with pytest.raises(OutputError) as error:
-        export(made_with(tmp_path, lens), form, workers=1)
+        export(made_with(tmp_path, lens), form)
     assert said in str(error.value)
     assert "batch_0000/rover_left/000000" in str(error.value)
     assert "--cameras" in str(error.value)
@@ -107,7 +107,7 @@ def test_what_a_format_cannot_hold_is_one_line(
 def test_a_lens_and_a_skew_are_too_much_for_a_bag(tmp_path: Path) -> None:
     """Its readers drop the skew."""
     with pytest.raises(OutputError, match="has a lens and a skew"):
-        export(made_with(tmp_path, BROWN, 0.5), "rosbag2", workers=1)
+        export(made_with(tmp_path, BROWN, 0.5), "rosbag2")
 
 
 def test_coco_and_hdf5_say_it_as_sidecars_do(tmp_path: Path) -> None:
@@ -115,11 +115,11 @@ def test_coco_and_hdf5_say_it_as_sidecars_do(tmp_path: Path) -> None:
     import h5py
 
     out = made_with(tmp_path, FISHEYE)
-    folder = Path(export(out, "coco", folder=tmp_path / "coco", workers=1).folder)
+    folder = Path(export(out, "coco", folder=tmp_path / "coco").folder)
     (path,) = [p for p in folder.rglob("*.json") if b'"images"' in p.read_bytes()]
     for image in json.loads(path.read_text())["images"]:
         assert image["lens"] == FISHEYE
-    folder = Path(export(out, "hdf5", folder=tmp_path / "h5", workers=1).folder)
+    folder = Path(export(out, "hdf5", folder=tmp_path / "h5").folder)
     (path,) = folder.rglob("*.h5")
     with h5py.File(path) as file:
         assert json.loads(file.attrs["lenses"]) == {"batch_0000/rover_left": FISHEYE}

@@ -129,9 +129,7 @@ def test_a_frame_s_sidecar_is_taken_or_refused_in_one_line(output, data, tmp_pat
         only_our_errors(lambda: list(check_frames(batch, None)))
         for name in ("tum", "coco"):
             choice = Choice(faults="skip")
-            only_our_errors(
-                lambda name=name, c=choice: export(output, name, folder / name, c, workers=1)
-            )
+            only_our_errors(lambda name=name, c=choice: export(output, name, folder / name, c))
     finally:
         path.write_text(sound)
 
@@ -161,7 +159,7 @@ def test_a_record_of_what_was_left_out_is_taken_or_refused_in_one_line(tmp_path,
 
 @pytest.fixture(scope="module")
 def dataset(output: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return export(output, "tum", tmp_path_factory.mktemp("dataset") / "ds", workers=1).folder
+    return export(output, "tum", tmp_path_factory.mktemp("dataset") / "ds").folder
 
 
 @RELAXED
@@ -172,7 +170,7 @@ def test_an_export_s_summary_is_taken_or_refused_in_one_line(output, dataset, da
     path.write_text(json.dumps(data.draw(mutated(json.loads(sound)))))
     try:
         only_our_errors(lambda: verify(dataset))
-        only_our_errors(lambda: export(output, "tum", dataset, workers=1))
+        only_our_errors(lambda: export(output, "tum", dataset))
     finally:
         path.write_text(sound)
 

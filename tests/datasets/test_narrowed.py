@@ -37,7 +37,7 @@ def test_lost_depth_is_said_with_its_share_and_with_what_holds_it(
 ):
     said: list[str] = []
     choice = Choice(options=options)
-    report = export(made.out, name, tmp_path / "d", choice, workers=1, say=said.append)
+    report = export(made.out, name, tmp_path / "d", choice, say=said.append)
     depth = np.stack([frame["depth"] for frame in made.passes.values()]).astype(float)
     hits = np.isfinite(depth).sum()
     steps = np.rint(depth[np.isfinite(depth)] * scale)
@@ -57,20 +57,18 @@ def test_lost_depth_is_said_with_its_share_and_with_what_holds_it(
         assert "one scale" in line
         return
     choice = Choice(options={**options, mend[1]: mend[2]})
-    again = export(made.out, name, tmp_path / "e", choice, workers=1)
+    again = export(made.out, name, tmp_path / "e", choice)
     assert max((one.most for one in again.narrowed.values()), default=0.0) == 0.0
 
 
 def test_disparity_of_what_is_too_near_is_said_with_the_baseline_that_holds_it(made, tmp_path):
     said: list[str] = []
     options = {"depth": "disparity", "baseline_m": "50"}
-    export(
-        made.out, "cityscapes", tmp_path / "d", Choice(options=options), workers=1, say=said.append
-    )
+    export(made.out, "cityscapes", tmp_path / "d", Choice(options=options), say=said.append)
     (line,) = [line for line in said if "no disparity" in line]
     mend = re.search(r"--set (baseline_m)=([0-9.e+-]+)", line)
     choice = Choice(options={**options, mend[1]: mend[2]})
-    assert export(made.out, "cityscapes", tmp_path / "e", choice, workers=1).narrowed == {}
+    assert export(made.out, "cityscapes", tmp_path / "e", choice).narrowed == {}
 
 
 @given(st.floats(1e-3, 1e9))

@@ -75,7 +75,7 @@ def test_labels_and_instances_come_back_from_the_tree(
     out: Path, tmp_path: Path, generation: str, base: int
 ):
     choice = Choice(options={"generation": generation})
-    folder = export(out, "oaisys", tmp_path / "d", choice, workers=1).folder
+    folder = export(out, "oaisys", tmp_path / "d", choice).folder
     number = 0
     for batch in ("batch_0001", "batch_0002"):
         for sensor in ("rover_left", "rover_right"):
@@ -95,7 +95,7 @@ def test_labels_and_instances_come_back_from_the_tree(
 
 
 def test_depth_is_meters_and_the_sky_is_ten_billion(out: Path, tmp_path: Path):
-    folder = export(out, "oaisys", tmp_path / "d", workers=1).folder
+    folder = export(out, "oaisys", tmp_path / "d").folder
     path = folder / "batch_0001/rover_left/0003rover_left_pinhole_depth_00.exr"
     with OpenEXR.File(str(path), separate_channels=True) as file:
         planes = [file.channels()[name].pixels for name in "RGB"]
@@ -109,7 +109,7 @@ def test_depth_is_meters_and_the_sky_is_ten_billion(out: Path, tmp_path: Path):
 @pytest.mark.parametrize("generation", ["current", "2021"])
 def test_poses_have_the_camera_axes_of_their_generation(out: Path, tmp_path: Path, generation: str):
     choice = Choice(options={"generation": generation})
-    folder = export(out, "oaisys", tmp_path / "d", choice, workers=1).folder
+    folder = export(out, "oaisys", tmp_path / "d", choice).folder
     path = folder / "batch_0002/rover_right/camera_poses.csv"
     lines = [list(map(float, line)) for line in csv.reader(path.read_text().splitlines())]
     assert [line[0] for line in lines] == [2, 3]
@@ -133,9 +133,9 @@ def turned(quaternion: tuple[float, ...], vector: NDArray[np.float64]) -> NDArra
 def test_ids_beyond_the_code_are_refused_or_numbered_anew(tmp_path: Path):
     out = make_output(tmp_path / "out", batches=1)
     with pytest.raises(OutputError, match=r"instance id 300000000\d is not below 132651.*renumber"):
-        export(out, "oaisys", tmp_path / "a", workers=1)
+        export(out, "oaisys", tmp_path / "a")
     choice = Choice(options={"instances": "renumber"})
-    folder = export(out, "oaisys", tmp_path / "b", choice, workers=1).folder
+    folder = export(out, "oaisys", tmp_path / "b", choice).folder
     stem = folder / "batch_0001/rover_left/0002rover_left"
     back = decoded(Path(f"{stem}_instance_label_00.png"), 51)
     known = json.loads(Path(f"{stem}_instance_ids.json").read_text())
@@ -149,13 +149,13 @@ def test_a_label_beyond_the_code_is_refused_before_anything_is_written(tmp_path:
     out = make_output(tmp_path / "out", passes, batches=1, labels=labels)
     choice = Choice(options={"generation": "2021"})
     with pytest.raises(OutputError, match=r"label 'rock' of level 'class' has id 3375.*below 3375"):
-        export(out, "oaisys", tmp_path / "d", choice, workers=1)
+        export(out, "oaisys", tmp_path / "d", choice)
     assert not (tmp_path / ".d.partial").exists()
 
 
 def test_splits_are_folders_around_the_tree(out: Path, tmp_path: Path):
     choice = Choice(splits={"train": range(0, 1), "val": range(1, 2)})
-    folder = export(out, "oaisys", tmp_path / "d", choice, workers=1).folder
+    folder = export(out, "oaisys", tmp_path / "d", choice).folder
     assert (folder / "train/batch_0001/rover_left/camera_poses.csv").is_file()
     assert (folder / "val/batch_0002/rover_right/0002rover_right_rgb_00.png").is_file()
     assert not (folder / "batch_0001").exists()
@@ -166,7 +166,7 @@ def test_frames_without_pictures_or_instances_are_written_as_far_as_they_go(tmp_
         return {"label.class": np.full((1, 1), 3, np.uint32)}
 
     out = make_output(tmp_path / "out", bare, batches=1, cameras=("c",), samples=1)
-    folder = export(out, "oaisys", tmp_path / "d", workers=1).folder
+    folder = export(out, "oaisys", tmp_path / "d").folder
     assert sorted(p.name for p in (folder / "batch_0001/c").iterdir()) == [
         "0002c_semantic_label_00.png",
         "camera_poses.csv",

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from PIL import Image
 from pycocotools import mask as coco_mask
 
+from scenec.backends.run.executors import Processes
 from scenec.datasets.colors import label_colors
 from scenec.datasets.export import Choice, export
 from scenec.datasets.filters import make_filters
@@ -74,7 +75,7 @@ def made(folder: Path, *frames: dict[str, Any], **choice: Any) -> Any:
     out = make_output(
         folder / "out", lambda n: frames[n], batches=1, cameras=("c",), samples=len(frames)
     )
-    export(out, "panoptic", folder / "set", Choice(**choice), workers=1)
+    export(out, "panoptic", folder / "set", Choice(**choice))
     return read(folder / "set")
 
 
@@ -89,7 +90,7 @@ def ground(height: int, width: int) -> dict[str, Any]:
 @pytest.mark.parametrize("level", ["class", "surface"])
 def test_every_pixel_has_its_label_and_its_instance(tmp_path, level):
     out = make_output(tmp_path / "out", lambda n: some_passes(n, 40, 30))
-    export(out, "panoptic", tmp_path / "set", Choice(level=level), workers=1)
+    export(out, "panoptic", tmp_path / "set", Choice(level=level))
     truth, found = read(tmp_path / "set")
     source = Source(out)
     assert len(found) == len(source) == 8
@@ -110,7 +111,7 @@ def test_every_pixel_has_its_label_and_its_instance(tmp_path, level):
 def test_categories_have_what_panopticapi_takes(tmp_path):
     """Its converters take out ``isthing`` and ``color``; its IdGenerator tells stuff by color."""
     out = make_output(tmp_path / "out", lambda n: some_passes(n, 40, 30))
-    export(out, "panoptic", tmp_path / "set", Choice(level="surface"), workers=1)
+    export(out, "panoptic", tmp_path / "set", Choice(level="surface"))
     truth, _ = read(tmp_path / "set")
     colors = [category["color"] for category in truth["categories"]]
     assert all(len(c) == 3 and all(0 <= part <= 255 for part in c) for c in colors)
@@ -128,7 +129,7 @@ def test_no_two_labels_have_one_color(ids):
 
 def test_images_are_found_beside_their_segments(tmp_path):
     out = make_output(tmp_path / "out")
-    export(out, "panoptic", tmp_path / "set", workers=1)
+    export(out, "panoptic", tmp_path / "set")
     truth, _ = read(tmp_path / "set")
     for image, ref in zip(truth["images"], Source(out).frames, strict=True):
         picture = tmp_path / "set" / "images" / "all" / image["file_name"]
@@ -231,7 +232,7 @@ def test_all_labels_are_categories_where_that_is_asked_for(tmp_path):
 def test_splits_have_folders_of_their_own(tmp_path):
     out = make_output(tmp_path / "out", batches=2)
     choice = Choice(splits=parse_splits("train=0:1,val=1:2"))
-    export(out, "panoptic", tmp_path / "set", choice, workers=1)
+    export(out, "panoptic", tmp_path / "set", choice)
     train, _ = read(tmp_path / "set", "train")
     val, _ = read(tmp_path / "set", "val")
     assert {i["batch"] for i in train["images"]} == {0}
@@ -241,14 +242,15 @@ def test_splits_have_folders_of_their_own(tmp_path):
 
 def test_the_same_bytes_come_from_one_process_and_from_two(tmp_path):
     out = make_output(tmp_path / "out", batches=3)
-    for workers in (1, 2):
-        export(out, "panoptic", tmp_path / f"by_{workers}", workers=workers)
+    export(out, "panoptic", tmp_path / "by_1")
+    with Processes(2) as executor:
+        export(out, "panoptic", tmp_path / "by_2", executor=executor)
     assert same_tree(tmp_path / "by_1", tmp_path / "by_2")
 
 
 def test_an_export_that_was_cut_short_goes_on_to_the_same_bytes(tmp_path):
     out = make_output(tmp_path / "out")
-    export(out, "panoptic", tmp_path / "whole", workers=1)
+    export(out, "panoptic", tmp_path / "whole")
 
     class CutError(Exception):
         pass
@@ -258,8 +260,8 @@ def test_an_export_that_was_cut_short_goes_on_to_the_same_bytes(tmp_path):
             raise CutError
 
     with pytest.raises(CutError):
-        export(out, "panoptic", tmp_path / "cut", workers=1, progress=cut)
-    assert export(out, "panoptic", tmp_path / "cut", workers=1).resumed == 3
+        export(out, "panoptic", tmp_path / "cut", progress=cut)
+    assert export(out, "panoptic", tmp_path / "cut").resumed == 3
     assert same_tree(tmp_path / "whole", tmp_path / "cut")
 
 

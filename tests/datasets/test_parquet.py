@@ -27,7 +27,7 @@ def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def exported(out: Path, folder: Path, **options: str) -> Path:
-    return export(out, "parquet", folder, Choice(options=options), workers=1).folder
+    return export(out, "parquet", folder, Choice(options=options)).folder
 
 
 def rows(folder: Path) -> list[dict[str, Any]]:
@@ -158,15 +158,15 @@ def test_hugging_face_datasets_shows_pictures_and_names(out: Path, tmp_path: Pat
 
 def test_files_are_the_same_bytes_every_time(out: Path, tmp_path: Path):
     choice = Choice(options={"shard": "3"})
-    a = export(out, "parquet", tmp_path / "a", choice, workers=1).folder
-    b = export(out, "parquet", tmp_path / "b", choice, workers=1).folder
+    a = export(out, "parquet", tmp_path / "a", choice).folder
+    b = export(out, "parquet", tmp_path / "b", choice).folder
     for path in (a / "data").iterdir():
         assert sha256(path) == sha256(b / "data" / path.name)
 
 
 def test_splits_are_files_of_their_own(out: Path, tmp_path: Path):
     choice = Choice(splits={"train": range(0, 1), "val": range(1, 2)})
-    folder = export(out, "parquet", tmp_path / "d", choice, workers=1).folder
+    folder = export(out, "parquet", tmp_path / "d", choice).folder
     train = pq.read_table(folder / "data/train-00000-of-00001.parquet")
     val = pq.read_table(folder / "data/val-00000-of-00001.parquet")
     assert set(train["batch"].to_pylist()) == {0}

@@ -43,7 +43,7 @@ def made(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def bag(made):
-    export(made.out, "rosbag2", workers=1)
+    export(made.out, "rosbag2")
     return made.out / "datasets/rosbag2/all/batch_0001"
 
 
@@ -211,13 +211,13 @@ def test_names_of_labels_are_in_the_bag(bag):
 
 
 def test_the_same_frames_give_the_same_bytes_in_another_folder(made, bag, tmp_path):
-    export(made.out, "rosbag2", tmp_path / "d", workers=1)
+    export(made.out, "rosbag2", tmp_path / "d")
     assert (tmp_path / "d/SHA256SUMS").read_bytes() == (bag.parents[1] / "SHA256SUMS").read_bytes()
 
 
 def test_without_compression_the_messages_are_the_same(made, bag, tmp_path):
     choice = Choice(options={"compression": "none"}, batches=[1])
-    export(made.out, "rosbag2", tmp_path / "d", choice, workers=1)
+    export(made.out, "rosbag2", tmp_path / "d", choice)
     other = read(tmp_path / "d/all/batch_0001")
     for topic, messages in read(bag).items():
         assert [time for time, _ in messages] == [time for time, _ in other[topic]]
@@ -230,7 +230,7 @@ def test_a_damaged_frame_leaves_a_gap_and_nothing_else(made, tmp_path):
     shutil.copytree(made.out, out, ignore=shutil.ignore_patterns("datasets"))
     broken = out / "batch_0000/frames/mitsuba/rover_left/000000.exr"
     broken.write_bytes(broken.read_bytes()[:-50])
-    export(out, "rosbag2", choice=Choice(faults="skip", batches=[0]), workers=1)
+    export(out, "rosbag2", choice=Choice(faults="skip", batches=[0]))
     found = read(out / "datasets/rosbag2/all/batch_0000")
     assert [t - START for t, _ in found["/rover_left/pose"]] == [10**8, 2 * 10**8]
     assert len(found["/rover_side/pose"]) == 3
@@ -239,7 +239,7 @@ def test_a_damaged_frame_leaves_a_gap_and_nothing_else(made, tmp_path):
 
 def test_a_bag_without_pictures_has_no_topic_for_them(tmp_path):
     out = make_out(tmp_path / "out", (LEFT,), 1, without=["rgb", "instance"]).out
-    export(out, "rosbag2", workers=1)
+    export(out, "rosbag2")
     found = read(out / "datasets/rosbag2/all/batch_0000")
     assert not {"/rover_left/image_raw", "/rover_left/instance/image_raw"} & set(found)
     assert "/rover_left/depth/image_raw" in found
@@ -247,40 +247,40 @@ def test_a_bag_without_pictures_has_no_topic_for_them(tmp_path):
 
 def test_an_id_of_31_bits_is_kept_and_a_larger_one_refused(tmp_path):
     out = make_out(tmp_path / "a", (LEFT,), 1, ids={2: 2**31 - 1}).out
-    export(out, "rosbag2", workers=1)
+    export(out, "rosbag2")
     message = read(out / "datasets/rosbag2/all/batch_0000")["/rover_left/instance/image_raw"][0][1]
     assert pixels(message).max() == 2**31 - 1
     out = make_out(tmp_path / "b", (LEFT,), 1, ids={2: 2**31}).out
     with pytest.raises(FrameError, match=r"000000.exr: has the id 2147483648, and 32SC1 holds"):
-        export(out, "rosbag2", workers=1)
+        export(out, "rosbag2")
     assert not list((out / "datasets").glob("rosbag2"))
 
 
 def test_time_zero_is_refused_since_tf_takes_it_for_none(made, tmp_path):
     with pytest.raises(OutputError, match=r"000000: its time stamp is 0 s.*start_s"):
-        export(made.out, "rosbag2", tmp_path / "d", Choice(options={"start_s": "0"}), workers=1)
+        export(made.out, "rosbag2", tmp_path / "d", Choice(options={"start_s": "0"}))
 
 
 def test_time_stamps_that_do_not_rise_are_refused(tmp_path):
     out = make_out(tmp_path / "out", (LEFT,), 2, times=[1.0, 1.0]).out
     with pytest.raises(OutputError, match=r"000001: its time stamp is not after that of .*000000"):
-        export(out, "rosbag2", workers=1)
+        export(out, "rosbag2")
 
 
 def test_names_that_ros_does_not_know_are_spelled_for_it_or_refused(tmp_path):
     sensors = [Sensor("ровер_2", "/World/a", size=(1, 1)), Sensor("b__1", "/World/b", size=(2, 1))]
     out = make_out(tmp_path / "a", sensors, 1, empty=True).out
-    export(out, "rosbag2", workers=1)
+    export(out, "rosbag2")
     topics = set(read(out / "datasets/rosbag2/all/batch_0000"))
     assert {"/c2/camera_info", "/b_1/camera_info"} <= topics
     sensors = [Sensor("b_1", "/World/a"), Sensor("b__1", "/World/b")]
     out = make_out(tmp_path / "b", sensors, 1).out
     with pytest.raises(OutputError, match="'b__1' and 'b_1' would both be 'b_1' as a ROS topic"):
-        export(out, "rosbag2", workers=1)
+        export(out, "rosbag2")
 
 
 def test_without_rosbags_one_line_says_what_to_install(made, tmp_path, monkeypatch):
     # As the import system marks a package that is not to be found.
     monkeypatch.setitem(sys.modules, "rosbags", None)
     with pytest.raises(OutputError, match=r"needs rosbags: pip install 'scenec\[ros\]'"):
-        export(made.out, "rosbag2", tmp_path / "d", workers=1)
+        export(made.out, "rosbag2", tmp_path / "d")

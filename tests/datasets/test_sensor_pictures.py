@@ -43,7 +43,7 @@ def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def exported(out: Path, folder: Path, form: str, **options: str) -> Path:
-    return export(out, form, folder, Choice(options=options), workers=1).folder
+    return export(out, form, folder, Choice(options=options)).folder
 
 
 def places(out: Path) -> list[dict[str, Any]]:
@@ -159,7 +159,7 @@ def test_a_ros_bag_has_the_pictures(out, tmp_path):
 def test_trees_of_pictures_have_the_sensors_and_count_what_they_leave_out(
     out, tmp_path, form, pattern
 ):
-    report = export(out, form, tmp_path / "d", workers=1)
+    report = export(out, form, tmp_path / "d")
     for index, camera in enumerate(CAMERAS):
         for sample in range(2):
             names = {"camera": camera, "index": index, "sample": sample, "two": sample + 2}
@@ -212,8 +212,8 @@ def test_frames_with_damaged_pictures_are_faults_that_can_be_skipped(
     if content is not None:
         path.write_bytes(content)
     with pytest.raises(FrameError, match=said):
-        export(out, form, tmp_path / "d", workers=1)
-    report = export(out, form, tmp_path / "d", Choice(faults="skip"), workers=1)
+        export(out, form, tmp_path / "d")
+    report = export(out, form, tmp_path / "d", Choice(faults="skip"))
     assert report.frames == 2
     assert [(fault.name, fault.kind) for fault in report.faults] == [
         ("batch_0000/a/000001", "damaged")
@@ -230,7 +230,7 @@ def test_what_a_format_does_not_read_need_not_be_there(tmp_path):
     out = make_output(tmp_path / "out", small_ids, batches=1, cameras=("a",))
     add_sensor(out)
     next(out.glob("batch_0000/frames/*/a/000001.raw.png")).unlink()
-    assert export(out, "tum", tmp_path / "d", workers=1).frames == 2
+    assert export(out, "tum", tmp_path / "d").frames == 2
 
 
 def test_a_picture_that_is_gone_or_another_is_an_error_and_never_made_up(tmp_path):

@@ -35,7 +35,7 @@ def moving(number: int) -> Passes:
 def test_every_file_comes_back_as_it_was(tmp_path: Path):
     out = make_output(tmp_path / "out", moving, samples=3, batches=1)
     add_sensor(out, ["rover_right"], ["clean"])
-    report = export(out, "sintel", tmp_path / "d", workers=1)
+    report = export(out, "sintel", tmp_path / "d")
     assert report.left_out == {}
     root, number = report.folder / "training", 0
     for camera in ("rover_left", "rover_right"):
@@ -98,7 +98,7 @@ def same(read: NDArray, flow: NDArray) -> bool:
 def test_after_a_gap_a_new_sequence_begins(tmp_path: Path):
     out = make_output(tmp_path / "out", moving, samples=6, batches=1, cameras=("a",))
     (out / "batch_0000/frames/annotation/a/000002.json").unlink()
-    folder = export(out, "sintel", tmp_path / "d", Choice(faults="skip"), workers=1).folder
+    folder = export(out, "sintel", tmp_path / "d", Choice(faults="skip")).folder
     first, second = "all_batch_0000_a", "all_batch_0000_a-000003"
     assert zipped(folder) == [(first, 0, True), (second, 3, True), (second, 4, True)]
 
@@ -118,7 +118,7 @@ def test_a_frame_that_cannot_be_read_parts_its_sequence(tmp_path: Path, kind, da
     for sample in damaged:
         (out / f"batch_0000/frames/annotation/a/{sample:06d}.{kind}").write_bytes(b"damaged")
     choice = Choice(faults="skip")
-    report = export(out, "sintel", tmp_path / "d", choice, workers=1)
+    report = export(out, "sintel", tmp_path / "d", choice)
     assert zipped(report.folder) == [(f"all_batch_0000_{name}", n, True) for name, n in flows]
     assert report.frames == 6 - len(damaged)
     assert [fault.kind for fault in report.faults] == ["damaged"] * len(damaged)
@@ -141,11 +141,11 @@ def test_an_export_that_is_cut_short_when_files_have_moved_goes_on(tmp_path: Pat
     with monkeypatch.context() as patch:
         patch.setattr("scenec.datasets.export.write_sums", cut)
         with pytest.raises(OutputError, match="no room"):
-            export(out, "sintel", tmp_path / "d", choice, workers=1)
-    report = export(out, "sintel", tmp_path / "d", choice, workers=1)
+            export(out, "sintel", tmp_path / "d", choice)
+    report = export(out, "sintel", tmp_path / "d", choice)
     # Of samples 0 to 5, 1 has lost its flow, and 3 to 5 have moved.
     assert report.resumed == 2
-    whole = export(out, "sintel", tmp_path / "e", choice, workers=1)
+    whole = export(out, "sintel", tmp_path / "e", choice)
     sums = [(r.folder / "SHA256SUMS").read_bytes() for r in (report, whole)]
     assert sums[0] == sums[1]
 
@@ -157,7 +157,7 @@ def test_flow_of_a_camera_that_is_triggered_less_often_leads_to_its_next_picture
             path.unlink()
         else:
             path.write_text(json.dumps(json.loads(path.read_bytes()) | {"trigger": [2, 0]}))
-    folder = export(out, "sintel", tmp_path / "d", workers=1).folder
+    folder = export(out, "sintel", tmp_path / "d").folder
     flows = sorted((folder / "training/flow").rglob("*.flo"))
     assert [path.stem for path in flows] == ["frame_0001", "frame_0002"]
     assert same(cv2.readOpticalFlow(str(flows[1])), moving(2)["flow"])
@@ -166,14 +166,14 @@ def test_flow_of_a_camera_that_is_triggered_less_often_leads_to_its_next_picture
 def test_what_is_not_rendered_is_named(tmp_path: Path):
     out = make_output(tmp_path / "out", batches=1)
     with pytest.raises(OutputError, match="format sintel needs the pass flow"):
-        export(out, "sintel", tmp_path / "d", workers=1)
+        export(out, "sintel", tmp_path / "d")
 
     def without(number: int) -> Passes:
         return {name: array for name, array in moving(number).items() if name != "occlusion"}
 
     out = make_output(tmp_path / "other", without, batches=1)
     with pytest.raises(OutputError, match="needs the pass occlusion"):
-        export(out, "sintel", tmp_path / "d", workers=1)
+        export(out, "sintel", tmp_path / "d")
 
 
 @settings(max_examples=30)

@@ -31,7 +31,7 @@ def made(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def dataset(made):
-    export(made.out, "tum", choice=Choice(), workers=1)
+    export(made.out, "tum", choice=Choice())
     return made.out / "datasets" / "tum"
 
 
@@ -106,22 +106,22 @@ def test_depth_that_16_bits_cannot_say_is_none_and_counted(made, dataset):
 
 
 def test_another_scale_reaches_farther(made, tmp_path):
-    export(made.out, "tum", tmp_path / "d", Choice(options={"depth_scale": "50"}), workers=1)
+    export(made.out, "tum", tmp_path / "d", Choice(options={"depth_scale": "50"}))
     depths, k, poses = read(tmp_path / "d/all/batch_0000_rover_left", 50.0)
     assert max(depth.max() for depth in depths) > 100.0
     assert off_surface(lift(depths[0], k, poses[0])).max() < 1.5 * 0.5 / 50.0
 
 
 def test_the_same_frames_give_the_same_bytes_in_another_folder(made, dataset, tmp_path):
-    export(made.out, "tum", tmp_path / "d", Choice(), workers=1)
+    export(made.out, "tum", tmp_path / "d", Choice())
     assert (tmp_path / "d/SHA256SUMS").read_bytes() == (dataset / "SHA256SUMS").read_bytes()
 
 
 def test_equal_time_stamps_are_refused_and_numbers_of_samples_take_their_place(tmp_path):
     out = make_out(tmp_path / "out", (LEFT,), 3, times=[0.0, 1.0, 1.0 + 2e-7]).out
     with pytest.raises(OutputError, match=r"batch_0000/rover_left/000002: its time stamp .*times="):
-        export(out, "tum", workers=1)
-    export(out, "tum", choice=Choice(options={"times": "samples"}), workers=1)
+        export(out, "tum")
+    export(out, "tum", choice=Choice(options={"times": "samples"}))
     found = read_tum_trajectory_file(out / "datasets/tum/all/batch_0000_rover_left/groundtruth.txt")
     assert found.timestamps.tolist() == [0.0, 1.0, 2.0]
 
@@ -129,8 +129,8 @@ def test_equal_time_stamps_are_refused_and_numbers_of_samples_take_their_place(t
 def test_a_negative_time_is_refused_and_a_later_start_mends_it(tmp_path):
     out = make_out(tmp_path / "out", (LEFT,), 2, times=[-0.5, 0.5]).out
     with pytest.raises(OutputError, match="knows no negative ones"):
-        export(out, "tum", workers=1)
-    export(out, "tum", choice=Choice(options={"start_s": "1305031102.25"}), workers=1)
+        export(out, "tum")
+    export(out, "tum", choice=Choice(options={"start_s": "1305031102.25"}))
     text = (out / "datasets/tum/all/batch_0000_rover_left/rgb.txt").read_text()
     assert "\n1305031101.750000 rgb/1305031101.750000.png\n" in text
 
@@ -138,7 +138,7 @@ def test_a_negative_time_is_refused_and_a_later_start_mends_it(tmp_path):
 def test_one_pixel_of_sky_and_a_camera_with_a_name_in_another_script(tmp_path):
     sensor = Sensor("ровер_левая", "/World/Rigs/ровер/левая", size=(1, 1))
     out = make_out(tmp_path / "out", (sensor,), 1, empty=True).out
-    export(out, "tum", workers=1)
+    export(out, "tum")
     sequence = out / "datasets/tum/all/batch_0000_ровер_левая"
     depths, k, poses = read(sequence)
     assert depths[0].tolist() == [[0.0]]
@@ -157,20 +157,20 @@ def test_one_pixel_of_sky_and_a_camera_with_a_name_in_another_script(tmp_path):
 )
 def test_options_that_make_no_sense_are_refused(made, tmp_path, options, message):
     with pytest.raises(OutputError, match=message):
-        export(made.out, "tum", tmp_path / "d", Choice(options=options), workers=1)
+        export(made.out, "tum", tmp_path / "d", Choice(options=options))
 
 
 def test_frames_without_depth_are_refused_with_the_passes_to_render(tmp_path):
     out = make_out(tmp_path / "out", (LEFT,), 1, without=["depth"]).out
     with pytest.raises(OutputError, match=r"needs the pass depth.*--passes"):
-        export(out, "tum", workers=1)
+        export(out, "tum")
 
 
 def test_a_picture_that_is_gone_is_a_damaged_frame(tmp_path):
     out = make_out(tmp_path / "out", (LEFT,), 2).out
     (out / "batch_0000/frames/mitsuba/rover_left/000001.png").unlink()
     with pytest.raises(FrameError, match=r"000001.png: missing"):
-        export(out, "tum", workers=1)
-    report = export(out, "tum", choice=Choice(faults="skip"), workers=1)
+        export(out, "tum")
+    report = export(out, "tum", choice=Choice(faults="skip"))
     assert (report.frames, [fault.kind for fault in report.faults]) == (1, ["damaged"])
     assert len(lists(out / "datasets/tum/all/batch_0000_rover_left/groundtruth.txt")) == 1

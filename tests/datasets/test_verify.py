@@ -41,7 +41,7 @@ def output(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def dataset(output: Path, plugin: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("whole") / "ds"
-    export(output, "tiny", folder, workers=1)
+    export(output, "tiny", folder)
     return folder
 
 
@@ -149,7 +149,7 @@ def test_datasets_of_the_same_frames_are_the_same_whatever_was_filtered(
     output: Path, dataset: Path, tmp_path: Path, plugin: Path
 ) -> None:
     choice = Choice(filters=make_filters(["id<100"]), options={"ending": "txt"})
-    export(output, "tiny", tmp_path / "other", choice, workers=1)
+    export(output, "tiny", tmp_path / "other", choice)
     for other in (tmp_path / "other", output):
         found = compare(dataset, other)
         assert found.same
@@ -239,7 +239,7 @@ def test_a_dataset_made_again_from_its_card_is_the_same_to_the_byte(
     compile_cfg(write_cfg(first, cfg), seed=5, out=first / "OUT")
     passes = ("label", "instance", "depth")
     render(first / "OUT", "reference", passes=passes)
-    export(first / "OUT", "tiny", first / "ds", workers=1)
+    export(first / "OUT", "tiny", first / "ds")
 
     card = (first / "ds/README.md").read_text(encoding="utf-8")
     again = tmp_path / "again"

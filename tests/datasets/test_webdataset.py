@@ -26,7 +26,7 @@ def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def exported(out: Path, folder: Path, **options: str) -> Path:
-    return export(out, "webdataset", folder, Choice(options=options), workers=1).folder
+    return export(out, "webdataset", folder, Choice(options=options)).folder
 
 
 def samples(folder: Path, decode: str = "rgb8") -> list[dict[str, Any]]:
@@ -83,8 +83,8 @@ def test_members_are_sorted_and_have_neither_time_nor_owner(out: Path, tmp_path:
 
 def test_shards_are_the_same_bytes_every_time(out: Path, tmp_path: Path):
     choice = Choice(options={"shard": "3"})
-    a = export(out, "webdataset", tmp_path / "a", choice, workers=1).folder
-    b = export(out, "webdataset", tmp_path / "b", choice, workers=1).folder
+    a = export(out, "webdataset", tmp_path / "a", choice).folder
+    b = export(out, "webdataset", tmp_path / "b", choice).folder
     for path in a.glob("*.tar"):
         assert sha256(path) == sha256(b / path.name)
 
@@ -101,7 +101,7 @@ def test_shards_stay_below_their_size(tmp_path: Path):
 
 def test_the_index_says_which_shards_there_are(out: Path, tmp_path: Path):
     choice = Choice(options={"shard": "3"}, splits={"train": range(0, 1), "val": range(1, 2)})
-    folder = export(out, "webdataset", tmp_path / "d", choice, workers=1).folder
+    folder = export(out, "webdataset", tmp_path / "d", choice).folder
     index = json.loads((folder / "shards.json").read_text(encoding="utf-8"))
     assert index["shards"] == {
         "train": {"train-000000.tar": 3, "train-000001.tar": 1},

@@ -1,0 +1,180 @@
+"""One batch as a unit of work (``schemas.units``): cfg and seed to the files of its stage."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from pxr import Tf
+
+from scenec.compiler.build import BuildLog, build
+from scenec.compiler.draw import draw
+from scenec.compiler.emit.batch import write_batch
+from scenec.compiler.frontend.load import Spec, load
+from scenec.compiler.incremental.memo import Memo, memoizing
+from scenec.compiler.incremental.store import Store
+from scenec.compiler.output import batch_name
+from scenec.compiler.passes.keep import Keep
+from scenec.compiler.rig import Lidar, Rig, Sensor
+from scenec.compiler.scene import Scene
+from scenec.schemas.errors import CfgError, Fault, OutputError, SceneError
+from scenec.schemas.files import tree, write_json
+from scenec.schemas.left_out import write_left_out
+from scenec.schemas.manifest import REPORT
+from scenec.schemas.strays import Firing
+from scenec.schemas.units import Keeper
+
+#: How often a batch is drawn before it is given up.
+_MOST_ATTEMPTS = 16
+#: Told lines of text, and steps: the batch's name and what is done.
+Tell = Callable[[str], None]
+
+
+@dataclass
+class Compiled:
+    """What came of a batch.
+
+    Attributes:
+        error: Why it could not be built, or None.
+        samples: How many it has.
+        attempt: How often it was drawn again.
+        seconds, facts: Of each pass; the contents of its report.json.
+        made, taken: How often each step was made, or taken from the cache; None without one.
+        cameras, lidars: When each is triggered (``schemas.strays``).
+        lines: What is worth saying.
+    """
+
+    error: SceneError | None = None
+    samples: int = 0
+    attempt: int = 0
+    seconds: dict[str, float] = field(default_factory=dict)
+    facts: dict[str, Any] = field(default_factory=dict)
+    made: dict[str, int] | None = None
+    taken: dict[str, int] | None = None
+    cameras: Firing = field(default_factory=list)
+    lidars: Firing = field(default_factory=list)
+    lines: list[str] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class CompileBatch:
+    """Compile a batch into a folder; returns ``Compiled``.
+
+    Attributes:
+        cfg: Absolute path of the cfg.
+        digest: Of its ``Spec``: what is compiled is what was checked.
+        seed, batch, keep: As of ``compile_cfg``.
+        first: The attempt to begin with.
+        redraw: Whether to draw it again where it cannot be built.
+        cache: As of ``compile_cfg``.
+        folder: Takes the batch's folder; absolute, emptied first.
+    """
+
+    cfg: Path
+    digest: str
+    seed: int
+    batch: int
+    keep: Keep
+    first: int
+    redraw: bool
+    cache: Path | None
+    folder: Path
+
+    @property
+    def what(self) -> str:
+        """In messages."""
+        return batch_name(self.batch)
+
+    @property
+    def holds(self) -> tuple[Path, str]:
+        """The cfg."""
+        return self.cfg, self.digest
+
+    def run(self, keeper: Keeper) -> Compiled:
+        """Compile it.
+
+        Raises:
+            CfgError: The cfg is no more what it was.
+            OutputError: A file cannot be written.
+        """
+        lines: list[str] = []
+        made = self.make(keeper.keep(self.holds, lambda: load(self.cfg)), lines.append)
+        made.lines = lines
+        return made
+
+    def make(self, spec: Spec, say: Tell, step: Tell | None = None) -> Compiled:
+        """Compile it, of a cfg that has been read.
+
+        Args:
+            spec: Of the cfg.
+            say: Told what is worth saying.
+            step: Told when a step begins.
+
+        Raises:
+            CfgError: The cfg is no more what it was.
+            OutputError: A file cannot be written.
+        """
+        if spec.digest != self.digest:
+            text = "has changed since compiling began; run again"
+            raise CfgError([Fault(str(self.cfg), 1, 1, "", text)])
+        store = None if self.cache is None else Store(self.cache, say=say)
+        last = max(self.first + 1, _MOST_ATTEMPTS if self.redraw else 0)
+        compiled = Compiled()
+        for attempt in range(self.first, last):
+            again = f", attempt {attempt + 1}" if attempt else ""
+            say(f"compiling {self.what} of {spec.cfg['name']}, seed {self.seed}{again}")
+            log = BuildLog(seconds={}, tell=step)
+            memo = None if store is None else Memo(store)
+            shutil.rmtree(self.folder, ignore_errors=True)
+            self.folder.mkdir(parents=True)
+            try:
+                with log.timed("draw"):
+                    plan = draw(spec, self.seed, self.batch, attempt)
+                with memoizing(memo):
+                    scene = build(plan, log, self.keep)
+                    self._emit(scene, log, attempt)
+            except SceneError as error:
+                compiled.error = error
+                if last > self.first + 1:
+                    say(f"warning: {self.what} cannot be built: {error}")
+                continue
+            compiled = Compiled(None, scene.samples, attempt, log.seconds, log.facts)
+            if memo is not None:
+                compiled.made, compiled.taken = dict(memo.made), dict(memo.taken)
+            compiled.cameras = _firing(scene, lambda rig: rig.sensors)
+            compiled.lidars = _firing(scene, lambda rig: rig.lidars)
+            break
+        return compiled
+
+    def _emit(self, scene: Scene, log: BuildLog, attempt: int) -> None:
+        """Writes the batch and its report."""
+        folder = self.folder / self.what
+        folder.mkdir()
+        with log.timed("emit"):
+            _write(folder, scene)
+        log.facts["bytes"] = sum((folder / path).stat().st_size for path in tree(folder))
+        drawn = {"batch": self.batch} | ({"attempt": attempt} if attempt else {})
+        write_json(folder / REPORT, {**drawn, **log.facts})
+        if log.record is not None:
+            write_left_out(folder, log.record)
+
+
+def _write(folder: Path, scene: Scene) -> None:
+    try:
+        write_batch(folder, scene)
+    except Tf.ErrorException as error:
+        # A full disk reaches us as USD's own exception.
+        text = next((e.commentary for e in error.args), "USD gives no reason").splitlines()[0]
+        raise OutputError(f"{folder}: cannot be written: {text}") from error
+
+
+def _firing(scene: Scene, sensors: Callable[[Rig], Iterable[Sensor | Lidar]]) -> Firing:
+    """Of each sample: sensors, and whether they are triggered then."""
+    named = [(f"{rig.name}_{s.name}", s.trigger) for rig in scene.rigs for s in sensors(rig)]
+    return [
+        [(name, i >= first and (i - first) % every == 0) for name, (every, first) in named]
+        for i in range(scene.samples)
+    ]
