@@ -19,16 +19,10 @@ from scenec.backends.watch import Growth, Limits, Watch
 from scenec.schemas import errors
 from scenec.schemas.errors import BackendError, ScenecError, StageError
 from scenec.schemas.memory import GB
+from scenec.schemas.native import CRASHES, crashed
 
 #: Times a request is asked again after the worker died at it.
 RETRIES = 2
-
-
-#: Signals of native code at its end: what follows from its input, and would again.
-_CRASHES = {
-    -number
-    for number in (signal.SIGSEGV, signal.SIGBUS, signal.SIGABRT, signal.SIGFPE, signal.SIGILL)
-}
 
 
 class WorkerDiedError(Exception):
@@ -140,8 +134,7 @@ class WorkerProcess:
                 self.close()
                 if death.crashed and request["op"] == "read":
                     raise StageError(
-                        f"{request['stage']}: OpenUSD crashed reading it, the worker process "
-                        f"{death}: a file of it is damaged"
+                        crashed(request["stage"], f"the worker process {death}")
                     ) from death
                 if attempt == RETRIES:
                     raise FrameLostError(
@@ -228,7 +221,7 @@ class WorkerProcess:
         if not line.endswith("\n"):
             process.wait()
             cause = self._cause(process.returncode, watch.peak)
-            raise WorkerDiedError(f"died ({cause})", process.returncode in _CRASHES)
+            raise WorkerDiedError(f"died ({cause})", -process.returncode in CRASHES)
         answer: dict[str, Any] = json.loads(line)
         return answer
 

@@ -26,7 +26,7 @@ from scenec.schemas.errors import OutputError, ScenecError, SceneError
 from scenec.schemas.files import temporary_folder, tree, write_json
 from scenec.schemas.left_out import write_left_out
 from scenec.schemas.manifest import REPORT
-from scenec.schemas.strays import Firing, stray_scans, strays, told
+from scenec.schemas.strays import Firing, cut_short, stray_scans, strays, told
 
 #: What to do about a batch that cannot be built.
 FAULTS = ("stop", "skip", "redraw")
@@ -157,6 +157,7 @@ def compile_cfg(
                 report.made[name], report.taken[name] = dict(memo.made), dict(memo.taken)
             # After each batch: what an interrupted run has finished can be gone on with.
             output.write_timings(report.seconds)
+        left_over += cut_short(out)
         if not made:
             reason = next(iter(failed.values()))
             raise SceneError(f"none of {len(chosen)} batches can be built; the first: {reason}")

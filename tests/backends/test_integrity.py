@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import shutil
 from pathlib import Path
@@ -128,6 +129,17 @@ def test_what_is_read_is_what_the_manifest_lists(compiled, tmp_path):
     assert read_stage(stage_of(linked)).digest == there.digest
     report = render(linked, "reference", passes=ANNOTATION, samples=[0], batches=[0])
     assert read_frame(report.frames[0]).sidecar["stage_digest"] == there.digest
+
+
+@pytest.mark.parametrize("name", ["batch_0000/../../theirs", "batch_0000//etc/passwd"])
+def test_a_name_of_the_manifest_that_leads_out_of_its_batch_is_not_followed(out, name):
+    (out.parent / "theirs").write_text("theirs", encoding="utf-8")
+    manifest = json.loads((out / "manifest.json").read_text(encoding="utf-8"))
+    digest = hashlib.sha256(b"theirs").hexdigest()
+    manifest["files"][name] = {"sha256": digest, "bytes": 6}
+    (out / "manifest.json").write_text(json.dumps(manifest), encoding="utf-8")
+    with pytest.raises(StageError, match="lists it, and it is not in the stage's folder"):
+        read_stage(stage_of(out))
 
 
 def test_a_layer_that_the_manifest_does_not_list_is_refused(out):
@@ -443,7 +455,7 @@ def test_a_crash_while_a_stage_is_read_is_said_after_one_try(tmp_path, monkeypat
     path = tmp_path / "foreign.usda"
     with pytest.raises(StageError) as caught:
         render(path, "reference")
-    told = f"{path}: OpenUSD crashed reading it, the worker process died (signal SIGSEGV"
+    told = f"{path}: the library that reads it crashed, the worker process died (signal SIGSEGV"
     assert str(caught.value).startswith(told)
     assert (tmp_path / "tries").read_text(encoding="utf-8") == "x"
     assert main(["render", str(path), "--backend", "reference"]) == 2
