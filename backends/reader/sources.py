@@ -111,8 +111,9 @@ class Sources:
             with Tf.DiagnosticTrap() as trap:
                 try:
                     yield stage
-                except Tf.ErrorException as error:
-                    raise StageError(f"{self._path}: cannot be read: {said(error)}") from error
+                except (Tf.ErrorException, UnicodeDecodeError) as error:
+                    why = said(error) if isinstance(error, Tf.ErrorException) else error
+                    raise StageError(f"{self._path}: cannot be read: {why}") from error
                 finally:
                     for warning in trap.GetWarnings():
                         self._warnings[f"USD: {_plain(warning.commentary)}"] = None

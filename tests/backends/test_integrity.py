@@ -19,6 +19,7 @@ from scenec.backends.scan import scan_output
 from scenec.backends.session import Session
 from scenec.cli.main import main
 from scenec.compiler.compile import compile_cfg
+from scenec.schemas import stage as names
 from scenec.schemas.errors import OutputError, StageError
 from scenec.schemas.frames import FrameKey, read_frame
 from scenec.schemas.manifest import find_batches, read_manifest, stage_digest
@@ -140,6 +141,31 @@ def test_a_name_of_the_manifest_that_leads_out_of_its_batch_is_not_followed(out,
     (out / "manifest.json").write_text(json.dumps(manifest), encoding="utf-8")
     with pytest.raises(StageError, match="lists it, and it is not in the stage's folder"):
         read_stage(stage_of(out))
+
+
+def test_a_word_that_is_not_utf8_is_refused(tmp_path):
+    path = tmp_path / "stage.usdc"
+    stage = Usd.Stage.CreateNew(str(path))
+    mesh = UsdGeom.Mesh.Define(stage, "/Mesh")
+    stage.SetDefaultPrim(mesh.GetPrim())
+    table = (names.ATTR_LABEL_NAMES, Sdf.ValueTypeNames.TokenArray, ["a"])
+    ids = (names.ATTR_LABEL_IDS, Sdf.ValueTypeNames.UIntArray, [1])
+    for name, kind, value in (table, ids):
+        mesh.GetPrim().CreateAttribute(name.format(level="class"), kind).Set(value)
+    primvar = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar(
+        names.label_primvar("class"), Sdf.ValueTypeNames.IntArray
+    )
+    primvar.Set([1])
+    primvar.GetAttr().SetMetadata("interpolation", "XYZ.QQ")
+    stage.Save()
+    del stage, mesh, primvar
+    whole = path.read_bytes()
+    assert whole.count(b"XYZ.QQ") == 1
+    path.write_bytes(whole.replace(b"XYZ.QQ", b"XY\xe3.QQ"))
+    with pytest.raises(StageError, match=r"stage\.usdc: cannot be read: .*0xe3"):
+        read_stage(path)
+    (finding,) = check_stage(path)
+    assert (finding.check, finding.severity) == ("opens", "error")
 
 
 def test_a_layer_that_the_manifest_does_not_list_is_refused(out):

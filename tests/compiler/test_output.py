@@ -149,6 +149,35 @@ def test_finishing_an_update_can_be_killed_as_well(output, tmp_path, caplog):
     ]
 
 
+def test_the_disk_has_an_update_before_it_begins_and_its_begin_before_anything_moves(
+    output, monkeypatch
+):
+    out, cfg = output
+    calls: list[object] = []
+    sync, rename, replace_ = os.fsync, os.rename, os.replace
+
+    def synced(file: int) -> None:
+        calls.append(os.fstat(file).st_ino)
+        sync(file)
+
+    def renamed(old: Path, new: Path) -> None:
+        inside_ = {path.stat().st_ino for path in (old, *Path(old).rglob("*"))}
+        assert inside_ <= set(calls)
+        calls.append("begins")
+        rename(old, new)
+
+    def moved(old: Path, new: Path) -> None:
+        if UPDATE in Path(old).parts:
+            assert calls[calls.index("begins") + 1] == out.stat().st_ino
+            calls.append("moved")
+        replace_(old, new)
+
+    for name, spy in (("fsync", synced), ("rename", renamed), ("replace", moved)):
+        monkeypatch.setattr(os, name, spy)
+    put(out, cfg, NEXT)
+    assert (calls.count("begins"), calls.count("moved")) == (1, 4)
+
+
 def test_an_update_that_cannot_be_done_is_refused_before_anything_is(output, tmp_path):
     out, cfg = output
     (out / "batch_0000" / "looks").write_text("a file where a folder goes")
