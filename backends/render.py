@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Callable, Collection, Sequence
 from contextlib import suppress
@@ -25,11 +24,12 @@ from scenec.backends.pool import FrameLostError, WorkerProcess
 from scenec.backends.registry import AUTO
 from scenec.backends.rounds import MOST_SPP
 from scenec.backends.watch import Limits
-from scenec.schemas.errors import CameraRefusedError, StageError
+from scenec.schemas.errors import CameraRefusedError, FrameError, StageError
 from scenec.schemas.files import check_writable, sweep
 from scenec.schemas.frames import is_done
 from scenec.schemas.lock import LOCK, BusyError, Lock
 from scenec.schemas.manifest import FRAMES, Batch, find_batches, gaps, read_manifest
+from scenec.schemas.sidecars import read_sidecar
 from scenec.schemas.strays import strays, told
 from scenec.schemas.update import reading
 
@@ -341,8 +341,8 @@ class _Run:
         sidecars: dict[str, list[dict[str, Any]]] = {}
         for job in jobs:
             # What was given up, or was deleted meanwhile, shows nothing.
-            with suppress(OSError, ValueError):
-                sidecar = json.loads(job.stem.with_suffix(".json").read_bytes())
+            with suppress(FrameError):
+                sidecar = read_sidecar(job.stem.with_suffix(".json"))
                 sidecars.setdefault(job.camera, []).append(brightness.brief(sidecar))
         for camera, found in sidecars.items():
             line = brightness.told(found)

@@ -64,6 +64,10 @@ POSE_COLUMNS = (*(f"cam_{name}" for name in _POSE), *_POSE)
 BOX_COLUMNS = ("size_x", "size_y", "size_z", "box_x", "box_y", "box_z")
 _TEXT = ("class",)
 _WHOLE = ("id", "local_id", *PIXEL_COLUMNS, *AMODAL_COLUMNS)
+#: In each frame's table; early ones have no amodal areas.
+FRAME_COLUMNS = (
+    "id", *_TEXT, "local_id", *PIXEL_COLUMNS, *DEPTH_COLUMNS, *POSE_COLUMNS, *BOX_COLUMNS
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -231,8 +235,14 @@ def _column(name: str, values: Sequence[str]) -> NDArray[Any]:
         return np.array(list(map(unguarded, values)), np.str_)
     # By way of Python's numbers: three times as fast as NumPy's own reading of text.
     if name in _WHOLE:
-        return np.array(list(map(int, values)), np.int64)
-    return np.array(list(map(float, values)), np.float64)
+        numbers = np.array(list(map(int, values)), np.int64)
+        sound = (numbers >= 0) & (numbers < 2**32)
+    else:
+        numbers = np.array(list(map(float, values)), np.float64)
+        sound = np.isfinite(numbers)
+    if not sound.all():
+        raise ValueError(f"{name} holds {numbers[~sound][0]:g}, which no instance has")
+    return numbers
 
 
 def _quoted(value: str) -> str:
