@@ -37,7 +37,6 @@ listed: ``instances.npz`` has it. The masks themselves: ``scenec.schemas.amodal`
 from __future__ import annotations
 
 import csv
-import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -48,7 +47,7 @@ from numpy.typing import NDArray
 
 from scenec.schemas.csv_cells import guarded, unguarded
 from scenec.schemas.errors import FrameError
-from scenec.schemas.files import atomic
+from scenec.schemas.files import NUMPY_FAULTS, atomic
 
 #: Of all instances of a batch, in its folder of frames.
 BATCH_TABLE = "instances.npz"
@@ -147,7 +146,7 @@ def table_digest(path: Path) -> str | None:
     try:
         with np.load(path) as arrays:
             return str(arrays["stage_digest"]) if int(arrays["version"]) == TABLE_VERSION else None
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+    except NUMPY_FAULTS:
         return None
 
 
@@ -173,7 +172,7 @@ def read_table(path: Path) -> InstanceTable:
             )
     except FileNotFoundError as error:
         raise FrameError(f"{path}: no such table; render with the pass instance") from error
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+    except NUMPY_FAULTS as error:
         raise FrameError(f"{path}: no table of instances, or a damaged one") from error
 
 
