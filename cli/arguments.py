@@ -202,6 +202,13 @@ def add_settle_options(parser: argparse.ArgumentParser) -> None:
         "--batch", type=int, default=0, metavar="B", help="on whose ground (default: 0)"
     )
     parser.add_argument(
+        "--attempt",
+        type=int,
+        default=0,
+        metavar="N",
+        help="how often --faults redraw drew it again: attempt in the manifest (default: 0)",
+    )
+    parser.add_argument(
         "--drop",
         type=float,
         metavar="METERS",

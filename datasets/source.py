@@ -25,7 +25,7 @@ from scenec.schemas.errors import ForeignFrameError, FrameError
 from scenec.schemas.exr import is_id_pass
 from scenec.schemas.files import sha256
 from scenec.schemas.frames import ANNOTATION, ANNOTATION_NAMES, Frame, frame_stem, read_frame
-from scenec.schemas.instances import frame_table_path, read_frame_table
+from scenec.schemas.instances import FRAME_COLUMNS, frame_table_path, read_frame_table
 from scenec.schemas.lens import Lens, from_sidecar
 from scenec.schemas.manifest import (
     FRAMES,
@@ -276,7 +276,10 @@ class Source:
         self._refuse_foreign(ref, frame)
         table = {}
         if "instance" in frame.passes:
-            table = read_frame_table(_vouched(frame, "instance_table", frame_table_path(ref.stem)))
+            path = _vouched(frame, "instance_table", frame_table_path(ref.stem))
+            table = read_frame_table(path)
+            if lacking := [name for name in FRAME_COLUMNS if name not in table]:
+                raise FrameError(f"{path}: a table of instances without {', '.join(lacking)}")
             _vouched(frame, AMODAL, amodal_path(ref.stem))
         labels = _label_names(frame)
         loaded = LoadedFrame(ref, frame.passes, frame.sidecar, table, labels)

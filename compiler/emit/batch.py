@@ -24,6 +24,7 @@ from scenec.compiler.emit.terrain import write_terrain
 from scenec.compiler.scene import Material, Placed, Scene
 from scenec.schemas import stage as names
 from scenec.schemas.errors import SceneError
+from scenec.schemas.files import inside
 from scenec.schemas.materialx import LAYER_SUFFIX
 
 STAGE = "stage.usda"
@@ -39,7 +40,11 @@ def write_batch(folder: Path, scene: Scene) -> None:
 
     Raises:
         SceneError: More instances than ids.
+        OutputError: A name leads out of the folder.
     """
+    # Parts of a scene come from the cache's files, whoever wrote those.
+    for name in (*scene.materials, *(objects.name for objects in scene.objects)):
+        inside(folder, name)
     table = scene.label_table
     layer_names = [label_names(table, layer.labels) for layer in scene.ground.layers]
     used = [layer.material for layer in scene.ground.layers]

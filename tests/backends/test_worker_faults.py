@@ -279,7 +279,8 @@ def test_an_interrupt_amid_a_frame_ends_at_once_and_leaves_nothing_behind(
     process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
     until(lambda: faults_so_far(tmp_path) > 0, process)
     workers = psutil.Process(process.pid).children(recursive=True)
-    assert len(workers) == 1
+    # What is supervised, and its worker.
+    assert len(workers) == 2
     process.send_signal(signal.SIGINT)
     _, said = process.communicate()
     assert process.returncode == 130

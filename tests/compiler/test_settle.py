@@ -155,6 +155,22 @@ def test_a_table_on_rough_ground_neither_floats_nor_sinks(tmp_path):
     assert report.hull_gap_m < 0.01
 
 
+def test_a_batch_that_was_drawn_again_has_the_ground_of_that_attempt(tmp_path):
+    rough = [{"type": "plane"}, {"type": "multifractal", "amplitude_m": 4, "scale_m": 8}]
+    cfg = cfg_with(tmp_path, {"b": placed({"x_m": 3, "y_m": 2})}, rough)
+    settle(cfg, seed=1, objects=["b"], out=tmp_path / "poses.csv", attempt=2)
+    corners = corners_of(read_poses(tmp_path / "poses.csv"), 0)
+    gaps = []
+    for attempt in (0, 2):
+        surface = build_surface(draw(load(cfg), 1, 0, attempt), BuildLog())
+        gap = corners[:, 2] - surface.height_at(*np.ascontiguousarray(corners[:, :2].T))
+        gaps.append(abs(gap.min()))
+    assert gaps[1] < 0.1 < gaps[0]
+    assert "seed 1 batch 0 attempt 2 " in (tmp_path / "poses.csv").read_text()
+    with pytest.raises(ScenecError, match="--attempt -1: expected a whole number from 0"):
+        settle(cfg, seed=1, objects=["b"], out=tmp_path / "poses.csv", attempt=-1)
+
+
 @pytest.mark.slow
 def test_nothing_in_a_heap_is_in_anything_else(tmp_path):
     poses = [
