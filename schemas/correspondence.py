@@ -29,5 +29,3 @@ CODES = {
 NEXT = ("flow", "scene_flow", "occlusion")
 BEFORE = ("flow_backward", "occlusion_backward")
 PARTNER = ("disparity", "disparity_occlusion")
-
-CORRESPONDENCES = (*NEXT, *BEFORE, *PARTNER)
