@@ -130,8 +130,10 @@ class FrameKey:
 
     def digest(self) -> str:
         """The resume key: sha256, hex."""
-        made_by = {"scenec": version_of(), **origins(self.passes)}
-        values = {"frame": FRAME_VERSION, **made_by, **asdict(self)}
+        values = {"frame": FRAME_VERSION, "scenec": version_of(), **asdict(self)}
+        others = origins(self.passes)
+        if others:
+            values["packages"] = others
         return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
 
 

@@ -81,8 +81,8 @@ def find_pass(name: str) -> Pass:
     who = f"pass {shown(name)} ({_place(points[0])})"
     try:
         made = points[0].load()
-    except (ImportError, AttributeError) as error:
-        raise BackendError(f"{who}: cannot be imported: {error}") from error
+    except Exception as error:
+        raise BackendError(f"{who}: cannot be imported: {_told(error)}") from error
     fault = _fault(made, name)
     if fault is not None:
         raise BackendError(f"{who}: {fault}")
@@ -91,6 +91,12 @@ def find_pass(name: str) -> Pass:
 
 def _place(point: EntryPoint) -> str:
     return point.value + (f" of {point.dist.name}" if point.dist else "")
+
+
+def _told(error: Exception) -> str:
+    """An error of another package's code, and where it was raised, in a line."""
+    at = traceback.extract_tb(error.__traceback__)[-1]
+    return f"{type(error).__name__}: {error} ({Path(at.filename).name}, line {at.lineno})"
 
 
 def _fault(made: Any, name: str) -> str | None:
@@ -103,6 +109,8 @@ def _fault(made: Any, name: str) -> str | None:
         return f"its channels are {list(made.channels)}: expected names in alphabetical order"
     if made.dtype not in ("float32", "uint32"):
         return f"its dtype is {shown(str(made.dtype))}: expected float32 or uint32"
+    if "rgb" in made.needs:
+        return "it needs rgb, which no pass is made of"
     return None
 
 
@@ -115,9 +123,7 @@ def _guarded(one: Pass, who: str) -> Callable[[View], NDArray[Any]]:
         except ScenecError:
             raise
         except Exception as error:
-            at = traceback.extract_tb(error.__traceback__)[-1]
-            place = f"{Path(at.filename).name}, line {at.lineno}"
-            raise BackendError(f"{who}: {type(error).__name__}: {error} ({place})") from error
+            raise BackendError(f"{who}: {_told(error)}") from error
         count = len(one.channels)
         shape = (len(view.hits.row), count)[: 1 + (count > 1)]
         types = ("uint32",) if one.dtype == "uint32" else ("float32", "float64")

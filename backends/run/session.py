@@ -205,13 +205,12 @@ class Session:
             # First of the passes, whatever is known of it only later.
             arrays["rgb"] = radiance.halves[0]
         annotation = [name for name in passes if name != "rgb"]
+        found = ready
         if annotation:
             details["annotation"] = annotation_facts(annotation)
-            found = ready or self._annotate(camera, sample, annotation, seconds)
+            found = found or self._annotate(camera, sample, annotation, seconds)
             arrays |= {name: found.arrays[name] for name in annotation if name in found.arrays}
             details["height_above_surface_m"] = found.height_m
-        else:
-            found = None
         if radiance is not None:
             hits = None if found is None else found.hits
             veil = self._veil(radiance, camera, sample, hits, details)
