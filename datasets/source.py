@@ -20,9 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.schemas import rle
-from scenec.schemas.amodal import AMODAL, Amodal, amodal_path, read_amodal
+from scenec.schemas.amodal import Amodal, amodal_path, read_amodal
 from scenec.schemas.errors import ForeignFrameError, FrameError
-from scenec.schemas.exr import is_id_pass
 from scenec.schemas.files import sha256
 from scenec.schemas.frames import ANNOTATION, ANNOTATION_NAMES, Frame, frame_stem, read_frame
 from scenec.schemas.instances import FRAME_COLUMNS, frame_table_path, read_frame_table
@@ -35,6 +34,7 @@ from scenec.schemas.manifest import (
     read_manifest,
     stage_digest,
 )
+from scenec.schemas.passes import AMODAL
 from scenec.schemas.sidecars import read_sidecar
 from scenec.schemas.spelling import nearest
 
@@ -185,7 +185,7 @@ class LoadedFrame:
             if name != "rgb":
                 array = self.passes[name]
                 state.update(f"{name} {array.dtype.str} {array.shape}\n".encode())
-                parts = rle.row_runs(array) if is_id_pass(name) else (array,)
+                parts = rle.row_runs(array) if array.dtype.kind == "u" else (array,)
                 for part in parts:
                     state.update(np.ascontiguousarray(part).data)
         return state.hexdigest()

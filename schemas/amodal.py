@@ -24,9 +24,8 @@ from numpy.typing import NDArray
 from scenec.schemas import rle
 from scenec.schemas.errors import FrameError
 from scenec.schemas.files import NUMPY_FAULTS, atomic
+from scenec.schemas.passes import AMODAL
 
-#: Name of the pass, which is a file of its own and no part of the EXR.
-AMODAL = "amodal"
 SUFFIX = ".amodal.npz"
 VERSION = 1
 

@@ -12,7 +12,7 @@ from amodal_looks import look
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from scenec.backends.annotation import amodal as outlining
+from scenec.backends.annotation import outlines as outlining
 from scenec.backends.annotation.instances import Instances
 from scenec.backends.camera.rays import camera_rays
 from scenec.backends.contract import Rays

@@ -173,11 +173,11 @@ def test_masks_hold_the_pixels_that_they_show(height, width, seed):
 
 def test_amodal_is_asked_for_by_a_stage_and_an_unknown_pass_still_refused(rendered):
     scene = read_stage(rendered / "m.usda")
-    from scenec.backends.annotation.annotate import pass_names
+    from scenec.backends.annotation.registry import select
 
-    assert pass_names(scene, ("rgb", "amodal")) == ["instance", "amodal"]
+    assert list(select(scene, ("rgb", "amodal"))) == ["instance", "amodal"]
     with pytest.raises(BackendError, match='no pass "amodel"'):
-        pass_names(scene, ("amodel",))
+        select(scene, ("amodel",))
 
 
 def test_a_cfg_may_ask_for_masks(tmp_path):

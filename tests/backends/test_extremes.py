@@ -27,8 +27,7 @@ from scenes import camera as pinhole
 from scenes import scene
 from small import small_cfg, write_cfg
 
-from scenec.backends.annotation.annotate import annotate as annotate_rays
-from scenec.backends.annotation.bands import annotate
+from scenec.backends.annotation.annotate import annotate
 from scenec.backends.camera import tiles
 from scenec.backends.camera.rays import camera_rays
 from scenec.backends.check.compare import check_exact
@@ -176,15 +175,14 @@ def test_annotation_in_bands_is_that_of_the_whole_picture_to_the_bit(
 ) -> None:
     world, caster = stones
     camera = VIEWS[name]
-    rays = camera_rays(camera)
-    exact = caster.hits(rays)
-    expected = annotate_rays(world, exact, rays, PASSES)
+    exact = caster.hits(camera_rays(camera))
+    expected = annotate(world, caster, camera, PASSES, 0).arrays
     monkeypatch.setattr(tiles, "PIXELS", rows * camera.width)
-    hits, found = annotate(world, caster, camera, PASSES, 0)
+    found = annotate(world, caster, camera, PASSES, 0)
     for key, values in expected.items():
-        np.testing.assert_array_equal(found[key], values, err_msg=key)
+        np.testing.assert_array_equal(found.arrays[key], values, err_msg=key)
     for key in ("row", "face", "t"):
-        np.testing.assert_array_equal(getattr(hits, key), getattr(exact, key))
+        np.testing.assert_array_equal(getattr(found.hits, key), getattr(exact, key))
 
 
 def test_a_picture_composed_in_bands_is_the_same(monkeypatch: pytest.MonkeyPatch) -> None:

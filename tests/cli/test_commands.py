@@ -89,11 +89,13 @@ def test_a_frame_without_rgb_keeps_no_picture_of_an_earlier_one(output, tmp_path
     assert main(["sheet", str(out), "--backend", "annotation", "-o", target]) == 0
 
 
-def test_the_command_line_knows_all_passes():
-    from scenec.cli import arguments
-    from scenec.schemas.exr import PASSES
+def test_the_schema_of_cfgs_knows_all_passes():
+    from scenec.compiler.frontend.schema import load_schemas
+    from scenec.schemas.passes import PASSES
 
-    assert arguments.PASSES == PASSES
+    for name in ("cfg", "sensor"):
+        outputs = load_schemas()[f"{name}.schema.json"]["properties"]["outputs"]
+        assert sorted(outputs["items"]["enum"]) == sorted(PASSES)
 
 
 def test_check_fails_on_damage_and_names_it(output, tmp_path, capsys):

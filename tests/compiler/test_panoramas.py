@@ -16,7 +16,7 @@ from PIL import Image
 from pxr import Usd
 from small import small_cfg, write_cfg
 
-from scenec.backends.annotation.bands import annotate
+from scenec.backends.annotation.annotate import annotate
 from scenec.backends.camera.rays import camera_rays
 from scenec.backends.check.stage import check_stage
 from scenec.backends.contract import Rays
@@ -370,7 +370,7 @@ def test_pixels_of_the_sky_have_the_maps_label_on_its_level_at_its_samples(label
     camera = scene.cameras[0][0]
     rays = camera_rays(camera)
     caster = ExactCaster(scene)
-    first = annotate(scene, caster, camera, ["label"], 0)[1]
+    first = annotate(scene, caster, camera, ["label"], 0).arrays
     sky = first["label.class"] == 1
     assert sky.any()
     d = rays.directions.reshape(*rays.shape, 3)
@@ -380,7 +380,7 @@ def test_pixels_of_the_sky_have_the_maps_label_on_its_level_at_its_samples(label
     inner = np.abs((bearing % 90.0) - 45.0) > 1.0
     assert (first["label.surface"] == expected)[sky & inner].all()
     assert not np.isin(first["label.surface"][~sky], range(1000, 1004)).any()
-    second = annotate(scene, caster, camera, ["label"], 1)[1]
+    second = annotate(scene, caster, camera, ["label"], 1).arrays
     assert (second["label.surface"][sky] == 7).all()
 
 

@@ -179,9 +179,7 @@ def test_a_frame_s_table_that_its_sidecar_vouches_for_is_taken_or_refused_in_one
         only_our_errors(lambda: list(check_frames(batch, None)))
         for name in ("coco", "bop"):
             only_our_errors(
-                lambda name=name: export(
-                    output, name, folder / name, Choice(faults="skip"), workers=1
-                )
+                lambda name=name: export(output, name, folder / name, Choice(faults="skip"))
             )
     finally:
         table.write_text(sound[0])
