@@ -12,6 +12,7 @@ from scenec.backends.exact import ExactCaster
 from scenec.backends.exact.annotate import NO_FACE, pass_names
 from scenec.backends.rays import camera_rays
 from scenec.schemas.errors import BackendError
+from scenec.schemas.threads import at_most
 
 ALL = ("label", "instance", "depth", "range", "normal", "position", "face")
 
@@ -28,14 +29,10 @@ def rocks():
 
 def test_results_do_not_depend_on_the_number_of_threads(rocks):
     scene, caster, view = rocks
-    threads = numba.get_num_threads()
     results = []
-    try:
-        for count in (1, numba.config.NUMBA_NUM_THREADS):
-            numba.set_num_threads(count)
+    for count in (1, numba.config.NUMBA_NUM_THREADS):
+        with at_most(count):
             results.append(annotate(scene, caster, view, ALL, 0)[1])
-    finally:
-        numba.set_num_threads(threads)
     one, many = results
     for name, values in one.items():
         assert values.tobytes() == many[name].tobytes(), name

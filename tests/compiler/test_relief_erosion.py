@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 
 from scenec.compiler.terrain.drainage import SIDES, drain, drainage_area, outlet_samples
@@ -156,7 +157,7 @@ def test_one_step_solves_its_equation_along_every_stream():
     factor=st.floats(0.0, 1e9),
     exponent=st.floats(0.2, 5.0),
 )
-@settings(max_examples=300)
+@examples(300)
 def test_the_implicit_slope_solves_its_equation(target, factor, exponent):
     x = implicit_slope(target, factor, exponent)
     assert 0.0 <= x <= target

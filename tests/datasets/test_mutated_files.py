@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from examples import examples
+from hypothesis import HealthCheck, given
 from hypothesis import strategies as st
 from made_output import make_output
 
@@ -79,10 +80,8 @@ def mutated(draw: st.DrawFn, value: Any) -> Any:
     return value
 
 
-RELAXED = settings(
-    max_examples=150,
-    derandomize=True,
-    suppress_health_check=[HealthCheck.function_scoped_fixture],
+RELAXED = examples(
+    150, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 
 
