@@ -26,7 +26,7 @@ from scenec.schemas.manifest import find_batches
 
 @pytest.fixture
 def stage(tmp_path: Path) -> Path:
-    return square_stage(tmp_path / "square.usda")
+    return square_stage(tmp_path / "square.usda", width=32)
 
 
 def run(stage: Path, **options):
@@ -53,8 +53,8 @@ def assassin(monkeypatch: pytest.MonkeyPatch, sample: int, times: int) -> list[i
     return killed
 
 
-def test_a_foreign_stage_renders_every_camera_and_sample(stage: Path):
-    steps = []
+def test_a_foreign_stage_renders_every_camera_and_sample(tmp_path: Path):
+    stage, steps = square_stage(tmp_path / "square.usda"), []
     report = run(stage, progress=lambda done, total, text: steps.append((done, total)))
     assert (report.rendered, report.skipped, report.deaths) == (6, 0, 0)
     assert steps == [(i, 6) for i in range(1, 7)]
@@ -96,8 +96,7 @@ def test_a_frame_that_kills_every_worker_is_named_and_costs_no_other(stage, monk
     assert (report.rendered, report.skipped) == (2, 4)
 
 
-@pytest.mark.invariant
-@pytest.mark.slow
+@pytest.mark.usefixtures("worker_here")
 def test_frames_that_are_there_are_not_made_again_unless_something_changed(stage):
     assert run(stage).rendered == 6
     assert (run(stage).rendered, run(stage).skipped) == (0, 6)
@@ -107,6 +106,7 @@ def test_frames_that_are_there_are_not_made_again_unless_something_changed(stage
     assert run(stage).rendered == 6
 
 
+@pytest.mark.usefixtures("worker_here")
 def test_without_rgb_no_light_is_worked_on_and_noise_does_not_matter(stage):
     first = run(stage, passes=["depth", "instance"])
     assert "radiance" not in first.seconds
@@ -114,8 +114,7 @@ def test_without_rgb_no_light_is_worked_on_and_noise_does_not_matter(stage):
     assert run(stage, passes=["depth", "instance"], spp=99, noise_seed=9).skipped == 6
 
 
-@pytest.mark.invariant
-@pytest.mark.slow
+@pytest.mark.usefixtures("worker_here")
 def test_bad_requests_end_in_one_line(stage, tmp_path):
     with pytest.raises(BackendError, match="did you mean 'mitsuba'"):
         render(stage, "mitsubo")

@@ -324,7 +324,9 @@ def test_erosion_does_not_depend_on_the_number_of_threads(operator):
     assert np.array_equal(alone, apply(operator, grid, rough(grid, 1, 50.0)))
 
 
-@pytest.mark.parametrize("angle", [20.0, 33.0, 50.0])
+@pytest.mark.parametrize(
+    "angle", [33.0, *(pytest.param(angle, marks=pytest.mark.slow) for angle in (20.0, 50.0))]
+)
 def test_slides_state_about_what_their_iteration_errs(angle, monkeypatch):
     grid = Grid((64.0, 64.0), (65, 65))
     rng = np.random.default_rng(4)
