@@ -15,9 +15,8 @@ from processes import until_gone
 from third_party import square_stage
 
 from scenec.backends import pool
-from scenec.backends.doctor import diagnose, library_versions
 from scenec.backends.pool import WorkerProcess
-from scenec.backends.registry import backend_names, open_backend, require_name
+from scenec.backends.registry import open_backend
 from scenec.backends.render import frame_seed, render
 from scenec.schemas.errors import BackendError, OutputError, StageError
 from scenec.schemas.frames import read_frame
@@ -201,13 +200,6 @@ def test_no_two_frames_share_their_noise():
     assert len(seeds) == 240
 
 
-def test_backends_are_found_by_name():
-    assert {"mitsuba", "cycles", "pyrender"} <= set(backend_names())
-    require_name("reference")
-    require_name("annotation")
-    assert open_backend("mitsuba").name == "mitsuba"
-
-
 def test_a_backend_that_is_not_installed_says_what_to_install(monkeypatch):
     monkeypatch.setitem(
         __import__("scenec.backends.registry", fromlist=["BUILT_IN"]).BUILT_IN,
@@ -216,13 +208,3 @@ def test_a_backend_that_is_not_installed_says_what_to_install(monkeypatch):
     )
     with pytest.raises(BackendError, match=r"pip install 'scenec\[mitsuba\]'"):
         open_backend("mitsuba")
-
-
-# The same of all backends in one: tests/cli/test_commands.py, test_doctor_says_what_works_here.
-@pytest.mark.slow
-def test_doctor_renders_with_each_backend_and_knows_the_libraries():
-    found = {d.name: d for d in diagnose(("mitsuba",))}
-    assert found["mitsuba"].works
-    assert "llvm" in found["mitsuba"].version
-    versions = library_versions()
-    assert all(versions[name] for name in ("numba", "usd-core", "OpenEXR"))
