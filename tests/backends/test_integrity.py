@@ -193,6 +193,7 @@ def test_a_manifest_without_digests_is_none(out, entry):
         render(out, "reference")
 
 
+@pytest.mark.usefixtures("worker_here")
 def test_frames_of_a_part_are_never_taken_for_those_of_the_whole(out, capsys):
     batch = out / "batch_0000"
     rocks = (batch / "objects" / "rocks.usdc").read_bytes()

@@ -128,13 +128,11 @@ def test_datasets_hold_it(output: Path, tmp_path: Path) -> None:
     from scenec.datasets.export_plan import Choice
 
     choice = Choice(backend="annotation", options={"shard_mb": "1"})
-    folder = export(output / "out", "webdataset", tmp_path / "w", choice, workers=1).folder
+    folder = export(output / "out", "webdataset", tmp_path / "w", choice).folder
     (path,) = folder.glob("*.tar")
     with tarfile.open(path) as shard:
         assert sum(".slope." in name for name in shard.getnames()) == 2
-    folder = export(
-        output / "out", "hdf5", tmp_path / "h", Choice(backend="annotation"), workers=1
-    ).folder
+    folder = export(output / "out", "hdf5", tmp_path / "h", Choice(backend="annotation")).folder
     types = {}
     for path in folder.rglob("*.h*5"):
         with h5py.File(path) as file:

@@ -6,7 +6,8 @@ import dataclasses
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 from lens_scenes import CAMERAS, around
 from mitsuba_scenes import look_at
@@ -84,7 +85,7 @@ def caster(world: RenderScene) -> ExactCaster:
 angles = st.floats(-3.0, 3.0)
 
 
-@settings(max_examples=40)
+@examples(40)
 @given(
     st.lists(st.tuples(angles, angles, angles), min_size=2, max_size=5),
     st.sampled_from([1.0, 1e-3, 1e-7, 1e-10]),

@@ -64,7 +64,7 @@ def run(stage: Path, limits: Limits = QUICK, **options):
         pytest.param("sleep", HUNG, marks=pytest.mark.slow),
         ("lock", HUNG),
         pytest.param("stop", HUNG, marks=pytest.mark.slow),
-        ("crash", "died (signal SIGSEGV"),
+        pytest.param("crash", "died (signal SIGSEGV", marks=pytest.mark.slow),
         ("kill", "died (signal SIGKILL, out of memory?"),
         pytest.param("exit", "died (exit status 3", marks=pytest.mark.slow),
     ],

@@ -47,6 +47,7 @@ def test_render_does_not_make_frames_again(output, capsys):
     assert (result["rendered"], result["skipped"]) == (0, 2)
 
 
+@pytest.mark.usefixtures("worker_here")
 def test_check_finds_the_output_sound_and_the_backends_agreed(output, capsys):
     assert main(["check", str(output), "--backends", "mitsuba,reference", "--json"]) == 0
     result = json.loads(capsys.readouterr().out)

@@ -14,7 +14,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 from killed import contents
 
@@ -234,7 +235,7 @@ def test_an_entry_under_another_key_is_dropped(tmp_path):
 
 
 @given(st.binary(max_size=300))
-@settings(max_examples=25)
+@examples(25)
 def test_any_bytes_in_place_of_an_entry_are_no_error(tmp_path_factory, data):
     store = Store(tmp_path_factory.getbasetemp() / "any")
     store.path("cd" * 32).parent.mkdir(parents=True, exist_ok=True)

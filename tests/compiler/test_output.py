@@ -10,6 +10,7 @@ import shutil
 import subprocess
 import sys
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -22,7 +23,7 @@ from scenec.compiler.compile import compile_cfg
 from scenec.compiler.draw import draw
 from scenec.compiler.emit.batch import write_batch
 from scenec.compiler.emit.maps import copy_maps
-from scenec.compiler.frontend.load import load
+from scenec.compiler.frontend.load import Spec, load
 from scenec.compiler.output import Output, locked
 from scenec.compiler.passes.keep import Keep
 from scenec.compiler.scene import MaterialMaps, Picture
@@ -62,9 +63,14 @@ def write(folder: Path, files: dict[str, str]) -> None:
         (folder / name).write_text(text)
 
 
+@cache
+def loaded(cfg: Path, _text: bytes) -> Spec:
+    return load(cfg)
+
+
 def put(out: Path, cfg: Path, files: dict[str, str], seed: int = 1, replace: bool = False) -> bool:
     """Brings a made-up batch in, as ``compile_cfg`` does with one that it built."""
-    spec = load(cfg)
+    spec = loaded(cfg, cfg.read_bytes())
     with locked(out):
         output = Output(out, spec, seed, Keep.SEEN, [0], replace, lambda _line: None)
         with temporary_folder(out) as folder:

@@ -10,7 +10,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 from overhangs import shelter, write
 from small import small_cfg, write_cfg
@@ -422,7 +423,7 @@ def test_what_is_flat_gets_some_thickness():
     assert 1e-3 < np.ptp(hull[:, 2]) < 1e-2
 
 
-@settings(max_examples=200)
+@examples(200)
 @given(st.integers(0, 2**32 - 1))
 def test_a_quaternion_of_a_matrix_gives_the_matrix(seed):
     q = np.random.default_rng(seed).normal(size=4)

@@ -200,6 +200,7 @@ def test_what_was_done_for_another_dataset_is_not_left_in_this_one(
     assert contents(tmp_path / "ds") == contents(dataset)
 
 
+@pytest.mark.slow
 def test_a_script_needs_no_main_guard(output: Path, plugin: Path, tmp_path: Path) -> None:
     script = tmp_path / "script.py"
     script.write_text(_EXPORT)

@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from examples import examples
+from hypothesis import HealthCheck, given
 from hypothesis import strategies as st
 from made_output import make_output
 
@@ -95,10 +96,8 @@ def mutated(draw: st.DrawFn, value: Any) -> Any:
     return value
 
 
-RELAXED = settings(
-    max_examples=150,
-    derandomize=True,
-    suppress_health_check=[HealthCheck.function_scoped_fixture],
+RELAXED = examples(
+    150, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 
 
@@ -154,7 +153,7 @@ def test_a_frame_s_sidecar_is_taken_or_refused_in_one_line(output, data, tmp_pat
 CELLS = ["", "x", "-1", "0", "0.5", "nan", "inf", "1e999", "4294967296", "9" * 30, "=1"]
 
 
-@settings(RELAXED, max_examples=40)
+@RELAXED
 @given(
     row=st.integers(0, 4), column=st.integers(0, 40), text=st.sampled_from(CELLS), cut=st.booleans()
 )

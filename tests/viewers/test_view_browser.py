@@ -22,6 +22,7 @@ from scenec.datasets.view.page import write_view
 from scenec.schemas.frames import frame_stem, read_frame
 from scenec.schemas.manifest import Batch
 
+pytestmark = pytest.mark.slow
 WIDTH, HEIGHT = 96, 64
 
 
