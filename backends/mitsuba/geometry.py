@@ -1,13 +1,15 @@
 """Rows of a RenderScene flattened into one triangle mesh per (materials, kind of normals).
 
 Mitsuba's ``instance`` shape is traced as one call target per instance in its JIT variants and does
-not scale (1,000 instances take 22 times as long as 10, measured), so instances are written out.
+not scale (1,000 instances take 22 times as long as 10, measured), so instances are written out;
+where they are too many for that, ``kept`` renders them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -63,6 +65,7 @@ class FlatMesh:
         texcoords: x and y, float32 [n, 2], where a surface has maps from above; the mesh's texture
             coordinates, where one has maps by those; else None.
         height_blends: Of the merges, or empty.
+        lanes: Where to look for what varies at a hit, ``kept.Lanes``; None: at the vertices.
     """
 
     points: NDArray[np.float32]
@@ -73,6 +76,7 @@ class FlatMesh:
     weights: NDArray[np.float32]
     texcoords: NDArray[np.float32] | None
     height_blends: tuple[float, ...] = ()
+    lanes: Any = None
 
 
 def scene_center(scene: RenderScene) -> NDArray[np.float64]:
@@ -161,6 +165,27 @@ def flatten(scene: RenderScene, group: Group, center: NDArray[np.float64]) -> Fl
         texcoords = np.ascontiguousarray(points[:, :2])
     return FlatMesh(
         points, faces, normals, variation, row_variation, weights, texcoords, group.height_blends
+    )
+
+
+def unplaced(scene: RenderScene, group: Group, lanes: Any) -> FlatMesh:
+    """What varies over a group whose instances are kept: of each of its meshes once."""
+    meshes = [scene.meshes[i] for i in np.unique(scene.rows.mesh[group.rows])]
+    surfaces = group_surfaces(scene, group)
+    varies = any(s.varies for s in surfaces)
+    own = [m.variation for m in meshes if m.variation is not None]
+    weights = [np.concatenate([m.weights[k] for m in meshes]) for k in range(len(surfaces) - 1)]
+    count = sum(len(m.points) for m in meshes)
+    return FlatMesh(
+        np.empty((0, 3), np.float32),
+        np.empty((0, 3), np.uint32),
+        None,
+        np.concatenate(own) if own and varies else None,
+        scene.rows.variation[group.rows] if varies else None,
+        np.array(weights, np.float32).reshape(-1, count),
+        None,
+        group.height_blends,
+        lanes,
     )
 
 
