@@ -46,6 +46,7 @@ def cfg(kind: str, count: int) -> dict[str, Any]:
             "count": count,
             "lod_px": 0,
         }
+        del made["materials"]["stone"]
     return made
 
 

@@ -29,7 +29,7 @@ from scenec.schemas.materialx import LAYER_SUFFIX
 STAGE = "stage.usda"
 #: More layers of one kind are joined: USD asks each for every value, and 2,000 of them are read in
 #: minutes where one is read in seconds.
-MOST_LAYERS = 64
+MOST_LAYERS = 256
 _LARGEST_ID = 2**32 - 1
 
 

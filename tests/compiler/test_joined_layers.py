@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 from pxr import Sdf
 from small import write_cfg
 from test_maps import mapped_cfg
@@ -17,10 +18,11 @@ from scenec.compiler.compile import compile_cfg
 from scenec.compiler.emit import batch
 from scenec.schemas.manifest import MANIFEST
 
-COUNT = batch.MOST_LAYERS + 1
+COUNT = 9
 
 
-def compiled(folder: Path) -> Path:
+def compiled(folder: Path, monkeypatch: pytest.MonkeyPatch, most: int = COUNT - 1) -> Path:
+    monkeypatch.setattr(batch, "MOST_LAYERS", most)
     cfg = mapped_cfg(folder) | {"samples": 1}
     cfg["terrain"]["spacing_m"] = 0.5
     rocks = cfg["objects"]["rocks"] | {"count": 1, "prototypes": 1, "subdivisions": 1}
@@ -28,7 +30,7 @@ def compiled(folder: Path) -> Path:
     maps = {"maps": {"size_m": 1.5, "base_color": "c.PNG"}}
     cfg["objects"] = {}
     for number in range(COUNT):
-        cfg["materials"][f"stone_{number}"] = maps if number % 20 == 0 else stone
+        cfg["materials"][f"stone_{number}"] = maps if number % 4 == 0 else stone
         cfg["objects"][f"rocks_{number}"] = rocks | {"material": f"stone_{number}"}
     compile_cfg(write_cfg(folder, cfg), seed=3, out=folder / "out")
     return folder / "out"
@@ -59,17 +61,18 @@ def assert_equal(a: Any, b: Any, folders: tuple[Path, Path], where: str = "scene
 def test_joined_layers_hold_what_single_ones_do(tmp_path, monkeypatch):
     (tmp_path / "joined").mkdir()
     (tmp_path / "single").mkdir()
-    joined = compiled(tmp_path / "joined")
-    monkeypatch.setattr(batch, "MOST_LAYERS", 10**6)
-    single = compiled(tmp_path / "single")
+    joined = compiled(tmp_path / "joined", monkeypatch)
+    single = compiled(tmp_path / "single", monkeypatch, 10**6)
     scenes = [read_stage(out / "batch_0000/stage.usda") for out in (joined, single)]
     assert any(s.maps is not None for s in scenes[0].surfaces)
     assert len(scenes[0].instance_paths) == COUNT
     assert_equal(*scenes, (joined, single))
 
 
-def test_the_number_of_layers_does_not_grow_with_that_of_classes_and_materials(tmp_path):
-    out = compiled(tmp_path)
+def test_the_number_of_layers_does_not_grow_with_that_of_classes_and_materials(
+    tmp_path, monkeypatch
+):
+    out = compiled(tmp_path, monkeypatch)
     root = Sdf.Layer.FindOrOpen(str(out / "batch_0000/stage.usda"))
     assert len(root.subLayerPaths) < 10
     assert not [*out.glob("batch_0000/objects"), *out.glob("batch_0000/looks")]
