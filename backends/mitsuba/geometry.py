@@ -244,19 +244,26 @@ def _place_faces(begin, end, faces, to_world, first, first_face, out):  # type: 
             out[q + i, 2] = o + faces[i, c]
 
 
+@njit(cache=True, error_model="numpy")
+def cofactors(m):  # type: ignore[no-untyped-def]
+    """What takes normals along with a matrix, [3, 3], and the sign of its determinant, -1 or 1.
+
+    It is det * inverse transpose, and needs no inverse.
+    """
+    c = np.empty((3, 3))
+    for i in range(3):
+        for j in range(3):
+            a, b = (i + 1) % 3, (i + 2) % 3
+            d, e = (j + 1) % 3, (j + 2) % 3
+            c[i, j] = m[a, d] * m[b, e] - m[a, e] * m[b, d]
+    det = m[0, 0] * c[0, 0] + m[0, 1] * c[0, 1] + m[0, 2] * c[0, 2]
+    return c, -1.0 if det < 0.0 else 1.0
+
+
 @njit(cache=True, error_model="numpy", nogil=True)
 def _place_normals(begin, end, normals, to_world, first, out):  # type: ignore[no-untyped-def]
     for part in range(begin, end):
-        m = to_world[part]
-        # The cofactor matrix is det * inverse transpose, and needs no inverse.
-        c = np.empty((3, 3))
-        for i in range(3):
-            for j in range(3):
-                a, b = (i + 1) % 3, (i + 2) % 3
-                d, e = (j + 1) % 3, (j + 2) % 3
-                c[i, j] = m[a, d] * m[b, e] - m[a, e] * m[b, d]
-        det = m[0, 0] * c[0, 0] + m[0, 1] * c[0, 1] + m[0, 2] * c[0, 2]
-        sign = -1.0 if det < 0.0 else 1.0
+        c, sign = cofactors(to_world[part])
         o = first[part]
         for i in range(len(normals)):
             x, y, z = float(normals[i, 0]), float(normals[i, 1]), float(normals[i, 2])

@@ -20,7 +20,7 @@ from scenec.backends.contract import NO_ROW, Rays, Visibility
 from scenec.backends.exact.caster import ExactCaster
 from scenec.backends.exact.trace import trace_all
 from scenec.backends.mitsuba.corners import vertex_uv
-from scenec.backends.mitsuba.geometry import Group, group_surfaces, unplaced
+from scenec.backends.mitsuba.geometry import Group, cofactors, group_surfaces, unplaced
 from scenec.backends.mitsuba.surfaces import make_look
 from scenec.backends.render_scene import RenderScene
 from scenec.schemas.threads import over_threads
@@ -290,7 +290,7 @@ class _Hits(NamedTuple):
         columns = _aligned(np.empty((21 + tables.values.shape[1], len(lanes)), np.float32))
         over_threads(
             _interact, len(lanes), kept._caster.geometry, tables, rays.origins, rays.directions,
-            lanes, row, face, kept._center, (places, lifts, columns),
+            (lanes, row, face), kept._center, (places, lifts, columns),
         )  # fmt: skip
         return _Hits(row, places, lifts, columns)
 
@@ -351,85 +351,75 @@ def _unit(v):  # type: ignore[no-untyped-def]
     return v / length if length > 0.0 else v
 
 
+@njit(cache=True, error_model="numpy")
+def _corners(g, row, vertices):  # type: ignore[no-untyped-def]
+    """Of a face in the world, [3, 3]."""
+    m = g.to_world[row]
+    corners = np.empty((3, 3))
+    for c in range(3):
+        x, y, z = g.points[vertices[c]]
+        for i in range(3):
+            corners[c, i] = m[i, 0] * x + m[i, 1] * y + m[i, 2] * z + m[i, 3]
+    return corners
+
+
+@njit(cache=True, error_model="numpy")
+def _shares(origin, way, corner, p, q, normal):  # type: ignore[no-untyped-def]
+    """Of the corners where a ray crosses the plane of a face, kept inside of that."""
+    steep = -(normal * way).sum()
+    v = w = 0.0
+    if steep != 0.0:
+        across = np.cross(way, corner - origin)
+        v = min(max((across * q).sum() / steep, 0.0), 1.0)
+        w = min(max(-(across * p).sum() / steep, 0.0), 1.0 - v)
+    return 1.0 - v - w, v, w
+
+
 @njit(cache=True, error_model="numpy", nogil=True)
 def _interact(  # type: ignore[no-untyped-def]
-    begin, end, g, tables, origins, directions, lanes, row, face, center, out
+    begin, end, g, tables, origins, directions, hits, center, out
 ):
     """``_Hits`` of rays and the faces they meet."""
+    lanes, row, face = hits
     places, lifts, columns = out
-    m = np.empty((3, 3))
-    cofactors = np.empty((3, 3))
-    corners = np.empty((3, 3))
     for k in range(begin, end):
-        r = row[k]
-        vertices = g.faces[g.row_face[r] + face[k]]
-        to_world = g.to_world[r]
-        for i in range(3):
-            for j in range(3):
-                m[i, j] = to_world[i, j]
-        for c in range(3):
-            point = g.points[vertices[c]]
-            for i in range(3):
-                corners[c, i] = (
-                    m[i, 0] * point[0] + m[i, 1] * point[1] + m[i, 2] * point[2] + to_world[i, 3]
-                )
-        for i in range(3):
-            for j in range(3):
-                a, b = (i + 1) % 3, (i + 2) % 3
-                d, e = (j + 1) % 3, (j + 2) % 3
-                cofactors[i, j] = m[a, d] * m[b, e] - m[a, e] * m[b, d]
-        det = m[0, 0] * cofactors[0, 0] + m[0, 1] * cofactors[0, 1] + m[0, 2] * cofactors[0, 2]
-        # A mirrored row turns the winding; turn it back, as flattened meshes have it.
-        side = -1.0 if det < 0.0 else 1.0
+        vertices = g.faces[g.row_face[row[k]] + face[k]]
+        corners = _corners(g, row[k], vertices)
+        turn, side = cofactors(g.to_world[row[k]])
         p, q = corners[1] - corners[0], corners[2] - corners[0]
         normal = np.cross(p, q)
-        square = normal[0] * normal[0] + normal[1] * normal[1] + normal[2] * normal[2]
+        # A mirrored row turns the winding; turn it back, as flattened meshes have it.
         unit = side * _unit(normal)
-        # Where the ray crosses the plane: the shares of the corners, kept inside.
-        o, way = origins[lanes[k]], directions[lanes[k]]
-        across = np.cross(way, corners[0] - o)
-        steep = -(normal[0] * way[0] + normal[1] * way[1] + normal[2] * way[2])
-        v = w = 0.0
-        if square > 0.0 and steep != 0.0:
-            v = (across[0] * q[0] + across[1] * q[1] + across[2] * q[2]) / steep
-            w = -(across[0] * p[0] + across[1] * p[1] + across[2] * p[2]) / steep
-            v = min(max(v, 0.0), 1.0)
-            w = min(max(w, 0.0), 1.0 - v)
-        size = 1.0
-        for i in range(3):
-            places[k, i] = corners[0, i] + v * p[i] + w * q[i]
-            columns[i, k] = places[k, i] - center[i]
-            columns[3 + i, k] = unit[i]
-            size = max(size, abs(places[k, i]))
-        lifts[k] = (_OFFSET * (1.0 + size)) * unit
-        shares = (1.0 - v - w, v, w)
+        way = directions[lanes[k]]
+        shares = _shares(origins[lanes[k]], way, corners[0], p, q, normal)
         local = np.zeros(3)
-        texture = np.zeros((3, 2))
+        uv = np.zeros((3, 2))
+        columns[20:, k] = 0.0
+        columns[21, k] = tables.row_values[row[k]]
         for c in range(3):
-            for i in range(3):
-                local[i] += shares[c] * tables.normals[vertices[c], i]
-            for i in range(2):
-                texture[c, i] = tables.uv[vertices[c], i]
+            local += shares[c] * tables.normals[vertices[c]]
+            uv[c] = tables.uv[vertices[c]]
+            for i in range(tables.values.shape[1]):
+                columns[20 if i == 0 else 21 + i, k] += shares[c] * tables.values[vertices[c], i]
         shading = np.zeros(3)
         for i in range(3):
             for j in range(3):
-                shading[i] += side * cofactors[i, j] * local[j]
+                shading[i] += side * turn[i, j] * local[j]
         shading = _unit(shading)
-        if shading[0] == 0.0 and shading[1] == 0.0 and shading[2] == 0.0:
+        if not shading.any():
             shading = unit
+        place = corners[0] + shares[1] * p + shares[2] * q
+        places[k] = place
+        lifts[k] = (_OFFSET * (1.0 + np.abs(place).max())) * unit
         heading = _unit(way)
-        uv1, uv2 = texture[1] - texture[0], texture[2] - texture[0]
+        uv1, uv2 = uv[1] - uv[0], uv[2] - uv[0]
         area = uv1[0] * uv2[1] - uv1[1] * uv2[0]
         for i in range(3):
+            columns[i, k] = place[i] - center[i]
+            columns[3 + i, k] = unit[i]
             columns[6 + i, k] = shading[i]
             columns[11 + i, k] = (uv2[1] * p[i] - uv1[1] * q[i]) / area if area != 0.0 else 0.0
             columns[14 + i, k] = (uv1[0] * q[i] - uv2[0] * p[i]) / area if area != 0.0 else 0.0
             columns[17 + i, k] = heading[i]
         for i in range(2):
-            columns[9 + i, k] = texture[0, i] + v * uv1[i] + w * uv2[i]
-        columns[21, k] = tables.row_values[r]
-        for i in range(tables.values.shape[1]):
-            value = 0.0
-            for c in range(3):
-                value += shares[c] * tables.values[vertices[c], i]
-            columns[20 if i == 0 else 21 + i, k] = value
+            columns[9 + i, k] = uv[0, i] + shares[1] * uv1[i] + shares[2] * uv2[i]
