@@ -211,9 +211,10 @@ def _build(
 ) -> Scene:
     """The scene of one batch; ``drawn``: seed, batch, attempt."""
     with log.timed("draw"):
-        plan = draw(spec, *drawn)
+        plans = [draw(spec, *drawn)]
     with memoizing(memo):
-        return build(plan, log, keep)
+        # Handed over, so that it can let go of what it has built.
+        return build(plans.pop(), log, keep)
 
 
 def _emit(folder: Path, scene: Scene, log: BuildLog, batch: int, attempt: int) -> None:
