@@ -132,9 +132,10 @@ class CompileBatch:
             self.folder.mkdir(parents=True)
             try:
                 with log.timed("draw"):
-                    plan = draw(spec, self.seed, self.batch, attempt)
+                    plans = [draw(spec, self.seed, self.batch, attempt)]
                 with memoizing(memo):
-                    scene = build(plan, log, self.keep)
+                    # Handed over, so that it can let go of what it has built.
+                    scene = build(plans.pop(), log, self.keep)
                     self._emit(scene, log, attempt)
             except SceneError as error:
                 compiled.error = error
