@@ -24,7 +24,12 @@ from scenec.schemas.amodal import Amodal, amodal_path, read_amodal
 from scenec.schemas.errors import ForeignFrameError, FrameError
 from scenec.schemas.files import sha256
 from scenec.schemas.frames import ANNOTATION, ANNOTATION_NAMES, Frame, frame_stem, read_frame
-from scenec.schemas.instances import FRAME_COLUMNS, frame_table_path, read_frame_table
+from scenec.schemas.instances import (
+    AMODAL_COLUMNS,
+    FRAME_COLUMNS,
+    frame_table_path,
+    read_frame_table,
+)
 from scenec.schemas.lens import Lens, from_sidecar
 from scenec.schemas.manifest import (
     FRAMES,
@@ -278,7 +283,9 @@ class Source:
         if "instance" in frame.passes:
             path = _vouched(frame, "instance_table", frame_table_path(ref.stem))
             table = read_frame_table(path)
-            if lacking := [name for name in FRAME_COLUMNS if name not in table]:
+            # Amodal areas came later: all of them, or none.
+            more = AMODAL_COLUMNS if set(AMODAL_COLUMNS) & table.keys() else ()
+            if lacking := [name for name in (*FRAME_COLUMNS, *more) if name not in table]:
                 raise FrameError(f"{path}: a table of instances without {', '.join(lacking)}")
             _vouched(frame, AMODAL, amodal_path(ref.stem))
         labels = _label_names(frame)
