@@ -48,39 +48,39 @@ format: setup  ## Format the code.
 	@.venv/bin/ruff format .
 
 bench: setup  ## Run every benchmark; each prints a table.
-	@set -e; for file in benchmarks/bench_*.py; do \
+	@set -e; for file in $$(ls studies/benchmarks/*.py | grep -v shipped_hashes); do \
 	  echo "== $$file"; .venv/bin/python "$$file"; \
 	done
 
 docs: setup  ## Generate docs/cfg.md from the schemas; the pages of errors and run times by measuring.
 	@echo "== Generating docs/cfg.md"
-	@.venv/bin/python docs/make_cfg_reference.py
+	@.venv/bin/python studies/pages/cfg_reference.py
 	@echo "== Measuring docs/numerics.md"
-	@.venv/bin/python docs/make_numerics.py
+	@.venv/bin/python studies/pages/numerics.py
 	@echo "== Measuring docs/relief.md"
-	@.venv/bin/python docs/make_relief.py
+	@.venv/bin/python studies/pages/relief.py
 	@echo "== Measuring docs/placement.md"
-	@.venv/bin/python docs/make_placement.py
+	@.venv/bin/python studies/pages/placement.py
 	@echo "== Measuring docs/sky.md"
-	@.venv/bin/python docs/make_sky.py
+	@.venv/bin/python studies/pages/sky.py
 	@echo "== Measuring docs/motion.md"
-	@.venv/bin/python docs/make_motion.py
+	@.venv/bin/python studies/pages/motion.py
 	@echo "== Measuring docs/extremes.md"
-	@.venv/bin/python docs/make_extremes.py
+	@.venv/bin/python studies/pages/extremes.py
 	@echo "== Measuring docs/converge.md"
-	@.venv/bin/python docs/make_converge.py
+	@.venv/bin/python studies/pages/converge.py
 	@echo "== Measuring docs/leaving_out.md"
-	@.venv/bin/python docs/make_leaving_out.py
+	@.venv/bin/python studies/pages/leaving_out.py
 	@echo "== Measuring docs/errors.md"
-	@.venv/bin/python docs/make_errors.py
+	@.venv/bin/python studies/pages/errors.py
 
 pictures: setup  ## Render the README's table of shipped cfgs, and docs/rocks.md.
 	@echo "== Rendering configs/ with Mitsuba, 64 samples a pixel"
-	@.venv/bin/python docs/make_gallery.py
+	@.venv/bin/python studies/pages/gallery.py
 	@echo "== Rendering docs/rocks.md"
-	@.venv/bin/python docs/make_rocks.py
+	@.venv/bin/python studies/pages/rocks.py
 	@echo "== Rendering docs/lights.md"
-	@.venv/bin/python docs/make_lights.py
+	@.venv/bin/python studies/pages/lights.py
 
 # uv resolves in a folder of its own: uv.lock names hosts and must not come near the repository.
 lock: setup  ## Resolve pyproject.toml again into requirements.lock.

@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from scenec.backends.converge import ConvergeReport, Ladder, converge
 from scenec.cli.output import print_json, say, table
+from scenec.studies.converge import ConvergeReport, Ladder, converge
 
 
 def run(options: argparse.Namespace) -> int:

@@ -11,7 +11,7 @@ from small import small_cfg, write_cfg
 
 from scenec.compiler.compile import compile_cfg
 
-BENCH = Path(__file__).resolve().parents[2] / "benchmarks" / "bench_cycles.py"
+BENCH = Path(__file__).resolve().parents[2] / "studies" / "benchmarks" / "cycles_adapter.py"
 
 
 @pytest.mark.slow
