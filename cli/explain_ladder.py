@@ -10,7 +10,7 @@ from scenec.cli.output import print_json, say, table
 from scenec.schemas.files import atomic, check_output
 from scenec.studies.ladder import Ladder, LadderReport, climb
 from scenec.studies.ladder.plots import draw
-from scenec.studies.ladder.results import units
+from scenec.studies.ladder.results import cells, units
 from scenec.studies.ladder.slopes import slope_text
 
 #: Columns that the tables keep to.
@@ -47,32 +47,13 @@ def print_report(report: LadderReport) -> None:
     print(f"{report.scene}, seed {report.seed}, batch {report.batch}; * is the cfg's value")
     for ladder in report.ladders:
         print(f"\n{ladder.name}: {ladder.what}; errors in {units(ladder)}")
-        print(ladder_table(ladder))
+        header, rows = cells(ladder)
+        print(table(rows, header))
         lines = [f"against: {ladder.reference}", f"claim: {ladder.claim}", *slope_lines(ladder)]
         for line in [*lines, *ladder.notes]:
             print(textwrap.fill(line, _WIDTH, initial_indent="  ", subsequent_indent="    "))
     for name, why in report.absent.items():
         print(f"\n{name}: no ladder: {why}")
-
-
-def ladder_table(ladder: Ladder) -> str:
-    """One ladder as text columns."""
-    pixels = all("worst_px" in rung.details for rung in ladder.rungs)
-    meters = all("worst_m" in rung.details for rung in ladder.rungs)
-    header = ["value", "", "worst", "rms", "claimed", "holds"]
-    header += ["worst, m"] if meters else ["worst, px"] if pixels else []
-    header += ["CPU s", "bytes", "triangles"]
-    rows = []
-    for rung in ladder.rungs:
-        row = [f"{rung.value:g}", "*" if rung.used else "", f"{rung.worst:.3g}", f"{rung.rms:.3g}"]
-        row.append("-" if rung.claimed is None else f"{rung.claimed:.3g}")
-        row.append({None: "-", True: "yes", False: "NO"}[ladder.holds(rung)])
-        if meters or pixels:
-            row.append(f"{rung.details['worst_m' if meters else 'worst_px']:.3g}")
-        row += [f"{rung.seconds:.3g}", f"{rung.bytes:,}"]
-        row.append("-" if rung.triangles is None else f"{rung.triangles:,}")
-        rows.append(row)
-    return table(rows, header)
 
 
 def slope_lines(ladder: Ladder) -> list[str]:

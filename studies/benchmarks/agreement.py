@@ -1,30 +1,25 @@
 """Do renderers see what is annotated on drawn scenes, and does their light agree on average.
 
-python studies/benchmarks/agreement.py [--scenes 50] [--backends mitsuba,cycles,pyrender]
-                                     [--rgb 50] [--spp 512] [--json FILE]
+    python studies/benchmarks/agreement.py [--scenes 50] [--first 0] [--backends A,B] [--rgb 50]
+                                           [--spp 512] [--fast]
 
 Each scene is a cfg drawn from its number: 1 to 100,000 rocks, hills and plains, cameras from a
 hand's breadth above the ground to 60 m, fields of view from 20 to 110 degrees, one to four ground
 materials, metals, gloss, suns from 3 degrees up, with and without a sky. What renderers see
 themselves is held against the exact hits at 640 x 480; radiance of the path tracers at
-96 x 72.
+96 x 72. Radiance is that of each further backend against the first one's.
 """
 
 from __future__ import annotations
 
-import argparse
-import json
 import math
-import shutil
-import tempfile
-import time
-from pathlib import Path
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 
-from scenec.backends.check.compare import Agreement, CompareOptions, compare
-from scenec.compiler.compile import compile_cfg
+from scenec.backends.check.compare import CompareOptions, compare
+from scenec.studies.runner import Cell, Study, run
 
 ANNOTATION = ["label", "instance", "depth", "range", "normal", "position", "face"]
 
@@ -155,90 +150,54 @@ def with_outputs(cfg: dict[str, Any], sensor: str) -> dict[str, Any]:
     return {**cfg, "rigs": {"rig": {**rig, "sensors": sensors}}}
 
 
-def annotated(folder: Path, cfg: dict[str, Any], number: int, backends: list[str]) -> Agreement:
-    """Compile a scene for annotation alone and compare."""
-    out = compiled(folder, with_outputs(cfg, "eye"), number)
-    return compare(out, backends, options=CompareOptions(passes=("depth",)))
+def main(study: Study) -> None:
+    """Prints a row for each scene, and what all say together."""
+    options, backends = study.options, list(study.options.backends)
+    count, spp = (2, 16) if study.fast else (options.scenes, options.spp)
+    witnesses: dict[str, list[Any]] = {name: [] for name in backends}
+    lights: dict[str, list[Any]] = {name: [] for name in backends[1:]}
 
-
-def shaded(
-    folder: Path, cfg: dict[str, Any], number: int, backends: list[str], spp: int
-) -> Agreement:
-    """Compile a scene for radiance and compare, with the floor of noise."""
-    out = compiled(folder, with_outputs(cfg, "small"), number)
-    return compare(out, backends, options=CompareOptions(spp=spp, floor=True))
-
-
-def compiled(folder: Path, cfg: dict[str, Any], number: int) -> Path:
-    path = folder / "cfg.json"
-    path.write_text(json.dumps(cfg))
-    shutil.rmtree(folder / "out", ignore_errors=True)
-    compile_cfg(path, seed=number, out=folder / "out")
-    return folder / "out"
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser()
-    parser.add_argument("--scenes", type=int, default=50)
-    parser.add_argument("--first", type=int, default=0)
-    parser.add_argument("--backends", default="mitsuba,cycles,pyrender")
-    parser.add_argument("--rgb", type=int, default=50, help="scenes whose radiance is compared")
-    parser.add_argument("--rgb-backends", default="mitsuba,cycles,pyrender")
-    parser.add_argument("--spp", type=int, default=512)
-    parser.add_argument("--json", type=Path)
-    options = parser.parse_args()
-    rows = []
-    start = time.perf_counter()
-    for number in range(options.first, options.first + options.scenes):
-        cfg = drawn_cfg(number)
-        row: dict[str, Any] = {
-            "scene": number,
-            "rocks": sum(thing["count"] for thing in cfg["objects"].values()),
-        }
-        with tempfile.TemporaryDirectory() as folder:
-            found = annotated(Path(folder), cfg, number, options.backends.split(","))
-            row["witness"] = {
-                name: {"differing": w.differing, "beyond": w.beyond, "farthest_px": w.farthest_px}
-                for name, w in found.witnesses.items()
-            }
+    def scenes() -> Iterator[list[Cell]]:
+        for number in range(options.first, options.first + count):
+            cfg = drawn_cfg(number)
+            row: list[Cell] = [number, sum(thing["count"] for thing in cfg["objects"].values())]
+            out = study.batch(with_outputs(cfg, "eye"), seed=number).parent
+            found = compare(out, backends, options=CompareOptions(passes=("depth",)))
+            for name in backends:
+                seen = found.witnesses[name]
+                witnesses[name].append(seen)
+                row.append(f"{seen.differing} ({seen.beyond})")
             if number - options.first < options.rgb:
-                names = options.rgb_backends.split(",")
-                for r in shaded(Path(folder), cfg, number, names, options.spp).radiance:
-                    row[r.second] = {
-                        "ratio": r.mean_ratio,
-                        "flip": r.flip[0],
-                        "floor": r.floor[0],
-                        "relative_mse": r.relative_mse[0],
-                        "noise": r.noise[0],
-                    }
-        rows.append(row)
-        print(json.dumps(row), f"{time.perf_counter() - start:.0f} s", flush=True)
-        if options.json:
-            options.json.write_text(json.dumps(rows, indent=1))
-    summary(rows, options.backends.split(","), options.rgb_backends.split(",")[1:])
+                out = study.batch(with_outputs(cfg, "small"), seed=number).parent
+                how = CompareOptions(spp=spp, floor=True)
+                for light in compare(out, backends, options=how).radiance:
+                    # Without light there is no ratio.
+                    if None not in light.mean_ratio:
+                        lights[light.second].append(light)
+                        row.append(f"{100 * np.abs(np.array(light.mean_ratio) - 1).max():.3f} %")
+            yield row
+
+    header = ["scene", "rocks", *(f"{name}: differing (beyond)" for name in backends)]
+    study.table([*header, *(f"{name}: mean off" for name in lights)], scenes())
+    study.table(
+        ["witness", "scenes", "pixels of another face", "by more than a hair", "farthest, px"],
+        ([name, len(found), sum(w.differing for w in found), sum(w.beyond for w in found),
+          max(w.farthest_px for w in found)] for name, found in witnesses.items()),
+    )  # fmt: skip
+    study.table(
+        ["radiance", "scenes", "mean off, median, %", "worst channel, %", "FLIP above the floor",
+         "worst"],
+        (_light(name, found) for name, found in lights.items() if found),
+    )  # fmt: skip
 
 
-def summary(rows: list[dict[str, Any]], seeing: list[str], radiance: list[str]) -> None:
-    """What all scenes say together."""
-    for name in seeing:
-        every = [row["witness"][name] for row in rows]
-        print(
-            f"{name}: {sum(w['differing'] for w in every)} pixels of {len(rows)} scenes show "
-            f"another face, {sum(w['beyond'] for w in every)} by more than a hair; the farthest by "
-            f"{max(w['farthest_px'] for w in every):.2g} px"
-        )
-    for name in radiance:
-        found = [row[name] for row in rows if name in row]
-        lit = [f for f in found if None not in f["ratio"]]
-        if lit:
-            off = np.array([[abs(v - 1.0) for v in f["ratio"]] for f in lit])
-            above = np.array([f["flip"] - f["floor"] for f in lit])
-            print(
-                f"{name}: mean radiance off by {100 * np.median(off):.3f} % (median), "
-                f"{100 * off.max():.3f} % (worst channel); FLIP above the floor "
-                f"{np.median(above):.4f} (median), {above.max():.4f} (worst)"
-            )
+def _light(name: str, found: list[Any]) -> list[Cell]:
+    off = 100 * np.abs(np.array([light.mean_ratio for light in found]) - 1.0)
+    row: list[Cell] = [name, len(found), np.median(off), off.max()]
+    above = [light.flip[0] - light.floor[0] for light in found if None not in light.flip[:1]]
+    return [*row, *((np.median(above), max(above)) if above else (None, None))]
 
 
 if __name__ == "__main__":
-    main()
+    backends = ("mitsuba", "cycles", "pyrender")
+    run(main, scenes=50, first=0, backends=backends, rgb=50, spp=512)

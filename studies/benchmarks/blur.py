@@ -1,6 +1,6 @@
 """What few sub-frames get wrong of blur, and what many cost: prints a table for each kind.
 
-    python studies/benchmarks/blur.py [BACKEND ...]
+    python studies/benchmarks/blur.py [--backends A,B] [--fast]
 
 Stones on the ground under a sun and a gray sky, 96 x 64 pixels, seen through an aperture (circles
 of confusion up to about 12 pixels), while the camera pans (by about 12 pixels), and with a rolling
@@ -12,29 +12,25 @@ over those of the plain pinhole's picture with as many samples, drawn in the sam
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
-import sys
 import time
-from collections.abc import Callable
-from pathlib import Path
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tests" / "backends"))
-from blur_scenes import shaken
-from mitsuba_scenes import dome, look_at, mesh, plane, scene, sun, surface
-from scenes import icosphere
-
 from scenec.backends.exact import ExactCaster
-from scenec.backends.picture.compose import compose
-from scenec.backends.picture.noise import Noise
+from scenec.backends.picture.compose import Picture, compose
 from scenec.backends.picture.subframes import Drawing, measure
 from scenec.backends.registry import open_backend
 from scenec.backends.stage.scene import Camera, Focus, RenderScene
 from scenec.schemas.shutter import Shutter
+from scenec.studies.runner import Cell, Study, run, times
+
+from blur_scenes import shaken
+from mitsuba_scenes import dome, look_at, mesh, plane, scene, sun, surface
+from scenes import icosphere
 
 WIDTH, HEIGHT, SPP = 96, 64, 64
 COUNTS = (1, 2, 4, 8, 16)
@@ -72,70 +68,54 @@ def cameras() -> dict[str, Camera]:
     }
 
 
-def timed(function: Callable[[], Any]) -> tuple[Any, float]:
-    """What it returns, and processor seconds."""
-    start = time.process_time()
-    made = function()
-    return made, time.process_time() - start
+def main(study: Study) -> None:
+    """Prints the tables of some backends."""
+    world = stones()
+    for name in study.options.backends:
+        backend, seen = open_backend(name), cameras()
+        backend.load(world)
+        camera = seen.pop("pinhole")
+        drawn = times(lambda c=camera, b=backend: compose(b.radiance(c, 0, SPP, 0), world, c, 0), 2)
+        plain = min(drawn.cpu)
+        study.say(f"{name}: a pinhole's picture of {SPP} samples takes {plain:.2f} CPU s.\n")
+        for kind, camera in list(seen.items())[: 1 if study.fast else None]:
+            blurred(study, kind, camera, backend, world, plain)
 
 
-def main(names: list[str]) -> None:
-    """Print the tables of some backends."""
-    for name in names:
-        backend, of = open_backend(name), stones()
-        backend.load(of)
-        seen = cameras()
-        plain = plainly(seen.pop("pinhole"), backend, of)
-        print(f"\n{name}: a pinhole's picture of {SPP} samples takes {plain:.2f} s")
-        for kind, camera in seen.items():
-            report(kind, camera, backend, of, ExactCaster(of), plain)
-
-
-def plainly(camera: Camera, backend: Any, of: RenderScene) -> float:
-    """Processor seconds of a plain picture."""
-    # The first may compile.
-    backend.radiance(camera, 0, SPP, 0)
-    return min(
-        timed(lambda seed=seed: compose(backend.radiance(camera, 0, SPP, seed), of, camera, 0))[1]
-        for seed in (1, 2)
-    )
-
-
-def report(
-    kind: str, camera: Camera, backend: Any, of: RenderScene, caster: ExactCaster, plain: float
+def blurred(
+    study: Study, kind: str, camera: Camera, backend: Any, world: RenderScene, plain: float
 ) -> None:
-    """Print one table."""
+    """Prints one table."""
+    caster = ExactCaster(world)
     blur = measure(camera, caster)
     assert blur is not None
 
-    def drawn(spp: int, seed: int, most: int) -> tuple[NDArray[np.float32], Noise, Drawing]:
-        drawing = Drawing(blur, backend, of, 0, caster)
-        picture = compose(drawing.draw(spp, seed, most), of, camera, 0)
-        return picture.rgb, picture.noise, drawing
+    def drawn(spp: int, seed: int, most: int) -> tuple[Picture, Drawing]:
+        drawing = Drawing(blur, backend, world, 0, caster)
+        return compose(drawing.draw(spp, seed, most), world, camera, 0), drawing
 
-    truth = drawn(16 * SPP, 999, 8 * COUNTS[-1])[0].astype(np.float64)
-    print(
-        f"\n{backend.name}, {kind}: circles of confusion {blur.disk_px:.1f} px, motion "
-        f"{blur.motion_px:.1f} px\n"
-        "sub-frames a row   drawn   spacing px   rms error   estimated    cost"
+    truth = drawn(16 * SPP, 999, 8 * COUNTS[-1])[0].rgb.astype(np.float64)
+
+    def rows() -> Iterator[list[Cell]]:
+        for most in COUNTS[:2] if study.fast else COUNTS:
+            errors, estimates, costs = [], [], []
+            for seed in range(SEEDS):
+                start = time.process_time()
+                picture, drawing = drawn(SPP, seed, most)
+                costs.append((time.process_time() - start) / plain)
+                errors.append(float(np.sqrt(np.mean((picture.rgb - truth) ** 2)) / truth.mean()))
+                estimates.append(picture.noise.relative_rms or float("nan"))
+            facts = drawing.facts
+            counts = [facts["sub_frames_per_row"], facts["sub_frames"], facts["spacing_px"]]
+            yield [*counts, np.mean(errors), np.mean(estimates), min(costs)]
+
+    study.say(
+        f"{backend.name}, {kind}: circles of confusion {blur.disk_px:.1f} px, motion "
+        f"{blur.motion_px:.1f} px.\n"
     )
-    for most in COUNTS:
-        errors, estimates, costs = [], [], []
-        for seed in range(SEEDS):
-            made, seconds = timed(lambda s=seed, m=most: drawn(SPP, s, m))
-            rgb, noise, drawing = made
-            errors.append(float(np.sqrt(np.mean((rgb - truth) ** 2)) / truth.mean()))
-            estimates.append(noise.relative_rms or float("nan"))
-            costs.append(seconds / plain)
-        facts = drawing.facts
-        print(
-            f"{facts['sub_frames_per_row']:16d} {facts['sub_frames']:7d} "
-            f"{facts['spacing_px']:12.2f} {np.mean(errors):11.4f} {np.mean(estimates):11.4f} "
-            f"{np.min(costs):7.2f}"
-        )
+    header = ["sub-frames a row", "drawn", "spacing, px", "rms error", "estimated", "cost"]
+    study.table(header, rows())
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("backends", nargs="*", default=["mitsuba"])
-    main(parser.parse_args().backends)
+    run(main, backends=("mitsuba",))

@@ -1,6 +1,6 @@
 """COCO export: seconds of each stage, memory over frames, and pycocotools' own loop beside it.
 
-    python studies/benchmarks/coco.py [FRAMES] [WORKERS]
+    python studies/benchmarks/coco.py [--frames N] [--workers N] [--fast]
 
 Frames of 640 x 480 with 200 instances, two label levels, depth and noisy RGB are written by the
 frame writer, as renderers write them: a few contents, each under many sample numbers. ``export``
@@ -17,14 +17,10 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import shutil
-import statistics
-import sys
-import tempfile
-import time
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from statistics import mean, median
 from typing import Any
 
 import numpy as np
@@ -34,6 +30,8 @@ from pycocotools import mask as coco_mask
 from scenec.backends.annotation.instances import Seen
 from scenec.backends.run.writer import write_frame
 from scenec.backends.stage.scene import Camera, Lighting, RenderScene, Rows
+from scenec.datasets.export import Choice
+from scenec.datasets.export import export as export_frames
 from scenec.datasets.formats.coco import Coco
 from scenec.datasets.formats.coco_parts import dumps, place_picture
 from scenec.datasets.formats.contract import Info, Task
@@ -46,7 +44,10 @@ from scenec.schemas.files import sha256, write_json
 from scenec.schemas.frames import FrameKey, frame_stem
 from scenec.schemas.instances import read_frame_table
 from scenec.schemas.manifest import stage_digest
+from scenec.studies.runner import Cell, Study, apart, run, times
 
+_LOOP = "pycocotools' loop over run lengths, areas and boxes"
+_MASKS, _ALL = "run lengths, areas, boxes", "all that the format does"
 WIDTH, HEIGHT = 640, 480
 INSTANCES = 200
 CONTENTS = 20
@@ -187,62 +188,40 @@ def write_output(out: Path, count: int) -> int:
         for suffix in (".exr", ".png", ".instances.csv"):
             os.link(f"{twin}{suffix}", f"{stem}{suffix}")
         write_json(stem.with_suffix(".json"), {**sidecar, "sample": sample, "time_s": 0.1 * sample})
-    return int(statistics.mean(sizes))
+    return int(mean(sizes))
 
 
-EXPORT = """
-import sys
-from scenec.datasets.export import Choice, export
-out, folder, count, workers = sys.argv[1:]
-export(out, "coco", folder, Choice(samples=range(int(count))), workers=int(workers))
-"""
+def export(out: Path, folder: Path, count: int, workers: int) -> None:
+    """Exports the first frames."""
+    export_frames(out, "coco", folder, Choice(samples=range(count)), workers=workers)
 
 
-def export(out: Path, folder: Path, count: int, workers: int) -> tuple[float, float, float]:
-    """Wall and CPU seconds of an export and its processes, and MiB of the largest of them."""
-    command = [sys.executable, "-c", EXPORT, str(out), str(folder), str(count), str(workers)]
-    start = time.perf_counter()
-    pid = os.posix_spawn(command[0], command, os.environ)
-    _, status, usage = os.wait4(pid, 0)
-    if status:
-        raise SystemExit(f"exit status {os.waitstatus_to_exitcode(status)}")
-    seconds = time.perf_counter() - start
-    return seconds, usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 1024
+def exports(study: Study, out: Path, count: int, workers: int) -> Iterator[list[Cell]]:
+    """The rows of the first table: each an export by processes of its own."""
+    apart(export, out, study.scratch / "warm", min(2, count), 1)
+    for some in sorted({min(100, count), min(300, count), count}):
+        cost = apart(export, out, study.scratch / f"set_{some}", some, workers)
+        yield [some, cost.wall_s, cost.cpu_s, cost.cpu_s / workers, cost.peak_mib]
 
 
-def milliseconds(call: Callable[[], Any], repeat: int = 5) -> float:
-    """CPU time of a call, the median of some."""
-    call()
-    times = []
-    for _ in range(repeat):
-        start = time.process_time()
-        call()
-        times.append(time.process_time() - start)
-    return 1e3 * statistics.median(times)
+def _ms(call: Callable[[], Any], runs: int = 5) -> float:
+    return 1e3 * median(times(call, runs).cpu)
 
 
-def stages(out: Path, folder: Path) -> None:
-    """Prints what each stage takes, on one frame of each of three contents."""
-    source = Source(out)
+def stages(study: Study, out: Path) -> None:
+    """What each stage takes, on one frame of each of three contents."""
+    source, folder = Source(out), study.scratch / "one"
+    folder.mkdir()
     coco = Coco(Info("bench", NAMES, "class", source.passes(), ("all",), {}))
-    rows: dict[str, list[float]] = {}
-    for ref in source.frames[:3]:
-        for name, value in of_frame(source.load(ref, (), ("rgb",)), coco, folder).items():
-            rows.setdefault(name, []).append(value)
-    found = {name: statistics.mean(values) for name, values in rows.items()}
-    print("\none process, CPU milliseconds a frame")
-    for name in list(found)[:-3]:
-        print(f"  {name:36}{found[name]:9.2f}")
-    print(
-        f"\npycocotools' loop over run lengths, areas and boxes: "
-        f"{found['pycocotools'] / found['run lengths, areas, boxes']:.0f} times as long as ours, "
-        f"{found['pycocotools'] / found['all that the format does']:.1f} times as long as all that "
-        "the format does"
-    )
-    print(
-        f"bytes of a mask: {found['as run lengths']:.0f} as run lengths, "
-        f"{found['as polygons']:.0f} as polygons; {sum(rows['pixels that differ']):.0f} pixels are "
-        "others when pycocotools fills the polygons"
+    each = [
+        of_frame(source.load(ref, (), ("rgb",)), coco, folder)
+        for ref in source.frames[: 1 if study.fast else 3]
+    ]
+    found = {name: mean(one[name] for one in each) for name in each[0]}
+    study.table(["one process, of a frame", "CPU ms, bytes or pixels"], map(list, found.items()))
+    study.say(
+        f"{_LOOP}: {found[_LOOP] / found[_MASKS]:.0f} times as long as ours, "
+        f"{found[_LOOP] / found[_ALL]:.1f} times as long as {_ALL}."
     )
 
 
@@ -253,18 +232,18 @@ def of_frame(frame: LoadedFrame, coco: Coco, folder: Path) -> dict[str, float]:
     exr, task = ref.stem.with_suffix(".exr"), Task(ref.index, "all", (ref,))
     png = exr.with_suffix(".png")
     times = {
-        "checksum of the EXR": milliseconds(lambda: sha256(exr)),
-        "EXR without rgb": milliseconds(lambda: read_exr(exr, ("rgb",))),
-        "EXR, all passes (for comparison)": milliseconds(lambda: read_exr(exr)),
-        "table of instances": milliseconds(lambda: read_frame_table(ref.stem)),
-        "digest of the annotation": milliseconds(frame.annotation_digest),
-        "checksum of the picture": milliseconds(lambda: sha256(png)),
-        "statistics": milliseconds(lambda: measure(frame)),
-        "all that the format does": milliseconds(lambda: coco.write(task, [frame], folder, folder)),
-        "run lengths, areas, boxes": milliseconds(lambda: masks(instance, ids)),
-        "picture (hard link)": milliseconds(lambda: place_picture(frame, folder / "a.png", "link")),
-        "polygons (for comparison)": milliseconds(lambda: outlines(instance, ids)),
-        "pycocotools": milliseconds(lambda: loop(instance, ids), 1),
+        "checksum of the EXR": _ms(lambda: sha256(exr)),
+        "EXR without rgb": _ms(lambda: read_exr(exr, ("rgb",))),
+        "EXR, all passes (for comparison)": _ms(lambda: read_exr(exr)),
+        "table of instances": _ms(lambda: read_frame_table(ref.stem)),
+        "digest of the annotation": _ms(frame.annotation_digest),
+        "checksum of the picture": _ms(lambda: sha256(png)),
+        "statistics": _ms(lambda: measure(frame)),
+        _ALL: _ms(lambda: coco.write(task, [frame], folder, folder)),
+        _MASKS: _ms(lambda: masks(instance, ids)),
+        "picture (hard link)": _ms(lambda: place_picture(frame, folder / "a.png", "link")),
+        "polygons (for comparison)": _ms(lambda: outlines(instance, ids)),
+        _LOOP: _ms(lambda: loop(instance, ids), 1),
     }
     texts = rle.compressed(*rle.encode_ids(instance, ids))
     polygons = outlines(instance, ids)
@@ -273,9 +252,9 @@ def of_frame(frame: LoadedFrame, coco: Coco, folder: Path) -> dict[str, float]:
         encoded = coco_mask.merge(coco_mask.frPyObjects(parts, HEIGHT, WIDTH))
         wrong += int((coco_mask.decode(encoded).astype(bool) != (instance == number)).sum())
     return times | {
-        "as run lengths": len(dumps(texts)) / len(ids),
+        "bytes of a mask as run lengths": len(dumps(texts)) / len(ids),
         "as polygons": len(dumps(polygons)) / len(ids),
-        "pixels that differ": wrong,
+        "pixels that differ when pycocotools fills the polygons": wrong,
     }
 
 
@@ -293,29 +272,21 @@ def loop(instance: NDArray[Any], ids: NDArray[Any]) -> Any:
     return found
 
 
-def main() -> None:
+def main(study: Study) -> None:
     """Prints the tables."""
     # pycocotools' own call of NumPy.
     warnings.filterwarnings("ignore", "__array__ implementation", DeprecationWarning)
-    count = int(sys.argv[1]) if len(sys.argv) > 1 else 1000
-    workers = int(sys.argv[2]) if len(sys.argv) > 2 else os.process_cpu_count() or 1
-    with tempfile.TemporaryDirectory() as temporary:
-        folder = Path(temporary)
-        size = write_output(folder / "out", count)
-        print(
-            f"{count} frames of {WIDTH} x {HEIGHT}, {INSTANCES} instances each, EXR of "
-            f"{size / 1e6:.1f} MB; {workers} processes, {os.process_cpu_count()} cores, load "
-            f"{os.getloadavg()[0]:.1f}"
-        )
-        export(folder / "out", folder / "warm", min(2, count), 1)
-        print(f"{'frames':>8}{'wall s':>9}{'CPU s':>9}{'CPU s / core':>14}{'largest MiB':>13}")
-        for some in sorted({min(100, count), min(300, count), count}):
-            wall, cpu, memory = export(folder / "out", folder / "set", some, workers)
-            print(f"{some:8}{wall:9.1f}{cpu:9.1f}{cpu / workers:14.1f}{memory:13.0f}")
-            shutil.rmtree(folder / "set")
-        (folder / "scratch").mkdir()
-        stages(folder / "out", folder / "scratch")
+    count, out = 30 if study.fast else study.options.frames, study.scratch / "out"
+    workers = study.options.workers or os.process_cpu_count() or 1
+    size = write_output(out, count)
+    study.say(
+        f"{count} frames of {WIDTH} x {HEIGHT}, {INSTANCES} instances each, EXR of "
+        f"{size / 1e6:.1f} MB; {workers} processes.\n"
+    )
+    header = ["frames", "wall s", "CPU s", "CPU s / process", "largest process, MiB"]
+    study.table(header, exports(study, out, count, workers))
+    stages(study, out)
 
 
 if __name__ == "__main__":
-    main()
+    run(main, frames=1000, workers=int)

@@ -1,6 +1,6 @@
-"""What the first run costs: wall and CPU seconds with an empty and with a full cache of numba's.
+"""What the first run costs: seconds with an empty and with a full cache of numba's.
 
-    python studies/benchmarks/cold.py [CFG]
+    python studies/benchmarks/cold.py [--cfg FILE]
 
 Per step (compile, then a frame of the stage by ``reference`` and by ``mitsuba``), in processes and
 with a cache folder of its own: first with nothing in it, then again with what the first
@@ -12,18 +12,20 @@ from __future__ import annotations
 
 import json
 import os
-import resource
-import subprocess
-import sys
-import tempfile
-import time
 from collections import defaultdict
+from collections.abc import Iterator
 from pathlib import Path
 
-HERE = Path(__file__).resolve().parent
-STEPS = ("compile", "reference", "mitsuba")
-PASSES = ["depth", "label", "instance"]
+from scenec.studies.runner import SCENEC, Cell, Study, command, run
 
+from small import small_cfg
+
+#: By step, what follows the command; the output folder stands before it.
+STEPS = {
+    "compile": ["--seed", "1", "--no-cache"],
+    "reference": ["--passes", "depth,label,instance", "--samples", "0"],
+    "mitsuba": ["--passes", "depth,label,instance,rgb", "--spp", "2", "--samples", "0"],
+}
 #: Noted in every process (``sitecustomize``): each kernel compiled, in CPU seconds of its own.
 _NOTES = """
 import json, os, time
@@ -41,92 +43,53 @@ class Notes(event.Listener):
             self.open[-1][1] += spent
         kernel = e.data["dispatcher"]
         name = f"{kernel.py_func.__module__}.{kernel.py_func.__qualname__}"
-        note = [name, bool(kernel.targetoptions.get("parallel")), spent - inner]
         with open(f"{os.environ['BENCH_COLD_NOTES']}.{os.getpid()}", "a") as file:
-            file.write(json.dumps(note) + "\\n")
+            file.write(json.dumps([name, spent - inner]) + "\\n")
 
 event.register("numba:compile", Notes())
 """
 
 
-def do(step: str, cfg: str, out: str) -> None:
-    """One step, in this process (and the workers it starts)."""
-    if step == "compile":
-        from scenec.compiler.compile import compile_cfg
-
-        compile_cfg(cfg, seed=1, out=out)
-        return
-    from scenec.backends.run.render import render
-
-    passes = [*PASSES, "rgb"] if step == "mitsuba" else PASSES
-    render(out, step, spp=2, passes=passes, samples=[0])
-
-
-def timed(step: str, cfg: Path, folder: Path, out: Path, notes: Path) -> tuple[float, float]:
-    """Wall and CPU seconds of a step in a process of its own."""
-    paths = [str(folder / "site"), *filter(None, [os.environ.get("PYTHONPATH")])]
-    environment = {
-        **os.environ,
-        "SCENEC_CACHE": "",
-        "NUMBA_CACHE_DIR": str(folder / f"numba_{step}"),
-        "BENCH_COLD_NOTES": str(notes),
-        "PYTHONPATH": os.pathsep.join(paths),
-    }
-    before, start = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
-    subprocess.run(
-        [sys.executable, __file__, step, str(cfg), str(out)], env=environment, check=True
-    )
-    wall, after = time.perf_counter() - start, resource.getrusage(resource.RUSAGE_CHILDREN)
-    return wall, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-
-
-def read_notes(notes: Path) -> list[tuple[str, bool, float]]:
-    """Of all processes: name, whether numba's own threads are used, CPU seconds."""
-    lines = [
-        json.loads(line)
-        for file in sorted(notes.parent.glob(f"{notes.name}.*"))
+def notes_of(place: Path) -> list[tuple[str, float]]:
+    """Of all processes: kernel and CPU seconds."""
+    return [
+        tuple(json.loads(line))
+        for file in sorted(place.parent.glob(f"{place.name}.*"))
         for line in file.read_text(encoding="utf-8").splitlines()
     ]
-    return [(name, parallel, spent) for name, parallel, spent in lines]
 
 
-def small(folder: Path) -> Path:
-    """The tests' small cfg, one sample."""
-    sys.path.insert(0, str(HERE.parents[1] / "tests"))
-    from small import small_cfg, write_cfg
+def steps(study: Study, cfg: Path, spent: dict[str, float]) -> Iterator[list[Cell]]:
+    """The rows; adds up what kernels take."""
+    folder = study.scratch
+    (folder / "sitecustomize.py").write_text(_NOTES, encoding="utf-8")
+    for step, more in list(STEPS.items())[: 2 if study.fast else 3]:
+        for cache in ("empty", "full"):
+            out, notes = folder / f"out_{cache}", folder / f"{step}_{cache}"
+            words: list[str | Path] = ["compile", cfg, "-o", out]
+            if step != "compile":
+                words = ["render", out, "--backend", step]
+            cost = command(
+                [*SCENEC, *words, *more],
+                NUMBA_CACHE_DIR=str(folder / f"numba_{step}"),
+                BENCH_COLD_NOTES=str(notes),
+                PYTHONPATH=os.pathsep.join([str(folder), os.environ.get("PYTHONPATH", "")]),
+            )
+            found = notes_of(notes)
+            for name, seconds in found:
+                spent[name] += seconds
+            yield [step, cache, cost.wall_s, cost.cpu_s, len(found)]
 
-    return write_cfg(folder, small_cfg(samples=1))
 
-
-def main() -> None:
-    """Measures and prints."""
-    with tempfile.TemporaryDirectory() as scratch:
-        folder = Path(scratch)
-        (folder / "site").mkdir()
-        (folder / "site" / "sitecustomize.py").write_text(_NOTES, encoding="utf-8")
-        cfg = Path(sys.argv[1]).resolve() if len(sys.argv) > 1 else small(folder)
-        print("step        cache   wall s   CPU s   compiled   of these parallel")
-        spent: dict[str, float] = defaultdict(float)
-        for step in STEPS:
-            for cache in ("empty", "full"):
-                out = folder / f"out_{cache}"
-                notes = folder / f"{step}_{cache}"
-                wall, cpu = timed(step, cfg, folder, out, notes)
-                found = read_notes(notes)
-                for name, _, seconds in found:
-                    spent[name] += seconds
-                threads = sum(parallel for _, parallel, _ in found)
-                print(
-                    f"{step:10}  {cache:5}  {wall:7.1f} {cpu:7.1f} {len(found):10d} {threads:19d}",
-                    flush=True,
-                )
-        print("\nCostliest kernels, CPU seconds of their own")
-        for name, seconds in sorted(spent.items(), key=lambda item: -item[1])[:10]:
-            print(f"{seconds:6.2f}  {name}")
+def main(study: Study) -> None:
+    """Prints both tables."""
+    cfg = Path(study.options.cfg or study.cfg(small_cfg(samples=1))).resolve()
+    spent: dict[str, float] = defaultdict(float)
+    header = ["step", "cache", "wall s", "CPU s", "kernels compiled"]
+    study.table(header, steps(study, cfg, spent))
+    most = sorted(spent.items(), key=lambda item: -item[1])[:10]
+    study.table(["costliest kernels", "CPU s of their own"], map(list, most))
 
 
 if __name__ == "__main__":
-    if len(sys.argv) == 4:
-        do(*sys.argv[1:])
-    else:
-        main()
+    run(main, cfg=Path)

@@ -1,7 +1,7 @@
 """Is the stated error of a picture true: over drawn scenes, how often is it below its 95 % bound.
 
-python studies/benchmarks/estimate.py [--scenes 100] [--first 0] [--error 0.15] [--keep FOLDER]
-                                    [--json FILE]
+    python studies/benchmarks/estimate.py [--scenes 100] [--first 0] [--error 0.15]
+                                          [--keep FOLDER] [--json FILE] [--fast]
 
 Each scene is a cfg drawn from its number (suns from 3 degrees up, skies or none, gloss, metals,
 glowing stones, a planetary law), seen at 48 x 32 by Mitsuba. A scene that shows no lit surface (a
@@ -20,7 +20,6 @@ broken off goes on; a changed estimate is judged without rendering again.
 
 from __future__ import annotations
 
-import argparse
 import json
 import math
 import sys
@@ -38,8 +37,8 @@ from scenec.backends.picture.adaptive import Target, collect, round_seed
 from scenec.backends.picture.noise import estimate
 from scenec.backends.run.session import Session
 from scenec.compiler.compile import compile_cfg
+from scenec.studies.runner import Cell, Study, run
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tests"))
 from small import small_cfg
 
 #: Samples per pixel of single pictures.
@@ -226,87 +225,72 @@ def pictures(number: int, keep: Path | None) -> Pictures | None:
     return made
 
 
-def main() -> None:
+def main(study: Study) -> None:
     """Measure and print."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--scenes", type=int, default=100)
-    parser.add_argument("--first", type=int, default=0, help="number of the first scene")
-    parser.add_argument("--error", type=float, default=0.15)
-    parser.add_argument("--keep", type=Path, help="folder of pictures, to go on from")
-    parser.add_argument("--json", type=Path)
-    args = parser.parse_args()
-    if args.keep:
-        args.keep.mkdir(parents=True, exist_ok=True)
-    single: list[Trial] = []
-    pooled: list[Trial] = []
-    adaptive: list[Trial] = []
-    unmet = dark = 0
-    number = args.first
-    while len(single) < args.scenes:
-        scene = pictures(number, args.keep)
+    options = study.options
+    count = 3 if study.fast else options.scenes
+    if options.keep:
+        options.keep.mkdir(parents=True, exist_ok=True)
+    found: dict[str, list[Trial]] = {"single": [], "pooled": [], "adaptive": []}
+    unmet, dark, number = 0, 0, options.first
+    while len(found["single"]) < count:
+        scene = pictures(number, options.keep)
         number += 1
         if scene is None:
             dark += 1
             continue
         each = [scene.judged(spp, scene.single(spp)) for spp in SPP]
-        single.append(each[len(single) % len(SPP)])
-        pooled += each
-        to_target = scene.to_target(args.error)
-        if to_target is None:
-            unmet += 1
-        else:
-            adaptive.append(to_target)
+        found["single"].append(each[len(found["single"]) % len(SPP)])
+        found["pooled"] += each
+        to_target = scene.to_target(options.error)
+        unmet += to_target is None
+        found["adaptive"] += [] if to_target is None else [to_target]
         pairs = ", ".join(f"{t.true / t.bound:.3f}" for t in each if t.bound > 0.0)
         print(f"scene {number - 1}: true over bound {pairs}", file=sys.stderr, flush=True)
-    print(f"{len(single)} drawn scenes, 48 x 32, reference {2 * REFERENCE} samples per pixel;")
-    print(f"{dark} more showed no lit surface and were drawn again")
-    print("                              bound holds (95 % interval)     true/est.  bound/est.")
-    _row("one picture a scene", single)
-    _row("four pictures a scene", pooled)
-    for spp in SPP:
-        _row(f"  of these at {spp} spp", [t for t in pooled if t.spp == spp])
-    _row(f"in rounds to {100 * args.error:g} %", adaptive)
-    most = SMALL[0] * SMALL[1] + LARGE[0] * LARGE[1]
-    print(f"  target not met within {most} spp: {unmet} scenes")
+    study.say(f"{count} drawn scenes, 48 x 32, reference {2 * REFERENCE} samples per pixel;")
+    study.say(f"{dark} more showed no lit surface and were drawn again.\n")
+    pooled, adaptive = found["pooled"], found["adaptive"]
+    rows = [_row("one picture a scene", found["single"]), _row("four pictures a scene", pooled)]
+    rows += [_row(f"of these at {spp} spp", [t for t in pooled if t.spp == spp]) for spp in SPP]
     if adaptive:
-        met = sum(t.true <= args.error for t in adaptive)
-        worst = max(t.true for t in adaptive)
-        print(
-            f"  true error below the target: {_share(met, len(adaptive))}; "
-            f"the worst is {100 * worst:.1f} %"
-        )
-    if args.json:
-        values = {"single": single, "pooled": pooled, "adaptive": adaptive}
-        lists = {k: [_rounded(t) for t in v] for k, v in values.items()}
-        about = {"error": args.error, "dark": dark, "unmet": unmet}
+        rows.append(_row(f"in rounds to {100 * options.error:g} %", adaptive))
+        met = [t.true <= options.error for t in adaptive]
+        rows.append(["true error below that target", *share(met), None, None])
+    header = ["pictures", "bound holds", "share", "95 % interval", "true/est.", "bound/est."]
+    study.table(header, rows)
+    most = SMALL[0] * SMALL[1] + LARGE[0] * LARGE[1]
+    study.say(f"Target not met within {most} spp: {unmet} scenes.")
+    if options.json:
+        lists = {name: [_rounded(t) for t in trials] for name, trials in found.items()}
+        about = {"error": options.error, "dark": dark, "unmet": unmet}
         text = json.dumps({**about, **lists}).replace("}, {", "},\n{")
-        args.json.write_text(text + "\n", encoding="utf-8")
+        options.json.write_text(text + "\n", encoding="utf-8")
 
 
 def _rounded(trial: Trial) -> dict[str, float]:
     return {name: float(f"{value:.6g}") for name, value in vars(trial).items()}
 
 
-def _share(held: int, of: int) -> str:
-    """A share and its 95 % interval (Clopper and Pearson 1934)."""
+def share(held: Sequence[bool]) -> list[str]:
+    """Count, share and its 95 % interval (Clopper and Pearson 1934), in words."""
     from scipy.stats import binomtest
 
-    interval = binomtest(held, of).proportion_ci(0.95)
-    return (
-        f"{held:3d} of {of:3d} = {100 * held / of:5.1f} % "
-        f"({100 * interval.low:.1f} to {100 * interval.high:.1f})"
-    )
+    if not held:
+        return ["0 of 0", "-", "-"]
+    interval = binomtest(sum(held), len(held)).proportion_ci(0.95)
+    return [
+        f"{sum(held)} of {len(held)}",
+        f"{100 * sum(held) / len(held):.1f} %",
+        f"{100 * interval.low:.1f} to {100 * interval.high:.1f} %",
+    ]
 
 
-def _row(name: str, found: list[Trial]) -> None:
-    if not found:
-        return
-    seen = [t for t in found if t.estimate > 0.0]
-    ratio = np.median([t.true / t.estimate for t in seen])
-    width = np.median([t.bound / t.estimate for t in seen])
-    share = _share(sum(t.below for t in found), len(found))
-    print(f"  {name:24s} {share:36s} {ratio:8.3f} {width:10.3f}")
+def _row(name: str, found: list[Trial]) -> list[Cell]:
+    known = [t for t in found if t.estimate > 0.0]
+    ratio = np.median([t.true / t.estimate for t in known])
+    width = np.median([t.bound / t.estimate for t in known])
+    return [name, *share([t.below for t in found]), ratio, width]
 
 
 if __name__ == "__main__":
-    main()
+    run(main, scenes=100, first=0, error=0.15, keep=Path, json=Path)

@@ -1,8 +1,8 @@
 """What pictures through lenses cost, and how far off they are, each way: prints two tables.
 
-    python studies/benchmarks/lenses.py [BACKEND ...]
+    python studies/benchmarks/lenses.py [--backends A,B] [--fast]
 
-*Rays*: seconds per million pixels to compute a picture's exact rays, over a pinhole's, and what
+*Rays*: CPU seconds per million pixels to compute a picture's exact rays, over a pinhole's, and what
 rays interpolated between the pixels' corners are off by, in pixels. *Pictures*: 160 x 120 pixels of
 stones around the camera, without light, so that coverage alone is compared: with that of 16 x 16
 exact rays a pixel. Its rms error over pixels at edges (which holds the noise of as many samples,
@@ -14,19 +14,12 @@ where it can, and by resampled pinhole views; Mitsuba is shown both ways.
 from __future__ import annotations
 
 import dataclasses
-import sys
-import time
-from collections.abc import Callable
-from pathlib import Path
+from collections.abc import Iterator
+from itertools import count
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tests" / "backends"))
-from lens_scenes import BROWN, FISHEYE, PANORAMA, with_lens
-from mitsuba_scenes import mesh, scene, surface
-from scenes import icosphere
 
 from scenec.backends.camera.lens import ray_table
 from scenec.backends.camera.rays import camera_rays, subpixel_directions
@@ -36,6 +29,11 @@ from scenec.backends.picture import resample
 from scenec.backends.registry import open_backend
 from scenec.backends.stage.scene import Camera, RenderScene
 from scenec.schemas.lens import Lens
+from scenec.studies.runner import Cell, Study, run, times
+
+from lens_scenes import BROWN, FISHEYE, PANORAMA, with_lens
+from mitsuba_scenes import mesh, scene, surface
+from scenes import icosphere
 
 WIDTH, HEIGHT, SPP = 160, 120, 64
 SIDE = 16
@@ -50,17 +48,6 @@ CAMERAS = {
 
 # Cycles has no pinholes with a skew.
 CAMERAS["pinhole"].intrinsics[0, 1] = 0.0
-
-
-def seconds(function: Callable[[], Any], rounds: int = 3) -> float:
-    """Least processor seconds of a few calls; the first, which may compile, does not count."""
-    function()
-    found = []
-    for _ in range(rounds):
-        start = time.process_time()
-        function()
-        found.append(time.process_time() - start)
-    return min(found)
 
 
 def stones(count: int = 120) -> RenderScene:
@@ -99,47 +86,41 @@ def exact_coverage(camera: Camera, world: RenderScene) -> NDArray[np.float64]:
     return out.reshape(rays.shape)
 
 
-def show_rays() -> None:
-    """The table of rays."""
-    print(f"{'lens':<18}{'s / Mpx':>10}{'pinhole = 1':>13}{'table s / Mpx':>15}{'off, px':>11}")
+def rays() -> Iterator[list[Cell]]:
+    """The rows of the first table."""
     plain = None
     for name, camera in CAMERAS.items():
-        wide = dataclasses.replace(camera, width=640, height=480)
         k = camera.intrinsics.copy()
         k[:2] *= 4.0
-        wide = dataclasses.replace(wide, intrinsics=k)
-        each = seconds(lambda wide=wide: camera_rays(wide)) / 0.3072
+        wide = dataclasses.replace(camera, width=640, height=480, intrinsics=k)
+        each = min(times(lambda wide=wide: camera_rays(wide), 3).cpu) / 0.3072
         plain = plain or each
         if camera.lens is None:
-            print(f"{name:<18}{each:>10.3f}{1.0:>13.1f}")
+            yield [name, each, 1.0, None, None]
             continue
-        shifts = iter(range(100))
 
-        def fresh(wide: Camera = wide, shifts: Any = shifts) -> Any:
+        def fresh(wide: Camera = wide, shifts: Iterator[int] = count()) -> Any:  # noqa: B008
             # Another K each time: tables are kept.
             moved = wide.intrinsics.copy()
             moved[0, 2] += 1e-9 * next(shifts)
             return ray_table(dataclasses.replace(wide, intrinsics=moved))
 
-        cost = seconds(fresh) / 0.3072
-        print(f"{name:<18}{each:>10.3f}{each / plain:>13.1f}{cost:>15.3f}"
-              f"{ray_table(wide).error_px:>11.1e}")  # fmt: skip
+        cost = min(times(fresh, 3).cpu) / 0.3072
+        yield [name, each, each / plain, cost, ray_table(wide).error_px]
 
 
-def show_pictures(backends: list[str]) -> None:
-    """The table of pictures."""
+def pictures(study: Study, backends: tuple[str, ...]) -> Iterator[list[Cell]]:
+    """The rows of the second table."""
     world = stones()
-    truth = {name: exact_coverage(camera, world) for name, camera in CAMERAS.items()}
-    print(f"\n{'backend':<12}{'lens':<18}{'way':<12}{'views':>6}{'edge rms':>10}{'mean':>10}"
-          f"{'pinhole = 1':>13}")  # fmt: skip
+    cameras = dict(list(CAMERAS.items())[: 2 if study.fast else None])
+    truth = {name: exact_coverage(camera, world) for name, camera in cameras.items()}
     for name in backends:
         backend = open_backend(name)
         backend.load(world)
         plain = 0.0
-        for lens, camera in CAMERAS.items():
-            ways = ["rays", "resampled"] if getattr(backend, "follows_lenses", False) else [
-                "resampled"]  # fmt: skip
-            for way in ["pinhole"] if camera.lens is None else ways:
+        for lens, camera in cameras.items():
+            ways = ["rays"] if getattr(backend, "follows_lenses", False) else []
+            for way in ["pinhole"] if camera.lens is None else [*ways, "resampled"]:
                 views = None if way != "resampled" else resample.plan_views(camera)
 
                 def draw(
@@ -149,16 +130,23 @@ def show_pictures(backends: list[str]) -> None:
                         return backend.radiance(camera, 0, SPP, 5)
                     return resample.draw(backend, camera, views, 0, SPP, 5, False)
 
-                cost = seconds(draw, 2)
+                found = times(draw, 2)
+                cost = min(found.cpu)
                 plain = plain or cost
-                off = draw().coverage - truth[lens]
+                off = found.value.coverage - truth[lens]
                 edge = (truth[lens] > 0.02) & (truth[lens] < 0.98)
-                count = 1 if views is None else len(views.cameras)
-                print(f"{name:<12}{lens:<18}{way:<12}{count:>6}"
-                      f"{np.sqrt((off[edge] ** 2).mean()):>10.4f}"
-                      f"{off.sum() / truth[lens].sum():>10.1e}{cost / plain:>13.2f}")  # fmt: skip
+                number = 1 if views is None else len(views.cameras)
+                rms = np.sqrt((off[edge] ** 2).mean())
+                yield [name, lens, way, number, rms, off.sum() / truth[lens].sum(), cost / plain]
+
+
+def main(study: Study) -> None:
+    """Prints the tables."""
+    study.table(["lens", "s / Mpx", "pinhole = 1", "table s / Mpx", "off, px"], rays())
+    header = ["backend", "lens", "way", "views", "edge rms", "mean", "pinhole = 1"]
+    chosen = study.options.backends[: 1 if study.fast else None]
+    study.table(header, pictures(study, chosen))
 
 
 if __name__ == "__main__":
-    show_rays()
-    show_pictures(sys.argv[1:] or ["mitsuba", "cycles", "pyrender"])
+    run(main, backends=("mitsuba", "cycles", "pyrender"))

@@ -2,27 +2,27 @@
 
     python studies/benchmarks/mesh.py [--fast]
 
-Each row is a process of its own, after one that fills numba's cache. Seconds are of the step named;
-memory is the process' peak, and for the growth what of it is above that of the smallest mesh's
-process before it began.
+Each row is a process of its own, the fastest of three. Seconds are of the step named; memory is the
+process' peak, and for the growth what of it is above that of the smallest mesh before it.
 """
 
 from __future__ import annotations
 
 import copy
-import json
 import math
-import os
-import subprocess
-import sys
-import tempfile
+from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from compile import compiled
+import numpy as np
 
-RUNS = 3
+from scenec.compiler.build import BuildLog, build
+from scenec.compiler.draw import draw
+from scenec.compiler.frontend.load import load
+from scenec.studies.benchmarks.compile import seconds
+from scenec.studies.runner import Cell, Study, apart, peak_mib, run
+
 CFG: dict[str, Any] = {
     "version": 1,
     "name": "hectare",
@@ -69,109 +69,71 @@ CFG: dict[str, Any] = {
         }
     },
 }  # fmt: skip
-# Builds the scene of a cfg without writing it; the smallest one first, which loads all kernels.
-_BUILD = """
-import resource, sys
-from scenec.compiler.build import BuildLog, build
-from scenec.compiler.draw import draw
-from scenec.compiler.frontend.load import load
-def peak():
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-build(draw(load(sys.argv[1]), 1, 0), BuildLog())
-before = peak()
-log = BuildLog()
-build(draw(load(sys.argv[2]), 1, 0), log)
-print(log.facts["ground"]["faces"], log.seconds["ground"], peak(), peak() - before)
-"""
 
 
-def cfg_with(**terrain: Any) -> dict[str, Any]:
+def with_terrain(**terrain: Any) -> dict[str, Any]:
     """The scene with other keys of its terrain."""
     cfg = copy.deepcopy(CFG)
     cfg["terrain"] |= terrain
     return cfg
 
 
-def write(folder: Path, name: str, cfg: dict[str, Any]) -> Path:
-    """Writes a cfg."""
-    path = folder / f"{name}.json"
-    path.write_text(json.dumps(cfg))
-    return path
+def built(small: Path, cfg: Path) -> tuple[float, float, float]:
+    """Seconds of the ground, faces, and MiB above what the smallest one, which loads all, takes."""
+    build(draw(load(small), 1, 0), BuildLog())
+    before, log = peak_mib(), BuildLog()
+    build(draw(load(cfg), 1, 0), log)
+    return log.seconds["ground"], log.facts["ground"]["faces"], peak_mib() - before
 
 
-def built(small: Path, cfg: Path) -> tuple[int, float, float, float]:
-    """Faces, seconds of the ground, peak MiB, and MiB above the small one's peak; best of runs."""
-    rows = []
-    for _ in range(RUNS):
-        done = subprocess.run(
-            [sys.executable, "-c", _BUILD, str(small), str(cfg)],
-            check=True, capture_output=True, text=True,
-        )  # fmt: skip
-        faces, *numbers = done.stdout.split()
-        rows.append((int(faces), *map(float, numbers)))
-    return min(rows, key=lambda row: row[1])
+def growth(study: Study, title: str, cfgs: list[dict[str, Any]]) -> None:
+    """A series of meshes and the exponents fitted to it."""
+    paths = [study.cfg(cfg, f"{title.split()[0]}{i}") for i, cfg in enumerate(cfgs)]
+    found = []
 
+    def rows() -> Iterator[list[Cell]]:
+        for path in paths:
+            runs = [apart(built, paths[0], path) for _ in range(1 if study.fast else 3)]
+            best = min(runs, key=lambda cost: cost.value[0])
+            time, faces, above = best.value
+            found.append((faces, time, above))
+            yield [faces, time, 1e6 * time / faces, best.peak_mib, above * 2**20 / faces]
 
-def exponent(x: list[float], y: list[float]) -> float:
-    """Slope of the straight line through the logarithms, by least squares."""
-    u, v = [math.log(value) for value in x], [math.log(value) for value in y]
-    mean_u, mean_v = sum(u) / len(u), sum(v) / len(v)
-    above = sum((a - mean_u) * (b - mean_v) for a, b in zip(u, v, strict=True))
-    return above / sum((a - mean_u) ** 2 for a in u)
-
-
-def growth(folder: Path, title: str, cfgs: list[dict[str, Any]]) -> None:
-    """Prints a series of meshes and the exponents fitted to it."""
-    paths = [write(folder, f"{title.split()[0]}{i}", cfg) for i, cfg in enumerate(cfgs)]
-    print(f"\n{title}\n{'triangles':>12}{'ground, s':>12}{'us each':>10}"
-          f"{'peak MiB':>10}{'B each':>10}")  # fmt: skip
-    rows = []
-    for path in paths:
-        faces, seconds, peak, above = built(paths[0], path)
-        rows.append((faces, seconds, peak, above))
-        print(f"{faces:12,}{seconds:12.3f}{1e6 * seconds / faces:10.2f}{peak:10.0f}"
-              f"{above * 2**20 / faces:10.0f}", flush=True)  # fmt: skip
+    study.say(f"{title}:\n")
+    study.table(["triangles", "ground, s", "us each", "peak, MiB", "bytes each"], rows())
     # What a mesh costs beyond the process: below some MiB nothing of it can be told.
-    large = [row for row in rows if row[3] > 16.0]
-    time = exponent([row[0] for row in rows], [row[1] for row in rows])
-    print(
-        f"decades: {math.log10(rows[-1][0] / rows[0][0]):.1f}; exponent of time {time:.2f}", end=""
-    )
-    if len(large) > 1:
-        memory = exponent([row[0] for row in large], [row[3] for row in large])
-        print(f", of memory {memory:.2f} (from {large[0][0]:,} triangles)", end="")
+    large = [(faces, above) for faces, _, above in found if above > 16.0]
+    fitted = [("time", [row[:2] for row in found]), ("memory", large)]
+    exponents = [
+        f"{name} {np.polyfit(*np.log(pairs).T, 1)[0]:.2f}" for name, pairs in fitted if pairs[1:]
+    ]
     steepest = max(
-        exponent([a[0], b[0]], [a[1], b[1]]) for a, b in pairwise(rows) if b[0] > 1.2 * a[0]
+        math.log(b[1] / a[1]) / math.log(b[0] / a[0])
+        for a, b in pairwise(found)
+        if b[0] > 1.2 * a[0]
     )
-    print(f"; time between neighboring rows at most {steepest:.2f}; asked: 1.1 at most")
+    study.say(
+        f"Exponents: {', '.join(exponents)}; time between neighboring rows at most {steepest:.2f} "
+        "(asked: 1.1 at most).\n"
+    )
 
 
-def main() -> None:
+def main(study: Study) -> None:
     """Prints the tables."""
-    fast = "--fast" in sys.argv[1:]
-    cores, load = os.cpu_count(), os.getloadavg()[0]
-    print(f"{cores} cores, load {load:.1f}, best of {RUNS} runs")
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        path = write(folder, "hectare", CFG)
-        compiled(str(path), name, 1)
-        rows = [compiled(str(path), name, seed)[0] for seed in range(2, 3 if fast else 2 + RUNS)]
-        out = next(folder.glob("*_2/batch_0000/report.json"))
-        report = json.loads(out.read_text())
-        print("\n30 cameras of 640 x 480 over 100 m x 100 m at 0.5 px, whole compilation")
-        print(f"{'triangles':>12}{'s, best':>12}{'s, worst':>12}{'peak MiB':>10}")
-        seconds, memory = [row[0] for row in rows], [row[1] for row in rows]
-        print(f"{report['ground']['faces']:12,}{min(seconds):12.2f}{max(seconds):12.2f}"
-              f"{max(memory):10.0f}   asked: 10 s and 3072 MiB at most")  # fmt: skip
-        counts = (70, 224, 707) if fast else (70, 125, 224, 400, 707, 1250, 2236)
-        growth(folder, "whole grid, finer and finer",
-               [cfg_with(spacing_m=100 / n, mesh={"tolerance_px": 0}) for n in counts])  # fmt: skip
-        growth(
-            folder,
-            "adaptive to 0.5 px, on finer and finer grids",
-            [cfg_with(spacing_m=100 / n) for n in counts],
-        )
+    path, runs = study.cfg(CFG, "hectare"), 1 if study.fast else 3
+    apart(seconds, path, study.scratch, 1)
+    costs = [apart(seconds, path, study.scratch, seed) for seed in range(2, 2 + runs)]
+    took = [cost.value[0] for cost in costs]
+    study.say("30 cameras of 640 x 480 over 100 m x 100 m at 0.5 px, whole compilation; asked:")
+    study.say("10 s and 3072 MiB at most.\n")
+    peak = max(cost.peak_mib for cost in costs)
+    study.table(["s, best", "s, worst", "peak, MiB"], [[min(took), max(took), peak]])
+    counts = (70, 224, 707) if study.fast else (70, 125, 224, 400, 707, 1250, 2236)
+    whole = [with_terrain(spacing_m=100 / n, mesh={"tolerance_px": 0}) for n in counts]
+    growth(study, "whole grid, finer and finer", whole)
+    finer = [with_terrain(spacing_m=100 / n) for n in counts]
+    growth(study, "adaptive to 0.5 px, on finer and finer grids", finer)
 
 
 if __name__ == "__main__":
-    main()
+    run(main)

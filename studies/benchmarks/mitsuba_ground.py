@@ -1,6 +1,7 @@
 """What maps on the ground cost in Mitsuba: the same terrain plain, and with 1 to 3 mapped layers.
 
-    python studies/benchmarks/mitsuba_ground.py [--spp N] [--rounds N] [--width N] [--height N]
+    python studies/benchmarks/mitsuba_ground.py [--spp N] [--rounds N] [--width N]
+                                                [--height N] [--fast]
 
 Every layer has maps of base color and of normals of 512 texels a side, projected from above, laid
 in cells or not; the plain ground has as many layers without maps. One case merges three layers by
@@ -11,17 +12,13 @@ over the rounds. Kernels are compiled anew: they are kept in a folder of their o
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
 import os
-import resource
 import statistics
-import tempfile
 import time
 from pathlib import Path
 
 import numpy as np
-from mitsuba_adapter import SKY, SUN, terrain
 from numpy.typing import NDArray
 from PIL import Image
 
@@ -35,11 +32,31 @@ from scenec.backends.stage.scene import (
     Mesh,
     RenderScene,
     Rows,
+    Sun,
     Surface,
 )
+from scenec.studies.runner import Study, in_turns, peak_mib, run
 
+SUN = Sun(np.array([0.6, 0.0, 0.8]), np.full(3, 1000.0), float(np.radians(0.53)))
+SKY = 48.0
 COLORS = ((0.9, 0.7, 0.5), (0.5, 0.45, 0.4), (0.7, 0.55, 0.4))
 TEXELS = 512
+
+
+def terrain(n: int) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+    """A rolling 100 m x 100 m grid of n x n points."""
+    rng = np.random.default_rng(0)
+    axis = np.linspace(-50, 50, n)
+    y, x = np.meshgrid(axis, axis, indexing="ij")
+    z = np.zeros_like(x)
+    for octave in range(6):
+        f, a = 0.06 * 2**octave, 1.5 * 0.45**octave
+        px, py = rng.uniform(0, 2 * np.pi, 2)
+        z += a * np.sin(f * x + px) * np.cos(0.9 * f * y + py)
+    i = np.arange(n * n).reshape(n, n)
+    a, b, c, d = (q.ravel() for q in (i[:-1, :-1], i[:-1, 1:], i[1:, 1:], i[1:, :-1]))
+    faces = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
+    return np.stack([x, y, z], -1).reshape(-1, 3).astype(np.float32), faces.astype(np.int32)
 
 
 def write_maps(folder: Path) -> list[Maps]:
@@ -152,57 +169,39 @@ def grounds(maps: list[Maps]) -> dict[str, RenderScene]:
     return found
 
 
-def main() -> None:
-    """Measure and print."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--spp", type=int, default=64)
-    parser.add_argument("--rounds", type=int, default=3)
-    parser.add_argument("--width", type=int, default=640)
-    parser.add_argument("--height", type=int, default=480)
-    parser.add_argument("--only", nargs="*", help="names of grounds; the first is the yardstick")
-    args = parser.parse_args()
-    with tempfile.TemporaryDirectory() as folder:
-        # Dr.Jit keeps kernels under it, and reads it when it is first used.
-        os.environ["HOME"] = folder
-        scenes = grounds(write_maps(Path(folder)))
-        for name in [n for n in scenes if args.only and n not in args.only]:
-            del scenes[name]
-        measure(scenes, args.spp, args.rounds, args.width, args.height)
-
-
-def measure(scenes: dict[str, RenderScene], spp: int, rounds: int, width: int, height: int) -> None:
-    """Draw all in turns and print the table."""
-    backends, first = {}, {}
+def main(study: Study) -> None:
+    """Prints the table."""
+    options = study.options
+    # Dr.Jit keeps kernels under it, and reads it when it is first used.
+    os.environ["HOME"] = str(study.scratch)
+    scenes = grounds(write_maps(study.scratch))
+    width, height, spp, rounds = options.width, options.height, options.spp, options.rounds
+    if study.fast:
+        width, height, spp, rounds = 160, 120, 4, 1
+        scenes = dict(list(scenes.items())[:3])
+    backends, works, first = {}, {}, {}
     for name, scene in scenes.items():
-        backends[name] = Mitsuba(device="cpu")
-        backends[name].load(scene)
+        backends[name] = backend = Mitsuba(device="cpu")
+        backend.load(scene)
         view = camera(scene.meshes[0].points, 16, 16)
         start = time.perf_counter()
         # So few rays that it is compilation that counts.
-        backends[name].radiance(view, 0, 2, 0)
+        backend.radiance(view, 0, 2, 0)
         first[name] = time.perf_counter() - start
-    seconds: dict[str, list[float]] = {name: [] for name in scenes}
-    walls: dict[str, list[float]] = {name: [] for name in scenes}
-    for turn in range(rounds):
-        for name, scene in scenes.items():
-            view = camera(scene.meshes[0].points, width, height)
-            start, begun = time.perf_counter(), time.process_time()
-            backends[name].radiance(view, 0, spp, turn)
-            seconds[name].append(time.process_time() - begun)
-            walls[name].append(time.perf_counter() - start)
-    yardstick = next(iter(scenes))
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    version = backends[yardstick].version()
-    print(f"{version}, {width}x{height}, {spp} spp, {rounds} rounds, {os.cpu_count()} cores")
-    print(f"{'layers':24s} {'first 16x16 s':>14s} {'frame s':>9s} {'CPU s':>8s} {'ratio':>7s}")
-    for name in scenes:
-        ratios = [a / b for a, b in zip(seconds[name], seconds[yardstick], strict=True)]
-        print(
-            f"{name:24s} {first[name]:14.1f} {statistics.median(walls[name]):9.2f} "
-            f"{statistics.median(seconds[name]):8.2f} {statistics.median(ratios):7.2f}"
-        )
-    print(f"all scenes at once: {peak:.0f} MiB at most")
+        view = camera(scene.meshes[0].points, width, height)
+        works[name] = lambda turn, b=backend, v=view: b.radiance(v, 0, spp, turn)
+    found = in_turns(works, rounds)
+    plain = next(iter(found.values()))
+    study.table(
+        [f"layers, {width} x {height}, {spp} spp", "first 16 x 16, s", "frame, s", "CPU s",
+         "CPU / plain"],
+        ([name, first[name], t.median, statistics.median(t.cpu), t.cpu_over(plain)]
+         for name, t in found.items()),
+    )  # fmt: skip
+    study.say(
+        f"{next(iter(backends.values())).version()}; all scenes at once: {peak_mib():.0f} MiB."
+    )
 
 
 if __name__ == "__main__":
-    main()
+    run(main, spp=64, rounds=3, width=640, height=480)

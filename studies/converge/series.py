@@ -10,6 +10,9 @@ from scenec.studies.converge.fits import Fit
 from scenec.studies.converge.measure import Row
 from scenec.studies.converge.metrics import FORMULAS
 
+STEP_HEADER = ["spp", "s", "rel. rms", "estimated", "relMSE", "trimmed", "FLIP", "bias"]
+FLOOR_HEADER = ["backends", "rel. rms", "95 %", "relMSE", "FLIP", "bias"]
+
 
 @dataclass(frozen=True)
 class Step:
@@ -100,3 +103,35 @@ class ConvergeReport:
             "floors": self.floors,
             "notes": self.notes,
         }
+
+
+def step_cells(step: Step) -> list[str]:
+    """A rung's numbers as text, under ``STEP_HEADER``."""
+    unsure = "" if step.bias_error is None else f" ± {100 * step.bias_error:.3f}"
+    return [
+        f"{step.spp:g}",
+        f"{step.seconds:.3g}",
+        percent(step.mean),
+        percent(step.estimated),
+        f"{step.relative_mse:.3g}",
+        f"{step.relative_mse_trimmed:.3g}",
+        "-" if step.flip is None else f"{step.flip:.4f}",
+        f"{100 * step.bias:+.3f} %{unsure}",
+    ]
+
+
+def floor_cells(floor: dict[str, Any]) -> list[str]:
+    """What differs between two backends as text, under ``FLOOR_HEADER``."""
+    return [
+        f"{floor['backend']} : {floor['against']}",
+        percent(floor["relative_rms"]),
+        f"{percent(floor['relative_rms_low'])} to {percent(floor['relative_rms_high'])}",
+        f"{floor['relative_mse']:.3g}",
+        "-" if floor["flip"] is None else f"{floor['flip']:.4f}",
+        f"{100 * floor['bias']:+.3f} %",
+    ]
+
+
+def percent(value: float | None) -> str:
+    """A share as text; None as a dash."""
+    return "-" if value is None else f"{100 * value:.3g} %"

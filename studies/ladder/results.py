@@ -118,6 +118,26 @@ def units(ladder: Ladder) -> str:
     ]
 
 
+def cells(ladder: Ladder) -> tuple[list[str], list[list[str]]]:
+    """Header and rows of a ladder's table; a star marks the cfg's own value."""
+    pixels = all("worst_px" in rung.details for rung in ladder.rungs)
+    meters = all("worst_m" in rung.details for rung in ladder.rungs)
+    header = ["value", "", "worst", "rms", "claimed", "holds"]
+    header += ["worst, m"] if meters else ["worst, px"] if pixels else []
+    header += ["CPU s", "bytes", "triangles"]
+    rows = []
+    for rung in ladder.rungs:
+        row = [f"{rung.value:g}", "*" if rung.used else "", f"{rung.worst:.3g}", f"{rung.rms:.3g}"]
+        row.append("-" if rung.claimed is None else f"{rung.claimed:.3g}")
+        row.append({None: "-", True: "yes", False: "NO"}[ladder.holds(rung)])
+        if meters or pixels:
+            row.append(f"{rung.details['worst_m' if meters else 'worst_px']:.3g}")
+        row += [f"{rung.seconds:.3g}", f"{rung.bytes:,}"]
+        row.append("-" if rung.triangles is None else f"{rung.triangles:,}")
+        rows.append(row)
+    return header, rows
+
+
 @dataclass(frozen=True)
 class LadderReport:
     """All ladders of one scene.

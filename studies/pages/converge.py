@@ -1,6 +1,6 @@
 """Writes docs/converge.md: error against run time of three renderers, and what follows from it.
 
-python studies/pages/converge.py [--fast] [--out FOLDER]
+python studies/pages/converge.py [--fast] [-o FOLDER]
 
 Renders one frame of configs/mars_yard.json, 128 x 96, up a ladder of samples per pixel, with and
 without denoising, each rung from four noise seeds; then to an error, for a time, and with the
@@ -12,21 +12,26 @@ from __future__ import annotations
 
 import json
 import shutil
-import tempfile
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
-
-from page import ROOT, Page, table
-from scipy.stats import binomtest
-from small import small_cfg
 
 from scenec.backends.run.render import render
 from scenec.compiler.compile import compile_cfg
 from scenec.schemas.frames import read_frame
+from scenec.studies.benchmarks.estimate import share
 from scenec.studies.converge import ConvergeReport, Ladder, converge
 from scenec.studies.converge.metrics import FORMULAS, Reference, root, square_and_error
 from scenec.studies.converge.run import NORMAL_95
+from scenec.studies.converge.series import (
+    FLOOR_HEADER,
+    STEP_HEADER,
+    floor_cells,
+    percent,
+    step_cells,
+)
+from scenec.studies.runner import ROOT, Page, run, table
+
+from small import small_cfg
 
 CFG = "configs/mars_yard.json"
 BACKENDS = ("mitsuba", "cycles", "pyrender")
@@ -49,7 +54,7 @@ subtracted, and writes tables (CSV, JSON), plots and pictures of differences int
 class Example:
     """One frame, and what was measured on it."""
 
-    def __init__(self, page: Page, folder: Path) -> None:
+    def __init__(self, page: Page) -> None:
         self.page = page
         self.ladder = Ladder(
             spp=(4, 16) if page.fast else (4, 16, 64),
@@ -67,7 +72,7 @@ class Example:
         file = ROOT / "configs" / ".converge_example.json"
         file.write_text(json.dumps(cfg), encoding="utf-8")
         try:
-            self.out = compile_cfg(file, seed=1, out=folder / "out").out
+            self.out = compile_cfg(file, seed=1, out=page.scratch / "out").out
         finally:
             file.unlink()
         self._found: ConvergeReport | None = None
@@ -89,7 +94,7 @@ class Example:
     def true_error(self, stem: Path, backend: str) -> str:
         """Of a frame, against the ladder's reference of its backend, with its 95 % interval."""
         frame = read_frame(stem)
-        folder = self.out / "converge" / "pictures" / "batch_0000" / backend / "annotation"
+        folder = self.out / "converge" / "pictures" / "batch_0000" / backend / "reference"
         first, second = (
             read_frame(folder / name / "frames" / backend / stem.parent.name / stem.name)
             for name in ("first", "second")
@@ -98,30 +103,17 @@ class Example:
         reference = Reference.of_two(*(one.passes["rgb"][on] for one in (first, second)))
         square, error = square_and_error(frame.passes["rgb"][on], reference)
         low, high = (root(square + sign * NORMAL_95 * error) or 0.0 for sign in (-1, 1))
-        return f"{_percent(root(square))} ({_percent(low)} to {_percent(high)})"
+        return f"{percent(root(square))} ({percent(low)} to {percent(high)})"
 
     def ladders(self) -> str:
         """Each backend against itself."""
         rows = [
-            [
-                series.name,
-                f"{step.spp:g}",
-                f"{step.seconds:.2f}",
-                _percent(step.mean),
-                "" if step.mean is None else f"{_percent(step.low)} to {_percent(step.high)}",
-                _percent(step.estimated),
-                f"{step.relative_mse:.2g}",
-                f"{step.relative_mse_trimmed:.2g}",
-                "-" if step.flip is None else f"{step.flip:.4f}",
-                f"{100 * step.bias:+.3f} %"
-                + ("" if step.bias_error is None else f" ± {100 * step.bias_error:.3f}"),
-            ]
+            [series.name, *step_cells(step), f"{percent(step.low)} to {percent(step.high)}"]
             for series in self.found.series
             if series.own
             for step in series.steps
         ]
-        header = ["backend", "samples", "s", "relative rms", "95 %", "as the picture's halves tell",
-                  "relMSE", "trimmed", "FLIP", "bias"]  # fmt: skip
+        header = ["backend", *STEP_HEADER, "rel. rms, 95 %"]
         frame = "small" if self.page.fast else f"`{CFG}`"
         text = f"## Each backend's convergence to itself\n\nOne frame of {frame}.\n\n"
         text += table(header, rows) + "\n" + self.show("convergence.png", "convergence")
@@ -145,20 +137,9 @@ class Example:
 
     def floors(self) -> str:
         """What stays however many samples."""
-        rows = [
-            [
-                f"{floor['backend']} : {floor['against']}",
-                _percent(floor["relative_rms"]),
-                f"{_percent(floor['relative_rms_low'])} to {_percent(floor['relative_rms_high'])}",
-                f"{floor['relative_mse']:.2g}",
-                "-" if floor["flip"] is None else f"{floor['flip']:.4f}",
-                f"{100 * floor['bias']:+.3f} %",
-            ]
-            for floor in self.found.floors
-        ]
         text = "## The floor between backends\n\nOf references, the noise of both subtracted (not "
         text += "from FLIP).\n\n"
-        text += table(["backends", "relative rms", "95 %", "relMSE", "FLIP", "bias"], rows) + "\n"
+        text += table(FLOOR_HEADER, [floor_cells(floor) for floor in self.found.floors]) + "\n"
         text += self.show("floor.png", "floor")
         for path in self.found.files:
             if path.parent.name == "differences" and path.stem.endswith("mitsuba_pyrender"):
@@ -187,8 +168,8 @@ class Example:
                         str(sidecar["samples_per_pixel"]),
                         str(len(rounds["rounds"])),
                         f"{rounds['seconds']:.2f}",
-                        _percent(found["relative_rms"]),
-                        _percent(found["relative_rms_bound_95"]),
+                        percent(found["relative_rms"]),
+                        percent(found["relative_rms_bound_95"]),
                         self.true_error(report.frames[0], backend),
                     ]
                 )
@@ -228,29 +209,20 @@ class Example:
             "adaptive": f"in rounds, `--error {found['error']:g}`",
         }
         rows = [
-            [name, *_share([t["true"] <= t["bound"] for t in found[key]])]
+            [name, *share([t["true"] <= t["bound"] for t in found[key]])]
             for key, name in names.items()
         ]
         goal = [t["true"] <= found["error"] for t in found["adaptive"]]
-        rows.append([f"in rounds: true error at most {found['error']:g}", *_share(goal)])
+        rows.append([f"in rounds: true error at most {found['error']:g}", *share(goal)])
         return text + table(["pictures", "hold", "share", "95 % interval"], rows)
 
 
-def main() -> None:
+def main(page: Page) -> None:
     """Writes the page."""
-    page = Page.of_command_line("converge")
-    with tempfile.TemporaryDirectory() as folder:
-        example = Example(page, Path(folder))
-        page.write(
-            HEAD,
-            ("mitsuba", "bpy", "pyrender-maintained"),
-            [example.ladders, example.slopes, example.floors, example.targets,
-             example.choice, example.estimate],
-        )  # fmt: skip
-
-
-def _percent(value: float | None) -> str:
-    return "-" if value is None else f"{100 * value:.3g} %"
+    one = Example(page)
+    parts = (one.ladders, one.slopes, one.floors, one.targets, one.choice, one.estimate)
+    packages = ("mitsuba", "bpy", "pyrender-maintained")
+    page.write(HEAD, packages, [lambda _, part=part: part() for part in parts])
 
 
 def _slope(fit: Any) -> str:
@@ -260,21 +232,9 @@ def _slope(fit: Any) -> str:
     return f"{fit.slope:.3f}{sure}"
 
 
-def _share(held: Sequence[bool]) -> list[str]:
-    """Count, share and its interval (Clopper and Pearson 1934)."""
-    if not held:
-        return ["0 of 0", "-", "-"]
-    interval = binomtest(sum(held), len(held)).proportion_ci(0.95)
-    return [
-        f"{sum(held)} of {len(held)}",
-        f"{100 * sum(held) / len(held):.1f} %",
-        f"{100 * interval.low:.1f} to {100 * interval.high:.1f} %",
-    ]
-
-
 def _items(lines: Any) -> str:
     return "".join(f"- {line}\n" for line in lines)
 
 
 if __name__ == "__main__":
-    main()
+    run(main, page="converge")

@@ -1,6 +1,6 @@
 """Renders the cfgs of configs/ into docs/pictures/, and the README's first picture and its table.
 
-    python studies/pages/gallery.py [--only NAME] [--spp 64] [--keep FOLDER]
+    python studies/pages/gallery.py [--only NAME] [--spp 64] [--keep FOLDER] [-o FOLDER] [--fast]
 
 Each picture shows one frame as Mitsuba draws it, made smaller (64 samples per pixel become 114 per
 pixel shown), and one of its label levels beside it. The README's first picture is the contact sheet
@@ -11,9 +11,7 @@ in FOLDER, and frames that are there are not made again.
 
 from __future__ import annotations
 
-import argparse
 import json
-import sys
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,9 +27,8 @@ from scenec.schemas.errors import ScenecError
 from scenec.schemas.files import atomic
 from scenec.schemas.frames import read_frame
 from scenec.schemas.picture import develop
+from scenec.studies.runner import ROOT, Page, names, run
 
-ROOT = Path(__file__).resolve().parents[2]
-PICTURES = ROOT / "docs" / "pictures"
 README = ROOT / "README.md"
 #: The cfg of the README's first picture, and how many of its samples that shows.
 FIRST, ROWS = "jacksboro", 4
@@ -175,7 +172,7 @@ def _palette(sheet: Image.Image) -> Image.Image:
     return palette
 
 
-def table() -> str:
+def entries_table() -> str:
     """The README's table, between its markers."""
     lines = [BEGIN, "", "| cfg | seed 1, as Mitsuba draws it, and the labels of one level |"]
     lines.append("| --- | --- |")
@@ -200,43 +197,25 @@ def rewrite(readme: str) -> str:
     _old, end, tail = rest.partition(END)
     if not begin or not end or BEGIN in rest or END in tail:
         raise ScenecError(f"{README.name}: needs one {BEGIN} and one {END} after it")
-    return head + table() + tail
+    return head + entries_table() + tail
 
 
-def told(path: Path) -> None:
-    """Says what was made."""
-    print(f"{path.relative_to(ROOT)}: {path.stat().st_size / 1000:.0f} kB", flush=True)
-
-
-def main() -> int:
-    """The command."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
-    names = [entry.name for entry in ENTRIES]
-    parser.add_argument("--only", choices=names, action="append", help="only this cfg's picture")
-    parser.add_argument("--spp", type=int, default=64, help="samples per pixel (default: 64)")
-    parser.add_argument("--keep", type=Path, help="folder for stages and frames")
-    options = parser.parse_args()
-    try:
-        rewrite(README.read_text())  # Missing markers are known before the minutes of rendering.
-        with tempfile.TemporaryDirectory() as temporary:
-            folder = options.keep or Path(temporary)
-            for entry in ENTRIES:
-                if options.only and entry.name not in options.only:
-                    continue
-                print(f"{entry.name}: compiling and rendering", flush=True)
-                path = PICTURES / f"gallery_{entry.name}.png"
-                save(picture(entry, folder / entry.name, options.spp), path)
-                told(path)
-            if not options.only or FIRST in options.only:
-                print(f"{FIRST}: rendering its first {ROWS} samples", flush=True)
-                save(first_picture(folder / FIRST, options.spp), PICTURES / f"{FIRST}.png")
-                told(PICTURES / f"{FIRST}.png")
+def main(page: Page) -> None:
+    """Renders the pictures and renews the README's table."""
+    options, spp = page.options, 2 if page.fast else page.options.spp
+    folder = options.keep or page.scratch
+    rewrite(README.read_text())  # Missing markers are known before the minutes of rendering.
+    for entry in ENTRIES:
+        if not options.only or entry.name in options.only:
+            print(f"{entry.name}: compiling and rendering", flush=True)
+            save(picture(entry, folder / entry.name, spp), page.picture(entry.name))
+    if not options.only or FIRST in options.only:
+        print(f"{FIRST}: rendering its first {ROWS} samples", flush=True)
+        sheet = first_picture(folder / FIRST, spp)
+        save(sheet, page.folder / "pictures" / f"{FIRST}.png")
+    if page.folder == ROOT / "docs":
         README.write_text(rewrite(README.read_text()))
-    except ScenecError as error:
-        print(f"gallery: {error}", file=sys.stderr)
-        return 2
-    return 0
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    run(main, page="gallery", only=names, spp=64, keep=Path)

@@ -1,6 +1,6 @@
 """Renders six lights in every backend, side by side, and writes docs/lights.md.
 
-    python studies/pages/lights.py [--only NAME] [--spp 16] [--keep FOLDER] [--out FOLDER] [--fast]
+    python studies/pages/lights.py [--only NAME] [--spp 16] [--keep FOLDER] [-o FOLDER] [--fast]
 
 Each light falls on one of the cfgs of configs/, with the light and the camera put in place by this
 script. Every frame is rendered by all three backends from one stage; the table holds mean radiance,
@@ -11,18 +11,14 @@ made again.
 
 from __future__ import annotations
 
-import argparse
 import copy
 import json
-import os
 import sys
-import tempfile
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from page import ROOT, table
 from PIL import Image, ImageDraw, ImageFont
 
 from scenec.backends.check.radiance import flip
@@ -32,6 +28,7 @@ from scenec.schemas.errors import ScenecError
 from scenec.schemas.files import atomic
 from scenec.schemas.frames import Frame, read_frame
 from scenec.schemas.picture import develop
+from scenec.studies.runner import ROOT, Page, names, run, table
 
 BACKENDS = ("cycles", "mitsuba", "pyrender")
 #: What FLIP is taken against; Mitsuba's error is measured against Cycles too.
@@ -252,9 +249,9 @@ def row(case: Case, found: dict[str, Frame]) -> list[str]:
 
 HEAD = """# Six lights, three renderers
 
-Written by `studies/pages/lights.py`: shipped cfgs under other lights, {spp} samples a pixel, \
-{width} × {height} pixels, seed 1, on {cores} cores. One stage a light; each backend renders it, \
-and all pictures of a row are shown with one exposure.
+Shipped cfgs under other lights, 16 samples a pixel, \
+384 × 256 pixels, seed 1, on {cores} cores ({versions}). One stage a light; each backend \
+renders it, and all pictures of a row are shown with one exposure.
 """
 
 NOTES = """
@@ -266,56 +263,30 @@ single readings, with whatever else the machine did beside them.
 """
 
 
-def write_page(folder: Path, rows: dict[str, list[str]], spp: int) -> None:
-    """``lights.md``, of the cases that have a row."""
-    parts = [HEAD.format(spp=spp, width=SIZE[0], height=SIZE[1], cores=os.cpu_count())]
+def main(page: Page) -> None:
+    """Renders, and writes the page where no light was chosen."""
+    options, rows, parts = page.options, [], []
+    for case in CASES:
+        if options.only and case.name not in options.only:
+            continue
+        print(f"{case.name}: compiling and rendering", file=sys.stderr, flush=True)
+        found = frames(case, options.keep or page.scratch, 2 if page.fast else options.spp)
+        rows.append(row(case, found))
+        small = sheet(found).quantize(256, dither=Image.Dither.NONE)
+        with atomic(page.picture(case.name)) as target:
+            small.save(target, format="PNG", optimize=True)
+        shown = page.shown(case.name, f"{case.title} in {', '.join(BACKENDS)}")
+        about = f"{case.about} Ground: `configs/{case.cfg}.json`."
+        parts.append(f"## {case.title}\n\n{about}\n\n{shown}")
     others = [b for b in BACKENDS if b != REFERENCE]
     header = ["light", *(f"radiance, {b}" for b in BACKENDS), *(f"FLIP, {b}" for b in others)]
     header += [f"seconds, {b}" for b in BACKENDS]
-    parts.append(table(header, [rows[case.name] for case in CASES if case.name in rows]))
-    parts.append(NOTES)
-    for case in CASES:
-        if case.name in rows:
-            parts.append(f"## {case.title}\n\n{case.about} Ground: `configs/{case.cfg}.json`.\n")
-            alt = f"{case.title} in {', '.join(BACKENDS)}"
-            parts.append(f"![{alt}](pictures/lights_{case.name}.png)\n")
-    (folder / "lights.md").write_text("\n".join(parts), encoding="utf-8")
-
-
-def main() -> int:
-    """The command."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
-    names = [case.name for case in CASES]
-    parser.add_argument("--only", choices=names, action="append", help="only this light")
-    parser.add_argument("--spp", type=int, default=16, help="samples per pixel (default: 16)")
-    parser.add_argument("--keep", type=Path, help="folder for stages and frames")
-    parser.add_argument("--out", type=Path, default=ROOT / "docs", help="folder of the page")
-    parser.add_argument("--fast", action="store_true", help="8 samples, to see that it works")
-    options = parser.parse_args()
-    spp = 8 if options.fast else options.spp
-    (options.out / "pictures").mkdir(parents=True, exist_ok=True)
-    rows = {}
-    try:
-        with tempfile.TemporaryDirectory() as temporary:
-            for case in CASES:
-                if options.only and case.name not in options.only:
-                    continue
-                print(f"{case.name}: compiling and rendering", file=sys.stderr, flush=True)
-                found = frames(case, options.keep or Path(temporary), spp)
-                rows[case.name] = row(case, found)
-                path = options.out / "pictures" / f"lights_{case.name}.png"
-                small = sheet(found).quantize(256, dither=Image.Dither.NONE)
-                with atomic(path) as target:
-                    small.save(target, format="PNG", optimize=True)
-        if not options.only:
-            write_page(options.out, rows, spp)
-        for values in rows.values():
-            print(" | ".join(values))
-    except ScenecError as error:
-        print(f"make_lights: {error}", file=sys.stderr)
-        return 2
-    return 0
+    page.say(table(header, rows))
+    if not options.only:
+        text = "## All of them\n\n" + table(header, rows) + NOTES
+        packages = ("mitsuba", "bpy", "pyrender-maintained")
+        page.write(HEAD, packages, [lambda _, part=part: part for part in (text, *parts)])
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    run(main, page="lights", only=names, spp=16, keep=Path)

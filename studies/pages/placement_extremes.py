@@ -7,12 +7,21 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from page import Page, table
 from PIL import Image
-from placement_field import HILLS, PLANE, SIZE, Stood, cfg, gaps_of, rotations, stand
 
 from scenec.compiler.scene import Placed, Scatter
 from scenec.schemas.errors import ScenecError
+from scenec.studies.pages.placement_field import (
+    HILLS,
+    PLANE,
+    SIZE,
+    Stood,
+    cfg,
+    gaps_of,
+    rotations,
+    stand,
+)
+from scenec.studies.runner import Page, table
 
 _SMALL = {"type": "log_uniform", "min": 0.05, "max": 0.5}
 
@@ -56,8 +65,8 @@ def _maps(folder: Path) -> None:
     Image.fromarray(gray).save(folder / "one.png")
 
 
-def _rows(page: Page, folder: Path) -> list[list[str]]:
-    many = 20_000 if page.fast else 1_000_000
+def _rows(page: Page) -> list[list[str]]:
+    folder, many = page.scratch, 20_000 if page.fast else 1_000_000
     n = 500
     steep = {"type": "plane", "slope": [float(np.tan(np.radians(89))), 0]}
     high = {"type": "plane", "height_m": 1e7}
@@ -128,8 +137,9 @@ def _rows(page: Page, folder: Path) -> list[list[str]]:
     return rows
 
 
-def extremes(page: Page, folder: Path) -> str:
+def extremes(page: Page) -> str:
     """One row each."""
+    folder = page.scratch
     _maps(folder)
     return (
         "## At the ends of every range\n\n"
@@ -144,18 +154,19 @@ def extremes(page: Page, folder: Path) -> str:
         "nothing is written then.\n\n"
         + table(
             ["case", "asked", "placed, or the message", "s", "largest error, m",
-             "% of the largest", "px"], _rows(page, folder),
+             "% of the largest", "px"], _rows(page),
         )
         + "\nWhere it is large: at heights of 1e7 m positions, which the stage has in float32, are "
         "off by up to half a meter (give heights near 0; a DEM's offset is recorded instead). "
         "Hills of 100 m that are 2 m wide have detail between the samples far taller than a rock, "
         "which its 32 lowest vertices do not find: rocks sink.\n"
-        + "\n" + _single(page, folder)
+        + "\n" + _single(page)
     )  # fmt: skip
 
 
-def _single(page: Page, folder: Path) -> str:
+def _single(page: Page) -> str:
     """Placed objects."""
+    folder = page.scratch
     (folder / "box.obj").write_text(
         "".join(f"v {x} {y} {z}\n" for x in (-1, 1) for y in (-1, 1) for z in (0, 2))
         + "f 1 2 4 3\nf 5 7 8 6\nf 1 5 6 2\nf 3 4 8 7\nf 1 3 7 5\nf 2 6 8 4\n"

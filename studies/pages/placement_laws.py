@@ -8,8 +8,6 @@ from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
-from page import Page, table
-from placement_field import number
 from scipy import integrate, special, stats
 
 from scenec.compiler.frontend.fill import fill
@@ -18,6 +16,8 @@ from scenec.compiler.frontend.numbers import draw_number
 from scenec.compiler.frontend.streams import Streams
 from scenec.compiler.scatter.draw import draw_rocks
 from scenec.compiler.scatter.draw_scatter import Setting
+from scenec.studies.pages.placement_field import number
+from scenec.studies.runner import Page, table
 
 Cdf = Callable[[NDArray], NDArray]
 _LOW, _HIGH = 0.1, 5.0

@@ -7,8 +7,6 @@ from unittest import mock
 
 import numpy as np
 from numpy.typing import NDArray
-from page import Page, table
-from placement_field import PLANE, cfg, gaps, stand
 
 from scenec.compiler.cameras.sight import views_of
 from scenec.compiler.scatter import foot
@@ -17,6 +15,8 @@ from scenec.compiler.scatter.rocks import build_chains
 from scenec.compiler.scatter.seat import seat
 from scenec.compiler.scene import Scatter
 from scenec.schemas.errors import SceneError
+from scenec.studies.pages.placement_field import PLANE, cfg, gaps, stand
+from scenec.studies.runner import Page, table
 
 #: Octaves far below the grid's spacing: detail that only the mesh near cameras shows.
 _ROUGH = {"type": "multifractal", "amplitude_m": 1.5, "scale_m": 10, "octaves": 11, "gain": 0.55}

@@ -10,9 +10,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from page import Page, table
 from PIL import Image
-from placement_field import PLANE, SIZE, cfg, stand
 
 from scenec.compiler.ground.surface import Surface
 from scenec.compiler.scatter.density import (
@@ -34,6 +32,8 @@ from scenec.compiler.terrain.condition import SlopeCondition
 from scenec.compiler.terrain.craters import Craters
 from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.compiler.terrain.multifractal import Multifractal
+from scenec.studies.pages.placement_field import PLANE, SIZE, cfg, stand
+from scenec.studies.runner import Page, table
 
 _NOWHERE = np.zeros((0, 3))
 _CORNERS = np.array([[-18.0, -10.0], [-4.0, 7.0], [15.0, -6.0]])
@@ -147,7 +147,7 @@ def _chi_square(x: NDArray, y: NDArray, wanted: NDArray) -> tuple[float, int]:
     return float(chi), int(there.sum()) - 1
 
 
-def densities(page: Page, folder: Path) -> str:
+def densities(page: Page) -> str:
     """Every spatial law: a picture, chi-square, seconds."""
     grid = Grid.with_spacing(SIZE, 0.4)
     hills = Multifractal(1, 1.5, 8.0, 5, 2.0, 0.5, "fbm", 0.7)
@@ -155,7 +155,7 @@ def densities(page: Page, folder: Path) -> str:
                           _NOWHERE)  # fmt: skip
     n, shown = 100_000, 3000
     u = np.random.default_rng(1).random((n, 3))
-    cases = _cases(folder, around)
+    cases = _cases(page.scratch, around)
     figure, plots = plt.subplots(3, 4, figsize=(10.4, 6.9))
     rows = []
     for axes, (name, density, where, wanted) in zip(plots.ravel(), cases, strict=False):

@@ -8,10 +8,10 @@ import matplotlib.pyplot as plt
 import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
-from page import Page, flat, table
 
 from scenec.compiler.terrain.grid import Grid
 from scenec.compiler.terrain.smooth import Smooth, laplacian_eigenvalues
+from scenec.studies.runner import Page, table
 
 #: One step of a scheme: heights and spacing and kappa * dt to heights.
 Step = Callable[[NDArray, float, float], NDArray]
@@ -78,7 +78,7 @@ def steps(page: Page) -> str:
     rng = np.random.default_rng(1)
     fields = {
         "spikes": np.where(rng.random(grid.shape) < 0.05, 100.0, rng.normal(size=grid.shape)),
-        "a cliff": np.where(grid.x() > 0.0, 1e6, 0.0)[None, :] + flat(grid),
+        "a cliff": np.where(grid.x() > 0.0, 1e6, 0.0)[None, :] + np.zeros(grid.shape),
         "constant": np.full(grid.shape, 1234.5),
     }
     rows = []

@@ -7,12 +7,12 @@ from dataclasses import replace
 import matplotlib.pyplot as plt
 import numpy as np
 from numpy.typing import NDArray
-from page import Page, flat, table
 
 from scenec.compiler.terrain.drainage import SIDES, drain, drainage_area, outlet_samples
 from scenec.compiler.terrain.grid import Grid
 from scenec.compiler.terrain.stream_power import StreamPower
 from scenec.compiler.terrain.thermal import Thermal
+from scenec.studies.runner import Page, table
 
 
 def rivers(page: Page) -> str:
@@ -93,7 +93,7 @@ def slides(page: Page) -> str:
     grid = Grid((199.0, 199.0), (200, 200))
     rng = np.random.default_rng(4).random(grid.shape)
     slope = np.tan(np.deg2rad(33.0))
-    x = grid.x()[None, :] + flat(grid)
+    x = grid.x()[None, :] + np.zeros(grid.shape)
     rows = []
     for drop in (1.0, 1e6) if page.fast else (1.0, 10.0, 100.0, 1e3, 1e4, 1e6):
         cliff = np.where(x < 0.0, drop, 0.0)

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
 from numpy.typing import NDArray
-from page import Page, flat, shaded, table
 from PIL import Image, ImageDraw
 
 from scenec.compiler.frontend.numbers import Distribution
@@ -27,17 +25,18 @@ from scenec.compiler.terrain.terraces import Terraces
 from scenec.compiler.terrain.thermal import Thermal
 from scenec.compiler.terrain.tracks import Tracks
 from scenec.compiler.terrain.worley import Worley
+from scenec.studies.runner import Page, table
 
 
-def gallery(page: Page, folder: Path) -> str:
+def gallery(page: Page) -> str:
     """A sheet of hillshades, one an operator."""
     size, n = 200.0, 301
     grid = Grid((size, size), (n, n))
     streams = Streams(4, 0)
     soft = Multifractal(11, 1.2, 60.0, 8, 2.0, 0.5, "fbm", 0.7)
     rock = Multifractal(12, 28.0, 130.0, 8, 2.0, 0.42, "ridged", 0.9)
-    base = soft.apply(grid, flat(grid))[0]
-    hills = rock.apply(grid, flat(grid))[0]
+    base = soft.apply(grid, np.zeros(grid.shape))[0]
+    hills = rock.apply(grid, np.zeros(grid.shape))[0]
     pits = {
         "min_diameter_m": 2.0, "max_diameter_m": 90.0, "density_per_m2": 0.0218 * 1.54,
         "reference_diameter_m": 1.0, "exponent": 2.0, "depth_ratio": 0.16, "rim_ratio": 0.04,
@@ -47,14 +46,16 @@ def gallery(page: Page, folder: Path) -> str:
         "count": 9, "wind_deg": 15.0, "repose_deg": 33.0,
         "height_m": Distribution("log_uniform", "instance", False, 1.0, 4.0),
     }  # fmt: skip
-    (folder / "path.csv").write_text(
+    (page.scratch / "path.csv").write_text(
         "x_m,y_m\n" + "\n".join(f"{x},{1.5 * np.sin(x / 2)}" for x in np.linspace(-7, 7, 60))
     )
     small = Grid((12.0, 12.0), (n, n))
-    ground = Multifractal(5, 0.12, 5.0, 8, 2.0, 0.5, "fbm", 0.7).apply(small, flat(small))[0]
+    ground = Multifractal(5, 0.12, 5.0, 8, 2.0, 0.5, "fbm", 0.7).apply(
+        small, np.zeros(small.shape)
+    )[0]
     large = Grid((6000.0, 6000.0), (n, n))
     upland = Multifractal(9, 250.0, 4000.0, 8, 2.0, 0.5, "fbm", 0.7)
-    uplands = upland.apply(large, flat(large))[0]
+    uplands = upland.apply(large, np.zeros(large.shape))[0]
     rivers = StreamPower(2e-5, 0.5, 1.0, 0.0, 0.02, 5e-4, 6e5, 300, SIDES)
     wide = Grid((60.0, 60.0), (n, n))
 
@@ -62,14 +63,14 @@ def gallery(page: Page, folder: Path) -> str:
         variant: str, offset: float, amplitude: float, distortion: float = 0.0, gain: float = 0.5
     ) -> NDArray:
         operator = Multifractal(7, amplitude, 90.0, 9, 2.0, gain, variant, offset, distortion)
-        return operator.apply(grid, flat(grid))[0]
+        return operator.apply(grid, np.zeros(grid.shape))[0]
 
     six = Grid((6.0, 6.0), (n, n))
     cracks = Worley(3, 2.0, 16.0, "f2-f1", 0.8, 1, 2.0, 0.5)
     sand = Dunes(8, 2.2, 24.0, 15.0, 33.0, 0.25)
     waves = Ripples(8, 0.018, 0.24, 15.0, 28.0, 0.35)
-    rover = Tracks(folder / "path.csv", 2.0, 0.4, 0.05, 0.18, 0.02, "chevrons")
-    grain = Multifractal(5, 0.4, 20.0, 8, 2.0, 0.5, "fbm", 0.7).apply(wide, flat(wide))[0]
+    rover = Tracks(page.scratch / "path.csv", 2.0, 0.4, 0.05, 0.18, 0.02, "chevrons")
+    grain = Multifractal(5, 0.4, 20.0, 8, 2.0, 0.5, "fbm", 0.7).apply(wide, np.zeros(wide.shape))[0]
     fresh = draw_craters(
         {**pits, "degradation": 0.1, "density_per_m2": 0.2}, streams, "m", (60.0, 60.0)
     )
@@ -92,7 +93,7 @@ def gallery(page: Page, folder: Path) -> str:
         ("dunes", sand.apply(grid, 0.3 * base)[0], grid),
         ("barchans", draw_barchans(heaps, streams, "b", (size, size)).apply(grid, 0.2 * base)[0],
          grid),
-        ("ripples", waves.apply(six, flat(six))[0], six),
+        ("ripples", waves.apply(six, np.zeros(six.shape))[0], six),
         ("diffusion of ridged", Smooth(4.0).apply(grid, hills)[0], grid),
         ("tracks", rover.apply(small, ground)[0], small),
         ("masked: craters in a disk", Masked(fresh, (disk,)).apply(wide, grain)[0], wide),
@@ -105,7 +106,7 @@ def gallery(page: Page, folder: Path) -> str:
     draw = ImageDraw.Draw(sheet)
     for k, (name, height, own) in enumerate(panels):
         x, y = (k % columns) * (width + 6), (k // columns) * (width + 24)
-        sheet.paste(Image.fromarray(shaded(height, own.spacing_m[0])), (x, y + 18))
+        sheet.paste(Image.fromarray(_shaded(height, own.spacing_m[0])), (x, y + 18))
         draw.text((x + 2, y + 3), f"{name}, {own.size_m[0]:g} m", fill=0)
     sheet.save(page.picture("gallery"), optimize=True)
     return (
@@ -117,7 +118,9 @@ def gallery(page: Page, folder: Path) -> str:
 
 def lunar(grid: Grid, streams: Streams, pits: dict) -> NDArray:
     """A program of several operators."""
-    height = Multifractal(21, 2.0, 120.0, 4, 2.0, 0.45, "fbm", 0.7).apply(grid, flat(grid))[0]
+    height = Multifractal(21, 2.0, 120.0, 4, 2.0, 0.45, "fbm", 0.7).apply(
+        grid, np.zeros(grid.shape)
+    )[0]
     height = draw_craters(pits, streams, "old", grid.size_m).apply(grid, height)[0]
     height = Smooth(1.0).apply(grid, height)[0]
     young = {**pits, "max_diameter_m": 25.0, "density_per_m2": 0.01, "degradation": 0.05}
@@ -173,3 +176,16 @@ def craters(page: Page) -> str:
         + table(["b", "diameters, m", "expected", "drawn", "variance / mean"], rows)
         + "\n" + page.save(figure, "craters")
     )  # fmt: skip
+
+
+def _shaded(
+    height: NDArray, spacing: float, azimuth: float = 315.0, elevation: float = 30.0
+) -> NDArray:
+    """Hillshade: Lambert's cosine under a sun, gray uint8, north up."""
+    gy, gx = np.gradient(height, spacing)
+    a, e = np.deg2rad(azimuth), np.deg2rad(elevation)
+    toward = (np.sin(a) * np.cos(e), np.cos(a) * np.cos(e), np.sin(e))
+    cosine = (-gx * toward[0] - gy * toward[1] + toward[2]) / np.sqrt(1.0 + gx * gx + gy * gy)
+    gray = np.clip(0.55 * cosine / np.sin(e), 0.0, 1.0) ** 0.7
+    # Few levels, for small files.
+    return (np.round(gray * 48.0) * (255.0 / 48.0)).astype(np.uint8)[::-1]

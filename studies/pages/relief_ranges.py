@@ -10,8 +10,6 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 from numpy.typing import NDArray
-from page import Page, flat, table
-from small import scaled, small_cfg, write_cfg
 
 from scenec.backends.camera.rays import camera_rays
 from scenec.backends.run.session import Session
@@ -24,6 +22,9 @@ from scenec.compiler.terrain.grid import Grid
 from scenec.compiler.terrain.multifractal import Multifractal
 from scenec.compiler.terrain.program import run
 from scenec.compiler.terrain.worley import Worley
+from scenec.studies.runner import Page, table
+
+from small import scaled, small_cfg, write_cfg
 
 PASSES = ("depth", "range", "label", "instance", "face", "normal", "position")
 
@@ -38,9 +39,9 @@ def _noise(
     scale = grid.size_m[0] / 3.0
     if variant in ("f1", "f2-f1"):
         worley = Worley(3, amplitude, scale, variant, 1.0, octaves, lacunarity, gain)
-        return worley.apply(grid, flat(grid))[0]
+        return worley.apply(grid, np.zeros(grid.shape))[0]
     fractal = Multifractal(3, amplitude, scale, octaves, lacunarity, gain, variant, 0.7, 0.5)
-    return fractal.apply(grid, flat(grid))[0]
+    return fractal.apply(grid, np.zeros(grid.shape))[0]
 
 
 def noises(page: Page) -> str:
@@ -99,7 +100,7 @@ def _frames(batch: Path) -> dict[str, NDArray]:
     return session.render(camera, 0, session.passes(PASSES, camera), 1, 1)[0]
 
 
-def extents(page: Page, folder: Path) -> str:
+def extents(page: Page) -> str:
     """A scene compiled and seen from a millimeter to a thousand kilometers."""
     rows, promised, made = [], [], []
     exponents = (-3, 0, 3, 6) if page.fast else tuple(range(-3, 7))
@@ -107,7 +108,7 @@ def extents(page: Page, folder: Path) -> str:
         extent = 10.0**exponent
         cfg = scaled(small_cfg(samples=1), extent / 20.0)
         cfg["terrain"]["mesh"] = {"tolerance_px": 0}
-        own = folder / f"extent{exponent}"
+        own = page.scratch / f"extent{exponent}"
         own.mkdir()
         path = write_cfg(own, cfg)
         start = time.perf_counter()
@@ -166,7 +167,7 @@ def extents(page: Page, folder: Path) -> str:
     )  # fmt: skip
 
 
-def origins(page: Page, folder: Path) -> str:
+def origins(page: Page) -> str:
     """Frames of a scene on a DEM that lies at different places of a planet."""
     import rasterio
 
@@ -174,7 +175,7 @@ def origins(page: Page, folder: Path) -> str:
     places = ((300.0, 500.0), (1e4, -1e4), (1e7, 1e7), (-1e7, 9_999_999.3))
     rows, first, bytes_of_first = [], None, b""
     for i, origin in enumerate(places[:: 2 if page.fast else 1]):
-        own = folder / f"origin{i}"
+        own = page.scratch / f"origin{i}"
         own.mkdir()
         with rasterio.open(
             own / "dem.tif", "w", driver="GTiff", width=40, height=30, count=1, dtype="float32",
@@ -211,7 +212,7 @@ def _both_nan(a: NDArray, b: NDArray) -> int:
     return int((np.isnan(a) & np.isnan(b)).sum()) if a.dtype.kind == "f" else 0
 
 
-def dems(page: Page, folder: Path) -> str:
+def dems(page: Page) -> str:
     """Places on a planet, holes, single rows."""
     y, x = np.mgrid[:80, :100].astype(float)
     field = 30 * np.sin(0.11 * x) * np.cos(0.07 * y) + 0.4 * x
@@ -230,8 +231,10 @@ def dems(page: Page, folder: Path) -> str:
                      f"off the plane by {np.abs(filled - plane).max():.1e} m at most, said "
                      f"{error:.1e} m"])  # fmt: skip
         samples = np.where(holes, np.nan, field)
-        np.save(folder / "holes.npy", samples)
-        out, report = replace(base, file=folder / "holes.npy").apply(grid, flat(grid))
+        np.save(page.scratch / "holes.npy", samples)
+        out, report = replace(base, file=page.scratch / "holes.npy").apply(
+            grid, np.zeros(grid.shape)
+        )
         pictures += [
             (name, samples),
             ("filled", fill_holes(np.nan_to_num(samples), holes)[0]),
@@ -241,8 +244,8 @@ def dems(page: Page, folder: Path) -> str:
                      f"{field.min():.1f} to {field.max():.1f} m"])  # fmt: skip
     for name, samples in (("one row", field[:1]), ("one column", field[:, :1]),
                           ("one sample", field[:1, :1])):  # fmt: skip
-        np.save(folder / "thin.npy", samples)
-        out, _ = replace(base, file=folder / "thin.npy").apply(grid, flat(grid))
+        np.save(page.scratch / "thin.npy", samples)
+        out, _ = replace(base, file=page.scratch / "thin.npy").apply(grid, np.zeros(grid.shape))
         across = out.std(axis=0).max() if samples.shape[0] == 1 else out.std(axis=1).max()
         rows.append([name, "", f"finite, spread across it {across:.1e} m"])
     colors = plt.get_cmap("gray").with_extremes(bad="red")

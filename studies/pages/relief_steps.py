@@ -11,7 +11,6 @@ import numpy as np
 import scipy.sparse
 import scipy.sparse.linalg
 from numpy.typing import NDArray
-from page import Page, flat, table
 
 from scenec.compiler.terrain import fill_holes, thermal
 from scenec.compiler.terrain.drainage import SIDES
@@ -20,6 +19,7 @@ from scenec.compiler.terrain.halving import rms
 from scenec.compiler.terrain.multifractal import Multifractal
 from scenec.compiler.terrain.stream_power import StreamPower
 from scenec.compiler.terrain.thermal import Thermal
+from scenec.studies.runner import Page, table
 
 _INVENTORY = [
     [
@@ -114,7 +114,7 @@ def cases(number: int) -> list[tuple[Grid, NDArray[np.float64], StreamPower]]:
         erodibility = (
             courant * size / n / (0.2 * size * size) ** m / years * slope ** (1 - exponent)
         )
-        found.append((grid, hills.apply(grid, flat(grid))[0], StreamPower(
+        found.append((grid, hills.apply(grid, np.zeros(grid.shape))[0], StreamPower(
             erodibility, m, exponent,
             float(rng.choice([0.0, 20 * (size / n) ** 2])),
             float(rng.choice([0.0, 1.0])) * (size / n * 3) ** 2 / years,
@@ -175,7 +175,7 @@ def hillslopes(page: Page) -> str:
     """Hillslopes between fixed outlets, over steps of any size."""
     grid = Grid((200.0, 200.0), (41, 41))
     x = grid.x()[None, :]
-    parabola = 1e-3 / (2.0 * 0.05) * (100.0**2 - x * x) + flat(grid)
+    parabola = 1e-3 / (2.0 * 0.05) * (100.0**2 - x * x) + np.zeros(grid.shape)
     rough = np.random.default_rng(1).normal(size=grid.shape)
     rows = []
     for decade in (0, 5) if page.fast else range(-5, 6):
@@ -226,13 +226,15 @@ def _steep() -> dict[str, NDArray[np.float64]]:
     grid = Grid((128.0, 128.0), (129, 129))
     rng = np.random.default_rng(4)
     x, y = grid.x()[None, :], grid.y()[:, None]
-    hills = Multifractal(3, 40.0, 60.0, 7, 2.0, 0.5, "fbm", 0.9).apply(grid, flat(grid))[0]
+    hills = Multifractal(3, 40.0, 60.0, 7, 2.0, 0.5, "fbm", 0.9).apply(grid, np.zeros(grid.shape))[
+        0
+    ]
     return {
         "noise of 100 m": 100.0 * rng.random(grid.shape),
         "hills": hills,
-        "a cliff of 30 m": np.where(x > 0.0, 30.0, 0.0) + flat(grid),
+        "a cliff of 30 m": np.where(x > 0.0, 30.0, 0.0) + np.zeros(grid.shape),
         "a cone": np.clip(60.0 - 2.0 * np.hypot(x, y), 0.0, None),
-        "a slope of 45°": x + flat(grid),
+        "a slope of 45°": x + np.zeros(grid.shape),
     }
 
 

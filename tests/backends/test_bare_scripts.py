@@ -11,7 +11,7 @@ from small import small_cfg, write_cfg
 
 from scenec.compiler.compile import compile_cfg
 
-BENCH = Path(__file__).resolve().parents[2] / "studies" / "benchmarks" / "cycles_adapter.py"
+BENCH = Path(__file__).resolve().parents[2] / "studies" / "benchmarks" / "adapters.py"
 
 
 @pytest.mark.slow
@@ -24,7 +24,8 @@ def test_adapter_and_bare_script_draw_one_picture_whatever_the_number_of_samples
     cfg["light"]["lamps"] = {"spot": {"mount": {"type": "rig", "rig": "rover"}, "intensity": 5000}}
     compile_cfg(write_cfg(tmp_path, cfg), seed=1, out=tmp_path / "out")
     stage = tmp_path / "out" / "batch_0000" / "stage.usda"
-    command = [sys.executable, str(BENCH), "--stage", str(stage), "--spp", "16", "--rounds", "3"]
+    command = [sys.executable, str(BENCH), "--backends", "cycles", "--stage", str(stage)]
+    command += ["--spp", "16", "--rounds", "3"]
     done = subprocess.run(command, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     assert "mean radiance" in done.stdout

@@ -1,38 +1,20 @@
-"""Cycles on a compiled cfg: seconds an annotated frame, and the adapter beside bare Blender.
+"""A picture of a scene by Blender alone, as its documentation would have one write it.
 
-    python studies/benchmarks/cycles_adapter.py [--cfg CFG | --stage STAGE] [--spp N] [--rounds N]
-
-Two processes hold the same stage's arrays: one the adapter, one a bare script as Blender's
-documentation would have one write (a Geometry Nodes instancer, mixed shaders, a sun, an
-environment texture, ``bpy.ops.render.render``). Both draw what the bare script can: no maps, no
-metals, no haze, no lamps, nothing that moves, the sky's picture as it is; where their mean radiance
-differs by more than 2 %, the table compares different pictures, and the status is 1. They are asked
-in turns (adapter, bare, adapter, bare ...), so that a busy machine is busy for both; the table has
-medians and medians of the paired ratios.
+A Geometry Nodes instancer, mixed shaders, a sun, an environment texture, ``bpy.ops.render.render``.
 """
 
 from __future__ import annotations
 
-import argparse
-import json
-import resource
-import statistics
-import subprocess
-import sys
 import tempfile
-import time
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 
 from scenec.backends.contract import BOUNCES
-from scenec.backends.stage.read import read_stage
 from scenec.backends.stage.scene import Dome, Lighting, Mesh, RenderScene
 
-ROOT = Path(__file__).resolve().parents[2]
-PASSES = ("depth", "label", "instance")
 #: Dome's frame (pole +Y) to world without a turn about the vertical: all that the script knows.
 UPRIGHT = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 
@@ -59,39 +41,6 @@ def plain(scene: RenderScene) -> RenderScene:
     return replace(
         scene, surfaces=surfaces, lighting=lighting, meshes=meshes, rows=rows, haze=()
     )  # fmt: skip
-
-
-class Adapter:
-    """The backend."""
-
-    def __init__(self, scene: RenderScene) -> None:
-        from scenec.backends.cycles import Cycles
-
-        self.scene, self.backend = scene, Cycles()
-
-    def load(self) -> None:
-        """Build the scene."""
-        self.backend.load(self.scene)
-
-    def visibility(self, sample: int) -> dict[str, float]:
-        """Row and face of each pixel."""
-        from scenec.backends.camera.rays import camera_rays
-
-        camera = self.scene.cameras[sample][0]
-        rays = camera_rays(camera)
-        start = time.perf_counter()
-        self.backend.witness(rays, sample, camera)
-        return {"seconds": time.perf_counter() - start}
-
-    def radiance(self, sample: int, spp: int, seed: int) -> dict[str, float]:
-        """One picture, its light made anew."""
-        camera = self.scene.cameras[sample][0]
-        start = time.perf_counter()
-        radiance = self.backend.radiance(camera, sample, spp, seed)
-        return {
-            "seconds": time.perf_counter() - start,
-            "mean": float(radiance.halves.mean()),
-        }
 
 
 class Bare:
@@ -298,147 +247,15 @@ class Bare:
                     for part in source.parts
                 }
 
-    def visibility(self, sample: int) -> dict[str, float]:
+    def witness(self, sample: int) -> None:
         """Row and face of each pixel."""
-        start = time.perf_counter()
         self.target.cycles.samples, self.target.cycles.max_bounces = 1, 0
         self._render(sample)
-        return {"seconds": time.perf_counter() - start}
 
-    def radiance(self, sample: int, spp: int, seed: int) -> dict[str, float]:
-        """One picture, its light made anew."""
-        start = time.perf_counter()
+    def radiance(self, sample: int, spp: int, seed: int) -> float:
+        """One picture, its light made anew; its mean."""
         self._light(sample)
         self.target.cycles.samples, self.target.cycles.max_bounces = spp, BOUNCES
         self.target.cycles.seed = seed
         picture = next(p for n, p in self._render(sample).items() if n.endswith("Combined"))
-        seconds = time.perf_counter() - start
-        return {"seconds": seconds, "mean": float(picture[..., :3].mean())}
-
-
-def serve(role: str, stage: Path) -> NoReturn:
-    """Answer requests, one a line; what Blender prints goes elsewhere."""
-    import os
-
-    replies = os.fdopen(os.dup(1), "w")
-    os.dup2(2, 1)
-    start = time.perf_counter()
-    scene = plain(read_stage(stage))
-    read = time.perf_counter() - start
-    made: Any = (Adapter if role == "adapter" else Bare)(scene)
-    for line in sys.stdin:
-        request = json.loads(line)
-        start, cpu = time.perf_counter(), time.process_time()
-        answer = getattr(made, request["op"])(*request["args"]) or {
-            "seconds": time.perf_counter() - start,
-            "read": read,
-            "samples": len(scene.cameras),
-        }
-        answer["cpu"] = time.process_time() - cpu
-        answer["peak_gib"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
-        replies.write(json.dumps(answer) + "\n")
-        replies.flush()
-    os._exit(0)
-
-
-class Process:
-    """One of the two, in its process."""
-
-    def __init__(self, role: str, stage: Path) -> None:
-        command = [sys.executable, __file__, "--serve", role, "--stage", str(stage)]
-        self._process = subprocess.Popen(
-            command,
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            text=True,
-        )
-
-    def ask(self, op: str, *args: int) -> dict[str, float]:
-        """Have something done; what it took."""
-        assert self._process.stdin is not None
-        assert self._process.stdout is not None
-        self._process.stdin.write(json.dumps({"op": op, "args": args}) + "\n")
-        self._process.stdin.flush()
-        answer: dict[str, float] = json.loads(self._process.stdout.readline())
-        return answer
-
-    def close(self) -> None:
-        """End it."""
-        assert self._process.stdin is not None
-        self._process.stdin.close()
-        self._process.wait()
-
-
-def measure(stage: Path, spp: int, rounds: int) -> int:
-    """Ask both in turns and print the table; 1 where the pictures differ."""
-    adapter, bare = Process("adapter", stage), Process("bare", stage)
-    both = (adapter, bare)
-    loads = [process.ask("load") for process in both]
-    samples = int(loads[0]["samples"])
-    first = [process.ask("visibility", 0) for process in both]
-    # Without light, as a run that asks for annotation alone has it.
-    seen = [[p.ask("visibility", turn % samples) for p in both] for turn in range(2 * rounds)]
-    light = [
-        [p.ask("radiance", turn % samples, spp, turn) for p in both] for turn in range(rounds + 1)
-    ]
-    lit = [[p.ask("visibility", turn % samples) for p in both] for turn in range(rounds)]
-    # The first one builds what light needs, in both.
-    light = light[1:]
-
-    def median(table: list[list[dict[str, float]]], who: int, key: str = "seconds") -> float:
-        return statistics.median(row[who][key] for row in table)
-
-    def ratio(table: list[list[dict[str, float]]], key: str) -> float:
-        return statistics.median(row[0][key] / row[1][key] for row in table)
-
-    print(f"{spp} spp, {rounds} rounds                adapter       bare   adapter / bare")
-    print(
-        f"load (Blender's scene)       {loads[0]['seconds']:10.2f} s {loads[1]['seconds']:8.2f} s"
-    )
-    print(
-        f"first visibility             {first[0]['seconds']:10.2f} s {first[1]['seconds']:8.2f} s"
-    )
-    for name, table in (
-        ("visibility", seen),
-        ("visibility, lights there", lit),
-        ("radiance, new light each", light),
-    ):
-        ours, theirs = median(table, 0), median(table, 1)
-        cpu = "" if table is not light else f"({ratio(table, 'cpu'):.3f} of processor time)"
-        print(f"{name:28} {ours:10.2f} s {theirs:8.2f} s {ratio(table, 'seconds'):14.3f} {cpu}")
-    means = [statistics.mean(row[who]["mean"] for row in light) for who in range(2)]
-    print(f"mean radiance                {means[0]:10.3f}   {means[1]:8.3f}")
-    peaks = [process.ask("visibility", 0)["peak_gib"] for process in both]
-    print(f"peak memory                  {peaks[0]:10.2f} GiB {peaks[1]:6.2f} GiB")
-    for process in both:
-        process.close()
-    apart = abs(means[0] / means[1] - 1.0)
-    if not apart < 0.02:
-        print(f"the pictures differ: their means are {100.0 * apart:.1f} % apart", file=sys.stderr)
-        return 1
-    return 0
-
-
-def main() -> int:
-    """Compile if need be, measure, print."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--cfg", type=Path, default=ROOT / "configs" / "jacksboro.json")
-    parser.add_argument("--stage", type=Path, help="a stage that is there already")
-    parser.add_argument("--spp", type=int, default=32)
-    parser.add_argument("--rounds", type=int, default=5)
-    parser.add_argument("--serve", choices=["adapter", "bare"], help=argparse.SUPPRESS)
-    args = parser.parse_args()
-    if args.serve:
-        serve(args.serve, args.stage)
-    if args.stage:
-        return measure(args.stage, args.spp, args.rounds)
-    from scenec.compiler.compile import compile_cfg
-
-    with tempfile.TemporaryDirectory() as folder:
-        out = compile_cfg(args.cfg, seed=1, out=Path(folder) / "out").out
-        return measure(out / "batch_0000" / "stage.usda", args.spp, args.rounds)
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+        return float(picture[..., :3].mean())
