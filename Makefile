@@ -9,6 +9,10 @@ MARKED := -m "not slow or invariant"
 # Property tests draw a quarter of their examples, the same each time; `make thorough` draws all.
 EXAMPLES := quick
 
+BENCHMARKS := adapters agreement annotation blur coco cold compile estimate \
+  hdf5 imaging incremental lenses memory mesh million mitsuba_ground prune relief scatter tracks
+PAGES := numerics relief placement sky motion extremes converge leaving_out errors
+
 .DEFAULT_GOAL := help
 .PHONY: help setup demo test thorough lint types unit browser format bench docs pictures lock wheel clean distclean
 
@@ -55,39 +59,19 @@ format: setup  ## Format the code.
 	@.venv/bin/ruff format .
 
 bench: setup  ## Run every benchmark; each prints a table.
-	@set -e; for file in benchmarks/bench_*.py; do \
-	  echo "== $$file"; .venv/bin/python "$$file"; \
+	@set -e; for name in $(BENCHMARKS); do \
+	  echo "== $$name"; .venv/bin/python studies/benchmarks/$$name.py; \
 	done
 
 docs: setup  ## Generate docs/cfg.md from the schemas; the pages of errors and run times by measuring.
-	@echo "== Generating docs/cfg.md"
-	@.venv/bin/python docs/make_cfg_reference.py
-	@echo "== Measuring docs/numerics.md"
-	@.venv/bin/python docs/make_numerics.py
-	@echo "== Measuring docs/relief.md"
-	@.venv/bin/python docs/make_relief.py
-	@echo "== Measuring docs/placement.md"
-	@.venv/bin/python docs/make_placement.py
-	@echo "== Measuring docs/sky.md"
-	@.venv/bin/python docs/make_sky.py
-	@echo "== Measuring docs/motion.md"
-	@.venv/bin/python docs/make_motion.py
-	@echo "== Measuring docs/extremes.md"
-	@.venv/bin/python docs/make_extremes.py
-	@echo "== Measuring docs/converge.md"
-	@.venv/bin/python docs/make_converge.py
-	@echo "== Measuring docs/leaving_out.md"
-	@.venv/bin/python docs/make_leaving_out.py
-	@echo "== Measuring docs/errors.md"
-	@.venv/bin/python docs/make_errors.py
+	@set -e; for name in cfg_reference $(PAGES); do \
+	  echo "== Making docs: $$name"; .venv/bin/python studies/pages/$$name.py; \
+	done
 
-pictures: setup  ## Render the README's table of shipped cfgs, and docs/rocks.md.
-	@echo "== Rendering configs/ with Mitsuba, 64 samples a pixel"
-	@.venv/bin/python docs/make_gallery.py
-	@echo "== Rendering docs/rocks.md"
-	@.venv/bin/python docs/make_rocks.py
-	@echo "== Rendering docs/lights.md"
-	@.venv/bin/python docs/make_lights.py
+pictures: setup  ## Render the README's table of shipped cfgs, docs/rocks.md and docs/lights.md.
+	@set -e; for name in gallery rocks lights; do \
+	  echo "== Rendering: $$name"; .venv/bin/python studies/pages/$$name.py; \
+	done
 
 # uv resolves in a folder of its own: uv.lock names hosts and must not come near the repository.
 lock: setup  ## Resolve pyproject.toml again into requirements.lock.

@@ -5,8 +5,9 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from scenec.backends.converge import ConvergeReport, Ladder, converge
 from scenec.cli.output import print_json, say, table
+from scenec.studies.converge import ConvergeReport, Ladder, converge
+from scenec.studies.converge.series import FLOOR_HEADER, STEP_HEADER, floor_cells, step_cells
 
 
 def run(options: argparse.Namespace) -> int:
@@ -36,43 +37,13 @@ def run(options: argparse.Namespace) -> int:
 def print_report(found: ConvergeReport) -> None:
     """Tables: convergence to oneself, differences between backends, annotation."""
     rows = [
-        [
-            series.name,
-            series.against,
-            step.rung,
-            f"{step.spp:g}",
-            f"{step.seconds:.3g}",
-            _percent(step.mean),
-            _percent(step.estimated),
-            f"{step.relative_mse:.3g}",
-            f"{step.relative_mse_trimmed:.3g}",
-            "-" if step.flip is None else f"{step.flip:.4f}",
-            f"{100 * step.bias:+.3f} %"
-            + ("" if step.bias_error is None else f" ± {100 * step.bias_error:.3f}"),
-        ]
+        [series.name, series.against, step.rung, *step_cells(step)]
         for series in sorted(found.series, key=lambda one: not one.own)
         for step in series.steps
     ]
-    header = ["backend", "against", "rung", "spp", "s", "rel. rms", "estimated", "relMSE",
-              "trimmed", "FLIP", "bias"]  # fmt: skip
-    print(table(rows, header))
-    floors = [
-        [
-            f"{floor['backend']} : {floor['against']}",
-            _percent(floor["relative_rms"]),
-            f"{_percent(floor['relative_rms_low'])} to {_percent(floor['relative_rms_high'])}",
-            f"{floor['relative_mse']:.3g}",
-            "-" if floor["flip"] is None else f"{floor['flip']:.4f}",
-            f"{100 * floor['bias']:+.3f} %",
-        ]
-        for floor in found.floors
-    ]
-    if floors:
+    print(table(rows, ["backend", "against", "rung", *STEP_HEADER]))
+    if found.floors:
         print("\nbetween references, noise subtracted (not from FLIP):")
-        print(table(floors, ["backends", "rel. rms", "95 %", "relMSE", "FLIP", "bias"]))
+        print(table([floor_cells(floor) for floor in found.floors], FLOOR_HEADER))
     for path in found.files:
         print(path)
-
-
-def _percent(value: float | None) -> str:
-    return "-" if value is None else f"{100 * value:.3g} %"

@@ -7,10 +7,11 @@ import textwrap
 from pathlib import Path
 
 from scenec.cli.output import print_json, say, table
-from scenec.compiler.ladder import Ladder, LadderReport, climb
-from scenec.compiler.ladder.plots import draw
-from scenec.compiler.ladder.slopes import Slope
 from scenec.schemas.files import atomic, check_output
+from scenec.studies.ladder import Ladder, LadderReport, climb
+from scenec.studies.ladder.plots import draw
+from scenec.studies.ladder.results import cells, units
+from scenec.studies.ladder.slopes import slope_text
 
 #: Columns that the tables keep to.
 _WIDTH = 100
@@ -46,7 +47,8 @@ def print_report(report: LadderReport) -> None:
     print(f"{report.scene}, seed {report.seed}, batch {report.batch}; * is the cfg's value")
     for ladder in report.ladders:
         print(f"\n{ladder.name}: {ladder.what}; errors in {units(ladder)}")
-        print(ladder_table(ladder))
+        header, rows = cells(ladder)
+        print(table(rows, header))
         lines = [f"against: {ladder.reference}", f"claim: {ladder.claim}", *slope_lines(ladder)]
         for line in [*lines, *ladder.notes]:
             print(textwrap.fill(line, _WIDTH, initial_indent="  ", subsequent_indent="    "))
@@ -54,45 +56,6 @@ def print_report(report: LadderReport) -> None:
         print(f"\n{name}: no ladder: {why}")
 
 
-def units(ladder: Ladder) -> str:
-    """The unit of a ladder's errors, in words."""
-    return {"px": "pixels of the nearest view", "m": "meters", "relative": "parts of the mean"}[
-        ladder.unit
-    ]
-
-
-def ladder_table(ladder: Ladder) -> str:
-    """One ladder as text columns."""
-    pixels = all("worst_px" in rung.details for rung in ladder.rungs)
-    meters = all("worst_m" in rung.details for rung in ladder.rungs)
-    header = ["value", "", "worst", "rms", "claimed", "holds"]
-    header += ["worst, m"] if meters else ["worst, px"] if pixels else []
-    header += ["CPU s", "bytes", "triangles"]
-    rows = []
-    for rung in ladder.rungs:
-        row = [f"{rung.value:g}", "*" if rung.used else "", f"{rung.worst:.3g}", f"{rung.rms:.3g}"]
-        row.append("-" if rung.claimed is None else f"{rung.claimed:.3g}")
-        row.append({None: "-", True: "yes", False: "NO"}[ladder.holds(rung)])
-        if meters or pixels:
-            row.append(f"{rung.details['worst_m' if meters else 'worst_px']:.3g}")
-        row += [f"{rung.seconds:.3g}", f"{rung.bytes:,}"]
-        row.append("-" if rung.triangles is None else f"{rung.triangles:,}")
-        rows.append(row)
-    return table(rows, header)
-
-
 def slope_lines(ladder: Ladder) -> list[str]:
     """What halving the error costs."""
     return [f"rms error {slope_text(over, found)}" for over, found in ladder.slopes.items()]
-
-
-def slope_text(over: str, found: Slope | None) -> str:
-    """A slope in words."""
-    if found is None:
-        return f"does not go with {over}: they hardly differ, or there is no error"
-    text = f"~ {over}^{-found.exponent:.2f} "
-    text += f"(from {-found.low:.2f} to {-found.high:.2f} between rungs, "
-    text += f"errors {found.error_from:.2g} to {found.error_to:.2g}): "
-    if found.halving is None:
-        return text + f"{over} do not buy it"
-    return text + f"half the error costs {found.halving:.3g} times the {over}"

@@ -22,7 +22,7 @@ SLOW = "scalar_rgb"
 MIN_LLVM = 19
 
 #: Factor measured on two cores: 640x480, 64 samples a pixel, 1.5 million triangles, sun and sky:
-#: 6.0 s and 6.9 s against 1.3 s and 1.5 s (benchmarks/bench_radiance.py's scene).
+#: 6.0 s and 6.9 s against 1.3 s and 1.5 s.
 SCALAR_WARNING = (
     "Mitsuba runs as scalar_rgb, about {factor} times slower than llvm_ad_rgb: no suitable LLVM "
     "library was found. Mend it with: pip install llvm-nanobind"

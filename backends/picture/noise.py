@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 #: Share of pictures whose true error is to be below the bound.
 CONFIDENCE = 0.95
-#: Of Snedecor's F. Over drawn scenes (``benchmarks/bench_estimate.py``) its 95 % quantile holds for
-#: about as many single pictures as it should, but for fewer of those rendered in rounds: these end
-#: where the estimate happens to be low. Where few pixels hold the noise and their halves happen to
-#: agree, the estimate and the width of its bound are both too small. This quantile makes up for
-#: either, and leaves single pictures' share below 99 %.
+#: Of Snedecor's F. Over drawn scenes (``studies/benchmarks/estimate.py``) its 95 % quantile holds
+#: for about as many single pictures as it should, but for fewer of those rendered in rounds: these
+#: end where the estimate happens to be low. Where few pixels hold the noise and their halves
+#: happen to agree, the estimate and the width of its bound are both too small. This quantile makes
+#: up for either, and leaves single pictures' share below 99 %.
 QUANTILE = 0.98
 
 

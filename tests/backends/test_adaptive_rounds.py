@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
@@ -24,6 +22,7 @@ from scenec.backends.run.render import render
 from scenec.cli.main import main
 from scenec.schemas.errors import BackendError
 from scenec.schemas.frames import read_frame
+from scenec.studies.benchmarks import estimate as drawn_scenes
 
 pytestmark = pytest.mark.usefixtures("workers_here")
 
@@ -241,20 +240,6 @@ def test_a_target_without_rgb_is_refused():
         RenderPlan("mitsuba", ["depth"], error=0.1)
 
 
-def bench() -> ModuleType:
-    path = Path(__file__).resolve().parents[2] / "benchmarks" / "bench_estimate.py"
-    spec = importlib.util.spec_from_file_location("bench_estimate", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    # Dataclasses look their module up.
-    import sys
-
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
-
-
 def test_mitsuba_meets_a_target_on_a_real_scene(tmp_path):
     from small import small_cfg, write_cfg
 
@@ -276,11 +261,10 @@ def test_mitsuba_meets_a_target_on_a_real_scene(tmp_path):
 
 @pytest.mark.slow
 def test_the_bound_holds_on_drawn_scenes():
-    module = bench()
-    scenes = [scene for number in range(8) if (scene := module.rendered(number)) is not None]
+    scenes = [scene for number in range(8) if (scene := drawn_scenes.rendered(number)) is not None]
     # Numbers 4, 5 and 7 look past the ground's edge.
     assert len(scenes) == 5
-    found = [scene.judged(spp, scene.single(spp)) for scene in scenes for spp in module.SPP]
+    found = [scene.judged(spp, scene.single(spp)) for scene in scenes for spp in drawn_scenes.SPP]
     # The share is near 0.97; two of twenty fewer would be one in some hundred times.
     assert sum(t.below for t in found) >= 17
     assert 0.9 < np.median([t.true / t.estimate for t in found]) < 1.1
@@ -291,20 +275,19 @@ def test_the_bound_holds_on_drawn_scenes():
 
 
 def test_small_pictures_make_up_larger_ones_and_rounds():
-    module = bench()
     rng = np.random.default_rng(2)
 
     def drawn(spp: int, count: int) -> NDArray[np.float32]:
         noise = rng.standard_normal((count, 2, *SHAPE, 3)) / np.sqrt(spp / 2)
         return (1.0 + noise).astype(np.float32)
 
-    scene = module.Pictures(
+    scene = drawn_scenes.Pictures(
         drawn(2048, 2).mean(axis=1),
-        drawn(*module.SMALL),
-        drawn(*module.LARGE),
+        drawn(*drawn_scenes.SMALL),
+        drawn(*drawn_scenes.LARGE),
         np.ones(SHAPE, bool),
     )
-    for spp in module.SPP:
+    for spp in drawn_scenes.SPP:
         trial = scene.judged(spp, scene.single(spp))
         assert trial.true == pytest.approx(1.0 / np.sqrt(spp), rel=0.1)
         assert trial.estimate == pytest.approx(trial.true, rel=0.1)

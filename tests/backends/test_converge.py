@@ -11,19 +11,19 @@ import numpy as np
 import pytest
 from third_party import LEVEL, NOISE, install, square_stage
 
-from scenec.backends import converge as package
-from scenec.backends.converge import Ladder, converge
-from scenec.backends.converge.fits import band, fit
-from scenec.backends.converge.metrics import (
+from scenec.cli.main import main
+from scenec.schemas.errors import BackendError, StageError
+from scenec.studies import converge as package
+from scenec.studies.converge import Ladder, converge
+from scenec.studies.converge.fits import band, fit
+from scenec.studies.converge.metrics import (
     Reference,
     errors,
     square_and_error,
     trimmed_mean,
 )
-from scenec.backends.converge.report import NO_PLOTS, against_plain, unseen_floors
-from scenec.backends.converge.run import Series
-from scenec.cli.main import main
-from scenec.schemas.errors import BackendError, StageError
+from scenec.studies.converge.report import NO_PLOTS, against_plain, unseen_floors
+from scenec.studies.converge.run import Series
 
 pytestmark = pytest.mark.usefixtures("workers_here")
 
@@ -188,7 +188,7 @@ def test_a_whole_ladder_says_what_is_known_of_the_backend_and_is_not_rendered_tw
 ):
     # As if matplotlib were not there.
     monkeypatch.setitem(sys.modules, "matplotlib", None)
-    monkeypatch.delitem(sys.modules, "scenec.backends.converge.plots", raising=False)
+    monkeypatch.delitem(sys.modules, "scenec.studies.converge.plots", raising=False)
     monkeypatch.delattr(package, "plots", raising=False)
     words = ["converge", str(stage), "--backends", "plain,raster", "--spp", "2,8,32",
              "--repeats", "3", "--reference", "64", "--cameras", "left", "--denoise"]  # fmt: skip
@@ -218,6 +218,7 @@ def test_a_whole_ladder_says_what_is_known_of_the_backend_and_is_not_rendered_tw
     assert [s["against"] for s in raster] == ["plain"]
     assert [len(s["steps"]) for s in raster] == [1]
     assert raster[0]["over_spp"] is None
+    assert {found["pixels"] for found in report["backends"].values()} == {32 * 24}
     with (folder / "converge.csv").open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == 3 * 3 + 1

@@ -16,10 +16,10 @@ from scenec.cli.main import main
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.frontend.load import load
 from scenec.compiler.frontend.streams import Streams
-from scenec.compiler.ladder.base import Base
-from scenec.compiler.ladder.run import climb
 from scenec.schemas.errors import ScenecError, SceneError, StageError
 from scenec.schemas.manifest import find_batches, read_manifest
+from scenec.studies.ladder.base import Base
+from scenec.studies.ladder.run import climb
 
 pytestmark = pytest.mark.usefixtures("workers_here")
 
@@ -126,7 +126,7 @@ def test_approximations_are_varied_of_the_attempt_that_is_there(cfg, redrawn, mo
     def climbed(base: Base, *_: object) -> None:
         seen.append(base)
 
-    monkeypatch.setattr("scenec.compiler.ladder.run.climb_base", climbed)
+    monkeypatch.setattr("scenec.studies.ladder.run.climb_base", climbed)
     climb(redrawn, only=["tessellation"], batch=2, rungs=3)
     plan = repr(seen[0].plan)
     assert plan != repr(Base(load(cfg), 1, 2).plan)

@@ -19,11 +19,11 @@ from small import small_cfg, write_cfg
 from scenec.cli.main import main
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.frontend.load import load
-from scenec.compiler.ladder import APPROXIMATIONS, Ladder, LadderReport, climb, cost
-from scenec.compiler.ladder.base import Base
-from scenec.compiler.ladder.run import climb_base
-from scenec.compiler.ladder.seen import looked_at, spread
 from scenec.schemas.errors import OutputError, ScenecError, StageError
+from scenec.studies.ladder import APPROXIMATIONS, Ladder, LadderReport, climb, cost
+from scenec.studies.ladder.base import Base
+from scenec.studies.ladder.run import climb_base
+from scenec.studies.ladder.seen import looked_at, spread
 
 SEED = 5
 CRATERS = {

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from scenec.compiler.cameras.sight import views_of
-from scenec.compiler.ladder import points
-from scenec.compiler.ladder.eyes import Eye, eyes_of
-from scenec.compiler.ladder.seen import horizons, looked_at, skylines
 from scenec.compiler.rig import Lidar, LidarNoise, Rig, Sensor
 from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.schemas.lens import Lens
+from scenec.studies.ladder import points
+from scenec.studies.ladder.eyes import Eye, eyes_of
+from scenec.studies.ladder.seen import horizons, looked_at, skylines
 
 #: Camera axes in the world, as columns: right, down, forward.
 DOWN = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]])

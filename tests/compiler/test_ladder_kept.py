@@ -13,13 +13,13 @@ from scenec.compiler.build import BuildLog, build
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.draw import draw
 from scenec.compiler.frontend.load import load
-from scenec.compiler.ladder import Ladder, Rung, climb, cost
-from scenec.compiler.ladder.base import Base
-from scenec.compiler.ladder.run import climb_base
 from scenec.compiler.passes.keep import Keep
 from scenec.compiler.surfaces.values import stored
 from scenec.schemas.errors import OutputError
 from scenec.schemas.manifest import MANIFEST
+from scenec.studies.ladder import Ladder, Rung, climb, cost
+from scenec.studies.ladder.base import Base
+from scenec.studies.ladder.run import climb_base
 
 SEED = 5
 

@@ -12,15 +12,6 @@ from hypothesis import strategies as st
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.ground.surface import Surface
 from scenec.compiler.ground.tiles import build_tiles
-from scenec.compiler.ladder import cost, points, sky
-from scenec.compiler.ladder.apart import apart, nearest, spread_over
-from scenec.compiler.ladder.cost import Clock
-from scenec.compiler.ladder.seen import Truth, looked_at
-from scenec.compiler.ladder.sky_truth import atmosphere_along, bilinear, clear_along
-from scenec.compiler.ladder.slopes import slope
-from scenec.compiler.ladder.smoothing import continuous
-from scenec.compiler.ladder.tessellation import distances, holes
-from scenec.compiler.ladder.tin import Heights, Index
 from scenec.compiler.light.atmosphere_sky import build_atmosphere
 from scenec.compiler.light.latlong import directions, luminance
 from scenec.compiler.light.plan import AtmospherePlan, ClearSkyPlan
@@ -28,6 +19,15 @@ from scenec.compiler.light.sky import build_sky
 from scenec.compiler.scatter.icosphere import icosphere
 from scenec.compiler.scene import Prototype, SunLight
 from scenec.compiler.terrain.grid import Grid, HeightField
+from scenec.studies.ladder import cost, points, sky
+from scenec.studies.ladder.apart import apart, nearest, spread_over
+from scenec.studies.ladder.cost import Clock
+from scenec.studies.ladder.seen import Truth, looked_at
+from scenec.studies.ladder.sky_truth import atmosphere_along, bilinear, clear_along
+from scenec.studies.ladder.slopes import slope
+from scenec.studies.ladder.smoothing import continuous
+from scenec.studies.ladder.tessellation import distances, holes
+from scenec.studies.ladder.tin import Heights, Index
 
 
 @given(

@@ -8,11 +8,11 @@ from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
 
-from scenec.compiler.ladder import cost
-from scenec.compiler.ladder.pixel_means import pixel_means
-from scenec.compiler.ladder.textures import _Picture, _rung, _through
 from scenec.compiler.scene import Material, MaterialMaps
 from scenec.compiler.surfaces.values import color_picture, colors
+from scenec.studies.ladder import cost
+from scenec.studies.ladder.pixel_means import pixel_means
+from scenec.studies.ladder.textures import _Picture, _rung, _through
 
 
 def read(level: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import re
 from pathlib import Path
 
@@ -11,6 +10,7 @@ from jsonschema import Draft202012Validator
 
 from scenec.compiler.frontend.check_numbers import check_number
 from scenec.compiler.frontend.schema import NUMBER, ROOT, Field, load_schemas, validator
+from scenec.studies.pages import cfg_reference
 
 _DOCS = Path(__file__).parents[2] / "docs"
 _NAMES = list(load_schemas())
@@ -92,22 +92,13 @@ def test_every_schema_file_is_reached_from_the_root():
     assert sorted(reached) == _NAMES
 
 
-def _reference():
-    spec = importlib.util.spec_from_file_location("reference", _DOCS / "make_cfg_reference.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module.make()
-
-
 def test_the_reference_page_is_up_to_date():
     page = (_DOCS / "cfg.md").read_text(encoding="utf-8")
-    assert page == _reference(), "run: python docs/make_cfg_reference.py"
+    assert page == cfg_reference.make(), "run: python studies/pages/cfg_reference.py"
 
 
 def test_the_reference_page_links_to_its_own_sections_only():
-    page = _reference()
+    page = cfg_reference.make()
     titles = re.findall(r"^## (.*)$", page, re.MULTILINE)
     anchors = {re.sub(r"[^a-z0-9 -]", "", title.lower()).replace(" ", "-") for title in titles}
     assert set(re.findall(r"\]\(#([^)]*)\)", page)) <= anchors

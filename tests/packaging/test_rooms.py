@@ -22,7 +22,6 @@ FLOORS = (
     ("mitsuba", "cycles", "pyrender"),
     ("run",),
     ("check",),
-    ("converge",),
 )
 #: Backends that are registered are imported by name, when they are asked for; this one by its text.
 MAY = {("registry", "contract")}

@@ -14,7 +14,9 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-LAYERS = ("schemas", "compiler", "backends", "datasets", "cli")
+LAYERS = ("schemas", "compiler", "backends", "datasets", "studies", "cli")
+#: Scripts of the checkout, which read its tests and write its pages.
+SCRIPTS = ("studies/benchmarks/", "studies/pages/")
 #: What the source distribution and the build need of the checkout.
 SOURCES = (*LAYERS, "src", "pyproject.toml", "README.md", "LICENSE")
 PROGRAM = """
@@ -64,8 +66,9 @@ def modules() -> set[str]:
     for layer in LAYERS:
         for path in (ROOT / layer).rglob("*"):
             shipped = path.suffix in (".py", ".json", ".vert", ".frag", ".html", ".css", ".js")
-            if shipped and "__pycache__" not in path.parts:
-                names.add(f"scenec/{path.relative_to(ROOT)}")
+            name = str(path.relative_to(ROOT))
+            if shipped and "__pycache__" not in path.parts and not name.startswith(SCRIPTS):
+                names.add(f"scenec/{name}")
     return names
 
 

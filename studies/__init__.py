@@ -1,0 +1,1 @@
+"""Error against run time: of renderers, of the compiler's approximations, of everything timed."""

@@ -1,0 +1,134 @@
+"""What adapters cost beside bare scripts of the same renderers on the same stage.
+
+    python studies/benchmarks/adapters.py [--backends A,B] [--cfg FILE | --stage FILE] [--spp N]
+                                          [--rounds N] [--fast]
+
+Two processes hold the same stage's arrays: one the adapter, one a script as the renderer's
+documentation would have one write (``bare_*.py`` here). They are asked in turns, so that a busy
+machine is busy for both; the table has medians and medians of the paired ratios. The witness is
+what the renderer sees, row and face of each pixel: pyrender's also without culling, which is the
+same work as the script's. Radiance has new light for each picture; where the mean of what the two
+draw differs by more than 2 %, the table compares different pictures, and the status is 2. Blender's
+script knows no maps, no metals, no haze, no lamps, nothing that moves: there both draw without.
+"""
+
+from __future__ import annotations
+
+import importlib
+import os
+import statistics
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+from scenec.backends.camera.rays import camera_rays
+from scenec.backends.pyrender import Pyrender
+from scenec.backends.registry import open_backend
+from scenec.backends.stage.read import read_stage
+from scenec.backends.stage.scene import RenderScene
+from scenec.schemas.errors import ScenecError
+from scenec.studies.runner import DEMO, Cell, Cost, Study, held, peak_mib, run
+
+
+class Adapter:
+    """A backend, with the methods of a bare script."""
+
+    def __init__(self, scene: RenderScene, backend: str, culling: bool) -> None:
+        self.scene: RenderScene = scene
+        self.backend: Any = open_backend(backend) if culling else Pyrender(culling=False)
+
+    def load(self) -> None:
+        """Build the scene."""
+        self.backend.load(self.scene)
+
+    def witness(self, sample: int) -> None:
+        """Row and face of each pixel."""
+        camera = self.scene.cameras[sample][0]
+        self.backend.witness(camera_rays(camera), sample, camera)
+
+    def radiance(self, sample: int, spp: int, seed: int) -> float:
+        """One picture; its mean."""
+        camera = self.scene.cameras[sample][0]
+        return float(self.backend.radiance(camera, sample, spp, seed).halves.mean())
+
+
+#: Of a process that was told to ``hold``.
+_made: Any = None
+
+
+def hold(backend: str, stage: Path, bare: bool, culling: bool = True) -> int:
+    """Make the adapter or the bare script of a stage; how many samples there are."""
+    global _made
+    # Blender talks on standard output.
+    os.dup2(2, 1)
+    script = importlib.import_module(f"scenec.studies.benchmarks.bare_{backend}")
+    scene = read_stage(stage)
+    if backend == "cycles":
+        scene = script.plain(scene)
+    _made = script.Bare(scene) if bare else Adapter(scene, backend, culling)
+    return len(scene.cameras)
+
+
+def ask(method: str, *arguments: int) -> float | None:
+    """Have it do something; a picture's mean, or None."""
+    found = getattr(_made, method)(*arguments)
+    return found if isinstance(found, float) else None
+
+
+def rows(study: Study, backend: str, stage: Path) -> Iterator[list[Cell]]:
+    """The rows of one renderer."""
+    rounds, spp = (2, 4) if study.fast else (study.options.rounds, study.options.spp)
+
+    def compared(
+        what: str, both: list[Callable[..., Cost]], arguments: Callable[[int], tuple[Any, ...]]
+    ) -> list[Cell]:
+        turns = [[one(ask, *arguments(turn)) for one in both] for turn in range(rounds + 1)]
+        # The first one compiles and builds what later ones find.
+        walls = [[cost.wall_s for cost in pair] for pair in turns[1:]]
+        ratio = statistics.median(a / b for a, b in walls)
+        cpu = statistics.median(a.cpu_s / b.cpu_s for a, b in turns[1:])
+        means = [statistics.mean(pair[who].value or 0.0 for pair in turns[1:]) for who in (0, 1)]
+        if abs(means[0] - means[1]) > 0.02 * means[1]:
+            raise ScenecError(f"{backend}: the pictures differ: mean radiance {means}")
+        middle = (statistics.median(column) for column in zip(*walls, strict=True))
+        return [backend, what, *middle, ratio, cpu, *(mean or None for mean in means)]
+
+    with held() as adapter, held() as bare:
+        both = [adapter, bare]
+        samples = min([one(hold, backend, stage, one is bare).value for one in both])
+        loads = [one(ask, "load") for one in both]
+        # Others take meshes or a context from the adapter's code: their loading compares nothing.
+        if backend == "cycles":
+            ratio = loads[0].wall_s / loads[1].wall_s
+            yield [backend, "load", *(c.wall_s for c in loads), ratio, None, None, None]
+        if backend != "mitsuba":
+            yield compared("witness", both, lambda turn: ("witness", turn % samples))
+        if backend == "pyrender":
+            with held() as whole:
+                whole(hold, backend, stage, False, False)
+                whole(ask, "load")
+                yield compared("witness, without culling", [whole, bare],
+                               lambda turn: ("witness", turn % samples))  # fmt: skip
+            return
+        # Mitsuba's script draws sample 0 alone.
+        of = samples if backend == "cycles" else 1
+        yield compared(
+            f"radiance, {spp} spp", both, lambda turn: ("radiance", turn % of, spp, turn)
+        )
+        peaks = [one(peak_mib).value for one in both]
+        yield [backend, "peak, MiB", *peaks, peaks[0] / peaks[1], None, None, None]
+
+
+def main(study: Study) -> None:
+    """Prints the table."""
+    stage = study.options.stage or study.batch(study.options.cfg) / "stage.usda"
+    header = ["renderer", "what", "adapter, s", "bare, s", "adapter / bare", "of CPU"]
+    header += ["mean radiance, adapter", "bare"]
+    study.table(
+        header, (row for name in study.options.backends for row in rows(study, name, stage))
+    )
+
+
+if __name__ == "__main__":
+    backends = ("mitsuba", "cycles", "pyrender")
+    run(main, backends=backends, cfg=DEMO, stage=Path, spp=32, rounds=5)

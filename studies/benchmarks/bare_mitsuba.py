@@ -1,0 +1,71 @@
+"""A picture of a scene's first sample by Mitsuba alone, as its documentation would write it.
+
+The adapter's meshes (so the same arrays), a far disc for the sun, an environment map or a constant,
+a perspective sensor with a box filter, ``mi.render``.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from scenec.backends.mitsuba import Mitsuba
+from scenec.backends.mitsuba.emitter import dome_dict
+from scenec.backends.mitsuba.scalar import disc_dict
+from scenec.backends.picture.sky import combine
+from scenec.backends.stage.scene import RenderScene
+
+
+class Bare:
+    """Mitsuba by hand."""
+
+    def __init__(self, scene: RenderScene) -> None:
+        self.scene = scene
+
+    def load(self) -> None:
+        """Build the scene."""
+        scene, adapter = self.scene, Mitsuba()
+        adapter.load(scene)
+        import mitsuba as mi
+
+        camera = scene.cameras[0][0]
+        pose = camera.camera_to_world.copy()
+        pose[:3, 3] -= 0.5 * (scene.bounds[0] + scene.bounds[1])
+        pose[:3, :2] *= -1
+        fov = 2 * np.degrees(np.arctan(0.5 * camera.width / camera.intrinsics[0, 0]))
+        parts: dict[str, Any] = {
+            "type": "scene",
+            **{f"mesh_{i}": mesh for i, mesh in enumerate(adapter._meshes)},
+            "sensor": {
+                "type": "perspective",
+                "fov": float(fov),
+                "far_clip": 1e6,
+                "sampler": {"type": "independent"},
+                "to_world": mi.ScalarTransform4f(pose),
+                "film": {
+                    "type": "hdrfilm",
+                    "width": camera.width,
+                    "height": camera.height,
+                    "rfilter": {"type": "box"},
+                    "pixel_format": "rgba",
+                    "component_format": "float32",
+                },
+            },
+        }
+        parts |= {
+            f"sun_{i}": disc_dict(mi, sun, 1e5) for i, sun in enumerate(scene.lighting[0].suns)
+        }
+        sky = combine(scene.lighting[0].domes)
+        if sky is not None:
+            parts["sky"] = dome_dict(mi, sky)
+        self._scene = mi.load_dict(parts)
+        path = {"type": "path", "max_depth": 6, "rr_depth": 7, "hide_emitters": True}
+        self._integrator = mi.load_dict(path)
+
+    def radiance(self, sample: int, spp: int, seed: int) -> float:
+        """One picture of sample 0; its mean."""
+        import mitsuba as mi
+
+        picture = mi.render(self._scene, integrator=self._integrator, spp=spp, seed=seed)
+        return float(np.array(picture)[..., :3].mean())

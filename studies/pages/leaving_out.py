@@ -1,0 +1,177 @@
+"""Writes docs/leaving_out.md: what stages leave out, what that spares, and what it changes.
+
+    python studies/pages/leaving_out.py [--fast] [-o FOLDER]
+
+Bytes, counts and differences are facts of the code and the seeds; seconds are single readings on
+the machine that runs it.
+"""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from pathlib import Path
+
+import numpy as np
+from pxr import Usd
+
+from scenec.compiler.passes.keep import Keep
+from scenec.schemas.errors import ScenecError
+from scenec.studies.runner import ROOT, Page, run, table
+
+# Behind ``page``, which says where these are.
+from pruned_extremes import CASES, Case, pruned_cfg
+from pruned_scenes import annotation, compiled, difference
+
+#: Outputs that need more and more of a stage.
+OUTPUTS: tuple[tuple[str, ...], ...] = (
+    ("depth",),
+    ("instance", "depth"),
+    ("label", "depth"),
+    ("label", "instance", "depth"),
+    ("rgb",),
+    ("rgb", "label", "instance", "depth"),
+)
+SPP = 64
+
+HEAD = """# Leaving out what a scene does not need
+
+A stage holds what the outputs asked for need, and what a camera or lidar of the batch can see the
+effect of. Both are passes over the Scene (`compiler/passes/`), and both err one way only: what
+they cannot be sure of stays. Approximations (levels of detail, tessellation) come first and are
+the same with and without.
+
+- `scenec explain OUT` lists what was left out, most effective first; `scenec explain OUT --why
+  rocks/4711` says why one object is there, or is not. `left_out.json` beside the stage has it for
+  every instance.
+- `--no-prune` keeps what no camera can see; `--keep all` also keeps what no output asks for, as
+  fine as it gets, for walking around in a viewer.
+- Annotation (`face` apart, which numbers the stage's own faces) is the same to the bit. Light may
+  differ by the bound that `report.json` states; what it really differs by stands below.
+
+{cores} cores, {versions}.
+"""
+
+
+def by_outputs(page: Page) -> str:
+    """What a stage of jacksboro holds for each choice of outputs."""
+    cfg = json.loads((ROOT / "configs" / "jacksboro.json").read_text(encoding="utf-8"))
+    if page.fast:
+        cfg["terrain"]["mesh"] = {"tolerance_px": 4}
+    rows = []
+    for outputs in OUTPUTS[:: 3 if page.fast else 1]:
+        with tempfile.TemporaryDirectory() as folder:
+            batch = compiled(Path(folder), cfg | {"outputs": list(outputs)}, Keep.SEEN)
+            rows.append([", ".join(f"`{n}`" for n in outputs), *_contents(batch)])
+    return (
+        "## By outputs\n\n`configs/jacksboro.json`, seed 1, four samples, 30,000 rocks.\n\n"
+        + table(["outputs", "bytes", "files", "prims", "materials", "lights", "primvars",
+                 "instances", "compile, s"], rows)
+    )  # fmt: skip
+
+
+def _contents(batch: Path) -> list[str]:
+    """Bytes, files, prims, materials, lights, kinds of primvars, instances, seconds."""
+    files = [p for p in batch.rglob("*") if p.is_file() and p.suffix != ".json"]
+    stage = Usd.Stage.Open(str(batch / "stage.usda"))
+    prims = list(stage.Traverse())
+    types = [str(prim.GetTypeName()) for prim in prims]
+    primvars = {
+        name
+        for prim in prims
+        for name in prim.GetAuthoredPropertyNames()
+        if name.startswith("primvars:") and not name.endswith(":indices")
+    }
+    instances = 0
+    for prim in prims:
+        if prim.GetTypeName() == "PointInstancer":
+            found = prim.GetAttribute("protoIndices").Get(Usd.TimeCode.EarliestTime())
+            instances += 0 if found is None else len(found)
+    timings = json.loads((batch.parent / "timings.json").read_text(encoding="utf-8"))
+    return [
+        f"{sum(p.stat().st_size for p in files):,}",
+        str(len(files)),
+        f"{len(prims):,}",
+        str(types.count("Material")),
+        str(sum("Light" in name for name in types)),
+        str(len(primvars)),
+        f"{instances:,}",
+        f"{sum(timings['compile'][batch.name].values()):.1f}",
+    ]
+
+
+def extremes(page: Page) -> str:
+    """A row a case."""
+    rows = []
+    cases = list(CASES.items())[:: 8 if page.fast else 1]
+    for _, case in cases:
+        with tempfile.TemporaryDirectory() as folder:
+            try:
+                rows.append([case.what, *_measured(case, Path(folder), 16 if page.fast else SPP)])
+            except ScenecError as error:
+                message = str(error).splitlines()[0].split(": ", 1)[-1].replace("|", "\\|")
+                rows.append([case.what, f"refused: {message}", *[""] * 7])
+    return (
+        "## At the limits\n\n100 m × 100 m of 5 m hills, 3,000 rocks of 5 cm to 2 m, two samples "
+        "of one camera of 96 × 72 pixels, 60° wide and 1.5 m high; sun 35° high; rgb, labels and "
+        "ids. Each row changes one thing. `tests/backends/test_pruned_extremes.py` holds the same "
+        "facts.\n\n"
+        "- **kept**: instances that are seen; besides for their shadow; besides for the light "
+        "that they take or send.\n"
+        "- **pixels**: of all passes of annotation, by the exact caster, those that differ from "
+        "the whole stage's.\n"
+        "- **bound**: of the change of irradiance anywhere seen that the compiler states, in parts "
+        "of that of open ground.\n"
+        f"- **light off**: root of the mean square difference of 8 × 8 blocks, Mitsuba, {SPP} "
+        "samples and equal noise seeds, in parts of the mean; **noise**: of such a block's "
+        "difference with other seeds. Where a path meets something that was left out, "
+        "the rest of it is another, whose noise counts as a difference here.\n"
+        "- **bytes**: of the stage, whole to pruned; **s**: of pruning.\n\n"
+        + table(["", "kept of all", "seen + shadow + light", "pixels", "bound",
+                 "light off", "noise", "bytes", "s"], rows)
+    )  # fmt: skip
+
+
+def _measured(case: Case, folder: Path, spp: int) -> list[str]:
+    cfg = pruned_cfg(case)
+    pruned, whole = (compiled(folder, cfg, keep) for keep in (Keep.SEEN, Keep.UNPRUNED))
+    report = json.loads((pruned / "report.json").read_text(encoding="utf-8"))
+    facts = report["prune"]
+    counts = facts["objects"]["rocks"]
+    kept = [counts.get(name, 0) for name in ("seen", "shadow", "light")]
+    timings = json.loads((pruned.parent / "timings.json").read_text(encoding="utf-8"))
+    lit = difference(pruned, whole, spp)
+    light = facts.get("light", {})
+    sizes = [
+        sum(p.stat().st_size for p in batch.rglob("*") if p.is_file() and p.suffix != ".json")
+        for batch in (whole, pruned)
+    ]
+    return [
+        f"{sum(kept):,} of {sum(counts.values()):,}",
+        " + ".join(f"{n:,}" for n in kept),
+        f"{differing(pruned, whole):,}",
+        f"{100 * light['reached']:.2g} %" if "reached" in light else "-",
+        f"{100 * lit.paired:.2g} %" if lit.blocks else "dark",
+        f"{100 * lit.noise:.2g} %" if lit.blocks else "",
+        f"{sizes[0] / sizes[1]:.2f} ×",
+        f"{timings['compile'][pruned.name].get('prune', 0.0):.2f}",
+    ]
+
+
+def differing(pruned: Path, whole: Path) -> int:
+    """Values of annotation that differ between two stages of the same views."""
+    count = 0
+    for (_, one), (_, other) in zip(annotation(pruned), annotation(whole), strict=True):
+        for key, values in other.items():
+            same = (one[key] == values) | ((one[key] != one[key]) & (values != values))
+            count += int(np.count_nonzero(~same))
+    return count
+
+
+def main(page: Page) -> None:
+    """Writes the page."""
+    page.write(HEAD, ("usd-core", "mitsuba"), (by_outputs, extremes))
+
+
+if __name__ == "__main__":
+    run(main, page="leaving_out")

@@ -1,0 +1,191 @@
+"""For docs/relief.md: what every operator looks like, and the sizes and wear of craters."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import matplotlib.pyplot as plt
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw
+
+from scenec.compiler.frontend.numbers import Distribution
+from scenec.compiler.frontend.streams import Streams
+from scenec.compiler.terrain.barchans import draw_barchans
+from scenec.compiler.terrain.crater_profile import profile_table
+from scenec.compiler.terrain.drainage import SIDES
+from scenec.compiler.terrain.draw_craters import draw_craters
+from scenec.compiler.terrain.dunes import Dunes, Ripples
+from scenec.compiler.terrain.grid import Grid
+from scenec.compiler.terrain.mask import Masked, PointCondition
+from scenec.compiler.terrain.multifractal import Multifractal
+from scenec.compiler.terrain.smooth import Smooth
+from scenec.compiler.terrain.stream_power import StreamPower
+from scenec.compiler.terrain.terraces import Terraces
+from scenec.compiler.terrain.thermal import Thermal
+from scenec.compiler.terrain.tracks import Tracks
+from scenec.compiler.terrain.worley import Worley
+from scenec.studies.runner import Page, table
+
+
+def gallery(page: Page) -> str:
+    """A sheet of hillshades, one an operator."""
+    size, n = 200.0, 301
+    grid = Grid((size, size), (n, n))
+    streams = Streams(4, 0)
+    soft = Multifractal(11, 1.2, 60.0, 8, 2.0, 0.5, "fbm", 0.7)
+    rock = Multifractal(12, 28.0, 130.0, 8, 2.0, 0.42, "ridged", 0.9)
+    base = soft.apply(grid, np.zeros(grid.shape))[0]
+    hills = rock.apply(grid, np.zeros(grid.shape))[0]
+    pits = {
+        "min_diameter_m": 2.0, "max_diameter_m": 90.0, "density_per_m2": 0.0218 * 1.54,
+        "reference_diameter_m": 1.0, "exponent": 2.0, "depth_ratio": 0.16, "rim_ratio": 0.04,
+        "degradation": 0.4, "irregularity": 0.1,
+    }  # fmt: skip
+    heaps = {
+        "count": 9, "wind_deg": 15.0, "repose_deg": 33.0,
+        "height_m": Distribution("log_uniform", "instance", False, 1.0, 4.0),
+    }  # fmt: skip
+    (page.scratch / "path.csv").write_text(
+        "x_m,y_m\n" + "\n".join(f"{x},{1.5 * np.sin(x / 2)}" for x in np.linspace(-7, 7, 60))
+    )
+    small = Grid((12.0, 12.0), (n, n))
+    ground = Multifractal(5, 0.12, 5.0, 8, 2.0, 0.5, "fbm", 0.7).apply(
+        small, np.zeros(small.shape)
+    )[0]
+    large = Grid((6000.0, 6000.0), (n, n))
+    upland = Multifractal(9, 250.0, 4000.0, 8, 2.0, 0.5, "fbm", 0.7)
+    uplands = upland.apply(large, np.zeros(large.shape))[0]
+    rivers = StreamPower(2e-5, 0.5, 1.0, 0.0, 0.02, 5e-4, 6e5, 300, SIDES)
+    wide = Grid((60.0, 60.0), (n, n))
+
+    def fractal(
+        variant: str, offset: float, amplitude: float, distortion: float = 0.0, gain: float = 0.5
+    ) -> NDArray:
+        operator = Multifractal(7, amplitude, 90.0, 9, 2.0, gain, variant, offset, distortion)
+        return operator.apply(grid, np.zeros(grid.shape))[0]
+
+    six = Grid((6.0, 6.0), (n, n))
+    cracks = Worley(3, 2.0, 16.0, "f2-f1", 0.8, 1, 2.0, 0.5)
+    sand = Dunes(8, 2.2, 24.0, 15.0, 33.0, 0.25)
+    waves = Ripples(8, 0.018, 0.24, 15.0, 28.0, 0.35)
+    rover = Tracks(page.scratch / "path.csv", 2.0, 0.4, 0.05, 0.18, 0.02, "chevrons")
+    grain = Multifractal(5, 0.4, 20.0, 8, 2.0, 0.5, "fbm", 0.7).apply(wide, np.zeros(wide.shape))[0]
+    fresh = draw_craters(
+        {**pits, "degradation": 0.1, "density_per_m2": 0.2}, streams, "m", (60.0, 60.0)
+    )
+    disk = PointCondition(0.0, 0.0, None, 20.0, 6.0)
+    panels: list[tuple[str, NDArray, Grid]] = [
+        ("multifractal fbm", fractal("fbm", 0.7, 9.0), grid),
+        ("hetero", fractal("hetero", 0.2, 16.0), grid),
+        ("hybrid", fractal("hybrid", 0.6, 10.0, gain=0.9), grid),
+        ("ridged", fractal("ridged", 0.9, 10.0), grid),
+        ("billow", fractal("billow", 0.7, 6.0), grid),
+        ("fbm, warped", fractal("fbm", 0.7, 7.0, 0.5), grid),
+        ("worley f1", Worley(3, 5.0, 30.0, "f1", 1.0, 2, 2.2, 0.4).apply(grid, base)[0], grid),
+        ("worley f2-f1", cracks.apply(grid, base)[0], grid),
+        ("craters in equilibrium",
+         draw_craters(pits, streams, "c", (size, size)).apply(grid, base)[0], grid),
+        ("stream power, uplift, creep", rivers.apply(large, uplands)[0], large),
+        ("ridged, steep", hills, grid),
+        ("thermal: it slid to 33°", Thermal(33.0).apply(grid, hills)[0], grid),
+        ("terraces", Terraces(4, 5.0, 0.3, 0.15, 0.8, 1.5, 60.0).apply(grid, hills)[0], grid),
+        ("dunes", sand.apply(grid, 0.3 * base)[0], grid),
+        ("barchans", draw_barchans(heaps, streams, "b", (size, size)).apply(grid, 0.2 * base)[0],
+         grid),
+        ("ripples", waves.apply(six, np.zeros(six.shape))[0], six),
+        ("diffusion of ridged", Smooth(4.0).apply(grid, hills)[0], grid),
+        ("tracks", rover.apply(small, ground)[0], small),
+        ("masked: craters in a disk", Masked(fresh, (disk,)).apply(wide, grain)[0], wide),
+        ("mare: craters, worn, and grain", lunar(grid, streams, pits), grid),
+    ]  # fmt: skip
+    columns, width = 4, n
+    sheet = Image.new(
+        "L", (columns * (width + 6) - 6, -(-len(panels) // columns) * (width + 24)), 255
+    )
+    draw = ImageDraw.Draw(sheet)
+    for k, (name, height, own) in enumerate(panels):
+        x, y = (k % columns) * (width + 6), (k // columns) * (width + 24)
+        sheet.paste(Image.fromarray(_shaded(height, own.spacing_m[0])), (x, y + 18))
+        draw.text((x + 2, y + 3), f"{name}, {own.size_m[0]:g} m", fill=0)
+    sheet.save(page.picture("gallery"), optimize=True)
+    return (
+        "## The operators\n\n"
+        "Hillshades, sun in the north-west 30° high; the width of each square stands beside its "
+        "name.\n\n![Hillshades of every operator](pictures/relief_gallery.png)\n"
+    )
+
+
+def lunar(grid: Grid, streams: Streams, pits: dict) -> NDArray:
+    """A program of several operators."""
+    height = Multifractal(21, 2.0, 120.0, 4, 2.0, 0.45, "fbm", 0.7).apply(
+        grid, np.zeros(grid.shape)
+    )[0]
+    height = draw_craters(pits, streams, "old", grid.size_m).apply(grid, height)[0]
+    height = Smooth(1.0).apply(grid, height)[0]
+    young = {**pits, "max_diameter_m": 25.0, "density_per_m2": 0.01, "degradation": 0.05}
+    height = draw_craters(young, streams, "young", grid.size_m).apply(grid, height)[0]
+    return Multifractal(22, 0.25, 8.0, 6, 2.0, 0.55, "fbm", 0.7).apply(grid, height)[0]
+
+
+def craters(page: Page) -> str:
+    """Drawn counts beside the law, and the worn profiles."""
+    cfg = {
+        "min_diameter_m": 1.0, "max_diameter_m": 64.0, "density_per_m2": 0.0218 * 1.54,
+        "reference_diameter_m": 1.0, "exponent": 2.0, "depth_ratio": 0.2, "rim_ratio": 0.04,
+        "degradation": 0.4, "irregularity": 0.0,
+    }  # fmt: skip
+    bounds = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
+    seeds, size = 6 if page.fast else 60, 200.0
+    rows = []
+    figure, (left, right) = plt.subplots(1, 2, figsize=(9.2, 3.4))
+    for exponent, density in ((2.0, 0.0218 * 1.54), (3.0, 0.2)):
+        law = {**cfg, "exponent": exponent, "density_per_m2": density}
+        diameters = []
+        for seed in range(seeds):
+            c = draw_craters(law, Streams(seed, 0), "craters", (size, size))
+            here = (np.abs(c.x_m) < size / 2) & (np.abs(c.y_m) < size / 2)
+            diameters.append(c.diameter_m[here])
+        pooled = np.sort(np.concatenate(diameters))[::-1]
+        counts = np.arange(1, pooled.size + 1) / (seeds * size * size)
+        left.loglog(pooled, counts, ".", markersize=2, label=f"drawn, b = {exponent:g}")
+        at = np.geomspace(1.0, 60.0, 50)
+        left.loglog(at, density * (at**-exponent - 64.0**-exponent), "k-", linewidth=0.8)
+        for low, high in pairwise(bounds):
+            inside = [int(((d >= low) & (d < high)).sum()) for d in diameters]
+            expected = size * size * density * (low**-exponent - high**-exponent)
+            rows.append([f"{exponent:g}", f"{low:g} to {high:g}", f"{expected:.2f}",
+                         f"{np.mean(inside):.2f} ± {np.sqrt(expected / seeds):.2f}",
+                         f"{np.var(inside) / expected:.2f}"])  # fmt: skip
+    left.set(xlabel="diameter, m", ylabel="larger ones per m²", title="Sizes drawn, and the law")
+    profile = profile_table(1.0)
+    x = (np.arange(profile.rim.shape[1]) + 0.5) * profile.step
+    for state in (0.0, 0.01, 0.03, 0.1, 0.3, 1.0):
+        row = int(np.abs(profile.states - state).argmin())
+        z = 0.04 * profile.rim[row] - 0.2 * profile.depth[row]
+        right.plot(np.concatenate([-x[::-1], x]), np.concatenate([z[::-1], z]), label=f"{state:g}")
+    right.set(xlabel="r / R", ylabel="height / diameter", title="Wear: κt/R²", xlim=(-3, 3))
+    for axes in (left, right):
+        axes.grid(alpha=0.3)
+        axes.legend(fontsize=8)
+    return (
+        "## Craters: sizes and wear\n\n"
+        f"Mean counts over {seeds} seeds on 200 m × 200 m beside the law's, and their variance "
+        "over their mean (1 for a Poisson process). b = 2 is the equilibrium of small lunar "
+        "craters, N(>D) = 0.0218 · 1.54 · D⁻² per m².\n\n"
+        + table(["b", "diameters, m", "expected", "drawn", "variance / mean"], rows)
+        + "\n" + page.save(figure, "craters")
+    )  # fmt: skip
+
+
+def _shaded(
+    height: NDArray, spacing: float, azimuth: float = 315.0, elevation: float = 30.0
+) -> NDArray:
+    """Hillshade: Lambert's cosine under a sun, gray uint8, north up."""
+    gy, gx = np.gradient(height, spacing)
+    a, e = np.deg2rad(azimuth), np.deg2rad(elevation)
+    toward = (np.sin(a) * np.cos(e), np.cos(a) * np.cos(e), np.sin(e))
+    cosine = (-gx * toward[0] - gy * toward[1] + toward[2]) / np.sqrt(1.0 + gx * gx + gy * gy)
+    gray = np.clip(0.55 * cosine / np.sin(e), 0.0, 1.0) ** 0.7
+    # Few levels, for small files.
+    return (np.round(gray * 48.0) * (255.0 / 48.0)).astype(np.uint8)[::-1]

@@ -1,0 +1,31 @@
+"""The benchmark of Cycles beside bare Blender compares the same pictures."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from small import small_cfg, write_cfg
+
+from scenec.compiler.compile import compile_cfg
+
+BENCH = Path(__file__).resolve().parents[2] / "studies" / "benchmarks" / "adapters.py"
+
+
+@pytest.mark.slow
+def test_adapter_and_bare_script_draw_one_picture_whatever_the_number_of_samples(tmp_path):
+    pytest.importorskip("bpy")
+    cfg = small_cfg(samples=3)
+    # What the bare script does not know.
+    cfg["materials"]["gravel"]["maps"] = {"procedural": {"type": "gravel", "resolution": 64}}
+    cfg["light"]["haze"] = {"visibility_m": 50}
+    cfg["light"]["lamps"] = {"spot": {"mount": {"type": "rig", "rig": "rover"}, "intensity": 5000}}
+    compile_cfg(write_cfg(tmp_path, cfg), seed=1, out=tmp_path / "out")
+    stage = tmp_path / "out" / "batch_0000" / "stage.usda"
+    command = [sys.executable, str(BENCH), "--backends", "cycles", "--stage", str(stage)]
+    command += ["--spp", "16", "--rounds", "3"]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert "mean radiance" in done.stdout
