@@ -28,7 +28,7 @@ from numba.core import event
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "docs" / "tests.md"
-#: Seconds of each file that takes at least one.
+#: Seconds of each file that takes at least three.
 ORDER = ROOT / "tests" / "durations.json"
 MARKED = "not slow or invariant"
 FILES = 30
@@ -254,7 +254,7 @@ def main() -> int:
     for test in run["tests"]:
         files[test["test"].partition("::")[0]].append(test)
     seconds = {file: sum(test["wall_s"] for test in files[file]) for file in sorted(files)}
-    order = {file: round(wall) for file, wall in seconds.items() if wall >= 1.0}
+    order = {file: round(wall) for file, wall in seconds.items() if wall >= 3.0}
     ORDER.write_text(json.dumps(order, indent=1) + "\n", encoding="utf-8")
     PAGE.write_text(page(run, files), encoding="utf-8")
     print(f"wrote {PAGE.relative_to(ROOT)} and {ORDER.relative_to(ROOT)}")
