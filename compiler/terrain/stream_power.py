@@ -180,8 +180,8 @@ def implicit_slope(target: float, factor: float, exponent: float) -> float:
     Newton's method on a convex function (in x^exponent where the exponent is below 1), from above:
     it falls to the root without passing it.
     """
-    # The other term is lost in rounding then, and the quotient may overflow.
-    if target <= 0.0 or not target * 1e-280 < factor:
+    # The other term is lost in rounding then, and the quotients may overflow.
+    if target <= 0.0 or not target * 1e-280 < factor or factor < 1e-300:
         return target
     if exponent < 1.0:
         power = _convex(target / factor, 1.0 / factor, 1.0 / exponent)
