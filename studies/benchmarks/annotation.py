@@ -18,10 +18,10 @@ from typing import Any
 
 import numpy as np
 
-from scenec.backends.annotation.amodal import Silhouettes
-from scenec.backends.annotation.bands import annotate
+from scenec.backends.annotation.annotate import annotate
 from scenec.backends.annotation.instances import Instances
 from scenec.backends.annotation.lidar import scan
+from scenec.backends.annotation.outlines import Silhouettes
 from scenec.backends.camera.rays import camera_rays
 from scenec.backends.exact import ExactCaster
 from scenec.backends.run.session import Session
