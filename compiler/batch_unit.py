@@ -111,7 +111,7 @@ class CompileBatch:
         Args:
             spec: Of the cfg.
             say: Told what is worth saying.
-            step: Told when a step begins.
+            step: Told when a step begins; None: what is said is heard when all is over.
 
         Raises:
             CfgError: The cfg is no more what it was.
@@ -125,7 +125,8 @@ class CompileBatch:
         compiled = Compiled()
         for attempt in range(self.first, last):
             again = f", attempt {attempt + 1}" if attempt else ""
-            say(f"compiling {self.what} of {spec.cfg['name']}, seed {self.seed}{again}")
+            if step is not None or attempt:
+                say(f"compiling {self.what} of {spec.cfg['name']}, seed {self.seed}{again}")
             log = BuildLog(seconds={}, tell=step)
             memo = None if store is None else Memo(store)
             shutil.rmtree(self.folder, ignore_errors=True)

@@ -156,7 +156,7 @@ def export(
         if report.resumed:
             say(f"{report.resumed} of {total} steps were done already")
         finished = report.resumed
-        parts = (ExportPart(plan, partial.absolute(), task) for task in todo)
+        parts = (ExportPart(plan, partial.absolute(), task, Path.cwd()) for task in todo)
         for what, faults in _written(parts, executor, partial, say):
             finished += 1
             for fault in faults:
@@ -284,11 +284,13 @@ class ExportPart:
         plan: Of the dataset.
         partial: Where it is made, absolute.
         task: Which part.
+        base: What the plan's paths are relative to.
     """
 
     plan: Plan
     partial: Path
     task: Task
+    base: Path
 
     @property
     def what(self) -> str:
@@ -358,7 +360,9 @@ class ExportPart:
         form = find_format(self.plan.format_name)
         # Digests and statistics take in all other passes, whatever the format looks at.
         unused = [n for n in form.unused if n == "rgb"]
-        for ref in task.frames:
+        for known in task.frames:
+            # Elsewhere alone: messages have paths as they were given.
+            ref = known if Path.cwd() == self.base else known.at(self.base)
             try:
                 frame = self.plan.source.load(ref, self.plan.needed(), unused)
                 vouch(frame, form.beside)
