@@ -128,6 +128,7 @@ def compile_cfg(
                 redraw=faults == "redraw",
                 cache=cache,
                 folder=folder.absolute() / str(batch),
+                out=out,
             )
             for batch in chosen
         ]
