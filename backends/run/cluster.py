@@ -9,6 +9,7 @@ elsewhere.
 from __future__ import annotations
 
 import importlib.metadata
+import json
 import logging
 import os
 import platform
@@ -84,11 +85,13 @@ class Cluster:
                     n_workers=1, threads_per_worker=max(1, workers), processes=False,
                     dashboard_address=None, memory_limit=0,
                 )  # fmt: skip
-            file = {"scheduler_file": address} if Path(address).is_file() else None
-            place = file or {"address": self._local or address}
-            self._client = distributed.Client(**place, timeout=ANSWER_S)
+            elif Path(address).is_file():
+                place = str(json.loads(Path(address).read_bytes())["address"])
+            else:
+                place = address
+            self._client = distributed.Client(self._local or place, timeout=ANSWER_S)
             self._client.wait_for_workers(1, timeout=WORKER_S)
-        except (OSError, ValueError, KeyError, TimeoutError) as error:
+        except (OSError, ValueError, KeyError, TypeError, TimeoutError) as error:
             self._close()
             raise BackendError(
                 f"{self._name}: no scheduler with a worker answers ({error}); start them with: "
