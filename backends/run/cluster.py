@@ -244,6 +244,8 @@ class Cluster:
         Raises:
             BackendError: One has another version of something, or does not see the folder.
         """
+        while not folder.exists():
+            folder = folder.parent
         token = folder / f"{TEMPORARY}cluster-{self._token}"
         names = (*PACKAGES, *distribution(self._backend))
         try:

@@ -128,6 +128,11 @@ def test_a_worker_that_does_not_see_the_folder_is_refused(dask, out, tmp_path):
     dask.add(prefix=hide)
     line = refused(dask, out)
     assert f"does not see {out}/batch_0000: all machines need the same folder" in line
+    # Where it is to be made, the folder around it counts.
+    new = out / "batch_0000" / "new" / "out"
+    made = scenec("compile", out / "cfg.json", "--seed", 1, "-o", new, "--cluster", dask.file)
+    assert made.returncode == 2
+    assert "does not see" in made.stderr
 
 
 def test_without_a_worker_that_has_a_gpu_none_is_asked_of_them(dask, out):

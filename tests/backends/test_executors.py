@@ -270,9 +270,10 @@ def test_each_of_several_workers_has_its_share_of_the_cores(monkeypatch):
             "3",
         ),
         (
-            "from scenec.backends.run.doctor import start; start('cpu', 'cycles'); import bpy; "
-            "render = [s.render for s in bpy.data.scenes if s.render.engine == 'CYCLES'][-1]; "
-            "print(render.threads_mode, render.threads)",
+            "from scenec.backends.run.doctor import tiny_scene; "
+            "from scenec.backends.registry import open_backend; "
+            "backend = open_backend('cycles'); backend.load(tiny_scene()); import bpy; "
+            "render = bpy.data.scenes['scenec'].render; print(render.threads_mode, render.threads)",
             "FIXED 3",
         ),
     ],
