@@ -3,11 +3,14 @@
 export PYTHON
 DEMO := out/jacksboro
 WORKERS ?= 2
-# What protects an invariant is always tested; other slow tests are left to `make thorough`.
+# What protects an invariant is always tested; other slow tests, viewers and second platforms are
+# left to `make thorough`.
 MARKED := -m "not slow or invariant"
+# Property tests draw a quarter of their examples, the same each time; `make thorough` draws all.
+EXAMPLES := quick
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test thorough lint types unit format bench docs pictures lock wheel clean distclean
+.PHONY: help setup demo test thorough lint types unit browser format bench docs pictures lock wheel clean distclean
 
 help:  ## List the targets.
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  make \1\t\2/p' Makefile | expand -t 20
@@ -24,7 +27,8 @@ demo: setup  ## Compile and render configs/jacksboro.json, end with a contact sh
 test: lint types unit  ## Linter, formatter, type checker and the tests.
 
 thorough: MARKED :=
-thorough: lint types unit  ## As test, and the slow tests too.
+thorough: EXAMPLES := thorough
+thorough: browser lint types unit  ## As test, and the slow tests too.
 
 lint: setup  ## Linter (with the layering) and formatter.
 	@echo "== Linting"
@@ -38,10 +42,13 @@ types: setup  ## Type checker.
 
 # A test that takes its process along ends the run: pytest-xdist would wait for its other tests.
 unit: setup  ## The tests alone (WORKERS=2 processes; PYTEST_ARGS for more).
-	@tools/browser.sh
 	@.venv/bin/python tests/warm_kernels.py
 	@echo "== Testing, $(WORKERS) processes"
-	@.venv/bin/python -m pytest -n $(WORKERS) --dist loadfile --max-worker-restart 0 $(MARKED) $(PYTEST_ARGS)
+	@.venv/bin/python -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder \
+	  --max-worker-restart 0 --hypothesis-profile $(EXAMPLES) $(MARKED) $(PYTEST_ARGS)
+
+browser: setup  ## A browser for the tests of `scenec view`, where there is none.
+	@tools/browser.sh
 
 format: setup  ## Format the code.
 	@.venv/bin/ruff check --fix .

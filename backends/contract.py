@@ -8,6 +8,7 @@ each pixel's center? ``scenec check --backends`` holds it against the annotation
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -85,21 +86,35 @@ class LoadCost:
     """Bytes at the peak of loading a scene, measured (``docs/numbers.md``).
 
     Attributes:
-        row: Of an instance of a mesh.
+        row: Of an instance of a mesh, where instances are kept.
         triangle: Of a triangle of a mesh, however many instances share it.
-        written: Of a triangle of an instance: above 0 where instances are written out.
+        written: Of a triangle of an instance, where instances are written out; 0: they never are.
+        most_written: Of a scene, above which instances are kept all the same.
     """
 
     row: float
     triangle: float
     written: float = 0.0
+    most_written: float = math.inf
+
+    def keeps(self, scene: RenderScene) -> bool:
+        """Whether instances of this scene are kept, not written out."""
+        return not 0.0 < self.written * _triangles(scene)[1] <= self.most_written
 
     def of(self, scene: RenderScene) -> tuple[float, str]:
         """Bytes, and what for."""
-        faces = np.array([len(mesh.faces) for mesh in scene.meshes], np.int64)
-        rows, written = len(scene.rows.mesh), int(faces[scene.rows.mesh].sum())
-        size = self.row * rows + self.triangle * int(faces.sum()) + self.written * written
-        return size, f"{rows:,} rows, {written:,} triangles with all instances"
+        rows, (shared, written) = len(scene.rows.mesh), _triangles(scene)
+        size = self.row * rows if self.keeps(scene) else self.written * written
+        return (
+            size + self.triangle * shared,
+            f"{rows:,} rows, {written:,} triangles with all instances",
+        )
+
+
+def _triangles(scene: RenderScene) -> tuple[int, int]:
+    """Of all meshes, and of all instances."""
+    faces = np.array([len(mesh.faces) for mesh in scene.meshes], np.int64)
+    return int(faces.sum()), int(faces[scene.rows.mesh].sum())
 
 
 class Backend(Protocol):

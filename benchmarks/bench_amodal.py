@@ -25,9 +25,9 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests" / "backends"))
 import scenes
 
-from scenec.backends.annotation.amodal import Silhouettes
-from scenec.backends.annotation.bands import annotate
+from scenec.backends.annotation.annotate import annotate
 from scenec.backends.annotation.instances import Instances
+from scenec.backends.annotation.outlines import Silhouettes
 from scenec.backends.camera.rays import camera_rays
 from scenec.backends.exact import ExactCaster
 from scenec.backends.stage.read import read_stage

@@ -10,64 +10,20 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
-import sys
 import tempfile
 from pathlib import Path
 from typing import Any
 
+import hills
+
 from scenec.compiler.estimate import BASE_BYTES, needs_of
 from scenec.compiler.frontend.load import load
-
-CONFIGS = Path(__file__).resolve().parents[1] / "configs"
-SCENEC = [sys.executable, "-c", "from scenec.cli.main import main; main()", "compile"]
 
 
 def cfg(count: int = 0, cells: int = 200, **change: Any) -> dict[str, Any]:
     """Rocks on 100 m of hills, of a number of cells along each side."""
-    base: dict[str, Any] = {
-        "version": 1,
-        "name": "memory",
-        "labels": {"class": {"sky": 1, "ground": 2, "rock": 3}},
-        "terrain": {
-            "size_m": [100, 100],
-            "spacing_m": 100 / cells,
-            "relief": [
-                {"type": "plane"},
-                {"type": "multifractal", "amplitude_m": 3, "scale_m": 60, "octaves": 8},
-            ],
-            "ground": [{"material": "sand", "labels": {"class": "ground"}}],
-        },
-        "materials": {
-            "sand": {"base_color": [0.4, 0.25, 0.15]},
-            "stone": {"base_color": [0.2, 0.14, 0.1]},
-        },
-        "objects": {
-            "rocks": {
-                "type": "rocks",
-                "count": count,
-                "family": "angular",
-                "material": "stone",
-                "labels": {"class": "rock"},
-                "size_m": {"type": "uniform", "min": 0.04, "max": 0.1},
-            }
-        },
-        "light": {
-            "sun": {"elevation_deg": 40},
-            "sky": {"type": "clear", "labels": {"class": "sky"}},
-        },
-        "rigs": {
-            "rover": {
-                "pose": {
-                    "type": "random_target",
-                    "position": {"x_m": 0, "y_m": -20, "height_m": 2},
-                    "target": {"distance_m": 12, "bearing_deg": 0, "height_m": 0.5},
-                },
-                "sensors": {"mast": {"resolution": [640, 480], "fov_deg": 60}},
-            }
-        },
-    }
-    return base | change
+    sizes = {"type": "uniform", "min": 0.04, "max": 0.1}
+    return hills.cfg(100.0, 100.0 / cells, {"count": count, "size_m": sizes}, **change)
 
 
 def scenes() -> dict[str, dict[str, Any]]:
@@ -90,25 +46,13 @@ def scenes() -> dict[str, dict[str, Any]]:
     return found
 
 
-def peak_bytes(file: Path, out: Path) -> int:
-    """Of a process that compiles a cfg."""
-    command = [*SCENEC, str(file), "--seed", "1", "-o", str(out), "--batches", "0:1", "--no-cache"]
-    with open(os.devnull, "w") as silence:
-        actions = [(os.POSIX_SPAWN_DUP2, silence.fileno(), 2)]
-        pid = os.posix_spawn(command[0], command, os.environ, file_actions=actions)
-        _, status, usage = os.wait4(pid, 0)
-    if status:
-        raise SystemExit(f"{file}: exit status {os.waitstatus_to_exitcode(status)}")
-    return 1024 * usage.ru_maxrss
-
-
 def main() -> None:
     """Prints the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("scenes", nargs="*", help="some of them; all if none is given")
     parser.add_argument("--cfgs", action="store_true")
     options = parser.parse_args()
-    print("| scene | estimated, GB | measured, GB | off |\n|---|---|---|---|")
+    hills.table("scene", "estimated, GB", "measured, GB", "off")
     with tempfile.TemporaryDirectory() as scratch:
         files = {}
         for name, made in scenes().items():
@@ -116,14 +60,14 @@ def main() -> None:
                 files[name] = Path(scratch, f"{len(files)}.json")
                 files[name].write_text(json.dumps(made), encoding="utf-8")
         if options.cfgs:
-            files |= {file.stem: file for file in sorted(CONFIGS.glob("*.json"))}
+            files |= {file.stem: file for file in sorted((hills.ROOT / "configs").glob("*.json"))}
         for number, (name, file) in enumerate(files.items()):
             said = BASE_BYTES + sum(need.bytes for need in needs_of(load(file), 1, 0))
-            held = peak_bytes(file, Path(scratch, f"out{number}"))
-            row = (
-                f"| {name} | {said / 1e9:.2f} | {held / 1e9:.2f} | {100 * (said / held - 1):+.0f} %"
+            words = ["compile", file, "--seed", "1", "-o", Path(scratch, f"out{number}")]
+            held = hills.run([*words, "--batches", "0:1", "--no-cache"])
+            hills.row(
+                name, f"{said / 1e9:.2f}", f"{held / 1e9:.2f}", f"{100 * (said / held - 1):+.0f} %"
             )
-            print(f"{row} |", flush=True)
 
 
 if __name__ == "__main__":

@@ -1,120 +1,109 @@
-"""A million rocks: compiled, and rendered by every backend, each in a process of its own.
+"""A million of each kind: compiled, and rendered by every backend, each in a process of its own.
 
-python benchmarks/bench_million.py [--count N] [--backends cycles,mitsuba,pyrender,reference]
-    [--spp N] [--triangles N]
+python benchmarks/bench_million.py [--count N] [--kinds rocks,finest,trees] [--spp N]
+    [--backends cycles,mitsuba,pyrender,reference] [--keep FOLDER]
 
-Prints the seconds and the peak memory of each step. Peak memory of a render is that of its worker.
+*rocks* have levels of detail, of *finest* and *trees* (oaks, birches, spruces) each is as it was
+made (``lod_px`` 0). Prints the seconds and the peak memory of each step, and what loading was
+estimated to take. Peak memory of a render is that of its worker.
 """
 
 from __future__ import annotations
 
 import argparse
+import importlib
 import json
-import os
-import sys
 import tempfile
 import time
 from pathlib import Path
+from typing import Any
 
-SCENEC = [sys.executable, "-c", "from scenec.cli.main import main; main()"]
+import hills
+
+from scenec.backends.stage.read import read_stage
+
+ADAPTERS = {"cycles": "Cycles", "mitsuba": "Mitsuba", "pyrender": "Pyrender"}
 
 
-def cfg(count: int, triangles: int | None) -> dict:
-    """Rocks of Golombek and Rapp's sizes on rolling ground, 12 to the square meter."""
-    side = (count / 12.0) ** 0.5
-    return {
-        "version": 1,
-        "name": "million",
-        "labels": {"class": {"sky": 1, "ground": 2, "rock": 3}},
-        "terrain": {
-            "size_m": [side, side],
-            "spacing_m": side / 2000.0,
-            "relief": [
-                {"type": "plane"},
-                {"type": "multifractal", "amplitude_m": 3, "scale_m": 60, "octaves": 8},
-            ],
-            "ground": [{"material": "sand", "labels": {"class": "ground"}}],
-        },
-        "materials": {
-            "sand": {"base_color": [0.4, 0.25, 0.15]},
-            "stone": {"base_color": [0.2, 0.14, 0.1], "variation": 0.3},
-        },
-        "objects": {
-            "rocks": {
-                "type": "rocks",
-                "count": count,
-                "family": "angular",
-                "material": "stone",
-                "labels": {"class": "rock"},
-                "prototypes": 16,
-                "subdivisions": 2,
-                "size_m": {"type": "golombek_rapp", "k": 0.1, "min": 0.04, "max": 2},
-            }
-        },
-        **({"object_detail": {"max_triangles": triangles}} if triangles else {}),
-        "light": {"sky": {"type": "clear", "labels": {"class": "sky"}}},
-        "rigs": {
-            "rover": {
-                "pose": {
-                    "type": "random_target",
-                    "position": {"x_m": 0, "y_m": -0.2 * side, "height_m": 2},
-                    "target": {"distance_m": 12, "bearing_deg": 0, "height_m": 0.5},
-                },
-                "sensors": {"mast": {"resolution": [640, 480], "fov_deg": 60}},
-            }
-        },
+def cfg(kind: str, count: int) -> dict[str, Any]:
+    """Rocks of Golombek and Rapp's sizes, 12 to the square meter; or trees, a hundredth of that."""
+    side = (count / (0.12 if kind == "trees" else 12.0)) ** 0.5
+    things: dict[str, Any] = {
+        "count": count,
+        "prototypes": 16,
+        "subdivisions": 3 if kind == "finest" else 2,
+        "size_m": {"type": "golombek_rapp", "k": 0.1, "min": 0.04, "max": 2},
     }
+    if kind == "finest":
+        things["lod_px"] = 0
+    made = hills.cfg(side, side / 500.0, things)
+    if kind == "trees":
+        models = [hills.ROOT / f"assets/models/{name}.glb" for name in ("oak", "birch", "spruce")]
+        made["objects"]["rocks"] = {
+            "type": "meshes",
+            "models": [{"file": str(file)} for file in models],
+            "labels": {"class": "rock"},
+            "count": count,
+            "lod_px": 0,
+        }
+        del made["materials"]["stone"]
+    return made
 
 
-def run(command: list[str]) -> tuple[float, float]:
-    """Seconds, and peak memory in GiB, of a process and those it waited for."""
-    start = time.perf_counter()
-    pid = os.posix_spawn(command[0], command, os.environ)
-    _, status, usage = os.wait4(pid, 0)
-    if status:
-        raise SystemExit(f"{' '.join(command)}: exit status {os.waitstatus_to_exitcode(status)}")
-    return time.perf_counter() - start, usage.ru_maxrss / 2**20
+def estimate(stage: Path, backend: str) -> str:
+    """What its adapter says of loading a stage."""
+    if backend not in ADAPTERS:
+        return ""
+    module = importlib.import_module(f"scenec.backends.{backend}.adapter")
+    size, what = getattr(module, ADAPTERS[backend]).load_cost.of(read_stage(stage))
+    return f"{size / 1e9:.2f} GB for {what}"
 
 
 def main() -> None:
+    """Prints what the module says."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--count", type=int, default=1_000_000)
+    parser.add_argument("--kinds", default="rocks,finest,trees")
     parser.add_argument("--backends", default="cycles,mitsuba,pyrender,reference")
     parser.add_argument("--spp", type=int, default=16)
-    parser.add_argument("--triangles", type=int)
     parser.add_argument("--keep", type=Path, help="folder for the output")
     options = parser.parse_args()
+    hills.table("kind", "step", "seconds", "peak, GB", "of which")
     with tempfile.TemporaryDirectory() as temporary:
-        folder = options.keep or Path(temporary)
-        folder.mkdir(parents=True, exist_ok=True)
-        file = folder / "million.json"
-        file.write_text(json.dumps(cfg(options.count, options.triangles)))
-        out = folder / "out"
-        seconds, memory = run([*SCENEC, "compile", str(file), "--seed", "1", "-o", str(out)])
-        timings = json.loads((out / "timings.json").read_text())["compile"]["batch_0000"]
-        report = json.loads((out / "batch_0000" / "report.json").read_text())
-        rocks = report["objects"]["rocks"]
-        print(
-            f"compile: {seconds:.1f} s, {memory:.2f} GiB; "
-            + ", ".join(f"{key} {value:.2f} s" for key, value in timings.items())
+        for kind in options.kinds.split(","):
+            folder = (options.keep or Path(temporary)) / kind
+            folder.mkdir(parents=True, exist_ok=True)
+            file, out = folder / "hills.json", folder / "out"
+            file.write_text(json.dumps(cfg(kind, options.count)))
+            start = time.perf_counter()
+            held = hills.run(["compile", file, "--seed", "1", "-o", out, "--no-cache"])
+            seconds = time.perf_counter() - start
+            report = json.loads((out / "batch_0000/report.json").read_text())
+            said = report["objects"]["rocks"]
+            what = f"{said['triangles']:,} triangles, {report['bytes'] / 1e6:.0f} MB"
+            hills.row(kind, "compile", f"{seconds:.1f}", f"{held / 1e9:.2f}", what)
+            for backend in filter(None, options.backends.split(",")):
+                render(kind, out, backend, options.spp)
+
+
+def render(kind: str, out: Path, backend: str, spp: int) -> None:
+    """A line of the table."""
+    color = "" if backend == "reference" else "rgb,"
+    words = ["render", out, "--backend", backend, "--passes", f"{color}label,instance,depth"]
+    start = time.perf_counter()
+    try:
+        hills.run([*words, "--spp", str(spp)])
+    except SystemExit as error:
+        hills.row(
+            kind, backend, "", "", f"{error}; {estimate(out / 'batch_0000/stage.usda', backend)}"
         )
-        print(
-            f"  {rocks['count']:,} rocks, {rocks['triangles']:,} triangles of "
-            f"{rocks['triangles_finest']:,}, error {rocks['lod_error_max_px']:.2f} px; "
-            f"budget {report.get('object_budget')}; {report['bytes'] / 1e6:.0f} MB"
-        )
-        for backend in options.backends.split(","):
-            passes = (
-                "label,instance,depth" if backend == "reference" else "rgb,label,instance,depth"
-            )
-            command = ["render", str(out), "--backend", backend, "--passes", passes]
-            seconds, _ = run([*SCENEC, *command, "--spp", str(options.spp)])
-            sidecar = next((out / "batch_0000" / "frames" / backend).rglob("*.json"))
-            told = json.loads(sidecar.read_text())
-            steps = ", ".join(f"{key} {value:.2f} s" for key, value in told["seconds"].items())
-            print(
-                f"{backend}: {seconds:.1f} s, {told.get('peak_memory_gb')} GB (10^9 bytes); {steps}"
-            )
+        return
+    seconds = time.perf_counter() - start
+    sidecar = next((out / "batch_0000/frames" / backend).rglob("*.json"))
+    told = json.loads(sidecar.read_text())
+    steps = ", ".join(f"{key} {value:.2f} s" for key, value in told["seconds"].items())
+    said = estimate(out / "batch_0000/stage.usda", backend)
+    hills.row(kind, backend, f"{seconds:.1f}", f"{told.get('peak_memory_gb')}", f"{steps}; {said}")
 
 
 if __name__ == "__main__":

@@ -28,17 +28,16 @@ import time
 from pathlib import Path
 from typing import Any
 
+import hills
 import numpy as np
 
-ROOT = Path(__file__).resolve().parent.parent
-sys.path[:0] = [str(ROOT / "tests")]
+sys.path[:0] = [str(hills.ROOT / "tests")]
 from pruned_scenes import annotation, compiled, difference, drawn_cfg  # noqa: E402
 
 from scenec.backends.run.session import Session  # noqa: E402
 from scenec.backends.stage.read import read_stage  # noqa: E402
 from scenec.compiler.passes.keep import Keep  # noqa: E402
 
-_SCENEC = [sys.executable, "-c", "from scenec.cli.main import main; raise SystemExit(main())"]
 #: Height, distance and height of the target, field of view.
 _LOOKS = {"drive": (1.5, 10, 0, 65), "drone": (25, 0.01, 0, 60), "around": (1.5, 10, 0, 90)}
 #: A stage is loaded so often, and once more with all frames.
@@ -58,73 +57,31 @@ def cfg(scene: str, count: int, samples: int, outputs: list[str]) -> dict[str, A
         }
         for turn in turns
     }
-    sizes = {"type": "golombek_rapp", "k": 0.05, "min": 0.1, "max": 2}
-    return {
-        "version": 1,
-        "name": scene,
-        "samples": samples,
-        "labels": {"class": {"sky": 1, "ground": 2, "rock": 3}},
-        "terrain": {
-            "size_m": [500, 500],
-            "spacing_m": 1.0,
-            "relief": [
-                {"type": "plane"},
-                {"type": "multifractal", "amplitude_m": 18, "scale_m": 140, "octaves": 8},
-            ],
-            "ground": [{"material": "sand", "labels": {"class": "ground"}}],
-            "mesh": {"tolerance_px": 2},
-        },
-        "materials": {
-            "sand": {"base_color": [0.4, 0.25, 0.15]},
-            "stone": {"base_color": [0.2, 0.14, 0.1], "variation": 0.3},
-        },
-        "objects": {
-            "rocks": {
-                "type": "rocks",
-                "count": count,
-                "family": "angular",
-                "material": "stone",
-                "labels": {"class": "rock"},
-                "prototypes": 8,
-                "subdivisions": 2,
-                "size_m": sizes,
-            }
-        },
-        "light": {
-            "sun": {"elevation_deg": 35, "azimuth_deg": 200},
-            "sky": {"type": "clear", "labels": {"class": "sky"}},
-        },
-        "rigs": {
-            "rover": {
-                "pose": {
-                    "type": "random_target",
-                    "position": {
-                        "x_m": {"type": "uniform", "min": -40, "max": 40},
-                        "y_m": {"type": "uniform", "min": -10, "max": 10},
-                        "height_m": height,
-                    },
-                    "target": {
-                        "distance_m": distance,
-                        "bearing_deg": {"type": "uniform", "min": 40, "max": 80},
-                        "height_m": target,
-                    },
-                },
-                "sensors": sensors,
-            }
+
+    def within(reach: float) -> dict[str, Any]:
+        return {"type": "uniform", "min": -reach, "max": reach}
+
+    pose = {
+        "type": "random_target",
+        "position": {"x_m": within(40), "y_m": within(10), "height_m": height},
+        "target": {
+            "distance_m": distance,
+            "bearing_deg": {"type": "uniform", "min": 40, "max": 80},
+            "height_m": target,
         },
     }
-
-
-def compile_to(file: Path, out: Path, keep: str) -> None:
-    """By a command of its own process, from scratch.
-
-    Raises:
-        SystemExit: It failed.
-    """
-    words = ["compile", str(file), "--seed", "1", "-o", str(out), "--keep", keep, "--no-cache"]
-    done = subprocess.run([*_SCENEC, *words], capture_output=True, text=True, env=os.environ)
-    if done.returncode:
-        raise SystemExit(done.stderr)
+    rocks = {
+        "count": count,
+        "prototypes": 8,
+        "subdivisions": 2,
+        "size_m": {"type": "golombek_rapp", "k": 0.05, "min": 0.1, "max": 2},
+    }
+    made = hills.cfg(
+        500.0, 1.0, rocks, (18.0, 140.0), samples=samples,
+        rigs={"rover": {"pose": pose, "sensors": sensors}},
+    )  # fmt: skip
+    made["terrain"]["mesh"] = {"tolerance_px": 2}
+    return made
 
 
 def drawn_by(stage: Path, backend: str, spp: int, outputs: list[str]) -> dict[str, float]:
@@ -187,7 +144,7 @@ def measure(scene: str, options: argparse.Namespace, folder: Path) -> None:
             del drawn_from["labels"]["class"]["rock"]
         file.write_text(json.dumps(drawn_from))
         out = folder / f"{scene}_{stage_of}"
-        compile_to(file, out, keep)
+        hills.run(["compile", file, "--seed", "1", "-o", out, "--keep", keep, "--no-cache"])
         batch = out / "batch_0000"
         report = json.loads((batch / "report.json").read_text())
         timings = json.loads((out / "timings.json").read_text())["compile"]["batch_0000"]

@@ -5,14 +5,10 @@ from __future__ import annotations
 import argparse
 import math
 
-#: As in ``scenec.schemas.exr``, which would cost the import of NumPy here; a test holds them equal.
-PASSES = (
-    *("rgb", "label", "instance", "depth", "range", "normal", "position", "face", "amodal"),
-    *("flow", "scene_flow", "occlusion", "flow_backward", "occlusion_backward"),
-    *("disparity", "disparity_occlusion", "depth_measured"),
-)
+from scenec.schemas.passes import PASSES, is_pass, pass_names
+from scenec.schemas.spelling import nearest, shown
 
-#: As in ``scenec.compiler.compile``, for the same reason.
+#: As in ``scenec.compiler.compile``, which would cost the import of NumPy; a test compares them.
 FAULTS = ("stop", "skip", "redraw")
 
 
@@ -71,10 +67,12 @@ def amount(text: str) -> float:
 def passes(text: str) -> tuple[str, ...]:
     """A list such as ``rgb,depth``."""
     chosen = tuple(dict.fromkeys(part.strip() for part in text.split(",") if part.strip()))
-    unknown = [n for n in chosen if n not in PASSES and not _is_level(n)]
-    if unknown or not chosen:
+    for name in chosen:
+        if not (is_pass(name) or _is_level(name)):
+            raise argparse.ArgumentTypeError(f"no pass {shown(name)}{nearest(name, pass_names())}")
+    if not chosen:
         raise argparse.ArgumentTypeError(
-            f"{text!r}: expected some of {','.join(PASSES)}, separated by commas "
+            f"{text!r}: expected some of {','.join(pass_names())}, separated by commas "
             "(label.NAME is one level of labels)"
         )
     return chosen
@@ -200,6 +198,13 @@ def add_settle_options(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--batch", type=int, default=0, metavar="B", help="on whose ground (default: 0)"
+    )
+    parser.add_argument(
+        "--attempt",
+        type=int,
+        default=0,
+        metavar="N",
+        help="how often --faults redraw drew it again: attempt in the manifest (default: 0)",
     )
     parser.add_argument(
         "--drop",

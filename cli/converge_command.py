@@ -23,6 +23,7 @@ def run(options: argparse.Namespace) -> int:
         samples=options.samples,
         cameras=None if options.cameras is None else tuple(options.cameras),
         device=options.device,
+        allow_missing=options.allow_missing,
     )
     found = converge(Path(options.out), options.backends, ladder, batches=options.batches, say=say)
     if options.json:

@@ -12,7 +12,6 @@ from scenec.cli.explain_left_out import as_json, kept_of, left_out_of, left_out_
 from scenec.cli.explain_passes import frames_text, passes_text, rows_of
 from scenec.cli.explain_stage import read_contents
 from scenec.cli.output import print_json
-from scenec.schemas.errors import OutputError
 
 #: Columns of what is printed, where a terminal does not say otherwise.
 _WIDTH, _NARROWEST = 100, 80
@@ -56,32 +55,25 @@ def explained(batch: BatchData, width: int = _WIDTH) -> str:
         width: Columns that lines may have.
 
     Raises:
-        OutputError: Its report is none.
         StageError: Its stage cannot be read.
     """
-    try:
-        contents = read_contents(batch.stage)
-        rates = rates_of(batch, contents)
-        left = left_out_of(batch.report, rates)
-        parts = [
-            f"{batch.name}: {kept_of(batch.report, contents, left).text}",
-            left_out_text(left, rates, width),
-            passes_text(rows_of(batch.report, batch.seconds), width),
-            frames_text(batch.frames) if batch.frames else "",
-        ]
-    except (KeyError, TypeError, AttributeError, ValueError) as error:
-        raise OutputError(f"{batch.report_path}: is no report of a compile") from error
+    contents = read_contents(batch.stage)
+    rates = rates_of(batch, contents)
+    left = left_out_of(batch.report, rates)
+    parts = [
+        f"{batch.name}: {kept_of(batch.report, contents, left).text}",
+        left_out_text(left, rates, width),
+        passes_text(rows_of(batch.report, batch.seconds), width),
+        frames_text(batch.frames) if batch.frames else "",
+    ]
     return "\n\n".join(part for part in parts if part)
 
 
 def _as_json(batch: BatchData) -> dict[str, Any]:
     """What is kept and left out, for scripts."""
-    try:
-        contents = read_contents(batch.stage)
-        left = left_out_of(batch.report, rates_of(batch, contents))
-        kept = kept_of(batch.report, contents, left)
-    except (KeyError, TypeError, AttributeError, ValueError) as error:
-        raise OutputError(f"{batch.report_path}: is no report of a compile") from error
+    contents = read_contents(batch.stage)
+    left = left_out_of(batch.report, rates_of(batch, contents))
+    kept = kept_of(batch.report, contents, left)
     return {
         "kept": {name: {"kept": part, "of": whole} for name, (part, whole) in vars(kept).items()},
         "left_out": as_json(left),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -48,11 +49,15 @@ def nearest_camera(path: Path, point: tuple[float, float, float]) -> Sight | Non
     Returns:
         None where there is no camera.
     """
-    from pxr import Usd, UsdGeom
-
     from scenec.backends.stage.sources import open_stage
 
-    stage = open_stage(path)
+    with open_stage(path) as stage:
+        return _nearest(stage, point)
+
+
+def _nearest(stage: Any, point: tuple[float, float, float]) -> Sight | None:
+    from pxr import Usd, UsdGeom
+
     codes = range(int(stage.GetStartTimeCode()), int(stage.GetEndTimeCode()) + 1)
     best: Sight | None = None
     for prim in stage.Traverse():

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scenec.schemas import stage as names
+from scenec.schemas.errors import StageError
 
 _TERRAIN = f"{names.ROOT}/Terrain"
 _OBJECTS = f"{names.ROOT}/Objects"
@@ -88,11 +90,18 @@ def read_contents(path: Path) -> StageContents:
     Raises:
         StageError: It cannot be read, or is not whole.
     """
-    from pxr import UsdGeom
-
     from scenec.backends.stage.sources import open_stage
 
-    stage = open_stage(path)
+    with open_stage(path) as stage:
+        try:
+            return _contents(stage)
+        except (TypeError, ValueError, IndexError, AttributeError, OverflowError) as error:
+            raise StageError(f"{path}: is no stage that scenec compiled: {error}") from error
+
+
+def _contents(stage: Any) -> StageContents:
+    from pxr import UsdGeom
+
     terrain, objects = stage.GetPrimAtPath(_TERRAIN), stage.GetPrimAtPath(_OBJECTS)
     tiles = {}
     for prim in terrain.GetChildren() if terrain else ():

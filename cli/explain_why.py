@@ -303,12 +303,13 @@ def _of_other(asked: _Asked, path: str) -> Why:
 
     from scenec.backends.stage.sources import open_stage
 
-    stage = open_stage(asked.data.stage)
-    if Sdf.Path.IsValidPathString(path) and stage.GetPrimAtPath(path):
+    with open_stage(asked.data.stage) as stage:
+        there = Sdf.Path.IsValidPathString(path) and stage.GetPrimAtPath(path)
+        known = [str(prim.GetPath()) for prim in stage.TraverseAll()]
+    if there:
         return Why(path, asked.data.name, True, "prim", "it is one of its prims")
     last = path.rsplit("/", 1)[-1]
     for entry in asked.data.report.get("left_out", []):
         if last in entry["what"].partition(":")[0].split("/"):
             return Why(path, asked.data.name, False, "left out", f"{entry['what']}: {entry['why']}")
-    known = [str(prim.GetPath()) for prim in stage.TraverseAll()]
     raise OutputError(f"{asked.data.folder}: no prim {path}{nearest(path, known)}")

@@ -29,6 +29,7 @@ from scenec.cli.converge_arguments import add_converge_options
 from scenec.cli.explain_arguments import add_explain_options
 from scenec.cli.export_arguments import add_export_options
 from scenec.cli.output import clear_bar
+from scenec.cli.supervise import supervised
 from scenec.cli.view_arguments import add_view_options
 from scenec.schemas.errors import CfgError, ScenecError
 from scenec.schemas.versions import version_of
@@ -55,6 +56,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             print(f"scenec: {fault}", file=sys.stderr)
             return EXIT_BAD_INPUT
     options = parser().parse_args(arguments)
+    if arguments is None and (ended := supervised(EXIT_BAD_INPUT)) is not None:
+        return ended
     interrupt.watch()
     try:
         command = importlib.import_module(f"scenec.cli.{options.module}")

@@ -18,6 +18,7 @@ def run(options: argparse.Namespace) -> int:
         objects=options.objects,
         out=options.out,
         batch=options.batch,
+        attempt=options.attempt,
         among=options.among,
         options=Options(
             drop_m=options.drop,

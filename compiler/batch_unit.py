@@ -134,9 +134,10 @@ class CompileBatch:
             memo = None if store is None else Memo(store)
             try:
                 with log.timed("draw"):
-                    plan = draw(spec, self.seed, self.batch, attempt)
+                    plans = [draw(spec, self.seed, self.batch, attempt)]
                 with memoizing(memo):
-                    scene = build(plan, log, self.keep)
+                    # Handed over, so that it can let go of what it has built.
+                    scene = build(plans.pop(), log, self.keep)
                     with self._naming():
                         self._emit(scene, log, attempt)
             except SceneError as error:

@@ -122,6 +122,8 @@ def build(plan: Plan, log: BuildLog, keep: Keep = Keep.SEEN) -> Scene:
         near = pixels_per_meter(terrain, views, plan.terrain.meshing.unseen) if rigs else None
         require_resolvable(rigs, terrain, near, plan.terrain.meshing.unseen)
     objects = stand_objects(plan, surface, rigs, looks, log)
+    # Of millions of objects what was drawn for them takes more than what became of it.
+    plan = replace(plan, objects=())
     with log.timed("ground"):
         tiles, log.facts["ground"] = build_tiles(
             surface,

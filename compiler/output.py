@@ -336,6 +336,8 @@ def _role(path: Path) -> str:
         STAGE: "root layer: open this",
         "terrain.usdc": "terrain",
         f"terrain{LAYER_SUFFIX}": "mix of the ground's materials, for MaterialX",
+        "objects.usdc": "object classes",
+        "looks.usda": "materials",
         "lights.usdc": "suns, sky and lamps",
         "sky.usdc": "labels of the sky, and haze",
         "cameras.usdc": "rigs, cameras, render products, times of the samples",

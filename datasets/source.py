@@ -20,12 +20,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.schemas import rle
-from scenec.schemas.amodal import AMODAL, Amodal, amodal_path, read_amodal
+from scenec.schemas.amodal import Amodal, amodal_path, read_amodal
 from scenec.schemas.errors import ForeignFrameError, FrameError
-from scenec.schemas.exr import is_id_pass
 from scenec.schemas.files import sha256
 from scenec.schemas.frames import ANNOTATION, ANNOTATION_NAMES, Frame, frame_stem, read_frame
-from scenec.schemas.instances import frame_table_path, read_frame_table
+from scenec.schemas.instances import (
+    AMODAL_COLUMNS,
+    FRAME_COLUMNS,
+    frame_table_path,
+    read_frame_table,
+)
 from scenec.schemas.lens import Lens, from_sidecar
 from scenec.schemas.manifest import (
     FRAMES,
@@ -35,6 +39,7 @@ from scenec.schemas.manifest import (
     read_manifest,
     stage_digest,
 )
+from scenec.schemas.passes import AMODAL
 from scenec.schemas.sidecars import read_sidecar
 from scenec.schemas.spelling import nearest
 
@@ -189,7 +194,7 @@ class LoadedFrame:
             if name != "rgb":
                 array = self.passes[name]
                 state.update(f"{name} {array.dtype.str} {array.shape}\n".encode())
-                parts = rle.row_runs(array) if is_id_pass(name) else (array,)
+                parts = rle.row_runs(array) if array.dtype.kind == "u" else (array,)
                 for part in parts:
                     state.update(np.ascontiguousarray(part).data)
         return state.hexdigest()
@@ -280,7 +285,12 @@ class Source:
         self._refuse_foreign(ref, frame)
         table = {}
         if "instance" in frame.passes:
-            table = read_frame_table(_vouched(frame, "instance_table", frame_table_path(ref.stem)))
+            path = _vouched(frame, "instance_table", frame_table_path(ref.stem))
+            table = read_frame_table(path)
+            # Amodal areas came later: all of them, or none.
+            more = AMODAL_COLUMNS if set(AMODAL_COLUMNS) & table.keys() else ()
+            if lacking := [name for name in (*FRAME_COLUMNS, *more) if name not in table]:
+                raise FrameError(f"{path}: a table of instances without {', '.join(lacking)}")
             _vouched(frame, AMODAL, amodal_path(ref.stem))
         labels = _label_names(frame)
         loaded = LoadedFrame(ref, frame.passes, frame.sidecar, table, labels)

@@ -26,7 +26,6 @@ from scenec.datasets.remap import Remap, parse_remap, read_remap
 from scenec.datasets.source import LoadedFrame, Source
 from scenec.datasets.splits import assign, parse_splits
 from scenec.schemas.errors import FrameError, OutputError
-from scenec.schemas.exr import is_id_pass
 from scenec.schemas.spelling import nearest
 
 Sample = dict[str, Any]
@@ -203,7 +202,7 @@ class FrameDataset:
             picture = picture8(frame).astype(np.float32) / np.float32(255.0)
             return np.ascontiguousarray(np.moveaxis(picture, -1, 0))
         array = frame.passes[name]
-        if is_id_pass(name):
+        if array.dtype.kind == "u":
             return array.astype(np.int64)
         if array.ndim == 3:
             array = np.moveaxis(array, -1, 0)

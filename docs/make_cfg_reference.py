@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from scenec.compiler.frontend.schema import NUMBER, ROOT, load_schemas
+from scenec.schemas.passes import BUILT_IN
 
 TARGET = Path(__file__).parent / "cfg.md"
 
@@ -31,7 +32,18 @@ distribution does not say `per` itself, and in brackets what else it may say.
 def make() -> str:
     """The reference page."""
     sections = [_section(name) for name in _order(ROOT)]
-    return HEAD + "\n" + "\n".join(sections)
+    return HEAD + "\n" + "\n".join([*sections, _outputs()])
+
+
+def _outputs() -> str:
+    """What each of the outputs is."""
+    lines = ["## Outputs", "", "Packages may add more ([backends.md](backends.md)).", ""]
+    lines += ["| output | channels of the EXR | type | what it is |", "|---|---|---|---|"]
+    for one in BUILT_IN.values():
+        channels = ", ".join(f"`{name}`" for name in one.channel_names) or "none"
+        kind = one.dtype if one.channels else ""
+        lines.append(f"| `{one.name}` | {channels} | {kind} | {_escape(one.convention)} |")
+    return "\n".join([*lines, ""])
 
 
 def _order(name: str, seen: list[str] | None = None) -> list[str]:

@@ -14,7 +14,6 @@ Masks are of the picture's size and overlap. Arrays of the file:
 
 from __future__ import annotations
 
-import zipfile
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,10 +23,9 @@ from numpy.typing import NDArray
 
 from scenec.schemas import rle
 from scenec.schemas.errors import FrameError
-from scenec.schemas.files import atomic
+from scenec.schemas.files import NUMPY_FAULTS, atomic
+from scenec.schemas.passes import AMODAL
 
-#: Name of the pass, which is a file of its own and no part of the EXR.
-AMODAL = "amodal"
 SUFFIX = ".amodal.npz"
 VERSION = 1
 
@@ -133,7 +131,7 @@ def read_amodal(path: Path) -> Amodal:
             found = Amodal((height, width), arrays["ids"], arrays["counts"], arrays["starts"])
     except FileNotFoundError as error:
         raise FrameError(f"{path}: no such masks; render with the pass {AMODAL}") from error
-    except (OSError, ValueError, KeyError, EOFError, TypeError, zipfile.BadZipFile) as error:
+    except NUMPY_FAULTS as error:
         raise FrameError(f"{path}: no amodal masks, or damaged ones") from error
     if not _sound(found):
         raise FrameError(f"{path}: amodal masks whose arrays contradict each other")

@@ -1,16 +1,4 @@
-"""Passes that compare a frame with another view of the same scene: names and codes.
-
-======================  ============================================================
-``flow``                to the same camera's next sample, pixels right and down
-``flow_backward``       to its sample before
-``scene_flow``          where the point seen goes until the next sample, in the camera's
-                        frames: its coordinates then minus its coordinates now, meters
-``occlusion``           what became of it at the next sample: a code
-``occlusion_backward``  what it was at the sample before: a code
-``disparity``           column here minus column in the partner's picture, pixels
-``disparity_occlusion`` whether the partner sees it: a code
-======================  ============================================================
-"""
+"""Passes that compare a frame with another view of the same scene; what they are: ``passes``."""
 
 from __future__ import annotations
 
@@ -29,5 +17,3 @@ CODES = {
 NEXT = ("flow", "scene_flow", "occlusion")
 BEFORE = ("flow_backward", "occlusion_backward")
 PARTNER = ("disparity", "disparity_occlusion")
-
-CORRESPONDENCES = (*NEXT, *BEFORE, *PARTNER)

@@ -1,26 +1,10 @@
 """Frames as multi-part OpenEXR: one part per pass, with full channel names.
 
-==================  =======================================  ==========
-pass (part name)    channels                                 type
-==================  =======================================  ==========
-``rgb``             ``R``, ``G``, ``B``                      float
-``depth``           ``Z``                                    float
-``range``           ``range.Z``                              float
-``label.<level>``   ``label.<level>.id``                     uint
-``instance``        ``instance.id``                          uint
-``face``            ``face.id``                              uint
-``normal``          ``normal.X``, ``normal.Y``, ``normal.Z``       float
-``position``        ``position.X``, ``position.Y``, ``position.Z``  float
-``flow``            ``flow.U``, ``flow.V``                   float
-``scene_flow``      ``scene_flow.X``, ``scene_flow.Y``, ``scene_flow.Z``  float
-``disparity``       ``disparity.U``                          float
-``depth_measured``  ``depth_measured.Z``                     float
-``occlusion``       ``occlusion.id``                         uint
-==================  =======================================  ==========
-
-``flow_backward`` is as ``flow``, ``occlusion_backward`` and ``disparity_occlusion`` are as
-``occlusion`` (``scenec.schemas.correspondence``). ZIP compression, float32 where memory has
-float64. The same arrays give the same bytes.
+Names, channels and types of passes: ``scenec.schemas.passes``. ``depth`` is the channel ``Z``,
+``rgb`` has ``R``, ``G``, ``B``, others are layers: ``normal.X``, ``label.<level>.id``. A pass of
+another package is read as its file has it, channels in order of their names: nothing of that
+package is needed. ZIP compression, float32 where memory has float64. The same arrays give the same
+bytes.
 """
 
 from __future__ import annotations
@@ -35,64 +19,21 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.schemas.correspondence import CORRESPONDENCES
-from scenec.schemas.depth_camera import MEASURED
 from scenec.schemas.errors import FrameError, OutputError
 from scenec.schemas.exr_parts import without_parts
 from scenec.schemas.files import atomic
-
-_FIXED_CHANNELS: dict[str, tuple[str, ...]] = {
-    "rgb": ("R", "G", "B"),
-    "depth": ("Z",),
-    "range": ("range.Z",),
-    "instance": ("instance.id",),
-    "face": ("face.id",),
-    "normal": ("normal.X", "normal.Y", "normal.Z"),
-    "position": ("position.X", "position.Y", "position.Z"),
-    "flow": ("flow.U", "flow.V"),
-    "flow_backward": ("flow_backward.U", "flow_backward.V"),
-    "scene_flow": ("scene_flow.X", "scene_flow.Y", "scene_flow.Z"),
-    "disparity": ("disparity.U",),
-    MEASURED: (f"{MEASURED}.Z",),
-    "occlusion": ("occlusion.id",),
-    "occlusion_backward": ("occlusion_backward.id",),
-    "disparity_occlusion": ("disparity_occlusion.id",),
-}
+from scenec.schemas.passes import PassFormat, built_in
 
 
-#: Passes as they are asked for; "label" stands for all levels. "amodal" is no part of the EXR, but
-#: a file of its own (``scenec.schemas.amodal``).
-PASSES = (
-    *("rgb", "label", "instance", "depth", "range", "normal", "position", "face", "amodal"),
-    *CORRESPONDENCES,
-    MEASURED,
-)
-
-
-def channel_names(name: str) -> tuple[str, ...]:
-    """Channels of a pass, in the order of the array's last axis.
-
-    Raises:
-        FrameError: No such pass.
-    """
-    if name in _FIXED_CHANNELS:
-        return _FIXED_CHANNELS[name]
-    if name.startswith("label.") and len(name) > len("label."):
-        return (f"{name}.id",)
-    raise FrameError(f"unknown pass {name!r}")
-
-
-def is_id_pass(name: str) -> bool:
-    """Whether a pass holds ids (uint32) instead of floats."""
-    return _FIXED_CHANNELS.get(name, (f"{name}.id",)) == (f"{name}.id",)
-
-
-def write_exr(path: Path, passes: Mapping[str, NDArray]) -> None:
+def write_exr(
+    path: Path, passes: Mapping[str, NDArray], others: Mapping[str, PassFormat] | None = None
+) -> None:
     """Write passes, in their order, by atomic rename.
 
     Args:
         path: Ends in ``.exr``.
         passes: Pass name -> [h, w] or [h, w, channels]; ids unsigned, the rest floating.
+        others: Formats of the passes that are not ours, by name.
 
     Raises:
         OutputError: The file cannot be written.
@@ -102,14 +43,16 @@ def write_exr(path: Path, passes: Mapping[str, NDArray]) -> None:
 
     parts = []
     for name, array in passes.items():
-        channels = channel_names(name)
-        dtype = np.uint32 if is_id_pass(name) else np.float32
+        of = built_in(name) or (others or {}).get(name)
+        if of is None:
+            raise FrameError(f"{path}: unknown pass {name!r}")
+        channels = of.channel_names
         planes = array[..., None] if array.ndim == 2 else array
         if planes.ndim != 3 or planes.shape[2] != len(channels):
             raise FrameError(f"{path}: pass {name!r} has shape {array.shape}")
         header = {"type": OpenEXR.scanlineimage, "compression": OpenEXR.ZIP_COMPRESSION}
         data = {
-            channel: np.ascontiguousarray(planes[..., i], dtype)
+            channel: np.ascontiguousarray(planes[..., i], of.dtype)
             for i, channel in enumerate(channels)
         }
         parts.append(OpenEXR.Part(header, data, name=name))
@@ -158,19 +101,20 @@ def _read_passes(path: Path, unused: Collection[str]) -> dict[str, NDArray]:
         name = part.name()
         if name in unused:
             continue
-        try:
-            channels = channel_names(name)
-        except FrameError as error:
-            raise FrameError(f"{path}: {error}; not a frame of scenec") from error
+        found = built_in(name)
+        channels = tuple(sorted(part.channels)) if found is None else found.channel_names
+        if not channels or (found is None and not all(c.startswith(f"{name}.") for c in channels)):
+            raise FrameError(f"{path}: unknown pass {name!r}; not a frame of scenec")
+        types = {"uint32", "float32"} if found is None else {found.dtype}
         planes = []
         for channel in channels:
             # A broken chunk leaves its channel out, with a line on stderr and no exception.
             pixels = part.channels[channel].pixels if channel in part.channels else None
-            expected = np.uint32 if is_id_pass(name) else np.float32
             if pixels is None or pixels.shape != (part.height(), part.width()):
                 raise FrameError(f"{path}: pass {name!r} is damaged or cut short")
-            if pixels.dtype != expected:
+            if pixels.dtype.name not in types:
                 raise FrameError(f"{path}: channel {channel!r} has type {pixels.dtype}")
+            types = {pixels.dtype.name}
             planes.append(pixels)
         passes[name] = planes[0] if len(planes) == 1 else np.stack(planes, axis=-1)
     return passes

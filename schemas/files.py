@@ -15,11 +15,14 @@ import secrets
 import shutil
 import socket
 import tempfile
+import tokenize
+import zlib
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path, PurePosixPath
 from typing import Any
+from zipfile import BadZipFile
 
 from scenec.schemas.errors import OutputError, ScenecError
 from scenec.schemas.lock import LOCK, clear, is_alive
@@ -29,6 +32,12 @@ TEMPORARY = ".scenec-"
 _TEMPORARY = re.compile(r"\.scenec-([0-9a-f]{8})-([0-9]+)-[0-9a-f]{8}-.+")
 #: Bytes below which a disk counts as full: no stage and no picture is smaller.
 _LEAST_FREE = 1 << 20
+
+#: What NumPy raises for files that are none of its own, or broken ones.
+NUMPY_FAULTS = (
+    OSError, ValueError, EOFError, BadZipFile, zlib.error, NotImplementedError, MemoryError,
+    SyntaxError, TypeError, OverflowError, KeyError, RuntimeError, tokenize.TokenError,
+)  # fmt: skip
 
 
 def sha256(path: Path) -> str:

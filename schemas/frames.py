@@ -18,12 +18,13 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from scenec.schemas.amodal import AMODAL, amodal_path
+from scenec.schemas.amodal import amodal_path
 from scenec.schemas.errors import FrameError
 from scenec.schemas.exr import read_exr
 from scenec.schemas.files import sha256
 from scenec.schemas.instances import frame_table_path
 from scenec.schemas.manifest import FRAMES
+from scenec.schemas.passes import AMODAL, BUILT_IN, origins
 from scenec.schemas.sidecars import read_sidecar
 from scenec.schemas.versions import version_of
 
@@ -63,34 +64,14 @@ SHUTTER_CONVENTION = (
 #: bits behind the mosaic. A sidecar vouches for them under ``imaging``.
 BESIDE = ("clean", "raw")
 
+#: What a sidecar's numbers and passes mean; passes of other packages add theirs.
 CONVENTIONS = {
     "pixel": "column 0, row 0 is the top-left pixel; its center is at (0.5, 0.5)",
     "intrinsics": "K, row-major: u = fx*X/Z + s*Y/Z + cx, v = fy*Y/Z + cy, pixels",
     "camera_to_world": "4x4, row-major, column vectors; camera axes x right, y down, z forward "
     "(OpenCV); world in meters, Z up, right-handed",
-    "rgb": "linear Rec.709 radiance, mean over the pixel's area (box filter)",
-    "depth": "meters along the optical axis, at the pixel's center; +inf without a hit",
-    "range": "meters along the ray, at the pixel's center; +inf without a hit",
-    "label": "id at the pixel's center; 0 is no label",
-    "instance": "id at the pixel's center; 0 is no instance",
-    "amodal": "file of masks, one an instance: pixels whose center would show it if nothing stood "
-    "before it",
-    "face": "index of the authored face; 4294967295 without a hit",
-    "normal": "geometric, world frame, facing the camera; 0 without a hit",
-    "position": "world frame, meters; NaN without a hit",
-    "depth_measured": "what the sensor's depth camera says, meters along the optical axis; 0: no "
-    "answer",
-    "flow": "pixels right and down from the pixel's center to where its point is in the same "
-    "camera's picture at the next sample; of the sky: as if infinitely far away; NaN where it is "
-    "behind the camera then, or there is no such sample; flow_backward: at the sample before",
-    "scene_flow": "what the pixel's center shows, next sample minus this one, each in the camera's "
-    "own frame of then, meters; NaN without a hit",
-    "disparity": "column of the pixel's center minus column of its point in the picture of the "
-    "camera's partner; NaN where that camera has it behind",
+    **{one.name: one.convention for one in BUILT_IN.values()},
     "partner": "name of the camera that disparity goes to; null where it is not rendered",
-    "occlusion": "what the other picture shows of the point: 0 visible, 1 hidden by something, "
-    "2 outside of the picture or behind the camera, 3 nothing to compare with; also "
-    "occlusion_backward and disparity_occlusion",
     "trigger": "samples from one frame of the camera to the next, and its first one",
     "sun": "the brightest distant light of the sample: elevation above the horizon and compass "
     "bearing of the light itself, clockwise from +Y (north) to +X, degrees; irradiance on a "
@@ -150,6 +131,9 @@ class FrameKey:
     def digest(self) -> str:
         """The resume key: sha256, hex."""
         values = {"frame": FRAME_VERSION, "scenec": version_of(), **asdict(self)}
+        others = origins(self.passes)
+        if others:
+            values["packages"] = others
         return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
 
 

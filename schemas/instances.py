@@ -37,7 +37,6 @@ listed: ``instances.npz`` has it. The masks themselves: ``scenec.schemas.amodal`
 from __future__ import annotations
 
 import csv
-import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -48,7 +47,7 @@ from numpy.typing import NDArray
 
 from scenec.schemas.csv_cells import guarded, unguarded
 from scenec.schemas.errors import FrameError
-from scenec.schemas.files import atomic
+from scenec.schemas.files import NUMPY_FAULTS, atomic
 
 #: Of all instances of a batch, in its folder of frames.
 BATCH_TABLE = "instances.npz"
@@ -64,6 +63,10 @@ POSE_COLUMNS = (*(f"cam_{name}" for name in _POSE), *_POSE)
 BOX_COLUMNS = ("size_x", "size_y", "size_z", "box_x", "box_y", "box_z")
 _TEXT = ("class",)
 _WHOLE = ("id", "local_id", *PIXEL_COLUMNS, *AMODAL_COLUMNS)
+#: In each frame's table; early ones have no amodal areas.
+FRAME_COLUMNS = (
+    "id", *_TEXT, "local_id", *PIXEL_COLUMNS, *DEPTH_COLUMNS, *POSE_COLUMNS, *BOX_COLUMNS
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -143,7 +146,7 @@ def table_digest(path: Path) -> str | None:
     try:
         with np.load(path) as arrays:
             return str(arrays["stage_digest"]) if int(arrays["version"]) == TABLE_VERSION else None
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+    except NUMPY_FAULTS:
         return None
 
 
@@ -169,7 +172,7 @@ def read_table(path: Path) -> InstanceTable:
             )
     except FileNotFoundError as error:
         raise FrameError(f"{path}: no such table; render with the pass instance") from error
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+    except NUMPY_FAULTS as error:
         raise FrameError(f"{path}: no table of instances, or a damaged one") from error
 
 
@@ -231,8 +234,14 @@ def _column(name: str, values: Sequence[str]) -> NDArray[Any]:
         return np.array(list(map(unguarded, values)), np.str_)
     # By way of Python's numbers: three times as fast as NumPy's own reading of text.
     if name in _WHOLE:
-        return np.array(list(map(int, values)), np.int64)
-    return np.array(list(map(float, values)), np.float64)
+        numbers = np.array(list(map(int, values)), np.int64)
+        sound = (numbers >= 0) & (numbers < 2**32)
+    else:
+        numbers = np.array(list(map(float, values)), np.float64)
+        sound = np.isfinite(numbers)
+    if not sound.all():
+        raise ValueError(f"{name} holds {numbers[~sound][0]:g}, which no instance has")
+    return numbers
 
 
 def _quoted(value: str) -> str:

@@ -22,7 +22,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -32,7 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.schemas.errors import FrameError
-from scenec.schemas.files import atomic, sha256, write_json
+from scenec.schemas.files import NUMPY_FAULTS, atomic, sha256, write_json
 from scenec.schemas.shape import Each, natural, read_shaped
 
 #: In each batch's folder.
@@ -153,7 +152,7 @@ def read_scan(path: Path) -> Scan:
             raise FrameError(f"{npz_path}: damaged or changed since it was written; scan again")
         with np.load(npz_path) as stored:
             return Scan(json_path, {name: stored[name] for name in stored.files}, sidecar)
-    except (OSError, ValueError, zipfile.BadZipFile) as error:
+    except NUMPY_FAULTS as error:
         raise FrameError(f"{npz_path}: cannot be read: {error}") from error
 
 

@@ -10,7 +10,8 @@ A shape is written as the value looks: ``{"batches": [{"index": natural, "path":
 ``[a]``            a list of these, of any length
 ``[a, b]``         a list of just these
 ``Each(a)``        an object with any keys and such values
-``{"k": a}``       an object with at least these keys; one spelled ``"k?"`` may be missing
+``{"k": a}``       an object with at least these keys; one spelled ``"k?"`` may be missing, one
+                   spelled ``"k?other"`` where ``other`` is missing, too
 a function         called with the value: None, or what was expected instead
 =================  ================================================================================
 """
@@ -97,14 +98,15 @@ def _fault(value: Any, shape: Any, at: str) -> str | None:
 
 
 def _fault_of_keys(value: dict[str, Any], shape: dict[str, Any], at: str) -> str | None:
+    known = {spelled.partition("?")[0] for spelled in shape}
     for spelled, one in shape.items():
-        key = spelled.removesuffix("?")
+        key, may, other = spelled.partition("?")
         if key in value:
             fault = _fault(value[key], one, f"{at}/{_escaped(key)}")
             if fault:
                 return fault
-        elif spelled == key:
-            others = [name for name in value if name not in shape and f"{name}?" not in shape]
+        elif not may or (other and other in value):
+            others = [name for name in value if name not in known]
             guess = closest(key, others)
             told = "" if guess is None else f"; is it {shown(guess)}?"
             return f"{at or '/'}: the key {shown(key)} is missing{told}"

@@ -63,6 +63,10 @@ _MATRIX = [[float] * 4] * 4
 _FILE = {"sha256": str, "bytes?": natural}
 _ERROR = {f"{key}?": (None, float)
           for key in ("relative_rms", "relative_rms_bound_95", "relative_mse")}  # fmt: skip
+_SUN = {"prim": str, "irradiance": float, "normalized": bool, "angle_deg": float}
+_LIGHT = {"suns": [_SUN], "sky_radiance": float, "lamps_w_sr": [float]}
+_PICTURE = {"surfaces": natural, "black": natural, "burnt": natural, "mean_luminance": float,
+            "light?": _LIGHT}  # fmt: skip
 _COUNTS = dict.fromkeys(("pixels", "suspects", "changed", "changed_rows"), natural)
 _SHAPE = {
     "camera": str,
@@ -80,6 +84,8 @@ _SHAPE = {
          "last_row": _MATRIX, "times_s": [float], "camera_to_world": [_MATRIX]},
     ),
     "exposure_ev": float,
+    "exposure?": (None, {"rule?": str, "per?": str, "of?": str}),
+    "picture?": (None, _PICTURE),
     "trigger?": (None, [_above_0, natural]),
     "passes": [str],
     "labels": Each(_table),

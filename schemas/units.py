@@ -8,8 +8,7 @@ It takes units as it has hands free, and tells what came of each in the order in
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Hashable, Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Generator, Hashable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol, Self, TypeVar
@@ -20,14 +19,9 @@ T = TypeVar("T")
 
 
 class Keeper:
-    """What a worker keeps from one unit to the next: one thing, such as a stage that was read.
+    """What a worker keeps from one unit to the next: one thing, such as a stage that was read."""
 
-    Args:
-        tell: Told whose fault a crash of native code would be, and None when that is over.
-    """
-
-    def __init__(self, tell: Callable[[str | None], None] = lambda _text: None) -> None:
-        self._tell = tell
+    def __init__(self) -> None:
         self._name: Hashable = None
         self._kept: Any = None
 
@@ -39,13 +33,6 @@ class Keeper:
             self._name = name
         kept: T = self._kept
         return kept
-
-    @contextmanager
-    def blaming(self, text: str) -> Iterator[None]:
-        """Within, a crash of native code is a fault of the stage, and the text says of what."""
-        self._tell(text)
-        yield
-        self._tell(None)
 
 
 class Unit(Protocol):

@@ -5,11 +5,14 @@ made aside, and one rename makes it the folder's ``UPDATE``: before that nothing
 then on it will, since whoever comes next finishes what was cut short. Each step is a rename or a
 removal that can be done twice. Nothing else in the folder is touched.
 
-This is about processes that are killed, not about power that fails: nothing waits for the disk.
+That holds for power that fails as for processes that are killed, where the file system keeps its
+renames in their order, as journals do: the update is on the disk before the rename is, and that
+before anything is moved.
 """
 
 from __future__ import annotations
 
+import errno
 import json
 import logging
 import os
@@ -43,7 +46,9 @@ def replace_files(new: Path, root: Path, removed: Iterable[str] = ()) -> None:
     """
     try:
         if not root.exists():
+            _write_through(new)
             os.rename(new, root)
+            _sync(root.parent)
             return
         for path in tree(new):
             _check_place(root, path)
@@ -52,7 +57,9 @@ def replace_files(new: Path, root: Path, removed: Iterable[str] = ()) -> None:
             if inside(root, name).is_dir():
                 raise OutputError(f"{root / name}: is a folder, and a file was there; move it away")
         (new / _REMOVED).write_text(as_json(removed), encoding="utf-8")
+        _write_through(new)
         os.rename(new, root / UPDATE)
+        _sync(root)
         try:
             _carry_out(root)
         except KeyboardInterrupt:
@@ -106,6 +113,24 @@ def finish_own_update(root: Path) -> None:
             f"{root}: an update that was cut short cannot be finished: {error.strerror or error}"
         ) from error
     _log.warning("%s: finished an update that was cut short", root)
+
+
+def _write_through(folder: Path) -> None:
+    """Waits until the disk has all that is in a folder."""
+    for path in (*folder.rglob("*"), folder):
+        _sync(path)
+
+
+def _sync(path: Path) -> None:
+    file = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(file)
+    except OSError as error:
+        # Some file systems have nothing to wait for, of folders above all.
+        if error.errno != errno.EINVAL:
+            raise
+    finally:
+        os.close(file)
 
 
 def _check_place(root: Path, path: Path) -> None:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import os
 import sys
+from pathlib import Path
 
+import pytest
 from hypothesis import HealthCheck, settings
 
 # No test reads or fills the user's cache; those of the cache name a folder of their own.
@@ -19,7 +22,19 @@ os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
 
 # No test fails for a slow moment, of which a shared machine has many.
-settings.register_profile("patient", deadline=None, suppress_health_check=[HealthCheck.too_slow])
-settings.load_profile("patient")
+PATIENT = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
+# `make test` draws the same few examples each time, `make thorough` others, and more, each time.
+settings.register_profile("thorough", PATIENT, max_examples=100)
+settings.register_profile("quick", PATIENT, max_examples=25, derandomize=True)
+settings.load_profile("quick")
 
 pytest_plugins = ["workers_here"]
+
+#: Seconds of the files that take long, as benchmarks/durations.py measured them.
+SECONDS = json.loads(Path(__file__).with_name("durations.json").read_text(encoding="utf-8"))
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Files that take long come first, so that no process of several works alone in the end."""
+    if hasattr(config, "workerinput"):
+        items.sort(key=lambda item: -SECONDS.get(item.nodeid.partition("::")[0], 0))

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from small import write_cfg
 
-from scenec.backends.annotation.bands import annotate as annotated
+from scenec.backends.annotation.annotate import annotate as annotated
 from scenec.backends.annotation.lidar import scan
 from scenec.backends.exact import ExactCaster
 from scenec.backends.registry import open_backend
@@ -215,7 +215,7 @@ def annotation(batch: Path) -> Iterator[tuple[str, dict[str, NDArray[Any]]]]:
     for sample, cameras in enumerate(scene.cameras):
         caster.pose(sample)
         for camera in cameras:
-            shown = annotated(scene, caster, camera, PASSES, sample)[1]
+            shown = annotated(scene, caster, camera, PASSES, sample).arrays
             yield f"{camera.name} {sample}", shown
 
 

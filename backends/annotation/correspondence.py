@@ -17,25 +17,17 @@ that of the row that sees it in the other picture (``shutter.places_of``).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.backends.annotation.contract import Picture, built_in
 from scenec.backends.camera.shutter import in_rows, is_rolling, places_of
 from scenec.backends.contract import Rays
 from scenec.backends.exact import ExactCaster, Hits
 from scenec.backends.stage.scene import Camera, RenderScene
-from scenec.schemas.correspondence import (
-    BEFORE,
-    HIDDEN,
-    NEXT,
-    NOTHING,
-    OUTSIDE,
-    PARTNER,
-    VISIBLE,
-)
+from scenec.schemas.correspondence import HIDDEN, NOTHING, OUTSIDE, VISIBLE
 from scenec.schemas.errors import CameraRefusedError
 from scenec.schemas.lens import shown_at
 
@@ -61,69 +53,6 @@ class Match:
     code: NDArray[np.uint32]
 
 
-def compare(
-    scene: RenderScene,
-    caster: ExactCaster,
-    hits: Hits,
-    rays: Rays,
-    camera: Camera,
-    sample: int,
-    passes: Sequence[str],
-) -> dict[str, NDArray]:
-    """The passes out of ``schemas.correspondence.CORRESPONDENCES`` that are asked for.
-
-    Args:
-        scene: The scene.
-        caster: Posed at ``sample``, and left so.
-        hits: First hits of the frame.
-        rays: Its rays.
-        camera: Its camera.
-        sample: Its time code.
-        passes: Names; others are skipped.
-
-    Returns:
-        Per pass: ``flow`` and ``flow_backward`` float64 [h, w, 2], ``scene_flow`` [h, w, 3],
-        ``disparity`` [h, w], NaN where there is none; the codes uint32 [h, w].
-
-    Raises:
-        BackendError: A disparity is asked for, and the camera's partner is not in the stage.
-    """
-    out: dict[str, NDArray] = {}
-    centers = _centers(camera)
-    for names, step, flow, code in (
-        (NEXT, 1, "flow", "occlusion"),
-        (BEFORE, -1, "flow_backward", "occlusion_backward"),
-    ):
-        wanted = [name for name in names if name in passes]
-        if not wanted:
-            continue
-        # The next time that it is triggered.
-        at = sample + step * camera.trigger[0]
-        other = _same_camera(scene, camera, at)
-        found = (
-            _nothing(len(centers))
-            if other is None
-            else match(scene, caster, hits, rays, (camera, sample), (other, at))
-        )
-        made: dict[str, NDArray] = {
-            flow: found.pixel - centers,
-            "scene_flow": found.there - found.here,
-            code: found.code,
-        }
-        out |= {name: made[name] for name in wanted}
-    wanted = [name for name in PARTNER if name in passes]
-    if wanted:
-        other = _partner(scene, camera, sample)
-        seen = match(scene, caster, hits, rays, (camera, sample), (other, sample))
-        made = {
-            "disparity": centers[:, 0] - seen.pixel[:, 0],
-            "disparity_occlusion": seen.code,
-        }
-        out |= {name: made[name] for name in wanted}
-    h, w = rays.shape
-    return {name: out[name].reshape(h, w, *out[name].shape[1:]) for name in passes if name in out}
-
-
 def match(
     scene: RenderScene,
     caster: ExactCaster,
@@ -135,7 +64,9 @@ def match(
     """Finds what one view shows in another one.
 
     Args:
-        scene, caster, hits, rays: As for ``compare``.
+        scene: The scene.
+        caster: Posed at the sample of ``here``, and left so.
+        hits, rays: First hits of ``here``, and its rays.
         here, there: The two views: camera and sample.
 
     Returns:
@@ -184,13 +115,44 @@ def match(
     return Match(pixel, local, after, code)
 
 
+def _next(picture: Picture) -> Match:
+    return _of_trigger(picture, 1)
+
+
+def _before(picture: Picture) -> Match:
+    return _of_trigger(picture, -1)
+
+
+def _of_trigger(picture: Picture, step: int) -> Match:
+    """At the next time that the camera is triggered, or the one before."""
+    camera = picture.camera
+    sample = picture.sample + step * camera.trigger[0]
+    other = _same_camera(picture.scene, camera, sample)
+    if other is None:
+        return _nothing(len(picture.hits.row))
+    return match_picture(picture, other, sample)
+
+
+def _beside(picture: Picture) -> Match:
+    """In the partner's picture."""
+    other = _partner(picture.scene, picture.camera, picture.sample)
+    return match_picture(picture, other, picture.sample)
+
+
+def match_picture(picture: Picture, other: Camera, sample: int) -> Match:
+    """What a picture shows, in another camera's one; see ``match``."""
+    here, there = (picture.camera, picture.sample), (other, sample)
+    return match(picture.scene, picture.caster, picture.hits, picture.rays, here, there)
+
+
 def _nothing(n: int) -> Match:
     empty = np.full((n, 3), np.nan)
     return Match(empty[:, :2], empty, empty, np.full(n, NOTHING, np.uint32))
 
 
-def _centers(camera: Camera) -> NDArray[np.float64]:
+def _centers(picture: Picture) -> NDArray[np.float64]:
     """Pixel centers, float64 [h * w, 2]."""
+    camera = picture.camera
     v, u = np.meshgrid(np.arange(camera.height) + 0.5, np.arange(camera.width) + 0.5, indexing="ij")
     return np.stack([u.ravel(), v.ravel()], axis=1)
 
@@ -256,3 +218,16 @@ def _rays_to(origins: NDArray[np.float64], points: NDArray[np.float64]) -> Rays:
     """Rays from places of cameras that reach points at parameter 1."""
     directions = np.ascontiguousarray(points - origins)
     return Rays(np.ascontiguousarray(origins), directions, (1, len(points)))
+
+
+FLOW = built_in("flow", lambda p: p.once(_next).pixel - p.once(_centers), whole=True)
+SCENE_FLOW = built_in("scene_flow", lambda p: p.once(_next).there - p.once(_next).here, whole=True)
+OCCLUSION = built_in("occlusion", lambda p: p.once(_next).code, whole=True)
+FLOW_BACKWARD = built_in(
+    "flow_backward", lambda p: p.once(_before).pixel - p.once(_centers), whole=True
+)
+OCCLUSION_BACKWARD = built_in("occlusion_backward", lambda p: p.once(_before).code, whole=True)
+DISPARITY = built_in(
+    "disparity", lambda p: p.once(_centers)[:, 0] - p.once(_beside).pixel[:, 0], whole=True
+)
+DISPARITY_OCCLUSION = built_in("disparity_occlusion", lambda p: p.once(_beside).code, whole=True)

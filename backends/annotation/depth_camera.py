@@ -22,13 +22,14 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from scenec.backends.annotation.annotate import annotate
-from scenec.backends.annotation.correspondence import match
+from scenec.backends.annotation.contract import Picture, built_in
+from scenec.backends.annotation.correspondence import match_picture
+from scenec.backends.annotation.depth import depth
+from scenec.backends.annotation.normal import normal
+from scenec.backends.annotation.range import distance
 from scenec.backends.camera.shutter import beside
-from scenec.backends.contract import Rays
-from scenec.backends.exact import ExactCaster, Hits
 from scenec.backends.imaging.chance import philox, quantile, unit
-from scenec.backends.stage.scene import Camera, RenderScene
+from scenec.backends.stage.scene import Camera
 from scenec.schemas.correspondence import VISIBLE
 from scenec.schemas.depth_camera import MEASURED, StereoDepth, TimeOfFlightDepth
 from scenec.schemas.errors import CameraRefusedError
@@ -114,12 +115,12 @@ def measure_stereo(
     Args:
         model: The camera's pair.
         camera: Its left half (or that at the smaller x).
-        depth: Exact planar depth, [h, w], +inf without a hit.
-        seen: Whether the other half sees the point, bool [h, w].
+        depth: Exact planar depth, +inf without a hit.
+        seen: Whether the other half sees the point, bool, of the same shape.
         key, sample: Of the random numbers.
 
     Returns:
-        Planar depth, float64 [h, w], 0 where there is no answer.
+        Planar depth, float64, of the same shape, 0 where there is no answer.
     """
     out = np.empty(depth.size)
     fb = float(camera.intrinsics[0, 0]) * model.baseline_m
@@ -153,11 +154,11 @@ def measure_time_of_flight(
         model: The camera.
         reach: Exact range, [h, w], +inf without a hit.
         cosine: Of the angle between ray and surface's normal, [h, w].
-        per_range: Planar depth of a range of 1 along each pixel's ray, [h, w].
+        per_range: Planar depth of a range of 1 along each pixel's ray, [h, w] or [h * w].
         key, sample: Of the random numbers.
 
     Returns:
-        As ``measure_stereo``.
+        Planar depth, float64 [h, w], 0 where there is no answer.
     """
     out = np.empty(reach.size)
     _time_of_flight(
@@ -185,41 +186,28 @@ def _spot(blur_px: float) -> NDArray[np.float64]:
     return np.asarray(weights / weights.sum())
 
 
-def measure(
-    scene: RenderScene,
-    caster: ExactCaster,
-    hits: Hits,
-    rays: Rays,
-    camera: Camera,
-    sample: int,
-) -> NDArray[np.float64]:
-    """The pass ``depth_measured`` of a frame, float64 [h, w], 0 where there is no answer.
-
-    Args:
-        scene: The scene.
-        caster: Posed at ``sample``, and left so.
-        hits: First hits of the frame.
-        rays: Its rays.
-        camera: Its camera.
-        sample: Its time code.
+def measure(picture: Picture) -> NDArray[np.float64]:
+    """The pass ``depth_measured``, float64 [n], 0 where there is no answer.
 
     Raises:
-        BackendError: The stage does not say how the camera measures.
+        CameraRefusedError: The stage does not say how the camera measures.
     """
+    camera, sample = picture.camera, picture.sample
     if camera.depth_camera is None:
         raise CameraRefusedError(
             f"{camera.path}: {MEASURED} needs a depth camera, and the stage names none"
         )
     model, key = camera.depth_camera.model, camera.depth_camera.key
-    exact = annotate(scene, hits, rays, ("depth", "range", "normal"), sample)
     if isinstance(model, StereoDepth):
-        other = beside(camera, model.baseline_m)
-        found = match(scene, caster, hits, rays, (camera, sample), (other, sample))
-        seen = (found.code == VISIBLE).reshape(rays.shape)
-        return measure_stereo(model, camera, exact["depth"], seen, key, sample)
+        seen = match_picture(picture, beside(camera, model.baseline_m), sample).code == VISIBLE
+        return measure_stereo(model, camera, picture.once(depth), seen, key, sample)
+    rays, shape = picture.rays, (camera.height, camera.width)
     length = np.sqrt((rays.directions * rays.directions).sum(axis=1))
-    unit_rays = (rays.directions / length[:, None]).reshape(*rays.shape, 3)
-    cosine = np.abs((exact["normal"] * unit_rays).sum(axis=-1))
+    unit_rays = rays.directions / length[:, None]
+    cosine = np.abs((picture.once(normal) * unit_rays).sum(axis=-1)).reshape(shape)
+    reach = picture.once(distance).reshape(shape)
     deep = np.ones(len(length)) if rays.depth is None else rays.depth
-    per_range = (deep / length).reshape(rays.shape)
-    return measure_time_of_flight(model, exact["range"], cosine, per_range, key, sample)
+    return measure_time_of_flight(model, reach, cosine, deep / length, key, sample).ravel()
+
+
+DEPTH_MEASURED = built_in(MEASURED, measure, whole=True)

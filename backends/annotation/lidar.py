@@ -15,7 +15,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from scenec.backends.annotation.annotate import annotate
+from scenec.backends.annotation.contract import View
+from scenec.backends.annotation.instance import instance
+from scenec.backends.annotation.label import label
+from scenec.backends.annotation.normal import normal
 from scenec.backends.contract import Rays
 from scenec.backends.exact import ExactCaster
 from scenec.backends.imaging.chance import philox, quantile, unit
@@ -95,11 +98,12 @@ def scan(scene: RenderScene, caster: ExactCaster, lidar: Lidar, sample: int) -> 
         answer,
     )
     there = np.isfinite(answer)
-    labels = [f"label.{level}" for level in scene.levels]
-    made = annotate(scene, hits, rays, [*labels, "instance", "normal"], sample)
-    cosine = np.abs((made["normal"].reshape(-1, 3) * directions).sum(axis=1))
+    view = View(scene, sample, hits, lambda: rays)
+    made = {f"label.{level}": label(view, level) for level in scene.levels}
+    made["instance"] = instance(view)
+    cosine = np.abs((normal(view) * directions).sum(axis=1))
     told = _told(elevations, azimuths) * np.where(there, answer, np.nan)[:, None]
-    ids = {name: np.where(there, made[name].ravel(), 0) for name in (*labels, "instance")}
+    ids = {name: np.where(there, values, 0) for name, values in made.items()}
     out: dict[str, NDArray] = {
         "points": told.astype(np.float32).reshape(*shape, 3),
         "range": answer.astype(np.float32),

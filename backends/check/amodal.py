@@ -7,12 +7,11 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.backends.annotation.instances import Instances, Seen
-from scenec.backends.exact.caster import Hits
-from scenec.backends.stage.scene import Camera, RenderScene
-from scenec.schemas.amodal import AMODAL, Amodal, read_amodal
+from scenec.backends.annotation.instances import Seen
+from scenec.schemas.amodal import Amodal, read_amodal
 from scenec.schemas.frames import Frame
 from scenec.schemas.instances import read_frame_table
+from scenec.schemas.passes import AMODAL
 
 #: Channel of the areas in tables of instances.
 AREAS = "amodal areas"
@@ -21,37 +20,23 @@ AREAS = "amodal areas"
 Found = tuple[str, int, int]
 
 
-class Definition:
-    """What the exact caster says of a stage's frames.
+def against(truth: Seen, frame: Frame) -> Iterator[Found]:
+    """Compare a frame's amodal areas and masks with the exact ones, as far as it has them.
 
-    Args:
-        scene: The stage.
+    Raises:
+        FrameError: They cannot be read.
     """
-
-    def __init__(self, scene: RenderScene) -> None:
-        self._instances = Instances(scene)
-
-    def seen(self, hits: Hits, camera: Camera, sample: int) -> Seen:
-        """What a picture shows of instances, every pixel of it cast."""
-        return self._instances.seen(hits.row, hits.t, camera, sample, hits.geometry, masks=True)
-
-    def against(self, truth: Seen, frame: Frame) -> Iterator[Found]:
-        """Compare a frame's areas and masks, as far as it has them.
-
-        Raises:
-            FrameError: They cannot be read.
-        """
-        if frame.sidecar.get("instance_table"):
-            table = read_frame_table(frame.path)
-            pixels = int(truth.table["amodal_full"].sum())
-            wrong = sum(
-                _apart(truth.table["id"], truth.table[name], table["id"], table[name])
-                for name in ("amodal", "amodal_full")
-            )
-            yield AREAS, pixels, wrong
-        if frame.sidecar.get(AMODAL) and truth.amodal is not None:
-            own = read_amodal(frame.path)
-            yield AMODAL, int(truth.amodal.areas().sum()), differing_masks(truth.amodal, own)
+    if frame.sidecar.get("instance_table"):
+        table = read_frame_table(frame.path)
+        pixels = int(truth.table["amodal_full"].sum())
+        wrong = sum(
+            _apart(truth.table["id"], truth.table[name], table["id"], table[name])
+            for name in ("amodal", "amodal_full")
+        )
+        yield AREAS, pixels, wrong
+    if frame.sidecar.get(AMODAL) and truth.amodal is not None:
+        own = read_amodal(frame.path)
+        yield AMODAL, int(truth.amodal.areas().sum()), differing_masks(truth.amodal, own)
 
 
 def _apart(

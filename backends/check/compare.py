@@ -9,10 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
-from scenec.backends.annotation.annotate import pass_names
-from scenec.backends.annotation.bands import annotate
+from scenec.backends.annotation.annotate import annotate
+from scenec.backends.annotation.instances import Instances
+from scenec.backends.annotation.registry import select
 from scenec.backends.camera.rays import camera_rays
-from scenec.backends.check.amodal import Definition
+from scenec.backends.check.amodal import against
 from scenec.backends.check.radiance import (
     RadianceComparison,
     differing,
@@ -26,9 +27,9 @@ from scenec.backends.run.render import render
 from scenec.backends.stage.read import read_stage
 from scenec.backends.stage.scene import Camera, RenderScene
 from scenec.schemas.errors import BackendError, FrameError
-from scenec.schemas.exr import is_id_pass
 from scenec.schemas.frames import ANNOTATION_NAMES, Frame, frame_stem, read_frame
 from scenec.schemas.manifest import FRAMES, Batch, find_batches
+from scenec.schemas.passes import AMODAL
 
 #: Where pictures of differences go, in the output folder.
 PICTURES = "check"
@@ -158,7 +159,7 @@ def check_exact(out: Path, say: Say = lambda _text: None, allow_missing: bool = 
     count = 0
     for batch in find_batches(out):
         scene = read_stage(batch.stage, allow_missing=allow_missing)
-        caster, definition = ExactCaster(scene), Definition(scene)
+        caster, instances = ExactCaster(scene), Instances(scene)
         backends = sorted(path.name for path in (batch.folder / FRAMES).glob("*") if path.is_dir())
         if backends:
             say(f"casting every pixel of {batch.name}'s frames ({', '.join(backends)})")
@@ -168,9 +169,9 @@ def check_exact(out: Path, say: Say = lambda _text: None, allow_missing: bool = 
                 wanted = [n for n in _union(frames.values()) if n != "rgb"]
                 if not wanted:
                     continue
-                caster.pose(sample)
-                hits, truth = annotate(scene, caster, camera, wanted, sample)
-                seen = definition.seen(hits, camera, sample)
+                passes = (*wanted, AMODAL)
+                truth = annotate(scene, caster, camera, passes, sample, instances)
+                assert truth.seen is not None
                 for backend, frame in frames.items():
                     count += 1
                     for channel in (n for n in wanted if n in frame.passes):
@@ -178,11 +179,11 @@ def check_exact(out: Path, say: Say = lambda _text: None, allow_missing: bool = 
                             (backend, channel), Comparison(channel, backend)
                         )
                         # As frames store it.
-                        dtype = np.uint32 if is_id_pass(channel) else np.float32
-                        own = np.ascontiguousarray(truth[channel], dtype)
+                        own = frame.passes[channel]
+                        exact = np.ascontiguousarray(truth.arrays[channel], own.dtype)
                         entry.pixels += camera.width * camera.height
-                        entry.differing += int(differing(own, frame.passes[channel]).sum())
-                    for channel, pixels, wrong in definition.against(seen, frame):
+                        entry.differing += int(differing(exact, own).sum())
+                    for channel, pixels, wrong in against(truth.seen, frame):
                         entry = comparisons.setdefault(
                             (backend, channel), Comparison(channel, backend)
                         )
@@ -345,7 +346,7 @@ class _Run:
 
     def _usable(self, stem: Path, scene: RenderScene, camera: Camera) -> bool:
         names = self._wanted(camera)
-        wanted = [*(["rgb"] if "rgb" in names else []), *pass_names(scene, names)]
+        wanted = [*(["rgb"] if "rgb" in names else []), *select(scene, names)]
         try:
             frame = read_frame(stem, wanted)
         except FrameError:

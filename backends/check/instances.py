@@ -15,7 +15,7 @@ from scenec.schemas.frames import Frame
 from scenec.schemas.instances import (
     AMODAL_COLUMNS,
     BATCH_TABLE,
-    DEPTH_COLUMNS,
+    FRAME_COLUMNS,
     InstanceTable,
     frame_table_path,
     read_frame_table,
@@ -75,7 +75,7 @@ def table_faults(frame: Frame) -> Iterator[str]:
     except FrameError as error:
         yield str(error)
         return
-    lacking = [name for name in (*DEPTH_COLUMNS, *AMODAL_COLUMNS) if name not in table]
+    lacking = [name for name in (*FRAME_COLUMNS, *AMODAL_COLUMNS) if name not in table]
     if lacking:
         yield f"{path.name} lacks {', '.join(lacking)}; render it again"
         return

@@ -52,14 +52,17 @@ Rule = Callable[[Usd.Prim, LabelTable], Iterator[str]]
 
 def check_stage(path: Path) -> list[Finding]:
     """All findings on one stage, none twice."""
-    where = path.name
     try:
         # What of it is missing is the reader's to say, and the manifest's.
-        stage = Sources(path, allow_missing=True).open()
+        with Sources(path, allow_missing=True).reading() as stage:
+            return _findings(stage, path)
     except StageError as error:
-        return [Finding("opens", "error", where, str(error))]
+        return [Finding("opens", "error", path.name, str(error))]
+
+
+def _findings(stage: Usd.Stage, path: Path) -> list[Finding]:
     findings = [
-        Finding(check, "error", where, message)
+        Finding(check, "error", path.name, message)
         for check, message in [
             *(("layout", message) for message in _layout(stage)),
             *(("assets", message) for message in _assets(stage, path)),
@@ -68,7 +71,7 @@ def check_stage(path: Path) -> list[Finding]:
     try:
         table = read_table(stage)
     except StageError as error:
-        findings.append(Finding("labels", "error", where, str(error)))
+        findings.append(Finding("labels", "error", path.name, str(error)))
         table = LabelTable({})
     for prim in Usd.PrimRange(stage.GetPseudoRoot(), Usd.TraverseInstanceProxies()):
         for name, kind, rule in _RULES:

@@ -57,6 +57,7 @@ class Ladder:
         samples: Time codes.
         cameras: Names; None takes all.
         device: See ``render``.
+        allow_missing: Whether to take what is there of a stage that is not whole.
     """
 
     spp: tuple[int, ...] = (4, 16, 64, 256)
@@ -67,6 +68,7 @@ class Ladder:
     samples: Collection[int] | None = None
     cameras: tuple[str, ...] | None = None
     device: str = "auto"
+    allow_missing: bool = False
 
     @property
     def rungs(self) -> tuple[Rung, ...]:
@@ -170,6 +172,7 @@ class _Climb:
             samples=ladder.samples,
             device=ladder.device,
             cameras=ladder.cameras,
+            allow_missing=ladder.allow_missing,
         )
         start = time.perf_counter()
         # Opened with every pass that is asked for later; requests name those of each frame.

@@ -39,7 +39,7 @@ class Cycles:
     name = "cycles"
     devices = ("cpu", "cuda", "optix")
     denoiser = "OpenImageDenoise"
-    load_cost = LoadCost(row=2400.0, triangle=300.0)
+    load_cost = LoadCost(row=2700.0, triangle=300.0)
     follows_lenses = False
 
     def __init__(self, bounces: int = BOUNCES, device: str = "auto") -> None:

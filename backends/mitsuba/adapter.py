@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
+import math
 from typing import Any
 
 import numpy as np
@@ -12,6 +14,7 @@ from scenec.backends.camera.lens import RayTable, ray_table
 from scenec.backends.contract import BOUNCES, NO_ROW, LoadCost, Radiance, Rays, Visibility
 from scenec.backends.mitsuba import emitter, geometry, glow, lamps, scalar, variant
 from scenec.backends.mitsuba.corners import split_corners
+from scenec.backends.mitsuba.kept import KeptScene
 from scenec.backends.mitsuba.surfaces import make_look
 from scenec.backends.stage.posing import posable, pose
 from scenec.backends.stage.scene import Camera, Lighting, RenderScene
@@ -19,6 +22,15 @@ from scenec.schemas.errors import BackendError
 
 #: Samples in flight at once; above it a half is rendered in several passes (16 bytes a sample).
 MAX_WAVEFRONT = 1 << 25
+#: Where instances are kept: 150 bytes a sample.
+MAX_KEPT = 1 << 21
+
+
+class _LoadCost(LoadCost):
+    """Surfaces that give off light have to be written out, and so has all in ``scalar_rgb``."""
+
+    def keeps(self, scene: RenderScene) -> bool:
+        return super().keeps(scene) and not any(surface.emits for surface in scene.surfaces)
 
 
 class Mitsuba:
@@ -31,12 +43,15 @@ class Mitsuba:
     name = "mitsuba"
     devices = ("cpu", "cuda")
     denoiser = None
-    load_cost = LoadCost(row=0.0, triangle=0.0, written=140.0)
+    load_cost = _LoadCost(row=900.0, triangle=250.0, written=140.0, most_written=2e9)
 
     def __init__(self, bounces: int = BOUNCES, device: str = "auto") -> None:
         self._mi = variant.load_mitsuba(device)
+        if not self.jit:
+            self.load_cost = dataclasses.replace(self.load_cost, most_written=math.inf)
         self._bounces = bounces
         self._scene: Any = None
+        self._kept: KeptScene | None = None
         self._meshes: list[Any] = []
         self._render_scene: RenderScene | None = None
         self._groups: tuple[geometry.Group, ...] = ()
@@ -105,7 +120,7 @@ class Mitsuba:
         return tuple(found)
 
     def load(self, scene: RenderScene) -> None:
-        """Flatten the scene and build Mitsuba's hierarchy over it.
+        """Flatten the scene and build Mitsuba's hierarchy over it, or keep too many instances.
 
         Raises:
             BackendError: The scene holds more than Mitsuba can address.
@@ -119,10 +134,14 @@ class Mitsuba:
         self._groups = geometry.make_groups(scene)
         self._lit_sample = None
         self._glows = {}
+        self._kept, self._meshes = None, []
+        if self.load_cost.keeps(scene):
+            self._emitters(scene)
+            self._kept = KeptScene(mi, scene, self._groups, self._center, self._bounces)
+            return
         self._meshes = [self._mesh(scene, group, i) for i, group in enumerate(self._groups)]
         parts: dict[str, Any] = {"type": "scene"}
         parts |= {f"mesh{i}": mesh for i, mesh in enumerate(self._meshes)}
-        self._light = self._lamps = None
         if self.jit:
             parts |= self._emitters(scene)
         # Merging equal meshes would renumber the faces that the witness names.
@@ -141,6 +160,7 @@ class Mitsuba:
     def _emitters(self, scene: RenderScene) -> dict[str, Any]:
         """One that has all light; without any, one that is black."""
         mi = self._mi
+        self._light = self._lamps = None
         with_lamps = any(lighting.lamps for lighting in scene.lighting)
         if not with_lamps or any(lighting.suns or lighting.domes for lighting in scene.lighting):
             emitter.register(mi)
@@ -150,7 +170,10 @@ class Mitsuba:
             self._lamps = mi.load_dict({"type": lamps.PLUGIN})
             self._lamps.around = self._light
         self._set_light(Lighting((), ()))
-        return {"light": self._light if self._lamps is None else self._lamps}
+        return {"light": self._emitter()}
+
+    def _emitter(self) -> Any:
+        return self._light if self._lamps is None else self._lamps
 
     def _set_light(self, lighting: Lighting) -> None:
         if self._lamps is not None:
@@ -159,8 +182,10 @@ class Mitsuba:
             self._light.set_lighting(lighting)
 
     def witness(self, rays: Rays, sample: int, camera: Camera | None = None) -> Visibility:
-        """First hits in float32."""
+        """First hits in float32; of kept instances the exact caster's."""
         self._pose(self._loaded(), sample)
+        if self._kept is not None:
+            return self._kept.witness(rays)
         if not self.jit:
             return scalar.visibility(self._mi, self._scene, self._meshes, self._groups,
                                      rays, self._center)  # fmt: skip
@@ -226,7 +251,8 @@ class Mitsuba:
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         light = np.zeros((camera.height, camera.width, 3))
         alpha = np.zeros((camera.height, camera.width))
-        for part, count in enumerate(split_samples(spp, camera.width * camera.height)):
+        most = MAX_WAVEFRONT if self._kept is None else MAX_KEPT
+        for part, count in enumerate(split_samples(spp, camera.width * camera.height, most)):
             light_sum, alpha_sum = self._pass(camera, count, mix(seed, half, part))
             light += light_sum
             alpha += alpha_sum
@@ -247,7 +273,10 @@ class Mitsuba:
         pixel = dr.arange(mi.UInt32, pixels * spp) // dr.opaque(mi.UInt32, spp)
         jitter = sampler.next_2d()
         ray = self._camera_rays(camera, pixel, jitter)
-        light, valid, _ = self._integrator.sample(self._scene, sampler, ray)
+        if self._kept is not None:
+            light, valid = self._kept.sample(self._emitter(), sampler, ray)
+        else:
+            light, valid, _ = self._integrator.sample(self._scene, sampler, ray)
         if self._glows:
             valid = self._scene.ray_intersect_preliminary(ray, coherent=True).is_valid()
         light &= valid
@@ -361,6 +390,10 @@ class Mitsuba:
         if scene.rows.motion is None or sample == self._posed:
             return
         pose(scene, sample)
+        self._posed = sample
+        if self._kept is not None:
+            self._kept.pose(sample)
+            return
         moving = [i for i, group in enumerate(self._groups) if group.moving]
         params = self._mi.traverse(self._scene)
         for index in moving:
@@ -375,7 +408,6 @@ class Mitsuba:
             if index in self._glows:
                 self._glows[index].place(self._meshes[index], flat)
         params.update()
-        self._posed = sample
 
     def _loaded(self) -> RenderScene:
         if self._render_scene is None:
@@ -383,9 +415,9 @@ class Mitsuba:
         return self._render_scene
 
 
-def split_samples(spp: int, pixels: int) -> list[int]:
+def split_samples(spp: int, pixels: int, most: int) -> list[int]:
     """Split a sample count into near-equal passes that fit a wavefront each."""
-    passes = max(1, -(-spp * pixels // MAX_WAVEFRONT))
+    passes = max(1, -(-spp * pixels // most))
     passes = min(passes, spp)
     return [spp // passes + (i < spp % passes) for i in range(passes)]
 

@@ -1,13 +1,15 @@
 """Rows of a RenderScene flattened into one triangle mesh per (materials, kind of normals).
 
 Mitsuba's ``instance`` shape is traced as one call target per instance in its JIT variants and does
-not scale (1,000 instances take 22 times as long as 10, measured), so instances are written out.
+not scale (1,000 instances take 22 times as long as 10, measured), so instances are written out;
+where they are too many for that, ``kept`` renders them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -63,6 +65,7 @@ class FlatMesh:
         texcoords: x and y, float32 [n, 2], where a surface has maps from above; the mesh's texture
             coordinates, where one has maps by those; else None.
         height_blends: Of the merges, or empty.
+        lanes: Where to look for what varies at a hit, ``kept.Lanes``; None: at the vertices.
     """
 
     points: NDArray[np.float32]
@@ -73,6 +76,7 @@ class FlatMesh:
     weights: NDArray[np.float32]
     texcoords: NDArray[np.float32] | None
     height_blends: tuple[float, ...] = ()
+    lanes: Any = None
 
 
 def scene_center(scene: RenderScene) -> NDArray[np.float64]:
@@ -164,6 +168,27 @@ def flatten(scene: RenderScene, group: Group, center: NDArray[np.float64]) -> Fl
     )
 
 
+def unplaced(scene: RenderScene, group: Group, lanes: Any) -> FlatMesh:
+    """What varies over a group whose instances are kept: of each of its meshes once."""
+    meshes = [scene.meshes[i] for i in np.unique(scene.rows.mesh[group.rows])]
+    surfaces = group_surfaces(scene, group)
+    varies = any(s.varies for s in surfaces)
+    own = [m.variation for m in meshes if m.variation is not None]
+    weights = [np.concatenate([m.weights[k] for m in meshes]) for k in range(len(surfaces) - 1)]
+    count = sum(len(m.points) for m in meshes)
+    return FlatMesh(
+        np.empty((0, 3), np.float32),
+        np.empty((0, 3), np.uint32),
+        None,
+        np.concatenate(own) if own and varies else None,
+        scene.rows.variation[group.rows] if varies else None,
+        np.array(weights, np.float32).reshape(-1, count),
+        None,
+        group.height_blends,
+        lanes,
+    )
+
+
 def _place_uv(scene: RenderScene, group: Group) -> NDArray[np.float32]:
     """Texture coordinates of the parts' vertices, [n, 2]."""
     columns = np.empty((2, int(group.first_vertex[-1])), np.float32)
@@ -219,19 +244,26 @@ def _place_faces(begin, end, faces, to_world, first, first_face, out):  # type: 
             out[q + i, 2] = o + faces[i, c]
 
 
+@njit(cache=True, error_model="numpy")
+def cofactors(m):  # type: ignore[no-untyped-def]
+    """What takes normals along with a matrix, [3, 3], and the sign of its determinant, -1 or 1.
+
+    It is det * inverse transpose, and needs no inverse.
+    """
+    c = np.empty((3, 3))
+    for i in range(3):
+        for j in range(3):
+            a, b = (i + 1) % 3, (i + 2) % 3
+            d, e = (j + 1) % 3, (j + 2) % 3
+            c[i, j] = m[a, d] * m[b, e] - m[a, e] * m[b, d]
+    det = m[0, 0] * c[0, 0] + m[0, 1] * c[0, 1] + m[0, 2] * c[0, 2]
+    return c, -1.0 if det < 0.0 else 1.0
+
+
 @njit(cache=True, error_model="numpy", nogil=True)
 def _place_normals(begin, end, normals, to_world, first, out):  # type: ignore[no-untyped-def]
     for part in range(begin, end):
-        m = to_world[part]
-        # The cofactor matrix is det * inverse transpose, and needs no inverse.
-        c = np.empty((3, 3))
-        for i in range(3):
-            for j in range(3):
-                a, b = (i + 1) % 3, (i + 2) % 3
-                d, e = (j + 1) % 3, (j + 2) % 3
-                c[i, j] = m[a, d] * m[b, e] - m[a, e] * m[b, d]
-        det = m[0, 0] * c[0, 0] + m[0, 1] * c[0, 1] + m[0, 2] * c[0, 2]
-        sign = -1.0 if det < 0.0 else 1.0
+        c, sign = cofactors(to_world[part])
         o = first[part]
         for i in range(len(normals)):
             x, y, z = float(normals[i, 0]), float(normals[i, 1]), float(normals[i, 2])

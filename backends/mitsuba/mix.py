@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.backends.mitsuba.geometry import FlatMesh
 from scenec.backends.stage.scene import Surface
 
 PLUGIN = "scenec_layer_mix"
@@ -50,6 +51,7 @@ class Mix:
         weights: For each merge, its channel, or the weight itself where it is the same everywhere.
         own, row: Channel of the vertices' and of the rows' variation; None where it is 0.
         attributes: Names of the mesh attributes; channel c is component c % 3 of number c // 3.
+        lanes: In their place ``kept.Lanes``, and which of its channels each is.
     """
 
     surfaces: tuple[Surface, ...]
@@ -57,50 +59,48 @@ class Mix:
     own: int | None
     row: int | None
     attributes: tuple[str, ...]
+    lanes: tuple[Any, tuple[int, ...]] | None = None
 
     @property
     def constant(self) -> bool:
         """Whether nothing varies over the surface."""
-        return not self.attributes
+        return not (self.attributes or (self.lanes and self.lanes[1]))
 
 
-def pack(
-    surfaces: Sequence[Surface],
-    weights: NDArray[np.float32],
-    own: NDArray[np.float32] | None,
-    row: NDArray[np.float32] | None,
-) -> tuple[Mix, dict[str, NDArray[np.float32]]]:
-    """Put what varies into as few attributes as hold it.
+def pack(surfaces: Sequence[Surface], flat: FlatMesh) -> tuple[Mix, dict[str, NDArray[np.float32]]]:
+    """Put what varies into as few attributes as hold it; of kept instances it is in ``flat.lanes``.
 
     Args:
         surfaces: The layers.
-        weights: Of the merges at the vertices, [layers - 1, n].
-        own, row: Variation of vertices and rows at the vertices, [n], or None.
+        flat: Their mesh.
 
     Returns:
         The mix, and the attributes by name, float32 [n, channels].
     """
     channels: list[NDArray[np.float32]] = []
+    lane_of: list[int] = []
 
-    def channel(values: NDArray[np.float32]) -> int:
+    def channel(values: NDArray[np.float32], lane: int) -> int:
         channels.append(values)
+        lane_of.append(lane)
         return len(channels) - 1
 
     places: list[int | float] = []
-    for values in weights:
+    for merge, values in enumerate(flat.weights):
         same = bool(np.all(values == values[:1]))
-        places.append(float(values[0]) if same else channel(values))
-    at_own = channel(own) if own is not None and own.any() else None
-    at_row = channel(row) if row is not None and row.any() else None
+        places.append(float(values[0]) if same else channel(values, 2 + merge))
+    own, row = flat.variation, flat.row_variation
+    at_own = channel(own, 0) if own is not None and own.any() else None
+    at_row = channel(row, 1) if row is not None and row.any() else None
     attributes = {}
-    for first in range(0, len(channels), _PACK):
+    for first in range(0, len(channels) if flat.lanes is None else 0, _PACK):
         columns = channels[first : first + _PACK]
         if len(columns) > 1:
             # Attributes have one channel or three.
             columns = [*columns, *[np.zeros_like(columns[0])] * (_PACK - len(columns))]
         attributes[f"vertex_mix_{first // _PACK}"] = np.stack(columns, axis=1)
-    mix = Mix(tuple(surfaces), tuple(places), at_own, at_row, tuple(attributes))
-    return mix, attributes
+    lanes = None if flat.lanes is None else (flat.lanes, tuple(lane_of))
+    return Mix(tuple(surfaces), tuple(places), at_own, at_row, tuple(attributes), lanes), attributes
 
 
 def glosses_of(mix: Mix) -> list[Gloss]:
@@ -133,6 +133,9 @@ def lobes_of(mix: Mix) -> list[Gloss]:
 
 def channels_of(mi: Any, mix: Mix, si: Any, active: Any) -> list[Any]:
     """What varies, at a point of the surface."""
+    if mix.lanes is not None:
+        lanes, which = mix.lanes
+        return [lanes.at(mi, channel, si.prim_index, active) for channel in which]
     found: list[Any] = []
     count = 1 + max((c for c in (*mix.weights, mix.own, mix.row) if isinstance(c, int)), default=-1)
     for index, name in enumerate(mix.attributes):

@@ -139,7 +139,7 @@ def make(
                 law,
             )
         )
-    packed, attributes = mix.pack(surfaces, flat.weights, flat.variation, flat.row_variation)
+    packed, attributes = mix.pack(surfaces, flat)
     made = mi.load_dict({"type": register(mi)})
     made.prepare(packed, layers, flat.height_blends[: max(heeded - 1, 0)])
     return made, attributes

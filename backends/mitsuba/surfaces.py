@@ -69,7 +69,7 @@ def _merged_look(mi: Any, surfaces: Sequence[Surface], flat: FlatMesh) -> Look:
     sum W_i ((1 - m_i) s_i + m_i) and a color that is the mean of white and c_i in these parts: n
     layers take one diffuse BSDF and one per distinct gloss, not 3 n.
     """
-    layers, attributes = mix.pack(surfaces, flat.weights, flat.variation, flat.row_variation)
+    layers, attributes = mix.pack(surfaces, flat)
     glosses, lobes = mix.glosses_of(layers), mix.lobes_of(layers)
 
     def quantity(kind: str, lobe: int = 0) -> Any:

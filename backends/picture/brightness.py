@@ -27,12 +27,12 @@ def told(sidecars: Sequence[Mapping[str, Any]]) -> str | None:
     found = [one for one in sidecars if one.get("picture")]
     tallies = [one["picture"] for one in found]
     fault = picture.fault(tallies)
-    if fault is None:
+    lit = next((one for one in found if "light" in one["picture"]), None)
+    if fault is None or lit is None:
         return None
     surfaces = sum(one["surfaces"] for one in tallies)
     share = sum(one["black" if fault == "black" else "burnt"] for one in tallies) / surfaces
     mean = sum(one["surfaces"] * one["mean_luminance"] for one in tallies) / surfaces
-    lit = next(one for one in found if "light" in one["picture"])
     exposure = lit.get("exposure") or {}
     frames = "its frame" if len(found) == 1 else f"its {len(found)} frames"
     return (
@@ -64,9 +64,9 @@ def _light(light: Mapping[str, Any]) -> str:
 
 def _mend(fault: str, exposure: Mapping[str, Any]) -> str:
     if exposure.get("rule") == "auto":
-        if exposure["of"] == "nothing":
+        if exposure.get("of") == "nothing":
             return "add a light"
-        if exposure["per"] == "batch":
+        if exposure.get("per") == "batch":
             return "it has one exposure for all samples: ask for one per sample"
     more = "more" if fault == "black" else "less"
     return f"expose {more}, or leave the exposure out: it is found then"

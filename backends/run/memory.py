@@ -44,7 +44,7 @@ def require_room(name: str, cost: LoadCost | None, scene: RenderScene) -> None:
     free = available()
     help_ = (
         "object_detail/max_triangles and a larger lod_px in the cfg make objects coarser"
-        if cost.written
+        if not cost.keeps(scene)
         else "fewer objects need less"
     )
     # What a worker that is killed has said last is told of it.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections import deque
 from collections.abc import Callable, Hashable, Sequence
@@ -27,11 +26,12 @@ from scenec.backends.run.units import (
     RenderFrame,
     write_instances,
 )
-from scenec.schemas.errors import CameraRefusedError, StageError
+from scenec.schemas.errors import CameraRefusedError, FrameError, StageError
 from scenec.schemas.files import check_writable, sweep
 from scenec.schemas.frames import frame_stem, is_done
 from scenec.schemas.lock import BusyError, Lock
 from scenec.schemas.manifest import FRAMES, Batch, find_batches, gaps, read_manifest
+from scenec.schemas.sidecars import read_sidecar
 from scenec.schemas.strays import strays, told
 from scenec.schemas.units import Executor, Outcome, Unit
 from scenec.schemas.update import reading
@@ -422,8 +422,8 @@ class _Render:
         sidecars: dict[str, list[dict[str, Any]]] = {}
         for frame in work.frames:
             # What was given up, or was deleted meanwhile, shows nothing.
-            with suppress(OSError, ValueError):
-                sidecar = json.loads(frame.stem.with_suffix(".json").read_bytes())
+            with suppress(FrameError):
+                sidecar = read_sidecar(frame.stem.with_suffix(".json"))
                 sidecars.setdefault(frame.camera, []).append(brightness.brief(sidecar))
         for camera, found in sidecars.items():
             line = brightness.told(found)

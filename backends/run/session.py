@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from functools import cache, cached_property
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.backends.annotation.annotate import pass_names
-from scenec.backends.annotation.bands import annotate
+from scenec.backends.annotation.annotate import Annotation, annotate
 from scenec.backends.annotation.instances import Instances, Seen
-from scenec.backends.camera.rays import camera_rays, ray_down
+from scenec.backends.annotation.registry import select
+from scenec.backends.camera.rays import camera_rays
 from scenec.backends.camera.shutter import blurred_by, is_rolling, undenoised
 from scenec.backends.camera.tiles import witness
 from scenec.backends.contract import Backend, Radiance, Visibility
@@ -26,12 +25,9 @@ from scenec.backends.picture.adaptive import Draw, Rounds, Target, collect
 from scenec.backends.picture.exposure import Meter
 from scenec.backends.registry import open_backend
 from scenec.backends.run import memory
-from scenec.backends.run.writer import Annotated, annotated, annotation_facts, write_frame
+from scenec.backends.run.writer import annotated, annotation_facts, write_frame
 from scenec.backends.stage.read import read_stage
 from scenec.backends.stage.scene import Camera, RenderScene
-from scenec.schemas.amodal import AMODAL
-from scenec.schemas.correspondence import CORRESPONDENCES
-from scenec.schemas.depth_camera import MEASURED
 from scenec.schemas.errors import BackendError, CameraRefusedError, StageError
 from scenec.schemas.frames import ANNOTATION, ANNOTATION_NAMES, FrameKey
 from scenec.schemas.instances import BATCH_TABLE, table_digest, write_table
@@ -140,7 +136,7 @@ class Session:
             BackendError: A pass nobody knows.
         """
         names = tuple(camera.outputs if wanted is None else wanted)
-        return (*(["rgb"] if "rgb" in names else []), *pass_names(self.scene, names))
+        return (*(["rgb"] if "rgb" in names else []), *select(self.scene, names))
 
     def undenoised(self, camera: Camera) -> str | None:
         """Why pictures of a camera cannot be denoised, a line; None where they can be."""
@@ -191,7 +187,7 @@ class Session:
         seed: int,
         denoise: bool,
         target: Target | None,
-        ready: Annotated | None,
+        ready: Annotation | None,
     ) -> tuple[dict[str, NDArray], dict[str, Any], Seen | None, NDArray[np.bool_] | None]:
         """As ``render``, what is seen of instances (with ``instance``), and where surfaces are.
 
@@ -205,23 +201,23 @@ class Session:
             "seconds": seconds,
         }
         arrays: dict[str, NDArray] = {}
-        listed = hits = radiance = rounds = None
+        radiance = rounds = None
         if "rgb" in passes:
             radiance, rounds = self._radiance(camera, sample, spp, seed, denoise, details, target)
             # First of the passes, whatever is known of it only later.
             arrays["rgb"] = radiance.halves[0]
         annotation = [name for name in passes if name != "rgb"]
+        found = ready
         if annotation:
-            details["annotation"] = annotation_facts()
-        if ready is not None:
-            arrays |= {name: ready.arrays[name] for name in annotation if name != AMODAL}
-            listed, details["height_above_surface_m"] = ready.seen, ready.height_m
-        elif annotation:
-            hits, found, listed = self._annotate(camera, sample, annotation, details)
-            arrays |= found
+            details["annotation"] = annotation_facts(annotation)
+            found = found or self._annotate(camera, sample, annotation, seconds)
+            arrays |= {name: found.arrays[name] for name in annotation if name in found.arrays}
+            details["height_above_surface_m"] = found.height_m
         if radiance is not None:
+            hits = None if found is None else found.hits
             veil = self._veil(radiance, camera, sample, hits, details)
             arrays["rgb"] = self._compose(radiance, camera, sample, veil, details, rounds)
+        listed = None if found is None else found.seen
         return arrays, details, listed, None if radiance is None else radiance.coverage > 0.0
 
     def write_instances(self, folder: Path) -> None:
@@ -439,36 +435,14 @@ class Session:
         return picture.rgb
 
     def _annotate(
-        self, camera: Camera, sample: int, passes: Sequence[str], details: dict[str, Any]
-    ) -> tuple[Hits, dict[str, NDArray], Seen | None]:
-        """Every pass but ``rgb``: first hits, arrays by pass, and what is seen of instances."""
-        seconds = details["seconds"]
-        caster = self._exact(seconds)
-        with _timed(seconds, "annotate"):
-            caster.pose(sample)
-            hits, arrays = annotate(self.scene, caster, camera, passes, sample)
-            height = float(caster.cast(ray_down(camera))[2][0])
-        details["height_above_surface_m"] = height if math.isfinite(height) else None
-        listed, rays = None, cache(lambda: camera_rays(camera))
-        if "instance" in passes:
-            of_pixels = camera.lens is not None or is_rolling(camera)
-            with _timed(seconds, "instances"):
-                listed = self.instances.seen(
-                    hits.row, hits.t, camera, sample, caster.geometry, AMODAL in passes,
-                    rays() if of_pixels else None,
-                )  # fmt: skip
-        # Imported here: few frames ask for any.
-        if any(name in CORRESPONDENCES for name in passes):
-            from scenec.backends.annotation.correspondence import compare
-
-            with _timed(seconds, "correspondence"):
-                arrays |= compare(self.scene, caster, hits, rays(), camera, sample, passes)
-        if MEASURED in passes:
-            from scenec.backends.annotation.depth_camera import measure
-
-            with _timed(seconds, MEASURED):
-                arrays[MEASURED] = measure(self.scene, caster, hits, rays(), camera, sample)
-        return hits, arrays, listed
+        self, camera: Camera, sample: int, passes: Sequence[str], seconds: dict[str, float]
+    ) -> Annotation:
+        """Every pass but ``rgb``."""
+        instances = self.instances if "instance" in passes else None
+        found = annotate(self.scene, self._exact(seconds), camera, passes, sample, instances)
+        for step, took in found.seconds.items():
+            seconds[step] = seconds.get(step, 0.0) + took
+        return found
 
     def caster(self) -> ExactCaster:
         """The exact caster, of the scene as it was posed last."""

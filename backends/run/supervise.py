@@ -19,16 +19,11 @@ from scenec.backends.run.memory import default_limit
 from scenec.schemas.budget import THREADS
 from scenec.schemas.errors import BackendError, ScenecError, StageError
 from scenec.schemas.memory import GB
+from scenec.schemas.native import CRASHES, SIZE, Note, crashed
 from scenec.schemas.units import Outcome, Unit
 
 #: Times a unit is tried again after the worker died at it.
 RETRIES = 2
-
-#: Signals of native code at its end: what follows from its input, and would again.
-_CRASHES = {
-    -number
-    for number in (signal.SIGSEGV, signal.SIGBUS, signal.SIGABRT, signal.SIGFPE, signal.SIGILL)
-}
 
 
 class WorkerDiedError(Exception):
@@ -71,7 +66,7 @@ class Supervisor:
         self._log: Any = None
         self._watch: Watch | None = None
         self._growth = Growth(None)
-        self._blame: str | None = None
+        self._note = Note()
         self._holds: Hashable = None
         self._done = 0
         self._peak = 0
@@ -126,13 +121,13 @@ class Supervisor:
                 return value
             except WorkerDiedError as death:
                 outcome.deaths += 1
-                blame = self._blame
+                file = self._note.read()
                 self.close()
                 getattr(unit, "clean", lambda: None)()
                 if self._stopped:
                     raise BackendError(f"{unit.what}: stopped") from death
-                if death.crashed and blame is not None:
-                    raise StageError(f"{blame}; the worker process {death}") from death
+                if death.crashed and file:
+                    raise StageError(crashed(file, f"the worker process {death}")) from death
                 if attempt == RETRIES:
                     raise FrameLostError(
                         f"{unit.what}: given up after {RETRIES + 1} tries: the last worker "
@@ -168,23 +163,27 @@ class Supervisor:
         if self._log is not None:
             self._log.close()
             self._log = None
-        self._blame = self._holds = None
+        self._holds = None
         self._done = 0
 
     def _start(self) -> None:
         # Kept apart from our own output: shown only if the worker dies.
         self._log = tempfile.TemporaryFile()  # noqa: SIM115 - lives as long as the process
         self._pipe, theirs = Pipe()
+        note = tempfile.TemporaryFile()  # noqa: SIM115 - the mapping keeps it
+        note.truncate(SIZE)
+        self._note = Note(note.fileno())
+        shared = theirs.fileno(), note.fileno()
         environment = dict(os.environ)
         if self._threads is not None:
             environment |= dict.fromkeys(THREADS, str(self._threads))
-        with theirs:
+        with theirs, note:
             self._process = subprocess.Popen(
-                [sys.executable, "-m", "scenec.backends.run.worker", str(theirs.fileno())],
+                [sys.executable, "-m", "scenec.backends.run.worker", *map(str, shared)],
                 stdin=subprocess.DEVNULL,
                 stdout=self._log,
                 stderr=self._log,
-                pass_fds=[theirs.fileno()],
+                pass_fds=shared,
                 env=environment,
             )
         self._watch = Watch(self._process.pid, self._limits)
@@ -213,26 +212,22 @@ class Supervisor:
         try:
             watch.begin(fresh=self._done < 2)
             pipe.send(unit)
-            while True:
-                kind, value, peak = self._wait(pipe, watch)
-                if kind == "blame":
-                    self._blame = value
-                    continue
-                # The worker's own count misses nothing between two looks.
-                self._peak = peak or 0
-                if kind == "error":
-                    raise value
-                return value
+            fine, value, peak = self._wait(pipe, watch)
+            # The worker's own count misses nothing between two looks.
+            self._peak = peak or 0
+            if not fine:
+                raise value
+            return value
         except (EOFError, OSError, pickle.UnpicklingError):
             process.wait()
             cause = self._cause(process.returncode, watch.peak)
-            raise WorkerDiedError(f"died ({cause})", process.returncode in _CRASHES) from None
+            raise WorkerDiedError(f"died ({cause})", -process.returncode in CRASHES) from None
         except KeyboardInterrupt:
             watch.kill()
             process.wait()
             raise
 
-    def _wait(self, pipe: Connection, watch: Watch) -> tuple[str, Any, int | None]:
+    def _wait(self, pipe: Connection, watch: Watch) -> tuple[bool, Any, int | None]:
         """The next message.
 
         Raises:
@@ -244,7 +239,7 @@ class Supervisor:
             if verdict is not None:
                 watch.kill()
                 raise WorkerDiedError(verdict)
-        message: tuple[str, Any, int | None] = pipe.recv()
+        message: tuple[bool, Any, int | None] = pipe.recv()
         return message
 
     def _cause(self, status: int, memory: int) -> str:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from scenec.schemas.files import sweep
 from scenec.schemas.frames import FrameKey, is_done
 from scenec.schemas.lock import LOCK, BusyError, Lock
+from scenec.schemas.native import native_reading
 from scenec.schemas.units import Keeper
 
 if TYPE_CHECKING:
@@ -35,10 +36,11 @@ class Opening:
 
     def session(self, keeper: Keeper) -> Session:
         """The stage, read, and its renderer, started if it is needed."""
-        return keeper.keep(self, lambda: self._open(keeper))
+        return keeper.keep(self, self._open)
 
-    def _open(self, keeper: Keeper) -> Session:
-        with keeper.blaming(f"{self.stage}: OpenUSD crashed reading it: a file of it is damaged"):
+    def _open(self) -> Session:
+        # A crash within is the stage's fault.
+        with native_reading(Path(self.stage)):
             from scenec.backends.run.session import Session
             from scenec.backends.stage.read import read_stage
 

@@ -1,11 +1,10 @@
-"""A process that runs units: ``python -m scenec.backends.run.worker DESCRIPTOR``.
+"""A process that runs units: ``python -m scenec.backends.run.worker PIPE NOTE``, two descriptors.
 
-Units come pickled over the descriptor of a pipe, and for each one message goes back:
-``("value", what it returned, peak)``, or ``("error", the ScenecError it raised, peak)``, with the
-highest memory of this process meanwhile, bytes or None. In between come ``("blame", text, None)``
-(``schemas.units.Keeper.blaming``). Any other error ends the process; the parent
-(``scenec.backends.run.supervise``) sees that, and starts another. The process ends when the pipe
-does: with its parent.
+Units come pickled over the pipe, and for each one message goes back: ``(True, what it returned,
+peak)``, or ``(False, the ScenecError it raised, peak)``, with the highest memory of this process
+meanwhile, bytes or None. Any other error ends the process; the parent
+(``scenec.backends.run.supervise``) sees that, looks at the note of what was being read
+(``schemas.native``), and starts another. The process ends when the pipe does: with its parent.
 """
 
 from __future__ import annotations
@@ -21,6 +20,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
+from scenec.schemas import native
 from scenec.schemas.units import Keeper
 
 
@@ -32,12 +32,16 @@ def main() -> None:
     pipe = Connection(int(sys.argv[1]))
     units: queue.SimpleQueue[bytes] = queue.SimpleQueue()
     threading.Thread(target=_listen, args=(units, pipe), daemon=True).start()
-    keeper = Keeper(lambda text: _send(pipe, ("blame", text, None)))
+    native.share(int(sys.argv[2]))
+    keeper = Keeper()
     while True:
-        _send(pipe, _answer(units.get(), keeper))
+        answer = _answer(units.get(), keeper)
+        # A parent that is gone: the listener ends this process.
+        with contextlib.suppress(BrokenPipeError):
+            pipe.send(answer)
 
 
-def _answer(pickled: bytes, keeper: Keeper) -> tuple[str, Any, int | None]:
+def _answer(pickled: bytes, keeper: Keeper) -> tuple[bool, Any, int | None]:
     # Imported here: after it, Ctrl-C finds a process that ignores it.
     from scenec.backends.run import memory
     from scenec.schemas.errors import ScenecError
@@ -46,14 +50,8 @@ def _answer(pickled: bytes, keeper: Keeper) -> tuple[str, Any, int | None]:
     try:
         value = pickle.loads(pickled).run(keeper)
     except ScenecError as error:
-        return "error", error, memory.peak()
-    return "value", value, memory.peak()
-
-
-def _send(pipe: Connection, message: tuple[str, Any, int | None]) -> None:
-    # A parent that is gone: the listener ends this process.
-    with contextlib.suppress(BrokenPipeError):
-        pipe.send(message)
+        return False, error, memory.peak()
+    return True, value, memory.peak()
 
 
 def _listen(units: queue.SimpleQueue[bytes], pipe: Connection) -> None:

@@ -5,20 +5,21 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.backends.annotation.annotate import Annotation
 from scenec.backends.annotation.instances import Seen
+from scenec.backends.annotation.registry import find_pass
 from scenec.backends.camera.shutter import row_poses
 from scenec.backends.imaging.taken import TONE_CURVE, Taken
 from scenec.backends.picture.sky import combine, mean_radiance
 from scenec.backends.stage.scene import Camera, Lighting, RenderScene
 from scenec.schemas import picture
-from scenec.schemas.amodal import AMODAL, amodal_path, read_amodal, write_amodal
+from scenec.schemas.amodal import amodal_path, read_amodal, write_amodal
 from scenec.schemas.errors import FrameError, OutputError
 from scenec.schemas.exr import write_exr
 from scenec.schemas.files import sha256, write_json
@@ -34,6 +35,7 @@ from scenec.schemas.frames import (
 )
 from scenec.schemas.instances import frame_table_path, read_frame_table, write_frame_table
 from scenec.schemas.lens import KANNALA_BRANDT, Lens
+from scenec.schemas.passes import AMODAL, origins
 from scenec.schemas.versions import version_of
 
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
@@ -72,7 +74,8 @@ def write_frame(
     # An old sidecar must not vouch for a new picture if this is cut short.
     _unlink(stem.with_suffix(".json"))
     exr = stem.with_suffix(".exr")
-    write_exr(exr, passes)
+    others = {name: find_pass(name) for name in origins(passes)}
+    write_exr(exr, passes, others)
     shown = None
     if taken is not None:
         shown = taken.picture
@@ -114,7 +117,7 @@ def write_frame(
         "trigger": list(camera.trigger),
         "tone_curve": picture.DESCRIPTION if taken is None else TONE_CURVE,
         "passes": list(passes),
-        "conventions": CONVENTIONS,
+        "conventions": CONVENTIONS | {name: one.convention for name, one in others.items()},
         "labels": {
             level: {str(i): name for i, name in sorted(scene.label_names.get(level, {}).items())}
             for level in scene.levels
@@ -139,22 +142,7 @@ def write_frame(
     write_json(stem.with_suffix(".json"), plain(sidecar))
 
 
-@dataclass(frozen=True)
-class Annotated:
-    """What a frame of another backend, or of other samples a pixel, has annotated already.
-
-    Attributes:
-        arrays: Passes by name, as on disk.
-        seen: As for ``write_frame``.
-        height_m: The sidecar's ``height_above_surface_m``.
-    """
-
-    arrays: dict[str, NDArray]
-    seen: Seen | None
-    height_m: float | None
-
-
-def annotated(stem: Path, digest: str, passes: Sequence[str]) -> Annotated | None:
+def annotated(stem: Path, digest: str, passes: Sequence[str]) -> Annotation | None:
     """Annotation of this very picture that some backend's frame holds; None if none does.
 
     Args:
@@ -167,7 +155,7 @@ def annotated(stem: Path, digest: str, passes: Sequence[str]) -> Annotated | Non
             sidecar = json.loads(path.read_bytes())
             if (
                 sidecar["stage_digest"] != digest
-                or sidecar["annotation"] != annotation_facts()
+                or not annotation_facts(passes).items() <= sidecar["annotation"].items()
                 or not set(passes) - {AMODAL} <= set(sidecar["passes"])
                 or (AMODAL in passes and sidecar["amodal"] is None)
             ):
@@ -177,16 +165,16 @@ def annotated(stem: Path, digest: str, passes: Sequence[str]) -> Annotated | Non
             if "instance" in passes:
                 masks = read_amodal(path) if AMODAL in passes else None
                 seen = Seen(read_frame_table(path), masks)
-            return Annotated(frame.passes, seen, sidecar["height_above_surface_m"])
+            return Annotation(frame.passes, seen, sidecar["height_above_surface_m"])
         except (FrameError, OSError, ValueError, KeyError, TypeError):
             # Damaged, or of another version: it is cast again.
             continue
     return None
 
 
-def annotation_facts() -> dict[str, Any]:
-    """What made the annotation, for sidecars."""
-    return {"scenec": version_of()}
+def annotation_facts(passes: Sequence[str]) -> dict[str, str]:
+    """What made the annotation, for sidecars; passes of other packages by name."""
+    return {"scenec": version_of(), **origins(passes)}
 
 
 def partner_name(scene: RenderScene, camera: Camera) -> str | None:

@@ -17,8 +17,8 @@ from scenec.backends.stage.sensors import read_depth_camera, read_trigger
 from scenec.backends.stage.shutter import read_shutter
 from scenec.schemas import stage as names
 from scenec.schemas.errors import StageError
-from scenec.schemas.exr import PASSES
 from scenec.schemas.lens import COEFFICIENTS, Lens
+from scenec.schemas.passes import is_pass
 
 _DEFAULT_RESOLUTION = (640, 480)
 
@@ -68,7 +68,7 @@ def _of_product(prim: Usd.Prim) -> _Request:
         var = UsdRender.Var(stage.GetPrimAtPath(target))
         source = values.word(var.GetSourceNameAttr(), "") if var else ""
         # Foreign products name their renderer's own variables: those are not ours to make.
-        if source.split(".")[0] in PASSES:
+        if is_pass(source.split(".")[0]):
             outputs[source.split(".")[0]] = None
     size = (int(width), int(height))
     return _Request(prim.GetName(), camera, size, tuple(outputs) or DEFAULT_OUTPUTS)

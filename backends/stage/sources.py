@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 
 from pxr import Ar, Sdf, Tf, Usd
@@ -15,6 +15,7 @@ from scenec.backends.stage.values import said
 from scenec.schemas.errors import StageError
 from scenec.schemas.files import sha256
 from scenec.schemas.manifest import MANIFEST, digest_of_files, files_of_stage
+from scenec.schemas.native import native_reading
 
 #: Lines of one error.
 _MOST_LINES = 8
@@ -105,16 +106,18 @@ class Sources:
         Raises:
             StageError: As ``open`` does, or where USD gives up on a value.
         """
-        stage = self.open()
-        with Tf.DiagnosticTrap() as trap:
-            try:
-                yield stage
-            except Tf.ErrorException as error:
-                raise StageError(f"{self._path}: cannot be read: {said(error)}") from error
-            finally:
-                for warning in trap.GetWarnings():
-                    self._warnings[f"USD: {_plain(warning.commentary)}"] = None
-                trap.Clear()
+        with native_reading(self._path):
+            stage = self.open()
+            with Tf.DiagnosticTrap() as trap:
+                try:
+                    yield stage
+                except (Tf.ErrorException, UnicodeDecodeError) as error:
+                    why = said(error) if isinstance(error, Tf.ErrorException) else error
+                    raise StageError(f"{self._path}: cannot be read: {why}") from error
+                finally:
+                    for warning in trap.GetWarnings():
+                        self._warnings[f"USD: {_plain(warning.commentary)}"] = None
+                    trap.Clear()
 
     def picture(self, attribute: Usd.Attribute, time: Usd.TimeCode = values.DEFAULT) -> Path | None:
         """The file that an asset attribute names; None where it names none, or is missing.
@@ -166,13 +169,16 @@ class Sources:
         listed = files_of_stage(self._path)
         self._listed = listed is not None
         for name, expected in (listed or {}).items():
-            file = self._folder / name
-            if not file.is_file():
+            # Links may lead elsewhere, to the same bytes; names may not.
+            file = Path(os.path.normpath(self._folder / name))
+            if not file.is_relative_to(self._folder):
+                self.miss(f"{name}: the {MANIFEST} lists it, and it is not in the stage's folder")
+            elif not file.is_file():
                 self.miss(f"{name}: is in the {MANIFEST} and not on disk")
-                continue
-            self._digests[file] = _hash(file)
-            if self._digests[file] != expected:
-                self.miss(f"{name}: its bytes are not those of the {MANIFEST}")
+            else:
+                self._digests[file] = _hash(file)
+                if self._digests[file] != expected:
+                    self.miss(f"{name}: its bytes are not those of the {MANIFEST}")
 
     def _named(self, file: str | Path) -> str:
         """A file in messages and digests: relative to the stage's folder."""
@@ -222,13 +228,13 @@ class Sources:
                         self.miss(f"{told} cannot be read: {said(error)}")
 
 
-def open_stage(path: Path) -> Usd.Stage:
-    """A composed stage of which every layer is there, and as its manifest has it.
+def open_stage(path: Path) -> AbstractContextManager[Usd.Stage]:
+    """A composed stage of which every layer is there, and as its manifest has it, for a block.
 
     Raises:
-        StageError: No file, not USD, or not whole.
+        StageError: No file, not USD, not whole, or USD gives up on a value.
     """
-    return Sources(path).open()
+    return Sources(path).reading()
 
 
 def _unreadable(path: Path, error: Tf.ErrorException) -> StageError:

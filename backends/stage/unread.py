@@ -18,7 +18,7 @@ from scenec.backends.stage.implicit import LENGTHS, kind_of
 from scenec.backends.stage.sources import Sources
 from scenec.backends.stage.textures import INPUTS, connected, constant, texture_maps
 from scenec.schemas import stage as names
-from scenec.schemas.exr import PASSES
+from scenec.schemas.passes import is_pass
 
 _FIRST = Usd.TimeCode.EarliestTime()
 _CONSTANT = UsdGeom.Tokens.constant
@@ -174,7 +174,7 @@ class Unread:
             self._attributes(prim, _SETTINGS)
         elif kind == "RenderVar":
             source = values.word(UsdRender.Var(prim).GetSourceNameAttr(), "")
-            if source.split(".")[0] not in PASSES:
+            if not is_pass(source.split(".")[0]):
                 self.add("a render variable of another renderer is not made", prim)
         elif kind == "PointInstancer":
             primvar = UsdGeom.PrimvarsAPI(prim).GetPrimvar("displayColor")

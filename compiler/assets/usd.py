@@ -18,6 +18,7 @@ from pxr import Sdf, Tf, Usd, UsdGeom
 
 from scenec.compiler.assets import affine
 from scenec.compiler.assets.parts import MeshFileError, Parsed, Part, fans
+from scenec.schemas.native import native_reading
 
 #: Purposes of geometry that stands in for other geometry, or helps to edit it.
 _NOT_RENDERED = (UsdGeom.Tokens.proxy, UsdGeom.Tokens.guide)
@@ -47,9 +48,10 @@ def sound_stage(file: Path) -> Iterator[Usd.Stage]:
         MeshFileError: It is not USD, or refers to other layers.
     """
     try:
-        stage = Usd.Stage.Open(str(file))
-        _require_one_file(stage)
-        yield stage
+        with native_reading(file):
+            stage = Usd.Stage.Open(str(file))
+            _require_one_file(stage)
+            yield stage
     except Tf.ErrorException as error:
         reason = _reason(error).replace(f"{file}:", "line ")
         raise MeshFileError(f"not a sound USD file: {reason}") from error

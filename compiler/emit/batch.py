@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 
-from pxr import Gf, Sdf, Usd, UsdGeom, Vt
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdUtils, Vt
 
 from scenec.compiler.emit.cameras import camera_path, clipping_range, write_cameras
 from scenec.compiler.emit.layer import label_names, new_layer
@@ -24,9 +24,13 @@ from scenec.compiler.emit.terrain import write_terrain
 from scenec.compiler.scene import Material, Placed, Scene
 from scenec.schemas import stage as names
 from scenec.schemas.errors import SceneError
+from scenec.schemas.files import inside
 from scenec.schemas.materialx import LAYER_SUFFIX
 
 STAGE = "stage.usda"
+#: More layers of one kind are joined: USD asks each for every value, and 2,000 of them are read in
+#: minutes where one is read in seconds.
+MOST_LAYERS = 256
 _LARGEST_ID = 2**32 - 1
 
 
@@ -34,28 +38,34 @@ def write_batch(folder: Path, scene: Scene) -> None:
     """Writes ``stage.usda`` and its sublayers and textures into an empty folder.
 
     Each object class and each material has a layer of its own, so adding one leaves the bytes of
-    all other layers as they were; only the root layer, which lists them, changes. The MaterialX
-    network of the mixed ground depends on all the ground's materials, and has a layer, too.
+    all other layers as they were; only the root layer, which lists them, changes. From
+    ``MOST_LAYERS`` on, all classes share a layer, and likewise all materials. The MaterialX network
+    of the mixed ground depends on all the ground's materials, and has a layer, too.
 
     Raises:
         SceneError: More instances than ids.
+        OutputError: A name leads out of the folder.
     """
+    # Parts of a scene come from the cache's files, whoever wrote those.
+    for name in (*scene.materials, *(objects.name for objects in scene.objects)):
+        inside(folder, name)
     table = scene.label_table
     layer_names = [label_names(table, layer.labels) for layer in scene.ground.layers]
     used = [layer.material for layer in scene.ground.layers]
     shown = _only(scene.materials, used)
     write_terrain(folder / "terrain.usdc", scene.ground, shown, layer_names)
-    sublayers = ["terrain.usdc"]
+    classes = []
     for objects in scene.objects:
         if not objects.count:
             # Its ids stay reserved; that is all.
             continue
-        sublayers.append(f"objects/{objects.name}.usdc")
+        classes.append(f"objects/{objects.name}.usdc")
         shown = _only(scene.materials, materials_of(objects))
         if isinstance(objects, Placed):
-            write_placed(folder / sublayers[-1], objects, shown, table)
+            write_placed(folder / classes[-1], objects, shown, table)
         else:
-            write_scatter(folder / sublayers[-1], objects, shown, table)
+            write_scatter(folder / classes[-1], objects, shown, table)
+    sublayers = ["terrain.usdc", *_joined(folder, classes, "objects.usdc")]
     sublayers.extend(_write_looks(folder, scene))
     # Binary, whatever is in them: samples of many time codes are large and slow as text.
     if scene.sun is not None or scene.sky is not None or scene.more_suns or scene.lamps:
@@ -86,10 +96,27 @@ def _write_looks(folder: Path, scene: Scene) -> list[str]:
         if name not in mixed:
             sublayers.append(f"looks/{name}{LAYER_SUFFIX}")
             write_material(folder / sublayers[-1], name, material, maps[name])
+    sublayers = _joined(folder, sublayers, "looks.usda")
     if mixed:
         sublayers.append(f"terrain{LAYER_SUFFIX}")
         write_ground_mix(folder / sublayers[-1], mixed, scene.materials, maps)
     return sublayers
+
+
+def _joined(folder: Path, sublayers: list[str], name: str) -> list[str]:
+    """The layers, each in a folder of its kind, or the name of one in their place if many."""
+    if len(sublayers) <= MOST_LAYERS:
+        return sublayers
+    joined = Sdf.Layer.CreateNew(str(folder / name))
+    # The last first: in that order a stage has the prims of its sublayers.
+    for sublayer in reversed(sublayers):
+        UsdUtils.StitchLayers(joined, Sdf.Layer.FindOrOpen(str(folder / sublayer)))
+        (folder / sublayer).unlink()
+    (folder / sublayers[0]).parent.rmdir()
+    # It stands one folder further up than what it was made from.
+    UsdUtils.ModifyAssetPaths(joined, lambda path: path.replace("../", "./", 1))
+    joined.Save()
+    return [name]
 
 
 def _write_root(path: Path, scene: Scene, sublayers: list[str]) -> None:

@@ -21,31 +21,15 @@ from scenec.compiler.rig import Rig, Sensor
 from scenec.compiler.scene import Scene
 from scenec.schemas import stage as names
 from scenec.schemas.lens import KANNALA_BRANDT, Lens
+from scenec.schemas.passes import BUILT_IN
 
 RIGS = f"{names.ROOT}/Rigs"
 HALF_TURN = np.array([*names.HALF_TURN, 1.0])
 #: Full-frame width in stage units: USD counts apertures in tenths of a unit, and 36 mm are 0.36.
 _APERTURE = 0.36
 _NEAR_M = 0.01
-_VAR_TYPES = {
-    "rgb": "color3f",
-    "depth": "float",
-    "range": "float",
-    "normal": "normal3f",
-    "position": "point3f",
-    "instance": "int",
-    "face": "int",
-    "label": "int",
-    "amodal": "int",
-    "depth_measured": "float",
-    "flow": "float2",
-    "flow_backward": "float2",
-    "scene_flow": "float3",
-    "disparity": "float",
-    "occlusion": "int",
-    "occlusion_backward": "int",
-    "disparity_occlusion": "int",
-}
+#: Roles of vectors; other passes have the type that their channels make.
+_VAR_TYPES = {"rgb": "color3f", "normal": "normal3f", "position": "point3f", "amodal": "int"}
 
 
 def write_cameras(path: Path, scene: Scene) -> None:
@@ -173,7 +157,12 @@ def _write_product(
 def _write_var(stage: Usd.Stage, output: str, level: str | None) -> Sdf.Path:
     name = output if level is None else f"{output}_{level}"
     var = UsdRender.Var.Define(stage, f"{names.RENDER_SCOPE}/Vars/{name}")
-    var.CreateDataTypeAttr(_VAR_TYPES[output])
+    of = BUILT_IN.get(output)
+    if of is not None:
+        # What other packages' passes hold is not known before they are loaded, to render.
+        count = len(of.channels)
+        plain = "int" if of.dtype == "uint32" else "float" + (str(count) if count > 1 else "")
+        var.CreateDataTypeAttr(_VAR_TYPES.get(output, plain))
     var.CreateSourceNameAttr(output if level is None else f"{output}.{level}")
     var.CreateSourceTypeAttr(UsdRender.Tokens.raw)
     return var.GetPath()

@@ -11,6 +11,7 @@ import numpy as np
 from scenec.compiler.arithmetic.srgb import linear_codes
 from scenec.compiler.scene import Material, Picture
 from scenec.compiler.surfaces.heights import stamp
+from scenec.schemas.files import inside
 from scenec.schemas.maps import read_pixels
 
 TEXTURES = "textures"
@@ -30,7 +31,7 @@ def copy_maps(folder: Path, name: str, material: Material) -> dict[str, str]:
     copied = {}
     for kind, source in material.maps.files.items() if material.maps else ():
         copied[kind] = f"{TEXTURES}/{name}_{kind}{source.suffix.lower()}"
-        target = folder / copied[kind]
+        target = inside(folder, copied[kind])
         target.parent.mkdir(exist_ok=True)
         if isinstance(source, Picture):
             target.write_bytes(source.data)

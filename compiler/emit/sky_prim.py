@@ -12,6 +12,7 @@ from scenec.compiler.emit.layer import author, constant_label_ids, label, label_
 from scenec.compiler.emit.maps import TEXTURES
 from scenec.compiler.scene import Haze, Scene, SkyLabelMaps
 from scenec.schemas import stage as names
+from scenec.schemas.files import inside
 
 
 def write_sky_prim(path: Path, scene: Scene) -> None:
@@ -38,7 +39,7 @@ def _write_label_maps(sky: Usd.Prim, folder: Path, maps: SkyLabelMaps) -> None:
         attribute = sky.CreateAttribute(names.ATTR_SKY_ROTATION, types.Double, custom=True)
         author(attribute, maps.rotation_deg.tolist())
     for name, ids in maps.pictures.items():
-        file = folder / TEXTURES / name
+        file = inside(folder, f"{TEXTURES}/{name}")
         file.parent.mkdir(exist_ok=True)
         file.write_bytes(png((ids if ids.max() > 255 else ids.astype(np.uint8))[..., None]))
 

@@ -8,10 +8,8 @@ from typing import Any
 from scenec.compiler.cameras.lenses import find_fault, lens_intrinsics, make_lens
 from scenec.compiler.frontend.faults import Finding
 from scenec.compiler.frontend.json_positions import Path
+from scenec.schemas.correspondence import PARTNER
 from scenec.schemas.lens import COEFFICIENTS, EQUIRECTANGULAR
-
-#: Passes that pictures through a lens do not have.
-_PINHOLES_ONLY = ("disparity", "disparity_occlusion")
 
 
 def check_lens(
@@ -37,7 +35,7 @@ def check_lens(
         )
     if isinstance(sensor.get("outputs"), list):
         for i, name in enumerate(sensor["outputs"]):
-            if name in _PINHOLES_ONLY:
+            if name in PARTNER:
                 yield Finding(
                     (*path, "outputs", i), f'"{name}" is of rectified pairs, which have no lens'
                 )

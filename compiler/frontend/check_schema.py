@@ -10,6 +10,8 @@ from jsonschema import ValidationError
 from scenec.compiler.frontend.faults import Finding
 from scenec.compiler.frontend.json_positions import Path
 from scenec.compiler.frontend.schema import describe, validator
+from scenec.schemas.passes import GROUP as PASSES
+from scenec.schemas.passes import pass_names
 from scenec.schemas.spelling import closest, nearest, shown
 
 _TYPES = {
@@ -44,7 +46,7 @@ def _findings(error: ValidationError) -> Iterator[Finding]:
             f"{shown(error.instance)}: {_IDENTIFIER}",
             at_key=True,
         )
-    else:
+    elif not (keyword == "enum" and error.instance in _offered(error)):
         say = _MESSAGES.get(keyword)
         expected = say(error) if say else error.message
         yield Finding(path, f"{shown(error.instance)}: expected {expected}")
@@ -93,8 +95,13 @@ def _type(error: ValidationError) -> str:
     return " or ".join(words + [_TYPES[name] for name in names])
 
 
+def _offered(error: ValidationError) -> tuple[str, ...]:
+    """What other packages add to a list of values that is open to them."""
+    return pass_names() if error.schema.get("x-open") == PASSES else ()
+
+
 def _enum(error: ValidationError) -> str:
-    values = [str(value) for value in error.validator_value]
+    values = [str(value) for value in _offered(error) or error.validator_value]
     expected = "one of " + ", ".join(values) if len(values) > 1 else values[0]
     guess = isinstance(error.instance, str) and closest(error.instance, values)
     return expected + (f"; did you mean {shown(guess)}?" if guess else "")

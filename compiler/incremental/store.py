@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import logging
 import os
+import struct
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import suppress
@@ -19,7 +20,7 @@ from typing import Any
 
 from scenec.compiler.incremental.entry import DamagedError, Entry, write_entry
 from scenec.schemas.errors import OutputError, ScenecError
-from scenec.schemas.files import atomic
+from scenec.schemas.files import atomic, inside
 
 #: Environment variables: the folder (empty: none), and the most that it may hold.
 FOLDER_VARIABLE, MOST_VARIABLE = "SCENEC_CACHE", "SCENEC_CACHE_MAX"
@@ -34,7 +35,8 @@ _TAG_TEXT = (
 _LEFT_BEHIND_S = 3600.0
 _UNITS = {"": 0, "k": 10, "m": 20, "g": 30, "t": 40}
 #: What reading a file ends in that is none of ours, or not whole.
-FAULTS = (DamagedError, ValueError, KeyError, TypeError, IndexError, AttributeError, RecursionError)
+FAULTS = (DamagedError, ValueError, LookupError, TypeError, AttributeError, ArithmeticError,
+          MemoryError, RecursionError, ImportError, struct.error)  # fmt: skip
 _log = logging.getLogger("scenec.incremental")
 
 
@@ -66,17 +68,21 @@ class Store:
         self._written = 0
 
     def path(self, key: str) -> Path:
-        """Where the entry of a key is."""
-        return self.folder / _STEPS / key[:2] / f"{key}{_SUFFIX}"
+        """Where the entry of a key is.
+
+        Raises:
+            OutputError: A link there leads out of the folder.
+        """
+        return inside(self.folder, f"{_STEPS}/{key[:2]}/{key}{_SUFFIX}")
 
     def find(self, key: str) -> Entry | None:
         """The entry of a key; None if there is none, or none that is whole."""
-        path = self.path(key)
         try:
+            path = self.path(key)
             entry = Entry(path, key)
         except FileNotFoundError:
             return None
-        except (OSError, *FAULTS) as error:
+        except (OSError, OutputError, *FAULTS) as error:
             self.drop(key, str(error))
             return None
         with suppress(OSError):
@@ -85,8 +91,8 @@ class Store:
 
     def drop(self, key: str, why: str) -> None:
         """Removes an entry that is not whole."""
-        _log.debug("%s: dropped: %s", self.path(key), why)
-        with suppress(OSError):
+        _log.debug("%s: dropped: %s", key, why)
+        with suppress(OSError, OutputError):
             self.path(key).unlink(missing_ok=True)
 
     def put(self, key: str, structure: Any, blobs: dict[str, Any]) -> None:
@@ -112,11 +118,11 @@ class Store:
         if not self._written or not self._writable:
             return
         self._written = 0
-        with suppress(OSError):
-            tag = self.folder / _TAG
+        with suppress(OSError, OutputError):
             # Written anew each time: its time is now.
-            tag.write_text(_TAG_TEXT, encoding="ascii")
-            now = tag.stat().st_mtime
+            with atomic(self.folder / _TAG) as tag:
+                tag.write_text(_TAG_TEXT, encoding="ascii")
+            now = (self.folder / _TAG).stat().st_mtime
             entries = []
             for path, stat in self._files():
                 if path.name.startswith("."):
@@ -138,10 +144,10 @@ class Store:
         return len(sizes), sum(sizes)
 
     def _files(self) -> Iterator[tuple[Path, os.stat_result]]:
-        """Ours: nothing else in the folder is ever touched."""
+        """Ours: nothing else in the folder is ever touched, nor what links in it lead to."""
         for path in sorted((self.folder / _STEPS).glob(f"??/*{_SUFFIX}")):
-            with suppress(OSError):
-                yield path, path.stat()
+            with suppress(OSError, OutputError):
+                yield inside(self.folder, path.relative_to(self.folder).as_posix()), path.stat()
 
 
 def default_folder() -> Path | None:

@@ -101,10 +101,10 @@ def choose(
     times = FINE // COARSE
     shape = places.seen.shape
     near = np.zeros(count)
-    cell = np.zeros(count, np.int64)
+    cell = np.zeros(count, np.int32)
     _nearest(places.distance, places.frame, middles, radii, times, near, cell)
     ways = np.unique(np.concatenate([sweep.way, sweep.widening], axis=1), axis=0)
-    paths = np.zeros((count, 2), np.int64)
+    paths = np.zeros((count, 2), np.int32)
     shadow = np.full(count, np.inf)
     if len(ways):
         over_threads(_follow, count, places.distance, places.frame, ways, sweep.bounds,
@@ -112,9 +112,14 @@ def choose(
                      paths)  # fmt: skip
     squared = radii * radii
     with np.errstate(divide="ignore"):
-        effect = factors.around * squared / (near * near)
+        # In place: of millions each array counts.
+        effect = factors.around * squared
+        effect /= near * near
         if len(ways):
-            effect = effect + factors.shadow * squared / (shadow * shadow)
+            other = factors.shadow * squared
+            other /= shadow * shadow
+            effect += other
+            del other
     tall = np.maximum(places.top, places.high)
     np.maximum.at(tall.reshape(-1), cell, middles[:, 2] + radii)
     which = np.flatnonzero(places.seen.ravel())

@@ -9,6 +9,7 @@ output                  needs, beside geometry, places and cameras
                         is cut along label lines
 ``instance``            instance ids: bases of classes, ids of instances
 ``amodal``              the same
+other packages' passes  the same as ``label`` and ``instance``
 all others              nothing: ``normal`` is the geometric one
 ======================  ============================================================================
 
@@ -29,6 +30,7 @@ from scenec.compiler.plan import Plan
 from scenec.compiler.rig import Rig
 from scenec.compiler.scene import Ground, Material, Placed, Prototype, Scatter, Tile
 from scenec.schemas.left_out import entry
+from scenec.schemas.passes import BUILT_IN
 
 #: Name of this pass in reports.
 PASS = "outputs"
@@ -64,7 +66,9 @@ def needs_of(outputs: Iterable[str], keep: Keep = Keep.SEEN, levels: bool = True
     asked = set(outputs)
     if keep is Keep.ALL:
         return Needs(True, levels, True)
-    return Needs("rgb" in asked, "label" in asked, bool(asked & {"instance", "amodal"}))
+    others = not asked <= BUILT_IN.keys()
+    labels = "label" in asked or (others and levels)
+    return Needs("rgb" in asked, labels, others or bool(asked & {"instance", "amodal"}))
 
 
 def with_color(rigs: tuple[Rig, ...], keep: Keep = Keep.SEEN) -> tuple[Rig, ...]:

@@ -26,6 +26,8 @@ _MEASURED = 16_384
 _VERTICES = 100_000
 #: Pixels from which on it shows how the ground's detail is touched.
 _SHOWS_PX = 0.5
+#: Instances that are stood at once.
+_AT_ONCE = 1 << 20
 
 
 class Standing:
@@ -78,6 +80,20 @@ class Standing:
         """
         if not len(which):
             return
+        least = float(self._radii(which).min())
+        # In parts: all numbers on the way, of millions at once, are most of what compiling takes.
+        for start in range(0, len(which), _AT_ONCE):
+            part = slice(start, start + _AT_ONCE)
+            self._put(which[part], u[part], x[part], y[part], least)
+
+    def _put(
+        self,
+        which: NDArray[np.int64],
+        u: NDArray[np.float64],
+        x: NDArray[np.float64],
+        y: NDArray[np.float64],
+        least: float,
+    ) -> None:
         plan, field = self._plan, self.surface.field
         spots: Spots | None = None
         if self._mesh is not None:
@@ -99,7 +115,8 @@ class Standing:
         # They follow what is finer than the grid as a whole: by what it is at their middles ...
         z += self.surface.lift_at(x, y)
         # ... unless one could see that.
-        near = self.pixels_per_m(np.stack([x, y, z], axis=1), plan.prototype[which], size)
+        at = np.stack([x, y, z], axis=1)
+        near = self._pixels_per_m(at, self._radii(which), least)
         seen = np.flatnonzero(near * self._amplitude > _SHOWS_PX)
         if len(seen):
             z[seen] = seat_on_detail(
@@ -115,12 +132,21 @@ class Standing:
         self, at: NDArray[np.float64], prototype: NDArray[np.int32], size: NDArray[np.float64]
     ) -> NDArray[np.float64]:
         """Pixels of a meter of each object in the view that shows it largest; 0 without views."""
+        radius = self._radius[prototype] * size
+        return self._pixels_per_m(at, radius, float(radius.min(initial=np.inf)))
+
+    def _pixels_per_m(
+        self, at: NDArray[np.float64], radius: NDArray[np.float64], least: float
+    ) -> NDArray[np.float64]:
         around = self._around
         if not len(around.views.poses) or not len(at):
             return np.zeros(len(at))
-        radius = self._radius[prototype] * size
-        nearest = min(NEAREST_M, float(radius.min()))
-        return pixels_of_balls(around.views, at, radius, around.unseen, nearest)
+        return pixels_of_balls(around.views, at, radius, around.unseen, min(NEAREST_M, least))
+
+    def _radii(self, which: NDArray[np.int64]) -> NDArray[np.float64]:
+        size = self._plan.scale[which].astype(np.float32).astype(np.float64)
+        found: NDArray[np.float64] = self._radius[self._plan.prototype[which]] * size
+        return found
 
     def positions(self, which: NDArray[np.int64]) -> NDArray[np.float32]:
         """Of some instances, float32 [m, 3]."""

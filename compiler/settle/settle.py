@@ -78,6 +78,7 @@ def settle(
     objects: Sequence[str],
     out: Path | str,
     batch: int = 0,
+    attempt: int = 0,
     among: Sequence[str] | None = None,
     options: Options | None = None,
     progress: Callable[[str], None] | None = None,
@@ -97,6 +98,7 @@ def settle(
         objects: Names of the classes to drop, of type ``placed`` (that do not move) or ``meshes``.
         out: The CSV file; with several classes ``STEM_CLASS.csv`` for each.
         batch: Which batch.
+        attempt: How often that was drawn again (``attempt`` in the manifest).
         among: Classes that they may fall onto; None: all of type ``placed`` and ``rocks``.
         options: How they fall.
         progress: Called with lines of text.
@@ -116,11 +118,14 @@ def settle(
         raise ScenecError(
             f"--batch {batch}: the cfg has batches 0 to {int(spec.cfg['batches']) - 1}"
         )
+    if attempt < 0:
+        raise ScenecError(f"--attempt {attempt}: expected a whole number from 0")
     files = _files(Path(out), chosen)
     library = physics()
-    say(f"building batch {batch} of {spec.cfg['name']}, seed {seed}")
+    which = f"seed {seed}, batch {batch}" + (f", attempt {attempt}" if attempt else "")
+    say(f"building {spec.cfg['name']}, {which}")
     started = time.perf_counter()
-    plan = draw(spec, seed, batch)
+    plan = draw(spec, seed, batch, attempt)
     surface, laid = _build(plan)
     bodies = _dropped(plan, laid, chosen)
     _require_on_ground(bodies, surface)
@@ -137,7 +142,7 @@ def settle(
     report = _report(files, settled, fallen, surface, built - started, time.perf_counter() - built)
     made_by = (
         f"Made by scenec {version_of()} settle with MuJoCo {library.__version__}: "
-        f"{spec.cfg['name']}, seed {seed}, batch {batch}, friction {options.friction:g}, "
+        f"{spec.cfg['name']}, {which}, friction {options.friction:g}, "
         f"restitution {options.restitution:g}, {options.cells} cells."
     )
     for name, file in files.items():

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import tokenize
 import warnings
 import zlib
 from dataclasses import dataclass
@@ -15,12 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.schemas.errors import SceneError
+from scenec.schemas.files import NUMPY_FAULTS
 
-#: What NumPy raises for files that are none of its own, or broken ones.
-_BROKEN = (
-    OSError, ValueError, EOFError, BadZipFile, zlib.error, NotImplementedError, MemoryError,
-    SyntaxError, TypeError, OverflowError, KeyError, RuntimeError, tokenize.TokenError,
-)  # fmt: skip
 #: Farther than any coordinate on a planet, and small enough that sums of products are numbers.
 _FARTHEST = 1e15
 _NUMPY = (".npz", ".npy")
@@ -144,13 +139,13 @@ def read_dem(
 def _read_numpy(file: Path, array: str | None) -> NDArray[Any]:
     try:
         loaded = np.load(io.BytesIO(file.read_bytes()), allow_pickle=False)
-    except _BROKEN as error:
+    except NUMPY_FAULTS as error:
         raise SceneError(f"{file.name}: not a NumPy file: {_reason(error)}") from error
     if isinstance(loaded, np.ndarray):
         return loaded
     try:
         members = {name: loaded[name] for name in loaded.files}
-    except _BROKEN as error:
+    except NUMPY_FAULTS as error:
         raise SceneError(f"{file.name}: a broken NumPy file: {_reason(error)}") from error
     if array is not None:
         if array not in members:

@@ -43,7 +43,6 @@ from scenec.datasets.formats.encode import (
 )
 from scenec.datasets.source import FrameRef, LoadedFrame, sidecar_values
 from scenec.schemas.errors import FrameError, OutputError
-from scenec.schemas.exr import is_id_pass
 from scenec.schemas.files import atomic
 from scenec.schemas.frames import BESIDE, CONVENTIONS, SHUTTER_CONVENTION
 from scenec.schemas.picture import DESCRIPTION
@@ -57,12 +56,6 @@ _TOLD = {
     RGB8: f"the frame's picture, sRGB; of sensors without imaging: {DESCRIPTION}",
     PICTURE: "what the camera's sensor took, sRGB, as the frame's PNG has it",
     **pictures.TOLD,
-}
-#: Passes whose convention stands with another's.
-_LIKE = {
-    "flow_backward": "flow",
-    "occlusion_backward": "occlusion",
-    "disparity_occlusion": "occlusion",
 }
 #: Name -> (type, shape of a frame's value, unit, convention).
 _FRAME_COLUMNS: dict[str, tuple[Any, tuple[int, ...], str, str]] = {
@@ -312,7 +305,7 @@ class _File:
                 names = self._form.info.labels.get(name.removeprefix("label."), {})
                 found[name] = narrowed(frame, name, label_type(names))
             else:
-                kind = np.uint32 if is_id_pass(name) else np.float32
+                kind = np.uint32 if array.dtype.kind == "u" else np.float32
                 found[name] = np.ascontiguousarray(array, kind)
         if pictures.taken(frame.sidecar) and rgb == "linear":
             found[PICTURE] = np.ascontiguousarray(picture8(frame))
@@ -344,7 +337,7 @@ class _File:
                 track_times=False,
                 **options,
             )
-            self._describe(dataset, name)
+            self._describe(dataset, name, frame.sidecar)
             self._passes[name] = dataset
         for name, (kind, shape, unit, text) in _FRAME_COLUMNS.items():
             column = _Column(self._h5, name, kind, shape)
@@ -357,10 +350,11 @@ class _File:
         if "instance" in frame.passes:
             self._begin_table(frame)
 
-    def _describe(self, dataset: h5py.Dataset, name: str) -> None:
+    def _describe(self, dataset: h5py.Dataset, name: str, sidecar: Mapping[str, Any]) -> None:
         """Unit and convention of a pass, as attributes."""
         kind = "label" if name.startswith("label.") else name
-        dataset.attrs["convention"] = _TOLD.get(name) or CONVENTIONS[_LIKE.get(kind, kind)]
+        conventions = {**sidecar.get("conventions", {}), **CONVENTIONS, **_TOLD}
+        dataset.attrs["convention"] = conventions.get(kind, "")
         if kind in _UNITS:
             dataset.attrs["unit"] = _UNITS[kind]
         if kind == "label":

@@ -40,9 +40,9 @@ from scenec.datasets.formats.encode import (
 )
 from scenec.datasets.source import FrameRef, LoadedFrame
 from scenec.schemas.errors import OutputError
-from scenec.schemas.exr import channel_names, is_id_pass
 from scenec.schemas.files import atomic, write_json
 from scenec.schemas.frames import BESIDE, beside_path
+from scenec.schemas.passes import built_in
 
 INDEX = "shards.json"
 _QUALITY = 95
@@ -112,7 +112,7 @@ class WebDataset(Format):
                 names = self.info.labels.get(name.removeprefix("label."), {})
                 self._array(found, name, narrowed(frame, name, label_type(names)))
             else:
-                kind = np.uint32 if is_id_pass(name) else np.float32
+                kind = np.uint32 if array.dtype.kind == "u" else np.float32
                 self._array(found, name, array.astype(kind))
         for beside in pictures.kinds(frame.sidecar):
             if beside == "raw":
@@ -177,7 +177,9 @@ class WebDataset(Format):
                 names = self.info.labels.get(name.removeprefix("label."), {})
                 held += np.dtype(label_type(names)).itemsize
             elif name != "rgb" or self.option("radiance") == "yes":
-                held += 4 * len(channel_names(name))
+                # Of another package's pass: as many channels as ours have at most.
+                found = built_in(name)
+                held += 4 * (3 if found is None else len(found.channels))
         # Of a line of the table JSON has names beside the values.
         table = ref.stem.with_name(ref.stem.name + ".instances.csv")
         files = (

@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 import scenes
 from amodal_looks import look
-from hypothesis import given, settings
+from examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 
-from scenec.backends.annotation import amodal as outlining
+from scenec.backends.annotation import outlines as outlining
 from scenec.backends.annotation.instances import Instances
 from scenec.backends.camera.rays import camera_rays
 from scenec.backends.contract import Rays
@@ -237,7 +238,7 @@ def crowds(draw):
     return scenes.scene(meshes, rows, ids), dataclasses.replace(camera, intrinsics=k)
 
 
-@settings(max_examples=40)
+@examples(40)
 @given(crowds())
 def test_silhouettes_are_those_of_scenes_of_one_instance(case):
     hold_against_scenes_of_one(*case)

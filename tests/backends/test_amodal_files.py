@@ -11,7 +11,8 @@ import moving_stages as ms
 import numpy as np
 import pytest
 from amodal_looks import look
-from hypothesis import given, settings
+from examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 
 from scenec.backends.check.compare import check_exact
@@ -158,7 +159,7 @@ def test_arrays_that_contradict_each_other_are_refused(tmp_path, change):
         read_amodal(tmp_path / "a")
 
 
-@settings(max_examples=60)
+@examples(60)
 @given(st.integers(1, 7), st.integers(1, 7), st.integers(0, 2**32))
 def test_masks_hold_the_pixels_that_they_show(height, width, seed):
     rng = np.random.default_rng(seed)
@@ -173,11 +174,11 @@ def test_masks_hold_the_pixels_that_they_show(height, width, seed):
 
 def test_amodal_is_asked_for_by_a_stage_and_an_unknown_pass_still_refused(rendered):
     scene = read_stage(rendered / "m.usda")
-    from scenec.backends.annotation.annotate import pass_names
+    from scenec.backends.annotation.registry import select
 
-    assert pass_names(scene, ("rgb", "amodal")) == ["instance", "amodal"]
+    assert list(select(scene, ("rgb", "amodal"))) == ["instance", "amodal"]
     with pytest.raises(BackendError, match='no pass "amodel"'):
-        pass_names(scene, ("amodel",))
+        select(scene, ("amodel",))
 
 
 def test_a_cfg_may_ask_for_masks(tmp_path):

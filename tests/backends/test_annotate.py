@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 import scenes
 
-from scenec.backends.annotation.annotate import NO_FACE, pass_names
-from scenec.backends.annotation.bands import annotate
+from scenec.backends.annotation.annotate import annotate
+from scenec.backends.annotation.face import NO_FACE
+from scenec.backends.annotation.registry import select
 from scenec.backends.camera.rays import camera_rays
 from scenec.backends.exact import ExactCaster
 from scenec.schemas.errors import BackendError
@@ -28,9 +29,9 @@ def rocks():
 
 def test_results_do_not_depend_on_the_number_of_threads(rocks):
     scene, caster, view = rocks
-    many = annotate(scene, caster, view, ALL, 0)[1]
+    many = annotate(scene, caster, view, ALL, 0).arrays
     with at_most(1):
-        one = annotate(scene, caster, view, ALL, 0)[1]
+        one = annotate(scene, caster, view, ALL, 0).arrays
     for name, values in one.items():
         assert values.tobytes() == many[name].tobytes(), name
 
@@ -43,7 +44,7 @@ def test_annotation_follows_from_the_hit():
     mirror = scenes.affine(np.diag([1.0, -1.0, 1.0]))
     scene = scenes.scene([wall], [(0, mirror)], [42])
     rays = camera_rays(view)
-    out = annotate(scene, ExactCaster(scene), view, ALL, 0)[1]
+    out = annotate(scene, ExactCaster(scene), view, ALL, 0).arrays
     d = rays.directions.reshape(40, 30, 3)
     hit = d[..., 2] * 5 < 1
     assert hit.any()
@@ -70,7 +71,7 @@ def test_annotation_follows_from_the_hit():
 
 def test_only_the_passes_asked_for_are_computed_and_unknown_ones_are_errors(rocks):
     scene, caster, view = rocks
-    assert list(annotate(scene, caster, view, ["rgb", "depth"], 0)[1]) == ["depth"]
-    assert pass_names(scene, ["label.class", "label"]) == ["label.class"]
+    assert list(annotate(scene, caster, view, ["rgb", "depth"], 0).arrays) == ["depth"]
+    assert list(select(scene, ["label.class", "label"])) == ["label.class"]
     with pytest.raises(BackendError, match="dept"):
         annotate(scene, caster, view, ["dept"], 0)

@@ -79,7 +79,9 @@ def test_the_table_is_the_documented_hash():
     np.testing.assert_array_equal(entries.astype(np.float16).astype(float), entries)
 
 
-@pytest.mark.parametrize("side", [1.0, 2.0, 3.0])
+@pytest.mark.parametrize(
+    "side", [1.0, *(pytest.param(side, marks=pytest.mark.slow) for side in (2.0, 3.0))]
+)
 def test_nothing_repeats_and_mean_and_contrast_stay(described, side):
     moved = dataclasses.replace(described, cells=Cells(side, 5))
     plain = dataclasses.replace(described, cells=None)

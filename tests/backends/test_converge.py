@@ -243,6 +243,17 @@ def test_budgets_of_seconds_are_rungs_and_plots_are_drawn(stage):
     assert plot.read_bytes().startswith(b"\x89PNG")
 
 
+def test_a_stage_that_is_not_whole_converges_only_where_that_is_allowed(stage, capsys):
+    text = stage.read_text().replace("(", "(\n    subLayers = [@./gone.usda@]", 1)
+    stage.write_text(text)
+    words = ["converge", str(stage), "--backends", "plain", "--spp", "2", "--repeats", "1"]
+    assert main(words) == 2
+    assert "gone.usda does not exist" in capsys.readouterr().err
+    assert main([*words, "--allow-missing", "--json"]) == 0
+    losses = json.loads(capsys.readouterr().out)["backends"]["plain"]["losses"]
+    assert any("gone.usda does not exist" in line for line in losses)
+
+
 def test_what_cannot_be_a_ladder_is_refused_in_one_line(stage, capsys):
     with pytest.raises(BackendError, match="draws no light"):
         converge(stage, ["reference"])

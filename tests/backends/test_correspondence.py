@@ -10,7 +10,8 @@ from pathlib import Path
 import moving_stages as ms
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 from pxr import Usd, UsdGeom
 from scenes import icosphere
@@ -117,7 +118,7 @@ poses = st.builds(
 
 
 @given(poses, poses)
-@settings(max_examples=25)
+@examples(25)
 def test_what_flow_leads_to_has_the_depth_that_the_other_frame_sees(bumps, pose_a, pose_b):
     """Depth and poses of one frame give the other's depth, to 1e-6, wherever that shows it."""
     scene = with_cameras(bumps, [[camera(pose_a)], [camera(pose_b)]])
@@ -144,7 +145,7 @@ def test_what_flow_leads_to_has_the_depth_that_the_other_frame_sees(bumps, pose_
 
 
 @given(poses, poses)
-@settings(max_examples=15)
+@examples(15)
 def test_each_code_is_what_a_march_along_the_line_of_sight_finds(bumps, pose_a, pose_b):
     scene = with_cameras(bumps, [[camera(pose_a)], [camera(pose_b)]])
     made = render(scene, 0)

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import mitsuba_scenes as ms
 import numpy as np
+import pytest
 import rough_scenes
 import scenes
 from numpy.typing import NDArray
@@ -90,6 +91,7 @@ def two_balls() -> RenderScene:
     )
 
 
+@pytest.mark.slow
 def test_a_scene_has_the_radiance_that_mitsuba_finds(tmp_path: Path):
     out = tmp_path / "mitsuba.npy"
     done = subprocess.run(

@@ -26,12 +26,13 @@ from damaged_stages import (
     rewritten,
     with_value,
 )
+from hypothesis import settings
 from rich_stage import compile_rich
 
 from scenec.backends.stage.read import read_stage
 
-#: Of each kind: enough to see that it is looked at, few enough to wait for.
-QUICK = 60
+#: Of each kind; 15 in the quick profile.
+COUNT = 60 * settings().max_examples // 100
 
 
 def with_wrong_values(stage: Path, count: int, aside: Path) -> Iterator[tuple[str, Path]]:
@@ -105,7 +106,7 @@ def test_the_stage_itself_is_sound(stage):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_what_is_damaged_is_refused_or_read(stage, tmp_path, kind):
-    found, odd = tally(stage, kind, QUICK, tmp_path)
+    found, odd = tally(stage, kind, COUNT, tmp_path)
     assert not odd, odd
     # Neither is all refused whatever it is, nor is nothing looked at.
     assert found[READ] > 0

@@ -9,7 +9,8 @@ import json
 import moving_stages as ms
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from examples import examples
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from pxr import Usd, UsdGeom
 from small import small_cfg
@@ -42,7 +43,7 @@ def camera(model=None, key=5) -> Camera:
 
 
 @given(st.floats(0.2, 1e4), st.floats(0.01, 1), st.floats(0.01, 0.5))
-@settings(max_examples=30)
+@examples(30)
 def test_stereo_depth_errs_with_the_square_of_depth(depth, base, noise):
     model = dataclasses.replace(STEREO, baseline_m=base, noise_px=noise)
     flat = np.full((48, 64), depth)
@@ -69,7 +70,7 @@ def test_stereo_depths_are_those_of_whole_steps(step):
 
 
 @given(st.floats(0.5, 20), st.floats(0.05, 1.0))
-@settings(max_examples=20)
+@examples(20)
 def test_time_of_flight_noise_grows_with_range_squared_and_slant(reach, cosine):
     model = dataclasses.replace(TOF, noise_m=0.01)
     flat = np.full((64, 64), reach)

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -95,7 +96,7 @@ def soups(draw):
     return scene, Rays(origins, directions, (6, 10))
 
 
-@settings(max_examples=25)
+@examples(25)
 @given(soups())
 def test_caster_agrees_with_brute_force_to_the_bit(case):
     scene, rays = case

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 from mitsuba_scenes import (
     dome,
@@ -109,7 +110,7 @@ def test_light_that_only_arrives_by_reflections_counts() -> None:
     assert seen == pytest.approx(np.full(len(seen), 2.0 * sum(0.5**k for k in range(5))))
 
 
-@settings(max_examples=50)
+@examples(50)
 @given(stops=st.integers(-40, 40), elevation=st.floats(1.0, 90.0))
 def test_twice_the_light_is_the_same_picture_to_the_bit(stops: int, elevation: float) -> None:
     lights = [sun(elevation, irradiance=700.0), dome(20.0)]
@@ -125,7 +126,7 @@ def test_twice_the_light_is_the_same_picture_to_the_bit(stops: int, elevation: f
     assert np.array_equal(develop(radiance, ev), develop(scaled, other))
 
 
-@settings(max_examples=50)
+@examples(50)
 @given(factor=st.floats(1e-6, 1e6))
 def test_any_other_factor_moves_a_picture_by_a_code_at_most(factor: float) -> None:
     lights = [sun(40.0, irradiance=700.0)]

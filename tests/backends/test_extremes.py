@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from examples import examples
 from extreme_scenes import (
     CASES,
     GROUND,
@@ -19,7 +20,7 @@ from extreme_scenes import (
     near_and_far_stage,
     true_plane,
 )
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from lens_scenes import CAMERAS, around
 from numpy.typing import NDArray
@@ -27,8 +28,7 @@ from scenes import camera as pinhole
 from scenes import scene
 from small import small_cfg, write_cfg
 
-from scenec.backends.annotation.annotate import annotate as annotate_rays
-from scenec.backends.annotation.bands import annotate
+from scenec.backends.annotation.annotate import annotate
 from scenec.backends.camera import tiles
 from scenec.backends.camera.rays import camera_rays
 from scenec.backends.check.compare import check_exact
@@ -130,7 +130,7 @@ def test_near_and_far_in_a_ratio_of_1e9_keep_their_digits(tmp_path: Path) -> Non
         )
 
 
-@settings(max_examples=30)
+@examples(30)
 @given(st.data())
 def test_rays_of_some_rows_are_those_of_the_whole_picture(data: st.DataObject) -> None:
     camera = VIEWS[data.draw(st.sampled_from(sorted(VIEWS)))]
@@ -151,7 +151,7 @@ def test_rays_of_some_rows_are_those_of_the_whole_picture(data: st.DataObject) -
             np.testing.assert_array_equal(own, all_of_them[part])
 
 
-@settings(max_examples=20)
+@examples(20)
 @given(
     columns=st.tuples(st.integers(0, 60), st.integers(1, 61)).filter(lambda c: c[0] < c[1]),
     rows=st.tuples(st.integers(0, 46), st.integers(1, 47)).filter(lambda r: r[0] < r[1]),
@@ -176,15 +176,14 @@ def test_annotation_in_bands_is_that_of_the_whole_picture_to_the_bit(
 ) -> None:
     world, caster = stones
     camera = VIEWS[name]
-    rays = camera_rays(camera)
-    exact = caster.hits(rays)
-    expected = annotate_rays(world, exact, rays, PASSES)
+    exact = caster.hits(camera_rays(camera))
+    expected = annotate(world, caster, camera, PASSES, 0).arrays
     monkeypatch.setattr(tiles, "PIXELS", rows * camera.width)
-    hits, found = annotate(world, caster, camera, PASSES, 0)
+    found = annotate(world, caster, camera, PASSES, 0)
     for key, values in expected.items():
-        np.testing.assert_array_equal(found[key], values, err_msg=key)
+        np.testing.assert_array_equal(found.arrays[key], values, err_msg=key)
     for key in ("row", "face", "t"):
-        np.testing.assert_array_equal(getattr(hits, key), getattr(exact, key))
+        np.testing.assert_array_equal(getattr(found.hits, key), getattr(exact, key))
 
 
 def test_a_picture_composed_in_bands_is_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -316,7 +315,7 @@ def test_a_picture_wider_than_opengl_draws_is_drawn_in_columns(extremes: Path) -
     _run(script, str(extremes / "batch_0000" / "stage.usda"))
 
 
-@settings(max_examples=200)
+@examples(200)
 @given(st.integers(1, 70_000), st.integers(1, 70_000))
 def test_bands_are_all_of_a_picture_and_no_larger_than_renderers_draw(w: int, h: int) -> None:
     camera = Camera("rig_eye", "/eye", w, h, np.eye(3), np.eye(4))

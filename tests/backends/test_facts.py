@@ -60,7 +60,9 @@ def drawn_cfg(seed: int) -> dict:
     return cfg
 
 
-@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize(
+    "seed", [*range(3), *(pytest.param(n, marks=pytest.mark.slow) for n in range(3, 10))]
+)
 def test_mitsuba_sees_what_is_annotated_on_every_pixel(seed, tmp_path):
     scene = read_stage(compiled(tmp_path, drawn_cfg(seed), seed))
     backend, rays = open_backend("mitsuba"), camera_rays(scene.cameras[0][0])

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from scenec.backends.run.writer import write_frame
 from scenec.schemas.errors import FrameError, OutputError
-from scenec.schemas.exr import channel_names, read_exr, write_exr
+from scenec.schemas.exr import read_exr, write_exr
 from scenec.schemas.frames import FrameKey, frame_stem, is_done, read_frame
 
 H, W = 24, 32
@@ -100,7 +100,7 @@ def test_a_foreign_exr_and_a_missing_one_are_refused(tmp_path: Path):
     with pytest.raises(FrameError, match="no such frame"):
         read_exr(tmp_path / "none.exr")
     with pytest.raises(FrameError, match="unknown pass"):
-        channel_names("beauty")
+        write_exr(tmp_path / "f.exr", {"beauty": np.ones((2, 2))})
 
 
 def test_one_flipped_bit_anywhere_is_seen(tmp_path: Path):

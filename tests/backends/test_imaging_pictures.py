@@ -7,7 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from PIL import Image
@@ -267,7 +268,7 @@ def pillows(picture: NDArray[np.uint8], quality: int, subsampling: str) -> NDArr
 
 
 @pytest.mark.parametrize("subsampling", SUBSAMPLINGS)
-@settings(max_examples=40)
+@examples(40)
 @given(
     st.integers(1, 50) | st.integers(120, 400),
     st.integers(1, 100),

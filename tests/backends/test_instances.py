@@ -25,6 +25,7 @@ from scenec.schemas.instances import (
     frame_table_path,
     read_frame_table,
     read_table,
+    table_digest,
     write_frame_table,
     write_table,
 )
@@ -246,6 +247,19 @@ def test_text_with_commas_and_quotes_comes_back(tmp_path):
     again = read_frame_table(tmp_path / "t.instances.csv")
     for name, values in columns.items():
         assert again[name].tolist() == values.tolist()
+
+
+def test_a_table_of_a_batch_with_a_broken_header_is_refused(rendered, tmp_path):
+    frames, _ = rendered
+    whole = (frames / BATCH_TABLE).read_bytes()
+    place = whole.index(b"'descr'")
+    for at in range(place, place + 60):
+        broken = bytearray(whole)
+        broken[at] ^= 5
+        (tmp_path / BATCH_TABLE).write_bytes(broken)
+        with pytest.raises(FrameError, match="no table of instances, or a damaged one"):
+            read_table(tmp_path)
+        assert table_digest(tmp_path / BATCH_TABLE) in (None, table_digest(frames / BATCH_TABLE))
 
 
 @pytest.mark.parametrize("content", [b"", b"id\nx\n", b"id,pixels\n1\n", b"\xff\xfe\x00"])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import shutil
 from pathlib import Path
@@ -19,6 +20,7 @@ from scenec.backends.run.units import Opening, OpenStage
 from scenec.backends.stage.read import read_stage
 from scenec.cli.main import main
 from scenec.compiler.compile import compile_cfg
+from scenec.schemas import stage as names
 from scenec.schemas.errors import OutputError, StageError
 from scenec.schemas.frames import FrameKey, read_frame
 from scenec.schemas.manifest import find_batches, read_manifest, stage_digest
@@ -131,6 +133,42 @@ def test_what_is_read_is_what_the_manifest_lists(compiled, tmp_path):
     assert read_frame(report.frames[0]).sidecar["stage_digest"] == there.digest
 
 
+@pytest.mark.parametrize("name", ["batch_0000/../../theirs", "batch_0000//etc/passwd"])
+def test_a_name_of_the_manifest_that_leads_out_of_its_batch_is_not_followed(out, name):
+    (out.parent / "theirs").write_text("theirs", encoding="utf-8")
+    manifest = json.loads((out / "manifest.json").read_text(encoding="utf-8"))
+    digest = hashlib.sha256(b"theirs").hexdigest()
+    manifest["files"][name] = {"sha256": digest, "bytes": 6}
+    (out / "manifest.json").write_text(json.dumps(manifest), encoding="utf-8")
+    with pytest.raises(StageError, match="lists it, and it is not in the stage's folder"):
+        read_stage(stage_of(out))
+
+
+def test_a_word_that_is_not_utf8_is_refused(tmp_path):
+    path = tmp_path / "stage.usdc"
+    stage = Usd.Stage.CreateNew(str(path))
+    mesh = UsdGeom.Mesh.Define(stage, "/Mesh")
+    stage.SetDefaultPrim(mesh.GetPrim())
+    table = (names.ATTR_LABEL_NAMES, Sdf.ValueTypeNames.TokenArray, ["a"])
+    ids = (names.ATTR_LABEL_IDS, Sdf.ValueTypeNames.UIntArray, [1])
+    for name, kind, value in (table, ids):
+        mesh.GetPrim().CreateAttribute(name.format(level="class"), kind).Set(value)
+    primvar = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar(
+        names.label_primvar("class"), Sdf.ValueTypeNames.IntArray
+    )
+    primvar.Set([1])
+    primvar.GetAttr().SetMetadata("interpolation", "XYZ.QQ")
+    stage.Save()
+    del stage, mesh, primvar
+    whole = path.read_bytes()
+    assert whole.count(b"XYZ.QQ") == 1
+    path.write_bytes(whole.replace(b"XYZ.QQ", b"XY\xe3.QQ"))
+    with pytest.raises(StageError, match=r"stage\.usdc: cannot be read: .*0xe3"):
+        read_stage(path)
+    (finding,) = check_stage(path)
+    assert (finding.check, finding.severity) == ("opens", "error")
+
+
 def test_a_layer_that_the_manifest_does_not_list_is_refused(out):
     batch = out / "batch_0000"
     manifest = json.loads((out / "manifest.json").read_text(encoding="utf-8"))
@@ -155,6 +193,7 @@ def test_a_manifest_without_digests_is_none(out, entry):
         render(out, "reference")
 
 
+@pytest.mark.usefixtures("worker_here")
 def test_frames_of_a_part_are_never_taken_for_those_of_the_whole(out, capsys):
     batch = out / "batch_0000"
     rocks = (batch / "objects" / "rocks.usdc").read_bytes()
@@ -444,7 +483,7 @@ def test_a_crash_while_a_stage_is_read_is_said_after_one_try(tmp_path, monkeypat
     path = tmp_path / "foreign.usda"
     with pytest.raises(StageError) as caught:
         render(path, "reference")
-    told = f"{path}: OpenUSD crashed reading it, the worker process died (signal SIGSEGV"
+    told = f"{path}: the library that reads it crashed, the worker process died (signal SIGSEGV"
     assert str(caught.value).startswith(told)
     assert (tmp_path / "tries").read_text(encoding="utf-8") == "x"
     assert main(["render", str(path), "--backend", "reference"]) == 2

@@ -11,7 +11,7 @@ from lens_scenes import BROWN, CAMERAS, FISHEYE, PANORAMA, around, with_lens
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdRender
 from scenes import SKY, scene
 
-from scenec.backends.annotation.bands import annotate
+from scenec.backends.annotation.annotate import annotate
 from scenec.backends.annotation.instances import Instances
 from scenec.backends.camera.lens import ray_table
 from scenec.backends.camera.rays import camera_rays
@@ -67,7 +67,7 @@ def test_depth_and_pose_lead_back_to_the_pixel(
     """Range along the ray is position, whose z is depth; it projects to the pixel, to 1e-6."""
     camera = CAMERAS[name]
     rays = camera_rays(camera)
-    found = annotate(world, caster, camera, PASSES, 0)[1]
+    found = annotate(world, caster, camera, PASSES, 0).arrays
     depth, far = found["depth"].ravel(), found["range"].ravel()
     hit = np.isfinite(far)
     assert np.array_equal(hit, np.isfinite(depth))
@@ -100,7 +100,7 @@ def test_what_lies_outside_of_the_image_circle_shows_nothing(
     c = FISHEYE.coefficients
     edge = t * (1 + c[0] * t**2 + c[1] * t**4 + c[2] * t**6 + c[3] * t**8)
     assert np.array_equal(rays.known, (np.hypot(a, b) <= edge).ravel())
-    found = annotate(world, caster, camera, PASSES, 0)[1]
+    found = annotate(world, caster, camera, PASSES, 0).arrays
     out = ~rays.known.reshape(72, 96)
     assert (found["label.class"][out] == 0).all()
     assert (found["label.class"][~out] >= SKY).all()
@@ -115,7 +115,7 @@ def test_what_lies_outside_of_the_image_circle_shows_nothing(
 def test_a_panorama_is_six_pinhole_views(world: RenderScene, caster: ExactCaster) -> None:
     """Its pixels show what the nearest pixel of a cube's fine face does, but at edges."""
     camera = with_lens(PANORAMA, 128, 64)
-    found = annotate(world, caster, camera, ("label", "range"), 0)[1]
+    found = annotate(world, caster, camera, ("label", "range"), 0).arrays
     rays = camera_rays(camera).directions
     local = rays @ camera.camera_to_world[:3, :3]
     size, agree, counted = 256, 0, 0
@@ -128,7 +128,7 @@ def test_a_panorama_is_six_pinhole_views(world: RenderScene, caster: ExactCaster
             pose[:3, :3] = pose[:3, :3] @ basis
             k = np.array([[size / 2, 0, size / 2], [0, size / 2, size / 2], [0, 0, 1.0]])
             face = Camera("f", "/F", size, size, k, pose)
-            view = annotate(world, caster, face, ("label", "range"), 0)[1]
+            view = annotate(world, caster, face, ("label", "range"), 0).arrays
             own = np.flatnonzero(np.argmax(np.abs(local), axis=1) * sign == axis * sign)
             own = own[local[own, axis] * sign > 0.0]
             seen = local[own] @ basis
@@ -183,8 +183,8 @@ def test_a_lens_without_distortion_is_a_pinhole(
         np.abs(rays.directions - expected.directions).max()
         < 1e-13 * np.abs(expected.directions).max()
     )
-    one = annotate(world, caster, plain, ("label", "depth"), 0)[1]
-    two = annotate(world, caster, bent, ("label", "depth"), 0)[1]
+    one = annotate(world, caster, plain, ("label", "depth"), 0).arrays
+    two = annotate(world, caster, bent, ("label", "depth"), 0).arrays
     assert np.array_equal(one["label.class"], two["label.class"])
     assert np.allclose(one["depth"], two["depth"], rtol=1e-9)
 
@@ -196,9 +196,9 @@ def test_pictures_of_a_pixel_or_a_line(
 ) -> None:
     """They are annotated like any other."""
     camera = with_lens(lens, *size)
-    hits, found = annotate(world, caster, camera, PASSES, 0)
-    assert np.array_equal(hits.row, caster.hits(camera_rays(camera)).row)
-    assert found["range"].shape == (size[1], size[0])
+    found = annotate(world, caster, camera, PASSES, 0)
+    assert np.array_equal(found.hits.row, caster.hits(camera_rays(camera)).row)
+    assert found.arrays["range"].shape == (size[1], size[0])
     assert ray_table(camera).directions.ndim == 3
 
 

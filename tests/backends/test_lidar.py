@@ -10,7 +10,8 @@ import moving_stages as ms
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import given, settings
+from examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 from pxr import Sdf, Usd, UsdGeom
 from scenes import icosphere
@@ -107,7 +108,7 @@ def test_ranges_and_points_are_those_of_plane_and_balls(scene):
 
 
 @given(st.integers(0, 2**64 - 1), st.floats(0.0, 0.5), st.floats(0.0, 0.02), st.floats(0, 1))
-@settings(max_examples=15)
+@examples(15)
 def test_noise_has_the_deviation_asked_for_and_losses_their_share(scene, key, a, b, lost):
     one = lidar(
         range_noise_m=a,

@@ -199,7 +199,7 @@ def test_the_halves_differ_and_their_difference_estimates_the_error():
 @pytest.mark.parametrize("spp", [1, 2, 7, 24, 64, 1000])
 def test_sample_counts_split_into_passes_that_fit_and_add_up(spp):
     for pixels in (100, 640 * 480, 1 << 24, 1 << 26):
-        parts = split_samples(spp, pixels)
+        parts = split_samples(spp, pixels, MAX_WAVEFRONT)
         assert sum(parts) == spp
         assert min(parts) >= 1
         assert max(parts) == 1 or (max(parts) - 1) * pixels < MAX_WAVEFRONT

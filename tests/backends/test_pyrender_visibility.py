@@ -339,6 +339,7 @@ except BackendError as error:
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("platform", "device", "extra", "words"),
     [
@@ -355,6 +356,7 @@ def test_what_does_not_work_is_said_in_one_line(platform, device, extra, words):
     assert "Traceback" not in done.stderr
 
 
+@pytest.mark.slow
 def test_where_egl_is_missing_osmesa_takes_its_place():
     if not platforms.wheel_libraries():
         pytest.skip("lavavu-osmesa is not installed")

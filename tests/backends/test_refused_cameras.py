@@ -46,6 +46,7 @@ def focused(path: Path, camera: str) -> Path:
     return path
 
 
+@pytest.mark.usefixtures("worker_here")
 def test_the_frames_of_other_cameras_are_rendered_and_the_command_ends_with_1(stage, capsys):
     assert main(["render", str(stage), "--backend", "reference", "--json"]) == 1
     said = capsys.readouterr()
@@ -79,6 +80,7 @@ def test_where_every_camera_is_refused_the_run_ends_at_once(stage, capsys):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("worker_here")
 def test_frames_that_are_there_already_are_no_reason_to_end_it(stage):
     assert render(stage, "reference", passes=["depth"]).rendered == 6
     report = render(stage, "reference")

@@ -6,7 +6,8 @@ import dataclasses
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 from lens_scenes import CAMERAS, around
 from mitsuba_scenes import look_at
@@ -14,9 +15,8 @@ from numpy.typing import NDArray
 from scenes import affine, mesh, scene
 from scipy.spatial.transform import Rotation, Slerp
 
-from scenec.backends.annotation.bands import annotate
+from scenec.backends.annotation.annotate import annotate
 from scenec.backends.annotation.correspondence import match
-from scenec.backends.annotation.depth_camera import measure
 from scenec.backends.annotation.instances import Instances
 from scenec.backends.camera.rays import camera_rays
 from scenec.backends.camera.shutter import (
@@ -85,7 +85,7 @@ def caster(world: RenderScene) -> ExactCaster:
 angles = st.floats(-3.0, 3.0)
 
 
-@settings(max_examples=40)
+@examples(40)
 @given(
     st.lists(st.tuples(angles, angles, angles), min_size=2, max_size=5),
     st.sampled_from([1.0, 1e-3, 1e-7, 1e-10]),
@@ -142,7 +142,7 @@ def test_each_row_is_that_of_a_still_camera_with_the_rows_pose(
     """Every pass to the bit, against a whole picture for each row; bands of rows are the same."""
     camera = rolling(name, shutter)
     rays = camera_rays(camera)
-    found = annotate(world, caster, camera, PASSES, 0)[1]
+    found = annotate(world, caster, camera, PASSES, 0).arrays
     poses = row_poses(camera)
     sign = -1.0 if shutter.upward else 1.0
     for r in range(0, camera.height, 9):
@@ -152,7 +152,7 @@ def test_each_row_is_that_of_a_still_camera_with_the_rows_pose(
         pose = poses_at(camera.shutter, np.array([at]))[0]
         assert np.array_equal(pose, poses[r])
         alone = still(camera, pose)
-        expected = annotate(world, caster, alone, PASSES, 0)[1]
+        expected = annotate(world, caster, alone, PASSES, 0).arrays
         for key, values in expected.items():
             real = values.dtype.kind == "f"
             assert np.array_equal(found[key][r], values[r], equal_nan=real), key
@@ -188,7 +188,7 @@ def test_a_camera_that_passes_an_upright_edge_sees_it_slanted() -> None:
     eye = look_at([0.0, 0.0, 0.0], [0.0, 5.0, 0.0], 400, 80)
     speed, readout, depth = 4.0, 0.05, 5.0
     camera = moved(eye, Shutter(0.0, readout), (speed, 0.0, 0.0), keys=2 * 1 + 1)
-    found = annotate(flat, ExactCaster(flat), camera, ("instance",), 0)[1]
+    found = annotate(flat, ExactCaster(flat), camera, ("instance",), 0).arrays
     fx, cx = camera.intrinsics[0, 0], camera.intrinsics[0, 2]
     v = np.arange(80) + 0.5
     edge = cx - speed * readout * (v / 80 - 0.5) * fx / depth
@@ -210,8 +210,8 @@ def test_exposure_alone_changes_no_annotation(world: RenderScene, caster: ExactC
     one, two = camera_rays(camera), camera_rays(plain)
     assert np.array_equal(one.origins, two.origins)
     assert np.array_equal(one.directions, two.directions)
-    found = annotate(world, caster, camera, PASSES, 0)[1]
-    expected = annotate(world, caster, plain, PASSES, 0)[1]
+    found = annotate(world, caster, camera, PASSES, 0).arrays
+    expected = annotate(world, caster, plain, PASSES, 0).arrays
     for key, values in expected.items():
         assert np.array_equal(values, found[key], equal_nan=values.dtype.kind == "f"), key
 
@@ -348,11 +348,10 @@ def test_a_stereo_camera_rolls_with_both_eyes(world: RenderScene, caster: ExactC
     """Without noise and steps it tells the exact depth wherever the second eye sees the point."""
     model = StereoDepth(baseline_m=0.1, noise_px=0.0, step_px=0.0, range_m=(0.05, 1e3))
     camera = dataclasses.replace(rolling("pinhole"), depth_camera=DepthCamera(model, 1))
-    rays = camera_rays(camera)
-    exact = caster.hits(rays)
-    told = measure(world, caster, exact, rays, camera, 0).ravel()
+    found = annotate(world, caster, camera, ["depth", "depth_measured"], 0).arrays
+    told = found["depth_measured"]
     assert (told > 0.0).mean() > 0.4
-    assert np.abs(told - exact.t)[told > 0.0].max() < 1e-9
+    assert np.abs(told - found["depth"])[told > 0.0].max() < 1e-9
 
 
 def test_the_sun_stands_where_the_rows_look() -> None:

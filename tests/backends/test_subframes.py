@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from blur_scenes import Flat, ahead, of_plates, picture, plate, session, shaken
-from hypothesis import given, settings
+from examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 from mitsuba_scenes import dome, mesh, scene, surface
 from numpy.typing import NDArray
@@ -52,7 +53,7 @@ def edges(values: NDArray[np.floating], low: float = 0.0) -> NDArray[np.float64]
     count=st.integers(1, 9),
     seed=st.integers(0, 2**32 - 1),
 )
-@settings(max_examples=80)
+@examples(80)
 def test_every_row_has_equally_many_sub_frames_within_its_own_exposure(
     exposure: float, readout: float, upward: bool, height: int, count: int, seed: int
 ) -> None:

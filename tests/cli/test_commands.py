@@ -47,6 +47,7 @@ def test_render_does_not_make_frames_again(output, capsys):
     assert (result["rendered"], result["skipped"]) == (0, 2)
 
 
+@pytest.mark.usefixtures("worker_here")
 def test_check_finds_the_output_sound_and_the_backends_agreed(output, capsys):
     assert main(["check", str(output), "--backends", "mitsuba,reference", "--json"]) == 0
     result = json.loads(capsys.readouterr().out)
@@ -89,11 +90,13 @@ def test_a_frame_without_rgb_keeps_no_picture_of_an_earlier_one(output, tmp_path
     assert main(["sheet", str(out), "--backend", "annotation", "-o", target]) == 0
 
 
-def test_the_command_line_knows_all_passes():
-    from scenec.cli import arguments
-    from scenec.schemas.exr import PASSES
+def test_the_schema_of_cfgs_knows_all_passes():
+    from scenec.compiler.frontend.schema import load_schemas
+    from scenec.schemas.passes import PASSES
 
-    assert arguments.PASSES == PASSES
+    for name in ("cfg", "sensor"):
+        outputs = load_schemas()[f"{name}.schema.json"]["properties"]["outputs"]
+        assert sorted(outputs["items"]["enum"]) == sorted(PASSES)
 
 
 def test_check_fails_on_damage_and_names_it(output, tmp_path, capsys):

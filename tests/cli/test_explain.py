@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
+from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -15,11 +17,20 @@ from small import small_cfg, write_cfg
 
 from scenec.backends.run.render import render
 from scenec.cli.explain_data import read_batches
-from scenec.cli.explain_left_out import LeftOut, Rates, left_out_of, rates_of, size
-from scenec.cli.explain_passes import rows_of, wrapped
+from scenec.cli.explain_left_out import (
+    LeftOut,
+    Rates,
+    kept_of,
+    left_out_of,
+    left_out_text,
+    rates_of,
+    size,
+)
+from scenec.cli.explain_passes import passes_text, rows_of, wrapped
 from scenec.cli.explain_stage import read_contents
 from scenec.cli.main import main
 from scenec.compiler.compile import compile_cfg
+from scenec.schemas.errors import OutputError
 
 pytestmark = pytest.mark.usefixtures("workers_here")
 
@@ -326,3 +337,51 @@ def test_approximations_are_among_what_was_left_out():
         "materials/sand: texels of base color": (0, 4321),
         "log.glb: its animation": (0, 0),
     }
+
+
+def others(value: Any) -> Iterator[tuple[str, Any]]:
+    """A JSON value with one part at a time that is of another kind, or missing; with its place."""
+    for other in ("x", -1, None, [1], {"a": "b"}):
+        yield "", other
+    if isinstance(value, dict):
+        for key, part in value.items():
+            place = "/" + key.replace("/", "~1")
+            yield place, {name: one for name, one in value.items() if name != key}
+            yield from ((f"{place}{at}", {**value, key: one}) for at, one in others(part))
+    elif isinstance(value, list):
+        for i, part in enumerate(value):
+            yield from (
+                (f"/{i}{at}", [*value[:i], one, *value[i + 1 :]]) for at, one in others(part)
+            )
+
+
+def test_a_report_of_another_shape_is_refused_with_the_place_or_it_does_not_matter(
+    output, tmp_path
+):
+    out = tmp_path / "out"
+    shutil.copytree(output, out)
+    batch = read_batches(out)[0]
+    contents = read_contents(batch.stage)
+    refused = []
+    for file, value in (
+        (out / "batch_0000" / "report.json", batch.report),
+        (out / "timings.json", json.loads((out / "timings.json").read_text())),
+    ):
+        text = file.read_text()
+        for at, other in others(value):
+            file.write_text(json.dumps(other))
+            try:
+                one = read_batches(out)[0]
+            except OutputError as error:
+                refused.append((at, str(error).removeprefix(f"{file}: is no report of scenec: ")))
+                continue
+            rates = rates_of(one, contents)
+            left = left_out_of(one.report, rates)
+            assert kept_of(one.report, contents, left).text
+            assert left_out_text(left, rates, 100)
+            assert passes_text(rows_of(one.report, one.seconds), 100)
+        file.write_text(text)
+    assert len(refused) > 300
+    for at, told in refused:
+        place = told.partition(": ")[0].rstrip("/")
+        assert at.startswith(place) or place.startswith(at), (at, told)

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from elsewhere import printed_elsewhere, printed_here
-from hypothesis import given, settings
+from examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 
 from scenec.compiler.cameras.poses import look_at
@@ -72,7 +73,7 @@ def require_whole(faces: np.ndarray, shape: tuple[int, int]) -> None:
     assert (uses[~border] == 2).all()
 
 
-@settings(max_examples=40)
+@examples(40)
 @given(st.integers(2, 300), st.integers(2, 300), st.integers(0, 2**32 - 1), st.floats(0.0, 1.0))
 def test_any_choice_of_samples_gives_a_mesh_without_cracks(ny, nx, seed, part):
     root = adaptive.ROOT_CELLS

@@ -12,7 +12,8 @@ import nishita
 import numba
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from small import small_cfg, write_cfg
@@ -152,7 +153,7 @@ _SAND = np.array([0.3, 0.26, 0.22])
     altitude=st.floats(0.0, 60_000.0),
     elevation=st.floats(-90.0, 90.0),
 )
-@settings(max_examples=15)
+@examples(15)
 def test_skies_are_finite_and_never_negative(planet, densities, altitude, elevation):
     medium = MEDIA[planet](COUNT, *densities)
     picture = baked(medium, elevation, altitude_m=altitude, height=8, ground_color=_SAND)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 
 from scenec.compiler.ground.bisect import Bisectable, bisectable, halve, newest_first
@@ -52,7 +53,7 @@ def require_sound(points: np.ndarray, mesh: Bisectable) -> None:
     assert mesh.vertices - len(mesh.edges) + len(faces) == 1
 
 
-@settings(max_examples=40)
+@examples(40)
 @given(st.integers(1, 6), st.integers(0, 2**32 - 1), st.integers(1, 6), st.floats(0.01, 0.7))
 def test_any_choice_of_faces_leaves_the_mesh_whole(cells, seed, rounds, part):
     points, faces = square(cells)

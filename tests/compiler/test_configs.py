@@ -21,18 +21,25 @@ from scenec.compiler.scene import Scene
 
 _ROOT = Path(__file__).parents[2]
 _CFGS = sorted((_ROOT / "configs").glob("*.json"))
+#: Times fewer samples along a side, and objects.
+FEWER = 10
 _EXTRAS = {"bpy": "cycles", "matplotlib": "demo"}
 
 
 def coarse(file: Path, folder: Path) -> Path:
-    """A copy with samples four times as far apart, small pictures, and a tenth of the objects."""
+    """A copy with samples far apart, small pictures and textures, and few of the objects."""
     cfg: dict[str, Any] = json.loads(file.read_text())
-    cfg["terrain"]["spacing_m"] *= 4
+    cfg["terrain"]["spacing_m"] *= FEWER
     for group in cfg["objects"].values():
         if "count" in group:
-            group["count"] = max(1, group["count"] // 10)
+            group["count"] = max(1, group["count"] // FEWER)
         elif "per_m2" in group:
-            group["per_m2"] /= 10
+            group["per_m2"] /= FEWER
+    for material in cfg["materials"].values():
+        if "procedural" in material.get("maps", {}):
+            material["maps"]["procedural"]["resolution"] = 128
+    if cfg["light"]["sky"]["type"] == "atmosphere":
+        cfg["light"]["sky"]["resolution"] = 32
     for rig in cfg["rigs"].values():
         for sensor in rig["sensors"].values():
             sensor["resolution"] = [64, 48]
@@ -70,7 +77,7 @@ def test_a_shipped_cfg_builds_a_finite_scene_with_all_of_its_labels(file, tmp_pa
         assert np.isfinite(middles).all()
         assert (radii > 0.0).all()
         count = cfg["objects"][objects.name].get("count")
-        assert objects.count == max(1, count // 10) if count else objects.count > 0
+        assert objects.count == max(1, count // FEWER) if count else objects.count > 0
         seen.append(objects.labels)
         seen += [part.labels for mesh in objects.prototypes for part in mesh.parts if part.labels]
     for level, names in cfg["labels"].items():

@@ -6,7 +6,8 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
-from hypothesis import given, settings
+from examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 from small import small_cfg, write_cfg
 
@@ -92,7 +93,7 @@ def test_each_key_that_multiplies_memory_is_named(tmp_path, pointer, change):
         require_memory(list(found.values()), int(0.3 * GB))
 
 
-@settings(max_examples=20)
+@examples(20)
 @given(st.integers(0, 2**32), st.integers(0, 5))
 def test_a_drawn_number_is_the_one_that_is_compiled(tmp_path_factory, seed, batch):
     cfg = small_cfg()

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 import test_adaptive
 from elsewhere import printed_elsewhere, printed_here
-from hypothesis import given, settings
+from examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from test_ground import side_of, welded
@@ -126,7 +127,7 @@ def test_the_surface_converges_to_a_smooth_relief_at_third_order():
     assert errors[1] / errors[2] > 7.5
 
 
-@settings(max_examples=60)
+@examples(60)
 @given(hnp.arrays(np.float64, (6, 6), elements=st.floats(-1e6, 1e6)))
 def test_the_surface_overshoots_no_cliff(heights):
     """Beyond the samples of a cell's row by less than half of the smaller rise beside them."""

@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
+from examples import examples
+from hypothesis import example, given
 from hypothesis import strategies as st
 from test_ground import MERGES, relief, welded
 
@@ -273,7 +274,7 @@ _LAYERS = st.lists(
 _TINY = [([HeightCondition(0.0, None, 0.0, Ragged(8, 5e-324, 3.0, 2))], False, 0.5)]
 
 
-@settings(max_examples=25)
+@examples(25)
 @example(drawn=_TINY, ground="flat")
 @given(drawn=_LAYERS, ground=st.sampled_from(["rough", "flat", "cliff", "steps"]))
 def test_any_layers_on_any_ground_make_a_sound_mesh_with_one_label_a_face(drawn, ground):

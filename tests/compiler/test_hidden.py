@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from hypothesis import given, settings
+from examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 from test_adaptive import one_rig
 
@@ -30,7 +31,7 @@ def visible(field: HeightField, eye: np.ndarray, j: int, i: int) -> bool:
     return bool((line[:, 2] > below - 1e-9).all())
 
 
-@settings(max_examples=12)
+@examples(12)
 @given(st.integers(0, 1000), st.floats(-18.0, 18.0), st.floats(-18.0, 18.0), st.floats(0.1, 6.0))
 def test_nothing_that_can_be_seen_counts_as_hidden(key, x, y, height):
     grid = Grid((40.0, 40.0), (161, 161))

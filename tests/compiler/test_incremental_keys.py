@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
@@ -76,7 +77,7 @@ def _through_an_entry(value: Any, folder: Path) -> Any:
 
 
 @given(_VALUES)
-@settings(max_examples=60)
+@examples(60)
 def test_a_value_comes_back_from_an_entry_to_the_bit(tmp_path_factory, value):
     found = _through_an_entry(value, tmp_path_factory.getbasetemp() / "round")
     # Types, dtypes, shapes, orders and bits: all that a key tells.
@@ -85,7 +86,7 @@ def test_a_value_comes_back_from_an_entry_to_the_bit(tmp_path_factory, value):
 
 
 @given(_VALUES, _VALUES)
-@settings(max_examples=50)
+@examples(50)
 def test_values_have_one_key_only_if_they_are_the_same(a, b):
     def bits(value: Any) -> Any:
         """An oracle of its own: nested tuples of types and bits."""
@@ -110,7 +111,7 @@ def test_values_have_one_key_only_if_they_are_the_same(a, b):
 
 
 @given(_number_arrays().filter(lambda a: a.nbytes > 0 and a.dtype != bool), st.data())
-@settings(max_examples=50)
+@examples(50)
 def test_one_bit_of_an_array_is_another_key(array, data):
     bit = data.draw(st.integers(0, array.nbytes * 8 - 1))
     raw = bytearray(array.tobytes())

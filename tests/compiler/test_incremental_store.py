@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 import os
 import shutil
 import threading
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
+from killed import contents
 
 from scenec.compiler.incremental import store as store_module
+from scenec.compiler.incremental.entry import _HEAD, MAGIC, _aligned
 from scenec.compiler.incremental.known import Known
 from scenec.compiler.incremental.memo import Memo, memoized, memoized_file, memoizing
 from scenec.compiler.incremental.store import Store, default_folder, parsed_size
@@ -155,6 +161,67 @@ def test_a_damaged_entry_is_dropped_and_made_again(tmp_path, damage, caplog):
     assert path.read_bytes() == whole
 
 
+def _sealed(whole: bytes, header: Any) -> bytes:
+    """An entry with another header, and the hash of that."""
+    arrays = whole[_aligned(_HEAD.size + _HEAD.unpack_from(whole)[2]) :]
+    text = json.dumps(header).encode()
+    head = _HEAD.pack(MAGIC, hashlib.blake2b(text, digest_size=32).digest(), len(text))
+    return (head + text).ljust(_aligned(_HEAD.size + len(text)), b"\0") + arrays
+
+
+def _others(value: Any) -> Iterator[Any]:
+    """A JSON value with one part at a time that is something else, or is not there."""
+    yield from ("../../x", "q", "", -1, 1 << 80, 1e400, 0.5, None, True, [], ["c", "os:system"], {})
+    if isinstance(value, list):
+        for i, part in enumerate(value):
+            yield value[:i] + value[i + 1 :]
+            yield from ([*value[:i], other, *value[i + 1 :]] for other in _others(part))
+    elif isinstance(value, dict):
+        for key, part in value.items():
+            yield from ({**value, key: other} for other in _others(part))
+
+
+def test_an_entry_that_anybody_may_have_written_is_taken_or_dropped_and_no_error(tmp_path):
+    @memoized("all kinds")
+    def step() -> Any:
+        return ([1.5, np.float32(2.0), b"x", "t", None], {"a": (3,)}, frozenset((4,)), np.eye(2))
+
+    def called() -> Any:
+        with memoizing(Memo(Store(tmp_path))):
+            return step()
+
+    called()
+    path = _only_entry(tmp_path)
+    whole = path.read_bytes()
+    header = json.loads(whole[_HEAD.size :][: _HEAD.unpack_from(whole)[2]])
+    assert _sealed(whole, header) == whole
+    dropped = 0
+    for other in _others(header):
+        path.write_bytes(_sealed(whole, other))
+        called()
+        dropped += path.read_bytes() == whole
+    assert dropped > 100
+
+
+def test_what_links_in_the_folder_lead_to_is_neither_read_nor_changed(tmp_path):
+    with memoizing(Memo(Store(tmp_path / "theirs"))):
+        _scaled(np.arange(9.0))
+    theirs = _only_entry(tmp_path / "theirs")
+    kept = contents(tmp_path / "theirs")
+    for place in (theirs.relative_to(tmp_path / "theirs"), Path("steps"), Path("CACHEDIR.TAG")):
+        cache = tmp_path / f"cache {place.name}"
+        (cache / place).parent.mkdir(parents=True)
+        (cache / place).symlink_to(tmp_path / "theirs" / place)
+        said: list[str] = []
+        store = Store(cache, 0 if place.name == "steps" else None, said.append)
+        memo = Memo(store)
+        with memoizing(memo):
+            _scaled(np.arange(9.0))
+        store.tidy()
+        assert not memo.taken
+        assert contents(tmp_path / "theirs") == kept
+
+
 def test_an_entry_under_another_key_is_dropped(tmp_path):
     with memoizing(Memo(Store(tmp_path))):
         _scaled(np.arange(10.0))
@@ -168,7 +235,7 @@ def test_an_entry_under_another_key_is_dropped(tmp_path):
 
 
 @given(st.binary(max_size=300))
-@settings(max_examples=25)
+@examples(25)
 def test_any_bytes_in_place_of_an_entry_are_no_error(tmp_path_factory, data):
     store = Store(tmp_path_factory.getbasetemp() / "any")
     store.path("cd" * 32).parent.mkdir(parents=True, exist_ok=True)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 
 from scenec.compiler.ladder import cost
@@ -27,7 +28,7 @@ def read(level: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
     return (1 - t) * rows[0] + t * rows[1]
 
 
-@settings(max_examples=25)
+@examples(25)
 @given(
     st.integers(1, 9),
     st.integers(1, 9),

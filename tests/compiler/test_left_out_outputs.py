@@ -19,7 +19,7 @@ from scenec.backends.stage.read import read_stage
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.passes.keep import Keep
 from scenec.compiler.passes.needed import Needs, needs_of
-from scenec.schemas.exr import PASSES
+from scenec.schemas.passes import PASSES
 
 COLOR, LABELS, IDS = {"rgb"}, {"label"}, {"instance", "amodal"}
 ALWAYS = set(PASSES)

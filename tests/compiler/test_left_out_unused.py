@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 
 from scenec.compiler.emit.terrain import blended_color
@@ -108,7 +109,7 @@ coordinate = st.floats(-4, 4)
 vector = st.tuples(coordinate, coordinate, coordinate).map(np.array)
 
 
-@settings(max_examples=300)
+@examples(300)
 @given(vector, vector, st.floats(0.1, 179), st.floats(0, 0.5))
 def test_no_lamp_goes_that_shines_on_a_point_of_the_ground(direction, at, cone_deg, radius):
     if np.linalg.norm(direction) < 0.1:

@@ -8,7 +8,8 @@ import math
 import cv2
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, assume, example, given, settings
+from examples import examples
+from hypothesis import HealthCheck, assume, example, given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
@@ -101,10 +102,7 @@ def any_lens(draw: st.DrawFn) -> Lens:
     return Lens("kannala_brandt", values, draw(st.floats(0.2, math.pi)))
 
 
-@settings(
-    max_examples=120,
-    suppress_health_check=[HealthCheck.too_slow, HealthCheck.filter_too_much],
-)
+@examples(120, suppress_health_check=[HealthCheck.too_slow, HealthCheck.filter_too_much])
 @given(any_lens(), st.integers(0, 2**32 - 1))
 @example(MILD, 0)
 @example(RATIONAL, 0)
@@ -134,7 +132,7 @@ def test_rays_lead_back_to_their_pixels(lens: Lens, seed: int) -> None:
     assert np.abs(found - rays)[inner].max() < 1e-6 * max(1.0, border)
 
 
-@settings(max_examples=60)
+@examples(60)
 @given(any_lens())
 def test_the_radial_function_rises_up_to_the_reach_and_no_farther(lens: Lens) -> None:
     """Against differences on a fine grid; an end is where it turns, has a pole, or is cut off."""

@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
+from examples import examples
+from hypothesis import example, given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from test_adaptive import one_rig
@@ -95,7 +96,7 @@ KINDS = ["plane", "cliffs", "samples", "spikes", "terraces", "craters"]
 VARIANTS = ["fbm", "hetero", "hybrid", "ridged", "billow"]
 
 
-@settings(max_examples=12)
+@examples(12)
 # Faces beside cliffs, which a bound from their own samples alone was too small for.
 @example("terraces", 0.09088623893895894, 0.01269683808628292, "ridged", 0.5, 1.0, 128397116)
 @example("terraces", 0.3163028327538451, 0.0017155785405907826, "fbm", 0.05, 0.02, 1419324547)
@@ -136,7 +137,7 @@ def off_bilinear(field: HeightField, parts: int) -> NDArray[np.float64]:
     return worst
 
 
-@settings(max_examples=20)
+@examples(20)
 @given(st.sampled_from(KINDS), st.integers(2, 12), st.integers(2, 12), st.integers(0, 2**31))
 def test_no_point_of_a_cell_bends_farther_than_is_stated(kind, ny, nx, seed):
     grid = Grid((12.0, 10.0), (ny, nx))

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 
 from scenec.compiler.arithmetic.normals import vertex_normals
@@ -59,7 +60,7 @@ def test_a_sheet_with_two_sides_keeps_a_normal_on_each():
     assert np.array_equal(corners[1], np.tile([0.0, 0.0, -1.0], (3, 1)))
 
 
-@settings(max_examples=60)
+@examples(60)
 @given(
     seed=st.integers(0, 2**32 - 1), crease=st.floats(0, 180), scale=st.sampled_from([1e-6, 1, 1e6])
 )

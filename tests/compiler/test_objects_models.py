@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from elsewhere import printed_elsewhere, printed_here
-from hypothesis import given, settings
+from examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade, UsdUtils
 from small import small_cfg, write_cfg
@@ -290,7 +291,7 @@ unit_quaternions = st.integers(0, 2**32 - 1).map(
 )
 
 
-@settings(max_examples=100)
+@examples(100)
 @given(a=unit_quaternions, b=unit_quaternions, part=st.floats(0, 1))
 def test_turns_between_two_go_the_shorter_way_at_an_even_rate(a, b, part):
     mixed = slerp(a, b, part)
@@ -314,7 +315,7 @@ def test_poses_hold_before_and_after_their_times():
         assert scale == pytest.approx(1 + 2 * part)
 
 
-@settings(max_examples=100)
+@examples(100)
 @given(st.floats(-0.999, 0.999), st.floats(-np.pi, np.pi))
 def test_standing_along_a_normal_is_a_rotation_that_takes_up_to_it(z, bearing):
     level = np.sqrt(1 - z * z)

@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import given, settings
+from examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 from laying import laid, plan, surroundings
 from scipy.spatial import cKDTree
@@ -51,7 +52,7 @@ def placed(bodies, points) -> np.ndarray:
 # The cubes of a mesh ---------------------------------------------------------------------------
 
 
-@settings(max_examples=25)
+@examples(25)
 @given(st.integers(0, 2**32 - 1), st.integers(2, 40))
 def test_cubes_hold_every_triangle_and_reach_no_farther_than_a_diagonal(seed, most):
     rng = np.random.default_rng(seed)
@@ -139,7 +140,7 @@ def test_a_blocked_waypoint_names_the_object_its_distance_and_the_key_that_helps
     )
 
 
-@settings(max_examples=8)
+@examples(8)
 @given(st.integers(0, 2**32 - 1))
 def test_no_triangle_is_in_a_vehicle_s_way_and_nothing_else_is_refused(seed):
     rng = np.random.default_rng(seed)

@@ -9,16 +9,24 @@ import os
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import pytest
 from killed import contents, killed_at_each_call
 from small import small_cfg, write_cfg
 
+from scenec.backends.check.files import check_files
+from scenec.compiler.build import BuildLog, build
 from scenec.compiler.compile import compile_cfg
-from scenec.compiler.frontend.load import load
+from scenec.compiler.draw import draw
+from scenec.compiler.emit.batch import write_batch
+from scenec.compiler.emit.maps import copy_maps
+from scenec.compiler.frontend.load import Spec, load
 from scenec.compiler.output import Output, locked
 from scenec.compiler.passes.keep import Keep
+from scenec.compiler.scene import MaterialMaps, Picture
 from scenec.schemas.errors import OutputError
 from scenec.schemas.files import atomic, inside, sweep, temporary_folder
 from scenec.schemas.lock import LOCK, BusyError, Lock
@@ -55,9 +63,14 @@ def write(folder: Path, files: dict[str, str]) -> None:
         (folder / name).write_text(text)
 
 
+@cache
+def loaded(cfg: Path, _text: bytes) -> Spec:
+    return load(cfg)
+
+
 def put(out: Path, cfg: Path, files: dict[str, str], seed: int = 1, replace: bool = False) -> bool:
     """Brings a made-up batch in, as ``compile_cfg`` does with one that it built."""
-    spec = load(cfg)
+    spec = loaded(cfg, cfg.read_bytes())
     with locked(out):
         output = Output(out, spec, seed, Keep.SEEN, [0], replace, lambda _line: None)
         with temporary_folder(out) as folder:
@@ -142,6 +155,35 @@ def test_finishing_an_update_can_be_killed_as_well(output, tmp_path, caplog):
     ]
 
 
+def test_the_disk_has_an_update_before_it_begins_and_its_begin_before_anything_moves(
+    output, monkeypatch
+):
+    out, cfg = output
+    calls: list[object] = []
+    sync, rename, replace_ = os.fsync, os.rename, os.replace
+
+    def synced(file: int) -> None:
+        calls.append(os.fstat(file).st_ino)
+        sync(file)
+
+    def renamed(old: Path, new: Path) -> None:
+        inside_ = {path.stat().st_ino for path in (old, *Path(old).rglob("*"))}
+        assert inside_ <= set(calls)
+        calls.append("begins")
+        rename(old, new)
+
+    def moved(old: Path, new: Path) -> None:
+        if UPDATE in Path(old).parts:
+            assert calls[calls.index("begins") + 1] == out.stat().st_ino
+            calls.append("moved")
+        replace_(old, new)
+
+    for name, spy in (("fsync", synced), ("rename", renamed), ("replace", moved)):
+        monkeypatch.setattr(os, name, spy)
+    put(out, cfg, NEXT)
+    assert (calls.count("begins"), calls.count("moved")) == (1, 4)
+
+
 def test_an_update_that_cannot_be_done_is_refused_before_anything_is(output, tmp_path):
     out, cfg = output
     (out / "batch_0000" / "looks").write_text("a file where a folder goes")
@@ -197,6 +239,24 @@ def test_files_that_the_manifest_does_not_list_are_kept_and_named(tmp_path):
     compile_cfg(cfg, seed=2, out=out, replace=True)
     for name in ("batch_0000/notes.txt", "batch_0000/textures/mine.png", "notes.txt"):
         assert (out / name).read_text() == "mine"
+
+
+def test_what_an_older_version_left_amid_a_replacement_is_named_and_kept(tmp_path):
+    cfg = write_cfg(tmp_path, small_cfg(outputs=["depth"]))
+    out = tmp_path / "out"
+    compile_cfg(cfg, seed=1, out=out)
+    left = ".batch_0000.0123abcd"
+    write(out, {f"{left}/frames/mitsuba/a/00000{i}.json": "{}" for i in range(3)})
+    write(out, {".batch_0000.mine/notes.txt": "mine"})
+    words = (
+        f"{out}/{left}: batch_0000 as an interrupted compilation of scenec before 0.10 left it, "
+    )
+    words += "with 3 frames and 0 scans"
+    (line,) = compile_cfg(cfg, seed=1, out=out).strays
+    assert line.startswith(words)
+    (finding,) = check_files(out, read_manifest(out))
+    assert (finding.severity, finding.message) == ("warning", line)
+    assert len(list((out / left).rglob("*.json"))) == 3
 
 
 def test_a_foreign_file_in_the_place_of_one_of_ours_is_not_overwritten(output):
@@ -316,6 +376,23 @@ def test_no_name_leads_out_of_its_folder(tmp_path, name):
     (root / "link").symlink_to(tmp_path)
     with pytest.raises(OutputError):
         inside(root, name)
+
+
+def test_no_name_in_a_scene_leads_out_of_its_batch(tmp_path):
+    scene = build(draw(load(write_cfg(tmp_path)), 1, 0), BuildLog(), Keep.SEEN)
+    mud = scene.materials["mud"]
+    maps = MaterialMaps(1.0, {"base_color": Picture("/../../../x", b"")}, "opengl")
+    folder = tmp_path / "batch"
+    before = contents(tmp_path)
+    for change in (
+        {"objects": (replace(scene.objects[0], name="../../x"),)},
+        {"materials": {**scene.materials, "../x": mud}},
+    ):
+        with pytest.raises(OutputError, match="is no path inside of this folder"):
+            write_batch(folder, replace(scene, **change))
+    with pytest.raises(OutputError, match="is no path inside of this folder"):
+        copy_maps(folder, "mud", replace(mud, maps=maps))
+    assert contents(tmp_path) == before
 
 
 def test_names_in_a_folder_that_is_a_link_itself_are_fine(tmp_path):

@@ -9,14 +9,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
+from examples import examples
+from hypothesis import example, given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from PIL import Image
 from pxr import Usd
 from small import small_cfg, write_cfg
 
-from scenec.backends.annotation.bands import annotate
+from scenec.backends.annotation.annotate import annotate
 from scenec.backends.camera.rays import camera_rays
 from scenec.backends.check.stage import check_stage
 from scenec.backends.contract import Rays
@@ -96,7 +97,7 @@ def level_of(sun: Any) -> NDArray[np.float64]:
 
 # Nearer to the zenith a row of texels is a small ring: a sun of 2 degrees there is found up to 0.6
 # degrees too wide, and some of its rim stays in the picture.
-@settings(max_examples=12)
+@examples(12)
 @given(
     st.floats(0.0, 360.0),
     st.floats(6.0, 85.0),
@@ -181,7 +182,7 @@ def test_a_picture_without_a_sun_stays_as_it_is_and_says_why(picture):
     assert facts["why"]
 
 
-@settings(max_examples=40)
+@examples(40)
 @given(st.integers(0, 2**32 - 1), st.integers(1, 24), st.integers(1, 48), st.floats(-30, 30))
 @example(1, 23, 1, 0.0)
 def test_no_picture_is_an_error_and_none_gains_or_loses_light(seed, height, width, scale):
@@ -370,7 +371,7 @@ def test_pixels_of_the_sky_have_the_maps_label_on_its_level_at_its_samples(label
     camera = scene.cameras[0][0]
     rays = camera_rays(camera)
     caster = ExactCaster(scene)
-    first = annotate(scene, caster, camera, ["label"], 0)[1]
+    first = annotate(scene, caster, camera, ["label"], 0).arrays
     sky = first["label.class"] == 1
     assert sky.any()
     d = rays.directions.reshape(*rays.shape, 3)
@@ -380,7 +381,7 @@ def test_pixels_of_the_sky_have_the_maps_label_on_its_level_at_its_samples(label
     inner = np.abs((bearing % 90.0) - 45.0) > 1.0
     assert (first["label.surface"] == expected)[sky & inner].all()
     assert not np.isin(first["label.surface"][~sky], range(1000, 1004)).any()
-    second = annotate(scene, caster, camera, ["label"], 1)[1]
+    second = annotate(scene, caster, camera, ["label"], 1).arrays
     assert (second["label.surface"][sky] == 7).all()
 
 

@@ -100,7 +100,7 @@ def test_no_ball_that_a_pixel_can_show_is_out_of_view(focal, skew, center):
     assert out > 500
 
 
-@pytest.mark.parametrize(("seed", "crowd"), [(0, 1), (1, 1), (2, 1), (3, 1), (0, 300), (1, 5000)])
+@pytest.mark.parametrize(("seed", "crowd"), [(0, 1), (1, 1), (2, 1), (3, 1), (0, 300), (1, 1000)])
 def test_no_ray_reaches_what_the_ground_is_said_to_hide(seed, crowd):
     ground = _ground(seed)
     rng = np.random.default_rng(seed)

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 
 from scenec.compiler.terrain.dem import Dem
@@ -211,7 +212,7 @@ def test_octaves_finer_than_the_grid_are_left_out_and_counted():
     assert (report["octaves"], report["octaves_below_grid"]) == (3, 5)
 
 
-@settings(max_examples=60)
+@examples(60)
 @given(
     octaves=st.integers(0, 24),
     lacunarity=st.floats(1.0, 8.0),

@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 
 from scenec.compiler.terrain.drainage import SIDES, drain, drainage_area, outlet_samples
@@ -156,7 +157,7 @@ def test_one_step_solves_its_equation_along_every_stream():
     factor=st.floats(0.0, 1e9),
     exponent=st.floats(0.2, 5.0),
 )
-@settings(max_examples=300)
+@examples(300)
 def test_the_implicit_slope_solves_its_equation(target, factor, exponent):
     x = implicit_slope(target, factor, exponent)
     assert 0.0 <= x <= target
@@ -323,7 +324,9 @@ def test_erosion_does_not_depend_on_the_number_of_threads(operator):
     assert np.array_equal(alone, apply(operator, grid, rough(grid, 1, 50.0)))
 
 
-@pytest.mark.parametrize("angle", [20.0, 33.0, 50.0])
+@pytest.mark.parametrize(
+    "angle", [33.0, *(pytest.param(angle, marks=pytest.mark.slow) for angle in (20.0, 50.0))]
+)
 def test_slides_state_about_what_their_iteration_errs(angle, monkeypatch):
     grid = Grid((64.0, 64.0), (65, 65))
     rng = np.random.default_rng(4)

@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 
 from scenec.compiler.frontend.numbers import Distribution
@@ -123,7 +124,7 @@ def test_bedforms_that_the_grid_cannot_show_are_left_out_and_impossible_ones_ref
         apply(replace(DUNES, height_m=10.0))
 
 
-@settings(max_examples=40)
+@examples(40)
 @given(
     height=st.floats(1e-6, 0.2),
     order=st.floats(0.0, 100.0),

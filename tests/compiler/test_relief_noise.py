@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
@@ -127,7 +128,7 @@ def test_a_warp_moves_the_noise_by_its_strength_at_most():
     assert 0.0 < np.abs(warped - apply(plain)).max() < 3.0 * 0.02 * plain.amplitude_m
 
 
-@settings(max_examples=60)
+@examples(60)
 @given(
     octaves=st.integers(0, 24),
     lacunarity=st.floats(1.0, 8.0),

@@ -221,7 +221,10 @@ def distances(points: np.ndarray, mesh: trimesh.Trimesh) -> np.ndarray:
     return np.linalg.norm(nearest - points[:, None], axis=2).min(axis=1)
 
 
-@pytest.mark.parametrize("family", FAMILIES)
+@pytest.mark.parametrize(
+    "family",
+    [pytest.param(f, marks=pytest.mark.slow if i else ()) for i, f in enumerate(FAMILIES)],
+)
 def test_the_error_of_a_level_is_its_distance_from_the_finest(family):
     chain = chains(family)[1]
     fine = mesh_of(chain[0])

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.linalg import expm
 from scipy.spatial.transform import Rotation, Slerp
@@ -47,7 +48,7 @@ def test_turns_are_those_of_scipy_and_positions_linear():
 
 
 @pytest.mark.parametrize("method", ALL)
-@settings(max_examples=60)
+@examples(60)
 @given(data=st.data())
 def test_any_keys_give_unit_quaternions_and_come_back_at_their_times(method, data):
     n = data.draw(st.integers(1, 6))

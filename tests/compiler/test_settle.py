@@ -10,7 +10,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 from overhangs import shelter, write
 from small import small_cfg, write_cfg
@@ -153,6 +154,22 @@ def test_a_table_on_rough_ground_neither_floats_nor_sinks(tmp_path):
     assert sum(gap < 0.02 for gap in feet[1:]) >= 3
     assert turn[2, 2] > 0.8
     assert report.hull_gap_m < 0.01
+
+
+def test_a_batch_that_was_drawn_again_has_the_ground_of_that_attempt(tmp_path):
+    rough = [{"type": "plane"}, {"type": "multifractal", "amplitude_m": 4, "scale_m": 8}]
+    cfg = cfg_with(tmp_path, {"b": placed({"x_m": 3, "y_m": 2})}, rough)
+    settle(cfg, seed=1, objects=["b"], out=tmp_path / "poses.csv", attempt=2)
+    corners = corners_of(read_poses(tmp_path / "poses.csv"), 0)
+    gaps = []
+    for attempt in (0, 2):
+        surface = build_surface(draw(load(cfg), 1, 0, attempt), BuildLog())
+        gap = corners[:, 2] - surface.height_at(*np.ascontiguousarray(corners[:, :2].T))
+        gaps.append(abs(gap.min()))
+    assert gaps[1] < 0.1 < gaps[0]
+    assert "seed 1 batch 0 attempt 2 " in (tmp_path / "poses.csv").read_text()
+    with pytest.raises(ScenecError, match="--attempt -1: expected a whole number from 0"):
+        settle(cfg, seed=1, objects=["b"], out=tmp_path / "poses.csv", attempt=-1)
 
 
 @pytest.mark.slow
@@ -406,7 +423,7 @@ def test_what_is_flat_gets_some_thickness():
     assert 1e-3 < np.ptp(hull[:, 2]) < 1e-2
 
 
-@settings(max_examples=200)
+@examples(200)
 @given(st.integers(0, 2**32 - 1))
 def test_a_quaternion_of_a_matrix_gives_the_matrix(seed):
     q = np.random.default_rng(seed).normal(size=4)

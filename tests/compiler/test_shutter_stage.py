@@ -13,7 +13,7 @@ import small
 from pxr import Gf, Sdf, Usd, UsdGeom
 from shutter_cfgs import SHUTTER, cfg
 
-from scenec.backends.annotation.bands import annotate
+from scenec.backends.annotation.annotate import annotate
 from scenec.backends.camera.shutter import poses_at, row_poses
 from scenec.backends.exact import ExactCaster
 from scenec.backends.run.session import Session
@@ -170,15 +170,15 @@ def test_the_rows_of_a_compiled_picture_are_those_of_still_cameras(stage: Path) 
     caster = ExactCaster(scene)
     camera = scene.cameras[1][0]
     passes = ("depth", "instance", "normal", "position")
-    found = annotate(scene, caster, camera, passes, 1)[1]
+    found = annotate(scene, caster, camera, passes, 1).arrays
     poses = row_poses(camera)
     assert np.abs(poses[0] - poses[-1]).max() > 0.1
     differs = 0
     whole = replace(camera, shutter=None)
-    before = annotate(scene, caster, whole, passes, 1)[1]
+    before = annotate(scene, caster, whole, passes, 1).arrays
     for r, pose in enumerate(poses):
         alone = replace(camera, shutter=None, camera_to_world=pose)
-        expected = annotate(scene, caster, alone, passes, 1)[1]
+        expected = annotate(scene, caster, alone, passes, 1).arrays
         for key, values in expected.items():
             real = values.dtype.kind == "f"
             assert np.array_equal(found[key][r], values[r], equal_nan=real), key

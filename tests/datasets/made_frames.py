@@ -24,6 +24,7 @@ from scenec.schemas.files import sha256, write_json
 from scenec.schemas.frames import frame_stem
 from scenec.schemas.instances import (
     BATCH_TABLE,
+    FRAME_COLUMNS,
     InstanceTable,
     frame_table_path,
     write_frame_table,
@@ -344,7 +345,7 @@ def _columns(
         row |= dict(zip(("size_x", "size_y", "size_z"), size, strict=True))
         row |= {"box_x": 0.0, "box_y": 0.0, "box_z": 0.0}
         rows.append(row)
-    names = list(rows[0]) if rows else ["id", "class", "local_id", "label.class", "pixels"]
+    names = list(rows[0]) if rows else [*FRAME_COLUMNS, "label.class"]
     return {name: np.array([row[name] for row in rows]) for name in names}
 
 

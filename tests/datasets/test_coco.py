@@ -14,7 +14,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 from made_output import LABELS, make_output, some_passes
@@ -424,7 +425,7 @@ pictures = arrays(
 )
 
 
-@settings(max_examples=300)
+@examples(300)
 @given(pictures)
 def test_polygons_hold_every_mask_exactly_as_pycocotools_fills_them(picture):
     h, w = picture.shape
@@ -435,7 +436,7 @@ def test_polygons_hold_every_mask_exactly_as_pycocotools_fills_them(picture):
         assert (filled == (picture == number)).all()
 
 
-@settings(max_examples=100)
+@examples(100)
 @given(pictures)
 def test_polygons_enclose_as_many_pixels_as_the_mask_has(picture):
     """By the shoelace formula: a slit encloses nothing, whichever rule a reader fills by."""

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 
 from scenec.schemas.errors import FrameError
@@ -31,7 +32,7 @@ def passes_of(names: tuple[str, ...], height: int, width: int) -> dict[str, np.n
     return found
 
 
-@settings(max_examples=60)
+@examples(60)
 @given(
     st.lists(st.sampled_from(NAMES), min_size=1, unique=True),
     st.sets(st.sampled_from(NAMES)),
@@ -65,7 +66,7 @@ def test_the_bytes_of_what_is_not_wanted_are_gone(tmp_path):
     assert without_parts(data, ("face",)) == data
 
 
-@settings(max_examples=150)
+@examples(150)
 @given(st.data())
 def test_a_file_cut_short_or_changed_anywhere_ends_in_one_error_or_is_read(tmp_path_factory, data):
     folder = tmp_path_factory.mktemp("exr")

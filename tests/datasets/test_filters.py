@@ -6,7 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 from made_output import make_output, some_passes
 
@@ -56,7 +57,7 @@ relations = {
 }  # fmt: skip
 
 
-@settings(max_examples=150)
+@examples(150)
 @given(
     st.sampled_from([name for name in QUANTITIES if name != "class"]),
     st.sampled_from(list(relations)),

@@ -117,6 +117,7 @@ def test_the_picture_is_the_one_beside_the_frame(out: Path, tmp_path: Path):
         assert (file["rgb8"][1] == develop(some_passes(1)["rgb"], EXPOSURE_EV)).all()
 
 
+@pytest.mark.slow
 def test_files_are_the_same_bytes_whatever_the_workers(out: Path, tmp_path: Path):
     a = export(out, "hdf5", tmp_path / "a", Choice(options={"shard": "3"})).folder
     with Processes(2) as executor:

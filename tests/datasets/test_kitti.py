@@ -163,6 +163,7 @@ def test_a_damaged_frame_of_a_pair_leaves_out_both_and_lines_follow_the_names(ma
     assert len(data.poses) == 3
 
 
+@pytest.mark.slow
 def test_the_same_frames_give_the_same_bytes_however_many_processes(made, dataset, tmp_path):
     with Processes(2) as executor:
         export(made.out, "kitti", tmp_path / "d", BOTH, executor=executor)

@@ -12,7 +12,8 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from made_frames import LEFT, RIGHT, SIDE, Made, Sensor, make_out
@@ -268,7 +269,7 @@ def test_what_is_infinitely_far_away_has_the_least_disparity_and_negative_ones_n
     assert lost == 2
 
 
-@settings(max_examples=40)
+@examples(40)
 @given(
     arrays.arrays(
         np.float32,

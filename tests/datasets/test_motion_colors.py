@@ -9,7 +9,8 @@ from pathlib import Path
 import made_output
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from numpy.typing import NDArray
@@ -100,7 +101,7 @@ def unpacked(data: bytes, planes: int, shape: tuple[int, int]) -> NDArray[np.int
     return out[:, 1:, 1:]
 
 
-@settings(max_examples=60)
+@examples(60)
 @given(
     arrays.arrays(
         np.float32,

@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from examples import examples
+from hypothesis import HealthCheck, given
 from hypothesis import strategies as st
 from made_output import make_output
 
@@ -26,6 +27,8 @@ from scenec.datasets.formats.contract import Task
 from scenec.datasets.source import Source
 from scenec.datasets.verify import verify
 from scenec.schemas.errors import FrameError, OutputError, ScenecError
+from scenec.schemas.files import sha256
+from scenec.schemas.instances import frame_table_path
 from scenec.schemas.left_out import ClassRecord, Reason, Record, read_left_out, write_left_out
 from scenec.schemas.manifest import find_batches, gaps, read_manifest
 from scenec.schemas.scans import read_scan, write_scan
@@ -43,6 +46,20 @@ VALUES = st.one_of(
     st.lists(st.integers(0, 3), max_size=3),
     st.dictionaries(st.text(max_size=3), st.integers(), max_size=2),
 )
+
+
+#: What a sidecar says of a picture in which nothing can be seen.
+BLACK = {
+    "exposure": {"rule": "auto", "per": "batch", "of": "surfaces"},
+    "picture": {
+        "surfaces": 9, "black": 9, "burnt": 0, "mean_luminance": 0.1,
+        "light": {
+            "suns": [{"prim": "/Sun", "irradiance": 1.0, "angle_deg": 0.5, "normalized": False}],
+            "sky_radiance": 1.0,
+            "lamps_w_sr": [1.0],
+        },
+    },
+}  # fmt: skip
 
 
 def places(value: Any) -> Iterator[list[Any]]:
@@ -79,10 +96,8 @@ def mutated(draw: st.DrawFn, value: Any) -> Any:
     return value
 
 
-RELAXED = settings(
-    max_examples=150,
-    derandomize=True,
-    suppress_health_check=[HealthCheck.function_scoped_fixture],
+RELAXED = examples(
+    150, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 
 
@@ -123,7 +138,7 @@ def test_a_frame_s_sidecar_is_taken_or_refused_in_one_line(output, data, tmp_pat
     batch = output / "batch_0000"
     path = batch / "frames" / "annotation" / "left" / "000000.json"
     sound = path.read_text()
-    path.write_text(json.dumps(data.draw(mutated(json.loads(sound)))))
+    path.write_text(json.dumps(data.draw(mutated(json.loads(sound) | BLACK))))
     folder = tmp_path_factory.mktemp("exported")
     try:
         only_our_errors(lambda: list(check_frames(batch, None)))
@@ -132,6 +147,53 @@ def test_a_frame_s_sidecar_is_taken_or_refused_in_one_line(output, data, tmp_pat
             only_our_errors(lambda name=name, c=choice: export(output, name, folder / name, c))
     finally:
         path.write_text(sound)
+
+
+#: Into a cell of a table: what is no number, or none that an instance has.
+CELLS = ["", "x", "-1", "0", "0.5", "nan", "inf", "1e999", "4294967296", "9" * 30, "=1"]
+
+
+@RELAXED
+@given(
+    row=st.integers(0, 4), column=st.integers(0, 40), text=st.sampled_from(CELLS), cut=st.booleans()
+)
+def test_a_frame_s_table_that_its_sidecar_vouches_for_is_taken_or_refused_in_one_line(
+    output, row, column, text, cut, tmp_path_factory
+):
+    batch = output / "batch_0000"
+    stem = batch / "frames" / "annotation" / "left" / "000000"
+    table, sidecar = frame_table_path(stem), stem.with_suffix(".json")
+    sound = table.read_text(), sidecar.read_text()
+    lines = [line.split(",") for line in sound[0].splitlines()]
+    place = lines[row % len(lines)]
+    place[column % len(place)] = text
+    if cut:
+        lines = [line[: column % len(place)] + line[column % len(place) + 1 :] for line in lines]
+    table.write_text("\n".join(",".join(line) for line in lines) + "\n")
+    about = json.loads(sound[1])
+    about["instance_table"] = {"bytes": table.stat().st_size, "sha256": sha256(table)}
+    sidecar.write_text(json.dumps(about))
+    folder = tmp_path_factory.mktemp("exported")
+    try:
+        only_our_errors(lambda: list(check_frames(batch, None)))
+        for name in ("coco", "bop"):
+            only_our_errors(
+                lambda name=name: export(output, name, folder / name, Choice(faults="skip"))
+            )
+    finally:
+        table.write_text(sound[0])
+        sidecar.write_text(sound[1])
+
+
+def test_a_frame_s_table_without_a_column_is_refused_with_its_name(tmp_path):
+    source = Source(make_output(tmp_path / "out", batches=1))
+    path = frame_table_path(source.frames[0].stem)
+    path.write_text(path.read_text().replace("id,", "di,", 1))
+    sidecar = json.loads(source.frames[0].stem.with_suffix(".json").read_text())
+    sidecar["instance_table"] = {"bytes": path.stat().st_size, "sha256": sha256(path)}
+    source.frames[0].stem.with_suffix(".json").write_text(json.dumps(sidecar))
+    with pytest.raises(FrameError, match=r"000000\.instances\.csv: a table .* without id$"):
+        source.load(source.frames[0])
 
 
 @RELAXED
@@ -224,15 +286,16 @@ def test_what_is_wrong_in_a_manifest_is_said_with_its_place(tmp_path, text, word
 
 
 def test_shapes_are_as_they_are_written():
-    shape = {"a": [natural], "b?": (None, {"c": float}), "d": Each([float, str])}
+    shape = {"a": [natural], "b?": (None, {"c": float}), "d": Each([float, str]), "e?b": bool}
     require_shape({"a": [], "d": {"x": [1, "y"]}, "more": 1}, shape, FrameError, "f")
-    require_shape({"a": [0], "b": None, "d": {}}, shape, FrameError, "f")
+    require_shape({"a": [0], "b": None, "d": {}, "e": True}, shape, FrameError, "f")
     wrong = {
         "/a/1: expected a whole number from 0, not -1": {"a": [0, -1], "d": {}},
         "/b/c: expected a finite number, not NaN": {"a": [], "b": {"c": float("nan")}, "d": {}},
         "/d/x: expected 2 values, not 1": {"a": [], "d": {"x": [1.0]}},
         "/d/~0~1: expected a list, not 3": {"a": [], "d": {"~/": 3}},
         '/: the key "d" is missing': {"a": []},
+        '/: the key "e" is missing': {"a": [], "b": None, "d": {}},
         "/: expected an object, not null": None,
     }
     for message, value in wrong.items():

@@ -240,6 +240,7 @@ def test_splits_have_folders_of_their_own(tmp_path):
     assert train["categories"] == val["categories"]
 
 
+@pytest.mark.slow
 def test_the_same_bytes_come_from_one_process_and_from_two(tmp_path):
     out = make_output(tmp_path / "out", batches=3)
     export(out, "panoptic", tmp_path / "by_1")

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from made_output import make_output
@@ -81,7 +82,7 @@ def test_nothing_to_change_changes_nothing(frame) -> None:
 ids = st.sampled_from([0, 1, 2, 255, 256, 65535, 65536, LARGEST - 1, LARGEST])
 
 
-@settings(max_examples=150)
+@examples(150)
 @given(arrays(np.uint32, (5, 4), elements=ids), st.dictionaries(ids, ids, max_size=6))
 def test_replaced_is_a_lookup_pixel_by_pixel(picture, numbers) -> None:
     expected = [[numbers.get(value, value) for value in row] for row in picture.tolist()]

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 from numpy.typing import NDArray
@@ -67,7 +68,7 @@ def test_pycocotools_reads_the_mask_from_our_text(mask):
 
 
 # Longer runs take more than the six characters that pycocotools keeps room for, and it writes on.
-@settings(max_examples=200)
+@examples(200)
 @given(st.lists(st.integers(0, 2**24 - 1), min_size=1, max_size=30))
 def test_runs_get_the_text_of_pycocotools(runs):
     counts = np.array(runs, np.uint32)
@@ -76,7 +77,7 @@ def test_runs_get_the_text_of_pycocotools(runs):
     assert text == known["counts"].decode()
 
 
-@settings(max_examples=200)
+@examples(200)
 @given(st.lists(st.integers(0, 2**32 - 1), min_size=1, max_size=30))
 def test_runs_of_any_length_get_the_text_of_the_definition(runs):
     """Differences to the run before the last, five bits a character, the sixth for "more"."""

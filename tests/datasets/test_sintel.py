@@ -9,7 +9,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from made_output import EXPOSURE_EV, Passes, make_output, some_passes
@@ -176,7 +177,7 @@ def test_what_is_not_rendered_is_named(tmp_path: Path):
         export(out, "sintel", tmp_path / "d")
 
 
-@settings(max_examples=30)
+@examples(30)
 @given(
     arrays.arrays(
         np.float32,

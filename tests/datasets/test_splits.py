@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 
 import pytest
-from hypothesis import given, settings
+from examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 
 from scenec.datasets.splits import ALL, assign, parse_splits
@@ -22,7 +23,7 @@ def shares(draw: st.DrawFn) -> dict[str, float | range]:
     return {key: weight / sum(weights) for key, weight in zip(keys, weights, strict=True)}
 
 
-@settings(max_examples=300)
+@examples(300)
 @given(batch_sets, shares(), st.integers(0, 2**64 - 1), st.randoms(use_true_random=False))
 def test_every_batch_is_in_one_split_and_sizes_are_within_one_of_the_shares(
     batches, splits, seed, random

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from made_output import LABELS, make_output, some_passes
@@ -62,7 +63,7 @@ def test_pixels_shares_and_frames_of_labels_are_what_numpy_counts(frames, measur
         assert found[level]["pixels"] == pictures.size
 
 
-@settings(max_examples=40)
+@examples(40)
 @given(
     order=st.permutations(range(8)),
     cuts=st.lists(st.integers(0, 8), max_size=3),
@@ -133,7 +134,7 @@ def test_ignored_instances_are_counted_apart(tmp_path: Path) -> None:
     assert (found["seen"], found["ignored"]) == (kept, len(frame.table["id"]) - kept)
 
 
-@settings(max_examples=60)
+@examples(60)
 @given(
     arrays(
         np.float32,
@@ -161,7 +162,7 @@ def test_a_value_on_an_edge_is_in_the_bin_above_it_in_float32_too() -> None:
         assert bins.length_counts(np.array([[under]])).counts == {str(number - 1): 1}
 
 
-@settings(max_examples=60)
+@examples(60)
 @given(
     arrays(np.uint32, (7, 5), elements=st.sampled_from([0, 1, 2, 65536, LARGEST - 1, LARGEST])),
     st.sets(st.sampled_from([1, 2, 65536, LARGEST])),
@@ -174,7 +175,7 @@ def test_pixels_of_ids_are_what_numpy_counts(picture, keys) -> None:
     assert none + other + counts.sum() == picture.size
 
 
-@settings(max_examples=60)
+@examples(60)
 @given(st.lists(st.sets(st.integers(0, LARGEST) | st.integers(0, 70_000)), max_size=4))
 def test_a_set_of_ids_is_a_set(parts) -> None:
     found, texts = IdSet(), IdSet()
@@ -216,7 +217,7 @@ def turned(heading: float, pitch: float, roll: float):
     return pose(right, np.cross(forward, right), forward)
 
 
-@settings(max_examples=60)
+@examples(60)
 @given(st.integers(0, 359), st.integers(-89, 89), st.integers(-180, 179))
 def test_heading_pitch_and_roll_are_those_the_camera_was_turned_by(frames, heading, pitch, roll):
     frame = LoadedFrame(frames[0].ref, {}, dict(frames[0].sidecar), {}, {})

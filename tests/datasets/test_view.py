@@ -16,7 +16,8 @@ from pathlib import Path
 import made_output
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from PIL import Image
@@ -120,7 +121,7 @@ def test_the_picture_is_the_developed_one_to_jpegs_error(tmp_path):
     assert np.abs(difference).max() <= 6
 
 
-@settings(max_examples=60)
+@examples(60)
 @given(
     arrays.arrays(
         np.float32,
@@ -141,7 +142,7 @@ def test_any_depth_comes_back_within_its_stated_error(depth, bits):
     assert (np.abs(found[hit] / depth[hit].astype(float) - 1) <= bound).all()
 
 
-@settings(max_examples=60)
+@examples(60)
 @given(
     arrays.arrays(
         np.uint32,

@@ -82,6 +82,7 @@ def install(monkeypatch: pytest.MonkeyPatch, folder: Path) -> Path:
     (info / "entry_points.txt").write_text("[scenec.exporters]\ntiny = tiny_format:Tiny\n")
     (plugin / "tiny_format.py").write_text(Path(__file__).read_text(encoding="utf-8"))
     monkeypatch.syspath_prepend(str(plugin))
+    monkeypatch.setenv("PYTHONPATH", str(plugin), prepend=os.pathsep)
     return plugin
 
 

@@ -7,6 +7,7 @@ import json
 from pathlib import Path
 
 import pytest
+from examples import examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from small_cfg import minimal
@@ -126,7 +127,7 @@ def _load_or_faults(file: Path):
 
 
 @pytest.mark.slow
-@settings(_SHARED_FOLDER, max_examples=400)
+@examples(400, _SHARED_FOLDER)
 @given(_CHANGES, st.integers(0, 3))
 def test_a_mutated_cfg_loads_and_can_be_drawn_or_its_faults_are_told(tmp_path, changes, seed):
     file = tmp_path / "cfg.json"
@@ -157,7 +158,7 @@ def test_any_bytes_load_or_are_told_to_be_no_cfg(tmp_path, data):
     assert _load_or_faults(file) is None
 
 
-@settings(_SHARED_FOLDER, max_examples=60)
+@examples(60, _SHARED_FOLDER)
 @given(st.data())
 def test_a_cfg_with_one_byte_changed_loads_or_its_faults_are_told(tmp_path, data):
     text = json.dumps(_FULL, indent=1).encode()

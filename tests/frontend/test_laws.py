@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 import scipy.integrate
 import scipy.stats
-from hypothesis import given, settings
+from examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 
 from scenec.compiler.frontend.check_numbers import check_number, read_number
@@ -105,7 +106,7 @@ def test_the_table_of_rock_diameters_is_exact_to_a_millionth():
         assert number(diameter) / whole == pytest.approx(part, abs=1e-6)
 
 
-@settings(max_examples=300)
+@examples(300)
 @given(
     kind=st.sampled_from(["power_law", "exponential", "golombek_rapp", "log_normal"]),
     ends=st.tuples(st.floats(1e-300, 1e300), st.floats(1e-300, 1e300)),

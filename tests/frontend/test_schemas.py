@@ -111,4 +111,5 @@ def test_the_reference_page_links_to_its_own_sections_only():
     titles = re.findall(r"^## (.*)$", page, re.MULTILINE)
     anchors = {re.sub(r"[^a-z0-9 -]", "", title.lower()).replace(" ", "-") for title in titles}
     assert set(re.findall(r"\]\(#([^)]*)\)", page)) <= anchors
-    assert len(titles) == len(_NAMES)
+    assert titles[-1] == "Outputs"
+    assert len(titles) == len(_NAMES) + 1

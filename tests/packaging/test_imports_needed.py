@@ -37,7 +37,7 @@ os._exit = ended
 
 def imported(tmp_path: Path, *words: str) -> list[set[str]]:
     """What each Python process of a command had imported in the end."""
-    hook, seen = tmp_path / "hook", tmp_path / f"seen_{words[0]}_{len(list(tmp_path.iterdir()))}"
+    hook, seen = tmp_path / "hook", tmp_path / f"seen_{len(list(tmp_path.iterdir()))}"
     hook.mkdir(exist_ok=True)
     seen.mkdir()
     (hook / "usercustomize.py").write_text(HOOK)
@@ -56,17 +56,19 @@ def imported(tmp_path: Path, *words: str) -> list[set[str]]:
     return found
 
 
-def compiled(tmp_path: Path, outputs: list[str]) -> tuple[Path, list[set[str]]]:
-    cfg = small_cfg(samples=1, outputs=outputs)
+@pytest.fixture(scope="module")
+def compiled(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[set[str]]]:
+    """An output, and what each process that compiled it had imported."""
+    folder = tmp_path_factory.mktemp("compiled")
+    cfg = small_cfg(samples=1, outputs=["rgb", "depth", "instance"])
     cfg["objects"]["rocks"] |= {"count": 20, "prototypes": 1, "subdivisions": 1}
     cfg["terrain"]["spacing_m"] = 0.5
-    out = tmp_path / "out"
-    path = write_cfg(tmp_path, cfg)
-    return out, imported(tmp_path, "compile", str(path), "--seed", "1", "-o", str(out))
+    words = ["compile", str(write_cfg(folder, cfg)), "--seed", "1", "-o", str(folder / "out")]
+    return folder / "out", imported(folder, *words)
 
 
-def test_compiling_imports_no_renderer_and_no_backend(tmp_path):
-    out, processes = compiled(tmp_path, ["depth"])
+def test_compiling_imports_no_renderer_and_no_backend(compiled, tmp_path):
+    out, processes = compiled
     for names in processes:
         assert not names & (RENDERERS | OTHERS)
         assert not {name for name in names if name.startswith("scenec.backends.")} - {
@@ -79,9 +81,9 @@ def test_compiling_imports_no_renderer_and_no_backend(tmp_path):
             assert not {name for name in names if name.startswith("scenec.compiler.")}
 
 
-def test_rendering_imports_neither_compiler_nor_other_renderers(tmp_path):
-    out, _ = compiled(tmp_path, ["depth", "instance"])
-    processes = imported(tmp_path, "render", str(out), "--backend", "reference")
+def test_rendering_imports_neither_compiler_nor_other_renderers(compiled, tmp_path):
+    words = ["render", str(compiled[0]), "--backend", "reference", "--passes", "depth,instance"]
+    processes = imported(tmp_path, *words)
     assert any("scenec.backends.run.session" in names for names in processes)
     for names in processes:
         assert not names & (RENDERERS | OTHERS)
@@ -94,10 +96,10 @@ def test_rendering_imports_neither_compiler_nor_other_renderers(tmp_path):
     ("backend", "own"),
     [("mitsuba", {"mitsuba", "drjit"}), ("cycles", {"bpy"}), ("pyrender", {"pyrender", "OpenGL"})],
 )
-def test_a_renderer_is_imported_alone(backend, own, tmp_path):
+def test_a_renderer_is_imported_alone(backend, own, compiled, tmp_path):
     pytest.importorskip(min(own - {"OpenGL"}, key=len))
-    out, _ = compiled(tmp_path, ["rgb", "depth"])
-    processes = imported(tmp_path, "render", str(out), "--backend", backend, "--spp", "2")
+    words = ["render", str(compiled[0]), "--passes", "rgb,depth", "--backend", backend]
+    processes = imported(tmp_path, *words, "--spp", "2")
     assert any(names & own for names in processes)
     for names in processes:
         assert not names & (RENDERERS - own)

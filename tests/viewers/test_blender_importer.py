@@ -15,9 +15,12 @@ from scenec.backends.stage.implicit import ERROR
 from scenec.backends.stage.read import read_stage
 from scenec.backends.stage.scene import RenderScene
 
-pytestmark = pytest.mark.skipif(
-    importlib.util.find_spec("bpy") is None, reason="needs bpy (the extra 'cycles')"
-)
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(
+        importlib.util.find_spec("bpy") is None, reason="needs bpy (the extra 'cycles')"
+    ),
+]
 HALF_TURN = np.diag([1.0, -1.0, -1.0, 1.0])
 
 

@@ -49,6 +49,7 @@ def library(stage):
     return json.loads(out.read_text())
 
 
+@pytest.mark.slow
 @needs_bpy
 def test_every_node_is_in_the_library_with_these_types_and_in_every_shading_language(library):
     assert library["nodes"]["ND_mix_bsfd"] is None
@@ -59,6 +60,7 @@ def test_every_node_is_in_the_library_with_these_types_and_in_every_shading_lang
         assert theirs["targets"] == ["genglsl", "genmsl", "genosl", "genmdl"], name
 
 
+@pytest.mark.slow
 @needs_bpy
 def test_every_network_is_valid_materialx_from_which_shaders_are_made(library):
     networks = library["networks"]

@@ -16,6 +16,8 @@ from sensor_frames import add_sensor, on_disk
 from scenec.datasets.recording import log_frames
 from scenec.schemas.errors import FrameError, OutputError
 
+pytestmark = pytest.mark.slow
+
 
 def tool(*words: str) -> str:
     """What ``rerun rrd ...`` prints."""

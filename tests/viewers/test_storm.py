@@ -18,10 +18,13 @@ from numpy.typing import NDArray
 from scenec.backends.stage.read import read_stage
 from scenec.backends.stage.scene import Camera, RenderScene
 
-pytestmark = pytest.mark.skipif(
-    not all(importlib.util.find_spec(name) for name in ("bpy", "moderngl")),
-    reason="needs bpy (its USD has Storm) and moderngl",
-)
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(
+        not all(importlib.util.find_spec(name) for name in ("bpy", "moderngl")),
+        reason="needs bpy (its USD has Storm) and moderngl",
+    ),
+]
 FACTOR = 2
 
 
@@ -194,7 +197,6 @@ def test_a_viewer_without_materialx_shows_the_blended_colors_of_the_preview(stag
     assert np.abs(np.quantile(found, [0.1, 0.9], axis=0) - 1).max() < 0.25
 
 
-@pytest.mark.slow
 def test_maps_lie_where_they_are_defined_to_lie(tmp_path):
     stage = viewer_scene.compiled(tmp_path, viewer_scene.mapped_cfg(tmp_path))
     scene = read_stage(stage)

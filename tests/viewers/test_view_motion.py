@@ -19,6 +19,7 @@ from sensor_frames import add_sensor, on_disk
 from scenec.datasets import motion_colors
 from scenec.datasets.view.page import write_view
 
+pytestmark = pytest.mark.slow
 WIDTH, HEIGHT = 60, 40
 
 

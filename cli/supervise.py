@@ -1,0 +1,64 @@
+"""A command in a process of its own, so that a crash of native code is said and not only felt."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import signal
+import sys
+
+from scenec.schemas.native import CRASHES, crashed, read_note
+
+_PR_SET_PDEATHSIG = 1
+_PASSED_ON = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+
+def supervised(status: int) -> int | None:
+    """Forks. The child is the command; this process passes signals on, and waits for its end.
+
+    What has neither ``sigwaitinfo`` nor Linux's signal at a parent's death is not supervised.
+
+    Args:
+        status: What a crash over a file ends with; it is said in one line.
+
+    Returns:
+        In the child None; in this process the exit status. Does not return if the child was ended
+        by a signal that no file explains: this process ends the same way.
+    """
+    if sys.platform != "linux":
+        return None
+    signals = {*_PASSED_ON, signal.SIGCHLD}
+    signal.pthread_sigmask(signal.SIG_BLOCK, signals)
+    own = os.getpid()
+    child = os.fork()
+    if child == 0:
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+        if os.getppid() != own:
+            os._exit(1)
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, signals)
+        return None
+    ended = _wait(child, signals)
+    if ended >= 0:
+        return ended
+    if -ended in CRASHES and (file := read_note()):
+        death = f"the process died (signal {signal.Signals(-ended).name})"
+        print(f"scenec: {crashed(file, death)}", file=sys.stderr)
+        return status
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, signals)
+    if -ended != signal.SIGKILL:
+        signal.signal(-ended, signal.SIG_DFL)
+    os.kill(own, -ended)
+    return status
+
+
+def _wait(child: int, signals: set[signal.Signals]) -> int:
+    """Exit status of the child, negative for a signal; passes on what it has not got itself."""
+    while True:
+        came = signal.sigwaitinfo(signals)
+        if came.si_signo == signal.SIGCHLD:
+            done, status = os.waitpid(child, os.WNOHANG)
+            if done:
+                return os.waitstatus_to_exitcode(status)
+        elif came.si_code <= 0:
+            # Of a process. What the terminal sends reaches the child by itself.
+            os.kill(child, came.si_signo)

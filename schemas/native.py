@@ -1,0 +1,67 @@
+"""Which file native code is reading: a crash leaves no other word of it.
+
+The note is in memory that processes share, so that who supervises one can read it when that is no
+more: a command (``scenec.cli.supervise``), a worker (``scenec.backends.run.supervise``).
+"""
+
+from __future__ import annotations
+
+import mmap
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+#: Signals of native code at its end: what follows from its input, and would again.
+CRASHES = frozenset((signal.SIGSEGV, signal.SIGBUS, signal.SIGABRT, signal.SIGFPE, signal.SIGILL))
+#: Bytes of a note.
+SIZE = 1 << 13
+
+
+class Note:
+    """A path, or nothing, in shared memory.
+
+    Args:
+        file: Descriptor of a file of ``SIZE`` bytes that others share; -1: shared by forking alone.
+    """
+
+    def __init__(self, file: int = -1) -> None:
+        self._memory = mmap.mmap(file, SIZE)
+
+    def read(self) -> str:
+        """What is being read; empty if nothing is."""
+        return self._memory[:].rstrip(b"\0").decode("utf-8", "replace")
+
+    def write(self, text: str) -> None:
+        """Notes what is being read."""
+        self._memory[:] = text.encode("utf-8", "replace")[:SIZE].ljust(SIZE, b"\0")
+
+
+_own = [Note()]
+
+
+def share(file: int) -> None:
+    """From now on this process notes what it reads in a file; see ``Note``."""
+    _own[0] = Note(file)
+
+
+@contextmanager
+def native_reading(path: Path) -> Iterator[None]:
+    """Notes what a library of native code reads in the block."""
+    note = _own[0]
+    before = note.read()
+    note.write(str(path))
+    try:
+        yield
+    finally:
+        note.write(before)
+
+
+def read_note() -> str:
+    """What this process, or one that was forked from it, is reading; empty if nothing is."""
+    return _own[0].read()
+
+
+def crashed(path: object, death: str) -> str:
+    """A line about a process that ended over a file."""
+    return f"{path}: the library that reads it crashed, {death}: a file of it is damaged"
