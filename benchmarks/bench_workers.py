@@ -3,7 +3,8 @@
     python benchmarks/bench_workers.py [--frames N] [--backends A,B,...] [--done N]
 
 The demo (configs/jacksboro.json) at 320×240. ``whole`` counts from the command's first moment, with
-the start of workers and renderers; ``steady`` counts the second half of the frames. A unit's cost is that of a thousand that do nothing.
+the start of workers and renderers; ``steady`` counts the second half of the frames. A unit's cost
+is the mean of a thousand that do nothing.
 """
 
 from __future__ import annotations
