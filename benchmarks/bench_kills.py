@@ -23,7 +23,8 @@ from pathlib import Path
 from typing import Any
 
 HERE = Path(__file__).resolve().parent
-sys.path[:0] = [str(HERE), str(HERE.parent / "tests"), str(HERE.parent / "tests" / "backends")]
+sys.path.insert(0, str(HERE.parent / "tests"))
+sys.path.insert(0, str(HERE.parent / "tests" / "backends"))
 
 from bench_workers import compiled
 from dask_processes import DaskProcesses, dask_processes
@@ -140,7 +141,7 @@ def main() -> None:
     header = ["killed", "after frames", "there then", "commands until all were there"]
     print(table(rows, header))
     print(
-        f"\n{len(rows)} runs of {len(calm)} frames, {options.backend}: all frames, equal annotation"
+        f"\n{len(rows)} runs of {len(calm)} frames, {options.backend}: all there, annotation equal"
     )
 
 
