@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import signal
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -221,6 +222,27 @@ def test_a_client_that_is_killed_leaves_frames_that_are_whole_and_workers_for_ot
         assert bytes_of(out / batch / "frames", ".json") == {
             name.removeprefix("frames/"): digest for name, digest in calm.items()
         }
+
+
+def test_ctrl_c_ends_what_is_under_way_on_all_machines(dask, out, tmp_path, monkeypatch):
+    plan_fault(tmp_path, monkeypatch, "sleep", sample=1)
+    dask.add()
+    dask.add()
+    command = [sys.executable, "-m", "scenec.cli.main", "render", str(out), "--backend", "plain",
+               "--cluster", str(dask.file)]  # fmt: skip
+    client = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    until(lambda: len(list(out.rglob(".scenec-lock-000001"))) == 2, client)
+    units = dask.units()
+    client.send_signal(signal.SIGINT)
+    told = client.communicate()[1]
+    assert client.returncode == 130, told
+    assert "Traceback" not in told
+    for unit in units:
+        until_gone(unit.pid)
+    assert not list(out.rglob(".scenec-*"))
+    # They are there for the next one.
+    monkeypatch.delenv("SCENEC_TEST_FAULT")
+    assert scenec("scan", out, "--cluster", dask.file).returncode == 0
 
 
 def test_a_scheduler_that_goes_ends_the_command_in_one_line(dask, out, tmp_path, monkeypatch):
