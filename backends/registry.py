@@ -25,6 +25,8 @@ BUILT_IN: dict[str, tuple[str, str | None]] = {
     "cycles": ("scenec.backends.cycles:Cycles", "cycles"),
     "pyrender": ("scenec.backends.pyrender:Pyrender", "pyrender"),
 }
+#: The packages that draw for them.
+_PACKAGES = {"mitsuba": "mitsuba", "cycles": "bpy", "pyrender": "pyrender-maintained"}
 
 
 #: In place of a name: the first that works (``scenec.backends.run.auto``).
@@ -52,6 +54,13 @@ def require_name(name: str) -> None:
         hint = f"did you mean {near[0]!r}? " if near else ""
         there = ", ".join((*names, ANNOTATION))
         raise BackendError(f"no backend {name!r}: {hint}there are {there}")
+
+
+def distribution(name: str) -> tuple[str, ...]:
+    """The package whose version a backend's pictures depend on; none for what is no renderer."""
+    if name in _PACKAGES:
+        return (_PACKAGES[name],)
+    return tuple(point.dist.name for point in _points() if point.name == name and point.dist)
 
 
 def backend_class(name: str, device: str = "auto") -> type[Backend]:

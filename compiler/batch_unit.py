@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -71,6 +72,7 @@ class CompileBatch:
         redraw: Whether to draw it again where it cannot be built.
         cache: As of ``compile_cfg``.
         folder: Takes the batch's folder; absolute, emptied first.
+        out: The output folder, as messages name it.
     """
 
     cfg: Path
@@ -82,6 +84,7 @@ class CompileBatch:
     redraw: bool
     cache: Path | None
     folder: Path
+    out: Path
 
     @property
     def what(self) -> str:
@@ -111,7 +114,7 @@ class CompileBatch:
         Args:
             spec: Of the cfg.
             say: Told what is worth saying.
-            step: Told when a step begins.
+            step: Told when a step begins; None: what is said is heard when all is over.
 
         Raises:
             CfgError: The cfg is no more what it was.
@@ -125,18 +128,18 @@ class CompileBatch:
         compiled = Compiled()
         for attempt in range(self.first, last):
             again = f", attempt {attempt + 1}" if attempt else ""
-            say(f"compiling {self.what} of {spec.cfg['name']}, seed {self.seed}{again}")
+            if step is not None or attempt:
+                say(f"compiling {self.what} of {spec.cfg['name']}, seed {self.seed}{again}")
             log = BuildLog(seconds={}, tell=step)
             memo = None if store is None else Memo(store)
-            shutil.rmtree(self.folder, ignore_errors=True)
-            self.folder.mkdir(parents=True)
             try:
                 with log.timed("draw"):
                     plans = [draw(spec, self.seed, self.batch, attempt)]
                 with memoizing(memo):
                     # Handed over, so that it can let go of what it has built.
                     scene = build(plans.pop(), log, self.keep)
-                    self._emit(scene, log, attempt)
+                    with self._naming():
+                        self._emit(scene, log, attempt)
             except SceneError as error:
                 compiled.error = error
                 if last > self.first + 1:
@@ -150,10 +153,22 @@ class CompileBatch:
             break
         return compiled
 
+    @contextmanager
+    def _naming(self) -> Iterator[None]:
+        """What cannot be written has the name that it would have had in the end."""
+        try:
+            yield
+        except OSError as error:
+            reason = error.strerror or error
+            raise OutputError(f"{self.out}: cannot be written: {reason}") from error
+        except OutputError as error:
+            raise OutputError(str(error).replace(str(self.folder), str(self.out))) from error
+
     def _emit(self, scene: Scene, log: BuildLog, attempt: int) -> None:
         """Writes the batch and its report."""
+        shutil.rmtree(self.folder, ignore_errors=True)
         folder = self.folder / self.what
-        folder.mkdir()
+        folder.mkdir(parents=True)
         with log.timed("emit"):
             _write(folder, scene)
         log.facts["bytes"] = sum((folder / path).stat().st_size for path in tree(folder))

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Sequence
+from contextlib import ExitStack, closing
 from dataclasses import dataclass, field
 from dataclasses import replace as replace_
 from functools import partial
@@ -14,7 +15,7 @@ from scenec.compiler.batch_unit import CompileBatch, Compiled
 from scenec.compiler.estimate import needs_of, require_memory, told_time
 from scenec.compiler.frontend.load import Spec, load
 from scenec.compiler.incremental.store import Store
-from scenec.compiler.output import Output, batch_name, locked
+from scenec.compiler.output import Output, locked
 from scenec.compiler.passes.keep import Keep
 from scenec.schemas.errors import ScenecError, SceneError
 from scenec.schemas.files import temporary_folder
@@ -114,7 +115,7 @@ def compile_cfg(
     made: list[int] = []
     failed = report.failed
     unchanged = 0
-    with locked(out), temporary_folder(out) as folder:
+    with locked(out), temporary_folder(out) as folder, ExitStack() as stack:
         output = Output(out, spec, seed, keep, chosen, replace, lambda line: tell(line, None))
         units = [
             CompileBatch(
@@ -127,10 +128,12 @@ def compile_cfg(
                 redraw=faults == "redraw",
                 cache=cache,
                 folder=folder.absolute() / str(batch),
+                out=out,
             )
             for batch in chosen
         ]
-        for unit, compiled in _compiled(units, spec, executor, tell):
+        ended = stack.enter_context(closing(_compiled(units, spec, executor, tell)))
+        for unit, compiled in ended:
             name, batch = unit.what, unit.batch
             if compiled.error is not None:
                 if faults == "stop":
@@ -167,7 +170,7 @@ def _compiled(
     spec: Spec,
     executor: Executor | None,
     tell: Tell,
-) -> Iterator[tuple[CompileBatch, Compiled]]:
+) -> Generator[tuple[CompileBatch, Compiled]]:
     """What came of each batch, in their order, whoever compiled it."""
 
     def say(line: str) -> None:
@@ -176,45 +179,54 @@ def _compiled(
     total = len(units)
     if executor is None:
         for done, unit in enumerate(units):
-            _require_room(spec, unit.seed, unit.batch, total if done == 0 else None, say)
+            _require_room(spec, unit, total if done == 0 else None, say)
             yield unit, unit.make(spec, say, partial(_step, tell, unit.what, (done, total)))
         return
-    for number, unit in enumerate(units):
-        _require_room(spec, unit.seed, unit.batch, total if number == 0 else None, say)
     executor.prepare(units[0].folder.parent)
+    at_once = executor.room(total)
+    for number, unit in enumerate(units):
+        _require_room(spec, unit, total if number == 0 else None, say, at_once)
+    batches = f"{total} batches" if total > 1 else units[0].what
+    say(f"compiling {batches} of {spec.cfg['name']}, seed {units[0].seed}, {at_once[1]} at once")
     ready: dict[str, Outcome] = {}
     following = 0
-    for done, (ended, outcome) in enumerate(run_all(executor, units), 1):
-        for line in (*outcome.notes, *(f"warning: {line}" for line in outcome.warnings)):
-            say(line)
-        tell(f"{ended.what} is there", (done, total))
-        ready[ended.what] = outcome
-        # In their order: where one cannot be built, those before it are there, and no others.
-        while following < total and units[following].what in ready:
-            compiled: Compiled = ready.pop(units[following].what).result()
-            for line in compiled.lines:
+    with closing(run_all(executor, units)) as ended:
+        for done, (each, outcome) in enumerate(ended, 1):
+            for line in (*outcome.notes, *(f"warning: {line}" for line in outcome.warnings)):
                 say(line)
-            following += 1
-            yield units[following - 1], compiled
+            tell(f"{each.what} is compiled", (done, total))
+            ready[each.what] = outcome
+            # In their order: where one cannot be built, those before it are there, and no others.
+            while following < total and units[following].what in ready:
+                compiled: Compiled = ready.pop(units[following].what).result()
+                for line in compiled.lines:
+                    say(line)
+                following += 1
+                yield units[following - 1], compiled
 
 
 def _require_room(
-    spec: Spec, seed: int, batch: int, batches: int | None, say: Callable[[str], None]
+    spec: Spec,
+    unit: CompileBatch,
+    batches: int | None,
+    say: Callable[[str], None],
+    room: tuple[int, int] | None = None,
 ) -> None:
     """Refuses a batch that does not fit into memory; tells of one that will be tight, or long.
 
     Args:
-        spec, seed, batch: What will be drawn.
+        spec, unit: What will be compiled.
         batches: How many there are in all, where their time is to be told; else None.
         say: Told.
+        room: As of ``Executor.room``; None: all that is free here.
 
     Raises:
         SceneError: It does not fit.
     """
-    needs = needs_of(spec, seed, batch)
-    tight = require_memory(needs)
+    needs = needs_of(spec, unit.seed, unit.batch)
+    tight = require_memory(needs) if room is None else require_memory(needs, *room)
     if tight is not None:
-        say(f"warning: {batch_name(batch)}: {tight}")
+        say(f"warning: {unit.what}: {tight}")
     long = None if batches is None else told_time(needs, batches)
     if long is not None:
         say(long)

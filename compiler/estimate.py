@@ -78,12 +78,13 @@ def needs_of(spec: Spec, seed: int, batch: int) -> list[Need]:
     return sorted(found, key=lambda need: (-need.bytes, need.pointer))
 
 
-def require_memory(needs: list[Need], free: int | None = None) -> str | None:
+def require_memory(needs: list[Need], free: int | None = None, workers: int = 1) -> str | None:
     """Refuses what does not fit into memory; returns a line where it will be tight.
 
     Args:
         needs: Of a batch.
         free: Bytes that are free; None: what this machine and its container have left.
+        workers: How many batches are compiled at once, each with so much.
 
     Raises:
         SceneError: It does not fit.
@@ -97,7 +98,8 @@ def require_memory(needs: list[Need], free: int | None = None) -> str | None:
         for need in needs
         if need.bytes >= _NAMED * most
     )
-    said = f"compiling needs about {most / GB:.2g} GB, {free / GB:.2g} GB are available"
+    each = f" to each of {workers} workers (--workers)" if workers > 1 else ""
+    said = f"compiling needs about {most / GB:.2g} GB, {free / GB:.2g} GB are available{each}"
     if most <= MARGIN * free:
         return f"{said} ({named})"
     raise SceneError(f"{named}: {said}: expected fewer, or more memory")

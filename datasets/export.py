@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import csv
 import hashlib
-import itertools
 import shutil
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
@@ -25,6 +24,7 @@ from pathlib import Path
 from typing import Any
 
 from scenec.datasets.card import write_card
+from scenec.datasets.export_part import ExportPart
 from scenec.datasets.export_plan import FAULTS, Choice, Plan, make_plan
 from scenec.datasets.export_records import (
     DATA,
@@ -38,14 +38,11 @@ from scenec.datasets.export_records import (
     Records,
     is_done,
     read_export,
-    write_record,
 )
 from scenec.datasets.filters import Tally
 from scenec.datasets.formats.contract import Narrowed, Task
-from scenec.datasets.formats.registry import find_format
-from scenec.datasets.pictures import counted, vouch
-from scenec.datasets.source import FrameFault, LoadedFrame, kind_of
-from scenec.datasets.statistics import Statistics, measure
+from scenec.datasets.source import FrameFault
+from scenec.datasets.statistics import Statistics
 from scenec.datasets.sums import SUMS, listed, note, settle, tidy, write_sums
 from scenec.schemas.csv_cells import guarded_line
 from scenec.schemas.errors import FrameError, OutputError
@@ -156,7 +153,10 @@ def export(
         if report.resumed:
             say(f"{report.resumed} of {total} steps were done already")
         finished = report.resumed
-        parts = (ExportPart(plan, partial.absolute(), task) for task in todo)
+        parts = (
+            ExportPart(plan, partial.absolute(), task, plan.task_key(task), Path.cwd())
+            for task in todo
+        )
         for what, faults in _written(parts, executor, partial, say):
             finished += 1
             for fault in faults:
@@ -274,122 +274,6 @@ def _missing(plan: Plan, report: ExportReport, say: Say) -> None:
         more = f" (and {len(strays) - 1} more like it)" if len(strays) > 1 else ""
         say(f"warning: {strays[0].message}{more}; left out")
     report.faults.extend(strays)
-
-
-@dataclass
-class ExportPart:
-    """A part of a dataset as a unit of work; returns the frames left out.
-
-    Attributes:
-        plan: Of the dataset.
-        partial: Where it is made, absolute.
-        task: Which part.
-    """
-
-    plan: Plan
-    partial: Path
-    task: Task
-
-    @property
-    def what(self) -> str:
-        """In messages."""
-        return self.plan.task_name(self.task)
-
-    @property
-    def holds(self) -> None:
-        """Nothing."""
-        return
-
-    def run(self, keeper: Keeper) -> list[FrameFault]:
-        """Write it and its record.
-
-        Raises:
-            FrameError: A frame is damaged, and none is to be skipped.
-            OutputError: A file cannot be written.
-        """
-        task = self.task
-        lines: list[list[str]] = []
-        faults: list[FrameFault] = []
-        tally = Tally()
-        statistics = Statistics()
-        frames = self._frames(task, lines, faults, tally, statistics)
-        data, scratch = self.partial / DATA, self.partial / SCRATCH
-        first = next(frames, None)
-        files: list[list[Any]] = []
-        record = None
-        left_out: dict[str, int] = {}
-        narrowed: dict[str, Any] = {}
-        if first is not None:
-            form = self.plan.format()
-            told = counted(itertools.chain((first,), frames), form, left_out)
-            written = form.write(task, told, data, scratch)
-            # What a format does not look at is in the dataset all the same.
-            for _ in told:
-                pass
-            record, left_out = written.record, {**left_out, **written.left_out}
-            narrowed = {what: asdict(one) for what, one in written.narrowed.items()}
-            files = [
-                [n, (data / n).stat().st_size, written.digests.get(n) or sha256(data / n)]
-                for n in written.files
-            ]
-        entry = {
-            "key": self.plan.task_key(task),
-            "files": files,
-            "record": record,
-            "left_out": left_out,
-            "narrowed": narrowed,
-            "index": lines,
-            "faults": [asdict(fault) for fault in faults],
-            "tally": asdict(tally),
-            "statistics": statistics.state(),
-        }
-        write_record(self.partial, task, entry)
-        return faults
-
-    def _frames(
-        self,
-        task: Task,
-        lines: list[list[str]],
-        faults: list[FrameFault],
-        tally: Tally,
-        statistics: Statistics,
-    ) -> Iterator[LoadedFrame]:
-        choice = self.plan.choice
-        form = find_format(self.plan.format_name)
-        # Digests and statistics take in all other passes, whatever the format looks at.
-        unused = [n for n in form.unused if n == "rgb"]
-        for ref in task.frames:
-            try:
-                frame = self.plan.source.load(ref, self.plan.needed(), unused)
-                vouch(frame, form.beside)
-                line = _index_line(frame, task.split)
-                seen = len(frame.ignored)
-                choice.remap.apply(frame)
-                rejected = choice.filters.apply(frame)
-            except FrameError as error:
-                if choice.faults == "stop":
-                    raise
-                faults.append(FrameFault(ref.name, kind_of(error), str(error)))
-                continue
-            lines.append([*line, str(len(frame.ignored))])
-            tally.add(seen, int((~frame.ignored).sum()), rejected)
-            statistics.add(measure(frame))
-            yield frame
-
-
-def _index_line(frame: LoadedFrame, split: str) -> list[str]:
-    ref = frame.ref
-    return [
-        ref.name,
-        split,
-        ref.batch_name,
-        ref.camera,
-        str(ref.sample),
-        repr(frame.time_s),
-        frame.sidecar["stage_digest"],
-        frame.annotation_digest(),
-        frame.picture_digest,
-    ]
 
 
 def _finish(plan: Plan, partial: Path, report: ExportReport, say: Say) -> None:

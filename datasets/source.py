@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Collection, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -75,6 +75,10 @@ class FrameRef:
     def key(self) -> str:
         """The same as a file name without folders."""
         return f"{self.batch_name}_{self.camera}_{self.sample:06d}"
+
+    def at(self, base: Path) -> FrameRef:
+        """The same, for a process whose working directory is not ``base``."""
+        return replace(self, stem=base / self.stem)
 
 
 @dataclass(frozen=True)

@@ -36,7 +36,11 @@ class Keeper:
 
 
 class Unit(Protocol):
-    """One piece of work. Implementations are frozen dataclasses of plain values."""
+    """One piece of work. Implementations are frozen dataclasses of plain values.
+
+    One may have a method ``clean``, which removes what a worker that died over it left half
+    written; it is called on the worker's machine.
+    """
 
     @property
     def what(self) -> str:
@@ -96,15 +100,24 @@ Take = Callable[[Hashable], Unit | None]
 class Executor(Protocol):
     """Runs units. Used in a ``with``, at whose end no worker is left that it started."""
 
-    def prepare(self, folder: Path, device: str = "auto") -> None:
+    def prepare(self, folder: Path, device: str = "auto", backend: str = "") -> None:
         """Make sure that workers can do what will be asked, before any work.
 
         Args:
             folder: They see it, and write there.
             device: They have it.
+            backend: They have it, in the same version; "": none is needed.
 
         Raises:
             BackendError: One cannot; says which and why.
+        """
+        ...
+
+    def room(self, units: int) -> tuple[int, int]:
+        """Bytes that each worker may take, and how many work at once, of so many units.
+
+        Raises:
+            BackendError: Workers cannot be asked.
         """
         ...
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.backends.cycles.blender import passing_file, quiet
+from scenec.schemas.budget import thread_budget
 from scenec.schemas.errors import BackendError
 
 COMBINED, NOISY = "Combined", "Noisy Image"
@@ -35,6 +36,8 @@ def set_up(scene: Any, device: str, bounces: int, passes: Sequence[str]) -> None
     # Blender scene for visibility, either would push the other out.)
     render.use_persistent_data = True
     render.use_compositing = render.use_sequencer = False
+    if thread_budget() is not None:
+        render.threads_mode, render.threads = "FIXED", thread_budget()
     render.use_motion_blur = render.use_simplify = render.use_border = False
     render.use_texture_cache = False
     render.resolution_percentage = 100

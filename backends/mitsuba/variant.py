@@ -9,6 +9,7 @@ import os
 from pathlib import Path
 from typing import Any
 
+from scenec.schemas.budget import thread_budget
 from scenec.schemas.errors import BackendError
 
 #: Environment variable that names a variant, for those who want another one.
@@ -80,6 +81,7 @@ def load_mitsuba(device: str = "auto") -> Any:
             mi.set_variant(variant)
             if variant != SLOW:
                 _probe(mi)
+            _bound_threads()
         except (ImportError, RuntimeError) as error:
             if len(choices) == 1:
                 why = f" ({VARIANT_VARIABLE})" if wanted else f" (device {device})"
@@ -89,6 +91,13 @@ def load_mitsuba(device: str = "auto") -> Any:
             continue
         return mi
     raise BackendError("no variant of Mitsuba works here: neither llvm_ad_rgb nor scalar_rgb")
+
+
+def _bound_threads() -> None:
+    threads = thread_budget()
+    if threads is not None:
+        # All of Mitsuba works in Dr.Jit's pool of threads.
+        importlib.import_module("drjit").set_thread_count(threads)
 
 
 def _choices(device: str) -> list[str]:

@@ -2,44 +2,49 @@
 
 A dask worker's thread runs no renderer itself: it supervises a worker process of its own, as
 ``executors.Processes`` does, so that a crash, a hang or too much memory costs a unit's try and no
-dask worker. dask is asked to run a unit where its stage is held, and may run it elsewhere.
+dask worker (``hands``). dask is asked to run a unit where its stage is held, and may run it
+elsewhere.
 """
 
 from __future__ import annotations
 
 import importlib.metadata
+import json
 import logging
 import os
 import platform
+import queue
 import secrets
 import socket
-import threading
+import sys
+import time
 from collections import Counter
-from collections.abc import Generator, Hashable
+from collections.abc import Generator, Hashable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
 
+from scenec.backends.registry import distribution
+from scenec.backends.run import hands
 from scenec.backends.run.limits import Limits
-from scenec.backends.run.memory import default_limit
-from scenec.backends.run.supervise import Supervisor
+from scenec.backends.run.supervise import FrameLostError
 from scenec.schemas.errors import BackendError, OutputError
 from scenec.schemas.files import TEMPORARY
 from scenec.schemas.units import Outcome, Take, Unit
 
 MEND = "it needs dask: pip install 'scenec[cluster]'"
-#: What decides bytes and pictures: alike on all machines, or two of them make one dataset of two.
-PACKAGES = ("scenec", "numpy", "numba", "mitsuba", "bpy", "pyrender-maintained")
+#: What decides bytes: alike on all machines, or several of them make one dataset of two kinds.
+PACKAGES = ("scenec", "numpy", "numba", "scipy", "usd-core", "OpenEXR", "pillow")
 #: Devices that a dask worker says it has by ``--resources GPU=1``.
 GPUS = ("cuda", "optix")
-#: Seconds a cluster may take to answer, and to have its first worker.
-ANSWER_S, WORKER_S = 10, 60
-#: Seconds after which a dask worker ends a process that nobody has given anything to do.
-IDLE_S = 60.0
+#: Seconds a cluster may take to answer, and may be without any worker.
+ANSWER_S, WORKER_S = 10.0, 60.0
+#: Seconds between two looks at which workers there are, where nothing else happens.
+LOOK_S = 2.0
 
 
-@dataclass
+@dataclass(eq=False)
 class _Slot:
     """A thread of a dask worker, and what the process that it supervises holds."""
 
@@ -66,125 +71,172 @@ class Cluster:
             import distributed
         except ImportError as error:
             raise BackendError(f"--cluster {address}: {MEND}") from error
-        logging.getLogger("distributed").setLevel(logging.ERROR)
-        self._address = address
+        # What it has to say is said by our errors.
+        logging.getLogger("distributed").setLevel(logging.CRITICAL)
+        self._name = f"--cluster {address}"
         self._limits = limits or Limits()
+        self._token = secrets.token_hex(8)
         self._local: Any = None
+        self._client: Any = None
         try:
             if address == "local":
                 # Threads: the processes are the supervised ones.
                 self._local = distributed.LocalCluster(
-                    n_workers=max(1, workers), threads_per_worker=1, processes=False,
-                    dashboard_address=None, memory_limit=0,
+                    n_workers=1, threads_per_worker=max(1, workers), processes=False,
+                    dashboard_address="127.0.0.1:0", memory_limit=0,
                 )  # fmt: skip
-                self._client = distributed.Client(self._local)
             elif Path(address).is_file():
-                self._client = distributed.Client(scheduler_file=address, timeout=ANSWER_S)
+                place = str(json.loads(Path(address).read_bytes())["address"])
             else:
-                self._client = distributed.Client(address, timeout=ANSWER_S)
+                place = address
+            self._client = distributed.Client(self._local or place, timeout=ANSWER_S)
             self._client.wait_for_workers(1, timeout=WORKER_S)
-        except (OSError, ValueError, TimeoutError) as error:
+        except (OSError, ValueError, KeyError, TypeError, TimeoutError) as error:
+            self._close()
             raise BackendError(
-                f"--cluster {address}: no scheduler with a worker answers ({error}); start them "
-                "with: dask scheduler, dask worker ADDRESS"
+                f"{self._name}: no scheduler with a worker answers ({error}); start them with: "
+                "dask scheduler, dask worker ADDRESS"
             ) from error
         self._slots: list[_Slot] = []
-        self._checked: set[str] = set()
-        self._wanted: tuple[Path | None, str] = (None, "auto")
+        self._workers: Mapping[str, Any] = {}
+        #: Of each worker that was asked: its machine, and which cores it may use (a job's own).
+        self._places: dict[str, Hashable] = {}
+        self._folder = Path()
+        self._device, self._backend = "auto", ""
+        self._seen = time.monotonic()
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
         with suppress(Exception):
-            # What is under way ends by itself; what waits is not begun.
-            self._client.run(_close_all)
-        self._client.close()
-        if self._local is not None:
-            self._local.close()
+            self._client.run(hands.close_idle)
+        self._close()
 
-    def prepare(self, folder: Path, device: str = "auto") -> None:
+    def _close(self) -> None:
+        for one in (self._client, self._local):
+            if one is not None:
+                one.close()
+
+    def prepare(self, folder: Path, device: str = "auto", backend: str = "") -> None:
         """See ``Executor``: asks every worker what it sees and has."""
-        self._wanted = folder, device
+        self._folder, self._device, self._backend = folder, device, backend
+        # Asked again: the folder may be another.
+        self._slots, self._workers = [], {}
         self._refresh()
+
+    def room(self, units: int) -> tuple[int, int]:
+        """See ``Executor``: of the machine that has least for each of its workers."""
+        try:
+            free = self._client.run(hands.room, self._limits)
+        except (OSError, TimeoutError) as error:
+            raise self._lost(f"a worker does not answer ({error})") from error
+        shares = self._shares()
+        each = [
+            min(room // min(units, shares[self._places[address]]), most)
+            for address, (room, most) in free.items()
+            if address in self._workers
+        ]
+        return min(each, default=sys.maxsize), min(units, len(self._slots))
 
     def work(self, take: Take) -> Generator[tuple[Unit, Outcome]]:
         """See ``Executor``."""
-        from distributed import as_completed
-
-        ended = as_completed()
+        ended: queue.SimpleQueue[Any] = queue.SimpleQueue()
         under_way: dict[Any, tuple[_Slot, Unit]] = {}
         try:
             while True:
                 self._refresh()
-                taken = {id(slot) for slot, _ in under_way.values()}
-                free = [slot for slot in self._slots if id(slot) not in taken]
+                taken = [slot for slot, _ in under_way.values()]
+                free = [slot for slot in self._slots if slot not in taken]
                 for slot in sorted(free, key=lambda slot: slot.holds is None):
                     unit = take(slot.holds)
                     if unit is not None:
                         slot.holds = unit.holds
                         future = self._submit(unit, slot)
                         under_way[future] = slot, unit
-                        ended.add(future)
-                if not under_way:
+                        future.add_done_callback(ended.put)
+                if free and not under_way:
                     return
-                future = next(ended)
-                slot, unit = under_way.pop(future)
-                yield unit, self._result(unit, future)
+                # Not for good: workers come and go.
+                with suppress(queue.Empty):
+                    future = ended.get(timeout=LOOK_S)
+                    _, unit = under_way.pop(future)
+                    yield unit, self._result(unit, future)
         finally:
-            for future in under_way:
+            if under_way:
+                # Left amid work: by an error, an interrupt, or who had enough.
                 with suppress(Exception):
-                    future.cancel()
+                    self._client.cancel(list(under_way), force=True)
+                    while any(self._client.run(hands.stop, self._token).values()):
+                        time.sleep(0.05)
 
     def _submit(self, unit: Unit, slot: _Slot) -> Any:
-        gpu = getattr(unit.holds, "device", None) in GPUS
         return self._client.submit(
-            _work,
+            hands.work,
             unit,
             self._limits,
-            Counter(self._hosts[slot.address] for slot in self._slots)[self._hosts[slot.address]],
+            self._token,
+            self._workers[slot.address]["nthreads"],
+            self._shares()[self._places[slot.address]],
             key=f"{unit.what}-{secrets.token_hex(4)}",
             pure=False,
             workers=[slot.address],
             allow_other_workers=True,
-            resources={"GPU": 1} if gpu else None,
+            resources={"GPU": 1} if self._device in GPUS else None,
         )
 
+    def _shares(self) -> Counter[Hashable]:
+        """How many slots have the same cores."""
+        return Counter(self._places[slot.address] for slot in self._slots)
+
     def _result(self, unit: Unit, future: Any) -> Outcome:
-        if future.status == "finished":
+        from distributed import KilledWorker
+
+        try:
             outcome: Outcome = future.result()
-            return outcome
-        error = future.exception() if future.status == "error" else None
-        why = f"{type(error).__name__}: {error}" if error else "its scheduler is gone"
-        raise BackendError(
-            f"--cluster {self._address}: {unit.what}: {why}; what has been made stays: run again"
-        )
+        except KilledWorker as error:
+            lost = FrameLostError(f"{unit.what}: given up: {error.args[0] if error.args else ''}")
+            return Outcome(error=lost, deaths=1)
+        except Exception as error:
+            raise self._lost(f"{unit.what}: {type(error).__name__}: {error}") from error
+        return outcome
+
+    def _lost(self, why: str) -> BackendError:
+        return BackendError(f"{self._name}: {why}; what has been made stays: run again")
 
     def _refresh(self) -> None:
         """Workers that came are asked what they have; those that went are forgotten.
 
         Raises:
-            BackendError: One cannot take part.
+            BackendError: One cannot take part, or there are none any more.
         """
-        known = self._client.scheduler_info(n_workers=-1)["workers"]
-        if {slot.address for slot in self._slots} != known.keys():
-            new = [address for address in known if address not in self._checked]
-            folder, device = self._wanted
-            if new and folder is not None:
-                self._require(new, folder)
-                self._checked.update(new)
-            if device in GPUS and not any(of["resources"].get("GPU") for of in known.values()):
-                raise BackendError(
-                    f"--cluster {self._address}: no worker has a GPU to give; start some with: "
-                    "dask worker ADDRESS --resources GPU=1"
-                )
-            held = {slot.address: slot.holds for slot in self._slots}
-            self._slots = [
-                _Slot(address, held.get(address))
-                for address, facts in known.items()
-                for _ in range(facts["nthreads"])
-            ]
-            self._hosts = {address: facts["host"] for address, facts in known.items()}
+        try:
+            known = self._client.scheduler_info(n_workers=-1)["workers"]
+        except (OSError, TimeoutError, ValueError) as error:
+            raise self._lost(f"its scheduler does not answer any more ({error})") from error
+        now = time.monotonic()
+        if known:
+            self._seen = now
+        elif now - self._seen > WORKER_S:
+            raise self._lost(f"it has had no worker for {WORKER_S:g} s")
+        if known.keys() == self._workers.keys():
+            return
+        new = [address for address in known if address not in self._workers]
+        if new:
+            self._require(new, self._folder.absolute())
+        gpu = self._device in GPUS
+        self._workers = known
+        slots = []
+        for address, facts in known.items():
+            held = [slot for slot in self._slots if slot.address == address]
+            count = min(facts["nthreads"], int(facts["resources"].get("GPU", 0) if gpu else 1e9))
+            slots += held or [_Slot(address) for _ in range(count)]
+        self._slots = slots
+        if gpu and not slots and known:
+            raise BackendError(
+                f"{self._name}: no worker has a GPU to give; start some with: "
+                "dask worker ADDRESS --resources GPU=1"
+            )
 
     def _require(self, workers: list[str], folder: Path) -> None:
         """Refuses workers that see other files, or would make other bytes.
@@ -192,89 +244,58 @@ class Cluster:
         Raises:
             BackendError: One has another version of something, or does not see the folder.
         """
-        folder = folder.absolute()
-        token = folder / f"{TEMPORARY}cluster-{secrets.token_hex(8)}"
+        while not folder.exists():
+            folder = folder.parent
+        token = folder / f"{TEMPORARY}cluster-{self._token}"
+        names = (*PACKAGES, *distribution(self._backend))
         try:
             token.touch()
         except OSError as error:
             raise OutputError(f"{folder}: cannot be written: {error.strerror}") from error
         try:
-            own, theirs = _facts(token), self._client.run(_facts, token, workers=workers)
-        except ModuleNotFoundError as error:
-            raise BackendError(
-                f"--cluster {self._address}: a worker has no {error.name}; install the same scenec "
-                "on every machine"
-            ) from error
+            own = _facts(token, names)
+            theirs = self._client.run(_facts, token, names, workers=workers, on_error="return")
         finally:
             token.unlink(missing_ok=True)
         for address, facts in theirs.items():
-            if not facts["sees"]:
+            if isinstance(facts, OSError):
+                # It went meanwhile, and will be no more the next time.
+                self._places[address] = address
+                continue
+            place = f"{self._name}: worker {address}"
+            if isinstance(facts, Exception):
                 raise BackendError(
-                    f"--cluster {self._address}: worker {address} ({facts['host']}) does not see "
-                    f"{folder}: all machines need the same folder at the same path"
+                    f"{place} has not this scenec ({facts}): install the same on every machine"
                 )
             other = [
-                f"{name} {facts[name]} instead of {own[name]}"
-                for name in ("python", *PACKAGES)
+                f"{name} {facts[name] or '(none)'} instead of {own[name]}"
+                for name in ("python", *names)
                 if own[name] is not None and facts[name] != own[name]
             ]
             if other:
                 raise BackendError(
-                    f"--cluster {self._address}: worker {address} ({facts['host']}) has "
-                    f"{', '.join(other)}: install the same on every machine"
+                    f"{place} ({facts['host']}) has {', '.join(other)}: install the same on every "
+                    "machine"
                 )
+            if not facts["sees"]:
+                raise BackendError(
+                    f"{place} ({facts['host']}) does not see {folder}: all machines need the same "
+                    "folder at the same path"
+                )
+            self._places[address] = (facts["host"], facts["cores"])
 
 
-def _facts(token: Path) -> dict[str, Any]:
+def _facts(token: Path, names: tuple[str, ...]) -> dict[str, Any]:
     """What a machine has, and whether it sees a file."""
-    facts: dict[str, Any] = {name: None for name in PACKAGES}
-    for name in PACKAGES:
+    facts: dict[str, Any] = {"python": platform.python_version(), "host": socket.gethostname()}
+    facts["cores"] = tuple(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else ()
+    for name in names:
+        facts[name] = None
         with suppress(importlib.metadata.PackageNotFoundError):
             facts[name] = importlib.metadata.version(name)
+    facts["sees"] = False
     # A client lists folders from its cache; opening asks the server.
     with suppress(OSError):
-        os.close(os.open(token, os.O_RDONLY))
+        os.close(os.open(token, os.O_RDWR))
         facts["sees"] = True
-    here = {"python": platform.python_version(), "host": socket.gethostname()}
-    return {"sees": False, **here, **facts}
-
-
-#: Of each thread of a dask worker: its supervisor, and what ends that if nothing comes.
-_hands: dict[int, tuple[Supervisor, threading.Timer]] = {}
-_lock = threading.Lock()
-
-
-def _work(unit: Unit, limits: Limits, count: int) -> Outcome:
-    """On a dask worker: have a unit run by this thread's process, one of so many of a machine."""
-    me = threading.get_ident()
-    with _lock:
-        hand, timer = _hands.pop(me, (None, None))
-    if timer is not None:
-        timer.cancel()
-    if hand is None:
-        if limits.memory_bytes is None:
-            limits = replace(limits, memory_bytes=default_limit() // count)
-        hand = Supervisor(limits, max(1, (os.process_cpu_count() or 1) // count))
-    try:
-        return hand.do(unit)
-    finally:
-        timer = threading.Timer(IDLE_S, _close, [me])
-        timer.daemon = True
-        with _lock:
-            _hands[me] = hand, timer
-        timer.start()
-
-
-def _close(thread: int) -> None:
-    with _lock:
-        hand, timer = _hands.pop(thread, (None, None))
-    if timer is not None:
-        timer.cancel()
-    if hand is not None:
-        hand.close()
-
-
-def _close_all() -> None:
-    """On a dask worker: end the processes of its threads."""
-    for thread in list(_hands):
-        _close(thread)
+    return facts

@@ -39,6 +39,7 @@ LIBRARIES = (
     "PyOpenGL",
     "lavavu-osmesa",
     "flip-evaluator",
+    "distributed",
 )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import queue
+import sys
 import threading
 from collections.abc import Generator
 from dataclasses import replace
@@ -13,7 +14,9 @@ from typing import Any, Self
 from scenec.backends.run.limits import Limits
 from scenec.backends.run.memory import default_limit
 from scenec.backends.run.supervise import Supervisor
+from scenec.schemas.budget import thread_budget
 from scenec.schemas.errors import BackendError, ScenecError
+from scenec.schemas.memory import available
 from scenec.schemas.units import Executor, Keeper, Outcome, Take, Unit, run_all
 
 #: How many processes work where nobody says; 0: none but this one.
@@ -35,8 +38,12 @@ class Here:
     def __exit__(self, *_: object) -> None:
         self._keeper = Keeper()
 
-    def prepare(self, folder: Path, device: str = "auto") -> None:
+    def prepare(self, folder: Path, device: str = "auto", backend: str = "") -> None:
         """See ``Executor``: this process sees what it sees."""
+
+    def room(self, units: int) -> tuple[int, int]:
+        """See ``Executor``."""
+        return available(), 1
 
     def work(self, take: Take) -> Generator[tuple[Unit, Outcome]]:
         """See ``Executor``."""
@@ -67,7 +74,7 @@ class Processes:
         if limits.memory_bytes is None:
             limits = replace(limits, memory_bytes=default_limit() // workers)
         if threads is None and workers > 1:
-            threads = max(1, (os.process_cpu_count() or 1) // workers)
+            threads = max(1, (thread_budget() or os.process_cpu_count() or 1) // workers)
         self._hands = [Supervisor(limits, threads) for _ in range(workers)]
 
     def __enter__(self) -> Self:
@@ -77,8 +84,14 @@ class Processes:
         for hand in self._hands:
             hand.close()
 
-    def prepare(self, folder: Path, device: str = "auto") -> None:
+    def prepare(self, folder: Path, device: str = "auto", backend: str = "") -> None:
         """See ``Executor``: processes of this machine see what this one sees."""
+
+    def room(self, units: int) -> tuple[int, int]:
+        """See ``Executor``."""
+        limits, _ = self._hands[0].budget
+        count = min(units, len(self._hands))
+        return min(available() // count, limits.memory_bytes or sys.maxsize), count
 
     def work(self, take: Take) -> Generator[tuple[Unit, Outcome]]:
         """See ``Executor``."""

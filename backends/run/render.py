@@ -150,7 +150,9 @@ def render(
         if plan.batches is None and out.is_dir():
             run.tell.warn_all(gaps(read_manifest(out)))
         executor = executor or stack.enter_context(make_executor())
-        executor.prepare(plan.folder or batches[0].folder, plan.device)
+        drawn = plan.passes is None or "rgb" in plan.passes
+        backend = plan.backend if drawn else ""
+        executor.prepare(plan.folder or batches[0].folder, plan.device, backend)
         run.run(executor)
     if not report.frames:
         raise StageError(f"{out}: no frame to render: no camera, or no sample in the range asked")
@@ -412,7 +414,10 @@ class _Render:
 
     def _finish(self, work: _Work) -> None:
         """Notes cameras whose pictures are black or burnt out, once a batch is whole."""
-        if work.left or not any("rgb" in frame.key.passes for frame in work.frames):
+        if work.left:
+            return
+        sweep({frame.stem.parent for frame in work.frames})
+        if not any("rgb" in frame.key.passes for frame in work.frames):
             return
         sidecars: dict[str, list[dict[str, Any]]] = {}
         for frame in work.frames:

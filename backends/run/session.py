@@ -55,6 +55,8 @@ class Session:
         self._caster: ExactCaster | None = None
         self._meter = Meter(scene)
         self._loaded = False
+        #: Where frames of it go, as far as they have been made ready.
+        self.folders: set[Path] = set()
 
     @classmethod
     def open(

@@ -16,6 +16,7 @@ from typing import Any, Self
 
 from scenec.backends.run.limits import Growth, Limits, Watch
 from scenec.backends.run.memory import default_limit
+from scenec.schemas.budget import THREADS
 from scenec.schemas.errors import BackendError, ScenecError, StageError
 from scenec.schemas.memory import GB
 from scenec.schemas.native import CRASHES, SIZE, Note, crashed
@@ -23,8 +24,6 @@ from scenec.schemas.units import Outcome, Unit
 
 #: Times a unit is tried again after the worker died at it.
 RETRIES = 2
-#: What libraries that count threads themselves go by; ours and the renderers' go by the first.
-THREADS = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 
 
 class WorkerDiedError(Exception):
@@ -80,6 +79,11 @@ class Supervisor:
         self.close()
 
     @property
+    def budget(self) -> tuple[Limits, int | None]:
+        """What its workers may take: limits, and threads."""
+        return self._limits, self._threads
+
+    @property
     def holds(self) -> Hashable:
         """What the worker keeps; None without one."""
         return self._holds if self._process is not None else None
@@ -96,6 +100,7 @@ class Supervisor:
         it read a stage; ``FrameLostError`` where RETRIES + 1 workers died over it.
         """
         outcome = Outcome()
+        self._stopped = False
         try:
             outcome.value = self._do(unit, outcome)
         except ScenecError as error:
@@ -118,6 +123,7 @@ class Supervisor:
                 outcome.deaths += 1
                 file = self._note.read()
                 self.close()
+                getattr(unit, "clean", lambda: None)()
                 if self._stopped:
                     raise BackendError(f"{unit.what}: stopped") from death
                 if death.crashed and file:
@@ -131,7 +137,10 @@ class Supervisor:
         raise AssertionError("unreachable")
 
     def stop(self) -> None:
-        """End the worker amid its unit, which is not tried again; called by another thread."""
+        """End the worker amid its unit, which is not tried again; called by another thread.
+
+        Called again until it has ended: it may just be starting.
+        """
         self._stopped = True
         if self._watch is not None:
             self._watch.kill()

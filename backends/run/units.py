@@ -195,7 +195,11 @@ class RenderFrame:
             OutputError: A file cannot be written.
         """
         session = self.opening.session(keeper)
-        self.stem.parent.mkdir(parents=True, exist_ok=True)
+        if self.stem.parent not in session.folders:
+            self.stem.parent.mkdir(parents=True, exist_ok=True)
+            # On this machine one may have been killed, of whom nobody else can say so.
+            self.clean()
+            session.folders.add(self.stem.parent)
         try:
             with Lock(self.claim, what=self.what):
                 # It may have come while nobody looked.

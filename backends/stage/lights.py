@@ -18,27 +18,34 @@ _POLE_Z = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 
 
 def read_lighting(
-    stage: Usd.Stage, frame: StageFrame, time: Usd.TimeCode, sources: Sources
-) -> Lighting:
-    """Visible lights of ``unread.LIGHTS``. Of others, and of prototypes, there are losses.
+    stage: Usd.Stage, frame: StageFrame, times: list[Usd.TimeCode], sources: Sources
+) -> tuple[Lighting, ...]:
+    """Visible lights of ``unread.LIGHTS`` at each sample.
 
-    A dome whose picture is missing is left out.
+    Of others, and of prototypes, there are losses. A dome whose picture is missing is left out.
 
     Raises:
         StageError: A value is not what it can be, or not finite.
     """
-    suns, domes, lamps = [], [], []
+    lights = []
     prims = iter(Usd.PrimRange(stage.GetPseudoRoot(), Usd.TraverseInstanceProxies()))
     for prim in prims:
-        kind = prim.GetTypeName()
         if prim.IsA(UsdGeom.PointInstancer):
             # What is below it is there only as its instances.
             prims.PruneChildren()
-        if kind not in LIGHTS:
-            continue
+        if prim.GetTypeName() in LIGHTS:
+            lights.append(prim)
+    return tuple(_lighting(lights, frame, time, sources) for time in times)
+
+
+def _lighting(
+    prims: list[Usd.Prim], frame: StageFrame, time: Usd.TimeCode, sources: Sources
+) -> Lighting:
+    suns, domes, lamps = [], [], []
+    for prim in prims:
         if not values.visible(prim, time):
             continue
-        matrix = values.world_matrix(prim, time)
+        kind, matrix = prim.GetTypeName(), values.world_matrix(prim, time)
         if kind == "SphereLight":
             lamp = _lamp(UsdLux.SphereLight(prim), matrix, frame, time)
             lamps += [] if lamp is None else [lamp]

@@ -66,7 +66,7 @@ def _read(stage: Usd.Stage, path: Path, sources: Sources) -> RenderScene:
     expander = Expander(meshes, times, labeled_instances(stage, table))
     rows = _rows(expander.expand(stage.GetPseudoRoot()).settled(), frame)
     cameras = read_cameras(stage, frame, times)
-    lighting = tuple(read_lighting(stage, frame, time, sources) for time in times)
+    lighting = read_lighting(stage, frame, times, sources)
     label_maps = read_sky_label_maps(stage, table, times, sources)
     lidars = read_lidars(stage, frame, times)
     return RenderScene(

@@ -1,0 +1,143 @@
+"""A part of a dataset as a unit of work: its frames are read, filtered, written by the format."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from scenec.datasets.export_plan import Plan
+from scenec.datasets.export_records import DATA, SCRATCH, write_record
+from scenec.datasets.filters import Tally
+from scenec.datasets.formats.contract import Task
+from scenec.datasets.formats.registry import find_format
+from scenec.datasets.pictures import counted, vouch
+from scenec.datasets.source import FrameFault, LoadedFrame, kind_of
+from scenec.datasets.statistics import Statistics, measure
+from scenec.schemas.errors import FrameError
+from scenec.schemas.files import sha256
+from scenec.schemas.units import Keeper
+
+
+@dataclass
+class ExportPart:
+    """A part of a dataset as a unit of work; returns the frames left out.
+
+    Attributes:
+        plan: Of the dataset.
+        partial: Where it is made, absolute.
+        task: Which part.
+        key: Of that, for its record.
+        base: What the plan's paths are relative to.
+    """
+
+    plan: Plan
+    partial: Path
+    task: Task
+    key: str
+    base: Path
+
+    @property
+    def what(self) -> str:
+        """In messages."""
+        return self.plan.task_name(self.task)
+
+    @property
+    def holds(self) -> None:
+        """Nothing."""
+        return
+
+    def run(self, keeper: Keeper) -> list[FrameFault]:
+        """Write it and its record.
+
+        Raises:
+            FrameError: A frame is damaged, and none is to be skipped.
+            OutputError: A file cannot be written.
+        """
+        task = self.task
+        lines: list[list[str]] = []
+        faults: list[FrameFault] = []
+        tally = Tally()
+        statistics = Statistics()
+        frames = self._frames(task, lines, faults, tally, statistics)
+        data, scratch = self.partial / DATA, self.partial / SCRATCH
+        first = next(frames, None)
+        files: list[list[Any]] = []
+        record = None
+        left_out: dict[str, int] = {}
+        narrowed: dict[str, Any] = {}
+        if first is not None:
+            form = self.plan.format()
+            told = counted(itertools.chain((first,), frames), form, left_out)
+            written = form.write(task, told, data, scratch)
+            # What a format does not look at is in the dataset all the same.
+            for _ in told:
+                pass
+            record, left_out = written.record, {**left_out, **written.left_out}
+            narrowed = {what: asdict(one) for what, one in written.narrowed.items()}
+            files = [
+                [n, (data / n).stat().st_size, written.digests.get(n) or sha256(data / n)]
+                for n in written.files
+            ]
+        entry = {
+            "key": self.key,
+            "files": files,
+            "record": record,
+            "left_out": left_out,
+            "narrowed": narrowed,
+            "index": lines,
+            "faults": [asdict(fault) for fault in faults],
+            "tally": asdict(tally),
+            "statistics": statistics.state(),
+        }
+        write_record(self.partial, task, entry)
+        return faults
+
+    def _frames(
+        self,
+        task: Task,
+        lines: list[list[str]],
+        faults: list[FrameFault],
+        tally: Tally,
+        statistics: Statistics,
+    ) -> Iterator[LoadedFrame]:
+        choice = self.plan.choice
+        form = find_format(self.plan.format_name)
+        # Digests and statistics take in all other passes, whatever the format looks at.
+        unused = [n for n in form.unused if n == "rgb"]
+        for known in task.frames:
+            # Elsewhere alone: messages have paths as they were given.
+            ref = known if Path.cwd() == self.base else known.at(self.base)
+            try:
+                frame = self.plan.source.load(ref, self.plan.needed(), unused)
+                vouch(frame, form.beside)
+                line = _index_line(frame, task.split)
+                seen = len(frame.ignored)
+                choice.remap.apply(frame)
+                rejected = choice.filters.apply(frame)
+            except FrameError as error:
+                if choice.faults == "stop":
+                    raise
+                faults.append(FrameFault(ref.name, kind_of(error), str(error)))
+                continue
+            lines.append([*line, str(len(frame.ignored))])
+            tally.add(seen, int((~frame.ignored).sum()), rejected)
+            statistics.add(measure(frame))
+            yield frame
+
+
+def _index_line(frame: LoadedFrame, split: str) -> list[str]:
+    ref = frame.ref
+    return [
+        ref.name,
+        split,
+        ref.batch_name,
+        ref.camera,
+        str(ref.sample),
+        repr(frame.time_s),
+        frame.sidecar["stage_digest"],
+        frame.annotation_digest(),
+        frame.picture_digest,
+    ]
