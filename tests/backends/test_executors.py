@@ -83,8 +83,18 @@ def bytes_of(folder: Path, *but: str) -> dict[str, str]:
     }
 
 
+#: What other tests of this process have left running: servers of multiprocessing.
+_others: set[int] = set()
+
+
+@pytest.fixture(autouse=True)
+def others() -> None:
+    _others.update(child.pid for child in psutil.Process().children(recursive=True))
+
+
 def children() -> list[psutil.Process]:
-    return psutil.Process().children(recursive=True)
+    found = psutil.Process().children(recursive=True)
+    return [child for child in found if child.pid not in _others]
 
 
 def test_units_are_the_same_after_a_journey(tmp_path):
