@@ -21,6 +21,8 @@ from scenec.schemas.units import Executor, Keeper, Outcome, Take, Unit, run_all
 
 #: How many processes work where nobody says; 0: none but this one.
 WORKERS = "SCENEC_WORKERS"
+#: As on the command line.
+MOST_WORKERS = 1024
 
 
 class Here:
@@ -156,7 +158,7 @@ def make_executor(
     """
     if workers is None:
         text = os.environ.get(WORKERS, "") or "1"
-        if not text.isdecimal():
+        if not text.isdecimal() or int(text) > MOST_WORKERS:
             raise BackendError(f"{WORKERS}: expected a whole number of processes, not {text!r}")
         workers = int(text)
     if cluster is not None:

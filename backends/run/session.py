@@ -61,32 +61,18 @@ class Session:
     @classmethod
     def open(
         cls,
-        stage: Path,
+        stage: Path | RenderScene,
         backend: str,
         device: str = "auto",
         passes: Sequence[str] | None = None,
     ) -> Session:
-        """Read a stage; start a backend if any frame is to have ``rgb``.
+        """Read a stage, unless it has been; start a backend if any frame is to have ``rgb``.
 
         Raises:
             StageError: The stage cannot be read.
             BackendError: A backend is not there or cannot start, or has no such device.
         """
-        return cls.of(read_stage(stage), backend, device, passes)
-
-    @classmethod
-    def of(
-        cls,
-        scene: RenderScene,
-        backend: str,
-        device: str = "auto",
-        passes: Sequence[str] | None = None,
-    ) -> Session:
-        """As ``open``, of a stage that has been read.
-
-        Raises:
-            BackendError: A backend is not there or cannot start, or has no such device.
-        """
+        scene = stage if isinstance(stage, RenderScene) else read_stage(stage)
         wanted = (c.outputs if passes is None else passes for of in scene.cameras for c in of)
         if backend in ANNOTATION_NAMES or not any("rgb" in names for names in wanted):
             return cls(scene, None)

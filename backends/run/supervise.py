@@ -219,7 +219,12 @@ class Supervisor:
                 raise value
             return value
         except (EOFError, OSError, pickle.UnpicklingError):
-            process.wait()
+            # One that sent what cannot be read may still be there.
+            try:
+                process.wait(timeout=5.0)
+            except subprocess.TimeoutExpired:
+                watch.kill()
+                process.wait()
             cause = self._cause(process.returncode, watch.peak)
             raise WorkerDiedError(f"died ({cause})", -process.returncode in CRASHES) from None
         except KeyboardInterrupt:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from scenec.schemas.errors import OutputError
 from scenec.schemas.files import sweep
 from scenec.schemas.frames import FrameKey, is_done
 from scenec.schemas.lock import LOCK, BusyError, Lock
@@ -45,7 +46,7 @@ class Opening:
             from scenec.backends.stage.read import read_stage
 
             scene = read_stage(Path(self.stage), allow_missing=self.allow_missing)
-        return Session.of(scene, self.backend, self.device, self.passes)
+        return Session.open(scene, self.backend, self.device, self.passes)
 
 
 @dataclass(frozen=True)
@@ -196,7 +197,11 @@ class RenderFrame:
         """
         session = self.opening.session(keeper)
         if self.stem.parent not in session.folders:
-            self.stem.parent.mkdir(parents=True, exist_ok=True)
+            folder = self.stem.parent
+            try:
+                folder.mkdir(parents=True, exist_ok=True)
+            except OSError as error:
+                raise OutputError(f"{folder}: cannot be made: {error.strerror}") from error
             # On this machine one may have been killed, of whom nobody else can say so.
             self.clean()
             session.folders.add(self.stem.parent)

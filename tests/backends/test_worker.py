@@ -187,3 +187,10 @@ def test_a_backend_that_is_not_installed_says_what_to_install(monkeypatch):
     )
     with pytest.raises(BackendError, match=r"pip install 'scenec\[mitsuba\]'"):
         open_backend("mitsuba")
+
+
+def test_a_folder_of_frames_that_cannot_be_made_is_one_line_and_one_try(stage):
+    (stage.parent / "frames").mkdir()
+    (stage.parent / "frames" / "annotation").write_text("a file lies here")
+    with pytest.raises(OutputError, match=r"annotation.*: cannot be made: Not a directory"):
+        run(stage, passes=["depth"])
