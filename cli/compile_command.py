@@ -28,8 +28,8 @@ def compile_now(options: argparse.Namespace) -> CompileReport:
     # Here: importing these takes seconds, in which a line is read already.
     from scenec.cli.explain_passes import precision_text
     from scenec.compiler.compile import compile_cfg
-    from scenec.compiler.passes.keep import Keep
-    from scenec.compiler.precision import WARN_PX
+    from scenec.compiler.mesh.precision import WARN_PX
+    from scenec.compiler.views.keep import Keep
 
     cache = cache_of(options)
     bar = Progress("compiled", unit="batch", units="batches")
@@ -106,7 +106,7 @@ def compile_now(options: argparse.Namespace) -> CompileReport:
 
 def cache_of(options: argparse.Namespace) -> Path | None:
     """The folder that the options and the environment name; None: there shall be none."""
-    from scenec.compiler.incremental.store import default_folder
+    from scenec.compiler.cache.store import default_folder
 
     if options.no_cache:
         return None

@@ -57,7 +57,7 @@ def _refuse_early(options: argparse.Namespace) -> bool:
     """
     from scenec.backends.run.auto import check_backend
     from scenec.cli.render_command import plan_of
-    from scenec.compiler.frontend.load import load
+    from scenec.compiler.cfg.load import load
 
     wanted = options.passes
     rigs = load(options.cfg).cfg["rigs"]

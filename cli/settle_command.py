@@ -6,8 +6,8 @@ import argparse
 from dataclasses import asdict
 
 from scenec.cli.output import print_json, say
-from scenec.compiler.settle.settle import SettleReport, settle
-from scenec.compiler.settle.world import Options
+from scenec.settle.settle import SettleReport, settle
+from scenec.settle.world import Options
 
 
 def run(options: argparse.Namespace) -> int:

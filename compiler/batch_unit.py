@@ -12,15 +12,15 @@ from typing import Any
 from pxr import Tf
 
 from scenec.compiler.build import BuildLog, build
-from scenec.compiler.draw import draw
+from scenec.compiler.cache.memo import Memo, memoizing
+from scenec.compiler.cache.store import Store
+from scenec.compiler.cfg.load import Spec, load
+from scenec.compiler.draw.batch import draw
 from scenec.compiler.emit.batch import write_batch
-from scenec.compiler.frontend.load import Spec, load
-from scenec.compiler.incremental.memo import Memo, memoizing
-from scenec.compiler.incremental.store import Store
 from scenec.compiler.output import batch_name
-from scenec.compiler.passes.keep import Keep
-from scenec.compiler.rig import Lidar, Rig, Sensor
-from scenec.compiler.scene import Scene
+from scenec.compiler.scene.rig import Lidar, Rig, Sensor
+from scenec.compiler.scene.scene import Scene
+from scenec.compiler.views.keep import Keep
 from scenec.schemas.errors import CfgError, Fault, OutputError, SceneError
 from scenec.schemas.files import tree, write_json
 from scenec.schemas.left_out import write_left_out

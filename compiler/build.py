@@ -12,28 +12,25 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.compiler.cache.memo import memoized
 from scenec.compiler.cameras.imaging import expose
 from scenec.compiler.cameras.paths.motion import Bodies, bodies_of
 from scenec.compiler.cameras.rigs import build_rigs, build_rigs_and_report, needs_objects
-from scenec.compiler.cameras.sight import Views, pixels_per_meter, views_of
-from scenec.compiler.ground.cover import lay_and_report
-from scenec.compiler.ground.surface import Surface
-from scenec.compiler.ground.tiles import build_tiles
-from scenec.compiler.incremental.memo import memoized
 from scenec.compiler.light.build import build_light
 from scenec.compiler.light.dark import without_dark
 from scenec.compiler.light.lamps import build_lamps, meter_lamps
+from scenec.compiler.materials.finish import Shown, finish
+from scenec.compiler.materials.footprint import footprints
+from scenec.compiler.mesh.cover import lay_and_report
+from scenec.compiler.mesh.precision import REFUSE_PX, precision, refuse, require_resolvable
+from scenec.compiler.mesh.surface import Surface
+from scenec.compiler.mesh.tiles import build_tiles
 from scenec.compiler.objects.build import build_objects
 from scenec.compiler.objects.prototypes import Looks
-from scenec.compiler.passes import needed
-from scenec.compiler.passes.keep import Keep
-from scenec.compiler.passes.prune import Pruned, prune
-from scenec.compiler.passes.reach import without_idle
-from scenec.compiler.plan import Plan
-from scenec.compiler.precision import REFUSE_PX, precision, refuse, require_resolvable
-from scenec.compiler.rig import Rig
-from scenec.compiler.scatter.surroundings import Surroundings
-from scenec.compiler.scene import (
+from scenec.compiler.objects.surroundings import Surroundings
+from scenec.compiler.scene.plan import Plan
+from scenec.compiler.scene.rig import Rig
+from scenec.compiler.scene.scene import (
     Georeference,
     Ground,
     Material,
@@ -42,11 +39,14 @@ from scenec.compiler.scene import (
     Scene,
     SkyLight,
 )
-from scenec.compiler.surfaces.finish import Shown, finish
-from scenec.compiler.surfaces.footprint import footprints
 from scenec.compiler.terrain.grid import Grid
-from scenec.compiler.terrain.mesh_surface import MeshSurface
 from scenec.compiler.terrain.program import run
+from scenec.compiler.terrain.sources.mesh_surface import MeshSurface
+from scenec.compiler.views import needed
+from scenec.compiler.views.keep import Keep
+from scenec.compiler.views.prune import Pruned, prune
+from scenec.compiler.views.reach import without_idle
+from scenec.compiler.views.sight import Views, pixels_per_meter, views_of
 from scenec.schemas.errors import SceneError
 from scenec.schemas.left_out import Record, entry
 

@@ -12,11 +12,11 @@ from pathlib import Path
 from typing import Any
 
 from scenec.compiler.batch_unit import CompileBatch, Compiled
+from scenec.compiler.cache.store import Store
+from scenec.compiler.cfg.load import Spec, load
 from scenec.compiler.estimate import needs_of, require_memory, told_time
-from scenec.compiler.frontend.load import Spec, load
-from scenec.compiler.incremental.store import Store
 from scenec.compiler.output import Output, locked
-from scenec.compiler.passes.keep import Keep
+from scenec.compiler.views.keep import Keep
 from scenec.schemas.errors import ScenecError, SceneError
 from scenec.schemas.files import temporary_folder
 from scenec.schemas.strays import cut_short, stray_scans, strays, told

@@ -12,11 +12,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
-from scenec.compiler.frontend.laws import golombek_rapp_per_m2
-from scenec.compiler.frontend.load import Spec
-from scenec.compiler.frontend.numbers import Distribution
-from scenec.compiler.frontend.resolve import resolve
-from scenec.compiler.frontend.streams import Streams
+from scenec.compiler.cfg.load import Spec
+from scenec.compiler.distributions.laws import golombek_rapp_per_m2
+from scenec.compiler.distributions.numbers import Distribution
+from scenec.compiler.distributions.resolve import resolve
+from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.terrain.grid import Grid
 from scenec.schemas.errors import SceneError
 from scenec.schemas.memory import GB, available

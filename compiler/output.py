@@ -14,10 +14,10 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
+from scenec.compiler.cfg import licenses
+from scenec.compiler.cfg.load import Spec, digest_of
 from scenec.compiler.emit.batch import STAGE
-from scenec.compiler.frontend import licenses
-from scenec.compiler.frontend.load import Spec, digest_of
-from scenec.compiler.passes.keep import Keep
+from scenec.compiler.views.keep import Keep
 from scenec.schemas.errors import OutputError
 from scenec.schemas.files import (
     as_json,

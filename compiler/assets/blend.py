@@ -23,11 +23,11 @@ import numpy as np
 import psutil
 
 from scenec.compiler.arithmetic import elementary
-from scenec.compiler.assets import affine
 from scenec.compiler.assets.looks import SAME_UV, Look, Slot, UvMap, reflectance
 from scenec.compiler.assets.parts import MeshFileError
 from scenec.compiler.assets.pictures import companion, embedded
 from scenec.compiler.assets.shells import ParsedModel, Shell, compact, placed
+from scenec.compiler.geometry import affine
 
 #: What the process may take; a file that needs more is refused.
 SECONDS = 300.0

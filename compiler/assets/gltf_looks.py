@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from scenec.compiler.arithmetic import elementary
-from scenec.compiler.assets import affine
 from scenec.compiler.assets.gltf_scene import natural
 from scenec.compiler.assets.looks import SAME_UV, Look, Slot, UvMap, reflectance
 from scenec.compiler.assets.parts import MeshFileError
 from scenec.compiler.assets.pictures import Source, embedded
+from scenec.compiler.geometry import affine
 
 if TYPE_CHECKING:
     from scenec.compiler.assets.gltf_model import GltfFile

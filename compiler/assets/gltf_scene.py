@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.assets import affine
 from scenec.compiler.assets.parts import MeshFileError, Part
+from scenec.compiler.geometry import affine
 
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 #: Required extensions that leave geometry as it is, by how their names begin.

@@ -11,8 +11,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.assets import affine, trimesh_file
+from scenec.compiler.assets import trimesh_file
 from scenec.compiler.assets.parts import MeshFileError, Parsed, Part
+from scenec.compiler.geometry import affine
 from scenec.schemas.errors import SceneError
 
 USD_SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")

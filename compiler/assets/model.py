@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.assets import affine, trimesh_file
+from scenec.compiler.assets import trimesh_file
 from scenec.compiler.assets.looks import Look, ModelMaterial, finished_look
 from scenec.compiler.assets.mesh_file import (
     MEANING,
@@ -37,6 +37,7 @@ from scenec.compiler.assets.mesh_file import (
 )
 from scenec.compiler.assets.parts import MeshFileError
 from scenec.compiler.assets.shells import ParsedModel, Shell
+from scenec.compiler.geometry import affine
 from scenec.schemas.errors import SceneError
 
 BLEND_SUFFIX = ".blend"

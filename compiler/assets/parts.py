@@ -76,3 +76,8 @@ def fans(counts: NDArray[np.int64], corners: NDArray[np.int64]) -> NDArray[np.in
         int64 [m, 3].
     """
     return corners[fan_corners(counts)[0]]
+
+
+def is_of(path: str, name: str) -> bool:
+    """Whether a part's path is a name's, or stands below it."""
+    return path == name or path.startswith(name.rstrip("/") + "/") or name in path.split("/")

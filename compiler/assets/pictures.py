@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.assets.parts import MeshFileError
-from scenec.compiler.scene import Picture
+from scenec.compiler.scene.scene import Picture
+from scenec.schemas.errors import SceneError
 from scenec.schemas.maps import read_pixels
 
 #: Where a picture is: beside the model or inside of it.
@@ -155,3 +156,22 @@ def png(pixels: NDArray) -> bytes:
         struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))
         for name, data in chunks
     )
+
+
+def read_gray(file: Path) -> NDArray[np.float64]:
+    """A picture of weights, the mean of its channels: float64 [h, w], row 0 at the top.
+
+    Raises:
+        SceneError: Not a picture, or nothing in it is above 0, or something is below.
+    """
+    try:
+        pixels = read_pixels(file)
+    except ValueError as error:
+        raise SceneError(f"{file.name}: {error}") from error
+    gray = pixels.astype(np.float64).mean(axis=2)
+    if gray.min() < 0.0:
+        raise SceneError(f"{file.name}: holds {gray.min():g}; a density is nowhere below 0")
+    if not gray.max() > 0.0:
+        raise SceneError(f"{file.name}: black everywhere; a density is above 0 somewhere")
+    scaled: NDArray[np.float64] = gray / gray.max()
+    return scaled

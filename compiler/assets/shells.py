@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.assets import affine
 from scenec.compiler.assets.looks import Look
 from scenec.compiler.assets.parts import Part
+from scenec.compiler.geometry import affine
 
 
 @dataclass(frozen=True)

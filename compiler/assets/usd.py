@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pxr import Sdf, Tf, Usd, UsdGeom
 
-from scenec.compiler.assets import affine
 from scenec.compiler.assets.parts import MeshFileError, Parsed, Part, fans
+from scenec.compiler.geometry import affine
 from scenec.schemas.native import native_reading
 
 #: Purposes of geometry that stands in for other geometry, or helps to edit it.

@@ -8,11 +8,11 @@ from typing import Any
 
 from pxr import Sdf, UsdShade
 
-from scenec.compiler.assets import affine
 from scenec.compiler.assets.looks import SAME_UV, Look, Slot, UvMap, reflectance
 from scenec.compiler.assets.parts import MeshFileError
 from scenec.compiler.assets.pictures import Source, companion, embedded
 from scenec.compiler.assets.usd import TIME
+from scenec.compiler.geometry import affine
 
 _KINDS = {
     "base_color": "diffuseColor", "roughness": "roughness", "metallic": "metallic",

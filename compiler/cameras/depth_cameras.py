@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from scenec.compiler.frontend.resolve import resolve
-from scenec.compiler.frontend.streams import Streams
+from scenec.compiler.distributions.resolve import resolve
+from scenec.compiler.distributions.streams import Streams
 from scenec.schemas.depth_camera import DepthCamera, StereoDepth, TimeOfFlightDepth
 
 

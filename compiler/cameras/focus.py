@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from scenec.compiler.frontend.resolve import per_sample, resolve
-from scenec.compiler.frontend.streams import Streams
-from scenec.compiler.plan import ImagingPlan
-from scenec.compiler.rig import Focus
+from scenec.compiler.distributions.resolve import per_sample, resolve
+from scenec.compiler.distributions.streams import Streams
+from scenec.compiler.scene.plan import ImagingPlan
+from scenec.compiler.scene.rig import Focus
 from scenec.schemas.errors import SceneError
 
 

@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
-from scenec.compiler.frontend.resolve import resolve
-from scenec.compiler.frontend.streams import Streams
-from scenec.compiler.plan import ImagingPlan, RigPlan
-from scenec.compiler.rig import Rig, Sensor
+from scenec.compiler.distributions.resolve import resolve
+from scenec.compiler.distributions.streams import Streams
+from scenec.compiler.scene.plan import ImagingPlan, RigPlan
+from scenec.compiler.scene.rig import Rig, Sensor
 from scenec.schemas import imaging as formulas
 from scenec.schemas.errors import SceneError
 from scenec.schemas.imaging import Imaging

@@ -7,11 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from scenec.compiler.arithmetic import elementary
-from scenec.compiler.cameras.poses import from_euler
-from scenec.compiler.frontend.resolve import resolve
-from scenec.compiler.frontend.streams import Streams
-from scenec.compiler.rig import Lidar, LidarNoise
+from scenec.compiler.distributions.resolve import resolve
+from scenec.compiler.distributions.streams import Streams
+from scenec.compiler.geometry.poses import from_euler
+from scenec.compiler.scene.rig import Lidar, LidarNoise
 
 
 def draw_lidar(name: str, cfg: Mapping[str, Any], path: str, streams: Streams) -> Lidar:
@@ -42,14 +41,3 @@ def draw_lidar(name: str, cfg: Mapping[str, Any], path: str, streams: Streams) -
         noise_key=streams.key(f"{path}/noise/key"),
         trigger=(cfg["trigger"]["every"], cfg["trigger"]["first"]),
     )
-
-
-def rays_a_radian(lidar: Lidar) -> float:
-    """The largest number of its rays in a radian along the scan, or across it."""
-    low, high = lidar.azimuth_deg
-    per_degree = lidar.azimuths / max(abs(high - low), 1e-9)
-    steps = np.abs(np.diff(np.sort(lidar.elevations_deg, kind="stable")))
-    steps = steps[steps > 0.0]
-    if len(steps):
-        per_degree = max(per_degree, 1.0 / float(steps.min()))
-    return per_degree * 180.0 / elementary.PI

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from scenec.compiler.rig import Sensor
+from scenec.compiler.scene.rig import Sensor
 from scenec.schemas.correspondence import PARTNER
 from scenec.schemas.errors import SceneError
 

@@ -9,14 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
+from scenec.compiler.cache.memo import memoized
 from scenec.compiler.cameras.pairs import require_rectified
 from scenec.compiler.cameras.paths.motion import Around, Bodies, Built
-from scenec.compiler.cameras.poses import bearing_vector, look_at
 from scenec.compiler.cameras.shutters import open_shutters, way_of
-from scenec.compiler.ground.surface import Surface
-from scenec.compiler.incremental.memo import memoized
-from scenec.compiler.plan import RandomTargetPlan, RigPlan, SensorPlan, TrackPlan
-from scenec.compiler.rig import Rig, Sensor
+from scenec.compiler.geometry.poses import bearing_vector, look_at
+from scenec.compiler.mesh.surface import Surface
+from scenec.compiler.scene.plan import RandomTargetPlan, RigPlan, SensorPlan, TrackPlan
+from scenec.compiler.scene.rig import Rig, Sensor
 
 
 def build_rigs(

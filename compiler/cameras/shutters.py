@@ -19,14 +19,14 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.cameras.lenses import FUNCTIONS, sight_of
 from scenec.compiler.cameras.paths.motion import Around, Built, Motion
-from scenec.compiler.cameras.poses import composed
 from scenec.compiler.cameras.tracks import Sampling
-from scenec.compiler.frontend.resolve import resolve
-from scenec.compiler.frontend.streams import Streams
-from scenec.compiler.plan import ImagingPlan, RandomTargetPlan, SensorPlan, TrackPlan
-from scenec.compiler.rig import Between, OpenShutter, Rig, Sensor
+from scenec.compiler.distributions.resolve import resolve
+from scenec.compiler.distributions.streams import Streams
+from scenec.compiler.geometry.lenses import FUNCTIONS, sight_of
+from scenec.compiler.geometry.poses import composed
+from scenec.compiler.scene.plan import ImagingPlan, RandomTargetPlan, SensorPlan, TrackPlan
+from scenec.compiler.scene.rig import Between, OpenShutter, Rig, Sensor
 from scenec.schemas.shutter import Shutter, between
 
 #: What interpolation may err by, pixels.

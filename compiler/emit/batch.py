@@ -21,7 +21,7 @@ from scenec.compiler.emit.objects import (
 )
 from scenec.compiler.emit.sky_prim import write_sky_prim
 from scenec.compiler.emit.terrain import write_terrain
-from scenec.compiler.scene import Material, Placed, Scene
+from scenec.compiler.scene.scene import Material, Placed, Scene
 from scenec.schemas import stage as names
 from scenec.schemas.errors import SceneError
 from scenec.schemas.files import inside

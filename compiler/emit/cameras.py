@@ -17,8 +17,8 @@ from scenec.compiler.emit.imaging import write_imaging
 from scenec.compiler.emit.layer import author, new_layer
 from scenec.compiler.emit.sensors import write_depth_camera, write_lidar, write_trigger
 from scenec.compiler.emit.shutter import write_between, write_shutter
-from scenec.compiler.rig import Rig, Sensor
-from scenec.compiler.scene import Scene
+from scenec.compiler.scene.rig import Rig, Sensor
+from scenec.compiler.scene.scene import Scene
 from scenec.schemas import stage as names
 from scenec.schemas.lens import KANNALA_BRANDT, Lens
 from scenec.schemas.passes import BUILT_IN

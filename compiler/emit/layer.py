@@ -9,7 +9,7 @@ from typing import Any
 
 from pxr import Sdf, Usd, UsdGeom, UsdSemantics
 
-from scenec.compiler.scene import Labels
+from scenec.compiler.scene.scene import Labels
 from scenec.schemas import stage as names
 
 

@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux
 
-from scenec.compiler.cameras.poses import cross
+from scenec.compiler.cache.memo import memoized_file
 from scenec.compiler.emit.layer import author, new_layer
 from scenec.compiler.emit.maps import TEXTURES
-from scenec.compiler.incremental.memo import memoized_file
+from scenec.compiler.geometry.poses import cross
 from scenec.compiler.light.latlong import luminance
 from scenec.compiler.light.sky import sun_direction
-from scenec.compiler.scene import Lamp, Scene, SkyLight, SunLight
+from scenec.compiler.scene.scene import Lamp, Scene, SkyLight, SunLight
 from scenec.schemas import stage as names
 from scenec.schemas.exr import write_rgb
 

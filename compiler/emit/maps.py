@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from scenec.compiler.arithmetic.srgb import linear_codes
-from scenec.compiler.scene import Material, Picture
-from scenec.compiler.surfaces.heights import stamp
+from scenec.compiler.materials.heights import stamp
+from scenec.compiler.scene.scene import Material, Picture
 from scenec.schemas.files import inside
 from scenec.schemas.maps import read_pixels
 

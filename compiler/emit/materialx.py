@@ -18,11 +18,11 @@ from pathlib import Path
 
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade
 
+from scenec.compiler.cache.memo import memoized_file
 from scenec.compiler.emit.layer import new_layer
 from scenec.compiler.emit.looks import LOOKS, look_path
 from scenec.compiler.emit.preview import is_encoded
-from scenec.compiler.incremental.memo import memoized_file
-from scenec.compiler.scene import Ground, Material
+from scenec.compiler.scene.scene import Ground, Material
 from scenec.schemas import materialx as mtlx
 from scenec.schemas import stage as names
 

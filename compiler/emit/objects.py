@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pxr import Gf, Sdf, Usd, UsdGeom, Vt
 
+from scenec.compiler.cache.memo import memoized_file
 from scenec.compiler.emit.layer import (
     author,
     constant_label_ids,
@@ -18,8 +19,7 @@ from scenec.compiler.emit.layer import (
 )
 from scenec.compiler.emit.prototypes import write_prototype
 from scenec.compiler.emit.terrain import bind, write_vertex_floats
-from scenec.compiler.incremental.memo import memoized_file
-from scenec.compiler.scene import Material, Placed, Scatter
+from scenec.compiler.scene.scene import Material, Placed, Scatter
 from scenec.schemas import stage as names
 
 OBJECTS = f"{names.ROOT}/Objects"

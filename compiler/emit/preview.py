@@ -5,7 +5,7 @@ from __future__ import annotations
 from pxr import Gf, Sdf, Usd, UsdShade
 
 from scenec.compiler.emit.maps import average_color
-from scenec.compiler.scene import Material
+from scenec.compiler.scene.scene import Material
 from scenec.schemas import stage as names
 from scenec.schemas.maps import COLORS
 

@@ -16,7 +16,7 @@ from scenec.compiler.emit.terrain import (
     write_triangles,
     write_vertex_floats,
 )
-from scenec.compiler.scene import Labels, Material, Prototype
+from scenec.compiler.scene.scene import Labels, Material, Prototype
 from scenec.schemas import stage as names
 
 #: Primvar of texture coordinates, USD's customary name.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from pxr import Gf, Sdf, Usd, UsdGeom, Vt
 
-from scenec.compiler.rig import Lidar
+from scenec.compiler.scene.rig import Lidar
 from scenec.schemas import stage as names
 from scenec.schemas.depth_camera import DepthCamera, as_numbers, kind_of
 

@@ -16,7 +16,7 @@ from pxr import Gf, Sdf, Usd, UsdGeom, Vt
 
 from scenec.compiler.cameras.shutters import clock, codes_at
 from scenec.compiler.emit.layer import author
-from scenec.compiler.rig import OpenShutter, Rig
+from scenec.compiler.scene.rig import OpenShutter, Rig
 from scenec.schemas import stage as names
 
 _HALF_TURN = np.array([*names.HALF_TURN, 1.0])

@@ -10,7 +10,7 @@ from pxr import Gf, Sdf, Usd, UsdGeom
 from scenec.compiler.assets.pictures import png
 from scenec.compiler.emit.layer import author, constant_label_ids, label, label_names, new_layer
 from scenec.compiler.emit.maps import TEXTURES
-from scenec.compiler.scene import Haze, Scene, SkyLabelMaps
+from scenec.compiler.scene.scene import Haze, Scene, SkyLabelMaps
 from scenec.schemas import stage as names
 from scenec.schemas.files import inside
 

@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade, Vt
 
+from scenec.compiler.cache.memo import memoized_file
 from scenec.compiler.emit.layer import label, new_layer
 from scenec.compiler.emit.looks import look_path
 from scenec.compiler.emit.maps import average_color
-from scenec.compiler.incremental.memo import memoized_file
-from scenec.compiler.scene import Ground, Material, Tile
+from scenec.compiler.scene.scene import Ground, Material, Tile
 from scenec.schemas import stage as names
 
 TERRAIN = f"{names.ROOT}/Terrain"

@@ -14,7 +14,7 @@ from scenec.compiler.light.atmosphere_planets import MEDIA
 from scenec.compiler.light.atmosphere_spectra import wavelengths, weights
 from scenec.compiler.light.latlong import luminance
 from scenec.compiler.light.plan import AtmospherePlan
-from scenec.compiler.scene import SkyLight, SunLight
+from scenec.compiler.scene.scene import SkyLight, SunLight
 
 #: At which optical depths are reported, nm.
 _REPORTED_NM = 550.0

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.incremental.memo import memoized
+from scenec.compiler.cache.memo import memoized
 from scenec.compiler.light.atmosphere_sky import build_atmosphere
 from scenec.compiler.light.latlong import luminance
 from scenec.compiler.light.panorama import build_label_maps, build_panorama
 from scenec.compiler.light.plan import AtmospherePlan, ImageSkyPlan, LightPlan
 from scenec.compiler.light.sky import build_sky, level_sun_irradiance, sky_irradiance
-from scenec.compiler.scene import Haze, SkyLabelMaps, SkyLight, SunLight
+from scenec.compiler.scene.scene import Haze, SkyLabelMaps, SkyLight, SunLight
 
 
 @dataclass(frozen=True)

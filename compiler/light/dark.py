@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from scenec.compiler.light.build import Light
-from scenec.compiler.scene import Lamp, SkyLight, SunLight
+from scenec.compiler.scene.scene import Lamp, SkyLight, SunLight
 
 
 def without_dark(

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.light.label_maps import LabelMapPlan, decode
+from scenec.compiler.cfg.label_maps import LabelMapPlan, decode
 from scenec.compiler.light.latlong import read_picture
 from scenec.compiler.light.picture_sun import DIAMETER_DEG, PictureSun, extract_sun
 from scenec.compiler.light.plan import ImageSkyPlan
-from scenec.compiler.scene import SkyLabelMaps, SkyLight, SunLight
+from scenec.compiler.scene.scene import SkyLabelMaps, SkyLight, SunLight
 
 
 def build_panorama(plan: ImageSkyPlan) -> tuple[SkyLight, SunLight | None, dict[str, Any]]:

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.light.label_maps import LabelMapPlan
-from scenec.compiler.scene import Haze, SunLight
+from scenec.compiler.cfg.label_maps import LabelMapPlan
+from scenec.compiler.scene.scene import Haze, SunLight
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from scenec.compiler.arithmetic import elementary
 from scenec.compiler.light.clear_sky import clear_sky
 from scenec.compiler.light.latlong import horizontal_irradiance, luminance, read_picture
 from scenec.compiler.light.plan import ClearSkyPlan
-from scenec.compiler.scene import SkyLight, SunLight
+from scenec.compiler.scene.scene import SkyLight, SunLight
 
 
 def build_sky(

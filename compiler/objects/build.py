@@ -11,23 +11,17 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.cameras.sight import Views
-from scenec.compiler.incremental.memo import memoized
+from scenec.compiler.cache.memo import memoized
+from scenec.compiler.objects.lay import lay
+from scenec.compiler.objects.lod import Levels, budget_factor, choose_levels, finest, see_levels
 from scenec.compiler.objects.placed import place_objects
 from scenec.compiler.objects.poses import PlacedPlan
 from scenec.compiler.objects.prototypes import Looks, ModelPlan, build_prototype, load_model
-from scenec.compiler.plan import ModelSource, ScatterPlan
-from scenec.compiler.scatter.lay import lay
-from scenec.compiler.scatter.lod import (
-    Levels,
-    budget_factor,
-    choose_levels,
-    finest,
-    see_levels,
-)
-from scenec.compiler.scatter.rocks import Chain, build_chains
-from scenec.compiler.scatter.surroundings import Surroundings, footprints
-from scenec.compiler.scene import Placed, Prototype, Scatter
+from scenec.compiler.objects.rocks import Chain, build_chains
+from scenec.compiler.objects.surroundings import Surroundings, footprints
+from scenec.compiler.scene.plan import ModelSource, ScatterPlan
+from scenec.compiler.scene.scene import Placed, Prototype, Scatter
+from scenec.compiler.views.sight import Views
 
 
 class _Log(Protocol):

@@ -7,7 +7,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
-from scenec.compiler.arithmetic.normals import faces_of_vertices
+from scenec.compiler.geometry.normals import faces_of_vertices
 
 
 def corner_normals(

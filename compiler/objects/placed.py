@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.cameras.poses import compose, from_quaternion
-from scenec.compiler.ground.surface import Surface
+from scenec.compiler.geometry.poses import compose, from_quaternion
+from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.objects.poses import PlacedPlan
-from scenec.compiler.scene import Placed, Prototype
+from scenec.compiler.scene.scene import Placed, Prototype
 from scenec.schemas.errors import SceneError
 
 

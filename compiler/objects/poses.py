@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.objects.prototypes import ModelPlan, PartRule
-from scenec.compiler.scene import Labels
+from scenec.compiler.scene.scene import Labels
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from scenec.compiler.assets.cache import cached_model
 from scenec.compiler.assets.looks import ModelMaterial
 from scenec.compiler.assets.model import Model
+from scenec.compiler.assets.parts import is_of
 from scenec.compiler.objects.corners import corner_normals, split
-from scenec.compiler.scene import Labels, Material, MaterialMaps, MeshPart, Prototype
+from scenec.compiler.scene.scene import Labels, Material, MaterialMaps, MeshPart, Prototype
 from scenec.schemas.errors import SceneError
 
 #: Faces that meet at a larger angle have an edge between them, where a file gives no normals.
@@ -142,11 +143,6 @@ def _rules_of_faces(model: Model, rules: tuple[PartRule, ...]) -> NDArray[np.int
         named = [i for i, m in enumerate(model.materials) if m.name == rule.name]
         found[np.isin(model.part_of_face, parts) | np.isin(model.material_of_face, named)] = index
     return found
-
-
-def is_of(path: str, name: str) -> bool:
-    """Whether a part's path is a name's, or stands below it."""
-    return path == name or path.startswith(name.rstrip("/") + "/") or name in path.split("/")
 
 
 def part_names(model: Model) -> list[str]:

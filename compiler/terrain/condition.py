@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.noise.perlin import fbm2_points
 from scenec.compiler.noise.rows import fbm_grid, tabulate
-from scenec.compiler.terrain.craters import Craters
 from scenec.compiler.terrain.freshness import crater_freshness
 from scenec.compiler.terrain.grid import Grid
-from scenec.compiler.terrain.multifractal import octaves_shown
+from scenec.compiler.terrain.operators.craters import Craters
+from scenec.compiler.terrain.operators.multifractal import octaves_shown
 from scenec.compiler.terrain.quantities import Quantities
 
 

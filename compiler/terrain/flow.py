@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from scenec.compiler.terrain.drainage import SIDES, drain, outlet_samples
+from scenec.compiler.terrain.operators.drainage import SIDES, drain, outlet_samples
 
 
 def upslope_area(height: NDArray[np.float64], dx: float, dy: float) -> NDArray[np.float64]:

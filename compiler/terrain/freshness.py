@@ -20,9 +20,9 @@ from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
-from scenec.compiler.terrain.crater_profile import REACH, profile_table
-from scenec.compiler.terrain.craters import Craters, shown_on, span, uneven_distance
 from scenec.compiler.terrain.grid import Grid
+from scenec.compiler.terrain.operators.crater_profile import REACH, profile_table
+from scenec.compiler.terrain.operators.craters import Craters, shown_on, span, uneven_distance
 
 # ln 2 * 2.3^3: half is covered at 2.3 radii.
 _COVER = 0.6931471805599453 * 12.167

@@ -7,21 +7,21 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.terrain.barchans import Barchans
-from scenec.compiler.terrain.craters import Craters
-from scenec.compiler.terrain.dem import Dem
-from scenec.compiler.terrain.dunes import Dunes, Ripples
 from scenec.compiler.terrain.grid import Grid
 from scenec.compiler.terrain.mask import Masked
-from scenec.compiler.terrain.mesh_base import MeshBase
-from scenec.compiler.terrain.multifractal import Multifractal
-from scenec.compiler.terrain.plane import Plane
-from scenec.compiler.terrain.smooth import Diffusion, Smooth
-from scenec.compiler.terrain.stream_power import StreamPower
-from scenec.compiler.terrain.terraces import Terraces
-from scenec.compiler.terrain.thermal import Thermal
-from scenec.compiler.terrain.tracks import Tracks
-from scenec.compiler.terrain.worley import Worley
+from scenec.compiler.terrain.operators.barchans import Barchans
+from scenec.compiler.terrain.operators.craters import Craters
+from scenec.compiler.terrain.operators.dunes import Dunes, Ripples
+from scenec.compiler.terrain.operators.multifractal import Multifractal
+from scenec.compiler.terrain.operators.smooth import Diffusion, Smooth
+from scenec.compiler.terrain.operators.stream_power import StreamPower
+from scenec.compiler.terrain.operators.terraces import Terraces
+from scenec.compiler.terrain.operators.thermal import Thermal
+from scenec.compiler.terrain.operators.tracks import Tracks
+from scenec.compiler.terrain.operators.worley import Worley
+from scenec.compiler.terrain.sources.dem import Dem
+from scenec.compiler.terrain.sources.mesh_base import MeshBase
+from scenec.compiler.terrain.sources.plane import Plane
 
 
 class ReliefOperator(Protocol):

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.incremental.memo import memoized
+from scenec.compiler.cache.memo import memoized
 from scenec.compiler.terrain.detail import Detail, Detailed, Weighted
 from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.compiler.terrain.mask import Masked
-from scenec.compiler.terrain.mesh_base import DEFAULT_TRIANGLES, MeshBase
-from scenec.compiler.terrain.mesh_surface import MeshSurface
 from scenec.compiler.terrain.operator import ReliefOperator, operator_type
+from scenec.compiler.terrain.sources.mesh_base import DEFAULT_TRIANGLES, MeshBase
+from scenec.compiler.terrain.sources.mesh_surface import MeshSurface
 from scenec.schemas.errors import SceneError
 
 #: Squares of heights must be numbers in float32 too: renderers take them.

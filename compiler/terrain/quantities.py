@@ -12,10 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
+from scenec.compiler.assets.polyline import read_polyline
 from scenec.compiler.terrain.flow import upslope_area
 from scenec.compiler.terrain.grid import Grid, HeightField
-from scenec.compiler.terrain.polyline import project, read_polyline
-from scenec.compiler.terrain.smooth import diffuse
+from scenec.compiler.terrain.operators.smooth import diffuse
+from scenec.compiler.terrain.polyline import project
 
 #: Length over which heights are smoothed where none is given, in grid spacings: differences of
 #: single samples are mostly the finest octave of a noise.

@@ -12,9 +12,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from scenec.compiler.cfg.load import load
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.estimate import BASE_BYTES, needs_of
-from scenec.compiler.frontend.load import load
 from scenec.studies.benchmarks.cfgs import rocks_on_hills
 from scenec.studies.runner import CONFIGS, Cell, Study, apart, names, run
 

@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 
 from scenec.compiler.build import BuildLog, build
-from scenec.compiler.draw import draw
-from scenec.compiler.frontend.load import load
+from scenec.compiler.cfg.load import load
+from scenec.compiler.draw.batch import draw
 from scenec.studies.benchmarks.compile import seconds
 from scenec.studies.runner import Cell, Study, apart, peak_mib, run
 

@@ -16,20 +16,20 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.frontend.streams import Streams
-from scenec.compiler.terrain.barchans import draw_barchans
-from scenec.compiler.terrain.drainage import SIDES
-from scenec.compiler.terrain.draw_craters import draw_craters
-from scenec.compiler.terrain.dunes import Dunes, Ripples
+from scenec.compiler.distributions.streams import Streams
+from scenec.compiler.draw.craters import draw_craters
 from scenec.compiler.terrain.grid import Grid
-from scenec.compiler.terrain.multifractal import Multifractal
 from scenec.compiler.terrain.operator import ReliefOperator
-from scenec.compiler.terrain.smooth import Smooth
-from scenec.compiler.terrain.stream_power import StreamPower
-from scenec.compiler.terrain.terraces import Terraces
-from scenec.compiler.terrain.thermal import Thermal
-from scenec.compiler.terrain.tracks import Tracks
-from scenec.compiler.terrain.worley import Worley
+from scenec.compiler.terrain.operators.barchans import draw_barchans
+from scenec.compiler.terrain.operators.drainage import SIDES
+from scenec.compiler.terrain.operators.dunes import Dunes, Ripples
+from scenec.compiler.terrain.operators.multifractal import Multifractal
+from scenec.compiler.terrain.operators.smooth import Smooth
+from scenec.compiler.terrain.operators.stream_power import StreamPower
+from scenec.compiler.terrain.operators.terraces import Terraces
+from scenec.compiler.terrain.operators.thermal import Thermal
+from scenec.compiler.terrain.operators.tracks import Tracks
+from scenec.compiler.terrain.operators.worley import Worley
 from scenec.studies.runner import Cell, Study, run, times
 
 HEADER = ("operator", "best s", "median s", "CPU s", "asked, or times ours (of CPU)")

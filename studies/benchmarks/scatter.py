@@ -14,16 +14,16 @@ from typing import Any
 
 import numpy as np
 
-from scenec.compiler.frontend.fill import fill
-from scenec.compiler.frontend.streams import Streams
-from scenec.compiler.ground.surface import Surface
-from scenec.compiler.scatter.draw import draw_rocks
-from scenec.compiler.scatter.draw_scatter import Setting
-from scenec.compiler.scatter.lay import lay
-from scenec.compiler.scatter.rocks import build_chains
-from scenec.compiler.scatter.surroundings import Surroundings
+from scenec.compiler.cfg.fill import fill
+from scenec.compiler.distributions.streams import Streams
+from scenec.compiler.draw.rocks import draw_rocks
+from scenec.compiler.draw.scatter import Setting
+from scenec.compiler.mesh.surface import Surface
+from scenec.compiler.objects.lay import lay
+from scenec.compiler.objects.rocks import build_chains
+from scenec.compiler.objects.surroundings import Surroundings
 from scenec.compiler.terrain.grid import Grid, HeightField
-from scenec.compiler.terrain.multifractal import Multifractal
+from scenec.compiler.terrain.operators.multifractal import Multifractal
 from scenec.studies.runner import Study, apart, peak_mib, run
 
 _SIZE = 400.0

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation, RotationSpline, Slerp
 
-from scenec.compiler.cameras.se3 import METHODS, interpolate
+from scenec.compiler.geometry.se3 import METHODS, interpolate
 from scenec.studies.runner import Cell, Study, run, times
 
 POSES = 10_000

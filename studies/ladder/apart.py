@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from scenec.compiler.scene import Prototype
+from scenec.compiler.scene.scene import Prototype
 from scenec.schemas.threads import over_threads
 from scenec.studies.ladder.points import triangle
 

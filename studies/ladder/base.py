@@ -16,17 +16,17 @@ from scenec.compiler.build import (
     stand_objects,
     stand_rigs,
 )
-from scenec.compiler.cameras.sight import Views, pixels_of_balls, pixels_per_meter, views_of
-from scenec.compiler.draw import draw
-from scenec.compiler.frontend.load import Spec
-from scenec.compiler.ground.surface import Surface
+from scenec.compiler.cfg.load import Spec
+from scenec.compiler.draw.batch import draw
+from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.objects.prototypes import Looks
-from scenec.compiler.passes.keep import Keep
-from scenec.compiler.passes.needed import with_color
-from scenec.compiler.plan import Plan, ScatterPlan
-from scenec.compiler.rig import Rig
-from scenec.compiler.scene import Placed, Scatter, Tile
-from scenec.compiler.terrain.mesh_surface import MeshSurface
+from scenec.compiler.scene.plan import Plan, ScatterPlan
+from scenec.compiler.scene.rig import Rig
+from scenec.compiler.scene.scene import Placed, Scatter, Tile
+from scenec.compiler.terrain.sources.mesh_surface import MeshSurface
+from scenec.compiler.views.keep import Keep
+from scenec.compiler.views.needed import with_color
+from scenec.compiler.views.sight import Views, pixels_of_balls, pixels_per_meter, views_of
 from scenec.studies.ladder.eyes import Eye, eyes_of
 
 #: As near as errors on the ground are looked at, meters.

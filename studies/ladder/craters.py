@@ -6,12 +6,12 @@ from functools import partial
 
 import numpy as np
 
-from scenec.compiler.ground.surface import Surface
-from scenec.compiler.terrain.craters import Craters
+from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.compiler.terrain.mask import Masked
-from scenec.compiler.terrain.mesh_surface import MeshSurface
 from scenec.compiler.terrain.operator import ReliefOperator
+from scenec.compiler.terrain.operators.craters import Craters
+from scenec.compiler.terrain.sources.mesh_surface import MeshSurface
 from scenec.studies.ladder.base import Base
 from scenec.studies.ladder.cost import Clock
 from scenec.studies.ladder.points import rms, square, worst

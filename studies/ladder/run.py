@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from scenec.compiler.frontend.load import Spec, load
-from scenec.compiler.passes.keep import Keep
+from scenec.compiler.cfg.load import Spec, load
+from scenec.compiler.views.keep import Keep
 from scenec.schemas.errors import CfgError, OutputError, ScenecError
 from scenec.schemas.manifest import CFG, MANIFEST, find_batches, read_manifest
 from scenec.schemas.spelling import closest, shown

@@ -9,8 +9,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from scenec.compiler.ground.surface import Surface
-from scenec.compiler.rig import Lidar
+from scenec.compiler.mesh.surface import Surface
+from scenec.compiler.scene.rig import Lidar
 from scenec.compiler.terrain.grid import HeightField, surface_height
 from scenec.schemas.threads import over_threads
 from scenec.studies.ladder.eyes import Eye

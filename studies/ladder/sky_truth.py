@@ -24,7 +24,7 @@ from scenec.compiler.light.atmosphere_spectra import wavelengths, weights
 from scenec.compiler.light.latlong import luminance
 from scenec.compiler.light.plan import AtmospherePlan, ClearSkyPlan
 from scenec.compiler.light.sky import sun_direction
-from scenec.compiler.scene import SunLight
+from scenec.compiler.scene.scene import SunLight
 from scenec.schemas.threads import over_threads
 
 _RADIAN = elementary.PI / 180.0

@@ -11,15 +11,15 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
-from scenec.compiler.ground.surface import Surface
+from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.compiler.terrain.mask import Masked
-from scenec.compiler.terrain.mesh_surface import MeshSurface
 from scenec.compiler.terrain.operator import operator_type
+from scenec.compiler.terrain.operators.smooth import Diffusion, Smooth
+from scenec.compiler.terrain.operators.stream_power import StreamPower
+from scenec.compiler.terrain.operators.thermal import Thermal
 from scenec.compiler.terrain.program import run
-from scenec.compiler.terrain.smooth import Diffusion, Smooth
-from scenec.compiler.terrain.stream_power import StreamPower
-from scenec.compiler.terrain.thermal import Thermal
+from scenec.compiler.terrain.sources.mesh_surface import MeshSurface
 from scenec.studies.ladder.base import Base
 from scenec.studies.ladder.cost import Clock
 from scenec.studies.ladder.points import rms, worst

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.cameras.sight import pixels_per_meter
 from scenec.compiler.emit.layer import label_names
 from scenec.compiler.emit.terrain import write_terrain
-from scenec.compiler.ground.tiles import build_tiles
-from scenec.compiler.scene import Ground, Tile
+from scenec.compiler.mesh.tiles import build_tiles
+from scenec.compiler.scene.scene import Ground, Tile
 from scenec.compiler.terrain.grid import Grid, HeightField
-from scenec.compiler.terrain.mesh_surface import MeshSurface
+from scenec.compiler.terrain.sources.mesh_surface import MeshSurface
+from scenec.compiler.views.sight import pixels_per_meter
 from scenec.studies.ladder.base import Base
 from scenec.studies.ladder.cost import Clock, written
 from scenec.studies.ladder.points import rms, worst

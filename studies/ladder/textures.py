@@ -9,15 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.emit.maps import copy_maps
-from scenec.compiler.ground.tiles import build_tiles
 from scenec.compiler.light.latlong import luminance
-from scenec.compiler.scene import Ground, Material, Tile
-from scenec.compiler.surfaces.bake import baked
-from scenec.compiler.surfaces.footprint import Footprint, footprints
-from scenec.compiler.surfaces.heights import forget_looks
-from scenec.compiler.surfaces.pictures import with_pictures
-from scenec.compiler.surfaces.reduce import halvings, reduced
-from scenec.compiler.surfaces.values import Source, colors, forget_pixels, stored
+from scenec.compiler.materials.bake import baked
+from scenec.compiler.materials.footprint import Footprint, footprints
+from scenec.compiler.materials.heights import forget_looks
+from scenec.compiler.materials.pictures import with_pictures
+from scenec.compiler.materials.reduce import halvings, reduced
+from scenec.compiler.materials.values import Source, colors, forget_pixels, stored
+from scenec.compiler.mesh.tiles import build_tiles
+from scenec.compiler.scene.scene import Ground, Material, Tile
 from scenec.studies.ladder.base import Base
 from scenec.studies.ladder.cost import Clock, written
 from scenec.studies.ladder.pixel_means import pixel_means

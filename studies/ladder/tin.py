@@ -9,7 +9,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from scenec.compiler.scene import Tile
+from scenec.compiler.scene.scene import Tile
 
 #: Points to a cell of the index.
 _PER_CELL = 4.0

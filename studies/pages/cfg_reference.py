@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from scenec.compiler.frontend.schema import NUMBER, ROOT, load_schemas
+from scenec.compiler.cfg.schema import NUMBER, ROOT, load_schemas
 from scenec.schemas.passes import BUILT_IN
 
 TARGET = Path(__file__).resolve().parents[2] / "docs" / "cfg.md"

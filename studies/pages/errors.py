@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from functools import partial
 
-from scenec.compiler.frontend.load import load
+from scenec.compiler.cfg.load import load
 from scenec.studies.ladder import APPROXIMATIONS, Ladder, LadderReport
 from scenec.studies.ladder.base import Base
 from scenec.studies.ladder.plots import draw

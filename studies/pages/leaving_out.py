@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from pxr import Usd
 
-from scenec.compiler.passes.keep import Keep
+from scenec.compiler.views.keep import Keep
 from scenec.schemas.errors import ScenecError
 from scenec.studies.runner import ROOT, Page, run, table
 
@@ -37,7 +37,7 @@ SPP = 64
 HEAD = """# Leaving out what a scene does not need
 
 A stage holds what the outputs asked for need, and what a camera or lidar of the batch can see the
-effect of. Both are passes over the Scene (`compiler/passes/`), and both err one way only: what
+effect of. Both are passes over the Scene (`compiler/views/`), and both err one way only: what
 they cannot be sure of stays. Approximations (levels of detail, tessellation) come first and are
 the same with and without.
 

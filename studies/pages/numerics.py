@@ -18,10 +18,10 @@ from scenec.backends.picture.compose import compose
 from scenec.backends.run.session import Session
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.compile import compile_cfg
-from scenec.compiler.ground.merge import Merge, label_index
-from scenec.compiler.ground.surface import Surface
-from scenec.compiler.ground.tiles import build_tiles
-from scenec.compiler.scatter.icosphere import icosphere
+from scenec.compiler.geometry.icosphere import icosphere
+from scenec.compiler.mesh.merge import Merge, label_index
+from scenec.compiler.mesh.surface import Surface
+from scenec.compiler.mesh.tiles import build_tiles
 from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.studies.runner import Page, run, table
 

@@ -14,15 +14,15 @@ from numpy.typing import NDArray
 
 from scenec.compiler.build import BuildLog, build_surface, stand_objects
 from scenec.compiler.cameras.rigs import build_rigs
-from scenec.compiler.draw import draw
-from scenec.compiler.frontend.check_numbers import check_number, read_number
-from scenec.compiler.frontend.load import load
-from scenec.compiler.frontend.numbers import Distribution
-from scenec.compiler.frontend.schema import Field
-from scenec.compiler.ground.surface import Surface
-from scenec.compiler.plan import Plan
-from scenec.compiler.rig import Rig
-from scenec.compiler.scene import Placed, Prototype, Scatter
+from scenec.compiler.cfg.check_numbers import check_number, read_number
+from scenec.compiler.cfg.load import load
+from scenec.compiler.cfg.schema import Field
+from scenec.compiler.distributions.numbers import Distribution
+from scenec.compiler.draw.batch import draw
+from scenec.compiler.mesh.surface import Surface
+from scenec.compiler.scene.plan import Plan
+from scenec.compiler.scene.rig import Rig
+from scenec.compiler.scene.scene import Placed, Prototype, Scatter
 
 #: Extent of the terrain where nothing else is said, meters.
 SIZE = (40.0, 32.0)

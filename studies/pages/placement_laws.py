@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import integrate, special, stats
 
-from scenec.compiler.frontend.fill import fill
-from scenec.compiler.frontend.laws import golombek_rapp_per_m2
-from scenec.compiler.frontend.numbers import draw_number
-from scenec.compiler.frontend.streams import Streams
-from scenec.compiler.scatter.draw import draw_rocks
-from scenec.compiler.scatter.draw_scatter import Setting
+from scenec.compiler.cfg.fill import fill
+from scenec.compiler.distributions.laws import golombek_rapp_per_m2
+from scenec.compiler.distributions.numbers import draw_number
+from scenec.compiler.distributions.streams import Streams
+from scenec.compiler.draw.rocks import draw_rocks
+from scenec.compiler.draw.scatter import Setting
 from scenec.studies.pages.placement_field import number
 from scenec.studies.runner import Page, table
 

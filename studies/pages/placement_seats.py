@@ -8,12 +8,12 @@ from unittest import mock
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.cameras.sight import views_of
-from scenec.compiler.scatter import foot
-from scenec.compiler.scatter.lod import budget_factor, choose_levels, see_levels
-from scenec.compiler.scatter.rocks import build_chains
-from scenec.compiler.scatter.seat import seat
-from scenec.compiler.scene import Scatter
+from scenec.compiler.objects import foot
+from scenec.compiler.objects.lod import budget_factor, choose_levels, see_levels
+from scenec.compiler.objects.rocks import build_chains
+from scenec.compiler.objects.seat import seat
+from scenec.compiler.scene.scene import Scatter
+from scenec.compiler.views.sight import views_of
 from scenec.schemas.errors import SceneError
 from scenec.studies.pages.placement_field import PLANE, cfg, gaps, stand
 from scenec.studies.runner import Page, table

@@ -12,8 +12,8 @@ from numba import njit
 from numpy.typing import NDArray
 from PIL import Image
 
-from scenec.compiler.ground.surface import Surface
-from scenec.compiler.scatter.density import (
+from scenec.compiler.mesh.surface import Surface
+from scenec.compiler.objects.density import (
     AroundDensity,
     ClusterDensity,
     Density,
@@ -24,14 +24,14 @@ from scenec.compiler.scatter.density import (
     UniformDensity,
     WorleyDensity,
 )
-from scenec.compiler.scatter.placement import places_on
-from scenec.compiler.scatter.surroundings import Footprints, Surroundings
-from scenec.compiler.scatter.where import OnRelief, Place
-from scenec.compiler.scene import Scatter
+from scenec.compiler.objects.placement import places_on
+from scenec.compiler.objects.surroundings import Footprints, Surroundings
+from scenec.compiler.objects.where import OnRelief, Place
+from scenec.compiler.scene.scene import Scatter
 from scenec.compiler.terrain.condition import SlopeCondition
-from scenec.compiler.terrain.craters import Craters
 from scenec.compiler.terrain.grid import Grid, HeightField
-from scenec.compiler.terrain.multifractal import Multifractal
+from scenec.compiler.terrain.operators.craters import Craters
+from scenec.compiler.terrain.operators.multifractal import Multifractal
 from scenec.studies.pages.placement_field import PLANE, SIZE, cfg, stand
 from scenec.studies.runner import Page, table
 

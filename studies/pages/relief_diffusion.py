@@ -10,7 +10,7 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from scenec.compiler.terrain.grid import Grid
-from scenec.compiler.terrain.smooth import Smooth, laplacian_eigenvalues
+from scenec.compiler.terrain.operators.smooth import Smooth, laplacian_eigenvalues
 from scenec.studies.runner import Page, table
 
 #: One step of a scheme: heights and spacing and kappa * dt to heights.

@@ -8,10 +8,10 @@ import matplotlib.pyplot as plt
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.terrain.drainage import SIDES, drain, drainage_area, outlet_samples
 from scenec.compiler.terrain.grid import Grid
-from scenec.compiler.terrain.stream_power import StreamPower
-from scenec.compiler.terrain.thermal import Thermal
+from scenec.compiler.terrain.operators.drainage import SIDES, drain, drainage_area, outlet_samples
+from scenec.compiler.terrain.operators.stream_power import StreamPower
+from scenec.compiler.terrain.operators.thermal import Thermal
 from scenec.studies.runner import Page, table
 
 

@@ -13,15 +13,15 @@ from numpy.typing import NDArray
 
 from scenec.backends.camera.rays import camera_rays
 from scenec.backends.run.session import Session
+from scenec.compiler.cfg.load import load
 from scenec.compiler.compile import compile_cfg
-from scenec.compiler.draw import draw
-from scenec.compiler.frontend.load import load
-from scenec.compiler.terrain.dem import Dem
-from scenec.compiler.terrain.fill_holes import fill_holes
+from scenec.compiler.draw.batch import draw
 from scenec.compiler.terrain.grid import Grid
-from scenec.compiler.terrain.multifractal import Multifractal
+from scenec.compiler.terrain.operators.multifractal import Multifractal
+from scenec.compiler.terrain.operators.worley import Worley
 from scenec.compiler.terrain.program import run
-from scenec.compiler.terrain.worley import Worley
+from scenec.compiler.terrain.sources.dem import Dem
+from scenec.compiler.terrain.sources.fill_holes import fill_holes
 from scenec.studies.runner import Page, table
 
 from small import scaled, small_cfg, write_cfg

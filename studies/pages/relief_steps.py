@@ -12,13 +12,14 @@ import scipy.sparse
 import scipy.sparse.linalg
 from numpy.typing import NDArray
 
-from scenec.compiler.terrain import fill_holes, thermal
-from scenec.compiler.terrain.drainage import SIDES
 from scenec.compiler.terrain.grid import Grid
-from scenec.compiler.terrain.halving import rms
-from scenec.compiler.terrain.multifractal import Multifractal
-from scenec.compiler.terrain.stream_power import StreamPower
-from scenec.compiler.terrain.thermal import Thermal
+from scenec.compiler.terrain.operators import thermal
+from scenec.compiler.terrain.operators.drainage import SIDES
+from scenec.compiler.terrain.operators.halving import rms
+from scenec.compiler.terrain.operators.multifractal import Multifractal
+from scenec.compiler.terrain.operators.stream_power import StreamPower
+from scenec.compiler.terrain.operators.thermal import Thermal
+from scenec.compiler.terrain.sources import fill_holes
 from scenec.studies.runner import Page, table
 
 _INVENTORY = [

@@ -16,9 +16,9 @@ import numpy as np
 from PIL import Image
 
 from scenec.backends.run.render import render
-from scenec.compiler.draw import draw
-from scenec.compiler.frontend.load import load
-from scenec.compiler.scatter.rocks import build_chains
+from scenec.compiler.cfg.load import load
+from scenec.compiler.draw.batch import draw
+from scenec.compiler.objects.rocks import build_chains
 from scenec.schemas.frames import read_frame
 from scenec.schemas.picture import develop
 from scenec.studies.runner import Page, run, table

@@ -26,9 +26,9 @@ from scenec.backends.run.render import render
 from scenec.backends.run.scan import scan_output
 from scenec.backends.run.units import OfBackend, OfSession, Opening, OpenStage, write_instances
 from scenec.compiler.batch_unit import CompileBatch
+from scenec.compiler.cfg.load import load
 from scenec.compiler.compile import compile_cfg
-from scenec.compiler.frontend.load import load
-from scenec.compiler.passes.keep import Keep
+from scenec.compiler.views.keep import Keep
 from scenec.datasets.export import export
 from scenec.schemas.budget import THREADS, thread_budget
 from scenec.schemas.errors import OutputError, SceneError

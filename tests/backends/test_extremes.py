@@ -41,9 +41,9 @@ from scenec.backends.run.session import Session
 from scenec.backends.stage.read import read_stage
 from scenec.backends.stage.scene import Camera, RenderScene
 from scenec.compiler.cameras.paths.motion import frames
-from scenec.compiler.cameras.poses import bearing_vector
-from scenec.compiler.cameras.se3 import METHODS, interpolate
 from scenec.compiler.compile import compile_cfg
+from scenec.compiler.geometry.poses import bearing_vector
+from scenec.compiler.geometry.se3 import METHODS, interpolate
 from scenec.schemas import picture
 from scenec.schemas.errors import BackendError
 from scenec.schemas.frames import read_frame

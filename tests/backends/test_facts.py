@@ -16,10 +16,10 @@ from scenec.backends.registry import open_backend
 from scenec.backends.run.session import Session
 from scenec.backends.stage.read import read_stage
 from scenec.compiler.build import BuildLog, build
+from scenec.compiler.cfg.load import load
 from scenec.compiler.compile import compile_cfg
-from scenec.compiler.draw import draw
-from scenec.compiler.frontend.load import load
-from scenec.compiler.ground.merge import label_index
+from scenec.compiler.draw.batch import draw
+from scenec.compiler.mesh.merge import label_index
 
 pytestmark = pytest.mark.usefixtures("workers_here")
 

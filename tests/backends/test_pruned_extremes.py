@@ -10,8 +10,8 @@ import pytest
 from pruned_extremes import CASES, pruned_cfg
 from pruned_scenes import annotation, compiled, difference
 
-from scenec.compiler.passes.faint import TOLERANCE
-from scenec.compiler.passes.keep import Keep
+from scenec.compiler.views.faint import TOLERANCE
+from scenec.compiler.views.keep import Keep
 
 #: Those where a view, the ground or lengths are at an end: light hardly matters.
 HARDEST = ("all_round", "far_above", "low", "narrow", "steep", "wide", "wide_land")

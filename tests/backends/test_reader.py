@@ -14,11 +14,11 @@ from scenec.backends.stage.meshes import triangulate
 from scenec.backends.stage.read import read_stage
 from scenec.backends.stage.scene import RenderScene
 from scenec.compiler.build import BuildLog, build
+from scenec.compiler.cfg.load import load
 from scenec.compiler.compile import compile_cfg
-from scenec.compiler.draw import draw
-from scenec.compiler.frontend.load import load
+from scenec.compiler.draw.batch import draw
 from scenec.compiler.light.sky import sun_direction
-from scenec.compiler.passes.keep import Keep
+from scenec.compiler.views.keep import Keep
 from scenec.schemas.errors import StageError
 
 SQUARE = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)]

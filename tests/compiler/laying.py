@@ -10,18 +10,18 @@ from typing import Any
 import numpy as np
 from small import small_cfg
 
-from scenec.compiler.frontend.fill import fill
-from scenec.compiler.frontend.streams import Streams
-from scenec.compiler.ground.surface import Surface
-from scenec.compiler.plan import ScatterPlan
-from scenec.compiler.scatter.draw import draw_rocks
-from scenec.compiler.scatter.draw_scatter import Setting
-from scenec.compiler.scatter.lay import lay
-from scenec.compiler.scatter.rocks import build_chains
-from scenec.compiler.scatter.surroundings import Surroundings, footprints
-from scenec.compiler.scene import Scatter
+from scenec.compiler.cfg.fill import fill
+from scenec.compiler.distributions.streams import Streams
+from scenec.compiler.draw.rocks import draw_rocks
+from scenec.compiler.draw.scatter import Setting
+from scenec.compiler.mesh.surface import Surface
+from scenec.compiler.objects.lay import lay
+from scenec.compiler.objects.rocks import build_chains
+from scenec.compiler.objects.surroundings import Surroundings, footprints
+from scenec.compiler.scene.plan import ScatterPlan
+from scenec.compiler.scene.scene import Scatter
 from scenec.compiler.terrain.grid import Grid, HeightField
-from scenec.compiler.terrain.multifractal import Multifractal
+from scenec.compiler.terrain.operators.multifractal import Multifractal
 
 SIZE = (40.0, 32.0)
 NO_CAMERAS = np.zeros((0, 3))

@@ -9,16 +9,16 @@ from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
 
-from scenec.compiler.cameras.poses import look_at
-from scenec.compiler.cameras.sight import pixels_per_meter, views_of
-from scenec.compiler.ground import adaptive
-from scenec.compiler.ground.merge import Merge
-from scenec.compiler.ground.mesh import Meshing, grid_mesh
-from scenec.compiler.ground.surface import Surface
-from scenec.compiler.ground.tiles import build_tiles
-from scenec.compiler.rig import Rig, Sensor
+from scenec.compiler.geometry.poses import look_at
+from scenec.compiler.mesh import adaptive
+from scenec.compiler.mesh.merge import Merge
+from scenec.compiler.mesh.mesh import Meshing, grid_mesh
+from scenec.compiler.mesh.surface import Surface
+from scenec.compiler.mesh.tiles import build_tiles
+from scenec.compiler.scene.rig import Rig, Sensor
 from scenec.compiler.terrain.grid import Grid, HeightField
-from scenec.compiler.terrain.multifractal import Multifractal
+from scenec.compiler.terrain.operators.multifractal import Multifractal
+from scenec.compiler.views.sight import pixels_per_meter, views_of
 
 MERGES = (
     Merge(5, 9.0, 3, 0.5, 2.0, 0.0, 5.0, 0.5),
@@ -197,10 +197,10 @@ def test_pixels_per_meter_are_those_of_the_nearest_view(field):
 _HASH = """
 import hashlib
 import test_adaptive as t
-from scenec.compiler.ground.surface import Surface
-from scenec.compiler.ground.tiles import build_tiles
-from scenec.compiler.ground.mesh import Meshing
-from scenec.compiler.cameras.sight import pixels_per_meter, views_of
+from scenec.compiler.mesh.surface import Surface
+from scenec.compiler.mesh.tiles import build_tiles
+from scenec.compiler.mesh.mesh import Meshing
+from scenec.compiler.views.sight import pixels_per_meter, views_of
 field = t.relief(30.0)
 sight = pixels_per_meter(field, views_of((t.one_rig(field, (3.0, -10.0)),)), 0.125)
 tiles, _ = build_tiles(Surface(field, t.MERGES, smooth=False), 1, Meshing(0.5, 10**9, 0.125), sight)

@@ -19,7 +19,7 @@ from test_assets_model import fails, pixels
 
 from scenec.compiler.assets import blend
 from scenec.compiler.assets.model import companions, read_model
-from scenec.compiler.scene import Picture
+from scenec.compiler.scene.scene import Picture
 
 
 def needs_blender(test):

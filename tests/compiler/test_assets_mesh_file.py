@@ -14,8 +14,8 @@ import trimesh
 from overhangs import FORMATS, glb, gltf_document, keys, shelter, triangles, write
 from pxr import Gf, Sdf, Usd, UsdGeom
 
-from scenec.compiler.assets.affine import TO_Z_UP, about_axis, sin_cos
 from scenec.compiler.assets.mesh_file import MeshFile, read_mesh
+from scenec.compiler.geometry.affine import TO_Z_UP, about_axis, sin_cos
 from scenec.schemas.errors import SceneError
 
 BOX = np.array([[x, y, z] for x in (0, 2) for y in (0, 3) for z in (0, 5)], float)

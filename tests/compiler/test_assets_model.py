@@ -21,7 +21,7 @@ from PIL import Image
 
 from scenec.compiler.assets.model import companions, read_model
 from scenec.compiler.assets.pictures import png
-from scenec.compiler.scene import Picture
+from scenec.compiler.scene.scene import Picture
 from scenec.schemas.errors import SceneError
 
 

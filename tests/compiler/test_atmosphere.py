@@ -18,9 +18,10 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from small import small_cfg, write_cfg
 
-from scenec.compiler.frontend.fill import SUNS
-from scenec.compiler.frontend.load import load
-from scenec.compiler.frontend.streams import Streams
+from scenec.compiler.cfg.fill import SUNS
+from scenec.compiler.cfg.load import load
+from scenec.compiler.distributions.streams import Streams
+from scenec.compiler.draw.light import draw_light
 from scenec.compiler.light import atmosphere
 from scenec.compiler.light.atmosphere_columns import chapman, columns
 from scenec.compiler.light.atmosphere_planets import EARTH, MARS, MEDIA, Medium, earth, mars
@@ -32,7 +33,6 @@ from scenec.compiler.light.atmosphere_spectra import (
     weights_of,
 )
 from scenec.compiler.light.build import Light, build_light
-from scenec.compiler.light.draw import draw_light
 from scenec.compiler.light.latlong import directions, horizontal_irradiance, luminance
 from scenec.compiler.light.sky import sun_direction
 from scenec.schemas.errors import CfgError

@@ -13,9 +13,9 @@ from small import small_cfg, write_cfg
 from scenec.backends.check.files import check_files
 from scenec.backends.run.render import render
 from scenec.cli.main import main
+from scenec.compiler.cfg.load import load
 from scenec.compiler.compile import compile_cfg
-from scenec.compiler.frontend.load import load
-from scenec.compiler.frontend.streams import Streams
+from scenec.compiler.distributions.streams import Streams
 from scenec.schemas.errors import ScenecError, SceneError, StageError
 from scenec.schemas.manifest import find_batches, read_manifest
 from scenec.studies.ladder.base import Base

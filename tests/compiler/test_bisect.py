@@ -8,7 +8,7 @@ from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
 
-from scenec.compiler.ground.bisect import Bisectable, bisectable, halve, newest_first
+from scenec.compiler.geometry.bisect import Bisectable, bisectable, halve, newest_first
 
 
 def square(cells: int) -> tuple[np.ndarray, np.ndarray]:

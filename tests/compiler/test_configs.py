@@ -13,11 +13,11 @@ from usd_validator import independent_findings
 
 from scenec.backends.stage.read import read_stage
 from scenec.compiler.build import BuildLog, build
+from scenec.compiler.cfg.load import load
 from scenec.compiler.compile import compile_cfg
-from scenec.compiler.draw import draw
-from scenec.compiler.frontend.load import load
-from scenec.compiler.passes.keep import Keep
-from scenec.compiler.scene import Scene
+from scenec.compiler.draw.batch import draw
+from scenec.compiler.scene.scene import Scene
+from scenec.compiler.views.keep import Keep
 
 _ROOT = Path(__file__).parents[2]
 _CFGS = sorted((_ROOT / "configs").glob("*.json"))

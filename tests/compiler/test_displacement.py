@@ -16,15 +16,15 @@ from scenec.backends.stage.scene import Cells as ShownCells
 from scenec.backends.stage.scene import Maps
 from scenec.backends.surface import cells as shown
 from scenec.compiler.build import BuildLog, build_surface
-from scenec.compiler.draw import draw
-from scenec.compiler.frontend.load import load
-from scenec.compiler.scene import Cells, MaterialMaps
-from scenec.compiler.surfaces.displacement import Displacement, displacement_of, octaves_of
-from scenec.compiler.surfaces.finer import finer_normals
-from scenec.compiler.surfaces.heights import relief_of
-from scenec.compiler.surfaces.kinds import SURFACES
-from scenec.compiler.surfaces.sources import Sources
-from scenec.compiler.surfaces.values import normal_picture, normals, unit
+from scenec.compiler.cfg.load import load
+from scenec.compiler.draw.batch import draw
+from scenec.compiler.materials.displacement import Displacement, displacement_of, octaves_of
+from scenec.compiler.materials.finer import finer_normals
+from scenec.compiler.materials.heights import relief_of
+from scenec.compiler.materials.kinds import SURFACES
+from scenec.compiler.materials.values import normal_picture, normals, unit
+from scenec.compiler.scene.scene import Cells, MaterialMaps
+from scenec.compiler.scene.sources import Sources
 
 
 def picture(folder: Path, codes: np.ndarray, size_m: float, high_m: float, **more) -> Displacement:
@@ -175,10 +175,10 @@ _PROGRAM = """
 import hashlib, sys
 import numpy as np
 from pathlib import Path
-from scenec.compiler.scene import Cells, MaterialMaps
-from scenec.compiler.surfaces.displacement import displacement_of
-from scenec.compiler.surfaces.sources import Sources
-from scenec.compiler.surfaces.kinds import SURFACES
+from scenec.compiler.scene.scene import Cells, MaterialMaps
+from scenec.compiler.materials.displacement import displacement_of
+from scenec.compiler.scene.sources import Sources
+from scenec.compiler.materials.kinds import SURFACES
 digest = hashlib.sha256()
 x = np.linspace(-30.0, 40.0, 20001)
 for cells in (None, Cells(0.7, 99)):

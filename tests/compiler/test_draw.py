@@ -9,11 +9,11 @@ import pytest
 from small import small_cfg, write_cfg
 
 from scenec.compiler.build import BuildLog, build
-from scenec.compiler.cameras.poses import from_quaternion
-from scenec.compiler.draw import draw
-from scenec.compiler.frontend.load import load
+from scenec.compiler.cfg.load import load
+from scenec.compiler.draw.batch import draw
+from scenec.compiler.geometry.poses import from_quaternion
 from scenec.compiler.light.latlong import read_picture
-from scenec.compiler.plan import Plan, TrackPlan
+from scenec.compiler.scene.plan import Plan, TrackPlan
 from scenec.schemas.errors import SceneError
 from scenec.schemas.exr import write_rgb
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from scenec.compiler.terrain.drainage import SIDES
 from scenec.compiler.terrain.grid import Grid
-from scenec.compiler.terrain.stream_power import StreamPower
+from scenec.compiler.terrain.operators.drainage import SIDES
+from scenec.compiler.terrain.operators.stream_power import StreamPower
 
 fastscapelib = pytest.importorskip("fastscapelib")
 

@@ -12,19 +12,19 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from test_ground import side_of, welded
 
-from scenec.compiler.cameras.sight import pixels_of_balls, pixels_per_meter, views_of
-from scenec.compiler.ground.merge import Merge, label_index
-from scenec.compiler.ground.mesh import Meshing
-from scenec.compiler.ground.surface import Surface
-from scenec.compiler.ground.tiles import build_tiles
+from scenec.compiler.mesh.merge import Merge, label_index
+from scenec.compiler.mesh.mesh import Meshing
+from scenec.compiler.mesh.surface import Surface
+from scenec.compiler.mesh.tiles import build_tiles
 from scenec.compiler.terrain.detail import Sum, Weighted
 from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.compiler.terrain.mask import HeightCondition, Masked
-from scenec.compiler.terrain.multifractal import Multifractal
-from scenec.compiler.terrain.plane import Plane
+from scenec.compiler.terrain.operators.multifractal import Multifractal
+from scenec.compiler.terrain.operators.smooth import Smooth
+from scenec.compiler.terrain.operators.worley import Worley
 from scenec.compiler.terrain.program import run
-from scenec.compiler.terrain.smooth import Smooth
-from scenec.compiler.terrain.worley import Worley
+from scenec.compiler.terrain.sources.plane import Plane
+from scenec.compiler.views.sight import pixels_of_balls, pixels_per_meter, views_of
 
 MERGES = (Merge(5, 3.0, 3, 0.5, 2.0, 0.0, 5.0, 0.5),)
 GRAINS = Worley(9, 0.03, 0.12, "f1", 1.0, 1, 2.0, 0.5).everywhere()

@@ -12,11 +12,11 @@ from small import small_cfg, write_cfg
 
 from scenec.backends.stage.read import read_stage
 from scenec.backends.stage.scene import Camera
+from scenec.compiler.cfg.load import load
 from scenec.compiler.compile import compile_cfg
-from scenec.compiler.draw import draw
-from scenec.compiler.frontend.load import load
-from scenec.compiler.passes.outlook import in_view, outlook
-from scenec.compiler.rig import Focus, Rig, Sensor
+from scenec.compiler.draw.batch import draw
+from scenec.compiler.scene.rig import Focus, Rig, Sensor
+from scenec.compiler.views.outlook import in_view, outlook
 from scenec.schemas.errors import CfgError, SceneError, StageError
 
 FREE = {"distance_m": 2.5, "f_number": 2.0, "focal_length_mm": 25.0}

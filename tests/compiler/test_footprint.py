@@ -12,10 +12,14 @@ from PIL import Image
 from small import small_cfg, write_cfg
 
 from scenec.compiler.assets.pictures import png
-from scenec.compiler.cameras.sight import NO_VIEWS, Views
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.emit.maps import average_color
-from scenec.compiler.scene import (
+from scenec.compiler.materials.finish import Shown, finish
+from scenec.compiler.materials.footprint import Footprint, footprints
+from scenec.compiler.materials.kinds import SURFACES
+from scenec.compiler.materials.reduce import halvings, reduced
+from scenec.compiler.materials.values import color_picture, gray_picture, normal_picture, unit
+from scenec.compiler.scene.scene import (
     Ground,
     GroundLayer,
     Material,
@@ -26,12 +30,8 @@ from scenec.compiler.scene import (
     Scatter,
     Tile,
 )
-from scenec.compiler.surfaces.finish import Shown, finish
-from scenec.compiler.surfaces.footprint import Footprint, footprints
-from scenec.compiler.surfaces.kinds import SURFACES
-from scenec.compiler.surfaces.reduce import halvings, reduced
-from scenec.compiler.surfaces.sources import Sources
-from scenec.compiler.surfaces.values import color_picture, gray_picture, normal_picture, unit
+from scenec.compiler.scene.sources import Sources
+from scenec.compiler.views.sight import NO_VIEWS, Views
 from scenec.schemas.maps import decode, read_pixels
 
 #: fx, fy, cx, cy, skew, width, height.

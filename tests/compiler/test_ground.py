@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from scenec.compiler.ground.cut import cut as cut_mesh
-from scenec.compiler.ground.merge import Merge, center_for_coverage, label_index
-from scenec.compiler.ground.mesh import grid_mesh
-from scenec.compiler.ground.surface import Surface
-from scenec.compiler.ground.tiles import build_tiles
-from scenec.compiler.scene import Tile
+from scenec.compiler.mesh.cut import cut as cut_mesh
+from scenec.compiler.mesh.merge import Merge, center_for_coverage, label_index
+from scenec.compiler.mesh.mesh import grid_mesh
+from scenec.compiler.mesh.surface import Surface
+from scenec.compiler.mesh.tiles import build_tiles
+from scenec.compiler.scene.scene import Tile
 from scenec.compiler.terrain.grid import Grid, HeightField
-from scenec.compiler.terrain.multifractal import Multifractal
+from scenec.compiler.terrain.operators.multifractal import Multifractal
 
 MERGES = (
     Merge(5, 9.0, 3, 0.5, 2.0, 0.0, 5.0, 0.5),

@@ -12,9 +12,9 @@ from elsewhere import printed_elsewhere
 from small import small_cfg, write_cfg
 
 from scenec.compiler.build import BuildLog, build
-from scenec.compiler.draw import draw
-from scenec.compiler.frontend.load import load
-from scenec.compiler.ground.cover import lay
+from scenec.compiler.cfg.load import load
+from scenec.compiler.draw.batch import draw
+from scenec.compiler.mesh.cover import lay
 from scenec.compiler.terrain.condition import FreshnessCondition, SlopeCondition
 from scenec.compiler.terrain.grid import Grid
 from scenec.compiler.terrain.program import run

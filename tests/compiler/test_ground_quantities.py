@@ -14,11 +14,11 @@ from scenec.compiler.terrain.condition import (
     Ragged,
     product,
 )
-from scenec.compiler.terrain.crater_profile import profile_table
-from scenec.compiler.terrain.craters import Craters
 from scenec.compiler.terrain.flow import upslope_area
 from scenec.compiler.terrain.freshness import cover, crater_freshness
 from scenec.compiler.terrain.grid import Grid
+from scenec.compiler.terrain.operators.crater_profile import profile_table
+from scenec.compiler.terrain.operators.craters import Craters
 from scenec.compiler.terrain.quantities import DEFAULT_SPACINGS, Quantities
 
 GRID = Grid.with_spacing((20.0, 12.0), 0.25)

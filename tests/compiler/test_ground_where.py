@@ -11,10 +11,10 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from test_ground import MERGES, relief, welded
 
-from scenec.compiler.ground.cover import MaterialCondition, cover_report, lay
-from scenec.compiler.ground.merge import Merge, label_index
-from scenec.compiler.ground.surface import Surface
-from scenec.compiler.ground.tiles import build_tiles
+from scenec.compiler.mesh.cover import MaterialCondition, cover_report, lay
+from scenec.compiler.mesh.merge import Merge, label_index
+from scenec.compiler.mesh.surface import Surface
+from scenec.compiler.mesh.tiles import build_tiles
 from scenec.compiler.noise.perlin import fbm2_points
 from scenec.compiler.terrain.condition import (
     CurvatureCondition,

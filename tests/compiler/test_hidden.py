@@ -8,10 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from test_adaptive import one_rig
 
-from scenec.compiler.cameras.hidden import hidden_blocks
-from scenec.compiler.cameras.sight import pixels_per_meter, views_of
 from scenec.compiler.terrain.grid import Grid, HeightField
-from scenec.compiler.terrain.multifractal import Multifractal
+from scenec.compiler.terrain.operators.multifractal import Multifractal
+from scenec.compiler.views.hidden import hidden_blocks
+from scenec.compiler.views.sight import pixels_per_meter, views_of
 
 
 def block_of(field: HeightField, hidden: np.ndarray, blocks: np.ndarray) -> np.ndarray:

@@ -17,12 +17,12 @@ from pxr import Sdf, Usd, UsdGeom
 from scenec.backends.run.render import render
 from scenec.backends.stage.imaging import read_imaging
 from scenec.compiler.cameras.imaging import draw_imaging, expose
+from scenec.compiler.cfg.load import load
 from scenec.compiler.compile import compile_cfg
+from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.emit.imaging import write_imaging
-from scenec.compiler.frontend.load import load
-from scenec.compiler.frontend.streams import Streams
-from scenec.compiler.plan import ImagingPlan, RigPlan, SensorPlan, TrackPlan
-from scenec.compiler.rig import Rig, Sensor
+from scenec.compiler.scene.plan import ImagingPlan, RigPlan, SensorPlan, TrackPlan
+from scenec.compiler.scene.rig import Rig, Sensor
 from scenec.schemas import imaging as formulas
 from scenec.schemas.errors import CfgError, SceneError, StageError
 from scenec.schemas.frames import beside_path, read_frame

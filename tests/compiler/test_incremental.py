@@ -17,13 +17,13 @@ import small
 
 from scenec.cli.main import main
 from scenec.compiler.build import BuildLog, build
+from scenec.compiler.cache import fingerprint, memo
+from scenec.compiler.cache.memo import Memo, memoizing
+from scenec.compiler.cache.store import Store
+from scenec.compiler.cfg.load import load
 from scenec.compiler.compile import CompileReport, compile_cfg
-from scenec.compiler.draw import draw
+from scenec.compiler.draw.batch import draw
 from scenec.compiler.emit.batch import write_batch
-from scenec.compiler.frontend.load import load
-from scenec.compiler.incremental import fingerprint, memo
-from scenec.compiler.incremental.memo import Memo, memoizing
-from scenec.compiler.incremental.store import Store
 
 _LANDER = Path(__file__).parents[2] / "assets" / "models" / "lander.glb"
 

@@ -15,10 +15,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from scenec.compiler.incremental.kinds import KINDS, PLAIN
-from scenec.compiler.incremental.known import Known
-from scenec.compiler.incremental.store import Store
-from scenec.compiler.incremental.structure import (
+from scenec.compiler.cache.kinds import KINDS, PLAIN
+from scenec.compiler.cache.known import Known
+from scenec.compiler.cache.store import Store
+from scenec.compiler.cache.structure import (
     Describer,
     NotPlainError,
     class_of,
@@ -27,7 +27,7 @@ from scenec.compiler.incremental.structure import (
     restored,
     text_of,
 )
-from scenec.compiler.scene import Picture, Prototype
+from scenec.compiler.scene.scene import Picture, Prototype
 from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.compiler.terrain.quantities import Quantities
 

@@ -19,14 +19,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from killed import contents
 
-from scenec.compiler.incremental import store as store_module
-from scenec.compiler.incremental.entry import _HEAD, MAGIC, _aligned
-from scenec.compiler.incremental.known import Known
-from scenec.compiler.incremental.memo import Memo, memoized, memoized_file, memoizing
-from scenec.compiler.incremental.store import Store, default_folder, parsed_size
-from scenec.compiler.incremental.structure import (
-    Describer,
-)
+from scenec.compiler.cache import store as store_module
+from scenec.compiler.cache.entry import _HEAD, MAGIC, _aligned
+from scenec.compiler.cache.known import Known
+from scenec.compiler.cache.memo import Memo, memoized, memoized_file, memoizing
+from scenec.compiler.cache.store import Store, default_folder, parsed_size
+from scenec.compiler.cache.structure import Describer
 from scenec.schemas.errors import ScenecError
 
 

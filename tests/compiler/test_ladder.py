@@ -17,8 +17,8 @@ from pxr import Usd, UsdGeom
 from small import small_cfg, write_cfg
 
 from scenec.cli.main import main
+from scenec.compiler.cfg.load import load
 from scenec.compiler.compile import compile_cfg
-from scenec.compiler.frontend.load import load
 from scenec.schemas.errors import OutputError, ScenecError, StageError
 from scenec.studies.ladder import APPROXIMATIONS, Ladder, LadderReport, climb, cost
 from scenec.studies.ladder.base import Base

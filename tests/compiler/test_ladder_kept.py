@@ -10,11 +10,11 @@ import pytest
 from small import small_cfg, write_cfg
 
 from scenec.compiler.build import BuildLog, build
+from scenec.compiler.cfg.load import load
 from scenec.compiler.compile import compile_cfg
-from scenec.compiler.draw import draw
-from scenec.compiler.frontend.load import load
-from scenec.compiler.passes.keep import Keep
-from scenec.compiler.surfaces.values import stored
+from scenec.compiler.draw.batch import draw
+from scenec.compiler.materials.values import stored
+from scenec.compiler.views.keep import Keep
 from scenec.schemas.errors import OutputError
 from scenec.schemas.manifest import MANIFEST
 from scenec.studies.ladder import Ladder, Rung, climb, cost

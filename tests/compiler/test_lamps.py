@@ -14,15 +14,15 @@ from scenec.backends.check.stage import check_stage
 from scenec.backends.stage.read import read_stage
 from scenec.compiler.cameras.rigs import incident_exposure
 from scenec.compiler.compile import CompileReport, compile_cfg
-from scenec.compiler.ground.surface import Surface
 from scenec.compiler.light.build import Light
 from scenec.compiler.light.dark import without_dark
 from scenec.compiler.light.earthshine import earthshine_irradiance
 from scenec.compiler.light.lamps import build_lamps, lamp_irradiance, meter_lamps
 from scenec.compiler.light.plan import LampPlan, WorldMount
-from scenec.compiler.plan import RandomTargetPlan, RigPlan, SensorPlan
-from scenec.compiler.rig import Rig, Sensor
-from scenec.compiler.scene import Lamp, SkyLight, SunLight
+from scenec.compiler.mesh.surface import Surface
+from scenec.compiler.scene.plan import RandomTargetPlan, RigPlan, SensorPlan
+from scenec.compiler.scene.rig import Rig, Sensor
+from scenec.compiler.scene.scene import Lamp, SkyLight, SunLight
 from scenec.compiler.terrain.grid import Grid, HeightField
 
 LIGHTS = "/World/Lights"

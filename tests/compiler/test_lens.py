@@ -13,8 +13,9 @@ from hypothesis import HealthCheck, assume, example, given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from scenec.compiler.cameras import lenses, sight
-from scenec.compiler.rig import Rig, Sensor
+from scenec.compiler.geometry import lenses
+from scenec.compiler.scene.rig import Rig, Sensor
+from scenec.compiler.views import sight
 from scenec.schemas.lens import (
     Lens,
     directions,

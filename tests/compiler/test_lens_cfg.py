@@ -11,10 +11,10 @@ import pytest
 from pxr import Usd, UsdGeom
 from small import small_cfg, write_cfg
 
-from scenec.compiler.cameras import lenses
-from scenec.compiler.draw import draw
+from scenec.compiler.cfg.load import load
+from scenec.compiler.draw.batch import draw
 from scenec.compiler.emit.cameras import write_lens
-from scenec.compiler.frontend.load import load
+from scenec.compiler.geometry import lenses
 from scenec.schemas import stage as names
 from scenec.schemas.errors import CfgError, SceneError
 from scenec.schemas.lens import Lens, radial

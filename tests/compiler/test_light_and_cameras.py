@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 from pxr import Gf, Usd, UsdGeom
 
-from scenec.compiler.cameras.poses import compose, from_euler, from_quaternion, look_at
 from scenec.compiler.cameras.rigs import incident_exposure
 from scenec.compiler.emit.cameras import HALF_TURN
 from scenec.compiler.emit.lights import _pointing_from
+from scenec.compiler.geometry.poses import compose, from_euler, from_quaternion, look_at
 from scenec.compiler.light import sky as skies
 from scenec.compiler.light.clear_sky import clear_sky
 from scenec.compiler.light.latlong import directions, horizontal_irradiance, luminance
 from scenec.compiler.light.plan import ClearSkyPlan
 from scenec.compiler.light.sky import build_sky, sun_direction
-from scenec.compiler.scene import SunLight
+from scenec.compiler.scene.scene import SunLight
 
 COLORS = tuple(
     np.array(c) for c in [(0.23, 0.42, 0.9), (0.72, 0.82, 0.95), (0.3, 0.26, 0.22), (600, 500, 400)]

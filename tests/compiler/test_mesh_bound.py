@@ -12,15 +12,15 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from test_adaptive import one_rig
 
-from scenec.compiler.cameras.sight import Views, pixels_of_balls, pixels_per_meter, views_of
-from scenec.compiler.ground.bend import bends, of_faces
-from scenec.compiler.ground.cut import CutMesh
-from scenec.compiler.ground.merge import Merge
-from scenec.compiler.ground.mesh import Appearance, Meshing, adaptive_mesh
-from scenec.compiler.ground.surface import Surface
+from scenec.compiler.mesh.bend import bends, of_faces
+from scenec.compiler.mesh.cut import CutMesh
+from scenec.compiler.mesh.merge import Merge
+from scenec.compiler.mesh.mesh import Appearance, Meshing, adaptive_mesh
+from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.terrain.grid import Grid, HeightField
-from scenec.compiler.terrain.multifractal import Multifractal
-from scenec.compiler.terrain.worley import Worley
+from scenec.compiler.terrain.operators.multifractal import Multifractal
+from scenec.compiler.terrain.operators.worley import Worley
+from scenec.compiler.views.sight import Views, pixels_of_balls, pixels_per_meter, views_of
 
 UNSEEN = 0.125
 

@@ -14,17 +14,17 @@ from test_mesh_surface import GRID, base, hits
 from test_scatter import quaternions, shape
 
 from scenec.compiler.build import BuildLog, build
-from scenec.compiler.draw import draw
-from scenec.compiler.frontend.load import load
-from scenec.compiler.ground.surface import Surface
-from scenec.compiler.scatter.density import Density, NoiseDensity, UniformDensity
-from scenec.compiler.scatter.on_mesh import STANDING, MeshPlaces, Spots, seat_on_mesh
-from scenec.compiler.scatter.placement import rotation_rows
-from scenec.compiler.scatter.rocks import build_prototypes
-from scenec.compiler.scatter.surroundings import Surroundings
-from scenec.compiler.terrain.mesh_surface import MeshSurface
-from scenec.compiler.terrain.multifractal import Multifractal
+from scenec.compiler.cfg.load import load
+from scenec.compiler.draw.batch import draw
+from scenec.compiler.mesh.surface import Surface
+from scenec.compiler.objects.density import Density, NoiseDensity, UniformDensity
+from scenec.compiler.objects.on_mesh import STANDING, MeshPlaces, Spots, seat_on_mesh
+from scenec.compiler.objects.placement import rotation_rows
+from scenec.compiler.objects.rocks import build_prototypes
+from scenec.compiler.objects.surroundings import Surroundings
+from scenec.compiler.terrain.operators.multifractal import Multifractal
 from scenec.compiler.terrain.program import run
+from scenec.compiler.terrain.sources.mesh_surface import MeshSurface
 from scenec.schemas.errors import CfgError, SceneError
 
 N = 400

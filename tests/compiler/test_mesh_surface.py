@@ -9,15 +9,15 @@ import pytest
 import trimesh
 from overhangs import FORMATS, keys, shelter, triangles, write
 
-from scenec.compiler.ground.merge import Merge, label_index
-from scenec.compiler.ground.surface import Surface
-from scenec.compiler.ground.tiles import build_tiles
+from scenec.compiler.mesh.merge import Merge, label_index
+from scenec.compiler.mesh.surface import Surface
+from scenec.compiler.mesh.tiles import build_tiles
 from scenec.compiler.terrain.grid import Grid, HeightField
-from scenec.compiler.terrain.mesh_base import MeshBase, Roughness
-from scenec.compiler.terrain.mesh_plan import PlanBins, see, top_at
-from scenec.compiler.terrain.mesh_surface import MeshSurface, roughened, subdivided
-from scenec.compiler.terrain.multifractal import Multifractal
+from scenec.compiler.terrain.operators.multifractal import Multifractal
 from scenec.compiler.terrain.program import run
+from scenec.compiler.terrain.sources.mesh_base import MeshBase, Roughness
+from scenec.compiler.terrain.sources.mesh_plan import PlanBins, see, top_at
+from scenec.compiler.terrain.sources.mesh_surface import MeshSurface, roughened, subdivided
 from scenec.schemas.errors import SceneError
 
 GRID = Grid.with_spacing((20.0, 20.0), 0.5)

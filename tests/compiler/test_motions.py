@@ -16,11 +16,11 @@ from scenec.compiler.cameras.paths.motion import Around, Bodies, frames, level_b
 from scenec.compiler.cameras.paths.orbit import ObjectAim, Orbit, PointAim
 from scenec.compiler.cameras.paths.rover import Rover
 from scenec.compiler.cameras.paths.spline import Spline, largest
-from scenec.compiler.cameras.poses import look_at
 from scenec.compiler.cameras.tracks import Sampling
-from scenec.compiler.ground.surface import Surface
-from scenec.compiler.plan import SensorPlan
-from scenec.compiler.scene import Prototype
+from scenec.compiler.geometry.poses import look_at
+from scenec.compiler.mesh.surface import Surface
+from scenec.compiler.scene.plan import SensorPlan
+from scenec.compiler.scene.scene import Prototype
 from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.schemas.errors import SceneError
 

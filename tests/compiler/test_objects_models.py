@@ -16,7 +16,7 @@ from small import small_cfg, write_cfg
 
 from scenec.backends.stage.read import read_stage
 from scenec.compiler.compile import compile_cfg
-from scenec.compiler.objects.draw import quaternion_of
+from scenec.compiler.draw.models import quaternion_of
 from scenec.compiler.objects.placed import upright_to
 from scenec.compiler.objects.poses import PoseKeys, slerp
 from scenec.schemas.errors import CfgError, SceneError
@@ -327,7 +327,7 @@ def test_standing_along_a_normal_is_a_rotation_that_takes_up_to_it(z, bearing):
 
 
 def test_turns_are_about_fixed_axes_in_order():
-    from scenec.compiler.cameras.poses import from_euler, from_quaternion
+    from scenec.compiler.geometry.poses import from_euler, from_quaternion
 
     for degrees in ((10, 0, 0), (0, -50, 0), (0, 0, 170), (30, -70, 200)):
         euler = from_euler((0, 0, 0), degrees)

@@ -16,9 +16,9 @@ from test_motions import around, bodies_of_meshes, prototype, rover
 
 from scenec.compiler.cameras.paths.obstacles import obstacles_of
 from scenec.compiler.cameras.paths.route import passable
-from scenec.compiler.plan import ModelSource
-from scenec.compiler.scatter.lay import lay
-from scenec.compiler.scatter.voxels import Cubes, voxels_of
+from scenec.compiler.geometry.voxels import Cubes, voxels_of
+from scenec.compiler.objects.lay import lay
+from scenec.compiler.scene.plan import ModelSource
 from scenec.schemas.errors import SceneError
 
 

@@ -19,14 +19,14 @@ from small import small_cfg, write_cfg
 
 from scenec.backends.check.files import check_files
 from scenec.compiler.build import BuildLog, build
+from scenec.compiler.cfg.load import Spec, load
 from scenec.compiler.compile import compile_cfg
-from scenec.compiler.draw import draw
+from scenec.compiler.draw.batch import draw
 from scenec.compiler.emit.batch import write_batch
 from scenec.compiler.emit.maps import copy_maps
-from scenec.compiler.frontend.load import Spec, load
 from scenec.compiler.output import Output, locked
-from scenec.compiler.passes.keep import Keep
-from scenec.compiler.scene import MaterialMaps, Picture
+from scenec.compiler.scene.scene import MaterialMaps, Picture
+from scenec.compiler.views.keep import Keep
 from scenec.schemas.errors import OutputError
 from scenec.schemas.files import atomic, inside, sweep, temporary_folder
 from scenec.schemas.lock import LOCK, BusyError, Lock

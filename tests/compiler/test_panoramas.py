@@ -25,12 +25,12 @@ from scenec.backends.exact import ExactCaster
 from scenec.backends.picture.sky import Sky, lookup
 from scenec.backends.stage.read import read_stage
 from scenec.backends.stage.sky_labels import label_of_sky
+from scenec.compiler.cfg.label_maps import code_of, decode
+from scenec.compiler.cfg.load import load
 from scenec.compiler.compile import compile_cfg
-from scenec.compiler.draw import draw
-from scenec.compiler.frontend.load import load
-from scenec.compiler.frontend.streams import Streams
-from scenec.compiler.light.draw import _pick
-from scenec.compiler.light.label_maps import code_of, decode
+from scenec.compiler.distributions.streams import Streams
+from scenec.compiler.draw.batch import draw
+from scenec.compiler.draw.light import _pick
 from scenec.compiler.light.latlong import directions, horizontal_irradiance, luminance
 from scenec.compiler.light.picture_sun import DIAMETER_DEG, extract_sun
 from scenec.schemas import stage as names

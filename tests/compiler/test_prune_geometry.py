@@ -7,16 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from scenec.compiler.cameras.poses import look_at
-from scenec.compiler.passes.faint import Factors, choose
-from scenec.compiler.passes.horizon import Horizon, horizon_of, is_hidden, relief_of
-from scenec.compiler.passes.outlook import in_view, outlook
-from scenec.compiler.passes.places import fine_cells, places_seen
-from scenec.compiler.passes.prune import _seen_ground
-from scenec.compiler.passes.shadows import Sweep, shadows_seen
-from scenec.compiler.passes.visible import SHOWN, Eyes, grouped, seen_by
-from scenec.compiler.rig import Rig, Sensor
-from scenec.compiler.scene import Ground, GroundLayer, Tile
+from scenec.compiler.geometry.poses import look_at
+from scenec.compiler.scene.rig import Rig, Sensor
+from scenec.compiler.scene.scene import Ground, GroundLayer, Tile
+from scenec.compiler.views.faint import Factors, choose
+from scenec.compiler.views.horizon import Horizon, horizon_of, is_hidden, relief_of
+from scenec.compiler.views.outlook import in_view, outlook
+from scenec.compiler.views.places import fine_cells, places_seen
+from scenec.compiler.views.prune import _seen_ground
+from scenec.compiler.views.shadows import Sweep, shadows_seen
+from scenec.compiler.views.visible import SHOWN, Eyes, grouped, seen_by
 
 _SIDE = 48
 

@@ -15,10 +15,10 @@ from test_motions import around, balls, hills
 from scenec.compiler.build import BuildLog, build
 from scenec.compiler.cameras.paths.random_pose import Limits, Look, RandomPose
 from scenec.compiler.cameras.paths.rays import hits, span_of
+from scenec.compiler.cfg.load import load
 from scenec.compiler.compile import compile_cfg
-from scenec.compiler.draw import draw
-from scenec.compiler.frontend.load import load
-from scenec.compiler.frontend.numbers import Distribution
+from scenec.compiler.distributions.numbers import Distribution
+from scenec.compiler.draw.batch import draw
 from scenec.schemas.errors import CfgError, SceneError
 
 FREE = Limits(0.0, (None, None), (None, None), (None, None), 1.0)

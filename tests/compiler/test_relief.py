@@ -11,11 +11,11 @@ from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
 
-from scenec.compiler.terrain.dem import Dem
 from scenec.compiler.terrain.grid import Grid, HeightField
-from scenec.compiler.terrain.multifractal import Multifractal
-from scenec.compiler.terrain.plane import Plane
-from scenec.compiler.terrain.smooth import Smooth
+from scenec.compiler.terrain.operators.multifractal import Multifractal
+from scenec.compiler.terrain.operators.smooth import Smooth
+from scenec.compiler.terrain.sources.dem import Dem
+from scenec.compiler.terrain.sources.plane import Plane
 from scenec.schemas.errors import SceneError
 
 DEM = Dem(Path(), None, (1.0, 1.0), 1.0, 0.0, "south", (0.5, 0.5), None, "clamp")

@@ -11,8 +11,8 @@ from test_relief_masks import MASK, PROGRAM, write_program
 _HEIGHTS = """
 import hashlib, sys
 import numpy as np
-from scenec.compiler.draw import draw
-from scenec.compiler.frontend.load import load
+from scenec.compiler.draw.batch import draw
+from scenec.compiler.cfg.load import load
 from scenec.compiler.terrain.grid import Grid
 from scenec.compiler.terrain.operator import operator_type
 plan = draw(load(sys.argv[1]), 11, 0).terrain

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from scipy.special import i0e
 
-from scenec.compiler.frontend.streams import Streams
-from scenec.compiler.terrain.crater_profile import REACH, fresh, profile_table
-from scenec.compiler.terrain.craters import Craters
-from scenec.compiler.terrain.draw_craters import draw_craters
+from scenec.compiler.distributions.streams import Streams
+from scenec.compiler.draw.craters import draw_craters
 from scenec.compiler.terrain.grid import Grid
+from scenec.compiler.terrain.operators.crater_profile import REACH, fresh, profile_table
+from scenec.compiler.terrain.operators.craters import Craters
 from scenec.schemas.errors import SceneError
 
 CFG = {

@@ -12,12 +12,12 @@ import scipy.sparse.linalg
 from PIL import Image
 from small import small_cfg, write_cfg
 
-from scenec.compiler.frontend.load import load
-from scenec.compiler.terrain.dem import Dem
-from scenec.compiler.terrain.dem_file import read_dem
-from scenec.compiler.terrain.fill_holes import fill_holes
+from scenec.compiler.assets.dem_file import read_dem
+from scenec.compiler.cfg.load import load
 from scenec.compiler.terrain.grid import Grid
 from scenec.compiler.terrain.program import run
+from scenec.compiler.terrain.sources.dem import Dem
+from scenec.compiler.terrain.sources.fill_holes import fill_holes
 from scenec.schemas.errors import CfgError, SceneError
 
 rasterio = pytest.importorskip("rasterio")

@@ -10,11 +10,11 @@ from examples import examples
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from scenec.compiler.terrain.drainage import SIDES, drain, drainage_area, outlet_samples
 from scenec.compiler.terrain.grid import Grid
-from scenec.compiler.terrain.smooth import Diffusion, Smooth
-from scenec.compiler.terrain.stream_power import StreamPower, implicit_slope
-from scenec.compiler.terrain.thermal import Thermal
+from scenec.compiler.terrain.operators.drainage import SIDES, drain, drainage_area, outlet_samples
+from scenec.compiler.terrain.operators.smooth import Diffusion, Smooth
+from scenec.compiler.terrain.operators.stream_power import StreamPower, implicit_slope
+from scenec.compiler.terrain.operators.thermal import Thermal
 from scenec.schemas.threads import at_most
 
 RIVERS = StreamPower(1e-5, 0.5, 1.0, 0.0, 0.0, 1e-3, 1e6, 20, SIDES)
@@ -340,7 +340,7 @@ def test_slides_state_about_what_their_iteration_errs(angle, monkeypatch):
     ):
         out, report = Thermal(angle).apply(grid, height)
         with monkeypatch.context() as patched:
-            patched.setattr("scenec.compiler.terrain.thermal._FINE", 3200)
+            patched.setattr("scenec.compiler.terrain.operators.thermal._FINE", 3200)
             error = apply(Thermal(angle), grid, height) - out
         assert np.sqrt((error**2).mean()) <= 1.2 * report["error_rms_m"]
         assert np.quantile(np.abs(error), 0.99) <= 1.5 * report["error_99_m"]

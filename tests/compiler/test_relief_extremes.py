@@ -7,24 +7,24 @@ import json
 import numpy as np
 import pytest
 
-from scenec.compiler.frontend.streams import Streams
-from scenec.compiler.terrain.barchans import draw_barchans
-from scenec.compiler.terrain.craters import Craters
-from scenec.compiler.terrain.drainage import SIDES
-from scenec.compiler.terrain.draw_craters import draw_craters
-from scenec.compiler.terrain.dunes import Dunes, Ripples
+from scenec.compiler.distributions.streams import Streams
+from scenec.compiler.draw.craters import draw_craters
 from scenec.compiler.terrain.grid import Grid
 from scenec.compiler.terrain.mask import HeightCondition, Masked, NoiseCondition, SlopeCondition
-from scenec.compiler.terrain.multifractal import Multifractal
 from scenec.compiler.terrain.operator import OPERATORS, operator_type
-from scenec.compiler.terrain.plane import Plane
+from scenec.compiler.terrain.operators.barchans import draw_barchans
+from scenec.compiler.terrain.operators.craters import Craters
+from scenec.compiler.terrain.operators.drainage import SIDES
+from scenec.compiler.terrain.operators.dunes import Dunes, Ripples
+from scenec.compiler.terrain.operators.multifractal import Multifractal
+from scenec.compiler.terrain.operators.smooth import Diffusion, Smooth
+from scenec.compiler.terrain.operators.stream_power import StreamPower
+from scenec.compiler.terrain.operators.terraces import Terraces
+from scenec.compiler.terrain.operators.thermal import Thermal
+from scenec.compiler.terrain.operators.tracks import Tracks
+from scenec.compiler.terrain.operators.worley import Worley
 from scenec.compiler.terrain.program import run
-from scenec.compiler.terrain.smooth import Diffusion, Smooth
-from scenec.compiler.terrain.stream_power import StreamPower
-from scenec.compiler.terrain.terraces import Terraces
-from scenec.compiler.terrain.thermal import Thermal
-from scenec.compiler.terrain.tracks import Tracks
-from scenec.compiler.terrain.worley import Worley
+from scenec.compiler.terrain.sources.plane import Plane
 from scenec.schemas.errors import SceneError
 
 EXTENTS = [1e-3, 1.0, 1e3, 1e6]

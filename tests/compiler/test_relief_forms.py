@@ -10,12 +10,12 @@ from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
 
-from scenec.compiler.frontend.numbers import Distribution
-from scenec.compiler.frontend.streams import Streams
-from scenec.compiler.terrain.barchans import Barchans, draw_barchans
-from scenec.compiler.terrain.dunes import Dunes, Ripples
+from scenec.compiler.distributions.numbers import Distribution
+from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.terrain.grid import Grid
-from scenec.compiler.terrain.terraces import Terraces
+from scenec.compiler.terrain.operators.barchans import Barchans, draw_barchans
+from scenec.compiler.terrain.operators.dunes import Dunes, Ripples
+from scenec.compiler.terrain.operators.terraces import Terraces
 from scenec.schemas.errors import SceneError
 from scenec.schemas.threads import at_most
 

@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 from small import small_cfg, write_cfg
 
+from scenec.compiler.assets.polyline import read_polyline
 from scenec.compiler.build import BuildLog, build
-from scenec.compiler.draw import draw
-from scenec.compiler.frontend.load import load
+from scenec.compiler.cfg.load import load
+from scenec.compiler.draw.batch import draw
 from scenec.compiler.terrain.grid import Grid
 from scenec.compiler.terrain.mask import (
     HeightCondition,
@@ -25,11 +26,11 @@ from scenec.compiler.terrain.mask import (
     soft_interval,
 )
 from scenec.compiler.terrain.operator import OPERATORS, operator_type
-from scenec.compiler.terrain.plane import Plane
-from scenec.compiler.terrain.polyline import project, read_polyline
+from scenec.compiler.terrain.operators.smooth import Smooth
+from scenec.compiler.terrain.operators.tracks import Tracks
+from scenec.compiler.terrain.polyline import project
 from scenec.compiler.terrain.program import run
-from scenec.compiler.terrain.smooth import Smooth
-from scenec.compiler.terrain.tracks import Tracks
+from scenec.compiler.terrain.sources.plane import Plane
 from scenec.schemas.errors import CfgError, SceneError
 
 GRID = Grid.with_spacing((20.0, 10.0), 0.1)

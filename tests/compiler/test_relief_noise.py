@@ -16,8 +16,8 @@ from scenec.compiler.noise.perlin import fbm2, perlin2
 from scenec.compiler.noise.rows import fbm_grid, tabulate
 from scenec.compiler.noise.worley import feature_point, worley2
 from scenec.compiler.terrain.grid import Grid
-from scenec.compiler.terrain.multifractal import Multifractal
-from scenec.compiler.terrain.worley import Worley
+from scenec.compiler.terrain.operators.multifractal import Multifractal
+from scenec.compiler.terrain.operators.worley import Worley
 from scenec.schemas.threads import at_most
 
 VARIANTS = ["fbm", "hetero", "hybrid", "ridged", "billow"]

@@ -12,17 +12,17 @@ import trimesh
 from elsewhere import digest_elsewhere
 from small import small_cfg
 
-from scenec.compiler.cameras.sight import NO_VIEWS, Views
-from scenec.compiler.frontend.fill import fill
-from scenec.compiler.frontend.streams import Streams
-from scenec.compiler.plan import ScatterPlan
-from scenec.compiler.scatter.creases import along_creases
-from scenec.compiler.scatter.draw import draw_rocks
-from scenec.compiler.scatter.families.shape import Shape
-from scenec.compiler.scatter.icosphere import EDGE, face_neighbors, icosphere, vertex_faces
-from scenec.compiler.scatter.lod import budget_factor, choose_levels, see_levels
-from scenec.compiler.scatter.rocks import Chain, build_chains, build_prototypes
-from scenec.compiler.scene import Prototype, Scatter
+from scenec.compiler.cfg.fill import fill
+from scenec.compiler.distributions.streams import Streams
+from scenec.compiler.draw.rocks import draw_rocks
+from scenec.compiler.geometry.icosphere import EDGE, face_neighbors, icosphere, vertex_faces
+from scenec.compiler.objects.creases import along_creases
+from scenec.compiler.objects.families.shape import Shape
+from scenec.compiler.objects.lod import budget_factor, choose_levels, see_levels
+from scenec.compiler.objects.rocks import Chain, build_chains, build_prototypes
+from scenec.compiler.scene.plan import ScatterPlan
+from scenec.compiler.scene.scene import Prototype, Scatter
+from scenec.compiler.views.sight import NO_VIEWS, Views
 from scenec.schemas.errors import SceneError
 
 FAMILIES = ("weathered", "angular", "rounded", "slab", "vesicular")

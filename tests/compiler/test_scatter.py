@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 import trimesh
 
-from scenec.compiler.ground.surface import Surface
-from scenec.compiler.scatter.density import Density, NoiseDensity, UniformDensity
-from scenec.compiler.scatter.families.weathered import Weathered
-from scenec.compiler.scatter.icosphere import icosphere
-from scenec.compiler.scatter.placement import align_to_normals, places_on, rotation_rows
-from scenec.compiler.scatter.rocks import build_prototypes
-from scenec.compiler.scatter.seat import seat
-from scenec.compiler.scatter.surroundings import Surroundings
+from scenec.compiler.geometry.icosphere import icosphere
+from scenec.compiler.mesh.surface import Surface
+from scenec.compiler.objects.density import Density, NoiseDensity, UniformDensity
+from scenec.compiler.objects.families.weathered import Weathered
+from scenec.compiler.objects.placement import align_to_normals, places_on, rotation_rows
+from scenec.compiler.objects.rocks import build_prototypes
+from scenec.compiler.objects.seat import seat
+from scenec.compiler.objects.surroundings import Surroundings
 from scenec.compiler.terrain.grid import Grid, HeightField
-from scenec.compiler.terrain.multifractal import Multifractal
+from scenec.compiler.terrain.operators.multifractal import Multifractal
 from scenec.schemas.errors import SceneError
 
 

@@ -10,9 +10,10 @@ from laying import SIZE, laid, plan, surroundings
 from PIL import Image
 from scipy.spatial import cKDTree
 
-from scenec.compiler.frontend.check_files import InputFile
-from scenec.compiler.frontend.streams import Streams
-from scenec.compiler.scatter.density import (
+from scenec.compiler.cfg.check_files import InputFile
+from scenec.compiler.distributions.streams import Streams
+from scenec.compiler.draw.scatter import Setting
+from scenec.compiler.objects.density import (
     AroundDensity,
     ClusterDensity,
     Density,
@@ -22,10 +23,9 @@ from scenec.compiler.scatter.density import (
     RingDensity,
     WorleyDensity,
 )
-from scenec.compiler.scatter.draw_scatter import Setting
-from scenec.compiler.scatter.lattice import Lattice, nearest
-from scenec.compiler.scatter.placement import places_on
-from scenec.compiler.terrain.craters import Craters
+from scenec.compiler.objects.lattice import Lattice, nearest
+from scenec.compiler.objects.placement import places_on
+from scenec.compiler.terrain.operators.craters import Craters
 from scenec.schemas.errors import SceneError
 
 N = 100_000

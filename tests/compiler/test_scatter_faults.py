@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 from small import small_cfg, write_cfg
 
-from scenec.compiler.frontend.load import load
+from scenec.compiler.cfg.load import load
 from scenec.schemas.errors import CfgError
 
 CRATERS = {"type": "crater_freshness", "min": 0.2}

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scipy.linalg import expm
 from scipy.spatial.transform import Rotation, Slerp
 
-from scenec.compiler.cameras.se3 import METHODS, interpolate, matrices, turn_between
+from scenec.compiler.geometry.se3 import METHODS, interpolate, matrices, turn_between
 
 ALL = list(METHODS)
 

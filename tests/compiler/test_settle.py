@@ -17,19 +17,19 @@ from overhangs import shelter, write
 from small import small_cfg, write_cfg
 
 from scenec.backends.stage.read import read_stage
+from scenec.compiler.assets.pose_table import PoseTable, read_poses
 from scenec.compiler.build import BuildLog, build_surface
-from scenec.compiler.cameras.poses import from_quaternion
+from scenec.compiler.cfg.load import load
 from scenec.compiler.compile import compile_cfg
-from scenec.compiler.draw import draw
-from scenec.compiler.frontend.load import load
-from scenec.compiler.frontend.pose_table import PoseTable, read_poses
-from scenec.compiler.passes.keep import Keep
-from scenec.compiler.scene import Prototype
-from scenec.compiler.settle.bodies import quaternion_of_matrix
-from scenec.compiler.settle.settle import settle
-from scenec.compiler.settle.shapes import shape_of
-from scenec.compiler.settle.world import Options
+from scenec.compiler.draw.batch import draw
+from scenec.compiler.geometry.poses import from_quaternion
+from scenec.compiler.scene.scene import Prototype
+from scenec.compiler.views.keep import Keep
 from scenec.schemas.errors import OutputError, ScenecError
+from scenec.settle.bodies import quaternion_of_matrix
+from scenec.settle.settle import settle
+from scenec.settle.shapes import shape_of
+from scenec.settle.world import Options
 
 pytest.importorskip("mujoco")
 

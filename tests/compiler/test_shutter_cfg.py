@@ -15,7 +15,7 @@ from pruned_scenes import annotation, compiled, drawn_cfg
 from scipy.spatial.transform import Rotation
 from shutter_cfgs import ORBIT, SHUTTER, cfg
 
-from scenec.compiler.cameras.lenses import make_lens
+from scenec.compiler.assets.track_formats import Stamped
 from scenec.compiler.cameras.paths.descent import Descent
 from scenec.compiler.cameras.paths.lawn_mower import LawnMower
 from scenec.compiler.cameras.paths.mav import Mav
@@ -25,15 +25,15 @@ from scenec.compiler.cameras.paths.rover import Rover
 from scenec.compiler.cameras.rigs import build_rigs
 from scenec.compiler.cameras.shutters import ERROR_PX, Way, way_of
 from scenec.compiler.cameras.tracks import Gaps, Sampling, TrackWay
-from scenec.compiler.draw import draw
-from scenec.compiler.frontend.load import load
-from scenec.compiler.frontend.track_formats import Stamped
-from scenec.compiler.ground.surface import Surface
-from scenec.compiler.passes.keep import Keep
-from scenec.compiler.passes.outlook import in_view, outlook
-from scenec.compiler.plan import RigPlan, SensorPlan, TrackPlan
-from scenec.compiler.rig import OpenShutter, Rig, Sensor
+from scenec.compiler.cfg.load import load
+from scenec.compiler.draw.batch import draw
+from scenec.compiler.geometry.lenses import make_lens
+from scenec.compiler.mesh.surface import Surface
+from scenec.compiler.scene.plan import RigPlan, SensorPlan, TrackPlan
+from scenec.compiler.scene.rig import OpenShutter, Rig, Sensor
 from scenec.compiler.terrain.grid import Grid, HeightField
+from scenec.compiler.views.keep import Keep
+from scenec.compiler.views.outlook import in_view, outlook
 from scenec.schemas.errors import CfgError, SceneError
 from scenec.schemas.left_out import read_left_out
 from scenec.schemas.lens import directions, to_plane

@@ -12,11 +12,11 @@ import scipy.linalg
 from small import small_cfg, write_cfg
 
 from scenec.cli.main import main
-from scenec.compiler.terrain.drainage import SIDES, outlet_samples
 from scenec.compiler.terrain.grid import Grid
-from scenec.compiler.terrain.hillslopes import Hillslopes
-from scenec.compiler.terrain.multifractal import Multifractal
-from scenec.compiler.terrain.stream_power import AIM, USUAL_STEPS, StreamPower
+from scenec.compiler.terrain.operators.drainage import SIDES, outlet_samples
+from scenec.compiler.terrain.operators.hillslopes import Hillslopes
+from scenec.compiler.terrain.operators.multifractal import Multifractal
+from scenec.compiler.terrain.operators.stream_power import AIM, USUAL_STEPS, StreamPower
 
 #: One of each number, and both kinds of pairs; all others are slow.
 QUICK = {SIDES[:1], SIDES[:2], SIDES[1:3], SIDES[:3], SIDES}

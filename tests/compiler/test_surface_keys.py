@@ -12,9 +12,9 @@ from small import small_cfg, write_cfg
 
 from scenec.backends.check.stage import check_stage
 from scenec.backends.stage.read import read_stage
+from scenec.compiler.cfg.load import load
 from scenec.compiler.compile import compile_cfg
-from scenec.compiler.draw import draw
-from scenec.compiler.frontend.load import load
+from scenec.compiler.draw.batch import draw
 from scenec.schemas import stage as names
 from scenec.schemas.errors import CfgError
 

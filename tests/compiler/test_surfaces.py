@@ -16,15 +16,15 @@ from test_compile import compiled, hashes
 
 from scenec.backends.check.stage import check_stage
 from scenec.backends.stage.read import read_stage
+from scenec.compiler.cfg.schema import describe, load_schemas
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.emit.maps import average_color
-from scenec.compiler.frontend.schema import describe, load_schemas
-from scenec.compiler.scene import Material, MaterialMaps, Picture
-from scenec.compiler.surfaces import periodic
-from scenec.compiler.surfaces.kinds import SURFACES
-from scenec.compiler.surfaces.pictures import color_codes, encoded, normal_codes, with_pictures
-from scenec.compiler.surfaces.surface import Surface
-from scenec.compiler.surfaces.tile import Tile
+from scenec.compiler.materials import periodic
+from scenec.compiler.materials.kinds import SURFACES
+from scenec.compiler.materials.pictures import color_codes, encoded, normal_codes, with_pictures
+from scenec.compiler.materials.surface import Surface
+from scenec.compiler.materials.tile import Tile
+from scenec.compiler.scene.scene import Material, MaterialMaps, Picture
 from scenec.schemas.errors import CfgError
 from scenec.schemas.maps import decode, read_pixels
 

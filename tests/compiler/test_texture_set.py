@@ -13,12 +13,12 @@ from small import small_cfg, write_cfg
 
 from scenec.backends.stage.read import read_stage
 from scenec.compiler.assets.texture_set import TextureSetError, recognize
+from scenec.compiler.cfg.load import load
 from scenec.compiler.compile import compile_cfg
-from scenec.compiler.frontend.load import load
-from scenec.compiler.scene import Material, MaterialMaps
-from scenec.compiler.surfaces.bake import baked
-from scenec.compiler.surfaces.sources import Sources
-from scenec.compiler.surfaces.values import colors, raw
+from scenec.compiler.materials.bake import baked
+from scenec.compiler.materials.values import colors, raw
+from scenec.compiler.scene.scene import Material, MaterialMaps
+from scenec.compiler.scene.sources import Sources
 from scenec.schemas.errors import CfgError
 from scenec.schemas.maps import decode, read_pixels
 

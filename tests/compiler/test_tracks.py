@@ -9,10 +9,10 @@ import pytest
 from scipy.spatial.transform import Rotation, Slerp
 from small import small_cfg, write_cfg
 
+from scenec.compiler.assets.track_formats import read_stamped
 from scenec.compiler.cameras.tracks import Gaps, Sampling, resampled
-from scenec.compiler.draw import draw
-from scenec.compiler.frontend.load import load
-from scenec.compiler.frontend.track_formats import read_stamped
+from scenec.compiler.cfg.load import load
+from scenec.compiler.draw.batch import draw
 from scenec.schemas.errors import CfgError, SceneError
 
 HALF_TURN = np.diag([1.0, -1.0, -1.0])

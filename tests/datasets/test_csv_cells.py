@@ -9,10 +9,10 @@ import numpy as np
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from scenec.compiler.settle.table import write_poses
 from scenec.datasets.formats.trajectory import write_table
 from scenec.schemas.csv_cells import guarded, guarded_line, unguarded
 from scenec.schemas.instances import read_frame_table, write_frame_table
+from scenec.settle.table import write_poses
 
 EVIL = [
     '=HYPERLINK("http://a.b","c")', "+1+cmd|' /C calc'!A0", "-2+3", "@SUM(1)", "\t=1", "\r=1",
@@ -83,7 +83,7 @@ def test_every_module_that_writes_csv_guards_its_cells():
     root = Path(__file__).resolve().parents[2]
     writers = [
         path
-        for room in ("schemas", "compiler", "backends", "datasets", "studies", "cli")
+        for room in ("schemas", "compiler", "backends", "datasets", "studies", "settle", "cli")
         for path in (root / room).rglob("*.py")
         if "csv.writer(" in (source := path.read_text()) or "csv.DictWriter(" in source
     ]

@@ -7,7 +7,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from scenec.compiler.frontend.load import Spec, load
+from scenec.compiler.cfg.load import Spec, load
 from scenec.schemas.errors import CfgError, Fault
 
 _MINIMAL: dict[str, Any] = {

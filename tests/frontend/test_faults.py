@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from small_cfg import DELETE, changed, faults_of, load_cfg, minimal
 
-from scenec.compiler.frontend.load import load
+from scenec.compiler.cfg.load import load
 from scenec.schemas.errors import CfgError
 
 _UNIFORM = {"type": "uniform", "min": 0.1, "max": 0.2}

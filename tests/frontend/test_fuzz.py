@@ -12,10 +12,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from small_cfg import minimal
 
-from scenec.compiler.frontend.load import load
-from scenec.compiler.frontend.numbers import Distribution
-from scenec.compiler.frontend.resolve import resolve
-from scenec.compiler.frontend.streams import Streams
+from scenec.compiler.cfg.load import load
+from scenec.compiler.distributions.numbers import Distribution
+from scenec.compiler.distributions.resolve import resolve
+from scenec.compiler.distributions.streams import Streams
 from scenec.schemas.errors import CfgError
 
 _SHARED_FOLDER = settings(

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from scenec.compiler.frontend.json_positions import MAX_DEPTH, JsonError, Position, parse
+from scenec.compiler.cfg.json_positions import MAX_DEPTH, JsonError, Position, parse
 
 _TEXT = st.text(st.characters(exclude_categories=["Cs"]))
 _JSON = st.recursive(

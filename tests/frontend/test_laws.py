@@ -12,10 +12,10 @@ from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
 
-from scenec.compiler.frontend.check_numbers import check_number, read_number
-from scenec.compiler.frontend.numbers import draw_number
-from scenec.compiler.frontend.schema import Field
-from scenec.compiler.frontend.streams import Streams
+from scenec.compiler.cfg.check_numbers import check_number, read_number
+from scenec.compiler.cfg.schema import Field
+from scenec.compiler.distributions.numbers import draw_number
+from scenec.compiler.distributions.streams import Streams
 
 _N = 20000
 
@@ -97,7 +97,7 @@ def test_the_table_of_rock_diameters_is_exact_to_a_millionth():
             lambda x: math.exp(-q * x) / x**2, low, d, epsabs=0, epsrel=1e-12
         )[0]
 
-    from scenec.compiler.frontend.laws import golombek_rapp
+    from scenec.compiler.distributions.laws import golombek_rapp
 
     u = np.array([0.0, 1e-3, 0.1, 0.5, 0.9, 0.99, 0.9999])
     found = golombek_rapp(u, low, high, k)

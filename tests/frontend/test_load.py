@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from small_cfg import DELETE, changed, faults_of, load_cfg, minimal
 
-from scenec.compiler.frontend.load import load
-from scenec.compiler.frontend.numbers import Distribution
+from scenec.compiler.cfg.load import load
+from scenec.compiler.distributions.numbers import Distribution
 
 _ROOT = Path(__file__).parents[2]
 

@@ -11,11 +11,11 @@ import scipy.stats
 from hypothesis import given
 from hypothesis import strategies as st
 
-from scenec.compiler.frontend import normal
-from scenec.compiler.frontend.check_numbers import check_number, read_number
-from scenec.compiler.frontend.numbers import Distribution, draw_number
-from scenec.compiler.frontend.schema import Field
-from scenec.compiler.frontend.streams import Streams
+from scenec.compiler.cfg.check_numbers import check_number, read_number
+from scenec.compiler.cfg.schema import Field
+from scenec.compiler.distributions import normal
+from scenec.compiler.distributions.numbers import Distribution, draw_number
+from scenec.compiler.distributions.streams import Streams
 
 _STREAMS = Streams(5, 0)
 _N = 20000

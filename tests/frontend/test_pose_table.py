@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from scenec.compiler.frontend.pose_table import read_poses
+from scenec.compiler.assets.pose_table import read_poses
 from scenec.schemas.errors import SceneError
 
 

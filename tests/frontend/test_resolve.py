@@ -7,9 +7,9 @@ import copy
 import numpy as np
 from small_cfg import changed, load_cfg
 
-from scenec.compiler.frontend.numbers import Distribution, draw_number
-from scenec.compiler.frontend.resolve import resolve
-from scenec.compiler.frontend.streams import Streams
+from scenec.compiler.distributions.numbers import Distribution, draw_number
+from scenec.compiler.distributions.resolve import resolve
+from scenec.compiler.distributions.streams import Streams
 
 _UNIFORM = {"type": "uniform", "min": 10, "max": 20}
 _STREAMS = Streams(1, 0)

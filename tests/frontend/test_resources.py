@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from scenec.compiler.frontend.resources import ResourceError, find_file
+from scenec.compiler.cfg.resources import ResourceError, find_file
 
 
 @pytest.fixture

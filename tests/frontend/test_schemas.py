@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 from jsonschema import Draft202012Validator
 
-from scenec.compiler.frontend.check_numbers import check_number
-from scenec.compiler.frontend.schema import NUMBER, ROOT, Field, load_schemas, validator
+from scenec.compiler.cfg.check_numbers import check_number
+from scenec.compiler.cfg.schema import NUMBER, ROOT, Field, load_schemas, validator
 from scenec.studies.pages import cfg_reference
 
 _DOCS = Path(__file__).parents[2] / "docs"

@@ -12,7 +12,7 @@ import scipy.stats
 from hypothesis import given
 from hypothesis import strategies as st
 
-from scenec.compiler.frontend.streams import Streams
+from scenec.compiler.distributions.streams import Streams
 from scenec.schemas.errors import ScenecError
 
 _SEEDS = st.integers(0, 2**64 - 1)

@@ -1,4 +1,4 @@
-"""Rooms of the backends stand on floors: imports go down; no files import in a ring."""
+"""Rooms of compiler and backends stand on floors: imports go down; no files import in a ring."""
 
 from __future__ import annotations
 
@@ -9,28 +9,52 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-#: From the ground up: a room imports those before it. Adapters, side by side, share nothing.
-FLOORS = (
-    ("stage",),
-    ("contract", "registry"),
-    ("camera",),
-    ("surface",),
-    ("exact",),
-    ("imaging",),
-    ("annotation",),
-    ("picture",),
-    ("mitsuba", "cycles", "pyrender"),
-    ("run",),
-    ("check",),
-)
+#: From the ground up: a room imports those before it. Rooms side by side share nothing.
+FLOORS = {
+    "compiler": (
+        ("arithmetic", "cache"),
+        ("noise", "distributions", "scene"),
+        ("geometry",),
+        ("assets",),
+        ("cfg",),
+        ("terrain",),
+        ("views",),
+        ("materials", "mesh"),
+        ("objects",),
+        ("cameras",),
+        ("light",),
+        ("draw", "emit"),
+        ("build", "output", "estimate"),
+        ("batch_unit",),
+        ("compile",),
+    ),
+    "backends": (
+        ("stage",),
+        ("contract", "registry"),
+        ("camera",),
+        ("surface",),
+        ("exact",),
+        ("imaging",),
+        ("annotation",),
+        ("picture",),
+        ("mitsuba", "cycles", "pyrender"),
+        ("run",),
+        ("check",),
+    ),
+}
+#: What stands in no room.
+LOOSE = {
+    "compiler": {"build", "output", "estimate", "batch_unit", "compile"},
+    "backends": {"contract", "registry"},
+}
 #: Backends that are registered are imported by name, when they are asked for; this one by its text.
-MAY = {("registry", "contract")}
-PREFIX = "scenec.backends."
+#: What pruning asks of lights goes with its bound of light.
+MAY = {("registry", "contract"), ("views", "light"), ("views", "materials")}
 
 
-def modules() -> dict[str, Path]:
-    """Files of the backends by dotted name within them."""
-    folder = ROOT / "backends"
+def modules(layer: str) -> dict[str, Path]:
+    """Files of a layer by dotted name within it."""
+    folder = ROOT / layer
     found = {}
     for file in folder.rglob("*.py"):
         parts = file.relative_to(folder).with_suffix("").parts
@@ -38,30 +62,29 @@ def modules() -> dict[str, Path]:
     return found
 
 
-def imported(source: str, names: set[str], late: bool) -> set[str]:
-    """Modules of the backends that a source imports; with ``late`` also within functions."""
+def imported(source: str, layer: str, names: set[str]) -> set[str]:
+    """Modules of a layer that a source imports, within functions too, but for types alone."""
+    prefix = f"scenec.{layer}."
     tree = ast.parse(source)
     found: set[str] = set()
-    for node in ast.walk(tree) if late else _eager(tree):
+    for node in _run(tree):
         if isinstance(node, ast.Import):
-            found |= {a.name.removeprefix(PREFIX) for a in node.names if a.name.startswith(PREFIX)}
-        elif isinstance(node, ast.ImportFrom) and f"{node.module}.".startswith(PREFIX):
-            base = f"{node.module}.".removeprefix(PREFIX)
+            found |= {a.name.removeprefix(prefix) for a in node.names if a.name.startswith(prefix)}
+        elif isinstance(node, ast.ImportFrom) and f"{node.module}.".startswith(prefix):
+            base = f"{node.module}.".removeprefix(prefix)
             for alias in node.names:
                 whole = base + alias.name
                 found.add(whole if whole in names else base.rstrip("."))
     return found
 
 
-def _eager(tree: ast.AST) -> list[ast.AST]:
-    """Nodes that run when a module is imported: not in functions, not for type checkers."""
+def _run(tree: ast.AST) -> list[ast.AST]:
+    """Nodes but those for type checkers."""
     nodes: list[ast.AST] = []
     waiting = [tree]
     while waiting:
         node = waiting.pop()
         nodes.append(node)
-        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda):
-            continue
         if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
             continue
         waiting += ast.iter_child_nodes(node)
@@ -72,38 +95,41 @@ def room(name: str) -> str:
     return name.split(".")[0]
 
 
-def refused(of: str, other: str) -> bool:
+def refused(layer: str, of: str, other: str) -> bool:
     """Whether a room must not import another."""
     if of == other or (of, other) in MAY:
         return False
-    floor = {name: number for number, names in enumerate(FLOORS) for name in names}
+    floor = {name: number for number, names in enumerate(FLOORS[layer]) for name in names}
     return floor[other] >= floor[of]
 
 
-def test_every_room_has_its_floor_and_only_the_contract_and_the_registry_are_loose() -> None:
-    folder = ROOT / "backends"
+@pytest.mark.parametrize("layer", FLOORS)
+def test_every_room_has_its_floor_and_few_files_are_loose(layer: str) -> None:
+    folder = ROOT / layer
     rooms = {path.name for path in folder.iterdir() if (path / "__init__.py").exists()}
     loose = {path.stem for path in folder.glob("*.py")} - {"__init__"}
-    assert loose == {"contract", "registry"}
-    assert rooms | loose == {name for names in FLOORS for name in names}
+    assert loose == LOOSE[layer]
+    assert rooms | loose == {name for names in FLOORS[layer] for name in names}
 
 
-def test_imports_go_down() -> None:
-    found = modules()
+@pytest.mark.parametrize("layer", FLOORS)
+def test_imports_go_down(layer: str) -> None:
+    found = modules(layer)
     up = [
         f"{name} imports {other}"
         for name, file in found.items()
         if name
-        for other in imported(file.read_text(encoding="utf-8"), set(found), late=True)
-        if refused(room(name), room(other))
+        for other in imported(file.read_text(encoding="utf-8"), layer, set(found))
+        if other and refused(layer, room(name), room(other))
     ]
     assert up == []
 
 
-def test_no_files_import_in_a_ring() -> None:
-    found = modules()
+@pytest.mark.parametrize("layer", FLOORS)
+def test_no_files_import_in_a_ring(layer: str) -> None:
+    found = modules(layer)
     graph = {
-        name: imported(file.read_text(encoding="utf-8"), set(found), late=True) - {name}
+        name: imported(file.read_text(encoding="utf-8"), layer, set(found)) - {name}
         for name, file in found.items()
     }
     try:
@@ -113,17 +139,19 @@ def test_no_files_import_in_a_ring() -> None:
 
 
 @pytest.mark.parametrize(
-    ("of", "line", "wrong"),
+    ("layer", "of", "line", "wrong"),
     [
-        ("exact", "from scenec.backends.run import worker", True),
-        ("exact", "import scenec.backends.picture.haze", True),
-        ("mitsuba", "from scenec.backends.cycles.adapter import Cycles", True),
-        ("exact", "def f():\n    from scenec.backends.check import stage", True),
-        ("run", "from scenec.backends.exact import ExactCaster", False),
-        ("registry", "from scenec.backends.contract import Backend", False),
+        ("backends", "exact", "from scenec.backends.run import worker", True),
+        ("backends", "exact", "import scenec.backends.picture.haze", True),
+        ("backends", "mitsuba", "from scenec.backends.cycles.adapter import Cycles", True),
+        ("backends", "exact", "def f():\n    from scenec.backends.check import stage", True),
+        ("backends", "run", "from scenec.backends.exact import ExactCaster", False),
+        ("backends", "registry", "from scenec.backends.contract import Backend", False),
+        ("compiler", "mesh", "from scenec.compiler.materials import tile", True),
+        ("compiler", "draw", "from scenec.compiler.light import sky", False),
     ],
 )
-def test_a_wrong_import_is_seen(of: str, line: str, wrong: bool) -> None:
-    others = imported(line, set(modules()), late=True)
+def test_a_wrong_import_is_seen(layer: str, of: str, line: str, wrong: bool) -> None:
+    others = imported(line, layer, set(modules(layer)))
     assert len(others) == 1
-    assert any(refused(of, room(other)) for other in others) == wrong
+    assert any(refused(layer, of, room(other)) for other in others) == wrong

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-LAYERS = ("schemas", "compiler", "backends", "datasets", "studies", "cli")
+LAYERS = ("schemas", "compiler", "backends", "datasets", "studies", "settle", "cli")
 #: Scripts of the checkout, which read its tests and write its pages.
 SCRIPTS = ("studies/benchmarks/", "studies/pages/")
 #: What the source distribution and the build need of the checkout.
@@ -25,7 +25,7 @@ from importlib.resources import files
 import scenec.schemas.errors as errors
 schema = json.loads((files("scenec.schemas") / "cfg" / "cfg.schema.json").read_text())
 assert schema["$schema"].endswith("2020-12/schema"), schema["$schema"]
-import scenec.backends.contract, scenec.compiler.scene
+import scenec.backends.contract, scenec.compiler.scene.scene
 print(errors.__file__)
 """
 

@@ -8,10 +8,10 @@ from typing import Final
 import numpy as np
 
 from scenec.compiler.arithmetic import elementary
-from scenec.compiler.cameras.lenses import strip_width
 from scenec.compiler.cameras.paths.legs import Legs, Pen
 from scenec.compiler.cameras.paths.motion import Around, Built, frames, poses
 from scenec.compiler.cameras.tracks import Sampling
+from scenec.compiler.geometry.lenses import strip_width
 from scenec.schemas.errors import SceneError
 
 _QUARTER = 0.5 * elementary.PI

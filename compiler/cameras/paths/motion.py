@@ -10,14 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
-from scenec.compiler.ground.surface import Surface
-from scenec.compiler.rig import Lidar
-from scenec.compiler.scatter.placement import turned
-from scenec.compiler.scene import Placed, Prototype, Scatter
+from scenec.compiler.mesh.surface import Surface
+from scenec.compiler.objects.placement import turned
+from scenec.compiler.scene.rig import Lidar
+from scenec.compiler.scene.scene import Placed, Prototype, Scatter
 from scenec.schemas.errors import SceneError
 
 if TYPE_CHECKING:
-    from scenec.compiler.plan import SensorPlan
+    from scenec.compiler.scene.plan import SensorPlan
 
 _DEGREE = elementary.PI / 180.0
 

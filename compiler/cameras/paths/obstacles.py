@@ -17,7 +17,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.cameras.paths.motion import Bodies
-from scenec.compiler.scatter.voxels import voxels_of
+from scenec.compiler.geometry.voxels import voxels_of
 
 #: Cubes along the longest side of a prototype at most.
 _CUBES: Final = 64

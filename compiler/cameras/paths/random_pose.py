@@ -11,7 +11,6 @@ from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
-from scenec.compiler.cameras.lenses import pixel_rays
 from scenec.compiler.cameras.paths.motion import (
     Around,
     Bodies,
@@ -24,10 +23,11 @@ from scenec.compiler.cameras.paths.motion import (
 )
 from scenec.compiler.cameras.paths.orbit import picked
 from scenec.compiler.cameras.paths.rays import hits, normal_at, span_of
-from scenec.compiler.cameras.poses import compose
-from scenec.compiler.frontend.numbers import Number, at_uniforms
+from scenec.compiler.distributions.numbers import Number, at_uniforms
+from scenec.compiler.geometry.lenses import pixel_rays
+from scenec.compiler.geometry.poses import compose
+from scenec.compiler.geometry.voxels import Cubes
 from scenec.compiler.noise.lattice import hash2
-from scenec.compiler.scatter.voxels import Cubes
 from scenec.schemas.errors import SceneError
 
 #: Rays over a sensor's width and height that say what share of its picture is sky.

@@ -1,0 +1,52 @@
+"""Classes that entries may hold: data of the compiler, made by their constructors alone."""
+
+from __future__ import annotations
+
+_OF: dict[str, tuple[str, ...]] = {
+    "cameras.paths.motion": ("Bodies",),
+    "mesh.cover": ("MaterialCondition",),
+    "mesh.limit": ("Limit",),
+    "mesh.merge": ("Merge",),
+    "light.build": ("Light",),
+    "views.prune": ("Pruned",),
+    "objects.lod": ("Levels",),
+    "scene.rig": ("Between", "Focus", "Lidar", "LidarNoise", "OpenShutter", "Rig", "Sensor"),
+    "scene.scene": (
+        "Cells", "Far", "Georeference", "Ground", "GroundLayer", "Haze", "Lamp",
+        "Material", "MaterialMaps", "MeshPart", "Picture",
+        "Placed", "Prototype", "Reflectance", "Scatter", "Scene", "SkyLabelMaps",
+        "SkyLight", "SunLight", "Tile",
+    ),
+    "materials.finish": ("Finished",),
+    "materials.footprint": ("Footprint",),
+    "materials.reduce": ("Reduced",),
+    "scene.sources": ("Sources",),
+    "materials.tile": ("Look",),
+    "terrain.condition": (
+        "CurvatureCondition", "FlowCondition", "FreshnessCondition", "HeightCondition",
+        "NoiseCondition", "PathCondition", "PointCondition", "Ragged", "SlopeCondition",
+    ),
+    "terrain.detail": ("Spectrum", "Sum", "Weighted"),
+    "terrain.grid": ("Grid", "HeightField"),
+    "terrain.sources.mesh_surface": ("MeshSurface",),
+    "terrain.operators.multifractal": ("Multifractal", "MultifractalDetail"),
+    "terrain.program": ("Relief",),
+    "terrain.operators.worley": ("Worley", "WorleyDetail"),
+}  # fmt: skip
+
+#: By full name, ``module:class``.
+KINDS: frozenset[str] = frozenset(
+    [f"scenec.compiler.{module}:{name}" for module, names in _OF.items() for name in names]
+    + [f"scenec.schemas.left_out:{name}" for name in ("ClassRecord", "Reason", "Record")]
+    + ["scenec.schemas.lens:Lens", "scenec.schemas.imaging:Imaging"]
+    + ["scenec.schemas.shutter:Shutter"]
+    + [
+        f"scenec.schemas.depth_camera:{name}"
+        for name in ("DepthCamera", "StereoDepth", "TimeOfFlightDepth")
+    ]
+)
+
+#: Classes that are no dataclasses: what their constructors take, which they keep by these names.
+PLAIN: dict[str, tuple[str, ...]] = {
+    "scenec.compiler.terrain.quantities:Quantities": ("grid", "height"),
+}

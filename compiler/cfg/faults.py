@@ -1,0 +1,43 @@
+"""Faults by path, with line and column."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from scenec.compiler.cfg.json_positions import Document, Path, Position
+from scenec.schemas.errors import Fault
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A fault at a path of the document.
+
+    Attributes:
+        path: Where.
+        message: What is wrong, what was expected.
+        at_key: Whether the key is at fault rather than its value.
+        position: Line and column, where they are not those of the key or value at the path.
+    """
+
+    path: Path
+    message: str
+    at_key: bool = False
+    position: Position | None = None
+
+
+def locate(findings: Iterable[Finding], document: Document, file: str) -> list[Fault]:
+    """Findings with file, line, column and pointer, each once."""
+    faults = []
+    for finding in findings:
+        where = document.keys if finding.at_key else document.values
+        position = finding.position or where.get(finding.path) or document.values[finding.path]
+        faults.append(
+            Fault(file, position.line, position.column, pointer(finding.path), finding.message)
+        )
+    return list(dict.fromkeys(faults))
+
+
+def pointer(path: Path) -> str:
+    """The JSON pointer (RFC 6901) of a path."""
+    return "".join("/" + str(part).replace("~", "~0").replace("/", "~1") for part in path)

@@ -1,0 +1,140 @@
+"""From a cfg file to a Spec, or to all that is wrong with it."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path as FilePath
+from typing import Any
+
+from scenec.compiler.cfg import schema
+from scenec.compiler.cfg.check_files import InputFile, check_file
+from scenec.compiler.cfg.check_models import check_models
+from scenec.compiler.cfg.check_names import check_names
+from scenec.compiler.cfg.check_numbers import check_number
+from scenec.compiler.cfg.check_scene import check_scene
+from scenec.compiler.cfg.check_schema import check_schema
+from scenec.compiler.cfg.faults import Finding, locate
+from scenec.compiler.cfg.fill import fill
+from scenec.compiler.cfg.json_positions import Document, JsonError, Path, parse
+from scenec.compiler.cfg.schema import Field
+from scenec.compiler.distributions.numbers import Distribution
+from scenec.schemas.errors import CfgError, Fault
+from scenec.schemas.spelling import shown
+
+
+@dataclass(frozen=True)
+class Spec:
+    """A validated cfg.
+
+    Attributes:
+        cfg: The cfg in full (see ``fill``): nested dicts and lists, numbers as float, int or
+            ``Distribution``, keys without a value and default as None. Not to be changed.
+        path: The cfg file.
+        files: The files that it names, by the path of the string: "terrain/relief/0/file".
+        digest: sha256 over the cfg in full and the hashes of its files, in hexadecimal. It does not
+            depend on layout, comments or where the files lie, but on the order of named things,
+            which decides instance ids.
+        text: The file's bytes.
+    """
+
+    cfg: dict[str, Any]
+    path: FilePath
+    files: Mapping[str, InputFile]
+    digest: str
+    text: bytes
+
+
+def load(path: FilePath | str) -> Spec:
+    """Reads and validates a cfg.
+
+    Raises:
+        CfgError: With every fault of the file, in its order; of a text that is not JSON, the first.
+    """
+    path = FilePath(path)
+    name = str(path)
+    text, document = _read(path, name)
+    findings = [
+        Finding(at, f"the key {shown(at[-1])} stands twice in its object", position=position)
+        for at, position in document.duplicates
+    ]
+    schema_findings = check_schema(document.value)
+    findings.extend(schema_findings)
+    fields = list(schema.walk(schema.root(document.value)))
+    numbers, number_findings = _sound_numbers(fields, schema_findings)
+    findings.extend(number_findings)
+    if isinstance(document.value, dict):
+        sound = not schema_findings and not document.duplicates
+        findings.extend(check_names(document.value, sound))
+        findings.extend(check_scene(document.value, numbers))
+    files: dict[str, InputFile] = {}
+    for field in fields:
+        if "x-file" in field.keywords and isinstance(field.value, str) and field.value:
+            file, file_findings = check_file(field, document.value, path.parent)
+            findings.extend(file_findings)
+            if file:
+                files["/".join(map(str, field.path))] = file
+    findings.extend(check_models(document.value, files))
+    faults = locate(findings, document, name)
+    if faults:
+        raise CfgError(faults)
+    cfg = fill(document.value)
+    return Spec(cfg, path, files, digest_of(cfg, files), text)
+
+
+def _read(path: FilePath, name: str) -> tuple[bytes, Document]:
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise CfgError([Fault(name, 1, 1, "", error.strerror or str(error))]) from error
+    except ValueError as error:
+        # A zero character in the name.
+        raise CfgError([Fault(name, 1, 1, "", f"not a file name: {error}")]) from error
+    try:
+        return data, parse(data)
+    except JsonError as error:
+        line, column = error.position.line, error.position.column
+        raise CfgError([Fault(name, line, column, "", error.message)]) from error
+
+
+def _sound_numbers(
+    fields: list[Field], schema_findings: list[Finding]
+) -> tuple[dict[Path, Field], list[Finding]]:
+    # A finding inside a distribution counts against the number that the distribution stands for.
+    faulty = {
+        finding.path[:length]
+        for finding in schema_findings
+        for length in range(len(finding.path) + 1)
+    }
+    numbers: dict[Path, Field] = {}
+    findings: list[Finding] = []
+    for field in fields:
+        if not field.is_number or field.path in faulty:
+            continue
+        found = list(check_number(field))
+        findings.extend(found)
+        if not found:
+            numbers[field.path] = field
+    return numbers, findings
+
+
+def digest_of(cfg: dict[str, Any], files: Mapping[str, InputFile]) -> str:
+    """sha256 over a cfg, or a part of one, and the hashes of its files; see ``Spec``."""
+    content = {"cfg": cfg, "files": {name: file.sha256 for name, file in files.items()}}
+    # Keys are not sorted: the order of objects decides their instance ids.
+    text = json.dumps(
+        content,
+        ensure_ascii=True,
+        allow_nan=False,
+        separators=(",", ":"),
+        default=_as_json,
+    )
+    return hashlib.sha256(text.encode("ascii")).hexdigest()
+
+
+def _as_json(value: object) -> dict[str, Any]:
+    if isinstance(value, Distribution):
+        return value.as_dict()
+    raise TypeError(f"{type(value)} in a cfg")

@@ -1,0 +1,1 @@
+"""Randomness keyed by name: streams, distributions and laws of size."""

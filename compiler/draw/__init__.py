@@ -1,0 +1,1 @@
+"""Spec and seed to Plan: all drawing, and nothing random after it."""

@@ -1,0 +1,306 @@
+"""Spec and seed to Plan: every number drawn, and nothing random after it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenec.compiler.arithmetic import elementary
+from scenec.compiler.cameras.depth_cameras import draw_depth_camera
+from scenec.compiler.cameras.focus import draw_focus
+from scenec.compiler.cameras.imaging import draw_imaging
+from scenec.compiler.cameras.lidars import draw_lidar
+from scenec.compiler.cameras.paths.motion import Motion
+from scenec.compiler.cameras.shutters import draw_shutter
+from scenec.compiler.cfg.load import Spec
+from scenec.compiler.cfg.of_keys import of_keys
+from scenec.compiler.distributions.resolve import per_sample, resolve
+from scenec.compiler.distributions.streams import Streams
+from scenec.compiler.draw.craters import draw_craters
+from scenec.compiler.draw.ground import draw_mask, draw_merges
+from scenec.compiler.draw.light import draw_light
+from scenec.compiler.draw.materials import draw_materials
+from scenec.compiler.draw.models import draw_meshes, draw_placed
+from scenec.compiler.draw.paths import draw_motion, draw_track
+from scenec.compiler.draw.rocks import draw_rocks
+from scenec.compiler.draw.scatter import Setting
+from scenec.compiler.geometry.lenses import find_fault, lens_intrinsics, make_lens
+from scenec.compiler.geometry.poses import from_euler
+from scenec.compiler.materials.displacement import displacement_of
+from scenec.compiler.mesh.mesh import Meshing
+from scenec.compiler.objects.poses import PlacedPlan
+from scenec.compiler.scene.plan import (
+    Plan,
+    RandomTargetPlan,
+    RigPlan,
+    ScatterPlan,
+    SensorPlan,
+    TerrainPlan,
+    TrackPlan,
+)
+from scenec.compiler.scene.scene import GroundLayer, Labels, Material, MaterialMaps
+from scenec.compiler.terrain.detail import Detail, Sum
+from scenec.compiler.terrain.mask import Masked
+from scenec.compiler.terrain.operator import OPERATORS, ReliefOperator
+from scenec.compiler.terrain.operators.barchans import draw_barchans
+from scenec.compiler.terrain.sources.mesh_base import Roughness
+from scenec.schemas.errors import SceneError
+
+#: Relief operators that are many things, each drawn.
+_SCATTERED: dict[str, Callable[..., ReliefOperator]] = {
+    "barchans": draw_barchans,
+    "craters": draw_craters,
+}
+
+
+def draw(spec: Spec, seed: int, batch: int, attempt: int = 0) -> Plan:
+    """The plan of one batch.
+
+    Each number's stream is named by its place in the cfg, so a change in one place leaves what is
+    drawn for every other as it was.
+
+    Args:
+        spec: A validated cfg.
+        seed: 0 <= seed < 2**64.
+        batch: Index of the batch.
+        attempt: How often it was drawn before, and could not be built.
+
+    Raises:
+        ScenecError: The seed is out of range.
+        SceneError: What is drawn makes no scene.
+    """
+    streams = Streams(seed, batch, attempt)
+    cfg, samples = spec.cfg, int(spec.cfg["samples"])
+    materials = draw_materials(spec, streams)
+    terrain = _terrain(spec, streams, materials)
+    setting = _setting(spec, terrain)
+    return Plan(
+        name=cfg["name"],
+        batch=batch,
+        samples=samples,
+        label_table=cfg["labels"],
+        sky_labels=_sky_labels(cfg),
+        materials=materials,
+        terrain=terrain,
+        objects=tuple(
+            _objects(name, node, label_ids(cfg, node["labels"]), cfg["labels"], streams, setting)
+            for name, node in cfg["objects"].items()
+        ),
+        object_triangles=cfg["object_detail"]["max_triangles"],
+        light=draw_light(spec, streams, samples),
+        rigs=tuple(_rig(spec, name, streams) for name in cfg["rigs"]),
+    )
+
+
+def _objects(
+    name: str,
+    node: dict[str, Any],
+    labels: Labels,
+    table: dict[str, dict[str, int]],
+    streams: Streams,
+    setting: Setting,
+) -> ScatterPlan | PlacedPlan:
+    """One class of objects."""
+    if node["type"] == "rocks":
+        return draw_rocks(name, node, labels, streams, setting)
+    if node["type"] == "meshes":
+        return draw_meshes(name, node, labels, table, streams, setting)
+    return draw_placed(name, node, labels, table, streams, setting.files)
+
+
+def label_ids(cfg: dict[str, Any], choice: dict[str, str]) -> Labels:
+    """Label ids of a choice of names, on every level; 0 where it chooses none."""
+    return {
+        level: table[choice[level]] if level in choice else 0
+        for level, table in cfg["labels"].items()
+    }
+
+
+def _sky_labels(cfg: dict[str, Any]) -> Labels:
+    sky = cfg["light"]["sky"]
+    return label_ids(cfg, (sky or {}).get("labels") or {})
+
+
+def _terrain(spec: Spec, streams: Streams, materials: dict[str, Material]) -> TerrainPlan:
+    cfg = spec.cfg["terrain"]
+    node = resolve({key: cfg[key] for key in ("size_m", "spacing_m", "ground")}, streams, "terrain")
+    layers = tuple(
+        GroundLayer(
+            layer["material"],
+            label_ids(spec.cfg, layer["labels"]),
+            # The base lies over nothing.
+            layer.get("height_blend", 0.0),
+        )
+        for layer in node["ground"]
+    )
+    relief: list[ReliefOperator] = []
+    for i in range(len(cfg["relief"])):
+        relief.append(_relief(spec, i, streams, relief, node))
+    merges, coverage = draw_merges(node["ground"], streams, spec.files, relief)
+    return TerrainPlan(
+        size_m=(node["size_m"][0], node["size_m"][1]),
+        spacing_m=node["spacing_m"],
+        relief=tuple(relief),
+        layers=layers,
+        merges=merges,
+        coverage=coverage,
+        variation_key=streams.key("terrain/variation"),
+        meshing=Meshing(
+            # 0 asks for the grid as it is.
+            tolerance_px=cfg["mesh"]["tolerance_px"] or None,
+            max_triangles=cfg["mesh"]["max_triangles"],
+            unseen=cfg["mesh"]["unseen"],
+            finest_m=cfg["mesh"]["finest_m"],
+        ),
+        displacements=tuple(
+            _displacement(spec, layer["material"], materials[layer["material"]].maps, streams)
+            for layer in node["ground"]
+        ),
+    )
+
+
+def _setting(spec: Spec, terrain: TerrainPlan) -> Setting:
+    """What objects refer to."""
+    return Setting(terrain.size_m, terrain.relief, spec.cfg["terrain"]["ground"], spec.files)
+
+
+def _displacement(
+    spec: Spec, material: str, maps: MaterialMaps | None, streams: Streams
+) -> Detail | None:
+    """What a ground material adds to the relief, at any fineness."""
+    path = f"materials/{material}/displacement"
+    nodes = spec.cfg["materials"][material]["displacement"] or []
+    parts: list[Detail] = []
+    for i, node in enumerate(nodes):
+        drawn = resolve(node, streams, f"{path}/{i}")
+        parts.append(of_keys(spec, OPERATORS, drawn, streams, f"{path}/{i}").everywhere())
+    pictured = displacement_of(maps)
+    if pictured is not None:
+        parts.append(pictured)
+    return Sum(tuple(parts)) if parts else None
+
+
+def _relief(
+    spec: Spec,
+    index: int,
+    streams: Streams,
+    before: Sequence[ReliefOperator],
+    terrain: dict[str, Any],
+) -> ReliefOperator:
+    """One operator: its keys in the cfg are the fields of its class, but for scattered ones."""
+    size_m = (terrain["size_m"][0], terrain["size_m"][1])
+    path = f"terrain/relief/{index}"
+    cfg = dict(spec.cfg["terrain"]["relief"][index])
+    mask = cfg.pop("mask")
+    operator: ReliefOperator
+    if cfg["type"] in _SCATTERED:
+        operator = _SCATTERED[cfg["type"]](cfg, streams, path, size_m)
+    else:
+        node = resolve(cfg, streams, path)
+        if isinstance(node.get("pixel_m"), float):
+            # One number stands for square pixels.
+            node["pixel_m"] = [node["pixel_m"]] * 2
+        if isinstance(node.get("roughness"), dict):
+            node["roughness"] = Roughness(streams.key(f"{path}/roughness"), **node["roughness"])
+        operator = of_keys(spec, OPERATORS, node, streams, path)
+    if mask is None:
+        return operator
+    path = f"{path}/mask"
+    nodes = resolve(mask, streams, path)
+    return Masked(operator, draw_mask(nodes, streams, path, spec.files, before, terrain["ground"]))
+
+
+def _rig(spec: Spec, name: str, streams: Streams) -> RigPlan:
+    cfg = spec.cfg["rigs"][name]
+    samples = int(spec.cfg["samples"])
+    path = f"rigs/{name}/pose"
+    pose: RandomTargetPlan | TrackPlan | Motion
+    if cfg["pose"]["type"] == "track":
+        opened = any("shutter" in sensor for sensor in cfg["sensors"].values())
+        pose = draw_track(spec, cfg["pose"], path, streams, samples, opened)
+    elif cfg["pose"]["type"] == "random_target":
+        pose = _random_target(cfg["pose"], path, streams, samples)
+    else:
+        pose = draw_motion(cfg["pose"], path, streams)
+    sensors = tuple(
+        _sensor(sensor, node, f"rigs/{name}/sensors/{sensor}", streams, samples)
+        for sensor, node in cfg["sensors"].items()
+    )
+    lidars = tuple(
+        draw_lidar(lidar, node, f"rigs/{name}/lidars/{lidar}", streams)
+        for lidar, node in cfg.get("lidars", {}).items()
+    )
+    return RigPlan(name, pose, sensors, lidars)
+
+
+def _random_target(
+    cfg: dict[str, Any], path: str, streams: Streams, samples: int
+) -> RandomTargetPlan:
+    def drawn(*keys: str) -> NDArray[np.float64]:
+        node: Any = cfg
+        for key in keys:
+            node = node[key]
+        return per_sample(node, streams, "/".join((path, *keys)), samples)
+
+    return RandomTargetPlan(
+        xy=np.stack([drawn("position", "x_m"), drawn("position", "y_m")], axis=1),
+        height_m=drawn("position", "height_m"),
+        distance_m=drawn("target", "distance_m"),
+        bearing_deg=drawn("target", "bearing_deg"),
+        target_height_m=drawn("target", "height_m"),
+        roll_deg=drawn("roll_deg"),
+    )
+
+
+def _sensor(
+    name: str, cfg: dict[str, Any], path: str, streams: Streams, samples: int
+) -> SensorPlan:
+    width, height = cfg["resolution"]
+    lens = make_lens(resolve(cfg.get("lens"), streams, f"{path}/lens"))
+    if cfg["intrinsics"] is not None:
+        k = resolve(cfg["intrinsics"], streams, f"{path}/intrinsics")
+        intrinsics = (k["fx"], k["fy"], k["cx"], k["cy"], k["skew"])
+    elif lens is not None:
+        fov = resolve(cfg["fov_deg"], streams, f"{path}/fov_deg")
+        found = lens_intrinsics(lens, (width, height), fov)
+        if isinstance(found, str):
+            raise SceneError(f"{path}/lens: {found}")
+        intrinsics = found
+    else:
+        half = resolve(cfg["fov_deg"], streams, f"{path}/fov_deg") * elementary.PI / 360.0
+        focal = 0.5 * width * elementary.cos(half) / elementary.sin(half)
+        intrinsics = (focal, focal, 0.5 * width, 0.5 * height, 0.0)
+    fault = find_fault(lens, intrinsics, (width, height))
+    if fault is not None:
+        raise SceneError(f"{path}/lens: {fault}")
+    mount = resolve(cfg["mount"], streams, f"{path}/mount")
+    trigger = cfg.get("trigger", {"every": 1, "first": 0})
+    imaging = draw_imaging(cfg.get("imaging"), streams, f"{path}/imaging", samples)
+    exposure = cfg["exposure"]
+    key = {"incident": "ev_offset", "fixed": "ev"}.get(exposure["type"])
+    return SensorPlan(
+        name=name,
+        resolution=(width, height),
+        intrinsics=intrinsics,
+        to_rig=from_euler(tuple(mount["position_m"]), tuple(mount["rotation_deg"])),
+        metered=exposure["type"] != "fixed",
+        ev=(
+            np.zeros(samples)
+            if key is None
+            else per_sample(exposure[key], streams, f"{path}/exposure/{key}", samples)
+        ),
+        exposure_per=exposure["per"] if exposure["type"] == "auto" else None,
+        outputs=tuple(cfg["outputs"]),
+        partner=cfg.get("partner"),
+        depth_camera=draw_depth_camera(cfg.get("depth_camera"), f"{path}/depth_camera", streams),
+        trigger=(trigger["every"], trigger["first"]),
+        lens=lens,
+        imaging=imaging,
+        shutter=draw_shutter(cfg.get("shutter"), imaging, streams, f"{path}/shutter", samples),
+        focus=draw_focus(
+            cfg.get("focus"), streams, f"{path}/focus", samples, intrinsics[0], imaging
+        ),
+    )

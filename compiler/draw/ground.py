@@ -1,0 +1,128 @@
+"""What is drawn for the ground: noise keys of layers, and of the conditions on where they lie."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from scenec.compiler.cfg.check_files import InputFile
+from scenec.compiler.distributions.streams import Streams
+from scenec.compiler.mesh.cover import MaterialCondition
+from scenec.compiler.mesh.merge import Merge
+from scenec.compiler.terrain.condition import Condition, FreshnessCondition, Interval, Ragged
+from scenec.compiler.terrain.mask import CONDITIONS, Masked
+from scenec.compiler.terrain.operator import ReliefOperator
+from scenec.compiler.terrain.operators.craters import Craters
+
+
+def draw_merges(
+    ground: Sequence[Mapping[str, Any]],
+    streams: Streams,
+    files: Mapping[str, InputFile],
+    relief: Sequence[ReliefOperator],
+) -> tuple[tuple[Merge, ...], tuple[float | None, ...]]:
+    """One merge for each layer after the base, and the part of the terrain each shall cover.
+
+    Args:
+        ground: The cfg's layers, resolved.
+        streams: The batch's streams.
+        files: Files of the cfg, by path.
+        relief: The operators that the ground is laid on.
+    """
+    merges, coverage = [], []
+    for i, layer in enumerate(ground[1:], start=1):
+        path = f"terrain/ground/{i}"
+        # Without a noise its numbers mean nothing.
+        noise = layer["noise"] or {
+            "scale_m": 1.0, "octaves": 0, "gain": 0.0, "lacunarity": 1.0, "distortion": 0.0
+        }  # fmt: skip
+        merges.append(
+            Merge(
+                key=streams.key(f"{path}/noise"),
+                **noise,
+                sharpness=layer["sharpness"],
+                # Coverage is met at weight 1/2; the cfg gives one of the two.
+                threshold=0.5 if layer["threshold"] is None else layer["threshold"],
+                noisy=layer["noise"] is not None,
+                where=tuple(
+                    draw_condition(node, streams, f"{path}/where/{k}", files, relief)
+                    for k, node in enumerate(layer["where"] or ())
+                ),
+            )
+        )
+        coverage.append(layer["coverage"])
+    return tuple(merges), tuple(coverage)
+
+
+def draw_condition(
+    node: Mapping[str, Any],
+    streams: Streams,
+    path: str,
+    files: Mapping[str, InputFile],
+    relief: Sequence[ReliefOperator],
+) -> Interval:
+    """One condition: its keys in the cfg are the fields of its class.
+
+    Args:
+        node: The cfg's part, resolved.
+        streams: The batch's streams.
+        path: Where it stands in the cfg.
+        files: Files of the cfg, by path.
+        relief: Operators before it, of which the craters leave fresh ground.
+    """
+    kind = CONDITIONS[node["type"]]
+    values = {key: value for key, value in node.items() if key != "type"}
+    if values["ragged"] is not None:
+        values["ragged"] = Ragged(key=streams.key(f"{path}/ragged"), **values["ragged"])
+    if "file" in values:
+        values["file"] = files[f"{path}/file"].path
+    if "key" in kind.__dataclass_fields__:
+        values["key"] = streams.key(path)
+    if kind is FreshnessCondition:
+        values["craters"] = tuple(laid for operator in relief for laid in craters_of(operator))
+    condition: Interval = kind(**values)
+    return condition
+
+
+def craters_of(operator: ReliefOperator) -> list[tuple[Craters, tuple[Condition, ...]]]:
+    """The craters that an operator lays, with the conditions of its mask; most lay none."""
+    if isinstance(operator, Craters):
+        return [(operator, ())]
+    if isinstance(operator, Masked) and isinstance(operator.operator, Craters):
+        return [(operator.operator, operator.conditions)]
+    return []
+
+
+def draw_mask(
+    mask: Sequence[Mapping[str, Any]],
+    streams: Streams,
+    path: str,
+    files: Mapping[str, InputFile],
+    relief: Sequence[ReliefOperator],
+    ground: Sequence[Mapping[str, Any]],
+) -> tuple[Condition, ...]:
+    """The mask of an operator.
+
+    Args:
+        mask: The cfg's part, resolved.
+        streams: The batch's streams.
+        path: Where it stands in the cfg.
+        files: Files of the cfg, by path.
+        relief: Operators before it.
+        ground: The cfg's layers, resolved.
+    """
+    conditions: list[Condition] = []
+    for i, node in enumerate(mask):
+        if node["type"] == "material":
+            layers = [n for n, layer in enumerate(ground) if layer["material"] == node["material"]]
+            one = node["layer"]
+            merges, coverage = draw_merges(ground, streams, files, relief)
+            conditions.append(
+                MaterialCondition(tuple(layers) if one is None else (one,), merges, coverage)
+            )
+            continue
+        if node["type"] == "slope" and node["over_m"] is None:
+            # An operator asks for the slope of the heights as they are.
+            node = {**node, "over_m": 0.0}
+        conditions.append(draw_condition(node, streams, f"{path}/{i}", files, relief))
+    return tuple(conditions)

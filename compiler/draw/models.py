@@ -1,0 +1,183 @@
+"""What is drawn for objects that are models: single ones' poses, and what models there are."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenec.compiler.arithmetic import elementary
+from scenec.compiler.assets.pose_table import PoseTable, read_poses
+from scenec.compiler.cfg.check_files import InputFile
+from scenec.compiler.distributions.resolve import resolve
+from scenec.compiler.distributions.streams import Streams
+from scenec.compiler.draw.scatter import Setting, draw_scattered
+from scenec.compiler.objects.poses import PlacedPlan, PoseKeys
+from scenec.compiler.objects.prototypes import ModelPlan, PartRule
+from scenec.compiler.scene.plan import ModelSource, ScatterPlan
+from scenec.compiler.scene.scene import Labels
+
+
+def draw_models(
+    path: str, cfg: Sequence[Mapping[str, Any]], files: Mapping[str, InputFile]
+) -> tuple[ModelPlan, ...]:
+    """The models of a class.
+
+    Args:
+        path: Of the class in the cfg.
+        cfg: Its ``models``.
+        files: Files of the cfg, by path.
+    """
+    found = []
+    for i, node in enumerate(cfg):
+        file = files[f"{path}/models/{i}/file"]
+        found.append(ModelPlan(file.path, node["unit_m"], node["up"], node["part"]))
+    return tuple(found)
+
+
+def draw_rules(
+    parts: Mapping[str, Mapping[str, Any]], table: Mapping[str, Mapping[str, int]]
+) -> tuple[PartRule, ...]:
+    """What the cfg says of parts.
+
+    Args:
+        parts: The class's ``parts``.
+        table: The cfg's labels: per level, name -> id.
+    """
+    return tuple(
+        PartRule(
+            name,
+            node["material"],
+            {level: table[level][chosen] for level, chosen in node["labels"].items()},
+        )
+        for name, node in parts.items()
+    )
+
+
+def draw_meshes(
+    name: str,
+    cfg: Mapping[str, Any],
+    labels: Labels,
+    table: Mapping[str, Mapping[str, int]],
+    streams: Streams,
+    setting: Setting,
+) -> ScatterPlan:
+    """The plan of a class of scattered models.
+
+    Args:
+        name: Of the class.
+        cfg: Its part of the cfg.
+        labels: Its label ids.
+        table: The cfg's labels.
+        streams: The batch's streams.
+        setting: What it refers to.
+    """
+    path = f"objects/{name}"
+    node = resolve(cfg, streams, path)
+    return draw_scattered(
+        name,
+        cfg,
+        node,
+        labels,
+        streams,
+        setting,
+        source=ModelSource(
+            draw_models(path, cfg["models"], setting.files),
+            draw_rules(cfg["parts"], table),
+            float(node["variation"]),
+            cfg["seat"] == "touch",
+        ),
+        weights=[float(model["weight"]) for model in cfg["models"]],
+        material=cfg["material"],
+        orientation="upright",
+        size_key="scale",
+    )
+
+
+def draw_placed(
+    name: str,
+    cfg: Mapping[str, Any],
+    labels: Labels,
+    table: Mapping[str, Mapping[str, int]],
+    streams: Streams,
+    files: Mapping[str, InputFile],
+) -> PlacedPlan:
+    """The plan of a class of single objects.
+
+    Args:
+        name: Of the class.
+        cfg: Its part of the cfg.
+        labels: Its label ids.
+        table: The cfg's labels.
+        streams: The batch's streams.
+        files: Files of the cfg, by path.
+    """
+    path = f"objects/{name}"
+    if cfg["file"] is not None:
+        poses = read_poses(files[f"{path}/file"].path, len(cfg["models"]))
+    else:
+        poses = _listed(
+            [resolve(node, streams, f"{path}/poses/{i}") for i, node in enumerate(cfg["poses"])]
+        )
+    ids, first = np.unique(poses.id, return_index=True)
+    bounds = [*first.tolist(), len(poses.id)]
+    return PlacedPlan(
+        name=name,
+        material=cfg["material"],
+        labels=labels,
+        instances=cfg["instances"],
+        models=draw_models(path, cfg["models"], files),
+        rules=draw_rules(cfg["parts"], table),
+        model=poses.model[first].astype(np.int32),
+        ids=ids,
+        keys=tuple(
+            PoseKeys(
+                poses.time_s[a:b], poses.position_m[a:b], poses.quaternion[a:b], poses.scale[a:b]
+            )
+            for a, b in pairwise(bounds)
+        ),
+        on_ground=cfg["heights"] == "ground",
+        along_normal=cfg["orientation"] == "normal",
+        variation=0.0,
+    )
+
+
+def _listed(nodes: Sequence[Mapping[str, Any]]) -> PoseTable:
+    count = len(nodes)
+    return PoseTable(
+        id=np.arange(1, count + 1),
+        time_s=np.zeros(count),
+        position_m=np.array([[node[key] for key in ("x_m", "y_m", "z_m")] for node in nodes]),
+        quaternion=np.array([quaternion_of(node["rotation_deg"]) for node in nodes]),
+        scale=np.array([float(node["scale"]) for node in nodes]),
+        model=np.array([node["model"] for node in nodes], np.int64),
+    )
+
+
+def quaternion_of(degrees: Sequence[float]) -> NDArray[np.float64]:
+    """Turns about x, y, z in turn (fixed axes) as a unit quaternion (w, x, y, z), [4]."""
+    out = np.array([1.0, 0.0, 0.0, 0.0])
+    for axis, angle in enumerate(degrees):
+        half = 0.5 * angle * elementary.PI / 180.0
+        s = elementary.sin(half)
+        turn = np.array([elementary.cos(half), 0.0, 0.0, 0.0])
+        turn[1 + axis] = s
+        out = multiplied(turn, out)
+    return out
+
+
+def multiplied(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The product of two quaternions (w, x, y, z): the turn b, then a, [4]."""
+    w, x, y, z = a
+    v, i, j, k = b
+    return np.array(
+        [
+            w * v - x * i - y * j - z * k,
+            w * i + x * v + y * k - z * j,
+            w * j - x * k + y * v + z * i,
+            w * k + x * j - y * i + z * v,
+        ]
+    )

@@ -1,0 +1,152 @@
+"""Motions from the cfg: what is drawn, what is read."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenec.compiler.assets.track import read_track
+from scenec.compiler.assets.track_formats import Stamped, read_stamped
+from scenec.compiler.cameras.paths.descent import Descent
+from scenec.compiler.cameras.paths.lawn_mower import LawnMower
+from scenec.compiler.cameras.paths.mav import Mav
+from scenec.compiler.cameras.paths.motion import Motion
+from scenec.compiler.cameras.paths.orbit import ObjectAim, Orbit, PointAim
+from scenec.compiler.cameras.paths.random_pose import Limits, Look, RandomPose
+from scenec.compiler.cameras.paths.rover import Rover
+from scenec.compiler.cameras.tracks import Gaps, Sampling, TrackWay, resampled
+from scenec.compiler.cfg.load import Spec
+from scenec.compiler.distributions.resolve import resolve
+from scenec.compiler.distributions.streams import Streams
+from scenec.compiler.geometry.poses import compose, from_quaternion
+from scenec.compiler.geometry.se3 import matrices
+from scenec.compiler.scene.plan import TrackPlan
+from scenec.schemas import stage as names
+from scenec.schemas.errors import SceneError
+
+#: Candidates of each goal of a drive.
+_GOAL_TRIES = 64
+_HALF_TURN = np.diag([*names.HALF_TURN, 1.0])
+
+
+def draw_track(
+    spec: Spec,
+    cfg: dict[str, Any],
+    path: str,
+    streams: Streams,
+    samples: int,
+    between: bool = False,
+) -> TrackPlan:
+    """Poses from a file; ``between``: whether they are asked for between the samples, too.
+
+    Raises:
+        SceneError: The file is none, has too few poses, or does not reach as far as is asked for.
+    """
+    file = spec.files[f"{path}/file"].path
+    usd = cfg["convention"] == "usd"
+    sampling = resolve(cfg.get("sampling"), streams, f"{path}/sampling")
+    form = cfg.get("format", "csv")
+    if sampling is None and form == "csv" and "quaternion" not in cfg:
+        track = read_track(file)
+        rows = [from_quaternion(track.position_m[i], track.quaternion[i]) for i in range(samples)]
+        if usd:
+            rows = [compose(m, _HALF_TURN) for m in rows]
+        way = None
+        if between:
+            begin = float(track.time_s[0])
+            stamped = Stamped(track.time_s - begin, begin, track.position_m, track.quaternion, ())
+            at, what = stamped.time_s[:samples], f"{path}: {file.name}"
+            way = TrackWay(at, stamped, "linear", Gaps(), what, usd)
+        return TrackPlan(np.stack(rows), track.time_s[:samples], way)
+    stamped = read_stamped(file, form, cfg.get("quaternion"), cfg.get("frame_rate_hz"))
+    what = f"{path}: {file.name}"
+    if sampling is None:
+        if len(stamped.time_s) < samples:
+            raise SceneError(
+                f"{what}: {len(stamped.time_s)} poses for {samples} samples: expected one for each"
+            )
+        to_world = matrices(stamped.position_m[:samples], stamped.quaternion[:samples])
+        to_world = to_world * np.diag(_HALF_TURN) if usd else to_world
+        at = stamped.time_s[:samples]
+        way = TrackWay(at, stamped, "linear", Gaps(), what, usd) if between else None
+        return TrackPlan(to_world, stamped.begin_s + stamped.time_s[:samples], way)
+    at = _sampling(sampling).times(float(stamped.time_s[-1]), samples, what)
+    gaps = Gaps(cfg.get("max_gap_s"), cfg.get("gaps") == "hold")
+    method = cfg.get("interpolation", "linear")
+    to_world = resampled(stamped, at, method, gaps, what, usd)
+    way = TrackWay(at, stamped, method, gaps, what, usd) if between else None
+    return TrackPlan(to_world, stamped.begin_s + at, way)
+
+
+def draw_motion(cfg: dict[str, Any], path: str, streams: Streams) -> Motion:
+    """A made motion: numbers of the batch are drawn, those of each try get a key."""
+    node = resolve(cfg, streams, path)
+    kind = node.pop("type")
+    if kind == "random":
+        return _random(node, path, streams)
+    sampling = _sampling(node.pop("sampling"))
+    if kind == "orbit":
+        return Orbit(**node | {"center": _aim(node["center"], path, streams)}, sampling=sampling)
+    if kind == "lawn_mower":
+        return LawnMower(**node, sampling=sampling)
+    if kind == "descent":
+        return Descent(**node, sampling=sampling)
+    goals, given = node.pop("goals"), node.pop("waypoints_m")
+    waypoints = np.array(given, np.float64) if given is not None else np.empty((0, 2))
+    if kind == "rover":
+        count = 0 if len(waypoints) else goals
+        u = _numbers(streams, f"{path}/goals", count * _GOAL_TRIES)
+        return Rover(waypoints, u.reshape(count, _GOAL_TRIES, 2), **node, sampling=sampling)
+    margin = node.pop("margin")
+    if not len(waypoints):
+        u = _numbers(streams, f"{path}/goals", goals)
+        return Mav(waypoints, (u - 0.5) * (1.0 - 2.0 * margin), **node, sampling=sampling)
+    return Mav(waypoints, np.empty((0, 2)), **node, sampling=sampling)
+
+
+def _sampling(node: dict[str, Any]) -> Sampling:
+    times = node["times_s"]
+    return Sampling(
+        node["start_s"], node["stop_s"], node["rate_hz"], None if times is None else tuple(times)
+    )
+
+
+def _numbers(streams: Streams, path: str, n: int) -> NDArray[np.float64]:
+    """Pairs of uniform numbers, float64 [n, 2]; more of them begin with the same ones."""
+    return streams.uniforms(path, 2 * n).reshape(n, 2)
+
+
+def _aim(node: dict[str, Any], path: str, streams: Streams) -> PointAim | ObjectAim:
+    if node["type"] == "point":
+        return PointAim(node["x_m"], node["y_m"], node["height_m"])
+    u = streams.uniforms(f"{path}/center/object", 1)
+    return ObjectAim(node["object"], node["id"], float(u[0]))
+
+
+def _random(node: dict[str, Any], path: str, streams: Streams) -> RandomPose:
+    look, limits = node["look"], node["limits"]
+    numbers = {"height_m": node["height_m"], "roll_deg": node["roll_deg"]}
+    places = {name: f"{path}/{name}" for name in numbers}
+    for key in ("bearing_deg", "pitch_deg", "x_m", "y_m", "height_m"):
+        if key in look:
+            name = "target_height_m" if key == "height_m" else key
+            numbers[name], places[name] = look[key], f"{path}/look/{key}"
+    for name in ("place0", "place1", "object"):
+        places[name] = f"{path}/{name}"
+    return RandomPose(
+        polygon=np.array(node["region_m"], np.float64),
+        above_ground=node["above"] == "ground",
+        look=Look(look["type"], look.get("object", ""), look.get("id")),
+        numbers=numbers,
+        keys={name: streams.key(place) for name, place in places.items()},
+        limits=Limits(
+            clearance_m=limits["clearance_m"],
+            distance_m=(limits["min_distance_m"], limits["max_distance_m"]),
+            elevation_deg=(limits["min_elevation_deg"], limits["max_elevation_deg"]),
+            incidence_deg=(limits["min_incidence_deg"], limits["max_incidence_deg"]),
+            max_sky=limits["max_sky"],
+        ),
+        tries=node["tries"],
+    )

@@ -1,0 +1,125 @@
+"""What is drawn for a class of rocks: its shapes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+from scenec.compiler.distributions.resolve import resolve
+from scenec.compiler.distributions.streams import Streams
+from scenec.compiler.draw.scatter import Setting, draw_scattered, uniforms
+from scenec.compiler.objects.families.angular import draw_angular
+from scenec.compiler.objects.families.rounded import draw_rounded
+from scenec.compiler.objects.families.shape import Shape, unit_vectors
+from scenec.compiler.objects.families.slab import draw_slab
+from scenec.compiler.objects.families.vesicular import draw_vesicular
+from scenec.compiler.objects.families.weathered import Weathered
+from scenec.compiler.scene.plan import RockShapes, ScatterPlan
+from scenec.compiler.scene.scene import Labels
+
+_PLANES = 14
+_NEAREST_PLANE = 0.55
+
+_FAMILIES: dict[str, Callable[..., Shape]] = {
+    "angular": draw_angular,
+    "rounded": draw_rounded,
+    "slab": draw_slab,
+    "vesicular": draw_vesicular,
+}
+
+
+class _Usual(NamedTuple):
+    """What a family has where the cfg says nothing.
+
+    Fragments have axes of about 2 : sqrt(2) : 1, whatever broke them (Michikami et al. 2010 on
+    Itokawa, Eros and in the laboratory; 2022 on Ryugu). What rolls loses its corners before its
+    proportions; slabs come from between bedding planes; the rest is judgment.
+    """
+
+    elongation: float
+    flatness: float
+    wear: float
+
+
+_USUAL = {
+    "angular": _Usual(0.29, 0.5, 0.1),
+    "rounded": _Usual(0.22, 0.45, 0.7),
+    "slab": _Usual(0.25, 0.8, 0.15),
+    "vesicular": _Usual(0.2, 0.35, 0.4),
+}
+#: 1 - c/a of weathered rocks.
+_FLATNESS = 0.35
+
+
+def draw_rocks(
+    name: str, cfg: dict[str, Any], labels: Labels, streams: Streams, setting: Setting | None = None
+) -> ScatterPlan:
+    """The plan of one class.
+
+    Args:
+        name: Of the class.
+        cfg: Its part of the cfg.
+        labels: Its label ids.
+        streams: The batch's streams.
+        setting: What it refers to beyond its own part.
+    """
+    path = f"objects/{name}"
+    node = resolve(cfg, streams, path)
+    prototypes = int(node["prototypes"])
+    return draw_scattered(
+        name,
+        cfg,
+        node,
+        labels,
+        streams,
+        setting or Setting(),
+        source=RockShapes(
+            tuple(_shape(f"{path}/prototypes/{i}", node, streams) for i in range(prototypes))
+        ),
+        weights=[1.0] * prototypes,
+        material=cfg["material"],
+        # Plates lie.
+        orientation="normal" if cfg["family"] == "slab" else "random",
+        size_key="size_m",
+    )
+
+
+def _shape(path: str, cfg: dict[str, Any], streams: Streams) -> Shape:
+    if cfg["family"] == "weathered":
+        return _weathered(path, cfg, streams)
+    usual = _USUAL[cfg["family"]]
+    elongation, flatness, wear = (
+        own if cfg[key] is None else cfg[key]
+        for key, own in zip(_Usual._fields, usual, strict=True)
+    )
+    # Axes b <= a by elongation, c <= b by flatness: their means are as asked.
+    u = streams.uniforms(f"{path}/axes", 2)
+    middle = 1.0 - min(elongation * (0.4 + 1.2 * u[0]), 0.95)
+    low = 1.0 - flatness * (0.75 + 0.5 * u[1])
+    return _FAMILIES[cfg["family"]](
+        streams.key(path),
+        path,
+        streams,
+        wear,
+        cfg["bumpiness"],
+        (1.0, middle, min(max(low, 0.05), middle)),
+        int(cfg["subdivisions"]),
+    )
+
+
+def _weathered(path: str, cfg: dict[str, Any], streams: Streams) -> Weathered:
+    u = uniforms(streams, f"{path}/planes", _PLANES, 3)
+    middle, low = streams.uniforms(f"{path}/axes", 2)
+    flat = _FLATNESS if cfg["flatness"] is None else cfg["flatness"]
+    long = 0.6 * flat * middle
+    if cfg["elongation"] is not None:
+        long = min(cfg["elongation"] * (0.4 + 1.2 * middle), 0.95)
+    return Weathered(
+        key=streams.key(path),
+        plane_normals=unit_vectors(u[:, :2]),
+        plane_distances=_NEAREST_PLANE + (1.0 - _NEAREST_PLANE) * u[:, 2],
+        axes=(1.0, 1.0 - long, max(1.0 - flat * (0.7 + 0.6 * low), 0.05)),
+        angularity=cfg["angularity"],
+        bumpiness=cfg["bumpiness"],
+        subdivisions=int(cfg["subdivisions"]),
+    )

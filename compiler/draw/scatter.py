@@ -1,0 +1,294 @@
+"""What is drawn for any class of scattered objects, whatever its prototypes are."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenec.compiler.arithmetic import elementary
+from scenec.compiler.cfg.check_files import InputFile
+from scenec.compiler.distributions.laws import golombek_rapp_per_m2
+from scenec.compiler.distributions.numbers import Distribution, draw_number
+from scenec.compiler.distributions.streams import Streams
+from scenec.compiler.draw.ground import craters_of, draw_condition
+from scenec.compiler.objects.density import (
+    CLUSTER_REACH,
+    AroundDensity,
+    ClusterDensity,
+    Density,
+    ImageDensity,
+    NoiseDensity,
+    PathDensity,
+    RingDensity,
+    UniformDensity,
+    WorleyDensity,
+)
+from scenec.compiler.objects.where import FromCameras, FromObjects, OnMaterial, OnRelief, Place
+from scenec.compiler.scene.plan import Apart, Count, ModelSource, RockShapes, ScatterPlan
+from scenec.compiler.scene.scene import Labels
+from scenec.compiler.terrain.condition import Ragged
+from scenec.compiler.terrain.operator import ReliefOperator
+from scenec.schemas.errors import SceneError
+
+#: Objects of one class at most.
+MOST_OBJECTS = 100_000_000
+#: Parents of clusters at most.
+_MOST_PARENTS = 4_000_000
+
+Orientation = Literal["random", "upright", "normal"]
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What a class of objects refers to beyond its own part of the cfg.
+
+    Attributes:
+        size_m: Extent of the terrain.
+        relief: The operators that were laid.
+        ground: The cfg's ground layers, resolved.
+        files: Files of the cfg, by path.
+    """
+
+    size_m: tuple[float, float] = (1.0, 1.0)
+    relief: Sequence[ReliefOperator] = ()
+    ground: Sequence[Mapping[str, Any]] = ()
+    files: Mapping[str, InputFile] = field(default_factory=dict)
+
+
+def draw_scattered(
+    name: str,
+    cfg: Mapping[str, Any],
+    node: Mapping[str, Any],
+    labels: Labels,
+    streams: Streams,
+    setting: Setting,
+    *,
+    source: RockShapes | ModelSource,
+    weights: Sequence[float],
+    material: str | None,
+    orientation: Orientation,
+    size_key: str,
+) -> ScatterPlan:
+    """The plan of one class.
+
+    Args:
+        name: Of the class.
+        cfg: Its part of the cfg; the keys of ``objects_scattered.schema.json`` are read.
+        node: The same, resolved.
+        labels: Its label ids.
+        streams: The batch's streams.
+        setting: What it refers to.
+        source: What its prototypes are made of.
+        weights: How often each of its prototypes is taken.
+        material: Name of its material, or None.
+        orientation: Where the cfg gives none.
+        size_key: The key of the cfg that gives each instance's scale.
+
+    Raises:
+        SceneError: There would be too many objects.
+    """
+    path = f"objects/{name}"
+    count = _count(path, cfg, node, streams, setting, size_key)
+    n = _most(path, count, setting)
+    turned = cfg["orientation"] or orientation
+    orientations = (
+        _random_turns(streams, path, n) if turned == "random" else _spins(streams, path, n)
+    )
+    if cfg["lean_deg"] is not None:
+        lean = draw_number(cfg["lean_deg"], streams, f"{path}/lean_deg", n)
+        orientations = _leaned(orientations, lean, streams.uniforms(f"{path}/lean_side", n))
+    apart = node["apart"]
+    return ScatterPlan(
+        name=name,
+        material=material,
+        labels=labels,
+        instances=cfg["instances"],
+        source=source,
+        count=count,
+        density=_density(node["density"], streams, f"{path}/density", setting),
+        where=tuple(
+            _place(condition, streams, f"{path}/where/{i}", setting)
+            for i, condition in enumerate(node["where"])
+        ),
+        apart=None
+        if apart is None
+        else Apart(apart["gap_m"], apart["radius"], tuple(apart["of"] or (name,))),
+        fewer=cfg["shortfall"] == "fewer",
+        clearance_m=cfg["clearance_m"],
+        place_key=streams.key(f"{path}/place"),
+        position_u=uniforms(streams, f"{path}/position", n, 3),
+        prototype=_chosen(streams.uniforms(f"{path}/prototype", n), weights),
+        orientations=orientations,
+        align=turned == "normal",
+        scale=draw_number(cfg[size_key], streams, f"{path}/{size_key}", n).astype(np.float64),
+        embed=draw_number(cfg["embed"], streams, f"{path}/embed", n).astype(np.float64),
+        variation=2.0 * streams.uniforms(f"{path}/variation", n) - 1.0,
+        lod_px=cfg["lod_px"],
+    )
+
+
+def _chosen(u: NDArray[np.float64], weights: Sequence[float]) -> NDArray[np.int32]:
+    """Indices in proportion to weights, one or more of them above 0."""
+    cumulative = np.cumsum(np.array(weights, np.float64))
+    last = int(np.flatnonzero(np.array(weights))[-1])
+    found = np.searchsorted(cumulative, u * cumulative[-1], side="right")
+    return np.minimum(found, last).astype(np.int32)
+
+
+def uniforms(streams: Streams, path: str, n: int, columns: int) -> NDArray[np.float64]:
+    """[n, columns]; a larger n leaves the first rows as they are."""
+    return streams.uniforms(path, n * columns).reshape(n, columns)
+
+
+def _count(
+    path: str,
+    cfg: Mapping[str, Any],
+    node: Mapping[str, Any],
+    streams: Streams,
+    setting: Setting,
+    size_key: str,
+) -> Count:
+    if node["count"] is not None:
+        return Count(int(node["count"]), None, 0.0)
+    rounding = float(streams.uniforms(f"{path}/count_rounding", 1)[0])
+    per_m2 = node["per_m2"]
+    if per_m2 is None:
+        size = cfg[size_key]
+        assert isinstance(size, Distribution)
+        per_m2 = golombek_rapp_per_m2(size.min, size.max, size.shape)
+    return Count(None, float(per_m2), rounding)
+
+
+def _most(path: str, count: Count, setting: Setting) -> int:
+    """How many there can be: ``where`` only takes some away."""
+    most = count.exact
+    if most is None:
+        assert count.per_m2 is not None
+        expected = count.per_m2 * setting.size_m[0] * setting.size_m[1]
+        if not expected <= MOST_OBJECTS:
+            raise SceneError(
+                f"{path}: {count.per_m2:.3g} per m^2 on {setting.size_m[0]:g} m by "
+                f"{setting.size_m[1]:g} m are {expected:.3g} objects, at most {MOST_OBJECTS:,} are "
+                "taken; lower per_m2, or raise the smallest size"
+            )
+        most = int(expected + count.rounding_u)
+    return most
+
+
+def _density(cfg: Mapping[str, Any], streams: Streams, path: str, setting: Setting) -> Density:
+    values = {key: value for key, value in cfg.items() if key != "type"}
+    kind = cfg["type"]
+    if kind == "uniform":
+        return UniformDensity()
+    if kind == "noise":
+        return NoiseDensity(
+            key=streams.key(path),
+            scale_m=cfg["scale_m"],
+            octaves=int(cfg["octaves"]),
+            contrast=cfg["contrast"],
+        )
+    if kind == "worley":
+        return WorleyDensity(key=streams.key(path), **values)
+    if kind == "image":
+        return ImageDensity(setting.files[f"{path}/file"].path)
+    if kind == "clusters":
+        return _clusters(cfg, streams, path, setting)
+    if kind == "path":
+        return PathDensity(**{**values, "file": setting.files[f"{path}/file"].path})
+    if kind == "rings":
+        craters = tuple(laid for operator in setting.relief for laid in craters_of(operator))
+        return RingDensity(craters=craters, **values)
+    return AroundDensity(**values)
+
+
+def _clusters(
+    cfg: Mapping[str, Any], streams: Streams, path: str, setting: Setting
+) -> ClusterDensity:
+    """Parents, over the terrain and as far around it as their clusters reach."""
+    margin = 2.0 * CLUSTER_REACH * cfg["sigma_m"]
+    width, depth = setting.size_m[0] + margin, setting.size_m[1] + margin
+    area = setting.size_m[0] * setting.size_m[1]
+    if cfg["parents"] is not None:
+        mean = cfg["parents"] * (width * depth / area)
+    else:
+        mean = cfg["parents_per_m2"] * width * depth
+    if not mean <= _MOST_PARENTS:
+        raise SceneError(
+            f"{path}: {mean:.3g} parents are expected on the terrain and around it, at most "
+            f"{_MOST_PARENTS:,} are taken; ask for fewer, or lower sigma_m"
+        )
+    if cfg["parents"] is not None:
+        n = max(1, int(mean + 0.5))
+    else:
+        n = _poisson(streams, f"{path}/parents", mean)
+    u = uniforms(streams, f"{path}/position", n, 2) - 0.5
+    return ClusterDensity(u[:, 0] * width, u[:, 1] * depth, cfg["sigma_m"], cfg["background"])
+
+
+def _poisson(streams: Streams, path: str, mean: float) -> int:
+    """A Poisson number: how many gaps of mean 1 fit."""
+    n = int(mean + 8.0 * np.sqrt(mean)) + 16
+    while True:
+        sums = np.cumsum(-elementary.log_array(1.0 - streams.uniforms(path, n)))
+        if sums[-1] > mean:
+            return int(np.searchsorted(sums, mean))
+        n *= 2
+
+
+def _place(node: Mapping[str, Any], streams: Streams, path: str, setting: Setting) -> Place:
+    if node["type"] == "material":
+        layers = tuple(
+            i for i, layer in enumerate(setting.ground) if layer["material"] == node["material"]
+        )
+        return OnMaterial(layers if node["layer"] is None else (node["layer"],))
+    if node["type"] in ("camera", "object"):
+        values = {key: value for key, value in node.items() if key != "type"}
+        if values["ragged"] is not None:
+            values["ragged"] = Ragged(key=streams.key(f"{path}/ragged"), **values["ragged"])
+        return FromCameras(**values) if node["type"] == "camera" else FromObjects(**values)
+    return OnRelief(draw_condition(node, streams, path, setting.files, setting.relief))
+
+
+def _random_turns(streams: Streams, path: str, n: int) -> NDArray[np.float64]:
+    """Rotations uniform over SO(3) (Shoemake 1992), as quaternions (x, y, z, w), [n, 4]."""
+    u = uniforms(streams, f"{path}/orientation", n, 3)
+    a, b = 2.0 * elementary.PI * u[:, 1], 2.0 * elementary.PI * u[:, 2]
+    p, q = np.sqrt(1.0 - u[:, 0]), np.sqrt(u[:, 0])
+    return np.stack(
+        [
+            p * elementary.sin_array(a),
+            p * elementary.cos_array(a),
+            q * elementary.sin_array(b),
+            q * elementary.cos_array(b),
+        ],
+        axis=1,
+    )
+
+
+def _spins(streams: Streams, path: str, n: int) -> NDArray[np.float64]:
+    """Rotations about the vertical, as quaternions (x, y, z, w), [n, 4]."""
+    half = elementary.PI * uniforms(streams, f"{path}/orientation", n, 3)[:, 0]
+    zero = np.zeros(n)
+    return np.stack([zero, zero, elementary.sin_array(half), elementary.cos_array(half)], axis=1)
+
+
+def _leaned(
+    spins: NDArray[np.float64], lean_deg: NDArray[np.float64], u: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Spins about the vertical, followed by a turn about a horizontal axis.
+
+    Args:
+        spins: Quaternions (0, 0, z, w), float64 [n, 4].
+        lean_deg: By how much, float64 [n].
+        u: Uniform in [0, 1): toward which side, float64 [n].
+    """
+    half = lean_deg * (elementary.PI / 360.0)
+    side = 2.0 * elementary.PI * u
+    sine, cosine = elementary.sin_array(half), elementary.cos_array(half)
+    ax, ay = sine * elementary.cos_array(side), sine * elementary.sin_array(side)
+    z, w = spins[:, 2], spins[:, 3]
+    return np.stack([ax * w + ay * z, ay * w - ax * z, cosine * z, cosine * w], axis=1)

@@ -1,0 +1,1 @@
+"""Poses, projections, meshes and voxels: geometry that knows nothing of scenes."""

@@ -1,0 +1,68 @@
+"""Pictures made of others before they are shown: gloss, ambient occlusion, packed channels."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from scenec.compiler.materials.periodic import Plane
+from scenec.compiler.materials.resample import resampled
+from scenec.compiler.materials.values import (
+    Source,
+    color_picture,
+    colors,
+    gray_picture,
+    is_fine,
+    raw,
+    stored,
+)
+from scenec.compiler.scene.scene import Material, Picture
+from scenec.schemas.maps import MAP_CHANNELS
+
+#: Channel of each kind in a packed picture.
+_CHANNELS = {"ambient_occlusion": 0, "roughness": 1, "metallic": 2}
+
+
+def baked(material: Material) -> tuple[Material, dict[str, str]]:
+    """A material whose maps hold all that its sources say, and what was done, by kind.
+
+    Roughness is 1 - gloss. Albedo is multiplied with 1 - strength (1 - occlusion), in linear light;
+    a picture of occlusion of another size is looked up bilinearly. Without a picture of colors one
+    is made. What needs none of this stays the file it is.
+    """
+    maps = material.maps
+    if maps is None or maps.sources is None:
+        return material, {}
+    sources = maps.sources
+    files: dict[str, Source] = dict(maps.files)
+    done: dict[str, str] = {}
+    if sources.gloss is not None:
+        gloss = raw(sources.gloss)
+        files["roughness"] = gray_picture(np.float32(1.0) - gloss, is_fine(sources.gloss))
+        done["roughness"] = f"1 - {sources.gloss.name}"
+    for kind in ("roughness", "metallic"):
+        if sources.packed is not None and kind in sources.unpacked:
+            plane = raw(sources.packed, _CHANNELS[kind])
+            files[kind] = gray_picture(plane, is_fine(sources.packed))
+            done[kind] = f"channel {_CHANNELS[kind]} of {sources.packed.name}"
+    occlusion = sources.occlusion
+    if occlusion is None and "ambient_occlusion" in sources.unpacked:
+        occlusion = sources.packed
+    if occlusion is not None and sources.occlusion_strength > 0.0:
+        color = files.get("base_color")
+        files["base_color"] = _occluded(color, raw(occlusion), sources.occlusion_strength)
+        done["base_color"] = f"times {occlusion.name}, strength {sources.occlusion_strength:g}"
+    ordered = {kind: files[kind] for kind in MAP_CHANNELS if kind in files}
+    return replace(material, maps=replace(maps, files=ordered)), done
+
+
+def _occluded(color: Source | None, occlusion: Plane, strength: float) -> Picture:
+    factor = np.float32(1.0) - np.float32(strength) * (np.float32(1.0) - occlusion)
+    if color is None:
+        return color_picture(np.repeat(factor[..., None], 3, axis=2))
+    high, wide = stored(color).shape[:2]
+    if factor.shape != (high, wide):
+        factor = resampled(factor, high, wide)
+    planes = np.clip(colors(color), np.float32(0.0), np.float32(1.0))
+    return color_picture(planes * factor[..., None])

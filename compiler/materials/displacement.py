@@ -1,0 +1,207 @@
+"""Pictures of heights as relief of the ground, at any point.
+
+Between texels heights are cubic (Catmull and Rom 1974: continuous with their slopes, and exact at
+texels' centers); the picture repeats, or lies in cells as its colors do
+(``scenec.backends.surface.cells`` defines them; there is no clip here, which would leave kinks).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from scenec.compiler.arithmetic import elementary
+from scenec.compiler.cache.memo import memoized
+from scenec.compiler.materials.heights import relief_of, stamp
+from scenec.compiler.materials.periodic import Plane, moments
+from scenec.compiler.materials.resample import box
+from scenec.compiler.materials.surface import Surface
+from scenec.compiler.scene.scene import Cells, MaterialMaps
+from scenec.compiler.scene.sources import Sources
+from scenec.compiler.terrain.detail import Spectrum
+from scenec.schemas.cells import SIDE, STEPS, table
+from scenec.schemas.threads import over_threads
+
+#: Root mean square of an octave of noise over its amplitude: what ``Spectrum`` speaks of.
+_RMS_OF_AMPLITUDE = 0.3
+_ROOT_3 = float(np.sqrt(3.0))
+_NO_CELLS = np.zeros((1, 1, 4))
+
+
+@dataclass(frozen=True)
+class Displacement:
+    """A material's relief (a ``Detail``); its picture is read or painted when it is asked for.
+
+    Attributes:
+        maps: Of the material, projected from above.
+    """
+
+    maps: MaterialMaps
+
+    def at(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Meters above the mean at points, float64 [n]."""
+        plane = _plane(self.maps)
+        cells = self.maps.cells
+        size = 0.0 if cells is None else cells.size_m
+        return np.asarray(_heights(plane, self.maps.size_m, _turns(cells), size, x, y), np.float64)
+
+    def spectrum(self) -> Spectrum:
+        """Its octaves, measured on a pyramid of box filters."""
+        return _spectrum(self.maps)
+
+
+def displacement_of(maps: MaterialMaps | None) -> Displacement | None:
+    """The relief of a material's pictures that becomes geometry, or None."""
+    if maps is None:
+        return None
+    by_file = maps.sources is not None and bool(maps.sources.heights and maps.sources.heights_m)
+    made = maps.procedural is not None and maps.procedural.displacement
+    return Displacement(maps) if by_file or made else None
+
+
+#: What a relief depends on: procedural kind, size, file, what tells it from others, its range.
+type _Key = tuple[Surface | None, float, Path | None, tuple[int, int] | None, float | None]
+
+
+def _key(maps: MaterialMaps) -> _Key:
+    file = maps.sources.heights if maps.sources is not None else None
+    range_m = maps.sources.heights_m if maps.sources is not None else None
+    return (maps.procedural, maps.size_m, file, stamp(file) if file else None, range_m)
+
+
+def _plane(maps: MaterialMaps) -> Plane:
+    return _cached_plane(_key(maps))
+
+
+def _spectrum(maps: MaterialMaps) -> Spectrum:
+    return _cached_spectrum(_key(maps))
+
+
+@lru_cache(maxsize=4)
+@memoized("displacement")
+def _cached_plane(key: _Key) -> Plane:
+    surface, size_m, file, _, range_m = key
+    sources = Sources(heights=file, heights_m=range_m)
+    plane = relief_of(MaterialMaps(size_m, {}, "", procedural=surface, sources=sources))
+    assert plane is not None
+    return plane
+
+
+@lru_cache(maxsize=16)
+@memoized("displacement")
+def _cached_spectrum(key: _Key) -> Spectrum:
+    return octaves_of(_cached_plane(key), key[1])
+
+
+def octaves_of(plane: Plane, size_m: float) -> Spectrum:
+    """Octaves of a picture that repeats over a square of ``size_m``.
+
+    What a box filter over 2**k texels keeps and one over 2**(k + 1) does not counts as waves of
+    2**(k + 1) texels; its amplitude is as of noise of that root mean square.
+    """
+    wavelengths, amplitudes = [], []
+    texel = size_m / min(plane.shape)
+    whole = moments(plane)[1]
+    square = whole * whole
+    while min(plane.shape) > 1:
+        high, wide = plane.shape[0] // 2 * 2, plane.shape[1] // 2 * 2
+        plane = box(plane[:high, :wide])
+        rest = moments(plane)[1]
+        texel *= 2.0
+        wavelengths.append(texel)
+        amplitudes.append(float(np.sqrt(max(square - rest * rest, 0.0))) / _RMS_OF_AMPLITUDE)
+        square = rest * rest
+    return Spectrum(np.array(wavelengths, np.float64), np.array(amplitudes, np.float64))
+
+
+@lru_cache(maxsize=8)
+def _turns(cells: Cells | None) -> NDArray[np.float64]:
+    """Of each cell: shift along u and v, cosine and sine of its turn."""
+    if cells is None:
+        return _NO_CELLS
+    found = table(cells.seed)
+    angles = np.arange(STEPS) * (2.0 * elementary.PI / STEPS)
+    turn = np.round(found[..., 2] * STEPS).astype(np.int64)
+    cosine, sine = elementary.cos_array(angles)[turn], elementary.sin_array(angles)[turn]
+    return np.ascontiguousarray(np.stack([found[..., 0], found[..., 1], cosine, sine], axis=-1))
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def _cubic(a, b, c, d, t):  # type: ignore[no-untyped-def]
+    """Catmull and Rom's spline between b and c."""
+    return b + 0.5 * t * (
+        c - a + t * (2.0 * a - 5.0 * b + 4.0 * c - d + t * (3.0 * (b - c) + d - a))
+    )
+
+
+@njit(cache=True, error_model="numpy")
+def _look_up(plane, u, v):  # type: ignore[no-untyped-def]
+    """A picture at coordinates in its repeats, v up."""
+    high, wide = plane.shape
+    x = (u - np.floor(u)) * wide - 0.5
+    y = (1.0 - (v - np.floor(v))) * high - 0.5
+    column = np.floor(x)
+    row = np.floor(y)
+    across = x - column
+    down = y - row
+    i = np.int64(column) + wide
+    j = np.int64(row) + high
+    i0, i1, i2, i3 = (i - 1) % wide, i % wide, (i + 1) % wide, (i + 2) % wide
+    j0, j1, j2, j3 = (j - 1) % high, j % high, (j + 1) % high, (j + 2) % high
+    a = _cubic(plane[j0, i0], plane[j0, i1], plane[j0, i2], plane[j0, i3], across)
+    b = _cubic(plane[j1, i0], plane[j1, i1], plane[j1, i2], plane[j1, i3], across)
+    c = _cubic(plane[j2, i0], plane[j2, i1], plane[j2, i2], plane[j2, i3], across)
+    d = _cubic(plane[j3, i0], plane[j3, i1], plane[j3, i2], plane[j3, i3], across)
+    return _cubic(a, b, c, d, down)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _heights_part(first, last, plane, size, turns, cell, x, y, out):  # type: ignore[no-untyped-def]
+    for n in range(first, last):
+        if cell == 0.0:
+            out[n] = _look_up(plane, x[n] / size, y[n] / size)
+            continue
+        p = x[n] / cell
+        q = y[n] / cell
+        across = p - q / _ROOT_3
+        along = q * (2.0 / _ROOT_3)
+        i = np.floor(across)
+        j = np.floor(along)
+        across -= i
+        along -= j
+        upper = 1 if across + along >= 1.0 else 0
+        total = 0.0
+        fourths = 0.0
+        squares = 0.0
+        for k in range(3):
+            if k == 0:
+                a, b, near = upper, upper, abs(1.0 - across - along)
+            elif k == 1:
+                a, b, near = 1, 0, 1.0 - along if upper else across
+            else:
+                a, b, near = 0, 1, 1.0 - across if upper else along
+            dx = across - a
+            dy = along - b
+            away_x = (dx + 0.5 * dy) * cell / size
+            away_y = 0.5 * _ROOT_3 * dy * cell / size
+            own = turns[(np.int64(j) + b) % SIDE, (np.int64(i) + a) % SIDE]
+            u = own[2] * away_x - own[3] * away_y + own[0]
+            v = own[3] * away_x + own[2] * away_y + own[1]
+            share = near * near * near * near
+            total += share * _look_up(plane, u, v)
+            fourths += share
+            squares += share * share
+        # Shares over their sum; the spread over the root of their squares' sum.
+        out[n] = total / np.sqrt(squares) if fourths > 0.0 else 0.0
+
+
+def _heights(plane, size, turns, cell, x, y):  # type: ignore[no-untyped-def]
+    """The picture at points: as it repeats where ``cell`` is 0, else in cells of that side."""
+    out = np.empty(x.size)
+    over_threads(_heights_part, x.size, plane, size, turns, cell, x, y, out)
+    return out

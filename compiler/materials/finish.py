@@ -1,0 +1,229 @@
+"""Materials at the end of a build: all pictures made, as small as cameras let them be."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from scenec.compiler.cache.memo import memoized
+from scenec.compiler.materials.bake import baked
+from scenec.compiler.materials.displacement import displacement_of
+from scenec.compiler.materials.finer import finer_normals
+from scenec.compiler.materials.footprint import Footprint
+from scenec.compiler.materials.heights import forget_looks
+from scenec.compiler.materials.leave_out import LeftOut, unseen, without_unneeded
+from scenec.compiler.materials.pictures import with_pictures
+from scenec.compiler.materials.reduce import halvings, reduced
+from scenec.compiler.materials.values import Source, forget_pixels, size_of, stored
+from scenec.compiler.scene.scene import Ground, Material, MaterialMaps
+from scenec.schemas.left_out import entry
+from scenec.schemas.maps import MAP_CHANNELS
+
+
+@dataclass(frozen=True)
+class Shown:
+    """What of the ground's mesh bears on its pictures.
+
+    Attributes:
+        tolerance_px: Reached by the mesh; None: it shows no relief finer than the grid.
+        finest_m: Shortest leg that is halved.
+    """
+
+    tolerance_px: float | None
+    finest_m: float
+
+
+@dataclass
+class Finished:
+    """Materials for a Scene.
+
+    Attributes:
+        materials: By name; nothing procedural, no sources.
+        facts: By name, for report.json.
+        left_out: What is not written, for report.json.
+    """
+
+    materials: dict[str, Material] = field(default_factory=dict)
+    facts: dict[str, dict[str, Any]] = field(default_factory=dict)
+    left_out: list[dict[str, Any]] = field(default_factory=list)
+
+
+def finish(
+    materials: dict[str, Material],
+    ground: Ground,
+    looked_at: dict[str, Footprint] | None,
+    mesh: Shown,
+) -> Finished:
+    """Makes pictures, and leaves out what no camera can notice.
+
+    Args:
+        materials: As drawn, and those of models.
+        ground: Whose layers say which pictures of heights are needed.
+        looked_at: From ``footprints``; None: there are no cameras, and all stays.
+        mesh: The ground's.
+
+    Raises:
+        SceneError: A picture cannot be read any more.
+    """
+    out = Finished()
+    heights = _with_heights(ground)
+    for name, material in materials.items():
+        maps = material.maps
+        if maps is None:
+            out.materials[name] = material
+            continue
+        footprint = None if looked_at is None else looked_at[name]
+        one = _finished_alone(name, material, name in heights, footprint, mesh)
+        out.materials |= one.materials
+        out.facts |= one.facts
+        out.left_out += one.left_out
+    forget_looks()
+    forget_pixels()
+    return out
+
+
+def _with_heights(ground: Ground) -> set[str]:
+    """Materials whose heights blends go by: up to the last layer that has one."""
+    last = max((i for i, layer in enumerate(ground.layers) if layer.height_blend > 0.0), default=-1)
+    return {layer.material for layer in ground.layers[: last + 1]}
+
+
+@memoized("surfaces", lambda name, **_: name)
+def _finished_alone(
+    name: str, material: Material, high: bool, footprint: Footprint | None, mesh: Shown
+) -> Finished:
+    """What becomes of one material: it reads nothing of the others."""
+    out = Finished()
+    assert material.maps is not None
+    out.materials[name] = _finished(name, material, material.maps, high, footprint, mesh, out)
+    return out
+
+
+def _finished(
+    name: str,
+    material: Material,
+    maps: MaterialMaps,
+    high: bool,
+    footprint: Footprint | None,
+    mesh: Shown,
+    out: Finished,
+) -> Material:
+    sources = maps.sources
+    facts: dict[str, Any] = {}
+    as_is = footprint is None or (sources is not None and sources.as_is)
+    _note_folder(name, maps, out)
+    if footprint is not None and footprint.seen == 0.0 and not as_is and maps.procedural:
+        # Its numbers are the means of pictures that need not be made.
+        out.left_out.append(
+            _entry(name, "the procedural pictures", "no camera sees the material: its means do", 0)
+        )
+        maps = replace(maps, procedural=None)
+        material = replace(material, maps=maps)
+    else:
+        made, painted = with_pictures({name: material}, [name] if high else [])
+        material, facts = made[name], painted.get(name, {})
+    material, done = baked(material)
+    if done:
+        facts["made"] = done
+    if material.maps is not None and high and sources is not None and sources.heights is not None:
+        material = _with_files(material, {**material.maps.files, "height": sources.heights})
+    left: list[LeftOut] = []
+    if footprint is not None and footprint.seen > 0.0 and material.maps is not None:
+        material = _beside_relief(material, maps, footprint, mesh, facts)
+        if not as_is:
+            material, left = without_unneeded(material)
+            material = _made_smaller(material, footprint, facts)
+    elif not as_is and material.maps is not None:
+        material, left = unseen(material, material.maps)
+    out.left_out += [_entry(name, f"the picture of {one.kind}", one.why, one.bytes) for one in left]
+    if facts:
+        out.facts[name] = facts
+    kept = material.maps
+    if kept is not None:
+        kept = replace(kept, procedural=None, sources=None) if kept.files else None
+    return replace(material, maps=kept)
+
+
+def _with_files(material: Material, files: dict[str, Source]) -> Material:
+    assert material.maps is not None
+    ordered = {kind: files[kind] for kind in MAP_CHANNELS if kind in files}
+    return replace(material, maps=replace(material.maps, files=ordered))
+
+
+def _note_folder(name: str, maps: MaterialMaps, out: Finished) -> None:
+    if maps.sources is None:
+        return
+    for files, why in (
+        (maps.sources.unused, "of the folder: another file takes its place, or nothing shows it"),
+        (maps.sources.unknown, "of the folder: its name does not say what it is"),
+    ):
+        out.left_out += [_entry(name, file, why, None) for file in files]
+
+
+def _entry(material: str, what: str, why: str, size: int | None) -> dict[str, Any]:
+    return entry("surfaces", f"materials/{material}: {what}", why, size=size or 0)
+
+
+def _beside_relief(
+    material: Material,
+    drawn: MaterialMaps,
+    footprint: Footprint,
+    mesh: Shown,
+    facts: dict[str, Any],
+) -> Material:
+    """Normals without what the mesh shows of the same relief."""
+    relief = displacement_of(drawn)
+    maps = material.maps
+    assert maps is not None
+    if relief is None or mesh.tolerance_px is None:
+        return material
+    spectrum = relief.spectrum()
+    facts["displacement"] = {
+        "octaves_m": spectrum.wavelength_m.tolist(),
+        "amplitudes_m": spectrum.amplitude_m.tolist(),
+    }
+    if "normal" not in maps.files:
+        return material
+    picture, facts["normals_beside_mesh"] = finer_normals(
+        maps.files["normal"],
+        drawn.size_m,
+        footprint.seen / drawn.size_m,
+        mesh.tolerance_px,
+        mesh.finest_m,
+    )
+    return _with_files(material, {**maps.files, "normal": picture})
+
+
+def _made_smaller(material: Material, footprint: Footprint, facts: dict[str, Any]) -> Material:
+    """Pictures with no more texels than pixels show."""
+    assert material.maps is not None
+    files: dict[str, Source] = {}
+    told: dict[str, Any] = {}
+    for kind, source in material.maps.files.items():
+        high, wide = stored(source).shape[:2]
+        times = halvings(high, wide, footprint.counted)
+        found = reduced(source, kind, times) if times else None
+        files[kind] = source if found is None else found.picture
+        told[kind] = {
+            "texels": [wide, high],
+            "texels_per_pixel": min(high, wide) / footprint.counted,
+        }
+        if found is None:
+            continue
+        told[kind] |= {
+            "texels_kept": [wide >> times, high >> times],
+            "texels_per_pixel_kept": (min(high, wide) >> times) / footprint.counted,
+            "bytes_saved": size_of(source) - len(found.picture.data),
+            **found.facts,
+        }
+        if kind == "base_color":
+            red, green, blue = (
+                c * f for c, f in zip(material.base_color, found.factor, strict=True)
+            )
+            material = replace(material, base_color=(red, green, blue))
+        elif kind == "emission":
+            red, green, blue = (c * f for c, f in zip(material.emission, found.factor, strict=True))
+            material = replace(material, emission=(red, green, blue))
+    facts["pictures"] = told
+    assert material.maps is not None
+    return replace(material, maps=replace(material.maps, files=files))

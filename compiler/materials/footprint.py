@@ -1,0 +1,223 @@
+"""How closely cameras look at each material: pixels that one repeat of its pictures takes.
+
+The largest over all that has the material, in any view. A picture with as many texels holds all
+that a pixel can show there: both end at the same wavelength (Shannon), and what is finer a pixel's
+box filter averages. Slant only takes pixels away: the number is that of a surface seen squarely.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenec.compiler.cache.memo import memoized
+from scenec.compiler.scene.scene import Ground, Material, Placed, Prototype, Scatter, Tile
+from scenec.compiler.views.sight import NEAREST_M, Views, pixels_of_balls
+
+#: A layer whose weight is no larger changes no 8-bit code.
+FAINT = 1.0 / 512.0
+_BLOCK = 256
+#: Part of a mesh's area by texture coordinates whose pictures may be coarser than asked for.
+_STRETCHED = 0.01
+
+
+class Footprint(NamedTuple):
+    """Pixels that one repeat takes at most.
+
+    Attributes:
+        seen: In a view; 0: none shows the material.
+        counted: The same, or a part of what it would be where no view shows it, if that is more.
+    """
+
+    seen: float
+    counted: float
+
+
+def footprints(
+    materials: dict[str, Material],
+    ground: Ground,
+    objects: Sequence[Scatter | Placed],
+    views: tuple[Views, Views],
+    unseen: float,
+) -> dict[str, Footprint]:
+    """Of all materials with maps.
+
+    Args:
+        materials: By name.
+        ground: The terrain.
+        objects: What stands on it.
+        views: The cameras, for the ground (which may hide behind hills) and for objects.
+        unseen: Part that pixels count where no view shows something.
+    """
+    found: dict[str, Footprint] = {}
+    for name, material in materials.items():
+        if material.maps is None:
+            continue
+        seen, possible = _of_ground(name, ground, views[0])
+        seen, possible = seen * material.maps.size_m, possible * material.maps.size_m
+        for one in objects:
+            own = _of_objects(name, material, one, views[1])
+            seen, possible = max(seen, own[0]), max(possible, own[1])
+        found[name] = Footprint(seen, max(seen, unseen * possible))
+    return found
+
+
+@memoized("footprint")
+def _of_ground(name: str, ground: Ground, views: Views) -> tuple[float, float]:
+    """Pixels per meter of a layer: in a view, and were all of it in view."""
+    layers = [i for i, layer in enumerate(ground.layers) if layer.material == name]
+    if not layers:
+        return 0.0, 0.0
+    # Blends by height can show much of what has little weight.
+    faint = 0.0 if any(layer.height_blend > 0.0 for layer in ground.layers) else FAINT
+    blocks = [
+        (tile, faces[start : start + _BLOCK])
+        for tile in ground.tiles
+        for faces in (np.flatnonzero(_shown(tile, layers, faint)),)
+        for start in range(0, len(faces), _BLOCK)
+    ]
+    if not blocks:
+        return 0.0, 0.0
+    balls = [_ball(*_corners(tile, faces)) for tile, faces in blocks]
+    middles = np.array([middle for middle, _ in balls])
+    radii = np.array([radius for _, radius in balls])
+    found = []
+    for part in (0.0, 1.0):
+        bounds = pixels_of_balls(views, middles, radii, part, NEAREST_M)
+        found.append(_largest(blocks, bounds, views, part))
+    return found[0], found[1]
+
+
+def _shown(tile: Tile, layers: list[int], faint: float) -> NDArray[np.bool_]:
+    """Faces at one of whose corners layers have more than a faint share."""
+    left = np.ones(len(tile.points))
+    total = np.zeros(len(tile.points))
+    for index in range(len(tile.weights), -1, -1):
+        alpha = tile.weights[index - 1].astype(np.float64) if index else np.ones(len(left))
+        if index in layers:
+            total += left * alpha
+        left *= 1.0 - alpha
+    shown: NDArray[np.bool_] = (total > faint)[tile.faces].any(axis=1)
+    return shown
+
+
+def _largest(
+    blocks: list[tuple[Tile, NDArray[np.int64]]],
+    bounds: NDArray[np.float64],
+    views: Views,
+    unseen: float,
+) -> float:
+    """Most pixels per meter of any face: blocks in the order of what they could have at most."""
+    best = 0.0
+    for block in np.argsort(-bounds, kind="stable").tolist():
+        if bounds[block] <= best:
+            break
+        centers, radius = _balls(*_corners(*blocks[block]))
+        own = pixels_of_balls(views, centers, radius, unseen, NEAREST_M)
+        best = max(best, float(own.max(initial=0.0)))
+    return best
+
+
+def _corners(tile: Tile, faces: NDArray[np.int64]) -> tuple[NDArray[np.float64], ...]:
+    points = tile.points[tile.faces[faces]].astype(np.float64) + tile.translate
+    return points[:, 0], points[:, 1], points[:, 2]
+
+
+def _balls(
+    a: NDArray[np.float64], b: NDArray[np.float64], c: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Balls about triangles: middles [n, 3] and radii [n]."""
+    middle = (a + b + c) / 3.0
+    away = [((corner - middle) * (corner - middle)).sum(axis=1) for corner in (a, b, c)]
+    return middle, np.sqrt(np.maximum(np.maximum(away[0], away[1]), away[2]))
+
+
+def _ball(
+    a: NDArray[np.float64], b: NDArray[np.float64], c: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], float]:
+    """One ball about many triangles."""
+    points = np.concatenate([a, b, c])
+    low, high = points.min(axis=0), points.max(axis=0)
+    half = 0.5 * (high - low)
+    return low + half, float(np.sqrt((half * half).sum()))
+
+
+@memoized("footprint")
+def _of_objects(
+    name: str, material: Material, one: Scatter | Placed, views: Views
+) -> tuple[float, float]:
+    """Pixels per repeat of a class's parts that have a material; see ``_of_ground``."""
+    maps = material.maps
+    assert maps is not None
+    sizes = np.array([_repeat(name, one, p, maps.projection) for p in one.prototypes])
+    if maps.projection != "uv":
+        sizes = np.where(sizes > 0.0, maps.size_m, 0.0)
+    if not one.count or not (sizes > 0.0).any():
+        return 0.0, 0.0
+    if isinstance(one, Scatter):
+        points, radii = one.balls()
+        scale, prototype = one.scales.max(axis=1).astype(np.float64), one.prototype
+    else:
+        points, radii = one.balls()
+        columns = one.to_world[:, :, :, :3]
+        scale = np.sqrt((columns * columns).sum(axis=2)).max(axis=2).ravel()
+        prototype = np.repeat(one.prototype, one.to_world.shape[1])
+    # A repeat by texture coordinates grows with its object, one in the world does not.
+    size = sizes[prototype] * (scale if maps.projection == "uv" else 1.0)
+    own = [
+        float((pixels_of_balls(views, points, radii, unseen, NEAREST_M) * size).max(initial=0.0))
+        for unseen in (0.0, 1.0)
+    ]
+    return own[0], own[1]
+
+
+def _repeat(name: str, one: Scatter | Placed, prototype: Prototype, projection: str) -> float:
+    """Side of one repeat on a prototype's faces of a material, in its own unit; 0: it has none.
+
+    By texture coordinates: the largest, but for a small part of the area, of the root of a face's
+    area over that of its texture coordinates.
+    """
+    faces = _faces_of(name, one, prototype)
+    if not len(faces):
+        return 0.0
+    if projection != "uv" or prototype.uv is None:
+        return 1.0
+    corners = prototype.points[prototype.faces[faces]].astype(np.float64)
+    area = _areas(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    uv = prototype.uv[faces].astype(np.float64)
+    first, second = uv[:, 1] - uv[:, 0], uv[:, 2] - uv[:, 0]
+    spread = np.abs(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0])
+    # A face of a single texel shows none of a picture.
+    some = (area > 0.0) & (spread > 0.0)
+    if not some.any():
+        return 1.0
+    area, ratio = area[some], area[some] / spread[some]
+    order = np.argsort(ratio, kind="stable")
+    share = np.cumsum(area[order])
+    last = int(np.searchsorted(share, (1.0 - _STRETCHED) * share[-1], side="left"))
+    return float(np.sqrt(ratio[order[min(last, len(order) - 1)]]))
+
+
+def _areas(one: NDArray[np.float64], other: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Twice the areas between two edges each."""
+    x = one[:, 1] * other[:, 2] - one[:, 2] * other[:, 1]
+    y = one[:, 2] * other[:, 0] - one[:, 0] * other[:, 2]
+    z = one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]
+    areas: NDArray[np.float64] = np.sqrt(x * x + y * y + z * z)
+    return areas
+
+
+def _faces_of(name: str, one: Scatter | Placed, prototype: Prototype) -> NDArray[np.int64]:
+    """Faces of a prototype that have a material."""
+    own = np.full(len(prototype.faces), one.material == name)
+    for part in _parts(prototype):
+        own[part[0]] = part[1] == name if part[1] is not None else own[part[0]]
+    return np.flatnonzero(own)
+
+
+def _parts(prototype: Prototype) -> Iterator[tuple[NDArray[np.int32], str | None]]:
+    for part in prototype.parts:
+        yield part.faces, part.material

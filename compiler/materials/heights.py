@@ -1,0 +1,98 @@
+"""Relief of surfaces as heights in meters: of procedural kinds, and of pictures."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenec.compiler.materials.periodic import Plane, moments
+from scenec.compiler.materials.surface import Surface
+from scenec.compiler.materials.tile import Look, Tile
+from scenec.compiler.scene.scene import MaterialMaps
+from scenec.schemas.errors import SceneError
+from scenec.schemas.maps import read_pixels
+
+
+@lru_cache(maxsize=2)
+def painted_look(surface: Surface, size_m: float) -> Look:
+    """What a kind of surface looks like; not to be changed. Few are kept: they are large."""
+    return surface.paint(Tile(surface.key, size_m, surface.resolution))
+
+
+def forget_looks() -> None:
+    """Frees what ``painted_look`` keeps."""
+    painted_look.cache_clear()
+
+
+def gray(path: Path) -> Plane:
+    """A raw picture's red channel in [0, 1], float32 [h, w], row 0 at the top.
+
+    Raises:
+        SceneError: It cannot be read any more.
+    """
+    return _gray(path, stamp(path))
+
+
+def stamp(path: Path) -> tuple[int, int]:
+    """What tells a file from what it was before: for caches within a process."""
+    try:
+        found = path.stat()
+    except OSError as error:
+        raise SceneError(f"{path.name}: {error.strerror or error}") from error
+    return found.st_mtime_ns, found.st_size
+
+
+@lru_cache(maxsize=4)
+def _gray(path: Path, _stamp: tuple[int, int]) -> Plane:
+    try:
+        pixels = read_pixels(path)[..., 0]
+    except ValueError as error:
+        raise SceneError(f"{path.name}: {error}") from error
+    if pixels.dtype.kind == "f":
+        return np.clip(pixels, 0.0, 1.0).astype(np.float32)
+    largest = float(np.iinfo(pixels.dtype).max)
+    return (pixels.astype(np.float64) / largest).astype(np.float32)
+
+
+def relief_of(maps: MaterialMaps) -> Plane | None:
+    """Heights that become geometry, meters about a mean of 0, float32 [h, w]; None: it is flat."""
+    surface, sources = maps.procedural, maps.sources
+    if sources is not None and sources.heights is not None and sources.heights_m:
+        return _centered(gray(sources.heights), sources.heights_m)
+    if surface is not None and surface.displacement:
+        look = painted_look(surface, maps.size_m)
+        height = np.asarray(look.height, np.float32)
+        deviation = moments(height)[1]
+        return _centered(height, relief_m(surface, maps.size_m, deviation) / (deviation or 1.0))
+    return None
+
+
+def blend_heights(maps: MaterialMaps) -> Plane | None:
+    """Heights in [0, 1] that blends of layers go by, float32 [h, w]; None: there are none."""
+    if maps.sources is not None and maps.sources.heights is not None:
+        return gray(maps.sources.heights)
+    if maps.procedural is None:
+        return None
+    height = np.asarray(painted_look(maps.procedural, maps.size_m).height, np.float32)
+    low, high = float(height.min()), float(height.max())
+    if high <= low:
+        return None
+    return np.asarray((height - np.float32(low)) * np.float32(1.0 / (high - low)), np.float32)
+
+
+def relief_m(surface: Surface, size_m: float, deviation: float) -> float:
+    """Root mean square of a kind's heights, meters, where its look's have a given one."""
+    if surface.relief_m is not None:
+        return surface.relief_m if deviation > 0.0 else 0.0
+    return deviation * surface.unit(Tile(surface.key, size_m, surface.resolution))
+
+
+def _centered(plane: Plane, factor: float) -> Plane:
+    mean = moments(plane)[0]
+    centered: NDArray[np.float32] = ((plane.astype(np.float64) - mean) * np.float64(factor)).astype(
+        np.float32
+    )
+    return centered

@@ -1,0 +1,215 @@
+"""Surfaces as pictures: brought to the mean and relief asked for, and encoded."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from scenec.compiler.arithmetic.srgb import linear_codes
+from scenec.compiler.assets.pictures import png
+from scenec.compiler.cache.memo import memoized
+from scenec.compiler.materials.heights import blend_heights, painted_look, relief_m
+from scenec.compiler.materials.periodic import Plane, moments
+from scenec.compiler.materials.tile import Tile
+from scenec.compiler.scene.scene import Material, MaterialMaps, Picture
+from scenec.schemas.threads import over_threads
+
+#: Colors are at least this share of their mean.
+_DARKEST = 0.06
+
+
+def with_pictures(
+    materials: dict[str, Material], heights: Collection[str] = ()
+) -> tuple[dict[str, Material], dict[str, Any]]:
+    """Materials whose procedural surfaces have become pictures, and what there is to tell.
+
+    A material's numbers stay the means: its ``base_color`` becomes a factor on the picture of
+    colors so that their product has the mean it had, and roughness is the picture's mean.
+
+    Args:
+        materials: By name.
+        heights: Names of those that get a picture of their heights, too.
+
+    Returns:
+        The same materials, in the same order; facts by name.
+    """
+    made, facts = {}, {}
+    for name, material in materials.items():
+        if material.maps is not None and material.maps.procedural is not None:
+            made[name], facts[name] = _painted(material, material.maps, name in heights)
+        else:
+            made[name] = material
+    return made, facts
+
+
+@memoized("pictures")
+def _painted(material: Material, maps: MaterialMaps, high: bool) -> tuple[Material, dict[str, Any]]:
+    surface = maps.procedural
+    assert surface is not None
+    tile = Tile(surface.key, maps.size_m, surface.resolution)
+    look = painted_look(surface, maps.size_m)
+    height = np.asarray(look.height, np.float32)
+    rougher = np.asarray(look.roughness, np.float32)
+    pictures: dict[str, Picture] = {}
+    base_color = material.base_color
+    if "base_color" not in maps.files and surface.contrast > 0.0:
+        codes, base_color = color_codes(look.color, surface.contrast, base_color)
+        pictures["base_color"] = Picture(".png", png(codes))
+    # Without a glossy part nothing shows how rough it is.
+    glossy = material.specular > 0.0 or material.metallic > 0.0 or "metallic" in maps.files
+    if "roughness" not in maps.files and glossy and surface.contrast > 0.0:
+        rough = roughness_codes(rougher, surface.contrast, material.roughness)
+        if rough is not None:
+            pictures["roughness"] = Picture(".png", png(rough))
+    deviation = moments(height)[1]
+    relief = relief_m(surface, maps.size_m, deviation)
+    slope = 0.0
+    if "normal" not in maps.files and relief > 0.0:
+        steepness = relief * tile.pixels / (deviation * tile.size_m)
+        normals, slope = normal_codes(height, steepness)
+        pictures["normal"] = Picture(".png", png(normals))
+        maps = replace(maps, normal_convention="opengl")
+    share = blend_heights(maps) if high and "height" not in maps.files else None
+    if share is not None:
+        codes = np.floor(share * np.float32(255.0) + np.float32(0.5)).astype(np.uint8)
+        pictures["height"] = Picture(".png", png(codes[..., None]))
+    # In the order of the kinds, whichever come from files.
+    files = {**pictures, **maps.files}
+    left = replace(maps, files=files, procedural=None) if files or maps.sources else None
+    return replace(material, base_color=base_color, maps=left), {
+        "kind": type(surface).__name__,
+        "pixel_m": tile.size_m / tile.pixels,
+        "relief_rms_m": relief,
+        "slope_rms": slope,
+        "bytes": sum(len(picture.data) for picture in pictures.values()),
+    }
+
+
+def color_codes(
+    color: list[Plane], contrast: float, base_color: tuple[float, float, float]
+) -> tuple[NDArray[np.uint8], tuple[float, float, float]]:
+    """A picture of colors in sRGB, and the factor that brings it to a mean.
+
+    No product of the two is above 1: contrast gives way where it would be.
+
+    Args:
+        color: Three planes, each up to a factor.
+        contrast: How far they are from their means, relative to the planes.
+        base_color: The mean, linear Rec.709.
+
+    Returns:
+        uint8 [n, n, 3]; the factor.
+    """
+    planes, factor = [], []
+    linear = linear_codes(255)
+    for plane, mean in zip(color, base_color, strict=True):
+        level, _ = moments(plane)
+        relative = (plane - np.float32(level)) * np.float32(contrast / level) + np.float32(1.0)
+        relative = np.maximum(relative, np.float32(_DARKEST))
+        level, _ = moments(relative)
+        relative = relative / np.float32(level)
+        brightest = float(relative.max())
+        if brightest * mean > 1.0:
+            give = (1.0 / mean - 1.0) / (brightest - 1.0)
+            relative = np.float32(1.0) + (relative - np.float32(1.0)) * np.float32(give)
+            brightest = float(relative.max())
+        codes = encoded(relative, 1.0 / brightest)
+        counts = np.bincount(codes.ravel(), minlength=256)
+        found = float((counts * linear).sum()) / codes.size
+        planes.append(codes)
+        factor.append(min(mean / found, 1.0))
+    red, green, blue = factor
+    return np.stack(planes, axis=-1), (red, green, blue)
+
+
+def roughness_codes(change: Plane, contrast: float, roughness: float) -> NDArray[np.uint8] | None:
+    """A picture of roughness about a mean, uint8 [n, n, 1]; None where all pixels are equal."""
+    change = change - np.float32(moments(change)[0])
+    high, low = contrast * float(change.max()), contrast * float(-change.min())
+    scale = contrast
+    for room, reach in ((1.0 - roughness, high), (roughness, low)):
+        if reach > room:
+            scale = min(scale, contrast * room / reach)
+    values = np.float32(roughness) + change * np.float32(scale)
+    codes = np.floor(np.clip(values, 0.0, 1.0) * np.float32(255.0) + np.float32(0.5))
+    if codes.min() == codes.max():
+        return None
+    return codes.astype(np.uint8)[..., None]
+
+
+def normal_codes(height: Plane, steepness: float) -> tuple[NDArray[np.uint8], float]:
+    """A picture of normals, y up, and the root mean square of the slopes.
+
+    Slopes are central differences over two pixels of the heights, which repeat.
+
+    Args:
+        height: The relief.
+        steepness: What it is in, in widths of a pixel.
+
+    Returns:
+        uint8 [n, n, 3]; the slope, 1 is 45 degrees.
+    """
+    codes, squares = _normals(height, 0.5 * steepness)
+    return codes, float(np.sqrt(moments(squares)[0]))
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _normals_part(first, last, height, scale, codes, squares):  # type: ignore[no-untyped-def]
+    n = height.shape[0]
+    for line in range(first, last):
+        row = np.int64(line)
+        for column in range(n):
+            # Rows run down the picture, and y up.
+            below = np.float64(height[(row + 1) % n, column])
+            above = np.float64(height[(row + n - 1) % n, column])
+            right = np.float64(height[row, (column + 1) % n])
+            left = np.float64(height[row, (column + n - 1) % n])
+            x = (left - right) * scale
+            y = (below - above) * scale
+            square = x * x + y * y
+            squares[row, column] = square
+            length = np.sqrt(square + 1.0)
+            codes[row, column, 0] = np.uint8(127.5 * (x / length + 1.0) + 0.5)
+            codes[row, column, 1] = np.uint8(127.5 * (y / length + 1.0) + 0.5)
+            codes[row, column, 2] = np.uint8(127.5 * (1.0 / length + 1.0) + 0.5)
+
+
+def _normals(height, scale):  # type: ignore[no-untyped-def]
+    n = height.shape[0]
+    codes = np.empty((n, n, 3), np.uint8)
+    squares = np.empty((n, n), np.float32)
+    over_threads(_normals_part, n, height, scale, codes, squares)
+    return codes, squares
+
+
+def encoded(plane: Plane, factor: float) -> NDArray[np.uint8]:
+    """Linear values times a factor as 8-bit sRGB, the nearest code of each; clipped to [0, 1]."""
+    linear = linear_codes(255)
+    borders = 0.5 * (linear[1:] + linear[:-1])
+    table = np.searchsorted(borders, np.arange(65536) / 65535.0, side="right").astype(np.uint8)
+    codes: NDArray[np.uint8] = _encode(plane, factor, table, borders)
+    return codes
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _encode_part(first, last, plane, factor, table, borders, codes):  # type: ignore[no-untyped-def]
+    for line in range(first, last):
+        row = np.int64(line)
+        for column in range(plane.shape[1]):
+            value = min(max(np.float64(plane[row, column]) * factor, 0.0), 1.0)
+            code = table[np.int64(value * 65535.0)]
+            # The table's steps are finer than codes: at most the next one is nearer.
+            while code < 255 and value > borders[code]:
+                code += np.uint8(1)
+            codes[row, column] = code
+
+
+def _encode(plane, factor, table, borders):  # type: ignore[no-untyped-def]
+    codes = np.empty(plane.shape, np.uint8)
+    over_threads(_encode_part, plane.shape[0], plane, factor, table, borders, codes)
+    return codes

@@ -1,0 +1,153 @@
+"""Values of pictures, and pictures of values: the same bits on every CPU.
+
+As ``schemas.maps.decode`` means them, but decoded by tables, where that uses libm.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from scenec.compiler.arithmetic.srgb import linear_codes
+from scenec.compiler.assets.parts import MeshFileError
+from scenec.compiler.assets.pictures import pixels_of, png
+from scenec.compiler.materials.heights import stamp
+from scenec.compiler.materials.periodic import Plane, moments
+from scenec.compiler.materials.pictures import encoded
+from scenec.compiler.scene.scene import Picture
+from scenec.schemas.errors import SceneError
+from scenec.schemas.threads import over_threads
+
+type Source = Path | Picture
+#: float32 [h, w, 3].
+type Planes = NDArray[np.float32]
+
+
+def stored(source: Source) -> NDArray:
+    """Pixels as ``schemas.maps.read_pixels`` gives them.
+
+    Raises:
+        SceneError: They cannot be read.
+    """
+    return _stored(source, stamp(source) if isinstance(source, Path) else None)
+
+
+@lru_cache(maxsize=4)
+def _stored(source: Source, _stamp: tuple[int, int] | None) -> NDArray:
+    name = source.name if isinstance(source, Path) else "of a model"
+    try:
+        pixels = pixels_of(source, name)
+    except MeshFileError as error:
+        raise SceneError(str(error)) from error
+    pixels.setflags(write=False)
+    return pixels
+
+
+def forget_pixels() -> None:
+    """Frees what ``stored`` keeps."""
+    _stored.cache_clear()
+
+
+def size_of(source: Source) -> int:
+    """Bytes of a picture's file."""
+    return len(source.data) if isinstance(source, Picture) else source.stat().st_size
+
+
+def colors(source: Source) -> Planes:
+    """Linear Rec.709; of floating pictures what is below 0 is 0."""
+    pixels = stored(source)
+    if pixels.dtype.kind == "f":
+        values = np.maximum(pixels, np.float32(0.0))
+    else:
+        values = linear_codes(int(np.iinfo(pixels.dtype).max)).astype(np.float32)[pixels]
+    return np.repeat(values, 3, axis=2) if values.shape[2] == 1 else values
+
+
+def raw(source: Source, channel: int = 0) -> Plane:
+    """One channel in [0, 1]."""
+    pixels = stored(source)
+    plane = pixels[..., min(channel, pixels.shape[2] - 1)]
+    if plane.dtype.kind == "f":
+        return np.clip(plane, np.float32(0.0), np.float32(1.0))
+    return (plane.astype(np.float64) / float(np.iinfo(plane.dtype).max)).astype(np.float32)
+
+
+def normals(source: Source) -> Planes:
+    """Unit vectors as they are stored, y in the picture's own convention."""
+    pixels = stored(source)
+    if pixels.dtype.kind == "f":
+        found = 2.0 * pixels.astype(np.float64) - 1.0
+    else:
+        found = 2.0 * (pixels.astype(np.float64) / float(np.iinfo(pixels.dtype).max)) - 1.0
+    if found.shape[2] == 1:
+        found = np.repeat(found, 3, axis=2)
+    return unit(found)
+
+
+def unit(vectors: NDArray[np.floating]) -> Planes:
+    """Vectors brought to length 1; (0, 0, 1) where they have none."""
+    found: Planes = _unit(vectors)
+    return found
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _unit_part(first, last, vectors, out):  # type: ignore[no-untyped-def]
+    for line in range(first, last):
+        row = np.int64(line)
+        for column in range(vectors.shape[1]):
+            x = np.float64(vectors[row, column, 0])
+            y = np.float64(vectors[row, column, 1])
+            z = np.float64(vectors[row, column, 2])
+            length = np.sqrt(x * x + y * y + z * z)
+            if length > 0.0:
+                out[row, column, 0] = x / length
+                out[row, column, 1] = y / length
+                out[row, column, 2] = z / length
+            else:
+                out[row, column, 0] = 0.0
+                out[row, column, 1] = 0.0
+                out[row, column, 2] = 1.0
+
+
+def _unit(vectors):  # type: ignore[no-untyped-def]
+    out = np.empty(vectors.shape, np.float32)
+    over_threads(_unit_part, vectors.shape[0], vectors, out)
+    return out
+
+
+def color_picture(planes: Planes) -> Picture:
+    """Linear colors as sRGB codes; gray where all three are equal."""
+    codes = np.stack([encoded(np.ascontiguousarray(planes[..., i]), 1.0) for i in range(3)], -1)
+    if np.array_equal(codes[..., 0], codes[..., 1]) and np.array_equal(
+        codes[..., 1], codes[..., 2]
+    ):
+        codes = codes[..., :1]
+    return Picture(".png", png(codes))
+
+
+def gray_picture(plane: Plane, fine: bool = False) -> Picture:
+    """Values in [0, 1] as 8 bits, or 16."""
+    largest = 65535 if fine else 255
+    codes = np.floor(np.clip(plane.astype(np.float64), 0.0, 1.0) * largest + 0.5)
+    return Picture(".png", png(codes.astype(np.uint16 if fine else np.uint8)[..., None]))
+
+
+def normal_picture(vectors: Planes) -> Picture:
+    """Unit vectors as 8 bits."""
+    codes = np.floor(127.5 * (vectors.astype(np.float64) + 1.0) + 0.5)
+    return Picture(".png", png(np.clip(codes, 0.0, 255.0).astype(np.uint8)))
+
+
+def is_fine(source: Source) -> bool:
+    """Whether a picture has more than 8 bits."""
+    return stored(source).dtype != np.uint8
+
+
+def mean_color(planes: Planes) -> tuple[float, float, float]:
+    """Mean of each channel."""
+    red, green, blue = (moments(np.ascontiguousarray(planes[..., i]))[0] for i in range(3))
+    return (red, green, blue)

@@ -1,0 +1,141 @@
+"""Materials merged pairwise by noise (the seed paper's equation 1), as functions of position.
+
+Merge i lays material i over the result so far with a weight alpha_i(x, y) in [0, 1]:
+
+    t_i = alpha_i * material_i + (1 - alpha_i) * t_(i-1)
+
+alpha = smoothstep(t), t clamped to [0, 1]. A noise gives t = 1/2 + sharpness * (noise - center),
+conditions on the place give theirs (``ground.limit``), and the smallest counts.
+
+Colors blend by alpha. The label at a point is that of the last merge with alpha_i >= threshold_i,
+or of the base: an outcome of the merges in order, not an argmax.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenec.compiler.arithmetic import elementary
+from scenec.compiler.mesh.limit import Limit
+from scenec.compiler.noise.perlin import fbm2_points
+from scenec.compiler.terrain.condition import Interval
+
+
+@dataclass(frozen=True)
+class Merge:
+    """One merge: where its material lies.
+
+    Attributes:
+        key: Noise key.
+        scale_m: Size of the largest patches, meters.
+        octaves, gain, lacunarity, distortion: Of the noise, see ``fbm2_points``.
+        sharpness: Slope of the transition; larger is narrower.
+        threshold: Weight at which the label changes, in (0, 1).
+        center: Noise value at which the weight is 1/2.
+        noisy: Whether the noise has a say; it must have where there are no conditions.
+        where: Conditions that must hold as well. ``cover.lay`` makes ``limits`` of them.
+        limits: The conditions on the relief that the merge is laid on.
+    """
+
+    key: int
+    scale_m: float
+    octaves: int
+    gain: float
+    lacunarity: float
+    distortion: float
+    sharpness: float
+    threshold: float
+    center: float = 0.0
+    noisy: bool = True
+    where: tuple[Interval, ...] = ()
+    limits: tuple[Limit, ...] = ()
+
+    def noise(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The noise at points, float64 [n]."""
+        return fbm2_points(
+            np.uint64(self.key),
+            x,
+            y,
+            self.scale_m,
+            self.octaves,
+            self.gain,
+            self.lacunarity,
+            self.distortion,
+        )
+
+    def level_t(self) -> float:
+        """The t at which the weight is the threshold: the label line's."""
+        # Inverse of the smoothstep s(t) = 3t^2 - 2t^3 in [0, 1]: t = 1/2 - sin(asin(1 - 2s) / 3).
+        return 0.5 - elementary.sin(elementary.asin(1.0 - 2.0 * self.threshold) / 3.0)
+
+    def level(self) -> float:
+        """Noise value at which the weight reaches the threshold."""
+        return self.center + (self.level_t() - 0.5) / self.sharpness
+
+    def side(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Signed distance to the label line, float64 [n]: >= 0 is this material.
+
+        In units of t where there are conditions, of the noise where there are none.
+
+        Raises:
+            ValueError: The merge has conditions and is not laid.
+        """
+        if not self.where:
+            return self.noise(x, y) - self.level()
+        return self.t(x, y) - self.level_t()
+
+    def t(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Where alpha is within its fade, 0 to 1, and beyond: not clamped, float64 [n].
+
+        Raises:
+            ValueError: The merge has conditions and is not laid.
+        """
+        if len(self.limits) != len(self.where):
+            raise ValueError("a merge with conditions is laid on a relief first: cover.lay")
+        parts = [limit.t(x, y) for limit in self.limits]
+        if self.noisy:
+            parts.append(0.5 + self.sharpness * (self.noise(x, y) - self.center))
+        least = parts[0]
+        for part in parts[1:]:
+            np.minimum(least, part, out=least)
+        return least
+
+    def weight_of_side(self, side: NDArray[np.float64]) -> NDArray[np.float64]:
+        """alpha, from what ``side`` returned."""
+        if self.where:
+            t = np.clip(side + self.level_t(), 0.0, 1.0)
+        else:
+            t = np.clip(0.5 + self.sharpness * (side + self.level() - self.center), 0.0, 1.0)
+        return t * t * (3.0 - 2.0 * t)
+
+
+def center_for_coverage(noise: NDArray[np.float64], coverage: float) -> float:
+    """Center with which a merge covers a given fraction of its samples.
+
+    Args:
+        noise: Noise at evenly spread points, float64 [n].
+        coverage: Fraction in [0, 1].
+
+    Returns:
+        The noise value below which 1 - coverage of the samples lie; beyond the extremes at 0 and 1.
+    """
+    ordered = np.sort(noise, kind="stable")
+    rank = int((1.0 - coverage) * ordered.size)
+    if rank >= ordered.size:
+        return float(ordered[-1]) + 10.0
+    if rank == 0:
+        return float(ordered[0]) - 10.0
+    return float(0.5 * (ordered[rank - 1] + ordered[rank]))
+
+
+def label_index(sides: list[NDArray[np.float64]]) -> NDArray[np.int32]:
+    """Index of the material that labels each point: the last merge with side >= 0, else 0."""
+    if not sides:
+        raise ValueError("label_index needs at least one merge")
+    index = np.zeros(sides[0].shape, np.int32)
+    for i, side in enumerate(sides, start=1):
+        index[side >= 0.0] = i
+    return index

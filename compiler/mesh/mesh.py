@@ -1,0 +1,296 @@
+"""From a height field to the mesh of the ground, uncut: the whole grid, or what shows of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import count
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from scenec.compiler.mesh import adaptive
+from scenec.compiler.mesh.cut import CutMesh
+from scenec.compiler.mesh.merge import Merge, label_index
+from scenec.compiler.mesh.refine import Limits, refine
+from scenec.compiler.mesh.surface import Surface
+from scenec.compiler.terrain.grid import HeightField, cuts_main_diagonal
+from scenec.compiler.views.sight import Views
+
+#: What a shading deviation is allowed to be: of a weight, of the albedo variation, of a slope.
+WEIGHT_STEP, VARIATION_STEP, SLOPE_STEP = 0.15, 0.2, 0.1
+# Shortest legs in parts of the grid's spacing; how the tolerance grows while over the budget.
+_FINEST = 32.0
+_RELAX = 1.189207115002721
+_TRIES = 16
+_LEAP = 1e60
+
+
+@dataclass(frozen=True)
+class Meshing:
+    """How fine the mesh is.
+
+    Attributes:
+        tolerance_px: Error that may show in any view, pixels; None keeps the whole grid.
+        max_triangles: Budget before the cut; where it binds the tolerance is raised, and said.
+        unseen: Part that pixels count where no view shows the ground.
+        finest_m: Shortest leg that may be halved; None: a 32nd of the grid's spacing.
+    """
+
+    tolerance_px: float | None
+    max_triangles: int
+    unseen: float
+    finest_m: float | None = None
+
+    def finest(self, spacing_m: float) -> float:
+        """Shortest leg that may be halved, on a grid of a spacing, meters."""
+        return spacing_m / _FINEST if self.finest_m is None else self.finest_m
+
+
+@dataclass(frozen=True)
+class Appearance:
+    """What is laid over the ground, at its samples: merges' sides and the albedo variation."""
+
+    sides: tuple[NDArray[np.float64], ...]
+    variation: NDArray[np.float64]
+
+
+def grid_mesh(field: HeightField) -> CutMesh:
+    """Two triangles a cell."""
+    return _mesh(field, _grid_faces(*field.grid.shape))
+
+
+def adaptive_mesh(
+    surface: Surface,
+    appearance: Appearance,
+    pixels_per_m: NDArray[np.float64],
+    views: Views,
+    meshing: Meshing,
+) -> tuple[CutMesh, dict[str, Any]]:
+    """Triangles as large as the tolerance lets them be.
+
+    Args:
+        surface: What the mesh stands for.
+        appearance: What lies on the ground.
+        pixels_per_m: See ``cameras.sight``.
+        views: The cameras, for triangles finer than the grid.
+        meshing: The tolerance and the budget.
+
+    Returns:
+        The mesh, and what it left out, measured against the grid's samples and against the surface.
+    """
+    assert meshing.tolerance_px is not None
+    field = surface.field
+    channels = _channels(field, surface.merges, appearance)
+    spacing = max(field.grid.spacing_m)
+    errors = adaptive.vertex_errors(channels, pixels_per_m, spacing, meshing.tolerance_px)
+    tolerance = meshing.tolerance_px
+    factor = _RELAX * _RELAX
+    while True:
+        tolerance, faces = _within_budget(errors, field.grid.shape, meshing, tolerance)
+        mesh, finer = _mesh(field, faces), None
+        reached, worst_m, rms_m = _measured(field, faces, pixels_per_m)
+        if not surface.smooth:
+            break
+        limits = Limits(
+            tolerance,
+            meshing.finest(spacing),
+            # Where not even the coarsest mesh is within the budget it is not made finer.
+            max(meshing.max_triangles, len(faces)),
+            meshing.unseen,
+        )
+        result = refine(mesh, surface, views, limits)
+        if result is not None:
+            mesh, finer = result
+            break
+        tolerance *= factor
+        # Each try is a whole mesh: far off, their number must stay small.
+        factor = min(factor * factor, _LEAP)
+    return mesh, {
+        "tolerance_px": meshing.tolerance_px,
+        "budget_bound": tolerance > meshing.tolerance_px,
+        "tolerance_reached_px": tolerance,
+        "height_error_max_px": reached,
+        "height_error_max_m": worst_m,
+        "height_error_rms_m": rms_m,
+        "triangles": len(mesh.faces),
+        "triangles_of_grid": 2 * (field.grid.shape[0] - 1) * (field.grid.shape[1] - 1),
+        **({"finer": finer} if finer else {}),
+    }
+
+
+def _channels(
+    field: HeightField, merges: Sequence[Merge], appearance: Appearance
+) -> adaptive.Channels:
+    shape = field.grid.shape
+    dx, dy = field.grid.spacing_m
+    slope_x = np.gradient(field.height, dx, axis=1)
+    slope_y = np.gradient(field.height, dy, axis=0)
+    sides = [side.reshape(shape) for side in appearance.sides]
+    weights = [merge.weight_of_side(side) for merge, side in zip(merges, sides, strict=True)]
+    shades = [
+        appearance.variation.reshape(shape) / VARIATION_STEP,
+        slope_x / SLOPE_STEP,
+        slope_y / SLOPE_STEP,
+        *(weight / WEIGHT_STEP for weight in weights),
+    ]
+    values = np.stack([field.height, *sides, *shades], axis=-1)
+    kind = np.array(
+        [adaptive.HEIGHT, *[adaptive.LINE] * len(sides), *[adaptive.SHADE] * len(shades)]
+    )
+    lateral = np.stack([np.zeros(shape), *(_distance(field, side) for side in sides)], axis=-1)
+    return adaptive.Channels(values, kind, lateral)
+
+
+def _distance(field: HeightField, side: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Distance of each sample to the zero line of a field, to first order, meters."""
+    dx, dy = field.grid.spacing_m
+    gx, gy = np.gradient(side, dx, axis=1), np.gradient(side, dy, axis=0)
+    distance: NDArray[np.float64] = np.abs(side) / np.maximum(np.sqrt(gx * gx + gy * gy), 1e-300)
+    return distance
+
+
+def label_error(
+    field: HeightField,
+    mesh: CutMesh,
+    layer: NDArray[np.int32],
+    sides: Sequence[NDArray[np.float64]],
+    pixels_per_m: NDArray[np.float64],
+) -> float:
+    """How far from the line that it should be beyond the worst wrong label of a sample is, pixels.
+
+    Args:
+        field: The grid.
+        mesh: The cut mesh.
+        layer: Label of its faces, int32 [m].
+        sides: Of the merges at the samples, [ny, nx] each.
+        pixels_per_m: See ``cameras.sight``.
+    """
+    right = np.zeros(field.grid.shape, bool)
+    truth = label_index(list(sides))
+    x0, y0, dx, dy = field.frame()
+    u, v = (mesh.points[:, 0] - x0) / dx, (mesh.points[:, 1] - y0) / dy
+    _mark_right(np.stack([u, v], axis=1), mesh.faces, layer, truth, right)
+    distance = np.minimum.reduce([_distance(field, side) for side in sides])
+    return float(np.where(right, 0.0, distance * pixels_per_m).max())
+
+
+@njit(cache=True, error_model="numpy")
+def _mark_right(points, faces, layer, truth, right):  # type: ignore[no-untyped-def]
+    """Samples that lie in (or on the border of) a face of their label."""
+    ny, nx = truth.shape
+    hair = 1e-9
+    for f in range(len(faces)):
+        a, b, c = points[faces[f, 0]], points[faces[f, 1]], points[faces[f, 2]]
+        det = (b[0] - a[0]) * (c[1] - a[1]) - (c[0] - a[0]) * (b[1] - a[1])
+        first_y = max(int(np.ceil(min(a[1], min(b[1], c[1])) - hair)), 0)
+        last_y = min(int(np.floor(max(a[1], max(b[1], c[1])) + hair)), ny - 1)
+        first_x = max(int(np.ceil(min(a[0], min(b[0], c[0])) - hair)), 0)
+        last_x = min(int(np.floor(max(a[0], max(b[0], c[0])) + hair)), nx - 1)
+        for y in range(first_y, last_y + 1):
+            for x in range(first_x, last_x + 1):
+                if truth[y, x] != layer[f]:
+                    continue
+                u = ((x - a[0]) * (c[1] - a[1]) - (c[0] - a[0]) * (y - a[1])) / det
+                v = ((b[0] - a[0]) * (y - a[1]) - (x - a[0]) * (b[1] - a[1])) / det
+                if u >= -hair and v >= -hair and u + v <= 1.0 + hair:
+                    right[y, x] = True
+
+
+def _within_budget(
+    errors: NDArray[np.float32], shape: tuple[int, int], meshing: Meshing, tolerance: float
+) -> tuple[float, NDArray[np.int32]]:
+    """A tolerance, or the smallest of 2^(1/4) times it and so on that the budget allows.
+
+    From sixteen times on the steps grow.
+    """
+    factor = _RELAX
+    for tries in count(1):
+        faces = adaptive.triangles(adaptive.activate(errors, tolerance), shape)
+        # The coarsest mesh there is may be over the budget: then it is what comes out.
+        coarsest = not (errors[np.isfinite(errors)] > tolerance).any()
+        if len(faces) <= meshing.max_triangles or coarsest:
+            return tolerance, faces
+        tolerance *= factor
+        if tries >= _TRIES:
+            factor = min(factor * factor, _LEAP)
+    raise AssertionError("the coarsest mesh is always taken")
+
+
+def _mesh(field: HeightField, faces: NDArray[np.int32]) -> CutMesh:
+    """Vertices are the samples in use, in the grid's order."""
+    nx = field.grid.shape[1]
+    used = np.zeros(field.height.size, bool)
+    used[faces.ravel()] = True
+    samples = np.flatnonzero(used)
+    number = (np.cumsum(used) - 1).astype(np.int32)
+    x, y = field.grid.x()[samples % nx], field.grid.y()[samples // nx]
+    vertices = np.arange(len(samples), dtype=np.int32)
+    return CutMesh(
+        points=np.stack([x, y, field.height.ravel()[samples]], axis=1),
+        faces=number[faces],
+        parents=np.stack([vertices, vertices], axis=1),
+        fraction=np.zeros(len(samples)),
+        cell=_cells(faces, nx),
+        above=np.zeros((0, len(faces)), bool),
+        normals=field.normals().reshape(-1, 3)[samples],
+    )
+
+
+def _cells(faces: NDArray[np.int32], nx: int) -> NDArray[np.int32]:
+    """Cell that holds the middle of each face."""
+    column = (faces % nx).sum(axis=1) // 3
+    row = (faces // nx).sum(axis=1) // 3
+    return (row * (nx - 1) + column).astype(np.int32)
+
+
+@njit(cache=True, error_model="numpy")
+def _grid_faces(ny: int, nx: int) -> NDArray:
+    faces = np.empty((2 * (nx - 1) * (ny - 1), 3), np.int32)
+    n = 0
+    for j in range(ny - 1):
+        for i in range(nx - 1):
+            a = j * nx + i
+            b, c, d = a + 1, a + nx, a + nx + 1
+            if cuts_main_diagonal(i, j):
+                first, second = (a, b, d), (a, d, c)
+            else:
+                first, second = (a, b, c), (b, d, c)
+            for k in range(3):
+                faces[n, k] = first[k]
+                faces[n + 1, k] = second[k]
+            n += 2
+    return faces
+
+
+def _measured(
+    field: HeightField, faces: NDArray[np.int32], pixels_per_m: NDArray[np.float64]
+) -> tuple[float, float, float]:
+    """Deviation of the mesh from the grid's samples: worst in pixels, worst and rms in meters."""
+    error = np.zeros(field.grid.shape)
+    _deviations(field.height, faces, error)
+    return (
+        float((error * pixels_per_m).max()),
+        float(error.max()),
+        float(np.sqrt((error * error).mean())),
+    )
+
+
+@njit(cache=True, error_model="numpy")
+def _deviations(height, faces, error):  # type: ignore[no-untyped-def]
+    nx = height.shape[1]
+    for f in range(len(faces)):
+        ax, ay = faces[f, 0] % nx, faces[f, 0] // nx
+        bx, by = faces[f, 1] % nx, faces[f, 1] // nx
+        cx, cy = faces[f, 2] % nx, faces[f, 2] // nx
+        det = float((bx - ax) * (cy - ay) - (cx - ax) * (by - ay))
+        h = height[ay, ax]
+        for y in range(min(ay, min(by, cy)), max(ay, max(by, cy)) + 1):
+            for x in range(min(ax, min(bx, cx)), max(ax, max(bx, cx)) + 1):
+                u = ((x - ax) * (cy - ay) - (cx - ax) * (y - ay)) / det
+                v = ((bx - ax) * (y - ay) - (x - ax) * (by - ay)) / det
+                if u >= 0.0 and v >= 0.0 and u + v <= 1.0:
+                    plane = h + u * (height[by, bx] - h) + v * (height[cy, cx] - h)
+                    error[y, x] = max(error[y, x], abs(height[y, x] - plane))

@@ -1,0 +1,396 @@
+"""Refinement beyond the grid: triangles halved until a surface's error is too small to see."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from scenec.compiler.geometry.bisect import Bisectable, Halved, halve, newest_first
+from scenec.compiler.mesh.bend import bends, of_faces
+from scenec.compiler.mesh.between import INSIDE, Known, Sampled, measured
+from scenec.compiler.mesh.cut import CutMesh
+from scenec.compiler.mesh.surface import Surface
+from scenec.compiler.views.sight import NEAREST_M, Views, pixels_of_balls
+
+#: Part of the amplitude of what is finer than a triangle that it may be wrong by: octaves of noise
+#: have a root mean square of 0.3, and the middles of edges show some of it.
+_UNRESOLVED = 0.35
+#: Part of the tolerance that the middles of edges may use up: the worst point lies elsewhere.
+_SLACK = 0.9
+#: Slope, from crest to trough, beyond which such detail is taken for rough no more.
+_STEEP = 0.5
+
+
+@dataclass(frozen=True)
+class Limits:
+    """When to stop.
+
+    Attributes:
+        tolerance_px: Error that may show.
+        finest_m: No triangle with a shorter leg is halved.
+        max_triangles: No more triangles than this.
+        unseen: Part that pixels count out of view.
+    """
+
+    tolerance_px: float
+    finest_m: float
+    max_triangles: int
+    unseen: float
+
+
+@dataclass
+class _Work:
+    """A mesh with what is known at its vertices and at the middles of its edges.
+
+    Attributes:
+        mesh: The triangles.
+        points: Vertices on the surface, float64 [n, 3].
+        sides: Of the merges at them, float64 [n, k].
+        middles: Heights of the surface above the middles of the edges, float64 [e]; NaN where none
+            was asked for yet.
+        middle_sides: Of the merges there, float64 [e, k].
+        new: Faces whose error is not known yet, bool [m].
+        refined: Faces that were halved, bool [m].
+        cell: Grid cell of each face, int32 [m].
+    """
+
+    mesh: Bisectable
+    points: NDArray[np.float64]
+    sides: NDArray[np.float64]
+    middles: NDArray[np.float64]
+    middle_sides: NDArray[np.float64]
+    new: NDArray[np.bool_]
+    refined: NDArray[np.bool_]
+    cell: NDArray[np.int32]
+
+
+def refine(
+    mesh: CutMesh, surface: Surface, views: Views, limits: Limits
+) -> tuple[CutMesh, dict[str, Any]] | None:
+    """A mesh of a grid's samples, made finer where a view shows that it is too coarse.
+
+    A face is halved while the surface above the middle of one of its edges, or the detail finer
+    than it, is off by more than the tolerance in the nearest view, or a label line is.
+
+    Args:
+        mesh: Not cut yet; newest vertices first.
+        surface: What it stands for.
+        views: The cameras.
+        limits: When to stop.
+
+    Returns:
+        The mesh, and the error left: measured at points inside of its faces, and bounded. None if
+        it has more triangles than are allowed.
+    """
+    work = _start(mesh, surface, views, limits)
+    while len(work.mesh.faces) <= limits.max_triangles:
+        new = np.flatnonzero(work.new)
+        wanted = np.zeros(len(work.new), bool)
+        wanted[new] = _wanted(work, new, surface, views, limits)
+        if not wanted.any():
+            return _finish(mesh, work, surface, views, limits)
+        work = _halved(work, halve(work.mesh, wanted), surface)
+    return None
+
+
+def _start(mesh: CutMesh, surface: Surface, views: Views, limits: Limits) -> _Work:
+    bisectable = newest_first(len(mesh.points), mesh.faces)
+    x, y = np.ascontiguousarray(mesh.points[:, :2].T)
+    height, sides = surface.evaluate(x, y)
+    work = _Work(
+        bisectable,
+        np.stack([x, y, height], axis=1),
+        _columns(sides, len(x)),
+        np.full(len(bisectable.edges), np.nan),
+        np.empty((len(bisectable.edges), len(sides))),
+        np.zeros(len(mesh.faces), bool),
+        np.zeros(len(mesh.faces), bool),
+        mesh.cell,
+    )
+    work.new[:] = _doubtful(work, surface, views, limits)
+    return work
+
+
+def _doubtful(work: _Work, surface: Surface, views: Views, limits: Limits) -> NDArray[np.bool_]:
+    """Faces of the grid's mesh that can be wrong between the samples, where it was not measured.
+
+    The others are flat to the tolerance at their samples, no line crosses them, and neither detail
+    nor the surface's bend within a cell is large enough to show.
+    """
+    center, radius, leg = _balls(work.points, work.mesh.faces)
+    pixels = pixels_of_balls(views, center, radius, limits.unseen, min(NEAREST_M, limits.finest_m))
+    field = surface.field
+    bend = _bends(field.height, work.points, work.mesh.faces, *field.frame())
+    detail = _finer(work, work.mesh.faces, np.full(len(leg), np.inf), surface)
+    off = detail + bend
+    crossed = np.zeros(len(leg), bool)
+    for side in work.sides.T:
+        above = side[work.mesh.faces] >= 0.0
+        crossed |= above.any(axis=1) & ~above.all(axis=1)
+    out: NDArray[np.bool_] = (np.where(crossed, leg, off) * pixels > limits.tolerance_px) & (
+        leg > limits.finest_m
+    )
+    return out
+
+
+def _columns(sides: list[NDArray[np.float64]], count: int) -> NDArray[np.float64]:
+    return np.stack(sides, axis=1) if sides else np.zeros((count, 0))
+
+
+def _know(work: _Work, surface: Surface, asked: NDArray[np.int32]) -> None:
+    """Evaluates the surface above the middles of some edges, where it was not yet."""
+    needed = np.zeros(len(work.middles), bool)
+    needed[asked.ravel()] = True
+    unknown = np.flatnonzero(needed & np.isnan(work.middles))
+    height, sides = surface.evaluate(*_halfway(work, work.mesh.edges[unknown]))
+    work.middles[unknown] = height
+    work.middle_sides[unknown] = _columns(sides, len(unknown))
+
+
+def _halfway(
+    work: _Work, edges: NDArray[np.int32]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """X and y of the middles of edges."""
+    low, high = work.points[edges[:, 0]], work.points[edges[:, 1]]
+    return 0.5 * (low[:, 0] + high[:, 0]), 0.5 * (low[:, 1] + high[:, 1])
+
+
+def _wanted(
+    work: _Work,
+    faces: NDArray[np.int64],
+    surface: Surface,
+    views: Views,
+    limits: Limits,
+) -> NDArray[np.bool_]:
+    """Which of some faces show too large an error."""
+    _know(work, surface, work.mesh.face_edges[faces])
+    center, radius, leg = _balls(work.points, work.mesh.faces[faces])
+    error = _errors(
+        work.points, work.sides, work.middles, work.middle_sides,
+        work.mesh.faces[faces], work.mesh.face_edges[faces], leg,
+    )  # fmt: skip
+    finer = _finer(work, work.mesh.faces[faces], 2.0 * leg, surface)
+    finer = np.minimum(_UNRESOLVED * finer, _STEEP * leg)
+    error = np.maximum(error, finer)
+    # What is coarse enough needs no view.
+    error[leg <= limits.finest_m] = 0.0
+    out = np.zeros(len(faces), bool)
+    some = np.flatnonzero(error > 0.0)
+    pixels = pixels_of_balls(
+        views, center[some], radius[some], limits.unseen, min(NEAREST_M, limits.finest_m)
+    )
+    out[some] = error[some] * pixels > _SLACK * limits.tolerance_px
+    return out
+
+
+def _finer(
+    work: _Work, faces: NDArray[np.int32], length: NDArray[np.float64], surface: Surface
+) -> NDArray[np.float64]:
+    """Amplitude of the detail finer than a length, the largest at a face's corners, float64 [m]."""
+    largest = np.zeros(len(faces))
+    for k in range(3):
+        sides = [np.ascontiguousarray(side) for side in work.sides[faces[:, k]].T]
+        np.maximum(largest, surface.finer_than(length, sides), out=largest)
+    return largest
+
+
+def _halved(work: _Work, halved: Halved, surface: Surface) -> _Work:
+    _know(work, surface, halved.middle_of)
+    at = np.stack([*_halfway(work, halved.ends), work.middles[halved.middle_of]], axis=1)
+    points = np.concatenate([work.points, at])
+    sides = np.concatenate([work.sides, work.middle_sides[halved.middle_of]])
+    # The old edges that are left come first.
+    old = halved.edge_origin[: len(work.middles) - len(halved.middle_of)]
+    middles = np.full(len(halved.edge_origin), np.nan)
+    middle_sides = np.empty((len(middles), sides.shape[1]))
+    np.take(work.middles, old, out=middles[: len(old)])
+    np.take(work.middle_sides, old, axis=0, out=middle_sides[: len(old)])
+    return _Work(
+        halved.mesh,
+        points,
+        sides,
+        middles,
+        middle_sides,
+        halved.face_new,
+        work.refined[halved.face_origin] | halved.face_new,
+        work.cell[halved.face_origin],
+    )
+
+
+def _finish(
+    coarse: CutMesh,
+    work: _Work,
+    surface: Surface,
+    views: Views,
+    limits: Limits,
+) -> tuple[CutMesh, dict[str, Any]]:
+    faces = work.mesh.faces
+    normals = np.zeros((len(work.points), 3))
+    normals[: len(coarse.normals)] = coarse.normals
+    _refined_normals(work.points, faces, work.refined, normals)
+    vertices = np.arange(len(work.points), dtype=np.int32)
+    mesh = replace(
+        coarse,
+        points=work.points,
+        faces=faces,
+        parents=np.stack([vertices, vertices], axis=1),
+        fraction=np.zeros(len(vertices)),
+        cell=work.cell,
+        above=np.zeros((0, len(faces)), bool),
+        normals=normals,
+    )
+    center, radius, leg = _balls(work.points, faces)
+    nearest = min(NEAREST_M, limits.finest_m)
+    pixels = pixels_of_balls(views, center, radius, limits.unseen, nearest)
+    known = _known(work, surface, radius, leg, pixels)
+    sampled = Sampled(work.points, faces, surface, views, limits.unseen, nearest)
+    return mesh, {
+        "triangles": len(faces),
+        "triangles_refined": int(work.refined.sum()),
+        "finest_leg_m": float(leg.min()),
+        **measured(sampled, known),
+    }
+
+
+def _known(
+    work: _Work,
+    surface: Surface,
+    radius: NDArray[np.float64],
+    leg: NDArray[np.float64],
+    pixels: NDArray[np.float64],
+) -> Known:
+    """What faces can be off by.
+
+    Those of whole cells and halves of cells: by as much as at the samples in them, by the bend of
+    the surface between these, and by the detail. Those within a cell: by what was found at the
+    middles of their edges, and by what these miss.
+    """
+    field, faces = surface.field, work.mesh.faces
+    samples, bend, whole = of_faces(field, bends(field), work.points, faces)
+    spacing = min(field.grid.spacing_m)
+
+    def missed(face: NDArray[np.int64], apart: NDArray[np.float64]) -> NDArray[np.float64]:
+        part = np.minimum(apart / spacing, 1.0)
+        cubic, kink = bend[face].T
+        # Between cells, where second derivatives leap, points see no more of a cubic than of kinks.
+        kink = np.where(whole[face], cubic, kink)
+        unseen: NDArray[np.float64] = part * kink + part * part * part * cubic
+        return _finer(work, faces[face], 2.0 * apart, surface) + np.minimum(unseen, cubic)
+
+    room = samples + bend[:, 0]
+    room += _finer(work, faces, np.full(len(faces), np.inf), surface)
+    # All of these were looked at, before they were made or afterward.
+    small = np.flatnonzero(~whole)
+    error = _errors(
+        work.points, work.sides[:, :0], work.middles, work.middle_sides[:, :0],
+        faces[small], work.mesh.face_edges[small], leg[small],
+    )  # fmt: skip
+    room[small] = INSIDE * error + missed(small, leg[small])
+    return Known(room, pixels, samples, 0.5 * spacing, leg, radius, missed)
+
+
+@njit(cache=True, error_model="numpy")
+def _balls(points, faces):  # type: ignore[no-untyped-def]
+    """Middle and radius of balls about faces; their legs, as if they were half squares in plan."""
+    center = np.empty((len(faces), 3))
+    radius = np.empty(len(faces))
+    leg = np.empty(len(faces))
+    for f in range(len(faces)):
+        a, b, c = points[faces[f, 0]], points[faces[f, 1]], points[faces[f, 2]]
+        for axis in range(3):
+            center[f, axis] = (a[axis] + b[axis] + c[axis]) / 3.0
+        worst = 0.0
+        for k in range(3):
+            square = 0.0
+            for axis in range(3):
+                d = points[faces[f, k], axis] - center[f, axis]
+                square += d * d
+            worst = max(worst, square)
+        radius[f] = np.sqrt(worst)
+        leg[f] = np.sqrt(abs((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])))
+    return center, radius, leg
+
+
+@njit(cache=True, error_model="numpy")
+def _bends(height, points, faces, x0, y0, dx, dy):  # type: ignore[no-untyped-def]
+    """About how far the surface bends away between samples of faces as small as cells, meters.
+
+    Second differences at the faces' corners; cubics stay within a quarter of their sum. The terrain
+    ends level at its border.
+    """
+    ny, nx = height.shape
+    out = np.empty(len(faces))
+    for f in range(len(faces)):
+        worst = 0.0
+        for k in range(3):
+            i = int(np.round((points[faces[f, k], 0] - x0) / dx))
+            j = int(np.round((points[faces[f, k], 1] - y0) / dy))
+            i0, i1 = max(i - 1, 0), min(i + 1, nx - 1)
+            j0, j1 = max(j - 1, 0), min(j + 1, ny - 1)
+            h = 2.0 * height[j, i]
+            bend = abs(height[j, i0] + height[j, i1] - h)
+            bend += abs(height[j0, i] + height[j1, i] - h)
+            mixed = height[j1, i1] - height[j1, i0] - height[j0, i1] + height[j0, i0]
+            worst = max(worst, bend + 0.5 * abs(mixed))
+        out[f] = 0.25 * worst
+    return out
+
+
+@njit(cache=True, error_model="numpy")
+def _errors(points, sides, middles, middle_sides, faces, face_edges, leg):  # type: ignore[no-untyped-def]
+    """Largest error at the middles of faces' edges, of height or of a label line, meters."""
+    out = np.zeros(len(faces))
+    for f in range(len(faces)):
+        worst = 0.0
+        for k in range(3):
+            p, q = faces[f, (k + 1) % 3], faces[f, (k + 2) % 3]
+            e = face_edges[f, k]
+            worst = max(worst, abs(middles[e] - 0.5 * (points[p, 2] + points[q, 2])))
+            for s in range(sides.shape[1]):
+                value = middle_sides[e, s]
+                # The line crosses the edge elsewhere than thought, or twice.
+                if (value >= 0.0) == (0.5 * (sides[p, s] + sides[q, s]) >= 0.0):
+                    continue
+                a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+                steep = max(
+                    abs(sides[b, s] - sides[a, s]),
+                    max(abs(sides[c, s] - sides[a, s]), abs(sides[c, s] - sides[b, s])),
+                )
+                off = leg[f] if steep == 0.0 else min(leg[f], leg[f] * abs(value) / steep)
+                worst = max(worst, off)
+        out[f] = worst
+    return out
+
+
+@njit(cache=True, error_model="numpy")
+def _refined_normals(points, faces, refined, normals):  # type: ignore[no-untyped-def]
+    """Replaces the normals of halved faces' vertices by those of the mesh, weighted by area."""
+    touched = np.zeros(len(points), np.bool_)
+    for f in range(len(faces)):
+        if refined[f]:
+            for k in range(3):
+                touched[faces[f, k]] = True
+    for n in range(len(points)):
+        if touched[n]:
+            normals[n, :] = 0.0
+    for f in range(len(faces)):
+        a, b, c = points[faces[f, 0]], points[faces[f, 1]], points[faces[f, 2]]
+        ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+        vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
+        nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+        for k in range(3):
+            n = faces[f, k]
+            if touched[n]:
+                normals[n, 0] += nx
+                normals[n, 1] += ny
+                normals[n, 2] += nz
+    for n in range(len(points)):
+        if touched[n]:
+            x, y, z = normals[n]
+            length = np.sqrt(x * x + y * y + z * z)
+            for axis in range(3):
+                normals[n, axis] /= length

@@ -1,0 +1,168 @@
+"""The ground's surface at any point: what a mesh of any fineness stands for.
+
+Between a grid's samples lies a smooth surface through them, and on it the detail that the grid is
+too coarse for: octaves left out, and the displacement of the materials, mixed by their weights.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from scenec.compiler.mesh.merge import Merge
+from scenec.compiler.terrain.detail import Detail, joined
+from scenec.compiler.terrain.grid import HeightField
+from scenec.schemas.threads import POINTS, over_threads
+
+
+@dataclass(frozen=True)
+class Surface:
+    """Heights and label fields at points.
+
+    Attributes:
+        field: The grid's heights.
+        merges: Ground merges.
+        details: Relief finer than the grid.
+        displacements: Of each ground layer, the base first, or None.
+        smooth: False takes the grid's own triangles as the truth, and nothing finer.
+    """
+
+    field: HeightField
+    merges: tuple[Merge, ...] = ()
+    details: tuple[Detail, ...] = ()
+    displacements: tuple[Detail | None, ...] = ()
+    smooth: bool = True
+
+    def evaluate(
+        self, x: NDArray[np.float64], y: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], list[NDArray[np.float64]]]:
+        """Heights, float64 [n], and the merges' sides, float64 [n] each."""
+        sides = [merge.side(x, y) for merge in self.merges]
+        return self._height(x, y, sides), sides
+
+    def height_at(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Heights, float64 [n], meters."""
+        sides = []
+        if self.smooth and any(self.displacements):
+            sides = [merge.side(x, y) for merge in self.merges]
+        return self._height(x, y, sides)
+
+    def lift_at(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+        """How far the surface lies above the grid's triangles, float64 [n], meters."""
+        if not self.smooth:
+            return np.zeros(x.shape)
+        return self.height_at(x, y) - self.field.height_at(x, y)
+
+    def finer_than(
+        self, length_m: NDArray[np.float64], sides: Sequence[NDArray[np.float64]]
+    ) -> NDArray[np.float64]:
+        """About how large the detail is that is finer than given lengths, meters, float64 [n].
+
+        Args:
+            length_m: float64 [n].
+            sides: Of the merges there, float64 [n] each: they say which displacement counts.
+        """
+        out = np.zeros(length_m.shape)
+        if not self.smooth:
+            return out
+        if self.details:
+            out += joined([detail.spectrum() for detail in self.details]).finer_than(length_m)
+        if any(self.displacements):
+            for layer, share in zip(self.displacements, self._shares(sides, length_m), strict=True):
+                if layer is not None:
+                    out += share * layer.spectrum().finer_than(length_m)
+        return out
+
+    def amplitude_m(self) -> float:
+        """About how far the surface gets from the grid's samples, meters."""
+        shown = [d for d in (*self.details, *self.displacements) if d is not None]
+        spectra = [detail.spectrum() for detail in shown] if self.smooth else []
+        return float(joined(spectra).amplitude_m.sum())
+
+    def _height(
+        self, x: NDArray[np.float64], y: NDArray[np.float64], sides: Sequence[NDArray[np.float64]]
+    ) -> NDArray[np.float64]:
+        if not self.smooth:
+            return self.field.height_at(x, y)
+        height = _smooth_heights(self.field.height, *self.field.frame(), x, y)
+        for detail in self.details:
+            height += detail.at(x, y)
+        if any(self.displacements):
+            for layer, share in zip(self.displacements, self._shares(sides, x), strict=True):
+                if layer is not None:
+                    there = np.flatnonzero(share)
+                    height[there] += share[there] * layer.at(x[there], y[there])
+        return height
+
+    def _shares(
+        self, sides: Sequence[NDArray[np.float64]], x: NDArray[np.float64]
+    ) -> list[NDArray[np.float64]]:
+        """What each layer contributes where all are merged: adds up to 1."""
+        shares = [np.ones(x.shape)]
+        for merge, side in zip(self.merges, sides, strict=True):
+            alpha = merge.weight_of_side(side)
+            shares = [(1.0 - alpha) * share for share in shares]
+            shares.append(alpha)
+        return shares
+
+
+@njit(cache=True, error_model="numpy")
+def _slope(before: float, after: float) -> float:
+    """Slope at a sample from the rises to it and from it: central, unless it would overshoot.
+
+    Central differences are limited to three times the smaller rise (Fritsch and Carlson 1980 for
+    rises of one sign): beside a cliff the surface stays level, and it exceeds the samples around it
+    by less than half of the smaller rise.
+    """
+    limit = 3.0 * min(abs(before), abs(after))
+    return min(max(0.5 * (before + after), -limit), limit)
+
+
+@njit(cache=True, error_model="numpy")
+def _hermite(p0: float, p1: float, p2: float, p3: float, t: float) -> float:
+    """Between p1 and p2."""
+    rise = p2 - p1
+    first = _slope(p1 - p0, rise)
+    second = _slope(rise, p3 - p2)
+    return p1 + t * (
+        first + t * (3.0 * rise - 2.0 * first - second + t * (first + second - 2.0 * rise))
+    )
+
+
+@njit(cache=True, error_model="numpy")
+def _row(height, j, i, t):  # type: ignore[no-untyped-def]
+    nx = height.shape[1]
+    h1 = height[j, i]
+    h2 = height[j, i + 1]
+    # Beyond the border the surface goes on as it is.
+    h0 = height[j, i - 1] if i > 0 else h1 - (h2 - h1)
+    h3 = height[j, i + 2] if i + 2 < nx else h2 + (h2 - h1)
+    return _hermite(h0, h1, h2, h3, t)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _smooth_heights_part(first, last, height, x0, y0, dx, dy, x, y, out):  # type: ignore[no-untyped-def]
+    ny, nx = height.shape
+    for n in range(first, last):
+        u = min(max((x[n] - x0) / dx, 0.0), nx - 1.0)
+        v = min(max((y[n] - y0) / dy, 0.0), ny - 1.0)
+        i = min(int(u), nx - 2)
+        j = min(int(v), ny - 2)
+        u -= i
+        v -= j
+        h1 = _row(height, j, i, u)
+        h2 = _row(height, j + 1, i, u)
+        h0 = _row(height, j - 1, i, u) if j > 0 else h1 - (h2 - h1)
+        h3 = _row(height, j + 2, i, u) if j + 2 < ny else h2 + (h2 - h1)
+        out[n] = _hermite(h0, h1, h2, h3, v)
+
+
+def _smooth_heights(height, x0, y0, dx, dy, x, y):  # type: ignore[no-untyped-def]
+    """Cubic in both directions through the samples, continuous with its slope: float64 [n]."""
+    out = np.empty(x.size)
+    over_threads(_smooth_heights_part, x.size, height, x0, y0, dx, dy, x, y, out, least=POINTS)
+    return out

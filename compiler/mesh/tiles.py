@@ -1,0 +1,245 @@
+"""From a height field and its merges to tiles with one label a face."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from scenec.compiler.cache.memo import memoized
+from scenec.compiler.mesh.adaptive import ROOT_CELLS
+from scenec.compiler.mesh.base_mesh import base_mesh
+from scenec.compiler.mesh.cut import SNAP, CutMesh, cut
+from scenec.compiler.mesh.mesh import Appearance, Meshing, adaptive_mesh, grid_mesh, label_error
+from scenec.compiler.mesh.surface import Surface
+from scenec.compiler.noise.perlin import fbm2_points
+from scenec.compiler.scene.scene import Tile
+from scenec.compiler.terrain.sources.mesh_surface import MeshSurface
+from scenec.compiler.views.sight import NO_VIEWS, Views
+from scenec.schemas.errors import SceneError
+
+#: Grid cells along a tile's side: no triangle reaches over its border.
+TILE_CELLS = ROOT_CELLS
+#: As the plain grid.
+WHOLE_GRID = Meshing(None, 0, 0.0)
+#: Steps of float32 at most, as a part of the grid's spacing.
+_COARSEST = 0.5
+_VARIATION_SCALE_M = 3.0
+_VARIATION_OCTAVES = 6
+_VARIATION_GAIN = 0.75
+
+
+@memoized("ground")
+def build_tiles(
+    surface: Surface,
+    variation_key: int,
+    meshing: Meshing = WHOLE_GRID,
+    pixels_per_m: NDArray[np.float64] | None = None,
+    views: Views = NO_VIEWS,
+    *,
+    color: bool = True,
+    cut_labels: bool = True,
+) -> tuple[tuple[Tile, ...], dict[str, Any]]:
+    """The terrain's tiles.
+
+    Args:
+        surface: Heights, and merges from the first one up; none for one material.
+        variation_key: Noise key of the albedo variation.
+        meshing: How fine the mesh is.
+        pixels_per_m, views: See ``cameras.sight``; taken where the mesh is adaptive.
+        color: False where no output shows color: weights and variation are then left out.
+        cut_labels: False where no output shows labels: the mesh then stays whole.
+
+    Returns:
+        Tiles in row order, and the report: errors of the mesh, of the cuts and of float32.
+
+    Raises:
+        SceneError: float32 cannot hold the samples: heights are too far apart for their spacing.
+    """
+    report: dict[str, Any] = {}
+    field, merges = surface.field, surface.merges
+    x, y = field.grid.points()
+    sides = [merge.side(x, y).reshape(field.grid.shape) for merge in merges]
+    if isinstance(field, MeshSurface):
+        mesh = base_mesh(field)
+    elif meshing.tolerance_px is None or pixels_per_m is None:
+        mesh = grid_mesh(field)
+    else:
+        # The same whatever the outputs: what is left out must not move what stays.
+        appearance = Appearance(tuple(sides), _variation(variation_key, x, y))
+        mesh, report["mesh"] = adaptive_mesh(surface, appearance, pixels_per_m, views, meshing)
+    reports = []
+    for merge, side in zip(merges, sides, strict=True) if cut_labels else ():
+        bound = _side_error_bound(side)
+        # Where one condition takes over from another a field has a kink, and interpolation errs by
+        # a quarter of its jump in slope times the spacing, four times what differences say.
+        bound *= 4.0 if merge.where else 1.0
+        mesh, cut_report = cut(mesh, merge.side)
+        reports.append({**asdict(cut_report), "side_error_bound": bound})
+    layer = np.zeros(len(mesh.faces), np.int32)
+    for i, above in enumerate(mesh.above, start=1):
+        layer[above] = i
+    if "mesh" in report and pixels_per_m is not None and reports:
+        report["mesh"]["label_error_max_px"] = label_error(field, mesh, layer, sides, pixels_per_m)
+
+    x, y = (np.ascontiguousarray(mesh.points[:, axis]) for axis in (0, 1))
+    weights = np.zeros((len(merges) if color else 0, len(x)), np.float32)
+    for i in range(len(weights)):
+        weights[i] = merges[i].weight_of_side(merges[i].side(x, y))
+    variation = np.zeros(len(x), np.float32)
+    if color:
+        variation = _variation(variation_key, x, y).astype(np.float32)
+
+    normals = _vertex_normals(mesh)
+    cells = (field.grid.shape[1] - 1, field.grid.shape[0] - 1)
+    tile_of_face, tile_counts = _tile_of(mesh.cell, cells)
+    span = _largest_span(mesh, tile_of_face)
+    # Half the span is below 2**exponent, so 24 bits of mantissa hold it in steps of the quantum.
+    quantum = math.ldexp(1.0, math.frexp(0.5 * span)[1] - 24)
+    spacing = min(field.grid.spacing_m)
+    if quantum > _COARSEST * spacing:
+        raise SceneError(
+            f"terrain: heights from {mesh.points[:, 2].min():.3g} to "
+            f"{mesh.points[:, 2].max():.3g} m need steps of {quantum:g} m in float32, which "
+            f"samples {spacing:g} m apart do not survive; lower the relief, or raise spacing_m"
+        )
+    points = np.round(mesh.points / quantum) * quantum
+    moved = np.abs(points - mesh.points).max(initial=0.0)
+
+    tiles = _gather(points, mesh.faces, tile_of_face, tile_counts, quantum, normals, layer, weights,
+                    variation)  # fmt: skip
+    return tiles, {
+        "faces": len(mesh.faces),
+        "vertices": len(points),
+        "tiles": len(tiles),
+        "float32_error_max_m": float(moved),
+        **report,
+        "cuts": reports,
+    }
+
+
+def _variation(key: int, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Albedo variation at points, in [-1, 1]."""
+    noise = fbm2_points(
+        np.uint64(key), x, y, _VARIATION_SCALE_M, _VARIATION_OCTAVES, _VARIATION_GAIN, 2.0, 0.4
+    )
+    return np.clip(noise, -1.0, 1.0)
+
+
+def _side_error_bound(side: NDArray[np.float64]) -> float:
+    """Bound on |side| at points whose label differs from the merge function's.
+
+    A label is wrong only where linear interpolation over a cell changes the sign, or where a
+    crossing was snapped. The first error is at most (|g_xx| h^2 + 2 |g_xy| h^2 + |g_yy| h^2) / 8,
+    with the second derivatives taken from differences on the grid; the second is SNAP of the
+    largest difference along an edge.
+
+    Args:
+        side: Signed field at the grid's samples, float64 [ny, nx].
+    """
+
+    def largest(values: NDArray[np.float64]) -> float:
+        return float(np.abs(values).max(initial=0.0))
+
+    along_x, along_y = np.diff(side, axis=1), np.diff(side, axis=0)
+    mixed = np.diff(along_x, axis=0)
+    curvature = largest(np.diff(along_x, axis=1)) + largest(np.diff(along_y, axis=0))
+    diagonal = largest(side[1:, 1:] - side[:-1, :-1]), largest(side[1:, :-1] - side[:-1, 1:])
+    return (curvature + 2.0 * largest(mixed)) / 8.0 + SNAP * max(
+        largest(along_x), largest(along_y), *diagonal
+    )
+
+
+def _vertex_normals(mesh: CutMesh) -> NDArray[np.float32]:
+    """The mesh's normals; cut vertices take those between their edge's ends."""
+    normals = np.empty((len(mesh.points), 3))
+    count = len(mesh.normals)
+    normals[:count] = mesh.normals
+    # A cut vertex's parents can be cut vertices of an earlier cut, which lie before it.
+    _interpolate_in_order(normals, mesh.parents, mesh.fraction, count)
+    return normals.astype(np.float32)
+
+
+@njit(cache=True, error_model="numpy")
+def _interpolate_in_order(
+    normals: NDArray, parents: NDArray, fraction: NDArray, first: int
+) -> None:
+    for n in range(first, len(normals)):
+        a, b = parents[n]
+        length = 0.0
+        for k in range(3):
+            normals[n, k] = normals[a, k] + fraction[n] * (normals[b, k] - normals[a, k])
+            length += normals[n, k] * normals[n, k]
+        length = np.sqrt(length)
+        for k in range(3):
+            normals[n, k] /= length
+
+
+def _tile_of(cell: NDArray[np.int32], cells: tuple[int, int]) -> tuple[NDArray[np.int32], tuple]:
+    columns, rows = (-(-n // TILE_CELLS) for n in cells)
+    tile = (cell // cells[0] // TILE_CELLS) * columns + (cell % cells[0]) // TILE_CELLS
+    return tile.astype(np.int32), (columns, rows)
+
+
+def _largest_span(mesh: CutMesh, tile: NDArray[np.int32]) -> float:
+    """Largest extent of any tile along any axis."""
+    count = int(tile.max(initial=-1)) + 1
+    low = np.full((count, 3), np.inf)
+    high = np.full((count, 3), -np.inf)
+    _tile_bounds(mesh.points, mesh.faces, tile, low, high)
+    return float((high - low).max(initial=0.0))
+
+
+@njit(cache=True, error_model="numpy")
+def _tile_bounds(
+    points: NDArray, faces: NDArray, tile: NDArray, low: NDArray, high: NDArray
+) -> None:
+    for f in range(len(faces)):
+        t = tile[f]
+        for k in range(3):
+            for axis in range(3):
+                value = points[faces[f, k], axis]
+                low[t, axis] = min(low[t, axis], value)
+                high[t, axis] = max(high[t, axis], value)
+
+
+def _gather(
+    points: NDArray[np.float64],
+    faces: NDArray[np.int32],
+    tile_of_face: NDArray[np.int32],
+    tile_counts: tuple[int, int],
+    quantum: float,
+    normals: NDArray[np.float32],
+    layer: NDArray[np.int32],
+    weights: NDArray[np.float32],
+    variation: NDArray[np.float32],
+) -> tuple[Tile, ...]:
+    # Within a tile, faces go by cell, so that neighbors in memory are neighbors on the ground.
+    order = np.argsort(tile_of_face, kind="stable")
+    starts = np.searchsorted(tile_of_face[order], np.arange(tile_counts[0] * tile_counts[1] + 1))
+    tiles = []
+    for t in range(tile_counts[0] * tile_counts[1]):
+        own = order[starts[t] : starts[t + 1]]
+        if not len(own):
+            continue
+        vertices, local = np.unique(faces[own], return_inverse=True)
+        at = points[vertices]
+        # A multiple of the quantum: translate + float32(local) then restores the points exactly.
+        middle = np.round(0.5 * (at.min(axis=0) + at.max(axis=0)) / quantum) * quantum
+        tiles.append(
+            Tile(
+                name=f"tile_{t // tile_counts[0]:03d}_{t % tile_counts[0]:03d}",
+                translate=middle,
+                points=(at - middle).astype(np.float32),
+                faces=local.reshape(-1, 3).astype(np.int32),
+                normals=normals[vertices],
+                layer=layer[own],
+                weights=np.ascontiguousarray(weights[:, vertices]),
+                variation=variation[vertices],
+            )
+        )
+    return tuple(tiles)

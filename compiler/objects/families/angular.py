@@ -1,0 +1,209 @@
+"""Angular rocks: fractured along planes, their corners chipped."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from scenec.compiler.distributions.streams import Streams
+from scenec.compiler.geometry.icosphere import icosphere
+from scenec.compiler.noise.lattice import subkey
+from scenec.compiler.noise.perlin import fbm3, perlin3
+from scenec.compiler.objects.families.shape import LEAST, block, octaves, unit_vectors
+
+_CUTS = 5
+_CHIPS = 9
+_SCARS = 7
+#: Inverse radii over which the wear of an edge reaches at wear 1.
+_WIDEST = 0.5
+
+
+@dataclass(frozen=True)
+class Angular:
+    """A block between three pairs of joints and a few random fractures.
+
+    Chips then take its sharpest corners one after the other, each by a plane across a corner, as
+    collisions do (Domokos et al. 2014); shallow bowls are the scars of flakes.
+
+    Attributes:
+        key: Noise key.
+        fracture_normals, fracture_distances: Unit normals [p, 3] and distances [p] of the planes.
+        chips: What picks the corners and tilts the chips, and their depths, float64 [c, 7].
+        scars: Unit directions of the bowls, their radii and depths, float64 [s, 5].
+        tones: Albedo variation of each plane, float64 [p + c].
+        wear: 0 is freshly broken, 1 has no edges left.
+        bumpiness: Height of the roughness of its faces.
+        axes, subdivisions: As of ``Shape``.
+    """
+
+    key: int
+    fracture_normals: NDArray[np.float64]
+    fracture_distances: NDArray[np.float64]
+    chips: NDArray[np.float64]
+    scars: NDArray[np.float64]
+    tones: NDArray[np.float64]
+    wear: float
+    bumpiness: float
+    axes: tuple[float, float, float]
+    subdivisions: int
+    fits_axes: bool = True
+
+    @cached_property
+    def planes(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Normals and distances of fractures and chips."""
+        directions, _ = icosphere(3)
+        normals, distances = self.fracture_normals, self.fracture_distances
+        for chip in self.chips:
+            normal, distance = _chip(directions, normals, distances, chip)
+            normals = np.concatenate([normals, normal[None]])
+            distances = np.append(distances, distance)
+        return normals, distances
+
+    @cached_property
+    def bowls(self) -> NDArray[np.float64]:
+        """Centers and radii of the balls that scar the block, float64 [s, 4]."""
+        return _bowls(*self.planes, self.scars)
+
+    def creases(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Where the planes meet."""
+        return self.planes
+
+    def surface(
+        self, directions: NDArray[np.float64], spacing: float
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """As of ``Shape``."""
+        return _surface(
+            np.uint64(self.key),
+            directions,
+            *self.planes,
+            self.bowls,
+            self.tones,
+            self.wear * _WIDEST,
+            self.bumpiness,
+            octaves(1.3, spacing, 2),
+            octaves(5.0, spacing, 4),
+        )
+
+
+def draw_angular(
+    key: int,
+    path: str,
+    streams: Streams,
+    wear: float,
+    bumpiness: float,
+    axes: tuple[float, float, float],
+    subdivisions: int,
+) -> Angular:
+    """Draws one."""
+    u = streams.uniforms(f"{path}/joints", 24).reshape(6, 4)
+    tilt = unit_vectors(u[:, :2])
+    joints = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]])
+    joints = joints + 0.4 * tilt
+    joints /= np.sqrt((joints * joints).sum(axis=1))[:, None]
+    v = streams.uniforms(f"{path}/cuts", 3 * _CUTS).reshape(_CUTS, 3)
+    w = streams.uniforms(f"{path}/chips", 7 * _CHIPS).reshape(_CHIPS, 7)
+    s = streams.uniforms(f"{path}/scars", 4 * _SCARS).reshape(_SCARS, 4)
+    scar = unit_vectors(s[:, :2])
+    bowl = 0.5 + 0.9 * s[:, 2]
+    tones = 2.0 * streams.uniforms(f"{path}/tones", 6 + _CUTS + _CHIPS) - 1.0
+    # What broke last has not darkened yet.
+    tones = np.concatenate([0.35 * tones[: 6 + _CUTS], 0.45 + 0.25 * tones[6 + _CUTS :]])
+    return Angular(
+        key=key,
+        fracture_normals=np.concatenate([joints, unit_vectors(v[:, :2])]),
+        fracture_distances=np.concatenate([0.62 + 0.33 * u[:, 2], 0.68 + 0.3 * v[:, 2]]),
+        chips=w,
+        scars=np.concatenate([scar, bowl[:, None], 0.01 + 0.05 * s[:, 3:]], axis=1),
+        tones=tones,
+        wear=wear,
+        bumpiness=bumpiness,
+        axes=axes,
+        subdivisions=subdivisions,
+    )
+
+
+@njit(cache=True, error_model="numpy")
+def _chip(  # type: ignore[no-untyped-def]
+    directions, normals, distances, u
+):
+    """The plane that takes the sharpest corner on the side that u points to."""
+    best = -1.0
+    corner = 0
+    x, y, z = 2.0 * u[0] - 1.0, 2.0 * u[1] - 1.0, 2.0 * u[2] - 1.0
+    for n in range(len(directions)):
+        h, _plane, _gap = block(
+            normals, distances, directions[n, 0], directions[n, 1], directions[n, 2], 0.0
+        )
+        side = x * directions[n, 0] + y * directions[n, 1] + z * directions[n, 2]
+        if (1.0 + 0.6 * side) / h > best:
+            best = (1.0 + 0.6 * side) / h
+            corner = n
+    at = directions[corner]
+    h, _plane, _gap = block(normals, distances, at[0], at[1], at[2], 0.0)
+    normal = at + 0.8 * (u[3:6] - 0.5)
+    normal /= np.sqrt((normal * normal).sum())
+    reach = (normal * at).sum() / h
+    return normal, reach * (0.97 - 0.12 * u[6])
+
+
+@njit(cache=True, error_model="numpy")
+def _bowls(normals, distances, scars):  # type: ignore[no-untyped-def]
+    out = np.empty((len(scars), 4))
+    for s in range(len(scars)):
+        h, _plane, _gap = block(normals, distances, scars[s, 0], scars[s, 1], scars[s, 2], 0.0)
+        out[s, :3] = scars[s, :3] * (1.0 / h - scars[s, 4] + scars[s, 3])
+        out[s, 3] = scars[s, 3]
+    return out
+
+
+@njit(cache=True, error_model="numpy")
+def _surface(  # type: ignore[no-untyped-def]
+    key, directions, normals, distances, scars, tones, width, bumpiness, waves, grains
+):
+    radius = np.empty(len(directions))
+    variation = np.empty(len(directions))
+    wear_key, wave_key, grain_key, color_key = (
+        subkey(key, 1),
+        subkey(key, 2),
+        subkey(key, 3),
+        subkey(key, 4),
+    )
+    for n in range(len(directions)):
+        x, y, z = directions[n]
+        # Some edges are worn more than others.
+        own = width * (1.0 + 0.8 * perlin3(wear_key, 1.9 * x, 1.9 * y, 1.9 * z))
+        h, plane, gap = block(normals, distances, x, y, z, own)
+        tone = tones[plane]
+        if gap < 0.08:
+            # Edges shed their crust first.
+            tone += 0.3 * (1.0 - gap / 0.08)
+        for s in range(len(scars)):
+            along = scars[s, 0] * x + scars[s, 1] * y + scars[s, 2] * z
+            if along <= 0.0:
+                continue
+            away = scars[s, 0] * scars[s, 0] + scars[s, 1] * scars[s, 1] + scars[s, 2] * scars[s, 2]
+            own_square = scars[s, 3] * scars[s, 3]
+            square = along * along - away + own_square
+            if square <= 0.0:
+                continue
+            # Nothing is taken where the ray only touches the ball: no wall behind a bowl's rim.
+            least = (1.0 - 0.3 * square / own_square) / h
+            near = 1.0 / max(along - np.sqrt(square), least)
+            if near > h:
+                tone += 0.3 * min((near - h) / 0.05, 1.0)
+                h = near
+        r = 1.0 / h
+        px, py, pz = r * x, r * y, r * z
+        bumps = 0.0
+        if waves > 0:
+            bumps += 0.11 * fbm3(wave_key, 1.3 * px, 1.3 * py, 1.3 * pz, waves, 0.5)
+        if grains > 0:
+            bumps += 0.06 * fbm3(grain_key, 5.0 * px, 5.0 * py, 5.0 * pz, grains, 0.55)
+        radius[n] = r * max(1.0 + bumpiness * bumps, LEAST)
+        tone += 0.45 * fbm3(color_key, 2.3 * px, 2.3 * py, 2.3 * pz, 4, 0.65)
+        variation[n] = min(max(tone, -1.0), 1.0)
+    return radius, variation

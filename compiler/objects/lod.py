@@ -1,0 +1,198 @@
+"""Levels of detail: each instance as coarse as no view can tell, and all within a budget."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenec.compiler.objects.rocks import Chain
+from scenec.compiler.scene.scene import Prototype, Scatter
+from scenec.compiler.views.sight import NEAREST_M, Views, pixels_of_balls
+from scenec.schemas.errors import SceneError
+
+
+@dataclass(frozen=True)
+class Levels:
+    """What the levels of a class's instances would show.
+
+    Attributes:
+        scatter: Instances of the finest levels.
+        meshes: All levels, chain after chain.
+        triangles, errors: Of each mesh; errors in its own unit.
+        finest: Index of each instance's finest mesh, int64 [n].
+        lengths: Length of each instance's chain, int64 [n].
+        near: Pixels of a meter at each instance in the view that shows it largest, [n]; None
+            without views.
+        tolerance_px: Largest error asked for; 0 keeps the finest level everywhere.
+    """
+
+    scatter: Scatter
+    meshes: tuple[Prototype, ...]
+    triangles: NDArray[np.int64]
+    errors: NDArray[np.float64]
+    finest: NDArray[np.int64]
+    lengths: NDArray[np.int64]
+    near: NDArray[np.float64] | None
+    tolerance_px: float
+
+    @property
+    def size(self) -> NDArray[np.float64]:
+        """Scale of each instance, [n]."""
+        return self.scatter.scales.max(axis=1, initial=0.0).astype(np.float64)
+
+    def shown(self, level: int) -> tuple[NDArray[np.bool_], NDArray[np.int64], NDArray[np.float64]]:
+        """Which instances have a level; its mesh; its error in pixels (without views: meters)."""
+        there = level < self.lengths
+        index = np.where(there, self.finest + level, self.finest)
+        error = self.errors[index] * self.size
+        return there, index, error if self.near is None else error * self.near
+
+    def chosen(self, factor: float | None = None) -> NDArray[np.int64]:
+        """Mesh of each instance: the coarsest whose error is at most ``factor`` as large as asked.
+
+        Without a factor, errors are as asked, and where there are no views none is made.
+        """
+        chosen = self.finest
+        if factor is None:
+            factor = 0.0 if self.near is None else 1.0
+        limit = self.tolerance_px * factor
+        if limit == 0.0:
+            return chosen
+        # Errors do not fall along a chain: the last level that passes is the coarsest.
+        for level in range(1, int(self.lengths.max(initial=1))):
+            there, index, error = self.shown(level)
+            chosen = np.where(there & (error <= limit), index, chosen)
+        return chosen
+
+
+def see_levels(
+    scatter: Scatter, chains: Sequence[Chain], views: Views, unseen: float, tolerance_px: float
+) -> Levels:
+    """What the levels of a class would show in the views.
+
+    Args:
+        scatter: Instances of the finest levels.
+        chains: The levels of each of its prototypes.
+        views: The cameras; what hides behind the ground counts as seen, for a rock stands over it.
+        unseen: Part that a pixel counts where no view shows the instance.
+        tolerance_px: Largest error asked for; 0 keeps the finest level everywhere.
+    """
+    lengths = np.array([len(chain) for chain in chains], np.int64)
+    first = np.cumsum(lengths) - lengths
+    meshes = tuple(mesh for chain in chains for mesh in chain)
+    near = None
+    if len(views.poses):
+        near = np.zeros(scatter.count)
+        if tolerance_px > 0.0:
+            radius = scatter.radii()
+            # Small rocks can be looked at from nearer.
+            nearest = min(NEAREST_M, float(radius.min(initial=NEAREST_M)))
+            near = pixels_of_balls(
+                views, scatter.positions.astype(np.float64), radius, unseen, nearest
+            )
+    return Levels(
+        scatter,
+        meshes,
+        np.array([len(mesh.faces) for mesh in meshes], np.int64),
+        np.array([mesh.error for mesh in meshes]),
+        first[scatter.prototype],
+        lengths[scatter.prototype],
+        near,
+        tolerance_px,
+    )
+
+
+def budget_factor(classes: Sequence[Levels], max_triangles: int, others: int = 0) -> float | None:
+    """How much larger than asked errors have to be for all classes to keep to a budget.
+
+    Args:
+        classes: All that counts; those whose tolerance is 0 keep their finest levels.
+        max_triangles: Most triangles of all instances together, each counted.
+        others: Triangles beside them that have no levels.
+
+    Returns:
+        The least factor; None where nothing has to be coarser than asked.
+
+    Raises:
+        SceneError: Even the coarsest levels are more.
+    """
+    total = others + sum(int(c.triangles[c.chosen()].sum()) for c in classes)
+    if total <= max_triangles:
+        return None
+    thresholds, savings = [np.zeros(0)], [np.zeros(0, np.int64)]
+    for levels in classes:
+        if levels.tolerance_px == 0.0:
+            continue
+        before = levels.chosen()
+        # Errors do not fall along a chain, so these come one after the other at each instance.
+        for level in range(1, int(levels.lengths.max(initial=1))):
+            there, index, error = levels.shown(level)
+            there &= index > before
+            thresholds.append(error[there] / levels.tolerance_px)
+            savings.append(levels.triangles[index[there] - 1] - levels.triangles[index[there]])
+    threshold, saved = np.concatenate(thresholds), np.concatenate(savings)
+    order = np.argsort(threshold, kind="stable")
+    left = total - np.cumsum(saved[order])
+    if not len(left) or left[-1] > max_triangles:
+        least = int(left[-1]) if len(left) else total
+        raise SceneError(
+            f"object_detail/max_triangles: all objects together have {least:,} triangles at their "
+            f"coarsest levels, more than the {max_triangles:,} asked for: raise it, take fewer "
+            "objects, or let classes whose lod_px is 0 have levels"
+        )
+    # The next larger number, lest the product with the tolerance round below the error.
+    reached = float(threshold[order][int(np.argmax(left <= max_triangles))])
+    return reached * (1.0 + 1e-12)
+
+
+def choose_levels(levels: Levels, factor: float | None = None) -> tuple[Scatter, dict[str, Any]]:
+    """Gives every instance its level.
+
+    Only the shape changes: places, ids and all else stay, and so does the order of instances.
+    Meshes that no instance has are dropped.
+
+    Args:
+        levels: Of one class.
+        factor: See ``budget_factor``.
+
+    Returns:
+        The scatter with the levels in use, and what was done, for report.json.
+    """
+    chosen = levels.chosen(factor)
+    used, prototype = np.unique(chosen, return_inverse=True)
+    reached = levels.errors[chosen] * levels.size
+    near = 0.0 if levels.near is None else levels.near
+    facts = {
+        "prototypes": len(used),
+        "prototypes_of": len(levels.meshes),
+        "triangles": int(levels.triangles[chosen].sum()),
+        "triangles_finest": int(levels.triangles[levels.finest].sum()),
+        "lod_px": levels.tolerance_px,
+        "lod_error_max_px": float((reached * near).max(initial=0.0)),
+        "lod_error_max_m": float(reached.max(initial=0.0)),
+        # Errors in parts of an instance's size, for ``scenec explain --why``.
+        "levels": {
+            levels.meshes[i].name: {
+                "triangles": int(levels.triangles[i]),
+                "error": float(levels.errors[i]),
+            }
+            for i in used.tolist()
+        },
+    }
+    return (
+        replace(
+            levels.scatter,
+            prototypes=tuple(levels.meshes[i] for i in used),
+            prototype=prototype.astype(np.int32),
+        ),
+        facts,
+    )
+
+
+def finest(chains: Sequence[Chain]) -> tuple[Prototype, ...]:
+    """The finest level of each chain."""
+    return tuple(chain[0] for chain in chains)

@@ -1,0 +1,136 @@
+"""Candidate places: numbers in [0, 1) to points of the ground, by density.
+
+The first candidate of an instance comes from what was drawn for it; the next ones from a hash of
+the class's key, the instance and the number of the try: no generator is needed after ``draw``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from scenec.compiler.noise.lattice import hash2, subkeys
+from scenec.compiler.objects.lattice import Lattice
+from scenec.schemas.threads import POINTS, over_threads
+
+_SHIFT = np.uint64(11)
+_TO_UNIT = 2.0**-53
+
+
+@dataclass(frozen=True, eq=False)
+class Places:
+    """Where three uniform numbers lead: a cell or a face by the first, a place in it by the others.
+
+    Attributes:
+        lattice: The cells; faces are taken where there are ``corners``.
+        cumulative: Running sum of what each cell or face holds, float64 [m]; empty: all the same.
+        corners: Of the faces in plan, float64 [m, 3, 2]; empty on heights.
+        share: Part of the density that ``where`` left.
+    """
+
+    lattice: Lattice
+    cumulative: NDArray[np.float64]
+    corners: NDArray[np.float64]
+    share: float
+
+    def frame(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """The arguments of ``point``: cumulative, corners, and six numbers of the lattice."""
+        ny, nx = self.lattice.shape
+        of = self.lattice
+        return self.cumulative, self.corners, np.array([of.x0, of.y0, of.dx, of.dy, nx, ny])
+
+    def at(
+        self, u: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]:
+        """Points: x and y in meters, float64 [n], and the cell or face, int64 [n].
+
+        Args:
+            u: In [0, 1), float64 [n, 3].
+        """
+        return _points(*self.frame(), np.ascontiguousarray(u))
+
+    def allowed(self) -> float:
+        """Share of the ground in plan that is in cells or faces where anything may be."""
+        if not self.cumulative.size:
+            return 1.0
+        held = np.diff(self.cumulative, prepend=0.0) > 0.0
+        if not len(self.corners):
+            return int(held.sum()) / held.size
+        a, b, c = (self.corners[:, k] for k in range(3))
+        area = np.abs(
+            (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
+        )
+        return float(area[held].sum() / area.sum())
+
+
+@njit(cache=True, error_model="numpy")
+def point(cumulative, corners, frame, u, v, w):  # type: ignore[no-untyped-def]
+    """x, y, and the index of the cell or face, of three numbers in [0, 1)."""
+    nx = int(frame[4])
+    if cumulative.size:
+        total = u * cumulative[-1]
+        index = np.searchsorted(cumulative, total, side="right")
+        # u < 1, yet u * total can round up to total itself.
+        index = min(index, cumulative.size - 1)
+    else:
+        count = nx * int(frame[5])
+        index = min(int(u * count), count - 1)
+    if corners.shape[0]:
+        # Uniform over a triangle (Turk 1990).
+        root = np.sqrt(v)
+        a, b, c = 1.0 - root, root * (1.0 - w), root * w
+        face = corners[index]
+        return (
+            a * face[0, 0] + b * face[1, 0] + c * face[2, 0],
+            a * face[0, 1] + b * face[1, 1] + c * face[2, 1],
+            index,
+        )
+    return frame[0] + frame[2] * (index % nx + v), frame[1] + frame[3] * (index // nx + w), index
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _points_part(first, last, cumulative, corners, frame, u, x, y, index):  # type: ignore[no-untyped-def]
+    for n in range(first, last):
+        x[n], y[n], index[n] = point(cumulative, corners, frame, u[n, 0], u[n, 1], u[n, 2])
+
+
+def _points(cumulative, corners, frame, u):  # type: ignore[no-untyped-def]
+    x, y = np.empty(len(u)), np.empty(len(u))
+    index = np.empty(len(u), np.int64)
+    over_threads(_points_part, len(u), cumulative, corners, frame, u, x, y, index, least=POINTS)
+    return x, y, index
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def unit(key, instance, attempt):  # type: ignore[no-untyped-def]
+    """A number in [0, 1), a multiple of 2**-53."""
+    return np.float64(hash2(key, instance, attempt) >> _SHIFT) * _TO_UNIT
+
+
+def numbers(
+    u: NDArray[np.float64], key: int, instances: NDArray[np.int64], attempts: NDArray[np.int64]
+) -> NDArray[np.float64]:
+    """The three numbers of given tries: those drawn at try 0, hashes after it. Float64 [m, 3].
+
+    Args:
+        u: What was drawn, float64 [n, 3].
+        key: Of the hash.
+        instances, attempts: Which, int64 [m].
+    """
+    return _numbers(u, subkeys(np.uint64(key), 3), instances, attempts)
+
+
+@njit(cache=True, error_model="numpy")
+def _numbers(u, keys, instances, attempts):  # type: ignore[no-untyped-def]
+    out = np.empty((len(instances), 3))
+    for n in range(len(instances)):
+        i = instances[n]
+        for k in range(3):
+            if attempts[n] == 0:
+                out[n, k] = u[i, k]
+            else:
+                out[n, k] = unit(keys[k], i, attempts[n])
+    return out

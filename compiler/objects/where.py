@@ -1,0 +1,123 @@
+"""Where objects may lie: weights that their density is multiplied with.
+
+The conditions are those of relief masks and of the ground's layers; two are of objects only.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenec.compiler.objects.lattice import Lattice, nearest
+from scenec.compiler.objects.surroundings import Surroundings
+from scenec.compiler.terrain.condition import Interval, Ragged, soft_interval
+
+
+class Place(ABC):
+    """One condition on a place."""
+
+    @abstractmethod
+    def weight(self, lattice: Lattice, around: Surroundings) -> NDArray[np.float64]:
+        """How much holds at the middles of cells, in [0, 1]: float64 [ny, nx]."""
+
+    def finest_m(self, around: Surroundings) -> float | None:
+        """Width of cells that shows all there is of it; None: those of the relief's grid do."""
+        return None
+
+
+@dataclass(frozen=True)
+class OnRelief(Place):
+    """A condition on the relief or the place; the relief's quantities are linear between samples.
+
+    On a mesh it is the heights as seen from above that count, under overhangs too.
+    """
+
+    condition: Interval
+
+    def weight(self, lattice: Lattice, around: Surroundings) -> NDArray[np.float64]:
+        """The soft interval."""
+        value = self.condition.value_at(around.quantities, *lattice.points())
+        return soft_interval(value, *self.condition.bounds()).reshape(lattice.shape)
+
+
+@dataclass(frozen=True)
+class OnMaterial(Place):
+    """Where ground layers show, with the weight of their color: of the ground as it is laid.
+
+    Attributes:
+        layers: Indices of those that count, 0 for the base.
+    """
+
+    layers: tuple[int, ...]
+
+    def weight(self, lattice: Lattice, around: Surroundings) -> NDArray[np.float64]:
+        """The part of the color that is theirs."""
+        x, y = lattice.points()
+        weight, left = np.zeros(x.size), np.ones(x.size)
+        merges = around.surface.merges
+        # From the top down: ``left`` is what shows through.
+        for i in range(len(merges), 0, -1):
+            if i >= min(self.layers):
+                alpha = merges[i - 1].weight_of_side(merges[i - 1].side(x, y))
+                if i in self.layers:
+                    weight += left * alpha
+                left *= 1.0 - alpha
+        if 0 in self.layers:
+            weight += left
+        return weight.reshape(lattice.shape)
+
+
+@dataclass(frozen=True)
+class _Distance(Place):
+    """A distance in plan, from ``min_m`` to ``max_m``."""
+
+    min_m: float | None
+    max_m: float | None
+    softness_m: float
+    ragged: Ragged | None
+
+    def _soft(
+        self,
+        lattice: Lattice,
+        x: NDArray[np.float64],
+        y: NDArray[np.float64],
+        radius: NDArray[np.float64],
+    ) -> NDArray[np.float64]:
+        reach = max(bound for bound in (self.min_m, self.max_m, 0.0) if bound is not None)
+        reach += self.softness_m + lattice.dx + lattice.dy
+        if self.ragged is not None:
+            reach += 2.0 * self.ragged.amplitude
+        away = nearest(lattice, x, y, radius, reach)
+        if self.ragged is not None:
+            away = away + self.ragged.at(*lattice.points()).reshape(lattice.shape)
+        return soft_interval(away, self.min_m, self.max_m, self.softness_m)
+
+
+@dataclass(frozen=True)
+class FromCameras(_Distance):
+    """Distances from the nearest camera of any sample."""
+
+    def weight(self, lattice: Lattice, around: Surroundings) -> NDArray[np.float64]:
+        """The soft interval; without cameras all is far."""
+        x, y = (np.ascontiguousarray(around.cameras[:, axis]) for axis in (0, 1))
+        return self._soft(lattice, x, y, np.zeros(len(x)))
+
+
+@dataclass(frozen=True)
+class FromObjects(_Distance):
+    """Distances from the circles around the objects of another class, below 0 within them."""
+
+    of: str
+
+    def weight(self, lattice: Lattice, around: Surroundings) -> NDArray[np.float64]:
+        """The soft interval; without objects all is far."""
+        return self._soft(lattice, *around.objects[self.of])
+
+    def finest_m(self, around: Surroundings) -> float | None:
+        """Half of the smallest radius."""
+        radius = around.objects[self.of].radius
+        radius = radius[radius > 0.0]
+        return 0.5 * float(radius.min()) if len(radius) else None

@@ -1,1 +1,0 @@
-"""Objects that come in numbers: their prototypes, and where each instance lies."""

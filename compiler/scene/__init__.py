@@ -1,0 +1,1 @@
+"""What a batch is made of: the Plan (every number drawn), the Scene (arrays), their vocabulary."""

@@ -1,0 +1,267 @@
+"""Plan: one batch with every number drawn. After this, no randomness is left.
+
+What the cfg leaves to chance stands here as numbers, arrays and noise keys (64-bit integers that
+noise functions take as an argument: a function of key and position, not a generator).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenec.compiler.scene.rig import Focus, Lidar
+from scenec.compiler.scene.scene import GroundLayer, Labels, Material
+from scenec.schemas.depth_camera import DepthCamera
+from scenec.schemas.imaging import Imaging
+from scenec.schemas.lens import Lens
+from scenec.schemas.shutter import Shutter
+
+# Names of what a plan is made of; the rooms they come from read plans.
+if TYPE_CHECKING:
+    from scenec.compiler.cameras.paths.motion import Motion
+    from scenec.compiler.cameras.tracks import TrackWay
+    from scenec.compiler.light.plan import LightPlan
+    from scenec.compiler.mesh.merge import Merge
+    from scenec.compiler.mesh.mesh import Meshing
+    from scenec.compiler.objects.density import Density
+    from scenec.compiler.objects.families.shape import Shape
+    from scenec.compiler.objects.poses import PlacedPlan
+    from scenec.compiler.objects.prototypes import ModelPlan, PartRule
+    from scenec.compiler.objects.where import Place
+    from scenec.compiler.terrain.detail import Detail
+    from scenec.compiler.terrain.operator import ReliefOperator
+
+
+@dataclass(frozen=True)
+class TerrainPlan:
+    """Relief program and ground.
+
+    Attributes:
+        size_m, spacing_m: Of the grid.
+        relief: Operators in order.
+        layers: Ground layers from the base up.
+        merges: One for each layer after the base.
+        coverage: For each merge, the fraction it shall cover, or None (its center is given).
+        variation_key: Noise key of the albedo variation.
+        meshing: How fine the mesh is.
+        displacements: Of each layer's material, or None.
+    """
+
+    size_m: tuple[float, float]
+    spacing_m: float
+    relief: tuple[ReliefOperator, ...]
+    layers: tuple[GroundLayer, ...]
+    merges: tuple[Merge, ...]
+    coverage: tuple[float | None, ...]
+    variation_key: int
+    meshing: Meshing
+    displacements: tuple[Detail | None, ...] = ()
+
+
+@dataclass(frozen=True)
+class RockShapes:
+    """Procedural rocks: each fits into a ball of diameter 1, so that a scale is a diameter.
+
+    Attributes:
+        shapes: One for each prototype.
+    """
+
+    shapes: tuple[Shape, ...]
+    #: They are let down until a vertex touches the ground.
+    touch: ClassVar[bool] = True
+
+
+@dataclass(frozen=True)
+class ModelSource:
+    """Models from files, in meters: a scale is a factor.
+
+    Attributes:
+        models: One for each prototype.
+        rules: For their parts.
+        variation: How much the files' own materials vary from instance to instance.
+        touch: Whether they are let down until a vertex touches the ground, or stand on it with
+            their origin.
+    """
+
+    models: tuple[ModelPlan, ...]
+    rules: tuple[PartRule, ...]
+    variation: float
+    touch: bool
+
+
+@dataclass(frozen=True)
+class Count:
+    """How many there are: a number, or one to the square meter of terrain in plan.
+
+    Attributes:
+        exact: The number, or None.
+        per_m2: Of the terrain without ``where``; None with ``exact``.
+        rounding_u: Uniform in [0, 1): whether what is left of a whole one counts.
+    """
+
+    exact: int | None
+    per_m2: float | None
+    rounding_u: float
+
+
+@dataclass(frozen=True)
+class Apart:
+    """Distances that are kept in plan.
+
+    Attributes:
+        gap_m: Between circles.
+        radius: A circle's, in radii of the ball around its object.
+        of: Names of the classes that are kept away from; the own one may be among them.
+    """
+
+    gap_m: float
+    radius: float
+    of: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class ScatterPlan:
+    """One class of scattered objects; n instances at most, see ``Count``.
+
+    Attributes:
+        material, labels, instances: As in ``Scatter``.
+        source: What the prototypes are made of.
+        count: How many there are.
+        density: How many lie in one place compared with another.
+        where: Conditions that the density is multiplied with.
+        apart: What is kept between objects, or None.
+        fewer: Whether those that find no place are left out; else they are an error.
+        clearance_m: Between cameras and balls around objects; below 0, how far inside they may be.
+        place_key: Of the hash that gives an instance its further candidate places.
+        position_u: Uniform numbers that pick the first candidate, float64 [n, 3].
+        prototype: int32 [n].
+        orientations: Unit quaternions (x, y, z, w), float64 [n, 4].
+        align: Whether they then turn with the surface normal.
+        scale: Factor on the prototype, float64 [n]: for rocks the diameter in meters.
+        embed: Part of the height below ground, float64 [n].
+        variation: Albedo variation, float64 [n], in [-1, 1].
+        lod_px: Largest error of a level of detail, in pixels of the nearest view.
+    """
+
+    name: str
+    material: str | None
+    labels: Labels
+    instances: bool
+    source: RockShapes | ModelSource
+    count: Count
+    density: Density
+    where: tuple[Place, ...]
+    apart: Apart | None
+    fewer: bool
+    clearance_m: float
+    place_key: int
+    position_u: NDArray[np.float64]
+    prototype: NDArray[np.int32]
+    orientations: NDArray[np.float64]
+    align: bool
+    scale: NDArray[np.float64]
+    embed: NDArray[np.float64]
+    variation: NDArray[np.float64]
+    lod_px: float
+
+
+@dataclass(frozen=True)
+class RandomTargetPlan:
+    """Cameras at drawn places that look at drawn targets; all arrays over the samples.
+
+    Attributes:
+        xy: Position in plan, [s, 2].
+        height_m: Above the surface.
+        distance_m, bearing_deg: Of the target, in plan.
+        target_height_m: Of the target above the surface.
+        roll_deg: About the viewing axis.
+    """
+
+    xy: NDArray[np.float64]
+    height_m: NDArray[np.float64]
+    distance_m: NDArray[np.float64]
+    bearing_deg: NDArray[np.float64]
+    target_height_m: NDArray[np.float64]
+    roll_deg: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class TrackPlan:
+    """Given poses: world matrices with OpenCV axes, [s, 4, 4], and their times, [s].
+
+    ``way`` gives those at other times; None where nobody asks for them.
+    """
+
+    to_world: NDArray[np.float64]
+    times: NDArray[np.float64]
+    way: TrackWay | None = None
+
+
+@dataclass(frozen=True)
+class ImagingPlan:
+    """A sensor's parameters as drawn.
+
+    Attributes:
+        samples: At each sample. Of metered ones time and speed are still missing, and what they
+            have to be between is there.
+        metered: Whether they follow the sensor's exposure.
+    """
+
+    samples: tuple[Imaging, ...]
+    metered: bool
+
+
+@dataclass(frozen=True)
+class SensorPlan:
+    """A sensor; ``ev`` [s] is absolute, or relative to the incident light's if ``metered``.
+
+    An automatic exposure is metered, too: what it is before there are pictures.
+
+    The other fields mean what they do in ``Sensor``.
+    """
+
+    name: str
+    resolution: tuple[int, int]
+    intrinsics: tuple[float, float, float, float, float]
+    to_rig: NDArray[np.float64]
+    metered: bool
+    ev: NDArray[np.float64]
+    outputs: tuple[str, ...]
+    exposure_per: str | None = None
+    partner: str | None = None
+    trigger: tuple[int, int] = (1, 0)
+    depth_camera: DepthCamera | None = None
+    lens: Lens | None = None
+    imaging: ImagingPlan | None = None
+    shutter: tuple[Shutter, ...] | None = None
+    focus: Focus | None = None
+
+
+@dataclass(frozen=True)
+class RigPlan:
+    """A rig, its motion and its sensors."""
+
+    name: str
+    pose: RandomTargetPlan | TrackPlan | Motion
+    sensors: tuple[SensorPlan, ...]
+    lidars: tuple[Lidar, ...] = ()
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Everything about one batch; the fields shared with ``Scene`` mean the same there."""
+
+    name: str
+    batch: int
+    samples: int
+    label_table: dict[str, dict[str, int]]
+    sky_labels: Labels
+    materials: dict[str, Material]
+    terrain: TerrainPlan
+    objects: tuple[ScatterPlan | PlacedPlan, ...]
+    object_triangles: int | None
+    light: LightPlan
+    rigs: tuple[RigPlan, ...]

@@ -1,0 +1,464 @@
+"""Scene: one batch as arrays, the vocabulary of all passes and of the emitter.
+
+World frame: meters, Z up, x east, y north, the terrain's center at the origin. Everything is plain
+data; nothing here draws, reads files or knows of USD.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenec.compiler.scene.rig import Rig
+from scenec.compiler.scene.sources import Sources
+
+if TYPE_CHECKING:
+    from scenec.compiler.materials.surface import Surface
+
+#: Label id per level.
+Labels = dict[str, int]
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A picture that came inside of another file, as it stood there.
+
+    Attributes:
+        suffix: Of a file that holds these bytes: ".png", ".jpg".
+        data: The encoded picture.
+    """
+
+    suffix: str
+    data: bytes
+
+
+@dataclass(frozen=True)
+class Cells:
+    """Pictures laid in cells, each turned and shifted, so that they do not repeat.
+
+    Attributes:
+        size_m: Side of the triangular lattice whose corners the cells stand on, meters.
+        seed: Of the table of turns and shifts, below 2**31.
+    """
+
+    size_m: float
+    seed: int
+
+
+@dataclass(frozen=True)
+class Far:
+    """The picture of colors once more, larger, so that it varies over several scales.
+
+    Attributes:
+        factor: How much larger.
+        share: c * (1 + share * (c_far / mean - 1)).
+    """
+
+    factor: float
+    share: float
+
+
+@dataclass(frozen=True)
+class MaterialMaps:
+    """Pictures that vary a surface.
+
+    Attributes:
+        size_m: Side of one repeat, meters; of no meaning with the projection "uv".
+        files: By kind (``schemas.maps.MAP_CHANNELS``).
+        normal_convention: "opengl" (y up in the picture) or "directx".
+        projection: "above" (along the world's z), "triplanar" (along its three axes, mixed by the
+            normal) or "uv" (the mesh's texture coordinates).
+        procedural: What makes those pictures that ``files`` does not have; None in a Scene, where
+            all are made.
+        cells: How they are kept from repeating, or None: they do.
+        far: The colors' larger scale, or None.
+        sources: Further pictures that some are made of; None in a Scene, where all are made.
+    """
+
+    size_m: float
+    files: dict[str, Path | Picture]
+    normal_convention: str
+    projection: str = "above"
+    procedural: Surface | None = None
+    cells: Cells | None = None
+    far: Far | None = None
+    sources: Sources | None = None
+
+
+@dataclass(frozen=True)
+class Reflectance:
+    """How the dull part of a surface scatters, where it is not Lambert's law.
+
+    Attributes:
+        model: "lommel_seeliger" or "hapke"; the color is r0, the reflectance of a half space of
+            isotropic scatterers, from which w = 4 r0 / (1 + r0)**2 is their albedo.
+        b, c: Of the double Henyey-Greenstein phase function: width and share of its lobes.
+        opposition, opposition_width: B0 and h of the shadow-hiding opposition surge.
+        roughness_deg: Mean slope, theta bar; Hapke's only.
+    """
+
+    model: str
+    b: float
+    c: float
+    opposition: float
+    opposition_width: float
+    roughness_deg: float
+
+
+@dataclass(frozen=True)
+class Material:
+    """Shared surface model: (1-m) * ((1-s) * Lambert + s * GGX) + m * GGX of the color.
+
+    Attributes:
+        base_color: Albedo, linear Rec.709.
+        roughness: GGX's alpha is its square.
+        specular: s.
+        variation: Albedo is base_color * (1 + variation * v), v in [-1, 1] given on the geometry.
+        metallic: m.
+        maps: Pictures that vary it, or None.
+        roughness_variation: Roughness is roughness * (1 + roughness_variation * v), of the same v.
+        reflectance: In place of Lambert, or None.
+        emission: Radiance that it gives off itself, linear Rec.709, W/(m^2 sr); a map multiplies.
+    """
+
+    base_color: tuple[float, float, float]
+    roughness: float
+    specular: float
+    variation: float
+    metallic: float = 0.0
+    maps: MaterialMaps | None = None
+    roughness_variation: float = 0.0
+    reflectance: Reflectance | None = None
+    emission: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    @property
+    def varies(self) -> bool:
+        """Whether it shows the variation of vertices and instances."""
+        return self.variation != 0.0 or self.roughness_variation != 0.0
+
+    @property
+    def needs_uv(self) -> bool:
+        """Whether it shows pictures by texture coordinates."""
+        return self.maps is not None and self.maps.projection == "uv"
+
+
+@dataclass(frozen=True)
+class GroundLayer:
+    """One ground material and what it is called.
+
+    Attributes:
+        material: Its name.
+        labels: Label id per level.
+        height_blend: Depth over which it and what is below it cover each other by their height
+            maps, as a share of the maps' range; 0 blends by the weight alone. Labels never heed it.
+    """
+
+    material: str
+    labels: Labels
+    height_blend: float = 0.0
+
+
+@dataclass(frozen=True)
+class Tile:
+    """A piece of terrain.
+
+    Attributes:
+        name: Prim name.
+        translate: World position of the local origin, float64 [3].
+        points: Local, float32 [n, 3]; translate + points is exact in float64, and equal for a
+            vertex that two tiles share.
+        faces: int32 [m, 3].
+        normals: Shading normals, float32 [n, 3].
+        layer: Index of the ground layer that labels each face, int32 [m].
+        weights: Weight of each merge at the vertices, float32 [layers - 1, n].
+        variation: In [-1, 1], float32 [n].
+    """
+
+    name: str
+    translate: NDArray[np.float64]
+    points: NDArray[np.float32]
+    faces: NDArray[np.int32]
+    normals: NDArray[np.float32]
+    layer: NDArray[np.int32]
+    weights: NDArray[np.float32]
+    variation: NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Ground:
+    """The terrain: layers from the base up, and tiles that are cut along their label lines."""
+
+    layers: tuple[GroundLayer, ...]
+    tiles: tuple[Tile, ...]
+
+
+@dataclass(frozen=True)
+class MeshPart:
+    """Faces of a prototype that have a material or labels of their own.
+
+    Attributes:
+        name: Of the part, a prim name.
+        faces: Indices, ascending, int32 [k]; no face is in two parts.
+        material: Name of the material; None: the class's.
+        labels: Label id per level; None: the class's.
+    """
+
+    name: str
+    faces: NDArray[np.int32]
+    material: str | None
+    labels: Labels | None
+
+
+@dataclass(frozen=True)
+class Prototype:
+    """A mesh that instances share; arrays as in ``Tile``.
+
+    Attributes:
+        error: How far it is from the finest mesh of its shape, in its own unit.
+        radius: Of a ball around its origin that holds it, in its own unit: procedural rocks fit
+            into one of radius 1/2, so that an instance's scale is its diameter; meshes of files
+            are in meters.
+        uv: Texture coordinates of the faces' corners, float32 [m, 3, 2], or None.
+        parts: What differs from the class; empty where nothing does.
+    """
+
+    name: str
+    points: NDArray[np.float32]
+    faces: NDArray[np.int32]
+    normals: NDArray[np.float32]
+    variation: NDArray[np.float32]
+    error: float = 0.0
+    radius: float = 0.5
+    uv: NDArray[np.float32] | None = None
+    parts: tuple[MeshPart, ...] = ()
+
+
+@dataclass(frozen=True)
+class Scatter:
+    """Many instances of a few prototypes.
+
+    Attributes:
+        name: Class name, as in the cfg.
+        material: Name of the material; None where each prototype's parts have theirs.
+        labels: Label id per level.
+        instances: Whether instance ids are shown (off: they stay reserved).
+        prototypes: What is scattered.
+        prototype: Which one, int32 [n].
+        positions: float32 [n, 3], meters.
+        orientations: Quaternions (x, y, z, w), float16 [n, 4]: half precision, as USD stores them.
+        scales: float32 [n, 3].
+        variation: Albedo variation, float32 [n].
+        ids: Local instance ids, ascending, int64 [n]: gaps where something could not be placed.
+        drawn: How many ids are reserved, at least the largest one.
+    """
+
+    name: str
+    material: str | None
+    labels: Labels
+    instances: bool
+    prototypes: tuple[Prototype, ...]
+    prototype: NDArray[np.int32]
+    positions: NDArray[np.float32]
+    orientations: NDArray[np.float16]
+    scales: NDArray[np.float32]
+    variation: NDArray[np.float32]
+    ids: NDArray[np.int64]
+    drawn: int
+
+    @property
+    def count(self) -> int:
+        """Number of instances."""
+        return len(self.positions)
+
+    def radii(self) -> NDArray[np.float64]:
+        """Radius of a ball around each instance's position that holds it, meters, [n]."""
+        of_prototype = np.array([p.radius for p in self.prototypes], np.float64)
+        return of_prototype[self.prototype] * self.scales.max(axis=1, initial=0.0)
+
+    def balls(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Balls that hold the instances: middles [n, 3] and radii [n], meters."""
+        return self.positions.astype(np.float64), self.radii()
+
+
+@dataclass(frozen=True)
+class Placed:
+    """Single objects of one class, each where it is told to be; they may move.
+
+    Attributes:
+        name, material, labels, instances, prototypes, prototype, drawn: As in ``Scatter``.
+        to_world: Local-to-world matrices, column vectors, float64 [n, s, 3, 4]: s is 1 where
+            nothing moves, else the number of samples.
+        ids: Local instance ids, ascending, int64 [n].
+    """
+
+    name: str
+    material: str | None
+    labels: Labels
+    instances: bool
+    prototypes: tuple[Prototype, ...]
+    prototype: NDArray[np.int32]
+    to_world: NDArray[np.float64]
+    ids: NDArray[np.int64]
+    drawn: int
+
+    @property
+    def count(self) -> int:
+        """Number of objects."""
+        return len(self.to_world)
+
+    def balls(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Balls that hold the objects at any sample: middles [n * s, 3], radii [n * s], meters."""
+        of_prototype = np.array([p.radius for p in self.prototypes], np.float64)[self.prototype]
+        columns = self.to_world[:, :, :, :3]
+        stretch = np.sqrt((columns * columns).sum(axis=2)).max(axis=2, initial=0.0)
+        return self.to_world[:, :, :, 3].reshape(-1, 3), (of_prototype[:, None] * stretch).ravel()
+
+
+@dataclass(frozen=True)
+class SunLight:
+    """The sun at every sample.
+
+    Attributes:
+        azimuth_deg, elevation_deg: Compass bearing (clockwise from north, +y) and height, [s].
+        irradiance: On a surface facing it, W/m^2, [s].
+        diameter_deg: Full angular diameter, [s].
+        color: Linear Rec.709, [s, 3], of luminance 1.
+    """
+
+    azimuth_deg: NDArray[np.float64]
+    elevation_deg: NDArray[np.float64]
+    irradiance: NDArray[np.float64]
+    diameter_deg: NDArray[np.float64]
+    color: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class SkyLight:
+    """The sky at every sample.
+
+    Attributes:
+        pictures: Lat-long pictures by file name: float32 [h, w, 3] made by us, or a file to copy.
+        texture: File name in ``pictures`` for each sample.
+        intensity: Factor on the picture, [s].
+        rotation_deg: Turn of the picture about the vertical, clockwise from above, [s].
+    """
+
+    pictures: dict[str, NDArray[np.float32] | Path]
+    texture: tuple[str, ...]
+    intensity: NDArray[np.float64]
+    rotation_deg: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class SkyLabelMaps:
+    """Labels of a panorama's pixels: the sky's, and the hills' that are on it.
+
+    Attributes:
+        pictures: Lat-long pictures of label ids by file name, uint16 [h, w].
+        texture: Per level, the file name for each sample, or None: the sky's one label.
+        rotation_deg: As in ``SkyLight``, [s].
+    """
+
+    pictures: dict[str, NDArray[np.uint16]]
+    texture: dict[str, tuple[str | None, ...]]
+    rotation_deg: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Haze:
+    """Dust or mist between the camera and what it sees, at every sample.
+
+    Attributes:
+        extinction: Per meter, at the world's z = 0, linear Rec.709, [s, 3].
+        scale_height_m: It thins out as exp(-z / this), [s]; inf: it does not.
+        airlight: Radiance that a ray through endless haze shows, [s, 3]; None: what it scatters of
+            suns and sky.
+    """
+
+    extinction: NDArray[np.float64]
+    scale_height_m: NDArray[np.float64]
+    airlight: NDArray[np.float64] | None
+
+
+@dataclass(frozen=True)
+class Lamp:
+    """A spot light at every sample: a sphere that shines into a cone.
+
+    Attributes:
+        name: Prim name.
+        to_world: Matrices, column vectors, [s, 4, 4]: it stands at the origin and shines along -z.
+        intensity: On the axis, far away, linear Rec.709, W/sr, [s, 3].
+        radius_m: Of the sphere, [s].
+        cone_deg: Half the cone's opening angle, [s].
+        softness: Share of that angle over which it fades to 0, [s].
+    """
+
+    name: str
+    to_world: NDArray[np.float64]
+    intensity: NDArray[np.float64]
+    radius_m: NDArray[np.float64]
+    cone_deg: NDArray[np.float64]
+    softness: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Georeference:
+    """Where on a planet the terrain lies; recorded, and never part of any arithmetic.
+
+    Attributes:
+        crs: Coordinate reference system: an authority's code, or WKT.
+        center: The world's origin in it, in its units.
+        height_offset_m: Added to the (scaled) heights of the DEM.
+    """
+
+    crs: str
+    center: tuple[float, float]
+    height_offset_m: float
+
+
+@dataclass(frozen=True)
+class Scene:
+    """One batch.
+
+    Attributes:
+        name: The cfg's name.
+        samples: Number of samples.
+        times: Real time of each sample, seconds, [samples].
+        label_table: Per level, name -> id.
+        sky_labels: Label id of the sky per level.
+        materials: By name; only those in use.
+        ground: The terrain.
+        objects: Object classes in the cfg's order.
+        sun, sky: Light; None where there is none.
+        more_suns: Further distant discs by prim name: earthshine, a second sun.
+        lamps: Spot lights.
+        haze: Between camera and scene, or None.
+        sky_label_maps: Labels of a panorama, or None.
+        rigs: Cameras.
+        outputs: Union of all sensors' outputs.
+        bounds: World bounds of the geometry, float64 [2, 3].
+        georeference: Of the first DEM that has one; None without.
+    """
+
+    name: str
+    samples: int
+    times: NDArray[np.float64]
+    label_table: dict[str, dict[str, int]]
+    sky_labels: Labels
+    materials: dict[str, Material]
+    ground: Ground
+    objects: tuple[Scatter | Placed, ...]
+    sun: SunLight | None
+    sky: SkyLight | None
+    rigs: tuple[Rig, ...]
+    outputs: tuple[str, ...]
+    bounds: NDArray[np.float64]
+    georeference: Georeference | None = None
+    more_suns: dict[str, SunLight] = field(default_factory=dict)
+    lamps: tuple[Lamp, ...] = ()
+    haze: Haze | None = None
+    sky_label_maps: SkyLabelMaps | None = None

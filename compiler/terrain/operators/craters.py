@@ -1,0 +1,250 @@
+"""Impact craters, laid over each other in the order of their ages."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from scenec.compiler.noise.perlin import perlin2
+from scenec.compiler.terrain.grid import Grid
+from scenec.compiler.terrain.operators.crater_profile import (
+    REACH,
+    blend_row,
+    height_at,
+    profile_table,
+)
+from scenec.schemas.errors import SceneError
+
+#: Craters narrower than this many grid spacings are not shown.
+_FINEST = 3.0
+# Within the first radius the old surface is gone, beyond the second it is as it was.
+_BURIED = 0.8
+_UNTOUCHED = 1.5
+# Lattice units of the circle on which the outline's noise is read: about nine lobes.
+_OUTLINE = 1.5
+# Samples that all craters together may reach: some minutes' work.
+_MOST_SAMPLES = 1e10
+
+
+@dataclass(frozen=True, eq=False)
+class Craters:
+    """Simple craters, oldest first.
+
+    Each replaces what lies within it by its own bowl, on the plane that fits the old surface there
+    best, and its blanket fades into what lies around it: older craters vanish under younger ones.
+    A worn crater replaces as much of the old surface as is left of its own depth. The shape and its
+    wear are those of ``crater_profile``. Only samples within five radii are touched. Craters
+    narrower than three grid spacings are left out (reported), and so is the blanket beyond five
+    radii, a fifth of its volume.
+
+    Attributes:
+        x_m, y_m: Centers, float64 [n]; they may lie outside of the terrain.
+        diameter_m: From rim to rim, float64 [n].
+        depth_ratio: Depth below the rim over diameter when fresh, float64 [n].
+        rim_ratio: Height of the rim over diameter when fresh, float64 [n].
+        state: Wear, kappa * t / R**2, float64 [n].
+        outline: Noise key of each outline, uint64 [n].
+        irregularity: How far outlines are from circles: part of the radius.
+    """
+
+    x_m: NDArray[np.float64]
+    y_m: NDArray[np.float64]
+    diameter_m: NDArray[np.float64]
+    depth_ratio: NDArray[np.float64]
+    rim_ratio: NDArray[np.float64]
+    state: NDArray[np.float64]
+    outline: NDArray[np.uint64]
+    irregularity: float
+
+    def apply(
+        self, grid: Grid, height: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], dict[str, Any]]:
+        """Heights with craters.
+
+        Raises:
+            SceneError: They reach over too many samples to be done in minutes.
+        """
+        shown = shown_on(self, grid)
+        _require_doable(self.diameter_m[shown], grid)
+        out = height.copy()
+        touched = 0
+        if shown.any():
+            table = profile_table(float(self.state[shown].max()))
+            touched = _excavate(
+                out,
+                grid.x(),
+                grid.y(),
+                self.x_m[shown],
+                self.y_m[shown],
+                0.5 * self.diameter_m[shown],
+                self.depth_ratio[shown],
+                self.rim_ratio[shown],
+                self.state[shown],
+                self.outline[shown],
+                self.irregularity,
+                table.states,
+                table.rim,
+                table.depth,
+            )
+        change = out - height
+        dx, dy = grid.spacing_m
+        return out, {
+            "craters": int(shown.sum()),
+            "craters_below_grid": int(len(shown) - shown.sum()),
+            "largest_m": float(self.diameter_m.max(initial=0.0)),
+            "samples_touched": int(touched),
+            "volume_change_m3": float(change.sum() * dx * dy),
+            "change_max_m": float(np.abs(change).max()),
+        }
+
+
+def _require_doable(diameter_m: NDArray[np.float64], grid: Grid) -> None:
+    """Few craters can be as much work as many: what counts is the samples that each reaches."""
+    reached = np.ones(len(diameter_m))
+    for count, spacing in zip(grid.shape[::-1], grid.spacing_m, strict=True):
+        reached *= np.minimum(5.0 * diameter_m / spacing, count)
+    if reached.sum() > _MOST_SAMPLES:
+        raise SceneError(
+            f"{len(diameter_m):,} craters reach over {reached.sum():.2g} samples in all, at most "
+            f"{_MOST_SAMPLES:g} are taken; lower density_per_m2 or max_diameter_m"
+        )
+
+
+def shown_on(craters: Craters, grid: Grid) -> NDArray[np.bool_]:
+    """Which craters are wide enough for a grid to show: bool [n]."""
+    return craters.diameter_m >= _FINEST * max(grid.spacing_m)
+
+
+@njit(cache=True, error_model="numpy")
+def uneven_distance(
+    dx: float, dy: float, outline: np.uint64, irregularity: float, state: float
+) -> float:
+    """Distance from a crater's center at (dx, dy), in its radii: 1 on its outline.
+
+    Args:
+        dx, dy: From the center, in mean radii.
+        outline: Noise key.
+        irregularity: How far the outline is from a circle when fresh.
+        state: Wear.
+    """
+    away = np.sqrt(dx * dx + dy * dy)
+    # Wear rounds outlines off.
+    uneven = irregularity / (1.0 + 8.0 * state)
+    if uneven > 0.0 and away > 0.0:
+        lobe = perlin2(outline, _OUTLINE * dx / away, _OUTLINE * dy / away)
+        # A floor has no outline: its middle stays smooth.
+        lobe *= away * away / (away * away + 0.5)
+        away /= 1.0 + uneven * lobe
+    return away
+
+
+@njit(cache=True, error_model="numpy")
+def _excavate(
+    height: NDArray,
+    x: NDArray,
+    y: NDArray,
+    center_x: NDArray,
+    center_y: NDArray,
+    radius: NDArray,
+    depth_ratio: NDArray,
+    rim_ratio: NDArray,
+    state: NDArray,
+    outline: NDArray,
+    irregularity: float,
+    states: NDArray,
+    rim_table: NDArray,
+    depth_table: NDArray,
+) -> int:
+    """Lays craters over heights, in place; returns how many samples were touched."""
+    touched = 0
+    for n in range(radius.size):
+        r = radius[n]
+        # An outline reaches out by its irregularity.
+        reach = REACH * r * (1.0 + irregularity)
+        i0, i1 = span(x, center_x[n], reach)
+        j0, j1 = span(y, center_y[n], reach)
+        if i0 >= i1 or j0 >= j1:
+            continue
+        level, slope_x, slope_y = _plane(height, x, y, center_x[n], center_y[n], r)
+        profile, left = blend_row(
+            states,
+            rim_table,
+            depth_table,
+            state[n],
+            2.0 * r * rim_ratio[n],
+            2.0 * r * depth_ratio[n],
+        )
+        for j in range(j0, j1):
+            dy = (y[j] - center_y[n]) / r
+            for i in range(i0, i1):
+                dx = (x[i] - center_x[n]) / r
+                away = uneven_distance(dx, dy, outline[n], irregularity, state[n])
+                if away >= REACH:
+                    continue
+                touched += 1
+                if away < _UNTOUCHED and level == level:
+                    t = min(max((_UNTOUCHED - away) / (_UNTOUCHED - _BURIED), 0.0), 1.0)
+                    plane = level + r * (slope_x * dx + slope_y * dy)
+                    height[j, i] += left * t * t * (3.0 - 2.0 * t) * (plane - height[j, i])
+                height[j, i] += height_at(profile, away)
+    return touched
+
+
+@njit(cache=True, error_model="numpy")
+def span(at: NDArray, center: float, reach: float) -> tuple[int, int]:
+    """Indices [first, last) of the samples within reach of a center."""
+    first = int(np.searchsorted(at, center - reach, side="left"))
+    return first, int(np.searchsorted(at, center + reach, side="right"))
+
+
+@njit(cache=True, error_model="numpy")
+def _plane(
+    height: NDArray, x: NDArray, y: NDArray, center_x: float, center_y: float, radius: float
+) -> tuple[float, float, float]:
+    """Least-squares plane over the samples of a disk: height at its center, dz/dx and dz/dy.
+
+    The height is NaN where the disk holds no sample; slopes are 0 where it holds too few.
+    """
+    i0, i1 = span(x, center_x, radius)
+    j0, j1 = span(y, center_y, radius)
+    count = 0
+    sx = sy = sz = 0.0
+    for j in range(j0, j1):
+        for i in range(i0, i1):
+            dx = x[i] - center_x
+            dy = y[j] - center_y
+            if dx * dx + dy * dy <= radius * radius:
+                count += 1
+                sx += dx
+                sy += dy
+                sz += height[j, i]
+    if count == 0:
+        return np.nan, 0.0, 0.0
+    sx /= count
+    sy /= count
+    sz /= count
+    xx = xy = yy = xz = yz = 0.0
+    for j in range(j0, j1):
+        for i in range(i0, i1):
+            dx = x[i] - center_x
+            dy = y[j] - center_y
+            if dx * dx + dy * dy <= radius * radius:
+                dz = height[j, i] - sz
+                dx -= sx
+                dy -= sy
+                xx += dx * dx
+                xy += dx * dy
+                yy += dy * dy
+                xz += dx * dz
+                yz += dy * dz
+    determinant = xx * yy - xy * xy
+    # Samples on one line leave the slope across it open.
+    if determinant <= 1e-6 * xx * yy or determinant <= 0.0:
+        return sz, 0.0, 0.0
+    slope_x = (xz * yy - yz * xy) / determinant
+    slope_y = (yz * xx - xz * xy) / determinant
+    return sz - slope_x * sx - slope_y * sy, slope_x, slope_y

@@ -1,0 +1,124 @@
+"""Terraces: slopes cut into steps, as layered rock weathers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from scenec.compiler.noise.lattice import hash2
+from scenec.compiler.noise.rows import fbm_grid, tabulate
+from scenec.compiler.terrain.grid import Grid
+from scenec.compiler.terrain.operators.multifractal import octaves_shown
+from scenec.schemas.threads import over_threads
+
+_GAIN = 0.5
+_LACUNARITY = 2.0
+_OCTAVES = 4
+
+
+@dataclass(frozen=True)
+class Terraces:
+    """Maps heights by a staircase: treads that keep a part of their slope, and steep risers.
+
+    Layer boundaries lie about ``step_m`` apart, each off by up to ``irregularity`` of half a step,
+    and are bent up and down by a noise. The map rises with the height, so that crests stay crests,
+    and no height changes by more than a layer.
+
+    Attributes:
+        key: Noise key.
+        step_m: Mean thickness of a layer.
+        riser: Part of a layer's thickness that is steep.
+        tread_slope: Part of the slope that treads keep: 1 leaves everything as it is.
+        irregularity: How uneven the layers' thicknesses are, 0 to 1.
+        bend_m: How far layers bend up and down.
+        bend_scale_m: Size of the bends.
+    """
+
+    key: int
+    step_m: float
+    riser: float
+    tread_slope: float
+    irregularity: float
+    bend_m: float
+    bend_scale_m: float
+
+    def apply(
+        self, grid: Grid, height: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], dict[str, Any]]:
+        """Terraced heights."""
+        octaves = octaves_shown(_OCTAVES, self.bend_scale_m, _LACUNARITY, max(grid.spacing_m))
+        x, y = grid.x() / self.bend_scale_m, grid.y() / self.bend_scale_m
+        bend = fbm_grid(tabulate(self.key, x, y, octaves, _LACUNARITY), x, y, _GAIN, _LACUNARITY)
+        bend *= self.bend_m
+        out = _terraced(
+            height,
+            bend,
+            np.uint64(self.key),
+            self.step_m,
+            self.riser,
+            self.tread_slope,
+            self.irregularity,
+        )
+        change = out - height
+        return out, {
+            "change_rms_m": float(np.sqrt((change * change).mean())),
+            "change_max_m": float(np.abs(change).max()),
+        }
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def _boundary(key: np.uint64, layer: int, irregularity: float) -> float:
+    """Height of a layer's bottom, in mean thicknesses."""
+    unit = np.float64(hash2(key, layer, 0) >> np.uint64(11)) * 2.0**-53
+    return layer + 0.5 * irregularity * (unit - 0.5)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _terraced_part(
+    first: int,
+    last: int,
+    height: NDArray,
+    bend: NDArray,
+    key: np.uint64,
+    step: float,
+    riser: float,
+    tread_slope: float,
+    irregularity: float,
+    out: NDArray,
+) -> None:
+    _ny, nx = height.shape
+    for j in range(first, last):
+        for i in range(nx):
+            level = (height[j, i] + bend[j, i]) / step
+            layer = np.int64(np.floor(level))
+            # Boundaries are within a quarter of a step of whole numbers.
+            if level < _boundary(key, layer, irregularity):
+                layer -= 1
+            elif level >= _boundary(key, layer + 1, irregularity):
+                layer += 1
+            bottom = _boundary(key, layer, irregularity)
+            thickness = _boundary(key, layer + 1, irregularity) - bottom
+            t = (level - bottom) / thickness
+            # The riser is the upper part of a layer: a smooth step over it.
+            s = min(max((t - 1.0 + riser) / riser, 0.0), 1.0)
+            s = tread_slope * t + (1.0 - tread_slope) * s * s * (3.0 - 2.0 * s)
+            out[j, i] = height[j, i] + step * thickness * (s - t)
+
+
+def _terraced(
+    height: NDArray,
+    bend: NDArray,
+    key: np.uint64,
+    step: float,
+    riser: float,
+    tread_slope: float,
+    irregularity: float,
+) -> NDArray:
+    ny, nx = height.shape
+    out = np.empty((ny, nx))
+    over_threads(_terraced_part, ny, height, bend, key, step, riser, tread_slope, irregularity, out)
+    return out

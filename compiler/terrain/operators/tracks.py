@@ -1,0 +1,163 @@
+"""Rover tracks: two ruts along a given path."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from scenec.compiler.assets.polyline import read_polyline
+from scenec.compiler.terrain.grid import Grid
+from scenec.compiler.terrain.operators.smooth import diffuse
+from scenec.compiler.terrain.polyline import project
+from scenec.schemas.threads import over_threads
+
+# Across a rut, in half widths: where its walls begin, and how wide the berm beside it is.
+_FLOOR = 0.8
+_BERM = 1.0
+# Part of the rut's cross-section that stands in its two berms; the rest is compacted.
+_DISPLACED = 0.5
+# Half the width of a grouser's imprint, in spacings of grousers.
+_BAR = 0.22
+_FINEST = 3.0
+
+
+@dataclass(frozen=True)
+class Tracks:
+    """Presses the wheels of a rover into the relief along a path.
+
+    The floor of a rut is the ground smoothed over half a wheel's width, ``depth_m`` lower; its
+    walls rise over a tenth of the width; beside it stand berms with half of what was displaced.
+    Grousers press bars or chevrons into the floor. Only samples under tracks are changed. Wheels
+    narrower than three grid spacings leave none, grousers closer than three none of their own
+    (reported).
+
+    Attributes:
+        file: CSV of the path of the rover's middle: columns x_m, y_m.
+        wheel_distance_m: Between the middles of left and right wheels.
+        wheel_width_m: Width of a wheel.
+        depth_m: Sinkage.
+        grouser_spacing_m: Distance of grousers along the track.
+        grouser_depth_m: How much deeper they press; 0 for smooth wheels.
+        pattern: Straight bars or chevrons that point ahead.
+    """
+
+    file: Path
+    wheel_distance_m: float
+    wheel_width_m: float
+    depth_m: float
+    grouser_spacing_m: float
+    grouser_depth_m: float
+    pattern: Literal["bars", "chevrons"]
+
+    def apply(
+        self, grid: Grid, height: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], dict[str, Any]]:
+        """Heights with tracks.
+
+        Raises:
+            SceneError: The file is no path.
+        """
+        path = read_polyline(self.file)
+        finest = _FINEST * max(grid.spacing_m)
+        if self.wheel_width_m < finest:
+            return height, {"below_grid": True}
+        reach = 0.5 * (self.wheel_distance_m + (1.0 + _BERM) * self.wheel_width_m)
+        offset, along = project(grid, path, reach, round_ends=False)
+        grousers = self.grouser_depth_m if self.grouser_spacing_m >= finest else 0.0
+        out = _press(
+            height,
+            diffuse(grid, height, 0.5 * self.wheel_width_m),
+            offset,
+            along,
+            0.5 * self.wheel_distance_m,
+            0.5 * self.wheel_width_m,
+            self.depth_m,
+            self.grouser_spacing_m,
+            grousers,
+            self.pattern == "chevrons",
+        )
+        dx, dy = grid.spacing_m
+        return out, {
+            "below_grid": False,
+            "grousers_below_grid": self.grouser_depth_m > 0.0 and grousers == 0.0,
+            "samples_changed": int((out != height).sum()),
+            "volume_change_m3": float((out - height).sum() * dx * dy),
+        }
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _press_part(
+    first: int,
+    last: int,
+    height: NDArray,
+    smooth: NDArray,
+    offset: NDArray,
+    along: NDArray,
+    middle: float,
+    half: float,
+    depth: float,
+    spacing: float,
+    grousers: float,
+    chevrons: bool,
+    out: NDArray,
+) -> None:
+    _ny, nx = height.shape
+    # Cross-sections over depth * half: of the rut, and of both berms for a height of 1.
+    rut = 2.0 * (0.5 * (1.0 + _FLOOR))
+    berm = 2.0 * _BERM * (8.0 / 15.0)
+    raised = _DISPLACED * depth * rut / berm
+    for j in range(first, last):
+        for i in range(nx):
+            if not abs(offset[j, i]) < np.inf:
+                continue
+            s = abs(abs(offset[j, i]) - middle) / half
+            if s < 1.0:
+                t = min((1.0 - s) / (1.0 - _FLOOR), 1.0)
+                pressed = t * t * (3.0 - 2.0 * t)
+                phase = along[j, i]
+                if chevrons:
+                    phase += s * half
+                bar = (phase / spacing - np.floor(phase / spacing) - 0.5) / _BAR
+                bar = max(1.0 - bar * bar, 0.0)
+                floor = smooth[j, i] - depth - grousers * bar * bar
+                out[j, i] += pressed * (floor - height[j, i])
+            elif s < 1.0 + _BERM:
+                t = (s - 1.0) / _BERM
+                out[j, i] += raised * 16.0 * t * t * (1.0 - t) * (1.0 - t)
+
+
+def _press(
+    height: NDArray,
+    smooth: NDArray,
+    offset: NDArray,
+    along: NDArray,
+    middle: float,
+    half: float,
+    depth: float,
+    spacing: float,
+    grousers: float,
+    chevrons: bool,
+) -> NDArray:
+    ny, _nx = height.shape
+    out = height.copy()
+    over_threads(
+        _press_part,
+        ny,
+        height,
+        smooth,
+        offset,
+        along,
+        middle,
+        half,
+        depth,
+        spacing,
+        grousers,
+        chevrons,
+        out,
+    )
+    return out

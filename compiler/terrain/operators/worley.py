@@ -1,0 +1,213 @@
+"""Cellular relief: bumps, pits and polygons."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from scenec.compiler.noise.lattice import subkeys
+from scenec.compiler.noise.worley import worley2
+from scenec.compiler.terrain.detail import Spectrum, octave_spectrum
+from scenec.compiler.terrain.grid import Grid
+from scenec.compiler.terrain.operators.multifractal import LARGEST_M, octaves_held, octaves_shown
+from scenec.schemas.threads import POINTS, over_threads
+
+
+@dataclass(frozen=True)
+class Worley:
+    """Adds cellular relief (Worley 1996): amplitude_m * sum of gain**o * F(octave o).
+
+    F is the distance to the nearest feature point (``f1``: cones that meet in ridges) or what the
+    second nearest is farther away (``f2-f1``: plateaus between grooves), in cells. It is 0 at the
+    points, or on the cells' borders, and at most 1.6. Octaves finer than two grid spacings are
+    ``detail`` (counted in the report).
+
+    Attributes:
+        key: Noise key.
+        amplitude_m: Factor on all of it, meters; below 0 for pits and ridges.
+        scale_m: Width of a cell, meters.
+        distance: Which distance.
+        jitter: How far feature points are from a square lattice, 0 to 1.
+        octaves: Number of octaves at most.
+        lacunarity: Ratio of successive frequencies.
+        gain: Ratio of successive amplitudes.
+    """
+
+    key: int
+    amplitude_m: float
+    scale_m: float
+    distance: Literal["f1", "f2-f1"]
+    jitter: float
+    octaves: int
+    lacunarity: float
+    gain: float
+
+    #: Adds to the heights whatever they are (``program``).
+    adds: ClassVar[bool] = True
+
+    def apply(
+        self, grid: Grid, height: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], dict[str, Any]]:
+        """Heights plus relief."""
+        octaves = octaves_shown(self.octaves, self.scale_m, self.lacunarity, max(grid.spacing_m))
+        relief = _relief(
+            np.uint64(self.key),
+            grid.x() / self.scale_m,
+            grid.y() / self.scale_m,
+            octaves,
+            self.gain,
+            self.lacunarity,
+            self.jitter,
+            self.distance == "f2-f1",
+        )
+        relief *= self.amplitude_m
+        return height + relief, {
+            "octaves": octaves,
+            "octaves_below_grid": self.octaves - octaves,
+            "relief_rms_m": float(np.sqrt((relief * relief).mean())),
+        }
+
+    def detail(self, grid: Grid) -> WorleyDetail | None:
+        """The octaves that a grid is too coarse for."""
+        shown = octaves_shown(self.octaves, self.scale_m, self.lacunarity, max(grid.spacing_m))
+        held = octaves_held(self.octaves, self.scale_m, self.lacunarity, max(grid.size_m))
+        if shown >= held or self.amplitude_m == 0.0:
+            return None
+        return WorleyDetail(replace(self, octaves=held), shown)
+
+    def everywhere(self) -> WorleyDetail:
+        """All of it as detail."""
+        held = octaves_held(self.octaves, self.scale_m, self.lacunarity, LARGEST_M)
+        return WorleyDetail(replace(self, octaves=held), 0)
+
+
+@dataclass(frozen=True)
+class WorleyDetail:
+    """All octaves but those of a grid.
+
+    Attributes:
+        relief: The relief.
+        shown: Octaves that the grid holds.
+    """
+
+    relief: Worley
+    shown: int
+
+    def at(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Meters to add at points, float64 [n]."""
+        relief = self.relief
+        if self.shown >= relief.octaves:
+            return np.zeros(x.shape)
+        out: NDArray[np.float64] = relief.amplitude_m * _points(
+            np.uint64(relief.key),
+            x / relief.scale_m,
+            y / relief.scale_m,
+            self.shown,
+            relief.octaves,
+            relief.gain,
+            relief.lacunarity,
+            relief.jitter,
+            relief.distance == "f2-f1",
+        )
+        return out
+
+    def spectrum(self) -> Spectrum:
+        """Of the octaves, up and down from their mean; cells count as two waves, a cone each."""
+        relief = self.relief
+        return octave_spectrum(
+            0.5 * relief.scale_m,
+            range(self.shown, relief.octaves),
+            relief.lacunarity,
+            relief.gain,
+            0.75 * relief.amplitude_m,
+        )
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _points_part(begin, end, key, x, y, shown, octaves, gain, lacunarity, jitter, difference, out):  # type: ignore[no-untyped-def]
+    keys = subkeys(key, octaves)
+    for n in range(begin, end):
+        u = x[n]
+        v = y[n]
+        value = 0.0
+        weight = 1.0
+        for octave in range(octaves):
+            if octave >= shown:
+                first, second = worley2(keys[octave], u, v, jitter)
+                value += weight * (second - first if difference else first)
+            weight *= gain
+            u, v = lacunarity * (0.8 * u - 0.6 * v), lacunarity * (0.6 * u + 0.8 * v)
+        out[n] = value
+
+
+def _points(  # type: ignore[no-untyped-def]
+    key, x, y, shown, octaves, gain, lacunarity, jitter, difference
+):
+    """Octaves from ``shown`` on at points in units of the first one's cells: float64 [n]."""
+    out = np.empty(x.size)
+    over_threads(
+        _points_part,
+        x.size,
+        key,
+        x,
+        y,
+        shown,
+        octaves,
+        gain,
+        lacunarity,
+        jitter,
+        difference,
+        out,
+        least=POINTS,
+    )
+    return out
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _relief_part(
+    begin: int,
+    end: int,
+    key: np.uint64,
+    x: NDArray,
+    y: NDArray,
+    octaves: int,
+    gain: float,
+    lacunarity: float,
+    jitter: float,
+    difference: bool,
+    out: NDArray,
+) -> None:
+    keys = subkeys(key, octaves)
+    for j in range(begin, end):
+        for i in range(x.size):
+            u = x[i]
+            v = y[j]
+            value = 0.0
+            weight = 1.0
+            for octave in range(octaves):
+                first, second = worley2(keys[octave], u, v, jitter)
+                value += weight * (second - first if difference else first)
+                weight *= gain
+                u, v = lacunarity * (0.8 * u - 0.6 * v), lacunarity * (0.6 * u + 0.8 * v)
+            out[j, i] = value
+
+
+def _relief(
+    key: np.uint64,
+    x: NDArray,
+    y: NDArray,
+    octaves: int,
+    gain: float,
+    lacunarity: float,
+    jitter: float,
+    difference: bool,
+) -> NDArray:
+    out = np.empty((y.size, x.size))
+    over_threads(
+        _relief_part, y.size, key, x, y, octaves, gain, lacunarity, jitter, difference, out
+    )
+    return out

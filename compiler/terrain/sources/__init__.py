@@ -1,0 +1,1 @@
+"""Where a relief begins: planes, measured height fields, meshes."""

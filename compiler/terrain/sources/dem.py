@@ -1,0 +1,199 @@
+"""A measured height field as base."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from scenec.compiler.assets.dem_file import GeoReference, read_dem
+from scenec.compiler.terrain.grid import Grid
+from scenec.compiler.terrain.sources.fill_holes import fill_holes
+from scenec.schemas.errors import SceneError
+from scenec.schemas.threads import over_threads
+
+# Holes are filled from what lies within so many pixels of the terrain.
+_FILL_MARGIN = 256
+
+
+@dataclass(frozen=True)
+class Dem:
+    """A DEM laid over the terrain, at a scale of one's choice, interpolated smoothly.
+
+    Interpolation is bicubic (Catmull-Rom): it passes through the samples and is C1. Where the file
+    says where on a planet it lies, that is reported, and heights do not depend on it by one bit.
+
+    Attributes:
+        file: ``.npz``, ``.npy``, GeoTIFF, or a gray picture.
+        array: Member of an ``.npz``; None takes the only two-dimensional one.
+        pixel_m: Size that a pixel gets, in x and y, meters; None takes that of a GeoTIFF in meters.
+        height_scale: Factor on the file's heights.
+        height_offset_m: Added after scaling, meters; None puts the mean at 0.
+        first_row: Whether the file's first row is the northern or the southern one.
+        center: Fraction of the DEM's width and height that lies at the terrain's center.
+        nodata: Value that marks holes, besides NaN and what the file itself declares.
+        edge: What happens where the terrain is larger than the DEM.
+        holes: What happens where there is no data: an error, or a membrane over the hole.
+        height_range_m: Heights of black and of white, for pictures.
+    """
+
+    file: Path
+    array: str | None
+    pixel_m: tuple[float, float] | None
+    height_scale: float
+    height_offset_m: float | None
+    first_row: Literal["north", "south"]
+    center: tuple[float, float]
+    nodata: float | None
+    edge: Literal["error", "clamp"]
+    holes: Literal["error", "fill"] = "error"
+    height_range_m: tuple[float, float] | None = None
+
+    #: Adds to the heights whatever they are (``program``).
+    adds: ClassVar[bool] = True
+
+    def apply(
+        self, grid: Grid, height: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], dict[str, Any]]:
+        """Heights plus the DEM's.
+
+        Raises:
+            SceneError: The file cannot be read, has holes under the terrain that are not to be
+                filled, is too small, or lies the other way round; or nothing says how large its
+                pixels are.
+        """
+        dem = read_dem(self.file, self.array, self.nodata, self.height_range_m)
+        samples, holes = dem.values, dem.holes
+        pixel = self.pixel_m or (dem.reference.pixel_m() if dem.reference else None)
+        if pixel is None:
+            raise SceneError(f"{self.file.name}: does not say its pixels' size: give pixel_m")
+        if dem.reference and dem.reference.first_row() != self.first_row:
+            raise SceneError(
+                f"{self.file.name}: its georeference puts the first row in the "
+                f'{dem.reference.first_row()}: say "first_row": "{dem.reference.first_row()}"'
+            )
+        if dem.reference and dem.reference.transform[0] < 0.0:
+            raise SceneError(
+                f"{self.file.name}: its georeference puts the first column in the east: mirror the "
+                "file (gdalwarp does)"
+            )
+        if self.first_row == "north":
+            samples, holes = samples[::-1], holes[::-1]
+        ny, nx = samples.shape
+        # Pixel-is-area: the DEM spans nx pixels, sample i stands at the center of its pixel.
+        u = grid.x() / pixel[0] + self.center[0] * nx - 0.5
+        v = grid.y() / pixel[1] + self.center[1] * ny - 0.5
+        if self.edge == "error":
+            for axis, at, n, size, width in (
+                ("wide", u, nx, grid.size_m[0], pixel[0]),
+                ("high", v, ny, grid.size_m[1], pixel[1]),
+            ):
+                if at[0] < -0.5 or at[-1] > n - 0.5:
+                    raise SceneError(
+                        f"{self.file.name}: the terrain ({size:g} m {axis}) reaches over the DEM's "
+                        f"border ({n} pixels of {width:g} m = {n * width:g} m); make pixel_m at "
+                        f'least {size / n:g} or move center, or say "edge": "clamp"'
+                    )
+        samples, report = self._filled(samples, holes, u, v)
+        base = _bicubic(np.ascontiguousarray(samples), u, v) * self.height_scale
+        offset = -float(base.mean()) if self.height_offset_m is None else self.height_offset_m
+        if dem.reference is not None:
+            row = (1.0 - self.center[1]) * ny if self.first_row == "north" else self.center[1] * ny
+            report["georeference"] = _place(dem.reference, self.center[0] * nx, row)
+        return height + (base + offset), {
+            "height_offset_m": offset,
+            "pixels_used": _used(u, v, samples.shape),
+            **report,
+        }
+
+    def _filled(
+        self, samples: NDArray, holes: NDArray, u: NDArray, v: NDArray
+    ) -> tuple[NDArray[np.float64], dict[str, Any]]:
+        """Samples without holes under the terrain, and how many were filled."""
+        rows, columns = _under(v, holes.shape[0], 0), _under(u, holes.shape[1], 0)
+        count = int(holes[rows, columns].sum())
+        if count == 0:
+            return samples, {}
+        if self.holes == "error":
+            raise SceneError(
+                f"{self.file.name}: {count} samples under the terrain have no data (NaN or nodata);"
+                ' say "holes": "fill", or move the terrain with center'
+            )
+        wide = (
+            _under(v, holes.shape[0], _FILL_MARGIN),
+            _under(u, holes.shape[1], _FILL_MARGIN),
+        )
+        if holes[wide].all():
+            raise SceneError(f"{self.file.name}: there is no data under or near the terrain")
+        filled = samples.copy()
+        filled[wide], error = fill_holes(
+            np.ascontiguousarray(samples[wide]), np.ascontiguousarray(holes[wide])
+        )
+        return filled, {
+            "holes_filled": count,
+            "holes_error_m": error * abs(self.height_scale),
+        }
+
+
+def _place(reference: GeoReference, column: float, row: float) -> dict[str, Any]:
+    """For the report: the reference system, and the terrain's center in it."""
+    return {"crs": reference.crs, "center": list(reference.at(column, row))}
+
+
+def _under(at: NDArray, n: int, margin: int) -> slice:
+    """Samples that interpolation reads along one axis, and some more."""
+    low = max(int(np.floor(at[0])) - 1 - margin, 0)
+    return slice(min(low, n - 1), max(min(int(np.floor(at[-1])) + 3 + margin, n), 1))
+
+
+def _used(u: NDArray, v: NDArray, shape: tuple[int, int]) -> list[int]:
+    def span(at: NDArray, n: int) -> int:
+        return int(min(at[-1], n - 1) - max(at[0], 0.0)) + 1
+
+    return [span(u, shape[1]), span(v, shape[0])]
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def _catmull_rom(p0: float, p1: float, p2: float, p3: float, t: float) -> float:
+    return p1 + 0.5 * t * (
+        p2 - p0 + t * (2.0 * p0 - 5.0 * p1 + 4.0 * p2 - p3 + t * (3.0 * (p1 - p2) + p3 - p0))
+    )
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _bicubic_part(
+    first: int, last: int, samples: NDArray, u: NDArray, v: NDArray, out: NDArray
+) -> None:
+    ny, nx = samples.shape
+    for j in range(first, last):
+        y = min(max(v[j], 0.0), ny - 1.0)
+        row = int(y)
+        ty = y - row
+        for i in range(u.size):
+            x = min(max(u[i], 0.0), nx - 1.0)
+            column = int(x)
+            tx = x - column
+            c0 = max(column - 1, 0)
+            c1 = column
+            c2 = min(column + 1, nx - 1)
+            c3 = min(column + 2, nx - 1)
+            r0 = max(row - 1, 0)
+            r2 = min(row + 1, ny - 1)
+            r3 = min(row + 2, ny - 1)
+            a = _catmull_rom(samples[r0, c0], samples[r0, c1], samples[r0, c2], samples[r0, c3], tx)
+            b = _catmull_rom(
+                samples[row, c0], samples[row, c1], samples[row, c2], samples[row, c3], tx
+            )
+            c = _catmull_rom(samples[r2, c0], samples[r2, c1], samples[r2, c2], samples[r2, c3], tx)
+            d = _catmull_rom(samples[r3, c0], samples[r3, c1], samples[r3, c2], samples[r3, c3], tx)
+            out[j, i] = _catmull_rom(a, b, c, d, ty)
+
+
+def _bicubic(samples: NDArray, u: NDArray, v: NDArray) -> NDArray:
+    out = np.empty((v.size, u.size))
+    over_threads(_bicubic_part, v.size, samples, u, v, out)
+    return out

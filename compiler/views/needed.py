@@ -1,0 +1,281 @@
+"""What the outputs of a batch need of its Scene, and leaving out the rest.
+
+======================  ============================================================================
+output                  needs, beside geometry, places and cameras
+======================  ============================================================================
+``rgb``                 materials and their pictures, weights, variation, shading normals, texture
+                        coordinates, lights, haze, exposures
+``label``               label tables, label ids on faces and classes, the sky's labels; the ground
+                        is cut along label lines
+``instance``            instance ids: bases of classes, ids of instances
+``amodal``              the same
+other packages' passes  the same as ``label`` and ``instance``
+all others              nothing: ``normal`` is the geometric one
+======================  ============================================================================
+
+Nothing here moves what stays: geometry is the same whatever is asked for, but for the cut.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from scenec.compiler.scene.plan import Plan
+from scenec.compiler.scene.rig import Rig
+from scenec.compiler.scene.scene import Ground, Material, Placed, Prototype, Scatter, Tile
+from scenec.compiler.views.keep import Keep
+from scenec.schemas.left_out import entry
+from scenec.schemas.passes import BUILT_IN
+
+#: Name of this pass in reports.
+PASS = "outputs"
+_NO_RGB = "no sensor asks for rgb"
+_NO_LABELS = "no sensor asks for labels"
+_NO_IDS = "no sensor asks for instances"
+#: Bytes a vertex of what only pictures show: a normal and a color; and of a number.
+_SHADING, _NUMBER = 24, 4
+
+
+class Needs(NamedTuple):
+    """What the outputs show.
+
+    Attributes:
+        color: Materials, shading and light.
+        labels: Label ids.
+        ids: Instance ids.
+    """
+
+    color: bool
+    labels: bool
+    ids: bool
+
+
+def needs_of(outputs: Iterable[str], keep: Keep = Keep.SEEN, levels: bool = True) -> Needs:
+    """What a batch's outputs need.
+
+    Args:
+        outputs: Those of all its sensors.
+        keep: ``Keep.ALL`` needs everything that the cfg has: someone will walk around in the stage.
+        levels: Whether the cfg has label levels.
+    """
+    asked = set(outputs)
+    if keep is Keep.ALL:
+        return Needs(True, levels, True)
+    others = not asked <= BUILT_IN.keys()
+    labels = "label" in asked or (others and levels)
+    return Needs("rgb" in asked, labels, others or bool(asked & {"instance", "amodal"}))
+
+
+def with_color(rigs: tuple[Rig, ...], keep: Keep = Keep.SEEN) -> tuple[Rig, ...]:
+    """The rigs with those sensors only that show color: others do not see how fine pictures are.
+
+    Args:
+        rigs: All of them; given back as they are where each sensor does.
+        keep: With ``Keep.ALL`` every sensor may.
+    """
+    colored = all("rgb" in s.outputs and not rig.lidars for rig in rigs for s in rig.sensors)
+    if keep is Keep.ALL or colored:
+        return rigs
+    seeing = (
+        replace(rig, sensors=tuple(s for s in rig.sensors if "rgb" in s.outputs), lidars=())
+        for rig in rigs
+    )
+    return tuple(rig for rig in seeing if rig.sensors)
+
+
+@dataclass(frozen=True)
+class Used:
+    """What is left of a Scene's contents.
+
+    Attributes:
+        materials, ground, objects: As in ``Scene``.
+        left_out: Entries for report.json.
+    """
+
+    materials: dict[str, Material]
+    ground: Ground
+    objects: tuple[Scatter | Placed, ...]
+    left_out: list[dict[str, Any]] = field(default_factory=list)
+
+
+def without_unused(
+    materials: Mapping[str, Material],
+    ground: Ground,
+    objects: Sequence[Scatter | Placed],
+    needs: Needs,
+) -> Used:
+    """Leaves out models that nothing is, layers that show nowhere, materials that nothing has.
+
+    Classes without instances stay in the list, since their ids stay reserved; they have no
+    prototypes then, and are not written.
+
+    Args:
+        materials: By name; empty where no color is asked for.
+        ground: The terrain.
+        objects: What stands on it.
+        needs: What the outputs show.
+    """
+    left_out: list[dict[str, Any]] = []
+    kept = [_without_unused_prototypes(one, left_out) for one in objects]
+    if needs.color:
+        ground = _without_hidden_layers(ground, left_out)
+    used = {layer.material for layer in ground.layers}
+    for one in kept:
+        used |= materials_of(one)
+    why = "nothing in the stage is made of it"
+    left_out += [entry(PASS, f"materials/{name}", why) for name in materials if name not in used]
+    return Used(
+        {name: material for name, material in materials.items() if name in used},
+        ground,
+        tuple(kept),
+        left_out,
+    )
+
+
+def materials_of(objects: Scatter | Placed) -> set[str]:
+    """Names of the materials that a class shows: none where there is no instance."""
+    if not objects.prototypes:
+        return set()
+    own = {part.material for mesh in objects.prototypes for part in mesh.parts}
+    return {name for name in (objects.material, *own) if name is not None}
+
+
+def without_ids(objects: Sequence[Scatter | Placed], needs: Needs) -> tuple[Scatter | Placed, ...]:
+    """The classes; none has ids where no output shows them.
+
+    Args:
+        objects: What stands on the ground.
+        needs: What the outputs show.
+    """
+    if needs.ids:
+        return tuple(objects)
+    return tuple(replace(one, instances=False) for one in objects)
+
+
+def _without_unused_prototypes(
+    one: Scatter | Placed, left_out: list[dict[str, Any]]
+) -> Scatter | Placed:
+    used, prototype = np.unique(one.prototype, return_inverse=True)
+    if len(used) == len(one.prototypes):
+        return one
+    kept = set(used.tolist())
+    gone = [mesh for i, mesh in enumerate(one.prototypes) if i not in kept]
+    why = "no object is one" if one.count else "there is no object of the class"
+    left_out.append(
+        entry(
+            PASS,
+            f"objects/{one.name}: {_counted(len(gone), 'model')} of {len(one.prototypes)}",
+            why,
+            size=sum(_bytes_of(mesh) for mesh in gone),
+        )
+    )
+    return replace(
+        one,
+        prototypes=tuple(one.prototypes[i] for i in used.tolist()),
+        prototype=prototype.astype(np.int32),
+    )
+
+
+def _bytes_of(mesh: Prototype | Tile) -> int:
+    """Of what is always written of a mesh: points, faces, and three a face."""
+    return int(mesh.points.nbytes + mesh.faces.nbytes + _NUMBER * len(mesh.faces))
+
+
+def _without_hidden_layers(ground: Ground, left_out: list[dict[str, Any]]) -> Ground:
+    """The ground without layers whose weight is 0 at every vertex.
+
+    Those change no color, with or without heights, and lie on no face.
+    """
+    layers = ground.layers
+    shown = [
+        i == 0 or any(tile.weights[i - 1].any() or (tile.layer == i).any() for tile in ground.tiles)
+        for i in range(len(layers))
+    ]
+    if all(shown):
+        return ground
+    for i, layer in enumerate(layers):
+        if not shown[i]:
+            left_out.append(
+                entry(
+                    PASS,
+                    f"terrain/ground/{i}: the layer of {layer.material}",
+                    "it shows nowhere on the terrain",
+                    size=sum(tile.weights[i - 1].nbytes for tile in ground.tiles),
+                )
+            )
+    number = np.cumsum(shown, dtype=np.int32) - 1
+    rows = np.flatnonzero(shown[1:])
+    tiles = tuple(
+        replace(
+            tile,
+            layer=number[tile.layer].astype(np.int32),
+            weights=np.ascontiguousarray(tile.weights[rows]),
+        )
+        for tile in ground.tiles
+    )
+    return Ground(tuple(layer for layer, is_shown in zip(layers, shown, strict=True) if is_shown),
+                  tiles)  # fmt: skip
+
+
+def note_outputs(
+    needs: Needs, plan: Plan, ground: Ground, objects: Sequence[Scatter | Placed]
+) -> list[dict[str, Any]]:
+    """Entries about what no output shows, with the bytes of the arrays that it would take.
+
+    Args:
+        needs: What the outputs show.
+        plan: What the cfg has.
+        ground, objects: What stays.
+    """
+    meshes: list[Tile | Prototype] = [
+        *ground.tiles,
+        *(mesh for one in objects for mesh in one.prototypes),
+    ]
+    found = []
+    if not needs.color:
+        on_ground = sum(len(tile.points) for tile in ground.tiles)
+        size = _SHADING * sum(len(mesh.points) for mesh in meshes)
+        # Weights of merges, and the variation.
+        size += _NUMBER * len(plan.terrain.layers) * on_ground
+        found = [
+            entry(PASS, "terrain, objects: shading normals, weights, colors", _NO_RGB, size=size),
+            entry(
+                PASS,
+                f"materials: {_counted(len(plan.materials), 'material')}",
+                _NO_RGB,
+                size=sum(_file_bytes(material) for material in plan.materials.values()),
+            ),
+        ]
+        if plan.light.sun is not None or plan.light.sky is not None or plan.light.lamps:
+            found.append(entry(PASS, "light: sun, sky, lamps, haze", _NO_RGB))
+    if not needs.labels and plan.label_table:
+        faces = sum(len(tile.faces) for tile in ground.tiles)
+        found.append(
+            entry(
+                PASS,
+                "labels: ids of faces and the cut along label lines",
+                _NO_LABELS,
+                size=_NUMBER * len(plan.label_table) * faces,
+            )
+        )
+    count = sum(one.count for one in objects)
+    if not needs.ids and count:
+        found.append(
+            entry(PASS, f"objects: ids of {_counted(count, 'instance')}", _NO_IDS, size=8 * count)
+        )
+    return found
+
+
+def _file_bytes(material: Material) -> int:
+    """Of a material's pictures that are files."""
+    files = material.maps.files.values() if material.maps is not None else ()
+    return sum(file.stat().st_size if isinstance(file, Path) else len(file.data) for file in files)
+
+
+def _counted(number: int, what: str) -> str:
+    return f"{number:,} {what}" + ("" if number == 1 else "s")

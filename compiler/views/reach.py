@@ -1,0 +1,75 @@
+"""Leaving out lamps whose cones hold nothing of the scene."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenec.compiler.arithmetic import elementary
+from scenec.compiler.scene.scene import Ground, Lamp, Placed, Scatter
+from scenec.compiler.views.needed import PASS
+from scenec.schemas.left_out import entry
+
+#: What rounding can do to angles and distances, relative: far more than it does.
+_SLACK = 1e-6
+
+
+def without_idle(
+    lamps: Sequence[Lamp], ground: Ground, objects: Sequence[Scatter | Placed]
+) -> tuple[tuple[Lamp, ...], list[dict[str, Any]]]:
+    """The lamps that light something at one sample at least; entries about the others.
+
+    A test that errs one way only: geometry counts as the balls around tiles and instances, at all
+    samples; a lamp as the ball it is.
+
+    Args:
+        lamps: The lamps.
+        ground: The terrain.
+        objects: What stands on it.
+    """
+    if not lamps:
+        return (), []
+    balls = [_ball_of_tiles(ground), *(one.balls() for one in objects)]
+    middles = np.concatenate([middle for middle, _ in balls])
+    radii = np.concatenate([radius for _, radius in balls])
+    kept, left_out = [], []
+    for lamp in lamps:
+        if any(_reaches(lamp, i, middles, radii) for i in range(len(lamp.to_world))):
+            kept.append(lamp)
+            continue
+        why = "nothing of the scene is in its cone at any sample"
+        left_out.append(entry(PASS, f"light/lamps/{lamp.name}", why))
+    return tuple(kept), left_out
+
+
+def _ball_of_tiles(ground: Ground) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    boxes = [(tile.points.min(axis=0), tile.points.max(axis=0)) for tile in ground.tiles]
+    low, high = (np.array([box[end] for box in boxes], np.float64) for end in (0, 1))
+    half = 0.5 * (high - low)
+    middles = np.array([tile.translate for tile in ground.tiles]) + low + half
+    return middles, np.sqrt((half * half).sum(axis=1))
+
+
+def _reaches(
+    lamp: Lamp, sample: int, middles: NDArray[np.float64], radii: NDArray[np.float64]
+) -> bool:
+    """Whether a cone around the lamp's cone (its apex further back) meets a ball at a sample."""
+    if not lamp.intensity[sample].any():
+        return False
+    half = float(lamp.cone_deg[sample]) * (elementary.PI / 180.0)
+    if half >= 0.5 * elementary.PI:
+        # More than half of all directions: hardly a lamp that lights nothing.
+        return True
+    matrix = lamp.to_world[sample]
+    axis = -matrix[:3, 2] / np.sqrt((matrix[:3, 2] * matrix[:3, 2]).sum())
+    way = middles - matrix[:3, 3]
+    distance = np.sqrt((way * way).sum(axis=1))
+    reach = radii + float(lamp.radius_m[sample]) + _SLACK * (distance + radii)
+    along = (way * axis).sum(axis=1)
+    across = np.sqrt(np.maximum(distance * distance - along * along, 0.0))
+    # Distance of a ball's middle to the cone's side; behind the apex it is farther than that.
+    beside = across * elementary.cos(half) - along * elementary.sin(half)
+    return bool(((distance <= reach) | (beside <= reach)).any())

@@ -1,0 +1,115 @@
+"""Objects of a batch as bodies: what is dropped, and what it may meet."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenec.compiler.geometry.poses import from_quaternion
+from scenec.compiler.objects.poses import PlacedPlan
+from scenec.compiler.scene.plan import ScatterPlan
+from scenec.compiler.scene.scene import Placed, Scatter
+from scenec.settle.shapes import Shape, shape_of
+
+
+@dataclass(frozen=True)
+class Body:
+    """One object.
+
+    Attributes:
+        owner: Name of its class.
+        id: Its local id.
+        model: Index of its model in the cfg; -1 for a rock.
+        shape: What physics sees of it.
+        position: Of the model's origin in the world, meters, [3].
+        quaternion: w, x, y, z, [4].
+        scale: Factor on the model.
+    """
+
+    owner: str
+    id: int
+    model: int
+    shape: Shape
+    position: NDArray[np.float64]
+    quaternion: NDArray[np.float64]
+    scale: float
+
+    @property
+    def radius(self) -> float:
+        """Of the ball around ``center`` that holds it, meters."""
+        return self.scale * self.shape.radius
+
+    @property
+    def center(self) -> NDArray[np.float64]:
+        """Of the ball, world, [3]."""
+        return self.at(self.shape.center[None])[0]
+
+    def at(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Points of the model in the world, [n, 3]."""
+        turn = self.scale * from_quaternion(np.zeros(3), self.quaternion)[:3, :3]
+        return (points[:, None, :] * turn[None]).sum(axis=2) + self.position
+
+    def raised(self, by: float) -> Body:
+        """The body higher up, meters."""
+        return replace(self, position=self.position + np.array([0.0, 0.0, by]))
+
+
+def bodies_of(
+    plan: ScatterPlan | PlacedPlan, laid: Scatter | Placed, *, measure: bool
+) -> list[Body]:
+    """The objects of a class, at the first sample.
+
+    Args:
+        plan: What was drawn of the class.
+        laid: Where its objects stand.
+        measure: Whether the gap between hulls and meshes is measured.
+    """
+    shapes: dict[int, Shape] = {}
+    found = []
+    for n in range(laid.count):
+        which = int(laid.prototype[n])
+        if which not in shapes:
+            shapes[which] = shape_of(laid.prototypes[which], measure)
+        number = int(laid.ids[n])
+        if isinstance(laid, Placed):
+            matrix = laid.to_world[n, 0]
+            columns = matrix[:, :3]
+            scale = float(np.sqrt((columns * columns).sum() / 3.0))
+            quaternion, position = quaternion_of_matrix(columns / scale), matrix[:, 3]
+            model = which
+        else:
+            x, y, z, w = laid.orientations[n].astype(np.float64)
+            quaternion = np.array([w, x, y, z])
+            quaternion = quaternion / np.sqrt((quaternion * quaternion).sum())
+            position = laid.positions[n].astype(np.float64)
+            scale = float(laid.scales[n].max())
+            # Prototypes that no instance shows are left out of a class: the plan counts all.
+            model = -1 if isinstance(plan, PlacedPlan) else int(plan.prototype[number - 1])
+        found.append(Body(laid.name, number, model, shapes[which], position, quaternion, scale))
+    return found
+
+
+def quaternion_of_matrix(turn: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The unit quaternion (w, x, y, z), w >= 0, of a rotation matrix, [4].
+
+    By its largest component (Shepperd 1978), so that nothing cancels.
+    """
+    trace = turn[0, 0] + turn[1, 1] + turn[2, 2]
+    squares = np.array([trace, turn[0, 0], turn[1, 1], turn[2, 2]])
+    k = int(np.argmax(squares))
+    out = np.empty(4)
+    if k == 0:
+        out[0] = 1.0 + trace
+        out[1] = turn[2, 1] - turn[1, 2]
+        out[2] = turn[0, 2] - turn[2, 0]
+        out[3] = turn[1, 0] - turn[0, 1]
+    else:
+        i, j, m = k - 1, k % 3, (k + 1) % 3
+        out[0] = turn[m, j] - turn[j, m]
+        out[k] = 1.0 + turn[i, i] - turn[j, j] - turn[m, m]
+        out[1 + j] = turn[j, i] + turn[i, j]
+        out[1 + m] = turn[m, i] + turn[i, m]
+    out /= np.sqrt((out * out).sum())
+    return -out if out[0] < 0.0 else out
