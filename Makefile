@@ -89,7 +89,7 @@ wheel: setup  ## Build the wheel into dist/.
 	@echo "== Building the wheel"
 	@.venv/bin/python -m build --wheel --no-isolation
 
-clean:  ## Remove caches (numba's too) and build results; keep .venv and out/.
+clean:  ## Remove caches and build results; keep .venv and out/.
 	@echo "== Removing caches and build results"
 	@rm -rf build dist src/scenec.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	@find . -path ./.venv -prune -o -path ./.git -prune -o -name __pycache__ -type d -print0 \

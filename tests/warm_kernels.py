@@ -1,4 +1,4 @@
-"""Fills an empty numba cache before the tests start: ``python tests/warm_kernels.py``.
+"""Fills an empty folder of kernels before the tests start: ``python tests/warm_kernels.py``.
 
 Two test processes that start without one meet the same kernels in the same order, and each compiles
 all of them. Here one process compiles those of the compiler while another compiles those of the
@@ -12,6 +12,8 @@ import subprocess
 import sys
 import tempfile
 from pathlib import Path
+
+from scenec.schemas.kernels import user_folder
 
 TESTS = Path(__file__).resolve().parent
 #: Disjoint: neither needs kernels of the other but a few small ones.
@@ -31,9 +33,8 @@ render(stage, "mitsuba", spp=2, passes=["rgb", "depth", "instance", "face", "nor
 
 
 def is_cold() -> bool:
-    """Whether no kernel of the compiler has been compiled here."""
-    chosen = os.environ.get("NUMBA_CACHE_DIR")
-    return next(Path(chosen or TESTS.parent / "compiler").rglob("*.nbi"), None) is None
+    """Whether no kernel has been kept."""
+    return not any(user_folder().glob("*"))
 
 
 def main() -> None:

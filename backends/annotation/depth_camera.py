@@ -19,7 +19,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.backends.annotation.contract import Picture, built_in
@@ -33,13 +32,14 @@ from scenec.backends.stage.scene import Camera
 from scenec.schemas.correspondence import VISIBLE
 from scenec.schemas.depth_camera import MEASURED, StereoDepth, TimeOfFlightDepth
 from scenec.schemas.errors import CameraRefusedError
+from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
 
 _MEASURED = np.uint64(2)
 _ZERO = np.uint64(0)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _stereo(first, last, depth, seen, fb, noise, step, near, far, key, sample, out):  # type: ignore[no-untyped-def]
     for k in range(first, last):
         out[k] = 0.0
@@ -53,7 +53,7 @@ def _stereo(first, last, depth, seen, fb, noise, step, near, far, key, sample, o
             out[k] = fb / d
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _time_of_flight_part(  # type: ignore[no-untyped-def]
     first, last, seen, per_range, weights, turn, noise, bounds, key, sample, out
 ):

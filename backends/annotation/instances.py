@@ -10,7 +10,6 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.backends.annotation.outlines import Outliner
@@ -26,6 +25,7 @@ from scenec.schemas.instances import (
     POSE_COLUMNS,
     InstanceTable,
 )
+from scenec.schemas.kernels import kernel
 
 _IDENTITY = np.eye(4)[:3]
 
@@ -339,7 +339,7 @@ def _decomposed(matrix: NDArray[np.float64]) -> Poses:
     return poses
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _normalized(v):  # type: ignore[no-untyped-def]
     """Make a vector as long as 1; False, and the vector as it was, where there is none."""
     # Scaled first: squares of small numbers may underflow.
@@ -354,14 +354,14 @@ def _normalized(v):  # type: ignore[no-untyped-def]
     return True
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _cross(a, b, out):  # type: ignore[no-untyped-def]
     out[0] = a[1] * b[2] - a[2] * b[1]
     out[1] = a[2] * b[0] - a[0] * b[2]
     out[2] = a[0] * b[1] - a[1] * b[0]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _set_across(v, out):  # type: ignore[no-untyped-def]
     """Some unit vector across another, which is not 0."""
     least = 0
@@ -374,7 +374,7 @@ def _set_across(v, out):  # type: ignore[no-untyped-def]
     _normalized(out)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _decompose(matrix, rotation, scale, rest):  # type: ignore[no-untyped-def]
     x, y, z = np.empty(3), np.empty(3), np.empty(3)
     for k in range(matrix.shape[0]):
@@ -434,7 +434,7 @@ def quaternions(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _set_quaternions(rotation, out):  # type: ignore[no-untyped-def]
     for k in range(rotation.shape[0]):
         m, q = rotation[k], out[k]
@@ -461,7 +461,7 @@ def _set_quaternions(rotation, out):  # type: ignore[no-untyped-def]
             q[i] = q[i] / length + 0.0
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _measure(row, t, slot_of_row, width, pixels, depths):  # type: ignore[no-untyped-def]
     """Per instance: pixels, first column and row, last column and row; least depth, sum, most."""
     for k in range(row.shape[0]):

@@ -12,7 +12,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.backends.annotation.contract import View
@@ -23,13 +22,14 @@ from scenec.backends.contract import Rays
 from scenec.backends.exact import ExactCaster
 from scenec.backends.imaging.chance import philox, quantile, unit
 from scenec.backends.stage.scene import Lidar, RenderScene
+from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
 
 _LOW, _HALF = np.uint64(0xFFFFFFFF), np.uint64(32)
 _TURNED, _ANSWERED = np.uint64(0), np.uint64(1)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _directions(first, last, elevations, azimuths, noise, key, sample, m, out):  # type: ignore[no-untyped-def]
     """World directions of the rays that are cast."""
     count = azimuths.shape[0]
@@ -45,7 +45,7 @@ def _directions(first, last, elevations, azimuths, noise, key, sample, m, out): 
             out[k, i] = m[i, 0] * x + m[i, 1] * y + m[i, 2] * z
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _answers(first, last, t, near, far, steady, ratio, lost, key, sample, out):  # type: ignore[no-untyped-def]
     """Ranges with noise; +inf where there is no answer."""
     for k in range(first, last):

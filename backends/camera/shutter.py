@@ -11,10 +11,10 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.backends.stage.scene import Camera, OpenShutter
+from scenec.schemas.kernels import kernel
 from scenec.schemas.lens import shown_at
 from scenec.schemas.shutter import between, turn_vectors
 from scenec.schemas.threads import over_threads
@@ -248,7 +248,7 @@ class _Search:
         ), rounding
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _see(begin, end, times, poses, turns, at, points, far, local, eye):  # type: ignore[no-untyped-def]
     """Points in the frames of cameras between poses: ``schemas.shutter.between``, one by one."""
     last = times.shape[0] - 1

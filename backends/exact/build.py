@@ -17,9 +17,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
 
 NODE_WORDS = 16
@@ -40,7 +40,7 @@ def empty_nodes(count: int) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
     return nodes, nodes.view(np.int32)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _half_area(box):  # type: ignore[no-untyped-def]
     x = box[3] - box[0]
     y = box[4] - box[1]
@@ -48,21 +48,21 @@ def _half_area(box):  # type: ignore[no-untyped-def]
     return x * y + y * z + z * x
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _grow(box, boxes, entry):  # type: ignore[no-untyped-def]
     for i in range(3):
         box[i] = min(box[i], boxes[entry, i])
         box[i + 3] = max(box[i + 3], boxes[entry, i + 3])
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _clear(box):  # type: ignore[no-untyped-def]
     for i in range(3):
         box[i] = np.float32(math.inf)
         box[i + 3] = np.float32(-math.inf)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _split(boxes, order, start, stop, depth, leaf_size, leaf_cost, box_a, box_b, counts, bins):  # type: ignore[no-untyped-def]
     """Partition order[start:stop]; the index of the second part, or ``start`` for a leaf.
 
@@ -157,7 +157,7 @@ def _split(boxes, order, start, stop, depth, leaf_size, leaf_cost, box_a, box_b,
     return middle
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def build_range(  # type: ignore[no-untyped-def]
     boxes, order, start, stop, depth, nodes, links, first, leaf_size, leaf_cost, task_size, tasks
 ):
@@ -237,7 +237,7 @@ def build_range(  # type: ignore[no-untyped-def]
     return used, listed
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def build_tasks(first, last, boxes, order, tasks, nodes, links, leaf_size, leaf_cost):  # type: ignore[no-untyped-def]
     """Build the ranges that ``build_range`` left, each into the nodes from its start on."""
     none = np.empty((0, 5), np.int64)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.backends.contract import NO_ROW, Rays
@@ -14,10 +13,11 @@ from scenec.backends.exact.intersect import hit_parameter, ray_frame, row_matrix
 from scenec.backends.exact.moving import MovingRows
 from scenec.backends.exact.trace import trace_all
 from scenec.backends.stage.scene import RenderScene
+from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _test_all(first, last, g, origins, directions, index, row, face, t):  # type: ignore[no-untyped-def]
     for k in range(first, last):
         t[k] = np.inf

@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.backends.contract import Rays
@@ -18,10 +17,11 @@ from scenec.backends.exact.build import STACK_SIZE
 from scenec.backends.exact.bvh import Geometry
 from scenec.backends.exact.cones import _SLACK, _TILE, _cone, _unit, eye_of
 from scenec.backends.exact.silhouette import LANES, _meets
+from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _sphere_cone(sphere, origin, out):  # type: ignore[no-untyped-def]
     """Towards a sphere, and the half angle that it fills; pi within it."""
     for i in range(3):
@@ -34,7 +34,7 @@ def _sphere_cone(sphere, origin, out):  # type: ignore[no-untyped-def]
     return math.asin(sphere[3] / distance * (1.0 + 1e-9)) + 1e-9
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _tiles(first, last, unit, width, height, tiles):  # type: ignore[no-untyped-def]
     """Cones around the rays of tiles of the picture, [n, 5]."""
     across = -(-width // _TILE)
@@ -43,7 +43,7 @@ def _tiles(first, last, unit, width, height, tiles):  # type: ignore[no-untyped-
         _cone(unit, width, x0, min(x0 + _TILE, width), y0, min(y0 + _TILE, height), tiles[n])
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _windows(first, last, spheres, rows, origin, tiles, width, height, parts):  # type: ignore[no-untyped-def]
     across = -(-width // _TILE)
     for k in range(first, last):
@@ -100,7 +100,7 @@ def _widened(geometry: Geometry, spread: float) -> NDArray[np.float64]:
     return wider
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _at_border(known, width, height, x, y):  # type: ignore[no-untyped-def]
     """Whether a pixel is one of the picture's last, or beside one without a ray."""
     if x == 0 or y == 0 or x == width - 1 or y == height - 1:
@@ -112,7 +112,7 @@ def _at_border(known, width, height, x, y):  # type: ignore[no-untyped-def]
     return False
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _outline_part(  # type: ignore[no-untyped-def]
     first,
     last,

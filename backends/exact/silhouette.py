@@ -19,11 +19,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from scenec.backends.exact.build import STACK_SIZE
 from scenec.backends.exact.intersect import hit_parameter, ray_frame, row_matrix
 from scenec.backends.exact.trace import _enter, _local_ray, _slabs
+from scenec.schemas.kernels import kernel
 
 #: Pictures that the plane of the silhouettes goes on by on each side.
 MARGIN = 1
@@ -40,7 +40,7 @@ _WITHOUT_END = 1e100
 LANES = 64
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def set_direction(k, pose, column, row, out):  # type: ignore[no-untyped-def]
     """The ray through a pixel's center: to the bit that of ``rays.camera_rays``."""
     y = (row + 0.5 - k[1, 2]) / k[1, 1]
@@ -49,7 +49,7 @@ def set_direction(k, pose, column, row, out):  # type: ignore[no-untyped-def]
         out[i] = pose[i, 0] * x + pose[i, 1] * y + pose[i, 2]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _seen_at(k, inverse, x, y, z):  # type: ignore[no-untyped-def]
     """A point relative to the eye in pixels and depth, and how far off 1 unit of error takes it."""
     depth = inverse[2, 0] * x + inverse[2, 1] * y + inverse[2, 2] * z
@@ -62,7 +62,7 @@ def _seen_at(k, inverse, x, y, z):  # type: ignore[no-untyped-def]
     return u, v, depth, focal * (1.0 + abs(a) + abs(b)) / depth
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _norm(inverse):  # type: ignore[no-untyped-def]
     total = 0.0
     for i in range(3):
@@ -70,19 +70,19 @@ def _norm(inverse):  # type: ignore[no-untyped-def]
     return total
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _first(value, low, high):  # type: ignore[no-untyped-def]
     """The first whole number that is not below a value, within [low, high]."""
     return math.ceil(min(max(value, float(low)), float(high)))
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _end(value, low, high):  # type: ignore[no-untyped-def]
     """The last whole number that is not above a value, within [low, high]."""
     return math.floor(min(max(value, float(low)), float(high)))
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _all_inside(g, row, k, pose, inverse, width, height):  # type: ignore[no-untyped-def]
     """Whether all vertices of a row lie before the camera and within the continued picture."""
     m = g.to_world[row]
@@ -102,7 +102,7 @@ def _all_inside(g, row, k, pose, inverse, width, height):  # type: ignore[no-unt
     return True
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def frame_rows(first, last, g, rows, boxes, k, pose, inverse, width, height, windows, whole):  # type: ignore[no-untyped-def]
     """Windows of pixels that hold the silhouettes of rows.
 
@@ -175,7 +175,7 @@ def frame_rows(first, last, g, rows, boxes, k, pose, inverse, width, height, win
         whole[n] = inside or _all_inside(g, row, k, pose, inverse, width, height)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def mark_shown(first, last, row, slot_of_row, seen_of_slot, width, windows, starts, marks):  # type: ignore[no-untyped-def]
     """Mark the pixels that show an instance.
 
@@ -200,7 +200,7 @@ def mark_shown(first, last, row, slot_of_row, seen_of_slot, width, windows, star
                 marks[starts[seen] + (y - window[2]) * across + x - window[0]] = 1
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _meets(g, row, origin, direction, stack):  # type: ignore[no-untyped-def]
     """Whether a ray meets any triangle of a row."""
     frame = ray_frame(origin, direction)
@@ -233,7 +233,7 @@ def _meets(g, row, origin, direction, stack):  # type: ignore[no-untyped-def]
     return False
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _cast_window(g, row, part, k, pose, origin, mask, left, top):  # type: ignore[no-untyped-def]
     """Mark what rays through the pixels of a window meet of a row."""
     stack = np.empty(2 * STACK_SIZE, np.int32)
@@ -246,7 +246,7 @@ def _cast_window(g, row, part, k, pose, origin, mask, left, top):  # type: ignor
                     mask[y - top, x - left] = 1
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _test_pixels(  # type: ignore[no-untyped-def]
     points, face, to_world, row, k, pose, origin, direction, mask, left, y, line, start, stop
 ):
@@ -260,7 +260,7 @@ def _test_pixels(  # type: ignore[no-untyped-def]
                 mask[line, x - left] = 1
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _span(a, inverse_a, b, slack, start, stop):  # type: ignore[no-untyped-def]
     """First column and end, within [start, stop), of where three linear functions reach ``slack``.
 
@@ -279,7 +279,7 @@ def _span(a, inverse_a, b, slack, start, stop):  # type: ignore[no-untyped-def]
     return first, max(first, _first(high, start, stop))
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _fill_rows(g, row, part, k, pose, inverse, origin, base, mask, left, top):  # type: ignore[no-untyped-def]
     """Mark what the triangles of a row cover, line by line; ``base`` is its mesh's points."""
     norm = _norm(inverse)
@@ -384,7 +384,7 @@ def _fill_rows(g, row, part, k, pose, inverse, origin, base, mask, left, top):  
                     )  # fmt: skip
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _outline(g, rows, parts, bases, window, ray_cost, k, pose, inverse, mask):  # type: ignore[no-untyped-def]
     """Mark the silhouette of one instance in its window."""
     origin = pose[:3, 3].copy()
@@ -404,7 +404,7 @@ def _outline(g, rows, parts, bases, window, ray_cost, k, pose, inverse, mask):  
             _fill_rows(g, row, part, k, pose, inverse, origin, bases[n], mask, window[0], window[2])
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def outline_all(  # type: ignore[no-untyped-def]
     first, last, g, rows, parts, bases, firsts, order, windows, starts, ray_cost, k, pose, inverse,
     width, height, marks, areas
@@ -454,7 +454,7 @@ def outline_all(  # type: ignore[no-untyped-def]
             areas[n, 1] = every
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def runs(  # type: ignore[no-untyped-def]
     first, last, order, windows, starts, marks, width, height, fill, sizes, begins, counts
 ):

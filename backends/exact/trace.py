@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
-from scenec.backends.exact.borrowed import borrowed
 from scenec.backends.exact.build import STACK_SIZE
 from scenec.backends.exact.bvh import ROUNDING
 from scenec.backends.exact.intersect import hit_parameter, ray_frame, row_matrix
+from scenec.schemas.borrowed import borrowed
+from scenec.schemas.kernels import inlined, kernel
 from scenec.schemas.threads import over_threads
 
 #: Rays a thread takes at a time.
@@ -19,14 +19,14 @@ _CHUNK = 512
 _HUGE = 1e280
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _reciprocal(x: float) -> float:
     if abs(x) < 1.0 / _HUGE:
         return math.copysign(_HUGE, x)
     return 1.0 / x
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _slabs(o, d, pad):  # type: ignore[no-untyped-def]
     """What a ray needs to be tested against boxes widened by ``pad``, for ``_enter``."""
     ix = _reciprocal(d[0])
@@ -44,7 +44,7 @@ def _slabs(o, d, pad):  # type: ignore[no-untyped-def]
     )  # fmt: skip
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _enter(box, base, s, limit):  # type: ignore[no-untyped-def]
     """Parameter at which a ray enters a node's box, or +inf if it misses it before ``limit``."""
     near = max(
@@ -61,7 +61,7 @@ def _enter(box, base, s, limit):  # type: ignore[no-untyped-def]
     return math.inf
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _local_ray(m, origin, direction):  # type: ignore[no-untyped-def]
     o = (
         ((m[0, 0] * origin[0] + m[0, 1] * origin[1]) + m[0, 2] * origin[2]) + m[0, 3],
@@ -76,7 +76,7 @@ def _local_ray(m, origin, direction):  # type: ignore[no-untyped-def]
     return o, d
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@inlined
 def _test_leaf(g, start, count, first, row, matrix, frame, t, best_row, best_face):  # type: ignore[no-untyped-def]
     for k in range(start, start + count):
         face = g.face_order[k]
@@ -90,7 +90,7 @@ def _test_leaf(g, start, count, first, row, matrix, frame, t, best_row, best_fac
     return t, best_row, best_face
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@inlined
 def _trace_row(g, row, frame, origin, direction, size, t, best_row, best_face, stack, keys):  # type: ignore[no-untyped-def]
     """Improve the best hit (t, row, face) by the triangles of one row."""
     o, d = _local_ray(g.to_local[row], origin, direction)
@@ -143,7 +143,7 @@ def _trace_row(g, row, frame, origin, direction, size, t, best_row, best_face, s
             return t, best_row, best_face
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@inlined
 def trace(g, origin, direction, t, best_row, best_face, stack, keys):  # type: ignore[no-untyped-def]
     """Nearest hit of one ray, ties to the lowest (row, face).
 
@@ -209,7 +209,7 @@ def trace(g, origin, direction, t, best_row, best_face, stack, keys):  # type: i
     return t, best_row, best_face
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _trace_some(  # type: ignore[no-untyped-def]
     scene, all_origins, all_directions, index, start, stop, row, face, t, stack_room, keys_room
 ):
@@ -223,7 +223,7 @@ def _trace_some(  # type: ignore[no-untyped-def]
         )
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _trace_all_part(first, last, g, origins, directions, index, row, face, t):  # type: ignore[no-untyped-def]
     count = index.shape[0]
     for chunk in range(first, last):

@@ -14,7 +14,6 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.backends.imaging import develop, optics, sensor
@@ -24,6 +23,7 @@ from scenec.backends.imaging.taken import Taken
 from scenec.backends.stage.scene import Camera
 from scenec.schemas import imaging as formulas
 from scenec.schemas.imaging import Imaging
+from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
 
 _LUMINANCE = (0.2126, 0.7152, 0.0722)
@@ -207,7 +207,7 @@ def _without_noise(
     return out
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _expected(first, last, light, shade, weights, full, gain, steps, out):  # type: ignore[no-untyped-def]
     for line in range(first, last):
         y = np.int64(line)
@@ -220,7 +220,7 @@ def _expected(first, last, light, shade, weights, full, gain, steps, out):  # ty
                 out[y, x, color] = min(min(made, full) / gain, steps)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _log_luminance_part(first, last, rgb, out):  # type: ignore[no-untyped-def]
     for line in range(first, last):
         y = np.int64(line)

@@ -11,10 +11,10 @@ from decimal import Decimal
 from functools import lru_cache
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.backends.imaging.sensor import COLORS
+from scenec.schemas.kernels import kernel
 from scenec.schemas.picture import SHOULDER
 from scenec.schemas.threads import over_threads
 
@@ -167,14 +167,14 @@ def _balanced(
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _mirror(i: int, n: int) -> int:
     """An index beyond an edge, mirrored at the last pixel: -1 is 1."""
     i = abs(i) % (2 * n - 2)
     return i if i < n else 2 * n - 2 - i
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _balance(first, last, raw, black, factors, out):  # type: ignore[no-untyped-def]
     h, w = raw.shape
     for line in range(first, last):
@@ -189,7 +189,7 @@ def _balance(first, last, raw, black, factors, out):  # type: ignore[no-untyped-
             row[w + 1 - x] = row[_mirror(w - 1 - x, w) + 2]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _row_colors(m, y, i, colors, k, out):  # type: ignore[no-untyped-def]
     """All colors of every second pixel of a row, from column i; ``m`` has the borders."""
     w = m.shape[1] - 4
@@ -217,14 +217,14 @@ def _row_colors(m, y, i, colors, k, out):  # type: ignore[no-untyped-def]
             out[x, 2 - own] = quarter * diagonal + k[6] * itself + k[7] * far
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _demosaic(padded, colors, corrections, out):  # type: ignore[no-untyped-def]
     for y in range(out.shape[0]):
         for i in range(2):
             _row_colors(padded, y, i, colors, corrections, out[y])
 
 
-@njit(cache=True, error_model="numpy", no_cpython_wrapper=True)
+@kernel
 def _show(row, most, matrix, edges, starts, out):  # type: ignore[no-untyped-def]
     """Codes of a line of colors, which are lost."""
     for x in range(row.shape[0]):
@@ -239,7 +239,7 @@ def _show(row, most, matrix, edges, starts, out):  # type: ignore[no-untyped-def
             out[x, c] = code + 1 if edges[code] <= row[x, c] else code
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _from_mosaic(  # type: ignore[no-untyped-def]
     first,
     last,
@@ -259,7 +259,7 @@ def _from_mosaic(  # type: ignore[no-untyped-def]
         _show(row, most, matrix, edges, starts, out[line])
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _from_colors(  # type: ignore[no-untyped-def]
     first,
     last,

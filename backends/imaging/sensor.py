@@ -15,7 +15,6 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.backends.imaging.chance import (
@@ -29,6 +28,7 @@ from scenec.backends.imaging.chance import (
     quantiles,
     unit,
 )
+from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
 
 #: Last word of the counter: what is drawn. Words of a pattern: PRNU, DSNU, whether hot or dead, how
@@ -152,7 +152,7 @@ def expose(
     return out
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _pattern_part(  # type: ignore[no-untyped-def]
     first, last, key, h, w, planes, prnu, dsnu_e, hot, hot_rate, dead, table, gain, offset, rate
 ):
@@ -194,7 +194,7 @@ def _pattern(key, h, w, planes, prnu, dsnu_e, hot, hot_rate, dead, table):  # ty
     return gain, offset, rate
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _number(light, dark, gain, offset, shot_word, read_word, n, shot, table):  # type: ignore[no-untyped-def]
     """The number of a pixel; ``n``: dark_e, full_well_e, read_e, 1 / gain, black, largest, cap."""
     # Beyond the cap a pixel is full whatever its noise.
@@ -207,7 +207,7 @@ def _number(light, dark, gain, offset, shot_word, read_word, n, shot, table):  #
     return np.uint16(min(max(np.floor(n[4] + made * n[3] + 0.5), 0.0), n[5]))
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def electrons(r, g, b, r_weight, g_weight, b_weight):  # type: ignore[no-untyped-def]
     """Electrons that light makes in a pixel; what is negative or NaN counts as 0."""
     r, g, b = np.float64(r), np.float64(g), np.float64(b)
@@ -217,7 +217,7 @@ def electrons(r, g, b, r_weight, g_weight, b_weight):  # type: ignore[no-untyped
     return max(r_weight * r + g_weight * g + b_weight * b, 0.0)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _expose(  # type: ignore[no-untyped-def]
     first,
     last,
@@ -241,7 +241,7 @@ def _expose(  # type: ignore[no-untyped-def]
         )  # fmt: skip
 
 
-@njit(cache=True, error_model="numpy", no_cpython_wrapper=True)
+@kernel
 def _expose_line(  # type: ignore[no-untyped-def]
     y, rgb, shade, weights, colors, gain, offset, out, sample, key, n, shot, table
 ):
@@ -276,7 +276,7 @@ def _expose_line(  # type: ignore[no-untyped-def]
                 out[y, 2 * k + i, p] = np.uint16(value)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _expose_hot(  # type: ignore[no-untyped-def]
     rgb, shade, weights, colors, gain, offset, out, sample, key, n, shot, table, hot, more
 ):

@@ -13,7 +13,6 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.backends.contract import NO_ROW, Rays, Visibility
@@ -23,6 +22,7 @@ from scenec.backends.mitsuba.corners import vertex_uv
 from scenec.backends.mitsuba.geometry import Group, cofactors, group_surfaces, unplaced
 from scenec.backends.mitsuba.surfaces import make_look
 from scenec.backends.stage.scene import RenderScene
+from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
 
 #: Rays that are cast and shaded at once: some 400 bytes each.
@@ -345,13 +345,13 @@ def _tables(scene: RenderScene) -> _Tables:
     return _Tables(normals, uv, values, scene.rows.variation.astype(np.float32))
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _unit(v):  # type: ignore[no-untyped-def]
     length = np.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
     return v / length if length > 0.0 else v
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _corners(g, row, vertices):  # type: ignore[no-untyped-def]
     """Of a face in the world, [3, 3]."""
     m = g.to_world[row]
@@ -363,7 +363,7 @@ def _corners(g, row, vertices):  # type: ignore[no-untyped-def]
     return corners
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _shares(origin, way, corner, p, q, normal):  # type: ignore[no-untyped-def]
     """Of the corners where a ray crosses the plane of a face, kept inside of that."""
     steep = -(normal * way).sum()
@@ -375,7 +375,7 @@ def _shares(origin, way, corner, p, q, normal):  # type: ignore[no-untyped-def]
     return 1.0 - v - w, v, w
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _interact(  # type: ignore[no-untyped-def]
     begin, end, g, tables, origins, directions, hits, center, out
 ):

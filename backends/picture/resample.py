@@ -20,7 +20,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.backends.camera.lens import RayTable, local_rays, ray_table
@@ -28,6 +27,7 @@ from scenec.backends.contract import Backend, Radiance
 from scenec.backends.picture.tiles import radiance
 from scenec.backends.stage.scene import Camera
 from scenec.schemas.errors import CameraRefusedError
+from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
 
 #: Pixels of the views along a side of the picture's.
@@ -187,7 +187,7 @@ def _within(table: RayTable, cosine: float) -> bool:
     return bool(least.min() >= cosine)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _least_cosine(first, last, table, per_pixel, known, least):  # type: ignore[no-untyped-def]
     width = known.shape[1]
     for y in range(first, last):
@@ -235,7 +235,7 @@ def _neighbors_used(table: RayTable) -> NDArray[np.bool_]:
     return used.any(axis=0)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _find_windows(  # type: ignore[no-untyped-def]
     first, last, table, per_pixel, known, faces, single, low, high
 ):
@@ -268,7 +268,7 @@ def _find_windows(  # type: ignore[no-untyped-def]
                             high[y, f, c] = max(high[y, f, c], at)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _face_of(d):  # type: ignore[no-untyped-def]
     """The face of the cube that a ray meets."""
     x, y, z = abs(d[0]), abs(d[1]), abs(d[2])
@@ -279,7 +279,7 @@ def _face_of(d):  # type: ignore[no-untyped-def]
     return 3 if d[1] >= 0.0 else 4
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _between(table, per_pixel, x, y, out):  # type: ignore[no-untyped-def]
     """The ray through a point of the picture, pixels."""
     u, v = x * per_pixel, y * per_pixel
@@ -292,7 +292,7 @@ def _between(table, per_pixel, x, y, out):  # type: ignore[no-untyped-def]
         out[c] = (1.0 - b) * top + b * bottom
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _meet_faces(first, last, table, per_pixel, known, side, faces, used):  # type: ignore[no-untyped-def]
     width = known.shape[1]
     for y in range(first, last):
@@ -305,7 +305,7 @@ def _meet_faces(first, last, table, per_pixel, known, side, faces, used):  # typ
                         used[y, _face_of(d)] = True
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _gather(  # type: ignore[no-untyped-def]
     first, last, table, per_pixel, known, width, side, single, faces, index_of_face, numbers,
     starts, pictures, out,

@@ -10,11 +10,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.backends.stage import posing
 from scenec.backends.stage.scene import Mesh, RenderScene
+from scenec.schemas.kernels import kernel
 
 #: Faces a group; fewer would cost more calls than they save triangles.
 GROUP_FACES = 4096
@@ -345,7 +345,7 @@ def _joined(draws: NDArray[np.int64], rows: NDArray[np.int32]) -> NDArray[np.int
     return joined
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _in_view(spheres, stretch, group, error, cell, origin, planes, detail, level):  # type: ignore[no-untyped-def]
     for i in range(len(spheres)):
         radius = spheres[i, 3]
@@ -373,7 +373,7 @@ def _in_view(spheres, stretch, group, error, cell, origin, planes, detail, level
         level[i] = best
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _place(to_world, variation, rows, mesh, origin, out):  # type: ignore[no-untyped-def]
     for i in range(len(rows)):
         r = rows[i]

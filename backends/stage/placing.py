@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from pxr import Usd, UsdGeom
 
 from scenec.backends.stage import values
 from scenec.schemas.errors import StageError
+from scenec.schemas.kernels import kernel
 
 
 def instance_matrices(
@@ -98,7 +98,7 @@ def rotations(
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _set_rotations(quaternions, out):  # type: ignore[no-untyped-def]
     for k in range(quaternions.shape[0]):
         q = quaternions[k]

@@ -14,8 +14,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from scenec.schemas.kernels import inlined, kernel
 
 
 @dataclass(frozen=True)
@@ -114,7 +115,7 @@ def halve(mesh: Bisectable, wanted: NDArray[np.bool_]) -> Halved:
     )
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _longest(points, faces):  # type: ignore[no-untyped-def]
     """Corner opposite of each face's longest edge."""
     out = np.empty(len(faces), np.int64)
@@ -143,7 +144,7 @@ def _longest(points, faces):  # type: ignore[no-untyped-def]
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _numbered(vertices, faces):  # type: ignore[no-untyped-def]
     """Edges in order of their lower vertex, then of the face that names them first."""
     first = np.zeros(vertices + 1, np.int64)
@@ -183,7 +184,7 @@ def _numbered(vertices, faces):  # type: ignore[no-untyped-def]
     return face_edges, edges
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _mark(face_edges, wanted, marked):  # type: ignore[no-untyped-def]
     """Marks edges to be halved until each face with a marked edge has its first one marked."""
     for f in range(len(face_edges)):
@@ -204,7 +205,7 @@ def _mark(face_edges, wanted, marked):  # type: ignore[no-untyped-def]
         forward = not forward
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _pieces(face_edges, marked):  # type: ignore[no-untyped-def]
     """Faces that each face becomes, and the number of the first of them."""
     pieces = np.empty(len(face_edges), np.int64)
@@ -220,13 +221,13 @@ def _pieces(face_edges, marked):  # type: ignore[no-untyped-def]
     return pieces, first
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@inlined
 def _write(faces, face_edges, at, a, b, c, ea, eb, ec):  # type: ignore[no-untyped-def]
     faces[at, 0], faces[at, 1], faces[at, 2] = a, b, c
     face_edges[at, 0], face_edges[at, 1], face_edges[at, 2] = ea, eb, ec
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _split(  # type: ignore[no-untyped-def]
     vertices,
     faces,

@@ -10,7 +10,6 @@ on both sides of their middle and one serves every bearing.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
@@ -19,6 +18,7 @@ from scenec.compiler.light.atmosphere_columns import columns
 from scenec.compiler.light.atmosphere_multiple import FarGround, Look, bake_again, far_suns
 from scenec.compiler.light.atmosphere_planets import Medium
 from scenec.compiler.light.atmosphere_rays import aerosol_phase, gas_phase, gather, prepare
+from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
 
 #: Steps of a ray up or down.
@@ -149,7 +149,7 @@ def zenith_depth(medium: Medium, altitude_m: float, nm: float, nodes: NDArray) -
     return {name: float(np.interp(nm, nodes, depth)) for name, depth in parts.items()}
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _skylight(
     sun_sine: float, sizes: NDArray, spectra: NDArray, phase: NDArray
 ) -> NDArray[np.float64]:
@@ -185,7 +185,7 @@ def _skylight(
     return total
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _skylights(
     first: int, last: int, low: float, high: float, sizes: NDArray, spectra: NDArray,
     phase: NDArray, out: NDArray,
@@ -194,7 +194,7 @@ def _skylights(
         out[n] = _skylight(low + (high - low) * n / (_SUNS - 1), sizes, spectra, phase)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _rows(
     first: int, last: int, look: Look, bearings: int, sizes: NDArray, spectra: NDArray,
     phase: NDArray, far: FarGround, out: NDArray,
@@ -253,7 +253,7 @@ def _rows(
                     out[row, column, i] += max(color[i], 0.0) / lines
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _ground(
     sun_sine: float,
     low: float,

@@ -19,7 +19,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
@@ -28,6 +27,7 @@ from scenec.compiler.light.atmosphere_columns import columns
 from scenec.compiler.light.atmosphere_planets import Medium
 from scenec.compiler.light.atmosphere_rays import gather, lobe, prepare, shadow
 from scenec.compiler.light.atmosphere_spectra import wavelengths
+from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
 
 #: Nodes of the table over height and the sun's elevation.
@@ -152,7 +152,7 @@ def make_table(
     return out
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _table_part(
     first: int, last: int, sizes: NDArray, spectra: NDArray, albedo: NDArray, out: NDArray
 ) -> None:
@@ -206,7 +206,7 @@ def _table_part(
                 out[i, j, w] /= 1.0 - min(again[w], _MOST_AGAIN)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _sun_of(j: int) -> tuple[float, float]:
     """Sine and cosine of the sun's elevation at a node: denser about the horizon."""
     s = _LOWEST + (1.0 - _LOWEST) * j / (SUNS - 1.0)
@@ -214,7 +214,7 @@ def _sun_of(j: int) -> tuple[float, float]:
     return elementary.sin(elevation), elementary.cos(elevation)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def add_again(
     count: int,
     r0: float,
@@ -290,7 +290,7 @@ def bake_again(
     return np.maximum(np.concatenate([half, half[:, ::-1]], axis=1), 0.0)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _again(
     count: int,
     r0: float,
@@ -329,7 +329,7 @@ def _again(
     add_again(count, r0, sine, toward, sun_sine, sizes, table, middle, less, total)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _forward_again(
     count: int,
     r0: float,
@@ -375,7 +375,7 @@ def _forward_again(
         behind += here
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _on_level_ground(
     sun_sine: float,
     sizes: NDArray,
@@ -416,7 +416,7 @@ def _on_level_ground(
                 out[w] += total[w] * sine * 2.0 * elementary.PI / ((_UP // 2) * _AROUND)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _on_far_ground(first: int, last: int, low: float, high: float, air: Air, out: NDArray) -> None:
     """Light on the ground at heights of the sun, [_GROUND_SUNS, wavelengths]."""
     for n in range(first, last):
@@ -426,7 +426,7 @@ def _on_far_ground(first: int, last: int, low: float, high: float, air: Air, out
         )
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _again_rows(first: int, last: int, look: Look, air: Air, far: FarGround, out: NDArray) -> None:
     """What a single-scattered picture lacks, linear Rec.709, [height, height, 3]: its left half."""
     r0, ground, sun, steps, weights = look

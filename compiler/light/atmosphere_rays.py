@@ -8,31 +8,31 @@ or thin the medium is, and never more than what arrives.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.light.atmosphere_columns import columns, columns_up
+from scenec.schemas.kernels import kernel
 
 #: Steps go with height - lowest height ~ u^2: even in distance along the horizon, finer below than
 #: above in the vertical.
 _INV_PI = 1.0 / elementary.PI
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def gas_phase(cosine: float) -> float:
     """Rayleigh's phase function, 1/sr."""
     return 3.0 / 16.0 * _INV_PI * (1.0 + cosine * cosine)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def lobe(cosine: float, g: float) -> float:
     """Henyey and Greenstein's phase function, 1/sr."""
     width = 1.0 + g * g - 2.0 * g * cosine
     return 0.25 * _INV_PI * (1.0 - g * g) / (width * np.sqrt(width))
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def aerosol_phase(cosine: float, phase: NDArray, k: int, sharpest: float) -> float:
     """The aerosol's phase function at wavelength ``k``, 1/sr.
 
@@ -51,7 +51,7 @@ def aerosol_phase(cosine: float, phase: NDArray, k: int, sharpest: float) -> flo
     return share * forward + (1.0 - share) * lobe(cosine, phase[2, k])
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _mean_transmission(depth: float) -> float:
     """(1 - exp(-x)) / x."""
     if depth < 1e-3:
@@ -59,7 +59,7 @@ def _mean_transmission(depth: float) -> float:
     return (1.0 - elementary.exp(-depth)) / depth
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _climb(
     t: NDArray,
     middle: NDArray,
@@ -89,7 +89,7 @@ def _climb(
             middle[first + at // 2] = place
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def prepare(
     r0: float,
     sine: float,
@@ -168,7 +168,7 @@ def prepare(
     return count, hits
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def shadow(
     r0: float, sine: float, toward: float, sun_sine: float, radius: float
 ) -> tuple[float, float]:
@@ -203,7 +203,7 @@ def shadow(
     return max(enter, edge), leave
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def gather(
     count: int,
     r0: float,

@@ -16,9 +16,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from scenec.schemas.kernels import inlined, kernel
 from scenec.schemas.threads import over_threads
 
 #: Cells along a leg of the coarsest triangles; a power of two.
@@ -103,7 +103,7 @@ def triangles(active: NDArray[np.bool_], shape: tuple[int, int]) -> NDArray[np.i
     return faces
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@inlined
 def _diagonal(i, j, s):  # type: ignore[no-untyped-def]
     """Direction (dx, dy) of the diagonal through the middle (i, j) of a square of half side s.
 
@@ -115,7 +115,7 @@ def _diagonal(i, j, s):  # type: ignore[no-untyped-def]
     return dx, dy
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _triangle_error(values, kind, lateral, ppm, cell, tol, ax, ay, bx, by, cx, cy):  # type: ignore[no-untyped-def]
     """Largest error over the samples in a triangle, in pixels."""
     ny, nx = ppm.shape
@@ -158,7 +158,7 @@ def _triangle_error(values, kind, lateral, ppm, cell, tol, ax, ay, bx, by, cx, c
     return worst
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _level_errors(first, last, values, kind, lateral, ppm, cell, tol, s, center, errors):  # type: ignore[no-untyped-def]
     rows, columns = errors.shape
     for b in range(first, last):
@@ -198,7 +198,7 @@ def _level_errors(first, last, values, kind, lateral, ppm, cell, tol, s, center,
             errors[j, i] = worst
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _close_level(active, s, center):  # type: ignore[no-untyped-def]
     rows, columns = active.shape
     for b in range(rows // s + 1):
@@ -231,7 +231,7 @@ def _close_level(active, s, center):  # type: ignore[no-untyped-def]
                         active[j, i + s] = True
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _leaves_part(begin, end, active, ny, nx, faces, first, counts):  # type: ignore[no-untyped-def]
     across = (active.shape[1] - 1) // 128
     for square in range(begin, end):

@@ -8,7 +8,6 @@ from itertools import count
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.mesh import adaptive
@@ -18,6 +17,7 @@ from scenec.compiler.mesh.refine import Limits, refine
 from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.terrain.grid import HeightField, cuts_main_diagonal
 from scenec.compiler.views.sight import Views
+from scenec.schemas.kernels import kernel
 
 #: What a shading deviation is allowed to be: of a weight, of the albedo variation, of a slope.
 WEIGHT_STEP, VARIATION_STEP, SLOPE_STEP = 0.15, 0.2, 0.1
@@ -177,7 +177,7 @@ def label_error(
     return float(np.where(right, 0.0, distance * pixels_per_m).max())
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _mark_right(points, faces, layer, truth, right):  # type: ignore[no-untyped-def]
     """Samples that lie in (or on the border of) a face of their label."""
     ny, nx = truth.shape
@@ -246,7 +246,7 @@ def _cells(faces: NDArray[np.int32], nx: int) -> NDArray[np.int32]:
     return (row * (nx - 1) + column).astype(np.int32)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _grid_faces(ny: int, nx: int) -> NDArray:
     faces = np.empty((2 * (nx - 1) * (ny - 1), 3), np.int32)
     n = 0
@@ -278,7 +278,7 @@ def _measured(
     )
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _deviations(height, faces, error):  # type: ignore[no-untyped-def]
     nx = height.shape[1]
     for f in range(len(faces)):

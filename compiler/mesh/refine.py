@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.geometry.bisect import Bisectable, Halved, halve, newest_first
@@ -15,6 +14,7 @@ from scenec.compiler.mesh.between import INSIDE, Known, Sampled, measured
 from scenec.compiler.mesh.cut import CutMesh
 from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.views.sight import NEAREST_M, Views, pixels_of_balls
+from scenec.schemas.kernels import kernel
 
 #: Part of the amplitude of what is finer than a triangle that it may be wrong by: octaves of noise
 #: have a root mean square of 0.3, and the middles of edges show some of it.
@@ -293,7 +293,7 @@ def _known(
     return Known(room, pixels, samples, 0.5 * spacing, leg, radius, missed)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _balls(points, faces):  # type: ignore[no-untyped-def]
     """Middle and radius of balls about faces; their legs, as if they were half squares in plan."""
     center = np.empty((len(faces), 3))
@@ -315,7 +315,7 @@ def _balls(points, faces):  # type: ignore[no-untyped-def]
     return center, radius, leg
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _bends(height, points, faces, x0, y0, dx, dy):  # type: ignore[no-untyped-def]
     """About how far the surface bends away between samples of faces as small as cells, meters.
 
@@ -340,7 +340,7 @@ def _bends(height, points, faces, x0, y0, dx, dy):  # type: ignore[no-untyped-de
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _errors(points, sides, middles, middle_sides, faces, face_edges, leg):  # type: ignore[no-untyped-def]
     """Largest error at the middles of faces' edges, of height or of a label line, meters."""
     out = np.zeros(len(faces))
@@ -366,7 +366,7 @@ def _errors(points, sides, middles, middle_sides, faces, face_edges, leg):  # ty
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _refined_normals(points, faces, refined, normals):  # type: ignore[no-untyped-def]
     """Replaces the normals of halved faces' vertices by those of the mesh, weighted by area."""
     touched = np.zeros(len(points), np.bool_)

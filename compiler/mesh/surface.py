@@ -10,12 +10,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.mesh.merge import Merge
 from scenec.compiler.terrain.detail import Detail, joined
 from scenec.compiler.terrain.grid import HeightField
+from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import POINTS, over_threads
 
 
@@ -110,7 +110,7 @@ class Surface:
         return shares
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _slope(before: float, after: float) -> float:
     """Slope at a sample from the rises to it and from it: central, unless it would overshoot.
 
@@ -122,7 +122,7 @@ def _slope(before: float, after: float) -> float:
     return min(max(0.5 * (before + after), -limit), limit)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _hermite(p0: float, p1: float, p2: float, p3: float, t: float) -> float:
     """Between p1 and p2."""
     rise = p2 - p1
@@ -133,7 +133,7 @@ def _hermite(p0: float, p1: float, p2: float, p3: float, t: float) -> float:
     )
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _row(height, j, i, t):  # type: ignore[no-untyped-def]
     nx = height.shape[1]
     h1 = height[j, i]
@@ -144,7 +144,7 @@ def _row(height, j, i, t):  # type: ignore[no-untyped-def]
     return _hermite(h0, h1, h2, h3, t)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _smooth_heights_part(first, last, height, x0, y0, dx, dy, x, y, out):  # type: ignore[no-untyped-def]
     ny, nx = height.shape
     for n in range(first, last):

@@ -7,7 +7,6 @@ from dataclasses import asdict
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.cache.memo import memoized
@@ -21,6 +20,7 @@ from scenec.compiler.scene.scene import Tile
 from scenec.compiler.terrain.sources.mesh_surface import MeshSurface
 from scenec.compiler.views.sight import NO_VIEWS, Views
 from scenec.schemas.errors import SceneError
+from scenec.schemas.kernels import kernel
 
 #: Grid cells along a tile's side: no triangle reaches over its border.
 TILE_CELLS = ROOT_CELLS
@@ -164,7 +164,7 @@ def _vertex_normals(mesh: CutMesh) -> NDArray[np.float32]:
     return normals.astype(np.float32)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _interpolate_in_order(
     normals: NDArray, parents: NDArray, fraction: NDArray, first: int
 ) -> None:
@@ -194,7 +194,7 @@ def _largest_span(mesh: CutMesh, tile: NDArray[np.int32]) -> float:
     return float((high - low).max(initial=0.0))
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _tile_bounds(
     points: NDArray, faces: NDArray, tile: NDArray, low: NDArray, high: NDArray
 ) -> None:

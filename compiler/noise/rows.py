@@ -9,11 +9,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.noise.lattice import hash2, subkeys
 from scenec.compiler.noise.perlin import DIRECTION_MASK, perlin2, perlin2_of_directions
+from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
 
 
@@ -79,7 +79,7 @@ def tabulate(
     return Octaves(keys, directions, start, first, width)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _fill(
     keys: NDArray,
     directions: NDArray,
@@ -99,7 +99,7 @@ def _fill(
                 at += 1
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def octave_row(octaves: Octaves, octave: int, u: NDArray, v: NDArray, out: NDArray) -> None:
     """Values of one octave at points within its table: ``perlin2`` of its key, float64 [n]."""
     at = octaves.start[octave]
@@ -125,7 +125,7 @@ def octave_row(octaves: Octaves, octave: int, u: NDArray, v: NDArray, out: NDArr
         )
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def next_octave(u: NDArray, v: NDArray, lacunarity: float) -> None:
     """Turns and scales positions, in place, from one octave's lattice to the next one's."""
     for i in range(u.size):
@@ -135,7 +135,7 @@ def next_octave(u: NDArray, v: NDArray, lacunarity: float) -> None:
         v[i] = lacunarity * (0.6 * p + 0.8 * q)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def fbm_row(
     octaves: Octaves, u: NDArray, v: NDArray, gain: float, lacunarity: float, out: NDArray
 ) -> None:
@@ -151,7 +151,7 @@ def fbm_row(
         next_octave(u, v, lacunarity)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _fbm_grid_part(
     first: int,
     last: int,

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.objects.density import Density, UniformDensity
@@ -15,6 +14,7 @@ from scenec.compiler.objects.surroundings import Surroundings
 from scenec.compiler.objects.where import Place
 from scenec.compiler.terrain.grid import HeightField
 from scenec.schemas.errors import SceneError
+from scenec.schemas.kernels import kernel
 
 
 def places_on(
@@ -98,7 +98,7 @@ def align_to_normals(
     )
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def rotation_rows(q: NDArray) -> tuple[float, ...]:
     """The nine entries, row by row, of the rotation of a quaternion (x, y, z, w) of any length."""
     x, y, z, w = q
@@ -122,7 +122,7 @@ def turned(orientations: NDArray[np.float16], scales: NDArray[np.float32]) -> ND
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _turned(turns, scales, out):  # type: ignore[no-untyped-def]
     for n in range(len(turns)):
         rows = rotation_rows(turns[n])

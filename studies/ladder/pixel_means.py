@@ -9,9 +9,9 @@ noise.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
 
 
@@ -37,7 +37,7 @@ def pixel_means(
     return mean + found
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _sums(nodes):  # type: ignore[no-untyped-def]
     """Integrals up to each node: over whole cells, and along a node's column and its row."""
     high, wide = nodes.shape
@@ -57,7 +57,7 @@ def _sums(nodes):  # type: ignore[no-untyped-def]
     return whole, down, across
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _means(first, last, nodes, whole, down, across, middle, side, out):  # type: ignore[no-untyped-def]
     high, wide = nodes.shape
     for n in range(first, last):
@@ -71,7 +71,7 @@ def _means(first, last, nodes, whole, down, across, middle, side, out):  # type:
         out[n] = total / ((x1 - x0) * (y1 - y0))
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _integral(nodes, whole, down, across, x, y):  # type: ignore[no-untyped-def]
     """From the center of the first texel to a place anywhere."""
     high, wide = nodes.shape

@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.scene.rig import Lidar
 from scenec.compiler.terrain.grid import HeightField, surface_height
+from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
 from scenec.studies.ladder.eyes import Eye
 from scenec.studies.ladder.points import square
@@ -108,7 +108,7 @@ def _rays(eyes: Sequence[Eye], each: int) -> tuple[NDArray[np.float64], NDArray[
     return np.concatenate(origins), np.concatenate(directions)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _march(first, last, height, x0, y0, dx, dy, origin, toward, growth, out):  # type: ignore[no-untyped-def]
     """How far along rays the ground is first above them; ``out`` stays where it never is."""
     for n in range(first, last):

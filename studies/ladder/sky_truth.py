@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
@@ -25,6 +24,7 @@ from scenec.compiler.light.latlong import luminance
 from scenec.compiler.light.plan import AtmospherePlan, ClearSkyPlan
 from scenec.compiler.light.sky import sun_direction
 from scenec.compiler.scene.scene import SunLight
+from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
 
 _RADIAN = elementary.PI / 180.0
@@ -97,7 +97,7 @@ def atmosphere_along(
     return lit
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _along(first, last, to, look, air, multiple, out):  # type: ignore[no-untyped-def]
     r0, ground, sun, steps, weights = look
     sizes, spectra, even, g, phase, table = air

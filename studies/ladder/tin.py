@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.scene.scene import Tile
+from scenec.schemas.kernels import kernel
 
 #: Points to a cell of the index.
 _PER_CELL = 4.0
@@ -71,7 +71,7 @@ class Index:
         return found
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _drop(points, faces, x, y, order, starts, columns, x0, y0, cell, z, upright):  # type: ignore[no-untyped-def]
     rows = (len(starts) - 1) // columns
     for f in range(len(faces)):

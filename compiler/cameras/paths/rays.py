@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.terrain.grid import HeightField, surface_height
+from scenec.schemas.kernels import kernel
 
 
 def span_of(field: HeightField) -> NDArray[np.float64]:
@@ -50,7 +50,7 @@ def normal_at(field: HeightField, x: float, y: float) -> NDArray[np.float64]:
     return unit
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _hits(height, x0, y0, dx, dy, half, span, eye, way, out):  # type: ignore[no-untyped-def]
     step_plan = 0.5 * min(dx, dy)
     for n in range(len(way)):

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
@@ -14,6 +13,7 @@ from scenec.compiler.noise.lattice import subkey
 from scenec.compiler.noise.rows import Octaves, octave_row, tabulate
 from scenec.compiler.terrain.grid import Grid
 from scenec.schemas.errors import SceneError
+from scenec.schemas.kernels import inlined, kernel
 from scenec.schemas.threads import over_threads
 
 #: Wavelengths of fewer grid spacings cannot be represented.
@@ -131,7 +131,7 @@ class Ripples(Dunes):
     rounded: ClassVar[bool] = True
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _envelope_part(
     begin: int,
     end: int,
@@ -170,7 +170,7 @@ def _envelope(
     return real, imaginary
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@inlined
 def _difference(field: NDArray, j: int, i: int, axis: int, spacing: float) -> float:
     """Central difference, one-sided at the border."""
     if axis == 0:
@@ -182,7 +182,7 @@ def _difference(field: NDArray, j: int, i: int, axis: int, spacing: float) -> fl
     return (field[j, high] - field[j, low]) / ((high - low) * spacing)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _bedforms_part(
     first: int,
     last: int,

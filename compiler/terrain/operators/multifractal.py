@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Literal
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.noise.lattice import subkey, subkeys
@@ -14,6 +13,7 @@ from scenec.compiler.noise.perlin import fbm2, perlin2
 from scenec.compiler.noise.rows import Octaves, fbm_row, next_octave, octave_row, tabulate
 from scenec.compiler.terrain.detail import Spectrum, octave_spectrum
 from scenec.compiler.terrain.grid import Grid
+from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
 
 _VARIANTS = {"fbm": 0, "hetero": 1, "ridged": 2, "hybrid": 3, "billow": 4}
@@ -189,7 +189,7 @@ def octaves_held(octaves: int, scale_m: float, lacunarity: float, extent_m: floa
     return octaves_shown(octaves, scale_m, lacunarity, 2.0**-46 * extent_m)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _relief_part(
     first: int,
     last: int,
@@ -283,7 +283,7 @@ def _relief(
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _at_zero(octaves: int, gain: float, variant: int, offset: float) -> tuple[float, float]:
     """What the sums are centered by: where every octave is zero, hetero's growth, others' level."""
     growth = 1.0
@@ -302,7 +302,7 @@ def _at_zero(octaves: int, gain: float, variant: int, offset: float) -> tuple[fl
     return growth, 0.5 * level if variant == 2 else level
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _warp(warp_x: Octaves, u: NDArray, v: NDArray, distortion: float, warp_y: Octaves) -> None:
     du = np.empty(u.size)
     dv = np.empty(u.size)
@@ -313,7 +313,7 @@ def _warp(warp_x: Octaves, u: NDArray, v: NDArray, distortion: float, warp_y: Oc
         v[i] += distortion * dv[i]
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _difference_part(  # type: ignore[no-untyped-def]
     first,
     last,
