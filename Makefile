@@ -90,7 +90,7 @@ wheel: setup  ## Build the wheel into dist/, with compiled kernels for this Pyth
 	@rm -rf schemas/compiled; NUMBA_CACHE_DIR=build/kernels SCENEC_CACHE= .venv/bin/python tools/warm_kernels.py --all
 	@mv build/kernels/scenec schemas/compiled
 	@echo "== Building the wheel"
-	@.venv/bin/python -m build --wheel --no-isolation
+	@.venv/bin/python -m build --wheel --no-isolation; rm -rf schemas/compiled
 
 clean:  ## Remove caches and build results; keep .venv and out/.
 	@echo "== Removing caches and build results"
