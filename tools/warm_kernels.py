@@ -27,10 +27,11 @@ import sys
 from scenec.compiler.compile import compile_cfg
 compile_cfg(sys.argv[1], seed=1, out=sys.argv[2])
 """
-_ANNOTATE = """
+_RENDER = """
 import sys
 from scenec.backends.run.render import render
-report = render(sys.argv[1], "annotation", passes=sys.argv[2].split(","))
+passes = sys.argv[3].split(",")
+report = render(sys.argv[1], sys.argv[2], spp=2 if "rgb" in passes else None, passes=passes)
 sys.exit(not report.rendered)
 """
 #: A ground, two stones, a camera and a sun: all that annotation tells apart.
@@ -126,14 +127,17 @@ def main() -> None:
         cfg.write_text(json.dumps(small_cfg()), encoding="utf-8")
         stage.write_text(_STAGE, encoding="utf-8")
         jobs = [
-            started(_ANNOTATE, stage, "label,instance,depth"),
+            started(_RENDER, stage, "annotation", "label,instance,depth"),
             started(_COMPILE, cfg, place / "out"),
         ]
         statuses = [job.wait() for job in jobs]
         for file in sorted(CONFIGS.glob("*.json")) if everything else ():
             out = place / file.stem
             statuses.append(started(_COMPILE, file, out).wait())
-            statuses.append(started(_ANNOTATE, out, "label,instance,depth,normal,amodal").wait())
+            passes = "label,instance,depth,normal,amodal"
+            statuses.append(started(_RENDER, out, "annotation", passes).wait())
+            for backend in ("mitsuba", "pyrender"):
+                statuses.append(started(_RENDER, out, backend, "rgb").wait())
     if not any(statuses):
         stamp.parent.mkdir(parents=True, exist_ok=True)
         stamp.touch()
