@@ -136,8 +136,7 @@ def main() -> None:
             statuses.append(started(_COMPILE, file, out).wait())
             passes = "label,instance,depth,normal,amodal"
             statuses.append(started(_RENDER, out, "annotation", passes).wait())
-            for backend in ("mitsuba", "pyrender"):
-                statuses.append(started(_RENDER, out, backend, "rgb").wait())
+            statuses += [started(_RENDER, out, b, "rgb").wait() for b in ("mitsuba", "pyrender")]
     if not any(statuses):
         stamp.parent.mkdir(parents=True, exist_ok=True)
         stamp.touch()
