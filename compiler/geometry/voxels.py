@@ -10,13 +10,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.scene.scene import Prototype
 from scenec.schemas.kernels import kernel
+
+if TYPE_CHECKING:
+    from scenec.compiler.scene.scene import Prototype
 
 #: Cubes along the longest axis of what points are held against.
 _CUBES: Final = 48

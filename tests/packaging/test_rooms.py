@@ -13,11 +13,9 @@ ROOT = Path(__file__).resolve().parents[2]
 FLOORS = {
     "compiler": (
         ("arithmetic", "cache"),
-        ("noise", "distributions", "scene"),
-        ("geometry",),
+        ("noise", "distributions", "scene", "geometry"),
         ("assets",),
-        ("cfg",),
-        ("terrain",),
+        ("cfg", "terrain"),
         ("views",),
         ("materials", "mesh"),
         ("objects",),
