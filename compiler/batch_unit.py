@@ -1,4 +1,4 @@
-"""One batch as a unit of work (``schemas.units``): cfg and seed to the files of its stage."""
+"""Compiles one batch as a unit of work (``schemas.units``): cfg and seed to the files of its stage."""
 
 from __future__ import annotations
 

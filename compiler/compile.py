@@ -1,4 +1,4 @@
-"""The compiler's main call: cfg and seed in, stages and a manifest out."""
+"""Compiles a cfg and a seed into stages and a manifest: the main call."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The output folder of a compilation: what is in it already, and how batches come into it.
+"""Keeps the output folder of a compilation: what is in it, and how batches come into it.
 
 A batch comes in as one update (``schemas.update``) of its files, the cfg and the manifest: whenever
 a compilation ends, the manifest is true of what lies beside it. Only what an earlier manifest lists

@@ -1,4 +1,4 @@
-"""Rigs over the finished terrain: poses, and exposures for the light there is."""
+"""Stands rigs on the finished terrain, and finds exposures for the light there is."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The normal distribution and its inverse, from elementary functions of our own.
+"""Computes the normal distribution and its inverse, from elementary functions of our own.
 
 Kept to one half of the line by symmetry, where probabilities keep their relative precision, so that
 a distribution truncated far out in a tail is drawn as well as any other.

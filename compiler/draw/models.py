@@ -1,4 +1,4 @@
-"""What is drawn for objects that are models: single ones' poses, and what models there are."""
+"""Draws poses of single objects, and reads what models there are."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is drawn for a class of rocks: its shapes."""
+"""Draws the shapes of a class of rocks."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is drawn for any class of scattered objects, whatever its prototypes are."""
+"""Draws any class of scattered objects, whatever its prototypes are."""
 
 from __future__ import annotations
 

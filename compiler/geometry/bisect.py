@@ -1,4 +1,4 @@
-"""Newest-vertex bisection: triangles halved where asked, and few others to keep the mesh whole.
+"""Bisects triangles at their newest vertex where asked, and few others to keep the mesh whole.
 
 A triangle (a, b, c) is halved from its newest vertex a to the middle of the edge bc; that middle is
 the halves' newest vertex (Mitchell 1989, ACM TOMS 15). A triangle of which any edge is halved is

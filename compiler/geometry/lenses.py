@@ -1,4 +1,4 @@
-"""Lenses of sensors: from the cfg's numbers, whether they are sound, and how far they see.
+"""Makes lenses from a cfg's numbers, and finds whether they are sound and how far they see.
 
 The formulas are those of ``scenec.schemas.lens``, here with elementary functions of our own.
 """

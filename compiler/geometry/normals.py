@@ -1,4 +1,4 @@
-"""Shading normals of triangle meshes, and the faces around their vertices."""
+"""Computes shading normals of triangle meshes, and finds the faces around their vertices."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Poses between given poses: interpolation over time on R3 x SO(3), or along screws of SE(3).
+"""Interpolates poses over time on R3 x SO(3), or along screws of SE(3).
 
 Positions and turns are interpolated apart from each other, unless a screw is asked for. A track
 tells where a camera's center was: apart, the centers move in straight lines at an even speed

@@ -1,4 +1,4 @@
-"""Where a mesh is, in cubes: whatever lies in it lies in one of them, hollows included.
+"""Voxelizes a mesh: whatever lies in it lies in a voxel, hollows included.
 
 A cube is full where a triangle touches it (separating axes, Akenine-Möller 2001), or where
 triangles are above it and to all four sides: inside of a rock. Not below it: scanned boulders are

@@ -1,4 +1,4 @@
-"""What a made motion is: a plan that becomes poses once the ground is there."""
+"""Defines a made motion: a plan that becomes poses once the ground is there."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What stands in a vehicle's way: geometry between the ground and its top, not the ball around it.
+"""Finds what stands in a vehicle's way: geometry between the ground and its top.
 
 An object is the cubes that hold its prototype (``scatter.voxels``), each as the ball around it in
 the world. A ball is in the way of a vehicle at a cell where some of it is between the lowest ground

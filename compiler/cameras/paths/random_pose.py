@@ -1,4 +1,4 @@
-"""Random poses that keep to limits: drawn, looked at, and drawn again."""
+"""Draws random poses until they keep to their limits (rejection sampling)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Rays against the grid's heights: does a camera see ground, and how steeply."""
+"""Casts rays against the grid's heights: does a camera see ground, and how steeply."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Ways over the ground that keep off what a vehicle cannot drive over."""
+"""Plans ways over the ground that keep off what a vehicle cannot drive over."""
 
 from __future__ import annotations
 

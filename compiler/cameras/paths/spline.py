@@ -1,4 +1,4 @@
-"""Cubic splines over time whose speed, acceleration and jerk are kept below limits exactly."""
+"""Fits cubic splines over time whose speed, acceleration and jerk keep to limits exactly."""
 
 from __future__ import annotations
 
