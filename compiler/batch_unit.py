@@ -1,4 +1,4 @@
-"""Compiles one batch as a unit of work (``schemas.units``): cfg and seed to the files of its stage."""
+"""Compiles one batch as a unit of work (``schemas.units``), from cfg and seed to files."""
 
 from __future__ import annotations
 
