@@ -77,7 +77,7 @@ class Kernel:
         Raises:
             TypeError: It uses what has no content to hash: a Python function, a module of ours.
         """
-        return _content(self.py_func)
+        return _content(self.py_func, (_OPTIONS, self._inline))
 
 
 def kernel(function: Callable[..., Any]) -> Kernel:
@@ -150,9 +150,9 @@ def user_folder() -> Path:
     return Path(home, "scenec", "kernels")
 
 
-def _content(function: FunctionType) -> str:
+def _content(function: FunctionType, options: object = None) -> str:
     """As ``Kernel.content``."""
-    digest = hashlib.sha256()
+    digest = hashlib.sha256(repr(options).encode())
     named: set[str] = set()
     attributes: set[str] = set()
 
@@ -246,14 +246,23 @@ class _Kept:
                 continue
             rtsys.initialize(context)
             with suppress(ImportError, AttributeError):
-                return CompileResult._rebuild(context, *pickle.loads(memoryview(data)[32:]))
+                library, described, *others = pickle.loads(memoryview(data)[32:])
+                # The one name that is asked for; numba takes it from what ``save_overload`` spares.
+                context.codegen()._engine._defined_symbols.add(described.llvm_cpython_wrapper_name)
+                return CompileResult._rebuild(context, library, described, *others)
         return None
 
     def save_overload(self, signature: Any, result: Any) -> None:
         """Keeps what was compiled, where that is possible."""
+        from llvmlite import binding
         from numba.core.serialize import dumps
 
-        data = dumps(result._reduce())
+        if result.library.has_dynamic_globals:
+            return  # Such code holds addresses of this process.
+        (name, kind, (code, _)), *others = result._reduce()
+        # In place of what a kernel that calls this one would need of it: none does, and to read it
+        # takes longer than all the rest.
+        data = dumps(((name, kind, (code, binding.parse_assembly("").as_bitcode())), *others))
         folder = user_folder()
         try:
             folder.mkdir(parents=True, exist_ok=True)
