@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.compiler.geometry.rotations import rotation_rows
 from scenec.compiler.mesh.surface import Surface
-from scenec.compiler.objects.placement import rotation_rows
 from scenec.compiler.scene.scene import Prototype
 from scenec.compiler.terrain.grid import surface_height
 from scenec.schemas.kernels import kernel

@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.compiler.geometry.rotations import turned
 from scenec.compiler.geometry.voxels import Cubes
 from scenec.compiler.objects.apart import MOST_TRIES, Circles
 from scenec.compiler.objects.lod import finest
 from scenec.compiler.objects.on_mesh import MeshPlaces
-from scenec.compiler.objects.placement import places_on, turned
+from scenec.compiler.objects.placement import places_on
 from scenec.compiler.objects.places import Places, numbers
 from scenec.compiler.objects.rocks import Chain
 from scenec.compiler.objects.stand import Standing, seating_report

@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.geometry.normals import faces_of_vertices
+from scenec.compiler.geometry.rotations import rotation_rows
 from scenec.compiler.objects.density import Density, Everywhere
-from scenec.compiler.objects.placement import lattice_of, require_somewhere, rotation_rows
+from scenec.compiler.objects.placement import lattice_of, require_somewhere
 from scenec.compiler.objects.places import Places
 from scenec.compiler.objects.surroundings import Surroundings
 from scenec.compiler.objects.where import Place

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.compiler.geometry.rotations import align_to_normals, rotation_rows
 from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.objects.foot import seat_on_detail
 from scenec.compiler.objects.on_mesh import MeshPlaces, Spots, seat_on_mesh
-from scenec.compiler.objects.placement import align_to_normals, rotation_rows
 from scenec.compiler.objects.seat import Highest, seat
 from scenec.compiler.objects.surroundings import Surroundings
 from scenec.compiler.scene.plan import ScatterPlan

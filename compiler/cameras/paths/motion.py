@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
+from scenec.compiler.geometry.rotations import turned
 from scenec.compiler.mesh.surface import Surface
-from scenec.compiler.objects.placement import turned
 from scenec.compiler.scene.rig import Lidar
 from scenec.compiler.scene.scene import Placed, Prototype, Scatter
 from scenec.schemas.errors import SceneError
