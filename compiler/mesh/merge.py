@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.mesh.limit import Limit
-from scenec.compiler.noise.perlin import fbm2_points
+from scenec.compiler.noise.fractal import fbm2_points
 from scenec.compiler.terrain.condition import Interval
 
 

@@ -15,7 +15,7 @@ from scenec.compiler.mesh.base_mesh import base_mesh
 from scenec.compiler.mesh.cut import SNAP, CutMesh, cut
 from scenec.compiler.mesh.mesh import Appearance, Meshing, adaptive_mesh, grid_mesh, label_error
 from scenec.compiler.mesh.surface import Surface
-from scenec.compiler.noise.perlin import fbm2_points
+from scenec.compiler.noise.fractal import fbm2_points
 from scenec.compiler.scene.scene import Tile
 from scenec.compiler.terrain.sources.mesh_surface import MeshSurface
 from scenec.compiler.views.sight import NO_VIEWS, Views

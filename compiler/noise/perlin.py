@@ -1,4 +1,4 @@
-"""Gradient noise after Perlin (2002), in two and three dimensions, and its fractal sums.
+"""Gradient noise after Perlin (2002), in two and three dimensions, one point at a time.
 
 One octave has zero mean, is C2, and lies in [-1, 1]; 2-D octaves have a root mean square of about
 0.3. Successive 2-D octaves are turned by the rational rotation (4/5, 3/5) against each other, so
@@ -11,11 +11,9 @@ of threads.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from scenec.compiler.noise.lattice import hash2, hash3, subkey
 from scenec.schemas.kernels import inlined, kernel
-from scenec.schemas.threads import POINTS, over_threads
 
 _DIRECTIONS = 64
 #: The bits of a lattice point's hash that are its gradient's direction in 2-D.
@@ -157,83 +155,3 @@ def fbm3(key: np.uint64, x: float, y: float, z: float, octaves: int, gain: float
         y = 2.0 * y + 5.77
         z = 2.0 * z + 11.13
     return total
-
-
-@kernel
-def fbm2(key: np.uint64, x: float, y: float, octaves: int, gain: float, lacunarity: float) -> float:
-    """Sum of ``octaves`` octaves of 2-D noise; octave o has amplitude gain**o, at (x, y)."""
-    total = 0.0
-    amplitude = 1.0
-    for octave in range(octaves):
-        total += amplitude * perlin2(subkey(key, octave), x, y)
-        amplitude *= gain
-        x, y = lacunarity * (0.8 * x - 0.6 * y), lacunarity * (0.6 * x + 0.8 * y)
-    return total
-
-
-@kernel
-def _fbm2_points_part(
-    first: int,
-    last: int,
-    key: np.uint64,
-    x: NDArray,
-    y: NDArray,
-    scale: float,
-    octaves: int,
-    gain: float,
-    lacunarity: float,
-    distortion: float,
-    out: NDArray,
-) -> None:
-    warp_x = subkey(key, 1 << 20)
-    warp_y = subkey(key, (1 << 20) + 1)
-    for n in range(first, last):
-        u = x[n] / scale
-        v = y[n] / scale
-        if distortion != 0.0:
-            du = perlin2(warp_x, u, v)
-            dv = perlin2(warp_y, u, v)
-            u += distortion * du
-            v += distortion * dv
-        out[n] = fbm2(key, u, v, octaves, gain, lacunarity)
-
-
-def fbm2_points(
-    key: np.uint64,
-    x: NDArray,
-    y: NDArray,
-    scale: float,
-    octaves: int,
-    gain: float,
-    lacunarity: float,
-    distortion: float,
-) -> NDArray:
-    """Distorted fBm at points.
-
-    Args:
-        key: Noise key.
-        x, y: Positions in meters, float64 [n].
-        scale: Size of the largest feature in meters.
-        octaves, gain, lacunarity: As in ``fbm2``.
-        distortion: Domain warp: the position is moved by up to about this many feature sizes by
-            two further octaves of noise.
-
-    Returns:
-        float64 [n], zero mean; one octave is in [-1, 1].
-    """
-    out = np.empty(x.size)
-    over_threads(
-        _fbm2_points_part,
-        x.size,
-        key,
-        x,
-        y,
-        scale,
-        octaves,
-        gain,
-        lacunarity,
-        distortion,
-        out,
-        least=POINTS,
-    )
-    return out

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.assets.pictures import read_gray
 from scenec.compiler.assets.polyline import read_polyline
-from scenec.compiler.noise.perlin import fbm2_points
+from scenec.compiler.noise.fractal import fbm2_points
 from scenec.compiler.noise.worley import worley2
 from scenec.compiler.objects.lattice import Lattice, splat, table
 from scenec.compiler.objects.surroundings import Surroundings

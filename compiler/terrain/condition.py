@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
-from scenec.compiler.noise.perlin import fbm2_points
-from scenec.compiler.noise.rows import fbm_grid, tabulate
+from scenec.compiler.noise.fractal import Fractal, fbm2_points
 from scenec.compiler.terrain.freshness import crater_freshness
 from scenec.compiler.terrain.grid import Grid
 from scenec.compiler.terrain.operators.craters import Craters
@@ -247,19 +246,15 @@ class NoiseCondition(Interval):
         """The octaves that the grid shows."""
         grid = quantities.grid
         octaves = octaves_shown(self.octaves, self.scale_m, self.lacunarity, max(grid.spacing_m))
-        x, y = grid.x() / self.scale_m, grid.y() / self.scale_m
-        table = tabulate(self.key, x, y, octaves, self.lacunarity)
-        noise: NDArray[np.float64] = fbm_grid(table, x, y, self.gain, self.lacunarity)
-        return noise
+        noise = Fractal(self.key, octaves, self.gain, self.lacunarity)
+        return noise.on(grid.x() / self.scale_m, grid.y() / self.scale_m)
 
     def quantity_at(
         self, quantities: Quantities, x: NDArray[np.float64], y: NDArray[np.float64]
     ) -> NDArray[np.float64]:
         """All octaves, not interpolated."""
-        noise: NDArray[np.float64] = fbm2_points(
-            np.uint64(self.key), x, y, self.scale_m, self.octaves, self.gain, self.lacunarity, 0.0
-        )
-        return noise
+        noise = Fractal(self.key, self.octaves, self.gain, self.lacunarity)
+        return noise.at(x / self.scale_m, y / self.scale_m)
 
 
 @dataclass(frozen=True)

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.compiler.noise.fractal import Fractal
 from scenec.compiler.noise.lattice import hash2
-from scenec.compiler.noise.rows import fbm_grid, tabulate
 from scenec.compiler.terrain.grid import Grid
 from scenec.compiler.terrain.operators.multifractal import octaves_shown
 from scenec.schemas.kernels import inlined, kernel
@@ -52,8 +52,7 @@ class Terraces:
         """Terraced heights."""
         octaves = octaves_shown(_OCTAVES, self.bend_scale_m, _LACUNARITY, max(grid.spacing_m))
         x, y = grid.x() / self.bend_scale_m, grid.y() / self.bend_scale_m
-        bend = fbm_grid(tabulate(self.key, x, y, octaves, _LACUNARITY), x, y, _GAIN, _LACUNARITY)
-        bend *= self.bend_m
+        bend = self.bend_m * Fractal(self.key, octaves, _GAIN, _LACUNARITY).on(x, y)
         out = _terraced(
             height,
             bend,
