@@ -20,9 +20,9 @@ def borrowed(context, value):  # type: ignore[no-untyped-def]
     small functions are part of the large one (``inlined``).
     """
     from numba.core import cgutils, types
-    from numba.core.types.containers import NamedTuple
+    from numba.core.types.containers import NamedTuple, NamedUniTuple
 
-    if not isinstance(value, types.Array | NamedTuple):
+    if not isinstance(value, types.Array | NamedTuple | NamedUniTuple):
         return None
 
     def without_owner(context: Any, builder: Any, kind: Any, given: Any) -> Any:

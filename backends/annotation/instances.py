@@ -5,6 +5,7 @@ The columns, and what they mean: ``scenec.schemas.instances``, which also reads 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -348,7 +349,7 @@ def _normalized(v):  # type: ignore[no-untyped-def]
         return False
     for i in range(3):
         v[i] /= largest
-    length = np.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
+    length = math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
     for i in range(3):
         v[i] /= length
     return True
@@ -368,8 +369,9 @@ def _set_across(v, out):  # type: ignore[no-untyped-def]
     for i in range(1, 3):
         if abs(v[i]) < abs(v[least]):
             least = i
-    axis = np.zeros(3)
-    axis[least] = 1.0
+    axis = np.empty(3)
+    for i in range(3):
+        axis[i] = 1.0 if i == least else 0.0
     _cross(v, axis, out)
     _normalized(out)
 
@@ -381,7 +383,7 @@ def _decompose(matrix, rotation, scale, rest):  # type: ignore[no-untyped-def]
         m = matrix[k]
         for i in range(3):
             x[i], y[i], z[i] = m[i, 0], m[i, 1], m[i, 2]
-            scale[k, i] = np.sqrt(m[0, i] * m[0, i] + m[1, i] * m[1, i] + m[2, i] * m[2, i])
+            scale[k, i] = math.sqrt(m[0, i] * m[0, i] + m[1, i] * m[1, i] + m[2, i] * m[2, i])
         determinant = (
             (x[1] * y[2] - x[2] * y[1]) * z[0]
             + (x[2] * y[0] - x[0] * y[2]) * z[1]
@@ -389,7 +391,8 @@ def _decompose(matrix, rotation, scale, rest):  # type: ignore[no-untyped-def]
         )
         if determinant < 0.0:
             scale[k, 0] = -scale[k, 0]
-            x[:] = -x
+            for i in range(3):
+                x[i] = -x[i]
         flat = not _normalized(x)
         if flat:
             # Across what there is; the world's axis where there is nothing.
@@ -453,7 +456,7 @@ def _set_quaternions(rotation, out):  # type: ignore[no-untyped-def]
             q[j] = m[i, j] + m[j, i]
             q[n] = m[i, n] + m[n, i]
             q[3] = m[n, j] - m[j, n]
-        length = np.sqrt(((q[0] * q[0] + q[1] * q[1]) + q[2] * q[2]) + q[3] * q[3])
+        length = math.sqrt(((q[0] * q[0] + q[1] * q[1]) + q[2] * q[2]) + q[3] * q[3])
         if q[3] < 0.0:
             length = -length
         for i in range(4):

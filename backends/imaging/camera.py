@@ -193,22 +193,15 @@ def _without_noise(
 ) -> NDArray[np.float32]:
     """Numbers above black of all colors of each pixel, never rounded."""
     out = np.empty(light.shape, np.float32)
-    over_threads(
-        _expected,
-        light.shape[0],
-        light,
-        shade,
-        how.weights,
-        how.full_well_e,
-        how.gain,
-        how.largest - how.black,
-        out,
-    )
+    limits = float(how.full_well_e), float(how.gain), float(how.largest - how.black)
+    over_threads(_expected, len(light), light, shade, how.weights, limits, out)
     return out
 
 
 @kernel
-def _expected(first, last, light, shade, weights, full, gain, steps, out):  # type: ignore[no-untyped-def]
+def _expected(first, last, light, shade, weights, limits, out):  # type: ignore[no-untyped-def]
+    """Some lines; limits: electrons at most, electrons a number, numbers at most."""
+    full, gain, steps = limits
     for line in range(first, last):
         y = np.int64(line)
         for x in range(light.shape[1]):

@@ -213,7 +213,7 @@ def arrive(
         (float64 [n, 3], float64 [n, 3]); 1 and 0 for a bundle of which no ray ends.
     """
     out = np.empty((2, len(t), 3))
-    over_threads(_arrive, len(t), air.layer, origins, directions, t, *source, out, least=POINTS)
+    over_threads(_arrive, len(t), air.layer, origins, directions, t, source, out, least=POINTS)
     return out[0], out[1]
 
 
@@ -247,7 +247,8 @@ def _density(height, scale_height):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _arrive(first, last, layer, origins, directions, t, ambient, beams, out):  # type: ignore[no-untyped-def]
+def _arrive(first, last, layer, origins, directions, t, source, out):  # type: ignore[no-untyped-def]
+    ambient, beams = source
     scale = layer.scale_height_m
     layered = scale < math.inf
     suns = layer.slant.shape[0]

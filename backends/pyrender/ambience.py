@@ -230,7 +230,7 @@ def light_ground(ground: Ground, lighting: Lighting) -> Ambience:
     share = np.zeros((n, n, 4), np.float32)
     irradiance = np.zeros((n, n, 3))
     over_threads(
-        _sky_share, n, ground.normals, ground.own, ground.over, _directions(),
+        _sky_share, n, ground.normals, (ground.own, ground.over), _directions(),
         _from_above(radiance), share, irradiance,
     )  # fmt: skip
     for sun in lighting.suns:
@@ -278,9 +278,12 @@ def _from_above(radiance: NDArray[np.float64]) -> NDArray[np.float32]:
 
 
 @kernel
-def _sky_share(  # type: ignore[no-untyped-def]
-    first, last, normals, own, over, directions, up, share, irradiance
-):
+def _sky_share(first, last, normals, skyline, directions, up, share, irradiance):  # type: ignore[no-untyped-def]
+    """``Ambience.share`` and the irradiance of the sky, float64 [n, n, 3], of some rows of cells.
+
+    ``skyline`` is ``Ground.own`` and ``Ground.over``; ``up`` is ``_from_above`` of the sky.
+    """
+    own, over = skyline
     n = normals.shape[0]
     highest = up.shape[1] - 2
     for row in range(first, last):

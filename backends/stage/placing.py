@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -102,7 +103,7 @@ def rotations(
 def _set_rotations(quaternions, out):  # type: ignore[no-untyped-def]
     for k in range(quaternions.shape[0]):
         q = quaternions[k]
-        length = np.sqrt(((q[0] * q[0] + q[1] * q[1]) + q[2] * q[2]) + q[3] * q[3])
+        length = math.sqrt(((q[0] * q[0] + q[1] * q[1]) + q[2] * q[2]) + q[3] * q[3])
         x, y, z, w = 0.0, 0.0, 0.0, 1.0
         if length > 0.0:
             x, y, z, w = q[0] / length, q[1] / length, q[2] / length, q[3] / length
