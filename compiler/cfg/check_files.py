@@ -5,21 +5,15 @@ from __future__ import annotations
 import hashlib
 import zipfile
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from pathlib import Path as FilePath
-from typing import Any
+from pathlib import Path
 
-from scenec.compiler.assets.pose_table import read_poses
-from scenec.compiler.assets.track import read_track
-from scenec.compiler.assets.track_formats import FORMATS, ORDERS, read_stamped
 from scenec.compiler.cfg.faults import Finding
-from scenec.compiler.cfg.json_positions import Path
+from scenec.compiler.cfg.node import Node
 from scenec.compiler.cfg.resources import ResourceError, find_file, find_folder
 from scenec.compiler.cfg.schema import Field
-from scenec.compiler.geometry.affine import TO_Z_UP
 from scenec.schemas.errors import SceneError
-from scenec.schemas.maps import read_pixels
 from scenec.schemas.spelling import nearest, shown
 
 _EXR_MAGIC = b"\x76\x2f\x31\x01"
@@ -35,181 +29,166 @@ class InputFile:
         reference: The string in the cfg.
     """
 
-    path: FilePath
+    path: Path
     sha256: str
     reference: str = ""
 
 
-def check_file(
-    field: Field, document: Any, folder: FilePath
-) -> tuple[InputFile | None, list[Finding]]:
-    """Finds, checks and hashes one file.
+def check_files(
+    fields: Iterable[Field], cfg: Node, folder: Path
+) -> tuple[dict[str, InputFile], list[Finding]]:
+    """Finds, checks and hashes all files.
 
     Args:
-        field: The string that names it; its keyword "x-file" says what it must be.
-        document: The whole cfg, for the keys beside it.
+        fields: All places of the cfg; the keyword "x-file" says of a string what it must name.
+        cfg: The cfg.
         folder: The cfg's folder.
 
     Returns:
-        The file, or None where there is a finding.
+        Those that nothing is wrong with, by their path in the cfg, and the findings on the others.
     """
-    if field.keywords["x-file"] == "texture_set":
-        return _check_texture_set(field, document, folder)
-    try:
-        path = find_file(field.value, folder)
-        with path.open("rb") as stream:
-            digest = hashlib.file_digest(stream, "sha256").hexdigest()
-    except ResourceError as error:
-        return None, [Finding(field.path, str(error))]
-    except OSError as error:
-        return None, [Finding(field.path, f"{shown(field.value)}: {error.strerror or error}")]
-    owner = document
-    for key in field.path[:-1]:
-        owner = owner[key]
-    kind = field.keywords["x-file"]
-    try:
-        findings = _CHECKS[kind](path, field.path, owner, document)
-        if kind == "model" and not findings:
-            digest = _with_companions(path, digest)
-    except SceneError as error:
-        findings = [Finding(field.path, str(error))]
-    return (None if findings else InputFile(path, digest, field.value)), findings
+    files: dict[str, InputFile] = {}
+    findings: list[Finding] = []
+    for field in fields:
+        owner, key = cfg.at(*field.path[:-1]), field.path[-1] if field.path else ""
+        if "x-file" not in field.keywords or not owner[key]:
+            continue
+        name, kind = owner[key], field.keywords["x-file"]
+        try:
+            path = find_folder(name, folder) if kind == "texture_set" else find_file(name, folder)
+            digest = _sha256(path) if path.is_file() else ""
+            found = list(_CHECKS[kind](path, owner, cfg))
+            if not found and kind in _DIGESTS:
+                digest = _DIGESTS[kind](path, owner, digest)
+            if not found:
+                files["/".join(map(str, field.path))] = InputFile(path, digest, name)
+        except (ResourceError, SceneError) as error:
+            found = [Finding(field.path, str(error))]
+        except OSError as error:
+            found = [Finding(field.path, f"{shown(name)}: {error.strerror or error}")]
+        findings += found
+    return files, findings
 
 
-def _check_texture_set(
-    field: Field, document: Any, folder: FilePath
-) -> tuple[InputFile | None, list[Finding]]:
-    """A folder of pictures: its digest is of the names and bytes of those that are taken."""
+def _sha256(*files: Path) -> str:
+    """Of a file's bytes; of several files, of their digests, a line each."""
+    digests = []
+    for file in files:
+        with file.open("rb") as stream:
+            digests.append(hashlib.file_digest(stream, "sha256").hexdigest())
+    return digests[0] if len(files) == 1 else _joined(digests)
+
+
+def _joined(lines: list[str]) -> str:
+    return hashlib.sha256("\n".join(lines).encode("ascii")).hexdigest()
+
+
+def _check_texture_set(folder: Path, owner: Node, cfg: Node) -> Iterator[Finding]:
+    files = _texture_set(folder, owner)
+    material = cfg.at(*owner.path[:-1])
+    for key, given, why in (
+        ("base_color", material, "no base_color is given"),
+        ("displacement", owner, "displacement_m is given"),
+    ):
+        needed = key == "base_color" or owner["displacement_m"]
+        if needed and key not in files and key not in owner and key not in given:
+            raise SceneError(
+                f"{shown(owner['folder'])}: no picture of {key}, and {why}: found "
+                f"{', '.join(files.values())}"
+            )
+    for name in files.values():
+        try:
+            yield from _check_map(folder / name, owner, cfg)
+        except SceneError as error:
+            yield owner.fault(str(error), "folder")
+
+
+def _texture_set(folder: Path, owner: Node) -> dict[str, str]:
     from scenec.compiler.assets.texture_set import TextureSetError, read_texture_set
 
-    owner = document
-    for key in field.path[:-1]:
-        owner = owner[key]
-    findings: list[Finding] = []
-    digests = []
     try:
-        path = find_folder(field.value, folder)
-        files = read_texture_set(path, frozenset(owner)).files
-        for key, given, why in (
-            ("base_color", document["materials"][field.path[1]], "no base_color is given"),
-            ("displacement", owner, "displacement_m is given"),
-        ):
-            needed = key == "base_color" or owner.get("displacement_m", 0) != 0
-            if needed and key not in (*files, *owner, *given):
-                findings.append(
-                    Finding(
-                        field.path,
-                        f"{shown(field.value)}: no picture of {key}, and {why}: found "
-                        f"{', '.join(files.values())}",
-                    )
-                )
-        for kind, name in files.items():
-            with (path / name).open("rb") as stream:
-                digests.append(f"{kind} {hashlib.file_digest(stream, 'sha256').hexdigest()}")
-            findings.extend(_check_map(path / name, field.path, owner, document))
-    except ResourceError as error:
-        return None, [Finding(field.path, str(error))]
-    except (TextureSetError, OSError) as error:
-        reason = error.strerror if isinstance(error, OSError) else None
-        return None, [Finding(field.path, f"{shown(field.value)}: {reason or error}")]
-    digest = hashlib.sha256("\n".join(digests).encode("ascii")).hexdigest()
-    return (None if findings else InputFile(path, digest, field.value)), findings
+        return read_texture_set(folder, frozenset(owner.entries)).files
+    except TextureSetError as error:
+        raise SceneError(f"{shown(owner['folder'])}: {error}") from error
 
 
-def _check_dem(file: FilePath, path: Path, owner: Any, document: Any) -> list[Finding]:
-    # Imported here: it compiles kernels, and most faults are found without it.
+def _digest_of_texture_set(folder: Path, owner: Node, digest: str) -> str:
+    """Of the kinds and bytes of the pictures that are taken."""
+    files = _texture_set(folder, owner).items()
+    return _joined([f"{kind} {_sha256(folder / name)}" for kind, name in files])
+
+
+def _check_dem(file: Path, owner: Node, cfg: Node) -> Iterator[Finding]:
     from scenec.compiler.assets.dem_file import read_dem
 
-    array = owner.get("array")
-    member = array if isinstance(array, str) else None
+    member = owner["array"]
     try:
         if member is not None and zipfile.is_zipfile(file):
             with zipfile.ZipFile(file) as archive:
                 members = [name.removesuffix(".npy") for name in archive.namelist()]
             if member not in members:
-                return [
-                    Finding(
-                        (*path[:-1], "array"),
-                        f"no array {shown(member)} in {file.name}{nearest(member, members)}",
-                    )
-                ]
-        span = owner.get("height_range_m")
-        given = isinstance(span, list) and len(span) == 2
-        dem = read_dem(file, member, height_range_m=(0.0, 1.0) if given else None)
+                hint = nearest(member, members)
+                yield owner.fault(f"no array {shown(member)} in {file.name}{hint}", "array")
+                return
+        span = (0.0, 1.0) if "height_range_m" in owner else None
+        dem = read_dem(file, member, height_range_m=span)
     except (zipfile.BadZipFile, zlib.error, NotImplementedError, MemoryError) as error:
-        return [Finding(path, f"{file.name}: a broken file: {error or type(error).__name__}")]
+        raise SceneError(f"{file.name}: a broken file: {error or type(error).__name__}") from error
     if "pixel_m" not in owner and (dem.reference is None or dem.reference.pixel_m() is None):
-        return [
-            Finding(
-                path[:-1],
-                f'the key "pixel_m" is missing: {file.name} does not give its pixels in meters',
-            )
-        ]
-    return []
+        yield owner.fault(
+            f'the key "pixel_m" is missing: {file.name} does not give its pixels in meters'
+        )
 
 
-def _check_mesh(file: FilePath, path: Path, owner: Any, document: Any) -> list[Finding]:
+def _check_mesh(file: Path, owner: Node, cfg: Node) -> Iterator[Finding]:
     from scenec.compiler.assets.mesh_file import finish_mesh, missing_keys, parse_mesh
 
-    keys = ("unit_m", "up", "part")
-    unit_m, up, part = (owner.get(key) for key in keys)
-    # Values that the schema finds fault with count as given.
     parsed = parse_mesh(file)
-    missing = missing_keys(parsed, unit_m, up)
-    if missing:
-        return [
-            Finding(path[:-1], f'the key "{key}" is missing: {file.name} does not say it')
-            for key in missing
-        ]
-    finish_mesh(file, parsed, part=part if isinstance(part, str) else None)
-    return []
+    missing = _missing(file, owner, missing_keys(parsed, owner["unit_m"], owner["up"]))
+    yield from missing
+    if not missing:
+        finish_mesh(file, parsed, part=owner["part"])
 
 
-def _check_model(file: FilePath, path: Path, owner: Any, document: Any) -> list[Finding]:
+def _check_model(file: Path, owner: Node, cfg: Node) -> Iterator[Finding]:
     from scenec.compiler.assets.cache import cached_model, parsed_model
     from scenec.compiler.assets.mesh_file import missing_keys
 
-    unit_m, up, part = (owner.get(key) for key in ("unit_m", "up", "part"))
-    missing = missing_keys(parsed_model(file), unit_m, up)
-    if missing:
-        return [
-            Finding(path[:-1], f'the key "{key}" is missing: {file.name} does not say it')
-            for key in missing
-        ]
-    # Values that the schema finds fault with count as not given.
-    unit_m = float(unit_m) if isinstance(unit_m, (int, float)) and unit_m > 0 else None
-    cached_model(file, unit_m, up if up in tuple(TO_Z_UP) else None, _text(part))
-    return []
+    unit_m, up = owner["unit_m"], owner["up"]
+    missing = _missing(file, owner, missing_keys(parsed_model(file), unit_m, up))
+    yield from missing
+    if not missing:
+        cached_model(file, unit_m, up, owner["part"])
 
 
-def _text(value: Any) -> str | None:
-    return value if isinstance(value, str) else None
+def _missing(file: Path, owner: Node, keys: list[str]) -> list[Finding]:
+    """Findings on keys that neither the cfg nor the file gives."""
+    return [
+        owner.fault(f'the key "{key}" is missing: {file.name} does not say it')
+        for key in keys
+        if key not in owner
+    ]
 
 
-def _with_companions(file: FilePath, digest: str) -> str:
-    """A model's digest with those of the files that belong to it, in the model's order."""
+def _digest_of_model(file: Path, owner: Node, digest: str) -> str:
+    """With those of the files that belong to it, in its order."""
     from scenec.compiler.assets.cache import parsed_model
 
-    digests = [digest]
-    for path in parsed_model(file).companions:
-        with path.open("rb") as stream:
-            digests.append(hashlib.file_digest(stream, "sha256").hexdigest())
-    if len(digests) == 1:
-        return digest
-    return hashlib.sha256("\n".join(digests).encode("ascii")).hexdigest()
+    companions = parsed_model(file).companions
+    return _sha256(file, *companions) if companions else digest
 
 
-def _check_poses(file: FilePath, path: Path, owner: Any, document: Any) -> list[Finding]:
-    models = owner.get("models")
-    read_poses(file, max(len(models), 1) if isinstance(models, list) else 1)
-    return []
+def _check_poses(file: Path, owner: Node, cfg: Node) -> Iterable[Finding]:
+    from scenec.compiler.assets.pose_table import read_poses
+
+    read_poses(file, max(len(owner.at("models").entries), 1))
+    return ()
 
 
-def _check_image(file: FilePath, path: Path, owner: Any, document: Any) -> list[Finding]:
+def _check_image(file: Path, owner: Node, cfg: Node) -> Iterable[Finding]:
     with file.open("rb") as stream:
-        magic = stream.read(4)
-    if magic != _EXR_MAGIC:
-        return [Finding(path, f"{file.name}: not an OpenEXR file")]
+        if stream.read(4) != _EXR_MAGIC:
+            raise SceneError(f"{file.name}: not an OpenEXR file")
     import OpenEXR
 
     try:
@@ -217,73 +196,65 @@ def _check_image(file: FilePath, path: Path, owner: Any, document: Any) -> list[
             # Closing the file empties its header.
             channels = [channel.name for channel in picture.header()["channels"]]
     except (RuntimeError, ValueError, OSError) as error:
-        return [Finding(path, f"{file.name}: not a readable OpenEXR file: {error}")]
-    missing = [name for name in "RGB" if name not in channels]
-    if missing:
-        return [
-            Finding(
-                path,
-                f"{file.name}: expected the channels R, G and B, found "
-                f"{', '.join(sorted(channels))}",
-            )
-        ]
-    return []
+        raise SceneError(f"{file.name}: not a readable OpenEXR file: {error}") from error
+    if not set("RGB") <= set(channels):
+        raise SceneError(
+            f"{file.name}: expected the channels R, G and B, found {', '.join(sorted(channels))}"
+        )
+    return ()
 
 
-def _check_track(file: FilePath, path: Path, owner: Any, document: Any) -> list[Finding]:
-    form, order, rate = (owner.get(key) for key in ("format", "quaternion", "frame_rate_hz"))
-    # Values that the schema finds fault with count as not given.
-    form = form if isinstance(form, str) and form in FORMATS else "csv"
-    order = order if isinstance(order, str) and order in ORDERS else None
+def _check_track(file: Path, owner: Node, cfg: Node) -> Iterable[Finding]:
+    from scenec.compiler.assets.track import read_track
+    from scenec.compiler.assets.track_formats import read_stamped
+
+    form, order, samples = owner["format"] or "csv", owner["quaternion"], cfg["samples"]
     if form == "csv" and order is None and "sampling" not in owner:
         rows = len(read_track(file).time_s)
     else:
-        rate = float(rate) if isinstance(rate, (int, float)) and rate > 0 else 1.0
-        rows = len(read_stamped(file, form, order, rate).time_s)
-    samples = document.get("samples", 1)
-    if isinstance(samples, int) and rows < samples and "sampling" not in owner:
-        return [
-            Finding(
-                path,
-                f"{file.name}: {rows} poses for {samples} samples: expected a row for each sample",
-            )
-        ]
-    return []
+        rows = len(read_stamped(file, form, order, owner["frame_rate_hz"] or 1.0).time_s)
+    if samples is not None and rows < samples and "sampling" not in owner:
+        raise SceneError(
+            f"{file.name}: {rows} poses for {samples} samples: expected a row for each sample"
+        )
+    return ()
 
 
-def _check_map(file: FilePath, path: Path, owner: Any, document: Any) -> list[Finding]:
+def _check_map(file: Path, owner: Node, cfg: Node) -> Iterable[Finding]:
+    from scenec.schemas.maps import read_pixels
+
     try:
         read_pixels(file)
     except ValueError as error:
-        return [Finding(path, f"{file.name}: {error}")]
-    return []
+        raise SceneError(f"{file.name}: {error}") from error
+    return ()
 
 
-def _check_polyline(file: FilePath, path: Path, owner: Any, document: Any) -> list[Finding]:
+def _check_polyline(file: Path, owner: Node, cfg: Node) -> Iterable[Finding]:
     from scenec.compiler.assets.polyline import read_polyline
 
     read_polyline(file)
-    return []
+    return ()
 
 
-def _check_density(file: FilePath, path: Path, owner: Any, document: Any) -> list[Finding]:
+def _check_density(file: Path, owner: Node, cfg: Node) -> Iterable[Finding]:
     from scenec.compiler.assets.pictures import read_gray
 
     read_gray(file)
-    return []
+    return ()
 
 
-def _check_label_map(file: FilePath, path: Path, owner: Any, document: Any) -> list[Finding]:
+def _check_label_map(file: Path, owner: Node, cfg: Node) -> Iterable[Finding]:
     from scenec.compiler.cfg.label_maps import code_of, decode
 
-    values = owner.get("values")
-    if not isinstance(values, dict) or not values or None in map(code_of, values):
-        return []
-    decode(file, dict.fromkeys(values, 0))
-    return []
+    values = owner.at("values").entries
+    if values and None not in map(code_of, values):
+        decode(file, dict.fromkeys(values, 0))
+    return ()
 
 
-_CHECKS: dict[str, Callable[[FilePath, Path, Any, Any], list[Finding]]] = {
+#: What a file must be, by the keyword "x-file"; a SceneError speaks of the file itself.
+_CHECKS: dict[str, Callable[[Path, Node, Node], Iterable[Finding]]] = {
     "dem": _check_dem,
     "density": _check_density,
     "image": _check_image,
@@ -293,5 +264,11 @@ _CHECKS: dict[str, Callable[[FilePath, Path, Any, Any], list[Finding]]] = {
     "model": _check_model,
     "polyline": _check_polyline,
     "poses": _check_poses,
+    "texture_set": _check_texture_set,
     "track": _check_track,
+}
+#: Digests of more than the file itself.
+_DIGESTS: dict[str, Callable[[Path, Node, str], str]] = {
+    "model": _digest_of_model,
+    "texture_set": _digest_of_texture_set,
 }

@@ -1,115 +1,79 @@
-"""What must hold between the keys of a sensor's imaging, and between them and the sensor's.
-
-Like ``check_scene``, these checks pass over what does not have the shape they look for.
-"""
+"""What must hold between the keys of a sensor's imaging, and between them and the sensor's."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
 
 from scenec.compiler.cfg.faults import Finding
-from scenec.compiler.cfg.json_positions import Path
+from scenec.compiler.cfg.node import Node
 from scenec.schemas.imaging import MAX_JPEG_SIDE, MIN_DETERMINANT, MIN_WHITE, determinant
 from scenec.schemas.spelling import shown
 
-Spans = dict[Path, tuple[float, float]]
 
-#: Of the schema, where the cfg is silent.
-_BITS, _BLACK = 12, 64
-
-
-def check_imaging(document: Any, spans: Spans) -> list[Finding]:
-    """Findings on the imaging of all sensors.
-
-    Args:
-        document: A cfg, perhaps with faults.
-        spans: Least and largest value of the numbers that nothing is wrong with, by path.
-    """
-    findings: list[Finding] = []
-    for rig, node in _mapping(_mapping(document).get("rigs")).items():
-        for name, sensor in _mapping(_mapping(node).get("sensors")).items():
-            imaging = _mapping(sensor).get("imaging")
-            if isinstance(imaging, dict):
-                path: Path = ("rigs", rig, "sensors", name)
-                findings.extend(_check_exposure(path, sensor, imaging, spans))
-                findings.extend(_check_numbers(path, sensor, imaging, spans))
-                findings.extend(_check_matrix((*path, "imaging", "color_matrix"), imaging, spans))
-    return findings
+def check_imaging(sensor: Node) -> Iterator[Finding]:
+    """Findings on the imaging of a sensor."""
+    imaging = sensor.at("imaging")
+    if imaging:
+        yield from _check_exposure(sensor, imaging.at("exposure"))
+        yield from _check_numbers(sensor, imaging)
+        yield from _check_matrix(imaging)
 
 
-def _mapping(value: Any) -> dict[str, Any]:
-    return value if isinstance(value, dict) else {}
-
-
-def _check_exposure(
-    path: Path, sensor: dict[str, Any], imaging: dict[str, Any], spans: Spans
-) -> Iterator[Finding]:
-    exposure = _mapping(imaging.get("exposure"))
-    kind = exposure.get("type", "metered")
-    below: Path = (*path, "imaging", "exposure")
+def _check_exposure(sensor: Node, exposure: Node) -> Iterator[Finding]:
+    kind = exposure["type"]
     if kind in ("manual", "auto") and "exposure" in sensor:
-        yield Finding(
-            (*path, "exposure"),
+        yield sensor.key_fault(
             f'nothing reads it beside an imaging/exposure of type "{kind}": take it away, or make '
             'that "metered"',
-            at_key=True,
+            "exposure",
         )
     if kind == "manual" and ("iso" in exposure) == ("gain_e" in exposure):
-        yield Finding(below, "expected either the key iso or the key gain_e")
+        yield exposure.fault("expected either the key iso or the key gain_e")
     for key in ("time_range_s", "iso_range"):
-        low, high = (spans.get((*below, key, i)) for i in (0, 1))
-        if low is not None and high is not None and low[1] > high[0]:
-            yield Finding(
-                (*below, key), f"{low[1]:g} is above {high[0]:g}: expected the smaller one first"
+        low, high = map(exposure.at(key).span, (0, 1))
+        if low and high and low[1] > high[0]:
+            yield exposure.fault(
+                f"{low[1]:g} is above {high[0]:g}: expected the smaller one first", key
             )
 
 
-def _check_numbers(
-    path: Path, sensor: dict[str, Any], imaging: dict[str, Any], spans: Spans
-) -> Iterator[Finding]:
-    bits, black = imaging.get("bits", _BITS), imaging.get("black_level", _BLACK)
-    if isinstance(bits, int) and isinstance(black, int) and 8 <= bits <= 16:
-        largest = 2**bits - 1
-        if black >= largest:
-            yield Finding(
-                (*path, "imaging", "black_level" if "black_level" in imaging else "bits"),
-                f"a black level of {black} leaves no numbers of {bits} bits: expected less than "
-                f"{largest}",
-            )
-    shape = sensor.get("resolution")
-    thin = isinstance(shape, list) and 1 in shape
-    sides = [side for side in shape if isinstance(side, int)] if isinstance(shape, list) else []
+def _check_numbers(sensor: Node, imaging: Node) -> Iterator[Finding]:
+    bits, black, sides = imaging["bits"], imaging["black_level"], sensor["resolution"] or ()
+    if bits is not None and black is not None and black >= 2**bits - 1:
+        yield imaging.fault(
+            f"a black level of {black} leaves no numbers of {bits} bits: expected less than "
+            f"{2**bits - 1}",
+            "black_level" if "black_level" in imaging else "bits",
+        )
     if "jpeg" in imaging and max(sides, default=0) > MAX_JPEG_SIDE:
-        yield Finding(
-            (*path, "imaging", "jpeg"),
+        yield imaging.fault(
             f"a JPEG has at most {MAX_JPEG_SIDE} pixels a side, this sensor {max(sides)}: take it "
             "away",
+            "jpeg",
         )
-    if imaging.get("raw") is True and (thin or imaging.get("mosaic") == "none"):
-        yield Finding(
-            (*path, "imaging", "raw"),
-            "raw numbers are those behind a mosaic, and there is none: take it away",
+    if imaging["raw"] and (1 in sides or imaging["mosaic"] == "none"):
+        yield imaging.fault(
+            "raw numbers are those behind a mosaic, and there is none: take it away", "raw"
         )
 
 
-def _check_matrix(path: Path, imaging: dict[str, Any], spans: Spans) -> Iterator[Finding]:
-    found = [spans.get((*path, row, column)) for row in range(3) for column in range(3)]
+def _check_matrix(imaging: Node) -> Iterator[Finding]:
+    matrix = imaging.at("color_matrix")
     # Drawn ones are looked at when they are drawn (compiler/cameras/imaging.py).
-    numbers = [span[0] for span in found if span is not None and span[0] == span[1]]
-    if len(numbers) != 9:
+    numbers = [row.constant(column) for row in matrix.each("*") for column in range(3)]
+    known = tuple(number for number in numbers if number is not None)
+    if len(known) != 9:
         return
     for row in range(3):
-        total = sum(numbers[3 * row : 3 * row + 3])
+        total = sum(known[3 * row : 3 * row + 3])
         if total < MIN_WHITE:
-            yield Finding(
-                (*path, row),
+            yield matrix.fault(
                 f"adds up to {total:g}, so white light looks black to such pixels: expected more "
                 f"than {MIN_WHITE:g}",
+                row,
             )
-    if abs(determinant(tuple(numbers))) < MIN_DETERMINANT:
-        yield Finding(
-            path,
+    if abs(determinant(known)) < MIN_DETERMINANT:
+        yield matrix.fault(
             f"{shown(imaging['color_matrix'])} cannot be inverted: expected colors that can be "
-            "told apart",
+            "told apart"
         )

@@ -1,110 +1,132 @@
-"""What must hold between the keys of further suns and lamps, and between them and the rest.
-
-Like ``check_scene``, these checks pass over what does not have the shape they look for.
-"""
+"""What must hold between the keys of the light: suns, sky and its label maps, haze, lamps."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
 
 from scenec.compiler.cfg.faults import Finding
-from scenec.compiler.cfg.json_positions import Path
-from scenec.schemas.spelling import nearest, shown
+from scenec.compiler.cfg.node import Node, black, is_black, off_terrain, unknown
+from scenec.schemas.spelling import shown
 
 #: Prims of the stage that the sun and the sky have.
 _TAKEN = {"Sun": "the sun", "Dome": "the sky"}
 
 
-def check_light(document: Any, spans: dict[Path, tuple[float, float]]) -> list[Finding]:
-    """Findings on further suns and lamps.
+def check_light(cfg: Node) -> Iterator[Finding]:
+    """Findings on all lights, the sky and haze."""
+    light = cfg.at("light")
+    sky = light.at("sky")
+    yield from _check_names(light)
+    for pattern in (("more", "*"), ("lamps", "*")):
+        for node in light.each(*pattern):
+            if is_black(node):
+                yield node.fault(black("what is asked for"), "color")
+    for mount in light.each("lamps", "*", "mount"):
+        yield from _check_mount(cfg, mount)
+    if is_black(light.at("sun")):
+        yield light.fault(black("an irradiance"), "sun", "color")
+    if is_black(sky, "zenith_color") and is_black(sky, "horizon_color"):
+        yield sky.fault(black("an irradiance"), "zenith_color")
+    if sky["type"] == "image":
+        yield from _check_label_maps(cfg, sky)
+        if sky["sun"] == "extract" and light.entries.get("sun") is not None:
+            yield light.key_fault(
+                'the sun is taken from the pictures ("sun": "extract" of light.sky): expected '
+                "null, or no key; further suns go into light.more",
+                "sun",
+            )
+    if sky["type"] == "atmosphere" and light.entries.get("sun", {}) is None:
+        yield light.fault(
+            "an atmosphere shows the light of the sun: expected a sun (below the horizon for "
+            'night), or a sky of the type "none"',
+            "sun",
+        )
+    if light.at("haze"):
+        yield from _check_haze(light.at("haze"), sky)
 
-    Args:
-        document: A cfg, perhaps with faults.
-        spans: Least and largest value of the numbers that nothing is wrong with, by path.
-    """
-    cfg = _mapping(document)
-    light = _mapping(cfg.get("light"))
-    findings = list(_check_names(light))
-    for group in ("more", "lamps"):
-        for name, node in _mapping(light.get(group)).items():
-            if isinstance(node, dict):
-                findings.extend(_check_color(("light", group, name), node, spans))
-    for name, node in _mapping(light.get("lamps")).items():
-        mount = _mapping(_mapping(node).get("mount"))
-        path: Path = ("light", "lamps", name, "mount")
-        if mount.get("type") == "rig":
-            findings.extend(_check_rig(path, mount, cfg))
-        elif mount.get("type") == "world":
-            findings.extend(_check_aim(path, mount))
-            findings.extend(_check_place(path, mount, spans))
-            findings.extend(_check_place((*path, "target"), mount, spans))
-    return findings
 
-
-def _mapping(value: Any) -> dict[str, Any]:
-    return value if isinstance(value, dict) else {}
-
-
-def _check_names(light: dict[str, Any]) -> Iterator[Finding]:
+def _check_names(light: Node) -> Iterator[Finding]:
     """All lights stand beside each other in the stage."""
     taken = dict(_TAKEN)
     for group in ("more", "lamps"):
-        for name in _mapping(light.get(group)):
+        for name in light.at(group).entries:
             if name in taken:
-                yield Finding(
-                    ("light", group, name),
+                yield light.key_fault(
                     f"{shown(name)} is the name of {taken[name]} already: expected another one",
-                    at_key=True,
+                    group,
+                    name,
                 )
             taken.setdefault(name, f"light/{group}/{name}")
 
 
-def _check_color(
-    path: Path, node: dict[str, Any], spans: dict[Path, tuple[float, float]]
-) -> Iterator[Finding]:
-    color = node.get("color")
-    if not isinstance(color, list) or len(color) != 3:
+def _check_mount(cfg: Node, mount: Node) -> Iterator[Finding]:
+    rigs = cfg.at("rigs")
+    if mount["type"] == "rig" and rigs and mount["rig"] not in (None, *rigs.entries):
+        yield mount.fault(unknown("rig", mount["rig"], rigs.entries), "rig")
+    if mount["type"] != "world":
         return
-    components = [spans.get((*path, "color", i)) for i in range(3)]
-    if None not in components and not any(span and span[0] > 0.0 for span in components):
-        yield Finding(
-            (*path, "color"),
-            "black cannot be scaled to what is asked for: expected a component that is always "
-            "above 0",
+    yield from mount.both("target", "bearing_deg", "where it shines")
+    yield from mount.both("target", "elevation_deg", "where it shines")
+    if mount["heights"] == "ground":
+        # The ground's height is known on the terrain only.
+        for place in (mount, mount.at("target")):
+            for key, how in off_terrain(cfg, place):
+                yield place.fault(f'{how}: expected a place on it, or "heights": "world"', key)
+
+
+def label_maps(cfg: Node) -> Iterator[tuple[str, Node]]:
+    """Level and node of each label map of a panorama."""
+    for node in cfg.each("light", "sky", "label_maps", "*", "*"):
+        yield str(node.path[-1]), node
+
+
+def _check_label_maps(cfg: Node, sky: Node) -> Iterator[Finding]:
+    from scenec.compiler.cfg.label_maps import LARGEST_ID, code_of
+
+    maps, files, labels = sky.at("label_maps"), sky.at("files"), cfg.at("labels")
+    if maps and files and len(maps.entries) != len(files.entries):
+        yield maps.fault(
+            f"{len(maps.entries)} entries for {len(files.entries)} files: expected one for each, "
+            "null for none"
         )
-
-
-def _check_rig(path: Path, mount: dict[str, Any], cfg: dict[str, Any]) -> Iterator[Finding]:
-    name, rigs = mount.get("rig"), cfg.get("rigs")
-    if isinstance(name, str) and isinstance(rigs, dict) and name not in rigs:
-        yield Finding((*path, "rig"), f"no rig {shown(name)}{nearest(name, rigs)}")
-
-
-def _check_aim(path: Path, mount: dict[str, Any]) -> Iterator[Finding]:
-    for key in ("bearing_deg", "elevation_deg"):
-        if "target" in mount and key in mount:
-            yield Finding(
-                (*path, key),
-                f"target and {key} both say where it shines: take one away",
-                at_key=True,
-            )
-
-
-def _check_place(
-    path: Path, mount: dict[str, Any], spans: dict[Path, tuple[float, float]]
-) -> Iterator[Finding]:
-    """The ground's height is known on the terrain only."""
-    if mount.get("heights", "ground") != "ground":
-        return
-    for axis, key in enumerate(("x_m", "y_m")):
-        size, span = spans.get(("terrain", "size_m", axis)), spans.get((*path, key))
-        if size is None or span is None:
+    for level, node in label_maps(cfg):
+        if level not in labels:
+            yield node.key_fault(unknown("label level", level, labels.entries))
             continue
-        half = 0.5 * size[0]
-        if span[0] < -half or span[1] > half:
-            yield Finding(
-                (*path, key),
-                f"reaches from {span[0]:g} m to {span[1]:g} m, but the terrain from {-half:g} m "
-                f'to {half:g} m: expected a place on it, or "heights": "world"',
+        values, table = node.at("values"), labels.at(level)
+        for value in values.entries:
+            if code_of(value) is None:
+                yield values.key_fault(
+                    f'{shown(value)}: expected a whole number from 0 to {LARGEST_ID}, or "#RRGGBB"',
+                    value,
+                )
+            name = values[value]
+            if name is not None and name not in table:
+                where = f" on the level {shown(level)}"
+                yield values.fault(unknown("label", name, table.entries, where), value)
+            elif name is not None and (table[name] or 0) > LARGEST_ID:
+                yield values.fault(
+                    f"{shown(name)} has the id {table[name]}, and label maps hold ids up to "
+                    f"{LARGEST_ID}: expected a smaller one in labels",
+                    value,
+                )
+
+
+def _check_haze(haze: Node, sky: Node) -> Iterator[Finding]:
+    yield from haze.both("visibility_m", "extinction_per_m", "how dense it is")
+    if "visibility_m" not in haze:
+        if "extinction_per_m" not in haze:
+            yield haze.fault("expected the key visibility_m, or extinction_per_m")
+        elif "color" in haze:
+            yield haze.key_fault(
+                "extinction_per_m has a color of its own: take one of the two away", "color"
             )
+    if is_black(haze):
+        yield haze.fault(black("a visibility"), "color")
+    no_sky = sky["type"] == "none" or (sky["type"] == "atmosphere" and sky["planet"] == "moon")
+    if no_sky and haze["airlight"] == "sky":
+        yield haze.fault(
+            "haze shows the light of the sky, and there is none: expected an airlight of its own, "
+            "[red, green, blue] in W/(m² sr), or another sky",
+            *(("airlight",) if "airlight" in haze else ()),
+        )

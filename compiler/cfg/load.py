@@ -10,19 +10,25 @@ from pathlib import Path as FilePath
 from typing import Any
 
 from scenec.compiler.cfg import schema
-from scenec.compiler.cfg.check_files import InputFile, check_file
-from scenec.compiler.cfg.check_models import check_models
+from scenec.compiler.cfg.check_files import InputFile, check_files
+from scenec.compiler.cfg.check_light import check_light
+from scenec.compiler.cfg.check_materials import check_materials
 from scenec.compiler.cfg.check_names import check_names
 from scenec.compiler.cfg.check_numbers import check_number
-from scenec.compiler.cfg.check_scene import check_scene
+from scenec.compiler.cfg.check_objects import check_objects, check_parts
+from scenec.compiler.cfg.check_rigs import check_rigs
 from scenec.compiler.cfg.check_schema import check_schema
+from scenec.compiler.cfg.check_terrain import check_terrain
 from scenec.compiler.cfg.faults import Finding, locate
 from scenec.compiler.cfg.fill import fill
-from scenec.compiler.cfg.json_positions import Document, JsonError, Path, parse
-from scenec.compiler.cfg.schema import Field
+from scenec.compiler.cfg.json_positions import Document, JsonError, parse
+from scenec.compiler.cfg.node import Node, Tree
 from scenec.compiler.distributions.numbers import Distribution
 from scenec.schemas.errors import CfgError, Fault
 from scenec.schemas.spelling import shown
+
+#: What must hold between keys, beside what is checked of names and files.
+_CHECKS = (check_terrain, check_materials, check_objects, check_light, check_rigs)
 
 
 @dataclass(frozen=True)
@@ -56,32 +62,31 @@ def load(path: FilePath | str) -> Spec:
     path = FilePath(path)
     name = str(path)
     text, document = _read(path, name)
-    findings = [
+    duplicates = [
         Finding(at, f"the key {shown(at[-1])} stands twice in its object", position=position)
         for at, position in document.duplicates
     ]
     schema_findings = check_schema(document.value)
-    findings.extend(schema_findings)
     fields = list(schema.walk(schema.root(document.value)))
-    numbers, number_findings = _sound_numbers(fields, schema_findings)
-    findings.extend(number_findings)
-    if isinstance(document.value, dict):
-        sound = not schema_findings and not document.duplicates
-        findings.extend(check_names(document.value, sound))
-        findings.extend(check_scene(document.value, numbers))
-    files: dict[str, InputFile] = {}
-    for field in fields:
-        if "x-file" in field.keywords and isinstance(field.value, str) and field.value:
-            file, file_findings = check_file(field, document.value, path.parent)
-            findings.extend(file_findings)
-            if file:
-                files["/".join(map(str, field.path))] = file
-    findings.extend(check_models(document.value, files))
+    tree = Tree(fields, schema_findings)
+    number_findings = [
+        finding
+        for field in fields
+        if field.is_number and tree.is_sound(field.path)
+        for finding in check_number(field)
+    ]
+    cfg = Node(Tree(fields, [*schema_findings, *number_findings]))
+    findings = [*duplicates, *schema_findings, *number_findings]
+    findings += check_names(cfg, sound=not (duplicates or schema_findings))
+    for check in _CHECKS:
+        findings += check(cfg)
+    files, file_findings = check_files(fields, cfg, path.parent)
+    findings += [*file_findings, *check_parts(cfg, files)]
     faults = locate(findings, document, name)
     if faults:
         raise CfgError(faults)
-    cfg = fill(document.value)
-    return Spec(cfg, path, files, digest_of(cfg, files), text)
+    filled = fill(document.value)
+    return Spec(filled, path, files, digest_of(filled, files), text)
 
 
 def _read(path: FilePath, name: str) -> tuple[bytes, Document]:
@@ -97,27 +102,6 @@ def _read(path: FilePath, name: str) -> tuple[bytes, Document]:
     except JsonError as error:
         line, column = error.position.line, error.position.column
         raise CfgError([Fault(name, line, column, "", error.message)]) from error
-
-
-def _sound_numbers(
-    fields: list[Field], schema_findings: list[Finding]
-) -> tuple[dict[Path, Field], list[Finding]]:
-    # A finding inside a distribution counts against the number that the distribution stands for.
-    faulty = {
-        finding.path[:length]
-        for finding in schema_findings
-        for length in range(len(finding.path) + 1)
-    }
-    numbers: dict[Path, Field] = {}
-    findings: list[Finding] = []
-    for field in fields:
-        if not field.is_number or field.path in faulty:
-            continue
-        found = list(check_number(field))
-        findings.extend(found)
-        if not found:
-            numbers[field.path] = field
-    return numbers, findings
 
 
 def digest_of(cfg: dict[str, Any], files: Mapping[str, InputFile]) -> str:

@@ -4,7 +4,8 @@ The schemas of ``schemas/cfg/`` keep to a part of draft 2020-12 that can be walk
 another file, ``properties``, ``additionalProperties``, ``unevaluatedProperties`` (beside a
 ``$ref`` to keys that schemas share, which has "x-shared"), ``items``, ``prefixItems``, and ``if``,
 ``then``, ``else`` (alone or in ``allOf``). So defaults, the reference page and the drawing of
-numbers come from the same files as the validation.
+numbers come from the same files as the validation. Forms that many keys share (a length drawn once
+a batch, a color, a name) stand in ``forms.schema.json`` and are taken in when they are loaded.
 """
 
 from __future__ import annotations
@@ -24,14 +25,35 @@ from scenec.compiler.cfg.json_positions import Path
 
 ROOT = "cfg.schema.json"
 NUMBER = "number.schema.json"
+FORMS = "forms.schema.json"
+
+
+def read_schemas() -> dict[str, dict[str, Any]]:
+    """Every file of the cfg's schemas as it stands, by its name and sorted by it."""
+    folder = importlib.resources.files("scenec.schemas") / "cfg"
+    names = sorted(file.name for file in folder.iterdir() if file.name.endswith(".schema.json"))
+    return {name: json.loads((folder / name).read_text(encoding="utf-8")) for name in names}
 
 
 @cache
 def load_schemas() -> Mapping[str, dict[str, Any]]:
-    """Every schema of the cfg by file name, sorted by it."""
-    folder = importlib.resources.files("scenec.schemas") / "cfg"
-    names = sorted(file.name for file in folder.iterdir() if file.name.endswith(".schema.json"))
-    return {name: json.loads((folder / name).read_text(encoding="utf-8")) for name in names}
+    """Every schema of the cfg by file name, sorted by it, with the forms that they refer to."""
+    schemas = read_schemas()
+    forms = schemas.pop(FORMS)["$defs"]
+    return {name: _with_forms(schema, forms) for name, schema in schemas.items()}
+
+
+def _with_forms(schema: Any, forms: Mapping[str, Any]) -> Any:
+    if isinstance(schema, list):
+        return [_with_forms(entry, forms) for entry in schema]
+    if not isinstance(schema, dict):
+        return schema
+    file, _, name = str(schema.get("$ref", "")).partition("#/$defs/")
+    if file == FORMS:
+        # What stands beside the reference goes before the form.
+        own = {key: entry for key, entry in schema.items() if key != "$ref"}
+        return _with_forms({**forms[name], **own}, forms)
+    return {key: _with_forms(entry, forms) for key, entry in schema.items()}
 
 
 @cache

@@ -7,9 +7,20 @@ from pathlib import Path
 
 import pytest
 from jsonschema import Draft202012Validator
+from referencing import Registry
+from referencing.jsonschema import DRAFT202012
+from small_cfg import changed, minimal
 
 from scenec.compiler.cfg.check_numbers import check_number
-from scenec.compiler.cfg.schema import NUMBER, ROOT, Field, load_schemas, validator
+from scenec.compiler.cfg.schema import (
+    FORMS,
+    NUMBER,
+    ROOT,
+    Field,
+    load_schemas,
+    read_schemas,
+    validator,
+)
 from scenec.studies.pages import cfg_reference
 
 _DOCS = Path(__file__).parents[2] / "docs"
@@ -90,6 +101,36 @@ def test_every_schema_file_is_reached_from_the_root():
         below = (s["$ref"] for _, s in _subschemas(load_schemas()[name]) if "$ref" in s)
         pending.extend(ref for ref in below if not ref.startswith("#"))
     assert sorted(reached) == _NAMES
+
+
+def _form_references():
+    """Every reference to a form: where it stands, and what stands beside it."""
+    for name, schema in read_schemas().items():
+        for at, below in _subschemas(schema):
+            for key, entry in (("", below), ("/propertyNames", below.get("propertyNames", {}))):
+                file, _, form = entry.get("$ref", "").partition("#/$defs/")
+                if file == FORMS:
+                    yield f"{name}{at}{key}", entry, form
+
+
+def test_a_form_is_shared_and_nothing_contradicts_it():
+    forms, uses = read_schemas()[FORMS]["$defs"], dict[str, int]()
+    for at, entry, form in _form_references():
+        uses[form] = uses.get(form, 0) + 1
+        assert set(entry) & set(forms[form]) <= {"$ref", "description"}, at
+    assert set(uses) == set(forms)
+    assert min(uses.values()) > 1
+
+
+@pytest.mark.parametrize(
+    ("changes", "sound"),
+    [({}, True), ({"/objects/rocks/embed": 2}, False), ({"/terrain/ground/0/noise": {}}, False)],
+)
+def test_an_editor_that_follows_the_files_as_they_stand_finds_the_same(changes, sound):
+    resources = [(name, DRAFT202012.create_resource(s)) for name, s in read_schemas().items()]
+    editor = Draft202012Validator({"$ref": ROOT}, registry=Registry().with_resources(resources))
+    cfg = changed(changes) if changes else minimal()
+    assert editor.is_valid(cfg) == validator().is_valid(cfg) == sound
 
 
 def test_the_reference_page_is_up_to_date():
