@@ -91,7 +91,6 @@ def draw_meshes(
             cfg["seat"] == "touch",
         ),
         weights=[float(model["weight"]) for model in cfg["models"]],
-        material=cfg["material"],
         orientation="upright",
         size_key="scale",
     )

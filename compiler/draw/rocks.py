@@ -77,7 +77,6 @@ def draw_rocks(
             tuple(_shape(f"{path}/prototypes/{i}", node, streams) for i in range(prototypes))
         ),
         weights=[1.0] * prototypes,
-        material=cfg["material"],
         # Plates lie.
         orientation="normal" if cfg["family"] == "slab" else "random",
         size_key="size_m",

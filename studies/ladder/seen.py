@@ -64,10 +64,8 @@ def looked_at(
     reach = float(np.sqrt(field.grid.size_m[0] * field.grid.size_m[0]
                           + field.grid.size_m[1] * field.grid.size_m[1]))  # fmt: skip
     far = np.full(len(origin), -1.0)
-    over_threads(
-        _march, len(origin), field.height, *field.frame(), origin, toward, _growth(reach, _ALONG),
-        far,
-    )  # fmt: skip
+    growth = _growth(reach, _ALONG)
+    over_threads(_march, len(origin), field.height, field.frame(), origin, toward, growth, far)
     met = np.flatnonzero(far > 0.0)
     place = origin[met] + far[met, None] * toward[met]
     inside = (np.abs(place[:, 0]) < 0.5 * field.grid.size_m[0]) & (
@@ -109,8 +107,9 @@ def _rays(eyes: Sequence[Eye], each: int) -> tuple[NDArray[np.float64], NDArray[
 
 
 @kernel
-def _march(first, last, height, x0, y0, dx, dy, origin, toward, growth, out):  # type: ignore[no-untyped-def]
+def _march(first, last, height, frame, origin, toward, growth, out):  # type: ignore[no-untyped-def]
     """How far along rays the ground is first above them; ``out`` stays where it never is."""
+    x0, y0, dx, dy = frame
     for n in range(first, last):
         before, at = 0.0, _FIRST_M
         for _ in range(_ALONG):
