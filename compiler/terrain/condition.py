@@ -20,7 +20,7 @@ from scenec.compiler.terrain.freshness import crater_freshness
 from scenec.compiler.terrain.grid import Grid
 from scenec.compiler.terrain.operators.craters import Craters
 from scenec.compiler.terrain.operators.multifractal import octaves_shown
-from scenec.compiler.terrain.quantities import Quantities
+from scenec.compiler.terrain.quantities import Quantities, Samples
 
 
 @dataclass(frozen=True)
@@ -84,11 +84,17 @@ class Interval(Condition):
         value = self.quantity_at(quantities, x, y)
         return value if self.ragged is None else value + self.ragged.at(x, y)
 
+    def value_on(self, quantities: Quantities, samples: Samples) -> NDArray[np.float64]:
+        """``value_at`` the grid's samples, row-major: float64 [n]."""
+        value = self.quantity_at(quantities, *quantities.grid.points())
+        return value if self.ragged is None else value + samples.noise(self.ragged, self.ragged.at)
+
     def weight_of(self, quantities: Quantities) -> NDArray[np.float64]:
         """The soft interval of the quantity: 1/2 at a bound, 0 to 1 over the softness about it."""
         value = self.quantity(quantities)
         if self.ragged is not None:
-            value = value + self.ragged.at(*quantities.grid.points()).reshape(value.shape)
+            added = quantities.samples.noise(self.ragged, self.ragged.at)
+            value = value + added.reshape(value.shape)
         return soft_interval(value, *self.bounds())
 
 

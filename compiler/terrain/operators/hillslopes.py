@@ -142,7 +142,7 @@ class Hillslopes:
         """
         rows, columns = self._axes
         out = np.zeros([len(axis.eigenvalues) + sum(axis.fixed) for axis in self._axes])
-        if not self._decay.size:
+        if not self._decay.size or uplift_m == 0.0:
             return out
         # Mean of the decay over the step, (1 - exp(-x)) / x; where that cancels, its series.
         x = self._spread_m2 * self._eigenvalues
