@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -69,8 +70,12 @@ class _Work:
 
 
 def refine(
-    mesh: CutMesh, surface: Surface, views: Views, limits: Limits
-) -> tuple[CutMesh, dict[str, Any]] | None:
+    mesh: CutMesh,
+    sides: Sequence[NDArray[np.float64]],
+    surface: Surface,
+    views: Views,
+    limits: Limits,
+) -> tuple[CutMesh, tuple[NDArray[np.float64], ...], dict[str, Any]] | None:
     """A mesh of a grid's samples, made finer where a view shows that it is too coarse.
 
     A face is halved while the surface above the middle of one of its edges, or the detail finer
@@ -78,29 +83,38 @@ def refine(
 
     Args:
         mesh: Not cut yet; newest vertices first.
+        sides: Of the merges at its vertices, float64 [n] each.
         surface: What it stands for.
         views: The cameras.
         limits: When to stop.
 
     Returns:
-        The mesh, and the error left: measured at points inside of its faces, and bounded. None if
-        it has more triangles than are allowed.
+        The mesh, the merges' sides at its vertices, and the error left: measured at points inside
+        of its faces, and bounded. None if it has more triangles than are allowed.
     """
-    work = _start(mesh, surface, views, limits)
+    work = _start(mesh, sides, surface, views, limits)
     while len(work.mesh.faces) <= limits.max_triangles:
         new = np.flatnonzero(work.new)
         wanted = np.zeros(len(work.new), bool)
         wanted[new] = _wanted(work, new, surface, views, limits)
         if not wanted.any():
-            return _finish(mesh, work, surface, views, limits)
+            sides = tuple(np.ascontiguousarray(side) for side in work.sides.T)
+            finer, report = _finish(mesh, work, surface, views, limits)
+            return finer, sides, report
         work = _halved(work, halve(work.mesh, wanted), surface)
     return None
 
 
-def _start(mesh: CutMesh, surface: Surface, views: Views, limits: Limits) -> _Work:
+def _start(
+    mesh: CutMesh,
+    sides: Sequence[NDArray[np.float64]],
+    surface: Surface,
+    views: Views,
+    limits: Limits,
+) -> _Work:
     bisectable = newest_first(len(mesh.points), mesh.faces)
     x, y = np.ascontiguousarray(mesh.points[:, :2].T)
-    height, sides = surface.evaluate(x, y)
+    height = surface.height_at(x, y, sides)
     work = _Work(
         bisectable,
         np.stack([x, y, height], axis=1),
@@ -137,7 +151,7 @@ def _doubtful(work: _Work, surface: Surface, views: Views, limits: Limits) -> ND
     return out
 
 
-def _columns(sides: list[NDArray[np.float64]], count: int) -> NDArray[np.float64]:
+def _columns(sides: Sequence[NDArray[np.float64]], count: int) -> NDArray[np.float64]:
     return np.stack(sides, axis=1) if sides else np.zeros((count, 0))
 
 

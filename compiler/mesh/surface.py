@@ -42,14 +42,28 @@ class Surface:
     ) -> tuple[NDArray[np.float64], list[NDArray[np.float64]]]:
         """Heights, float64 [n], and the merges' sides, float64 [n] each."""
         sides = [merge.side(x, y) for merge in self.merges]
-        return self._height(x, y, sides), sides
+        return self.height_at(x, y, sides), sides
 
-    def height_at(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Heights, float64 [n], meters."""
-        sides = []
-        if self.smooth and any(self.displacements):
-            sides = [merge.side(x, y) for merge in self.merges]
-        return self._height(x, y, sides)
+    def height_at(
+        self,
+        x: NDArray[np.float64],
+        y: NDArray[np.float64],
+        sides: Sequence[NDArray[np.float64]] | None = None,
+    ) -> NDArray[np.float64]:
+        """Heights, float64 [n], meters; ``sides`` of the merges there, where they are known."""
+        if not self.smooth:
+            return self.field.height_at(x, y)
+        height = _smooth_heights(self.field.height, *self.field.frame(), x, y)
+        for detail in self.details:
+            height += detail.at(x, y)
+        if any(self.displacements):
+            if sides is None:
+                sides = [merge.side(x, y) for merge in self.merges]
+            for layer, share in zip(self.displacements, self._shares(sides, x), strict=True):
+                if layer is not None:
+                    there = np.flatnonzero(share)
+                    height[there] += share[there] * layer.at(x[there], y[there])
+        return height
 
     def lift_at(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
         """How far the surface lies above the grid's triangles, float64 [n], meters."""
@@ -82,21 +96,6 @@ class Surface:
         shown = [d for d in (*self.details, *self.displacements) if d is not None]
         spectra = [detail.spectrum() for detail in shown] if self.smooth else []
         return float(joined(spectra).amplitude_m.sum())
-
-    def _height(
-        self, x: NDArray[np.float64], y: NDArray[np.float64], sides: Sequence[NDArray[np.float64]]
-    ) -> NDArray[np.float64]:
-        if not self.smooth:
-            return self.field.height_at(x, y)
-        height = _smooth_heights(self.field.height, *self.field.frame(), x, y)
-        for detail in self.details:
-            height += detail.at(x, y)
-        if any(self.displacements):
-            for layer, share in zip(self.displacements, self._shares(sides, x), strict=True):
-                if layer is not None:
-                    there = np.flatnonzero(share)
-                    height[there] += share[there] * layer.at(x[there], y[there])
-        return height
 
     def _shares(
         self, sides: Sequence[NDArray[np.float64]], x: NDArray[np.float64]
