@@ -233,12 +233,13 @@ def _gather(
     # Within a tile, faces go by cell, so that neighbors in memory are neighbors on the ground.
     order = np.argsort(tile_of_face, kind="stable")
     starts = np.searchsorted(tile_of_face[order], np.arange(tile_counts[0] * tile_counts[1] + 1))
+    number = np.full(len(points), -1, np.int32)
     tiles = []
     for t in range(tile_counts[0] * tile_counts[1]):
         own = order[starts[t] : starts[t + 1]]
         if not len(own):
             continue
-        vertices, local = np.unique(faces[own], return_inverse=True)
+        vertices, local = _renumbered(faces[own], number)
         at = points[vertices]
         # A multiple of the quantum: translate + float32(local) then restores the points exactly.
         middle = np.round(0.5 * (at.min(axis=0) + at.max(axis=0)) / quantum) * quantum
@@ -247,7 +248,7 @@ def _gather(
                 name=f"tile_{t // tile_counts[0]:03d}_{t % tile_counts[0]:03d}",
                 translate=middle,
                 points=(at - middle).astype(np.float32),
-                faces=local.reshape(-1, 3).astype(np.int32),
+                faces=local,
                 normals=normals[vertices],
                 layer=layer[own],
                 weights=np.ascontiguousarray(weights[:, vertices]),
@@ -255,3 +256,43 @@ def _gather(
             )
         )
     return tuple(tiles)
+
+
+def _renumbered(
+    faces: NDArray[np.int32], number: NDArray[np.int32]
+) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """Vertices in use, ascending, and faces that name them by their places there.
+
+    Args:
+        faces: int32 [m, 3].
+        number: Of all vertices there are, -1 each: scratch, left as it was.
+    """
+    used = np.empty(faces.size, np.int32)
+    vertices = np.sort(used[: _collect(faces, number, used)], kind="stable")
+    local = np.empty_like(faces)
+    _number(faces, vertices, number, local)
+    return vertices, local
+
+
+@kernel
+def _collect(faces: NDArray, number: NDArray, used: NDArray) -> int:
+    count = 0
+    for f in range(len(faces)):
+        for k in range(3):
+            v = faces[f, k]
+            if number[v] < 0:
+                number[v] = 0
+                used[count] = v
+                count += 1
+    return count
+
+
+@kernel
+def _number(faces: NDArray, vertices: NDArray, number: NDArray, local: NDArray) -> None:
+    for n in range(len(vertices)):
+        number[vertices[n]] = n
+    for f in range(len(faces)):
+        for k in range(3):
+            local[f, k] = number[faces[f, k]]
+    for n in range(len(vertices)):
+        number[vertices[n]] = -1
