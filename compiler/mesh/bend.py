@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from scenec.compiler.mesh.surface import _slope
 from scenec.compiler.terrain.grid import HeightField
-from scenec.schemas.kernels import kernel
+from scenec.schemas.kernels import inlined, kernel
 from scenec.schemas.threads import over_threads
 
 #: Largest t (1 - t)^2 in [0, 1], at 1/3.
@@ -81,7 +81,7 @@ def of_faces(
     return samples, missed, whole
 
 
-@kernel
+@inlined
 def _most(p: float, q: float) -> float:
     """Largest absolute t (1 - t) ((1 - t) p - t q) in [0, 1]."""
     # From the end where it is steeper.
@@ -100,7 +100,7 @@ def _most(p: float, q: float) -> float:
     return most
 
 
-@kernel
+@inlined
 def _at_most(p: float, q: float) -> float:
     """No less than ``_most``, from its ends one by one."""
     a, b = abs(p), abs(q)
@@ -109,7 +109,7 @@ def _at_most(p: float, q: float) -> float:
     return min(0.25 * max(a, b), _ONE_END * (a + b))
 
 
-@kernel
+@inlined
 def _beyond(before, after):  # type: ignore[no-untyped-def]
     """What a slope across rows has beyond the rise after it, anywhere between two columns.
 
@@ -146,7 +146,7 @@ def _beyond(before, after):  # type: ignore[no-untyped-def]
     return (0.0 if low >= 0.0 else -most), (0.0 if high <= 0.0 else most), kinks
 
 
-@kernel
+@inlined
 def _range(e0, e1, p, q):  # type: ignore[no-untyped-def]
     """Bounds of a cubic from its values, p and q, and of its slope: those of its Bezier points."""
     rise = e1 - e0
