@@ -21,6 +21,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
 
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.scene.scene import Scene
@@ -52,21 +53,28 @@ class Seen(NamedTuple):
             is seen at all; float64 [by, bx].
         ground: Height that the ground is nowhere below, -inf where it may be missing.
         frame: As in ``Relief``; blocks are square.
+        longest: How far from each other two things can be, meters.
     """
 
     top: NDArray[np.float64]
     distance: NDArray[np.float64]
     ground: NDArray[np.float64]
     frame: NDArray[np.float64]
+    longest: float
 
 
 def seen_blocks(
-    relief: Relief, views: Views, middles: NDArray[np.float64], radii: NDArray[np.float64]
+    relief: Relief,
+    bounds: NDArray[np.float64],
+    views: Views,
+    middles: NDArray[np.float64],
+    radii: NDArray[np.float64],
 ) -> Seen:
     """Where what some views see stands.
 
     Args:
-        relief: Of the ground, in square blocks.
+        relief: Of the ground, in square blocks over all there is.
+        bounds: x, y and z of that, float64 [2, 3].
         views: Those that show color.
         middles, radii: Balls around the objects that are seen, float64 [n, 3] and [n].
     """
@@ -74,21 +82,19 @@ def seen_blocks(
     low, high = relief.low[j, i], relief.high[j, i]
     half = 0.5 * (high - low)
     width = float(relief.frame[2])
-    balls = np.stack(
-        [
-            relief.frame[0] + (i + 0.5) * width,
-            relief.frame[1] + (j + 0.5) * width,
-            low + half,
-        ],
-        axis=1,
-    )
+    balls = np.stack([i * width, j * width, low + half], axis=1)
+    balls[:, :2] += relief.frame[:2] + 0.5 * width
     shown = visible(views, balls, np.sqrt(half * half + 0.5 * width * width)) == SHOWN
     top = np.full(relief.low.shape, -np.inf)
     top[j[shown], i[shown]] = high[shown]
     _mark(middles, radii, relief.frame, top)
     distance = np.full(top.shape, np.inf)
-    _measure(top, width, distance)
-    return Seen(top, distance, np.where(relief.whole, relief.low, -np.inf), relief.frame)
+    if (top > -np.inf).any():
+        # Points of two blocks are nearer than their middles by up to a diagonal.
+        distance = width * np.maximum(distance_transform_edt(top == -np.inf) - np.sqrt(2.0), 0.0)
+    ground = np.where(relief.whole, relief.low, -np.inf)
+    size = bounds[1] - bounds[0]
+    return Seen(top, distance, ground, relief.frame, float(np.sqrt((size * size).sum())))
 
 
 def fills(
@@ -114,12 +120,9 @@ def shadows_seen(
         middles, radii: The balls, float64 [n, 3] and [n].
     """
     out = np.zeros(len(middles), np.bool_)
-    size = scene.bounds[1] - scene.bounds[0]
-    longest = float(np.sqrt((size * size).sum()))
     for light, lit in _lights(scene, middles, radii):
         which = np.flatnonzero(lit & ~out)
-        over_threads(_sweep, len(which), seen, light, longest, middles, radii, which, out,
-                     least=POINTS)  # fmt: skip
+        over_threads(_sweep, len(which), seen, light, middles, radii, which, out, least=POINTS)
     return out
 
 
@@ -160,37 +163,16 @@ def _mark(middles, radii, frame, top):  # type: ignore[no-untyped-def]
                 top[j, i] = max(top[j, i], middles[n, 2] + radii[n])
 
 
-@njit(cache=True, error_model="numpy")
-def _measure(top, width, distance):  # type: ignore[no-untyped-def]
-    """Least distance between points of blocks: along columns, then along rows, exactly."""
-    rows, columns = top.shape
-    away = np.full((rows, columns), np.inf)
-    for i in range(columns):
-        for j in range(rows):
-            before = away[j - 1, i] + 1.0 if j > 0 else np.inf
-            away[j, i] = 0.0 if top[j, i] > -np.inf else before
-        for j in range(rows - 2, -1, -1):
-            away[j, i] = min(away[j, i], away[j + 1, i] + 1.0)
-    for j in range(rows):
-        for i in range(columns):
-            best = np.inf
-            for m in range(columns):
-                # Points of two blocks are nearer by up to a block along each axis.
-                across, down = max(abs(i - m) - 1.0, 0.0), max(away[j, m] - 1.0, 0.0)
-                best = min(best, across * across + down * down)
-            distance[j, i] = np.sqrt(best) * width
-
-
 @njit(cache=True, error_model="numpy", nogil=True)
-def _sweep(first, last, seen, light, longest, middles, radii, which, out):  # type: ignore[no-untyped-def]
+def _sweep(first, last, seen, light, middles, radii, which, out):  # type: ignore[no-untyped-def]
     for k in range(first, last):
         n = which[k]
         x, y, z = middles[n]
-        out[n] = _falls(seen, light, longest, x, y, z, radii[n])
+        out[n] = _falls(seen, light, x, y, z, radii[n])
 
 
 @njit(cache=True, error_model="numpy")
-def _falls(seen, light, longest, x, y, z, radius):  # type: ignore[no-untyped-def]
+def _falls(seen, light, x, y, z, radius):  # type: ignore[no-untyped-def]
     """Whether the ball's shadow may fall on what is seen: swept in steps, each in a ball."""
     wx, wy, wz, widening = light[0], light[1], light[2], light[3]
     if light[4] == 0.0:
@@ -203,7 +185,7 @@ def _falls(seen, light, longest, x, y, z, radius):  # type: ignore[no-untyped-de
         sine = (radius + widening) / length
         widening = sine / np.sqrt(1.0 - sine * sine)
     at, reach = 0.0, radius * np.sqrt(1.0 + widening * widening)
-    while at <= longest:
+    while at <= seen.longest:
         step = max(max(2.0 * reach, _STRIDE * at), 0.5 * seen.frame[2])
         after = reach + step * widening
         middle, around = at + 0.5 * step, 0.5 * step + after

@@ -39,6 +39,15 @@ PASS = "prune"
 _SLACK, _ROUNDING = 1e-5, 1e-7
 
 _CODE = {reason: ORDER.index(reason) for reason in Reason}
+_WHY = {
+    Reason.OUT_OF_VIEW: "outside of every picture",
+    Reason.BEHIND_GROUND: "behind the ground wherever a picture would hold it",
+}
+#: What holds a row for each instance.
+_ARRAYS = {
+    Placed: ("prototype", "to_world", "ids"),
+    Scatter: ("prototype", "positions", "orientations", "scales", "variation", "ids"),
+}
 _OF_SHOWN = {OUTSIDE: Reason.OUT_OF_VIEW, BEHIND: Reason.BEHIND_GROUND, SHOWN: Reason.SEEN}
 
 
@@ -157,6 +166,7 @@ def _seen(one: Scatter | Placed, views: Views, bounds: NDArray[np.float64]) -> _
     """A class as balls, and which of them are seen."""
     middles, radii = one.balls()
     radii = radii * (1.0 + _SLACK) + _ROUNDING * float(np.abs(bounds).max())
+    middles = np.ascontiguousarray(middles)
     shown = visible(views, middles, radii)
     if isinstance(one, Placed) and one.count:
         shown = shown.reshape(one.count, -1).max(axis=1)
@@ -173,7 +183,7 @@ def _mark_lit(
     shown = [balls.of(balls.reason == _CODE[Reason.SEEN]) for balls in classes]
     none = np.zeros((0, 3)), np.zeros(0)
     middles, radii = (np.concatenate(part) for part in zip(none, *shown, strict=True))
-    seen = seen_blocks(relief, showing, middles, radii)
+    seen = seen_blocks(relief, scene.bounds, showing, middles, radii)
     for one, balls in zip(scene.objects, classes, strict=True):
         if everywhere or _shines(one, scene):
             balls.reason[balls.open] = _CODE[Reason.LIGHT]
@@ -212,54 +222,29 @@ def _without(
     kept = ~balls.open
     if kept.all():
         return one
+    arrays = {name: getattr(one, name) for name in _ARRAYS[type(one)]}
+    bytes_of_one = sum(array[:1].nbytes for array in arrays.values())
     triangles = np.array([len(mesh.faces) for mesh in one.prototypes], np.int64)[one.prototype]
-    effect = ", and no picture shows its effect" if color else ""
-    for reason, why in (
-        (Reason.OUT_OF_VIEW, f"outside of every picture{effect}"),
-        (Reason.BEHIND_GROUND, f"behind the ground wherever a picture would hold it{effect}"),
-    ):
+    for reason, why in _WHY.items():
         gone = balls.reason == _CODE[reason]
         if gone.any():
             left_out.append(
                 entry(
                     PASS,
                     f"objects/{one.name}: {int(gone.sum()):,} of {one.count:,}",
-                    why,
+                    f"{why}, and no picture shows its effect" if color else why,
                     instances=int(gone.sum()),
                     triangles=int(triangles[gone].sum()),
-                    size=int(gone.sum()) * _bytes_of_one(one),
+                    size=int(gone.sum()) * bytes_of_one,
                 )
             )
-    if isinstance(one, Placed):
-        return replace(
-            one, prototype=one.prototype[kept], to_world=one.to_world[kept], ids=one.ids[kept]
-        )
-    return replace(
-        one,
-        prototype=one.prototype[kept],
-        positions=one.positions[kept],
-        orientations=one.orientations[kept],
-        scales=one.scales[kept],
-        variation=one.variation[kept],
-        ids=one.ids[kept],
-    )
-
-
-def _bytes_of_one(one: Scatter | Placed) -> int:
-    """What an instance takes, in memory."""
-    if isinstance(one, Placed):
-        return int(one.to_world[:1].nbytes + one.ids.itemsize + one.prototype.itemsize)
-    arrays = (one.prototype, one.positions, one.orientations, one.scales, one.variation, one.ids)
-    return int(sum(array[:1].nbytes for array in arrays))
+    return replace(one, **{name: array[kept] for name, array in arrays.items()})
 
 
 def _without_tiles(
     ground: Ground, gone: dict[str, Reason], left_out: list[dict[str, Any]]
 ) -> Ground:
-    for reason, why in (
-        (Reason.OUT_OF_VIEW, "outside of every picture"),
-        (Reason.BEHIND_GROUND, "behind other ground wherever a picture would hold it"),
-    ):
+    for reason, why in _WHY.items():
         tiles = [tile for tile in ground.tiles if gone.get(tile.name) is reason]
         if tiles:
             arrays = [a for t in tiles for a in (t.points, t.faces, t.layer, t.normals, t.weights)]

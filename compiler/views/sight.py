@@ -57,9 +57,7 @@ def pixels_per_meter(field: HeightField, views: Views, unseen: float) -> NDArray
             _of_samples,
             len(field.height),
             views,
-            field.grid.x(),
-            field.grid.y(),
-            field.height,
+            (field.grid.x(), field.grid.y(), field.height),
             unseen,
             min(NEAREST_M, *field.grid.spacing_m),
             out,
@@ -119,7 +117,8 @@ def _of_balls(first, last, views, points, radius, unseen, nearest, out):  # type
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _of_samples(first, last, views, x, y, height, unseen, nearest, out):  # type: ignore[no-untyped-def]
+def _of_samples(first, last, views, ground, unseen, nearest, out):  # type: ignore[no-untyped-def]
+    x, y, height = ground
     for j in range(first, last):
         for i in range(x.size):
             out[j, i] = _pixels(views, x[i], y[j], height[j, i], 0.0, unseen, nearest)

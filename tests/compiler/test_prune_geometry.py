@@ -192,7 +192,7 @@ def test_a_shadow_that_falls_on_a_point_in_view_is_found(elevation):
     eye = np.array([3.0, -2.0, _height(ground, 3.0, -2.0) + 1.5])
     pose = look_at(eye, eye + np.array([1.0, 0.0, -0.25]), 0.0)
     relief, views = _seeing(ground, _rig(pose, 60.0), slack=3.0)
-    seen = seen_blocks(relief, views, np.zeros((0, 3)), np.zeros(0))
+    seen = seen_blocks(relief, _bounds(ground, 3.0), views, np.zeros((0, 3)), np.zeros(0))
     found = 0
     for azimuth in (0.3, 2.0, 4.5):
         e = np.deg2rad(elevation)
@@ -226,7 +226,7 @@ def test_a_lamps_shadow_that_falls_on_a_point_in_view_is_found():
     eye = np.array([3.0, -2.0, _height(ground, 3.0, -2.0) + 1.5])
     pose = look_at(eye, eye + np.array([1.0, 0.0, -0.25]), 0.0)
     relief, views = _seeing(ground, _rig(pose, 60.0), slack=3.0)
-    seen = seen_blocks(relief, views, np.zeros((0, 3)), np.zeros(0))
+    seen = seen_blocks(relief, _bounds(ground, 3.0), views, np.zeros((0, 3)), np.zeros(0))
     at = eye + np.array([-4.0, 6.0, 4.0])
     to_world = np.eye(4)
     to_world[:3, 3] = at
@@ -260,7 +260,7 @@ def test_blocks_are_seen_as_their_points_are_and_fill_falls_with_distance():
     pose = look_at(eye, eye + np.array([1.0, 0.0, -0.4]), 0.0)
     relief, views = _seeing(ground, _rig(pose, 60.0), slack=3.0)
     ball = np.array([[-16.0, 10.0, 2.0]])
-    seen = seen_blocks(relief, views, ball, np.array([0.5]))
+    seen = seen_blocks(relief, _bounds(ground, 3.0), views, ball, np.array([0.5]))
     points = _shown_points(eye, pose, _triangles(ground), np.random.default_rng(0), 300)
     i, j = ((points[:, :2] - seen.frame[:2]) / seen.frame[2]).astype(int).T
     assert (seen.top[j, i] >= points[:, 2] - 1e-6).all()
@@ -283,7 +283,7 @@ def test_blocks_are_seen_as_their_points_are_and_fill_falls_with_distance():
 
 def test_nothing_seen_leaves_nothing_to_fill():
     empty = np.full((4, 4), -np.inf)
-    seen = Seen(empty, np.full((4, 4), np.inf), empty, np.array([0.0, 0.0, 1.0, 1.0]))
+    seen = Seen(empty, np.full((4, 4), np.inf), empty, np.array([0.0, 0.0, 1.0, 1.0]), 9.0)
     assert (fills(seen, np.ones((3, 3)), np.full(3, 9.0)) == 0.0).all()
 
 
@@ -309,7 +309,7 @@ def test_blocks_without_ground_are_not_seen_and_hide_nothing():
     empty = relief.high == -np.inf
     assert empty.any()
     assert not relief.whole[empty].any()
-    seen = seen_blocks(relief, views, np.zeros((0, 3)), np.zeros(0))
+    seen = seen_blocks(relief, _bounds(ground, 3.0), views, np.zeros((0, 3)), np.zeros(0))
     assert (seen.top > -np.inf).any()
     assert not (seen.top[empty] > -np.inf).any()
     assert (seen.ground[empty] == -np.inf).all()
