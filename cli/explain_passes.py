@@ -208,10 +208,13 @@ def _light(light: Mapping[str, Any] | None) -> str:
         return "annotation stays as it is, to the bit"
     if light.get("everywhere"):
         return "nothing left out: a mirror, or a sun in the sky's picture, may show anything"
-    if "fills" not in light:
+    if "min_view_factor" not in light:
         return _facts(light)
-    text = "casts no shadow on what is seen, and fills less than"
-    return f"{text} {100 * light['fills']:.2g} % of a hemisphere there; annotation to the bit"
+    least = 100 * light["min_view_factor"]
+    text = (
+        f"casts no shadow on what is seen, and fills less than {least:.2g} % of a hemisphere there"
+    )
+    return f"{text}; annotation as it is, to the bit"
 
 
 def _sky(sky: Mapping[str, Any]) -> Iterator[tuple[str, str]]:

@@ -3,10 +3,9 @@
 With color an object out of view stays if
 
 - its shadow, swept away from a sun or a lamp that shines on it, meets what is seen; or
-- it is near enough and large enough: from the nearest place seen it fills ``FILLS`` of a
-  hemisphere or more, (r / d)^2 with the radius r of a ball around it and the distance d in plan
-  (the configuration factor of a sphere: Howell, Mengüç and Siegel, "Thermal Radiation Heat
-  Transfer").
+- it is near enough and large enough: its view factor from the nearest place seen is
+  ``MIN_VIEW_FACTOR`` or more, (r / d)^2 with the radius r of a ball around it and the distance d in
+  plan (of a sphere: Howell, Mengüç and Siegel, "Thermal Radiation Heat Transfer").
 
 What is seen stands in blocks of the plan, of all samples together, each up to its highest place.
 The first is conservative. The second neglects what many small things take and send together: no
@@ -31,11 +30,11 @@ from scenec.compiler.views.lamps import in_cone
 from scenec.compiler.views.visible import SHOWN, visible
 from scenec.schemas.threads import POINTS, over_threads
 
-#: Part of a hemisphere that an object must fill, as seen from what is seen, to stay for its light.
-FILLS = 1e-4
+#: Part of a hemisphere, weighted by the cosine, that an object must fill as seen from what is seen.
+MIN_VIEW_FACTOR = 1e-4
 #: With a sky so many times as bright in one place as on the whole, or a surface so many times as
-#: glossy as dull, an object that fills less may change the light by 1 % alone: all stays then.
-SHARP = 0.01 / FILLS
+#: glossy as dull, an object that fills less may change light by 1 % alone: all stays then.
+SHARP = 0.01 / MIN_VIEW_FACTOR
 #: Light that comes from more than this to each side of its middle has no shadow to speak of.
 _WIDEST_DEG = 60.0
 #: A swept ball's steps are at least this share of the way it has come.
@@ -97,10 +96,10 @@ def seen_blocks(
     return Seen(top, distance, ground, relief.frame, float(np.sqrt((size * size).sum())))
 
 
-def fills(
+def view_factors(
     seen: Seen, middles: NDArray[np.float64], radii: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Part of a hemisphere that balls fill as seen from the nearest place seen; inf beside it."""
+    """View factors of balls from the nearest place seen, at most; inf beside it."""
     i, j = np.floor((middles[:, :2] - seen.frame[:2]) / seen.frame[2]).astype(np.int64).T
     rows, columns = seen.top.shape
     distance = seen.distance[np.clip(j, 0, rows - 1), np.clip(i, 0, columns - 1)]

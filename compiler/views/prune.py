@@ -27,7 +27,12 @@ from numpy.typing import NDArray
 from scenec.compiler.scene.scene import Ground, Placed, Scatter, Scene, Tile
 from scenec.compiler.views.frustum import COLOR, Views, chosen, views_of_all
 from scenec.compiler.views.horizon import Relief, relief_of_tiles, with_horizon
-from scenec.compiler.views.illumination import FILLS, fills, seen_blocks, shadows_seen
+from scenec.compiler.views.illumination import (
+    MIN_VIEW_FACTOR,
+    seen_blocks,
+    shadows_seen,
+    view_factors,
+)
 from scenec.compiler.views.keep import Keep
 from scenec.compiler.views.needed import Needs, materials_of, without_unused
 from scenec.compiler.views.visible import BEHIND, OUTSIDE, SHOWN, visible
@@ -134,7 +139,7 @@ def prune(
     gone: dict[str, Reason] = {}
     showing = chosen(views, views.kind & COLOR > 0)
     if needs.color and len(showing.eye):
-        facts["light"] = {"fills": FILLS, "everywhere": everywhere}
+        facts["light"] = {"min_view_factor": MIN_VIEW_FACTOR, "everywhere": everywhere}
         _mark_lit(scene, classes, showing, relief, everywhere)
     else:
         gone = _unseen_tiles(tiles, views)
@@ -190,7 +195,7 @@ def _mark_lit(
         left = balls.open
         balls.keep(left, shadows_seen(seen, scene, *balls.of(left)), Reason.SHADOW)
         left = balls.open
-        balls.keep(left, fills(seen, *balls.of(left)) >= FILLS, Reason.LIGHT)
+        balls.keep(left, view_factors(seen, *balls.of(left)) >= MIN_VIEW_FACTOR, Reason.LIGHT)
 
 
 def _shines(one: Scatter | Placed, scene: Scene) -> bool:

@@ -16,7 +16,7 @@ import numpy as np
 from pxr import Usd
 
 from scenec.compiler.compile import compile_cfg
-from scenec.compiler.views.illumination import FILLS, SHARP
+from scenec.compiler.views.illumination import MIN_VIEW_FACTOR, SHARP
 from scenec.compiler.views.keep import Keep
 from scenec.schemas.errors import ScenecError
 from scenec.studies.runner import ROOT, Page, run, table
@@ -44,12 +44,12 @@ effect of. An object or a tile of the terrain stays if
 
 1. it is seen: its ball meets the volume of a view, and is not behind the ground; or, with `rgb`,
 2. its shadow, swept away from each sun and lamp, meets what is seen; or
-3. it is near enough and large enough: from the nearest place seen it fills {fills:.2g} of a
-   hemisphere or more, a stone of 10 cm within {near:.0f} m. It stays, too, if it shines itself.
+3. it is near enough and large enough: from the nearest place seen it fills {least} of a
+   hemisphere or more, a stone of 10 cm within {near} m. It stays, too, if it shines itself.
 
 The first two are conservative: what they cannot be sure of stays. The third neglects light; what
 that changes is measured below. With `rgb` the whole terrain stays, and all objects do where a
-mirror may show them (a lobe of {sharp:.0f} times the dull part, such as metal of roughness below
+mirror may show them (a lobe of {sharp} times the dull part, such as metal of roughness below
 0.22), or where a picture of the sky holds a sun or lamps that were not taken out.
 Approximations (levels of detail, tessellation) come first and are the same with and without.
 
@@ -208,8 +208,13 @@ def differing(pruned: Path, whole: Path) -> int:
 
 def main(page: Page) -> None:
     """Writes the page."""
-    head = HEAD.replace("{fills:.2g}", f"{FILLS:.2g}").replace("{sharp:.0f}", f"{SHARP:.0f}")
-    head = head.replace("{near:.0f}", f"{0.05 / FILLS**0.5:.0f}")
+    head = HEAD
+    for name, value in (
+        ("least", f"{MIN_VIEW_FACTOR:.2g}"),
+        ("near", f"{0.05 / MIN_VIEW_FACTOR**0.5:.0f}"),
+        ("sharp", f"{SHARP:.0f}"),
+    ):
+        head = head.replace("{" + name + "}", value)
     page.write(head, ("usd-core", "mitsuba"), (by_outputs, shipped, extremes))
 
 

@@ -301,7 +301,7 @@ RICH = {
             },
         }
     },
-    "prune": {"light": {"fills": 0.0001, "everywhere": False}},
+    "prune": {"light": {"min_view_factor": 0.0001, "everywhere": False}},
     "bytes": 1,
 }
 

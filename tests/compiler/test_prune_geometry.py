@@ -12,7 +12,7 @@ from scenec.compiler.scene.rig import Rig, Sensor
 from scenec.compiler.scene.scene import Ground, GroundLayer, Lamp, Scene, SunLight, Tile
 from scenec.compiler.views.frustum import COLOR, Views, in_view, views_of_all
 from scenec.compiler.views.horizon import Relief, is_hidden, relief_of_tiles, with_horizon
-from scenec.compiler.views.illumination import Seen, fills, seen_blocks, shadows_seen
+from scenec.compiler.views.illumination import Seen, seen_blocks, shadows_seen, view_factors
 from scenec.compiler.views.visible import SHOWN, visible
 
 _SIDE = 48
@@ -275,7 +275,7 @@ def test_blocks_are_seen_as_their_points_are_and_fill_falls_with_distance():
     exact = np.linalg.norm(away, axis=2).min(axis=1)
     middles = np.append(at, np.zeros((400, 1)), axis=1)
     with np.errstate(divide="ignore"):
-        measured = 1.0 / np.sqrt(fills(seen, middles, np.ones(400)))
+        measured = 1.0 / np.sqrt(view_factors(seen, middles, np.ones(400)))
     assert (measured <= exact + 1e-9).all()
     assert (measured >= exact - 2.9 * seen.frame[2]).all()
     assert exact.max() > 5.0
@@ -284,7 +284,7 @@ def test_blocks_are_seen_as_their_points_are_and_fill_falls_with_distance():
 def test_nothing_seen_leaves_nothing_to_fill():
     empty = np.full((4, 4), -np.inf)
     seen = Seen(empty, np.full((4, 4), np.inf), empty, np.array([0.0, 0.0, 1.0, 1.0]), 9.0)
-    assert (fills(seen, np.ones((3, 3)), np.full(3, 9.0)) == 0.0).all()
+    assert (view_factors(seen, np.ones((3, 3)), np.full(3, 9.0)) == 0.0).all()
 
 
 def test_without_a_horizon_only_the_volume_counts():
