@@ -309,26 +309,24 @@ def chosen(views: Views, which: NDArray[np.bool_]) -> Views:
     return Views._make([*(part[which] for part in views[:-1]), views.blocks])
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", inline="always")
 def in_view(views, v, x, y, z, radius):  # type: ignore[no-untyped-def]
     """Whether a ball may meet the volume of view v: false only if it certainly does not."""
-    px = x - views.eye[v, 0]
-    py = y - views.eye[v, 1]
-    pz = z - views.eye[v, 2]
-    squared = px * px + py * py + pz * pz
+    eye, planes, axis, cone = views.eye, views.planes, views.axis, views.cone
+    px = x - eye[v, 0]
+    py = y - eye[v, 1]
+    pz = z - eye[v, 2]
     reach = radius + 1e-9 * (abs(px) + abs(py) + abs(pz))
-    cosine, sine, farthest = views.cone[v]
-    if squared > (farthest + reach) * (farthest + reach):
-        return False
-    for k in range(views.planes.shape[1]):
-        n = views.planes[v, k]
-        if n[0] * px + n[1] * py + n[2] * pz < -reach:
+    for k in range(_PLANES):
+        if planes[v, k, 0] * px + planes[v, k, 1] * py + planes[v, k, 2] * pz < -reach:
             return False
-    if cosine > -1.0:
-        axis = views.axis[v]
-        along = axis[0] * px + axis[1] * py + axis[2] * pz
+    squared = px * px + py * py + pz * pz
+    if squared > (cone[v, 2] + reach) * (cone[v, 2] + reach):
+        return False
+    if cone[v, 0] > -1.0:
+        along = axis[v, 0] * px + axis[v, 1] * py + axis[v, 2] * pz
         across = np.sqrt(max(squared - along * along, 0.0))
         # Distance to the cone's side: right beside it, less than the real one behind its apex.
-        if across * cosine - along * sine > reach:
+        if across * cone[v, 0] - along * cone[v, 1] > reach:
             return False
     return True

@@ -181,11 +181,13 @@ def _bound_mesh(translate, points, faces, frame, low, high):  # type: ignore[no-
                 p[k, axis] = points[faces[f, k], axis] + translate[axis]
         least = min(p[0, 2], min(p[1, 2], p[2, 2]))
         most = max(p[0, 2], max(p[1, 2], p[2, 2]))
+        west, east = min(p[0, 0], min(p[1, 0], p[2, 0])), max(p[0, 0], max(p[1, 0], p[2, 0]))
+        south, north = min(p[0, 1], min(p[1, 1], p[2, 1])), max(p[0, 1], max(p[1, 1], p[2, 1]))
         # A hair wider: borders of blocks are rounded.
-        i0 = max(int(np.floor((p[:, 0].min() - frame[0]) / frame[2] - 1e-6)), 0)
-        j0 = max(int(np.floor((p[:, 1].min() - frame[1]) / frame[3] - 1e-6)), 0)
-        i1 = min(int(np.floor((p[:, 0].max() - frame[0]) / frame[2] + 1e-6)), low.shape[1] - 1)
-        j1 = min(int(np.floor((p[:, 1].max() - frame[1]) / frame[3] + 1e-6)), low.shape[0] - 1)
+        i0 = max(int(np.floor((west - frame[0]) / frame[2] - 1e-6)), 0)
+        j0 = max(int(np.floor((south - frame[1]) / frame[3] - 1e-6)), 0)
+        i1 = min(int(np.floor((east - frame[0]) / frame[2] + 1e-6)), low.shape[1] - 1)
+        j1 = min(int(np.floor((north - frame[1]) / frame[3] + 1e-6)), low.shape[0] - 1)
         ux, uy, uz = p[1, 0] - p[0, 0], p[1, 1] - p[0, 1], p[1, 2] - p[0, 2]
         vx, vy, vz = p[2, 0] - p[0, 0], p[2, 1] - p[0, 1], p[2, 2] - p[0, 2]
         area = ux * vy - uy * vx
@@ -253,7 +255,7 @@ def _find_ceilings(first, last, least, relief, views, above, ceiling):  # type: 
             ceiling[v, j, i] = height - 1e-6 * (abs(height) + abs(ez))
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", inline="always")
 def touched(frame, x, y, radius):  # type: ignore[no-untyped-def]
     """First and last column and row of the blocks that a ball touches in plan."""
     i0 = int(np.floor((x - radius - frame[0]) / frame[2]))
@@ -263,7 +265,7 @@ def touched(frame, x, y, radius):  # type: ignore[no-untyped-def]
     return i0, i1, j0, j1
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", inline="always")
 def is_hidden(views, v, x, y, z, radius):  # type: ignore[no-untyped-def]
     """Whether the ground hides a ball from view v: true only if it certainly does."""
     rows, columns = views.ceiling.shape[1:]

@@ -90,7 +90,7 @@ def pixels_of_balls(
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", inline="always")
 def _pixels(views, x, y, z, radius, unseen, nearest):  # type: ignore[no-untyped-def]
     """Pixels a meter of a ball in the view that shows it largest."""
     best = 0.0
