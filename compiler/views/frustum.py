@@ -175,22 +175,25 @@ def views_of_all(rigs: tuple[Rig, ...]) -> Views:
         for rig in rigs:
             carried: tuple[Sensor | Lidar, ...] = (*rig.sensors, *rig.lidars)
             for sensor in carried:
+                margin = 0.0 if isinstance(sensor, Lidar) else _BORDER_PX / min(sensor.resolution)
+                seen = outline(sensor, margin)
                 for sample, pose in enumerate(composed(rig.to_world, sensor.to_rig)):
-                    yield from _of_sensor(sensor, sample, pose)
+                    if isinstance(sensor, Lidar):
+                        yield pose[:3, 3], pose[:3, :3], seen, 0
+                    else:
+                        yield from _of_camera(sensor, margin, seen, sample, pose)
 
     return _views(rows())
 
 
-def _of_sensor(sensor: Sensor | Lidar, sample: int, at: NDArray[np.float64]) -> Iterator[_Row]:
+def _of_camera(
+    sensor: Sensor, margin: float, seen: Outline, sample: int, at: NDArray[np.float64]
+) -> Iterator[_Row]:
     turn = at[:3, :3]
-    if isinstance(sensor, Lidar):
-        yield at[:3, 3], turn, outline(sensor, 0.0), 0
-        return
-    margin = _BORDER_PX / min(sensor.resolution)
     shows = COLOR if "rgb" in sensor.outputs else 0
     for step in _eyes(sensor):
         color = shows if step == 0.0 else 0
-        yield at[:3, 3] + step * turn[:, 0], turn, outline(sensor, margin), color
+        yield at[:3, 3] + step * turn[:, 0], turn, seen, color
         for behind, of_part, axes in _while_open(sensor, sample, step, margin):
             yield behind, axes, of_part, color | MOVING
     for right, down, moved in _around_aperture(sensor, sample):
