@@ -1,16 +1,15 @@
 """What certainly hides behind the ground: the one test, for meshing and for pruning.
 
 The terrain is a surface without holes, so a ray from an eye above it that is somewhere below it has
-met it before. The plan is cut into blocks, of which ``Relief`` bounds the heights. From an eye
-towards a block, the steepest of the slopes up to the lowest ground on the way (of three by three
-blocks: wherever in its block a ray ends) gives the ``ceiling`` of the block: below that height the
-ground hides everything in it (a viewshed's shadow heights; cf. Max 1988, "Horizon mapping"). It
-errs one way: what is called hidden is, much that is hidden is not found.
+met it before. The plan is cut into blocks, of which ``Relief`` bounds the heights. From each eye
+rays go to all blocks of the border (Franklin and Ray 1994, "R2"), so that any other ray runs within
+a block of one of them: the steepest slope up to the lowest ground of three by three blocks on the
+way so far gives the ``ceiling`` of the blocks beside it, below which the ground hides everything.
+It is conservative: what is called hidden is, much that is hidden is not found.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -21,16 +20,15 @@ from numpy.typing import NDArray
 from scenec.compiler.cache.memo import memoized
 from scenec.compiler.scene.scene import Tile
 from scenec.compiler.terrain.grid import HeightField
-from scenec.compiler.views.frustum import MOVING, Views, in_view
+from scenec.compiler.views.frustum import MOVING, Views
 from scenec.schemas.threads import over_threads
 
 #: Blocks of a height field have at least so many cells along a side, and those of a mesh are so
-#: many along the longer side; both are wider where the work, which grows as the views times the
-#: blocks to the power 3/2, would take more than a second.
-_CELLS, _BLOCKS = 4, 256
-_STEPS = 4e8
+#: many along the longer side; both are wider where all views have more blocks together than
+#: ``_MOST``, which take some 80 MB and a second.
+_CELLS, _BLOCKS, _MOST = 2, 512, 2e7
 #: Blocks that a ball may touch to be looked up one by one: a larger one seldom hides as a whole.
-_TOUCHED = 16
+_TOUCHED = 64
 
 
 class Relief(NamedTuple):
@@ -103,7 +101,7 @@ def relief_of_field(field: HeightField, views: int) -> Relief:
     cells = _CELLS
     while True:
         blocks = -(-(nx - 1) // cells) * -(-(ny - 1) // cells)
-        if blocks == 1 or views * blocks * math.sqrt(blocks) <= _STEPS:
+        if blocks == 1 or views * blocks <= _MOST:
             break
         cells *= 2
     low = np.full((-(-(ny - 1) // cells), -(-(nx - 1) // cells)), np.inf)
@@ -124,7 +122,7 @@ def relief_of_tiles(tiles: Sequence[Tile], bounds: NDArray[np.float64], views: i
     """
     size = bounds[1, :2] - bounds[0, :2]
     along = _BLOCKS
-    while along > 8 and views * along * along * along > _STEPS:
+    while along > 8 and views * along * along > _MOST:
         along //= 2
     width = max(float(size.max()) / along, 1e-9)
     columns, rows = (max(int(np.ceil(n / width)), 1) for n in size.tolist())
@@ -155,8 +153,10 @@ def _ceilings(relief: Relief, views: Views, above: NDArray[np.bool_]) -> NDArray
     least = np.minimum.reduce(
         [wide[j : j + rows, i : i + columns] for j in range(3) for i in range(3)]
     )
-    ceiling = np.full((len(views.eye), rows, columns), -np.inf, np.float32)
-    over_threads(_find_ceilings, len(views.eye) * rows, least, relief, views, above, ceiling)
+    ceiling = np.full((len(views.eye), rows, columns), np.inf, np.float32)
+    ceiling[~above] = -np.inf
+    over_threads(_find_ceilings, len(views.eye), least, relief.frame, views.eye, above, ceiling)
+    ceiling[ceiling == np.inf] = -np.inf
     return ceiling
 
 
@@ -219,40 +219,60 @@ def _bound_mesh(translate, points, faces, frame, low, high):  # type: ignore[no-
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _find_ceilings(first, last, least, relief, views, above, ceiling):  # type: ignore[no-untyped-def]
+def _find_ceilings(first, last, least, frame, eyes, above, ceiling):  # type: ignore[no-untyped-def]
     rows, columns = least.shape
-    x0, y0, wide, tall = relief.frame
-    # Half of a block's diagonal, and the length of a step: no block is stepped over.
-    reach = 0.5 * np.sqrt(wide * wide + tall * tall)
-    step = min(wide, tall)
-    for n in range(first, last):
-        v = n // rows
-        j = n % rows
+    for v in range(first, last):
         if not above[v]:
             continue
-        ex, ey, ez = views.eye[v]
-        for i in range(columns):
-            tx = x0 + (i + 0.5) * wide - ex
-            ty = y0 + (j + 0.5) * tall - ey
-            # What a view does not show need not hide from it.
-            half = 0.5 * (relief.high[j, i] - relief.low[j, i])
-            z = relief.low[j, i] + half
-            if not in_view(views, v, ex + tx, ey + ty, z, half + 2.0 * reach):
-                continue
-            distance = np.sqrt(tx * tx + ty * ty)
-            steepest = -np.inf
-            away = step
-            while away < distance - 2.0 * reach:
-                bi = int(np.floor((ex + tx * away / distance - x0) / wide))
-                bj = int(np.floor((ey + ty * away / distance - y0) / tall))
-                if 0 <= bi < columns and 0 <= bj < rows:
-                    steepest = max(steepest, (least[bj, bi] - ez) / away)
-                away += step
-            # The end that makes the ray highest on its way: near if it rises, far if it falls.
-            run = distance - reach if steepest > 0.0 else distance + reach
-            height = ez + steepest * run
-            # A hair lower: float32 rounds.
-            ceiling[v, j, i] = height - 1e-6 * (abs(height) + abs(ez))
+        for k in range(2 * (rows + columns)):
+            # Blocks of the border: both sides of each row, then both ends of each column.
+            if k < 2 * rows:
+                i, j = (k % 2) * (columns - 1), k // 2
+            else:
+                i, j = (k - 2 * rows) // 2, (k % 2) * (rows - 1)
+            _follow(least, frame, eyes[v], i, j, ceiling[v])
+
+
+@njit(cache=True, error_model="numpy")
+def _follow(least, frame, eye, target_i, target_j, ceiling):  # type: ignore[no-untyped-def]
+    """Follows a ray from an eye through a block of the border, and lowers the ceilings beside it.
+
+    Any ray is within 0.6 blocks of one of these: at the border they are at most a block apart.
+    """
+    rows, columns = least.shape
+    x0, y0, wide, tall = frame
+    tx = x0 + (target_i + 0.5) * wide - eye[0]
+    ty = y0 + (target_j + 0.5) * tall - eye[1]
+    distance = np.sqrt(tx * tx + ty * ty)
+    # No block is stepped over; those beside a step reach so far from it.
+    step = min(wide, tall)
+    reach = 2.0 * np.sqrt(wide * wide + tall * tall)
+    if distance == 0.0:
+        tx, distance = 1.0, 1.0
+    dx, dy = tx / distance, ty / distance
+    lag = reach + step
+    steepest = -np.inf
+    # From outside the first steps lead through nothing.
+    across = np.sqrt(wide * wide * columns * columns + tall * tall * rows * rows)
+    begin = int(max(distance - across - reach, 0.0) / step)
+    for k in range(begin, int((distance + reach) / step) + 1):
+        away = (k + 0.5) * step
+        if away > lag:
+            before = away - lag
+            bi = int(np.floor((eye[0] + dx * before - x0) / wide))
+            bj = int(np.floor((eye[1] + dy * before - y0) / tall))
+            if 0 <= bi < columns and 0 <= bj < rows:
+                steepest = max(steepest, (least[bj, bi] - eye[2]) / before)
+        # The end that makes a ray highest on its way: near if it rises, far if it falls.
+        run = max(away - reach, 0.0) if steepest > 0.0 else away + reach
+        height = eye[2] + steepest * run
+        # A hair lower: float32 rounds.
+        height -= 1e-6 * (abs(height) + abs(eye[2]))
+        i = int(np.floor((eye[0] + dx * away - x0) / wide))
+        j = int(np.floor((eye[1] + dy * away - y0) / tall))
+        for m in range(max(j - 1, 0), min(j + 1, rows - 1) + 1):
+            for n in range(max(i - 1, 0), min(i + 1, columns - 1) + 1):
+                ceiling[m, n] = min(ceiling[m, n], height)
 
 
 @njit(cache=True, error_model="numpy", inline="always")
