@@ -81,7 +81,7 @@ _REPORT = {
     "surfaces?": Each({"pictures?": Each(_PICTURE)}),
     "motion?": Each(dict),
     "prune?": (None, {
-        "light?": (None, {"reached?": float, "tolerance?reached": float}),
+        "light?": (None, {"min_view_factor?": float, "everywhere?": bool}),
         "tiles?": {"kept": natural, "of": natural},
         "objects?": Each(Each(natural)),
     }),

@@ -206,10 +206,15 @@ def _prune(prune: Mapping[str, Any], seconds: float | None) -> list[Row]:
 def _light(light: Mapping[str, Any] | None) -> str:
     if light is None:
         return "annotation stays as it is, to the bit"
-    if "reached" not in light:
+    if light.get("everywhere"):
+        return "nothing left out: a mirror, or a sun in the sky's picture, may show anything"
+    if "min_view_factor" not in light:
         return _facts(light)
-    text = f"light of what is seen off by {100 * light['reached']:.2g} % at most"
-    return f"{text}, {100 * light['tolerance']:.2g} % asked; annotation as it is, to the bit"
+    least = 100 * light["min_view_factor"]
+    text = (
+        f"casts no shadow on what is seen, and fills less than {least:.2g} % of a hemisphere there"
+    )
+    return f"{text}; annotation as it is, to the bit"
 
 
 def _sky(sky: Mapping[str, Any]) -> Iterator[tuple[str, str]]:

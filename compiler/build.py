@@ -21,6 +21,7 @@ from scenec.compiler.light.dark import without_dark
 from scenec.compiler.light.lamps import build_lamps, meter_lamps
 from scenec.compiler.materials.finish import Shown, finish
 from scenec.compiler.materials.footprint import footprints
+from scenec.compiler.materials.mirrors import any_mirror
 from scenec.compiler.mesh.cover import lay_and_report
 from scenec.compiler.mesh.precision import REFUSE_PX, precision, refuse, require_resolvable
 from scenec.compiler.mesh.surface import Surface
@@ -44,8 +45,8 @@ from scenec.compiler.terrain.program import run
 from scenec.compiler.terrain.sources.mesh_surface import MeshSurface
 from scenec.compiler.views import needed
 from scenec.compiler.views.keep import Keep
+from scenec.compiler.views.lamps import without_idle
 from scenec.compiler.views.prune import Pruned, prune
-from scenec.compiler.views.reach import without_idle
 from scenec.compiler.views.sight import Views, pixels_per_meter, views_of
 from scenec.schemas.errors import SceneError
 from scenec.schemas.left_out import Record, entry
@@ -180,7 +181,9 @@ def build(plan: Plan, log: BuildLog, keep: Keep = Keep.SEEN) -> Scene:
         sky_label_maps=light.sky_label_maps,
     )
     with log.timed("prune"):
-        pruned = _pruned(scene, needs, keep, hills is not None)
+        sharp = scene.sky is not None and scene.sky.sharp
+        everywhere = keep is Keep.SEEN and (sharp or any_mirror(scene.materials.values()))
+        pruned = _pruned(scene, needs, keep, hills is not None, everywhere)
         log.record = pruned.record
         if pruned.facts:
             log.facts["prune"] = pruned.facts
@@ -189,8 +192,8 @@ def build(plan: Plan, log: BuildLog, keep: Keep = Keep.SEEN) -> Scene:
 
 
 @memoized("prune")
-def _pruned(scene: Scene, needs: needed.Needs, keep: Keep, hills: bool) -> Pruned:
-    return prune(scene, needs, keep, hills=hills)
+def _pruned(scene: Scene, needs: needed.Needs, keep: Keep, hills: bool, everywhere: bool) -> Pruned:
+    return prune(scene, needs, keep, hills=hills, everywhere=everywhere)
 
 
 def needs_of_plan(plan: Plan, keep: Keep) -> needed.Needs:
@@ -288,7 +291,7 @@ def stand_objects(
         SceneError: Something cannot be built or placed.
     """
     views = views_of(rigs)
-    around = Surroundings(surface, views.poses[:, :, 3].copy(), views, plan.terrain.meshing.unseen)
+    around = Surroundings(surface, views.eye, views, plan.terrain.meshing.unseen)
     return build_objects(
         plan.objects,
         around,

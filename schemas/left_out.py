@@ -10,9 +10,7 @@ it is the same in every run; seconds stand in ``timings.json``.
 objects why it is in the stage, or why not. It is written only where an id or a tile is missing, and
 is no part of the stage: frames do not depend on it. It holds
 
-``format``   1
-``light``    ``{"tolerance", "reached"}``: the part of the irradiance of anything seen that all that
-             was left out may take together, and a bound of what it does take; null without ``rgb``
+``format``   2
 ``tiles``    prim name of each tile of the terrain that was left out -> reason
 ``classes``  class -> ``{"drawn", "kept", "reasons", "bits", "codes"}`` and maybe ``ids``
 
@@ -39,7 +37,7 @@ from scenec.schemas.manifest import LEFT_OUT as LEFT_OUT
 from scenec.schemas.shape import Each, natural, read_shaped
 from scenec.schemas.spelling import nearest
 
-_FORMAT = 1
+_FORMAT = 2
 #: Classes with fewer objects than one in so many numbers have their ids listed.
 _SPARSE = 4
 _BITS = (1, 2, 4)
@@ -52,7 +50,7 @@ class Reason(StrEnum):
     SEEN = "seen"
     #: Its shadow may fall on what a camera sees.
     SHADOW = "shadow"
-    #: It takes or gives more sky light and bounced light than is left to be neglected.
+    #: It is near enough and large enough, as seen from what is seen, to change the light there.
     LIGHT = "light"
     #: Nothing of the kind was to be left out.
     ALL = "all"
@@ -77,8 +75,8 @@ class Reason(StrEnum):
 _TEXTS = {
     Reason.SEEN: "a camera may see it",
     Reason.SHADOW: "no camera sees it, but its shadow may fall on what one sees",
-    Reason.LIGHT: "no camera sees it, but it may take or give more sky light and bounced light "
-    "than all that is left out together may",
+    Reason.LIGHT: "no camera sees it, but it is near enough and large enough, as seen from what "
+    "one sees, to change the light there",
     Reason.ALL: "nothing of its kind was to be left out",
     Reason.OUT_OF_VIEW: "it lies outside of every picture, and none shows its effect",
     Reason.BEHIND_GROUND: "every camera that looks its way has ground in between, and no picture "
@@ -97,7 +95,6 @@ def _is_reason(value: Any) -> str | None:
 
 _SHAPE = {
     "format": natural,
-    "light": (None, {"tolerance": float, "reached": (None, float)}),
     "tiles": Each(_is_reason),
     "classes": Each(
         {"drawn": natural, "bits": natural, "reasons": [_is_reason], "codes": str,
@@ -145,13 +142,10 @@ class Record:
     Attributes:
         classes: By name of the class.
         tiles: Reason of each tile that was left out, by prim name.
-        tolerance, reached: Of light, see above; None where no color was asked for.
     """
 
     classes: dict[str, ClassRecord]
     tiles: dict[str, Reason]
-    tolerance: float | None = None
-    reached: float | None = None
 
 
 def entry(
@@ -186,14 +180,10 @@ def write_left_out(folder: Path, record: Record) -> None:
     Raises:
         OutputError: It cannot be written.
     """
-    light = None
-    if record.tolerance is not None:
-        light = {"tolerance": record.tolerance, "reached": record.reached}
     write_json(
         folder / LEFT_OUT,
         {
             "format": _FORMAT,
-            "light": light,
             "tiles": {name: str(reason) for name, reason in record.tiles.items()},
             "classes": {name: _as_json(one) for name, one in record.classes.items()},
         },
@@ -217,7 +207,6 @@ def read_left_out(folder: Path) -> Record | None:
         return None
     if value["format"] != _FORMAT:
         raise OutputError(f"{path}: a record of another version; compile again")
-    light = value["light"] or {}
     classes = {}
     for name, one in value["classes"].items():
         try:
@@ -225,7 +214,7 @@ def read_left_out(folder: Path) -> Record | None:
         except (ValueError, OverflowError, MemoryError) as error:
             raise OutputError(f"{path}: is no {what}: /classes/{name}: {error}") from error
     tiles = {name: Reason(reason) for name, reason in value["tiles"].items()}
-    return Record(classes, tiles, light.get("tolerance"), light.get("reached"))
+    return Record(classes, tiles)
 
 
 def reason_of(folder: Path, class_name: str, local_id: int) -> Reason:

@@ -14,7 +14,6 @@ from scenec.compiler.emit.layer import author, new_layer
 from scenec.compiler.emit.maps import TEXTURES
 from scenec.compiler.geometry.poses import cross
 from scenec.compiler.light.latlong import luminance
-from scenec.compiler.light.sky import sun_direction
 from scenec.compiler.scene.scene import Lamp, Scene, SkyLight, SunLight
 from scenec.schemas import stage as names
 from scenec.schemas.exr import write_rgb
@@ -54,7 +53,7 @@ def _write_picture(file: Path, picture: NDArray[np.float32]) -> None:
 def _write_sun(stage: Usd.Stage, name: str, sun: SunLight) -> None:
     light = UsdLux.DistantLight.Define(stage, f"{LIGHTS}/{name}")
     samples = range(len(sun.irradiance))
-    matrices = [_pointing_from(np.array(sun_direction(sun, i))) for i in samples]
+    matrices = [_pointing_from(np.array(sun.direction(i))) for i in samples]
     author(light.AddTransformOp().GetAttr(), matrices)
     # Normalized, so that intensity is the irradiance on a surface that faces the sun.
     light.CreateNormalizeAttr(True)

@@ -8,11 +8,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.compiler.arithmetic import elementary
 from scenec.compiler.cfg.label_maps import LabelMapPlan, decode
-from scenec.compiler.light.latlong import read_picture
+from scenec.compiler.light.latlong import horizontal_irradiance, luminance, read_picture
 from scenec.compiler.light.picture_sun import DIAMETER_DEG, PictureSun, extract_sun
 from scenec.compiler.light.plan import ImageSkyPlan
 from scenec.compiler.scene.scene import SkyLabelMaps, SkyLight, SunLight
+from scenec.compiler.views.illumination import SHARP
 
 
 def build_panorama(plan: ImageSkyPlan) -> tuple[SkyLight, SunLight | None, dict[str, Any]]:
@@ -52,8 +54,16 @@ def build_panorama(plan: ImageSkyPlan) -> tuple[SkyLight, SunLight | None, dict[
     if plan.extract_sun:
         report["suns"] = found
     texture = tuple(names[file] for file in plan.files)
-    sky = SkyLight(pictures, texture, plan.strength, plan.rotation_deg)
+    sharp = any(map(_is_sharp, pictures.values()))
+    sky = SkyLight(pictures, texture, plan.strength, plan.rotation_deg, sharp)
     return sky, _sun(plan, suns), report
+
+
+def _is_sharp(picture: NDArray[np.float32] | Path) -> bool:
+    """Whether its brightest texel is far brighter than an even sky of the same irradiance."""
+    pixels = read_picture(picture) if isinstance(picture, Path) else picture
+    even = float(luminance(horizontal_irradiance(pixels))) / elementary.PI
+    return float(luminance(pixels).max()) > SHARP * even
 
 
 def _names(files: tuple[Path | LabelMapPlan, ...]) -> dict[Any, str]:

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.arithmetic import elementary
 from scenec.compiler.light.clear_sky import clear_sky
 from scenec.compiler.light.latlong import horizontal_irradiance, luminance, read_picture
 from scenec.compiler.light.plan import ClearSkyPlan
@@ -34,7 +33,7 @@ def _clear_sky(plan: ClearSkyPlan, sun: SunLight | None, samples: int) -> SkyLig
     same: dict[bytes, str] = {}
     texture = []
     for i in range(samples):
-        toward = sun_direction(sun, i) if sun else (0.0, 0.0, 1.0)
+        toward = sun.direction(i) if sun else (0.0, 0.0, 1.0)
         level = level_sun_irradiance(sun, i)
         colors = plan.zenith_color[i], plan.horizon_color[i], plan.ground_color[i]
         numbers = (toward, [plan.irradiance[i]], *colors, level)
@@ -52,20 +51,8 @@ def level_sun_irradiance(sun: SunLight | None, sample: int) -> NDArray[np.float6
     """Irradiance of the sun on level ground, linear Rec.709, W/m^2, float64 [3]."""
     if sun is None:
         return np.zeros(3)
-    height = max(sun_direction(sun, sample)[2], 0.0)
+    height = max(sun.direction(sample)[2], 0.0)
     return sun.color[sample] * (sun.irradiance[sample] * height)
-
-
-def sun_direction(sun: SunLight, sample: int) -> tuple[float, float, float]:
-    """Unit vector to the sun."""
-    azimuth = float(sun.azimuth_deg[sample]) * elementary.PI / 180.0
-    elevation = float(sun.elevation_deg[sample]) * elementary.PI / 180.0
-    level = elementary.cos(elevation)
-    return (
-        level * elementary.sin(azimuth),
-        level * elementary.cos(azimuth),
-        elementary.sin(elevation),
-    )
 
 
 def sky_irradiance(sky: SkyLight | None, samples: int) -> NDArray[np.float64]:

@@ -75,7 +75,7 @@ def adaptive_mesh(
     Args:
         surface: What the mesh stands for.
         appearance: What lies on the ground, at the grid's samples.
-        pixels_per_m: See ``cameras.sight``.
+        pixels_per_m: See ``views.sight``.
         views: The cameras, for triangles finer than the grid.
         meshing: The tolerance and the budget.
 
@@ -168,7 +168,7 @@ def label_error(
         mesh: The cut mesh.
         layer: Label of its faces, int32 [m].
         sides: Of the merges at the samples, [ny, nx] each.
-        pixels_per_m: See ``cameras.sight``.
+        pixels_per_m: See ``views.sight``.
     """
     right = np.zeros(field.grid.shape, bool)
     truth = label_index(list(sides))

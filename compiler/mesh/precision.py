@@ -37,7 +37,7 @@ def require_resolvable(
         rigs: The cameras.
         field: The terrain; positions in its tiles are off by between 2**-26 and 2**-25 of the
             largest tile's size. The first of these counts.
-        pixels_per_m: Of all of them, see ``cameras.sight``; None without cameras.
+        pixels_per_m: Of all of them, see ``views.sight``; None without cameras.
         unseen: As it was made with.
 
     Raises:
@@ -79,7 +79,7 @@ def refuse(
     Args:
         rigs: The cameras.
         field: The terrain.
-        unseen: See ``cameras.sight``.
+        unseen: See ``views.sight``.
         error_m: How far float32 moves a position.
         where: Over what extent it holds positions.
 
@@ -121,7 +121,7 @@ def precision(
     Args:
         bounds: Of all geometry, float64 [2, 3].
         facts: What building measured so far: the ``float32_error_max_m`` of ground and objects.
-        pixels_per_m: See ``cameras.sight``; None without cameras.
+        pixels_per_m: See ``views.sight``; None without cameras.
 
     Returns:
         The extent (the longest side of the bounds), the precision promised for it and the largest

@@ -51,7 +51,7 @@ def build_tiles(
         surface: Heights, and merges from the first one up; none for one material.
         variation_key: Noise key of the albedo variation.
         meshing: How fine the mesh is.
-        pixels_per_m, views: See ``cameras.sight``; taken where the mesh is adaptive.
+        pixels_per_m, views: See ``views.sight``; taken where the mesh is adaptive.
         color: False where no output shows color: weights and variation are then left out.
         cut_labels: False where no output shows labels: the mesh then stays whole.
 

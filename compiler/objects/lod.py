@@ -85,7 +85,7 @@ def see_levels(
     first = np.cumsum(lengths) - lengths
     meshes = tuple(mesh for chain in chains for mesh in chain)
     near = None
-    if len(views.poses):
+    if len(views.eye):
         near = np.zeros(scatter.count)
         if tolerance_px > 0.0:
             radius = scatter.radii()

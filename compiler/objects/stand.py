@@ -139,7 +139,7 @@ class Standing:
         self, at: NDArray[np.float64], radius: NDArray[np.float64], least: float
     ) -> NDArray[np.float64]:
         around = self._around
-        if not len(around.views.poses) or not len(at):
+        if not len(around.views.eye) or not len(at):
             return np.zeros(len(at))
         return pixels_of_balls(around.views, at, radius, around.unseen, min(NEAREST_M, least))
 

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.compiler.arithmetic import elementary
 from scenec.compiler.scene.rig import Rig
 from scenec.compiler.scene.sources import Sources
 
@@ -335,6 +336,17 @@ class SunLight:
     diameter_deg: NDArray[np.float64]
     color: NDArray[np.float64]
 
+    def direction(self, sample: int) -> tuple[float, float, float]:
+        """Unit vector to the sun."""
+        azimuth = float(self.azimuth_deg[sample]) * elementary.PI / 180.0
+        elevation = float(self.elevation_deg[sample]) * elementary.PI / 180.0
+        level = elementary.cos(elevation)
+        return (
+            level * elementary.sin(azimuth),
+            level * elementary.cos(azimuth),
+            elementary.sin(elevation),
+        )
+
 
 @dataclass(frozen=True)
 class SkyLight:
@@ -345,12 +357,15 @@ class SkyLight:
         texture: File name in ``pictures`` for each sample.
         intensity: Factor on the picture, [s].
         rotation_deg: Turn of the picture about the vertical, clockwise from above, [s].
+        sharp: Whether places in the pictures are so bright that single objects cast shadows of
+            them: a sun that was left in, lamps.
     """
 
     pictures: dict[str, NDArray[np.float32] | Path]
     texture: tuple[str, ...]
     intensity: NDArray[np.float64]
     rotation_deg: NDArray[np.float64]
+    sharp: bool = False
 
 
 @dataclass(frozen=True)

@@ -1,170 +1,179 @@
-"""What certainly hides behind the ground from an eye, whatever it is: a test that errs one way.
+"""What certainly hides behind the ground: the one test, for meshing and for pruning.
 
-The terrain is a surface without holes over its rectangle, so a ray from an eye above it that is
-somewhere below it has met it before. ``lower_bound`` gives, from the mesh as it is written, heights
-that the surface is nowhere below, cell by cell. Around each eye the plan is cut into polar cells
-(bins of bearing times rings of distance); a polar cell's height is the least of all cells it
-touches. A ray of slope s over a ring from a to b is below it all along if s < (height - eye) / b
-for heights above the eye, / a for those below: ``Horizon.slope`` is the largest such slope of all
-rings up to one. What is farther than a ring, and whose highest slope is less in all bins that it
-touches, is hidden (cf. Max 1988, "Horizon mapping", which shades bumps; here with bounds).
+The terrain is a surface without holes, so a ray from an eye above it that is somewhere below it has
+met it before. The plan is cut into blocks, of which ``Relief`` bounds the heights. From each eye
+rays go to all blocks of the border (Franklin and Ray 1994, "R2"), so that any other ray runs within
+a block of one of them: the steepest slope up to the lowest ground of three by three blocks on the
+way so far gives the ``ceiling`` of the blocks beside it, below which the ground hides everything.
+It is conservative: what is called hidden is, much that is hidden is not found.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from scenec.schemas.kernels import inlined, kernel
 from numpy.typing import NDArray
 
-from scenec.compiler.scene.scene import Ground, Tile
-from scenec.compiler.views.outlook import Outlook, in_view
-from scenec.schemas.kernels import kernel
+from scenec.compiler.cache.memo import memoized
+from scenec.compiler.scene.scene import Tile
+from scenec.compiler.terrain.grid import HeightField
+from scenec.compiler.views.frustum import MOVING, Views
 from scenec.schemas.threads import over_threads
 
-#: Cells along the longer side of the terrain.
-_CELLS = 640
-#: Bins of bearing around an eye, for few eyes and at least, and how many all eyes may have.
-_BINS, _FEWEST, _ALL_BINS = 768, 128, 32768
-#: By how much a ring is longer than the one before, and the first one's begin, in cells.
-_GROWTH, _FIRST = 0.03, 1.0
-#: For more eyes than this all of it is coarser, so that their work and memory hardly grow, up to
-#: so many times.
-_MANY, _COARSEST = 256, 16
-#: At which a view is asked whether it looks to a bearing.
-_HEIGHTS = 21
+#: Blocks of a height field have at least so many cells along a side, and those of a mesh are so
+#: many along the longer side; both are wider where all views have more blocks together than
+#: ``_MOST``, which take some 80 MB and a second.
+_CELLS, _BLOCKS, _MOST = 2, 512, 2e7
+#: Blocks that a ball may touch to be looked up one by one: a larger one seldom hides as a whole.
+_TOUCHED = 64
 
 
 class Relief(NamedTuple):
-    """Bounds of the terrain's heights, cell by cell.
+    """Bounds of the ground's heights, block by block.
 
     Attributes:
-        low: No point of the surface over a cell is lower, float64 [ny, nx].
-        high: None is higher, float64 [ny, nx].
-        frame: x and y of the first cell's corner, and a cell's width in both, float64 [4].
+        low: No point of the ground over a block is lower, inf where there is none; float64
+            [by, bx].
+        high: None is higher, -inf where there is none; float64 [by, bx].
+        whole: Whether all of a block is below a ground without overhangs, so that it can hide
+            something; bool [by, bx].
+        frame: x and y of the first block's corner, and a block's width in both, float64 [4].
     """
 
     low: NDArray[np.float64]
     high: NDArray[np.float64]
+    whole: NDArray[np.bool_]
     frame: NDArray[np.float64]
 
 
-class Horizon(NamedTuple):
-    """Slopes below which the ground hides what lies behind it.
-
-    Attributes:
-        slope: Per view, bin and ring, -inf where nothing is hidden, float32 [v, bins, rings].
-        edges: Distances at which rings begin, and the last one ends, float64 [rings + 1].
-    """
-
-    slope: NDArray[np.float32]
-    edges: NDArray[np.float64]
-
-
-def relief_of(ground: Ground) -> Relief:
-    """Bounds of the heights of a terrain's tiles, which cover its rectangle."""
-    low, high = np.full(2, np.inf), np.full(2, -np.inf)
-    for tile in ground.tiles:
-        low = np.minimum(low, tile.translate[:2] + tile.points[:, :2].min(axis=0))
-        high = np.maximum(high, tile.translate[:2] + tile.points[:, :2].max(axis=0))
-    size = high - low
-    width = float(size.max()) / _CELLS
-    # Whole cells, so that none is only partly over the terrain.
-    cells = np.maximum(np.floor(size / width + 0.5), 1.0)
-    frame = np.concatenate([low, size / cells])
-    nx, ny = (int(n) for n in cells)
-    relief = Relief(np.full((ny, nx), np.inf), np.full((ny, nx), -np.inf), frame)
-    for tile in ground.tiles:
-        _bound(tile.translate, tile.points, tile.faces, *relief)
-    # What no triangle is over, if anything, hides nothing.
-    relief.low[~(relief.low <= relief.high)] = -np.inf
-    return relief
-
-
-def horizon_of(relief: Relief, ground: Ground, views: Outlook) -> Horizon:
-    """The horizons of eyes; from those that are not above the terrain nothing counts as hidden.
+def with_hidden_ground(views: Views, field: HeightField, margin_m: float) -> Views:
+    """Views that know which blocks of a terrain hide from them as a whole, before it is meshed.
 
     Args:
-        relief: Bounds of the heights.
-        ground: What they are of.
-        views: The views. Of bearings that a view does not look to, nothing is found out.
+        views: The views.
+        field: The terrain.
+        margin_m: How far the ground may lie above or below that.
     """
-    eye = views.eye
-    coarser = 1
-    while coarser < _COARSEST and len(eye) > _MANY * coarser * coarser:
-        coarser *= 2
-    relief = _pooled(relief, coarser)
-    ny, nx = relief.low.shape
-    dx, dy = relief.frame[2:].tolist()
-    cell = max(dx, dy)
-    far = float(np.sqrt(nx * nx * dx * dx + ny * ny * dy * dy))
-    edges = [_FIRST * cell]
-    while edges[-1] < far:
-        edges.append(edges[-1] + max(edges[-1] * _GROWTH * coarser, 0.25 * cell))
-    bins = int(min(_BINS, max(_FEWEST // coarser, _ALL_BINS // max(len(eye), 1)))) // 4 * 4
-    rings = np.array(edges)
-    slope = np.full((len(eye), bins, len(edges) - 1), -np.inf, np.float32)
+    ceiling, frame = _hidden_ground(field, views, margin_m)
+    return views._replace(ceiling=ceiling, blocks=frame)
+
+
+@memoized("views")
+def _hidden_ground(
+    field: HeightField, views: Views, margin_m: float
+) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
+    relief = relief_of_field(field, len(views.eye))
+    relief = relief._replace(low=relief.low - margin_m, high=relief.high + margin_m)
+    ceiling = _ceilings(relief, views, np.ones(len(views.eye), np.bool_))
+    # What stands for a sample is not known yet: a block hides as a whole, or not at all.
+    hidden = relief.high < ceiling
+    return np.where(hidden, np.float32(np.inf), np.float32(-np.inf)), relief.frame
+
+
+def with_horizon(views: Views, relief: Relief) -> Views:
+    """Views that know what a mesh hides from them; nothing from an eye that is not surely above it.
+
+    Args:
+        views: The views.
+        relief: Of the mesh.
+    """
+    rows, columns = relief.low.shape
+    at = np.floor((views.eye[:, :2] - relief.frame[:2]) / relief.frame[2:])
+    above = ((at >= 0) & (at < (columns, rows))).all(axis=1)
+    i, j = np.where(above, at.T, 0).astype(np.int64)
     # An eye that moves sees over what hides from one of its places.
-    above = _are_above(ground.tiles, eye) & ~views.moving
-    over_threads(_find_slopes, slope.shape[0] * slope.shape[1], relief.low, relief.frame, eye,
-                 views.planes, views.axis, views.cone, above, rings, slope)  # fmt: skip
-    return Horizon(slope, rings)
+    above &= (views.kind & MOVING == 0) & relief.whole[j, i]
+    above &= views.eye[:, 2] > relief.high[j, i]
+    return views._replace(ceiling=_ceilings(relief, views, above), blocks=relief.frame)
 
 
-def _pooled(relief: Relief, times: int) -> Relief:
-    """Bounds for cells so many times as wide; at the far borders they reach beyond the terrain."""
-    if times == 1:
-        return relief
-    ny, nx = relief.low.shape
-    rows, columns = -(-ny // times), -(-nx // times)
-    # What is beyond hides nothing.
-    low = np.full((rows * times, columns * times), -np.inf)
-    high = low.copy()
-    low[:ny, :nx], high[:ny, :nx] = relief.low, relief.high
-    blocks = (rows, times, columns, times)
-    frame = relief.frame * np.array([1.0, 1.0, times, times])
-    return Relief(low.reshape(blocks).min((1, 3)), high.reshape(blocks).max((1, 3)), frame)
+def relief_of_field(field: HeightField, views: int) -> Relief:
+    """Bounds of a height field's heights, in blocks of whole cells.
+
+    Args:
+        field: The heights.
+        views: How many will look.
+    """
+    ny, nx = field.grid.shape
+    cells = _CELLS
+    while True:
+        blocks = -(-(nx - 1) // cells) * -(-(ny - 1) // cells)
+        if blocks == 1 or views * blocks <= _MOST:
+            break
+        cells *= 2
+    low = np.full((-(-(ny - 1) // cells), -(-(nx - 1) // cells)), np.inf)
+    high = np.full(low.shape, -np.inf)
+    over_threads(_bound_samples, len(low), field.height, cells, low, high)
+    x0, y0, dx, dy = field.frame()
+    frame = np.array([x0, y0, cells * dx, cells * dy])
+    return Relief(low, high, np.ones(low.shape, np.bool_), frame)
 
 
-def _are_above(tiles: tuple[Tile, ...], eyes: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Which eyes are over the terrain, in plan and in height; bool [v]."""
-    found = np.full(len(eyes), -np.inf)
+def relief_of_tiles(tiles: Sequence[Tile], bounds: NDArray[np.float64], views: int) -> Relief:
+    """Bounds of the heights of a terrain's tiles, which cover a rectangle.
+
+    Args:
+        tiles: The mesh.
+        bounds: x, y and z of all there is, which the blocks cover, float64 [2, 3].
+        views: How many will look.
+    """
+    size = bounds[1, :2] - bounds[0, :2]
+    along = _BLOCKS
+    while along > 8 and views * along * along > _MOST:
+        along //= 2
+    width = max(float(size.max()) / along, 1e-9)
+    columns, rows = (max(int(np.ceil(n / width)), 1) for n in size.tolist())
+    frame = np.array([*bounds[0, :2], width, width])
+    low, high = np.full((rows, columns), np.inf), np.full((rows, columns), -np.inf)
+    ends = [
+        tile.translate[:2] + pick(tile.points[:, :2], axis=0)
+        for tile in tiles
+        for pick in (np.min, np.max)
+    ]
     for tile in tiles:
-        at = eyes - tile.translate
-        low, high = tile.points[:, :2].min(axis=0), tile.points[:, :2].max(axis=0)
-        for v in np.flatnonzero(((at[:, :2] >= low) & (at[:, :2] <= high)).all(axis=1)).tolist():
-            height = _height(tile.points, tile.faces, at[v, 0], at[v, 1]) + tile.translate[2]
-            found[v] = max(found[v], height)
-    return (found > -np.inf) & (eyes[:, 2] > found)
+        _bound_mesh(tile.translate, tile.points, tile.faces, frame, low, high)
+    # A block that the ground covers in part hides nothing.
+    first = np.ceil((np.min(ends, axis=0) - frame[:2]) / width - 1e-9)
+    last = np.floor((np.max(ends, axis=0) - frame[:2]) / width + 1e-9)
+    whole = np.logical_and.outer(
+        *((np.arange(n) >= a) & (np.arange(n) < b)
+          for n, a, b in zip((rows, columns), first[::-1], last[::-1], strict=True))
+    )  # fmt: skip
+    return Relief(low, high, whole & (low <= high), frame)
+
+
+def _ceilings(relief: Relief, views: Views, above: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """``Views.ceiling``; -inf of views that are not above the ground, and out of view."""
+    rows, columns = relief.low.shape
+    wide = np.full((rows + 2, columns + 2), -np.inf)
+    wide[1:-1, 1:-1] = np.where(relief.whole, relief.low, -np.inf)
+    least = np.minimum.reduce(
+        [wide[j : j + rows, i : i + columns] for j in range(3) for i in range(3)]
+    )
+    ceiling = np.full((len(views.eye), rows, columns), np.inf, np.float32)
+    ceiling[~above] = -np.inf
+    over_threads(_find_ceilings, len(views.eye), least, relief.frame, views.eye, above, ceiling)
+    ceiling[ceiling == np.inf] = -np.inf
+    return ceiling
 
 
 @kernel
-def _height(points, faces, x, y):  # type: ignore[no-untyped-def]
-    """Height of the highest triangle over a point; -inf where there is none."""
-    best = -np.inf
-    for f in range(len(faces)):
-        a, b, c = faces[f]
-        ax, ay = np.float64(points[a, 0]) - x, np.float64(points[a, 1]) - y
-        bx, by = np.float64(points[b, 0]) - x, np.float64(points[b, 1]) - y
-        cx, cy = np.float64(points[c, 0]) - x, np.float64(points[c, 1]) - y
-        u, v, w = bx * cy - by * cx, cx * ay - cy * ax, ax * by - ay * bx
-        # A hair beyond the edges: a point on one is over a triangle.
-        hair = -1e-9 * (abs(u) + abs(v) + abs(w))
-        total = u + v + w
-        if total < 0.0:
-            u, v, w, total = -u, -v, -w, -total
-        if u < hair or v < hair or w < hair or total == 0.0:
-            continue
-        height = (u * points[a, 2] + v * points[b, 2] + w * points[c, 2]) / total
-        best = max(best, height)
-    return best
+def _bound_samples(first, last, height, cells, low, high):  # type: ignore[no-untyped-def]
+    ny, nx = height.shape
+    for j in range(first, last):
+        for row in range(j * cells, min((j + 1) * cells + 1, ny)):
+            for i in range(low.shape[1]):
+                for column in range(i * cells, min((i + 1) * cells + 1, nx)):
+                    low[j, i] = min(low[j, i], height[row, column])
+                    high[j, i] = max(high[j, i], height[row, column])
 
 
 @kernel
-def _bound(translate, points, faces, low, high, frame):  # type: ignore[no-untyped-def]
-    """Take a tile's triangles into the bounds of the cells they touch."""
-    ny, nx = low.shape
-    x0, y0, dx, dy = frame
+def _bound_mesh(translate, points, faces, frame, low, high):  # type: ignore[no-untyped-def]
+    """Takes a tile's triangles into the bounds of the blocks they touch."""
     p = np.empty((3, 3))
     for f in range(len(faces)):
         for k in range(3):
@@ -172,17 +181,13 @@ def _bound(translate, points, faces, low, high, frame):  # type: ignore[no-untyp
                 p[k, axis] = points[faces[f, k], axis] + translate[axis]
         least = min(p[0, 2], min(p[1, 2], p[2, 2]))
         most = max(p[0, 2], max(p[1, 2], p[2, 2]))
-        # A hair wider: borders of cells are rounded.
-        i0 = int(np.floor((min(p[0, 0], min(p[1, 0], p[2, 0])) - x0) / dx - 1e-6))
-        i1 = int(np.floor((max(p[0, 0], max(p[1, 0], p[2, 0])) - x0) / dx + 1e-6))
-        j0 = int(np.floor((min(p[0, 1], min(p[1, 1], p[2, 1])) - y0) / dy - 1e-6))
-        j1 = int(np.floor((max(p[0, 1], max(p[1, 1], p[2, 1])) - y0) / dy + 1e-6))
-        i0, i1 = max(i0, 0), min(i1, nx - 1)
-        j0, j1 = max(j0, 0), min(j1, ny - 1)
-        if i0 == i1 and j0 == j1:
-            low[j0, i0] = min(low[j0, i0], least)
-            high[j0, i0] = max(high[j0, i0], most)
-            continue
+        west, east = min(p[0, 0], min(p[1, 0], p[2, 0])), max(p[0, 0], max(p[1, 0], p[2, 0]))
+        south, north = min(p[0, 1], min(p[1, 1], p[2, 1])), max(p[0, 1], max(p[1, 1], p[2, 1]))
+        # A hair wider: borders of blocks are rounded.
+        i0 = max(int(np.floor((west - frame[0]) / frame[2] - 1e-6)), 0)
+        j0 = max(int(np.floor((south - frame[1]) / frame[3] - 1e-6)), 0)
+        i1 = min(int(np.floor((east - frame[0]) / frame[2] + 1e-6)), low.shape[1] - 1)
+        j1 = min(int(np.floor((north - frame[1]) / frame[3] + 1e-6)), low.shape[0] - 1)
         ux, uy, uz = p[1, 0] - p[0, 0], p[1, 1] - p[0, 1], p[1, 2] - p[0, 2]
         vx, vy, vz = p[2, 0] - p[0, 0], p[2, 1] - p[0, 1], p[2, 2] - p[0, 2]
         area = ux * vy - uy * vx
@@ -190,25 +195,23 @@ def _bound(translate, points, faces, low, high, frame):  # type: ignore[no-untyp
         gx = (uz * vy - vz * uy) / area if flat else 0.0
         gy = (vz * ux - uz * vx) / area if flat else 0.0
         turn = 1.0 if area >= 0.0 else -1.0
-        half_x, half_y = 0.5 * dx * (1.0 + 1e-6), 0.5 * dy * (1.0 + 1e-6)
+        half_x, half_y = 0.5 * frame[2] * (1.0 + 1e-6), 0.5 * frame[3] * (1.0 + 1e-6)
         spread = abs(gx) * half_x + abs(gy) * half_y
         for j in range(j0, j1 + 1):
-            my = y0 + (j + 0.5) * dy
+            y = frame[1] + (j + 0.5) * frame[3]
             for i in range(i0, i1 + 1):
-                mx = x0 + (i + 0.5) * dx
+                x = frame[0] + (i + 0.5) * frame[2]
                 apart = False
                 for k in range(3):
                     ex = turn * (p[(k + 1) % 3, 0] - p[k, 0])
                     ey = turn * (p[(k + 1) % 3, 1] - p[k, 1])
-                    side = ex * (my - p[k, 1]) - ey * (mx - p[k, 0])
-                    if side + abs(ex) * half_y + abs(ey) * half_x < 0.0:
-                        apart = True
-                        break
+                    side = ex * (y - p[k, 1]) - ey * (x - p[k, 0])
+                    apart = apart or side + abs(ex) * half_y + abs(ey) * half_x < 0.0
                 if apart:
                     continue
                 bottom, top = least, most
                 if flat:
-                    at = p[0, 2] + gx * (mx - p[0, 0]) + gy * (my - p[0, 1])
+                    at = p[0, 2] + gx * (x - p[0, 0]) + gy * (y - p[0, 1])
                     bottom = max(least, at - spread - 1e-9 * abs(at))
                     top = min(most, at + spread + 1e-9 * abs(at))
                 low[j, i] = min(low[j, i], bottom)
@@ -216,115 +219,84 @@ def _bound(translate, points, faces, low, high, frame):  # type: ignore[no-untyp
 
 
 @kernel
-def turn_of(x, y):  # type: ignore[no-untyped-def]
-    """A number in [0, 4] that grows with the angle of (x, y), without its arc tangent."""
-    total = abs(x) + abs(y)
-    if total == 0.0:
-        return 0.0
-    at = x / total
-    return 1.0 - at if y >= 0.0 else 3.0 + at
-
-
-@kernel
-def _way(turn):  # type: ignore[no-untyped-def]
-    """Unit vector of such a number."""
-    if turn > 4.0:
-        turn -= 4.0
-    if turn <= 2.0:
-        x = 1.0 - turn
-        y = 1.0 - abs(x)
-    else:
-        x = turn - 3.0
-        y = abs(x) - 1.0
-    length = np.sqrt(x * x + y * y)
-    return x / length, y / length
-
-
-@kernel
-def _looks(planes, axis, cone, x, y):  # type: ignore[no-untyped-def]
-    """Whether a view looks to a bearing, at about any height."""
-    here = np.zeros(3)
-    for k in range(_HEIGHTS):
-        # Balls at every height, which touch each other.
-        rise = -2.0 + 4.0 * k / (_HEIGHTS - 1.0)
-        if in_view(here, planes, axis, cone, x, y, rise, 2.5 / (_HEIGHTS - 1.0)):
-            return True
-    return False
-
-
-@kernel
-def _find_slopes(first, last, low, frame, eye, planes, axis, cone, above, edges, slope):  # type: ignore[no-untyped-def]
-    ny, nx = low.shape
-    x0, y0, dx, dy = frame
-    bins = slope.shape[1]
-    for n in range(first, last):
-        v = n // bins
-        b = n % bins
+def _find_ceilings(first, last, least, frame, eyes, above, ceiling):  # type: ignore[no-untyped-def]
+    rows, columns = least.shape
+    for v in range(first, last):
         if not above[v]:
             continue
-        ex, ey, ez = eye[v]
-        ax, ay = _way(4.0 * b / bins)
-        cx, cy = _way(4.0 * (b + 1) / bins)
-        if not _looks(planes[v], axis[v], cone[v], 0.5 * (ax + cx), 0.5 * (ay + cy)):
-            continue
-        # Corners on the outer arc's tangent hold all of the arc.
-        stretch = 1.0 / np.sqrt(0.5 * (1.0 + ax * cx + ay * cy))
-        best = -np.inf
-        for k in range(slope.shape[2]):
-            near, far = edges[k], edges[k + 1]
-            out = far * stretch
-            xa = ex + min(min(near * ax, near * cx), min(out * ax, out * cx))
-            xb = ex + max(max(near * ax, near * cx), max(out * ax, out * cx))
-            ya = ey + min(min(near * ay, near * cy), min(out * ay, out * cy))
-            yb = ey + max(max(near * ay, near * cy), max(out * ay, out * cy))
-            i0 = int(np.floor((xa - x0) / dx - 1e-6))
-            i1 = int(np.floor((xb - x0) / dx + 1e-6))
-            j0 = int(np.floor((ya - y0) / dy - 1e-6))
-            j1 = int(np.floor((yb - y0) / dy + 1e-6))
-            if i0 < 0 or j0 < 0 or i1 >= nx or j1 >= ny:
-                # Beyond the terrain there is nothing to hide behind.
-                slope[v, b, k:] = best
-                break
-            least = np.inf
-            for j in range(j0, j1 + 1):
-                for i in range(i0, i1 + 1):
-                    least = min(least, low[j, i])
-            rise = least - ez
-            best = max(best, rise / far if rise > 0.0 else rise / near)
-            slope[v, b, k] = best
+        for k in range(2 * (rows + columns)):
+            # Blocks of the border: both sides of each row, then both ends of each column.
+            if k < 2 * rows:
+                i, j = (k % 2) * (columns - 1), k // 2
+            else:
+                i, j = (k - 2 * rows) // 2, (k % 2) * (rows - 1)
+            _follow(least, frame, eyes[v], i, j, ceiling[v])
 
 
 @kernel
-def is_hidden(eye, slope, edges, x, y, z, radius):  # type: ignore[no-untyped-def]
-    """Whether a ball lies behind the ground from an eye: true only if it certainly does.
+def _follow(least, frame, eye, target_i, target_j, ceiling):  # type: ignore[no-untyped-def]
+    """Follows a ray from an eye through a block of the border, and lowers the ceilings beside it.
 
-    Args:
-        eye, slope: Of one view: position [3], and the view's part of ``Horizon.slope``.
-        edges: Of the rings.
-        x, y, z, radius: The ball.
+    Any ray is within 0.6 blocks of one of these: at the border they are at most a block apart.
     """
-    px = x - eye[0]
-    py = y - eye[1]
-    distance = np.sqrt(px * px + py * py)
-    near = (distance - radius) * (1.0 - 1e-9)
-    if near <= edges[1]:
+    rows, columns = least.shape
+    x0, y0, wide, tall = frame
+    tx = x0 + (target_i + 0.5) * wide - eye[0]
+    ty = y0 + (target_j + 0.5) * tall - eye[1]
+    distance = np.sqrt(tx * tx + ty * ty)
+    # No block is stepped over; those beside a step reach so far from it.
+    step = min(wide, tall)
+    reach = 2.0 * np.sqrt(wide * wide + tall * tall)
+    if distance == 0.0:
+        tx, distance = 1.0, 1.0
+    dx, dy = tx / distance, ty / distance
+    lag = reach + step
+    steepest = -np.inf
+    # From outside the first steps lead through nothing.
+    across = np.sqrt(wide * wide * columns * columns + tall * tall * rows * rows)
+    begin = int(max(distance - across - reach, 0.0) / step)
+    for k in range(begin, int((distance + reach) / step) + 1):
+        away = (k + 0.5) * step
+        if away > lag:
+            before = away - lag
+            bi = int(np.floor((eye[0] + dx * before - x0) / wide))
+            bj = int(np.floor((eye[1] + dy * before - y0) / tall))
+            if 0 <= bi < columns and 0 <= bj < rows:
+                steepest = max(steepest, (least[bj, bi] - eye[2]) / before)
+        # The end that makes a ray highest on its way: near if it rises, far if it falls.
+        run = max(away - reach, 0.0) if steepest > 0.0 else away + reach
+        height = eye[2] + steepest * run
+        # A hair lower: float32 rounds.
+        height -= 1e-6 * (abs(height) + abs(eye[2]))
+        i = int(np.floor((eye[0] + dx * away - x0) / wide))
+        j = int(np.floor((eye[1] + dy * away - y0) / tall))
+        for m in range(max(j - 1, 0), min(j + 1, rows - 1) + 1):
+            for n in range(max(i - 1, 0), min(i + 1, columns - 1) + 1):
+                ceiling[m, n] = min(ceiling[m, n], height)
+
+
+@inlined
+def touched(frame, x, y, radius):  # type: ignore[no-untyped-def]
+    """First and last column and row of the blocks that a ball touches in plan."""
+    i0 = int(np.floor((x - radius - frame[0]) / frame[2]))
+    i1 = int(np.floor((x + radius - frame[0]) / frame[2]))
+    j0 = int(np.floor((y - radius - frame[1]) / frame[3]))
+    j1 = int(np.floor((y + radius - frame[1]) / frame[3]))
+    return i0, i1, j0, j1
+
+
+@inlined
+def is_hidden(views, v, x, y, z, radius):  # type: ignore[no-untyped-def]
+    """Whether the ground hides a ball from view v: true only if it certainly does."""
+    rows, columns = views.ceiling.shape[1:]
+    if rows == 0:
         return False
-    ring = np.searchsorted(edges, near, side="right") - 2
-    ring = min(ring, slope.shape[1] - 1)
-    rise = (z - eye[2]) + radius
-    steepest = rise / near if rise > 0.0 else rise / (distance + radius)
-    # A hair higher, for slopes stand in float32.
-    steepest += 1e-6 * (1.0 + abs(steepest))
-    bins = slope.shape[0]
-    sine = radius / distance
-    cosine = np.sqrt(1.0 - sine * sine)
-    first = turn_of(px * cosine + py * sine, py * cosine - px * sine)
-    last = turn_of(px * cosine - py * sine, py * cosine + px * sine)
-    low = int(np.floor(0.25 * first * bins - 1e-6))
-    high = int(np.floor(0.25 * last * bins + 1e-6))
-    if high < low:
-        high += bins
-    hidden = True
-    for b in range(low, high + 1):
-        hidden = hidden and steepest < slope[b % bins, ring]
-    return hidden
+    i0, i1, j0, j1 = touched(views.blocks, x, y, radius)
+    if (i1 - i0) * (j1 - j0) > _TOUCHED:
+        return False
+    # What lies on the border, or beyond it, counts as of the next block.
+    for j in range(min(max(j0, 0), rows - 1), min(max(j1, 0), rows - 1) + 1):
+        for i in range(min(max(i0, 0), columns - 1), min(max(i1, 0), columns - 1) + 1):
+            if z + radius >= views.ceiling[v, j, i]:
+                return False
+    return True

@@ -30,7 +30,6 @@ from scenec.compiler.light.atmosphere_rays import (
 from scenec.compiler.light.atmosphere_spectra import wavelengths, weights
 from scenec.compiler.light.latlong import luminance
 from scenec.compiler.light.plan import AtmospherePlan, ClearSkyPlan
-from scenec.compiler.light.sky import sun_direction
 from scenec.compiler.scene.scene import SunLight
 from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
@@ -153,7 +152,7 @@ def clear_along(
     Returns:
         Linear Rec.709, W/(m^2 sr), float64 [n, 3].
     """
-    toward = np.array(sun_direction(sun, 0) if sun is not None else (0.0, 0.0, 1.0))
+    toward = np.array(sun.direction(0) if sun is not None else (0.0, 0.0, 1.0))
     toward[2] = max(toward[2], 0.0)
     toward = toward / np.sqrt((toward * toward).sum())
     over_all = _cie(fine, toward, plan.zenith_color[0], plan.horizon_color[0])

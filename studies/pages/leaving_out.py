@@ -15,6 +15,8 @@ from pathlib import Path
 import numpy as np
 from pxr import Usd
 
+from scenec.compiler.compile import compile_cfg
+from scenec.compiler.views.illumination import MIN_VIEW_FACTOR, SHARP
 from scenec.compiler.views.keep import Keep
 from scenec.schemas.errors import ScenecError
 from scenec.studies.runner import ROOT, Page, run, table
@@ -33,24 +35,43 @@ OUTPUTS: tuple[tuple[str, ...], ...] = (
     ("rgb", "label", "instance", "depth"),
 )
 SPP = 64
+SHIPPED = ("jacksboro", "landing_site", "lunar_mare", "mars_yard", "meadow_edge", "volcanic_desert")
 
 HEAD = """# Leaving out what a scene does not need
 
 A stage holds what the outputs asked for need, and what a camera or lidar of the batch can see the
-effect of. Both are passes over the Scene (`compiler/views/`), and both err one way only: what
-they cannot be sure of stays. Approximations (levels of detail, tessellation) come first and are
-the same with and without.
+effect of. An object or a tile of the terrain stays if
+
+1. it is seen: its ball meets the volume of a view, and is not behind the ground; or, with `rgb`,
+2. its shadow, swept away from each sun and lamp, meets what is seen; or
+3. it is near enough and large enough: from the nearest place seen it fills {least} of a
+   hemisphere or more, a stone of 10 cm within {near} m. It stays, too, if it shines itself.
+
+The first two are conservative: what they cannot be sure of stays. The third neglects light; what
+that changes is measured below. With `rgb` the whole terrain stays, and all objects do where a
+mirror may show them (a lobe of {sharp} times the dull part, such as metal of roughness below
+0.22), or where a picture of the sky holds a sun or lamps that were not taken out.
+Approximations (levels of detail, tessellation) come first and are the same with and without.
 
 - `scenec explain OUT` lists what was left out, most effective first; `scenec explain OUT --why
   rocks/4711` says why one object is there, or is not. `left_out.json` beside the stage has it for
   every instance.
 - `--no-prune` keeps what no camera can see; `--keep all` also keeps what no output asks for, as
   fine as it gets, for walking around in a viewer.
-- Annotation (`face` apart, which numbers the stage's own faces) is the same to the bit. Light may
-  differ by the bound that `report.json` states; what it really differs by stands below.
+- Annotation (`face` apart, which numbers the stage's own faces) is the same to the bit.
 
 {cores} cores, {versions}.
 """
+#: What the columns of light and cost say.
+COLUMNS = (
+    "- **light off**, what it got wrong: root of the mean square difference of 8 × 8 blocks of all "
+    "pictures, Mitsuba, equal noise seeds, in parts of the mean; **noise**: of such a block's "
+    "difference with other seeds. Where a path meets something that was left out, the rest of it "
+    "is another, whose noise counts as a difference here.\n"
+    "- **bytes**: of the stage, whole to pruned; **s**, what it cost: of pruning.\n\n"
+)
+#: Samples a pixel for cfgs that ship, whose pictures are large.
+SHIPPED_SPP = 8
 
 
 def by_outputs(page: Page) -> str:
@@ -110,7 +131,7 @@ def extremes(page: Page) -> str:
                 rows.append([case.what, *_measured(case, Path(folder), 16 if page.fast else SPP)])
             except ScenecError as error:
                 message = str(error).splitlines()[0].split(": ", 1)[-1].replace("|", "\\|")
-                rows.append([case.what, f"refused: {message}", *[""] * 7])
+                rows.append([case.what, f"refused: {message}", *[""] * 6])
     return (
         "## At the limits\n\n100 m × 100 m of 5 m hills, 3,000 rocks of 5 cm to 2 m, two samples "
         "of one camera of 96 × 72 pixels, 60° wide and 1.5 m high; sun 35° high; rgb, labels and "
@@ -120,40 +141,57 @@ def extremes(page: Page) -> str:
         "that they take or send.\n"
         "- **pixels**: of all passes of annotation, by the exact caster, those that differ from "
         "the whole stage's.\n"
-        "- **bound**: of the change of irradiance anywhere seen that the compiler states, in parts "
-        "of that of open ground.\n"
-        f"- **light off**: root of the mean square difference of 8 × 8 blocks, Mitsuba, {SPP} "
-        "samples and equal noise seeds, in parts of the mean; **noise**: of such a block's "
-        "difference with other seeds. Where a path meets something that was left out, "
-        "the rest of it is another, whose noise counts as a difference here.\n"
-        "- **bytes**: of the stage, whole to pruned; **s**: of pruning.\n\n"
-        + table(["", "kept of all", "seen + shadow + light", "pixels", "bound",
-                 "light off", "noise", "bytes", "s"], rows)
+        + COLUMNS + table(["", "kept of all", "seen + shadow + light", "pixels", "light off",
+                           "noise", "bytes", "s"], rows)
+    )  # fmt: skip
+
+
+def shipped(page: Page) -> str:
+    """A row a cfg."""
+    rows = []
+    for name in SHIPPED[:: 6 if page.fast else 1]:
+        cfg = ROOT / "configs" / f"{name}.json"
+        with tempfile.TemporaryDirectory() as folder:
+            batches = []
+            for keep in (Keep.SEEN, Keep.UNPRUNED):
+                out = Path(folder, keep)
+                compile_cfg(cfg, seed=1, out=out, batches=range(1), keep=keep,
+                            cache=Path(folder, "cache"))  # fmt: skip
+                batches.append(out / "batch_0000")
+            rows.append([f"`{name}`", *_compared(*batches, 1 if page.fast else SHIPPED_SPP)])
+    return (
+        f"## Cfgs that ship\n\nAs they are, seed 1; {SHIPPED_SPP} samples a pixel. Most of their "
+        "bytes are terrain and pictures.\n\n" + COLUMNS
+        + table(["", "kept of all", "seen + shadow + light", "light off", "noise", "bytes", "s"],
+                rows)
     )  # fmt: skip
 
 
 def _measured(case: Case, folder: Path, spp: int) -> list[str]:
     cfg = pruned_cfg(case)
     pruned, whole = (compiled(folder, cfg, keep) for keep in (Keep.SEEN, Keep.UNPRUNED))
+    kept, parts, *others = _compared(pruned, whole, spp)
+    return [kept, parts, f"{differing(pruned, whole):,}", *others]
+
+
+def _compared(pruned: Path, whole: Path, spp: int) -> list[str]:
+    """Objects kept, why, light off, noise, bytes, seconds."""
     report = json.loads((pruned / "report.json").read_text(encoding="utf-8"))
-    facts = report["prune"]
-    counts = facts["objects"]["rocks"]
-    kept = [counts.get(name, 0) for name in ("seen", "shadow", "light")]
+    classes = report["prune"]["objects"].values()
+    kept = [sum(one.get(name, 0) for one in classes) for name in ("seen", "shadow", "light")]
+    drawn = sum(sum(one.values()) - one.get("not placed", 0) for one in classes)
     timings = json.loads((pruned.parent / "timings.json").read_text(encoding="utf-8"))
     lit = difference(pruned, whole, spp)
-    light = facts.get("light", {})
     sizes = [
         sum(p.stat().st_size for p in batch.rglob("*") if p.is_file() and p.suffix != ".json")
         for batch in (whole, pruned)
     ]
     return [
-        f"{sum(kept):,} of {sum(counts.values()):,}",
+        f"{sum(kept):,} of {drawn:,}",
         " + ".join(f"{n:,}" for n in kept),
-        f"{differing(pruned, whole):,}",
-        f"{100 * light['reached']:.2g} %" if "reached" in light else "-",
         f"{100 * lit.paired:.2g} %" if lit.blocks else "dark",
         f"{100 * lit.noise:.2g} %" if lit.blocks else "",
-        f"{sizes[0] / sizes[1]:.2f} ×",
+        f"{sizes[0] / sizes[1]:.3g} ×",
         f"{timings['compile'][pruned.name].get('prune', 0.0):.2f}",
     ]
 
@@ -170,7 +208,14 @@ def differing(pruned: Path, whole: Path) -> int:
 
 def main(page: Page) -> None:
     """Writes the page."""
-    page.write(HEAD, ("usd-core", "mitsuba"), (by_outputs, extremes))
+    head = HEAD
+    for name, value in (
+        ("least", f"{MIN_VIEW_FACTOR:.2g}"),
+        ("near", f"{0.05 / MIN_VIEW_FACTOR**0.5:.0f}"),
+        ("sharp", f"{SHARP:.0f}"),
+    ):
+        head = head.replace("{" + name + "}", value)
+    page.write(head, ("usd-core", "mitsuba"), (by_outputs, shipped, extremes))
 
 
 if __name__ == "__main__":

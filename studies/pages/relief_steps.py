@@ -84,7 +84,6 @@ _INVENTORY = [
     ["ways around objects", "", "until no distance shrinks", "shortest on its grid"],
     ["rays of views to the ground", "", "40 bisections: 1e-12 of a step", "nothing to state"],
     ["open shutters", "", "poses doubled until below 1e-3 pixels, 64 at most", "`error_px`"],
-    ["pruning by light", "", "14 bisections", "`reached`, a bound"],
     ["`scenec settle`", "", "at rest, or `max_steps`", "`unsettled`, overlap"],
 ]
 

@@ -17,7 +17,6 @@ from scenec.compiler.build import BuildLog, build
 from scenec.compiler.cfg.load import load
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.draw.batch import draw
-from scenec.compiler.light.sky import sun_direction
 from scenec.compiler.views.keep import Keep
 from scenec.schemas.errors import StageError
 
@@ -101,7 +100,7 @@ def test_cameras_and_lights_of_every_sample_are_those_of_the_scene(compiled):
         fx, fy, cx, cy, skew = rig.sensors[0].intrinsics
         assert camera.intrinsics.tolist() == [[fx, skew, cx], [0, fy, cy], [0, 0, 1]]
         (sun,) = scene.lighting[i].suns
-        assert np.allclose(sun.to_light, sun_direction(built.sun, i), atol=1e-12)
+        assert np.allclose(sun.to_light, built.sun.direction(i), atol=1e-12)
         assert np.allclose(sun.irradiance, built.sun.irradiance[i] * built.sun.color[i], rtol=1e-6)
         assert scene.lighting[i].domes[0].texture.name == built.sky.texture[i]
     assert len({camera.camera_to_world.tobytes() for (camera,) in scene.cameras}) == 3

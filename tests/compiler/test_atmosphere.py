@@ -33,7 +33,6 @@ from scenec.compiler.light.atmosphere_spectra import (
 )
 from scenec.compiler.light.build import Light, build_light
 from scenec.compiler.light.latlong import directions, horizontal_irradiance, luminance
-from scenec.compiler.light.sky import sun_direction
 from scenec.schemas.errors import CfgError
 from scenec.schemas.threads import ALL, at_most
 
@@ -334,7 +333,7 @@ def test_samples_that_differ_in_the_suns_bearing_share_a_picture(tmp_path):
         # Clockwise from above.
         c, s = np.cos(turn), np.sin(turn)
         x, y, z = directions(32)[bright]
-        assert np.dot((c * x + s * y, c * y - s * x, z), sun_direction(light.sun, i)) > 0.99
+        assert np.dot((c * x + s * y, c * y - s * x, z), light.sun.direction(i)) > 0.99
 
 
 def test_the_moon_has_no_sky_and_all_of_the_sun(tmp_path):

@@ -16,7 +16,7 @@ from scenec.compiler.cfg.load import load
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.draw.batch import draw
 from scenec.compiler.scene.rig import Focus, Rig, Sensor
-from scenec.compiler.views.outlook import in_view, outlook
+from scenec.compiler.views.frustum import in_view, views_of_all
 from scenec.schemas.errors import CfgError, SceneError, StageError
 
 FREE = {"distance_m": 2.5, "f_number": 2.0, "focal_length_mm": 25.0}
@@ -195,7 +195,7 @@ def test_pruning_keeps_what_only_the_aperture_sees() -> None:
     focus = Focus(np.array([2.0]), np.array([1.0]), 0.6)
     intrinsics = (80.0, 85.0, 30.0, 26.0, 3.0)
     sensor = Sensor("s", (64, 48), intrinsics, np.eye(4), np.zeros(1), ("rgb",), focus=focus)
-    views = outlook((Rig("r", np.eye(4)[None], (sensor,)),))
+    views = views_of_all((Rig("r", np.eye(4)[None], (sensor,)),))
     assert len(views.eye) == 5
     fx, fy, cx, cy, skew = intrinsics
     seen_by_rim_alone = 0
@@ -208,10 +208,7 @@ def test_pruning_keeps_what_only_the_aperture_sees() -> None:
         y = (v - cy - fy * dy / 2.0) * z / fy
         x = ((u - cx - (fx * dx + skew * dy) / 2.0) * z - skew * y) / fx
         point = np.array([x + dx, y + dy, z])
-        found = [
-            in_view(views.eye[i], views.planes[i], views.axis[i], views.cone[i], *point, 0.0)
-            for i in range(5)
-        ]
+        found = [in_view(views, i, *point, 0.0) for i in range(5)]
         assert any(found)
         seen_by_rim_alone += not found[0]
     assert seen_by_rim_alone > 10

@@ -19,6 +19,7 @@ from scenec.compiler.materials.footprint import Footprint, footprints
 from scenec.compiler.materials.kinds import SURFACES
 from scenec.compiler.materials.reduce import halvings, reduced
 from scenec.compiler.materials.values import color_picture, gray_picture, normal_picture, unit
+from scenec.compiler.scene.rig import Rig, Sensor
 from scenec.compiler.scene.scene import (
     Ground,
     GroundLayer,
@@ -31,17 +32,19 @@ from scenec.compiler.scene.scene import (
     Tile,
 )
 from scenec.compiler.scene.sources import Sources
-from scenec.compiler.views.sight import NO_VIEWS, Views
+from scenec.compiler.views.sight import Views, views_of
 from scenec.schemas.maps import decode, read_pixels
 
-#: fx, fy, cx, cy, skew, width, height.
-NUMBERS = (500.0, 500.0, 320.0, 240.0, 0.0, 640.0, 480.0)
+SENSOR = Sensor(
+    "s", (640, 480), (500.0, 500.0, 320.0, 240.0, 0.0), np.eye(4), np.zeros(1), ("rgb",)
+)
 
 
 def looking_down(*places: tuple[float, float, float]) -> Views:
     """Cameras that look straight down."""
-    poses = [[[1.0, 0.0, 0.0, x], [0.0, -1.0, 0.0, y], [0.0, 0.0, -1.0, z]] for x, y, z in places]
-    return NO_VIEWS._replace(poses=np.array(poses), numbers=np.array([NUMBERS] * len(places)))
+    poses = np.repeat(np.diag([1.0, -1.0, -1.0, 1.0])[None], len(places), axis=0)
+    poses[:, :3, 3] = places
+    return views_of((Rig("r", poses, (SENSOR,)),))
 
 
 def flat_ground(weights: np.ndarray, width: float = 40.0) -> Ground:
@@ -98,7 +101,7 @@ def test_each_layer_counts_where_it_has_weight():
 def test_what_no_view_shows_counts_in_part():
     ground = flat_ground(np.zeros((0, 65 * 65)))
     views = looking_down((0.0, 0.0, 4.0))
-    up = views._replace(poses=views.poses * np.array([1.0, -1.0, -1.0, 1.0]))
+    up = views._replace(planes=-views.planes, axis=-views.axis)
     found = footprints({"low": material()}, ground, (), (up, up), 0.125)["low"]
     assert found.seen == 0.0
     assert found.counted == pytest.approx(0.125 * 250.0, rel=0.15)

@@ -19,7 +19,7 @@ def stages(tmp_path_factory: pytest.TempPathFactory) -> dict[Keep, Path]:
     """Even ground with large rocks sunk into it: the lowest point is a rock's, and out of view."""
     folder = tmp_path_factory.mktemp("floor")
     cfg = small_cfg(samples=1, batches=1, outputs=["rgb"])
-    cfg["terrain"] |= {"size_m": [60, 60], "spacing_m": 2.0}
+    cfg["terrain"] |= {"size_m": [240, 240], "spacing_m": 4.0}
     cfg["terrain"]["relief"] = [{"type": "plane", "slope": [0, 0]}]
     cfg["objects"]["rocks"] |= {"count": 60}
     cfg["light"]["haze"] = {"visibility_m": 200, "scale_height_m": 5}

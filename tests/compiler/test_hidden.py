@@ -10,12 +10,23 @@ from test_adaptive import one_rig
 
 from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.compiler.terrain.operators.multifractal import Multifractal
-from scenec.compiler.views.hidden import hidden_blocks
+from scenec.compiler.views.frustum import Views
+from scenec.compiler.views.horizon import with_hidden_ground
 from scenec.compiler.views.sight import pixels_per_meter, views_of
 
 
-def block_of(field: HeightField, hidden: np.ndarray, blocks: np.ndarray) -> np.ndarray:
+def all_round(*eyes: np.ndarray) -> Views:
+    """Views of eyes that look everywhere."""
+    n = len(eyes)
+    everywhere = np.repeat([[-1.0, 0.0, np.inf]], n, axis=0)
+    return Views(np.array(eyes), np.zeros((n, 5, 3)), np.zeros((n, 3)), everywhere, np.ones(n),
+                 np.ones(n, np.uint8), np.zeros((n, 0, 0), np.float32), np.zeros(4))  # fmt: skip
+
+
+def hidden_from(field: HeightField, eye: np.ndarray, margin_m: float = 0.0) -> np.ndarray:
     """Whether each sample's block is hidden, [ny, nx]."""
+    views = with_hidden_ground(all_round(eye), field, margin_m)
+    hidden, blocks = views.ceiling == np.inf, views.blocks
     i = np.floor((field.grid.x() - blocks[0]) / blocks[2]).astype(int)
     j = np.floor((field.grid.y() - blocks[1]) / blocks[3]).astype(int)
     last = hidden.shape[1] - 1, hidden.shape[2] - 1
@@ -39,7 +50,7 @@ def test_nothing_that_can_be_seen_counts_as_hidden(key, x, y, height):
     field = HeightField(grid, relief.apply(grid, np.zeros(grid.shape))[0])
     ground = field.height_at(np.array([x]), np.array([y]))[0]
     eye = np.array([x, y, ground + height])
-    hidden = block_of(field, *hidden_blocks(field, eye[None]))
+    hidden = hidden_from(field, eye)
     behind = np.argwhere(hidden)
     rng = np.random.default_rng(key)
     for j, i in behind[rng.permutation(len(behind))[:150]]:
@@ -54,17 +65,16 @@ def wall(height: float) -> HeightField:
 
 def test_a_wall_hides_what_lies_behind_it():
     field = wall(5.0)
-    eye = np.array([[0.0, -15.0, 1.5]])
-    hidden = block_of(field, *hidden_blocks(field, eye))
+    eye = np.array([0.0, -15.0, 1.5])
+    hidden = hidden_from(field, eye)
     behind = field.grid.y() > 9.0
     assert hidden[behind].all()
     # The near side and the crest's near edge are in view.
     assert not hidden[field.grid.y() < -4.0].any()
     # From high above one sees all.
-    high = block_of(field, *hidden_blocks(field, np.array([[0.0, -15.0, 60.0]])))
-    assert not high.any()
+    assert not hidden_from(field, np.array([0.0, -15.0, 60.0])).any()
     # A margin that may raise the ground behind it, or lower the wall, hides nothing.
-    assert not hidden_blocks(field, eye, 3.0)[0].any()
+    assert not hidden_from(field, eye, 3.0).any()
 
 
 def test_hidden_ground_counts_as_out_of_view():

@@ -129,7 +129,8 @@ def test_ground_that_is_nowhere_has_no_horizon(lens: Lens | None) -> None:
 def test_lidars_have_no_horizon_and_eyes_are_in_the_order_of_views() -> None:
     rigs = (rig(NORTH, 2.0, sensor(None, 50.0), sensor(FISHEYE, 40.0), lidars=(lidar(-5.0),)),)
     eyes = eyes_of(rigs)
-    assert np.array_equal([eye.pose for eye in eyes], views_of(rigs).poses)
+    assert np.array_equal([eye.pose[:, 3] for eye in eyes], views_of(rigs).eye)
+    assert np.array_equal([eye.pose[:, 2] for eye in eyes], views_of(rigs).axis)
     lines = skylines(flat(), eyes)
     assert lines is not None
     assert lines.eye.tolist() == [0, 1]

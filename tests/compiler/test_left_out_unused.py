@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from scenec.compiler.emit.terrain import blended_color
 from scenec.compiler.scene.rig import Rig, Sensor
 from scenec.compiler.scene.scene import Ground, GroundLayer, Lamp, Material, Tile
+from scenec.compiler.views.lamps import without_idle
 from scenec.compiler.views.needed import Needs, with_color, without_unused
-from scenec.compiler.views.reach import without_idle
 
 SEEN = Needs(True, True, True)
 

@@ -13,7 +13,7 @@ from scenec.compiler.light import sky as skies
 from scenec.compiler.light.clear_sky import clear_sky
 from scenec.compiler.light.latlong import directions, horizontal_irradiance, luminance
 from scenec.compiler.light.plan import ClearSkyPlan
-from scenec.compiler.light.sky import build_sky, sun_direction
+from scenec.compiler.light.sky import build_sky
 from scenec.compiler.scene.exposure import incident_exposure
 from scenec.compiler.scene.scene import SunLight
 
@@ -55,7 +55,7 @@ def test_a_clear_sky_has_its_irradiance_and_is_finite_and_positive(height, eleva
 
 def test_the_brightest_part_of_a_clear_sky_is_at_the_sun():
     sun = SunLight(*(np.array([v]) for v in (120.0, 35.0, 1000.0, 0.53)), color=np.ones((1, 3)))
-    to_sun = sun_direction(sun, 0)
+    to_sun = sun.direction(0)
     picture = clear_sky(128, to_sun, 150.0, *COLORS)
     brightest = np.unravel_index(luminance(picture).argmax(), picture.shape[:2])
     assert directions(128)[brightest] @ np.array(to_sun) > np.cos(np.radians(2.0))

@@ -9,14 +9,11 @@ import pytest
 
 from scenec.compiler.geometry.poses import look_at
 from scenec.compiler.scene.rig import Rig, Sensor
-from scenec.compiler.scene.scene import Ground, GroundLayer, Tile
-from scenec.compiler.views.faint import Factors, choose
-from scenec.compiler.views.horizon import Horizon, horizon_of, is_hidden, relief_of
-from scenec.compiler.views.outlook import in_view, outlook
-from scenec.compiler.views.places import fine_cells, places_seen
-from scenec.compiler.views.prune import _seen_ground
-from scenec.compiler.views.shadows import Sweep, shadows_seen
-from scenec.compiler.views.visible import SHOWN, Eyes, grouped, seen_by
+from scenec.compiler.scene.scene import Ground, GroundLayer, Lamp, Scene, SunLight, Tile
+from scenec.compiler.views.frustum import COLOR, Views, in_view, views_of_all
+from scenec.compiler.views.horizon import Relief, is_hidden, relief_of_tiles, with_horizon
+from scenec.compiler.views.illumination import Seen, seen_blocks, shadows_seen, view_factors
+from scenec.compiler.views.visible import SHOWN, visible
 
 _SIDE = 48
 
@@ -81,7 +78,7 @@ def test_no_ball_that_a_pixel_can_show_is_out_of_view(focal, skew, center):
     rng = np.random.default_rng(3)
     pose = look_at(np.array([1.0, 2.0, 3.0]), np.array([5.0, -2.0, 1.0]), 20.0)
     rig = _rig(pose, focal, skew=skew, center=center)
-    views = outlook((rig,))
+    views = views_of_all((rig,))
     fx, fy, cx, cy, s = rig.sensors[0].intrinsics
     out = 0
     for _ in range(2000):
@@ -94,10 +91,22 @@ def test_no_ball_that_a_pixel_can_show_is_out_of_view(focal, skew, center):
         away = rng.normal(size=3)
         radius = 10 ** rng.uniform(-3, 1)
         middle = point + radius * away / np.linalg.norm(away)
-        assert in_view(views.eye[0], views.planes[0], views.axis[0], views.cone[0], *middle, radius)
+        assert in_view(views, 0, *middle, radius)
         far = pose[:3, 3] + rng.normal(size=3) * 20
-        out += not in_view(views.eye[0], views.planes[0], views.axis[0], views.cone[0], *far, 0.01)
+        out += not in_view(views, 0, *far, 0.01)
     assert out > 500
+
+
+def _bounds(ground: Ground, slack: float = 0.0) -> np.ndarray:
+    triangles = _triangles(ground)
+    return np.array([triangles.min(axis=(0, 1)) - slack, triangles.max(axis=(0, 1)) + slack])
+
+
+def _seeing(ground: Ground, *rigs: Rig, slack: float = 0.0) -> tuple[Relief, Views]:
+    """The relief, and views that know what it hides."""
+    views = views_of_all(rigs)
+    relief = relief_of_tiles(ground.tiles, _bounds(ground, slack), len(views.eye))
+    return relief, with_horizon(views, relief)
 
 
 @pytest.mark.parametrize(("seed", "crowd"), [(0, 1), (1, 1), (2, 1), (3, 1), (0, 300), (1, 1000)])
@@ -105,21 +114,19 @@ def test_no_ray_reaches_what_the_ground_is_said_to_hide(seed, crowd):
     ground = _ground(seed)
     rng = np.random.default_rng(seed)
     triangles = _triangles(ground)
-    relief = relief_of(ground)
     hidden = 0
     for _ in range(3):
         x, y = rng.uniform(-12, 12, 2) + np.array([3, -2])
         eye = np.array([x, y, _height(ground, x, y) + 10 ** rng.uniform(-0.5, 0.7)])
         rig = _rig(look_at(eye, eye + np.array([1.0, 0.3, -0.1]), 0.0), 3.0)
-        # Among many views each has a coarser horizon.
-        views = outlook((replace(rig, to_world=np.repeat(rig.to_world, crowd, axis=0)),))
-        horizon = horizon_of(relief, ground, views)
-        assert len(horizon.slope) == crowd
+        # Among many views each has wider blocks.
+        _, views = _seeing(ground, replace(rig, to_world=np.repeat(rig.to_world, crowd, axis=0)))
+        assert len(views.ceiling) == crowd
         for _ in range(80):
             px, py = rng.uniform(-19, 19, 2) + np.array([3, -2])
             radius = 10 ** rng.uniform(-2, 0.3)
             ball = np.array([px, py, _height(ground, px, py) + rng.uniform(-0.5, 1) * radius])
-            if not is_hidden(eye, horizon.slope[0], horizon.edges, *ball, radius):
+            if not is_hidden(views, 0, *ball, radius):
                 continue
             hidden += 1
             away = rng.normal(size=(4, 3))
@@ -128,155 +135,181 @@ def test_no_ray_reaches_what_the_ground_is_said_to_hide(seed, crowd):
     assert hidden > 5
 
 
-def test_nothing_hides_from_an_eye_below_the_ground():
+@pytest.mark.parametrize("eye", [(3.0, -2.0, -30.0), (3.0, -22.5, 3.0), (60.0, 0.0, 5.0)])
+def test_nothing_hides_from_an_eye_below_the_ground_or_beside_it(eye):
     ground = _ground()
-    eye = np.array([3.0, -2.0, -30.0])
-    views = outlook((_rig(look_at(eye, eye + np.array([1.0, 0.0, 0.1]), 0.0), 3.0),))
-    assert (horizon_of(relief_of(ground), ground, views).slope == -np.inf).all()
+    at = np.array(eye)
+    rig = _rig(look_at(at, np.array([3.1, -2.0, 1.0]), 0.0), 3.0)
+    assert (_seeing(ground, rig)[1].ceiling == -np.inf).all()
 
 
 def test_the_reliefs_bounds_hold_all_of_the_mesh():
     ground = _ground(5)
-    relief = relief_of(ground)
+    relief = relief_of_tiles(ground.tiles, _bounds(ground, 2.0), 1)
     rng = np.random.default_rng(0)
     corners = _triangles(ground)[rng.integers(0, len(ground.tiles[0].faces), 5000)]
     weights = rng.dirichlet(np.ones(3), 5000)
     points = (corners * weights[:, :, None]).sum(axis=1)
-    i = np.clip(((points[:, 0] - relief.frame[0]) / relief.frame[2]).astype(int), 0, None)
-    j = np.clip(((points[:, 1] - relief.frame[1]) / relief.frame[3]).astype(int), 0, None)
-    i, j = np.minimum(i, relief.low.shape[1] - 1), np.minimum(j, relief.low.shape[0] - 1)
+    i, j = ((points[:, :2] - relief.frame[:2]) / relief.frame[2:]).astype(int).T
     assert (relief.low[j, i] <= points[:, 2] + 1e-9).all()
     assert (relief.high[j, i] >= points[:, 2] - 1e-9).all()
     # Not because they are wide.
-    assert np.median(relief.high - relief.low) < 0.1
+    assert np.median((relief.high - relief.low)[relief.whole]) < 0.2
+    # 40 of 44 m are ground; blocks that are so in part may hide nothing.
+    assert relief.whole.mean() == pytest.approx((40 / 44) ** 2, rel=0.03)
+    assert (relief.low[relief.whole] <= relief.high[relief.whole]).all()
+    assert not relief.whole[0].any()
+
+
+def _scene(ground: Ground, sun: np.ndarray | None, lamps: tuple[Lamp, ...] = ()) -> Scene:
+    """A scene of a ground, one sample of a sun towards a direction, and lamps."""
+    light = None
+    if sun is not None:
+        light = SunLight(
+            np.degrees(np.arctan2(sun[:1], sun[1:2])),
+            np.degrees(np.arcsin(sun[2:])),
+            *(np.array([value]) for value in (1000.0, 0.54)),
+            np.ones((1, 3)),
+        )
+    return Scene("s", 1, np.zeros(1), {}, {}, {}, ground, (), light, None, (), ("rgb",),
+                 _bounds(ground, 3.0), lamps=lamps)  # fmt: skip
+
+
+def _shown_points(eye: np.ndarray, pose: np.ndarray, triangles: np.ndarray, rng, count: int):
+    """Points of the ground that random places of the picture show."""
+    u, v = rng.uniform(0, 80, count), rng.uniform(0, 60, count)
+    ways = (pose[:3, :3] @ np.stack([(u - 40) / 60, (v - 30) / 60, np.ones(count)])).T
+    far = _first_hits(eye, ways, triangles)
+    near = np.isfinite(far)
+    return (eye + (far[:, None] - 1e-6) * ways)[near]
 
 
 @pytest.mark.parametrize("elevation", [3.0, 25.0, 80.0])
 def test_a_shadow_that_falls_on_a_point_in_view_is_found(elevation):
     ground = _ground(1, 3.0)
     triangles = _triangles(ground)
-    relief = relief_of(ground)
     rng = np.random.default_rng(2)
-    x, y = 3.0, -2.0
-    eye = np.array([x, y, _height(ground, x, y) + 1.5])
-    views = outlook((_rig(look_at(eye, eye + np.array([1.0, 0.0, -0.25]), 0.0), 60.0),))
-    eyes = Eyes(views, horizon_of(relief, ground, views))
-    bounds = np.array([triangles.min(axis=(0, 1)) - 3, triangles.max(axis=(0, 1)) + 3])
+    eye = np.array([3.0, -2.0, _height(ground, 3.0, -2.0) + 1.5])
+    pose = look_at(eye, eye + np.array([1.0, 0.0, -0.25]), 0.0)
+    relief, views = _seeing(ground, _rig(pose, 60.0), slack=3.0)
+    seen = seen_blocks(relief, _bounds(ground, 3.0), views, np.zeros((0, 3)), np.zeros(0))
     found = 0
     for azimuth in (0.3, 2.0, 4.5):
         e = np.deg2rad(elevation)
         sun = np.array([np.cos(e) * np.cos(azimuth), np.cos(e) * np.sin(azimuth), np.sin(e)])
-        half = np.deg2rad(0.27)
-        sweep = Sweep(-sun[None], np.array([[np.cos(half), np.tan(half)]]), np.zeros(1, np.int64),
-                      bounds, relief)  # fmt: skip
+        scene = _scene(ground, sun)
         middles, radii, lighted = [], [], []
-        grid = fine_cells(relief, bounds)
-        shown = np.zeros(grid.low.shape, np.bool_)
-        # Points that the view shows, and balls between them and a place on the sun's disc.
-        for _ in range(60):
-            u, v = rng.uniform(0, 80), rng.uniform(0, 60)
-            pose = look_at(eye, eye + np.array([1.0, 0.0, -0.25]), 0.0)
-            way = pose[:3, :3] @ np.array([(u - 40) / 60, (v - 30) / 60, 1.0])
-            t = _first_hits(eye, [way], triangles)[0]
-            if not np.isfinite(t):
-                continue
-            i, j = ((eye + t * way)[:2] - grid.frame[:2]) // grid.frame[2:]
-            shown[int(j), int(i)] = True
+        # Balls between a point that the view shows and a place on the sun's disc.
+        for point in _shown_points(eye, pose, triangles, rng, 60):
             beside = np.cross(sun, rng.normal(size=3))
-            to_disc = sun + np.tan(half) * beside / np.linalg.norm(beside) * rng.uniform(0, 1)
-            middle = eye + t * way + to_disc * 10 ** rng.uniform(-1, 1.3)
-            if (middle < bounds[0]).any() or (middle > bounds[1]).any():
+            to_disc = sun + np.tan(np.deg2rad(0.27)) * beside / np.linalg.norm(
+                beside
+            ) * rng.uniform(0, 1)
+            middle = point + to_disc * 10 ** rng.uniform(-1, 1.3)
+            if (middle < scene.bounds[0]).any() or (middle > scene.bounds[1]).any():
                 continue
             # What the ground keeps from the light has no shadow of this to show.
-            back = eye + (t - 1e-6) * way
-            lighted.append(np.isinf(_first_hits(back, [to_disc], triangles)[0]))
+            lighted.append(np.isinf(_first_hits(point, [to_disc], triangles)[0]))
             middles.append(middle)
             radii.append(10 ** rng.uniform(-2, 0))
-        at, reach = np.array(middles), np.array(radii)
-        groups = grouped(at, reach, 2.0)
-        none = np.zeros(len(at), np.bool_)
-        seen = seen_by(eyes, at, reach, groups, views.color) == SHOWN
-        places = places_seen(grid, shown, np.zeros((0, 3)), np.zeros(0))
-        lit = shadows_seen(eyes, places, sweep, at, reach, none)
-        free = np.array(lighted)
+        at, reach, free = np.array(middles), np.array(radii), np.array(lighted)
+        lit = shadows_seen(seen, scene, at, reach)
         assert lit[free].all()
-        found += int((free & ~seen).sum())
+        found += int((free & (visible(views, at, reach) != SHOWN)).sum())
     assert found >= 2
 
 
-def test_groups_decide_as_each_ball_alone_does():
-    ground = _ground(7)
-    rng = np.random.default_rng(7)
-    x, y = 0.0, 0.0
-    eye = np.array([x, y, _height(ground, x, y) + 2.0])
-    views = outlook((_rig(look_at(eye, eye + np.array([0.0, 1.0, -0.1]), 0.0)),))
-    eyes = Eyes(views, horizon_of(relief_of(ground), ground, views))
-    middles = np.append(rng.uniform(-15, 15, (800, 2)), rng.uniform(-4, 6, (800, 1)), axis=1)
-    radii = 10 ** rng.uniform(-2, 0.5, 800)
-    together = seen_by(eyes, middles, radii, grouped(middles, radii, 4.0), views.color)
-    alone = seen_by(eyes, middles, radii, grouped(middles, radii, 1e-6), views.color)
-    assert ((together == SHOWN) == (alone == SHOWN)).all()
-    assert 50 < (together == SHOWN).sum() < 700
-
-
-def test_the_sum_of_what_is_left_out_is_no_less_than_the_exact_one():
-    ground = _ground(2, 0.5)
-    relief = relief_of(ground)
-    rng = np.random.default_rng(4)
-    bounds = np.array([[-17.0, -22.0, -3.0], [23.0, 18.0, 6.0]])
-    grid = fine_cells(relief, bounds)
-    seen = np.zeros(grid.low.shape, np.bool_)
-    seen[20:60, 30:70] = True
-    places = places_seen(grid, seen, np.zeros((0, 3)), np.zeros(0))
-    middles = np.stack([rng.uniform(-16, 22, 700), rng.uniform(-21, 17, 700)], axis=1)
-    middles = np.append(middles, np.array([[_height(ground, *p)] for p in middles[:700]]), axis=1)
-    radii = 10 ** rng.uniform(-2.2, -0.8, 700)
-    nothing = Sweep(np.zeros((0, 3)), np.zeros((0, 2)), np.zeros(0, np.int64), bounds, relief)
-    chosen = choose(places, nothing, Factors(0.8, 0.0), middles, radii, 0.01)
-    assert 20 < (~chosen.keep).sum() < 700
-    assert 0.0 < chosen.reached <= 0.01
-    out, reach = middles[~chosen.keep], radii[~chosen.keep]
+def test_a_lamps_shadow_that_falls_on_a_point_in_view_is_found():
+    ground = _ground(1, 3.0)
     triangles = _triangles(ground)
-    for _ in range(10):
-        j, i = rng.integers(20, 60), rng.integers(30, 70)
-        x, y = grid.frame[:2] + (np.array([i, j]) + rng.uniform(0, 1, 2)) * grid.frame[2]
-        point = np.array([x, y, _height(ground, x, y) + 1e-3])
-        normal = rng.normal(size=3)
-        normal /= np.linalg.norm(normal)
-        way = out - point
-        distance = np.linalg.norm(way, axis=1)
-        cosine = (way @ normal) / distance
-        facing = cosine > 0.0
-        clear = _first_hits(point, way[facing], triangles) >= 0.98
-        exact = 0.8 * ((reach / distance) ** 2 * cosine)[facing][clear].sum()
-        assert exact <= chosen.reached
+    rng = np.random.default_rng(6)
+    eye = np.array([3.0, -2.0, _height(ground, 3.0, -2.0) + 1.5])
+    pose = look_at(eye, eye + np.array([1.0, 0.0, -0.25]), 0.0)
+    relief, views = _seeing(ground, _rig(pose, 60.0), slack=3.0)
+    seen = seen_blocks(relief, _bounds(ground, 3.0), views, np.zeros((0, 3)), np.zeros(0))
+    at = eye + np.array([-4.0, 6.0, 4.0])
+    to_world = np.eye(4)
+    to_world[:3, 3] = at
+    lamp = Lamp(
+        "lamp", to_world[None], np.ones((1, 3)), np.array([0.05]), np.array([180.0]), np.zeros(1)
+    )
+    scene = _scene(ground, None, (lamp,))
+    points = _shown_points(eye, pose, triangles, rng, 200)
+    # Balls that touch the line from the lamp's sphere to a point.
+    start = at + 0.04 * rng.normal(size=points.shape) / 3.0
+    way = points - start
+    lighted = np.array(
+        [_first_hits(s, [w], triangles)[0] >= 1.0 - 1e-5 for s, w in zip(start, way, strict=True)]
+    )
+    radii = 10 ** rng.uniform(-2, -0.3, len(points))
+    aside = rng.normal(size=points.shape)
+    aside *= (0.99 * radii / np.linalg.norm(aside, axis=1))[:, None]
+    middles = start + rng.uniform(0.1, 0.95, (len(points), 1)) * way + aside
+    inside = ((middles > scene.bounds[0]) & (middles < scene.bounds[1])).all(axis=1)
+    lit = shadows_seen(seen, scene, middles, radii)
+    assert (lighted & inside).sum() > 20
+    assert lit[lighted & inside].all()
+    # Not all that is there: what stands beyond the lamp casts no shadow here.
+    beyond = at - 0.5 * way[:100] / np.linalg.norm(way[:100], axis=1)[:, None]
+    assert not shadows_seen(seen, scene, beyond, np.full(len(beyond), 0.01)).any()
 
 
-def test_without_a_horizon_only_the_cone_counts():
-    views = outlook((_rig(look_at(np.zeros(3), np.array([1.0, 0, 0]), 0.0)),))
-    eyes = Eyes(views, Horizon(np.zeros((1, 0, 0), np.float32), np.zeros(2)))
-    middles = np.array([[10.0, 0, 0], [-10.0, 0, 0]])
-    radii = np.array([0.1, 0.1])
-    shown = seen_by(eyes, middles, radii, grouped(middles, radii, 1.0), views.color)
-    assert (shown == SHOWN).tolist() == [True, False]
+def test_blocks_are_seen_as_their_points_are_and_fill_falls_with_distance():
+    ground = _ground(2, 0.5)
+    eye = np.array([-10.0, -2.0, 4.0])
+    pose = look_at(eye, eye + np.array([1.0, 0.0, -0.4]), 0.0)
+    relief, views = _seeing(ground, _rig(pose, 60.0), slack=3.0)
+    ball = np.array([[-16.0, 10.0, 2.0]])
+    seen = seen_blocks(relief, _bounds(ground, 3.0), views, ball, np.array([0.5]))
+    points = _shown_points(eye, pose, _triangles(ground), np.random.default_rng(0), 300)
+    i, j = ((points[:, :2] - seen.frame[:2]) / seen.frame[2]).astype(int).T
+    assert (seen.top[j, i] >= points[:, 2] - 1e-6).all()
+    assert (seen.distance[j, i] == 0.0).all()
+    i, j = ((ball[0, :2] - seen.frame[:2]) / seen.frame[2]).astype(int)
+    assert seen.top[j, i] == 2.5
+    # No more than the exact distance to any point seen, and less by no more than two blocks.
+    at = np.random.default_rng(1).uniform((-16, -21), (22, 17), (400, 2))
+    j, i = np.nonzero(seen.top > -np.inf)
+    corners = seen.frame[:2] + np.stack([i, j], axis=1) * seen.frame[2]
+    away = np.maximum(np.maximum(corners - at[:, None], at[:, None] - corners - seen.frame[2]), 0.0)
+    exact = np.linalg.norm(away, axis=2).min(axis=1)
+    middles = np.append(at, np.zeros((400, 1)), axis=1)
+    with np.errstate(divide="ignore"):
+        measured = 1.0 / np.sqrt(view_factors(seen, middles, np.ones(400)))
+    assert (measured <= exact + 1e-9).all()
+    assert (measured >= exact - 2.9 * seen.frame[2]).all()
+    assert exact.max() > 5.0
+
+
+def test_nothing_seen_leaves_nothing_to_fill():
+    empty = np.full((4, 4), -np.inf)
+    seen = Seen(empty, np.full((4, 4), np.inf), empty, np.array([0.0, 0.0, 1.0, 1.0]), 9.0)
+    assert (view_factors(seen, np.ones((3, 3)), np.full(3, 9.0)) == 0.0).all()
+
+
+def test_without_a_horizon_only_the_volume_counts():
+    views = views_of_all((_rig(look_at(np.zeros(3), np.array([1.0, 0, 0]), 0.0)),))
+    assert (views.kind == COLOR).all()
+    middles = np.array([[10.0, 0, 0], [-10.0, 0, 0], [0.05, 0, -10.0]])
+    # What is straight below counts as seen.
+    shown = visible(views, middles, np.full(3, 0.1)) == SHOWN
+    assert shown.tolist() == [True, False, True]
 
 
 @pytest.mark.filterwarnings("error")
-def test_cells_without_ground_change_nothing_of_what_is_seen_beside_them():
-    """As under a mesh with holes, which hides nothing: nothing is known to be low there."""
+def test_blocks_without_ground_are_not_seen_and_hide_nothing():
+    """As of a mesh with a hole."""
     ground = _ground()
-    relief = relief_of(ground)
-    relief.low[:] = -np.inf
-    relief.high[: len(relief.high) // 3] = -np.inf
-    bounds = np.array([[-17.0, -22, -4], [23, 18, 6]])
-    grid = fine_cells(relief, bounds)
-    views = outlook((_rig(look_at(np.array([3.0, -2, 8]), np.array([9.0, 6, 0]), 0.0)),))
-    eyes = Eyes(views, Horizon(np.zeros((len(views.eye), 0, 0), np.float32), np.zeros(2)))
-    seen = _seen_ground(grid, eyes, 2.0)
-    empty = grid.high == -np.inf
+    tile = ground.tiles[0]
+    corners = tile.points[tile.faces]
+    kept = ~((corners[..., 1] < -8.0).any(axis=1) & (corners[..., 0] > -10.0).all(axis=1))
+    holed = replace(ground, tiles=(replace(tile, faces=tile.faces[kept]),))
+    rig = _rig(look_at(np.array([3.0, -2, 8]), np.array([9.0, -6, 0]), 0.0))
+    relief, views = _seeing(holed, rig)
+    empty = relief.high == -np.inf
     assert empty.any()
-    assert not seen[empty].any()
-    # What is told one by one, without groups, is seen no less in groups.
-    alone = _seen_ground(grid, eyes, 1e-9)
-    assert seen.any()
-    assert np.array_equal(seen, alone)
+    assert not relief.whole[empty].any()
+    seen = seen_blocks(relief, _bounds(ground, 3.0), views, np.zeros((0, 3)), np.zeros(0))
+    assert (seen.top > -np.inf).any()
+    assert not (seen.top[empty] > -np.inf).any()
+    assert (seen.ground[empty] == -np.inf).all()

@@ -21,8 +21,9 @@ from scenec.compiler.objects.families.shape import Shape
 from scenec.compiler.objects.lod import budget_factor, choose_levels, see_levels
 from scenec.compiler.objects.rocks import Chain, build_chains, build_prototypes
 from scenec.compiler.scene.plan import ScatterPlan
+from scenec.compiler.scene.rig import Rig, Sensor
 from scenec.compiler.scene.scene import Prototype, Scatter
-from scenec.compiler.views.sight import NO_VIEWS, Views
+from scenec.compiler.views.sight import NO_VIEWS, Views, views_of
 from scenec.schemas.errors import SceneError
 
 FAMILIES = ("weathered", "angular", "rounded", "slab", "vesicular")
@@ -330,9 +331,10 @@ def test_a_budget_is_kept_by_the_least_factor_on_all_errors(views, part):
 
 def view(focal: float = 500.0) -> Views:
     """One camera at the origin that looks along +x and sees half of the world."""
-    pose = np.array([[0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0]], np.float64)
-    numbers = np.array([focal, focal, 1e6, 1e6, 0.0, 2e6, 2e6])
-    return NO_VIEWS._replace(poses=pose[None], numbers=numbers[None])
+    pose = np.array([[0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1]], np.float64)
+    intrinsics = (focal, focal, 1e6, 1e6, 0.0)
+    half = Sensor("s", (2_000_000, 2_000_000), intrinsics, np.eye(4), np.zeros(1), ("depth",))
+    return views_of((Rig("r", pose[None], (half,)),))
 
 
 @pytest.mark.parametrize("tolerance", [0.1, 0.5, 4.0])

@@ -32,8 +32,8 @@ from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.scene.plan import RigPlan, SensorPlan, TrackPlan
 from scenec.compiler.scene.rig import OpenShutter, Rig, Sensor
 from scenec.compiler.terrain.grid import Grid, HeightField
+from scenec.compiler.views.frustum import MOVING, in_view, views_of_all
 from scenec.compiler.views.keep import Keep
-from scenec.compiler.views.outlook import in_view, outlook
 from scenec.schemas.errors import CfgError, SceneError
 from scenec.schemas.left_out import read_left_out
 from scenec.schemas.lens import directions, to_plane
@@ -334,8 +334,9 @@ def test_all_that_is_seen_at_any_time_is_in_a_view(lens: str, spin: float) -> No
     intrinsics = (60.0, 62.0, 50.0, 41.0, 0.7) if made is None else (50.0, 50.0, 48.0, 40.0, 0.0)
     sensor = Sensor("s", (96, 80), intrinsics, np.eye(4), np.zeros(1), ("rgb",), lens=made,
                     shutter=opened)  # fmt: skip
-    views = outlook((Rig("r", poses[8:9], (sensor,), np.zeros(1)),))
-    assert views.moving.sum() == 4
+    views = views_of_all((Rig("r", poses[8:9], (sensor,), np.zeros(1)),))
+    moving = views.kind & MOVING > 0
+    assert moving.sum() == 4
     k = np.array([[intrinsics[0], intrinsics[4], intrinsics[2]],
                   [0.0, intrinsics[1], intrinsics[3]], [0.0, 0.0, 1.0]])  # fmt: skip
     n = 400
@@ -347,16 +348,13 @@ def test_all_that_is_seen_at_any_time_is_in_a_view(lens: str, spin: float) -> No
 
     def shown(which: NDArray[np.bool_], point: NDArray[np.float64]) -> bool:
         index = np.flatnonzero(which)
-        return any(
-            in_view(views.eye[v], views.planes[v], views.axis[v], views.cone[v], *point, 1e-9)
-            for v in index.tolist()
-        )
+        return any(in_view(views, v, *point, 1e-9) for v in index.tolist())
 
     for point in points[known]:
-        assert shown(views.moving, point)
+        assert shown(moving, point)
     if spin < 0.1 and lens == "pinhole":
         anywhere = rng.normal(size=(300, 3)) * 30.0
-        assert np.mean([shown(views.moving, p) for p in anywhere]) < 0.5
+        assert np.mean([shown(moving, p) for p in anywhere]) < 0.5
 
 
 @pytest.mark.invariant

@@ -44,8 +44,7 @@ LOOSE = {
     "backends": {"contract", "registry"},
 }
 #: Backends that are registered are imported by name, when they are asked for; this one by its text.
-#: What pruning asks of lights goes with its bound of light.
-MAY = {("registry", "contract"), ("views", "light"), ("views", "materials")}
+MAY = {("registry", "contract")}
 
 
 def modules(layer: str) -> dict[str, Path]:

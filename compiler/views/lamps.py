@@ -1,4 +1,4 @@
-"""Leaving out lamps whose cones hold nothing of the scene."""
+"""What lamps shine on; leaving out those whose cones hold nothing of the scene."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def without_idle(
     radii = np.concatenate([radius for _, radius in balls])
     kept, left_out = [], []
     for lamp in lamps:
-        if any(_reaches(lamp, i, middles, radii) for i in range(len(lamp.to_world))):
+        if any(in_cone(lamp, i, middles, radii).any() for i in range(len(lamp.to_world))):
             kept.append(lamp)
             continue
         why = "nothing of the scene is in its cone at any sample"
@@ -53,16 +53,16 @@ def _ball_of_tiles(ground: Ground) -> tuple[NDArray[np.float64], NDArray[np.floa
     return middles, np.sqrt((half * half).sum(axis=1))
 
 
-def _reaches(
+def in_cone(
     lamp: Lamp, sample: int, middles: NDArray[np.float64], radii: NDArray[np.float64]
-) -> bool:
-    """Whether a cone around the lamp's cone (its apex further back) meets a ball at a sample."""
+) -> NDArray[np.bool_]:
+    """Which balls a cone around a lamp's (its apex further back) meets at a sample, bool [n]."""
     if not lamp.intensity[sample].any():
-        return False
+        return np.zeros(len(middles), np.bool_)
     half = float(lamp.cone_deg[sample]) * (elementary.PI / 180.0)
     if half >= 0.5 * elementary.PI:
-        # More than half of all directions: hardly a lamp that lights nothing.
-        return True
+        # More than half of all directions.
+        return np.ones(len(middles), np.bool_)
     matrix = lamp.to_world[sample]
     axis = -matrix[:3, 2] / np.sqrt((matrix[:3, 2] * matrix[:3, 2]).sum())
     way = middles - matrix[:3, 3]
@@ -72,4 +72,4 @@ def _reaches(
     across = np.sqrt(np.maximum(distance * distance - along * along, 0.0))
     # Distance of a ball's middle to the cone's side; behind the apex it is farther than that.
     beside = across * elementary.cos(half) - along * elementary.sin(half)
-    return bool(((distance <= reach) | (beside <= reach)).any())
+    return np.asarray((distance <= reach) | (beside <= reach))
