@@ -44,16 +44,6 @@ KNOWN: dict[str, int] = {
     "compiler/terrain/sources/mesh_plan.py:_see": 10,
     "compiler/terrain/sources/mesh_plan.py:_top_at": 11,
     "compiler/terrain/sources/mesh_plan.py:_top_at_part": 14,
-    "compiler/views/faint.py:_follow": 12,
-    "compiler/views/faint.py:_sum_all": 11,
-    "compiler/views/horizon.py:_find_slopes": 11,
-    "compiler/views/shadows.py:_falls": 19,
-    "compiler/views/shadows.py:_sweep": 21,
-    "compiler/views/sight.py:_nearest_views": 13,
-    "compiler/views/sight.py:_of_balls": 12,
-    "compiler/views/sight.py:_pixels": 11,
-    "compiler/views/visible.py:_see": 15,
-    "compiler/views/visible.py:shows": 11,
 }
 
 
