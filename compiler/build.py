@@ -26,7 +26,7 @@ from scenec.compiler.mesh.cover import lay_and_report
 from scenec.compiler.mesh.precision import REFUSE_PX, precision, refuse, require_resolvable
 from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.mesh.tiles import build_tiles
-from scenec.compiler.objects.build import build_objects
+from scenec.compiler.objects.build import Built, build_objects
 from scenec.compiler.objects.prototypes import Looks
 from scenec.compiler.objects.surroundings import Surroundings
 from scenec.compiler.scene.plan import Plan
@@ -41,7 +41,7 @@ from scenec.compiler.scene.scene import (
     SkyLight,
 )
 from scenec.compiler.terrain.grid import Grid
-from scenec.compiler.terrain.program import run
+from scenec.compiler.terrain.program import Relief, run
 from scenec.compiler.terrain.sources.mesh_surface import MeshSurface
 from scenec.compiler.views import needed
 from scenec.compiler.views.keep import Keep
@@ -98,7 +98,8 @@ def build(plan: Plan, log: BuildLog, keep: Keep = Keep.SEEN) -> Scene:
     outputs = tuple(dict.fromkeys(o for rig in plan.rigs for s in rig.sensors for o in s.outputs))
     needs = needs_of_plan(plan, keep)
     color, labels = needs.color, needs.labels
-    surface = build_surface(plan, log)
+    relief = build_relief(plan, log)
+    surface = lay_ground(plan, relief, log)
     terrain = surface.field
     with log.timed("light"):
         light = build_light(plan.light, plan.samples, color, labels)
@@ -122,11 +123,12 @@ def build(plan: Plan, log: BuildLog, keep: Keep = Keep.SEEN) -> Scene:
         views = views_of(rigs, hills, surface.amplitude_m())
         near = pixels_per_meter(terrain, views, plan.terrain.meshing.unseen) if rigs else None
         require_resolvable(rigs, terrain, near, plan.terrain.meshing.unseen)
-    objects = stand_objects(plan, surface, rigs, looks, log)
+    built = stand_objects(plan, surface, rigs, looks, log)
+    objects = built.objects
     # Of millions of objects what was drawn for them takes more than what became of it.
     plan = replace(plan, objects=())
     with log.timed("ground"):
-        tiles, log.facts["ground"] = build_tiles(
+        tiles, meshed = build_tiles(
             surface,
             plan.terrain.variation_key,
             plan.terrain.meshing,
@@ -135,6 +137,7 @@ def build(plan: Plan, log: BuildLog, keep: Keep = Keep.SEEN) -> Scene:
             color=color,
             cut_labels=labels,
         )
+        log.facts["ground"] = meshed
         ground = Ground(plan.terrain.layers, tiles)
     _note_left_out(log, *needed.note_outputs(needs, plan, ground, objects))
     with log.timed("outputs"):
@@ -149,9 +152,13 @@ def build(plan: Plan, log: BuildLog, keep: Keep = Keep.SEEN) -> Scene:
             seen = views if shown_to is rigs else views_of(shown_to, hills, surface.amplitude_m())
             # Without cameras nothing is too small to see.
             shown_to = () if keep is Keep.ALL else shown_to
-            materials = _finished(used.materials, plan, ground, objects, seen, shown_to, log)
+            reached_px = meshed.get("mesh", {}).get("tolerance_reached_px")
+            materials = _finished(
+                used.materials, plan, ground, objects, seen, shown_to, reached_px, log
+            )
     bounds = _bounds(ground, objects)
-    log.facts["precision"] = facts = precision(bounds, log.facts, near)
+    errors = [float(meshed["float32_error_max_m"]), *built.float32_errors()]
+    log.facts["precision"] = facts = precision(bounds, errors, near)
     if facts["float32_error_max_px"] is not None and facts["float32_error_max_px"] > REFUSE_PX:
         what = f"over {facts['extent_m']:.6g} m up to {np.abs(bounds).max():.6g} m away"
         unseen = plan.terrain.meshing.unseen
@@ -174,7 +181,7 @@ def build(plan: Plan, log: BuildLog, keep: Keep = Keep.SEEN) -> Scene:
         rigs=rigs,
         outputs=outputs,
         bounds=bounds,
-        georeference=_georeference(log.facts["relief"]),
+        georeference=_georeference(relief.steps),
         more_suns=light.more_suns,
         lamps=lamps,
         haze=light.haze,
@@ -225,10 +232,21 @@ def build_surface(plan: Plan, log: BuildLog) -> Surface:
     Raises:
         SceneError: The relief cannot be built, or a layer cannot cover what it shall.
     """
+    return lay_ground(plan, build_relief(plan, log), log)
+
+
+def build_relief(plan: Plan, log: BuildLog) -> Relief:
+    """The relief alone."""
     with log.timed("relief"):
         grid = Grid.with_spacing(plan.terrain.size_m, plan.terrain.spacing_m)
         relief = run(plan.terrain.relief, grid, plan.terrain.meshing.max_triangles)
-        terrain, log.facts["relief"] = relief.field, relief.steps
+    log.facts["relief"] = relief.steps
+    return relief
+
+
+def lay_ground(plan: Plan, relief: Relief, log: BuildLog) -> Surface:
+    """The layers on a relief."""
+    terrain = relief.field
     with log.timed("cover"):
         merges, log.facts["cover"] = lay_and_report(
             plan.terrain.merges, plan.terrain.coverage, terrain
@@ -267,7 +285,7 @@ def stand_rigs(
     if plan.objects and any(map(needs_objects, plan.rigs)):
         others = tuple(rig for rig in plan.rigs if not needs_objects(rig))
         early = build_rigs(others, surface, None)
-        for one in stand_objects(plan, surface, early, None, BuildLog()):
+        for one in stand_objects(plan, surface, early, None, BuildLog()).objects:
             bodies[one.name] = bodies_of(one)
     rigs, motion = build_rigs_and_report(plan.rigs, surface, irradiance, bodies)
     if motion:
@@ -277,7 +295,7 @@ def stand_rigs(
 
 def stand_objects(
     plan: Plan, surface: Surface, rigs: tuple[Rig, ...], looks: Looks | None, log: BuildLog
-) -> tuple[Scatter | Placed, ...]:
+) -> Built:
     """The objects on the ground, in the cfg's order.
 
     Args:
@@ -292,7 +310,7 @@ def stand_objects(
     """
     views = views_of(rigs)
     around = Surroundings(surface, views.eye, views, plan.terrain.meshing.unseen)
-    return build_objects(
+    built = build_objects(
         plan.objects,
         around,
         views,
@@ -300,8 +318,10 @@ def stand_objects(
         _times(rigs, plan.samples),
         looks,
         plan.object_triangles,
-        log,
+        log.timed,
     )
+    log.facts |= built.facts
+    return built
 
 
 def _finished(
@@ -311,6 +331,7 @@ def _finished(
     objects: tuple[Scatter | Placed, ...],
     views: Views,
     rigs: tuple[Rig, ...],
+    reached_px: float | None,
     log: BuildLog,
 ) -> dict[str, Material]:
     """The materials with their pictures, which go as far as the cameras see them."""
@@ -318,9 +339,8 @@ def _finished(
     looked_at = None
     if rigs:
         looked_at = footprints(materials, ground, objects, (views, views_of(rigs)), unseen)
-    reached = log.facts["ground"].get("mesh", {}).get("tolerance_reached_px")
     finest_m = plan.terrain.meshing.finest(plan.terrain.spacing_m)
-    finished = finish(materials, ground, looked_at, Shown(reached, finest_m))
+    finished = finish(materials, ground, looked_at, Shown(reached_px, finest_m))
     if finished.facts:
         log.facts["surfaces"] = finished.facts
     if finished.left_out:

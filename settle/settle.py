@@ -223,7 +223,7 @@ def _build(plan: Plan) -> tuple[Surface, tuple[Scatter | Placed, ...]]:
     log = BuildLog()
     surface = build_surface(plan, log)
     rigs = stand_rigs(plan, surface, None, log)
-    return surface, stand_objects(plan, surface, rigs, None, log)
+    return surface, stand_objects(plan, surface, rigs, None, log).objects
 
 
 def _dropped(plan: Plan, laid: Sequence[Scatter | Placed], chosen: Sequence[str]) -> list[Body]:

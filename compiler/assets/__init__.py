@@ -1,1 +1,1 @@
-"""What comes in from files made elsewhere: triangle meshes in the formats of the field."""
+"""Reads what comes in from files made elsewhere: models, height fields, tracks, pictures."""

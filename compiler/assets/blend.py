@@ -1,4 +1,4 @@
-"""``.blend`` files, through Blender in a process of its own with all scripts off.
+"""Reads ``.blend`` files through Blender in a process of its own with all scripts off.
 
 What is shown in the file's scene is taken, with its modifiers; parts are objects, under the names
 of their parents. Blender computes modifiers with its own arithmetic: unlike all else that the

@@ -1,4 +1,4 @@
-"""Blender in a process of its own: ``python -m scenec.compiler.assets.blend_worker FILE OUT``.
+"""Runs Blender in a process: ``python -m scenec.compiler.assets.blend_worker FILE OUT``.
 
 Reads a ``.blend`` file with all scripts off, and leaves in OUT, an ``.npz``, what is seen of it:
 evaluated meshes and the numbers and pictures of their materials. What is wrong with the file goes

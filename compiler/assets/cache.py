@@ -1,4 +1,4 @@
-"""Models that are read once for checking, hashing and all batches."""
+"""Reads models once for checking, hashing and all batches."""
 
 from __future__ import annotations
 

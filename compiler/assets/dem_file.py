@@ -1,4 +1,4 @@
-"""Reading measured height fields: NumPy arrays, GeoTIFF, pictures."""
+"""Reads measured height fields: NumPy arrays, GeoTIFF, pictures."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Materials of glTF files: metallic and roughness, with the extensions that have a place here."""
+"""Reads materials of glTF files: metallic and roughness, with the extensions known here."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Materials of models: as a file has them, and what becomes of them here.
+"""Defines materials of models: as a file has them, and what becomes of them here.
 
 A file's material has numbers and pictures, each picture with a channel, a factor, a set of texture
 coordinates and a map of these. Here a material has numbers, at most one picture of each kind, and

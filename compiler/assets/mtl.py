@@ -1,4 +1,4 @@
-"""MTL: the materials of OBJ files, with the PBR statements Pr and Pm.
+"""Reads MTL: the materials of OBJ files, with the PBR statements Pr and Pm.
 
 The format (Wavefront, 1993) leaves much open. Where it does, this reads as Blender writes and
 reads: Kd is linear; a map_Kd stands in Kd's place (exporters leave any gray there); Ns is

@@ -1,4 +1,4 @@
-"""Pictures that models refer to: found, checked, taken apart.
+"""Finds, checks and takes apart pictures that models refer to.
 
 What is of a kind that all renderers read stays as it is. The rest becomes a PNG whose bytes depend
 on its pixels alone: it is stored without compression, since compressors differ between machines.

@@ -1,4 +1,4 @@
-"""Paths on the ground: polylines from CSV files."""
+"""Reads paths on the ground: polylines from CSV files."""
 
 from __future__ import annotations
 

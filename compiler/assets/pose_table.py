@@ -1,4 +1,4 @@
-"""Poses of objects from a CSV file: copies, or one object over time."""
+"""Reads poses of objects from a CSV file: copies, or one object over time."""
 
 from __future__ import annotations
 

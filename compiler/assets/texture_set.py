@@ -1,4 +1,4 @@
-"""Sets of pictures in a folder: which is what, by their names.
+"""Sorts the pictures of a folder by their names into the set of a material.
 
 A name is taken apart into words (at whatever is no letter or digit, and where case changes); the
 last word that names a kind counts, so that ``metal_plate_02_diff_1k.jpg`` is a color. Words that

@@ -1,4 +1,4 @@
-"""Camera tracks: poses from a CSV file."""
+"""Reads camera tracks: poses from a CSV file."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Time-stamped tracks of other programs: CSV, TUM and OAISYS files, as they come."""
+"""Reads time-stamped tracks of other programs: CSV, TUM and OAISYS files, as they come."""
 
 from __future__ import annotations
 

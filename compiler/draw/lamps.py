@@ -13,7 +13,7 @@ from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.geometry.poses import from_euler
 from scenec.compiler.light.earthshine import earthshine_irradiance
 from scenec.compiler.light.latlong import luminance
-from scenec.compiler.light.plan import LampPlan, RigMount, WorldMount
+from scenec.compiler.scene.light_plan import LampPlan, RigMount, WorldMount
 from scenec.compiler.scene.scene import SunLight
 
 

@@ -12,7 +12,7 @@ from scenec.compiler.distributions.resolve import per_sample, resolve
 from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.draw.lamps import draw_lamps, draw_more_suns
 from scenec.compiler.light.latlong import luminance
-from scenec.compiler.light.plan import AtmospherePlan, ClearSkyPlan, ImageSkyPlan, LightPlan
+from scenec.compiler.scene.light_plan import AtmospherePlan, ClearSkyPlan, ImageSkyPlan, LightPlan
 from scenec.compiler.scene.scene import Haze, SunLight
 
 #: -ln 0.02: over the visibility, contrast falls to 2 % (Koschmieder 1924).

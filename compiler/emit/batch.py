@@ -1,4 +1,4 @@
-"""One batch on disk: the root layer and everything it is composed from."""
+"""Writes one batch: the root layer and everything it is composed from."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The layer of rigs, cameras, and what is to be rendered.
+"""Writes the layer of rigs, cameras, and what is to be rendered.
 
 A rig's frame and a sensor's pose on it have OpenCV axes (x right, y down, z forward). A
 UsdGeomCamera looks down its -Z with y up: its prim carries the half turn about x that relates the

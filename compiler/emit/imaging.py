@@ -1,4 +1,4 @@
-"""A sensor's imaging as attributes of its camera (``scenec.schemas.imaging``)."""
+"""Writes a sensor's imaging as attributes of its camera (``scenec.schemas.imaging``)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How a layer is begun, and how values over the samples are authored."""
+"""Begins layers, and authors values over the samples."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The layer of lights: suns as DistantLights, lamps as SphereLights, the sky as DomeLight."""
+"""Writes the layer of lights: DistantLights for suns, SphereLights for lamps, a DomeLight."""
 
 from __future__ import annotations
 

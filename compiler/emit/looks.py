@@ -1,4 +1,4 @@
-"""One layer a material: the shared surface model, and a preview surface for viewers."""
+"""Writes one layer a material: the shared surface model, and a preview surface for viewers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Surface maps on disk: copied beside the stage, and their average for viewers without them."""
+"""Copies surface maps beside the stage, and averages them for viewers without them."""
 
 from __future__ import annotations
 

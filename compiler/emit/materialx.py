@@ -1,4 +1,4 @@
-"""MaterialX networks of the looks, in layers of their own, for viewers that know MaterialX.
+"""Writes MaterialX networks of the looks, in layers of their own, for viewers that know MaterialX.
 
 They are derived from the numbers that backends read and say the same: the shared surface model
 (1-m) * ((1-s) * Lambert(c) + s * GGX(white)) + m * GGX(c) in nodes of MaterialX's physically based

@@ -1,4 +1,4 @@
-"""One layer an object class: a PointInstancer and its prototypes, or single objects."""
+"""Writes one layer an object class: a PointInstancer and its prototypes, or single objects."""
 
 from __future__ import annotations
 

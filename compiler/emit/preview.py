@@ -1,4 +1,4 @@
-"""UsdPreviewSurface of a material, for viewers: what they can show of the shared surface model."""
+"""Writes UsdPreviewSurface of a material: what viewers can show of the shared surface model."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Meshes that objects share: a prototype as a prim, its parts as subsets."""
+"""Writes meshes that objects share: a prototype as a prim, its parts as subsets."""
 
 from __future__ import annotations
 

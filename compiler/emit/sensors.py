@@ -1,4 +1,4 @@
-"""Lidars of a rig, cameras that measure depth, and when sensors are triggered."""
+"""Writes lidars of a rig, cameras that measure depth, and when sensors are triggered."""
 
 from __future__ import annotations
 

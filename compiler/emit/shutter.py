@@ -1,4 +1,4 @@
-"""A camera's shutter: what readers of ours go by, and what viewers know.
+"""Writes a camera's shutter: what readers of ours go by, and what viewers know.
 
 Readers take exact numbers from attributes of our own: poses at seconds from the sample's time,
 relative to the camera's own pose then, so that they compose with whatever the camera is below.

@@ -1,4 +1,4 @@
-"""The Sky prim: what is said of the surroundings, with or without a dome."""
+"""Writes the Sky prim: what is said of the surroundings, with or without a dome."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The terrain's layer: one mesh a tile, labels on its faces, weights on its vertices."""
+"""Writes the terrain's layer: one mesh a tile, labels on its faces, weights on its vertices."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Suns and skies: directions, lat-long pictures, irradiance."""
+"""Computes suns and skies: directions, lat-long pictures, irradiance."""

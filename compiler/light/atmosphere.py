@@ -1,4 +1,4 @@
-"""The sky of a planet by single scattering, after Nishita et al. (1993), in physical units.
+"""Computes a planet's sky by single scattering, after Nishita et al. (1993), in physical units.
 
 Sunlight is scattered once, by gas and aerosol, and lost to both and to an absorbing layer, along
 the way from the sun and to the eye, at several wavelengths; the planet is a sphere, whose shadow

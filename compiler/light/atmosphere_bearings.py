@@ -1,4 +1,4 @@
-"""Directions of a sky by elevation and bearing from the sun, and what lies between bearings."""
+"""Places directions of a sky by elevation and bearing from the sun, and interpolates bearings."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How much of an atmosphere a ray meets: columns of spherical layers in closed form.
+"""Integrates how much of an atmosphere a ray meets: spherical layers in closed form.
 
 A column is the integral of a relative density along a ray, in meters at the density of 1; times a
 coefficient it is an optical depth.

@@ -1,4 +1,4 @@
-"""What is scattered twice or more, added to a single-scattered sky: an approximation.
+"""Adds what is scattered twice or more to a single-scattered sky: an approximation.
 
 After Hillaire (2020, A Scalable and Production Ready Sky and Atmosphere Rendering Technique, EGSR):
 light that has been scattered before arrives from all sides alike, and each further time the same

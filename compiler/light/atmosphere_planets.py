@@ -1,4 +1,4 @@
-"""What the atmospheres of Earth and Mars are made of.
+"""Describes the atmospheres of Earth and Mars.
 
 Both are spheres with two scatterers whose density falls exponentially with height, gas and aerosol
 (Nishita et al. 1993, SIGGRAPH), and one absorber in a layer whose density rises and falls linearly.

@@ -1,4 +1,4 @@
-"""Light that an atmosphere scatters once into a ray, by wavelength.
+"""Integrates light that an atmosphere scatters once into a ray, by wavelength.
 
 A ray is cut into steps whose ends have exact columns behind them (``atmosphere_columns``). Within a
 step only the sunlight's own loss is taken to be even, so that what scatters is exact however thick

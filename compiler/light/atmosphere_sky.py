@@ -1,4 +1,4 @@
-"""The skies of a batch under an atmosphere, and what comes through of its sun."""
+"""Makes the skies of a batch under an atmosphere, and what comes through of its sun."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from scenec.compiler.light import atmosphere
 from scenec.compiler.light.atmosphere_planets import MEDIA
 from scenec.compiler.light.atmosphere_spectra import wavelengths, weights
 from scenec.compiler.light.latlong import luminance
-from scenec.compiler.light.plan import AtmospherePlan
+from scenec.compiler.scene.light_plan import AtmospherePlan
 from scenec.compiler.scene.scene import SkyLight, SunLight
 
 #: At which optical depths are reported, nm.

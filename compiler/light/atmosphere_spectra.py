@@ -1,4 +1,4 @@
-"""Sunlight above the atmosphere and what the eye makes of a spectrum, 380 to 780 nm."""
+"""Tabulates sunlight above the atmosphere and what the eye makes of it, 380 to 780 nm."""
 
 from __future__ import annotations
 

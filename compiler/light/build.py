@@ -1,4 +1,4 @@
-"""Plan to light: what shines on the batch at every sample, and how much of it arrives."""
+"""Builds what shines on the batch at every sample, and how much of it arrives."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from scenec.compiler.cache.memo import memoized
 from scenec.compiler.light.atmosphere_sky import build_atmosphere
 from scenec.compiler.light.latlong import luminance
 from scenec.compiler.light.panorama import build_label_maps, build_panorama
-from scenec.compiler.light.plan import AtmospherePlan, ImageSkyPlan, LightPlan
 from scenec.compiler.light.sky import build_sky, level_sun_irradiance, sky_irradiance
+from scenec.compiler.scene.light_plan import AtmospherePlan, ImageSkyPlan, LightPlan
 from scenec.compiler.scene.scene import Haze, SkyLabelMaps, SkyLight, SunLight
 
 

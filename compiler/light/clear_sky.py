@@ -1,4 +1,4 @@
-"""A clear sky by the CIE's standard luminance distribution, colored by height."""
+"""Makes a clear sky by the CIE's standard luminance distribution, colored by height."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Leaving out lights that give nothing."""
+"""Leaves out lights that give nothing."""
 
 from __future__ import annotations
 

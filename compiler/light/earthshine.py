@@ -1,4 +1,4 @@
-"""The Earth as a lamp over the Moon.
+"""Makes the Earth a lamp over the Moon.
 
 An airless ball that scatters by Lambert's law shows (sin a + (pi - a) cos a) / pi of its light at
 the phase angle a (Russell 1916); seen from the Moon at its mean distance, a ball of geometric

@@ -1,4 +1,4 @@
-"""Spot lights over the finished terrain, and what light meters make of them."""
+"""Places spot lights over the finished terrain, and meters them."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from scenec.compiler.cache.memo import memoized
 from scenec.compiler.geometry.lenses import pixel_rays
 from scenec.compiler.geometry.poses import bearing_vector, compose, look_at
 from scenec.compiler.light.latlong import luminance
-from scenec.compiler.light.plan import LampPlan, RigMount, WorldMount
 from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.scene.exposure import incident_exposure
+from scenec.compiler.scene.light_plan import LampPlan, RigMount, WorldMount
 from scenec.compiler.scene.plan import RigPlan
 from scenec.compiler.scene.rig import Rig, Sensor
 from scenec.compiler.scene.scene import Lamp

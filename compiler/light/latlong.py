@@ -1,4 +1,4 @@
-"""Lat-long pictures of the sky, in the orientation that the stage gives them.
+"""Maps the sky to lat-long pictures, in the orientation that the stage gives them.
 
 Row 0 looks at the zenith. Column u in [0, 1) looks along the compass bearing 360 * u, clockwise
 from north (+y): this is USD's DomeLight picture after OrientToStageUpAxis on a Z-up stage (+x at

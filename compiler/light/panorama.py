@@ -1,4 +1,4 @@
-"""Photographed skies: checked, their sun taken out where that is asked for, their label maps."""
+"""Reads photographed skies, takes their sun out where asked, and reads their label maps."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from scenec.compiler.arithmetic import elementary
 from scenec.compiler.cfg.label_maps import LabelMapPlan, decode
 from scenec.compiler.light.latlong import horizontal_irradiance, luminance, read_picture
 from scenec.compiler.light.picture_sun import DIAMETER_DEG, PictureSun, extract_sun
-from scenec.compiler.light.plan import ImageSkyPlan
+from scenec.compiler.scene.light_plan import ImageSkyPlan
 from scenec.compiler.scene.scene import SkyLabelMaps, SkyLight, SunLight
 from scenec.compiler.views.illumination import SHARP
 

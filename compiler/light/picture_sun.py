@@ -1,4 +1,4 @@
-"""The sun of a photographed sky: found, taken out of the picture, made a distant light.
+"""Finds the sun of a photographed sky, takes it out, and makes it a distant light.
 
 A renderer samples a small bright disc far better than a few texels of a picture, and shadows then
 do not depend on the picture's resolution. What is taken out is what stands out from its

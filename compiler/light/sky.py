@@ -1,4 +1,4 @@
-"""The sky of every sample, from what was drawn for it."""
+"""Makes the sky of every sample."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from scenec.compiler.light.clear_sky import clear_sky
 from scenec.compiler.light.latlong import horizontal_irradiance, luminance, read_picture
-from scenec.compiler.light.plan import ClearSkyPlan
+from scenec.compiler.scene.light_plan import ClearSkyPlan
 from scenec.compiler.scene.scene import SkyLight, SunLight
 
 

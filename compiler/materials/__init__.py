@@ -1,1 +1,1 @@
-"""Pictures of surfaces made by the compiler: rock and ground that need no files."""
+"""Makes materials: pictures of rock and ground that need no files, baked and reduced pictures."""

@@ -1,4 +1,4 @@
-"""Pictures made of others before they are shown: gloss, ambient occlusion, packed channels."""
+"""Bakes pictures of others before they are shown: gloss, ambient occlusion, packed channels."""
 
 from __future__ import annotations
 

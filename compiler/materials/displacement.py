@@ -1,4 +1,4 @@
-"""Pictures of heights as relief of the ground, at any point.
+"""Evaluates pictures of heights as relief of the ground, at any point.
 
 Between texels heights are cubic (Catmull and Rom 1974: continuous with their slopes, and exact at
 texels' centers); the picture repeats, or lies in cells as its colors do

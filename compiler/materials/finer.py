@@ -1,4 +1,4 @@
-"""Normals beside relief that is geometry: what the mesh has already is taken out of them.
+"""Takes out of normal maps what the mesh has already as geometry.
 
 A mesh within a tolerance follows a wave where its height is more than that in the nearest view, and
 passes over it where it is less: on the smooth top of a stone, not at its edge. So slopes are taken

@@ -1,4 +1,4 @@
-"""Materials at the end of a build: all pictures made, as small as cameras let them be."""
+"""Finishes the materials of a build: all pictures made, as small as cameras let them be."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How closely cameras look at each material: pixels that one repeat of its pictures takes.
+"""Measures how closely cameras look at each material: pixels that a repeat of its pictures takes.
 
 The largest over all that has the material, in any view. A picture with as many texels holds all
 that a pixel can show there: both end at the same wavelength (Shannon), and what is finer a pixel's

@@ -1,4 +1,4 @@
-"""Surfaces of loose ground; colors and hollows as in ``rocks``."""
+"""Paints surfaces of loose ground; colors and hollows as in ``rocks``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Relief of surfaces as heights in meters: of procedural kinds, and of pictures."""
+"""Evaluates relief of surfaces as heights in meters: of procedural kinds, and of pictures."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The kinds of surfaces by their names in cfgs."""
+"""Names the kinds of surfaces as cfgs do."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Pictures that no camera can notice: they become numbers, or go."""
+"""Leaves out pictures that no camera can notice: they become numbers, or go."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Noises that repeat: octaves of gradient noise and cells on a torus, as square planes.
+"""Computes noises that repeat: gradient noise and cells on a torus, as square planes.
 
 The lattices of ``compiler.noise`` with their points taken modulo a whole number of cells a side.
 Planes are float32 [n, n], row 0 at the top of the picture, sampled at pixel centers.

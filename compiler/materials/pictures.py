@@ -1,4 +1,4 @@
-"""Surfaces as pictures: brought to the mean and relief asked for, and encoded."""
+"""Encodes surfaces as pictures, brought to the mean and relief asked for."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Pictures made smaller, and what that costs them.
+"""Reduces pictures, and measures what that costs them.
 
 Two by two texels become their mean, in linear light for colors; so the mean stays, and what is lost
 is only what varies within them. Normals are summed as vectors and brought to unit length.

@@ -1,4 +1,4 @@
-"""Pictures of other sizes: all repeat, and texels stand for their middles."""
+"""Resamples pictures to other sizes: all repeat, and texels stand for their middles."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Surfaces of rocks.
+"""Paints surfaces of rocks.
 
 Colors are relative to the rock's mean. What shades itself in nature (hollows, cracks, pits) is a
 little darker here too, for relief that is not in the mesh throws no shadow.

@@ -1,4 +1,4 @@
-"""What a kind of surface is: the vocabulary of this room."""
+"""Defines what a kind of surface is."""
 
 from __future__ import annotations
 

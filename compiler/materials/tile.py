@@ -1,4 +1,4 @@
-"""The square that repeats, in meters, and what surfaces are painted with on it."""
+"""Defines the square that repeats, in meters, and paints on it."""
 
 from __future__ import annotations
 

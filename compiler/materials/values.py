@@ -1,4 +1,4 @@
-"""Values of pictures, and pictures of values: the same bits on every CPU.
+"""Converts pictures to values and back with the same bits on every CPU.
 
 As ``schemas.maps.decode`` means them, but decoded by tables, where that uses libm.
 """

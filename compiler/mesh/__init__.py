@@ -1,1 +1,1 @@
-"""Ground: materials merged over the terrain, and the mesh cut along their label lines."""
+"""Merges materials over the terrain, and makes the mesh cut along their label lines."""

@@ -1,4 +1,4 @@
-"""A mesh that is as fine as its viewers need: right triangles, bisected where the error shows.
+"""Bisects right triangles where the error shows: a mesh as fine as its viewers need.
 
 The grid's samples are the vertices of an infinite hierarchy of right triangles (the 4-8 mesh of
 Duchaineau et al. 1997, ROAM, and Lindstrom and Pascucci 2001): each triangle is halved at the

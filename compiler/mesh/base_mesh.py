@@ -1,4 +1,4 @@
-"""The ground's mesh, uncut, where the surface is a mesh itself."""
+"""Takes the ground's mesh, uncut, where the surface is a mesh itself."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How far the ground's smooth surface gets from its grid's samples: bounds, cell by cell.
+"""Bounds how far the ground's smooth surface gets from its grid's samples, cell by cell.
 
 Within a cell the surface of ``surface.py`` is a cubic along the rows of samples, and another one
 across them, each with limited slopes. Its *bend* is how far it gets from the bilinear surface of

@@ -1,4 +1,4 @@
-"""What a mesh errs between the points that shaped it: looked for where it can be most, and bounded.
+"""Searches and bounds what a mesh errs between the points that shaped it.
 
 A mesh is refined by what lies above the middles of its edges. What it misses, it misses where
 detail is finer than its triangles: a pit between three edges. So the largest error is looked for

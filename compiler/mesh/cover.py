@@ -1,4 +1,4 @@
-"""The ground's layers laid over a relief: what a merge needs to know of the heights."""
+"""Lays the ground's layers over a relief."""
 
 from __future__ import annotations
 

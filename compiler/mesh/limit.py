@@ -1,4 +1,4 @@
-"""Where a ground layer lies by conditions: signed fields whose zero lines are the bounds.
+"""Bounds ground layers by conditions: signed fields whose zero lines are the bounds.
 
 A mask multiplies weights, which clip; a mesh is cut along a line, for which a field must go on
 rising on both sides of it. So a condition is t = 1/2 + (distance to the nearer bound) / softness,

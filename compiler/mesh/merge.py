@@ -1,4 +1,4 @@
-"""Materials merged pairwise by noise (the seed paper's equation 1), as functions of position.
+"""Merges materials pairwise by noise (the seed paper's equation 1), as functions of position.
 
 Merge i lays material i over the result so far with a weight alpha_i(x, y) in [0, 1]:
 

@@ -1,4 +1,4 @@
-"""From a height field to the mesh of the ground, uncut: the whole grid, or what shows of it."""
+"""Meshes a height field, uncut: the whole grid, or what shows of it."""
 
 from __future__ import annotations
 

@@ -1,7 +1,8 @@
-"""What float32 positions cost in a batch, against what is promised and what a pixel shows."""
+"""Measures what float32 positions cost in a batch, against what is promised and a pixel shows."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -113,14 +114,14 @@ def refuse(
 
 def precision(
     bounds: NDArray[np.float64],
-    facts: dict[str, Any],
+    errors: Sequence[float],
     pixels_per_m: NDArray[np.float64] | None,
 ) -> dict[str, Any]:
     """The precision of positions, for report.json.
 
     Args:
         bounds: Of all geometry, float64 [2, 3].
-        facts: What building measured so far: the ``float32_error_max_m`` of ground and objects.
+        errors: The largest of positions in float32, of the ground and each class, meters.
         pixels_per_m: See ``views.sight``; None without cameras.
 
     Returns:
@@ -130,8 +131,7 @@ def precision(
         there are many.
     """
     extent = float((bounds[1] - bounds[0]).max())
-    parts = [facts["ground"], *facts.get("objects", {}).values()]
-    error = max(float(part["float32_error_max_m"]) for part in parts)
+    error = max(errors)
     nearest = None if pixels_per_m is None else float(pixels_per_m.max(initial=0.0))
     return {
         "extent_m": extent,

@@ -1,4 +1,4 @@
-"""Refinement beyond the grid: triangles halved until a surface's error is too small to see."""
+"""Refines beyond the grid: triangles halved until a surface's error is too small to see."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The ground's surface at any point: what a mesh of any fineness stands for.
+"""Evaluates the ground's surface at any point: what a mesh of any fineness stands for.
 
 Between a grid's samples lies a smooth surface through them, and on it the detail that the grid is
 too coarse for: octaves left out, and the displacement of the materials, mixed by their weights.

@@ -1,4 +1,4 @@
-"""From a height field and its merges to tiles with one label a face."""
+"""Cuts the ground into tiles with one label a face."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Coherent noise: functions of position and a 64-bit key, with no state."""
+"""Computes coherent noise: functions of position and a 64-bit key, with no state."""

@@ -1,4 +1,4 @@
-"""Hashes of integer lattice points: the only source of variety in the noises."""
+"""Hashes integer lattice points: the only source of variety in the noises."""
 
 from __future__ import annotations
 

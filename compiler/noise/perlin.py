@@ -1,4 +1,4 @@
-"""Gradient noise after Perlin (2002), in two and three dimensions, one point at a time.
+"""Computes gradient noise after Perlin (2002), in two and three dimensions, and its fractal sums.
 
 One octave has zero mean, is C2, and lies in [-1, 1]; 2-D octaves have a root mean square of about
 0.3. Successive 2-D octaves are turned by the rational rotation (4/5, 3/5) against each other, so

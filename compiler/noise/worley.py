@@ -1,4 +1,4 @@
-"""Cellular noise after Worley (1996): distances to scattered points, one in each cell of a lattice.
+"""Computes cellular noise after Worley (1996): distances to points, one in each cell of a lattice.
 
 Only + - * sqrt and floor are used (hashes are integer): the same bits on every CPU and for any
 number of threads.

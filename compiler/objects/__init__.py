@@ -1,1 +1,1 @@
-"""Objects that are models from files: their prototypes, and single ones at given poses."""
+"""Makes objects, scattered and single ones: shapes, places, seats, levels of detail."""

@@ -1,4 +1,4 @@
-"""Objects that do not overlap in plan: darts thrown until they fit, the largest first.
+"""Keeps objects from overlapping in plan by dart throwing (Poisson disks), the largest first.
 
 Each object is a circle. In order of falling radius, each takes the first of its candidate places
 (``places``) at which it keeps its distance from all circles that are there already. So where it

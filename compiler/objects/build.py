@@ -1,12 +1,12 @@
-"""All classes of objects of a batch, from their plans to what stands in the Scene."""
+"""Builds all classes of objects of a batch, from their plans to what stands in the Scene."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import fields, is_dataclass, replace
-from typing import Any, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,11 +23,23 @@ from scenec.compiler.scene.plan import ModelSource, ScatterPlan
 from scenec.compiler.scene.scene import Placed, Prototype, Scatter
 from scenec.compiler.views.sight import Views
 
+Timed = Callable[[str], AbstractContextManager[None]]
 
-class _Log(Protocol):
+
+class Built(NamedTuple):
+    """The objects of a batch, in the plans' order.
+
+    Attributes:
+        objects: Where they are.
+        facts: For report.json: of each class, and of the budget, if there is one.
+    """
+
+    objects: tuple[Scatter | Placed, ...]
     facts: dict[str, Any]
 
-    def timed(self, name: str) -> AbstractContextManager[None]: ...
+    def float32_errors(self) -> list[float]:
+        """Of each class, the largest error of its positions in float32, meters."""
+        return [float(own["float32_error_max_m"]) for own in self.facts["objects"].values()]
 
 
 def build_objects(
@@ -38,8 +50,8 @@ def build_objects(
     times: NDArray[np.float64],
     looks: Looks | None,
     max_triangles: int | None,
-    log: _Log,
-) -> tuple[Scatter | Placed, ...]:
+    timed: Timed,
+) -> Built:
     """The objects, in the plans' order; each class sees those before it.
 
     Args:
@@ -50,15 +62,16 @@ def build_objects(
         times: Of the samples, seconds.
         looks: Receives the materials of models; None where no color is asked for.
         max_triangles: Most triangles of all objects together, or None.
-        log: Receives what was done, and how long it took.
+        timed: Measures how long a class takes, in a ``with`` block.
 
     Raises:
         SceneError: Something cannot be built or placed, or the budget cannot be kept.
     """
     found: list[Levels | Placed] = []
-    facts: dict[str, dict[str, Any]] = log.facts.setdefault("objects", {})
+    facts: dict[str, dict[str, Any]] = {}
+    told: dict[str, Any] = {"objects": facts}
     for plan in plans:
-        with log.timed(f"objects/{plan.name}"):
+        with timed(f"objects/{plan.name}"):
             own = facts[plan.name] = {}
             if isinstance(plan, PlacedPlan):
                 models = _prototypes(plan, plan, looks, own)
@@ -79,17 +92,17 @@ def build_objects(
     factor = None
     if max_triangles is not None:
         factor = budget_factor(scattered, max_triangles, single)
-        log.facts["object_budget"] = {"max_triangles": max_triangles, "error_factor": factor or 1.0}
+        told["object_budget"] = {"max_triangles": max_triangles, "error_factor": factor or 1.0}
     objects: list[Scatter | Placed] = []
     for one in found:
         if isinstance(one, Placed):
             objects.append(one)
             continue
-        with log.timed(f"objects/{one.scatter.name}"):
+        with timed(f"objects/{one.scatter.name}"):
             scatter, chosen = choose_levels(one, factor)
             facts[scatter.name] |= chosen
             objects.append(scatter)
-    return tuple(objects)
+    return Built(tuple(objects), told)
 
 
 def _stood(

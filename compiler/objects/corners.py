@@ -1,4 +1,4 @@
-"""Shading normals of meshes with edges: at faces' corners, vertices split where they differ."""
+"""Computes shading normals of meshes with edges, splitting vertices where they differ."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Directions moved onto the creases of a block, so that edges of the mesh run along them."""
+"""Moves directions onto the creases of a block, so that edges of the mesh run along them."""
 
 from __future__ import annotations
 

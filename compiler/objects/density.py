@@ -1,4 +1,4 @@
-"""Densities: how many objects lie in one place compared with another."""
+"""Defines densities: how many objects lie in one place compared with another."""
 
 from __future__ import annotations
 

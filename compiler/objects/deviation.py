@@ -1,4 +1,4 @@
-"""How far two star-shaped meshes of one shape are apart."""
+"""Measures how far two star-shaped meshes of one shape are apart."""
 
 from __future__ import annotations
 

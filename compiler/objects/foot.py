@@ -1,4 +1,4 @@
-"""Seating on what is finer than the grid: the vertices that may touch it, held against it."""
+"""Seats objects on what is finer than the grid: the vertices that may touch it, held against it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Bounds of a relief from above."""
+"""Bounds a relief from above."""
 
 from __future__ import annotations
 

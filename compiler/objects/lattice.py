@@ -1,4 +1,4 @@
-"""The cells over which a density is taken as constant, and what is summed up on them."""
+"""Sums a density over the cells in which it is taken as constant."""
 
 from __future__ import annotations
 

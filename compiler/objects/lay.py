@@ -1,4 +1,4 @@
-"""Laying a class of objects: from a plan to instances that stand on the ground."""
+"""Lays a class of objects: from a plan to instances that stand on the ground."""
 
 from __future__ import annotations
 

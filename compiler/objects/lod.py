@@ -1,4 +1,4 @@
-"""Levels of detail: each instance as coarse as no view can tell, and all within a budget."""
+"""Chooses levels of detail: each instance as coarse as no view can tell, all within a budget."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Instances on a surface that is a mesh: on floors under overhangs, too.
+"""Stands instances on a surface that is a mesh: on floors under overhangs, too.
 
 A place is a point of a face. What an instance lies on is the connected patch of surface around that
 point, so that a rock on a cave's floor knows nothing of the cave's roof.

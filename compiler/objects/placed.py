@@ -1,4 +1,4 @@
-"""Single objects at given poses: where each is at every sample."""
+"""Poses single objects at every sample."""
 
 from __future__ import annotations
 

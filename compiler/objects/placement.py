@@ -1,4 +1,4 @@
-"""Where instances lie on heights: places by density, and how they turn with the ground."""
+"""Places instances on heights by density, and turns them with the ground."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Candidate places: numbers in [0, 1) to points of the ground, by density.
+"""Samples candidate places by density from numbers in [0, 1), through prefix sums.
 
 The first candidate of an instance comes from what was drawn for it; the next ones from a hash of
 the class's key, the instance and the number of the try: no generator is needed after ``draw``.

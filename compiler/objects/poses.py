@@ -1,4 +1,4 @@
-"""Poses of single objects: at some times, and between them."""
+"""Interpolates poses of single objects."""
 
 from __future__ import annotations
 

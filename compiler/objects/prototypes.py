@@ -1,4 +1,4 @@
-"""Models from files as prototypes: vertices split along edges, parts with materials and labels."""
+"""Makes prototypes of models: vertices split along edges, parts with materials and labels."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Procedural rocks: meshes of drawn shapes, each in a chain of levels of detail."""
+"""Meshes procedural rocks, each in a chain of levels of detail."""
 
 from __future__ import annotations
 

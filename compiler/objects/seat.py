@@ -1,4 +1,4 @@
-"""Seating: how far an object is let down until it is in the ground as asked."""
+"""Seats objects: finds how far each is let down until it is in the ground as asked."""
 
 from __future__ import annotations
 

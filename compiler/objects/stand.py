@@ -1,4 +1,4 @@
-"""How instances stand at the places they were given, rounded as the stage will have them."""
+"""Stands instances at the places they were given, rounded as the stage will have them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What objects are placed among: the ground, the cameras, and the objects laid before them."""
+"""Gathers what objects are placed among: the ground, cameras, objects laid before them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where objects may lie: weights that their density is multiplied with.
+"""Weighs where objects may lie: factors that their density is multiplied with.
 
 The conditions are those of relief masks and of the ground's layers; two are of objects only.
 """

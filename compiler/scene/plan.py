@@ -23,7 +23,6 @@ from scenec.schemas.shutter import Shutter
 if TYPE_CHECKING:
     from scenec.compiler.cameras.paths.motion import Motion
     from scenec.compiler.cameras.tracks import TrackWay
-    from scenec.compiler.light.plan import LightPlan
     from scenec.compiler.mesh.merge import Merge
     from scenec.compiler.mesh.mesh import Meshing
     from scenec.compiler.objects.density import Density
@@ -31,6 +30,7 @@ if TYPE_CHECKING:
     from scenec.compiler.objects.poses import PlacedPlan
     from scenec.compiler.objects.prototypes import ModelPlan, PartRule
     from scenec.compiler.objects.where import Place
+    from scenec.compiler.scene.light_plan import LightPlan
     from scenec.compiler.terrain.detail import Detail
     from scenec.compiler.terrain.operator import ReliefOperator
 

@@ -1,4 +1,4 @@
-"""Conditions on a place: soft intervals of what its relief, a noise or a distance is there.
+"""Evaluates conditions on a place: soft intervals of what its relief, a noise or a distance is.
 
 One vocabulary for the masks of relief operators, where the weights of conditions multiply, and for
 the ground's layers, where a place has to hold them all (``ground.limit``).

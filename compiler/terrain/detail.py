@@ -1,4 +1,4 @@
-"""Relief finer than the grid: what an operator's samples leave out, at any point.
+"""Evaluates relief finer than the grid: what an operator's samples leave out, at any point.
 
 A grid holds no wavelength below two of its spacings. Operators that are functions of position know
 the rest of themselves; the mesh shows it where a camera is near enough. Detail outlives operators

@@ -1,4 +1,4 @@
-"""How much ground drains through each place of a relief."""
+"""Routes drained ground through each place of a relief."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How fresh the ground is that craters have left: bright blankets of the youngest of them.
+"""Measures how fresh the ground is that craters have left: bright blankets of the youngest.
 
 A crater's freshness is the part of its depth that wear has left, 1 when new. Its blanket covers the
 ground about it: wholly within the rim, and outside, at x radii from the center, by

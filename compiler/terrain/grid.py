@@ -1,4 +1,4 @@
-"""The grid that relief operators work on, and the surface it stands for."""
+"""Defines the grid that relief operators work on, and the surface it stands for."""
 
 from __future__ import annotations
 

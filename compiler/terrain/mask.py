@@ -1,4 +1,4 @@
-"""Masks: where on the relief an operator acts.
+"""Masks where on the relief an operator acts.
 
 A condition's weight is 1 within, 0 outside, and a smoothstep of the width ``softness`` about each
 bound; 1/2 at the bound. Conditions of one operator multiply.

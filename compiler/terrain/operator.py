@@ -1,4 +1,4 @@
-"""What a relief operator is, and how one is found by its name in a cfg."""
+"""Defines what a relief operator is, and finds it by its name in a cfg."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How far samples are from paths on the ground."""
+"""Measures how far samples are from paths on the ground."""
 
 from __future__ import annotations
 

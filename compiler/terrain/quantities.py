@@ -1,4 +1,4 @@
-"""What conditions on places ask of a relief: slope, curvature, drained area, distances.
+"""Computes what conditions ask of a relief: slope, curvature, drained area, distances.
 
 One object holds a grid and its heights; each quantity is computed once, however many ask for it.
 """

@@ -14,7 +14,6 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from scenec.schemas.kernels import inlined
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
@@ -22,6 +21,7 @@ from scenec.compiler.geometry.lenses import FUNCTIONS, sight_of
 from scenec.compiler.geometry.poses import camera_poses, composed
 from scenec.compiler.scene.rig import Lidar, Rig, Sensor
 from scenec.schemas.depth_camera import StereoDepth
+from scenec.schemas.kernels import inlined
 from scenec.schemas.shutter import turn_vectors
 
 #: Views of meshing reach this far beyond their picture's border, in parts of its size: what lies

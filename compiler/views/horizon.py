@@ -14,13 +14,13 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scenec.schemas.kernels import inlined, kernel
 from numpy.typing import NDArray
 
 from scenec.compiler.cache.memo import memoized
 from scenec.compiler.scene.scene import Tile
 from scenec.compiler.terrain.grid import HeightField
 from scenec.compiler.views.frustum import MOVING, Views
+from scenec.schemas.kernels import inlined, kernel
 from scenec.schemas.threads import over_threads
 
 #: Blocks of a height field have at least so many cells along a side, and those of a mesh are so

@@ -18,7 +18,6 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-from scenec.schemas.kernels import kernel
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
@@ -28,6 +27,7 @@ from scenec.compiler.views.frustum import Views
 from scenec.compiler.views.horizon import Relief, touched
 from scenec.compiler.views.lamps import in_cone
 from scenec.compiler.views.visible import SHOWN, visible
+from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import POINTS, over_threads
 
 #: Part of a hemisphere, weighted by the cosine, that an object must fill as seen from what is seen.

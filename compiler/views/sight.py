@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scenec.schemas.kernels import inlined, kernel
 from numpy.typing import NDArray
 
 from scenec.compiler.cache.memo import memoized
@@ -12,6 +11,7 @@ from scenec.compiler.terrain.grid import HeightField
 from scenec.compiler.views.frustum import Views as Views
 from scenec.compiler.views.frustum import in_view, views_at_samples
 from scenec.compiler.views.horizon import is_hidden, with_hidden_ground
+from scenec.schemas.kernels import inlined, kernel
 from scenec.schemas.threads import POINTS, over_threads
 
 #: No sample counts as nearer than this, meters, or than the grid's spacing where that is finer.

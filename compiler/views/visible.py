@@ -6,11 +6,11 @@ No object hides another.
 from __future__ import annotations
 
 import numpy as np
-from scenec.schemas.kernels import kernel
 from numpy.typing import NDArray
 
 from scenec.compiler.views.frustum import Views, in_view
 from scenec.compiler.views.horizon import is_hidden
+from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import POINTS, over_threads
 
 #: What views may show of a ball: nothing, nothing because of the ground, something.

@@ -130,7 +130,7 @@ class Base:
     @cached_property
     def objects(self) -> tuple[Scatter | Placed, ...]:
         """All objects where they stand, as the stage has them before anything is left out."""
-        return stand_objects(self.plan, self.surface, self.rigs, self.looks, BuildLog())
+        return stand_objects(self.plan, self.surface, self.rigs, self.looks, BuildLog()).objects
 
     @cached_property
     def finest_objects(self) -> tuple[Scatter | Placed, ...]:
@@ -140,4 +140,4 @@ class Base:
             for one in self.plan.objects
         )
         plan = replace(self.plan, objects=finest, object_triangles=None)
-        return stand_objects(plan, self.surface, self.rigs, self.looks, BuildLog())
+        return stand_objects(plan, self.surface, self.rigs, self.looks, BuildLog()).objects

@@ -115,7 +115,7 @@ def stand(content: dict[str, Any], folder: Path | None = None, seed: int = 4) ->
         surface = build_surface(plan, log)
         rigs = build_rigs(plan.rigs, surface, None)
         start = time.perf_counter()
-        objects = stand_objects(plan, surface, rigs, None, log)
+        objects = stand_objects(plan, surface, rigs, None, log).objects
         seconds += time.perf_counter() - start
     return Stood(objects, log.facts["objects"], seconds, surface, plan, rigs)
 

@@ -98,8 +98,7 @@ def test_the_precision_reported_is_that_of_the_positions(tmp_path):
     assert intrinsics / 8 < precision["pixels_per_m_max"] < intrinsics / 1.5 * 1.2
     # Without cameras there are no pixels.
     bounds = np.array([[0.0, 0.0, 0.0], [20.0, 16.0, 40.0]])
-    facts = {"ground": {"float32_error_max_m": 1e-7}}
-    unseen = find_precision(bounds, facts, None)
+    unseen = find_precision(bounds, [1e-7], None)
     assert (unseen["extent_m"], unseen["float32_error_max_m"]) == (40.0, 1e-7)
     assert unseen["promised_px"] is unseen["float32_error_max_px"] is None
 

@@ -17,9 +17,9 @@ from scenec.compiler.light.build import Light
 from scenec.compiler.light.dark import without_dark
 from scenec.compiler.light.earthshine import earthshine_irradiance
 from scenec.compiler.light.lamps import build_lamps, lamp_irradiance, meter_lamps
-from scenec.compiler.light.plan import LampPlan, WorldMount
 from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.scene.exposure import incident_exposure
+from scenec.compiler.scene.light_plan import LampPlan, WorldMount
 from scenec.compiler.scene.plan import RandomTargetPlan, RigPlan, SensorPlan
 from scenec.compiler.scene.rig import Rig, Sensor
 from scenec.compiler.scene.scene import Lamp, SkyLight, SunLight

@@ -12,9 +12,9 @@ from scenec.compiler.geometry.poses import compose, from_euler, from_quaternion,
 from scenec.compiler.light import sky as skies
 from scenec.compiler.light.clear_sky import clear_sky
 from scenec.compiler.light.latlong import directions, horizontal_irradiance, luminance
-from scenec.compiler.light.plan import ClearSkyPlan
 from scenec.compiler.light.sky import build_sky
 from scenec.compiler.scene.exposure import incident_exposure
+from scenec.compiler.scene.light_plan import ClearSkyPlan
 from scenec.compiler.scene.scene import SunLight
 
 COLORS = tuple(

@@ -1,4 +1,4 @@
-"""Angular rocks: fractured along planes, their corners chipped."""
+"""Shapes angular rocks: fractured along planes, their corners chipped."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Rounded rocks: cobbles of rivers, beaches, old ejecta."""
+"""Shapes rounded rocks: cobbles of rivers, beaches, old ejecta."""
 
 from __future__ import annotations
 

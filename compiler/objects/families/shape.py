@@ -1,4 +1,4 @@
-"""What a family of rocks answers, and what the families share."""
+"""Defines what a family of rocks answers, and shares what they have in common."""
 
 from __future__ import annotations
 

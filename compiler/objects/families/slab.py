@@ -1,4 +1,4 @@
-"""Slabs: plates of layered bedrock, prismatic in plan, their sides stepped."""
+"""Shapes slabs: plates of layered bedrock, prismatic in plan, their sides stepped."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Vesicular rocks: basalt that bubbled, broken open and worn a little."""
+"""Shapes vesicular rocks: basalt that bubbled, broken open and worn a little."""
 
 from __future__ import annotations
 

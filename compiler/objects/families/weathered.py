@@ -1,4 +1,4 @@
-"""Weathered rocks: faceted, worn blocks out of a sphere."""
+"""Shapes weathered rocks: faceted, worn blocks out of a sphere."""
 
 from __future__ import annotations
 

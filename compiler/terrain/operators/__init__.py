@@ -1,1 +1,1 @@
-"""Relief operators: each a frozen dataclass of plain numbers with a method ``apply``."""
+"""Shapes relief: each operator a frozen dataclass of plain numbers with a method ``apply``."""

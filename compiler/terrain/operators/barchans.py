@@ -1,4 +1,4 @@
-"""Barchans: single crescent dunes whose horns point downwind."""
+"""Heaps barchans: single crescent dunes whose horns point downwind."""
 
 from __future__ import annotations
 

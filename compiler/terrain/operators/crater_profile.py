@@ -1,4 +1,4 @@
-"""The radial shape of simple craters, fresh and worn.
+"""Models the radial shape of simple craters, fresh and worn.
 
 Lengths are in crater radii, x = r / R. A fresh crater is rim * A(x) - depth * B(x):
 

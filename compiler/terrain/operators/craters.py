@@ -1,4 +1,4 @@
-"""Impact craters, laid over each other in the order of their ages."""
+"""Lays impact craters over each other in the order of their ages."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where water runs on a height field, through depressions as well.
+"""Drains a height field, through depressions as well.
 
 From the outlets inward, the lowest sample next to what is known is taken next (Priority-Flood,
 Barnes et al. 2014, with heights as they are: Metz et al. 2011). It drains down its steepest descent

@@ -1,4 +1,4 @@
-"""Bedforms of the wind: transverse dunes and ripples."""
+"""Shapes bedforms of the wind: transverse dunes and ripples."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The error of what steps or iterates, estimated from half as many steps."""
+"""Estimates the error of what steps or iterates from half as many steps."""
 
 from __future__ import annotations
 

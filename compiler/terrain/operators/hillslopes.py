@@ -1,4 +1,4 @@
-"""Diffusion between sides whose heights stay: hillslopes above rivers.
+"""Diffuses between sides whose heights stay: hillslopes above rivers.
 
 dh/dt = kappa * laplacian(h), insulated at some sides of the field and with fixed heights along the
 samples of the others. The semi-discrete problem (5-point Laplacian) is solved exactly, for any

@@ -1,4 +1,4 @@
-"""Fractal relief on Perlin noise: fBm, Musgrave's multifractals, billow, and their domain warps."""
+"""Sums Perlin noise to fractal relief: fBm, Musgrave's multifractals, billow, domain warps."""
 
 from __future__ import annotations
 

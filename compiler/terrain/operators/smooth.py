@@ -1,4 +1,4 @@
-"""Smoothing by linear diffusion, unconditionally stable."""
+"""Smooths by linear diffusion, unconditionally stable."""
 
 from __future__ import annotations
 

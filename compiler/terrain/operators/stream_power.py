@@ -1,4 +1,4 @@
-"""Hydraulic erosion: rivers that cut into the relief."""
+"""Erodes by water: rivers that cut into the relief."""
 
 from __future__ import annotations
 

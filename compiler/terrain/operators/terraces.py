@@ -1,4 +1,4 @@
-"""Terraces: slopes cut into steps, as layered rock weathers."""
+"""Cuts slopes into steps, as layered rock weathers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Thermal erosion: slopes that are too steep slide to the angle of repose."""
+"""Lets slopes that are too steep slide to the angle of repose."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Rover tracks: two ruts along a given path."""
+"""Presses rover tracks: two ruts along a given path."""
 
 from __future__ import annotations
 

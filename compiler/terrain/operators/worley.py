@@ -1,4 +1,4 @@
-"""Cellular relief: bumps, pits and polygons."""
+"""Shapes cellular relief: bumps, pits and polygons."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Where a relief begins: planes, measured height fields, meshes."""
+"""Begins a relief: planes, measured height fields, meshes."""

@@ -1,4 +1,4 @@
-"""A measured height field as base."""
+"""Begins with a measured height field."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Filling holes in height fields: a membrane stretched over them."""
+"""Fills holes in height fields: a membrane stretched over them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A mesh from a file as base: what it is from above, or the mesh itself with its overhangs."""
+"""Begins with a mesh from a file: as it is from above, or itself with its overhangs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Triangle meshes seen from above: what lies over a point of the plan, and how high.
+"""Looks at triangle meshes from above: what lies over a point of the plan, and how high.
 
 Neighboring faces see the same sign of a point against their common edge, so that no point falls
 between them; a point on an edge lies in both.

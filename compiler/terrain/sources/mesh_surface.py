@@ -1,4 +1,4 @@
-"""A surface that is a mesh: walls, overhangs and caves, which heights over a plan cannot hold."""
+"""Defines a surface that is a mesh: walls, overhangs and caves, which heights cannot hold."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A plane: the simplest base."""
+"""Begins with a plane."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What was drawn for a batch's light: the part of the Plan that this room reads."""
+"""Defines what was drawn for a batch's light: a part of the Plan."""
 
 from __future__ import annotations
 
