@@ -102,7 +102,7 @@ def _fill(
 
 
 @inlined
-def _whole(x: float) -> np.uint64:
+def whole(x: float) -> np.uint64:
     """A whole number below 2**51, modulo 2**64: a conversion that has lanes on every CPU."""
     return np.uint64(bits_of(x + _SHIFT)) - _BITS
 
@@ -111,8 +111,8 @@ def _whole(x: float) -> np.uint64:
 def _hash(key: np.uint64, u: NDArray, v: NDArray, corners: NDArray) -> None:
     """Directions at the corners of points' cells, by hashing."""
     for k in range(u.size):
-        i = _whole(np.floor(u[k]))
-        j = _whole(np.floor(v[k]))
+        i = whole(np.floor(u[k]))
+        j = whole(np.floor(v[k]))
         west = mix(key ^ i)
         east = mix(key ^ (i + _ONE))
         corners[0, k] = mix(west ^ j) & DIRECTION_MASK
@@ -130,7 +130,7 @@ def _look_up(
     j0 = first[1]
     north = np.uint64(width)
     for k in range(u.size):
-        at = _whole((np.floor(v[k]) - j0) * width + (np.floor(u[k]) - i0))
+        at = whole((np.floor(v[k]) - j0) * width + (np.floor(u[k]) - i0))
         corners[0, k] = table[at]
         corners[1, k] = table[at + _ONE]
         corners[2, k] = table[at + north]
