@@ -9,7 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.arithmetic.elementary import PI, exp, horner, log
+from scenec.compiler.arithmetic.elementary import PI, exp, log
+from scenec.schemas.intrinsics import horner
 from scenec.schemas.kernels import kernel
 
 #: Truncation farther out than this many standard deviations underflows.

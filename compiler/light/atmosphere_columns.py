@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
+from scenec.schemas.intrinsics import horner
 from scenec.schemas.kernels import kernel
 
 # (1 + 2a) exp(a^2) erfc(a) as a polynomial of t = (a - 3.75) / (a + 3.75), after Shepherd and
@@ -46,8 +47,8 @@ def chapman(x: float, cosine: float) -> float:
     root = np.sqrt(0.5 * x)
     a = cosine * root
     t = (a - 3.75) / (a + 3.75)
-    scaled = elementary.horner(_ERFCX, t) / (1.0 + 2.0 * a)
-    first = elementary.horner(_CURVED, t)
+    scaled = horner(_ERFCX, t) / (1.0 + 2.0 * a)
+    first = horner(_CURVED, t)
     return _SQRT_HALF_PI * 1.4142135623730951 * root * scaled * (1.0 + first / x)
 
 

@@ -14,14 +14,14 @@ from numpy.typing import NDArray
 
 from scenec.compiler.noise.lattice import hash2, mix
 from scenec.compiler.noise.perlin import DIRECTION_MASK, perlin2_of_directions
+from scenec.schemas.intrinsics import bits_of
 from scenec.schemas.kernels import inlined, kernel
 
 #: Points of a block.
 BLOCK = 256
-# Added to a whole number below 2**51, this leaves the number in the low bits of the float64: a
-# conversion that has lanes on every CPU.
-_TO_BITS = 1.5 * 2.0**52
-_BITS = np.float64(_TO_BITS).view(np.uint64)
+# Added to a whole number below 2**51, this leaves the number in the lowest bits.
+_SHIFT = 1.5 * 2.0**52
+_BITS = np.float64(_SHIFT).view(np.uint64)
 _ONE = np.uint64(1)
 
 
@@ -102,15 +102,17 @@ def _fill(
 
 
 @inlined
-def _hash(key: np.uint64, u: NDArray, v: NDArray, place: NDArray, corners: NDArray) -> None:
+def whole(x: float) -> np.uint64:
+    """A whole number below 2**51, modulo 2**64: a conversion that has lanes on every CPU."""
+    return np.uint64(bits_of(x + _SHIFT)) - _BITS
+
+
+@inlined
+def _hash(key: np.uint64, u: NDArray, v: NDArray, corners: NDArray) -> None:
     """Directions at the corners of points' cells, by hashing."""
     for k in range(u.size):
-        place[0, k] = np.floor(u[k]) + _TO_BITS
-        place[1, k] = np.floor(v[k]) + _TO_BITS
-    whole = place.view(np.uint64)
-    for k in range(u.size):
-        i = whole[0, k] - _BITS
-        j = whole[1, k] - _BITS
+        i = whole(np.floor(u[k]))
+        j = whole(np.floor(v[k]))
         west = mix(key ^ i)
         east = mix(key ^ (i + _ONE))
         corners[0, k] = mix(west ^ j) & DIRECTION_MASK
@@ -121,23 +123,14 @@ def _hash(key: np.uint64, u: NDArray, v: NDArray, place: NDArray, corners: NDArr
 
 @inlined
 def _look_up(
-    table: NDArray,
-    first: NDArray,
-    width: int,
-    u: NDArray,
-    v: NDArray,
-    place: NDArray,
-    corners: NDArray,
+    table: NDArray, first: NDArray, width: int, u: NDArray, v: NDArray, corners: NDArray
 ) -> None:
     """Directions at the corners of points' cells, from a table."""
     i0 = first[0]
     j0 = first[1]
-    for k in range(u.size):
-        place[0, k] = (np.floor(v[k]) - j0) * width + (np.floor(u[k]) - i0) + _TO_BITS
-    whole = place.view(np.uint64)
     north = np.uint64(width)
     for k in range(u.size):
-        at = whole[0, k] - _BITS
+        at = whole((np.floor(v[k]) - j0) * width + (np.floor(u[k]) - i0))
         corners[0, k] = table[at]
         corners[1, k] = table[at + _ONE]
         corners[2, k] = table[at + north]
@@ -155,7 +148,6 @@ def octave_at(octaves: Octaves, octave: int, u: NDArray, v: NDArray, out: NDArra
             nothing between lattice points: the noise is 0.
         out: Where values go, float64 [n].
     """
-    place = np.empty((2, BLOCK))
     corners = np.empty((4, BLOCK), np.uint64)
     start = octaves.start[octave]
     table = octaves.directions[max(start, 0) :]
@@ -163,9 +155,9 @@ def octave_at(octaves: Octaves, octave: int, u: NDArray, v: NDArray, out: NDArra
         a = u[at : at + BLOCK]
         b = v[at : at + BLOCK]
         if start < 0:
-            _hash(octaves.keys[octave], a, b, place, corners)
+            _hash(octaves.keys[octave], a, b, corners)
         else:
-            _look_up(table, octaves.first[octave], octaves.width[octave], a, b, place, corners)
+            _look_up(table, octaves.first[octave], octaves.width[octave], a, b, corners)
         values = out[at : at + BLOCK]
         for k in range(a.size):
             values[k] = perlin2_of_directions(

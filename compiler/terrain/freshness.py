@@ -21,7 +21,14 @@ from numpy.typing import NDArray
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.terrain.grid import Grid
 from scenec.compiler.terrain.operators.crater_profile import REACH, profile_table
-from scenec.compiler.terrain.operators.craters import Craters, shown_on, span, uneven_distance
+from scenec.compiler.terrain.operators.craters import (
+    Bowls,
+    Craters,
+    outline_directions,
+    shown_on,
+    uneven_distances,
+    window,
+)
 from scenec.schemas.kernels import kernel
 
 # ln 2 * 2.3^3: half is covered at 2.3 radii.
@@ -44,19 +51,13 @@ def crater_freshness(
         shown = shown_on(craters, grid)
         if not shown.any():
             continue
-        state = craters.state[shown]
-        table = profile_table(float(state.max()))
+        table = profile_table(float(craters.state[shown].max()))
         _cover(
             fresh,
             np.ones((1, 1)) if mask is None else mask,
             grid.x(),
             grid.y(),
-            craters.x_m[shown],
-            craters.y_m[shown],
-            0.5 * craters.diameter_m[shown],
-            state,
-            craters.outline[shown],
-            craters.irregularity,
+            craters.bowls(shown),
             table.states,
             table.depth[:, 0] / table.depth[0, 0],
         )
@@ -81,12 +82,7 @@ def _cover(
     mask: NDArray,
     x: NDArray,
     y: NDArray,
-    center_x: NDArray,
-    center_y: NDArray,
-    radius: NDArray,
-    state: NDArray,
-    outline: NDArray,
-    irregularity: float,
+    bowls: Bowls,
     states: NDArray,
     left_table: NDArray,
 ) -> None:
@@ -96,21 +92,22 @@ def _cover(
     for k in range(covers.size):
         covers[k] = cover(REACH * k / steps)
     masked = mask.size > 1
-    for n in range(radius.size):
-        r = radius[n]
-        reach = REACH * r * (1.0 + irregularity)
-        i0, i1 = span(x, center_x[n], reach)
-        j0, j1 = span(y, center_y[n], reach)
+    line = np.empty(x.size)
+    for n in range(bowls.radius.size):
+        i0, i1, j0, j1 = window(bowls, n, x, y)
+        if i0 >= i1 or j0 >= j1:
+            continue
+        state = bowls.state[n]
         row = 1
-        while row < states.size - 1 and states[row] < state[n]:
+        while row < states.size - 1 and states[row] < state:
             row += 1
-        t = min(max((state[n] - states[row - 1]) / (states[row] - states[row - 1]), 0.0), 1.0)
+        t = min(max((state - states[row - 1]) / (states[row] - states[row - 1]), 0.0), 1.0)
         left = left_table[row - 1] + t * (left_table[row] - left_table[row - 1])
+        directions = outline_directions(bowls.outline[n])
         for j in range(j0, j1):
-            dy = (y[j] - center_y[n]) / r
+            uneven_distances(bowls, n, directions, x[i0:i1], y[j], line)
             for i in range(i0, i1):
-                dx = (x[i] - center_x[n]) / r
-                away = uneven_distance(dx, dy, outline[n], irregularity, state[n])
+                away = line[i - i0]
                 if away >= REACH:
                     continue
                 at = away * (steps / REACH)

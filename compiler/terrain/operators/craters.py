@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.noise.perlin import perlin2
+from scenec.compiler.noise.lattice import hash2
+from scenec.compiler.noise.octaves import whole
+from scenec.compiler.noise.perlin import DIRECTION_MASK, perlin2_of_directions
 from scenec.compiler.terrain.grid import Grid
 from scenec.compiler.terrain.operators.crater_profile import (
     REACH,
@@ -24,8 +26,10 @@ _FINEST = 3.0
 # Within the first radius the old surface is gone, beyond the second it is as it was.
 _BURIED = 0.8
 _UNTOUCHED = 1.5
-# Lattice units of the circle on which the outline's noise is read: about nine lobes.
+# Lattice units of the circle on which the outline's noise is read: about nine lobes. The cells that
+# it passes through have the points from -2 to 2 in both axes.
 _OUTLINE = 1.5
+_FIRST, _WIDTH = -2, 5
 # Samples that all craters together may reach: some minutes' work.
 _MOST_SAMPLES = 1e10
 
@@ -78,17 +82,10 @@ class Craters:
                 out,
                 grid.x(),
                 grid.y(),
-                self.x_m[shown],
-                self.y_m[shown],
-                0.5 * self.diameter_m[shown],
+                self.bowls(shown),
                 self.depth_ratio[shown],
                 self.rim_ratio[shown],
-                self.state[shown],
-                self.outline[shown],
-                self.irregularity,
-                table.states,
-                table.rim,
-                table.depth,
+                (table.states, table.rim, table.depth),
             )
         change = out - height
         dx, dy = grid.spacing_m
@@ -100,6 +97,35 @@ class Craters:
             "volume_change_m3": float(change.sum() * dx * dy),
             "change_max_m": float(np.abs(change).max()),
         }
+
+    def bowls(self, which: NDArray[np.bool_]) -> Bowls:
+        """Where some of them lie."""
+        return Bowls(
+            self.x_m[which],
+            self.y_m[which],
+            0.5 * self.diameter_m[which],
+            self.state[which],
+            self.outline[which],
+            self.irregularity,
+        )
+
+
+class Bowls(NamedTuple):
+    """Where craters lie.
+
+    Attributes:
+        x, y, radius: Meters, float64 [n].
+        state: Wear, float64 [n].
+        outline: Noise key of each outline, uint64 [n].
+        irregularity: How far outlines are from circles when fresh.
+    """
+
+    x: NDArray[np.float64]
+    y: NDArray[np.float64]
+    radius: NDArray[np.float64]
+    state: NDArray[np.float64]
+    outline: NDArray[np.uint64]
+    irregularity: float
 
 
 def _require_doable(diameter_m: NDArray[np.float64], grid: Grid) -> None:
@@ -120,26 +146,69 @@ def shown_on(craters: Craters, grid: Grid) -> NDArray[np.bool_]:
 
 
 @kernel
-def uneven_distance(
-    dx: float, dy: float, outline: np.uint64, irregularity: float, state: float
-) -> float:
-    """Distance from a crater's center at (dx, dy), in its radii: 1 on its outline.
+def window(bowls: Bowls, n: int, x: NDArray, y: NDArray) -> tuple[int, int, int, int]:
+    """Columns [i0, i1) and rows [j0, j1) of the samples that a crater can reach."""
+    # An outline reaches out by its irregularity.
+    reach = REACH * bowls.radius[n] * (1.0 + bowls.irregularity)
+    return (*span(x, bowls.x[n], reach), *span(y, bowls.y[n], reach))
+
+
+@kernel
+def outline_directions(key: np.uint64) -> NDArray:
+    """Gradient directions of the lattice points that an outline's noise is made of: uint64 [25]."""
+    out = np.empty(_WIDTH * _WIDTH, np.uint64)
+    for j in range(_WIDTH):
+        for i in range(_WIDTH):
+            out[j * _WIDTH + i] = hash2(key, i + _FIRST, j + _FIRST) & DIRECTION_MASK
+    return out
+
+
+@kernel
+def uneven_distances(
+    bowls: Bowls, n: int, directions: NDArray, x: NDArray, y: float, out: NDArray
+) -> None:
+    """Distances of a row's samples from a crater's center, in its radii: 1 on its outline.
 
     Args:
-        dx, dy: From the center, in mean radii.
-        outline: Noise key.
-        irregularity: How far the outline is from a circle when fresh.
-        state: Wear.
+        bowls: Of which.
+        n: Its number.
+        directions: ``outline_directions`` of its key.
+        x: Columns of the samples, meters, float64 [k].
+        y: Their row.
+        out: Where distances go, float64 [k].
     """
-    away = np.sqrt(dx * dx + dy * dy)
+    radius = bowls.radius[n]
+    center = bowls.x[n]
+    dy = (y - bowls.y[n]) / radius
     # Wear rounds outlines off.
-    uneven = irregularity / (1.0 + 8.0 * state)
-    if uneven > 0.0 and away > 0.0:
-        lobe = perlin2(outline, _OUTLINE * dx / away, _OUTLINE * dy / away)
+    uneven = bowls.irregularity / (1.0 + 8.0 * bowls.state[n])
+    for k in range(x.size):
+        dx = (x[k] - center) / radius
+        out[k] = np.sqrt(dx * dx + dy * dy)
+    if not uneven > 0.0:
+        return
+    first = np.float64(_FIRST)
+    north = np.uint64(_WIDTH)
+    for k in range(x.size):
+        dx = (x[k] - center) / radius
+        away = out[k]
+        there = away if away > 0.0 else 1.0
+        u = _OUTLINE * dx / there
+        v = _OUTLINE * dy / there
+        fu = np.floor(u)
+        fv = np.floor(v)
+        at = whole((fv - first) * _WIDTH + (fu - first))
+        lobe = perlin2_of_directions(
+            directions[at],
+            directions[at + np.uint64(1)],
+            directions[at + north],
+            directions[at + north + np.uint64(1)],
+            u - fu,
+            v - fv,
+        )
         # A floor has no outline: its middle stays smooth.
         lobe *= away * away / (away * away + 0.5)
-        away /= 1.0 + uneven * lobe
-    return away
+        out[k] = away / (1.0 + uneven * lobe)
 
 
 @kernel
@@ -147,46 +216,34 @@ def _excavate(
     height: NDArray,
     x: NDArray,
     y: NDArray,
-    center_x: NDArray,
-    center_y: NDArray,
-    radius: NDArray,
+    bowls: Bowls,
     depth_ratio: NDArray,
     rim_ratio: NDArray,
-    state: NDArray,
-    outline: NDArray,
-    irregularity: float,
-    states: NDArray,
-    rim_table: NDArray,
-    depth_table: NDArray,
+    profiles: tuple[NDArray, NDArray, NDArray],
 ) -> int:
     """Lays craters over heights, in place; returns how many samples were touched."""
     touched = 0
-    for n in range(radius.size):
-        r = radius[n]
-        # An outline reaches out by its irregularity.
-        reach = REACH * r * (1.0 + irregularity)
-        i0, i1 = span(x, center_x[n], reach)
-        j0, j1 = span(y, center_y[n], reach)
+    row = np.empty(x.size)
+    for n in range(bowls.radius.size):
+        r = bowls.radius[n]
+        i0, i1, j0, j1 = window(bowls, n, x, y)
         if i0 >= i1 or j0 >= j1:
             continue
-        level, slope_x, slope_y = _plane(height, x, y, center_x[n], center_y[n], r)
+        level, slope_x, slope_y = _plane(height, x, y, bowls.x[n], bowls.y[n], r)
         profile, left = blend_row(
-            states,
-            rim_table,
-            depth_table,
-            state[n],
-            2.0 * r * rim_ratio[n],
-            2.0 * r * depth_ratio[n],
+            *profiles, bowls.state[n], 2.0 * r * rim_ratio[n], 2.0 * r * depth_ratio[n]
         )
+        directions = outline_directions(bowls.outline[n])
         for j in range(j0, j1):
-            dy = (y[j] - center_y[n]) / r
+            uneven_distances(bowls, n, directions, x[i0:i1], y[j], row)
             for i in range(i0, i1):
-                dx = (x[i] - center_x[n]) / r
-                away = uneven_distance(dx, dy, outline[n], irregularity, state[n])
+                away = row[i - i0]
                 if away >= REACH:
                     continue
                 touched += 1
                 if away < _UNTOUCHED and level == level:
+                    dx = (x[i] - bowls.x[n]) / r
+                    dy = (y[j] - bowls.y[n]) / r
                     t = min(max((_UNTOUCHED - away) / (_UNTOUCHED - _BURIED), 0.0), 1.0)
                     plane = level + r * (slope_x * dx + slope_y * dy)
                     height[j, i] += left * t * t * (3.0 - 2.0 * t) * (plane - height[j, i])
