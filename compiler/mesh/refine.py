@@ -215,8 +215,9 @@ def _halved(work: _Work, halved: Halved, surface: Surface) -> _Work:
     old = halved.edge_origin[: len(work.middles) - len(halved.middle_of)]
     middles = np.full(len(halved.edge_origin), np.nan)
     middle_sides = np.empty((len(middles), sides.shape[1]))
-    np.take(work.middles, old, out=middles[: len(old)])
-    np.take(work.middle_sides, old, axis=0, out=middle_sides[: len(old)])
+    # The default mode would write to a buffer first.
+    np.take(work.middles, old, out=middles[: len(old)], mode="clip")
+    np.take(work.middle_sides, old, axis=0, out=middle_sides[: len(old)], mode="clip")
     return _Work(
         halved.mesh,
         points,
