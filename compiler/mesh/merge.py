@@ -20,13 +20,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
+from scenec.compiler.arithmetic.ranks import ranked
 from scenec.compiler.mesh.limit import Limit
 from scenec.compiler.noise.fractal import fbm2_points
 from scenec.compiler.terrain.condition import Interval
 from scenec.compiler.terrain.quantities import Samples
-
-# Into which values are sorted roughly.
-_BINS = 4096
 
 
 @dataclass(frozen=True)
@@ -137,23 +135,8 @@ def center_for_coverage(noise: NDArray[np.float64], coverage: float) -> float:
         return float(noise.max()) + 10.0
     if rank == 0:
         return float(noise.min()) - 10.0
-    below, above = _ranked(noise, rank)
+    below, above = ranked(noise, (rank - 1, rank))
     return 0.5 * (below + above)
-
-
-def _ranked(values: NDArray[np.float64], rank: int) -> tuple[float, float]:
-    """The values at ``rank`` - 1 and at ``rank``, from the smallest on, 0 < rank < n."""
-    low = values.min()
-    width = values.max() - low
-    if width == 0.0:
-        return float(low), float(low)
-    # Bins rise with the values, whatever is rounded: only those at the ranks are sorted.
-    bins = ((values - low) / width * _BINS).astype(np.int64)
-    ends = np.cumsum(np.bincount(bins))
-    first, last = np.searchsorted(ends, [rank - 1, rank], side="right")
-    among = np.sort(values[(bins >= first) & (bins <= last)], kind="stable")
-    at = rank - (ends[first - 1] if first > 0 else 0)
-    return float(among[at - 1]), float(among[at])
 
 
 def label_index(sides: list[NDArray[np.float64]]) -> NDArray[np.int32]:

@@ -223,11 +223,13 @@ def _add(
     elif form.variant == _RIDGED:
         for k in range(value.size):
             ridge = offset - abs(noise[k])
-            signal[k] = ridge * ridge * min(max(2.0 * signal[k], 0.0), 1.0)
+            gate = 2.0 * signal[k]
+            signal[k] = ridge * ridge * (gate if gate < 1.0 else 1.0)
             value[k] += weight * signal[k]
     elif form.variant == _HYBRID:
         for k in range(value.size):
-            signal[k] = min(signal[k], 1.0) * (weight * (noise[k] + offset))
+            gate = signal[k] if signal[k] < 1.0 else 1.0
+            signal[k] = gate * (weight * (noise[k] + offset))
             value[k] += signal[k]
     else:
         for k in range(value.size):

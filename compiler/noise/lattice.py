@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.schemas.intrinsics import bits_of
 from scenec.schemas.kernels import inlined, kernel
 
 _C1 = np.uint64(0x9E3779B97F4A7C15)
@@ -13,6 +14,16 @@ _C3 = np.uint64(0x94D049BB133111EB)
 _S27 = np.uint64(27)
 _S30 = np.uint64(30)
 _S31 = np.uint64(31)
+
+# Added to a whole number below 2**51, this leaves the number in the lowest bits.
+_SHIFT = 1.5 * 2.0**52
+_BITS = np.float64(_SHIFT).view(np.uint64)
+
+
+@inlined
+def whole(x: float) -> np.uint64:
+    """A whole number below 2**51, modulo 2**64: a conversion that has lanes on every CPU."""
+    return np.uint64(bits_of(x + _SHIFT)) - _BITS
 
 
 @inlined

@@ -12,16 +12,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.noise.lattice import hash2, mix
+from scenec.compiler.noise.lattice import hash2, mix, whole
 from scenec.compiler.noise.perlin import DIRECTION_MASK, perlin2_of_directions
-from scenec.schemas.intrinsics import bits_of
 from scenec.schemas.kernels import inlined, kernel
 
 #: Points of a block.
 BLOCK = 256
-# Added to a whole number below 2**51, this leaves the number in the lowest bits.
-_SHIFT = 1.5 * 2.0**52
-_BITS = np.float64(_SHIFT).view(np.uint64)
 _ONE = np.uint64(1)
 
 
@@ -99,12 +95,6 @@ def _fill(
             row = directions[start[octave] + j * width : start[octave] + (j + 1) * width]
             for i in range(width):
                 row[i] = np.uint8(hash2(keys[octave], i0 + i, j0 + j) & DIRECTION_MASK)
-
-
-@inlined
-def whole(x: float) -> np.uint64:
-    """A whole number below 2**51, modulo 2**64: a conversion that has lanes on every CPU."""
-    return np.uint64(bits_of(x + _SHIFT)) - _BITS
 
 
 @inlined

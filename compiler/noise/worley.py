@@ -7,22 +7,37 @@ number of threads.
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
-from scenec.compiler.noise.lattice import hash2
+from scenec.compiler.noise.lattice import hash2, mix, whole
+from scenec.schemas.intrinsics import float_of
 from scenec.schemas.kernels import inlined, kernel
 
 _HALF = np.uint64(32)
 _LOW = np.uint64(0xFFFFFFFF)
 _TO_UNIT = 2.0**-32
+# The bits of 2**52, whose lowest ones a number of 32 bits can take.
+_AS_FLOAT = np.uint64(0x4330000000000000)
 
 
 @inlined
 def feature_point(key: np.uint64, i: int, j: int, jitter: float) -> tuple[float, float]:
     """The point of cell (i, j): in its middle without jitter, anywhere in it at jitter 1."""
-    bits = hash2(key, i, j)
-    x = (np.float64(bits >> _HALF) + 0.5) * _TO_UNIT
-    y = (np.float64(bits & _LOW) + 0.5) * _TO_UNIT
+    return _within(hash2(key, i, j), i, j, jitter)
+
+
+@inlined
+def _within(bits: np.uint64, i: float, j: float, jitter: float) -> tuple[float, float]:
+    """The point of cell (i, j) that the cell's hash makes."""
+    x = (_unsigned(bits >> _HALF) + 0.5) * _TO_UNIT
+    y = (_unsigned(bits & _LOW) + 0.5) * _TO_UNIT
     return i + 0.5 + jitter * (x - 0.5), j + 0.5 + jitter * (y - 0.5)
+
+
+@inlined
+def _unsigned(x: np.uint64) -> float:
+    """A number of 32 bits: a conversion that has lanes on every CPU."""
+    return float_of(np.int64(x | _AS_FLOAT)) - 2.0**52
 
 
 @kernel
@@ -53,3 +68,46 @@ def worley2(key: np.uint64, x: float, y: float, jitter: float) -> tuple[float, f
         if second <= (inside + ring) * (inside + ring):
             break
     return np.sqrt(first), np.sqrt(second)
+
+
+@kernel
+def worley2_points(
+    key: np.uint64, u: NDArray, v: NDArray, jitter: float, first: NDArray, second: NDArray
+) -> None:
+    """``worley2`` at points.
+
+    Args:
+        key: Noise key.
+        u, v: Positions, in cells, float64 [n], below 2**51.
+        jitter: How far feature points are from a square lattice.
+        first, second: Where distances go, float64 [n].
+    """
+    for k in range(u.size):
+        x = u[k]
+        y = v[k]
+        fi = np.floor(x)
+        fj = np.floor(y)
+        i = whole(fi)
+        j = whole(fj)
+        least = np.inf
+        next_least = np.inf
+        for a in range(-1, 2):
+            column = mix(key ^ (i + np.uint64(a)))
+            for b in range(-1, 2):
+                px, py = _within(mix(column ^ (j + np.uint64(b))), fi + a, fj + b, jitter)
+                square = (px - x) * (px - x) + (py - y) * (py - y)
+                farther = least if square < least else square
+                next_least = farther if farther < next_least else next_least
+                least = square if square < least else least
+        first[k] = least
+        second[k] = next_least
+    for k in range(u.size):
+        fi = np.floor(u[k])
+        fj = np.floor(v[k])
+        inside = min(min(u[k] - fi, fi + 1.0 - u[k]), min(v[k] - fj, fj + 1.0 - v[k]))
+        # A nearer one may lie beyond the 3 x 3 cells, seldom.
+        if second[k] <= (inside + 1.0) * (inside + 1.0):
+            first[k] = np.sqrt(first[k])
+            second[k] = np.sqrt(second[k])
+        else:
+            first[k], second[k] = worley2(key, u[k], v[k], jitter)

@@ -14,7 +14,8 @@ from scenec.compiler.arithmetic import elementary
 from scenec.compiler.assets.pictures import read_gray
 from scenec.compiler.assets.polyline import read_polyline
 from scenec.compiler.noise.fractal import fbm2_points
-from scenec.compiler.noise.worley import worley2
+from scenec.compiler.noise.octaves import BLOCK
+from scenec.compiler.noise.worley import worley2_points
 from scenec.compiler.objects.lattice import Lattice, splat, table
 from scenec.compiler.objects.surroundings import Surroundings
 from scenec.compiler.terrain.condition import Condition, product
@@ -106,14 +107,15 @@ class WorleyDensity(Everywhere):
 
     def at(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
         """Relative density at points, float64 [n]."""
-        return _worley(
-            np.uint64(self.key),
-            x / self.scale_m,
-            y / self.scale_m,
-            self.jitter,
-            self.distance == "f2-f1",
-            self.sharpness,
-        )
+        first, second = np.empty(x.size), np.empty(x.size)
+        key, u, v = np.uint64(self.key), x / self.scale_m, y / self.scale_m
+        over_threads(_worley_part, x.size, key, u, v, self.jitter, first, second, least=POINTS)
+        if self.sharpness == 0.0:
+            return np.ones(x.size)
+        left = 1.0 - (second - first if self.distance == "f2-f1" else first)
+        inside = left > 0.0
+        power = self.sharpness * elementary.log_array(np.where(inside, left, 1.0))
+        return np.where(inside, elementary.exp_array(power), 0.0)
 
     def finest_m(self, around: Surroundings) -> float | None:
         """Some cells to a heap."""
@@ -121,20 +123,10 @@ class WorleyDensity(Everywhere):
 
 
 @kernel
-def _worley_part(begin, end, key, x, y, jitter, lines, sharpness, out):  # type: ignore[no-untyped-def]
-    for n in range(begin, end):
-        first, second = worley2(key, x[n], y[n], jitter)
-        left = 1.0 - ((second - first) if lines else first)
-        if sharpness == 0.0:
-            out[n] = 1.0
-        else:
-            out[n] = elementary.exp(sharpness * elementary.log(left)) if left > 0.0 else 0.0
-
-
-def _worley(key, x, y, jitter, lines, sharpness):  # type: ignore[no-untyped-def]
-    out = np.empty(x.size)
-    over_threads(_worley_part, x.size, key, x, y, jitter, lines, sharpness, out, least=POINTS)
-    return out
+def _worley_part(begin, end, key, x, y, jitter, first, second):  # type: ignore[no-untyped-def]
+    for at in range(begin, end, BLOCK):
+        here = slice(at, min(at + BLOCK, end))
+        worley2_points(key, x[here], y[here], jitter, first[here], second[here])
 
 
 @dataclass(frozen=True)

@@ -8,8 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.noise.lattice import hash2
-from scenec.compiler.noise.octaves import whole
+from scenec.compiler.noise.lattice import hash2, whole
 from scenec.compiler.noise.perlin import DIRECTION_MASK, perlin2_of_directions
 from scenec.compiler.terrain.grid import Grid
 from scenec.compiler.terrain.operators.crater_profile import (

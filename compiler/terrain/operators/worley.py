@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.noise.lattice import subkeys
-from scenec.compiler.noise.worley import worley2
+from scenec.compiler.noise.octaves import BLOCK, next_octave
+from scenec.compiler.noise.worley import worley2_points
 from scenec.compiler.terrain.detail import Spectrum, octave_spectrum
 from scenec.compiler.terrain.grid import Grid
 from scenec.compiler.terrain.operators.multifractal import LARGEST_M, octaves_held, octaves_shown
@@ -54,16 +55,7 @@ class Worley:
     ) -> tuple[NDArray[np.float64], dict[str, Any]]:
         """Heights plus relief."""
         octaves = octaves_shown(self.octaves, self.scale_m, self.lacunarity, max(grid.spacing_m))
-        relief = _relief(
-            np.uint64(self.key),
-            grid.x() / self.scale_m,
-            grid.y() / self.scale_m,
-            octaves,
-            self.gain,
-            self.lacunarity,
-            self.jitter,
-            self.distance == "f2-f1",
-        )
+        relief = replace(self, octaves=octaves).cells(*grid.points(), 0).reshape(grid.shape)
         relief *= self.amplitude_m
         return height + relief, {
             "octaves": octaves,
@@ -84,6 +76,27 @@ class Worley:
         held = octaves_held(self.octaves, self.scale_m, self.lacunarity, LARGEST_M)
         return WorleyDetail(replace(self, octaves=held), 0)
 
+    def cells(
+        self, x: NDArray[np.float64], y: NDArray[np.float64], shown: int
+    ) -> NDArray[np.float64]:
+        """Octaves from ``shown`` on at points, in units of the amplitude: float64 [n]."""
+        cells = Cells(shown, self.gain, self.lacunarity, self.jitter, self.distance == "f2-f1")
+        keys = subkeys(np.uint64(self.key), self.octaves)
+        out = np.empty(x.size)
+        x, y = x / self.scale_m, y / self.scale_m
+        over_threads(_points_part, x.size, keys, x, y, cells, out, least=POINTS)
+        return out
+
+
+class Cells(NamedTuple):
+    """Of a ``Worley``, in numbers: octaves that are left out, and what it has of that name."""
+
+    shown: int
+    gain: float
+    lacunarity: float
+    jitter: float
+    difference: bool
+
 
 @dataclass(frozen=True)
 class WorleyDetail:
@@ -102,18 +115,7 @@ class WorleyDetail:
         relief = self.relief
         if self.shown >= relief.octaves:
             return np.zeros(x.shape)
-        out: NDArray[np.float64] = relief.amplitude_m * _points(
-            np.uint64(relief.key),
-            x / relief.scale_m,
-            y / relief.scale_m,
-            self.shown,
-            relief.octaves,
-            relief.gain,
-            relief.lacunarity,
-            relief.jitter,
-            relief.distance == "f2-f1",
-        )
-        return out
+        return relief.amplitude_m * relief.cells(x, y, self.shown)
 
     def spectrum(self) -> Spectrum:
         """Of the octaves, up and down from their mean; cells count as two waves, a cone each."""
@@ -128,86 +130,22 @@ class WorleyDetail:
 
 
 @kernel
-def _points_part(begin, end, key, x, y, shown, octaves, gain, lacunarity, jitter, difference, out):  # type: ignore[no-untyped-def]
-    keys = subkeys(key, octaves)
-    for n in range(begin, end):
-        u = x[n]
-        v = y[n]
-        value = 0.0
-        weight = 1.0
-        for octave in range(octaves):
-            if octave >= shown:
-                first, second = worley2(keys[octave], u, v, jitter)
-                value += weight * (second - first if difference else first)
-            weight *= gain
-            u, v = lacunarity * (0.8 * u - 0.6 * v), lacunarity * (0.6 * u + 0.8 * v)
-        out[n] = value
-
-
-def _points(  # type: ignore[no-untyped-def]
-    key, x, y, shown, octaves, gain, lacunarity, jitter, difference
-):
-    """Octaves from ``shown`` on at points in units of the first one's cells: float64 [n]."""
-    out = np.empty(x.size)
-    over_threads(
-        _points_part,
-        x.size,
-        key,
-        x,
-        y,
-        shown,
-        octaves,
-        gain,
-        lacunarity,
-        jitter,
-        difference,
-        out,
-        least=POINTS,
-    )
-    return out
-
-
-@kernel
-def _relief_part(
-    begin: int,
-    end: int,
-    key: np.uint64,
-    x: NDArray,
-    y: NDArray,
-    octaves: int,
-    gain: float,
-    lacunarity: float,
-    jitter: float,
-    difference: bool,
-    out: NDArray,
+def _points_part(
+    begin: int, end: int, keys: NDArray, x: NDArray, y: NDArray, cells: Cells, out: NDArray
 ) -> None:
-    keys = subkeys(key, octaves)
-    for j in range(begin, end):
-        for i in range(x.size):
-            u = x[i]
-            v = y[j]
-            value = 0.0
-            weight = 1.0
-            for octave in range(octaves):
-                first, second = worley2(keys[octave], u, v, jitter)
-                value += weight * (second - first if difference else first)
-                weight *= gain
-                u, v = lacunarity * (0.8 * u - 0.6 * v), lacunarity * (0.6 * u + 0.8 * v)
-            out[j, i] = value
-
-
-def _relief(
-    key: np.uint64,
-    x: NDArray,
-    y: NDArray,
-    octaves: int,
-    gain: float,
-    lacunarity: float,
-    jitter: float,
-    difference: bool,
-) -> NDArray:
-    out = np.empty((y.size, x.size))
-    over_threads(
-        _relief_part, y.size, key, x, y, octaves, gain, lacunarity, jitter, difference, out
-    )
-    return out
+    work = np.empty((4, BLOCK))
+    for at in range(begin, end, BLOCK):
+        n = min(BLOCK, end - at)
+        u, v, first, second = work[0, :n], work[1, :n], work[2, :n], work[3, :n]
+        u[:] = x[at : at + n]
+        v[:] = y[at : at + n]
+        value = out[at : at + n]
+        value[:] = 0.0
+        weight = 1.0
+        for octave in range(keys.size):
+            if octave >= cells.shown:
+                worley2_points(keys[octave], u, v, cells.jitter, first, second)
+                for k in range(n):
+                    value[k] += weight * (second[k] - first[k] if cells.difference else first[k])
+            weight *= cells.gain
+            next_octave(u, v, cells.lacunarity)
