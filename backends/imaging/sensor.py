@@ -144,7 +144,8 @@ def expose(
     colors = np.array(COLORS.get(mosaic, ((0, 0), (0, 0))), np.int64)
     cap = how.full_well_e + 10.0 * np.sqrt(how.full_well_e) + 100.0
     levels = how.dark_e, how.full_well_e, how.read_e, 1.0 / how.gain, how.black, how.largest, cap
-    numbers = _Numbers(*(float(level) for level in levels), bool(how.shot))
+    dark, full, read, per_e, black, largest, most = (float(level) for level in levels)
+    numbers = _Numbers(dark, full, read, per_e, black, largest, most, bool(how.shot))
     light = _Light(rgb, shade, how.weights, colors)
     plane = _Plane(sensor.gain, sensor.offset)
     noise = _Noise(np.uint64(sample), np.uint64(key), quantiles())
