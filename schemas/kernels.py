@@ -10,6 +10,9 @@ Code is for x86-64-v3 (AVX2) where the CPU has that, so that one such machine ca
 compiled; elsewhere for the CPU there is. No flag lets the compiler change a result: no fast-math,
 no contraction. So the bits are those of any other target (``NUMBA_CPU_NAME``, where set, counts).
 
+What kernels call is linked to them first, and optimized and made machine code with them: neither
+is done for each function that is a part of others.
+
 Importing this module costs no import of numba; the first call of a kernel does.
 """
 
