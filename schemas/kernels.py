@@ -10,6 +10,9 @@ Code is for x86-64-v3 (AVX2) where the CPU has that, so that one such machine ca
 compiled; elsewhere for the CPU there is. No flag lets the compiler change a result: no fast-math,
 no contraction. So the bits are those of any other target (``NUMBA_CPU_NAME``, where set, counts).
 
+What kernels call is linked to them first, and optimized and made machine code with them: neither
+is done for each function that is a part of others.
+
 Importing this module costs no import of numba; the first call of a kernel does.
 """
 
@@ -63,7 +66,8 @@ class Kernel:
     def _called(self) -> Any:
         """The dispatcher that other kernels call: of their code, so nothing of it is kept."""
         inline = {"forceinline": True} if self._inline else {}
-        return _numba().njit(no_cpython_wrapper=True, **_OPTIONS, **inline)(self.py_func)
+        options = {"no_cpython_wrapper": True, "pipeline_class": _part_compiler(), **_OPTIONS}
+        return _typed(_numba().njit(**options, **inline)(self.py_func))
 
     @property
     def _numba_type_(self) -> Any:
@@ -140,6 +144,56 @@ def _numba() -> ModuleType:
         if all(features.get(name) for name in _FEATURES_OF_V3):
             config.CPU_NAME, config.CPU_FEATURES = "x86-64-v3", ""
     return numba
+
+
+def _typed(dispatcher: Any) -> Any:
+    """The same, compiled once for all constants that calls name: else once for each."""
+    from numba.core.types import unliteral
+
+    resolve = dispatcher.get_call_template
+
+    def get_call_template(arguments: Any, named: Any) -> Any:
+        named = {name: unliteral(kind) for name, kind in named.items()}
+        return resolve(tuple(unliteral(kind) for kind in arguments), named)
+
+    dispatcher.get_call_template = get_call_template
+    return dispatcher
+
+
+@functools.cache
+def _part_compiler() -> type:
+    """Compiles what is part of kernels alone: LLVM optimizes it, and makes it code, with these."""
+    _numba()
+    from numba.core.codegen import JITCodeLibrary
+    from numba.core.compiler import Compiler
+
+    class Part(JITCodeLibrary):
+        """What a function was lowered to, to be linked to its callers; it has no address."""
+
+        def _optimize_final_module(self) -> None:
+            pass
+
+        def _finalize_final_module(self) -> None:
+            self._finalize_dynamic_globals()
+            self._finalized = True
+
+        def get_pointer_to_function(self, name: str) -> int:
+            self._ensure_finalized()
+            return 0
+
+        @property
+        def codegen(self) -> Part:
+            return self
+
+        def set_env(self, env_name: str, env: object) -> None:
+            """Callers do, where it is theirs (``_Kept.save_overload``)."""
+
+    class PartCompiler(Compiler):
+        def __init__(self, typing: Any, target: Any, library: Any, *others: Any) -> None:
+            library = library or Part(target.codegen(), "part")
+            super().__init__(typing, target, library, *others)
+
+    return PartCompiler
 
 
 def user_folder() -> Path:
@@ -253,10 +307,12 @@ class _Kept:
         return None
 
     def save_overload(self, signature: Any, result: Any) -> None:
-        """Keeps what was compiled, where that is possible."""
+        """Keeps what was compiled, where that is possible; its parts get their environments."""
         from llvmlite import binding
         from numba.core.serialize import dumps
 
+        for environment in result._find_referenced_environments():
+            result.codegen.set_env(environment.env_name, environment)
         if result.library.has_dynamic_globals:
             return  # Such code holds addresses of this process.
         (name, kind, (code, _)), *others = result._reduce()

@@ -153,7 +153,7 @@ def _outline_part(first, last, scene, members, order, masks, rays, bounded):  # 
             mask = masks.marks[masks.starts[n] : masks.starts[n] + across * (window[3] - window[2])]
             whole = True
             for r in range(members.firsts[n], members.firsts[n + 1]):
-                row, part = members.rows[r], members.parts[r]
+                row, part = np.int32(members.rows[r]), members.parts[r]
                 if part[0] >= part[1]:
                     continue
                 own = _sphere_cone(view.spheres[row], view.middle, axis)

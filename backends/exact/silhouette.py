@@ -27,7 +27,7 @@ from scenec.backends.exact.intersect import hit_parameter, ray_frame, row_matrix
 from scenec.backends.exact.trace import _enter, in_row, ready
 from scenec.backends.stage.scene import Camera
 from scenec.schemas.borrowed import borrowed
-from scenec.schemas.kernels import kernel
+from scenec.schemas.kernels import inlined, kernel
 
 #: Pictures that the plane of the silhouettes goes on by on each side.
 MARGIN = 1
@@ -157,6 +157,16 @@ def _end(value, low, high):  # type: ignore[no-untyped-def]
 
 
 @kernel
+def _relative(m, eye, x, y, z):  # type: ignore[no-untyped-def]
+    """A local point in world axes, relative to the eye; ``m`` is a row's matrix, [3, 4]."""
+    return (
+        m[0, 0] * x + m[0, 1] * y + m[0, 2] * z + m[0, 3] - eye[0],
+        m[1, 0] * x + m[1, 1] * y + m[1, 2] * z + m[1, 3] - eye[1],
+        m[2, 0] * x + m[2, 1] * y + m[2, 2] * z + m[2, 3] - eye[2],
+    )
+
+
+@kernel
 def _all_inside(g, row, view):  # type: ignore[no-untyped-def]
     """Whether all vertices of a row lie before the camera and within the continued picture."""
     eye, width, height = view.eye, view.width, view.height
@@ -164,9 +174,7 @@ def _all_inside(g, row, view):  # type: ignore[no-untyped-def]
     for f in range(g.row_face[row], g.row_face[row] + g.row_faces[row]):
         for corner in range(3):
             p = g.points[g.faces[f, corner]]
-            x = m[0, 0] * p[0] + m[0, 1] * p[1] + m[0, 2] * p[2] + m[0, 3] - eye[0]
-            y = m[1, 0] * p[0] + m[1, 1] * p[1] + m[1, 2] * p[2] + m[1, 3] - eye[1]
-            z = m[2, 0] * p[0] + m[2, 1] * p[1] + m[2, 2] * p[2] + m[2, 3] - eye[2]
+            x, y, z = _relative(m, eye, np.float64(p[0]), np.float64(p[1]), np.float64(p[2]))
             u, v, depth, _ = _seen_at(view, x, y, z)
             if not (
                 depth > 0.0
@@ -214,9 +222,7 @@ def frame_rows(first, last, g, members, boxes, view, whole):  # type: ignore[no-
             p0 = boxes[n, corner & 1, 0]
             p1 = boxes[n, corner >> 1 & 1, 1]
             p2 = boxes[n, corner >> 2, 2]
-            x = m[0, 0] * p0 + m[0, 1] * p1 + m[0, 2] * p2 + m[0, 3] - at[0]
-            y = m[1, 0] * p0 + m[1, 1] * p1 + m[1, 2] * p2 + m[1, 3] - at[1]
-            z = m[2, 0] * p0 + m[2, 1] * p1 + m[2, 2] * p2 + m[2, 3] - at[2]
+            x, y, z = _relative(m, at, p0, p1, p2)
             u, v, depth, off = _seen_at(view, x, y, z)
             least_u, most_u = min(least_u, u), max(most_u, u)
             least_v, most_v = min(least_v, v), max(most_v, v)
@@ -350,6 +356,23 @@ def _span(a, inverse_a, b, slack, start, stop):  # type: ignore[no-untyped-def]
     return first, max(first, _first(high, start, stop))
 
 
+@inlined
+def _least(at, corners, column):  # type: ignore[no-untyped-def]
+    a, b, c = at[corners[0], column], at[corners[1], column], at[corners[2], column]
+    return min(a, min(b, c))
+
+
+@inlined
+def _most(at, corners, column):  # type: ignore[no-untyped-def]
+    a, b, c = at[corners[0], column], at[corners[1], column], at[corners[2], column]
+    return max(a, max(b, c))
+
+
+@inlined
+def _reach(at, n):  # type: ignore[no-untyped-def]
+    return abs(at[n, 0]) + abs(at[n, 1]) + abs(at[n, 2])
+
+
 @kernel
 def _fill_rows(g, row, part, base, view, window, mask):  # type: ignore[no-untyped-def]
     """Mark what the triangles of a row cover, line by line; ``base`` is its mesh's points."""
@@ -384,19 +407,18 @@ def _fill_rows(g, row, part, base, view, window, mask):  # type: ignore[no-untyp
     a, inverse_a, b = np.empty(3), np.empty(3), np.empty(3)
     for f in range(g.row_face[row], g.row_face[row] + g.row_faces[row]):
         i0, i1, i2 = g.faces[f, 0] - base[0], g.faces[f, 1] - base[0], g.faces[f, 2] - base[0]
-        if max(at[i0, 3], max(at[i1, 3], at[i2, 3])) < -tolerance:
+        corners = i0, i1, i2
+        if _most(at, corners, 3) < -tolerance:
             continue
         x0, x1, y0, y1 = part[0], part[1], part[2], part[3]
-        if min(at[i0, 3], min(at[i1, 3], at[i2, 3])) > tolerance:
-            slack = 0.5 + tolerance * max(at[i0, 6], max(at[i1, 6], at[i2, 6]))
-            low = min(at[i0, 4], min(at[i1, 4], at[i2, 4])) - slack
-            high = max(at[i0, 4], max(at[i1, 4], at[i2, 4])) + slack
+        if _least(at, corners, 3) > tolerance:
+            slack = 0.5 + tolerance * _most(at, corners, 6)
+            low, high = _least(at, corners, 4) - slack, _most(at, corners, 4) + slack
             # Most triangles of most meshes end here, between two pixels' centers.
             if np.ceil(low) + 1.0 > high:
                 continue
             x0, x1 = _first(low, x0, x1), _end(high, x0, x1)
-            low = min(at[i0, 5], min(at[i1, 5], at[i2, 5])) - slack
-            high = max(at[i0, 5], max(at[i1, 5], at[i2, 5])) + slack
+            low, high = _least(at, corners, 5) - slack, _most(at, corners, 5) + slack
             y0, y1 = _first(low, y0, y1), _end(high, y0, y1)
             if x0 >= x1 or y0 >= y1:
                 continue
@@ -405,13 +427,7 @@ def _fill_rows(g, row, part, base, view, window, mask):  # type: ignore[no-untyp
             normal[0, i] = at[i1, j] * at[i2, n] - at[i1, n] * at[i2, j]
             normal[1, i] = at[i2, j] * at[i0, n] - at[i2, n] * at[i0, j]
             normal[2, i] = at[i0, j] * at[i1, n] - at[i0, n] * at[i1, j]
-        length = max(
-            abs(at[i0, 0]) + abs(at[i0, 1]) + abs(at[i0, 2]),
-            max(
-                abs(at[i1, 0]) + abs(at[i1, 1]) + abs(at[i1, 2]),
-                abs(at[i2, 0]) + abs(at[i2, 1]) + abs(at[i2, 2]),
-            ),
-        )
+        length = max(_reach(at, i0), max(_reach(at, i1), _reach(at, i2)))
         volume = at[i0, 0] * normal[0, 0] + at[i0, 1] * normal[0, 1] + at[i0, 2] * normal[0, 2]
         certain = abs(volume) > _SURE * size * length * length
         slack = _SURE * size * length * longest
@@ -455,7 +471,7 @@ def _outline(g, members, n, view, ray_cost, window, mask):  # type: ignore[no-un
     """Mark the silhouette of instance n in its window."""
     across = window[1] - window[0]
     for r in range(members.firsts[n], members.firsts[n + 1]):
-        row, part = members.rows[r], members.parts[r]
+        row, part = np.int32(members.rows[r]), members.parts[r]
         unknown = 0
         for y in range(part[2], part[3]):
             line = (y - window[2]) * across - window[0]

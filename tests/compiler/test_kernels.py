@@ -174,3 +174,35 @@ def test_division_is_numpys_and_nothing_is_contracted() -> None:
     # (1 + e)^2 - (1 + 2 e): a fused multiply-add would leave e^2.
     e = 2.0**-30
     assert found["caller"](1.0 + e, 1.0 + e, -(1.0 + 2.0 * e)) == 0.0
+
+
+PARTS = """
+@kernel
+def root(x, exponent):
+    if x < 0.0:
+        raise ValueError("below 0")
+    return np.floor(x) ** exponent
+
+@kernel
+def sums(x):
+    return root(x, 2) + root(x, 3)
+"""
+
+
+def test_what_calls_name_as_constants_makes_no_code_of_its_own() -> None:
+    found = made(PARTS)
+    assert found["sums"](2.5) == 12.0
+    assert len(found["root"]._called.signatures) == 1
+
+
+def test_what_is_part_of_others_can_be_called_by_itself_before_and_after() -> None:
+    for order in (("root", "sums"), ("sums", "root")):
+        found = made(PARTS)
+        values = {name: found[name](*([2.5, 3] if name == "root" else [2.5])) for name in order}
+        assert values == {"root": 8.0, "sums": 12.0}
+
+
+def test_errors_of_what_is_part_of_others_reach_the_caller() -> None:
+    for _ in ("compiled", "kept"):
+        with pytest.raises(ValueError, match="below 0"):
+            made(PARTS)["sums"](-1.0)

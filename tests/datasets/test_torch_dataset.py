@@ -175,6 +175,11 @@ def test_without_pytorch_the_extra_is_named(out: Path, monkeypatch: pytest.Monke
         FrameDataset(out)
 
 
+def test_an_option_that_there_is_none_of_is_met_with_the_nearest(out: Path):
+    with pytest.raises(TypeError, match=r"'spilt'; did you mean .split."):
+        arrays(out, spilt="train")
+
+
 def test_tensors_hold_the_same_values(out: Path):
     torch = pytest.importorskip("torch")
     tensors, numbers = (
