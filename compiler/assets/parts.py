@@ -32,21 +32,6 @@ class Part:
         return name == self.path or above or name in self.path.split("/")
 
 
-@dataclass(frozen=True)
-class Parsed:
-    """A mesh file as it is.
-
-    Attributes:
-        parts: Its meshes, in the file's order.
-        unit_m: Meters per unit, where the format or the file says so.
-        up: Upward axis ("x", "y" or "z"), where the format or the file says so.
-    """
-
-    parts: tuple[Part, ...]
-    unit_m: float | None
-    up: str | None
-
-
 def fan_corners(counts: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Polygons as triangles around their first corners; what has fewer than three is left out.
 
