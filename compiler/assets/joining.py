@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.assets.parts import MeshFileError, Part
-from scenec.compiler.assets.shells import ParsedModel
+from scenec.compiler.assets.parts import MeshFileError, is_of
+from scenec.compiler.assets.shells import ParsedModel, Shell
 from scenec.compiler.geometry import affine
 from scenec.schemas.errors import SceneError
 
@@ -44,7 +44,7 @@ def missing_keys(parsed: ParsedModel, unit_m: float | None, up: str | None) -> l
     return [key for key, value in given.items() if value is None]
 
 
-def chosen_parts[P: Part](parts: tuple[P, ...], name: str | None) -> list[P]:
+def chosen_parts(parts: tuple[Shell, ...], name: str | None) -> list[Shell]:
     """The parts of a name; all of them without one.
 
     Raises:
@@ -53,7 +53,7 @@ def chosen_parts[P: Part](parts: tuple[P, ...], name: str | None) -> list[P]:
     if name is None:
         chosen = list(parts)
     else:
-        chosen = [part for part in parts if part.is_of(name)]
+        chosen = [part for part in parts if is_of(part.path, name)]
         if not chosen:
             names = [part.path for part in parts if part.path]
             shown = ", ".join(names[:8]) + (", …" if len(names) > 8 else "")
@@ -82,7 +82,7 @@ class Joined:
     welded: int
 
 
-def join(parts: Sequence[Part], unit_m: float, up: str) -> Joined:
+def join(parts: Sequence[Shell], unit_m: float, up: str) -> Joined:
     """One mesh of several parts: in meters, z up, welded, without faces that have no area.
 
     Raises:
