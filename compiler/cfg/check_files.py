@@ -50,10 +50,13 @@ def check_files(
     files: dict[str, InputFile] = {}
     findings: list[Finding] = []
     for field in fields:
-        owner, key = cfg.at(*field.path[:-1]), field.path[-1] if field.path else ""
-        if "x-file" not in field.keywords or not owner[key]:
+        kind = field.keywords.get("x-file")
+        if kind is None:
             continue
-        name, kind = owner[key], field.keywords["x-file"]
+        owner = cfg.at(*field.path[:-1])
+        name = owner[field.path[-1]]
+        if not name:
+            continue
         try:
             path = find_folder(name, folder) if kind == "texture_set" else find_file(name, folder)
             digest = _sha256(path) if path.is_file() else ""
