@@ -46,7 +46,7 @@ types: setup  ## Type checker.
 
 # A test that takes its process along ends the run: pytest-xdist would wait for its other tests.
 unit: setup  ## The tests alone (WORKERS=2 processes; PYTEST_ARGS for more).
-	@.venv/bin/python tests/warm_kernels.py
+	@.venv/bin/python tools/warm_kernels.py
 	@echo "== Testing, $(WORKERS) processes"
 	@.venv/bin/python -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder \
 	  --max-worker-restart 0 --hypothesis-profile $(EXAMPLES) $(MARKED) $(PYTEST_ARGS)
@@ -85,13 +85,16 @@ lock: setup  ## Resolve pyproject.toml again into requirements.lock.
 	  --output-file requirements.lock; \
 	cp requirements.lock "$$root/requirements.lock"
 
-wheel: setup  ## Build the wheel into dist/.
+wheel: setup  ## Build the wheel into dist/, with compiled kernels for this Python and kind of CPU.
+	@echo "== Compiling the kernels of all cfgs that ship"
+	@rm -rf schemas/compiled; NUMBA_CACHE_DIR=build/kernels SCENEC_CACHE= .venv/bin/python tools/warm_kernels.py --all
+	@mv build/kernels/scenec schemas/compiled
 	@echo "== Building the wheel"
-	@.venv/bin/python -m build --wheel --no-isolation
+	@.venv/bin/python -m build --wheel --no-isolation; rm -rf schemas/compiled
 
-clean:  ## Remove caches (numba's too) and build results; keep .venv and out/.
+clean:  ## Remove caches and build results; keep .venv and out/.
 	@echo "== Removing caches and build results"
-	@rm -rf build dist src/scenec.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	@rm -rf build dist schemas/compiled src/scenec.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	@find . -path ./.venv -prune -o -path ./.git -prune -o -name __pycache__ -type d -print0 \
 	  | xargs -0 rm -rf
 

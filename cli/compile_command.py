@@ -25,10 +25,12 @@ def run(options: argparse.Namespace) -> int:
 
 def compile_now(options: argparse.Namespace) -> CompileReport:
     """Compiles, and says what came of it."""
-    # Here: importing these takes seconds, in which a line is read already.
-    from scenec.cli.explain_passes import precision_text
+    # Here: importing these takes time, in which a line is read already. What is wrong with a cfg is
+    # told before the rest is imported.
+    from scenec.compiler.cfg.load import load
+
+    spec = load(options.cfg)
     from scenec.compiler.compile import compile_cfg
-    from scenec.compiler.mesh.precision import WARN_PX
     from scenec.compiler.views.keep import Keep
 
     cache = cache_of(options)
@@ -47,7 +49,7 @@ def compile_now(options: argparse.Namespace) -> CompileReport:
 
             executor = stack.enter_context(make_executor(options.workers, options.cluster))
         report = compile_cfg(
-            options.cfg,
+            spec,
             seed=options.seed,
             out=options.out,
             batches=options.batches,
@@ -58,6 +60,9 @@ def compile_now(options: argparse.Namespace) -> CompileReport:
             faults=options.faults,
             executor=executor,
         )
+    from scenec.cli.explain_passes import precision_text
+    from scenec.compiler.mesh.precision import WARN_PX
+
     for name, seconds in report.seconds.items():
         facts = report.facts[name]
         objects = sum(entry["count"] for entry in facts.get("objects", {}).values())

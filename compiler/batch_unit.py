@@ -1,4 +1,4 @@
-"""One batch as a unit of work (``schemas.units``): cfg and seed to the files of its stage."""
+"""Compiles one batch as a unit of work (``schemas.units``), from cfg and seed to files."""
 
 from __future__ import annotations
 
@@ -7,19 +7,12 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from pxr import Tf
-
-from scenec.compiler.build import BuildLog, build
 from scenec.compiler.cache.memo import Memo, memoizing
 from scenec.compiler.cache.store import Store
 from scenec.compiler.cfg.load import Spec, load
-from scenec.compiler.draw.batch import draw
-from scenec.compiler.emit.batch import write_batch
 from scenec.compiler.output import batch_name
-from scenec.compiler.scene.rig import Lidar, Rig, Sensor
-from scenec.compiler.scene.scene import Scene
 from scenec.compiler.views.keep import Keep
 from scenec.schemas.errors import CfgError, Fault, OutputError, SceneError
 from scenec.schemas.files import tree, write_json
@@ -27,6 +20,11 @@ from scenec.schemas.left_out import write_left_out
 from scenec.schemas.manifest import REPORT
 from scenec.schemas.strays import Firing
 from scenec.schemas.units import Keeper
+
+if TYPE_CHECKING:
+    from scenec.compiler.build import BuildLog
+    from scenec.compiler.scene.rig import Lidar, Rig, Sensor
+    from scenec.compiler.scene.scene import Scene
 
 #: How often a batch is drawn before it is given up.
 _MOST_ATTEMPTS = 16
@@ -120,6 +118,10 @@ class CompileBatch:
             CfgError: The cfg is no more what it was.
             OutputError: A file cannot be written.
         """
+        # Here, so that a faulty cfg is told without.
+        from scenec.compiler.build import BuildLog, build
+        from scenec.compiler.draw.batch import draw
+
         if spec.digest != self.digest:
             text = "has changed since compiling began; run again"
             raise CfgError([Fault(str(self.cfg), 1, 1, "", text)])
@@ -179,6 +181,10 @@ class CompileBatch:
 
 
 def _write(folder: Path, scene: Scene) -> None:
+    from pxr import Tf
+
+    from scenec.compiler.emit.batch import write_batch
+
     try:
         write_batch(folder, scene)
     except Tf.ErrorException as error:

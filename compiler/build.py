@@ -1,4 +1,4 @@
-"""Plan to Scene: relief, ground, objects, light, cameras; a pure function."""
+"""Builds the Scene from a Plan: relief, ground, objects, light, cameras; a pure function."""
 
 from __future__ import annotations
 

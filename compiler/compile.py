@@ -1,4 +1,4 @@
-"""The compiler's main call: cfg and seed in, stages and a manifest out."""
+"""Compiles a cfg and a seed into stages and a manifest: the main call."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class CompileReport:
 
 
 def compile_cfg(
-    cfg: Path | str,
+    cfg: Path | str | Spec,
     *,
     seed: int,
     out: Path | str,
@@ -78,7 +78,7 @@ def compile_cfg(
     are their frames.
 
     Args:
-        cfg: The cfg's JSON file.
+        cfg: The cfg's JSON file, or what ``load`` read of it.
         seed: 0 <= seed < 2**64; 0 is a seed like any other.
         out: Output folder; made if it is not there.
         batches: Which batches; None compiles all.
@@ -86,7 +86,7 @@ def compile_cfg(
         progress: Called with lines worth saying, and None; and with a text when a step of a batch
             begins (with an executor: when a batch is there), and batches done and in all.
         cache: Folder of steps that were made before and are taken where nothing they depend on
-            has changed (``incremental.store.default_folder`` is the command line's); the bytes are
+            has changed (``cache.store.default_folder`` is the command line's); the bytes are
             the same with it and without, and ``$SCENEC_CACHE_MAX`` bounds it. None: all is made.
         replace: Whether batches of another cfg, seed, ``keep`` or version may be replaced that are
             in the folder; those that are not compiled now go, and so do frames of other stages.
@@ -105,7 +105,7 @@ def compile_cfg(
     started = time.perf_counter()
     if faults not in FAULTS:
         raise ScenecError(f"faults: {faults!r}: expected one of {', '.join(FAULTS)}")
-    spec = load(Path(cfg))
+    spec = cfg if isinstance(cfg, Spec) else load(cfg)
     load_seconds = time.perf_counter() - started
     out = Path(out)
     cache = None if cache is None else Path(cache).absolute()
@@ -119,7 +119,7 @@ def compile_cfg(
         output = Output(out, spec, seed, keep, chosen, replace, lambda line: tell(line, None))
         units = [
             CompileBatch(
-                cfg=Path(cfg).absolute(),
+                cfg=spec.path.absolute(),
                 digest=spec.digest,
                 seed=seed,
                 batch=batch,

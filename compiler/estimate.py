@@ -1,4 +1,4 @@
-"""What compiling a batch will take, from the cfg alone: refused before work where it cannot fit.
+"""Estimates what compiling a batch will take, from the cfg alone, and refuses what cannot fit.
 
 Bytes and seconds are those of what grows without bound with a key: instances, height samples,
 pictures of skies, vertices of prototypes, samples, classes. They were measured at the peak of a

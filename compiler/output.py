@@ -1,4 +1,4 @@
-"""The output folder of a compilation: what is in it already, and how batches come into it.
+"""Keeps the output folder of a compilation: what is in it, and how batches come into it.
 
 A batch comes in as one update (``schemas.update``) of its files, the cfg and the manifest: whenever
 a compilation ends, the manifest is true of what lies beside it. Only what an earlier manifest lists
@@ -16,7 +16,6 @@ from typing import Any
 
 from scenec.compiler.cfg import licenses
 from scenec.compiler.cfg.load import Spec, digest_of
-from scenec.compiler.emit.batch import STAGE
 from scenec.compiler.views.keep import Keep
 from scenec.schemas.errors import OutputError
 from scenec.schemas.files import (
@@ -36,6 +35,7 @@ from scenec.schemas.manifest import (
     MANIFEST,
     MANIFEST_FORMAT,
     REPORT,
+    STAGE,
     TIMINGS,
     read_manifest,
     stage_digest,

@@ -13,8 +13,9 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from scenec.schemas.kernels import kernel
 
 Counts = dict[str, int]
 
@@ -163,7 +164,7 @@ _STARTS = np.searchsorted(
 
 
 # Both kernels count runs: adding 1 to the same place in memory, pixel after pixel, waits each time.
-@njit(cache=True, error_model="numpy")
+@kernel
 def _lengths(values, edges, starts):  # type: ignore[no-untyped-def]
     counts = np.zeros(len(edges) + 1, np.int64)
     infinite = 0
@@ -199,7 +200,7 @@ def _lengths(values, edges, starts):  # type: ignore[no-untyped-def]
     return counts, infinite, low, high
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _ids(values, keys):  # type: ignore[no-untyped-def]
     """Pixels of each key, then of 0, then of all others."""
     counts = np.zeros(len(keys) + 2, np.int64)

@@ -9,10 +9,10 @@ what they enclose is the mask, by the even-odd rule as by the winding rule.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.schemas import rle
+from scenec.schemas.kernels import kernel
 
 
 def outlines(
@@ -43,7 +43,7 @@ def outlines(
     return found
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _find(parent, run):  # type: ignore[no-untyped-def]
     while parent[run] != run:
         parent[run] = parent[parent[run]]
@@ -51,7 +51,7 @@ def _find(parent, run):  # type: ignore[no-untyped-def]
     return run
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _glue(slots):  # type: ignore[no-untyped-def]
     """Runs along columns, and where a run hangs together with its left neighbors.
 
@@ -101,7 +101,7 @@ def _glue(slots):  # type: ignore[no-untyped-def]
     return starts, glued, parts
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _open(slots, glued, y, x, direction):  # type: ignore[no-untyped-def]
     """Whether a pixel hangs together with the one above, right, below or left of it."""
     if direction == 0:
@@ -113,7 +113,7 @@ def _open(slots, glued, y, x, direction):  # type: ignore[no-untyped-def]
     return glued[y, x]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _trace(slots, starts, glued, owner, sizes, points):  # type: ignore[no-untyped-def]
     """Go around each part, with its pixels to the right hand.
 

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from scenec.datasets.filters import make_filters
 from scenec.datasets.formats.encode import instance_label, picture8
 from scenec.datasets.remap import Remap, parse_remap, read_remap
-from scenec.datasets.source import LoadedFrame, Source
+from scenec.datasets.source import FrameRef, LoadedFrame, Source
 from scenec.datasets.splits import assign, parse_splits
 from scenec.schemas.errors import FrameError, OutputError
 from scenec.schemas.spelling import nearest
@@ -32,6 +32,44 @@ Sample = dict[str, Any]
 
 #: Parts of a target in the form of torchvision's detection models.
 TARGETS = ("boxes", "labels", "masks")
+
+
+class Options(TypedDict, total=False):
+    """What else may be said of a ``FrameDataset``, by name.
+
+    Args:
+        split: Name of the split; None (the default) takes all frames.
+        splits: As ``--splits`` has them (``train=0.8,val=0.2``): whole batches, as in exports.
+        split_seed: Another one than 0 gives another assignment of batches.
+        batches: Only these.
+        cameras: Only these.
+        samples: Only these.
+        keep: Conditions on instances (``area>=40``), as in exports.
+        rejected: What becomes of other instances: ``drop`` (the default) or ``ignore``.
+        remap: Other labels: a file, its JSON values, or a ``Remap``.
+        level: Whose labels targets have; None takes the first.
+        target: Which of ``TARGETS`` samples have; none for no ``target``.
+        rgb: ``linear`` (the default) or ``srgb``.
+        transform: Called with each sample; what it returns is the sample.
+        allow_missing: Whether frames that should be there may be missing.
+        as_numpy: Whether samples hold NumPy arrays of the same types and shapes.
+    """
+
+    split: str | None
+    splits: str | Mapping[str, float | range]
+    split_seed: int
+    batches: Collection[int] | None
+    cameras: Sequence[str] | None
+    samples: Collection[int] | None
+    keep: Sequence[str]
+    rejected: str
+    remap: Remap | Mapping[str, Any] | Path | str | None
+    level: str | None
+    target: Sequence[str]
+    rgb: str
+    transform: Callable[[Sample], Any] | None
+    allow_missing: bool
+    as_numpy: bool
 
 
 class FrameDataset:
@@ -63,21 +101,7 @@ class FrameDataset:
         out: Output folder of ``compile`` and ``render``, or a USD file that was rendered.
         passes: Names; ``label`` stands for all levels. None takes all that the frames have.
         backend: Whose frames; None takes the first there is.
-        split: Name of the split; None takes all frames.
-        splits: As ``--splits`` has them (``train=0.8,val=0.2``): whole batches, as in exports.
-        split_seed: Another one gives another assignment of batches.
-        batches: Only these.
-        cameras: Only these.
-        samples: Only these.
-        keep: Conditions on instances (``area>=40``), as in exports.
-        rejected: What becomes of other instances: ``drop`` or ``ignore``.
-        remap: Other labels: a file, its JSON values, or a ``Remap``.
-        level: Whose labels targets have; None takes the first.
-        target: Which of ``TARGETS`` samples have; none for no ``target``.
-        rgb: ``linear`` or ``srgb``.
-        transform: Called with each sample; what it returns is the sample.
-        allow_missing: Whether frames that should be there may be missing.
-        as_numpy: Whether samples hold NumPy arrays of the same types and shapes.
+        options: See ``Options``.
 
     Attributes:
         frames: In order of batch, camera and sample.
@@ -95,48 +119,45 @@ class FrameDataset:
         out: Path | str,
         passes: Sequence[str] | None = None,
         backend: str | None = None,
-        *,
-        split: str | None = None,
-        splits: str | Mapping[str, float | range] = "",
-        split_seed: int = 0,
-        batches: Collection[int] | None = None,
-        cameras: Sequence[str] | None = None,
-        samples: Collection[int] | None = None,
-        keep: Sequence[str] = (),
-        rejected: str = "drop",
-        remap: Remap | Mapping[str, Any] | Path | str | None = None,
-        level: str | None = None,
-        target: Sequence[str] = (),
-        rgb: str = "linear",
-        transform: Callable[[Sample], Any] | None = None,
-        allow_missing: bool = False,
-        as_numpy: bool = False,
+        **options: Unpack[Options],
     ) -> None:
-        if not as_numpy:
+        for name in options:
+            if name not in Options.__annotations__:
+                raise TypeError(
+                    f"FrameDataset has no option {name!r}{nearest(name, Options.__annotations__)}"
+                )
+        target, rgb = tuple(options.get("target", ())), options.get("rgb", "linear")
+        self._as_numpy = options.get("as_numpy", False)
+        if not self._as_numpy:
             _import_torch()
         if rgb not in ("linear", "srgb"):
             raise OutputError(f"rgb: expected linear or srgb, not {rgb!r}")
         for name in target:
             if name not in TARGETS:
                 raise OutputError(f"target: there is no {name!r}{nearest(name, TARGETS)}")
-        self._source = Source(out, backend, batches=batches, cameras=cameras, samples=samples)
-        if self._source.missing and not allow_missing:
+        self._source = Source(
+            out,
+            backend,
+            batches=options.get("batches"),
+            cameras=options.get("cameras"),
+            samples=options.get("samples"),
+        )
+        if self._source.missing and not options.get("allow_missing", False):
             missing = self._source.missing
             more = f" (and {len(missing) - 1} more)" if len(missing) > 1 else ""
             raise FrameError(f"{missing[0].message}{more}; render it, or give allow_missing=True")
-        self._remap = _as_remap(remap)
+        self._remap = _as_remap(options.get("remap"))
         self._remap.check(self._source.labels())
         self.labels = self._remap.labels(self._source.labels())
-        self._level = level or next(iter(self.labels), "")
+        self._level = options.get("level") or next(iter(self.labels), "")
         if self.labels and self._level not in self.labels:
             raise OutputError(
                 f"there is no label level {self._level!r}{nearest(self._level, self.labels)}"
             )
-        self._filters = make_filters(keep, rejected)
-        self._target = tuple(target)
-        self._rgb = rgb
-        self._transform = transform
-        self._as_numpy = as_numpy
+        keep = options.get("keep", ())
+        self._filters = make_filters(keep, options.get("rejected", "drop"))
+        self._target, self._rgb = target, rgb
+        self._transform = options.get("transform")
         self.passes = _choose_passes(passes, self._source.passes())
         needs_instances = bool(self._target or keep)
         if needs_instances and "instance" not in self._source.passes():
@@ -146,17 +167,8 @@ class FrameDataset:
             )
         self._needed = (*self.passes, "instance") if needs_instances else self.passes
         self.frames = self._source.frames
-        if split is not None:
-            chosen = splits
-            if isinstance(chosen, str):
-                chosen = parse_splits(chosen) if chosen else {}
-            if split not in chosen:
-                raise OutputError(
-                    f"split {split!r} is none of splits{nearest(split, chosen)}; give "
-                    "splits='train=0.8,val=0.2' or the like"
-                )
-            numbers = sorted({ref.batch for ref in self.frames})
-            found = assign(numbers, chosen, split_seed)
+        if (split := options.get("split")) is not None:
+            found = _assigned(self.frames, split, options)
             self.frames = tuple(ref for ref in self.frames if found.get(ref.batch) == split)
 
     def __len__(self) -> int:
@@ -257,6 +269,23 @@ def _as_tensors(values: Mapping[str, Any]) -> dict[str, Any]:
         name: _as_tensors(value) if isinstance(value, dict) else torch.from_numpy(value)
         for name, value in values.items()
     }
+
+
+def _assigned(frames: Sequence[FrameRef], split: str, options: Options) -> dict[int, str]:
+    """The split of each batch.
+
+    Raises:
+        OutputError: There is no split of this name.
+    """
+    chosen = options.get("splits", "")
+    if isinstance(chosen, str):
+        chosen = parse_splits(chosen) if chosen else {}
+    if split not in chosen:
+        raise OutputError(
+            f"split {split!r} is none of splits{nearest(split, chosen)}; give "
+            "splits='train=0.8,val=0.2' or the like"
+        )
+    return assign(sorted({ref.batch for ref in frames}), chosen, options.get("split_seed", 0))
 
 
 def _as_remap(remap: Remap | Mapping[str, Any] | Path | str | None) -> Remap:

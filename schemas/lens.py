@@ -44,8 +44,9 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from scenec.schemas.kernels import kernel
 
 Array = NDArray[np.float64]
 
@@ -101,7 +102,7 @@ class Functions:
 NUMPY = Functions(np.sin, np.cos, np.arctan2)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _radial(c, r):  # type: ignore[no-untyped-def]
     """The radial part of Brown and Conrady's model, and its derivative."""
     s = r * r
@@ -113,7 +114,7 @@ def _radial(c, r):  # type: ignore[no-untyped-def]
     return r * factor, factor + r * (slope_above - factor * slope_below) / below
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _fisheye(c, t):  # type: ignore[no-untyped-def]
     """Kannala and Brandt's distance at an angle, and its derivative."""
     s = t * t
@@ -122,7 +123,7 @@ def _fisheye(c, t):  # type: ignore[no-untyped-def]
     return value, slope
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _solve(fisheye, c, reach, distance):  # type: ignore[no-untyped-def]
     """The radius (or angle) at which a monotonic function has a value; inf beyond ``reach``."""
     if distance == 0.0:
@@ -154,7 +155,7 @@ def _solve(fisheye, c, reach, distance):  # type: ignore[no-untyped-def]
     return at
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _tangential(c, a, b):  # type: ignore[no-untyped-def]
     s = a * a + b * b
     return (
@@ -163,7 +164,7 @@ def _tangential(c, a, b):  # type: ignore[no-untyped-def]
     )
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _without_radial(c, reach, x, y):  # type: ignore[no-untyped-def]
     distance = np.sqrt(x * x + y * y)
     if distance == 0.0:
@@ -172,7 +173,7 @@ def _without_radial(c, reach, x, y):  # type: ignore[no-untyped-def]
     return x / distance * r, y / distance * r, r
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _distorted(c, a, b):  # type: ignore[no-untyped-def]
     """A point of Brown and Conrady's plane, and the Jacobian's three numbers (it is symmetric)."""
     r = np.sqrt(a * a + b * b)
@@ -186,7 +187,7 @@ def _distorted(c, a, b):  # type: ignore[no-untyped-def]
     return a * factor + dx, b * factor + dy, xx, xy, yy
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _undistort_one(c, reach, x, y):  # type: ignore[no-untyped-def]
     """(a, b, whether it is known) of a point of Brown and Conrady's plane."""
     a, b, r = _without_radial(c, reach, x, y)
@@ -227,19 +228,19 @@ def _undistort_one(c, reach, x, y):  # type: ignore[no-untyped-def]
     return a, b, good
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _undistort(c, reach, x, y, a, b, known):  # type: ignore[no-untyped-def]
     for n in range(x.shape[0]):
         a[n], b[n], known[n] = _undistort_one(c, reach, x[n], y[n])
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _angles(c, reach, distance, angle):  # type: ignore[no-untyped-def]
     for n in range(distance.shape[0]):
         angle[n] = _solve(True, c, reach, distance[n])
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _distort(c, a, b, x, y):  # type: ignore[no-untyped-def]
     for n in range(a.shape[0]):
         at = _distorted(c, a[n], b[n])

@@ -27,6 +27,8 @@ MANIFEST = "manifest.json"
 TIMINGS = "timings.json"
 #: The cfg as it was given; paths in it are relative to the folder that it lay in.
 CFG = "cfg.json"
+#: Root layer of a batch.
+STAGE = "stage.usda"
 #: In each batch's folder.
 REPORT = "report.json"
 #: Why each instance is in the stage or is not (``schemas.left_out``).

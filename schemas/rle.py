@@ -9,8 +9,9 @@ five bits a character.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from scenec.schemas.kernels import kernel
 
 
 def encode_ids(
@@ -123,7 +124,7 @@ def boxes(
     return areas, corners
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _slots(picture, keys):  # type: ignore[no-untyped-def]
     """Index into ``keys`` of each pixel's id, -1 where it is not among them."""
     height, width = picture.shape
@@ -151,7 +152,7 @@ def _slots(picture, keys):  # type: ignore[no-untyped-def]
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _changes(flat):  # type: ignore[no-untyped-def]
     """Whether a run begins at each value."""
     out = np.ones(flat.shape[0], np.bool_)
@@ -160,7 +161,7 @@ def _changes(flat):  # type: ignore[no-untyped-def]
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _count_runs(slots, count):  # type: ignore[no-untyped-def]
     """Number of run lengths of each mask: one of zeros, then two a stretch, less an empty end."""
     height, width = slots.shape
@@ -179,7 +180,7 @@ def _count_runs(slots, count):  # type: ignore[no-untyped-def]
     return sizes
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _fill_runs(slots, starts, counts):  # type: ignore[no-untyped-def]
     height, width = slots.shape
     total = starts.shape[0] - 1
@@ -209,7 +210,7 @@ def _fill_runs(slots, starts, counts):  # type: ignore[no-untyped-def]
             counts[at[slot]] = whole - end[slot]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _compress(counts, starts, text, ends):  # type: ignore[no-untyped-def]
     at = 0
     ends[0] = 0
@@ -232,7 +233,7 @@ def _compress(counts, starts, text, ends):  # type: ignore[no-untyped-def]
         ends[mask + 1] = at
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _measure(slots, areas, corners):  # type: ignore[no-untyped-def]
     height, width = slots.shape
     for y in range(height):

@@ -3,7 +3,8 @@
 numba's own ``parallel=True`` would do this, too, but makes of a kernel's loop a second kernel,
 after an analysis that takes longer than all the rest (1.3 instead of 0.5 CPU seconds for a short
 loop), and its OpenMP threads stay awake for 200 ms after each loop. A kernel that is told where to
-begin and to end, and gives up the interpreter's lock (``nogil=True``), needs neither.
+begin and to end, and gives up the interpreter's lock, as all of ``schemas.kernels`` do, needs
+neither.
 
 Nothing here makes numba load a threading layer. It would take the system's TBB where there is one,
 and the libraries of Blender, which have a newer one of their own, would bind to that and not load.
@@ -21,20 +22,22 @@ from contextvars import ContextVar
 from functools import cache
 from typing import Any
 
-import numba
+from scenec.schemas.budget import thread_budget
 
 #: Shares per thread: what is left to wait for at the end is at most about one of them.
 _SHARES = 4
 #: How many points are worth a thread, where each takes a part of a microsecond: to wake one takes
 #: some 50 microseconds.
 POINTS = 512
-_most = ContextVar("_most", default=numba.config.NUMBA_NUM_THREADS)
+#: All there are.
+ALL = thread_budget() or len(os.sched_getaffinity(0))
+_most = ContextVar("_most", default=ALL)
 
 
 @contextmanager
 def at_most(threads: int) -> Iterator[None]:
     """Kernels that are called in here, by this thread, work on so many threads or fewer."""
-    before = _most.set(min(threads, numba.config.NUMBA_NUM_THREADS))
+    before = _most.set(min(threads, ALL))
     try:
         yield
     finally:
@@ -44,7 +47,7 @@ def at_most(threads: int) -> Iterator[None]:
 @cache
 def _pool(process: int) -> ThreadPoolExecutor:
     """The helpers of a process: a forked one has none of its parent's threads."""
-    return ThreadPoolExecutor(max(numba.config.NUMBA_NUM_THREADS - 1, 1), "kernels")
+    return ThreadPoolExecutor(max(ALL - 1, 1), "kernels")
 
 
 def over_threads(kernel: Callable[..., None], count: int, *arguments: Any, least: int = 1) -> None:
@@ -56,7 +59,7 @@ def over_threads(kernel: Callable[..., None], count: int, *arguments: Any, least
     after the range that they are at, and is raised when none works any more.
 
     Args:
-        kernel: Compiled with ``nogil=True``; it returns nothing.
+        kernel: Gives up the interpreter's lock; it returns nothing.
         count: Numbers from 0.
         arguments: Of the kernel, after the range.
         least: How many numbers are worth a thread.

@@ -105,11 +105,16 @@ def peak_mib() -> float:
     )
 
 
-def command(words: Iterable[str | Path], **environment: str) -> Cost:
+def command(words: Iterable[str | Path], status: int = 0, **environment: str) -> Cost:
     """Runs a command, its output aside.
 
+    Args:
+        words: Of the command.
+        status: It ends with this one.
+        environment: What is other than here.
+
     Raises:
-        ScenecError: It failed; with what it wrote on standard error.
+        ScenecError: It ended otherwise; with what it wrote on standard error.
     """
     line = [str(word) for word in words]
     start = time.perf_counter()
@@ -117,10 +122,10 @@ def command(words: Iterable[str | Path], **environment: str) -> Cost:
         process = subprocess.Popen(
             line, env=os.environ | environment, stdout=subprocess.DEVNULL, stderr=said
         )
-        _, status, used = os.wait4(process.pid, 0)
-        process.returncode = os.waitstatus_to_exitcode(status)
+        _, ended, used = os.wait4(process.pid, 0)
+        process.returncode = os.waitstatus_to_exitcode(ended)
         wall = time.perf_counter() - start
-        if process.returncode:
+        if process.returncode != status:
             said.seek(0)
             text = said.read().decode(errors="replace")
             raise ScenecError(f"{' '.join(line)}: exit status {process.returncode}\n{text}")

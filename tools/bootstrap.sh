@@ -72,19 +72,32 @@ MESSAGE
   fi
 fi
 
-say "Installing the packages of requirements.lock, each checked against its hash (about 1 GB, once)"
 # Wheels only: building an sdist would fetch build tools that the lock does not pin. No dependencies
 # beyond the lock: it is complete, and leaves out on purpose what pyproject.toml overrides.
-if command -v uv >/dev/null 2>&1; then
-  uv pip install --python .venv/bin/python --require-hashes --no-deps --only-binary :all: -r requirements.lock
-else
-  .venv/bin/python -m pip install --disable-pip-version-check --require-hashes \
-    --no-deps --only-binary :all: -r requirements.lock
-fi
+install() {
+  if command -v uv >/dev/null 2>&1; then
+    uv pip install --python .venv/bin/python --require-hashes --no-deps --only-binary :all: -r "$1"
+  else
+    .venv/bin/python -m pip install --disable-pip-version-check --require-hashes \
+      --no-deps --only-binary :all: -r "$1"
+  fi
+}
+
+say "Installing the packages of requirements.lock, each checked against its hash (about 1 GB, once)"
+# First what compiles kernels: that is done while the rest, most of it renderers, arrives.
+.venv/bin/python tools/core_requirements.py >.venv/core.txt
+install .venv/core.txt
+say "Compiling the kernels beside the other downloads"
+PYTHONPATH=src .venv/bin/python tools/warm_kernels.py &
+warming=$!
+trap 'kill $warming 2>/dev/null || true' EXIT
+install requirements.lock
 
 say "Installing scenec itself, editable"
 .venv/bin/python -m pip install --disable-pip-version-check --quiet --no-index --no-deps \
   --no-build-isolation --editable .
+wait $warming || true
+trap - EXIT
 
 printf '%s\n' "$wanted" >"$stamp"
 say "The environment is ready: .venv"

@@ -12,7 +12,6 @@ from functools import cached_property
 from typing import Any, Self
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.backends.annotation.instances import Instances, Seen
@@ -20,11 +19,12 @@ from scenec.backends.camera.shutter import is_rolling
 from scenec.backends.contract import Rays
 from scenec.backends.exact.caster import ExactCaster, Hits
 from scenec.backends.stage.scene import Camera, Mesh, RenderScene
+from scenec.schemas.kernels import kernel
 from scenec.schemas.passes import BUILT_IN, PassFormat
 from scenec.schemas.threads import over_threads
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _gather(first, last, start, row, face, values, missing, out):  # type: ignore[no-untyped-def]
     """A value per face, or ``missing`` where nothing is hit."""
     for k in range(first, last):

@@ -17,9 +17,9 @@ of other surfaces is left out.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.backends.annotation.contract import Picture, built_in
@@ -33,37 +33,72 @@ from scenec.backends.stage.scene import Camera
 from scenec.schemas.correspondence import VISIBLE
 from scenec.schemas.depth_camera import MEASURED, StereoDepth, TimeOfFlightDepth
 from scenec.schemas.errors import CameraRefusedError
+from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
 
 _MEASURED = np.uint64(2)
 _ZERO = np.uint64(0)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def _stereo(first, last, depth, seen, fb, noise, step, near, far, key, sample, out):  # type: ignore[no-untyped-def]
+class _Noise(NamedTuple):
+    """Where random numbers come from: the camera's key and the sample, both uint64."""
+
+    key: np.uint64
+    sample: np.uint64
+
+
+class _Pair(NamedTuple):
+    """A stereo camera: focal length times baseline [m px], and ``StereoDepth`` [px, px, m, m]."""
+
+    focal_baseline: float
+    noise: float
+    step: float
+    near: float
+    far: float
+
+
+class _Modulation(NamedTuple):
+    """A time-of-flight camera.
+
+    Attributes:
+        weights: Of the spot along one axis, float64 [2 n + 1].
+        turn: Phase per meter of range, radians.
+        noise: Of the range, times the amplitude that comes back.
+        near, far: Ranges that are told, meters.
+    """
+
+    weights: NDArray[np.float64]
+    turn: float
+    noise: float
+    near: float
+    far: float
+
+
+@kernel
+def _stereo(first, last, depth, seen, pair, noise, out):  # type: ignore[no-untyped-def]
+    """Measured depth of each pixel, float64 [n], of the exact one and of what both halves see."""
     for k in range(first, last):
         out[k] = 0.0
         if not (depth[k] < math.inf and seen[k]):
             continue
-        w = philox(key, np.uint64(k), sample, _MEASURED, _ZERO)
-        d = fb / depth[k] + noise * quantile(unit(w[0]))
-        if step > 0.0:
-            d = step * math.floor(d / step + 0.5)
-        if d > 0.0 and near <= fb / d <= far:
-            out[k] = fb / d
+        w = philox(noise.key, np.uint64(k), noise.sample, _MEASURED, _ZERO)
+        d = pair.focal_baseline / depth[k] + pair.noise * quantile(unit(w[0]))
+        if pair.step > 0.0:
+            d = pair.step * math.floor(d / pair.step + 0.5)
+        if d > 0.0 and pair.near <= pair.focal_baseline / d <= pair.far:
+            out[k] = pair.focal_baseline / d
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def _time_of_flight_part(  # type: ignore[no-untyped-def]
-    first, last, seen, per_range, weights, turn, noise, bounds, key, sample, out
-):
-    reach, cosine = seen
+@kernel
+def _time_of_flight(first, last, reach, cosine, per_range, light, noise, out):  # type: ignore[no-untyped-def]
+    """Measured depth of each pixel, float64 [n]; ``reach`` and ``cosine`` are float64 [h, w]."""
     height, width = reach.shape
+    weights, turn = light.weights, light.turn
     half = weights.shape[0] // 2
     for k in range(first, last):
         y, x = k // width, k % width
         out[k] = 0.0
-        real = imaginary = total = 0.0
+        real = imaginary = 0.0
         for j in range(-half, half + 1):
             for i in range(-half, half + 1):
                 v, u = min(max(y + j, 0), height - 1), min(max(x + i, 0), width - 1)
@@ -72,34 +107,16 @@ def _time_of_flight_part(  # type: ignore[no-untyped-def]
                     a = weights[j + half] * weights[i + half] * cosine[v, u] / (r * r)
                     real += a * math.cos(turn * r)
                     imaginary += a * math.sin(turn * r)
-                    total += a
         amplitude = math.sqrt(real * real + imaginary * imaginary)
         if not amplitude > 0.0:
             continue
         r = math.atan2(imaginary, real) / turn
-        w = philox(key, np.uint64(k), sample, _MEASURED, _ZERO)
-        r += noise / amplitude * quantile(unit(w[0]))
+        w = philox(noise.key, np.uint64(k), noise.sample, _MEASURED, _ZERO)
+        r += light.noise / amplitude * quantile(unit(w[0]))
         whole = 2.0 * math.pi / turn
         r -= whole * math.floor(r / whole)
-        if bounds[0] <= r <= bounds[1]:
+        if light.near <= r <= light.far:
             out[k] = r * per_range[k]
-
-
-def _time_of_flight(seen, per_range, weights, turn, noise, bounds, key, sample, out):  # type: ignore[no-untyped-def]
-    height, width = seen[0].shape
-    over_threads(
-        _time_of_flight_part,
-        height * width,
-        seen,
-        per_range,
-        weights,
-        turn,
-        noise,
-        bounds,
-        key,
-        sample,
-        out,
-    )
 
 
 def measure_stereo(
@@ -123,20 +140,10 @@ def measure_stereo(
         Planar depth, float64, of the same shape, 0 where there is no answer.
     """
     out = np.empty(depth.size)
-    fb = float(camera.intrinsics[0, 0]) * model.baseline_m
-    over_threads(
-        _stereo,
-        len(out),
-        depth.ravel(),
-        seen.ravel(),
-        fb,
-        model.noise_px,
-        model.step_px,
-        *model.range_m,
-        np.uint64(key),
-        np.uint64(sample),
-        out,
-    )
+    focal_baseline = float(camera.intrinsics[0, 0]) * model.baseline_m
+    pair = _Pair(focal_baseline, model.noise_px, model.step_px, *model.range_m)
+    noise = _Noise(np.uint64(key), np.uint64(sample))
+    over_threads(_stereo, len(out), depth.ravel(), seen.ravel(), pair, noise, out)
     return out.reshape(depth.shape)
 
 
@@ -161,18 +168,15 @@ def measure_time_of_flight(
         Planar depth, float64 [h, w], 0 where there is no answer.
     """
     out = np.empty(reach.size)
-    _time_of_flight(
-        (reach, cosine),
-        per_range.ravel(),
+    light = _Modulation(
         _spot(model.blur_px),
         2.0 * math.pi / model.ambiguity_m,
         # Of a surface at ``at_m`` that faces the camera the amplitude is 1 / at_m^2.
         model.noise_m / model.at_m**2,
-        model.range_m,
-        np.uint64(key),
-        np.uint64(sample),
-        out,
+        *model.range_m,
     )
+    noise = _Noise(np.uint64(key), np.uint64(sample))
+    over_threads(_time_of_flight, len(out), reach, cosine, per_range.ravel(), light, noise, out)
     return out.reshape(reach.shape)
 
 

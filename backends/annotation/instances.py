@@ -5,12 +5,12 @@ The columns, and what they mean: ``scenec.schemas.instances``, which also reads 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.backends.annotation.outlines import Outliner
@@ -26,6 +26,7 @@ from scenec.schemas.instances import (
     POSE_COLUMNS,
     InstanceTable,
 )
+from scenec.schemas.kernels import kernel
 
 _IDENTITY = np.eye(4)[:3]
 
@@ -339,7 +340,7 @@ def _decomposed(matrix: NDArray[np.float64]) -> Poses:
     return poses
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _normalized(v):  # type: ignore[no-untyped-def]
     """Make a vector as long as 1; False, and the vector as it was, where there is none."""
     # Scaled first: squares of small numbers may underflow.
@@ -348,40 +349,41 @@ def _normalized(v):  # type: ignore[no-untyped-def]
         return False
     for i in range(3):
         v[i] /= largest
-    length = np.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
+    length = math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
     for i in range(3):
         v[i] /= length
     return True
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _cross(a, b, out):  # type: ignore[no-untyped-def]
     out[0] = a[1] * b[2] - a[2] * b[1]
     out[1] = a[2] * b[0] - a[0] * b[2]
     out[2] = a[0] * b[1] - a[1] * b[0]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _set_across(v, out):  # type: ignore[no-untyped-def]
     """Some unit vector across another, which is not 0."""
     least = 0
     for i in range(1, 3):
         if abs(v[i]) < abs(v[least]):
             least = i
-    axis = np.zeros(3)
-    axis[least] = 1.0
+    axis = np.empty(3)
+    for i in range(3):
+        axis[i] = 1.0 if i == least else 0.0
     _cross(v, axis, out)
     _normalized(out)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _decompose(matrix, rotation, scale, rest):  # type: ignore[no-untyped-def]
     x, y, z = np.empty(3), np.empty(3), np.empty(3)
     for k in range(matrix.shape[0]):
         m = matrix[k]
         for i in range(3):
             x[i], y[i], z[i] = m[i, 0], m[i, 1], m[i, 2]
-            scale[k, i] = np.sqrt(m[0, i] * m[0, i] + m[1, i] * m[1, i] + m[2, i] * m[2, i])
+            scale[k, i] = math.sqrt(m[0, i] * m[0, i] + m[1, i] * m[1, i] + m[2, i] * m[2, i])
         determinant = (
             (x[1] * y[2] - x[2] * y[1]) * z[0]
             + (x[2] * y[0] - x[0] * y[2]) * z[1]
@@ -389,7 +391,8 @@ def _decompose(matrix, rotation, scale, rest):  # type: ignore[no-untyped-def]
         )
         if determinant < 0.0:
             scale[k, 0] = -scale[k, 0]
-            x[:] = -x
+            for i in range(3):
+                x[i] = -x[i]
         flat = not _normalized(x)
         if flat:
             # Across what there is; the world's axis where there is nothing.
@@ -434,7 +437,7 @@ def quaternions(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _set_quaternions(rotation, out):  # type: ignore[no-untyped-def]
     for k in range(rotation.shape[0]):
         m, q = rotation[k], out[k]
@@ -453,7 +456,7 @@ def _set_quaternions(rotation, out):  # type: ignore[no-untyped-def]
             q[j] = m[i, j] + m[j, i]
             q[n] = m[i, n] + m[n, i]
             q[3] = m[n, j] - m[j, n]
-        length = np.sqrt(((q[0] * q[0] + q[1] * q[1]) + q[2] * q[2]) + q[3] * q[3])
+        length = math.sqrt(((q[0] * q[0] + q[1] * q[1]) + q[2] * q[2]) + q[3] * q[3])
         if q[3] < 0.0:
             length = -length
         for i in range(4):
@@ -461,7 +464,7 @@ def _set_quaternions(rotation, out):  # type: ignore[no-untyped-def]
             q[i] = q[i] / length + 0.0
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _measure(row, t, slot_of_row, width, pixels, depths):  # type: ignore[no-untyped-def]
     """Per instance: pixels, first column and row, last column and row; least depth, sum, most."""
     for k in range(row.shape[0]):

@@ -10,9 +10,9 @@ cast is turned away from the direction that is told. Numbers are counted by ray,
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.backends.annotation.contract import View
@@ -23,37 +23,60 @@ from scenec.backends.contract import Rays
 from scenec.backends.exact import ExactCaster
 from scenec.backends.imaging.chance import philox, quantile, unit
 from scenec.backends.stage.scene import Lidar, RenderScene
+from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
 
 _LOW, _HALF = np.uint64(0xFFFFFFFF), np.uint64(32)
 _TURNED, _ANSWERED = np.uint64(0), np.uint64(1)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def _directions(first, last, elevations, azimuths, noise, key, sample, m, out):  # type: ignore[no-untyped-def]
-    """World directions of the rays that are cast."""
+class _Errors(NamedTuple):
+    """What a lidar gets wrong: ``Lidar``'s numbers, as kernels want them.
+
+    Attributes:
+        angle: Deviation of angles, radians.
+        steady, ratio: Of ranges: meters, and a share of the range.
+        lost: Share of answers that are lost.
+        near, far: Ranges that are told, meters.
+        key, sample: Of the random numbers, uint64.
+    """
+
+    angle: float
+    steady: float
+    ratio: float
+    lost: float
+    near: float
+    far: float
+    key: np.uint64
+    sample: np.uint64
+
+
+@kernel
+def _directions(first, last, elevations, azimuths, errors, turn, out):  # type: ignore[no-untyped-def]
+    """World directions of the rays that are cast, float64 [b * a, 3]; angles are in radians."""
     count = azimuths.shape[0]
     for k in range(first, last):
         up, left = elevations[k // count], azimuths[k % count]
-        if noise > 0.0:
-            w = philox(key, np.uint64(k), sample, _TURNED, np.uint64(0))
-            up += noise * quantile(unit(w[0]))
-            left += noise * quantile(unit(w[1]))
+        if errors.angle > 0.0:
+            w = philox(errors.key, np.uint64(k), errors.sample, _TURNED, np.uint64(0))
+            up += errors.angle * quantile(unit(w[0]))
+            left += errors.angle * quantile(unit(w[1]))
         flat = math.cos(up)
         x, y, z = flat * math.cos(left), flat * math.sin(left), math.sin(up)
         for i in range(3):
-            out[k, i] = m[i, 0] * x + m[i, 1] * y + m[i, 2] * z
+            out[k, i] = turn[i, 0] * x + turn[i, 1] * y + turn[i, 2] * z
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def _answers(first, last, t, near, far, steady, ratio, lost, key, sample, out):  # type: ignore[no-untyped-def]
-    """Ranges with noise; +inf where there is no answer."""
+@kernel
+def _answers(first, last, t, errors, out):  # type: ignore[no-untyped-def]
+    """Ranges with noise, float64 [n]; +inf where there is no answer."""
     for k in range(first, last):
         out[k] = math.inf
-        if not near <= t[k] <= far:
+        if not errors.near <= t[k] <= errors.far:
             continue
-        w = philox(key, np.uint64(k), sample, _ANSWERED, np.uint64(0))
-        if unit(w[0]) >= lost:
+        w = philox(errors.key, np.uint64(k), errors.sample, _ANSWERED, np.uint64(0))
+        if unit(w[0]) >= errors.lost:
+            steady, ratio = errors.steady, errors.ratio
             deviation = math.sqrt(steady * steady + ratio * ratio * t[k] * t[k])
             out[k] = max(t[k] + deviation * quantile(unit(w[1])), 0.0)
 
@@ -73,30 +96,24 @@ def scan(scene: RenderScene, caster: ExactCaster, lidar: Lidar, sample: int) -> 
     elevations, azimuths = np.radians(lidar.elevations_deg), np.radians(lidar.azimuths_deg)
     shape = (len(elevations), len(azimuths))
     directions = np.empty((shape[0] * shape[1], 3))
-    key, number = np.uint64(lidar.key), np.uint64(sample)
-    noise = math.radians(lidar.angle_noise_deg)
-    turn = np.ascontiguousarray(lidar.to_world[:3, :3])
-    over_threads(
-        _directions, directions.shape[0], elevations, azimuths, noise, key, number, turn, directions
+    errors = _Errors(
+        math.radians(lidar.angle_noise_deg),
+        lidar.range_noise_m,
+        lidar.range_noise_ratio,
+        lidar.dropout,
+        *lidar.range_m,
+        np.uint64(lidar.key),
+        np.uint64(sample),
     )
+    turn = np.ascontiguousarray(lidar.to_world[:3, :3])
+    over_threads(_directions, len(directions), elevations, azimuths, errors, turn, directions)
     origins = np.ascontiguousarray(np.broadcast_to(lidar.to_world[:3, 3], directions.shape))
     rays = Rays(origins, directions, shape)
     caster.pose(sample)
     hits = caster.hits(rays)
     t = hits.t
     answer = np.empty(len(t))
-    over_threads(
-        _answers,
-        len(t),
-        t,
-        *lidar.range_m,
-        lidar.range_noise_m,
-        lidar.range_noise_ratio,
-        lidar.dropout,
-        key,
-        number,
-        answer,
-    )
+    over_threads(_answers, len(t), t, errors, answer)
     there = np.isfinite(answer)
     view = View(scene, sample, hits, lambda: rays)
     made = {f"label.{level}": label(view, level) for level in scene.levels}

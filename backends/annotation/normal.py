@@ -5,15 +5,15 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.backends.annotation.contract import View, built_in
 from scenec.backends.exact.intersect import world_normal
+from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _normals(first, last, g, directions, row, face, out):  # type: ignore[no-untyped-def]
     """Geometric unit normals that face the ray, 0 where nothing is hit."""
     for k in range(first, last):

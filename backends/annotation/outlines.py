@@ -21,6 +21,9 @@ from scenec.backends.exact.bvh import Geometry
 from scenec.backends.exact.silhouette import (
     LANES,
     RAY_COST,
+    Masks,
+    Members,
+    Pinhole,
     frame_rows,
     mark_shown,
     outline_all,
@@ -112,33 +115,18 @@ class Outliner:
             ray_cost: What a ray costs in triangles (``exact.silhouette``); changes time alone.
             rays: The picture's; made where they are missing and needed.
         """
-        width, height = camera.width, camera.height
-        k = np.ascontiguousarray(camera.intrinsics, np.float64)
-        pose = np.ascontiguousarray(camera.camera_to_world, np.float64)
-        inverse = _inverse(pose[:3, :3])
         firsts, entries = self._entries(which)
         rows = self._rows[entries]
         parts = np.zeros((len(rows), 4), np.int64)
         whole = np.zeros(len(rows), bool)
-        of_lens = None
+        of_lens, view = None, Pinhole.of(camera)
         if camera.lens is not None or is_rolling(camera):
             of_lens = camera_rays(camera) if rays is None else rays
             parts = outline_rays.frame_rows(geometry, rows, of_lens)
-        else:
-            over_threads(
-                frame_rows,
-                rows.shape[0],
-                geometry,
-                rows,
-                self._boxes[entries],
-                k,
-                pose,
-                inverse,
-                width,
-                height,
-                parts,
-                whole,
-            )
+        members = Members(rows, parts, self._bases[entries], firsts)
+        if of_lens is None:
+            boxes = self._boxes[entries]
+            over_threads(frame_rows, len(rows), geometry, members, boxes, view, whole)
         windows = _union(parts, firsts[:-1], shown)
         pixels = (windows[:, 1] - windows[:, 0]) * (windows[:, 3] - windows[:, 2])
         bounded = np.logical_and.reduceat(whole, firsts[:-1]) if len(which) else whole
@@ -151,32 +139,20 @@ class Outliner:
             starts = np.full(len(which), -1, np.int64)
             starts[first:end] = np.cumsum(pixels[first:end]) - pixels[first:end]
             marks = np.zeros(int(pixels[first:end].sum()), np.uint8)
-            over_threads(
-                mark_shown,
-                row.shape[0] // width,
-                row,
-                self._slot_of_row,
-                seen,
-                width,
-                windows,
-                starts,
-                marks,
-            )
+            masks_now = Masks(windows, starts, marks, areas)
+            slots = self._slot_of_row, seen
+            over_threads(mark_shown, camera.height, row, *slots, camera.width, masks_now)
             # The largest first: no thread is left with one at the end.
             order = first + np.argsort(-pixels[first:end], kind="stable")
             if of_lens is not None:
-                outline_rays.outline(
-                    geometry, rows, parts, firsts, order, windows, starts, of_lens, marks, areas,
-                    bounded,
-                )  # fmt: skip
+                outline_rays.outline(geometry, members, order, masks_now, of_lens, bounded)
             else:
+                lanes = min(LANES, len(order))
                 over_threads(
-                    outline_all, min(LANES, len(order)), geometry, rows, parts,
-                    self._bases[entries], firsts, order, windows, starts, ray_cost, k, pose,
-                    inverse, width, height, marks, areas,
-                )  # fmt: skip
+                    outline_all, lanes, geometry, members, order, masks_now, view, ray_cost
+                )
             if masks:
-                counts.append(_runs(order, windows, starts, marks, width, height, sizes))
+                counts.append(_runs(order, masks_now, (camera.height, camera.width), sizes))
         return Silhouettes(
             areas[:, 0],
             areas[:, 1],
@@ -224,30 +200,15 @@ def _groups(pixels: NDArray[np.int64]) -> list[tuple[int, int]]:
 
 
 def _runs(
-    order: NDArray[np.int64],
-    windows: NDArray[np.int64],
-    starts: NDArray[np.int64],
-    marks: NDArray[np.uint8],
-    width: int,
-    height: int,
-    sizes: NDArray[np.int64],
+    order: NDArray[np.int64], masks: Masks, shape: tuple[int, int], sizes: NDArray[np.int64]
 ) -> NDArray[np.uint32]:
     """Run lengths of the masks of a group; their numbers go into ``sizes``."""
     first, end = int(order.min()), int(order.max()) + 1
     begins = np.zeros(len(sizes), np.int64)
     nothing = np.empty(0, np.uint32)
     lanes = min(LANES, len(order))
-    masks = order, windows, starts, marks, width, height
-    over_threads(runs, lanes, *masks, False, sizes, begins, nothing)
+    over_threads(runs, lanes, order, masks, shape, sizes, begins, nothing)
     begins[first:end] = np.cumsum(sizes[first:end]) - sizes[first:end]
     counts = np.empty(int(sizes[first:end].sum()), np.uint32)
-    over_threads(runs, lanes, *masks, True, sizes, begins, counts)
+    over_threads(runs, lanes, order, masks, shape, sizes, begins, counts)
     return counts
-
-
-def _inverse(m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Of a camera's axes, by cofactors: no last bit depends on the CPU."""
-    cofactors = np.stack(
-        [np.cross(m[:, 1], m[:, 2]), np.cross(m[:, 2], m[:, 0]), np.cross(m[:, 0], m[:, 1])]
-    )
-    return np.ascontiguousarray(cofactors / (cofactors[0] * m[:, 0]).sum())

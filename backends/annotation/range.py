@@ -5,14 +5,14 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.backends.annotation.contract import View, built_in
+from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _ranges(first, last, directions, t, out):  # type: ignore[no-untyped-def]
     """Distances along the ray, +inf where nothing is hit."""
     for k in range(first, last):

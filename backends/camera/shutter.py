@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.backends.stage.scene import Camera, OpenShutter
+from scenec.schemas.kernels import kernel
 from scenec.schemas.lens import shown_at
 from scenec.schemas.shutter import between, turn_vectors
 from scenec.schemas.threads import over_threads
@@ -216,19 +217,9 @@ class _Search:
         held = self._held
         at = held.shutter.middles(v, self._camera.height)
         local, eye = np.empty((len(which), 3)), np.empty((len(which), 3))
+        path = _Path(held.times, held.camera_to_world, self._turns)
         points, far = self._points[which], self._far[which]
-        over_threads(
-            _see,
-            at.shape[0],
-            held.times,
-            held.camera_to_world,
-            self._turns,
-            at,
-            points,
-            far,
-            local,
-            eye,
-        )
+        over_threads(_see, len(at), path, at, points, far, local, eye)
         return local, eye
 
     def _off(
@@ -248,9 +239,34 @@ class _Search:
         ), rounding
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def _see(begin, end, times, poses, turns, at, points, far, local, eye):  # type: ignore[no-untyped-def]
-    """Points in the frames of cameras between poses: ``schemas.shutter.between``, one by one."""
+class _Path(NamedTuple):
+    """Poses of a camera while it looks.
+
+    Attributes:
+        times: Ascending, float64 [n].
+        poses: Camera to world at each, float64 [n, 4, 4].
+        turns: From each pose to the next, axis times angle, float64 [n - 1, 3].
+    """
+
+    times: NDArray[np.float64]
+    poses: NDArray[np.float64]
+    turns: NDArray[np.float64]
+
+
+@kernel
+def _see(begin, end, path, at, points, far, local, eye):  # type: ignore[no-untyped-def]
+    """Points in the frames of cameras between poses: ``schemas.shutter.between``, one by one.
+
+    Args:
+        begin, end: Which points.
+        path: ``_Path``.
+        at: When each is looked at, float64 [n].
+        points: float64 [n, 3], meters; of far ones directions.
+        far: Which are, bool [n].
+        local: Receives them in the camera's frame, float64 [n, 3].
+        eye: Receives where that is, float64 [n, 3].
+    """
+    times, poses, turns = path.times, path.poses, path.turns
     last = times.shape[0] - 1
     for n in range(begin, end):
         i = min(max(np.searchsorted(times, at[n], side="right") - 1, 0), last)

@@ -19,7 +19,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.backends.contract import NO_ROW, Rays, Visibility
@@ -30,6 +29,7 @@ from scenec.backends.run.frames import opening
 from scenec.backends.run.plan import RenderPlan
 from scenec.backends.run.units import OfSession, witness
 from scenec.schemas.errors import BackendError
+from scenec.schemas.kernels import kernel
 from scenec.schemas.manifest import Batch
 from scenec.schemas.threads import over_threads
 from scenec.schemas.units import run_all
@@ -183,7 +183,7 @@ def _steps(rays: Rays) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     return across.reshape(-1, 3), down.reshape(-1, 3)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _nearest(first, last, g, rays, seen, found):  # type: ignore[no-untyped-def]
     """Where and how far from each ray a face is.
 

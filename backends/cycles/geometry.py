@@ -11,13 +11,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.backends.stage.posing import moving
 from scenec.backends.stage.scene import Mesh, RenderScene
 from scenec.backends.surface.maps import face_tangents
 from scenec.schemas.errors import BackendError
+from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
 
 #: Names of the attributes that shaders read.
@@ -208,7 +208,7 @@ def _make_mesh(bpy: Any, name: str, mesh: Mesh, scale: float) -> Any:
     return made
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _turn(first, last, faces, points, normals):  # type: ignore[no-untyped-def]
     """Wind faces as their shading normals point, in place; their order stays.
 

@@ -15,11 +15,12 @@ thread down to ranges of a fixed size, and each range owns the nodes it will nee
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
 
 NODE_WORDS = 16
@@ -40,7 +41,44 @@ def empty_nodes(count: int) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
     return nodes, nodes.view(np.int32)
 
 
-@njit(cache=True, error_model="numpy")
+class Forest(NamedTuple):
+    """Trees in the making.
+
+    Attributes:
+        boxes: Boxes of the entries, low then high corner, float32 [n, 6].
+        order: Permutation of entries, int32 [n], permuted in place.
+        nodes, links: The table of nodes, float32 and int32 [m, 16].
+        leaf_size: Most entries of a leaf.
+        leaf_cost: Cost of testing an entry over that of visiting a node.
+    """
+
+    boxes: NDArray[np.float32]
+    order: NDArray[np.int32]
+    nodes: NDArray[np.float32]
+    links: NDArray[np.int32]
+    leaf_size: int
+    leaf_cost: float
+
+
+class _Bins(NamedTuple):
+    """Scratch of ``_split``.
+
+    Attributes:
+        counts: Entries in each bin along each axis, int32 [3, _BINS].
+        boxes: Around them, float32 [3, _BINS, 6].
+        costs: Of what is right of each bin, float32 [_BINS].
+        scale: Lowest doubled middle along each axis, and bins over extent, float32 [2, 3].
+        parts: Boxes of the two parts, float32 [2, 6].
+    """
+
+    counts: NDArray[np.int32]
+    boxes: NDArray[np.float32]
+    costs: NDArray[np.float32]
+    scale: NDArray[np.float32]
+    parts: NDArray[np.float32]
+
+
+@kernel
 def _half_area(box):  # type: ignore[no-untyped-def]
     x = box[3] - box[0]
     y = box[4] - box[1]
@@ -48,36 +86,38 @@ def _half_area(box):  # type: ignore[no-untyped-def]
     return x * y + y * z + z * x
 
 
-@njit(cache=True, error_model="numpy")
-def _grow(box, boxes, entry):  # type: ignore[no-untyped-def]
+@kernel
+def _grow(box, other):  # type: ignore[no-untyped-def]
     for i in range(3):
-        box[i] = min(box[i], boxes[entry, i])
-        box[i + 3] = max(box[i + 3], boxes[entry, i + 3])
+        box[i] = min(box[i], other[i])
+        box[i + 3] = max(box[i + 3], other[i + 3])
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _clear(box):  # type: ignore[no-untyped-def]
     for i in range(3):
         box[i] = np.float32(math.inf)
         box[i + 3] = np.float32(-math.inf)
 
 
-@njit(cache=True, error_model="numpy")
-def _split(boxes, order, start, stop, depth, leaf_size, leaf_cost, box_a, box_b, counts, bins):  # type: ignore[no-untyped-def]
-    """Partition order[start:stop]; the index of the second part, or ``start`` for a leaf.
+@kernel
+def _bound(forest, start, stop, box):  # type: ignore[no-untyped-def]
+    """Box around the entries order[start:stop]."""
+    _clear(box)
+    for k in range(start, stop):
+        _grow(box, forest.boxes[forest.order[k]])
 
-    ``box_a`` and ``box_b`` receive the boxes of the parts.
-    """
-    n = stop - start
-    if n == 1:
-        return start
-    low = np.empty(3, np.float32)
-    scale = np.empty(3, np.float32)
+
+@kernel
+def _fill_bins(forest, start, stop, bins):  # type: ignore[no-untyped-def]
+    """Sort the middles of order[start:stop] into bins along each axis."""
+    low, scale = bins.scale[0], bins.scale[1]
     for i in range(3):
         least = np.float32(math.inf)
         most = np.float32(-math.inf)
         for k in range(start, stop):
-            c = boxes[order[k], i] + boxes[order[k], i + 3]
+            box = forest.boxes[forest.order[k]]
+            c = box[i] + box[i + 3]
             least = min(least, c)
             most = max(most, c)
         low[i] = least
@@ -85,174 +125,159 @@ def _split(boxes, order, start, stop, depth, leaf_size, leaf_cost, box_a, box_b,
         scale[i] = np.float32(_BINS * 0.9999) / extent if extent > 0.0 else np.float32(0.0)
         if not math.isfinite(scale[i]):
             scale[i] = np.float32(0.0)
+        for j in range(_BINS):
+            bins.counts[i, j] = 0
+            _clear(bins.boxes[i, j])
+    for k in range(start, stop):
+        box = forest.boxes[forest.order[k]]
+        for i in range(3):
+            if scale[i] > 0.0:
+                c = box[i] + box[i + 3]
+                j = min(int((c - low[i]) * scale[i]), _BINS - 1)
+                bins.counts[i, j] += 1
+                _grow(bins.boxes[i, j], box)
 
-    best_cost = np.float32(math.inf)
-    best_axis = -1
-    best_bin = 0
-    if depth < _DEPTH_OF_HALVING:
-        counts[:] = 0
-        for i in range(3):
-            for j in range(_BINS):
-                _clear(bins[i, j])
-        for k in range(start, stop):
-            entry = order[k]
-            for i in range(3):
-                if scale[i] > 0.0:
-                    c = boxes[entry, i] + boxes[entry, i + 3]
-                    j = min(int((c - low[i]) * scale[i]), _BINS - 1)
-                    counts[i, j] += 1
-                    _grow(bins[i, j], boxes, entry)
-        right_cost = np.empty(_BINS, np.float32)
-        for i in range(3):
-            if scale[i] == 0.0:
-                continue
-            _clear(box_b)
-            total = 0
-            for j in range(_BINS - 1, 0, -1):
-                if counts[i, j] > 0:
-                    total += counts[i, j]
-                    _grow(box_b, bins[i], j)
-                right_cost[j] = total * _half_area(box_b) if total > 0 else 0.0
-            _clear(box_a)
-            left = 0
-            for j in range(_BINS - 1):
-                if counts[i, j] > 0:
-                    left += counts[i, j]
-                    _grow(box_a, bins[i], j)
-                if left > 0 and left < n:
-                    cost = np.float32(left * _half_area(box_a) + right_cost[j + 1])
-                    if cost < best_cost:
-                        best_cost = cost
-                        best_axis = i
-                        best_bin = j
+
+@kernel
+def _cheapest(n, bins):  # type: ignore[no-untyped-def]
+    """The cheapest split of n entries: cost, axis (-1: none), last bin of the first part."""
+    best_cost, best_axis, best_bin = np.float32(math.inf), -1, 0
+    left_box, right_box = bins.parts[0], bins.parts[1]
+    for i in range(3):
+        if bins.scale[1, i] == 0.0:
+            continue
+        _clear(right_box)
+        total = 0
+        for j in range(_BINS - 1, 0, -1):
+            if bins.counts[i, j] > 0:
+                total += bins.counts[i, j]
+                _grow(right_box, bins.boxes[i, j])
+            bins.costs[j] = total * _half_area(right_box) if total > 0 else 0.0
+        _clear(left_box)
+        left = 0
+        for j in range(_BINS - 1):
+            if bins.counts[i, j] > 0:
+                left += bins.counts[i, j]
+                _grow(left_box, bins.boxes[i, j])
+            if left > 0 and left < n:
+                cost = np.float32(left * _half_area(left_box) + bins.costs[j + 1])
+                if cost < best_cost:
+                    best_cost, best_axis, best_bin = cost, i, j
+    return best_cost, best_axis, best_bin
+
+
+@kernel
+def _split(forest, start, stop, depth, bins):  # type: ignore[no-untyped-def]
+    """Partition order[start:stop]; the index of the second part, or ``start`` for a leaf.
+
+    ``bins.parts`` receives the boxes of the parts.
+    """
+    n = stop - start
+    if n == 1:
+        return start
+    order = forest.order
     middle = start + n // 2
-    if best_axis >= 0:
-        _clear(box_a)
-        for k in range(start, stop):
-            _grow(box_a, boxes, order[k])
-        area = _half_area(box_a)
-        if n <= leaf_size and best_cost * leaf_cost + area >= n * area * leaf_cost:
+    cost, axis, last_bin = np.float32(math.inf), -1, 0
+    if depth < _DEPTH_OF_HALVING:
+        _fill_bins(forest, start, stop, bins)
+        cost, axis, last_bin = _cheapest(n, bins)
+    if axis >= 0:
+        _bound(forest, start, stop, bins.parts[0])
+        area = _half_area(bins.parts[0])
+        leaf_cost = forest.leaf_cost
+        if n <= forest.leaf_size and cost * leaf_cost + area >= n * area * leaf_cost:
             return start
-        i = best_axis
+        low, scale = bins.scale[0, axis], bins.scale[1, axis]
         left = start
         right = stop - 1
         while left <= right:
             entry = order[left]
-            c = boxes[entry, i] + boxes[entry, i + 3]
-            if min(int((c - low[i]) * scale[i]), _BINS - 1) <= best_bin:
+            c = forest.boxes[entry, axis] + forest.boxes[entry, axis + 3]
+            if min(int((c - low) * scale), _BINS - 1) <= last_bin:
                 left += 1
             else:
                 order[left] = order[right]
                 order[right] = entry
                 right -= 1
         middle = left
-    elif n <= leaf_size:
+    elif n <= forest.leaf_size:
         return start
-    _clear(box_a)
-    for k in range(start, middle):
-        _grow(box_a, boxes, order[k])
-    _clear(box_b)
-    for k in range(middle, stop):
-        _grow(box_b, boxes, order[k])
+    _bound(forest, start, middle, bins.parts[0])
+    _bound(forest, middle, stop, bins.parts[1])
     return middle
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def build_range(  # type: ignore[no-untyped-def]
-    boxes, order, start, stop, depth, nodes, links, first, leaf_size, leaf_cost, task_size, tasks
-):
-    """Build the tree of order[start:stop] into nodes from ``first`` on.
-
-    Args:
-        boxes: Boxes of the entries, low then high corner, float32 [n, 6].
-        order: Permutation of entries, int32, permuted in place.
-        start: First entry of the range of ``order``.
-        stop: End of the range, beyond ``start``.
-        depth: Depth of the range's root in the whole tree.
-        nodes: The node table as float32.
-        links: The same memory as int32.
-        first: Index of the first node to write; the root is there.
-        leaf_size: Most entries of a leaf.
-        leaf_cost: Cost of testing an entry over that of visiting a node.
-        task_size: Ranges of at most so many entries are left to others and listed in ``tasks``;
-            0 builds everything.
-        tasks: int64 [k, 5], receives (start, stop, depth, parent node, side).
-
-    Returns:
-        (number of nodes written, number of tasks).
-    """
-    counts = np.empty((3, _BINS), np.int32)
-    bins = np.empty((3, _BINS, 6), np.float32)
-    box_a = np.empty(6, np.float32)
-    box_b = np.empty(6, np.float32)
+@kernel
+def _build(forest, task, task_size, tasks, bins):  # type: ignore[no-untyped-def]
+    """Build a range of entries but for what is left to others; how many ranges those are."""
+    links = forest.links
     stack = np.empty((STACK_SIZE, 5), np.int64)
-    used = 0
+    for i in range(5):
+        stack[0, i] = task[i]
+    unused = task[5]
     listed = 0
     size = 1
-    stack[0] = np.array((start, stop, depth, -1, 0))
     while size > 0:
         size -= 1
-        low, high, level, parent, side = stack[size]
+        low, high, depth = stack[size, 0], stack[size, 1], stack[size, 2]
+        parent, side = stack[size, 3], stack[size, 4]
         if parent >= 0 and high - low <= task_size:
-            tasks[listed] = stack[size]
+            for i in range(5):
+                tasks[listed, i] = stack[size, i]
+            # A range of n entries needs at most n - 1 nodes, so ranges never meet.
+            tasks[listed, 5] = low
             listed += 1
             continue
-        middle = _split(
-            boxes, order, low, high, level, leaf_size, leaf_cost, box_a, box_b, counts, bins
-        )
+        middle = _split(forest, low, high, depth, bins)
         if middle == low and parent >= 0:
             links[parent, 12 + side] = low
             links[parent, 14 + side] = high - low
             continue
-        node = first + used
-        used += 1
+        node = unused
+        unused += 1
         if parent >= 0:
             links[parent, 12 + side] = node
             links[parent, 14 + side] = 0
         if middle == low:
             # A root that is a leaf: its node has the leaf as child 0 and nothing as child 1.
-            _clear(box_a)
-            for k in range(low, high):
-                _grow(box_a, boxes, order[k])
-            _clear(box_b)
+            _bound(forest, low, high, bins.parts[0])
+            _clear(bins.parts[1])
             links[node, 12] = low
             links[node, 14] = high - low
             links[node, 13] = low
             links[node, 15] = 1
         for i in range(6):
-            nodes[node, i] = box_a[i]
-            nodes[node, 6 + i] = box_b[i]
+            forest.nodes[node, i] = bins.parts[0, i]
+            forest.nodes[node, 6 + i] = bins.parts[1, i]
         if middle > low:
-            stack[size, 0] = middle
-            stack[size, 1] = high
-            stack[size, 2] = level + 1
-            stack[size, 3] = node
-            stack[size, 4] = 1
-            stack[size + 1, 0] = low
-            stack[size + 1, 1] = middle
-            stack[size + 1, 2] = level + 1
-            stack[size + 1, 3] = node
-            stack[size + 1, 4] = 0
+            for child in range(2):
+                at = size + 1 - child
+                stack[at, 0] = middle if child == 1 else low
+                stack[at, 1] = high if child == 1 else middle
+                stack[at, 2], stack[at, 3], stack[at, 4] = depth + 1, node, child
             size += 2
-    return used, listed
+    return listed
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def build_tasks(first, last, boxes, order, tasks, nodes, links, leaf_size, leaf_cost):  # type: ignore[no-untyped-def]
-    """Build the ranges that ``build_range`` left, each into the nodes from its start on."""
-    none = np.empty((0, 5), np.int64)
+@kernel
+def build_ranges(first, last, forest, ranges, task_size, tasks, rooms):  # type: ignore[no-untyped-def]
+    """Build trees, or parts of trees, each from a range of entries.
+
+    Args:
+        first, last: Which of ``ranges``.
+        forest: ``Forest``.
+        ranges: int64 [k, 6]: first entry in ``order``, end, depth in the whole tree, parent node
+            (-1: a root), side of the parent, first node to write.
+        task_size: Ranges below a root of at most so many entries are left to others.
+        tasks: Receives these, int64 [t, 6].
+        rooms: Where in ``tasks`` those of each range begin, and end (received), int64 [k, 2].
+    """
+    counts, boxes = np.empty((3, _BINS), np.int32), np.empty((3, _BINS, 6), np.float32)
+    costs, scale = np.empty(_BINS, np.float32), np.empty((2, 3), np.float32)
+    bins = _Bins(counts, boxes, costs, scale, np.empty((2, 6), np.float32))
     for i in range(first, last):
-        start, stop, depth, parent, side = tasks[i]
-        if stop - start == 1:
-            links[parent, 12 + side] = start
-            links[parent, 14 + side] = 1
-        else:
-            # A range of n entries needs at most n - 1 nodes, so ranges never meet.
-            build_range(
-                boxes, order, start, stop, depth, nodes, links, start, leaf_size, leaf_cost, 0, none
-            )
-            links[parent, 12 + side] = start
-            links[parent, 14 + side] = 0
+        room = rooms[i, 0]
+        rooms[i, 1] = room + _build(forest, ranges[i], task_size, tasks[room:], bins)
 
 
 def forest_room(entries: int) -> int:
@@ -277,35 +302,20 @@ def build_forest(
     Returns:
         (nodes, links, order, roots): see the module; ``roots`` int32 [k].
     """
-    n = len(boxes)
+    n, k = len(boxes), len(ranges)
     # At most n // TASK_SIZE ranges of one level of the tree are above the size of a task.
-    rooms = STACK_SIZE * (1 + (ranges[:, 1] - ranges[:, 0]) // TASK_SIZE)
-    nodes, links = empty_nodes(n + int(rooms.sum()))
+    ends = np.cumsum(STACK_SIZE * (1 + (ranges[:, 1] - ranges[:, 0]) // TASK_SIZE))
+    begins = np.concatenate([[0], ends[:-1]]) if k else ends
+    room = int(ends[-1]) if k else 0
+    nodes, links = empty_nodes(n + room)
     order = np.arange(n, dtype=np.int32)
-    roots = np.empty(len(ranges), np.int32)
-    lists = []
-    first = n
-    for i, (start, stop) in enumerate(ranges.tolist()):
-        tasks = np.empty((rooms[i] + 1, 5), np.int64)
-        used, listed = build_range(
-            boxes,
-            order,
-            start,
-            stop,
-            0,
-            nodes,
-            links,
-            first,
-            leaf_size,
-            leaf_cost,
-            TASK_SIZE,
-            tasks,
-        )
-        roots[i] = first
-        first += used
-        lists.append(tasks[:listed])
-    tasks = np.concatenate(lists) if lists else np.empty((0, 5), np.int64)
-    over_threads(
-        build_tasks, tasks.shape[0], boxes, order, tasks, nodes, links, leaf_size, leaf_cost
-    )
-    return nodes, links, order, roots
+    forest = Forest(boxes, order, nodes, links, leaf_size, leaf_cost)
+    trees = np.zeros((k, 6), np.int64)
+    trees[:, :2], trees[:, 3], trees[:, 5] = ranges, -1, n + begins
+    listed = np.stack([begins, begins], axis=1)
+    tasks = np.empty((room, 6), np.int64)
+    over_threads(build_ranges, k, forest, trees, TASK_SIZE, tasks, listed)
+    tasks = np.concatenate([tasks[begin:end] for begin, end in listed.tolist()] or [tasks])
+    nothing = np.zeros((len(tasks), 2), np.int64)
+    over_threads(build_ranges, len(tasks), forest, tasks, 0, tasks[:0], nothing)
+    return nodes, links, order, trees[:, 5].astype(np.int32)

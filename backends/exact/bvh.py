@@ -12,12 +12,12 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.backends.exact.build import build_forest
 from scenec.backends.stage.scene import RenderScene
 from scenec.schemas.errors import BackendError
+from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
 
 #: Rounding errors of a few hundred operations, in units of the magnitudes involved. What has to be
@@ -77,7 +77,7 @@ class Geometry(NamedTuple):
     row_spheres: NDArray[np.float64]
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _face_boxes(first, last, points, faces, boxes):  # type: ignore[no-untyped-def]
     """Boxes of triangles given in float32: exact."""
     for k in range(first, last):

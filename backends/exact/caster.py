@@ -5,26 +5,28 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.backends.contract import NO_ROW, Rays
 from scenec.backends.exact.bvh import Geometry, build_geometry
 from scenec.backends.exact.intersect import hit_parameter, ray_frame, row_matrix
 from scenec.backends.exact.moving import MovingRows
-from scenec.backends.exact.trace import trace_all
+from scenec.backends.exact.trace import Beams, Found, trace_all
 from scenec.backends.stage.scene import RenderScene
+from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def _test_all(first, last, g, origins, directions, index, row, face, t):  # type: ignore[no-untyped-def]
+@kernel
+def _test_all(first, last, g, beams, index, found):  # type: ignore[no-untyped-def]
     for k in range(first, last):
-        t[k] = np.inf
-        if 0 <= row[k] < g.row_face.shape[0] and 0 <= face[k] < g.row_faces[row[k]]:
-            frame = ray_frame(origins[index[k]], directions[index[k]])
-            matrix = row_matrix(g.to_world, row[k], frame[0], frame[1], frame[2])
-            t[k] = hit_parameter(g.points, g.faces[g.row_face[row[k]] + face[k]], matrix, frame)
+        row, face = found.row[k], found.face[k]
+        found.t[k] = np.inf
+        if 0 <= row < g.row_face.shape[0] and 0 <= face < g.row_faces[row]:
+            frame = ray_frame(beams.origins[index[k]], beams.directions[index[k]])
+            matrix = row_matrix(g.to_world, row, frame[0], frame[1], frame[2])
+            corners = g.faces[g.row_face[row] + face]
+            found.t[k] = hit_parameter(g.points, corners, matrix, frame)
 
 
 @dataclass(frozen=True)
@@ -90,13 +92,13 @@ class ExactCaster:
             t is in units of the direction's length.
         """
         which = np.arange(len(rays.origins)) if index is None else index
-        row = np.full(len(which), NO_ROW, np.int32)
-        face = np.zeros(len(which), np.int32)
-        t = np.full(len(which), np.inf)
-        trace_all(
-            self.geometry, rays.origins, rays.directions, which.astype(np.int64), row, face, t
+        count = len(which)
+        found = Found(
+            np.full(count, NO_ROW, np.int32), np.zeros(count, np.int32), np.full(count, np.inf)
         )
-        return row, face, t
+        beams = Beams(rays.origins, rays.directions)
+        trace_all(self.geometry, beams, which.astype(np.int64), found)
+        return found
 
     def hits(self, rays: Rays) -> Hits:
         """First hits of all rays; pixels without a ray (``Rays.known``) hit nothing."""
@@ -127,16 +129,7 @@ class ExactCaster:
         Returns:
             t, float64 [k]; +inf where the triangle is missed.
         """
-        t = np.empty(len(index))
-        over_threads(
-            _test_all,
-            index.shape[0],
-            self.geometry,
-            rays.origins,
-            rays.directions,
-            index,
-            row,
-            face,
-            t,
-        )
-        return t
+        found = Found(row, face, np.empty(len(index)))
+        beams = Beams(rays.origins, rays.directions)
+        over_threads(_test_all, len(index), self.geometry, beams, index, found)
+        return found.t

@@ -9,17 +9,17 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.backends.contract import Rays
+from scenec.schemas.kernels import kernel
 
 _TILE = 16
 #: Rounding of cosines.
 _SLACK = 1e-12
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _unit(first, last, directions, out):  # type: ignore[no-untyped-def]
     for k in range(first, last):
         d = directions[k]
@@ -28,7 +28,7 @@ def _unit(first, last, directions, out):  # type: ignore[no-untyped-def]
             out[k, i] = d[i] / length
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _cone(unit, width, x0, x1, y0, y1, out):  # type: ignore[no-untyped-def]
     """Axis, half angle, and the largest angle between neighbors, of a window of pixels."""
     axis = np.zeros(3)

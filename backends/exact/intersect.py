@@ -18,8 +18,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from scenec.schemas.kernels import kernel
 
 #: Dekker's constant 2**27 + 1, which splits a float64 into two halves of 26 bits.
 _SPLITTER = 134217729.0
@@ -27,7 +28,7 @@ _SPLITTER = 134217729.0
 _CANCELLATION = 2.0**-8
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _product_error(a: float, b: float, product: float) -> float:
     """The rounding error a*b - product, exactly."""
     wide = _SPLITTER * a
@@ -39,7 +40,7 @@ def _product_error(a: float, b: float, product: float) -> float:
     return a_low * b_low - (((product - a_high * b_high) - a_low * b_high) - a_high * b_low)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def edge_function(ax: float, ay: float, bx: float, by: float) -> float:
     """ax*by - ay*bx with the right sign (or 0); swapping a and b negates it exactly."""
     p = ax * by
@@ -50,7 +51,7 @@ def edge_function(ax: float, ay: float, bx: float, by: float) -> float:
     return difference
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def ray_frame(
     origin: NDArray[np.float64], direction: NDArray[np.float64]
 ) -> tuple[int, int, int, float, float, float, float, float, float]:
@@ -85,7 +86,7 @@ def ray_frame(
     )
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def row_matrix(to_world, row, kx, ky, kz):  # type: ignore[no-untyped-def]
     """The twelve numbers of one row's local-to-world matrix, its lines in the ray's axis order.
 
@@ -99,7 +100,7 @@ def row_matrix(to_world, row, kx, ky, kz):  # type: ignore[no-untyped-def]
     )  # fmt: skip
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _project(point, matrix, frame):  # type: ignore[no-untyped-def]
     """One local point in the ray's sheared frame: (x, y) across the ray, z along axis kz."""
     x = float(point[0])
@@ -111,7 +112,7 @@ def _project(point, matrix, frame):  # type: ignore[no-untyped-def]
     return px - frame[6] * pz, py - frame[7] * pz, pz
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _edges(a, b, c):  # type: ignore[no-untyped-def]
     """The three edge functions opposite a, b and c, or zeros where the ray passes outside."""
     u = edge_function(c[0], c[1], b[0], b[1])
@@ -122,7 +123,7 @@ def _edges(a, b, c):  # type: ignore[no-untyped-def]
     return u, v, w
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _parameter(a, b, c, u, v, w, dz):  # type: ignore[no-untyped-def]
     """Ray parameter of the hit, or +inf where it is not positive or the triangle has no area."""
     total = (u + v) + w
@@ -131,7 +132,7 @@ def _parameter(a, b, c, u, v, w, dz):  # type: ignore[no-untyped-def]
     return t if t > 0.0 else math.inf
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def hit_parameter(points, face, matrix, frame):  # type: ignore[no-untyped-def]
     """Ray parameter at which a ray meets a triangle: the definition of a hit.
 
@@ -153,7 +154,7 @@ def hit_parameter(points, face, matrix, frame):  # type: ignore[no-untyped-def]
     return _parameter(a, b, c, u, v, w, frame[8])
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _from_segment(a, b):  # type: ignore[no-untyped-def]
     """Where a segment is nearest to the ray: its distance, and how far along it lies (0 to 1)."""
     x, y = b[0] - a[0], b[1] - a[1]
@@ -164,7 +165,7 @@ def _from_segment(a, b):  # type: ignore[no-untyped-def]
     return math.hypot(a[0] + along * x, a[1] + along * y), along
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def distance_from_face(points, face, matrix, frame):  # type: ignore[no-untyped-def]
     """How far a ray passes from a triangle, for checks of what renderers see.
 
@@ -194,7 +195,7 @@ def distance_from_face(points, face, matrix, frame):  # type: ignore[no-untyped-
     return max(depth / frame[8], 0.0), best
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def world_normal(g, row, face):  # type: ignore[no-untyped-def]
     """Normal of a triangle in the world frame, float64, as long as twice the area.
 

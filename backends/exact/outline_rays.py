@@ -8,20 +8,50 @@ larger by the radius of a ball around these, seen from its middle.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.backends.contract import Rays
 from scenec.backends.exact.build import STACK_SIZE
 from scenec.backends.exact.bvh import Geometry
 from scenec.backends.exact.cones import _SLACK, _TILE, _cone, _unit, eye_of
-from scenec.backends.exact.silhouette import LANES, _meets
+from scenec.backends.exact.silhouette import LANES, Masks, Members, _meets
+from scenec.schemas.borrowed import borrowed
+from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
 
 
-@njit(cache=True, error_model="numpy")
+class _View(NamedTuple):
+    """A picture's rays.
+
+    Attributes:
+        origins, directions: float64 [h * w, 3].
+        known: Which pixels have a ray, bool [h * w].
+        width, height: Of the picture.
+        middle: Of a ball that all origins lie in, float64 [3].
+        spheres: Around rows, larger by that ball, float64 [r, 4] (``bvh.Geometry``).
+    """
+
+    origins: NDArray[np.float64]
+    directions: NDArray[np.float64]
+    known: NDArray[np.bool_]
+    width: int
+    height: int
+    middle: NDArray[np.float64]
+    spheres: NDArray[np.float64]
+
+
+def _view(geometry: Geometry, rays: Rays) -> _View:
+    height, width = rays.shape
+    known = np.ones(height * width, np.bool_) if rays.known is None else rays.known
+    middle, spread = eye_of(rays)
+    spheres = _widened(geometry, spread)
+    return _View(rays.origins, rays.directions, known, width, height, middle, spheres)
+
+
+@kernel
 def _sphere_cone(sphere, origin, out):  # type: ignore[no-untyped-def]
     """Towards a sphere, and the half angle that it fills; pi within it."""
     for i in range(3):
@@ -34,7 +64,7 @@ def _sphere_cone(sphere, origin, out):  # type: ignore[no-untyped-def]
     return math.asin(sphere[3] / distance * (1.0 + 1e-9)) + 1e-9
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _tiles(first, last, unit, width, height, tiles):  # type: ignore[no-untyped-def]
     """Cones around the rays of tiles of the picture, [n, 5]."""
     across = -(-width // _TILE)
@@ -43,16 +73,16 @@ def _tiles(first, last, unit, width, height, tiles):  # type: ignore[no-untyped-
         _cone(unit, width, x0, min(x0 + _TILE, width), y0, min(y0 + _TILE, height), tiles[n])
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def _windows(first, last, spheres, rows, origin, tiles, width, height, parts):  # type: ignore[no-untyped-def]
+@kernel
+def _windows(first, last, view, rows, tiles, parts):  # type: ignore[no-untyped-def]
+    width, height = view.width, view.height
     across = -(-width // _TILE)
     for k in range(first, last):
-        parts[k] = 0
-        sphere = spheres[rows[k]]
+        sphere = view.spheres[rows[k]]
         if sphere[3] < 0.0:
             continue
         axis = np.empty(3)
-        own = _sphere_cone(sphere, origin, axis)
+        own = _sphere_cone(sphere, view.middle, axis)
         left, right, top, bottom = width, 0, height, 0
         for n in range(tiles.shape[0]):
             tile = tiles[n]
@@ -84,9 +114,7 @@ def frame_rows(geometry: Geometry, rows: NDArray[np.int64], rays: Rays) -> NDArr
     tiles = np.empty((-(-width // _TILE) * -(-height // _TILE), 5))
     over_threads(_tiles, len(tiles), unit, width, height, tiles)
     parts = np.zeros((len(rows), 4), np.int64)
-    origin, spread = eye_of(rays)
-    spheres = _widened(geometry, spread)
-    over_threads(_windows, len(rows), spheres, rows, origin, tiles, width, height, parts)
+    over_threads(_windows, len(rows), _view(geometry, rays), rows, tiles, parts)
     return parts
 
 
@@ -100,135 +128,78 @@ def _widened(geometry: Geometry, spread: float) -> NDArray[np.float64]:
     return wider
 
 
-@njit(cache=True, error_model="numpy")
-def _at_border(known, width, height, x, y):  # type: ignore[no-untyped-def]
+@kernel
+def _at_border(view, x, y):  # type: ignore[no-untyped-def]
     """Whether a pixel is one of the picture's last, or beside one without a ray."""
-    if x == 0 or y == 0 or x == width - 1 or y == height - 1:
+    if x == 0 or y == 0 or x == view.width - 1 or y == view.height - 1:
         return True
     for j in range(y - 1, y + 2):
         for i in range(x - 1, x + 2):
-            if not known[j * width + i]:
+            if not view.known[j * view.width + i]:
                 return True
     return False
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def _outline_part(  # type: ignore[no-untyped-def]
-    first,
-    last,
-    g,
-    spheres,
-    rows,
-    parts,
-    firsts,
-    order,
-    windows,
-    starts,
-    middle,
-    origins,
-    directions,
-    known,
-    width,
-    height,
-    marks,
-    areas,
-    bounded,
-):
+@kernel
+def _outline_part(first, last, scene, members, order, masks, rays, bounded):  # type: ignore[no-untyped-def]
+    g, view = borrowed(scene), borrowed(rays)
+    stack = np.empty(2 * STACK_SIZE, np.int32)
+    axis = np.empty(3)
     for lane in range(first, last):
-        stack = np.empty(2 * STACK_SIZE, np.int32)
-        axis = np.empty(3)
         for at in range(lane, order.shape[0], LANES):
             n = order[at]
-            window = windows[n]
+            window = masks.windows[n]
             across = window[1] - window[0]
+            mask = masks.marks[masks.starts[n] : masks.starts[n] + across * (window[3] - window[2])]
             whole = True
-            for r in range(firsts[n], firsts[n + 1]):
-                row, part = rows[r], parts[r]
+            for r in range(members.firsts[n], members.firsts[n + 1]):
+                row, part = members.rows[r], members.parts[r]
                 if part[0] >= part[1]:
                     continue
-                own = _sphere_cone(spheres[row], middle, axis)
+                own = _sphere_cone(view.spheres[row], view.middle, axis)
                 least = math.cos(own) - _SLACK if own < math.pi else -2.0
                 whole = whole and own < 0.5 * math.pi
                 for y in range(part[2], part[3]):
                     for x in range(part[0], part[1]):
-                        d = directions[y * width + x]
+                        pixel = y * view.width + x
+                        d = view.directions[pixel]
                         length = math.sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2])
                         if axis[0] * d[0] + axis[1] * d[1] + axis[2] * d[2] < least * length:
                             continue
-                        if whole and _at_border(known, width, height, x, y):
+                        if whole and _at_border(view, x, y):
                             whole = False
-                        mark = starts[n] + (y - window[2]) * across + x - window[0]
-                        new = marks[mark] == 0 and known[y * width + x]
-                        if new and _meets(g, row, origins[y * width + x], d, stack):
-                            marks[mark] = 1
+                        mark = (y - window[2]) * across + x - window[0]
+                        new = mask[mark] == 0 and view.known[pixel]
+                        if new and _meets(g, row, view.origins[pixel], d, stack):
+                            mask[mark] = 1
             inside = 0
-            for mark in range(starts[n], starts[n] + across * (window[3] - window[2])):
-                inside += marks[mark]
-            areas[n, 0] = inside
-            areas[n, 1] = inside
+            for mark in range(mask.shape[0]):
+                inside += mask[mark]
+            masks.areas[n, 0] = inside
+            masks.areas[n, 1] = inside
             bounded[n] = whole
-
-
-def _outline(  # type: ignore[no-untyped-def]
-    g, spheres, rows, parts, firsts, order, windows, starts, middle, origins, directions, known,
-    width, height, marks, areas, bounded,
-):  # fmt: skip
-    over_threads(
-        _outline_part,
-        min(LANES, order.shape[0]),
-        g,
-        spheres,
-        rows,
-        parts,
-        firsts,
-        order,
-        windows,
-        starts,
-        middle,
-        origins,
-        directions,
-        known,
-        width,
-        height,
-        marks,
-        areas,
-        bounded,
-    )
 
 
 def outline(
     geometry: Geometry,
-    rows: NDArray[np.int64],
-    parts: NDArray[np.int64],
-    firsts: NDArray[np.int64],
+    members: Members,
     order: NDArray[np.int64],
-    windows: NDArray[np.int64],
-    starts: NDArray[np.int64],
+    masks: Masks,
     rays: Rays,
-    marks: NDArray[np.uint8],
-    areas: NDArray[np.int64],
     bounded: NDArray[np.bool_],
 ) -> None:
     """Mark the silhouettes of instances in their windows, and count their pixels.
 
     Args:
         geometry: Of the scene.
-        rows: Of all instances, int64 [r].
-        parts: Their windows, int64 [r, 4].
-        firsts: Where each instance's rows begin, with one more at the end, int64 [n + 1].
+        members: Rows of the instances; ``bases`` is not looked at.
         order: Instances to outline, int64 [m].
-        windows: Of the instances, int64 [n, 4].
-        starts: Of their windows in ``marks``, int64 [n].
+        masks: ``marks`` and ``areas`` (pixels within the picture, twice) in place.
         rays: The picture's.
-        marks: uint8; 1 where a pixel is known to be inside, in place.
-        areas: Receives pixels within the picture, twice, int64 [n, 2].
         bounded: Receives whether the balls around an instance's rows keep off the picture's border
             and from pixels without a ray, bool [n].
     """
-    height, width = rays.shape
-    known = np.ones(height * width, np.bool_) if rays.known is None else rays.known
-    middle, spread = eye_of(rays)
-    _outline(
-        geometry, _widened(geometry, spread), rows, parts, firsts, order, windows, starts, middle,
-        rays.origins, rays.directions, known, width, height, marks, areas, bounded,
-    )  # fmt: skip
+    lanes = min(LANES, len(order))
+    over_threads(
+        _outline_part, lanes, geometry, members, order, masks, _view(geometry, rays), bounded
+    )

@@ -17,13 +17,17 @@ ways lead there, and which one is taken changes the time alone:
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
-from numba import njit
+from numpy.typing import NDArray
 
 from scenec.backends.exact.build import STACK_SIZE
 from scenec.backends.exact.intersect import hit_parameter, ray_frame, row_matrix
-from scenec.backends.exact.trace import _enter, _local_ray, _slabs
+from scenec.backends.exact.trace import _enter, in_row, ready
+from scenec.backends.stage.scene import Camera
+from scenec.schemas.borrowed import borrowed
+from scenec.schemas.kernels import kernel
 
 #: Pictures that the plane of the silhouettes goes on by on each side.
 MARGIN = 1
@@ -40,18 +44,88 @@ _WITHOUT_END = 1e100
 LANES = 64
 
 
-@njit(cache=True, error_model="numpy")
-def set_direction(k, pose, column, row, out):  # type: ignore[no-untyped-def]
+class Pinhole(NamedTuple):
+    """A camera without a lens.
+
+    Attributes:
+        k: Intrinsics, float64 [3, 3].
+        pose: Camera to world, float64 [4, 4].
+        eye: Where it is, float64 [3], meters.
+        inverse: Of the pose's linear part, float64 [3, 3].
+        width, height: Of the picture, pixels.
+    """
+
+    k: NDArray[np.float64]
+    pose: NDArray[np.float64]
+    eye: NDArray[np.float64]
+    inverse: NDArray[np.float64]
+    width: int
+    height: int
+
+    @classmethod
+    def of(cls, camera: Camera) -> Pinhole:
+        """That of a camera; its lens is disregarded."""
+        k = np.ascontiguousarray(camera.intrinsics, np.float64)
+        pose = np.ascontiguousarray(camera.camera_to_world, np.float64)
+        eye = np.ascontiguousarray(pose[:3, 3])
+        return cls(k, pose, eye, _inverse(pose[:3, :3]), camera.width, camera.height)
+
+
+class Members(NamedTuple):
+    """Rows of instances, one instance after the other.
+
+    Attributes:
+        rows: int64 [r].
+        parts: Windows of pixels that hold their silhouettes: first column, end, first row, end,
+            int64 [r, 4]; empty for rows that cannot be seen.
+        bases: First point and end of each row's mesh, int64 [r, 2].
+        firsts: Where each instance's rows begin, with one more at the end, int64 [n + 1].
+    """
+
+    rows: NDArray[np.int64]
+    parts: NDArray[np.int64]
+    bases: NDArray[np.int64]
+    firsts: NDArray[np.int64]
+
+
+class Masks(NamedTuple):
+    """Pixels of instances, each in a window of its own.
+
+    Attributes:
+        windows: First column, end, first row, end, int64 [n, 4].
+        starts: Where each begins in ``marks``, -1 for those that are not held, int64 [n].
+        marks: 1 where a pixel is known to be inside, uint8, line by line.
+        areas: Pixels within the picture and within the window, int64 [n, 2].
+    """
+
+    windows: NDArray[np.int64]
+    starts: NDArray[np.int64]
+    marks: NDArray[np.uint8]
+    areas: NDArray[np.int64]
+
+
+def _inverse(m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Of a camera's axes, by cofactors: no last bit depends on the CPU."""
+    cofactors = np.stack(
+        [np.cross(m[:, 1], m[:, 2]), np.cross(m[:, 2], m[:, 0]), np.cross(m[:, 0], m[:, 1])]
+    )
+    return np.ascontiguousarray(cofactors / (cofactors[0] * m[:, 0]).sum())
+
+
+@kernel
+def set_direction(view, column, row, out):  # type: ignore[no-untyped-def]
     """The ray through a pixel's center: to the bit that of ``rays.camera_rays``."""
+    k, pose = view.k, view.pose
     y = (row + 0.5 - k[1, 2]) / k[1, 1]
     x = (column + 0.5 - k[0, 2] - k[0, 1] * y) / k[0, 0]
     for i in range(3):
         out[i] = pose[i, 0] * x + pose[i, 1] * y + pose[i, 2]
 
 
-@njit(cache=True, error_model="numpy")
-def _seen_at(k, inverse, x, y, z):  # type: ignore[no-untyped-def]
+@kernel
+def _seen_at(view, x, y, z):  # type: ignore[no-untyped-def]
     """A point relative to the eye in pixels and depth, and how far off 1 unit of error takes it."""
+    k, inverse = view.k, view.inverse
     depth = inverse[2, 0] * x + inverse[2, 1] * y + inverse[2, 2] * z
     a = (inverse[0, 0] * x + inverse[0, 1] * y + inverse[0, 2] * z) / depth
     b = (inverse[1, 0] * x + inverse[1, 1] * y + inverse[1, 2] * z) / depth
@@ -62,7 +136,7 @@ def _seen_at(k, inverse, x, y, z):  # type: ignore[no-untyped-def]
     return u, v, depth, focal * (1.0 + abs(a) + abs(b)) / depth
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _norm(inverse):  # type: ignore[no-untyped-def]
     total = 0.0
     for i in range(3):
@@ -70,29 +144,30 @@ def _norm(inverse):  # type: ignore[no-untyped-def]
     return total
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _first(value, low, high):  # type: ignore[no-untyped-def]
     """The first whole number that is not below a value, within [low, high]."""
     return math.ceil(min(max(value, float(low)), float(high)))
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _end(value, low, high):  # type: ignore[no-untyped-def]
     """The last whole number that is not above a value, within [low, high]."""
     return math.floor(min(max(value, float(low)), float(high)))
 
 
-@njit(cache=True, error_model="numpy")
-def _all_inside(g, row, k, pose, inverse, width, height):  # type: ignore[no-untyped-def]
+@kernel
+def _all_inside(g, row, view):  # type: ignore[no-untyped-def]
     """Whether all vertices of a row lie before the camera and within the continued picture."""
+    eye, width, height = view.eye, view.width, view.height
     m = g.to_world[row]
     for f in range(g.row_face[row], g.row_face[row] + g.row_faces[row]):
         for corner in range(3):
             p = g.points[g.faces[f, corner]]
-            x = m[0, 0] * p[0] + m[0, 1] * p[1] + m[0, 2] * p[2] + m[0, 3] - pose[0, 3]
-            y = m[1, 0] * p[0] + m[1, 1] * p[1] + m[1, 2] * p[2] + m[1, 3] - pose[1, 3]
-            z = m[2, 0] * p[0] + m[2, 1] * p[1] + m[2, 2] * p[2] + m[2, 3] - pose[2, 3]
-            u, v, depth, _ = _seen_at(k, inverse, x, y, z)
+            x = m[0, 0] * p[0] + m[0, 1] * p[1] + m[0, 2] * p[2] + m[0, 3] - eye[0]
+            y = m[1, 0] * p[0] + m[1, 1] * p[1] + m[1, 2] * p[2] + m[1, 3] - eye[1]
+            z = m[2, 0] * p[0] + m[2, 1] * p[1] + m[2, 2] * p[2] + m[2, 3] - eye[2]
+            u, v, depth, _ = _seen_at(view, x, y, z)
             if not (
                 depth > 0.0
                 and -MARGIN * width <= u <= (MARGIN + 1) * width
@@ -102,31 +177,26 @@ def _all_inside(g, row, k, pose, inverse, width, height):  # type: ignore[no-unt
     return True
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def frame_rows(first, last, g, rows, boxes, k, pose, inverse, width, height, windows, whole):  # type: ignore[no-untyped-def]
+@kernel
+def frame_rows(first, last, g, members, boxes, view, whole):  # type: ignore[no-untyped-def]
     """Windows of pixels that hold the silhouettes of rows.
 
     Args:
+        first, last: Which rows.
         g: ``bvh.Geometry``.
-        rows: Rows, int64 [n].
-        boxes: Box around each row's mesh in its own frame, float64 [n, 2, 3].
-        k: Intrinsics, float64 [3, 3].
-        pose: Camera to world, float64 [4, 4].
-        inverse: Of its linear part, float64 [3, 3].
-        width: Of the picture.
-        height: Of the picture.
-        windows: Receives first column, end, first row, end, int64 [n, 4]; empty for rows that
-            cannot be seen.
+        members: ``Members``; ``parts`` receives the windows, 0 until then.
+        boxes: Box around each row's mesh in its own frame, float64 [r, 2, 3].
+        view: ``Pinhole``.
         whole: Receives whether the row lies within the continued picture (``_all_inside``), or has
-            no surface, bool [n].
+            no surface, bool [r].
     """
-    norm = _norm(inverse)
-    left, right = -MARGIN * width, (MARGIN + 1) * width
-    top, bottom = -MARGIN * height, (MARGIN + 1) * height
-    eye = abs(pose[0, 3]) + abs(pose[1, 3]) + abs(pose[2, 3])
+    rows, windows, at = members.rows, members.parts, view.eye
+    norm = _norm(view.inverse)
+    left, right = -MARGIN * view.width, (MARGIN + 1) * view.width
+    top, bottom = -MARGIN * view.height, (MARGIN + 1) * view.height
+    eye = abs(at[0]) + abs(at[1]) + abs(at[2])
     for n in range(first, last):
         row = rows[n]
-        windows[n] = 0
         whole[n] = True
         if g.row_spheres[row, 3] < 0.0:
             continue
@@ -144,10 +214,10 @@ def frame_rows(first, last, g, rows, boxes, k, pose, inverse, width, height, win
             p0 = boxes[n, corner & 1, 0]
             p1 = boxes[n, corner >> 1 & 1, 1]
             p2 = boxes[n, corner >> 2, 2]
-            x = m[0, 0] * p0 + m[0, 1] * p1 + m[0, 2] * p2 + m[0, 3] - pose[0, 3]
-            y = m[1, 0] * p0 + m[1, 1] * p1 + m[1, 2] * p2 + m[1, 3] - pose[1, 3]
-            z = m[2, 0] * p0 + m[2, 1] * p1 + m[2, 2] * p2 + m[2, 3] - pose[2, 3]
-            u, v, depth, off = _seen_at(k, inverse, x, y, z)
+            x = m[0, 0] * p0 + m[0, 1] * p1 + m[0, 2] * p2 + m[0, 3] - at[0]
+            y = m[1, 0] * p0 + m[1, 1] * p1 + m[1, 2] * p2 + m[1, 3] - at[1]
+            z = m[2, 0] * p0 + m[2, 1] * p1 + m[2, 2] * p2 + m[2, 3] - at[2]
+            u, v, depth, off = _seen_at(view, x, y, z)
             least_u, most_u = min(least_u, u), max(most_u, u)
             least_v, most_v = min(least_v, v), max(most_v, v)
             nearest, farthest = min(nearest, depth), max(farthest, depth)
@@ -172,21 +242,20 @@ def frame_rows(first, last, g, rows, boxes, k, pose, inverse, width, height, win
             windows[n, 0], windows[n, 1] = left, right
             windows[n, 2], windows[n, 3] = top, bottom
             inside = False
-        whole[n] = inside or _all_inside(g, row, k, pose, inverse, width, height)
+        whole[n] = inside or _all_inside(g, row, view)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def mark_shown(first, last, row, slot_of_row, seen_of_slot, width, windows, starts, marks):  # type: ignore[no-untyped-def]
+@kernel
+def mark_shown(first, last, row, slot_of_row, seen_of_slot, width, masks):  # type: ignore[no-untyped-def]
     """Mark the pixels that show an instance.
 
     Args:
+        first, last: Which lines of the picture.
         row: Row that each pixel shows, int32 [h * w].
         slot_of_row: Instance of each row, -1 for none, int32.
-        seen_of_slot: Index of an instance into ``starts``, -1 where it has none, int64.
+        seen_of_slot: Index of an instance into ``masks``, -1 where it has none, int64.
         width: Of the picture.
-        windows: Of the instances, int64 [n, 4].
-        starts: Of their windows in ``marks``, -1 for none, int64 [n].
-        marks: uint8, in place.
+        masks: ``Masks``, in place.
     """
     for y in range(first, last):
         for x in range(width):
@@ -194,24 +263,17 @@ def mark_shown(first, last, row, slot_of_row, seen_of_slot, width, windows, star
             if r < 0 or slot_of_row[r] < 0:
                 continue
             seen = seen_of_slot[slot_of_row[r]]
-            if seen >= 0 and starts[seen] >= 0:
-                window = windows[seen]
+            if seen >= 0 and masks.starts[seen] >= 0:
+                window = masks.windows[seen]
                 across = window[1] - window[0]
-                marks[starts[seen] + (y - window[2]) * across + x - window[0]] = 1
+                masks.marks[masks.starts[seen] + (y - window[2]) * across + x - window[0]] = 1
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _meets(g, row, origin, direction, stack):  # type: ignore[no-untyped-def]
-    """Whether a ray meets any triangle of a row."""
-    frame = ray_frame(origin, direction)
-    size = max(abs(origin[0]), max(abs(origin[1]), abs(origin[2])))
-    o, d = _local_ray(g.to_local[row], origin, direction)
-    pad = g.pad[row]
-    s = _slabs(
-        o, d,
-        (pad[0, 0] + pad[1, 0] * size, pad[0, 1] + pad[1, 1] * size, pad[0, 2] + pad[1, 2] * size),
-    )  # fmt: skip
-    matrix = row_matrix(g.to_world, row, frame[0], frame[1], frame[2])
+    """Whether a ray meets any triangle of a row; ``stack`` is scratch, int32 [2 * STACK_SIZE]."""
+    ray = ready(origin, direction)
+    s, matrix = in_row(g, row, ray)
     stack[0] = g.row_root[row]
     top = 1
     while top > 0:
@@ -228,39 +290,48 @@ def _meets(g, row, origin, direction, stack):  # type: ignore[no-untyped-def]
                 top += 1
             for entry in range(first, first + count):
                 face = g.faces[g.face_order[entry]]
-                if hit_parameter(g.points, face, matrix, frame) < math.inf:
+                if hit_parameter(g.points, face, matrix, ray.frame) < math.inf:
                     return True
     return False
 
 
-@njit(cache=True, error_model="numpy")
-def _cast_window(g, row, part, k, pose, origin, mask, left, top):  # type: ignore[no-untyped-def]
+@kernel
+def _cast_window(g, row, part, view, window, mask):  # type: ignore[no-untyped-def]
     """Mark what rays through the pixels of a window meet of a row."""
     stack = np.empty(2 * STACK_SIZE, np.int32)
     direction = np.empty(3)
     for y in range(part[2], part[3]):
+        line = (y - window[2]) * (window[1] - window[0]) - window[0]
         for x in range(part[0], part[1]):
-            if mask[y - top, x - left] == 0:
-                set_direction(k, pose, x, y, direction)
-                if _meets(g, row, origin, direction, stack):
-                    mask[y - top, x - left] = 1
+            if mask[line + x] == 0:
+                set_direction(view, x, y, direction)
+                if _meets(g, row, view.eye, direction, stack):
+                    mask[line + x] = 1
 
 
-@njit(cache=True, error_model="numpy")
-def _test_pixels(  # type: ignore[no-untyped-def]
-    points, face, to_world, row, k, pose, origin, direction, mask, left, y, line, start, stop
-):
-    """Mark, of pixels of a line that are not marked, those whose rays meet a triangle."""
+@kernel
+def _test_pixels(g, row, face, view, y, start, stop, line):  # type: ignore[no-untyped-def]
+    """Mark those pixels of a line, but for marked ones, whose rays meet a triangle.
+
+    Args:
+        g: ``bvh.Geometry``.
+        row: Of the triangle.
+        face: Index into ``g.faces``.
+        view: ``Pinhole``.
+        y, start, stop: Row, first column and end.
+        line: Marks from the column ``start`` on, in place.
+    """
+    direction = np.empty(3)
     for x in range(start, stop):
-        if mask[line, x - left] == 0:
-            set_direction(k, pose, x, y, direction)
-            frame = ray_frame(origin, direction)
-            matrix = row_matrix(to_world, row, frame[0], frame[1], frame[2])
-            if hit_parameter(points, face, matrix, frame) < math.inf:
-                mask[line, x - left] = 1
+        if line[x - start] == 0:
+            set_direction(view, x, y, direction)
+            frame = ray_frame(view.eye, direction)
+            matrix = row_matrix(g.to_world, row, frame[0], frame[1], frame[2])
+            if hit_parameter(g.points, g.faces[face], matrix, frame) < math.inf:
+                line[x - start] = 1
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _span(a, inverse_a, b, slack, start, stop):  # type: ignore[no-untyped-def]
     """First column and end, within [start, stop), of where three linear functions reach ``slack``.
 
@@ -279,10 +350,11 @@ def _span(a, inverse_a, b, slack, start, stop):  # type: ignore[no-untyped-def]
     return first, max(first, _first(high, start, stop))
 
 
-@njit(cache=True, error_model="numpy")
-def _fill_rows(g, row, part, k, pose, inverse, origin, base, mask, left, top):  # type: ignore[no-untyped-def]
+@kernel
+def _fill_rows(g, row, part, base, view, window, mask):  # type: ignore[no-untyped-def]
     """Mark what the triangles of a row cover, line by line; ``base`` is its mesh's points."""
-    norm = _norm(inverse)
+    k, pose, origin = view.k, view.pose, view.eye
+    norm = _norm(view.inverse)
     m = g.to_world[row]
     count = base[1] - base[0]
     # Relative to the eye, then depth, columns, rows, and what errors make of these.
@@ -297,7 +369,7 @@ def _fill_rows(g, row, part, k, pose, inverse, origin, base, mask, left, top):  
             q0, q1, q2, q3 = m[i, 0] * p0, m[i, 1] * p1, m[i, 2] * p2, m[i, 3]
             at[n, i] = q0 + q1 + q2 + q3 - origin[i]
             size = max(size, abs(q0) + abs(q1) + abs(q2) + abs(q3) + eye)
-        at[n, 4], at[n, 5], at[n, 3], at[n, 6] = _seen_at(k, inverse, at[n, 0], at[n, 1], at[n, 2])
+        at[n, 4], at[n, 5], at[n, 3], at[n, 6] = _seen_at(view, at[n, 0], at[n, 1], at[n, 2])
     tolerance = _SURE * size * norm
     # The largest that directions, and what stands in their place, can be.
     far_y = (2.0 * max(abs(part[2]), abs(part[3])) + abs(k[1, 2]) + 1.0) / abs(k[1, 1])
@@ -306,7 +378,6 @@ def _fill_rows(g, row, part, k, pose, inverse, origin, base, mask, left, top):  
     for j in range(3):
         longest = max(longest, abs(pose[0, j]) + abs(pose[1, j]) + abs(pose[2, j]))
     longest *= 1.0 + far_x / abs(k[0, 0]) + far_y
-    direction = np.empty(3)
     normal = np.empty((3, 3))
     slope_y = np.empty(3)
     constant = np.empty(3)
@@ -360,6 +431,7 @@ def _fill_rows(g, row, part, k, pose, inverse, origin, base, mask, left, top):  
                 slope_y[i] = sign * down
                 constant[i] = sign * ahead
             for y in range(y0, y1):
+                line = (y - window[2]) * (window[1] - window[0]) - window[0]
                 ray_y = (y + 0.5 - k[1, 2]) / k[1, 1]
                 zero = k[0, 2] - 0.5 + k[0, 1] * ray_y
                 for i in range(3):
@@ -371,108 +443,85 @@ def _fill_rows(g, row, part, k, pose, inverse, origin, base, mask, left, top):  
                 if certain:
                     sure, end = _span(a, inverse_a, b, slack, start, stop)
                     for x in range(sure, end):
-                        mask[y - top, x - left] = 1
+                        mask[line + x] = 1
                 if start < sure:
-                    _test_pixels(
-                        g.points, g.faces[f], g.to_world, row, k, pose, origin, direction, mask,
-                        left, y, y - top, start, sure,
-                    )  # fmt: skip
+                    _test_pixels(g, row, f, view, y, start, sure, mask[line + start :])
                 if end < stop:
-                    _test_pixels(
-                        g.points, g.faces[f], g.to_world, row, k, pose, origin, direction, mask,
-                        left, y, y - top, end, stop,
-                    )  # fmt: skip
+                    _test_pixels(g, row, f, view, y, end, stop, mask[line + end :])
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def _outline(g, rows, parts, bases, window, ray_cost, k, pose, inverse, mask):  # type: ignore[no-untyped-def]
-    """Mark the silhouette of one instance in its window."""
-    origin = pose[:3, 3].copy()
-    for n in range(rows.shape[0]):
-        row, part = rows[n], parts[n]
+@kernel
+def _outline(g, members, n, view, ray_cost, window, mask):  # type: ignore[no-untyped-def]
+    """Mark the silhouette of instance n in its window."""
+    across = window[1] - window[0]
+    for r in range(members.firsts[n], members.firsts[n + 1]):
+        row, part = members.rows[r], members.parts[r]
         unknown = 0
-        for y in range(part[2] - window[2], part[3] - window[2]):
-            for x in range(part[0] - window[0], part[1] - window[0]):
-                unknown += 1 - mask[y, x]
+        for y in range(part[2], part[3]):
+            line = (y - window[2]) * across - window[0]
+            for x in range(part[0], part[1]):
+                unknown += 1 - mask[line + x]
         if unknown == 0:
             continue
         # A tree that holds nothing back makes each ray test all triangles.
         walkable = g.pad[row, 0, 0] < _WITHOUT_END
         if walkable and unknown * ray_cost < g.row_faces[row]:
-            _cast_window(g, row, part, k, pose, origin, mask, window[0], window[2])
+            _cast_window(g, row, part, view, window, mask)
         else:
-            _fill_rows(g, row, part, k, pose, inverse, origin, bases[n], mask, window[0], window[2])
+            _fill_rows(g, row, part, members.bases[r], view, window, mask)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def outline_all(  # type: ignore[no-untyped-def]
-    first, last, g, rows, parts, bases, firsts, order, windows, starts, ray_cost, k, pose, inverse,
-    width, height, marks, areas
-):  # fmt: skip
+@kernel
+def outline_all(first, last, scene, members, order, masks, camera, ray_cost):  # type: ignore[no-untyped-def]
     """Mark the silhouettes of instances in their windows, and count their pixels.
 
     Args:
-        first: Of ``LANES``; lane i has every ``LANES``-th instance from the i-th on.
-        last: The first that is not one of them.
-        g: ``bvh.Geometry``.
-        rows: Rows of all instances, int64 [r].
-        parts: Their windows, int64 [r, 4] (``frame_rows``).
-        bases: First point and end of each row's mesh, int64 [r, 2].
-        firsts: Where each instance's rows begin, with one more at the end, int64 [n + 1].
+        first, last: Of ``LANES``; lane i has every ``LANES``-th instance from the i-th on.
+        scene: ``bvh.Geometry``.
+        members: ``Members``.
         order: Instances to outline, int64 [m].
-        windows: Of the instances, int64 [n, 4].
-        starts: Of their windows in ``marks``, int64 [n].
+        masks: ``Masks``; ``marks`` and ``areas`` in place.
+        camera: ``Pinhole``.
         ray_cost: ``RAY_COST``; 0 takes rays wherever they can be walked.
-        k: Intrinsics, float64 [3, 3].
-        pose: Camera to world, float64 [4, 4].
-        inverse: Of its linear part, float64 [3, 3].
-        width: Of the picture.
-        height: Of the picture.
-        marks: uint8; 1 where a pixel is known to be inside, in place.
-        areas: Receives pixels within the picture and within the window, int64 [n, 2].
     """
+    g, view = borrowed(scene), borrowed(camera)
+    width, height = view.width, view.height
     count = order.shape[0]
     for lane in range(first, last):
         for at in range(lane, count, LANES):
             n = order[at]
-            window = windows[n]
+            window = masks.windows[n]
             down, across = window[3] - window[2], window[1] - window[0]
-            mask = marks[starts[n] : starts[n] + down * across].reshape((down, across))
-            part = slice(firsts[n], firsts[n + 1])
-            _outline(
-                g, rows[part], parts[part], bases[part], window, ray_cost, k, pose, inverse, mask
-            )
+            mask = masks.marks[masks.starts[n] : masks.starts[n] + down * across]
+            _outline(g, members, n, view, ray_cost, window, mask)
             every = 0
             for y in range(down):
                 for x in range(across):
-                    every += mask[y, x]
+                    every += mask[y * across + x]
             inside = 0
             for y in range(max(-window[2], 0), min(down, height - window[2])):
                 for x in range(max(-window[0], 0), min(across, width - window[0])):
-                    inside += mask[y, x]
-            areas[n, 0] = inside
-            areas[n, 1] = every
+                    inside += mask[y * across + x]
+            masks.areas[n, 0] = inside
+            masks.areas[n, 1] = every
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def runs(  # type: ignore[no-untyped-def]
-    first, last, order, windows, starts, marks, width, height, fill, sizes, begins, counts
-):
+@kernel
+def runs(first, last, order, masks, shape, sizes, begins, counts):  # type: ignore[no-untyped-def]
     """Run lengths of masks within the picture, along columns, zeros first (``schemas.rle``).
 
     Args:
-        first: Of the lanes, as for ``outline_all``.
-        last: The first that is not one of them.
+        first, last: Of the lanes, as for ``outline_all``.
         order: Instances, int64 [m].
-        windows: Of the instances, int64 [n, 4].
-        starts: Of their windows in ``marks``, int64 [n].
-        marks: uint8.
-        width, height: Of the picture.
-        fill: Whether to write ``counts``, or only ``sizes``.
+        masks: ``Masks``.
+        shape: Height and width of the picture.
         sizes: Receives the number of runs, int64 [n].
         begins: Where an instance's runs go, int64 [n].
-        counts: Receives run lengths, uint32.
+        counts: Receives run lengths, uint32; empty: the sizes alone are told.
     """
+    height, width = shape
+    fill = counts.shape[0] > 0
+    windows, starts, marks = masks.windows, masks.starts, masks.marks
     for lane in range(first, last):
         for at in range(lane, order.shape[0], LANES):
             n = order[at]

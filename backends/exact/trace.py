@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
-from numba import njit
+from numpy.typing import NDArray
 
-from scenec.backends.exact.borrowed import borrowed
 from scenec.backends.exact.build import STACK_SIZE
-from scenec.backends.exact.bvh import ROUNDING
+from scenec.backends.exact.bvh import ROUNDING, Geometry
 from scenec.backends.exact.intersect import hit_parameter, ray_frame, row_matrix
+from scenec.schemas.borrowed import borrowed
+from scenec.schemas.kernels import inlined, kernel
 from scenec.schemas.threads import over_threads
 
 #: Rays a thread takes at a time.
@@ -19,14 +21,67 @@ _CHUNK = 512
 _HUGE = 1e280
 
 
-@njit(cache=True, error_model="numpy")
+class Beams(NamedTuple):
+    """A table of rays.
+
+    Attributes:
+        origins: float64 [n, 3], meters.
+        directions: float64 [n, 3], of any length but 0.
+    """
+
+    origins: NDArray[np.float64]
+    directions: NDArray[np.float64]
+
+
+class Found(NamedTuple):
+    """The best hits so far of some rays.
+
+    Attributes:
+        row: int32 [k], NO_ROW where nothing is hit.
+        face: int32 [k].
+        t: Parameters, float64 [k], +inf where nothing is hit.
+    """
+
+    row: NDArray[np.int32]
+    face: NDArray[np.int32]
+    t: NDArray[np.float64]
+
+
+class Ray(NamedTuple):
+    """A ray, ready to be set against rows.
+
+    Attributes:
+        origin, direction: float64 [3].
+        frame: ``ray_frame`` of these.
+        size: Largest coordinate of the origin.
+    """
+
+    origin: NDArray[np.float64]
+    direction: NDArray[np.float64]
+    frame: tuple[int, int, int, float, float, float, float, float, float]
+    size: float
+
+
+class Stack(NamedTuple):
+    """Scratch: nodes yet to be visited.
+
+    Attributes:
+        nodes: int32 [2 * STACK_SIZE].
+        keys: Where the ray enters each, float64 [2 * STACK_SIZE].
+    """
+
+    nodes: NDArray[np.int32]
+    keys: NDArray[np.float64]
+
+
+@kernel
 def _reciprocal(x: float) -> float:
     if abs(x) < 1.0 / _HUGE:
         return math.copysign(_HUGE, x)
     return 1.0 / x
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _slabs(o, d, pad):  # type: ignore[no-untyped-def]
     """What a ray needs to be tested against boxes widened by ``pad``, for ``_enter``."""
     ix = _reciprocal(d[0])
@@ -44,7 +99,7 @@ def _slabs(o, d, pad):  # type: ignore[no-untyped-def]
     )  # fmt: skip
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _enter(box, base, s, limit):  # type: ignore[no-untyped-def]
     """Parameter at which a ray enters a node's box, or +inf if it misses it before ``limit``."""
     near = max(
@@ -61,7 +116,7 @@ def _enter(box, base, s, limit):  # type: ignore[no-untyped-def]
     return math.inf
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _local_ray(m, origin, direction):  # type: ignore[no-untyped-def]
     o = (
         ((m[0, 0] * origin[0] + m[0, 1] * origin[1]) + m[0, 2] * origin[2]) + m[0, 3],
@@ -76,31 +131,48 @@ def _local_ray(m, origin, direction):  # type: ignore[no-untyped-def]
     return o, d
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
-def _test_leaf(g, start, count, first, row, matrix, frame, t, best_row, best_face):  # type: ignore[no-untyped-def]
-    for k in range(start, start + count):
+@inlined
+def ready(origin, direction):  # type: ignore[no-untyped-def]
+    """A ``Ray``."""
+    size = max(abs(origin[0]), max(abs(origin[1]), abs(origin[2])))
+    return Ray(origin, direction, ray_frame(origin, direction), size)
+
+
+@inlined
+def in_row(g, row, ray):  # type: ignore[no-untyped-def]
+    """What a ray needs to be tested against a row's boxes (``_slabs``), and its ``row_matrix``."""
+    o, d = _local_ray(g.to_local[row], ray.origin, ray.direction)
+    pad, size = g.pad[row], ray.size
+    s = _slabs(
+        o, d,
+        (pad[0, 0] + pad[1, 0] * size, pad[0, 1] + pad[1, 1] * size, pad[0, 2] + pad[1, 2] * size),
+    )  # fmt: skip
+    return s, row_matrix(g.to_world, row, ray.frame[0], ray.frame[1], ray.frame[2])
+
+
+@inlined
+def _test_leaf(g, link, side, row, matrix, frame, hit):  # type: ignore[no-untyped-def]
+    """Improve the best hit (t, row, face) by the triangles of a leaf."""
+    t, best_row, best_face = hit
+    start, first = link[12 + side], g.row_face[row]
+    for k in range(start, start + link[14 + side]):
         face = g.face_order[k]
-        hit = hit_parameter(g.points, g.faces[face], matrix, frame)
-        if hit <= t and hit < math.inf:
-            local = face - first
-            if hit < t or row < best_row or (row == best_row and local < best_face):
-                t = hit
+        found = hit_parameter(g.points, g.faces[face], matrix, frame)
+        if found <= t and found < math.inf:
+            local = np.int32(face - first)
+            if found < t or row < best_row or (row == best_row and local < best_face):
+                t = found
                 best_row = row
                 best_face = local
     return t, best_row, best_face
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
-def _trace_row(g, row, frame, origin, direction, size, t, best_row, best_face, stack, keys):  # type: ignore[no-untyped-def]
+@inlined
+def _trace_row(g, row, ray, hit, stack):  # type: ignore[no-untyped-def]
     """Improve the best hit (t, row, face) by the triangles of one row."""
-    o, d = _local_ray(g.to_local[row], origin, direction)
-    pad = g.pad[row]
-    s = _slabs(
-        o, d,
-        (pad[0, 0] + pad[1, 0] * size, pad[0, 1] + pad[1, 1] * size, pad[0, 2] + pad[1, 2] * size),
-    )  # fmt: skip
-    matrix = row_matrix(g.to_world, row, frame[0], frame[1], frame[2])
-    first = g.row_face[row]
+    t, best_row, best_face = hit
+    s, matrix = in_row(g, row, ray)
+    frame = ray.frame
     bottom = STACK_SIZE
     top = bottom
     node = g.row_root[row]
@@ -112,23 +184,23 @@ def _trace_row(g, row, frame, origin, direction, size, t, best_row, best_face, s
         node = -1
         if t0 < math.inf and link[14] > 0:
             t, best_row, best_face = _test_leaf(
-                g, link[12], link[14], first, row, matrix, frame, t, best_row, best_face
+                g, link, 0, row, matrix, frame, (t, best_row, best_face)
             )
             t0 = math.inf
         if t1 < math.inf and link[15] > 0:
             t, best_row, best_face = _test_leaf(
-                g, link[13], link[15], first, row, matrix, frame, t, best_row, best_face
+                g, link, 1, row, matrix, frame, (t, best_row, best_face)
             )
             t1 = math.inf
         if t0 < math.inf:
             if t1 < math.inf:
                 if t1 < t0:
-                    stack[top] = link[12]
-                    keys[top] = t0
+                    stack.nodes[top] = link[12]
+                    stack.keys[top] = t0
                     node = link[13]
                 else:
-                    stack[top] = link[13]
-                    keys[top] = t1
+                    stack.nodes[top] = link[13]
+                    stack.keys[top] = t1
                     node = link[12]
                 top += 1
             else:
@@ -137,57 +209,53 @@ def _trace_row(g, row, frame, origin, direction, size, t, best_row, best_face, s
             node = link[13]
         while node < 0 and top > bottom:
             top -= 1
-            if keys[top] <= t:
-                node = stack[top]
+            if stack.keys[top] <= t:
+                node = stack.nodes[top]
         if node < 0:
             return t, best_row, best_face
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
-def trace(g, origin, direction, t, best_row, best_face, stack, keys):  # type: ignore[no-untyped-def]
+@inlined
+def trace(g, origin, direction, hit, stack):  # type: ignore[no-untyped-def]
     """Nearest hit of one ray, ties to the lowest (row, face).
 
     Args:
         g: ``bvh.Geometry``.
         origin: float64 [3].
         direction: float64 [3].
-        t: Parameter of a hit already known, or +inf.
-        best_row: Its row, or NO_ROW.
-        best_face: Its face, or 0.
-        stack: Scratch, int32 [2 * STACK_SIZE].
-        keys: Scratch, float64 [2 * STACK_SIZE].
+        hit: A hit already known, (t, row, face), row and face int32; (+inf, NO_ROW, 0) without.
+        stack: ``Stack``.
 
     Returns:
         (t, row, face): that hit or a better one.
     """
+    t, best_row, best_face = hit
     if g.row_tree < 0 and g.moving_tree < 0:
         return t, best_row, best_face
-    frame = ray_frame(origin, direction)
-    size = max(abs(origin[0]), max(abs(origin[1]), abs(origin[2])))
-    wide = ROUNDING * (size + g.extent)
+    ray = ready(origin, direction)
+    wide = ROUNDING * (ray.size + g.extent)
     s = _slabs(origin, direction, (wide, wide, wide))
     top = 0
     if g.row_tree >= 0:
-        stack[top] = g.row_tree
-        keys[top] = 0.0
+        stack.nodes[top] = g.row_tree
+        stack.keys[top] = 0.0
         top += 1
     if g.moving_tree >= 0:
-        stack[top] = g.moving_tree
-        keys[top] = 0.0
+        stack.nodes[top] = g.moving_tree
+        stack.keys[top] = 0.0
         top += 1
     while top > 0:
         top -= 1
-        if keys[top] > t:
+        if stack.keys[top] > t:
             continue
-        node = stack[top]
+        node = stack.nodes[top]
         # A leaf waits on the stack as a negative number; most rows are culled before their turn.
         if node < 0:
             entry = ~node >> 2
             for k in range(entry, entry + (~node & 3)):
                 t, best_row, best_face = _trace_row(
-                    g, g.row_order[k], frame, origin, direction, size,
-                    t, best_row, best_face, stack, keys,
-                )  # fmt: skip
+                    g, g.row_order[k], ray, (t, best_row, best_face), stack
+                )
             continue
         box = g.row_nodes[node]
         link = g.row_links[node]
@@ -199,54 +267,44 @@ def trace(g, origin, direction, t, best_row, best_face, stack, keys):  # type: i
             t0, t1 = t1, t0
             first, second = second, first
         if t1 < math.inf:
-            stack[top] = second
-            keys[top] = t1
+            stack.nodes[top] = second
+            stack.keys[top] = t1
             top += 1
         if t0 < math.inf:
-            stack[top] = first
-            keys[top] = t0
+            stack.nodes[top] = first
+            stack.keys[top] = t0
             top += 1
     return t, best_row, best_face
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def _trace_some(  # type: ignore[no-untyped-def]
-    scene, all_origins, all_directions, index, start, stop, row, face, t, stack_room, keys_room
-):
+@kernel
+def _trace_some(scene, rays, index, hits, start, stop, scratch):  # type: ignore[no-untyped-def]
     # The caller keeps all of them.
-    g, origins, directions = borrowed(scene), borrowed(all_origins), borrowed(all_directions)
-    stack, keys = borrowed(stack_room), borrowed(keys_room)
+    g, beams, found, stack = borrowed(scene), borrowed(rays), borrowed(hits), borrowed(scratch)
     for k in range(start, stop):
         ray = index[k]
-        t[k], row[k], face[k] = trace(
-            g, origins[ray], directions[ray], t[k], row[k], face[k], stack, keys
-        )
+        found.t[k], found.row[k], found.face[k] = trace(
+            g, beams.origins[ray], beams.directions[ray],
+            (found.t[k], found.row[k], found.face[k]), stack,
+        )  # fmt: skip
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def _trace_all_part(first, last, g, origins, directions, index, row, face, t):  # type: ignore[no-untyped-def]
+@kernel
+def _trace_all_part(first, last, g, beams, index, found):  # type: ignore[no-untyped-def]
     count = index.shape[0]
     for chunk in range(first, last):
         start = chunk * _CHUNK
-        stop = min(start + _CHUNK, count)
-        stack = np.empty(2 * STACK_SIZE, np.int32)
-        keys = np.empty(2 * STACK_SIZE, np.float64)
-        _trace_some(g, origins, directions, index, start, stop, row, face, t, stack, keys)
+        stack = Stack(np.empty(2 * STACK_SIZE, np.int32), np.empty(2 * STACK_SIZE, np.float64))
+        _trace_some(g, beams, index, found, start, min(start + _CHUNK, count), stack)
 
 
-def trace_all(g, origins, directions, index, row, face, t):  # type: ignore[no-untyped-def]
-    """Improve the hits (row, face, t) of the rays named by ``index``, in place, all threads.
+def trace_all(g: Geometry, beams: Beams, index: NDArray[np.int64], found: Found) -> None:
+    """Improve the hits of the rays named by ``index``, in place, all threads.
 
     Args:
-        g: ``bvh.Geometry``.
-        origins: float64 [n, 3].
-        directions: float64 [n, 3].
-        index: Which rays, int64 [k].
-        row: Rows of the hits known so far, int32 [k].
-        face: Their faces, int32 [k].
-        t: Their parameters, float64 [k].
+        g: Of the scene.
+        beams: The table of rays, [n].
+        index: Which of them, int64 [k].
+        found: The hits known so far, [k].
     """
-    count = index.shape[0]
-    over_threads(
-        _trace_all_part, (count + _CHUNK - 1) // _CHUNK, g, origins, directions, index, row, face, t
-    )
+    over_threads(_trace_all_part, -(-len(index) // _CHUNK), g, beams, index, found)

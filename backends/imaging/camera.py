@@ -14,7 +14,6 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.backends.imaging import develop, optics, sensor
@@ -24,6 +23,7 @@ from scenec.backends.imaging.taken import Taken
 from scenec.backends.stage.scene import Camera
 from scenec.schemas import imaging as formulas
 from scenec.schemas.imaging import Imaging
+from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
 
 _LUMINANCE = (0.2126, 0.7152, 0.0722)
@@ -193,22 +193,15 @@ def _without_noise(
 ) -> NDArray[np.float32]:
     """Numbers above black of all colors of each pixel, never rounded."""
     out = np.empty(light.shape, np.float32)
-    over_threads(
-        _expected,
-        light.shape[0],
-        light,
-        shade,
-        how.weights,
-        how.full_well_e,
-        how.gain,
-        how.largest - how.black,
-        out,
-    )
+    limits = float(how.full_well_e), float(how.gain), float(how.largest - how.black)
+    over_threads(_expected, len(light), light, shade, how.weights, limits, out)
     return out
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def _expected(first, last, light, shade, weights, full, gain, steps, out):  # type: ignore[no-untyped-def]
+@kernel
+def _expected(first, last, light, shade, weights, limits, out):  # type: ignore[no-untyped-def]
+    """Some lines; limits: electrons at most, electrons a number, numbers at most."""
+    full, gain, steps = limits
     for line in range(first, last):
         y = np.int64(line)
         for x in range(light.shape[1]):
@@ -220,7 +213,7 @@ def _expected(first, last, light, shade, weights, full, gain, steps, out):  # ty
                 out[y, x, color] = min(min(made, full) / gain, steps)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _log_luminance_part(first, last, rgb, out):  # type: ignore[no-untyped-def]
     for line in range(first, last):
         y = np.int64(line)

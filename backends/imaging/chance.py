@@ -13,8 +13,9 @@ import math
 from functools import cache
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from scenec.schemas.kernels import kernel
 
 _M0, _M1 = np.uint64(0xD2511F53), np.uint64(0xCD9E8D57)
 _W0, _W1 = np.uint64(0x9E3779B9), np.uint64(0xBB67AE85)
@@ -29,7 +30,7 @@ EXACT_BELOW = 10.0
 _INVERSE = 1.0 / np.maximum(np.arange(128), 1)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _philox_round(c0, c1, c2, c3, k0, k1):  # type: ignore[no-untyped-def]
     p0, p1 = _M0 * c0, _M1 * c2
     return (
@@ -38,7 +39,7 @@ def _philox_round(c0, c1, c2, c3, k0, k1):  # type: ignore[no-untyped-def]
     )  # fmt: skip
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def philox(key, c0, c1, c2, c3):  # type: ignore[no-untyped-def]
     """Four 32-bit words, as uint64, of a 64-bit key and a counter of four 32-bit words (uint64)."""
     k0, k1 = key & _LOW, key >> _HALF
@@ -47,7 +48,7 @@ def philox(key, c0, c1, c2, c3):  # type: ignore[no-untyped-def]
     return c0, c1, c2, c3
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def philoxes(key, first, c1, c2, c3, words):  # type: ignore[no-untyped-def]
     """``philox`` of counters whose first words are one after the other, faster.
 
@@ -72,13 +73,13 @@ def philoxes(key, first, c1, c2, c3, words):  # type: ignore[no-untyped-def]
         words[0, i], words[1, i], words[2, i], words[3, i] = w[0], w[1], w[2], w[3]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def unit(word: int) -> float:
     """A 32-bit word as a number in (0, 1): the middle of one of 2**32 intervals."""
     return (np.float64(word) + 0.5) * _TO_UNIT
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def log(x: float) -> float:
     """Natural logarithm of a positive number, to 1e-15 of 1 + abs(log x)."""
     m, e = math.frexp(x)
@@ -92,7 +93,7 @@ def log(x: float) -> float:
     return e * _LN2 + 2.0 * s * rest
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def quantile(u: float) -> float:
     """The number that a standard normal one is below with probability u, to 1e-7.
 
@@ -116,7 +117,7 @@ def quantile(u: float) -> float:
     return z if q > 0.0 else -z
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _quantiles(count: int) -> NDArray[np.float64]:
     out = np.empty(count + 1)
     for i in range(count + 1):
@@ -130,7 +131,7 @@ def quantiles() -> NDArray[np.float64]:
     return _quantiles(4096)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def normal(word: int, table: NDArray[np.float64]) -> float:
     """The standard normal number of a 32-bit word.
 
@@ -148,7 +149,7 @@ def normal(word: int, table: NDArray[np.float64]) -> float:
     return low + (table[step + 1] - low) * ((np.int64(word) & 0xFFFFF) + 0.5) * 2.0**-20
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def normals(words, table, out):  # type: ignore[no-untyped-def]
     """``normal`` of many words: the same numbers, faster."""
     for i in range(len(words)):
@@ -163,7 +164,7 @@ def normals(words, table, out):  # type: ignore[no-untyped-def]
             out[i] = quantile(unit(words[i]))
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def poisson(mean: float, word: int, table: NDArray[np.float64]) -> float:
     """The Poisson number of a mean that belongs to a 32-bit word.
 
@@ -182,7 +183,7 @@ def poisson(mean: float, word: int, table: NDArray[np.float64]) -> float:
     return _many(mean, normal(word, table))
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def poissons(means, words, table):  # type: ignore[no-untyped-def]
     """``poisson`` of many means, in their place: the same numbers, faster."""
     z = np.empty(len(means))
@@ -200,7 +201,7 @@ def poissons(means, words, table):  # type: ignore[no-untyped-def]
             means[i] = _few(means[i], unit(words[i])) if few_of_it else z[i]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _many(mean: float, z: float) -> float:
     s = math.sqrt(mean - 1.0 / 12.0)
     z2 = z * z
@@ -208,7 +209,7 @@ def _many(mean: float, z: float) -> float:
     return max(np.floor(n + 0.5), 0.0)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _few(mean: float, u: float) -> float:
     # exp(-mean), by its series at a sixteenth of it, which is at most 0.625.
     t = -0.0625 * mean

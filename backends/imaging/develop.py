@@ -9,12 +9,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from decimal import Decimal
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.backends.imaging.sensor import COLORS
+from scenec.schemas.kernels import kernel
 from scenec.schemas.picture import SHOULDER
 from scenec.schemas.threads import over_threads
 
@@ -92,26 +93,40 @@ def develop(
     """
     if raw.shape[2] == 3:
         return develop_light(raw.astype(np.float32) - np.float32(black), look)
-    edges, starts = codes(look.white)
     out = np.empty((*raw.shape[:2], 3), np.uint8)
     red, green, blue = look.balance.tolist()
     padded = _balanced(raw[:, :, 0], mosaic, black, (red, green, blue))
-    matrix = (look.to_rec709 / look.white).astype(np.float32)
-    most = np.float32(look.most)
-    over_threads(
-        _from_mosaic, len(out), padded, *_tables(mosaic, method), most, matrix, edges, starts, out
-    )
+    colors, corrections = _tables(mosaic, method)
+    over_threads(_from_mosaic, len(out), padded, colors, corrections, _Shown.of(look), out)
     return out
 
 
 def develop_light(light: NDArray[np.float32], look: Look) -> NDArray[np.uint8]:
     """The same of numbers above black, whole or not, of all colors: float32 [h, w, 3]."""
-    edges, starts = codes(look.white)
     out = np.empty(light.shape, np.uint8)
-    matrix = (look.to_rec709 / look.white).astype(np.float32)
-    balance, most = look.balance.astype(np.float32), np.float32(look.most)
-    over_threads(_from_colors, light.shape[0], light, balance, most, matrix, edges, starts, out)
+    balance = look.balance.astype(np.float32)
+    over_threads(_from_colors, len(light), light, balance, _Shown.of(look), out)
     return out
+
+
+class _Shown(NamedTuple):
+    """``Look``, once colors are balanced.
+
+    Attributes:
+        most: Where they are clipped, float32.
+        matrix: From those to shares of what becomes white, float32 [3, 3].
+        edges, starts: ``codes``.
+    """
+
+    most: np.float32
+    matrix: NDArray[np.float32]
+    edges: NDArray[np.float32]
+    starts: NDArray[np.uint8]
+
+    @classmethod
+    def of(cls, look: Look) -> _Shown:
+        matrix = (look.to_rec709 / look.white).astype(np.float32)
+        return cls(np.float32(look.most), matrix, *codes(look.white))
 
 
 @lru_cache(maxsize=16)
@@ -167,14 +182,14 @@ def _balanced(
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _mirror(i: int, n: int) -> int:
     """An index beyond an edge, mirrored at the last pixel: -1 is 1."""
     i = abs(i) % (2 * n - 2)
     return i if i < n else 2 * n - 2 - i
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _balance(first, last, raw, black, factors, out):  # type: ignore[no-untyped-def]
     h, w = raw.shape
     for line in range(first, last):
@@ -189,7 +204,7 @@ def _balance(first, last, raw, black, factors, out):  # type: ignore[no-untyped-
             row[w + 1 - x] = row[_mirror(w - 1 - x, w) + 2]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _row_colors(m, y, i, colors, k, out):  # type: ignore[no-untyped-def]
     """All colors of every second pixel of a row, from column i; ``m`` has the borders."""
     w = m.shape[1] - 4
@@ -217,16 +232,17 @@ def _row_colors(m, y, i, colors, k, out):  # type: ignore[no-untyped-def]
             out[x, 2 - own] = quarter * diagonal + k[6] * itself + k[7] * far
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _demosaic(padded, colors, corrections, out):  # type: ignore[no-untyped-def]
     for y in range(out.shape[0]):
         for i in range(2):
             _row_colors(padded, y, i, colors, corrections, out[y])
 
 
-@njit(cache=True, error_model="numpy", no_cpython_wrapper=True)
-def _show(row, most, matrix, edges, starts, out):  # type: ignore[no-untyped-def]
-    """Codes of a line of colors, which are lost."""
+@kernel
+def _show(row, shown, out):  # type: ignore[no-untyped-def]
+    """Codes, uint8 [w, 3], of a line of colors, float32 [w, 3], which are lost."""
+    most, matrix, edges, starts = shown.most, shown.matrix, shown.edges, shown.starts
     for x in range(row.shape[0]):
         r, g, b = min(row[x, 0], most), min(row[x, 1], most), min(row[x, 2], most)
         for c in range(3):
@@ -239,41 +255,20 @@ def _show(row, most, matrix, edges, starts, out):  # type: ignore[no-untyped-def
             out[x, c] = code + 1 if edges[code] <= row[x, c] else code
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def _from_mosaic(  # type: ignore[no-untyped-def]
-    first,
-    last,
-    padded,
-    colors,
-    corrections,
-    most,
-    matrix,
-    edges,
-    starts,
-    out,
-):
+@kernel
+def _from_mosaic(first, last, padded, colors, corrections, shown, out):  # type: ignore[no-untyped-def]
     for line in range(first, last):
         row = np.empty((out.shape[1], 3), np.float32)
         for i in range(2):
             _row_colors(padded, np.int64(line), i, colors, corrections, row)
-        _show(row, most, matrix, edges, starts, out[line])
+        _show(row, shown, out[line])
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def _from_colors(  # type: ignore[no-untyped-def]
-    first,
-    last,
-    light,
-    balance,
-    most,
-    matrix,
-    edges,
-    starts,
-    out,
-):
+@kernel
+def _from_colors(first, last, light, balance, shown, out):  # type: ignore[no-untyped-def]
     for line in range(first, last):
         row = np.empty((light.shape[1], 3), np.float32)
         for x in range(light.shape[1]):
             for c in range(3):
                 row[x, c] = balance[c] * light[line, x, c]
-        _show(row, most, matrix, edges, starts, out[line])
+        _show(row, shown, out[line])

@@ -14,11 +14,11 @@ from decimal import Decimal
 from functools import lru_cache
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.backends.camera.rays import camera_rays
 from scenec.backends.stage.scene import Camera
+from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
 
 #: Shares of the scattered light, and their Gaussians' standard deviations over the first one's:
@@ -162,14 +162,14 @@ def _taps(variance: float, total: float) -> Picture:
     return np.array([w / scale * math.sqrt(total) for w in weights], np.float32)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _reflect(i: int, n: int) -> int:
     """An index beyond an edge, mirrored at it: -1 is 0, -2 is 1."""
     i %= 2 * n
     return i if i < n else 2 * n - 1 - i
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _shade(first, last, rgb, shade, out):  # type: ignore[no-untyped-def]
     one = shade.size == 1
     for line in range(first, last):
@@ -181,7 +181,7 @@ def _shade(first, last, rgb, shade, out):  # type: ignore[no-untyped-def]
                 out[line, x, c] = value * factor
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _halve_part(first: int, last: int, picture: Picture, out: NDArray) -> None:
     h, w, _ = picture.shape
     quarter = np.float32(0.25)
@@ -204,7 +204,7 @@ def _halve(picture: Picture) -> Picture:
     return out
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _double_part(first: int, last: int, picture: Picture, h: int, out: NDArray) -> None:
     for line in range(first, last):
         _double_line(picture, np.int64(line), out[line])
@@ -217,7 +217,7 @@ def _double(picture: Picture, h: int, w: int) -> Picture:
     return out
 
 
-@njit(cache=True, error_model="numpy", no_cpython_wrapper=True)
+@kernel
 def _double_line(picture, y, out):  # type: ignore[no-untyped-def]
     far, near = np.float32(0.25), np.float32(0.75)
     other = min(max(y // 2 + (1 if y % 2 else -1), 0), picture.shape[0] - 1)
@@ -253,13 +253,13 @@ def _blur(picture: Picture, taps: Picture) -> Picture:
     return out
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _blur_lines(first, last, picture, taps, out):  # type: ignore[no-untyped-def]
     for line in range(first, last):
         _blur_line(picture, np.int64(line), taps, out[line])
 
 
-@njit(cache=True, error_model="numpy", no_cpython_wrapper=True)
+@kernel
 def _blur_line(picture, y, taps, out):  # type: ignore[no-untyped-def]
     h, n = picture.shape
     w, reach = n // 3, len(taps) - 1
@@ -278,19 +278,19 @@ def _blur_line(picture, y, taps, out):  # type: ignore[no-untyped-def]
         _add(down[3 * (reach + j) : 3 * (reach + j) + n], taps[abs(j)], out)
 
 
-@njit(cache=True, error_model="numpy", no_cpython_wrapper=True)
+@kernel
 def _add(row, weight, out):  # type: ignore[no-untyped-def]
     for x in range(out.shape[0]):
         out[x] += weight * row[x]
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _mix(first, last, rgb, kept, factor, spread, out):  # type: ignore[no-untyped-def]
     for line in range(first, last):
         _mix_line(rgb, np.int64(line), kept, factor, spread, out)
 
 
-@njit(cache=True, error_model="numpy", no_cpython_wrapper=True)
+@kernel
 def _mix_line(rgb, y, kept, factor, spread, out):  # type: ignore[no-untyped-def]
     """One line; ``spread`` is as large as the picture, or half as large."""
     row = out[y]
@@ -305,7 +305,7 @@ def _mix_line(rgb, y, kept, factor, spread, out):  # type: ignore[no-untyped-def
             row[x, c] = kept * rgb[y, x, c] + factor[c] * row[x, c]
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _row_sums_part(first: int, last: int, picture: Picture, out: NDArray) -> None:
     for line in range(first, last):
         r = g = b = 0.0

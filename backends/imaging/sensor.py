@@ -13,9 +13,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.backends.imaging.chance import (
@@ -29,6 +29,7 @@ from scenec.backends.imaging.chance import (
     quantiles,
     unit,
 )
+from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
 
 #: Last word of the counter: what is drawn. Words of a pattern: PRNU, DSNU, whether hot or dead, how
@@ -108,8 +109,11 @@ def pattern(
         hot, dead: Shares of pixels.
         hot_rate_e_s: Mean additional dark current of hot ones.
     """
-    numbers = prnu, dsnu_e, hot, hot_rate_e_s, dead
-    gain, offset, rate = _pattern(np.uint64(key), *shape, *numbers, quantiles())
+    gain, offset = np.empty(shape, np.float32), np.empty(shape, np.float32)
+    rate = np.zeros(shape, np.float32)
+    law = _Spread(float(prnu), float(dsnu_e), float(hot), float(hot_rate_e_s), float(dead))
+    table = quantiles()
+    over_threads(_pattern, shape[0], np.uint64(key), law, table, gain, offset, rate)
     where = np.flatnonzero(rate)
     return Pattern(gain, offset, where, rate.reshape(-1)[where].astype(np.float64))
 
@@ -139,23 +143,85 @@ def expose(
     """
     colors = np.array(COLORS.get(mosaic, ((0, 0), (0, 0))), np.int64)
     cap = how.full_well_e + 10.0 * np.sqrt(how.full_well_e) + 100.0
-    numbers = np.array(
-        [how.dark_e, how.full_well_e, how.read_e, 1.0 / how.gain, how.black, how.largest, cap]
+    numbers = _Numbers(
+        dark_e=float(how.dark_e),
+        full_well_e=float(how.full_well_e),
+        read_e=float(how.read_e),
+        per_e=float(1.0 / how.gain),
+        black=float(how.black),
+        largest=float(how.largest),
+        cap=float(cap),
+        shot=bool(how.shot),
     )
+    light = _Light(rgb, shade, how.weights, colors)
+    plane = _Plane(sensor.gain, sensor.offset)
+    noise = _Noise(np.uint64(sample), np.uint64(key), quantiles())
     out = np.empty(sensor.gain.shape, np.uint16)
-    arrays = rgb, shade, how.weights, colors, sensor.gain, sensor.offset, out
-    words = np.uint64(sample), np.uint64(key)
-    over_threads(_expose, len(out), *arrays, *words, numbers, how.shot, quantiles())
+    over_threads(_expose, len(out), light, plane, noise, numbers, out)
     if len(sensor.hot):
         more = sensor.rate * how.time_s
-        _expose_hot(*arrays, *words, numbers, how.shot, quantiles(), sensor.hot, more)
+        _expose_hot(sensor.hot, more, light, plane, noise, numbers, out)
     return out
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def _pattern_part(  # type: ignore[no-untyped-def]
-    first, last, key, h, w, planes, prnu, dsnu_e, hot, hot_rate, dead, table, gain, offset, rate
-):
+class _Spread(NamedTuple):
+    """What ``pattern`` is told of a sensor."""
+
+    prnu: float
+    dsnu_e: float
+    hot: float
+    hot_rate_e_s: float
+    dead: float
+
+
+class _Light(NamedTuple):
+    """What falls on a sensor.
+
+    Attributes:
+        rgb: float32 [h, w, 3].
+        shade: Vignetting, float32 [h, w] or [1, 1].
+        weights: ``Exposed.weights``, float64 [3, 3].
+        colors: Color of each of the first 2 x 2 pixels, int64 [2, 2].
+    """
+
+    rgb: NDArray[np.float32]
+    shade: NDArray[np.float32]
+    weights: NDArray[np.float64]
+    colors: NDArray[np.int64]
+
+
+class _Plane(NamedTuple):
+    """``Pattern.gain`` and ``Pattern.offset``, float32 [h, w, planes]."""
+
+    gain: NDArray[np.float32]
+    offset: NDArray[np.float32]
+
+
+class _Noise(NamedTuple):
+    """Sample and key of the noise, uint64, and ``chance.quantiles``."""
+
+    sample: np.uint64
+    key: np.uint64
+    table: NDArray[np.float64]
+
+
+class _Numbers(NamedTuple):
+    """How electrons become numbers: ``Exposed``, and what is certain to fill a pixel."""
+
+    dark_e: float
+    full_well_e: float
+    read_e: float
+    per_e: float
+    black: float
+    largest: float
+    cap: float
+    shot: bool
+
+
+@kernel
+def _pattern(first, last, key, law, table, gain, offset, rate):  # type: ignore[no-untyped-def]
+    """``Pattern`` of some lines, float32 [h, w, planes] each; ``rate`` is 0 but of hot pixels."""
+    _, w, planes = gain.shape
     for line in range(first, last):
         y = np.int64(line)
         for x in range(w):
@@ -163,51 +229,28 @@ def _pattern_part(  # type: ignore[no-untyped-def]
                 at, plane = np.uint64(y * w + x), np.uint64(p)
                 a, b, c, d = philox(key, at, plane, np.uint64(0), np.uint64(PATTERN))
                 chosen = unit(c)
-                factor = max(1.0 + prnu * normal(a, table), 0.0)
-                gain[y, x, p] = 0.0 if chosen > 1.0 - dead else factor
-                offset[y, x, p] = dsnu_e * normal(b, table)
-                if chosen < hot:
-                    rate[y, x, p] = -hot_rate * log(unit(d))
+                factor = max(1.0 + law.prnu * normal(a, table), 0.0)
+                gain[y, x, p] = 0.0 if chosen > 1.0 - law.dead else factor
+                offset[y, x, p] = law.dsnu_e * normal(b, table)
+                if chosen < law.hot:
+                    rate[y, x, p] = -law.hot_rate_e_s * log(unit(d))
 
 
-def _pattern(key, h, w, planes, prnu, dsnu_e, hot, hot_rate, dead, table):  # type: ignore[no-untyped-def]
-    gain = np.empty((h, w, planes), np.float32)
-    offset = np.empty((h, w, planes), np.float32)
-    rate = np.zeros((h, w, planes), np.float32)
-    over_threads(
-        _pattern_part,
-        h,
-        key,
-        h,
-        w,
-        planes,
-        prnu,
-        dsnu_e,
-        hot,
-        hot_rate,
-        dead,
-        table,
-        gain,
-        offset,
-        rate,
-    )
-    return gain, offset, rate
-
-
-@njit(cache=True, error_model="numpy")
-def _number(light, dark, gain, offset, shot_word, read_word, n, shot, table):  # type: ignore[no-untyped-def]
-    """The number of a pixel; ``n``: dark_e, full_well_e, read_e, 1 / gain, black, largest, cap."""
+@kernel
+def _number(light, dark, gain, offset, words, numbers, table):  # type: ignore[no-untyped-def]
+    """The number of a pixel; words: of its shot and its read noise, uint64."""
     # Beyond the cap a pixel is full whatever its noise.
-    made = min(max(light * gain + dark, 0.0), n[6])
-    if shot:
-        made = poisson(made, shot_word, table)
-    made = min(made, n[1]) + offset
-    if n[2] > 0.0:
-        made += n[2] * normal(read_word, table)
-    return np.uint16(min(max(np.floor(n[4] + made * n[3] + 0.5), 0.0), n[5]))
+    made = min(max(light * gain + dark, 0.0), numbers.cap)
+    if numbers.shot:
+        made = poisson(made, words[0], table)
+    made = min(made, numbers.full_well_e) + offset
+    if numbers.read_e > 0.0:
+        made += numbers.read_e * normal(words[1], table)
+    value = np.floor(numbers.black + made * numbers.per_e + 0.5)
+    return np.uint16(min(max(value, 0.0), numbers.largest))
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def electrons(r, g, b, r_weight, g_weight, b_weight):  # type: ignore[no-untyped-def]
     """Electrons that light makes in a pixel; what is negative or NaN counts as 0."""
     r, g, b = np.float64(r), np.float64(g), np.float64(b)
@@ -217,45 +260,26 @@ def electrons(r, g, b, r_weight, g_weight, b_weight):  # type: ignore[no-untyped
     return max(r_weight * r + g_weight * g + b_weight * b, 0.0)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def _expose(  # type: ignore[no-untyped-def]
-    first,
-    last,
-    rgb,
-    shade,
-    weights,
-    colors,
-    gain,
-    offset,
-    out,
-    sample,
-    key,
-    n,
-    shot,
-    table,
-):
+@kernel
+def _expose(first, last, light, plane, noise, numbers, out):  # type: ignore[no-untyped-def]
     for line in range(first, last):
-        _expose_line(
-            np.int64(line), rgb, shade, weights, colors, gain, offset, out, sample, key, n, shot,
-            table,
-        )  # fmt: skip
+        _expose_line(np.int64(line), light, plane, noise, numbers, out)
 
 
-@njit(cache=True, error_model="numpy", no_cpython_wrapper=True)
-def _expose_line(  # type: ignore[no-untyped-def]
-    y, rgb, shade, weights, colors, gain, offset, out, sample, key, n, shot, table
-):
+@kernel
+def _expose_line(y, light, plane, noise, numbers, out):  # type: ignore[no-untyped-def]
     h, w, planes = out.shape
     half = (w + 1) // 2
+    rgb, shade, gain, offset = light.rgb, light.shade, plane.gain, plane.offset
     # One step after the other, each a loop that compilers make wide instructions of.
     words = np.empty((4, half), np.uint64)
     made, read = np.empty(half), np.zeros(half)
     for p in range(planes):
         first = np.uint64(y * half)
-        philoxes(key, first, np.uint64(p), sample, np.uint64(NOISE), words)
+        philoxes(noise.key, first, np.uint64(p), noise.sample, np.uint64(NOISE), words)
         for i in range(2):
-            color = p if planes == 3 else colors[y & 1, i]
-            wr, wg, wb = weights[color, 0], weights[color, 1], weights[color, 2]
+            color = p if planes == 3 else light.colors[y & 1, i]
+            wr, wg, wb = light.weights[color, 0], light.weights[color, 1], light.weights[color, 2]
             count = half - i * (w & 1)
             for k in range(count):
                 x = 2 * k + i
@@ -265,35 +289,42 @@ def _expose_line(  # type: ignore[no-untyped-def]
                     made[k] *= shade[y, 2 * k + i]
             for k in range(count):
                 # Beyond the cap a pixel is full whatever its noise.
-                made[k] = min(max(made[k] * gain[y, 2 * k + i, p] + n[0], 0.0), n[6])
-            if shot:
-                poissons(made[:count], words[2 * i, :count], table)
-            if n[2] > 0.0:
-                normals(words[2 * i + 1, :count], table, read[:count])
+                value = made[k] * gain[y, 2 * k + i, p] + numbers.dark_e
+                made[k] = min(max(value, 0.0), numbers.cap)
+            if numbers.shot:
+                poissons(made[:count], words[2 * i, :count], noise.table)
+            if numbers.read_e > 0.0:
+                normals(words[2 * i + 1, :count], noise.table, read[:count])
             for k in range(count):
-                value = min(made[k], n[1]) + offset[y, 2 * k + i, p] + n[2] * read[k]
-                value = min(max(np.floor(n[4] + value * n[3] + 0.5), 0.0), n[5])
-                out[y, 2 * k + i, p] = np.uint16(value)
+                value = min(made[k], numbers.full_well_e) + offset[y, 2 * k + i, p]
+                value = value + numbers.read_e * read[k]
+                value = np.floor(numbers.black + value * numbers.per_e + 0.5)
+                out[y, 2 * k + i, p] = np.uint16(min(max(value, 0.0), numbers.largest))
 
 
-@njit(cache=True, error_model="numpy")
-def _expose_hot(  # type: ignore[no-untyped-def]
-    rgb, shade, weights, colors, gain, offset, out, sample, key, n, shot, table, hot, more
-):
-    """Hot pixels anew: the same noise, more dark current."""
+@kernel
+def _expose_hot(hot, more, light, plane, noise, numbers, out):  # type: ignore[no-untyped-def]
+    """Hot pixels anew: the same noise, more dark current.
+
+    Args:
+        hot: Flat indices, int64 [n].
+        more: Electrons of the dark current that each has beyond the others', float64 [n].
+        light, plane, noise, numbers: As for the picture.
+        out: Receives their numbers, uint16 [h, w, planes].
+    """
     h, w, planes = out.shape
+    rgb, shade, weights = light.rgb, light.shade, light.weights
     shaded = shade.shape[0] == h and shade.shape[1] == w
     for k in range(len(hot)):
         p, x, y = hot[k] % planes, hot[k] // planes % w, hot[k] // (planes * w)
         counter = np.uint64(y * ((w + 1) // 2) + x // 2)
-        a, b, c, d = philox(key, counter, np.uint64(p), sample, np.uint64(NOISE))
-        color = p if planes == 3 else colors[y & 1, x & 1]
+        a, b, c, d = philox(noise.key, counter, np.uint64(p), noise.sample, np.uint64(NOISE))
+        color = p if planes == 3 else light.colors[y & 1, x & 1]
         red, green, blue = weights[color, 0], weights[color, 1], weights[color, 2]
-        light = electrons(rgb[y, x, 0], rgb[y, x, 1], rgb[y, x, 2], red, green, blue)
+        falls = electrons(rgb[y, x, 0], rgb[y, x, 1], rgb[y, x, 2], red, green, blue)
         if shaded:
-            light *= shade[y, x]
-        odd, pixel, dark = x & 1, (y, x, p), n[0] + more[k]
-        out[pixel] = _number(
-            light, dark, gain[pixel], offset[pixel],
-            c if odd else a, d if odd else b, n, shot, table,
-        )  # fmt: skip
+            falls *= shade[y, x]
+        odd, pixel, dark = x & 1, (y, x, p), numbers.dark_e + more[k]
+        words = c if odd else a, d if odd else b
+        gain, offset = plane.gain[pixel], plane.offset[pixel]
+        out[pixel] = _number(falls, dark, gain, offset, words, numbers, noise.table)

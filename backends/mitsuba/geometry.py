@@ -12,12 +12,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.backends.mitsuba.corners import vertex_uv
 from scenec.backends.stage.posing import moving
 from scenec.backends.stage.scene import DEFAULT_SURFACE, RenderScene, Surface
+from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
 
 
@@ -213,7 +213,7 @@ def _parts_by_mesh(scene: RenderScene, group: Group) -> Iterator[tuple[int, NDAr
         yield int(mesh), parts
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _place_points(begin, end, points, to_world, center, first, out):  # type: ignore[no-untyped-def]
     for part in range(begin, end):
         m = to_world[part]
@@ -225,7 +225,7 @@ def _place_points(begin, end, points, to_world, center, first, out):  # type: ig
                 out[o + i, k] = value - center[k]
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _place_faces(begin, end, faces, to_world, first, first_face, out):  # type: ignore[no-untyped-def]
     for part in range(begin, end):
         m = to_world[part]
@@ -244,7 +244,7 @@ def _place_faces(begin, end, faces, to_world, first, first_face, out):  # type: 
             out[q + i, 2] = o + faces[i, c]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def cofactors(m):  # type: ignore[no-untyped-def]
     """What takes normals along with a matrix, [3, 3], and the sign of its determinant, -1 or 1.
 
@@ -260,7 +260,7 @@ def cofactors(m):  # type: ignore[no-untyped-def]
     return c, -1.0 if det < 0.0 else 1.0
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _place_normals(begin, end, normals, to_world, first, out):  # type: ignore[no-untyped-def]
     for part in range(begin, end):
         c, sign = cofactors(to_world[part])
@@ -278,14 +278,14 @@ def _place_normals(begin, end, normals, to_world, first, out):  # type: ignore[n
             out[o + i, 2] = nz
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _place_rows(begin, end, values, count, first, out):  # type: ignore[no-untyped-def]
     for part in range(begin, end):
         for i in range(count):
             out[first[part] + i] = values[part]
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _place_scalars(begin, end, values, first, out):  # type: ignore[no-untyped-def]
     for part in range(begin, end):
         o = first[part]

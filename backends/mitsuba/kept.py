@@ -13,16 +13,16 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.backends.contract import NO_ROW, Rays, Visibility
 from scenec.backends.exact.caster import ExactCaster
-from scenec.backends.exact.trace import trace_all
+from scenec.backends.exact.trace import Beams, Found, trace_all
 from scenec.backends.mitsuba.corners import vertex_uv
 from scenec.backends.mitsuba.geometry import Group, cofactors, group_surfaces, unplaced
 from scenec.backends.mitsuba.surfaces import make_look
 from scenec.backends.stage.scene import RenderScene
+from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
 
 #: Rays that are cast and shaded at once: some 400 bytes each.
@@ -176,12 +176,10 @@ class KeptScene:
         origins = hit.start(shaded.to_light)
         none = np.full(len(lit), NO_ROW, np.int32)
         # What is found is nearer than the light.
-        t = shaded.distance[lit] * (1.0 - _SHORT)
-        trace_all(
-            self._caster.geometry, origins, shaded.to_light, lit, none, np.zeros_like(none), t
-        )
+        between = Found(none, np.zeros_like(none), shaded.distance[lit] * (1.0 - _SHORT))
+        trace_all(self._caster.geometry, Beams(origins, shaded.to_light), lit, between)
         found = np.zeros_like(shaded.light)
-        seen = lit[none == NO_ROW]
+        seen = lit[between.row == NO_ROW]
         found[seen] = shaded.light[seen]
         return found
 
@@ -289,8 +287,9 @@ class _Hits(NamedTuple):
         places, lifts = np.empty((2, len(lanes), 3))
         columns = _aligned(np.empty((21 + tables.values.shape[1], len(lanes)), np.float32))
         over_threads(
-            _interact, len(lanes), kept._caster.geometry, tables, rays.origins, rays.directions,
-            (lanes, row, face), kept._center, (places, lifts, columns),
+            _interact, len(lanes), kept._caster.geometry, tables,
+            Beams(rays.origins, rays.directions), (lanes, row, face), kept._center,
+            (places, lifts, columns),
         )  # fmt: skip
         return _Hits(row, places, lifts, columns)
 
@@ -345,13 +344,13 @@ def _tables(scene: RenderScene) -> _Tables:
     return _Tables(normals, uv, values, scene.rows.variation.astype(np.float32))
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _unit(v):  # type: ignore[no-untyped-def]
     length = np.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
     return v / length if length > 0.0 else v
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _corners(g, row, vertices):  # type: ignore[no-untyped-def]
     """Of a face in the world, [3, 3]."""
     m = g.to_world[row]
@@ -363,7 +362,7 @@ def _corners(g, row, vertices):  # type: ignore[no-untyped-def]
     return corners
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _shares(origin, way, corner, p, q, normal):  # type: ignore[no-untyped-def]
     """Of the corners where a ray crosses the plane of a face, kept inside of that."""
     steep = -(normal * way).sum()
@@ -375,11 +374,19 @@ def _shares(origin, way, corner, p, q, normal):  # type: ignore[no-untyped-def]
     return 1.0 - v - w, v, w
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def _interact(  # type: ignore[no-untyped-def]
-    begin, end, g, tables, origins, directions, hits, center, out
-):
-    """``_Hits`` of rays and the faces they meet."""
+@kernel
+def _interact(begin, end, g, tables, beams, hits, center, out):  # type: ignore[no-untyped-def]
+    """``_Hits`` of rays and the faces they meet.
+
+    Args:
+        begin, end: Which hits.
+        g: ``bvh.Geometry``.
+        tables: ``_Tables``.
+        beams: The rays.
+        hits: Of each, the ray, int64 [n]; row and face, int32 [n].
+        center: Of the scene as Mitsuba has it, float64 [3].
+        out: Receives ``places``, ``lifts`` and ``columns``.
+    """
     lanes, row, face = hits
     places, lifts, columns = out
     for k in range(begin, end):
@@ -390,8 +397,8 @@ def _interact(  # type: ignore[no-untyped-def]
         normal = np.cross(p, q)
         # A mirrored row turns the winding; turn it back, as flattened meshes have it.
         unit = side * _unit(normal)
-        way = directions[lanes[k]]
-        shares = _shares(origins[lanes[k]], way, corners[0], p, q, normal)
+        way = beams.directions[lanes[k]]
+        shares = _shares(beams.origins[lanes[k]], way, corners[0], p, q, normal)
         local = np.zeros(3)
         uv = np.zeros((3, 2))
         columns[20:, k] = 0.0

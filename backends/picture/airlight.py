@@ -29,11 +29,11 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.backends.picture.sky import MIN_SUN_DIAMETER_RAD, Sky, lookup
 from scenec.backends.stage.scene import Haze, Sun
+from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import POINTS, over_threads
 
 #: Elevation above the horizon, degrees, over which the sky's radiance is what endless haze shows.
@@ -213,11 +213,11 @@ def arrive(
         (float64 [n, 3], float64 [n, 3]); 1 and 0 for a bundle of which no ray ends.
     """
     out = np.empty((2, len(t), 3))
-    over_threads(_arrive, len(t), air.layer, origins, directions, t, *source, out, least=POINTS)
+    over_threads(_arrive, len(t), air.layer, origins, directions, t, source, out, least=POINTS)
     return out[0], out[1]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def optical_depth(scale_height, height, rise, distance):  # type: ignore[no-untyped-def]
     """Extinction along a ray, over the extinction at z = 0, meters.
 
@@ -234,20 +234,21 @@ def optical_depth(scale_height, height, rise, distance):  # type: ignore[no-unty
     return distance * lowest * _mean_decay(abs(rise) / scale_height)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _mean_decay(x):  # type: ignore[no-untyped-def]
     """(1 - exp(-x)) / x for x >= 0: in (0, 1], and 1 at 0."""
     return -math.expm1(-x) / x if x > 1e-12 else 1.0
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _density(height, scale_height):  # type: ignore[no-untyped-def]
     """exp(-z / H). Beyond e^600 nothing passes through any distance, and products stay finite."""
     return math.exp(min(max(-height / scale_height, -800.0), 600.0))
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def _arrive(first, last, layer, origins, directions, t, ambient, beams, out):  # type: ignore[no-untyped-def]
+@kernel
+def _arrive(first, last, layer, origins, directions, t, source, out):  # type: ignore[no-untyped-def]
+    ambient, beams = source
     scale = layer.scale_height_m
     layered = scale < math.inf
     suns = layer.slant.shape[0]
@@ -331,7 +332,7 @@ def scattered(sky: Sky, asymmetry: float) -> Sky:
     return Sky(np.ascontiguousarray(smooth, np.float32), sky.to_world)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _over_columns(first, last, picture, out):  # type: ignore[no-untyped-def]
     """Each row's texels, and their number, shared out to the two cells beside each."""
     width, columns = picture.shape[1], out.shape[1]

@@ -18,7 +18,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.backends.camera.rays import subpixel_directions
@@ -28,6 +27,7 @@ from scenec.backends.exact.caster import ExactCaster
 from scenec.backends.picture.airlight import Air, air_of, arrive, sources
 from scenec.backends.picture.sky import Sky
 from scenec.backends.stage.scene import Camera, RenderScene
+from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
 
 #: What a backend's ``losses`` say of a stage with haze.
@@ -188,7 +188,7 @@ def _changes(
     return changes
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _bends(first, last, passed, hit, changes):  # type: ignore[no-untyped-def]
     height, width = hit.shape
     for v in range(first, last):

@@ -17,10 +17,9 @@ which only averages over regions show (they are as noisy as before, not less).
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.backends.camera.lens import RayTable, local_rays, ray_table
@@ -28,6 +27,7 @@ from scenec.backends.contract import Backend, Radiance
 from scenec.backends.picture.tiles import radiance
 from scenec.backends.stage.scene import Camera
 from scenec.schemas.errors import CameraRefusedError
+from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
 
 #: Pixels of the views along a side of the picture's.
@@ -137,9 +137,8 @@ def draw(
         # Another odd number than tiles of a view have between them (``bands``).
         noise = (seed + 0x85EBCA6B * i) & 0xFFFFFFFF
         parts.append(radiance(backend, view, sample, each, noise, denoise))
-    pixels = camera.height * camera.width
     channels = 7 if parts[0].denoised is None else 10
-    out = np.zeros((pixels, channels), np.float32)
+    picture = np.zeros((camera.height, camera.width, channels), np.float32)
     index_of_face = np.full(len(FACES), -1, np.int64)
     index_of_face[list(views.faces)] = np.arange(len(views.faces))
     starts = np.cumsum([0, *(view.width * view.height for view in views.cameras)])
@@ -156,11 +155,10 @@ def draw(
         numbers[i] = k[0, 0], k[0, 2], k[1, 2], view.width, view.height
     table = views.table
     over_threads(
-        _gather, camera.height, table.directions, table.per_pixel, table.known.ravel(),
-        camera.width, SUBPIXELS, len(views.faces) == 1 and views.faces[0] == 0, FACES,
-        index_of_face, numbers, starts, stacked, out,
+        _gather, camera.height, _Lattice.of(table), SUBPIXELS,
+        len(views.faces) == 1 and views.faces[0] == 0, FACES,
+        _Rendered(index_of_face, numbers, starts, stacked), picture,
     )  # fmt: skip
-    picture = out.reshape(camera.height, camera.width, channels)
     halves = np.stack([picture[..., :3], picture[..., 3:6]])
     shown = max(1, int(np.count_nonzero(table.known)))
     samples = sum(part.spp * view.width * view.height
@@ -175,6 +173,34 @@ def draw(
     )
 
 
+class _Lattice(NamedTuple):
+    """``RayTable``, as kernels want it."""
+
+    directions: NDArray[np.float32]
+    per_pixel: int
+    known: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, table: RayTable) -> _Lattice:
+        return cls(table.directions, table.per_pixel, table.known)
+
+
+class _Rendered(NamedTuple):
+    """Pinhole views, rendered.
+
+    Attributes:
+        index_of_face: View of each face, int64 [6].
+        numbers: Focal length, principal point (x, y), width and height of each, float64 [v, 5].
+        starts: Where each begins in ``pixels``, int64 [v + 1].
+        pixels: Of all, line by line, float32 [n, channels].
+    """
+
+    index_of_face: NDArray[np.int64]
+    numbers: NDArray[np.float64]
+    starts: NDArray[np.int64]
+    pixels: NDArray[np.float32]
+
+
 def _product(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
     total: NDArray[np.float64] = (a[:, :, None] * b[None, :, :]).sum(axis=1)
     return total
@@ -183,12 +209,13 @@ def _product(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float
 def _within(table: RayTable, cosine: float) -> bool:
     """Whether all rays lie in a cone around the axis."""
     least = np.ones(len(table.known))
-    over_threads(_least_cosine, len(least), table.directions, table.per_pixel, table.known, least)
+    over_threads(_least_cosine, len(least), _Lattice.of(table), least)
     return bool(least.min() >= cosine)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def _least_cosine(first, last, table, per_pixel, known, least):  # type: ignore[no-untyped-def]
+@kernel
+def _least_cosine(first, last, lattice, least):  # type: ignore[no-untyped-def]
+    table, per_pixel, known = lattice
     width = known.shape[1]
     for y in range(first, last):
         for x in range(width):
@@ -208,10 +235,7 @@ def _windows(
     height = len(table.known)
     low = np.full((height, len(FACES), 2), np.inf)
     high = np.full((height, len(FACES), 2), -np.inf)
-    over_threads(
-        _find_windows, height, table.directions, table.per_pixel, table.known, FACES, single, low,
-        high,
-    )  # fmt: skip
+    over_threads(_find_windows, height, _Lattice.of(table), FACES, single, low, high)
     low, high = low.min(axis=0), high.max(axis=0)
     used = np.isfinite(low).all(axis=1) & np.isfinite(high).all(axis=1)
     if not single:
@@ -228,17 +252,14 @@ def _windows(
 def _neighbors_used(table: RayTable) -> NDArray[np.bool_]:
     """Faces that places within pixels meet."""
     used = np.zeros((len(table.known), len(FACES)), np.bool_)
-    over_threads(
-        _meet_faces, len(used), table.directions, table.per_pixel, table.known, SUBPIXELS, FACES,
-        used,
-    )  # fmt: skip
+    over_threads(_meet_faces, len(used), _Lattice.of(table), SUBPIXELS, used)
     return used.any(axis=0)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def _find_windows(  # type: ignore[no-untyped-def]
-    first, last, table, per_pixel, known, faces, single, low, high
-):
+@kernel
+def _find_windows(first, last, lattice, faces, single, low, high):  # type: ignore[no-untyped-def]
+    """What lines of pixels take of each face's plane, float64 [h, 6, 2] each."""
+    table, per_pixel, known = lattice
     width = known.shape[1]
     for y in range(first, last):
         for x in range(width):
@@ -268,7 +289,7 @@ def _find_windows(  # type: ignore[no-untyped-def]
                             high[y, f, c] = max(high[y, f, c], at)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _face_of(d):  # type: ignore[no-untyped-def]
     """The face of the cube that a ray meets."""
     x, y, z = abs(d[0]), abs(d[1]), abs(d[2])
@@ -279,7 +300,7 @@ def _face_of(d):  # type: ignore[no-untyped-def]
     return 3 if d[1] >= 0.0 else 4
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _between(table, per_pixel, x, y, out):  # type: ignore[no-untyped-def]
     """The ray through a point of the picture, pixels."""
     u, v = x * per_pixel, y * per_pixel
@@ -292,8 +313,9 @@ def _between(table, per_pixel, x, y, out):  # type: ignore[no-untyped-def]
         out[c] = (1.0 - b) * top + b * bottom
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def _meet_faces(first, last, table, per_pixel, known, side, faces, used):  # type: ignore[no-untyped-def]
+@kernel
+def _meet_faces(first, last, lattice, side, used):  # type: ignore[no-untyped-def]
+    table, per_pixel, known = lattice
     width = known.shape[1]
     for y in range(first, last):
         d = np.empty(3)
@@ -305,18 +327,27 @@ def _meet_faces(first, last, table, per_pixel, known, side, faces, used):  # typ
                         used[y, _face_of(d)] = True
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def _gather(  # type: ignore[no-untyped-def]
-    first, last, table, per_pixel, known, width, side, single, faces, index_of_face, numbers,
-    starts, pictures, out,
-):  # fmt: skip
-    share = 1.0 / (side * side)
+@kernel
+def _gather(first, last, lattice, side, single, faces, views, out):  # type: ignore[no-untyped-def]
+    """Means of some lines of pixels, each over side * side places.
+
+    Args:
+        first, last: Which lines.
+        lattice: ``_Lattice``.
+        side: Places along a pixel's side.
+        single: Whether the first face's view is all there is.
+        faces: ``FACES``, float64 [6, 3, 3].
+        views: ``_Rendered``.
+        out: Receives the means, float32 [h, w, channels].
+    """
+    table, per_pixel, known = lattice
+    width, channels = out.shape[1], out.shape[2]
+    pixels, share = views.pixels, 1.0 / (side * side)
     for y in range(first, last):
         d = np.empty(3)
-        total = np.empty(out.shape[1])
+        total = np.empty(channels)
         for x in range(width):
-            k = y * width + x
-            if not known[k]:
+            if not known[y, x]:
                 continue
             total[:] = 0.0
             for j in range(side):
@@ -326,21 +357,21 @@ def _gather(  # type: ignore[no-untyped-def]
                     z = faces[f, 2, 0] * d[0] + faces[f, 2, 1] * d[1] + faces[f, 2, 2] * d[2]
                     a = faces[f, 0, 0] * d[0] + faces[f, 0, 1] * d[1] + faces[f, 0, 2] * d[2]
                     b = faces[f, 1, 0] * d[0] + faces[f, 1, 1] * d[1] + faces[f, 1, 2] * d[2]
-                    n = index_of_face[f]
-                    focal, cx, cy, columns, rows = numbers[n]
+                    n = views.index_of_face[f]
+                    focal, cx, cy, columns, rows = views.numbers[n]
                     # Between the centers of pixels; views have one more on each side.
                     u = min(max(focal * a / z + cx - 0.5, 0.0), columns - 1.000001)
                     v = min(max(focal * b / z + cy - 0.5, 0.0), rows - 1.000001)
                     left, top = int(u), int(v)
                     p, q = u - left, v - top
-                    at = starts[n] + top * int(columns) + left
+                    at = views.starts[n] + top * int(columns) + left
                     below = at + int(columns)
-                    for c in range(out.shape[1]):
-                        upper = (1.0 - p) * pictures[at, c] + p * pictures[at + 1, c]
-                        lower = (1.0 - p) * pictures[below, c] + p * pictures[below + 1, c]
+                    for c in range(channels):
+                        upper = (1.0 - p) * pixels[at, c] + p * pixels[at + 1, c]
+                        lower = (1.0 - p) * pixels[below, c] + p * pixels[below + 1, c]
                         total[c] += (1.0 - q) * upper + q * lower
-            for c in range(out.shape[1]):
-                out[k, c] = total[c] * share
+            for c in range(channels):
+                out[y, x, c] = total[c] * share
 
 
 def _finest(camera: Camera, single: bool) -> NDArray[np.float64]:

@@ -13,12 +13,12 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.backends.stage.scene import Dome
 from scenec.schemas.errors import StageError
 from scenec.schemas.exr import read_rgb
+from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
 
 #: Suns narrower than this are drawn this wide (irradiance unchanged), in radians: float32
@@ -144,7 +144,7 @@ def _scaled(dome: Dome) -> NDArray[np.float32]:
     return (load_picture(dome.texture) * dome.scale).astype(np.float32)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _lookup(first, last, picture, to_dome, directions, out):  # type: ignore[no-untyped-def]
     height, width = picture.shape[0], picture.shape[1]
     for i in range(first, last):

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.backends.camera.tiles import by_columns
@@ -30,6 +29,7 @@ from scenec.backends.pyrender.tiles import without_glow
 from scenec.backends.stage import posing
 from scenec.backends.stage.scene import Camera, RenderScene, Sun
 from scenec.schemas.errors import BackendError, CameraRefusedError
+from scenec.schemas.kernels import kernel
 
 if TYPE_CHECKING:
     from scenec.backends.pyrender.renderer import Renderer
@@ -299,7 +299,7 @@ def bands(camera: Camera, side: int, largest: int) -> list[tuple[int, int]]:
     return [(first, min(rows, camera.height - first)) for first in range(0, camera.height, rows)]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _decode(ids, rows, firsts, order, row, face):  # type: ignore[no-untyped-def]
     for k in range(len(ids)):
         row[k], face[k] = NO_ROW, 0

@@ -12,7 +12,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.backends.picture.sky import combine, lookup
@@ -21,6 +20,7 @@ from scenec.backends.pyrender.laws import even_albedo
 from scenec.backends.pyrender.tables import Tables
 from scenec.backends.stage.posing import moving
 from scenec.backends.stage.scene import DEFAULT_SURFACE, Lighting, RenderScene
+from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
 
 #: Cells on a side of the height field.
@@ -179,7 +179,7 @@ def _albedo(
     return out.reshape(*ids.shape[:2], 3)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _horizons(first, last, heights, step, steps, directions, horizon, seen):  # type: ignore[no-untyped-def]
     n = heights.shape[0]
     for row in range(first, last):
@@ -230,7 +230,7 @@ def light_ground(ground: Ground, lighting: Lighting) -> Ambience:
     share = np.zeros((n, n, 4), np.float32)
     irradiance = np.zeros((n, n, 3))
     over_threads(
-        _sky_share, n, ground.normals, ground.own, ground.over, _directions(),
+        _sky_share, n, ground.normals, (ground.own, ground.over), _directions(),
         _from_above(radiance), share, irradiance,
     )  # fmt: skip
     for sun in lighting.suns:
@@ -277,10 +277,13 @@ def _from_above(radiance: NDArray[np.float64]) -> NDArray[np.float32]:
     return sums
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def _sky_share(  # type: ignore[no-untyped-def]
-    first, last, normals, own, over, directions, up, share, irradiance
-):
+@kernel
+def _sky_share(first, last, normals, skyline, directions, up, share, irradiance):  # type: ignore[no-untyped-def]
+    """``Ambience.share`` and the irradiance of the sky, float64 [n, n, 3], of some rows of cells.
+
+    ``skyline`` is ``Ground.own`` and ``Ground.over``; ``up`` is ``_from_above`` of the sky.
+    """
+    own, over = skyline
     n = normals.shape[0]
     highest = up.shape[1] - 2
     for row in range(first, last):
@@ -327,7 +330,7 @@ def _sunlit(ground: Ground, to_sun: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.where(horizon * flat < to_sun[2], cosine, 0.0)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _gather(first, last, horizon, seen, bright, out):  # type: ignore[no-untyped-def]
     n, azimuths = horizon.shape[0], horizon.shape[2]
     for row in range(first, last):

@@ -15,11 +15,11 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.backends.pyrender.geometry import DrawnMesh, Geometry, Items
 from scenec.backends.stage.scene import Mesh, RenderScene
+from scenec.schemas.kernels import kernel
 
 #: Sizes of the levels' cells, in mean lengths of a group's edges.
 CELLS = (2.2, 4.5, 9.0)
@@ -141,7 +141,7 @@ def border(
     return locked
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def simplify(points, normals, locked, faces, cell):  # type: ignore[no-untyped-def]
     """Faces over one vertex a cell.
 

@@ -10,11 +10,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.backends.stage import posing
 from scenec.backends.stage.scene import Mesh, RenderScene
+from scenec.schemas.kernels import kernel
 
 #: Faces a group; fewer would cost more calls than they save triangles.
 GROUP_FACES = 4096
@@ -296,10 +296,9 @@ def select(
     items = geometry.items
     level = np.full(len(items.row), 0 if not culling else -1, np.int8)
     if culling:
-        _in_view(
-            items.spheres, items.stretch, items.group, items.group_error, items.group_cell,
-            view.origin, view.planes, np.array([*view.detail, view.cell]), level,
-        )  # fmt: skip
+        coarser = items.group, items.group_error, items.group_cell
+        detail = np.array([*view.detail, view.cell])
+        _in_view(items.spheres, items.stretch, coarser, view.origin, view.planes, detail, level)
     if standing:
         level[items.moving] = -1
     kept = np.flatnonzero(level >= 0)
@@ -345,8 +344,18 @@ def _joined(draws: NDArray[np.int64], rows: NDArray[np.int32]) -> NDArray[np.int
     return joined
 
 
-@njit(cache=True, error_model="numpy")
-def _in_view(spheres, stretch, group, error, cell, origin, planes, detail, level):  # type: ignore[no-untyped-def]
+@kernel
+def _in_view(spheres, stretch, coarser, origin, planes, detail, level):  # type: ignore[no-untyped-def]
+    """The level of each of ``Items`` that a ``View`` shows.
+
+    Args:
+        spheres, stretch: Of the items.
+        coarser: Their ``group``, ``group_error`` and ``group_cell``.
+        origin, planes: Of the view.
+        detail: Its ``detail`` and ``cell``, float64 [3].
+        level: Receives the coarsest that will do, int8 [i]; as it was of what is out of view.
+    """
+    group, error, cell = coarser
     for i in range(len(spheres)):
         radius = spheres[i, 3]
         outside = False
@@ -373,7 +382,7 @@ def _in_view(spheres, stretch, group, error, cell, origin, planes, detail, level
         level[i] = best
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _place(to_world, variation, rows, mesh, origin, out):  # type: ignore[no-untyped-def]
     for i in range(len(rows)):
         r = rows[i]

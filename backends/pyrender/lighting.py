@@ -6,12 +6,12 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.backends.picture.sky import combine, texel_directions
 from scenec.backends.pyrender.geometry import View
 from scenec.backends.stage.scene import Lighting, RenderScene, Sun
+from scenec.schemas.kernels import kernel
 
 #: GGX in float32 loses its digits below this; roughness under 0.032 is drawn as 0.032.
 MIN_ALPHA = 1e-3
@@ -252,7 +252,7 @@ def _shadow_map(
     return ShadowMap(view, texel, float(extent[2]))
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _range(depth, stride):  # type: ignore[no-untyped-def]
     low, high = np.inf, 0.0
     for y in range(0, depth.shape[0], stride):
@@ -263,7 +263,7 @@ def _range(depth, stride):  # type: ignore[no-untyped-def]
     return low, high
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _bounds(depth, near, rays, axes, edges, stride):  # type: ignore[no-untyped-def]
     out = np.empty((len(edges), 2, 3))
     out[:, 0] = np.inf

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.backends.stage.read import read_stage
 from scenec.backends.stage.scene import RenderScene
+from scenec.schemas.kernels import kernel
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ def relief(
     )
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _rasterize(
     points: NDArray[np.float64],
     faces: NDArray[np.int32],

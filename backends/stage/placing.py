@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from pxr import Usd, UsdGeom
 
 from scenec.backends.stage import values
 from scenec.schemas.errors import StageError
+from scenec.schemas.kernels import kernel
 
 
 def instance_matrices(
@@ -98,11 +99,11 @@ def rotations(
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _set_rotations(quaternions, out):  # type: ignore[no-untyped-def]
     for k in range(quaternions.shape[0]):
         q = quaternions[k]
-        length = np.sqrt(((q[0] * q[0] + q[1] * q[1]) + q[2] * q[2]) + q[3] * q[3])
+        length = math.sqrt(((q[0] * q[0] + q[1] * q[1]) + q[2] * q[2]) + q[3] * q[3])
         x, y, z, w = 0.0, 0.0, 0.0, 1.0
         if length > 0.0:
             x, y, z, w = q[0] / length, q[1] / length, q[2] / length, q[3] / length

@@ -6,11 +6,11 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.backends.stage.scene import SkyLabelMap
 from scenec.schemas.errors import StageError
+from scenec.schemas.kernels import kernel
 from scenec.schemas.maps import read_pixels
 from scenec.schemas.threads import over_threads
 
@@ -64,7 +64,7 @@ def load_label_map(path: Path) -> NDArray[np.uint32]:
     return pixels[..., 0].astype(np.uint32)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _lookup(first, last, ids, to_map, directions, missed, out):  # type: ignore[no-untyped-def]
     height, width = ids.shape
     for i in range(first, last):

@@ -1,1 +1,1 @@
-"""Arithmetic that gives the same bits on every CPU of one architecture."""
+"""Computes elementary functions with the same bits on every CPU of one architecture."""

@@ -20,8 +20,9 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
+
+from scenec.schemas.kernels import kernel
 
 # ln 2 and pi/2 in parts: the leading parts end in zero bits, so that their product with the small
 # integer of the reduction is exact.
@@ -45,7 +46,7 @@ _ATANH = tuple(1.0 / (2 * n + 1) for n in range(13))
 _ATAN = tuple((-1.0) ** n / (2 * n + 1) for n in range(23))
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def horner(coefficients: tuple[float, ...], x: float) -> float:
     """A polynomial at x, its coefficients from the constant one up."""
     value = 0.0
@@ -54,7 +55,7 @@ def horner(coefficients: tuple[float, ...], x: float) -> float:
     return value
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def exp(x: float) -> float:
     """e**x; 0 below -745.2, inf above 709.8."""
     if x != x:
@@ -74,7 +75,7 @@ def exp(x: float) -> float:
     return math.ldexp(math.ldexp(value, half), int(k) - half)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def log(x: float) -> float:
     """Natural logarithm; -inf at 0, NaN below."""
     if x != x or x == np.inf:
@@ -95,7 +96,7 @@ def log(x: float) -> float:
     return e * _LN2_HIGH + (f - (s * (f - tail) - e * _LN2_LOW))
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def pow(x: float, y: float) -> float:
     """x**y for x >= 0, as exp(y log x)."""
     if y == 0.0:
@@ -105,7 +106,7 @@ def pow(x: float, y: float) -> float:
     return exp(y * log(x))
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _sin_cos(x: float) -> tuple[float, float]:
     n = np.floor(x * _TWO_OVER_PI + 0.5)
     r = ((x - n * _HALF_PI_1) - n * _HALF_PI_2) - n * _HALF_PI_3
@@ -122,19 +123,19 @@ def _sin_cos(x: float) -> tuple[float, float]:
     return -c, s
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def sin(x: float) -> float:
     """Sine of an angle in radians, |x| up to 1e6."""
     return _sin_cos(x)[0]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def cos(x: float) -> float:
     """Cosine of an angle in radians, |x| up to 1e6."""
     return _sin_cos(x)[1]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def atan(x: float) -> float:
     """Arctangent in [-pi/2, pi/2]."""
     a = abs(x)
@@ -152,7 +153,7 @@ def atan(x: float) -> float:
     return -value if x < 0.0 else value
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def atan2(y: float, x: float) -> float:
     """Angle of the point (x, y) in (-pi, pi]; 0 at the origin."""
     if x > 0.0:
@@ -166,13 +167,13 @@ def atan2(y: float, x: float) -> float:
     return 0.0
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def acos(x: float) -> float:
     """Arccosine in [0, pi], for x in [-1, 1]."""
     return atan2(np.sqrt((1.0 - x) * (1.0 + x)), x)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def asin(x: float) -> float:
     """Arcsine in [-pi/2, pi/2], for x in [-1, 1]."""
     return atan2(x, np.sqrt((1.0 - x) * (1.0 + x)))
@@ -185,7 +186,7 @@ def _map(loop: Callable[[NDArray, NDArray], None], x: ArrayLike) -> NDArray[np.f
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _exp_loop(x: NDArray, out: NDArray) -> None:
     for i in range(x.size):
         out[i] = exp(x[i])
@@ -196,7 +197,7 @@ def exp_array(x: ArrayLike) -> NDArray[np.float64]:
     return _map(_exp_loop, x)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _log_loop(x: NDArray, out: NDArray) -> None:
     for i in range(x.size):
         out[i] = log(x[i])
@@ -207,7 +208,7 @@ def log_array(x: ArrayLike) -> NDArray[np.float64]:
     return _map(_log_loop, x)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _sin_loop(x: NDArray, out: NDArray) -> None:
     for i in range(x.size):
         out[i] = sin(x[i])
@@ -218,7 +219,7 @@ def sin_array(x: ArrayLike) -> NDArray[np.float64]:
     return _map(_sin_loop, x)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _cos_loop(x: NDArray, out: NDArray) -> None:
     for i in range(x.size):
         out[i] = cos(x[i])
@@ -229,7 +230,7 @@ def cos_array(x: ArrayLike) -> NDArray[np.float64]:
     return _map(_cos_loop, x)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _atan_loop(x: NDArray, out: NDArray) -> None:
     for i in range(x.size):
         out[i] = atan(x[i])
@@ -240,7 +241,7 @@ def atan_array(x: ArrayLike) -> NDArray[np.float64]:
     return _map(_atan_loop, x)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _acos_loop(x: NDArray, out: NDArray) -> None:
     for i in range(x.size):
         out[i] = acos(x[i])
@@ -251,7 +252,7 @@ def acos_array(x: ArrayLike) -> NDArray[np.float64]:
     return _map(_acos_loop, x)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _asin_loop(x: NDArray, out: NDArray) -> None:
     for i in range(x.size):
         out[i] = asin(x[i])

@@ -1,4 +1,4 @@
-"""An entry's file: a header of JSON and raw arrays, each with its hash. Nothing in it is run.
+"""Reads and writes an entry: a header of JSON and raw arrays, each with its hash; nothing is run.
 
 Bytes 0 to 15 are the magic number, 16 to 47 the BLAKE2b-256 of the header, 48 to 55 its length
 (little end first); then comes the header, and from the next multiple of 64 on the arrays, each

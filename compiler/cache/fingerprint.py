@@ -1,4 +1,4 @@
-"""What else than its inputs decides what a step makes: the code, the libraries, the machine."""
+"""Hashes what else than its inputs decides what a step makes: code, libraries, machine."""
 
 from __future__ import annotations
 

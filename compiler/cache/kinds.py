@@ -1,4 +1,4 @@
-"""Classes that entries may hold: data of the compiler, made by their constructors alone."""
+"""Lists the classes that entries may hold: data, made by their constructors alone."""
 
 from __future__ import annotations
 

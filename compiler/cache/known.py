@@ -1,4 +1,4 @@
-"""Digests of arrays and bytes, each hashed once in a compilation."""
+"""Keeps digests of arrays and bytes, so that each is hashed once in a compilation."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Steps that are taken from the cache where their inputs are the same.
+"""Takes steps from the cache where their inputs are the same.
 
 A step is a pure function with ``@memoized("name")``. Without a memo it is just called. Within
 ``memoizing(memo)`` its key is computed from all its arguments; what is kept under the key comes

@@ -1,4 +1,4 @@
-"""The folder of entries: bounded, safe to delete at any time, and never in the way.
+"""Keeps entries in a folder: bounded, safe to delete at any time, and never in the way.
 
     FOLDER/CACHEDIR.TAG         tells backups that nothing here is worth keeping
     FOLDER/steps/ab/abcd….step  one entry, its name is its key

@@ -1,4 +1,4 @@
-"""Values as structures of JSON, the same for the same value to the bit: for keys and for entries.
+"""Turns values into structures of JSON, equal for equal values to the bit: keys and entries.
 
 ================  ==================================================================================
 value             structure

@@ -1,1 +1,1 @@
-"""Where cameras stand and look, as matrices over the samples."""
+"""Places cameras and aims them, as matrices over the samples."""

@@ -1,4 +1,4 @@
-"""Depth cameras: drawn from a cfg."""
+"""Draws depth cameras."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Apertures of sensors: what is drawn, and what of it stands in the imaging already."""
+"""Draws apertures of sensors, or takes them from the imaging."""
 
 from __future__ import annotations
 

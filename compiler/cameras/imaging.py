@@ -1,4 +1,4 @@
-"""What sensors make of light: parameters drawn, and exposures found for the light there is."""
+"""Draws what sensors make of light, and finds exposures for the light there is."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Lidars: drawn, and what they need the scene to be like."""
+"""Draws lidars."""
 
 from __future__ import annotations
 

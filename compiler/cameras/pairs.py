@@ -1,4 +1,4 @@
-"""Stereo pairs: sensors whose rows are the same lines in space."""
+"""Finds stereo pairs: sensors whose rows are the same lines in space."""
 
 from __future__ import annotations
 

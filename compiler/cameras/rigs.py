@@ -1,4 +1,4 @@
-"""Rigs over the finished terrain: poses, and exposures for the light there is."""
+"""Stands rigs on the finished terrain, and finds exposures for the light there is."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.arithmetic import elementary
 from scenec.compiler.cache.memo import memoized
 from scenec.compiler.cameras.pairs import require_rectified
 from scenec.compiler.cameras.paths.motion import Around, Bodies, Built
 from scenec.compiler.cameras.shutters import open_shutters, way_of
 from scenec.compiler.geometry.poses import bearing_vector, look_at
 from scenec.compiler.mesh.surface import Surface
+from scenec.compiler.scene.exposure import incident_exposure
 from scenec.compiler.scene.plan import RandomTargetPlan, RigPlan, SensorPlan, TrackPlan
 from scenec.compiler.scene.rig import Rig, Sensor
 
@@ -103,20 +103,6 @@ def _sensor(plan: SensorPlan, irradiance: NDArray[np.float64] | None) -> Sensor:
         # Light alone is blurred.
         focus=plan.focus if "rgb" in plan.outputs else None,
     )
-
-
-def incident_exposure(irradiance: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Exposure (log2 of the gain) that shows a level white Lambertian surface at 1.
-
-    This is what an incident-light meter does: radiance E / pi of a perfect diffuser becomes 1, an
-    18 % gray card 0.18, whatever the scene's own albedo. Rounded to 1/64 of a stop, so that the
-    stage's float32 holds it exactly. Without light it is 0.
-    """
-    ev = np.zeros(irradiance.shape)
-    lit = irradiance > 0.0
-    stops = elementary.log_array(elementary.PI / irradiance[lit]) / elementary.log(2.0)
-    ev[lit] = np.round(stops * 64.0) / 64.0
-    return ev
 
 
 def _random_target(plan: RandomTargetPlan, surface: Surface) -> NDArray[np.float64]:

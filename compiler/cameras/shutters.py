@@ -1,4 +1,4 @@
-"""Where cameras are while their shutter is open: poses at times around each sample.
+"""Samples poses of cameras while their shutter is open.
 
 A rig that moves over time is asked for its poses at these times, too. Between them, positions go
 straight and turns are slerps (``schemas.shutter.between``), which is what readers of the stage

@@ -1,4 +1,4 @@
-"""Tracks from files at other times than their stamps."""
+"""Resamples tracks from files at other times than their stamps."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Randomness keyed by name: streams, distributions and laws of size."""
+"""Draws numbers: streams keyed by name, distributions and laws of size."""

@@ -1,4 +1,4 @@
-"""Laws of size: inverses of cumulative distributions, from elementary functions of our own."""
+"""Inverts cumulative distributions of size, from elementary functions of our own."""
 
 from __future__ import annotations
 

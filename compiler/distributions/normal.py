@@ -1,4 +1,4 @@
-"""The normal distribution and its inverse, from elementary functions of our own.
+"""Computes the normal distribution and its inverse, from elementary functions of our own.
 
 Kept to one half of the line by symmetry, where probabilities keep their relative precision, so that
 a distribution truncated far out in a tail is drawn as well as any other.
@@ -7,10 +7,10 @@ a distribution truncated far out in a tail is drawn as well as any other.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic.elementary import PI, exp, horner, log
+from scenec.schemas.kernels import kernel
 
 #: Truncation farther out than this many standard deviations underflows.
 MAX_SIGMAS = 30.0
@@ -50,7 +50,7 @@ _F = (
 )  # fmt: skip
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def lower_tail(x: float) -> float:
     """Probability of a standard normal number below ``x``, for x <= 0 to relative 1e-13."""
     density = exp(-0.5 * x * x) / _SQRT_2PI
@@ -71,7 +71,7 @@ def lower_tail(x: float) -> float:
     return density / fraction
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _quantile_below_half(p: float) -> float:
     q = p - 0.5
     if q > -0.425:
@@ -83,7 +83,7 @@ def _quantile_below_half(p: float) -> float:
     return -horner(_E, r - 5.0) / horner(_F, r - 5.0)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def quantile(p: float) -> float:
     """The x below which a standard normal number falls with probability ``p`` in (0, 1)."""
     if p <= 0.5:
@@ -91,7 +91,7 @@ def quantile(p: float) -> float:
     return -_quantile_below_half(1.0 - p)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _truncated_loop(uniforms: NDArray, low: float, high: float, out: NDArray) -> None:
     # Mirrored where the interval lies above 0, so that its lower end is never near p = 1.
     mirrored = low > 0.0

@@ -1,4 +1,4 @@
-"""Distributions, and how a number is drawn from one."""
+"""Defines distributions, and draws numbers from them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Replacing the distributions of a cfg by the numbers drawn from them."""
+"""Replaces the distributions of a cfg by numbers drawn from them."""
 
 from __future__ import annotations
 

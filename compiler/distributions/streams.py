@@ -1,4 +1,4 @@
-"""Randomness keyed by name: the only place in the compiler where a random generator lives.
+"""Keys randomness by name: the only place in the compiler where a random generator lives.
 
 Each stream is a function of (seed, batch, sample, the path of the thing it is drawn for), so adding
 a thing to a cfg, or asking in another order, changes no other draw. A batch that is drawn again

@@ -1,1 +1,1 @@
-"""Spec and seed to Plan: all drawing, and nothing random after it."""
+"""Draws a Plan from a Spec and a seed; after that nothing is random."""

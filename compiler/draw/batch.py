@@ -1,4 +1,4 @@
-"""Spec and seed to Plan: every number drawn, and nothing random after it."""
+"""Draws the Plan of a batch: every number; after that nothing is random."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is drawn for craters: a Poisson process over area and size, and each crater's age."""
+"""Draws craters: a Poisson process over area and size, and each crater's age."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is drawn for the ground: noise keys of layers, and of the conditions on where they lie."""
+"""Draws noise keys of ground layers, and of the conditions on where they lie."""
 
 from __future__ import annotations
 

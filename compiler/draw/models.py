@@ -1,4 +1,4 @@
-"""What is drawn for objects that are models: single ones' poses, and what models there are."""
+"""Draws poses of single objects, and reads what models there are."""
 
 from __future__ import annotations
 
@@ -91,7 +91,6 @@ def draw_meshes(
             cfg["seat"] == "touch",
         ),
         weights=[float(model["weight"]) for model in cfg["models"]],
-        material=cfg["material"],
         orientation="upright",
         size_key="scale",
     )

@@ -1,4 +1,4 @@
-"""Motions from the cfg: what is drawn, what is read."""
+"""Draws motions, or reads them."""
 
 from __future__ import annotations
 

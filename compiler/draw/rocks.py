@@ -1,4 +1,4 @@
-"""What is drawn for a class of rocks: its shapes."""
+"""Draws the shapes of a class of rocks."""
 
 from __future__ import annotations
 
@@ -77,7 +77,6 @@ def draw_rocks(
             tuple(_shape(f"{path}/prototypes/{i}", node, streams) for i in range(prototypes))
         ),
         weights=[1.0] * prototypes,
-        material=cfg["material"],
         # Plates lie.
         orientation="normal" if cfg["family"] == "slab" else "random",
         size_key="size_m",

@@ -1,4 +1,4 @@
-"""What is drawn for any class of scattered objects, whatever its prototypes are."""
+"""Draws any class of scattered objects, whatever its prototypes are."""
 
 from __future__ import annotations
 
@@ -69,7 +69,6 @@ def draw_scattered(
     *,
     source: RockShapes | ModelSource,
     weights: Sequence[float],
-    material: str | None,
     orientation: Orientation,
     size_key: str,
 ) -> ScatterPlan:
@@ -84,7 +83,6 @@ def draw_scattered(
         setting: What it refers to.
         source: What its prototypes are made of.
         weights: How often each of its prototypes is taken.
-        material: Name of its material, or None.
         orientation: Where the cfg gives none.
         size_key: The key of the cfg that gives each instance's scale.
 
@@ -104,7 +102,7 @@ def draw_scattered(
     apart = node["apart"]
     return ScatterPlan(
         name=name,
-        material=material,
+        material=cfg["material"],
         labels=labels,
         instances=cfg["instances"],
         source=source,

@@ -25,9 +25,9 @@ from scenec.compiler.scene.scene import Material, Placed, Scene
 from scenec.schemas import stage as names
 from scenec.schemas.errors import SceneError
 from scenec.schemas.files import inside
+from scenec.schemas.manifest import STAGE
 from scenec.schemas.materialx import LAYER_SUFFIX
 
-STAGE = "stage.usda"
 #: More layers of one kind are joined: USD asks each for every value, and 2,000 of them are read in
 #: minutes where one is read in seconds.
 MOST_LAYERS = 256

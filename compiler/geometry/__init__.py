@@ -1,1 +1,1 @@
-"""Poses, projections, meshes and voxels: geometry that knows nothing of scenes."""
+"""Computes with poses, lenses, triangles and voxels: geometry that knows nothing of scenes."""

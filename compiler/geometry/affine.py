@@ -1,4 +1,4 @@
-"""Affine maps of mesh files: composed and applied without BLAS and without libm."""
+"""Composes and applies affine maps of mesh files without BLAS and without libm."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Newest-vertex bisection: triangles halved where asked, and few others to keep the mesh whole.
+"""Bisects triangles at their newest vertex where asked, and few others to keep the mesh whole.
 
 A triangle (a, b, c) is halved from its newest vertex a to the middle of the edge bc; that middle is
 the halves' newest vertex (Mitchell 1989, ACM TOMS 15). A triangle of which any edge is halved is
@@ -12,14 +12,15 @@ order in which marks spread.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from scenec.schemas.kernels import inlined, kernel
 
-@dataclass(frozen=True)
-class Bisectable:
+
+class Bisectable(NamedTuple):
     """A mesh that knows its edges.
 
     Attributes:
@@ -96,16 +97,13 @@ def halve(mesh: Bisectable, wanted: NDArray[np.bool_]) -> Halved:
     kept = len(marked) - len(middle_of)
     new_edges = kept + 2 * len(middle_of) + int((pieces - 1).sum())
     faces = np.empty((int(pieces.sum()), 3), np.int32)
-    face_edges = np.empty_like(faces)
     edges = np.empty((new_edges, 2), np.int32)
+    halved = Bisectable(mesh.vertices + len(middle_of), faces, np.empty_like(faces), edges)
     edge_origin = np.full(new_edges, -1, np.int32)
     edge_origin[:kept] = np.flatnonzero(~marked)
-    _split(
-        mesh.vertices, mesh.faces, mesh.face_edges, mesh.edges, marked, kept, len(middle_of),
-        first_piece, faces, face_edges, edges,
-    )  # fmt: skip
+    _split(mesh, marked, kept, first_piece, halved)
     return Halved(
-        mesh=Bisectable(mesh.vertices + len(middle_of), faces, face_edges, edges),
+        mesh=halved,
         ends=mesh.edges[middle_of],
         middle_of=middle_of,
         face_origin=np.repeat(np.arange(len(pieces), dtype=np.int32), pieces),
@@ -114,7 +112,7 @@ def halve(mesh: Bisectable, wanted: NDArray[np.bool_]) -> Halved:
     )
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _longest(points, faces):  # type: ignore[no-untyped-def]
     """Corner opposite of each face's longest edge."""
     out = np.empty(len(faces), np.int64)
@@ -143,7 +141,7 @@ def _longest(points, faces):  # type: ignore[no-untyped-def]
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _numbered(vertices, faces):  # type: ignore[no-untyped-def]
     """Edges in order of their lower vertex, then of the face that names them first."""
     first = np.zeros(vertices + 1, np.int64)
@@ -183,7 +181,7 @@ def _numbered(vertices, faces):  # type: ignore[no-untyped-def]
     return face_edges, edges
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _mark(face_edges, wanted, marked):  # type: ignore[no-untyped-def]
     """Marks edges to be halved until each face with a marked edge has its first one marked."""
     for f in range(len(face_edges)):
@@ -204,7 +202,7 @@ def _mark(face_edges, wanted, marked):  # type: ignore[no-untyped-def]
         forward = not forward
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _pieces(face_edges, marked):  # type: ignore[no-untyped-def]
     """Faces that each face becomes, and the number of the first of them."""
     pieces = np.empty(len(face_edges), np.int64)
@@ -220,26 +218,27 @@ def _pieces(face_edges, marked):  # type: ignore[no-untyped-def]
     return pieces, first
 
 
-@njit(cache=True, error_model="numpy", inline="always")
-def _write(faces, face_edges, at, a, b, c, ea, eb, ec):  # type: ignore[no-untyped-def]
-    faces[at, 0], faces[at, 1], faces[at, 2] = a, b, c
-    face_edges[at, 0], face_edges[at, 1], face_edges[at, 2] = ea, eb, ec
+@inlined
+def _write(mesh, at, corners, edges):  # type: ignore[no-untyped-def]
+    faces, face_edges = mesh.faces, mesh.face_edges
+    faces[at, 0], faces[at, 1], faces[at, 2] = corners[0], corners[1], corners[2]
+    face_edges[at, 0], face_edges[at, 1], face_edges[at, 2] = edges[0], edges[1], edges[2]
 
 
-@njit(cache=True, error_model="numpy")
-def _split(  # type: ignore[no-untyped-def]
-    vertices,
-    faces,
-    face_edges,
-    edges,
-    marked,
-    kept,
-    middles,
-    first_piece,
-    out,
-    out_edges,
-    all_edges,
-):
+@kernel
+def _split(mesh, marked, kept, first_piece, out):  # type: ignore[no-untyped-def]
+    """Halve the marked edges, and the faces beside them.
+
+    Args:
+        mesh: ``Bisectable``.
+        marked: Which edges, bool [e]; of a face with any, its first.
+        kept: How many are not.
+        first_piece: Number of the first face that each becomes, int64 [m].
+        out: Receives the halved mesh but for its number of vertices: first the edges that are kept,
+            then halves of the others in twos, then edges across faces.
+    """
+    vertices, faces, face_edges, edges = mesh
+    all_edges = out.edges
     # Where an edge stands now: its number, or the rank of its middle.
     number = np.empty(len(edges), np.int64)
     keeps = 0
@@ -257,13 +256,13 @@ def _split(  # type: ignore[no-untyped-def]
             number[e] = keeps
             all_edges[keeps, 0], all_edges[keeps, 1] = edges[e, 0], edges[e, 1]
             keeps += 1
-    inner = kept + 2 * middles
+    inner = kept + 2 * halved
     for f in range(len(faces)):
-        a, b, c = faces[f]
-        ea, eb, ec = face_edges[f]
+        a, b, c = np.int64(faces[f, 0]), np.int64(faces[f, 1]), np.int64(faces[f, 2])
+        ea, eb, ec = face_edges[f, 0], face_edges[f, 1], face_edges[f, 2]
         at = first_piece[f]
         if not marked[ea]:
-            _write(out, out_edges, at, a, b, c, number[ea], number[eb], number[ec])
+            _write(out, at, (a, b, c), (number[ea], number[eb], number[ec]))
             continue
         m = vertices + number[ea]
         half_b = kept + 2 * number[ea] + (edges[ea, 1] == b)
@@ -276,20 +275,20 @@ def _split(  # type: ignore[no-untyped-def]
             at_a = kept + 2 * number[ec] + (edges[ec, 1] == a)
             at_b = kept + 2 * number[ec] + (edges[ec, 1] == b)
             all_edges[inner, 0], all_edges[inner, 1] = min(m, n), max(m, n)
-            _write(out, out_edges, at, n, m, a, am, at_a, inner)
-            _write(out, out_edges, at + 1, n, b, m, half_b, inner, at_b)
+            _write(out, at, (n, m, a), (am, at_a, inner))
+            _write(out, at + 1, (n, b, m), (half_b, inner, at_b))
             inner += 1
             at += 2
         else:
-            _write(out, out_edges, at, m, a, b, number[ec], half_b, am)
+            _write(out, at, (m, a, b), (number[ec], half_b, am))
             at += 1
         if marked[eb]:
             n = vertices + number[eb]
             at_a = kept + 2 * number[eb] + (edges[eb, 1] == a)
             at_c = kept + 2 * number[eb] + (edges[eb, 1] == c)
             all_edges[inner, 0], all_edges[inner, 1] = min(m, n), max(m, n)
-            _write(out, out_edges, at, n, m, c, half_c, at_c, inner)
-            _write(out, out_edges, at + 1, n, a, m, am, inner, at_a)
+            _write(out, at, (n, m, c), (half_c, at_c, inner))
+            _write(out, at + 1, (n, a, m), (am, inner, at_a))
             inner += 1
         else:
-            _write(out, out_edges, at, m, c, a, number[eb], am, half_c)
+            _write(out, at, (m, c, a), (number[eb], am, half_c))

@@ -1,4 +1,4 @@
-"""The unit sphere as a subdivided icosahedron: closed, manifold, nearly uniform triangles."""
+"""Subdivides an icosahedron into a sphere: closed, manifold, nearly uniform triangles."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Lenses of sensors: from the cfg's numbers, whether they are sound, and how far they see.
+"""Makes lenses from a cfg's numbers, and finds whether they are sound and how far they see.
 
 The formulas are those of ``scenec.schemas.lens``, here with elementary functions of our own.
 """
@@ -8,13 +8,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
-from scenec.compiler.scene.rig import Sensor
 from scenec.schemas.lens import (
     BROWN_CONRADY,
     COEFFICIENTS,
@@ -27,6 +26,9 @@ from scenec.schemas.lens import (
     reach,
     to_plane,
 )
+
+if TYPE_CHECKING:
+    from scenec.compiler.scene.rig import Sensor
 
 _RADIANS = elementary.PI / 180.0
 #: Points of a picture's side at which its rays are looked at.

@@ -1,13 +1,14 @@
-"""Shading normals of triangle meshes, and the faces around their vertices."""
+"""Computes shading normals of triangle meshes, and finds the faces around their vertices."""
 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from scenec.schemas.kernels import kernel
 
-@njit(cache=True, error_model="numpy")
+
+@kernel
 def vertex_normals(points: NDArray, faces: NDArray) -> NDArray:
     """Unit normals at vertices, the faces' weighted by area; +z where they cancel out."""
     out = np.zeros((len(points), 3))
@@ -39,7 +40,7 @@ def vertex_normals(points: NDArray, faces: NDArray) -> NDArray:
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def faces_of_vertices(count, faces):  # type: ignore[no-untyped-def]
     """Where the faces around each of ``count`` vertices begin, int64 [n + 1], and these, int32."""
     start = np.zeros(count + 1, np.int64)

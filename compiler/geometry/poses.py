@@ -1,4 +1,4 @@
-"""Rigid poses: OpenCV camera axes (x right, y down, z forward) in the Z-up world."""
+"""Computes rigid poses: OpenCV camera axes (x right, y down, z forward) in the Z-up world."""
 
 from __future__ import annotations
 

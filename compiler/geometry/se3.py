@@ -1,4 +1,4 @@
-"""Poses between given poses: interpolation over time on R3 x SO(3), or along screws of SE(3).
+"""Interpolates poses over time on R3 x SO(3), or along screws of SE(3).
 
 Positions and turns are interpolated apart from each other, unless a screw is asked for. A track
 tells where a camera's center was: apart, the centers move in straight lines at an even speed
@@ -26,10 +26,10 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
+from scenec.schemas.kernels import inlined, kernel
 
 LINEAR: Final = 0
 SCREW: Final = 1
@@ -90,7 +90,7 @@ def turn_between(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
     return float(np.sqrt((turn * turn).sum()))
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@inlined
 def _times(a, b):  # type: ignore[no-untyped-def]
     """The quaternion product a * b."""
     return (
@@ -101,14 +101,14 @@ def _times(a, b):  # type: ignore[no-untyped-def]
     )
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@inlined
 def _turned(q, v):  # type: ignore[no-untyped-def]
     """The vector v turned by q."""
     p = _times(_times(q, (0.0, v[0], v[1], v[2])), (q[0], -q[1], -q[2], -q[3]))
     return p[1], p[2], p[3]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _difference(a, b):  # type: ignore[no-untyped-def]
     """conj(a) * b, of the sign that turns the shorter way."""
     r = _times((a[0], -a[1], -a[2], -a[3]), (b[0], b[1], b[2], b[3]))
@@ -124,7 +124,7 @@ def _difference(a, b):  # type: ignore[no-untyped-def]
     return r
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _log(r):  # type: ignore[no-untyped-def]
     """Rotation vector of a unit quaternion: axis times angle, radians."""
     s = np.sqrt(r[1] * r[1] + r[2] * r[2] + r[3] * r[3])
@@ -133,7 +133,7 @@ def _log(r):  # type: ignore[no-untyped-def]
     return np.array([k * r[1], k * r[2], k * r[3]])
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@inlined
 def _exp(x, y, z):  # type: ignore[no-untyped-def]
     """Unit quaternion of a rotation vector."""
     angle = np.sqrt(x * x + y * y + z * z)
@@ -142,7 +142,7 @@ def _exp(x, y, z):  # type: ignore[no-untyped-def]
     return elementary.cos(half), k * x, k * y, k * z
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@inlined
 def _cross(a, b):  # type: ignore[no-untyped-def]
     return (
         a[1] * b[2] - a[2] * b[1],
@@ -151,7 +151,7 @@ def _cross(a, b):  # type: ignore[no-untyped-def]
     )
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _screw_velocity(w, t):  # type: ignore[no-untyped-def]
     """V(w)^-1 t: what the translational part of the twist of a displacement (exp w, t) is."""
     square = w[0] * w[0] + w[1] * w[1] + w[2] * w[2]
@@ -171,7 +171,7 @@ def _screw_velocity(w, t):  # type: ignore[no-untyped-def]
     )
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _screw_step(w, v):  # type: ignore[no-untyped-def]
     """V(w) v: the translation of a twist (w, v) over a unit of time."""
     square = w[0] * w[0] + w[1] * w[1] + w[2] * w[2]
@@ -189,7 +189,7 @@ def _screw_step(w, v):  # type: ignore[no-untyped-def]
     return v[0] + a * c[0] + b * d[0], v[1] + a * c[1] + b * d[1], v[2] + a * c[2] + b * d[2]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _velocities(step, rate, i, out):  # type: ignore[no-untyped-def]
     """Velocity at key i from the mean ones of the steps around it: the parabola through three."""
     steps = len(step)
@@ -208,7 +208,7 @@ def _velocities(step, rate, i, out):  # type: ignore[no-untyped-def]
             out[k] = (g * rate[i - 1, k] + h * rate[i, k]) / (h + g)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _interpolate(time, p, q, at, method, out_p, out_q):  # type: ignore[no-untyped-def]
     n = len(time)
     step = np.empty(max(n - 1, 1))

@@ -1,4 +1,4 @@
-"""Where a mesh is, in cubes: whatever lies in it lies in one of them, hollows included.
+"""Voxelizes a mesh: whatever lies in it lies in a voxel, hollows included.
 
 A cube is full where a triangle touches it (separating axes, Akenine-Möller 2001), or where
 triangles are above it and to all four sides: inside of a rock. Not below it: scanned boulders are
@@ -10,13 +10,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-from scenec.compiler.scene.scene import Prototype
+from scenec.schemas.kernels import kernel
+
+if TYPE_CHECKING:
+    from scenec.compiler.scene.scene import Prototype
 
 #: Cubes along the longest axis of what points are held against.
 _CUBES: Final = 48
@@ -63,7 +65,7 @@ def voxels_of(prototype: Prototype, side: float, most: int) -> Voxels:
     return Voxels(corner, side, _with_hollows(full))
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _touch(points, faces, full):  # type: ignore[no-untyped-def]
     """Marks the unit cubes that triangles touch."""
     # Wider than arithmetic errs.
@@ -91,7 +93,7 @@ def _touch(points, faces, full):  # type: ignore[no-untyped-def]
                     full[x, y, z] = _meets(at, edge, half)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _meets(at, edge, half):  # type: ignore[no-untyped-def]
     """Whether no normal of the triangle, and no product of its edges with axes, parts them."""
     nx = edge[0, 1] * edge[1, 2] - edge[0, 2] * edge[1, 1]
@@ -163,7 +165,7 @@ class Cubes:
         return found
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _near_any(middle, turn, radius, reach, points, corner, side, full):  # type: ignore[no-untyped-def]
     out = np.zeros(len(middle), np.bool_)
     for n in range(len(middle)):
@@ -187,7 +189,7 @@ def _near_any(middle, turn, radius, reach, points, corner, side, full):  # type:
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _near_cubes(corner, side, full, x, y, z, reach):  # type: ignore[no-untyped-def]
     """Whether a point in a mesh's frame lies in one of its cubes or within ``reach`` of one."""
     nx, ny, nz = full.shape

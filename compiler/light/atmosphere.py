@@ -9,8 +9,9 @@ on both sides of their middle and one serves every bearing.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
@@ -18,7 +19,15 @@ from scenec.compiler.light.atmosphere_bearings import angle_to_sun, cubic
 from scenec.compiler.light.atmosphere_columns import columns
 from scenec.compiler.light.atmosphere_multiple import FarGround, Look, bake_again, far_suns
 from scenec.compiler.light.atmosphere_planets import Medium
-from scenec.compiler.light.atmosphere_rays import aerosol_phase, gas_phase, gather, prepare
+from scenec.compiler.light.atmosphere_rays import (
+    Sight,
+    aerosol_phase,
+    gas_phase,
+    gather,
+    prepare,
+    room,
+)
+from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
 
 #: Steps of a ray up or down.
@@ -37,6 +46,20 @@ _LINES = 8
 _SUNS, _UP, _AROUND, _COARSE = 17, 12, 16, 16
 #: Light for the ground is gathered over few directions, which no lobe may slip through.
 _SHARPEST = 0.7
+
+
+class _Air(NamedTuple):
+    """An atmosphere.
+
+    Attributes:
+        sizes: ``Planet.sizes``.
+        spectra: Gas, aerosol, loss by the aerosol, absorption, float64 [4, wavelengths].
+        phase: ``Medium.phase``.
+    """
+
+    sizes: NDArray[np.float64]
+    spectra: NDArray[np.float64]
+    phase: NDArray[np.float64]
 
 
 def bake(
@@ -78,10 +101,11 @@ def bake(
     look = Look(r0, ground, sun, steps, weights)
     low, high = far_suns(look)
     skylight = np.empty((_SUNS, spectra.shape[1]))
-    over_threads(_skylights, _SUNS, low, high, sizes, spectra, medium.phase, skylight)
+    air = _Air(sizes, spectra, medium.phase)
+    over_threads(_skylights, _SUNS, low, high, air, skylight)
     far = FarGround(low, high, skylight, ground_color)
     half = np.zeros((height, height, 3))
-    over_threads(_rows, height, look, bearings, sizes, spectra, medium.phase, far, half)
+    over_threads(_rows, height, look, bearings, air, far, half)
     picture = np.concatenate([half, half[:, ::-1]], axis=1)
     if multiple:
         picture += bake_again(
@@ -149,34 +173,24 @@ def zenith_depth(medium: Medium, altitude_m: float, nm: float, nodes: NDArray) -
     return {name: float(np.interp(nm, nodes, depth)) for name, depth in parts.items()}
 
 
-@njit(cache=True, error_model="numpy")
-def _skylight(
-    sun_sine: float, sizes: NDArray, spectra: NDArray, phase: NDArray
-) -> NDArray[np.float64]:
+@kernel
+def _skylight(sun_sine: float, air: _Air) -> NDArray[np.float64]:
     """Irradiance of the sky on level ground over that of the sun, by wavelength."""
+    sizes, spectra, phase = air
     wavelengths = spectra.shape[1]
-    t, middle = np.empty(2 * _COARSE + 1), np.empty(2 * _COARSE)
-    scattered = np.empty((2, 2 * _COARSE, wavelengths))
-    arriving, of_gas, of_aerosol = (
-        np.empty(wavelengths),
-        np.empty(wavelengths),
-        np.empty(wavelengths),
-    )
+    steps = room(_COARSE, wavelengths)
+    of_gas, of_aerosol = np.empty(wavelengths), np.empty(wavelengths)
     total = np.zeros(wavelengths)
     sun_cosine = np.sqrt(max((1.0 - sun_sine) * (1.0 + sun_sine), 0.0))
     for j in range(_UP):
         sine = (j + 0.5) / _UP
         cosine = np.sqrt((1.0 - sine) * (1.0 + sine))
-        count, _ = prepare(
-            sizes[0], sine, cosine, sizes[0], sizes, spectra, t, middle, scattered, arriving
-        )
+        count, _ = prepare(sizes[0], sine, cosine, sizes[0], sizes, spectra, steps)
         for i in range(_AROUND):
             bearing = elementary.PI * (i + 0.5) / _AROUND
             toward = cosine * sun_cosine * elementary.cos(bearing) + sine * sun_sine
-            gather(
-                count, sizes[0], sine, toward, sun_sine, sizes, spectra, t, middle, scattered,
-                of_gas, of_aerosol,
-            )  # fmt: skip
+            sight = Sight(sizes[0], sine, toward, sun_sine)
+            gather(count, sight, sizes, spectra, steps, of_gas, of_aerosol)
             solid_angle = 2.0 * elementary.PI / (_UP * _AROUND)
             for w in range(wavelengths):
                 radiance = gas_phase(toward) * of_gas[w]
@@ -185,29 +199,24 @@ def _skylight(
     return total
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def _skylights(
-    first: int, last: int, low: float, high: float, sizes: NDArray, spectra: NDArray,
-    phase: NDArray, out: NDArray,
-) -> None:  # fmt: skip
+@kernel
+def _skylights(first: int, last: int, low: float, high: float, air: _Air, out: NDArray) -> None:
     for n in range(first, last):
-        out[n] = _skylight(low + (high - low) * n / (_SUNS - 1), sizes, spectra, phase)
+        out[n] = _skylight(low + (high - low) * n / (_SUNS - 1), air)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _rows(
-    first: int, last: int, look: Look, bearings: int, sizes: NDArray, spectra: NDArray,
-    phase: NDArray, far: FarGround, out: NDArray,
-) -> None:  # fmt: skip
+    first: int, last: int, look: Look, bearings: int, air: _Air, far: FarGround, out: NDArray
+) -> None:
     """The left half of the picture: bearings from 180 degrees off the sun to the sun."""
-    r0, ground, sun, steps, weights = look
+    r0, ground, sun, _, weights = look
+    sizes, spectra, phase = air
     low, high, skylight, albedo = far
     wavelengths, height = spectra.shape[1], out.shape[0]
     horizon = elementary.acos(ground / r0)
     for row in range(first, last):
-        t, middle = np.empty(2 * steps + 1), np.empty(2 * steps)
-        scattered = np.empty((2, 2 * steps, wavelengths))
-        arriving = np.empty(wavelengths)
+        steps = room(look.steps, wavelengths)
         of_gas, of_aerosol = np.empty((2, bearings, wavelengths))
         color = np.empty(3)
         upper = elementary.PI * (0.5 - row / height)
@@ -216,15 +225,11 @@ def _rows(
         for line in range(lines):
             elevation = upper - elementary.PI / height * (line + 0.5) / lines
             sine, cosine = elementary.sin(elevation), elementary.cos(elevation)
-            count, hits = prepare(
-                r0, sine, cosine, ground, sizes, spectra, t, middle, scattered, arriving
-            )
+            count, hits = prepare(r0, sine, cosine, ground, sizes, spectra, steps)
             for n in range(bearings):
                 toward = angle_to_sun(sine, cosine, n / (bearings - 1), sun)
-                gather(
-                    count, r0, sine, toward, sun[1], sizes, spectra, t, middle, scattered,
-                    of_gas[n], of_aerosol[n],
-                )  # fmt: skip
+                sight = Sight(r0, sine, toward, sun[1])
+                gather(count, sight, sizes, spectra, steps, of_gas[n], of_aerosol[n])
             for column in range(height):
                 share = 1.0 - (column + 0.5) / height
                 toward = angle_to_sun(sine, cosine, share, sun)
@@ -245,15 +250,15 @@ def _rows(
                     for i in range(3):
                         color[i] += weights[w, i] * radiance
                 if hits:
-                    sun_sine = (r0 * sun[1] + t[count] * toward) / ground
+                    sun_sine = (r0 * sun[1] + steps.t[count] * toward) / ground
                     color += albedo * _ground(
-                        sun_sine, low, high, skylight, arriving, sizes, spectra, weights
+                        sun_sine, low, high, skylight, steps.arriving, sizes, spectra, weights
                     )
                 for i in range(3):
                     out[row, column, i] += max(color[i], 0.0) / lines
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _ground(
     sun_sine: float,
     low: float,

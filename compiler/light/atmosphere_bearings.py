@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
+from scenec.schemas.kernels import kernel
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def angle_to_sun(sine: float, cosine: float, bearing: float, sun: NDArray) -> float:
     """Cosine of the angle to the sun.
 
@@ -21,7 +21,7 @@ def angle_to_sun(sine: float, cosine: float, bearing: float, sun: NDArray) -> fl
     return min(max(toward, -1.0), 1.0)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def cubic(x: float) -> tuple[float, float, float, float]:
     """Weights of four values at -1, 0, 1, 2 for the point x in [0, 1], after Catmull and Rom."""
     y = 1.0 - x

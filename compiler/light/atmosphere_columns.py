@@ -7,10 +7,10 @@ coefficient it is an optical depth.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
+from scenec.schemas.kernels import kernel
 
 # (1 + 2a) exp(a^2) erfc(a) as a polynomial of t = (a - 3.75) / (a + 3.75), after Shepherd and
 # Laframboise (1981, Math. Comp. 36:249); from a Chebyshev series at 40 digits.
@@ -31,7 +31,7 @@ _NODES = (0.1127016653792583, 0.5, 0.8872983346207417)
 _WEIGHTS = (0.2777777777777778, 0.4444444444444444, 0.2777777777777778)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def chapman(x: float, cosine: float) -> float:
     """Column of an exponential atmosphere over that of the same density in one scale height.
 
@@ -51,7 +51,7 @@ def chapman(x: float, cosine: float) -> float:
     return _SQRT_HALF_PI * 1.4142135623730951 * root * scaled * (1.0 + first / x)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _layer_up(start: float, closest: float, sizes: NDArray) -> float:
     """Column of the absorber from a distance from the center upwards.
 
@@ -77,7 +77,7 @@ def _layer_up(start: float, closest: float, sizes: NDArray) -> float:
     return total
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def columns_up(
     start: float, closest: float, cosine: float, sizes: NDArray
 ) -> tuple[float, float, float]:
@@ -95,7 +95,7 @@ def columns_up(
     return gas, aerosol, _layer_up(start, closest, sizes)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def columns(start: float, cosine: float, sizes: NDArray) -> tuple[float, float, float]:
     """Columns from a point to infinity in any direction that misses the planet.
 

@@ -19,15 +19,23 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.light.atmosphere_bearings import angle_to_sun, cubic
 from scenec.compiler.light.atmosphere_columns import columns
 from scenec.compiler.light.atmosphere_planets import Medium
-from scenec.compiler.light.atmosphere_rays import gather, lobe, prepare, shadow
+from scenec.compiler.light.atmosphere_rays import (
+    Sight,
+    Steps,
+    gather,
+    lobe,
+    prepare,
+    room,
+    shadow,
+)
 from scenec.compiler.light.atmosphere_spectra import wavelengths
+from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
 
 #: Nodes of the table over height and the sun's elevation.
@@ -152,7 +160,7 @@ def make_table(
     return out
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _table_part(
     first: int, last: int, sizes: NDArray, spectra: NDArray, albedo: NDArray, out: NDArray
 ) -> None:
@@ -161,44 +169,35 @@ def _table_part(
         share = i / (HEIGHTS - 1.0)
         # Not on the ground itself: rays down would have no length.
         r0 = sizes[0] + max(sizes[1] * share * share * 0.9, 1.0)
-        t, middle = np.empty(2 * _STEPS + 1), np.empty(2 * _STEPS)
-        scattered = np.empty((2, 2 * _STEPS, nodes))
-        arriving, of_gas, of_aerosol = (
-            np.empty(nodes),
-            np.empty(nodes),
-            np.empty(nodes),
-        )
+        steps = room(_STEPS, nodes)
+        of_gas, of_aerosol = np.empty(nodes), np.empty(nodes)
         again = np.zeros(nodes)
         for k in range(_UP):
             # Even in solid angle, on both sides of the horizon.
             sine = (k + 0.5) / _UP * 2.0 - 1.0
             cosine = np.sqrt((1.0 - sine) * (1.0 + sine))
-            count, hits = prepare(
-                r0, sine, cosine, sizes[0], sizes, spectra, t, middle, scattered, arriving
-            )
+            count, hits = prepare(r0, sine, cosine, sizes[0], sizes, spectra, steps)
             for n in range(count):
                 for w in range(nodes):
-                    again[w] += (scattered[0, n, w] + scattered[1, n, w]) / _UP
+                    again[w] += (steps.scattered[0, n, w] + steps.scattered[1, n, w]) / _UP
             for j in range(SUNS):
                 sun_sine, sun_cosine = _sun_of(j)
                 for a in range(_AROUND):
                     bearing = elementary.PI * (a + 0.5) / _AROUND
                     toward = cosine * sun_cosine * elementary.cos(bearing) + sine * sun_sine
-                    gather(
-                        count, r0, sine, toward, sun_sine, sizes, spectra, t, middle, scattered,
-                        of_gas, of_aerosol,
-                    )  # fmt: skip
+                    sight = Sight(r0, sine, toward, sun_sine)
+                    gather(count, sight, sizes, spectra, steps, of_gas, of_aerosol)
                     for w in range(nodes):
                         light = 0.25 / elementary.PI * (of_gas[w] + of_aerosol[w])
                         out[i, j, w] += light / (_UP * _AROUND)
                     if hits:
-                        on_ground = (r0 * sun_sine + t[count] * toward) / sizes[0]
+                        on_ground = (r0 * sun_sine + steps.t[count] * toward) / sizes[0]
                         if on_ground > 0.0:
                             gas, aerosol, layer = columns(sizes[0], min(on_ground, 1.0), sizes)
                             for w in range(nodes):
                                 depth = spectra[0, w] * gas + spectra[2, w] * aerosol
                                 depth += spectra[3, w] * layer
-                                light = albedo[w] / elementary.PI * on_ground * arriving[w]
+                                light = albedo[w] / elementary.PI * on_ground * steps.arriving[w]
                                 light *= elementary.exp(-depth)
                                 out[i, j, w] += light / (_UP * _AROUND)
         for j in range(SUNS):
@@ -206,7 +205,7 @@ def _table_part(
                 out[i, j, w] /= 1.0 - min(again[w], _MOST_AGAIN)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _sun_of(j: int) -> tuple[float, float]:
     """Sine and cosine of the sun's elevation at a node: denser about the horizon."""
     s = _LOWEST + (1.0 - _LOWEST) * j / (SUNS - 1.0)
@@ -214,29 +213,22 @@ def _sun_of(j: int) -> tuple[float, float]:
     return elementary.sin(elevation), elementary.cos(elevation)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def add_again(
-    count: int,
-    r0: float,
-    sine: float,
-    toward: float,
-    sun_sine: float,
-    sizes: NDArray,
-    table: NDArray,
-    middle: NDArray,
-    scattered: NDArray,
-    total: NDArray,
+    count: int, sight: Sight, sizes: NDArray, table: NDArray, steps: Steps, total: NDArray
 ) -> None:
     """Adds what a prepared ray of the reduced medium sends of the table's light, [wavelengths].
 
     Args:
         count: Steps of the ray.
-        r0, sine, toward, sun_sine, middle: As of ``atmosphere_rays.gather``.
+        sight: The ray.
         sizes: ``Planet.sizes``.
         table: Of ``make_table``.
-        scattered: Of ``prepare`` in the reduced medium.
+        steps: Of ``prepare`` in the reduced medium.
         total: Receives it.
     """
+    r0, sine, toward, sun_sine = sight
+    middle, scattered = steps.middle, steps.scattered
     for k in range(count):
         at = middle[k]
         r = np.sqrt(r0 * r0 + at * (2.0 * r0 * sine + at))
@@ -290,70 +282,46 @@ def bake_again(
     return np.maximum(np.concatenate([half, half[:, ::-1]], axis=1), 0.0)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _again(
-    count: int,
-    r0: float,
-    sine: float,
-    toward: float,
-    sun_sine: float,
-    sizes: NDArray,
-    spectra: NDArray,
-    even: NDArray,
-    g: NDArray,
-    table: NDArray,
-    t: NDArray,
-    middle: NDArray,
-    full: NDArray,
-    less: NDArray,
-    part: NDArray,
-    total: NDArray,
+    count: int, sight: Sight, air: Air, full: Steps, less: Steps, part: NDArray, total: NDArray
 ) -> None:
     """What a ray's single scattering lacks, [wavelengths], into ``total``.
 
     Args:
-        count, r0, sine, toward, sun_sine, sizes, t, middle: As of ``atmosphere_rays.gather``.
-        spectra, even, g, table: As in ``Air``.
+        count: Steps of the ray.
+        sight: The ray.
+        air: The atmosphere.
         full, less: The ray, prepared in the medium and in the reduced one.
         part: Room for two spectra.
         total: Receives it.
     """
-    args = (t, middle)
-    gather(count, r0, sine, toward, sun_sine, sizes, even, *args, less, part[0], part[1])
+    gather(count, sight, air.sizes, air.even, less, part[0], part[1])
     for w in range(total.size):
         total[w] = part[0, w] + part[1, w]
-    gather(count, r0, sine, toward, sun_sine, sizes, spectra, *args, full, part[0], part[1])
+    gather(count, sight, air.sizes, air.spectra, full, part[0], part[1])
     for w in range(total.size):
-        total[w] -= part[0, w] + (1.0 - g[w]) * part[1, w]
+        total[w] -= part[0, w] + (1.0 - air.g[w]) * part[1, w]
         total[w] = max(total[w], 0.0) * (0.25 / elementary.PI)
-    add_again(count, r0, sine, toward, sun_sine, sizes, table, middle, less, total)
+    add_again(count, sight, air.sizes, air.table, less, total)
 
 
-@njit(cache=True, error_model="numpy")
-def _forward_again(
-    count: int,
-    r0: float,
-    sine: float,
-    toward: float,
-    sun_sine: float,
-    sizes: NDArray,
-    spectra: NDArray,
-    g: NDArray,
-    t: NDArray,
-    middle: NDArray,
-    full: NDArray,
-    out: NDArray,
-) -> None:
-    """Light scattered forward twice or more, over the phase function and sunlight, into ``out``.
+@kernel
+def _forward_again(count: int, sight: Sight, air: Air, full: Steps, out: NDArray) -> None:
+    """Light scattered forward twice or more, over the phase function and sunlight.
 
     Args:
-        count, r0, sine, toward, sun_sine, sizes, spectra, t, middle: As of ``gather``.
-        g: Mean cosine of the aerosol.
+        count: Steps of the ray.
+        sight: The ray.
+        air: The atmosphere.
         full: The ray, prepared.
         out: Receives it, [wavelengths].
     """
-    out[:] = 0.0
-    enter, leave = shadow(r0, sine, toward, sun_sine, sizes[0])
+    r0, sine, toward, sun_sine = sight
+    sizes, spectra, g, t, middle = air.sizes, air.spectra, air.g, full.t, full.middle
+    for w in range(out.size):
+        out[w] = 0.0
+    enter, leave = shadow(sight, sizes[0])
     behind = 0.0
     for k in range(count):
         at, length = middle[k], t[k + 1] - t[k]
@@ -371,95 +339,78 @@ def _forward_again(
                 more = 0.5 * x + x * x / 6.0
                 if x > 1e-2:
                     more = (elementary.exp(x) - 1.0 - x) / x
-                out[w] += elementary.exp(-depth) * full[1, k, w] * g[w] * more
+                out[w] += elementary.exp(-depth) * full.scattered[1, k, w] * g[w] * more
         behind += here
 
 
-@njit(cache=True, error_model="numpy")
-def _on_level_ground(
-    sun_sine: float,
-    sizes: NDArray,
-    spectra: NDArray,
-    even: NDArray,
-    g: NDArray,
-    phase: NDArray,
-    table: NDArray,
-    out: NDArray,
-) -> None:
+@kernel
+def _both(air: Air, steps: int) -> tuple[Steps, Steps]:
+    """Room for a ray in the medium and in the reduced one, whose steps have the same places."""
+    nodes = air.spectra.shape[1]
+    full = room(steps, nodes)
+    less = Steps(full.t, full.middle, np.empty(full.scattered.shape), np.empty(nodes))
+    return full, less
+
+
+@kernel
+def _on_level_ground(sun_sine: float, air: Air, out: NDArray) -> None:
     """Irradiance over the sun's of what single scattering lacks, [wavelengths], into ``out``."""
-    nodes = spectra.shape[1]
-    t, middle = np.empty(2 * _STEPS + 1), np.empty(2 * _STEPS)
-    full = np.empty((2, 2 * _STEPS, nodes))
-    less = np.empty((2, 2 * _STEPS, nodes))
-    part, arriving, total = np.empty((2, nodes)), np.empty(nodes), np.empty(nodes)
-    forward = np.empty(nodes)
+    sizes, phase, nodes = air.sizes, air.phase, air.spectra.shape[1]
+    full, less = _both(air, _STEPS)
+    part, total, forward = np.empty((2, nodes)), np.empty(nodes), np.empty(nodes)
     sun = np.array([np.sqrt(max((1.0 - sun_sine) * (1.0 + sun_sine), 0.0)), sun_sine])
-    out[:] = 0.0
+    for w in range(nodes):
+        out[w] = 0.0
     for k in range(_UP // 2):
         sine = (k + 0.5) / (_UP // 2)
         cosine = np.sqrt((1.0 - sine) * (1.0 + sine))
         r0 = sizes[0]
-        prepare(r0, sine, cosine, r0, sizes, spectra, t, middle, full, arriving)
-        count, _ = prepare(r0, sine, cosine, r0, sizes, even, t, middle, less, arriving)
+        prepare(r0, sine, cosine, r0, sizes, air.spectra, full)
+        count, _ = prepare(r0, sine, cosine, r0, sizes, air.even, less)
         for a in range(_AROUND):
             toward = angle_to_sun(sine, cosine, (a + 0.5) / _AROUND, sun)
-            _again(
-                count, r0, sine, toward, sun_sine, sizes, spectra, even, g, table, t, middle, full,
-                less, part, total,
-            )  # fmt: skip
-            _forward_again(
-                count, r0, sine, toward, sun_sine, sizes, spectra, g, t, middle, full, forward
-            )
+            sight = Sight(r0, sine, toward, sun_sine)
+            _again(count, sight, air, full, less, part, total)
+            _forward_again(count, sight, air, full, forward)
             for w in range(nodes):
                 # Few directions, which a narrow lobe would slip through.
                 total[w] += forward[w] * lobe(toward, min(phase[1, w] * phase[1, w], _SHARPEST))
                 out[w] += total[w] * sine * 2.0 * elementary.PI / ((_UP // 2) * _AROUND)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _on_far_ground(first: int, last: int, low: float, high: float, air: Air, out: NDArray) -> None:
     """Light on the ground at heights of the sun, [_GROUND_SUNS, wavelengths]."""
     for n in range(first, last):
         sine = low + (high - low) * n / (_GROUND_SUNS - 1.0)
-        _on_level_ground(
-            sine, air.sizes, air.spectra, air.even, air.g, air.phase, air.table, out[n]
-        )
+        _on_level_ground(sine, air, out[n])
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _again_rows(first: int, last: int, look: Look, air: Air, far: FarGround, out: NDArray) -> None:
     """What a single-scattered picture lacks, linear Rec.709, [height, height, 3]: its left half."""
     r0, ground, sun, steps, weights = look
-    sizes, spectra, even, g, phase, table = air
     low, high, on_ground, albedo = far
-    nodes, height = spectra.shape[1], out.shape[0]
+    sizes, phase = air.sizes, air.phase
+    nodes, height = air.spectra.shape[1], out.shape[0]
     horizon = elementary.acos(ground / r0)
     for row in range(first, last):
-        t, middle = np.empty(2 * steps + 1), np.empty(2 * steps)
-        full = np.empty((2, 2 * steps, nodes))
-        less = np.empty((2, 2 * steps, nodes))
+        full, less = _both(air, steps)
         part, total = np.empty((2, nodes)), np.empty((_BEARINGS, nodes))
         forward = np.empty((_BEARINGS, nodes))
-        arriving, unused = np.empty(nodes), np.empty(nodes)
         upper = elementary.PI * (0.5 - row / height)
         crossed = upper > -horizon and upper - elementary.PI / height < -horizon
         lines = _LINES if crossed else 1
         for line in range(lines):
             elevation = upper - elementary.PI / height * (line + 0.5) / lines
             sine, cosine = elementary.sin(elevation), elementary.cos(elevation)
-            prepare(r0, sine, cosine, ground, sizes, even, t, middle, less, unused)
-            count, hits = prepare(
-                r0, sine, cosine, ground, sizes, spectra, t, middle, full, arriving
-            )
+            prepare(r0, sine, cosine, ground, sizes, air.even, less)
+            count, hits = prepare(r0, sine, cosine, ground, sizes, air.spectra, full)
             for n in range(_BEARINGS):
                 toward = angle_to_sun(sine, cosine, n / (_BEARINGS - 1.0), sun)
-                _again(
-                    count, r0, sine, toward, sun[1], sizes, spectra, even, g, table, t, middle,
-                    full, less, part, total[n],
-                )  # fmt: skip
-                _forward_again(
-                    count, r0, sine, toward, sun[1], sizes, spectra, g, t, middle, full, forward[n]
-                )
+                sight = Sight(r0, sine, toward, sun[1])
+                _again(count, sight, air, full, less, part, total[n])
+                _forward_again(count, sight, air, full, forward[n])
             for column in range(height):
                 share = 1.0 - (column + 0.5) / height
                 place = share * (_BEARINGS - 1)
@@ -469,7 +420,7 @@ def _again_rows(first: int, last: int, look: Look, air: Air, far: FarGround, out
                 lit, at = 0.0, 0
                 toward = angle_to_sun(sine, cosine, share, sun)
                 if hits and high > low:
-                    lit = ((r0 * sun[1] + t[count] * toward) / ground - low) / (high - low)
+                    lit = ((r0 * sun[1] + full.t[count] * toward) / ground - low) / (high - low)
                     lit = min(max(lit, 0.0), 1.0) * (_GROUND_SUNS - 1.0)
                     at = min(int(lit), _GROUND_SUNS - 2)
                     lit -= at
@@ -482,7 +433,7 @@ def _again_rows(first: int, last: int, look: Look, air: Air, far: FarGround, out
                     given = 0.0
                     if hits:
                         given = on_ground[at, w] + lit * (on_ground[at + 1, w] - on_ground[at, w])
-                        given *= arriving[w] / elementary.PI
+                        given *= full.arriving[w] / elementary.PI
                     for i in range(3):
                         more = weights[w, i] * (light + albedo[i] * given)
                         out[row, column, i] += more / lines

@@ -7,32 +7,74 @@ or thin the medium is, and never more than what arrives.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.light.atmosphere_columns import columns, columns_up
+from scenec.schemas.kernels import kernel
 
 #: Steps go with height - lowest height ~ u^2: even in distance along the horizon, finer below than
 #: above in the vertical.
 _INV_PI = 1.0 / elementary.PI
 
 
-@njit(cache=True, error_model="numpy")
+class Sight(NamedTuple):
+    """A ray, and where the sun is.
+
+    Attributes:
+        r0: The observer's distance from the planet's center.
+        sine: Of the ray's elevation.
+        toward: Cosine between the ray and the direction to the sun.
+        sun_sine: Of the sun's elevation.
+    """
+
+    r0: float
+    sine: float
+    toward: float
+    sun_sine: float
+
+
+class Steps(NamedTuple):
+    """What a ray's steps hold, whatever the direction of the sun; ``prepare`` fills it.
+
+    Attributes:
+        t: Their ends, distances from the observer, float64 [2 * steps + 1].
+        middle: Their middles, float64 [2 * steps].
+        scattered: What gas and aerosol of each would send to the observer under full sunlight and a
+            phase function of 1, float64 [2, 2 * steps, wavelengths].
+        arriving: Transmission of the whole ray, float64 [wavelengths].
+    """
+
+    t: NDArray[np.float64]
+    middle: NDArray[np.float64]
+    scattered: NDArray[np.float64]
+    arriving: NDArray[np.float64]
+
+
+@kernel
+def room(steps: int, wavelengths: int) -> Steps:
+    """Room for a ray that goes down and up again in so many steps each."""
+    scattered, arriving = np.empty((2, 2 * steps, wavelengths)), np.empty(wavelengths)
+    return Steps(np.empty(2 * steps + 1), np.empty(2 * steps), scattered, arriving)
+
+
+@kernel
 def gas_phase(cosine: float) -> float:
     """Rayleigh's phase function, 1/sr."""
     return 3.0 / 16.0 * _INV_PI * (1.0 + cosine * cosine)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def lobe(cosine: float, g: float) -> float:
     """Henyey and Greenstein's phase function, 1/sr."""
     width = 1.0 + g * g - 2.0 * g * cosine
     return 0.25 * _INV_PI * (1.0 - g * g) / (width * np.sqrt(width))
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def aerosol_phase(cosine: float, phase: NDArray, k: int, sharpest: float) -> float:
     """The aerosol's phase function at wavelength ``k``, 1/sr.
 
@@ -51,7 +93,7 @@ def aerosol_phase(cosine: float, phase: NDArray, k: int, sharpest: float) -> flo
     return share * forward + (1.0 - share) * lobe(cosine, phase[2, k])
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _mean_transmission(depth: float) -> float:
     """(1 - exp(-x)) / x."""
     if depth < 1e-3:
@@ -59,10 +101,9 @@ def _mean_transmission(depth: float) -> float:
     return (1.0 - elementary.exp(-depth)) / depth
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _climb(
-    t: NDArray,
-    middle: NDArray,
+    steps: Steps,
     first: int,
     count: int,
     closest: float,
@@ -76,6 +117,7 @@ def _climb(
     Fills ``t[first : first + count + 1]`` and ``middle[first : first + count]`` with distances from
     the observer, who is ``shift`` beyond the ray's closest point; on the way down in reverse.
     """
+    t, middle = steps.t, steps.middle
     base = (low - closest) * (low + closest)
     for k in range(2 * count + 1):
         u = k / (2.0 * count)
@@ -89,7 +131,7 @@ def _climb(
             middle[first + at // 2] = place
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def prepare(
     r0: float,
     sine: float,
@@ -97,10 +139,7 @@ def prepare(
     ground: float,
     sizes: NDArray,
     spectra: NDArray,
-    t: NDArray,
-    middle: NDArray,
-    scattered: NDArray,
-    arriving: NDArray,
+    out: Steps,
 ) -> tuple[int, bool]:
     """What a ray's steps hold, whatever the direction of the sun.
 
@@ -110,15 +149,12 @@ def prepare(
         ground: Radius of the ground that ends a ray.
         sizes: ``Planet.sizes``.
         spectra: Gas, aerosol, loss by the aerosol, absorption, [4, wavelengths].
-        t: Receives the steps' ends, [2 * steps + 1].
-        middle: Receives their middles, [2 * steps].
-        scattered: Receives what gas and aerosol of each step would send to the observer under full
-            sunlight and a phase function of 1, [2, 2 * steps, wavelengths].
-        arriving: Receives the transmission of the whole ray, [wavelengths].
+        out: Receives it.
 
     Returns:
         Number of steps, and whether the ray ends on the ground.
     """
+    t, middle, scattered, arriving = out
     steps = len(middle) // 2
     closest = r0 * cosine
     shift = r0 * sine
@@ -126,16 +162,17 @@ def prepare(
     hits = sine < 0.0 and closest < ground
     count = steps
     if hits:
-        _climb(t, middle, 0, steps, closest, ground, r0, shift, True)
+        _climb(out, 0, steps, closest, ground, r0, shift, True)
     elif sine < 0.0:
         count = 2 * steps
-        _climb(t, middle, 0, steps, closest, closest, r0, shift, True)
-        _climb(t, middle, steps, steps, closest, closest, top, shift, False)
+        _climb(out, 0, steps, closest, closest, r0, shift, True)
+        _climb(out, steps, steps, closest, closest, top, shift, False)
     else:
-        _climb(t, middle, 0, steps, closest, r0, top, shift, False)
+        _climb(out, 0, steps, closest, r0, top, shift, False)
     t[0] = 0.0
-    arriving[:] = 1.0
     wavelengths = spectra.shape[1]
+    for w in range(wavelengths):
+        arriving[w] = 1.0
     square = closest * closest
     past = (0.0, 0.0, 0.0)
     weight = 0.0
@@ -168,19 +205,15 @@ def prepare(
     return count, hits
 
 
-@njit(cache=True, error_model="numpy")
-def shadow(
-    r0: float, sine: float, toward: float, sun_sine: float, radius: float
-) -> tuple[float, float]:
+@kernel
+def shadow(sight: Sight, radius: float) -> tuple[float, float]:
     """Distances between which a ray is in the planet's shadow; the first above the second if never.
 
     Args:
-        r0: The observer's distance from the planet's center.
-        sine: Of the ray's elevation.
-        toward: Cosine between the ray and the direction to the sun.
-        sun_sine: Of the sun's elevation.
+        sight: The ray.
         radius: The planet's.
     """
+    r0, sine, toward, sun_sine = sight
     # The shadow is a half cylinder: square distance from its axis below that of the planet.
     a = (1.0 - toward) * (1.0 + toward)
     b = r0 * (sine - sun_sine * toward)
@@ -203,18 +236,13 @@ def shadow(
     return max(enter, edge), leave
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def gather(
     count: int,
-    r0: float,
-    sine: float,
-    toward: float,
-    sun_sine: float,
+    sight: Sight,
     sizes: NDArray,
     spectra: NDArray,
-    t: NDArray,
-    middle: NDArray,
-    scattered: NDArray,
+    steps: Steps,
     of_gas: NDArray,
     of_aerosol: NDArray,
 ) -> None:
@@ -222,13 +250,16 @@ def gather(
 
     Args:
         count: Steps of the ray.
-        r0, sine, toward, sun_sine: As in ``shadow``.
-        sizes, spectra, t, middle, scattered: Of ``prepare``.
+        sight: The ray.
+        sizes, spectra, steps: Of ``prepare``.
         of_gas, of_aerosol: Receive radiance over phase function and sunlight, [wavelengths].
     """
-    of_gas[:] = 0.0
-    of_aerosol[:] = 0.0
-    enter, leave = shadow(r0, sine, toward, sun_sine, sizes[0])
+    r0, sine, toward, sun_sine = sight
+    t, middle, scattered = steps.t, steps.middle, steps.scattered
+    for w in range(spectra.shape[1]):
+        of_gas[w] = 0.0
+        of_aerosol[w] = 0.0
+    enter, leave = shadow(sight, sizes[0])
     for k in range(count):
         start, end = t[k], t[k + 1]
         dark = min(end, leave) - max(start, enter)

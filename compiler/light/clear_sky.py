@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.light.latlong import directions, horizontal_irradiance, luminance
+from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
 
 #: Angle below the horizon over which far ground fades by 1/e into the horizon's haze.
@@ -61,7 +61,7 @@ def clear_sky(
     return picture.astype(np.float32)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _distribution_part(
     first: int,
     last: int,

@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.cache.memo import memoized
-from scenec.compiler.cameras.rigs import incident_exposure
 from scenec.compiler.geometry.lenses import pixel_rays
 from scenec.compiler.geometry.poses import bearing_vector, compose, look_at
 from scenec.compiler.light.latlong import luminance
 from scenec.compiler.light.plan import LampPlan, RigMount, WorldMount
 from scenec.compiler.mesh.surface import Surface
+from scenec.compiler.scene.exposure import incident_exposure
 from scenec.compiler.scene.plan import RigPlan
 from scenec.compiler.scene.rig import Rig, Sensor
 from scenec.compiler.scene.scene import Lamp

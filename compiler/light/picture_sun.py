@@ -18,11 +18,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.light.latlong import directions_of_rows, horizontal_irradiance, luminance
+from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
 
 #: Angle from its middle within which all of a sun lies.
@@ -274,7 +274,7 @@ def _of_texels(height: int, width: int, index: NDArray[np.int64]) -> NDArray[np.
     )
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _interpolated_part(
     first: int,
     last: int,

@@ -12,7 +12,6 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
@@ -25,6 +24,7 @@ from scenec.compiler.scene.scene import Cells, MaterialMaps
 from scenec.compiler.scene.sources import Sources
 from scenec.compiler.terrain.detail import Spectrum
 from scenec.schemas.cells import SIDE, STEPS, table
+from scenec.schemas.kernels import inlined, kernel
 from scenec.schemas.threads import over_threads
 
 #: Root mean square of an octave of noise over its amplitude: what ``Spectrum`` speaks of.
@@ -131,7 +131,7 @@ def _turns(cells: Cells | None) -> NDArray[np.float64]:
     return np.ascontiguousarray(np.stack([found[..., 0], found[..., 1], cosine, sine], axis=-1))
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@inlined
 def _cubic(a, b, c, d, t):  # type: ignore[no-untyped-def]
     """Catmull and Rom's spline between b and c."""
     return b + 0.5 * t * (
@@ -139,7 +139,7 @@ def _cubic(a, b, c, d, t):  # type: ignore[no-untyped-def]
     )
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _look_up(plane, u, v):  # type: ignore[no-untyped-def]
     """A picture at coordinates in its repeats, v up."""
     high, wide = plane.shape
@@ -160,7 +160,7 @@ def _look_up(plane, u, v):  # type: ignore[no-untyped-def]
     return _cubic(a, b, c, d, down)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _heights_part(first, last, plane, size, turns, cell, x, y, out):  # type: ignore[no-untyped-def]
     for n in range(first, last):
         if cell == 0.0:

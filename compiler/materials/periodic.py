@@ -12,22 +12,16 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-from scenec.compiler.arithmetic import elementary
 from scenec.compiler.noise.lattice import hash2, subkey
-from scenec.compiler.noise.perlin import DIRECTION_MASK
+from scenec.compiler.noise.perlin import DIRECTION_MASK, GRADIENT_X, GRADIENT_Y
 from scenec.compiler.noise.worley import feature_point
+from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
 
 Plane = NDArray[np.float32]
 _SHIFT = np.uint64(40)
-_ANGLES = (np.arange(int(DIRECTION_MASK) + 1) + 0.5) * (
-    2.0 * elementary.PI / (int(DIRECTION_MASK) + 1)
-)
-_GRADIENT_X = elementary.cos_array(_ANGLES)
-_GRADIENT_Y = elementary.sin_array(_ANGLES)
 _TO_UNIT = 2.0**-24
 
 
@@ -48,7 +42,7 @@ class Cells(NamedTuple):
     hashed: NDArray[np.uint64]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _columns(key, n, count, number):  # type: ignore[no-untyped-def]
     # Along a row all is the same for each row: the lattice point, how far past it, and its fade.
     point = np.empty((number, n), np.int32)
@@ -66,7 +60,7 @@ def _columns(key, n, count, number):  # type: ignore[no-untyped-def]
     return point, past, faded
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _octaves_part(first, last, key, n, count, number, gain, out, point, past, faded):  # type: ignore[no-untyped-def]
     for line in range(first, last):
         row = np.int64(line)
@@ -85,9 +79,9 @@ def _octaves_part(first, last, key, n, count, number, gain, out, point, past, fa
             for i in range(cells + 2):
                 low = hash2(own, i % cells, j) & DIRECTION_MASK
                 high = hash2(own, i % cells, (j + 1) % cells) & DIRECTION_MASK
-                rise[i] = amplitude * ((1.0 - up) * _GRADIENT_X[low] + up * _GRADIENT_X[high])
+                rise[i] = amplitude * ((1.0 - up) * GRADIENT_X[low] + up * GRADIENT_X[high])
                 value[i] = amplitude * (
-                    (1.0 - up) * _GRADIENT_Y[low] * v + up * _GRADIENT_Y[high] * (v - 1.0)
+                    (1.0 - up) * GRADIENT_Y[low] * v + up * GRADIENT_Y[high] * (v - 1.0)
                 )
             for column in range(n):
                 i = point[octave, column]
@@ -124,7 +118,7 @@ def octaves(key, n, count, number, gain):  # type: ignore[no-untyped-def]
 _MARGIN = 4
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _scatter(key, count, jitter):  # type: ignore[no-untyped-def]
     size = count + 2 * _MARGIN
     points = np.empty((size, size, 2))
@@ -141,7 +135,7 @@ def _scatter(key, count, jitter):  # type: ignore[no-untyped-def]
     return points, hashed
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _cells_part(  # type: ignore[no-untyped-def]
     begin,
     end,
@@ -259,7 +253,7 @@ def cells(key, n, count, jitter, warp_x, warp_y, bordered):  # type: ignore[no-u
     return near, border, across, down, hashed
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _numbers_part(first, last, hashed, index, out):  # type: ignore[no-untyped-def]
     for line in range(first, last):
         row = np.int64(line)
@@ -275,7 +269,7 @@ def numbers(hashed, index):  # type: ignore[no-untyped-def]
     return out
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _row_sums_part(first, last, plane, sums):  # type: ignore[no-untyped-def]
     for line in range(first, last):
         row = np.int64(line)

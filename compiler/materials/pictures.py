@@ -7,7 +7,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic.srgb import linear_codes
@@ -17,6 +16,7 @@ from scenec.compiler.materials.heights import blend_heights, painted_look, relie
 from scenec.compiler.materials.periodic import Plane, moments
 from scenec.compiler.materials.tile import Tile
 from scenec.compiler.scene.scene import Material, MaterialMaps, Picture
+from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
 
 #: Colors are at least this share of their mean.
@@ -158,7 +158,7 @@ def normal_codes(height: Plane, steepness: float) -> tuple[NDArray[np.uint8], fl
     return codes, float(np.sqrt(moments(squares)[0]))
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _normals_part(first, last, height, scale, codes, squares):  # type: ignore[no-untyped-def]
     n = height.shape[0]
     for line in range(first, last):
@@ -196,7 +196,7 @@ def encoded(plane: Plane, factor: float) -> NDArray[np.uint8]:
     return codes
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _encode_part(first, last, plane, factor, table, borders, codes):  # type: ignore[no-untyped-def]
     for line in range(first, last):
         row = np.int64(line)

@@ -9,7 +9,6 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic.srgb import linear_codes
@@ -20,6 +19,7 @@ from scenec.compiler.materials.periodic import Plane, moments
 from scenec.compiler.materials.pictures import encoded
 from scenec.compiler.scene.scene import Picture
 from scenec.schemas.errors import SceneError
+from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
 
 type Source = Path | Picture
@@ -94,7 +94,7 @@ def unit(vectors: NDArray[np.floating]) -> Planes:
     return found
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _unit_part(first, last, vectors, out):  # type: ignore[no-untyped-def]
     for line in range(first, last):
         row = np.int64(line)

@@ -13,79 +13,111 @@ has there in the nearest view. Errors are measured against the finest mesh, not 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from scenec.schemas.kernels import inlined, kernel
 from scenec.schemas.threads import over_threads
 
 #: Cells along a leg of the coarsest triangles; a power of two.
 ROOT_CELLS = 128
-#: Kinds of channel: what a deviation from the plane through a triangle's corners means.
-HEIGHT, LINE, SHADE = 0, 1, 2
+#: Half sides of squares from the finest level on; the middles of their sides, then their own.
+_LEVELS = tuple(
+    (1 << k, center) for k in range(ROOT_CELLS.bit_length() - 1) for center in (False, True)
+)
 #: Shading is followed in triangles whose legs are longer than so many tolerances.
 SHADE_LEGS = 6.0
 
 
-@dataclass(frozen=True)
-class Channels:
-    """What a triangle must follow.
+class Channels(NamedTuple):
+    """What a triangle must follow, at the grid's samples.
 
     Attributes:
-        values: float64 [ny, nx, c]: all that is known of a sample lies together.
-        kind: HEIGHT: meters; shown in pixels as they are. LINE: a signed field whose zero line must
-            stay in its place. SHADE: units of what the eye may miss (1: the tolerance is reached),
-            in triangles whose legs are longer than SHADE_LEGS tolerances.
-        lateral: Distance of each sample to a LINE channel's zero line, meters, [ny, nx, k]: of the
-            channels up to the last LINE.
+        height: Meters; shown in pixels as they are. float64 [ny, nx].
+        sides: Signed fields whose zero lines must stay in their places, float64 [k, ny, nx].
+        shades: Units of what the eye may miss (1: the tolerance is reached), in triangles whose
+            legs are longer than SHADE_LEGS tolerances. float64 [c, ny, nx].
+        spacing: Of the samples in x and y, meters.
+        pixels_per_m: Of the nearest view, float64 [ny, nx].
     """
 
-    values: NDArray[np.float64]
-    kind: NDArray[np.int64]
-    lateral: NDArray[np.float64]
+    height: NDArray[np.float64]
+    sides: NDArray[np.float64]
+    shades: NDArray[np.float64]
+    spacing: tuple[float, float]
+    pixels_per_m: NDArray[np.float64]
 
 
-def vertex_errors(
-    channels: Channels, pixels_per_m: NDArray[np.float64], cell_m: float, tolerance_px: float
-) -> NDArray[np.float32]:
+def vertex_errors(channels: Channels, tolerance_px: float) -> NDArray[np.float32]:
     """Error in pixels that shows where a sample is left out (and all finer ones in its triangles).
 
     Args:
         channels: What the mesh must follow.
-        pixels_per_m: Of the nearest view, at each sample, [ny, nx].
-        cell_m: Larger side of a cell, meters.
-        tolerance_px: The one asked for: what one unit of SHADE counts as.
+        tolerance_px: The one asked for: what one unit of shade counts as.
 
     Returns:
         float32, [ny, nx] grown to whole root triangles; infinite where a triangle straddles the
         border and must be halved, 0 outside.
     """
-    ny, nx = pixels_per_m.shape
-    rows, columns = (-(-(n - 1) // ROOT_CELLS) * ROOT_CELLS + 1 for n in (ny, nx))
-    errors = np.zeros((rows, columns), np.float32)
-    s = 1
-    while s < ROOT_CELLS:
-        for center in (False, True):
-            over_threads(_level_errors, errors.shape[0] // s + 1,
-                channels.values, channels.kind, channels.lateral, pixels_per_m, cell_m,
-                tolerance_px, s, center, errors,
-            )  # fmt: skip
-        s *= 2
-    # The middles of the coarsest squares: s is now half of a root square's diagonal's legs.
+    errors = np.zeros(_grown(channels), np.float32)
+    known = np.zeros(errors.shape, bool)
+    for s, center in _LEVELS:
+        _level(channels, _Limit(tolerance_px, np.inf), s, center, known, errors)
     return errors
+
+
+def needed(channels: Channels, tolerance_px: float) -> NDArray[np.bool_]:
+    """``activate(vertex_errors(...), tolerance_px)``: no error is measured further than it takes.
+
+    Args:
+        channels: What the mesh must follow.
+        tolerance_px: The one asked for, and met.
+    """
+    active = np.zeros(_grown(channels), bool)
+    active[::ROOT_CELLS, ::ROOT_CELLS] = True
+    errors = np.zeros((1, 1), np.float32)
+    for s, center in _LEVELS:
+        _level(channels, _Limit(tolerance_px, tolerance_px), s, center, active, errors)
+        _close_level(active, s, center)
+    return active
+
+
+def _grown(channels: Channels) -> tuple[int, int]:
+    """Rows and columns of whole root triangles."""
+    ny, nx = (-(-(n - 1) // ROOT_CELLS) * ROOT_CELLS + 1 for n in channels.height.shape)
+    return ny, nx
+
+
+class _Limit(NamedTuple):
+    """What one unit of shade counts as, and beyond which an error is large enough, pixels."""
+
+    shade_px: float
+    enough_px: float
+
+
+def _level(
+    channels: Channels,
+    limit: _Limit,
+    s: int,
+    center: bool,
+    active: NDArray[np.bool_],
+    errors: NDArray[np.float32],
+) -> None:
+    """Marks a level's samples whose error is beyond the limit; notes errors where none is."""
+    over_threads(
+        _level_part, active.shape[0] // s + 1,
+        channels, limit, s, _stencils(s, center), active, errors,
+    )  # fmt: skip
 
 
 def activate(errors: NDArray[np.float32], tolerance: float) -> NDArray[np.bool_]:
     """Samples of the crack-free mesh: those above a tolerance, and all that they depend on."""
     active = errors > tolerance
     active[::ROOT_CELLS, ::ROOT_CELLS] = True
-    s = 1
-    while s < ROOT_CELLS:
-        for center in (False, True):
-            _close_level(active, s, center)
-        s *= 2
+    for s, center in _LEVELS:
+        _close_level(active, s, center)
     return active
 
 
@@ -103,7 +135,7 @@ def triangles(active: NDArray[np.bool_], shape: tuple[int, int]) -> NDArray[np.i
     return faces
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@inlined
 def _diagonal(i, j, s):  # type: ignore[no-untyped-def]
     """Direction (dx, dy) of the diagonal through the middle (i, j) of a square of half side s.
 
@@ -115,90 +147,148 @@ def _diagonal(i, j, s):  # type: ignore[no-untyped-def]
     return dx, dy
 
 
-@njit(cache=True, error_model="numpy")
-def _triangle_error(values, kind, lateral, ppm, cell, tol, ax, ay, bx, by, cx, cy):  # type: ignore[no-untyped-def]
-    """Largest error over the samples in a triangle, in pixels."""
+@inlined
+def distance_to_line(side, j, i, dx, dy):  # type: ignore[no-untyped-def]
+    """Distance of a sample to the zero line of a field, to first order, meters.
+
+    Args:
+        side: The field, float64 [ny, nx].
+        j, i: Row and column.
+        dx, dy: Spacing.
+    """
+    ny, nx = side.shape
+    i0, i1, j0, j1 = max(i - 1, 0), min(i + 1, nx - 1), max(j - 1, 0), min(j + 1, ny - 1)
+    gx = (side[j, i1] - side[j, i0]) / ((i1 - i0) * dx)
+    gy = (side[j1, i] - side[j0, i]) / ((j1 - j0) * dy)
+    return abs(side[j, i]) / max(np.sqrt(gx * gx + gy * gy), 1e-300)
+
+
+class _Stencils(NamedTuple):
+    """The triangles about a level's samples, in columns and rows from these: all there are.
+
+    Attributes:
+        corners: Of each triangle, the hypotenuse's ends first, int64 [t, 3, 2].
+        first: Number of its first sample, int64 [t + 1].
+        samples: In it and no corner of it (there all is exact), int64 [n, 2].
+        u, v: Their barycentric coordinates, of the second and of the third corner, float64 [n].
+    """
+
+    corners: NDArray[np.int64]
+    first: NDArray[np.int64]
+    samples: NDArray[np.int64]
+    u: NDArray[np.float64]
+    v: NDArray[np.float64]
+
+
+def _stencils(s: int, center: bool) -> _Stencils:
+    """Of the middles of squares of half side ``s``, or of their sides."""
+    corners, samples, u, v = [], [], [], []
+    for x, y in ((-s, -s), (-s, s), (s, -s), (s, s)) if center else ((-s, 0), (0, -s)):
+        apex = (-x, y) if center else (y, x)
+        for sign in (1, -1):
+            a, b, c = np.array([(x, y), (-x, -y), (sign * apex[0], sign * apex[1])])
+            at = np.stack(np.meshgrid(np.arange(-s, s + 1), np.arange(-s, s + 1)), -1)
+            at = at.reshape(-1, 2)
+            (bx, by), (cx, cy), (px, py) = b - a, c - a, (at - a).T
+            area = bx * cy - by * cx
+            # The area is a power of two: these are exact.
+            p, q = (px * cy - py * cx) / area, (py * bx - px * by) / area
+            inside = (p >= 0.0) & (q >= 0.0) & (p + q <= 1.0)
+            inside &= (p < 1.0) & (q < 1.0) & (p + q > 0.0)
+            corners.append([a, b, c])
+            samples.append(at[inside])
+            u.append(p[inside])
+            v.append(q[inside])
+    first = np.cumsum([0, *map(len, samples)])
+    return _Stencils(np.array(corners), first, *(np.concatenate(each) for each in (samples, u, v)))
+
+
+@inlined
+def _triangle_error(channels, limit, stencils, t, i, j):  # type: ignore[no-untyped-def]
+    """Largest error over the samples in triangle t about sample (i, j), or enough, in pixels."""
+    height, sides, shades, spacing, ppm = channels
+    corners, first, samples, us, vs = stencils
     ny, nx = ppm.shape
+    dx, dy = spacing
+    ax, ay = i + corners[t, 0, 0], j + corners[t, 0, 1]
+    bx, by = i + corners[t, 1, 0], j + corners[t, 1, 1]
+    cx, cy = i + corners[t, 2, 0], j + corners[t, 2, 1]
     low_x, high_x = min(ax, min(bx, cx)), max(ax, max(bx, cx))
     low_y, high_y = min(ay, min(by, cy)), max(ay, max(by, cy))
     if low_x >= nx - 1 or low_y >= ny - 1:
         return 0.0
     if high_x > nx - 1 or high_y > ny - 1:
         return np.inf
-    legs = cell * max(high_x - low_x, high_y - low_y)
+    legs = max(dx, dy) * max(high_x - low_x, high_y - low_y)
     worst = 0.0
-    # Barycentric coordinates times the doubled area, in whole numbers.
-    det = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
-    sign = 1 if det > 0 else -1
-    area = float(abs(det))
-    corner, along_b, along_c = values[ay, ax], values[by, bx], values[cy, cx]
-    for y in range(low_y, high_y + 1):
-        for x in range(low_x, high_x + 1):
-            p = sign * ((x - ax) * (cy - ay) - (cx - ax) * (y - ay))
-            q = sign * ((bx - ax) * (y - ay) - (x - ax) * (by - ay))
-            r = sign * det - p - q
-            # Outside, or a corner, where all is exact.
-            if p < 0 or q < 0 or r < 0 or (p == 0) + (q == 0) + (r == 0) == 2:
-                continue
-            u, v = p / area, q / area
-            scale = ppm[y, x]
-            shades = legs * scale > SHADE_LEGS * tol
-            for c in range(kind.size):
-                if kind[c] == 2 and not shades:
-                    continue
-                value = values[y, x, c]
-                plane = corner[c] + u * (along_b[c] - corner[c]) + v * (along_c[c] - corner[c])
-                if kind[c] == 0:
-                    worst = max(worst, abs(value - plane) * scale)
-                elif kind[c] == 2:
-                    worst = max(worst, abs(value - plane) * tol)
-                elif (value >= 0.0) != (plane >= 0.0):
-                    # No farther off than the triangle is large.
-                    worst = max(worst, min(lateral[y, x, c], legs) * scale)
+    largest = 0.0
+    a = height[ay, ax]
+    b, c = height[by, bx] - a, height[cy, cx] - a
+    for n in range(first[t], first[t + 1]):
+        x, y = i + samples[n, 0], j + samples[n, 1]
+        plane = a + us[n] * b + vs[n] * c
+        scale = ppm[y, x]
+        largest = max(largest, scale)
+        worst = max(worst, abs(height[y, x] - plane) * scale)
+        if worst > limit.enough_px:
+            return worst
+    for k in range(len(sides)):
+        a = sides[k, ay, ax]
+        b, c = sides[k, by, bx] - a, sides[k, cy, cx] - a
+        for n in range(first[t], first[t + 1]):
+            x, y = i + samples[n, 0], j + samples[n, 1]
+            plane = a + us[n] * b + vs[n] * c
+            if (sides[k, y, x] >= 0.0) != (plane >= 0.0):
+                # No farther off than the triangle is large.
+                off = min(distance_to_line(sides[k], y, x, dx, dy), legs)
+                worst = max(worst, off * ppm[y, x])
+        if worst > limit.enough_px:
+            return worst
+    if legs * largest <= SHADE_LEGS * limit.shade_px:
+        return worst
+    for k in range(len(shades)):
+        a = shades[k, ay, ax]
+        b, c = shades[k, by, bx] - a, shades[k, cy, cx] - a
+        for n in range(first[t], first[t + 1]):
+            x, y = i + samples[n, 0], j + samples[n, 1]
+            plane = a + us[n] * b + vs[n] * c
+            if legs * ppm[y, x] > SHADE_LEGS * limit.shade_px:
+                worst = max(worst, abs(shades[k, y, x] - plane) * limit.shade_px)
+                if worst > limit.enough_px:
+                    return worst
     return worst
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def _level_errors(first, last, values, kind, lateral, ppm, cell, tol, s, center, errors):  # type: ignore[no-untyped-def]
-    rows, columns = errors.shape
+@kernel
+def _level_part(first, last, channels, limit, s, stencils, active, errors):  # type: ignore[no-untyped-def]
+    rows, columns = active.shape
+    center = len(stencils.corners) == 8
     for b in range(first, last):
         j = b * s
-        if j >= rows:
+        # Middles of squares have odd rows and columns; middles of their sides one of both.
+        if j >= rows or (center and b % 2 == 0):
             continue
-        for a in range(columns // s + 1):
+        for a in range(1 if center else 1 - b % 2, columns // s + 1, 2):
             i = a * s
-            if i >= columns:
+            if i >= columns or active[j, i]:
                 continue
-            odd_i, odd_j = a % 2 == 1, b % 2 == 1
             if center:
-                if not (odd_i and odd_j):
-                    continue
                 dx, dy = _diagonal(i, j, s)
-                x0, y0, x1, y1 = i + dx, j + dy, i - dx, j - dy
-                px, py, qx, qy = i - dx, j + dy, i + dx, j - dy
+                t = 4 * (dx > 0) + 2 * (dy > 0)
             else:
-                if odd_i == odd_j:
-                    continue
-                if odd_i:
-                    x0, y0, x1, y1 = i - s, j, i + s, j
-                    px, py, qx, qy = i, j - s, i, j + s
-                else:
-                    x0, y0, x1, y1 = i, j - s, i, j + s
-                    px, py, qx, qy = i - s, j, i + s, j
+                t = 2 * (b % 2)
             worst = 0.0
             for k in range(2):
-                x2, y2 = (px, py) if k == 0 else (qx, qy)
-                if 0 <= x2 < columns and 0 <= y2 < rows:
-                    worst = max(
-                        worst,
-                        _triangle_error(
-                            values, kind, lateral, ppm, cell, tol, x0, y0, x1, y1, x2, y2
-                        ),
-                    )
-            errors[j, i] = worst
+                x, y = i + stencils.corners[t + k, 2, 0], j + stencils.corners[t + k, 2, 1]
+                if 0 <= x < columns and 0 <= y < rows and worst <= limit.enough_px:
+                    worst = max(worst, _triangle_error(channels, limit, stencils, t + k, i, j))
+            # Rounded as they are kept.
+            active[j, i] = np.float32(worst) > np.float32(limit.enough_px)
+            if errors.size > 1:
+                errors[j, i] = worst
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _close_level(active, s, center):  # type: ignore[no-untyped-def]
     rows, columns = active.shape
     for b in range(rows // s + 1):
@@ -231,7 +321,7 @@ def _close_level(active, s, center):  # type: ignore[no-untyped-def]
                         active[j, i + s] = True
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _leaves_part(begin, end, active, ny, nx, faces, first, counts):  # type: ignore[no-untyped-def]
     across = (active.shape[1] - 1) // 128
     for square in range(begin, end):

@@ -15,11 +15,11 @@ known at the middles of their edges.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.mesh.surface import _slope
 from scenec.compiler.terrain.grid import HeightField
+from scenec.schemas.kernels import inlined, kernel
 from scenec.schemas.threads import over_threads
 
 #: Largest t (1 - t)^2 in [0, 1], at 1/3.
@@ -81,7 +81,7 @@ def of_faces(
     return samples, missed, whole
 
 
-@njit(cache=True, error_model="numpy")
+@inlined
 def _most(p: float, q: float) -> float:
     """Largest absolute t (1 - t) ((1 - t) p - t q) in [0, 1]."""
     # From the end where it is steeper.
@@ -100,7 +100,7 @@ def _most(p: float, q: float) -> float:
     return most
 
 
-@njit(cache=True, error_model="numpy")
+@inlined
 def _at_most(p: float, q: float) -> float:
     """No less than ``_most``, from its ends one by one."""
     a, b = abs(p), abs(q)
@@ -109,7 +109,7 @@ def _at_most(p: float, q: float) -> float:
     return min(0.25 * max(a, b), _ONE_END * (a + b))
 
 
-@njit(cache=True, error_model="numpy")
+@inlined
 def _beyond(before, after):  # type: ignore[no-untyped-def]
     """What a slope across rows has beyond the rise after it, anywhere between two columns.
 
@@ -146,7 +146,7 @@ def _beyond(before, after):  # type: ignore[no-untyped-def]
     return (0.0 if low >= 0.0 else -most), (0.0 if high <= 0.0 else most), kinks
 
 
-@njit(cache=True, error_model="numpy")
+@inlined
 def _range(e0, e1, p, q):  # type: ignore[no-untyped-def]
     """Bounds of a cubic from its values, p and q, and of its slope: those of its Bezier points."""
     rise = e1 - e0
@@ -155,7 +155,7 @@ def _range(e0, e1, p, q):  # type: ignore[no-untyped-def]
     return min(min(e0, e1), min(c0, c1)), max(max(e0, e1), max(c0, c1)), steepest
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _bends_part(first, last, height, out):  # type: ignore[no-untyped-def]
     ny, nx = height.shape
     # Of four rows: the height at the cell's two columns, p, and q.
@@ -194,7 +194,7 @@ def _bends_part(first, last, height, out):  # type: ignore[no-untyped-def]
             out[j, i, 1] = min(_KINK * (first_kinks + second_kinks), across)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _of_faces_part(  # type: ignore[no-untyped-def]
     first, last, height, x0, y0, dx, dy, bend, points, faces, samples, missed, whole
 ):

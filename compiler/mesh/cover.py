@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.cache.memo import memoized
-from scenec.compiler.mesh.limit import limit
+from scenec.compiler.mesh.limit import Limit, limit
 from scenec.compiler.mesh.merge import Merge, center_for_coverage, label_index
 from scenec.compiler.terrain.condition import Condition
 from scenec.compiler.terrain.grid import HeightField
 from scenec.compiler.terrain.mask import CONDITIONS
-from scenec.compiler.terrain.quantities import Quantities
+from scenec.compiler.terrain.quantities import Quantities, Samples
 from scenec.schemas.errors import SceneError
 
 # Shares are counted on so many samples at most.
@@ -40,16 +40,7 @@ def lay(
     Raises:
         SceneError: A layer cannot cover as much as it shall.
     """
-    quantities = Quantities(field.grid, field.height)
-    laid = []
-    for i, (merge, part) in enumerate(zip(merges, coverage, strict=True), start=1):
-        merge = replace(merge, limits=tuple(limit(c, quantities) for c in merge.where))
-        if part is not None:
-            merge = replace(
-                merge, center=_center(merge, part, field, f"terrain/ground/{i}", strict)
-            )
-        laid.append(merge)
-    return tuple(laid)
+    return tuple(laid.merge for laid in _laid(merges, coverage, field, strict, Samples(field.grid)))
 
 
 @memoized("cover")
@@ -57,24 +48,83 @@ def lay_and_report(
     merges: Sequence[Merge], coverage: Sequence[float | None], field: HeightField
 ) -> tuple[tuple[Merge, ...], list[dict[str, Any]]]:
     """``lay`` on the finished relief, and ``cover_report`` of what it made."""
-    laid = lay(merges, coverage, field)
-    return laid, cover_report(laid, field)
+    every = _counted(field)
+    x, y = (a[every] for a in field.grid.points())
+    laid = [
+        each.thinned(every).noised(lambda merge: merge.noise(x, y))
+        for each in _laid(merges, coverage, field, True, Samples(field.grid))
+    ]
+    return tuple(each.merge for each in laid), _report(laid)
 
 
-def _center(merge: Merge, part: float, field: HeightField, name: str, strict: bool) -> float:
+@dataclass(frozen=True)
+class _Laid:
+    """A merge, and what its conditions and its noise are at points.
+
+    Attributes:
+        merge: That knows where it lies.
+        values: Of its limits, float64 [n] each.
+        noise: float64 [n]; None if it has no say, or is not known yet.
+    """
+
+    merge: Merge
+    values: list[NDArray[np.float64]]
+    noise: NDArray[np.float64] | None
+
+    def side(self) -> NDArray[np.float64]:
+        """As ``Merge.side``."""
+        return self.merge.side_of(self.values, self.noise)
+
+    def weight(self) -> NDArray[np.float64]:
+        """Of the colors, in [0, 1]."""
+        return self.merge.weight_of_side(self.side())
+
+    def noised(self, noise: Callable[[Merge], NDArray[np.float64]]) -> _Laid:
+        """With its noise, if that has a say."""
+        known = self.noise is not None or not self.merge.noisy
+        return self if known else replace(self, noise=noise(self.merge))
+
+    def thinned(self, every: NDArray[np.int64]) -> _Laid:
+        """At some of the points."""
+        noise = None if self.noise is None else self.noise[every]
+        return _Laid(self.merge, [value[every] for value in self.values], noise)
+
+
+def _laid(
+    merges: Sequence[Merge],
+    coverage: Sequence[float | None],
+    field: HeightField,
+    strict: bool,
+    samples: Samples,
+) -> Iterator[_Laid]:
+    """``lay``, and what there is at all samples; noises where a coverage is asked for."""
+    quantities = Quantities(field.grid, field.height)
+    for i, (merge, part) in enumerate(zip(merges, coverage, strict=True), start=1):
+        values = [condition.value_on(quantities, samples) for condition in merge.where]
+        pairs = zip(merge.where, values, strict=True)
+        limits = tuple(limit(condition, quantities, value) for condition, value in pairs)
+        laid = _Laid(replace(merge, limits=limits), values, None)
+        if part is not None:
+            laid = laid.noised(lambda merge: merge.noise_on(samples))
+            center = _center(laid, part, f"terrain/ground/{i}", strict)
+            laid = replace(laid, merge=replace(laid.merge, center=center))
+        yield laid
+
+
+def _center(laid: _Laid, part: float, name: str, strict: bool) -> float:
     """The noise's center with which a layer covers a part of all samples."""
-    x, y = field.grid.points()
-    noise = merge.noise(x, y)
-    if not merge.where:
-        return center_for_coverage(noise, part)
-    holds = replace(merge, noisy=False).side(x, y) >= 0.0
+    if laid.noise is None:
+        raise ValueError(f"{name}: a coverage is met by a noise")
+    if not laid.merge.where:
+        return center_for_coverage(laid.noise, part)
+    holds = replace(laid, noise=None).side() >= 0.0
     room = float(holds.mean())
     if part > room and strict:
         raise SceneError(
             f"{name}/coverage: {part:g} of the terrain cannot be covered: the layer's conditions "
             f"hold on {room:.6g} of it; ask for less, or widen their bounds"
         )
-    return center_for_coverage(noise[holds], min(part / room, 1.0)) if holds.any() else 0.0
+    return center_for_coverage(laid.noise[holds], min(part / room, 1.0)) if holds.any() else 0.0
 
 
 def cover_report(merges: Sequence[Merge], field: HeightField) -> list[dict[str, Any]]:
@@ -83,35 +133,47 @@ def cover_report(merges: Sequence[Merge], field: HeightField) -> list[dict[str, 
     Shares are of samples, every k-th of a large grid in both axes: ``covers`` is where the layer
     lies, ``shows`` where no later one lies over it.
     """
-    grid = field.grid
+    every = _counted(field)
+    x, y = (a[every] for a in field.grid.points())
+    laid = [_Laid(merge, [limit.value(x, y) for limit in merge.limits], None) for merge in merges]
+    return _report([each.noised(lambda merge: merge.noise(x, y)) for each in laid])
+
+
+def _counted(field: HeightField) -> NDArray[np.int64]:
+    """Indices of the samples that shares are counted on."""
+    ny, nx = field.grid.shape
     step = 1
-    while (grid.shape[0] // step) * (grid.shape[1] // step) > _COUNTED:
+    while (ny // step) * (nx // step) > _COUNTED:
         step += 1
-    y, x = (a.ravel() for a in np.meshgrid(grid.y()[::step], grid.x()[::step], indexing="ij"))
-    if not merges:
+    return np.arange(ny * nx).reshape(ny, nx)[::step, ::step].ravel()
+
+
+def _report(laid: Sequence[_Laid]) -> list[dict[str, Any]]:
+    """``cover_report``, from what there is at the samples that count."""
+    if not laid:
         return []
-    sides = [merge.side(x, y) for merge in merges]
+    sides = [each.side() for each in laid]
     label = label_index(sides)
     return [
         {
             "layer": i,
             "covers": float((side >= 0.0).mean()),
             "shows": float((label == i).mean()),
-            "conditions": [_of_limit(merge, k, x, y) for k in range(len(merge.limits))],
+            "conditions": [
+                _of_limit(each.merge, limit, value)
+                for limit, value in zip(each.merge.limits, each.values, strict=True)
+            ],
         }
-        for i, (merge, side) in enumerate(zip(merges, sides, strict=True), start=1)
+        for i, (each, side) in enumerate(zip(laid, sides, strict=True), start=1)
     ]
 
 
-def _of_limit(
-    merge: Merge, k: int, x: NDArray[np.float64], y: NDArray[np.float64]
-) -> dict[str, Any]:
-    laid = merge.limits[k]
+def _of_limit(merge: Merge, laid: Limit, value: NDArray[np.float64]) -> dict[str, Any]:
     low, high, softness = laid.condition.bounds()
     kind = next(name for name, cls in CONDITIONS.items() if type(laid.condition) is cls)
     report: dict[str, Any] = {
         "type": kind,
-        "holds": float((laid.t(x, y) >= merge.level_t()).mean()),
+        "holds": float((laid.t(value) >= merge.level_t()).mean()),
         "softness_asked": softness,
     }
     for bound, width, end in ((low, laid.softness[0], "min"), (high, laid.softness[1], "max")):
@@ -142,13 +204,19 @@ class MaterialCondition(Condition):
     def weight_of(self, quantities: Quantities) -> NDArray[np.float64]:
         """Weights, float64 [ny, nx]."""
         field = HeightField(quantities.grid, quantities.height)
-        x, y = field.grid.points()
-        weight, left = np.zeros(x.size), np.ones(x.size)
-        laid = lay(self.merges, self.coverage, field, strict=False)
+        weight, left = np.zeros(field.height.size), np.ones(field.height.size)
+        samples = quantities.samples
+        laid = _laid(self.merges, self.coverage, field, False, samples)
+        alphas = [
+            each.noised(lambda merge: merge.noise_on(samples)).weight()
+            if i >= min(self.layers)
+            else None
+            for i, each in enumerate(laid, start=1)
+        ]
         # From the top down: ``left`` is what shows through.
-        for i in range(len(laid), 0, -1):
-            if i >= min(self.layers):
-                alpha = laid[i - 1].weight_of_side(laid[i - 1].side(x, y))
+        for i in range(len(alphas), 0, -1):
+            alpha = alphas[i - 1]
+            if alpha is not None:
                 if i in self.layers:
                     weight += left * alpha
                 left *= 1.0 - alpha

@@ -67,17 +67,21 @@ class CutReport:
     snap_max_m: float
 
 
-def cut(mesh: CutMesh, field: Field) -> tuple[CutMesh, CutReport]:
+def cut(
+    mesh: CutMesh, field: Field, values: NDArray[np.float64] | None = None
+) -> tuple[CutMesh, CutReport]:
     """Cuts along the zero line of one field.
 
     Args:
         mesh: The mesh so far.
         field: Values at (x, y), each float64 [n]; side >= 0 counts as above.
+        values: Of the field at the vertices, where they are known.
 
     Returns:
         The cut mesh, its ``above`` one row longer, and the report.
     """
-    values = field(mesh.points[:, 0], mesh.points[:, 1])
+    if values is None:
+        values = field(mesh.points[:, 0], mesh.points[:, 1])
     sign = np.where(values >= 0.0, 1, -1).astype(np.int8)
     faces = mesh.faces
     a, b, c = _corners(sign, faces)

@@ -37,9 +37,12 @@ class Limit:
     quantities: Quantities
     softness: tuple[float, float]
 
-    def t(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
-        """1/2 at a bound, above within: float64 [n], not clipped."""
-        value = self.condition.value_at(self.quantities, x, y)
+    def value(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+        """What is held against the bounds at points, float64 [n]."""
+        return self.condition.value_at(self.quantities, x, y)
+
+    def t(self, value: NDArray[np.float64]) -> NDArray[np.float64]:
+        """1/2 at a bound, above within, where there are such values: float64 [n], not clipped."""
         low, high, _ = self.condition.bounds()
         inside = [
             (value - low) / self.softness[0] if low is not None else None,
@@ -50,10 +53,15 @@ class Limit:
         return t
 
 
-def limit(condition: Interval, quantities: Quantities) -> Limit:
-    """A condition on a relief, its softness raised to the narrowest that a spacing can show."""
+def limit(condition: Interval, quantities: Quantities, value: NDArray[np.float64]) -> Limit:
+    """A condition on a relief, its softness raised to the narrowest that a spacing can show.
+
+    Args:
+        condition: What has to hold.
+        quantities: Of the relief.
+        value: What is held against the bounds at the samples, float64 [n].
+    """
     low, high, softness = condition.bounds()
-    value = condition.value_at(quantities, *quantities.grid.points())
     value = value.reshape(quantities.grid.shape)
     return Limit(
         condition,

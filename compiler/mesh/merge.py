@@ -13,6 +13,7 @@ or of the base: an outcome of the merges in order, not an argmax.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,8 +21,12 @@ from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.mesh.limit import Limit
-from scenec.compiler.noise.perlin import fbm2_points
+from scenec.compiler.noise.fractal import fbm2_points
 from scenec.compiler.terrain.condition import Interval
+from scenec.compiler.terrain.quantities import Samples
+
+# Into which values are sorted roughly.
+_BINS = 4096
 
 
 @dataclass(frozen=True)
@@ -66,6 +71,12 @@ class Merge:
             self.distortion,
         )
 
+    def noise_on(self, samples: Samples) -> NDArray[np.float64]:
+        """The noise at a grid's samples, row-major: float64 [n], not to be changed."""
+        warp = self.lacunarity, self.distortion
+        key = "merge", self.key, self.scale_m, self.octaves, self.gain, *warp
+        return samples.noise(key, self.noise)
+
     def level_t(self) -> float:
         """The t at which the weight is the threshold: the label line's."""
         # Inverse of the smoothstep s(t) = 3t^2 - 2t^3 in [0, 1]: t = 1/2 - sin(asin(1 - 2s) / 3).
@@ -83,25 +94,24 @@ class Merge:
         Raises:
             ValueError: The merge has conditions and is not laid.
         """
-        if not self.where:
-            return self.noise(x, y) - self.level()
-        return self.t(x, y) - self.level_t()
-
-    def t(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Where alpha is within its fade, 0 to 1, and beyond: not clamped, float64 [n].
-
-        Raises:
-            ValueError: The merge has conditions and is not laid.
-        """
         if len(self.limits) != len(self.where):
             raise ValueError("a merge with conditions is laid on a relief first: cover.lay")
-        parts = [limit.t(x, y) for limit in self.limits]
-        if self.noisy:
-            parts.append(0.5 + self.sharpness * (self.noise(x, y) - self.center))
+        values = [limit.value(x, y) for limit in self.limits]
+        return self.side_of(values, self.noise(x, y) if self.noisy else None)
+
+    def side_of(
+        self, values: Sequence[NDArray[np.float64]], noise: NDArray[np.float64] | None
+    ) -> NDArray[np.float64]:
+        """``side`` where the limits' values and, if it has a say, the noise are known."""
+        if not self.where and noise is not None:
+            return noise - self.level()
+        parts = [limit.t(value) for limit, value in zip(self.limits, values, strict=True)]
+        if noise is not None:
+            parts.append(0.5 + self.sharpness * (noise - self.center))
         least = parts[0]
         for part in parts[1:]:
             np.minimum(least, part, out=least)
-        return least
+        return least - self.level_t()
 
     def weight_of_side(self, side: NDArray[np.float64]) -> NDArray[np.float64]:
         """alpha, from what ``side`` returned."""
@@ -122,13 +132,28 @@ def center_for_coverage(noise: NDArray[np.float64], coverage: float) -> float:
     Returns:
         The noise value below which 1 - coverage of the samples lie; beyond the extremes at 0 and 1.
     """
-    ordered = np.sort(noise, kind="stable")
-    rank = int((1.0 - coverage) * ordered.size)
-    if rank >= ordered.size:
-        return float(ordered[-1]) + 10.0
+    rank = int((1.0 - coverage) * noise.size)
+    if rank >= noise.size:
+        return float(noise.max()) + 10.0
     if rank == 0:
-        return float(ordered[0]) - 10.0
-    return float(0.5 * (ordered[rank - 1] + ordered[rank]))
+        return float(noise.min()) - 10.0
+    below, above = _ranked(noise, rank)
+    return 0.5 * (below + above)
+
+
+def _ranked(values: NDArray[np.float64], rank: int) -> tuple[float, float]:
+    """The values at ``rank`` - 1 and at ``rank``, from the smallest on, 0 < rank < n."""
+    low = values.min()
+    width = values.max() - low
+    if width == 0.0:
+        return float(low), float(low)
+    # Bins rise with the values, whatever is rounded: only those at the ranks are sorted.
+    bins = ((values - low) / width * _BINS).astype(np.int64)
+    ends = np.cumsum(np.bincount(bins))
+    first, last = np.searchsorted(ends, [rank - 1, rank], side="right")
+    among = np.sort(values[(bins >= first) & (bins <= last)], kind="stable")
+    at = rank - (ends[first - 1] if first > 0 else 0)
+    return float(among[at - 1]), float(among[at])
 
 
 def label_index(sides: list[NDArray[np.float64]]) -> NDArray[np.int32]:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cache, partial
 from itertools import count
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.mesh import adaptive
@@ -18,6 +18,7 @@ from scenec.compiler.mesh.refine import Limits, refine
 from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.terrain.grid import HeightField, cuts_main_diagonal
 from scenec.compiler.views.sight import Views
+from scenec.schemas.kernels import kernel
 
 #: What a shading deviation is allowed to be: of a weight, of the albedo variation, of a slope.
 WEIGHT_STEP, VARIATION_STEP, SLOPE_STEP = 0.15, 0.2, 0.1
@@ -51,7 +52,7 @@ class Meshing:
 
 @dataclass(frozen=True)
 class Appearance:
-    """What is laid over the ground, at its samples: merges' sides and the albedo variation."""
+    """What is laid over the ground, at some points: merges' sides and the albedo variation."""
 
     sides: tuple[NDArray[np.float64], ...]
     variation: NDArray[np.float64]
@@ -59,7 +60,7 @@ class Appearance:
 
 def grid_mesh(field: HeightField) -> CutMesh:
     """Two triangles a cell."""
-    return _mesh(field, _grid_faces(*field.grid.shape))
+    return _mesh(field, _grid_faces(*field.grid.shape))[0]
 
 
 def adaptive_mesh(
@@ -68,29 +69,36 @@ def adaptive_mesh(
     pixels_per_m: NDArray[np.float64],
     views: Views,
     meshing: Meshing,
-) -> tuple[CutMesh, dict[str, Any]]:
+) -> tuple[CutMesh, Appearance, dict[str, Any]]:
     """Triangles as large as the tolerance lets them be.
 
     Args:
         surface: What the mesh stands for.
-        appearance: What lies on the ground.
+        appearance: What lies on the ground, at the grid's samples.
         pixels_per_m: See ``cameras.sight``.
         views: The cameras, for triangles finer than the grid.
         meshing: The tolerance and the budget.
 
     Returns:
-        The mesh, and what it left out, measured against the grid's samples and against the surface.
+        The mesh; what lies at its vertices, as far as that is known: the first ones; and what it
+        left out, measured against the grid's samples and against the surface.
     """
     assert meshing.tolerance_px is not None
     field = surface.field
-    channels = _channels(field, surface.merges, appearance)
+    channels = _channels(field, surface.merges, appearance, pixels_per_m)
+    # Only where the budget binds.
+    errors = cache(partial(adaptive.vertex_errors, channels, meshing.tolerance_px))
     spacing = max(field.grid.spacing_m)
-    errors = adaptive.vertex_errors(channels, pixels_per_m, spacing, meshing.tolerance_px)
     tolerance = meshing.tolerance_px
     factor = _RELAX * _RELAX
     while True:
-        tolerance, faces = _within_budget(errors, field.grid.shape, meshing, tolerance)
-        mesh, finer = _mesh(field, faces), None
+        tolerance, faces = _within_budget(channels, errors, meshing, tolerance)
+        mesh, samples = _mesh(field, faces)
+        known = Appearance(
+            tuple(side.reshape(-1)[samples] for side in appearance.sides),
+            appearance.variation.reshape(-1)[samples],
+        )
+        finer = None
         reached, worst_m, rms_m = _measured(field, faces, pixels_per_m)
         if not surface.smooth:
             break
@@ -101,55 +109,49 @@ def adaptive_mesh(
             max(meshing.max_triangles, len(faces)),
             meshing.unseen,
         )
-        result = refine(mesh, surface, views, limits)
+        result = refine(mesh, known.sides, surface, views, limits)
         if result is not None:
-            mesh, finer = result
+            mesh, sides, finer = result
+            known = replace(known, sides=sides)
             break
         tolerance *= factor
         # Each try is a whole mesh: far off, their number must stay small.
         factor = min(factor * factor, _LEAP)
-    return mesh, {
-        "tolerance_px": meshing.tolerance_px,
-        "budget_bound": tolerance > meshing.tolerance_px,
-        "tolerance_reached_px": tolerance,
-        "height_error_max_px": reached,
-        "height_error_max_m": worst_m,
-        "height_error_rms_m": rms_m,
-        "triangles": len(mesh.faces),
-        "triangles_of_grid": 2 * (field.grid.shape[0] - 1) * (field.grid.shape[1] - 1),
-        **({"finer": finer} if finer else {}),
-    }
+    return (
+        mesh,
+        known,
+        {
+            "tolerance_px": meshing.tolerance_px,
+            "budget_bound": tolerance > meshing.tolerance_px,
+            "tolerance_reached_px": tolerance,
+            "height_error_max_px": reached,
+            "height_error_max_m": worst_m,
+            "height_error_rms_m": rms_m,
+            "triangles": len(mesh.faces),
+            "triangles_of_grid": 2 * (field.grid.shape[0] - 1) * (field.grid.shape[1] - 1),
+            **({"finer": finer} if finer else {}),
+        },
+    )
 
 
 def _channels(
-    field: HeightField, merges: Sequence[Merge], appearance: Appearance
+    field: HeightField,
+    merges: Sequence[Merge],
+    appearance: Appearance,
+    pixels_per_m: NDArray[np.float64],
 ) -> adaptive.Channels:
     shape = field.grid.shape
     dx, dy = field.grid.spacing_m
-    slope_x = np.gradient(field.height, dx, axis=1)
-    slope_y = np.gradient(field.height, dy, axis=0)
-    sides = [side.reshape(shape) for side in appearance.sides]
-    weights = [merge.weight_of_side(side) for merge, side in zip(merges, sides, strict=True)]
-    shades = [
-        appearance.variation.reshape(shape) / VARIATION_STEP,
-        slope_x / SLOPE_STEP,
-        slope_y / SLOPE_STEP,
-        *(weight / WEIGHT_STEP for weight in weights),
-    ]
-    values = np.stack([field.height, *sides, *shades], axis=-1)
-    kind = np.array(
-        [adaptive.HEIGHT, *[adaptive.LINE] * len(sides), *[adaptive.SHADE] * len(shades)]
-    )
-    lateral = np.stack([np.zeros(shape), *(_distance(field, side) for side in sides)], axis=-1)
-    return adaptive.Channels(values, kind, lateral)
-
-
-def _distance(field: HeightField, side: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Distance of each sample to the zero line of a field, to first order, meters."""
-    dx, dy = field.grid.spacing_m
-    gx, gy = np.gradient(side, dx, axis=1), np.gradient(side, dy, axis=0)
-    distance: NDArray[np.float64] = np.abs(side) / np.maximum(np.sqrt(gx * gx + gy * gy), 1e-300)
-    return distance
+    count = len(merges)
+    sides = np.empty((count, *shape))
+    shades = np.empty((3 + count, *shape))
+    np.divide(appearance.variation.reshape(shape), VARIATION_STEP, out=shades[0])
+    np.divide(np.gradient(field.height, dx, axis=1), SLOPE_STEP, out=shades[1])
+    np.divide(np.gradient(field.height, dy, axis=0), SLOPE_STEP, out=shades[2])
+    for k, (merge, side) in enumerate(zip(merges, appearance.sides, strict=True)):
+        sides[k] = side.reshape(shape)
+        np.divide(merge.weight_of_side(sides[k]), WEIGHT_STEP, out=shades[3 + k])
+    return adaptive.Channels(field.height, sides, shades, (dx, dy), pixels_per_m)
 
 
 def label_error(
@@ -173,11 +175,23 @@ def label_error(
     x0, y0, dx, dy = field.frame()
     u, v = (mesh.points[:, 0] - x0) / dx, (mesh.points[:, 1] - y0) / dy
     _mark_right(np.stack([u, v], axis=1), mesh.faces, layer, truth, right)
-    distance = np.minimum.reduce([_distance(field, side) for side in sides])
-    return float(np.where(right, 0.0, distance * pixels_per_m).max())
+    rows, columns = np.nonzero(~right)
+    if not len(rows):
+        return 0.0
+    distance = np.minimum.reduce([_distances(side, rows, columns, dx, dy) for side in sides])
+    return float((distance * pixels_per_m[rows, columns]).max())
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
+def _distances(side, rows, columns, dx, dy):  # type: ignore[no-untyped-def]
+    """Of some samples to the zero line of a field [ny, nx], meters, float64 [n]."""
+    out = np.empty(len(rows))
+    for n in range(len(rows)):
+        out[n] = adaptive.distance_to_line(side, rows[n], columns[n], dx, dy)
+    return out
+
+
+@kernel
 def _mark_right(points, faces, layer, truth, right):  # type: ignore[no-untyped-def]
     """Samples that lie in (or on the border of) a face of their label."""
     ny, nx = truth.shape
@@ -200,12 +214,21 @@ def _mark_right(points, faces, layer, truth, right):  # type: ignore[no-untyped-
 
 
 def _within_budget(
-    errors: NDArray[np.float32], shape: tuple[int, int], meshing: Meshing, tolerance: float
+    channels: adaptive.Channels,
+    measured: Callable[[], NDArray[np.float32]],
+    meshing: Meshing,
+    tolerance: float,
 ) -> tuple[float, NDArray[np.int32]]:
     """A tolerance, or the smallest of 2^(1/4) times it and so on that the budget allows.
 
-    From sixteen times on the steps grow.
+    From sixteen times on the steps grow. ``measured`` gives the errors of all samples.
     """
+    shape = channels.height.shape
+    if tolerance == meshing.tolerance_px:
+        faces = adaptive.triangles(adaptive.needed(channels, tolerance), shape)
+        if len(faces) <= meshing.max_triangles:
+            return tolerance, faces
+    errors = measured()
     factor = _RELAX
     for tries in count(1):
         faces = adaptive.triangles(adaptive.activate(errors, tolerance), shape)
@@ -219,8 +242,8 @@ def _within_budget(
     raise AssertionError("the coarsest mesh is always taken")
 
 
-def _mesh(field: HeightField, faces: NDArray[np.int32]) -> CutMesh:
-    """Vertices are the samples in use, in the grid's order."""
+def _mesh(field: HeightField, faces: NDArray[np.int32]) -> tuple[CutMesh, NDArray[np.int64]]:
+    """A mesh whose vertices are the samples in use, in the grid's order; which these are."""
     nx = field.grid.shape[1]
     used = np.zeros(field.height.size, bool)
     used[faces.ravel()] = True
@@ -228,15 +251,31 @@ def _mesh(field: HeightField, faces: NDArray[np.int32]) -> CutMesh:
     number = (np.cumsum(used) - 1).astype(np.int32)
     x, y = field.grid.x()[samples % nx], field.grid.y()[samples // nx]
     vertices = np.arange(len(samples), dtype=np.int32)
-    return CutMesh(
+    mesh = CutMesh(
         points=np.stack([x, y, field.height.ravel()[samples]], axis=1),
         faces=number[faces],
         parents=np.stack([vertices, vertices], axis=1),
         fraction=np.zeros(len(samples)),
         cell=_cells(faces, nx),
         above=np.zeros((0, len(faces)), bool),
-        normals=field.normals().reshape(-1, 3)[samples],
+        normals=_normals(field.height, *field.grid.spacing_m, samples),
     )
+    return mesh, samples
+
+
+@kernel
+def _normals(height, dx, dy, samples):  # type: ignore[no-untyped-def]
+    """``HeightField.normals`` at some samples, float64 [n, 3]."""
+    ny, nx = height.shape
+    out = np.empty((len(samples), 3))
+    for n in range(len(samples)):
+        j, i = divmod(samples[n], nx)
+        i0, i1, j0, j1 = max(i - 1, 0), min(i + 1, nx - 1), max(j - 1, 0), min(j + 1, ny - 1)
+        gx = (height[j, i1] - height[j, i0]) / ((i1 - i0) * dx)
+        gy = (height[j1, i] - height[j0, i]) / ((j1 - j0) * dy)
+        length = np.sqrt(gx * gx + gy * gy + 1.0)
+        out[n, 0], out[n, 1], out[n, 2] = -gx / length, -gy / length, 1.0 / length
+    return out
 
 
 def _cells(faces: NDArray[np.int32], nx: int) -> NDArray[np.int32]:
@@ -246,7 +285,7 @@ def _cells(faces: NDArray[np.int32], nx: int) -> NDArray[np.int32]:
     return (row * (nx - 1) + column).astype(np.int32)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _grid_faces(ny: int, nx: int) -> NDArray:
     faces = np.empty((2 * (nx - 1) * (ny - 1), 3), np.int32)
     n = 0
@@ -278,7 +317,7 @@ def _measured(
     )
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _deviations(height, faces, error):  # type: ignore[no-untyped-def]
     nx = height.shape[1]
     for f in range(len(faces)):

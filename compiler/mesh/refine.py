@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.geometry.bisect import Bisectable, Halved, halve, newest_first
@@ -15,6 +15,7 @@ from scenec.compiler.mesh.between import INSIDE, Known, Sampled, measured
 from scenec.compiler.mesh.cut import CutMesh
 from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.views.sight import NEAREST_M, Views, pixels_of_balls
+from scenec.schemas.kernels import kernel
 
 #: Part of the amplitude of what is finer than a triangle that it may be wrong by: octaves of noise
 #: have a root mean square of 0.3, and the middles of edges show some of it.
@@ -50,6 +51,7 @@ class _Work:
         mesh: The triangles.
         points: Vertices on the surface, float64 [n, 3].
         sides: Of the merges at them, float64 [n, k].
+        shares: Of the displaced layers at them, float64 [n, l].
         middles: Heights of the surface above the middles of the edges, float64 [e]; NaN where none
             was asked for yet.
         middle_sides: Of the merges there, float64 [e, k].
@@ -61,6 +63,7 @@ class _Work:
     mesh: Bisectable
     points: NDArray[np.float64]
     sides: NDArray[np.float64]
+    shares: NDArray[np.float64]
     middles: NDArray[np.float64]
     middle_sides: NDArray[np.float64]
     new: NDArray[np.bool_]
@@ -69,8 +72,12 @@ class _Work:
 
 
 def refine(
-    mesh: CutMesh, surface: Surface, views: Views, limits: Limits
-) -> tuple[CutMesh, dict[str, Any]] | None:
+    mesh: CutMesh,
+    sides: Sequence[NDArray[np.float64]],
+    surface: Surface,
+    views: Views,
+    limits: Limits,
+) -> tuple[CutMesh, tuple[NDArray[np.float64], ...], dict[str, Any]] | None:
     """A mesh of a grid's samples, made finer where a view shows that it is too coarse.
 
     A face is halved while the surface above the middle of one of its edges, or the detail finer
@@ -78,33 +85,43 @@ def refine(
 
     Args:
         mesh: Not cut yet; newest vertices first.
+        sides: Of the merges at its vertices, float64 [n] each.
         surface: What it stands for.
         views: The cameras.
         limits: When to stop.
 
     Returns:
-        The mesh, and the error left: measured at points inside of its faces, and bounded. None if
-        it has more triangles than are allowed.
+        The mesh, the merges' sides at its vertices, and the error left: measured at points inside
+        of its faces, and bounded. None if it has more triangles than are allowed.
     """
-    work = _start(mesh, surface, views, limits)
+    work = _start(mesh, sides, surface, views, limits)
     while len(work.mesh.faces) <= limits.max_triangles:
         new = np.flatnonzero(work.new)
         wanted = np.zeros(len(work.new), bool)
         wanted[new] = _wanted(work, new, surface, views, limits)
         if not wanted.any():
-            return _finish(mesh, work, surface, views, limits)
+            sides = tuple(np.ascontiguousarray(side) for side in work.sides.T)
+            finer, report = _finish(mesh, work, surface, views, limits)
+            return finer, sides, report
         work = _halved(work, halve(work.mesh, wanted), surface)
     return None
 
 
-def _start(mesh: CutMesh, surface: Surface, views: Views, limits: Limits) -> _Work:
+def _start(
+    mesh: CutMesh,
+    sides: Sequence[NDArray[np.float64]],
+    surface: Surface,
+    views: Views,
+    limits: Limits,
+) -> _Work:
     bisectable = newest_first(len(mesh.points), mesh.faces)
     x, y = np.ascontiguousarray(mesh.points[:, :2].T)
-    height, sides = surface.evaluate(x, y)
+    height = surface.height_at(x, y, sides)
     work = _Work(
         bisectable,
         np.stack([x, y, height], axis=1),
         _columns(sides, len(x)),
+        surface.displaced(sides, len(x)),
         np.full(len(bisectable.edges), np.nan),
         np.empty((len(bisectable.edges), len(sides))),
         np.zeros(len(mesh.faces), bool),
@@ -125,7 +142,7 @@ def _doubtful(work: _Work, surface: Surface, views: Views, limits: Limits) -> ND
     pixels = pixels_of_balls(views, center, radius, limits.unseen, min(NEAREST_M, limits.finest_m))
     field = surface.field
     bend = _bends(field.height, work.points, work.mesh.faces, *field.frame())
-    detail = _finer(work, work.mesh.faces, np.full(len(leg), np.inf), surface)
+    detail = surface.finer_than(np.full(len(leg), np.inf), work.shares, work.mesh.faces)
     off = detail + bend
     crossed = np.zeros(len(leg), bool)
     for side in work.sides.T:
@@ -137,7 +154,7 @@ def _doubtful(work: _Work, surface: Surface, views: Views, limits: Limits) -> ND
     return out
 
 
-def _columns(sides: list[NDArray[np.float64]], count: int) -> NDArray[np.float64]:
+def _columns(sides: Sequence[NDArray[np.float64]], count: int) -> NDArray[np.float64]:
     return np.stack(sides, axis=1) if sides else np.zeros((count, 0))
 
 
@@ -173,7 +190,7 @@ def _wanted(
         work.points, work.sides, work.middles, work.middle_sides,
         work.mesh.faces[faces], work.mesh.face_edges[faces], leg,
     )  # fmt: skip
-    finer = _finer(work, work.mesh.faces[faces], 2.0 * leg, surface)
+    finer = surface.finer_than(2.0 * leg, work.shares, work.mesh.faces[faces])
     finer = np.minimum(_UNRESOLVED * finer, _STEEP * leg)
     error = np.maximum(error, finer)
     # What is coarse enough needs no view.
@@ -187,22 +204,13 @@ def _wanted(
     return out
 
 
-def _finer(
-    work: _Work, faces: NDArray[np.int32], length: NDArray[np.float64], surface: Surface
-) -> NDArray[np.float64]:
-    """Amplitude of the detail finer than a length, the largest at a face's corners, float64 [m]."""
-    largest = np.zeros(len(faces))
-    for k in range(3):
-        sides = [np.ascontiguousarray(side) for side in work.sides[faces[:, k]].T]
-        np.maximum(largest, surface.finer_than(length, sides), out=largest)
-    return largest
-
-
 def _halved(work: _Work, halved: Halved, surface: Surface) -> _Work:
     _know(work, surface, halved.middle_of)
     at = np.stack([*_halfway(work, halved.ends), work.middles[halved.middle_of]], axis=1)
     points = np.concatenate([work.points, at])
-    sides = np.concatenate([work.sides, work.middle_sides[halved.middle_of]])
+    new_sides = work.middle_sides[halved.middle_of]
+    sides = np.concatenate([work.sides, new_sides])
+    shares = surface.displaced(list(np.ascontiguousarray(new_sides.T)), len(new_sides))
     # The old edges that are left come first.
     old = halved.edge_origin[: len(work.middles) - len(halved.middle_of)]
     middles = np.full(len(halved.edge_origin), np.nan)
@@ -213,6 +221,7 @@ def _halved(work: _Work, halved: Halved, surface: Surface) -> _Work:
         halved.mesh,
         points,
         sides,
+        np.concatenate([work.shares, shares]),
         middles,
         middle_sides,
         halved.face_new,
@@ -279,10 +288,11 @@ def _known(
         # Between cells, where second derivatives leap, points see no more of a cubic than of kinks.
         kink = np.where(whole[face], cubic, kink)
         unseen: NDArray[np.float64] = part * kink + part * part * part * cubic
-        return _finer(work, faces[face], 2.0 * apart, surface) + np.minimum(unseen, cubic)
+        finer = surface.finer_than(2.0 * apart, work.shares, faces[face])
+        return finer + np.minimum(unseen, cubic)
 
     room = samples + bend[:, 0]
-    room += _finer(work, faces, np.full(len(faces), np.inf), surface)
+    room += surface.finer_than(np.full(len(faces), np.inf), work.shares, faces)
     # All of these were looked at, before they were made or afterward.
     small = np.flatnonzero(~whole)
     error = _errors(
@@ -293,7 +303,7 @@ def _known(
     return Known(room, pixels, samples, 0.5 * spacing, leg, radius, missed)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _balls(points, faces):  # type: ignore[no-untyped-def]
     """Middle and radius of balls about faces; their legs, as if they were half squares in plan."""
     center = np.empty((len(faces), 3))
@@ -315,7 +325,7 @@ def _balls(points, faces):  # type: ignore[no-untyped-def]
     return center, radius, leg
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _bends(height, points, faces, x0, y0, dx, dy):  # type: ignore[no-untyped-def]
     """About how far the surface bends away between samples of faces as small as cells, meters.
 
@@ -340,7 +350,7 @@ def _bends(height, points, faces, x0, y0, dx, dy):  # type: ignore[no-untyped-de
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _errors(points, sides, middles, middle_sides, faces, face_edges, leg):  # type: ignore[no-untyped-def]
     """Largest error at the middles of faces' edges, of height or of a label line, meters."""
     out = np.zeros(len(faces))
@@ -366,7 +376,7 @@ def _errors(points, sides, middles, middle_sides, faces, face_edges, leg):  # ty
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _refined_normals(points, faces, refined, normals):  # type: ignore[no-untyped-def]
     """Replaces the normals of halved faces' vertices by those of the mesh, weighted by area."""
     touched = np.zeros(len(points), np.bool_)

@@ -10,12 +10,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.mesh.merge import Merge
 from scenec.compiler.terrain.detail import Detail, joined
 from scenec.compiler.terrain.grid import HeightField
+from scenec.schemas.kernels import inlined, kernel
 from scenec.schemas.threads import POINTS, over_threads
 
 
@@ -42,14 +42,28 @@ class Surface:
     ) -> tuple[NDArray[np.float64], list[NDArray[np.float64]]]:
         """Heights, float64 [n], and the merges' sides, float64 [n] each."""
         sides = [merge.side(x, y) for merge in self.merges]
-        return self._height(x, y, sides), sides
+        return self.height_at(x, y, sides), sides
 
-    def height_at(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Heights, float64 [n], meters."""
-        sides = []
-        if self.smooth and any(self.displacements):
-            sides = [merge.side(x, y) for merge in self.merges]
-        return self._height(x, y, sides)
+    def height_at(
+        self,
+        x: NDArray[np.float64],
+        y: NDArray[np.float64],
+        sides: Sequence[NDArray[np.float64]] | None = None,
+    ) -> NDArray[np.float64]:
+        """Heights, float64 [n], meters; ``sides`` of the merges there, where they are known."""
+        if not self.smooth:
+            return self.field.height_at(x, y)
+        height = _smooth_heights(self.field.height, *self.field.frame(), x, y)
+        for detail in self.details:
+            height += detail.at(x, y)
+        if any(self.displacements):
+            if sides is None:
+                sides = [merge.side(x, y) for merge in self.merges]
+            for layer, share in zip(self.displacements, self._shares(sides, x), strict=True):
+                if layer is not None:
+                    there = np.flatnonzero(share)
+                    height[there] += share[there] * layer.at(x[there], y[there])
+        return height
 
     def lift_at(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
         """How far the surface lies above the grid's triangles, float64 [n], meters."""
@@ -57,46 +71,36 @@ class Surface:
             return np.zeros(x.shape)
         return self.height_at(x, y) - self.field.height_at(x, y)
 
+    def displaced(self, sides: Sequence[NDArray[np.float64]], count: int) -> NDArray[np.float64]:
+        """Shares of the layers that have a displacement, float64 [count, l], from merges' sides."""
+        if not self.smooth or not any(self.displacements):
+            return np.zeros((count, 0))
+        shares = zip(self.displacements, self._shares(sides, np.empty(count)), strict=True)
+        return np.stack([share for layer, share in shares if layer is not None], axis=1)
+
     def finer_than(
-        self, length_m: NDArray[np.float64], sides: Sequence[NDArray[np.float64]]
+        self, length_m: NDArray[np.float64], shares: NDArray[np.float64], faces: NDArray[np.int32]
     ) -> NDArray[np.float64]:
-        """About how large the detail is that is finer than given lengths, meters, float64 [n].
+        """About how large the detail is that is finer than given lengths, meters, float64 [m].
 
         Args:
-            length_m: float64 [n].
-            sides: Of the merges there, float64 [n] each: they say which displacement counts.
+            length_m: For each face, float64 [m].
+            shares: From ``displaced``, at the vertices, float64 [n, l].
+            faces: int32 [m, 3]; the largest at a face's corners counts.
         """
-        out = np.zeros(length_m.shape)
-        if not self.smooth:
-            return out
-        if self.details:
-            out += joined([detail.spectrum() for detail in self.details]).finer_than(length_m)
-        if any(self.displacements):
-            for layer, share in zip(self.displacements, self._shares(sides, length_m), strict=True):
-                if layer is not None:
-                    out += share * layer.spectrum().finer_than(length_m)
-        return out
+        details = self.details if self.smooth else ()
+        everywhere = joined([detail.spectrum() for detail in details]).finer_than(length_m)
+        layers = [layer for layer in self.displacements if layer is not None][: shares.shape[1]]
+        of_layers = np.empty((len(layers), len(length_m)))
+        for own, layer in zip(of_layers, layers, strict=True):
+            own[:] = layer.spectrum().finer_than(length_m)
+        return _largest(faces, shares, everywhere, of_layers)
 
     def amplitude_m(self) -> float:
         """About how far the surface gets from the grid's samples, meters."""
         shown = [d for d in (*self.details, *self.displacements) if d is not None]
         spectra = [detail.spectrum() for detail in shown] if self.smooth else []
         return float(joined(spectra).amplitude_m.sum())
-
-    def _height(
-        self, x: NDArray[np.float64], y: NDArray[np.float64], sides: Sequence[NDArray[np.float64]]
-    ) -> NDArray[np.float64]:
-        if not self.smooth:
-            return self.field.height_at(x, y)
-        height = _smooth_heights(self.field.height, *self.field.frame(), x, y)
-        for detail in self.details:
-            height += detail.at(x, y)
-        if any(self.displacements):
-            for layer, share in zip(self.displacements, self._shares(sides, x), strict=True):
-                if layer is not None:
-                    there = np.flatnonzero(share)
-                    height[there] += share[there] * layer.at(x[there], y[there])
-        return height
 
     def _shares(
         self, sides: Sequence[NDArray[np.float64]], x: NDArray[np.float64]
@@ -110,7 +114,20 @@ class Surface:
         return shares
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
+def _largest(faces, shares, everywhere, of_layers):  # type: ignore[no-untyped-def]
+    """Of what lies everywhere and of layers by their shares, the most at a face's corners."""
+    out = np.zeros(len(faces))
+    for f in range(len(faces)):
+        for k in range(3):
+            total = everywhere[f]
+            for layer in range(len(of_layers)):
+                total += shares[faces[f, k], layer] * of_layers[layer, f]
+            out[f] = max(out[f], total)
+    return out
+
+
+@inlined
 def _slope(before: float, after: float) -> float:
     """Slope at a sample from the rises to it and from it: central, unless it would overshoot.
 
@@ -122,7 +139,7 @@ def _slope(before: float, after: float) -> float:
     return min(max(0.5 * (before + after), -limit), limit)
 
 
-@njit(cache=True, error_model="numpy")
+@inlined
 def _hermite(p0: float, p1: float, p2: float, p3: float, t: float) -> float:
     """Between p1 and p2."""
     rise = p2 - p1
@@ -133,7 +150,7 @@ def _hermite(p0: float, p1: float, p2: float, p3: float, t: float) -> float:
     )
 
 
-@njit(cache=True, error_model="numpy")
+@inlined
 def _row(height, j, i, t):  # type: ignore[no-untyped-def]
     nx = height.shape[1]
     h1 = height[j, i]
@@ -144,7 +161,7 @@ def _row(height, j, i, t):  # type: ignore[no-untyped-def]
     return _hermite(h0, h1, h2, h3, t)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _smooth_heights_part(first, last, height, x0, y0, dx, dy, x, y, out):  # type: ignore[no-untyped-def]
     ny, nx = height.shape
     for n in range(first, last):

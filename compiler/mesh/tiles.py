@@ -4,23 +4,24 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict
+from functools import partial
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.cache.memo import memoized
 from scenec.compiler.mesh.adaptive import ROOT_CELLS
 from scenec.compiler.mesh.base_mesh import base_mesh
-from scenec.compiler.mesh.cut import SNAP, CutMesh, cut
+from scenec.compiler.mesh.cut import SNAP, CutMesh, Field, cut
 from scenec.compiler.mesh.mesh import Appearance, Meshing, adaptive_mesh, grid_mesh, label_error
 from scenec.compiler.mesh.surface import Surface
-from scenec.compiler.noise.perlin import fbm2_points
+from scenec.compiler.noise.fractal import fbm2_points
 from scenec.compiler.scene.scene import Tile
 from scenec.compiler.terrain.sources.mesh_surface import MeshSurface
 from scenec.compiler.views.sight import NO_VIEWS, Views
 from scenec.schemas.errors import SceneError
+from scenec.schemas.kernels import kernel
 
 #: Grid cells along a tile's side: no triangle reaches over its border.
 TILE_CELLS = ROOT_CELLS
@@ -64,6 +65,7 @@ def build_tiles(
     field, merges = surface.field, surface.merges
     x, y = field.grid.points()
     sides = [merge.side(x, y).reshape(field.grid.shape) for merge in merges]
+    known = Appearance((np.zeros(0),) * len(merges), np.zeros(0))
     if isinstance(field, MeshSurface):
         mesh = base_mesh(field)
     elif meshing.tolerance_px is None or pixels_per_m is None:
@@ -71,14 +73,18 @@ def build_tiles(
     else:
         # The same whatever the outputs: what is left out must not move what stays.
         appearance = Appearance(tuple(sides), _variation(variation_key, x, y))
-        mesh, report["mesh"] = adaptive_mesh(surface, appearance, pixels_per_m, views, meshing)
+        mesh, known, report["mesh"] = adaptive_mesh(
+            surface, appearance, pixels_per_m, views, meshing
+        )
     reports = []
-    for merge, side in zip(merges, sides, strict=True) if cut_labels else ():
+    at_vertices = list(known.sides)
+    for i, (merge, side) in enumerate(zip(merges, sides, strict=True) if cut_labels else ()):
         bound = _side_error_bound(side)
         # Where one condition takes over from another a field has a kink, and interpolation errs by
         # a quarter of its jump in slope times the spacing, four times what differences say.
         bound *= 4.0 if merge.where else 1.0
-        mesh, cut_report = cut(mesh, merge.side)
+        at_vertices[i] = _at_all(merge.side, at_vertices[i], mesh)
+        mesh, cut_report = cut(mesh, merge.side, at_vertices[i])
         reports.append({**asdict(cut_report), "side_error_bound": bound})
     layer = np.zeros(len(mesh.faces), np.int32)
     for i, above in enumerate(mesh.above, start=1):
@@ -86,13 +92,13 @@ def build_tiles(
     if "mesh" in report and pixels_per_m is not None and reports:
         report["mesh"]["label_error_max_px"] = label_error(field, mesh, layer, sides, pixels_per_m)
 
-    x, y = (np.ascontiguousarray(mesh.points[:, axis]) for axis in (0, 1))
-    weights = np.zeros((len(merges) if color else 0, len(x)), np.float32)
+    weights = np.zeros((len(merges) if color else 0, len(mesh.points)), np.float32)
     for i in range(len(weights)):
-        weights[i] = merges[i].weight_of_side(merges[i].side(x, y))
-    variation = np.zeros(len(x), np.float32)
+        side = _at_all(merges[i].side, at_vertices[i], mesh)
+        weights[i] = merges[i].weight_of_side(side)
+    variation = np.zeros(len(mesh.points), np.float32)
     if color:
-        variation = _variation(variation_key, x, y).astype(np.float32)
+        variation[:] = _at_all(partial(_variation, variation_key), known.variation, mesh)
 
     normals = _vertex_normals(mesh)
     cells = (field.grid.shape[1] - 1, field.grid.shape[0] - 1)
@@ -120,6 +126,12 @@ def build_tiles(
         **report,
         "cuts": reports,
     }
+
+
+def _at_all(field: Field, known: NDArray[np.float64], mesh: CutMesh) -> NDArray[np.float64]:
+    """A field at all vertices, where it is known at the first of them."""
+    x, y = np.ascontiguousarray(mesh.points[len(known) :, :2].T)
+    return np.concatenate([known, field(x, y)]) if len(x) else known
 
 
 def _variation(key: int, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -164,7 +176,7 @@ def _vertex_normals(mesh: CutMesh) -> NDArray[np.float32]:
     return normals.astype(np.float32)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _interpolate_in_order(
     normals: NDArray, parents: NDArray, fraction: NDArray, first: int
 ) -> None:
@@ -194,7 +206,7 @@ def _largest_span(mesh: CutMesh, tile: NDArray[np.int32]) -> float:
     return float((high - low).max(initial=0.0))
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _tile_bounds(
     points: NDArray, faces: NDArray, tile: NDArray, low: NDArray, high: NDArray
 ) -> None:
@@ -221,12 +233,13 @@ def _gather(
     # Within a tile, faces go by cell, so that neighbors in memory are neighbors on the ground.
     order = np.argsort(tile_of_face, kind="stable")
     starts = np.searchsorted(tile_of_face[order], np.arange(tile_counts[0] * tile_counts[1] + 1))
+    number = np.full(len(points), -1, np.int32)
     tiles = []
     for t in range(tile_counts[0] * tile_counts[1]):
         own = order[starts[t] : starts[t + 1]]
         if not len(own):
             continue
-        vertices, local = np.unique(faces[own], return_inverse=True)
+        vertices, local = _renumbered(faces[own], number)
         at = points[vertices]
         # A multiple of the quantum: translate + float32(local) then restores the points exactly.
         middle = np.round(0.5 * (at.min(axis=0) + at.max(axis=0)) / quantum) * quantum
@@ -235,7 +248,7 @@ def _gather(
                 name=f"tile_{t // tile_counts[0]:03d}_{t % tile_counts[0]:03d}",
                 translate=middle,
                 points=(at - middle).astype(np.float32),
-                faces=local.reshape(-1, 3).astype(np.int32),
+                faces=local,
                 normals=normals[vertices],
                 layer=layer[own],
                 weights=np.ascontiguousarray(weights[:, vertices]),
@@ -243,3 +256,43 @@ def _gather(
             )
         )
     return tuple(tiles)
+
+
+def _renumbered(
+    faces: NDArray[np.int32], number: NDArray[np.int32]
+) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """Vertices in use, ascending, and faces that name them by their places there.
+
+    Args:
+        faces: int32 [m, 3].
+        number: Of all vertices there are, -1 each: scratch, left as it was.
+    """
+    used = np.empty(faces.size, np.int32)
+    vertices = np.sort(used[: _collect(faces, number, used)], kind="stable")
+    local = np.empty_like(faces)
+    _number(faces, vertices, number, local)
+    return vertices, local
+
+
+@kernel
+def _collect(faces: NDArray, number: NDArray, used: NDArray) -> int:
+    count = 0
+    for f in range(len(faces)):
+        for k in range(3):
+            v = faces[f, k]
+            if number[v] < 0:
+                number[v] = 0
+                used[count] = v
+                count += 1
+    return count
+
+
+@kernel
+def _number(faces: NDArray, vertices: NDArray, number: NDArray, local: NDArray) -> None:
+    for n in range(len(vertices)):
+        number[vertices[n]] = n
+    for f in range(len(faces)):
+        for k in range(3):
+            local[f, k] = number[faces[f, k]]
+    for n in range(len(vertices)):
+        number[vertices[n]] = -1

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from scenec.schemas.kernels import inlined, kernel
 
 _C1 = np.uint64(0x9E3779B97F4A7C15)
 _C2 = np.uint64(0xBF58476D1CE4E5B9)
@@ -14,7 +15,7 @@ _S30 = np.uint64(30)
 _S31 = np.uint64(31)
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@inlined
 def mix(x: np.uint64) -> np.uint64:
     """Finalizer of SplitMix64 (Steele, Lea and Flood 2014): a bijection that avalanches."""
     x = np.uint64(x) + _C1
@@ -23,13 +24,13 @@ def mix(x: np.uint64) -> np.uint64:
     return x ^ (x >> _S31)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def subkey(key: np.uint64, index: int) -> np.uint64:
     """Key of part ``index`` (an octave, a component) of the thing that ``key`` stands for."""
     return mix(np.uint64(key) ^ mix(np.uint64(index)))
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def subkeys(key: np.uint64, n: int) -> NDArray[np.uint64]:
     """Keys of the parts 0 to n - 1: uint64 [n]."""
     out = np.empty(n, np.uint64)
@@ -38,13 +39,13 @@ def subkeys(key: np.uint64, n: int) -> NDArray[np.uint64]:
     return out
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@inlined
 def hash2(key: np.uint64, i: int, j: int) -> np.uint64:
     """Hash of the lattice point (i, j)."""
     return mix(mix(key ^ np.uint64(i)) ^ np.uint64(j))
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@inlined
 def hash3(key: np.uint64, i: int, j: int, k: int) -> np.uint64:
     """Hash of the lattice point (i, j, k)."""
     return mix(mix(mix(key ^ np.uint64(i)) ^ np.uint64(j)) ^ np.uint64(k))

@@ -1,4 +1,4 @@
-"""Gradient noise after Perlin (2002), in two and three dimensions, and its fractal sums.
+"""Gradient noise after Perlin (2002), in two and three dimensions, one point at a time.
 
 One octave has zero mean, is C2, and lies in [-1, 1]; 2-D octaves have a root mean square of about
 0.3. Successive 2-D octaves are turned by the rational rotation (4/5, 3/5) against each other, so
@@ -11,19 +11,55 @@ of threads.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
-from numpy.typing import NDArray
 
-from scenec.compiler.arithmetic import elementary
 from scenec.compiler.noise.lattice import hash2, hash3, subkey
-from scenec.schemas.threads import POINTS, over_threads
+from scenec.schemas.kernels import inlined, kernel
 
 _DIRECTIONS = 64
 #: The bits of a lattice point's hash that are its gradient's direction in 2-D.
 DIRECTION_MASK = np.uint64(_DIRECTIONS - 1)
-_ANGLES = (np.arange(_DIRECTIONS) + 0.5) * (2.0 * elementary.PI / _DIRECTIONS)
-_GX = elementary.cos_array(_ANGLES)
-_GY = elementary.sin_array(_ANGLES)
+# Cosine and sine of (i + 1/2) 2 pi / 64, as ``elementary`` has them: to compute them when this is
+# imported would compile its kernels.
+GRADIENT_X = np.array(
+    [
+        0.9987954562051724, 0.989176509964781, 0.970031253194544, 0.9415440651830208,
+        0.9039892931234433, 0.8577286100002721, 0.8032075314806449, 0.7409511253549592,
+        0.6715589548470184, 0.5956993044924335, 0.5141027441932218, 0.4275550934302822,
+        0.33688985339222005, 0.24298017990326398, 0.14673047445536175, 0.04906767432741813,
+        -0.04906767432741801, -0.14673047445536164, -0.24298017990326387, -0.33688985339221994,
+        -0.42755509343028186, -0.5141027441932216, -0.5956993044924332, -0.6715589548470184,
+        -0.7409511253549589, -0.8032075314806448, -0.8577286100002721, -0.9039892931234433,
+        -0.9415440651830207, -0.970031253194544, -0.989176509964781, -0.9987954562051724,
+        -0.9987954562051724, -0.989176509964781, -0.970031253194544, -0.9415440651830208,
+        -0.9039892931234434, -0.8577286100002721, -0.8032075314806449, -0.740951125354959,
+        -0.6715589548470187, -0.5956993044924332, -0.5141027441932219, -0.4275550934302825,
+        -0.33688985339221994, -0.24298017990326412, -0.14673047445536233, -0.04906767432741803,
+        0.04906767432741767, 0.14673047445536194, 0.24298017990326376, 0.3368898533922196,
+        0.4275550934302822, 0.5141027441932214, 0.5956993044924328, 0.6715589548470183,
+        0.7409511253549588, 0.803207531480645, 0.857728610000272, 0.9039892931234431,
+        0.9415440651830208, 0.970031253194544, 0.9891765099647809, 0.9987954562051724,
+    ]
+)  # fmt: skip
+GRADIENT_Y = np.array(
+    [
+        0.049067674327418015, 0.14673047445536175, 0.24298017990326387, 0.33688985339222005,
+        0.4275550934302821, 0.5141027441932217, 0.5956993044924334, 0.6715589548470183,
+        0.740951125354959, 0.8032075314806448, 0.8577286100002721, 0.9039892931234433,
+        0.9415440651830208, 0.970031253194544, 0.989176509964781, 0.9987954562051724,
+        0.9987954562051724, 0.989176509964781, 0.970031253194544, 0.9415440651830208,
+        0.9039892931234434, 0.8577286100002721, 0.8032075314806449, 0.740951125354959,
+        0.6715589548470186, 0.5956993044924335, 0.5141027441932218, 0.42755509343028203,
+        0.3368898533922203, 0.24298017990326404, 0.1467304744553618, 0.04906767432741797,
+        -0.049067674327417724, -0.14673047445536158, -0.24298017990326382, -0.3368898533922201,
+        -0.4275550934302818, -0.5141027441932216, -0.5956993044924332, -0.6715589548470184,
+        -0.7409511253549588, -0.803207531480645, -0.857728610000272, -0.9039892931234431,
+        -0.9415440651830208, -0.970031253194544, -0.9891765099647809, -0.9987954562051724,
+        -0.9987954562051724, -0.9891765099647809, -0.970031253194544, -0.9415440651830209,
+        -0.9039892931234433, -0.8577286100002722, -0.8032075314806453, -0.7409511253549592,
+        -0.6715589548470187, -0.5956993044924332, -0.5141027441932219, -0.42755509343028253,
+        -0.33688985339222, -0.24298017990326418, -0.1467304744553624, -0.04906767432741809,
+    ]
+)  # fmt: skip
 # With unit gradients the largest value is sqrt(2)/2 (all four gradients point at the cell center).
 _NORMALIZE_2D = np.sqrt(2.0)
 # Twelve edge directions of a cube in 3-D, as Perlin chose them, doubled up to sixteen.
@@ -38,12 +74,12 @@ _G3 = np.array(
 )  # fmt: skip
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@inlined
 def _fade(t: float) -> float:
     return t * t * t * (t * (t * 6.0 - 15.0) + 10.0)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def perlin2(key: np.uint64, x: float, y: float) -> float:
     """Value of one octave at (x, y), in lattice units; shape-free scalar, in [-1, 1]."""
     fi = np.floor(x)
@@ -62,20 +98,20 @@ def perlin2(key: np.uint64, x: float, y: float) -> float:
     )
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@inlined
 def perlin2_of_directions(g00: int, g10: int, g01: int, g11: int, u: float, v: float) -> float:
     """Value at (u, v) in [0, 1]^2 of a cell, from the gradient directions of its corners."""
-    n00 = _GX[g00] * u + _GY[g00] * v
-    n10 = _GX[g10] * (u - 1.0) + _GY[g10] * v
-    n01 = _GX[g01] * u + _GY[g01] * (v - 1.0)
-    n11 = _GX[g11] * (u - 1.0) + _GY[g11] * (v - 1.0)
+    n00 = GRADIENT_X[g00] * u + GRADIENT_Y[g00] * v
+    n10 = GRADIENT_X[g10] * (u - 1.0) + GRADIENT_Y[g10] * v
+    n01 = GRADIENT_X[g01] * u + GRADIENT_Y[g01] * (v - 1.0)
+    n11 = GRADIENT_X[g11] * (u - 1.0) + GRADIENT_Y[g11] * (v - 1.0)
     a = _fade(u)
     bottom = n00 + a * (n10 - n00)
     top = n01 + a * (n11 - n01)
     return (bottom + _fade(v) * (top - bottom)) * _NORMALIZE_2D
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def perlin3(key: np.uint64, x: float, y: float, z: float) -> float:
     """Value of one octave at (x, y, z), in lattice units, in [-1, 1]."""
     fi = np.floor(x)
@@ -106,7 +142,7 @@ def perlin3(key: np.uint64, x: float, y: float, z: float) -> float:
     return (planes[0] + c * (planes[1] - planes[0])) * 0.96
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def fbm3(key: np.uint64, x: float, y: float, z: float, octaves: int, gain: float) -> float:
     """Sum of ``octaves`` octaves of 3-D noise, lacunarity 2, amplitudes gain**o."""
     total = 0.0
@@ -119,83 +155,3 @@ def fbm3(key: np.uint64, x: float, y: float, z: float, octaves: int, gain: float
         y = 2.0 * y + 5.77
         z = 2.0 * z + 11.13
     return total
-
-
-@njit(cache=True, error_model="numpy")
-def fbm2(key: np.uint64, x: float, y: float, octaves: int, gain: float, lacunarity: float) -> float:
-    """Sum of ``octaves`` octaves of 2-D noise; octave o has amplitude gain**o, at (x, y)."""
-    total = 0.0
-    amplitude = 1.0
-    for octave in range(octaves):
-        total += amplitude * perlin2(subkey(key, octave), x, y)
-        amplitude *= gain
-        x, y = lacunarity * (0.8 * x - 0.6 * y), lacunarity * (0.6 * x + 0.8 * y)
-    return total
-
-
-@njit(cache=True, error_model="numpy", nogil=True)
-def _fbm2_points_part(
-    first: int,
-    last: int,
-    key: np.uint64,
-    x: NDArray,
-    y: NDArray,
-    scale: float,
-    octaves: int,
-    gain: float,
-    lacunarity: float,
-    distortion: float,
-    out: NDArray,
-) -> None:
-    warp_x = subkey(key, 1 << 20)
-    warp_y = subkey(key, (1 << 20) + 1)
-    for n in range(first, last):
-        u = x[n] / scale
-        v = y[n] / scale
-        if distortion != 0.0:
-            du = perlin2(warp_x, u, v)
-            dv = perlin2(warp_y, u, v)
-            u += distortion * du
-            v += distortion * dv
-        out[n] = fbm2(key, u, v, octaves, gain, lacunarity)
-
-
-def fbm2_points(
-    key: np.uint64,
-    x: NDArray,
-    y: NDArray,
-    scale: float,
-    octaves: int,
-    gain: float,
-    lacunarity: float,
-    distortion: float,
-) -> NDArray:
-    """Distorted fBm at points.
-
-    Args:
-        key: Noise key.
-        x, y: Positions in meters, float64 [n].
-        scale: Size of the largest feature in meters.
-        octaves, gain, lacunarity: As in ``fbm2``.
-        distortion: Domain warp: the position is moved by up to about this many feature sizes by
-            two further octaves of noise.
-
-    Returns:
-        float64 [n], zero mean; one octave is in [-1, 1].
-    """
-    out = np.empty(x.size)
-    over_threads(
-        _fbm2_points_part,
-        x.size,
-        key,
-        x,
-        y,
-        scale,
-        octaves,
-        gain,
-        lacunarity,
-        distortion,
-        out,
-        least=POINTS,
-    )
-    return out

@@ -7,16 +7,16 @@ number of threads.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from scenec.compiler.noise.lattice import hash2
+from scenec.schemas.kernels import inlined, kernel
 
 _HALF = np.uint64(32)
 _LOW = np.uint64(0xFFFFFFFF)
 _TO_UNIT = 2.0**-32
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@inlined
 def feature_point(key: np.uint64, i: int, j: int, jitter: float) -> tuple[float, float]:
     """The point of cell (i, j): in its middle without jitter, anywhere in it at jitter 1."""
     bits = hash2(key, i, j)
@@ -25,7 +25,7 @@ def feature_point(key: np.uint64, i: int, j: int, jitter: float) -> tuple[float,
     return i + 0.5 + jitter * (x - 0.5), j + 0.5 + jitter * (y - 0.5)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def worley2(key: np.uint64, x: float, y: float, jitter: float) -> tuple[float, float]:
     """Distances from (x, y), in cells, to the nearest feature point and to the second nearest.
 

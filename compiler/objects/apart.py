@@ -16,11 +16,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.noise.lattice import hash3, subkeys
 from scenec.compiler.objects.places import Places, point, unit
+from scenec.schemas.kernels import inlined, kernel
 
 #: Tries of one object at most.
 MOST_TRIES = 512
@@ -99,7 +99,7 @@ class Circles:
         )
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@inlined
 def _octave_of(radius):  # type: ignore[no-untyped-def]
     """The octave whose cells are at least as wide as the circle."""
     if radius <= 0.0:
@@ -108,12 +108,12 @@ def _octave_of(radius):  # type: ignore[no-untyped-def]
     return min(max(exponent - _FIRST, 0), _OCTAVES - 1)
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@inlined
 def _slot(head, octave, i, j):  # type: ignore[no-untyped-def]
     return np.int64(hash3(np.uint64(octave), i, j, 0) & np.uint64(head.size - 1))
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _insert(grid, x, y, radius):  # type: ignore[no-untyped-def]
     at, following, head, octaves, in_octave, count = grid
     n = count[0]
@@ -128,20 +128,20 @@ def _insert(grid, x, y, radius):  # type: ignore[no-untyped-def]
     in_octave[octave] += 1
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _add(grid, x, y, radius):  # type: ignore[no-untyped-def]
     for n in range(x.size):
         _insert(grid, x[n], y[n], radius[n])
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@inlined
 def _meets(at, n, x, y, radius):  # type: ignore[no-untyped-def]
     dx, dy = at[n, 0] - x, at[n, 1] - y
     reach = at[n, 2] + radius
     return reach > 0.0 and dx * dx + dy * dy < reach * reach
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _free(grid, x, y, radius):  # type: ignore[no-untyped-def]
     at, following, head, octaves, in_octave, count = grid
     for octave in range(_OCTAVES):
@@ -168,7 +168,7 @@ def _free(grid, x, y, radius):  # type: ignore[no-untyped-def]
     return True
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _throw(  # type: ignore[no-untyped-def]
     grid, cumulative, corners, frame, u, keys, order, radius, first, among_themselves
 ):  # fmt: skip

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.geometry.normals import faces_of_vertices
+from scenec.schemas.kernels import kernel
 
 
 def corner_normals(
@@ -71,7 +71,7 @@ def split(
     return vertex[new].astype(np.int32), made.reshape(-1, 3), ordered[new]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _corner_normals(normals, faces, start, around, limit):  # type: ignore[no-untyped-def]
     out = np.empty((len(faces), 3, 3))
     length = np.empty(len(faces))

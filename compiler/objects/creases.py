@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.geometry.icosphere import EDGE, icosphere, vertex_faces
+from scenec.schemas.kernels import kernel
 
 #: Directions this near to a crease are moved, in steps of the mesh.
 _REACH = 0.52
@@ -45,7 +45,7 @@ def along_creases(
     return moved
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _target(normals, distances, u, reach, corner, out):  # type: ignore[no-untyped-def]
     """Whether a crease (or a corner) is within reach; where, in ``out``."""
     first, second, third = 0.0, 0.0, 0.0
@@ -83,7 +83,7 @@ def _target(normals, distances, u, reach, corner, out):  # type: ignore[no-untyp
     return x * x + y * y + z * z <= reach * reach
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _quality(a, b, c):  # type: ignore[no-untyped-def]
     """4 sqrt(3) area / (sum of squared sides), negative where turned over."""
     ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
@@ -95,7 +95,7 @@ def _quality(a, b, c):  # type: ignore[no-untyped-def]
     return value if nx * a[0] + ny * a[1] + nz * a[2] > 0.0 else -value
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _move(points, faces, start, around, normals, distances, reach):  # type: ignore[no-untyped-def]
     target = np.empty(3)
     old = np.empty(3)

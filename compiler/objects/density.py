@@ -8,13 +8,12 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.assets.pictures import read_gray
 from scenec.compiler.assets.polyline import read_polyline
-from scenec.compiler.noise.perlin import fbm2_points
+from scenec.compiler.noise.fractal import fbm2_points
 from scenec.compiler.noise.worley import worley2
 from scenec.compiler.objects.lattice import Lattice, splat, table
 from scenec.compiler.objects.surroundings import Surroundings
@@ -22,6 +21,7 @@ from scenec.compiler.terrain.condition import Condition, product
 from scenec.compiler.terrain.operators.crater_profile import profile_table
 from scenec.compiler.terrain.operators.craters import Craters, shown_on
 from scenec.compiler.terrain.polyline import project_on
+from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import POINTS, over_threads
 
 #: Beyond so many standard deviations of a cluster nothing of it lies (3e-4 would).
@@ -120,7 +120,7 @@ class WorleyDensity(Everywhere):
         return self.scale_m / 16.0
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _worley_part(begin, end, key, x, y, jitter, lines, sharpness, out):  # type: ignore[no-untyped-def]
     for n in range(begin, end):
         first, second = worley2(key, x[n], y[n], jitter)

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.geometry.icosphere import face_neighbors, icosphere
+from scenec.schemas.kernels import inlined, kernel
 
 
 def deviation(
@@ -40,7 +40,7 @@ def deviation(
     )
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@inlined
 def _side(points, a, b, x, y, z):  # type: ignore[no-untyped-def]
     """Positive where (x, y, z) is on the inner side of the plane through the edge and 0."""
     px, py, pz = points[a, 0], points[a, 1], points[a, 2]
@@ -48,7 +48,7 @@ def _side(points, a, b, x, y, z):  # type: ignore[no-untyped-def]
     return x * (py * qz - pz * qy) + y * (pz * qx - px * qz) + z * (px * qy - py * qx)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def find_face(points, faces, beyond, face, x, y, z):  # type: ignore[no-untyped-def]
     """The face that the ray from 0 along (x, y, z) meets; by walking from ``face``."""
     for _step in range(len(faces)):
@@ -72,7 +72,7 @@ def find_face(points, faces, beyond, face, x, y, z):  # type: ignore[no-untyped-
     return face
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _square_to_triangle(points, face, x, y, z):  # type: ignore[no-untyped-def]
     """Squared distance from a point to a triangle (Ericson 2005, section 5.1.5)."""
     a, b, c = points[face[0]], points[face[1]], points[face[2]]
@@ -108,7 +108,7 @@ def _square_to_triangle(points, face, x, y, z):  # type: ignore[no-untyped-def]
     return qx * qx + qy * qy + qz * qz
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _square_around(points, faces, beyond, face, x, y, z):  # type: ignore[no-untyped-def]
     """Squared distance to a face and its three neighbors, the nearest of them."""
     best = _square_to_triangle(points, faces[face], x, y, z)
@@ -117,7 +117,7 @@ def _square_around(points, faces, beyond, face, x, y, z):  # type: ignore[no-unt
     return best
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _farthest(  # type: ignore[no-untyped-def]
     a, a_faces, a_beyond, b, b_faces, b_beyond, divide, multiply, worst
 ):

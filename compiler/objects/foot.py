@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from scenec.compiler.geometry.rotations import rotation_rows
 from scenec.compiler.mesh.surface import Surface
-from scenec.compiler.objects.placement import rotation_rows
 from scenec.compiler.scene.scene import Prototype
 from scenec.compiler.terrain.grid import surface_height
+from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
 
 #: Vertices of each object that are held against the surface: those nearest to the grid's triangles.
@@ -56,7 +56,7 @@ def seat_on_detail(
     return out
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _lowest_part(  # type: ignore[no-untyped-def]
     first,
     last,

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.terrain.grid import HeightField
+from scenec.schemas.kernels import kernel
 
 #: A bound on heights is raised by this part of them: interpolation rounds.
 _HAIR = 1e-12
@@ -37,7 +37,7 @@ class Highest:
         self.starts: NDArray[np.int64] = np.cumsum(sizes) - sizes
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def bound(blocks, shapes, starts, x0, y0, dx, dy, x, y, reach):  # type: ignore[no-untyped-def]
     """No less than the surface anywhere within ``reach`` of (x, y) along both axes."""
     width = 2.0 * reach / min(dx, dy)

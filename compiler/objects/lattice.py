@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.terrain.grid import Grid
+from scenec.schemas.kernels import inlined, kernel
 from scenec.schemas.threads import over_threads
 
 #: Cells that a density finer than the grid is given at most.
@@ -120,7 +120,7 @@ def splat(
     return out
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@inlined
 def _columns(at, center, reach):  # type: ignore[no-untyped-def]
     """The first and last index of evenly spaced ``at`` that can be within reach, last excluded."""
     step = at[1] - at[0] if at.size > 1 else 1.0
@@ -129,7 +129,7 @@ def _columns(at, center, reach):  # type: ignore[no-untyped-def]
     return int(min(max(first, 0.0), at.size)), int(min(max(last, 0.0), at.size))
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _splat(first, last, x, y, cx, cy, unit, weight, values, reach, out):  # type: ignore[no-untyped-def]
     steps = values.size - 1
     # A cell adds up its centers in their order, whatever thread does it.
@@ -175,7 +175,7 @@ def nearest(
     return out
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _nearest(first, last, x, y, cx, cy, radius, reach, out):  # type: ignore[no-untyped-def]
     for band in range(first, last):
         j0 = band * _ROWS

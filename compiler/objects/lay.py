@@ -7,14 +7,14 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from scenec.compiler.geometry.rotations import turned
 from scenec.compiler.geometry.voxels import Cubes
 from scenec.compiler.objects.apart import MOST_TRIES, Circles
 from scenec.compiler.objects.lod import finest
 from scenec.compiler.objects.on_mesh import MeshPlaces
-from scenec.compiler.objects.placement import places_on, turned
+from scenec.compiler.objects.placement import places_on
 from scenec.compiler.objects.places import Places, numbers
 from scenec.compiler.objects.rocks import Chain
 from scenec.compiler.objects.stand import Standing, seating_report
@@ -23,6 +23,7 @@ from scenec.compiler.scene.plan import Apart, Count, ScatterPlan
 from scenec.compiler.scene.scene import Prototype, Scatter
 from scenec.compiler.terrain.sources.mesh_surface import MeshSurface
 from scenec.schemas.errors import SceneError
+from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import POINTS, over_threads
 
 
@@ -266,7 +267,7 @@ def _clear(
     return np.unique(np.concatenate(moved)) if moved else np.zeros(0, np.int64), tries
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _too_near_part(first, last, at, reach, cameras, out):  # type: ignore[no-untyped-def]
     for n in range(first, last):
         x, y, z = at[n]

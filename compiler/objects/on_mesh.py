@@ -10,12 +10,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.geometry.normals import faces_of_vertices
+from scenec.compiler.geometry.rotations import rotation_rows
 from scenec.compiler.objects.density import Density, Everywhere
-from scenec.compiler.objects.placement import lattice_of, require_somewhere, rotation_rows
+from scenec.compiler.objects.placement import lattice_of, require_somewhere
 from scenec.compiler.objects.places import Places
 from scenec.compiler.objects.surroundings import Surroundings
 from scenec.compiler.objects.where import Place
@@ -23,6 +23,7 @@ from scenec.compiler.scene.scene import Prototype
 from scenec.compiler.terrain.sources.mesh_plan import hit, square_of
 from scenec.compiler.terrain.sources.mesh_surface import MeshSurface
 from scenec.schemas.errors import SceneError
+from scenec.schemas.kernels import inlined, kernel
 
 #: Least z of a face's normal for things to be put on it: 60 degrees of slope.
 STANDING = 0.5
@@ -187,7 +188,7 @@ def seat_on_mesh(
     )  # fmt: skip
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@inlined
 def _carries(points, a, b, c):  # type: ignore[no-untyped-def]
     ux, uy, uz = (
         points[b, 0] - points[a, 0],
@@ -203,7 +204,7 @@ def _carries(points, a, b, c):  # type: ignore[no-untyped-def]
     return nz >= CARRYING * np.sqrt(nx * nx + ny * ny + nz * nz) and nz > 0.0
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@inlined
 def _reaches(points, a, b, c, left, right, low, high):  # type: ignore[no-untyped-def]
     return (
         min(points[a, 0], min(points[b, 0], points[c, 0])) <= right
@@ -213,7 +214,7 @@ def _reaches(points, a, b, c, left, right, low, high):  # type: ignore[no-untype
     )
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _seat(  # type: ignore[no-untyped-def]
     points, faces, first, faces_at, bx, by, bsize, bshape, bstart, bfaces, flat,
     spot_face, spot_z, rock, offsets, prototype, x, y, orientations, size, embed,

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numba import njit
-from numpy.typing import NDArray
 
 from scenec.compiler.objects.density import Density, UniformDensity
 from scenec.compiler.objects.lattice import Lattice
@@ -71,60 +69,3 @@ def require_somewhere(whole: float, left: float, name: str) -> None:
             f"objects/{name}: nowhere on the terrain do density and where both allow anything; "
             "widen the bounds"
         )
-
-
-def align_to_normals(
-    orientations: NDArray[np.float64], normals: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Orientations followed by the shortest turn from +z to each normal.
-
-    Args:
-        orientations: Unit quaternions (x, y, z, w), float64 [n, 4].
-        normals: Unit vectors with z > -1, float64 [n, 3].
-    """
-    w = 1.0 + normals[:, 2]
-    turn = np.stack([-normals[:, 1], normals[:, 0], np.zeros(len(w)), w], axis=1)
-    turn /= np.sqrt((turn * turn).sum(axis=1))[:, None]
-    ax, ay, az, aw = turn.T
-    bx, by, bz, bw = orientations.T
-    return np.stack(
-        [
-            aw * bx + ax * bw + ay * bz - az * by,
-            aw * by - ax * bz + ay * bw + az * bx,
-            aw * bz + ax * by - ay * bx + az * bw,
-            aw * bw - ax * bx - ay * by - az * bz,
-        ],
-        axis=1,
-    )
-
-
-@njit(cache=True, error_model="numpy")
-def rotation_rows(q: NDArray) -> tuple[float, ...]:
-    """The nine entries, row by row, of the rotation of a quaternion (x, y, z, w) of any length."""
-    x, y, z, w = q
-    s = 2.0 / (x * x + y * y + z * z + w * w)
-    return (
-        1.0 - s * (y * y + z * z), s * (x * y - z * w), s * (x * z + y * w),
-        s * (x * y + z * w), 1.0 - s * (x * x + z * z), s * (y * z - x * w),
-        s * (x * z - y * w), s * (y * z + x * w), 1.0 - s * (x * x + y * y),
-    )  # fmt: skip
-
-
-def turned(orientations: NDArray[np.float16], scales: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Matrices from prototypes' axes to the world's, scale included, float32 [n, 3, 3].
-
-    Args:
-        orientations: Quaternions (x, y, z, w) of any length, [n, 4].
-        scales: Of the three axes, [n, 3].
-    """
-    out = np.empty((len(scales), 3, 3), np.float32)
-    _turned(orientations.astype(np.float64), scales, out)
-    return out
-
-
-@njit(cache=True, error_model="numpy")
-def _turned(turns, scales, out):  # type: ignore[no-untyped-def]
-    for n in range(len(turns)):
-        rows = rotation_rows(turns[n])
-        for k in range(9):
-            out[n, k // 3, k % 3] = rows[k] * scales[n, k % 3]

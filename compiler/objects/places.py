@@ -9,11 +9,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.noise.lattice import hash2, subkeys
 from scenec.compiler.objects.lattice import Lattice
+from scenec.schemas.kernels import inlined, kernel
 from scenec.schemas.threads import POINTS, over_threads
 
 _SHIFT = np.uint64(11)
@@ -66,7 +66,7 @@ class Places:
         return float(area[held].sum() / area.sum())
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def point(cumulative, corners, frame, u, v, w):  # type: ignore[no-untyped-def]
     """x, y, and the index of the cell or face, of three numbers in [0, 1)."""
     nx = int(frame[4])
@@ -91,7 +91,7 @@ def point(cumulative, corners, frame, u, v, w):  # type: ignore[no-untyped-def]
     return frame[0] + frame[2] * (index % nx + v), frame[1] + frame[3] * (index // nx + w), index
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _points_part(first, last, cumulative, corners, frame, u, x, y, index):  # type: ignore[no-untyped-def]
     for n in range(first, last):
         x[n], y[n], index[n] = point(cumulative, corners, frame, u[n, 0], u[n, 1], u[n, 2])
@@ -104,7 +104,7 @@ def _points(cumulative, corners, frame, u):  # type: ignore[no-untyped-def]
     return x, y, index
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@inlined
 def unit(key, instance, attempt):  # type: ignore[no-untyped-def]
     """A number in [0, 1), a multiple of 2**-53."""
     return np.float64(hash2(key, instance, attempt) >> _SHIFT) * _TO_UNIT
@@ -123,7 +123,7 @@ def numbers(
     return _numbers(u, subkeys(np.uint64(key), 3), instances, attempts)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _numbers(u, keys, instances, attempts):  # type: ignore[no-untyped-def]
     out = np.empty((len(instances), 3))
     for n in range(len(instances)):

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.cache.memo import memoized
@@ -15,6 +14,7 @@ from scenec.compiler.objects.creases import along_creases
 from scenec.compiler.objects.deviation import deviation
 from scenec.compiler.objects.families.shape import Shape
 from scenec.compiler.scene.scene import Prototype
+from scenec.schemas.kernels import kernel
 
 #: The meshes of one shape, the finest first; each has a quarter of the triangles of the one before.
 Chain = tuple[Prototype, ...]
@@ -103,7 +103,7 @@ def _mesh(
     return Prototype(name, rounded, faces, normals, variation.astype(np.float32))
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _into_ball(points: NDArray, middle: NDArray) -> None:
     """Draws what is farther than 1/2 from the origin toward the middle, as far as needed."""
     mx, my, mz = middle

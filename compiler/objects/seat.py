@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from scenec.compiler.geometry.rotations import rotation_rows
 from scenec.compiler.objects.highest import Highest, bound
-from scenec.compiler.objects.placement import rotation_rows
 from scenec.compiler.scene.scene import Prototype
 from scenec.compiler.terrain.grid import HeightField, surface_height
+from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
 
 
@@ -64,7 +64,7 @@ def seat(
     )
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _seat_part(  # type: ignore[no-untyped-def]
     first,
     last,

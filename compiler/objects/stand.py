@@ -5,13 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from scenec.compiler.geometry.rotations import align_to_normals, rotation_rows
 from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.objects.foot import seat_on_detail
 from scenec.compiler.objects.on_mesh import MeshPlaces, Spots, seat_on_mesh
-from scenec.compiler.objects.placement import align_to_normals, rotation_rows
 from scenec.compiler.objects.seat import Highest, seat
 from scenec.compiler.objects.surroundings import Surroundings
 from scenec.compiler.scene.plan import ScatterPlan
@@ -19,6 +18,7 @@ from scenec.compiler.scene.scene import Prototype, Scatter
 from scenec.compiler.terrain.grid import HeightField
 from scenec.compiler.terrain.sources.mesh_surface import MeshSurface
 from scenec.compiler.views.sight import NEAREST_M, pixels_of_balls
+from scenec.schemas.kernels import kernel
 
 #: Instances whose seat is measured again: all, up to so many, then as many spread over all.
 _MEASURED = 16_384
@@ -253,7 +253,7 @@ def _gaps(
     return gaps
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _vertices(points, offsets, prototype, at, turns, size, starts, total):  # type: ignore[no-untyped-def]
     """The vertices of instances in the world, one instance after the other."""
     x, y, z = np.empty(total), np.empty(total), np.empty(total)

@@ -1,1 +1,1 @@
-"""What a batch is made of: the Plan (every number drawn), the Scene (arrays), their vocabulary."""
+"""Defines what a batch is made of: the Plan (every number drawn) and the Scene (arrays)."""

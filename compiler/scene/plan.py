@@ -1,4 +1,4 @@
-"""Plan: one batch with every number drawn. After this, no randomness is left.
+"""Defines the Plan: one batch with every number drawn. After this, no randomness is left.
 
 What the cfg leaves to chance stands here as numbers, arrays and noise keys (64-bit integers that
 noise functions take as an argument: a function of key and position, not a generator).

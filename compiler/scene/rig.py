@@ -1,4 +1,4 @@
-"""What a batch is seen by: rigs and what they carry, a part of the Scene's vocabulary."""
+"""Defines rigs and what they carry, a part of the Scene's vocabulary."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Scene: one batch as arrays, the vocabulary of all passes and of the emitter.
+"""Defines the Scene: one batch as arrays, the vocabulary of all passes and of the emitter.
 
 World frame: meters, Z up, x east, y north, the terrain's center at the origin. Everything is plain
 data; nothing here draws, reads files or knows of USD.

@@ -1,4 +1,4 @@
-"""Pictures that a cfg names and that become others before they are shown."""
+"""Defines pictures that a cfg names and that become others before they are shown."""
 
 from __future__ import annotations
 

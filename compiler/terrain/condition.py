@@ -15,13 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
-from scenec.compiler.noise.perlin import fbm2_points
-from scenec.compiler.noise.rows import fbm_grid, tabulate
+from scenec.compiler.noise.fractal import Fractal, fbm2_points
 from scenec.compiler.terrain.freshness import crater_freshness
 from scenec.compiler.terrain.grid import Grid
 from scenec.compiler.terrain.operators.craters import Craters
 from scenec.compiler.terrain.operators.multifractal import octaves_shown
-from scenec.compiler.terrain.quantities import Quantities
+from scenec.compiler.terrain.quantities import Quantities, Samples
 
 
 @dataclass(frozen=True)
@@ -85,11 +84,17 @@ class Interval(Condition):
         value = self.quantity_at(quantities, x, y)
         return value if self.ragged is None else value + self.ragged.at(x, y)
 
+    def value_on(self, quantities: Quantities, samples: Samples) -> NDArray[np.float64]:
+        """``value_at`` the grid's samples, row-major: float64 [n]."""
+        value = self.quantity_at(quantities, *quantities.grid.points())
+        return value if self.ragged is None else value + samples.noise(self.ragged, self.ragged.at)
+
     def weight_of(self, quantities: Quantities) -> NDArray[np.float64]:
         """The soft interval of the quantity: 1/2 at a bound, 0 to 1 over the softness about it."""
         value = self.quantity(quantities)
         if self.ragged is not None:
-            value = value + self.ragged.at(*quantities.grid.points()).reshape(value.shape)
+            added = quantities.samples.noise(self.ragged, self.ragged.at)
+            value = value + added.reshape(value.shape)
         return soft_interval(value, *self.bounds())
 
 
@@ -247,19 +252,15 @@ class NoiseCondition(Interval):
         """The octaves that the grid shows."""
         grid = quantities.grid
         octaves = octaves_shown(self.octaves, self.scale_m, self.lacunarity, max(grid.spacing_m))
-        x, y = grid.x() / self.scale_m, grid.y() / self.scale_m
-        table = tabulate(self.key, x, y, octaves, self.lacunarity)
-        noise: NDArray[np.float64] = fbm_grid(table, x, y, self.gain, self.lacunarity)
-        return noise
+        noise = Fractal(self.key, octaves, self.gain, self.lacunarity)
+        return noise.on(grid.x() / self.scale_m, grid.y() / self.scale_m)
 
     def quantity_at(
         self, quantities: Quantities, x: NDArray[np.float64], y: NDArray[np.float64]
     ) -> NDArray[np.float64]:
         """All octaves, not interpolated."""
-        noise: NDArray[np.float64] = fbm2_points(
-            np.uint64(self.key), x, y, self.scale_m, self.octaves, self.gain, self.lacunarity, 0.0
-        )
-        return noise
+        noise = Fractal(self.key, self.octaves, self.gain, self.lacunarity)
+        return noise.at(x / self.scale_m, y / self.scale_m)
 
 
 @dataclass(frozen=True)

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.terrain.operators.drainage import SIDES, drain, outlet_samples
+from scenec.schemas.kernels import kernel
 
 
 def upslope_area(height: NDArray[np.float64], dx: float, dy: float) -> NDArray[np.float64]:
@@ -25,7 +25,7 @@ def upslope_area(height: NDArray[np.float64], dx: float, dy: float) -> NDArray[n
     return _accumulate(height, ways.receiver, ways.order, dx, dy)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _accumulate(
     height: NDArray, receiver: NDArray, order: NDArray, dx: float, dy: float
 ) -> NDArray:

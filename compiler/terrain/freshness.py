@@ -16,13 +16,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.terrain.grid import Grid
 from scenec.compiler.terrain.operators.crater_profile import REACH, profile_table
 from scenec.compiler.terrain.operators.craters import Craters, shown_on, span, uneven_distance
+from scenec.schemas.kernels import kernel
 
 # ln 2 * 2.3^3: half is covered at 2.3 radii.
 _COVER = 0.6931471805599453 * 12.167
@@ -63,7 +63,7 @@ def crater_freshness(
     return fresh
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def cover(x: float) -> float:
     """Part of the ground that a crater's ejecta cover at x radii, in [0, 1]."""
     if x <= 1.0:
@@ -75,7 +75,7 @@ def cover(x: float) -> float:
     return (1.0 - elementary.exp(-_COVER / (x * x * x))) / whole * (1.0 - t * t * (3.0 - 2.0 * t))
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _cover(
     fresh: NDArray,
     mask: NDArray,

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from scenec.schemas.kernels import inlined, kernel
 from scenec.schemas.threads import POINTS, over_threads
 
 
@@ -49,7 +49,7 @@ class Grid:
         return x.ravel(), y.ravel()
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@inlined
 def cuts_main_diagonal(i: int, j: int) -> bool:
     """Whether the cell in column i, row j is split from (0, 0) to (1, 1).
 
@@ -59,7 +59,7 @@ def cuts_main_diagonal(i: int, j: int) -> bool:
     return (i + j) % 2 == 0
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def surface_height(
     height: NDArray, x0: float, y0: float, dx: float, dy: float, x: float, y: float
 ) -> float:
@@ -91,7 +91,7 @@ def surface_height(
     return h11 + (1.0 - u) * (h01 - h11) + (1.0 - v) * (h10 - h11)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _heights_at_part(
     first: int,
     last: int,

@@ -26,7 +26,7 @@ from scenec.compiler.terrain.condition import (
     soft_interval,
 )
 from scenec.compiler.terrain.grid import Grid
-from scenec.compiler.terrain.quantities import Quantities
+from scenec.compiler.terrain.quantities import Quantities, Samples
 
 __all__ = [
     "CONDITIONS",
@@ -66,7 +66,12 @@ class Masked:
         self, grid: Grid, height: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], dict[str, Any]]:
         """Heights, blended."""
-        weight = self.weight(grid, height)
+        return self.blended(grid, height, self.weight(grid, height))
+
+    def blended(
+        self, grid: Grid, height: NDArray[np.float64], weight: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], dict[str, Any]]:
+        """Heights, blended by a mask, float64 [ny, nx] each."""
         out, report = self.operator.apply(grid, height)
         change = np.where(weight > 0.0, weight * (out - height), 0.0)
         return height + change, {
@@ -76,9 +81,11 @@ class Masked:
             "mask_conserves": "nothing: a blend of before and after",
         }
 
-    def weight(self, grid: Grid, height: NDArray[np.float64]) -> NDArray[np.float64]:
+    def weight(
+        self, grid: Grid, height: NDArray[np.float64], samples: Samples | None = None
+    ) -> NDArray[np.float64]:
         """The mask of given heights, in [0, 1]: float64 [ny, nx]."""
-        return product(self.conditions, Quantities(grid, height))
+        return product(self.conditions, Quantities(grid, height, samples))
 
 
 #: Cfg ``type`` -> condition.

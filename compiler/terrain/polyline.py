@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.terrain.grid import Grid
+from scenec.schemas.kernels import kernel
 
 
 def project(
@@ -41,7 +41,7 @@ def project_on(
     return offset, along
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _project(
     x: NDArray,
     y: NDArray,

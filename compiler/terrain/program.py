@@ -14,6 +14,7 @@ from scenec.compiler.terrain.detail import Detail, Detailed, Weighted
 from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.compiler.terrain.mask import Masked
 from scenec.compiler.terrain.operator import ReliefOperator, operator_type
+from scenec.compiler.terrain.quantities import KEPT, Samples
 from scenec.compiler.terrain.sources.mesh_base import DEFAULT_TRIANGLES, MeshBase
 from scenec.compiler.terrain.sources.mesh_surface import MeshSurface
 from scenec.schemas.errors import SceneError
@@ -55,13 +56,19 @@ def run(
     base: MeshSurface | None = None
     details: list[Detail] = []
     steps = []
+    samples = Samples(grid, KEPT)
     # Overflow is found once, at the end, and said in the user's words.
     with np.errstate(over="ignore", invalid="ignore"):
         for operator in operators:
-            detail = _detail(operator, grid, height)
+            weight = None
+            if isinstance(operator, Masked):
+                weight = operator.weight(grid, height, samples)
+            detail = _detail(operator, grid, weight)
             if isinstance(operator, MeshBase) and operator.surface == "mesh":
                 base, report = operator.stage(grid, max_triangles)
                 height = base.height
+            elif isinstance(operator, Masked) and weight is not None:
+                height, report = operator.blended(grid, height, weight)
             else:
                 height, report = operator.apply(grid, height)
             if not _adds(operator) and details:
@@ -104,9 +111,11 @@ def _adds(operator: ReliefOperator) -> bool:
     return bool(getattr(inner, "adds", False))
 
 
-def _detail(operator: ReliefOperator, grid: Grid, height: NDArray[np.float64]) -> Detail | None:
+def _detail(
+    operator: ReliefOperator, grid: Grid, weight: NDArray[np.float64] | None
+) -> Detail | None:
     inner = operator.operator if isinstance(operator, Masked) else operator
     detail = inner.detail(grid) if isinstance(inner, Detailed) else None
-    if detail is not None and isinstance(operator, Masked):
-        return Weighted(detail, HeightField(grid, operator.weight(grid, height)))
-    return detail
+    if detail is None or weight is None:
+        return detail
+    return Weighted(detail, HeightField(grid, weight))

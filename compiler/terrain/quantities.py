@@ -5,7 +5,7 @@ One object holds a grid and its heights; each quantity is computed once, however
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +23,43 @@ from scenec.compiler.terrain.polyline import project
 DEFAULT_SPACINGS = 2.0
 
 
+#: Bytes of noises that ``Samples`` keep at most.
+KEPT = 1 << 27
+
+
+class Samples:
+    """A grid's samples as points, and noises there: what all reliefs on one grid share.
+
+    Attributes:
+        grid: Whose samples.
+    """
+
+    def __init__(self, grid: Grid, kept: int = 0):
+        """``kept``: bytes of noises that are kept at most."""
+        self.grid = grid
+        self._left = kept
+        self._noises: dict[Hashable, NDArray[np.float64]] = {}
+
+    def noise(
+        self,
+        key: Hashable,
+        at: Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]],
+    ) -> NDArray[np.float64]:
+        """What ``at`` gives for x and y of all samples, row-major: float64 [n], not to be changed.
+
+        Args:
+            key: Of the noise.
+            at: From two float64 [n] to another.
+        """
+        if key in self._noises:
+            return self._noises[key]
+        noise = at(*self.grid.points())
+        if noise.nbytes <= self._left:
+            self._left -= noise.nbytes
+            self._noises[key] = noise
+        return noise
+
+
 class Quantities:
     """Quantities of one relief, at its samples: float64 [ny, nx] each.
 
@@ -31,10 +68,11 @@ class Quantities:
     are.
     """
 
-    def __init__(self, grid: Grid, height: NDArray[np.float64]):
-        """Takes heights, float64 [ny, nx]."""
+    def __init__(self, grid: Grid, height: NDArray[np.float64], samples: Samples | None = None):
+        """Takes heights, float64 [ny, nx], and the samples that other reliefs share."""
         self.grid = grid
         self.height = height
+        self.samples = Samples(grid) if samples is None else samples
         self._known: dict[object, NDArray[np.float64]] = {}
 
     def once(self, key: object, make: Callable[[], NDArray[np.float64]]) -> NDArray[np.float64]:

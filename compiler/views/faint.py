@@ -35,11 +35,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.views.places import COARSE, FINE, Places, cell_of
 from scenec.compiler.views.shadows import Sweep, has_ended, step_of
+from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
 
 #: Part of the irradiance of open level ground that all that is left out may make up at any point
@@ -167,7 +167,7 @@ def _least_around(low: NDArray[np.float64]) -> NDArray[np.float64]:
     )
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _nearest(distance, frame, middles, radii, times, near, cell):  # type: ignore[no-untyped-def]
     """Distance from objects to the nearest place seen, and their coarse cells."""
     columns = distance.shape[1] // times
@@ -177,7 +177,7 @@ def _nearest(distance, frame, middles, radii, times, near, cell):  # type: ignor
         cell[n] = (j // times) * columns + i // times
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _follow(first, last, distance, frame, ways, bounds, low, cells, middles, radii, near, paths):  # type: ignore[no-untyped-def]
     """Distance from shadows to the nearest place seen; the fine cells they begin and end in."""
     for n in range(first, last):
@@ -199,7 +199,7 @@ def _follow(first, last, distance, frame, ways, bounds, low, cells, middles, rad
         paths[n, 1] = last_j * distance.shape[1] + last_i
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _gather(cell, out, mass, near, far, close):  # type: ignore[no-untyped-def]
     for n in range(len(cell)):
         if out[n]:
@@ -207,7 +207,7 @@ def _gather(cell, out, mass, near, far, close):  # type: ignore[no-untyped-def]
             close[cell[n]] += mass[n] / (near[n] * near[n])
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _gather_paths(paths, fine, columns, out, mass, near, far, close):  # type: ignore[no-untyped-def]
     """Of shadows, in every coarse cell of the box around where they fall."""
     times = fine // columns
@@ -222,7 +222,7 @@ def _gather_paths(paths, fine, columns, out, mass, near, far, close):  # type: i
                 close[j * columns + i] += mass[n] / (near[n] * near[n])
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _find_clear(first, last, least, top, tall, which, clear):  # type: ignore[no-untyped-def]
     """Whether there may be a straight way from what is seen in a cell to what stands in another.
 
@@ -251,14 +251,14 @@ def _find_clear(first, last, least, top, tall, which, clear):  # type: ignore[no
             clear[n, c] = not blocked
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _sum_all(first, last, which, columns, width, far, close, clear, low, tall, sums):  # type: ignore[no-untyped-def]
     """The sum at each cell that holds something seen."""
     for n in range(first, last):
         sums[n] = _sum_at(which[n], columns, width, far, close, clear[n], low, tall)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _sum_at(cell, columns, width, far, close, clear, low, tall):  # type: ignore[no-untyped-def]
     """The sum at one cell, for the bearing that sees most."""
     rj = cell // columns

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.cache.memo import memoized
 from scenec.compiler.terrain.grid import HeightField
+from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
 
 # Blocks have at least so many cells along a side, and more where the work, which grows as the eyes
@@ -59,7 +59,7 @@ def hidden_blocks(
     return hidden, frame
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _extremes_part(first, last, height, cells, low, high):  # type: ignore[no-untyped-def]
     ny, nx = height.shape
     for j in range(first, last):
@@ -89,7 +89,7 @@ def _lowest_around(low: NDArray[np.float64]) -> NDArray[np.float64]:
     )
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _find(first, last, low, high, blocks, eyes, hidden):  # type: ignore[no-untyped-def]
     rows, columns = low.shape
     wide, tall = blocks[2], blocks[3]

@@ -15,11 +15,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.scene.scene import Ground, Tile
 from scenec.compiler.views.outlook import Outlook, in_view
+from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
 
 #: Cells along the longer side of the terrain.
@@ -138,7 +138,7 @@ def _are_above(tiles: tuple[Tile, ...], eyes: NDArray[np.float64]) -> NDArray[np
     return (found > -np.inf) & (eyes[:, 2] > found)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _height(points, faces, x, y):  # type: ignore[no-untyped-def]
     """Height of the highest triangle over a point; -inf where there is none."""
     best = -np.inf
@@ -160,7 +160,7 @@ def _height(points, faces, x, y):  # type: ignore[no-untyped-def]
     return best
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _bound(translate, points, faces, low, high, frame):  # type: ignore[no-untyped-def]
     """Take a tile's triangles into the bounds of the cells they touch."""
     ny, nx = low.shape
@@ -215,7 +215,7 @@ def _bound(translate, points, faces, low, high, frame):  # type: ignore[no-untyp
                 high[j, i] = max(high[j, i], top)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def turn_of(x, y):  # type: ignore[no-untyped-def]
     """A number in [0, 4] that grows with the angle of (x, y), without its arc tangent."""
     total = abs(x) + abs(y)
@@ -225,7 +225,7 @@ def turn_of(x, y):  # type: ignore[no-untyped-def]
     return 1.0 - at if y >= 0.0 else 3.0 + at
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _way(turn):  # type: ignore[no-untyped-def]
     """Unit vector of such a number."""
     if turn > 4.0:
@@ -240,7 +240,7 @@ def _way(turn):  # type: ignore[no-untyped-def]
     return x / length, y / length
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _looks(planes, axis, cone, x, y):  # type: ignore[no-untyped-def]
     """Whether a view looks to a bearing, at about any height."""
     here = np.zeros(3)
@@ -252,7 +252,7 @@ def _looks(planes, axis, cone, x, y):  # type: ignore[no-untyped-def]
     return False
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _find_slopes(first, last, low, frame, eye, planes, axis, cone, above, edges, slope):  # type: ignore[no-untyped-def]
     ny, nx = low.shape
     x0, y0, dx, dy = frame
@@ -294,7 +294,7 @@ def _find_slopes(first, last, low, frame, eye, planes, axis, cone, above, edges,
             slope[v, b, k] = best
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def is_hidden(eye, slope, edges, x, y, z, radius):  # type: ignore[no-untyped-def]
     """Whether a ball lies behind the ground from an eye: true only if it certainly does.
 

@@ -13,7 +13,6 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
@@ -21,6 +20,7 @@ from scenec.compiler.geometry.lenses import FUNCTIONS, sight_of
 from scenec.compiler.geometry.poses import compose
 from scenec.compiler.scene.rig import Lidar, Rig, Sensor
 from scenec.schemas.depth_camera import StereoDepth
+from scenec.schemas.kernels import kernel
 from scenec.schemas.shutter import turn_vectors
 
 #: Pixels by which a picture counts as wider on every side: renderers' filters reach beyond it.
@@ -253,7 +253,7 @@ def _wider(cone: tuple[float, float], angle: float) -> tuple[float, float]:
     return cone[0] * c - cone[1] * s, sine
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def in_view(eye, planes, axis, cone, x, y, z, radius):  # type: ignore[no-untyped-def]
     """Whether a ball may meet the cone of a view: false only if it certainly does not."""
     px = x - eye[0]

@@ -10,10 +10,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.views.horizon import Relief
+from scenec.schemas.kernels import kernel
 
 #: Cells along the longer side: of the fine grid and of the coarse one.
 FINE, COARSE = 192, 48
@@ -93,7 +93,7 @@ def places_seen(
     )
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _spread(low, high, cells, fine_low, fine_high, frame):  # type: ignore[no-untyped-def]
     """Bounds of the relief's cells for those of the fine grid that they touch."""
     ny, nx = fine_low.shape
@@ -109,7 +109,7 @@ def _spread(low, high, cells, fine_low, fine_high, frame):  # type: ignore[no-un
                     fine_high[n, m] = max(fine_high[n, m], high[j, i])
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _mark(middles, radii, frame, seen, top):  # type: ignore[no-untyped-def]
     ny, nx = seen.shape
     for n in range(len(middles)):
@@ -124,7 +124,7 @@ def _mark(middles, radii, frame, seen, top):  # type: ignore[no-untyped-def]
                 top[j, i] = max(top[j, i], z + radii[n])
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _distances(seen, width, distance):  # type: ignore[no-untyped-def]
     """Least distance between points of cells: along columns, then along rows, exactly."""
     ny, nx = seen.shape
@@ -154,7 +154,7 @@ def _distances(seen, width, distance):  # type: ignore[no-untyped-def]
             distance[j, i] = np.sqrt(best) * width
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def cell_of(frame, shape, x, y):  # type: ignore[no-untyped-def]
     """Row and column of the cell that holds a point, or that is nearest to one beyond the grid."""
     i = min(max(int(np.floor((x - frame[0]) / frame[2])), 0), shape[1] - 1)

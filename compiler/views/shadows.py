@@ -11,12 +11,12 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.views.horizon import Relief
 from scenec.compiler.views.places import Places, cell_of
 from scenec.compiler.views.visible import SHOWN, Eyes, shows
+from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
 
 #: A swept ball's steps are at least this share of the way it has come.
@@ -79,7 +79,7 @@ def shadows_seen(
     return out
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _sweep(  # type: ignore[no-untyped-def]
     first, last, eyes, planes, axes, cones, views, slopes, edges, way, widening, bounds, low,
     cells, distance, peak, frame, middles, radii, which, out,
@@ -93,7 +93,7 @@ def _sweep(  # type: ignore[no-untyped-def]
         )  # fmt: skip
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _falls(  # type: ignore[no-untyped-def]
     eyes, planes, axes, cones, views, slopes, edges, way, widening, bounds, low, cells,
     distance, peak, frame, x, y, z, radius,
@@ -112,7 +112,7 @@ def _falls(  # type: ignore[no-untyped-def]
         at += step
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _reaches(peak, frame, ball):  # type: ignore[no-untyped-def]
     """Whether a ball may hold a point of something seen."""
     x, y, z, radius = ball
@@ -129,7 +129,7 @@ def _reaches(peak, frame, ball):  # type: ignore[no-untyped-def]
     return False
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def is_buried(low, frame, x, y, z, radius):  # type: ignore[no-untyped-def]
     """Whether a ball certainly lies below the terrain as a whole."""
     if low.shape[0] == 0:
@@ -149,7 +149,7 @@ def is_buried(low, frame, x, y, z, radius):  # type: ignore[no-untyped-def]
     return True
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def step_of(way, widening, x, y, z, radius, at):  # type: ignore[no-untyped-def]
     """The next step of a swept ball that has come a way ``at``.
 
@@ -173,7 +173,7 @@ def step_of(way, widening, x, y, z, radius, at):  # type: ignore[no-untyped-def]
     )
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def has_ended(way, widening, bounds, low, frame, end):  # type: ignore[no-untyped-def]
     """Whether nothing comes after a step's end: it is below the ground, or beyond everything."""
     x, y, z, reach = end

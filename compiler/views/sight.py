@@ -6,7 +6,6 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
@@ -16,6 +15,7 @@ from scenec.compiler.geometry.poses import camera_poses, compose
 from scenec.compiler.scene.rig import Lidar, Rig
 from scenec.compiler.terrain.grid import HeightField
 from scenec.compiler.views.hidden import hidden_blocks
+from scenec.schemas.kernels import inlined, kernel
 from scenec.schemas.threads import POINTS, over_threads
 
 #: Views reach this far beyond their picture's border, in parts of its size: what lies just outside
@@ -147,7 +147,7 @@ def pixels_of_balls(
     return out
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@inlined
 def _is_hidden(hidden, blocks, c, x, y, radius):  # type: ignore[no-untyped-def]
     """Whether all blocks that a ball touches hide from view c."""
     if hidden.shape[0] == 0:
@@ -166,7 +166,7 @@ def _is_hidden(hidden, blocks, c, x, y, radius):  # type: ignore[no-untyped-def]
     return True
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@inlined
 def _in_cone(cosine, sine, depth, square, radius):  # type: ignore[no-untyped-def]
     """Whether a ball reaches into a cone around the axis, from the cosine and sine of its angle."""
     if cosine <= -1.0 or square <= radius * radius:
@@ -178,7 +178,7 @@ def _in_cone(cosine, sine, depth, square, radius):  # type: ignore[no-untyped-de
     return sine * rest + cosine * ball <= 0.0 or depth >= distance * (cosine * rest - sine * ball)
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@inlined
 def _pixels(poses, numbers, hidden, blocks, cones, x, y, z, radius, unseen, nearest):  # type: ignore[no-untyped-def]
     """Pixels a meter of a ball in the view that shows it largest."""
     best = 0.0
@@ -217,7 +217,7 @@ def _pixels(poses, numbers, hidden, blocks, cones, x, y, z, radius, unseen, near
     return best
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _of_balls(  # type: ignore[no-untyped-def]
     first, last, poses, numbers, hidden, blocks, cones, points, radius, unseen, nearest, out
 ):
@@ -226,7 +226,7 @@ def _of_balls(  # type: ignore[no-untyped-def]
         out[n] = _pixels(poses, numbers, hidden, blocks, cones, x, y, z, radius[n], unseen, nearest)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _nearest_views(  # type: ignore[no-untyped-def]
     first, last, poses, numbers, hidden, blocks, cones, x, y, height, unseen, nearest, out
 ):

@@ -9,11 +9,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.views.horizon import Horizon, is_hidden
 from scenec.compiler.views.outlook import Outlook, in_view
+from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
 
 #: What a view may show of a ball: nothing, nothing because of the ground, something.
@@ -113,7 +113,7 @@ def stand_below(
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _surround(middles, radii, start, balls):  # type: ignore[no-untyped-def]
     for g in range(len(balls)):
         low, high = np.full(3, np.inf), np.full(3, -np.inf)
@@ -133,7 +133,7 @@ def _surround(middles, radii, start, balls):  # type: ignore[no-untyped-def]
         balls[g, 3] = reach * (1.0 + 1e-9)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _find_below(points, middles, radii, out):  # type: ignore[no-untyped-def]
     for n in range(len(middles)):
         for k in range(len(points)):
@@ -143,7 +143,7 @@ def _find_below(points, middles, radii, out):  # type: ignore[no-untyped-def]
                 break
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def shows(eyes, planes, axes, cones, slopes, edges, v, x, y, z, radius):  # type: ignore[no-untyped-def]
     """What a view may show of a ball: ``OUTSIDE``, ``BEHIND`` or ``SHOWN``."""
     if not in_view(eyes[v], planes[v], axes[v], cones[v], x, y, z, radius):
@@ -153,7 +153,7 @@ def shows(eyes, planes, axes, cones, slopes, edges, v, x, y, z, radius):  # type
     return 2
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _see(  # type: ignore[no-untyped-def]
     first, last, eyes, planes, axes, cones, views, slopes, edges, middles, radii, order, start,
     balls, out,

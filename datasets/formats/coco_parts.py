@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.datasets.formats.contract import Done, Info, Option
@@ -19,6 +18,7 @@ from scenec.datasets.source import LoadedFrame
 from scenec.schemas import rle
 from scenec.schemas.errors import OutputError
 from scenec.schemas.files import atomic
+from scenec.schemas.kernels import kernel
 from scenec.schemas.versions import version_of
 
 #: Name of the only category where there are no labels at all.
@@ -238,7 +238,7 @@ def label_pairs(
     return sorted((int(pair) >> 32, int(pair) & 0xFFFFFFFF) for pair in found)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _pairs(a, b):  # type: ignore[no-untyped-def]
     found = set()
     last = np.uint64(0)

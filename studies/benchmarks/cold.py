@@ -1,11 +1,12 @@
-"""What the first run costs: seconds with an empty and with a full cache of numba's.
+"""What the first minute costs: seconds until each command answers, with and without kernels.
 
     python studies/benchmarks/cold.py [--cfg FILE]
 
-Per step (compile, then a frame of the stage by ``reference`` and by ``mitsuba``), in processes and
-with a cache folder of its own: first with nothing in it, then again with what the first
-left there. Then the kernels that cost most to compile, without what they call. A kernel that is
-compiled in the second run, too, is counted: there should be none.
+``--help`` and a faulty cfg, which need no kernel; then, per step (compile, a frame of the stage by
+``annotation`` and by ``mitsuba``), in processes and with a folder of kernels of its own: first with
+nothing in it, then again with what the first left there, as an installed wheel has it. Then the
+kernels that cost most to compile, without what they call. A kernel that is compiled in the second
+run, too, is counted: there should be none.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from small import small_cfg
 #: By step, what follows the command; the output folder stands before it.
 STEPS = {
     "compile": ["--seed", "1", "--no-cache"],
-    "reference": ["--passes", "depth,label,instance", "--samples", "0"],
+    "annotation": ["--passes", "depth,label,instance", "--samples", "0"],
     "mitsuba": ["--passes", "depth,label,instance,rgb", "--spp", "2", "--samples", "0"],
 }
 #: Noted in every process (``sitecustomize``): each kernel compiled, in CPU seconds of its own.
@@ -84,8 +85,15 @@ def steps(study: Study, cfg: Path, spent: dict[str, float]) -> Iterator[list[Cel
 def main(study: Study) -> None:
     """Prints both tables."""
     cfg = Path(study.options.cfg or study.cfg(small_cfg(samples=1))).resolve()
+    slip = study.scratch / "slip.json"
+    slip.write_text(cfg.read_text(encoding="utf-8").replace('"samples"', '"samplez"'), "utf-8")
+    answers = {"--help": command([*SCENEC, "--help"])}
+    words = [*SCENEC, "compile", slip, "--seed", "1", "-o", study.scratch / "none"]
+    answers["compile, a faulty cfg"] = command(words, status=2)
+    rows = ([name, cost.wall_s, cost.cpu_s] for name, cost in answers.items())
+    study.table(["scenec", "wall s", "CPU s"], rows)
     spent: dict[str, float] = defaultdict(float)
-    header = ["step", "cache", "wall s", "CPU s", "kernels compiled"]
+    header = ["step", "kernels", "wall s", "CPU s", "kernels compiled"]
     study.table(header, steps(study, cfg, spent))
     most = sorted(spent.items(), key=lambda item: -item[1])[:10]
     study.table(["costliest kernels", "CPU s of their own"], map(list, most))

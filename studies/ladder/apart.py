@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.scene.scene import Prototype
+from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
 from scenec.studies.ladder.points import triangle
 
@@ -64,7 +64,7 @@ def nearest(
     return out
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _balls(first: int, last: int, points: NDArray, faces: NDArray, balls: NDArray) -> None:
     """Center and radius of a ball around each triangle, [m, 4]."""
     for f in range(first, last):
@@ -82,7 +82,7 @@ def _balls(first: int, last: int, points: NDArray, faces: NDArray, balls: NDArra
         balls[f, 3] = np.sqrt(largest)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _nearest(
     first: int,
     last: int,
@@ -105,7 +105,7 @@ def _nearest(
         out[n] = best
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _to_triangle(p: NDArray, points: NDArray, face: NDArray) -> float:
     """Distance to a triangle: to its plane where the foot is inside, else to the nearest edge."""
     a, b, c = points[face[0]], points[face[1]], points[face[2]]
@@ -127,7 +127,7 @@ def _to_triangle(p: NDArray, points: NDArray, face: NDArray) -> float:
     return min(_to_edge(p, a, b), min(_to_edge(p, b, c), _to_edge(p, c, a)))
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _to_edge(p: NDArray, a: NDArray, b: NDArray) -> float:
     ex, ey, ez = b[0] - a[0], b[1] - a[1], b[2] - a[2]
     px, py, pz = p[0] - a[0], p[1] - a[1], p[2] - a[2]

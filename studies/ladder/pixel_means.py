@@ -8,10 +8,12 @@ noise.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
 
 
@@ -30,16 +32,28 @@ def pixel_means(
     mean = float(level.mean())
     nodes = level - mean
     found = np.empty(len(middle))
-    over_threads(
-        _means, len(found), nodes, *_sums(nodes), np.ascontiguousarray(middle, np.float64), side,
-        found,
-    )  # fmt: skip
+    middle = np.ascontiguousarray(middle, np.float64)
+    over_threads(_means, len(found), nodes, _Sums(*_sums(nodes)), middle, side, found)
     return mean + found
 
 
-@njit(cache=True, error_model="numpy")
+class _Sums(NamedTuple):
+    """Integrals up to each node of a picture, [h, w].
+
+    Attributes:
+        whole: Over whole cells, float64 [h + 1, w + 1].
+        down: Along a node's column, float64 [h + 1, w].
+        across: Along its row, float64 [h, w + 1].
+    """
+
+    whole: NDArray[np.float64]
+    down: NDArray[np.float64]
+    across: NDArray[np.float64]
+
+
+@kernel
 def _sums(nodes):  # type: ignore[no-untyped-def]
-    """Integrals up to each node: over whole cells, and along a node's column and its row."""
+    """``_Sums``."""
     high, wide = nodes.shape
     whole = np.zeros((high + 1, wide + 1))
     down = np.zeros((high + 1, wide))
@@ -57,23 +71,24 @@ def _sums(nodes):  # type: ignore[no-untyped-def]
     return whole, down, across
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def _means(first, last, nodes, whole, down, across, middle, side, out):  # type: ignore[no-untyped-def]
+@kernel
+def _means(first, last, nodes, sums, middle, side, out):  # type: ignore[no-untyped-def]
     high, wide = nodes.shape
     for n in range(first, last):
         # In texels, from the center of the first.
         x0, x1 = (middle[n, 0] - 0.5 * side) * wide - 0.5, (middle[n, 0] + 0.5 * side) * wide - 0.5
         y0, y1 = (middle[n, 1] - 0.5 * side) * high - 0.5, (middle[n, 1] + 0.5 * side) * high - 0.5
-        total = _integral(nodes, whole, down, across, x1, y1)
-        total -= _integral(nodes, whole, down, across, x0, y1)
-        total -= _integral(nodes, whole, down, across, x1, y0)
-        total += _integral(nodes, whole, down, across, x0, y0)
+        total = _integral(nodes, sums, x1, y1)
+        total -= _integral(nodes, sums, x0, y1)
+        total -= _integral(nodes, sums, x1, y0)
+        total += _integral(nodes, sums, x0, y0)
         out[n] = total / ((x1 - x0) * (y1 - y0))
 
 
-@njit(cache=True, error_model="numpy")
-def _integral(nodes, whole, down, across, x, y):  # type: ignore[no-untyped-def]
+@kernel
+def _integral(nodes, sums, x, y):  # type: ignore[no-untyped-def]
     """From the center of the first texel to a place anywhere."""
+    whole, down, across = sums
     high, wide = nodes.shape
     left, top = int(np.floor(x)), int(np.floor(y))
     s, t = x - left, y - top

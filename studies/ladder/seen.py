@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.scene.rig import Lidar
 from scenec.compiler.terrain.grid import HeightField, surface_height
+from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
 from scenec.studies.ladder.eyes import Eye
 from scenec.studies.ladder.points import square
@@ -64,10 +64,8 @@ def looked_at(
     reach = float(np.sqrt(field.grid.size_m[0] * field.grid.size_m[0]
                           + field.grid.size_m[1] * field.grid.size_m[1]))  # fmt: skip
     far = np.full(len(origin), -1.0)
-    over_threads(
-        _march, len(origin), field.height, *field.frame(), origin, toward, _growth(reach, _ALONG),
-        far,
-    )  # fmt: skip
+    growth = _growth(reach, _ALONG)
+    over_threads(_march, len(origin), field.height, field.frame(), origin, toward, growth, far)
     met = np.flatnonzero(far > 0.0)
     place = origin[met] + far[met, None] * toward[met]
     inside = (np.abs(place[:, 0]) < 0.5 * field.grid.size_m[0]) & (
@@ -108,9 +106,10 @@ def _rays(eyes: Sequence[Eye], each: int) -> tuple[NDArray[np.float64], NDArray[
     return np.concatenate(origins), np.concatenate(directions)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def _march(first, last, height, x0, y0, dx, dy, origin, toward, growth, out):  # type: ignore[no-untyped-def]
+@kernel
+def _march(first, last, height, frame, origin, toward, growth, out):  # type: ignore[no-untyped-def]
     """How far along rays the ground is first above them; ``out`` stays where it never is."""
+    x0, y0, dx, dy = frame
     for n in range(first, last):
         before, at = 0.0, _FIRST_M
         for _ in range(_ALONG):

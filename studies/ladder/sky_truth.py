@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
@@ -12,6 +11,7 @@ from scenec.compiler.light.atmosphere_multiple import (
     Air,
     Look,
     _again,
+    _both,
     _forward_again,
     make_table,
     mean_cosine,
@@ -19,12 +19,20 @@ from scenec.compiler.light.atmosphere_multiple import (
     spectral_albedo,
 )
 from scenec.compiler.light.atmosphere_planets import MEDIA
-from scenec.compiler.light.atmosphere_rays import aerosol_phase, gas_phase, gather, lobe, prepare
+from scenec.compiler.light.atmosphere_rays import (
+    Sight,
+    aerosol_phase,
+    gas_phase,
+    gather,
+    lobe,
+    prepare,
+)
 from scenec.compiler.light.atmosphere_spectra import wavelengths, weights
 from scenec.compiler.light.latlong import luminance
 from scenec.compiler.light.plan import AtmospherePlan, ClearSkyPlan
 from scenec.compiler.light.sky import sun_direction
 from scenec.compiler.scene.scene import SunLight
+from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
 
 _RADIAN = elementary.PI / 180.0
@@ -97,32 +105,25 @@ def atmosphere_along(
     return lit
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _along(first, last, to, look, air, multiple, out):  # type: ignore[no-untyped-def]
     r0, ground, sun, steps, weights = look
-    sizes, spectra, even, g, phase, table = air
+    sizes, spectra, phase = air.sizes, air.spectra, air.phase
     nodes = spectra.shape[1]
     for n in range(first, last):
-        t, middle = np.empty(2 * steps + 1), np.empty(2 * steps)
-        full = np.empty((2, 2 * steps, nodes))
-        less = np.empty((2, 2 * steps, nodes))
+        full, less = _both(air, steps)
         part, total, forward = np.empty((2, nodes)), np.zeros(nodes), np.zeros(nodes)
-        arriving = np.empty(nodes)
         sine = to[n, 2]
         cosine = np.sqrt(max((1.0 - sine) * (1.0 + sine), 0.0))
         # The sun stands in the south.
         toward = min(max(sun[1] * sine - sun[0] * to[n, 1], -1.0), 1.0)
-        prepare(r0, sine, cosine, ground, sizes, even, t, middle, less, arriving)
-        count, _hits = prepare(r0, sine, cosine, ground, sizes, spectra, t, middle, full, arriving)
+        sight = Sight(r0, sine, toward, sun[1])
+        prepare(r0, sine, cosine, ground, sizes, air.even, less)
+        count, _hits = prepare(r0, sine, cosine, ground, sizes, spectra, full)
         if multiple:
-            _again(
-                count, r0, sine, toward, sun[1], sizes, spectra, even, g, table, t, middle, full,
-                less, part, total,
-            )  # fmt: skip
-            _forward_again(
-                count, r0, sine, toward, sun[1], sizes, spectra, g, t, middle, full, forward
-            )
-        gather(count, r0, sine, toward, sun[1], sizes, spectra, t, middle, full, part[0], part[1])
+            _again(count, sight, air, full, less, part, total)
+            _forward_again(count, sight, air, full, forward)
+        gather(count, sight, sizes, spectra, full, part[0], part[1])
         more = np.zeros(3)
         for w in range(nodes):
             once = gas_phase(toward) * part[0, w]

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.scene.scene import Tile
+from scenec.schemas.kernels import kernel
 
 #: Points to a cell of the index.
 _PER_CELL = 4.0
@@ -31,6 +31,28 @@ class Heights(NamedTuple):
     upright: NDArray[np.float64]
 
 
+class _Cells(NamedTuple):
+    """Points in cells of a grid, row by row.
+
+    Attributes:
+        x, y: Of the points, float64 [n].
+        order: The points, cell by cell, int64 [n].
+        starts: Where each cell's begin in ``order``, int64 [cells + 1].
+        columns: Cells along x.
+        x0, y0: Corner of the first.
+        size: Of a cell, meters.
+    """
+
+    x: NDArray[np.float64]
+    y: NDArray[np.float64]
+    order: NDArray[np.int64]
+    starts: NDArray[np.int64]
+    columns: int
+    x0: float
+    y0: float
+    size: float
+
+
 class Index:
     """Points, sorted into cells of a grid."""
 
@@ -40,22 +62,17 @@ class Index:
         Args:
             x, y: Of the points, float64 [n].
         """
-        self._x, self._y = x, y
-        self._low = float(x.min(initial=0.0)), float(y.min(initial=0.0))
-        span = (
-            float(x.max(initial=0.0)) - self._low[0],
-            float(y.max(initial=0.0)) - self._low[1],
-        )
+        low = float(x.min(initial=0.0)), float(y.min(initial=0.0))
+        span = float(x.max(initial=0.0)) - low[0], float(y.max(initial=0.0)) - low[1]
         even = float(np.sqrt(span[0] * span[1] * _PER_CELL / max(len(x), 1)))
         # Points on a line have no area: then their number decides.
-        self._cell = max(even, max(span) / _MOST_CELLS, 1e-12)
-        self._shape = int(span[1] / self._cell) + 1, int(span[0] / self._cell) + 1
-        column = ((x - self._low[0]) / self._cell).astype(np.int64)
-        row = ((y - self._low[1]) / self._cell).astype(np.int64)
-        cell = row * self._shape[1] + column
-        self._order = np.argsort(cell, kind="stable")
-        count = self._shape[0] * self._shape[1]
-        self._starts = np.searchsorted(cell[self._order], np.arange(count + 1))
+        size = max(even, max(span) / _MOST_CELLS, 1e-12)
+        rows, columns = int(span[1] / size) + 1, int(span[0] / size) + 1
+        column = ((x - low[0]) / size).astype(np.int64)
+        cell = ((y - low[1]) / size).astype(np.int64) * columns + column
+        order = np.argsort(cell, kind="stable")
+        starts = np.searchsorted(cell[order], np.arange(rows * columns + 1))
+        self._points = _Cells(x, y, order, starts, columns, *low, size)
 
     def heights(self, tiles: Sequence[Tile]) -> Heights:
         """Of the mesh that tiles make.
@@ -63,16 +80,17 @@ class Index:
         Args:
             tiles: Of a ground that is a function of x and y.
         """
-        found = Heights(np.full(len(self._x), np.nan), np.ones(len(self._x)))
+        found = Heights(np.full(len(self._points.x), np.nan), np.ones(len(self._points.x)))
         for tile in tiles:
             points = tile.translate + tile.points.astype(np.float64)
-            _drop(points, tile.faces, self._x, self._y, self._order, self._starts, self._shape[1],
-                  *self._low, self._cell, found.z, found.upright)  # fmt: skip
+            _drop(points, tile.faces, self._points, found.z, found.upright)
         return found
 
 
-@njit(cache=True, error_model="numpy")
-def _drop(points, faces, x, y, order, starts, columns, x0, y0, cell, z, upright):  # type: ignore[no-untyped-def]
+@kernel
+def _drop(points, faces, cells, z, upright):  # type: ignore[no-untyped-def]
+    """``Heights`` of the points below a tile's faces; ``cells`` is ``_Cells``."""
+    x, y, order, starts, columns, x0, y0, cell = cells
     rows = (len(starts) - 1) // columns
     for f in range(len(faces)):
         a, b, c = points[faces[f, 0]], points[faces[f, 1]], points[faces[f, 2]]

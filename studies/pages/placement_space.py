@@ -8,7 +8,6 @@ from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from PIL import Image
 
@@ -32,6 +31,7 @@ from scenec.compiler.terrain.condition import SlopeCondition
 from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.compiler.terrain.operators.craters import Craters
 from scenec.compiler.terrain.operators.multifractal import Multifractal
+from scenec.schemas.kernels import kernel
 from scenec.studies.pages.placement_field import PLANE, SIZE, cfg, stand
 from scenec.studies.runner import Page, table
 
@@ -208,7 +208,7 @@ def densities(page: Page) -> str:
     )
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _worst(x, y, reach):  # type: ignore[no-untyped-def]
     """Deepest overlap of two circles, meters, over all pairs; below 0 it is the least gap."""
     worst = -np.inf

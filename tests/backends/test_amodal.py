@@ -18,7 +18,7 @@ from scenec.backends.annotation.instances import Instances
 from scenec.backends.camera.rays import camera_rays
 from scenec.backends.contract import Rays
 from scenec.backends.exact import ExactCaster
-from scenec.backends.exact.silhouette import RAY_COST, set_direction
+from scenec.backends.exact.silhouette import RAY_COST, Pinhole, set_direction
 from scenec.backends.stage.read import read_stage
 from scenec.backends.stage.scene import Camera, RenderScene
 
@@ -285,9 +285,9 @@ def test_rays_of_silhouettes_are_those_of_the_picture_to_the_bit():
     k = camera.intrinsics + np.array([[0.1, 0.3, 0.7], [0, 0.2, -0.9], [0, 0, 0]])
     camera = dataclasses.replace(camera, intrinsics=k)
     expected = camera_rays(camera).directions.reshape(17, 31, 3)
-    found = np.empty(3)
+    found, view = np.empty(3), Pinhole.of(camera)
     for row, column in np.ndindex(17, 31):
-        set_direction(k, camera.camera_to_world, column, row, found)
+        set_direction(view, column, row, found)
         assert found.tobytes() == expected[row, column].tobytes()
 
 

@@ -74,7 +74,7 @@ def test_blender_loads_after_kernels_beside_a_tbb_of_the_systems() -> None:
     code = """
 import numpy as np
 from scenec.backends.cycles.blender import load_bpy
-from scenec.compiler.noise.perlin import fbm2_points
+from scenec.compiler.noise.fractal import fbm2_points
 
 fbm2_points(np.uint64(5), np.zeros(10_000), np.zeros(10_000), 7.0, 6, 0.5, 2.1, 0.4)
 print(load_bpy().app.version_string)

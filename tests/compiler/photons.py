@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from scenec.compiler.light import atmosphere
 from scenec.compiler.light.atmosphere_planets import MARS, Medium
 from scenec.compiler.light.atmosphere_spectra import weights
 from scenec.compiler.light.latlong import horizontal_irradiance
+from scenec.schemas.kernels import kernel
 
 COUNT = 4
 PHOTONS = 200_000
@@ -23,7 +23,7 @@ SLABS = (
 )
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def scattered_down(
     rng: np.random.Generator, depth: float, albedo: float, forward: float, g: float, sine: float
 ) -> float:

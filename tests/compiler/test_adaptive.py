@@ -56,6 +56,12 @@ def faces_of(errors: np.ndarray, tolerance: float, shape: tuple[int, int]) -> np
     return adaptive.triangles(adaptive.activate(errors, tolerance), shape)
 
 
+def heights(height: np.ndarray) -> adaptive.Channels:
+    """Heights alone, a pixel a meter."""
+    none = np.zeros((0, *height.shape))
+    return adaptive.Channels(height, none, none, (1.0, 1.0), np.ones(height.shape))
+
+
 def require_whole(faces: np.ndarray, shape: tuple[int, int]) -> None:
     """Every face counter-clockwise; together the rectangle; every inner edge used exactly twice."""
     ny, nx = shape
@@ -79,20 +85,39 @@ def test_any_choice_of_samples_gives_a_mesh_without_cracks(ny, nx, seed, part):
     root = adaptive.ROOT_CELLS
     shape = tuple(-(-(n - 1) // root) * root + 1 for n in (ny, nx))
     errors = np.random.default_rng(seed).random(shape).astype(np.float32)
-    plane = adaptive.Channels(np.zeros((ny, nx, 1)), np.array([0]), np.zeros((ny, nx, 1)))
     # The border must be kept whatever else is left out.
-    forced = adaptive.vertex_errors(plane, np.ones((ny, nx)), 1.0, 1.0)
+    forced = adaptive.vertex_errors(heights(np.zeros((ny, nx))), 1.0)
     errors = np.where(np.isinf(forced), forced, errors)
     require_whole(faces_of(errors, part, (ny, nx)), (ny, nx))
+
+
+@examples(20)
+@given(
+    st.integers(2, 200), st.integers(2, 200), st.integers(0, 2**32 - 1), st.floats(0.1, 3.0),
+    st.integers(0, 2),
+)  # fmt: skip
+def test_errors_measured_no_further_than_it_takes_choose_the_same_samples(
+    ny, nx, seed, tolerance, count
+):
+    rng = np.random.default_rng(seed)
+    y, x = np.meshgrid(np.linspace(0.0, 9.0, ny), np.linspace(0.0, 9.0, nx), indexing="ij")
+    rough = 10.0 ** rng.uniform(-3.0, 0.5)
+    channels = adaptive.Channels(
+        np.sin(x) * np.cos(y) + rough * rng.random((ny, nx)),
+        np.sin(rng.uniform(0.2, 2.0, (count, 1, 1)) * x + y),
+        rng.uniform(0.0, 2.0, (2, 1, 1)) * np.sin(x - y),
+        (0.3, 0.2),
+        rng.uniform(0.1, 30.0) / (0.1 + x),
+    )
+    errors = adaptive.vertex_errors(channels, tolerance)
+    active = adaptive.activate(errors, tolerance)
+    assert (adaptive.needed(channels, tolerance) == active).all()
 
 
 def test_a_plane_takes_the_coarsest_triangles_there_are():
     shape = (257, 385)
     y, x = np.meshgrid(np.arange(257.0), np.arange(385.0), indexing="ij")
-    values = (3.0 + 0.5 * x - 0.25 * y)[..., None]
-    errors = adaptive.vertex_errors(
-        adaptive.Channels(values, np.array([0]), np.zeros((*shape, 1))), np.ones(shape), 1.0, 1.0
-    )
+    errors = adaptive.vertex_errors(heights(3.0 + 0.5 * x - 0.25 * y), 1.0)
     assert errors.max() < 1e-9
     assert len(faces_of(errors, 0.5, shape)) == 2 * 2 * 3
 

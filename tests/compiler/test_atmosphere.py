@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import nishita
-import numba
 import numpy as np
 import pytest
 from examples import examples
@@ -36,7 +35,7 @@ from scenec.compiler.light.build import Light, build_light
 from scenec.compiler.light.latlong import directions, horizontal_irradiance, luminance
 from scenec.compiler.light.sky import sun_direction
 from scenec.schemas.errors import CfgError
-from scenec.schemas.threads import at_most
+from scenec.schemas.threads import ALL, at_most
 
 BLACK, COUNT = np.zeros(3), atmosphere.WAVELENGTHS
 WEIGHTS = weights(COUNT)
@@ -217,7 +216,7 @@ def test_the_sky_of_mars_is_yellowish_brown_and_blue_about_a_low_sun():
 @pytest.mark.parametrize("elevation", [20.0, -3.0])
 def test_the_number_of_threads_changes_no_byte(elevation):
     pictures = []
-    for threads in (1, numba.config.NUMBA_NUM_THREADS):
+    for threads in (1, ALL):
         with at_most(threads):
             pictures.append(baked(earth(COUNT, 1, 1, 1), elevation).tobytes())
     assert pictures[0] == pictures[1]

@@ -165,6 +165,17 @@ def test_coverage_is_met(coverage):
     assert (noise >= center).mean() == pytest.approx(coverage, abs=1e-4)
 
 
+@pytest.mark.parametrize("spread", [1.0, 1e-3, 1e-300])
+def test_the_center_lies_between_the_two_samples_at_the_rank(spread):
+    # Ties, a far outlier, and widths near the smallest number.
+    noise = spread * np.random.default_rng(2).normal(size=4000).round(1)
+    noise[7] = 40.0 * spread
+    ordered = np.sort(noise)
+    for rank in (1, 2, 999, 2000, 3998, 3999):
+        expected = 0.5 * (ordered[rank - 1] + ordered[rank])
+        assert center_for_coverage(noise, 1.0 - (rank + 0.5) / 4000) == expected
+
+
 def test_without_labels_the_mesh_is_not_cut_and_without_color_there_are_no_weights():
     field = relief()
     whole, report = build_tiles(Surface(field, MERGES), 1, color=False, cut_labels=False)

@@ -15,7 +15,7 @@ from scenec.compiler.mesh.cover import MaterialCondition, cover_report, lay
 from scenec.compiler.mesh.merge import Merge, label_index
 from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.mesh.tiles import build_tiles
-from scenec.compiler.noise.perlin import fbm2_points
+from scenec.compiler.noise.fractal import fbm2_points
 from scenec.compiler.terrain.condition import (
     CurvatureCondition,
     FlowCondition,

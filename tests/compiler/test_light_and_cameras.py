@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from pxr import Gf, Usd, UsdGeom
 
-from scenec.compiler.cameras.rigs import incident_exposure
 from scenec.compiler.emit.cameras import HALF_TURN
 from scenec.compiler.emit.lights import _pointing_from
 from scenec.compiler.geometry.poses import compose, from_euler, from_quaternion, look_at
@@ -15,6 +14,7 @@ from scenec.compiler.light.clear_sky import clear_sky
 from scenec.compiler.light.latlong import directions, horizontal_irradiance, luminance
 from scenec.compiler.light.plan import ClearSkyPlan
 from scenec.compiler.light.sky import build_sky, sun_direction
+from scenec.compiler.scene.exposure import incident_exposure
 from scenec.compiler.scene.scene import SunLight
 
 COLORS = tuple(

@@ -71,7 +71,7 @@ def meshed(surface: Surface, meshing: Meshing, seed: int) -> tuple[CutMesh, View
     x, y = surface.field.grid.points()
     sides = tuple(one.side(x, y).reshape(near.shape) for one in surface.merges)
     look = Appearance(sides, np.zeros(near.shape))
-    mesh, report = adaptive_mesh(surface, look, near, views, meshing)
+    mesh, _, report = adaptive_mesh(surface, look, near, views, meshing)
     return mesh, views, report["finer"]
 
 

@@ -16,10 +16,10 @@ from test_scatter import quaternions, shape
 from scenec.compiler.build import BuildLog, build
 from scenec.compiler.cfg.load import load
 from scenec.compiler.draw.batch import draw
+from scenec.compiler.geometry.rotations import rotation_rows
 from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.objects.density import Density, NoiseDensity, UniformDensity
 from scenec.compiler.objects.on_mesh import STANDING, MeshPlaces, Spots, seat_on_mesh
-from scenec.compiler.objects.placement import rotation_rows
 from scenec.compiler.objects.rocks import build_prototypes
 from scenec.compiler.objects.surroundings import Surroundings
 from scenec.compiler.terrain.operators.multifractal import Multifractal

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from scenec.compiler.noise.fractal import fbm2_points
 from scenec.compiler.noise.lattice import mix, subkey
-from scenec.compiler.noise.perlin import fbm2_points, perlin2, perlin3
+from scenec.compiler.noise.perlin import perlin2, perlin3
 from scenec.schemas.threads import at_most
 
 

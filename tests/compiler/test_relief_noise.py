@@ -11,9 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
-from scenec.compiler.noise.lattice import subkey
-from scenec.compiler.noise.perlin import fbm2, perlin2
-from scenec.compiler.noise.rows import fbm_grid, tabulate
+from scenec.compiler.noise.fractal import Fractal
+from scenec.compiler.noise.lattice import subkey, subkeys
+from scenec.compiler.noise.octaves import octave_at, tabulate
+from scenec.compiler.noise.perlin import perlin2
 from scenec.compiler.noise.worley import feature_point, worley2
 from scenec.compiler.terrain.grid import Grid
 from scenec.compiler.terrain.operators.multifractal import Multifractal
@@ -32,6 +33,16 @@ def apply(operator, grid: Grid = GRID) -> np.ndarray:
 
 def part(key: int, index: int) -> np.uint64:
     return np.uint64(subkey(np.uint64(key), index))
+
+
+def fbm2(key: int, x: float, y: float, octaves: int, gain: float, lacunarity: float) -> float:
+    """The sum at a point, in the product's order of operations."""
+    total, amplitude = 0.0, 1.0
+    for octave in range(octaves):
+        total += amplitude * perlin2(part(key, octave), x, y)
+        amplitude *= gain
+        x, y = lacunarity * (0.8 * x - 0.6 * y), lacunarity * (0.6 * x + 0.8 * y)
+    return total
 
 
 def musgrave(operator: Multifractal, x: float, y: float) -> float:
@@ -85,20 +96,42 @@ def test_relief_is_its_formula_at_every_sample(variant, distortion):
         assert height[j, i] == pytest.approx(musgrave(operator, x[i], y[j]), rel=1e-12, abs=1e-12)
 
 
-def test_tabulated_noise_has_the_bits_of_the_plain_one():
+def test_noise_of_many_points_has_the_bits_of_one():
     x, y = np.linspace(-7.3, 11.1, 57), np.linspace(-2.0, 3.0, 31)
-    grid = fbm_grid(tabulate(5, x, y, 7, 2.1), x, y, 0.6, 2.1)
-    plain = [[fbm2(np.uint64(5), u, v, 7, 0.6, 2.1) for u in x] for v in y]
+    grid = Fractal(5, 7, 0.6, 2.1).on(x, y)
+    plain = [[fbm2(5, u, v, 7, 0.6, 2.1) for u in x] for v in y]
     assert np.array_equal(grid, np.array(plain))
+    v, u = (a.ravel() for a in np.meshgrid(y, x, indexing="ij"))
+    for order in (np.arange(u.size), np.random.default_rng(0).permutation(u.size)):
+        scattered = Fractal(5, 7, 0.6, 2.1).at(u[order], v[order])
+        assert np.array_equal(scattered, grid.ravel()[order])
+
+
+@pytest.mark.parametrize("far", [0.0, -3e5, 2.0**49])
+def test_octaves_have_the_same_bits_with_a_table_and_without(far):
+    u, v = np.random.default_rng(1).uniform(far, far + 30.0, (2, 1000))
+    keys = subkeys(np.uint64(5), 1)
+    with_table = tabulate(keys, np.sort(u), np.sort(v), 2.0, 10_000)
+    without = tabulate(keys, u, v, 2.0, 0)
+    assert (with_table.start.tolist(), without.start.tolist()) == ([0], [-1])
+    plain = [perlin2(keys[0], a, b) for a, b in zip(u, v, strict=True)]
+    for octaves in (with_table, without):
+        out = np.empty(u.size)
+        octave_at(octaves, 0, u, v, out)
+        assert np.array_equal(out, plain)
 
 
 def test_a_table_that_would_be_too_large_is_left_out_without_a_trace():
     # Two rows, ten thousand cells apart: turned, they lie in a box of a hundred million cells.
     x, y = np.linspace(0.0, 10_000.0, 40), np.array([0.0, 10_000.0])
-    octaves = tabulate(5, x, y, 2, 2.0)
-    assert octaves.start.tolist() == [-1, -1]
-    plain = [[fbm2(np.uint64(5), u, v, 2, 0.5, 2.0) for u in x] for v in y]
-    assert np.array_equal(fbm_grid(octaves, x, y, 0.5, 2.0), np.array(plain))
+    assert tabulate(subkeys(np.uint64(5), 2), x, y, 2.0, 80).start.tolist() == [-1, -1]
+    plain = [[fbm2(5, u, v, 2, 0.5, 2.0) for u in x] for v in y]
+    assert np.array_equal(Fractal(5, 2, 0.5, 2.0).on(x, y), np.array(plain))
+
+
+def test_beyond_what_float64_tells_apart_there_is_no_noise():
+    far = np.array([2.0**52, -(2.0**60), 1e300])
+    assert np.abs(Fractal(5, 3, 0.5, 2.0).at(far, far)).max() == 0.0
 
 
 @pytest.mark.parametrize("operator", [replace(FRACTAL, distortion=0.4), CELLS])

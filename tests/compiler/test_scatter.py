@@ -7,10 +7,11 @@ import pytest
 import trimesh
 
 from scenec.compiler.geometry.icosphere import icosphere
+from scenec.compiler.geometry.rotations import align_to_normals, rotation_rows
 from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.objects.density import Density, NoiseDensity, UniformDensity
 from scenec.compiler.objects.families.weathered import Weathered
-from scenec.compiler.objects.placement import align_to_normals, places_on, rotation_rows
+from scenec.compiler.objects.placement import places_on
 from scenec.compiler.objects.rocks import build_prototypes
 from scenec.compiler.objects.seat import seat
 from scenec.compiler.objects.surroundings import Surroundings

@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 
 from scenec.compiler.distributions.laws import golombek_rapp_per_m2
 from scenec.compiler.draw.scatter import Setting
-from scenec.compiler.objects.placement import rotation_rows
+from scenec.compiler.geometry.rotations import rotation_rows
 from scenec.schemas.errors import SceneError
 
 POWER = {"type": "power_law", "exponent": 2.5, "min": 0.1, "max": 3}

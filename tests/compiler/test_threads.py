@@ -8,17 +8,16 @@ import sys
 from concurrent.futures import ThreadPoolExecutor
 from threading import Lock, get_ident
 
-import numba
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from scenec.schemas.threads import at_most, over_threads
+from scenec.schemas.threads import ALL, at_most, over_threads
 
 
-@given(count=st.integers(0, 300), threads=st.integers(1, numba.config.NUMBA_NUM_THREADS))
+@given(count=st.integers(0, 300), threads=st.integers(1, ALL))
 def test_every_number_is_done_once(count: int, threads: int) -> None:
     done = np.zeros(count, np.int64)
 

@@ -1,6 +1,6 @@
 """Rules of the source that the linter's banned imports cannot say, as a walk over the syntax tree.
 
-Each rule guards byte-identical output (compiler) or honest kernels (everywhere numba is used).
+Each rule guards byte-identical output.
 """
 
 from __future__ import annotations
@@ -24,11 +24,6 @@ ORDER_FREE = ("sorted", "any", "all", "len", "min", "max", "set", "frozenset")
 SET_METHODS = ("union", "intersection", "difference", "symmetric_difference")
 
 
-#: Each loads a threading layer, even the one that only asks for a number.
-_NUMBA_THREADS = ("numba.prange", "numba.get_num_threads", "numba.set_num_threads",
-                  "numba.get_thread_id", "numba.set_parallel_chunksize")  # fmt: skip
-
-
 @dataclass(frozen=True, order=True)
 class Violation:
     """A place that breaks a rule."""
@@ -39,41 +34,6 @@ class Violation:
 
     def __str__(self) -> str:
         return f"{self.file}:{self.line}: {self.message}"
-
-
-def kernel_violations(source: str, file: str) -> list[Violation]:
-    """Kernels that are not cached, or may reorder arithmetic; uses of numba's own threads."""
-    tree = ast.parse(source)
-    names = _imported_names(ast.walk(tree))
-    found = [
-        Violation(file, node.lineno, f"{name} makes numba load a threading layer: over_threads")
-        for node in ast.walk(tree)
-        if isinstance(node, ast.Attribute | ast.Name)
-        and (name := _qualified(node, names)) in _NUMBA_THREADS
-    ]
-    for node in ast.walk(tree):
-        if isinstance(node, ast.FunctionDef):
-            for decorator in node.decorator_list:
-                call = decorator.func if isinstance(decorator, ast.Call) else decorator
-                if _qualified(call, names) not in ("numba.njit", "numba.jit"):
-                    continue
-                options = _keywords(decorator) if isinstance(decorator, ast.Call) else {}
-                messages = []
-                if "parallel" in options:
-                    messages.append(
-                        "parallel=True makes numba load a threading layer: the system's TBB, with "
-                        "which Blender's libraries do not load; over_threads does the same"
-                    )
-                if "fastmath" in options:
-                    messages.append("fastmath lets the compiler reorder arithmetic")
-                if options.get("cache") is not True:
-                    messages.append("a kernel without cache=True compiles in every process")
-                if options.get("error_model") != "numpy":
-                    messages.append(
-                        'a kernel without error_model="numpy" branches on every division'
-                    )
-                found += [Violation(file, node.lineno, m) for m in messages]
-    return found
 
 
 def determinism_violations(source: str, file: str) -> list[Violation]:

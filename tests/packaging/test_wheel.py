@@ -29,6 +29,16 @@ import scenec.backends.contract, scenec.compiler.scene.scene
 print(errors.__file__)
 """
 
+#: A kernel's answer, and whether it was read.
+KERNEL = """
+from scenec.schemas import kernels
+from scenec.compiler.arithmetic.elementary import exp
+loaded = []
+load = kernels._Kept.load_overload
+kernels._Kept.load_overload = lambda *given: loaded.append(load(*given)) or loaded[-1]
+print(float(exp(0.3)).hex(), all(loaded))
+"""
+
 pytestmark = [pytest.mark.slow, pytest.mark.invariant]
 
 
@@ -56,6 +66,9 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
             shutil.copytree(source, copy / name, symlinks=True, ignore=ignored)
         else:
             shutil.copy2(source, copy / name)
+    compiled = run(sys.executable, "-c", KERNEL, cwd=copy, NUMBA_CACHE_DIR=str(copy / "kept"))
+    assert compiled.endswith("False\n")
+    (copy / "kept" / "scenec").rename(copy / "schemas" / "compiled")
     run(sys.executable, "-m", "build", "--no-isolation", "--wheel", "--sdist", cwd=copy)
     return copy / "dist"
 
@@ -77,7 +90,9 @@ def test_the_wheel_holds_every_module_and_schema_and_nothing_else(built: Path) -
     with zipfile.ZipFile(wheel) as archive:
         names = {name for name in archive.namelist() if ".dist-info/" not in name}
         metadata = {name.partition(".dist-info/")[2] for name in archive.namelist()}
-    assert names == modules()
+    compiled = {name for name in names if "/compiled/" in name}
+    assert names - compiled == modules()
+    assert len(compiled) == 1
     assert "scenec/schemas/cfg/cfg.schema.json" in names
     assert {"METADATA", "entry_points.txt", "licenses/LICENSE"} <= metadata
 
@@ -104,6 +119,11 @@ def test_the_installed_wheel_works_outside_the_checkout(built: Path, tmp_path: P
     isolated = {"PYTHONPATH": "", "NUMBA_CACHE_DIR": str(tmp_path / "numba")}
     where = run(venv / "bin" / "python", "-c", PROGRAM, cwd=tmp_path, **isolated)
     assert Path(where.strip()).is_relative_to(site)
+    # A kernel that the wheel brings is read where nothing can be written.
+    isolated["NUMBA_CACHE_DIR"] = "/dev/null/kernels"
+    here = run(sys.executable, "-c", KERNEL, cwd=tmp_path, **isolated)
+    there = run(venv / "bin" / "python", "-c", KERNEL, cwd=tmp_path, **isolated)
+    assert (here.split()[0], there.split()[1]) == (there.split()[0], "True")
     usage = run(venv / "bin" / "scenec", "--help", cwd=tmp_path, **isolated)
     assert "usage: scenec" in usage.lower()
     assert "render" in usage

@@ -1,1 +1,1 @@
-"""Motions that are made and not given: one module each."""
+"""Makes motions, one module each."""

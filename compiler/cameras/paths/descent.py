@@ -1,4 +1,4 @@
-"""Descents: from a height down to the ground, braking evenly, the drift dying away."""
+"""Lowers a rig from a height to the ground, braking evenly, the drift dying away."""
 
 from __future__ import annotations
 

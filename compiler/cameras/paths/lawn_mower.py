@@ -1,4 +1,4 @@
-"""Surveys: parallel lines over a rectangle, there and back, with turns of a bounded curvature."""
+"""Surveys a rectangle in parallel lines, there and back, with turns of a bounded curvature."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Ways in plan made of straight lines, arcs, and turns on the spot, driven at a limited rate."""
+"""Drives straight lines, arcs, and turns on the spot at a limited rate."""
 
 from __future__ import annotations
 

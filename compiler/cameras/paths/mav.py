@@ -1,4 +1,4 @@
-"""Flights over the ground through waypoints, with bounded speed, acceleration and jerk."""
+"""Flies over the ground through waypoints with bounded speed, acceleration and jerk."""
 
 from __future__ import annotations
 

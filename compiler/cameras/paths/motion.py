@@ -1,4 +1,4 @@
-"""What a made motion is: a plan that becomes poses once the ground is there."""
+"""Defines a made motion: a plan that becomes poses once the ground is there."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
+from scenec.compiler.geometry.rotations import turned
 from scenec.compiler.mesh.surface import Surface
-from scenec.compiler.objects.placement import turned
 from scenec.compiler.scene.rig import Lidar
 from scenec.compiler.scene.scene import Placed, Prototype, Scatter
 from scenec.schemas.errors import SceneError

@@ -1,4 +1,4 @@
-"""What stands in a vehicle's way: geometry between the ground and its top, not the ball around it.
+"""Finds what stands in a vehicle's way: geometry between the ground and its top.
 
 An object is the cubes that hold its prototype (``scatter.voxels``), each as the ball around it in
 the world. A ball is in the way of a vehicle at a cell where some of it is between the lowest ground
@@ -13,11 +13,11 @@ from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.cameras.paths.motion import Bodies
 from scenec.compiler.geometry.voxels import voxels_of
+from scenec.schemas.kernels import inlined, kernel
 
 #: Cubes along the longest side of a prototype at most.
 _CUBES: Final = 64
@@ -147,7 +147,7 @@ def _sizes(turn: NDArray[np.float32]) -> NDArray[np.float64]:
     return sizes
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@inlined
 def _factor(turn):  # type: ignore[no-untyped-def]
     most = 0.0
     for c in range(3):
@@ -156,7 +156,7 @@ def _factor(turn):  # type: ignore[no-untyped-def]
     return np.sqrt(most)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _block(free, band, widest, shapes):  # type: ignore[no-untyped-def]
     """Cells that balls touch within the vehicle's height and reach are not free."""
     frame, low, high, reach = band
@@ -187,7 +187,7 @@ def _block(free, band, widest, shapes):  # type: ignore[no-untyped-def]
                         free[j, i] = False
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _distances(xy, low, high, shapes):  # type: ignore[no-untyped-def]
     """Of a point from each object's balls that are between two heights, in plan; inf without."""
     middle, turn, hair, prototype, points, first, half = shapes

@@ -1,4 +1,4 @@
-"""Circles around a point or an object, which the rig looks at."""
+"""Circles a point or an object, which the rig looks at."""
 
 from __future__ import annotations
 

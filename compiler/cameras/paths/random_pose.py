@@ -1,4 +1,4 @@
-"""Random poses that keep to limits: drawn, looked at, and drawn again."""
+"""Draws random poses until they keep to their limits (rejection sampling)."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
@@ -29,6 +28,7 @@ from scenec.compiler.geometry.poses import compose
 from scenec.compiler.geometry.voxels import Cubes
 from scenec.compiler.noise.lattice import hash2
 from scenec.schemas.errors import SceneError
+from scenec.schemas.kernels import kernel
 
 #: Rays over a sensor's width and height that say what share of its picture is sky.
 _RAYS: Final = (12, 9)
@@ -287,7 +287,7 @@ _NONE = Bodies(
 )
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _uniforms(key, samples, k):  # type: ignore[no-untyped-def]
     """Numbers in [0, 1), multiples of 2**-53: functions of the key, the sample and the try."""
     out = np.empty(len(samples))
@@ -296,7 +296,7 @@ def _uniforms(key, samples, k):  # type: ignore[no-untyped-def]
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _places(polygon, key_x, key_y, samples, k, out):  # type: ignore[no-untyped-def]
     """Points, evenly over a region: of its box, the first that lies in the polygon."""
     corners = len(polygon)

@@ -1,12 +1,12 @@
-"""Rays against the grid's heights: does a camera see ground, and how steeply."""
+"""Casts rays against the grid's heights: does a camera see ground, and how steeply."""
 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.terrain.grid import HeightField, surface_height
+from scenec.schemas.kernels import kernel
 
 
 def span_of(field: HeightField) -> NDArray[np.float64]:
@@ -33,7 +33,7 @@ def hits(
     """
     out = np.empty(len(way))
     half = 0.5 * np.array(field.grid.size_m)
-    _hits(field.height, *field.frame(), half, span, eye, np.ascontiguousarray(way), out)
+    _hits(field.height, field.frame(), half, span, eye, np.ascontiguousarray(way), out)
     return out
 
 
@@ -50,8 +50,10 @@ def normal_at(field: HeightField, x: float, y: float) -> NDArray[np.float64]:
     return unit
 
 
-@njit(cache=True, error_model="numpy")
-def _hits(height, x0, y0, dx, dy, half, span, eye, way, out):  # type: ignore[no-untyped-def]
+@kernel
+def _hits(height, frame, half, span, eye, way, out):  # type: ignore[no-untyped-def]
+    """As ``hits``; ``frame`` is the field's, ``half`` half its extent along x and y."""
+    x0, y0, dx, dy = frame
     step_plan = 0.5 * min(dx, dy)
     for n in range(len(way)):
         out[n] = np.inf

@@ -1,4 +1,4 @@
-"""Ways over the ground that keep off what a vehicle cannot drive over."""
+"""Plans ways over the ground that keep off what a vehicle cannot drive over."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
@@ -18,6 +17,7 @@ from scenec.compiler.cameras.paths.obstacles import (
     nearest,
     obstacles_of,
 )
+from scenec.schemas.kernels import kernel
 
 #: Cells along the longer side at most.
 _CELLS: Final = 384
@@ -171,7 +171,7 @@ def driven_over(
     return [int(k) for k in bodies.id[touched].tolist()]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _touched(xy, middle, reach):  # type: ignore[no-untyped-def]
     out = np.zeros(len(middle), np.bool_)
     for k in range(len(middle)):
@@ -184,7 +184,7 @@ def _touched(xy, middle, reach):  # type: ignore[no-untyped-def]
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _shortest(free, dx, dy, j0, i0, j1, i1):  # type: ignore[no-untyped-def]
     """Cells from one to another, by sweeps until no distance shrinks (Bellman and Ford)."""
     rows, columns = free.shape
@@ -238,7 +238,7 @@ def _shortest(free, dx, dy, j0, i0, j1, i1):  # type: ignore[no-untyped-def]
     return found[:count]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _sees(free, frame, x0, y0, x1, y1):  # type: ignore[no-untyped-def]
     """Whether the straight way lies in free cells, looked at every quarter of a cell."""
     rows, columns = free.shape
@@ -255,7 +255,7 @@ def _sees(free, frame, x0, y0, x1, y1):  # type: ignore[no-untyped-def]
     return True
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _pulled(free, frame, points):  # type: ignore[no-untyped-def]
     """Which points of a way are left when it is pulled straight: from each the farthest seen."""
     keep = np.zeros(len(points), np.bool_)

@@ -1,4 +1,4 @@
-"""Drives over the ground: the body lies on its wheels."""
+"""Drives over the ground with the body on its wheels."""
 
 from __future__ import annotations
 

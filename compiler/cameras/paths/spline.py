@@ -1,4 +1,4 @@
-"""Cubic splines over time whose speed, acceleration and jerk are kept below limits exactly."""
+"""Fits cubic splines over time whose speed, acceleration and jerk keep to limits exactly."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
+from scenec.schemas.kernels import kernel
 
 
 @dataclass(frozen=True)
@@ -100,7 +100,7 @@ def within(
     return tuple(s.slowed(factor if factor > 0.0 else 1.0) for s in splines)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _solve(time, value, bend):  # type: ignore[no-untyped-def]
     """Second derivatives of the clamped spline, by elimination of its tridiagonal system."""
     n, columns = value.shape

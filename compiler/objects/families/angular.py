@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.distributions.streams import Streams
@@ -14,6 +13,7 @@ from scenec.compiler.geometry.icosphere import icosphere
 from scenec.compiler.noise.lattice import subkey
 from scenec.compiler.noise.perlin import fbm3, perlin3
 from scenec.compiler.objects.families.shape import LEAST, block, octaves, unit_vectors
+from scenec.schemas.kernels import kernel
 
 _CUTS = 5
 _CHIPS = 9
@@ -126,7 +126,7 @@ def draw_angular(
     )
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _chip(  # type: ignore[no-untyped-def]
     directions, normals, distances, u
 ):
@@ -150,7 +150,7 @@ def _chip(  # type: ignore[no-untyped-def]
     return normal, reach * (0.97 - 0.12 * u[6])
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _bowls(normals, distances, scars):  # type: ignore[no-untyped-def]
     out = np.empty((len(scars), 4))
     for s in range(len(scars)):
@@ -160,7 +160,7 @@ def _bowls(normals, distances, scars):  # type: ignore[no-untyped-def]
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _surface(  # type: ignore[no-untyped-def]
     key, directions, normals, distances, scars, tones, width, bumpiness, waves, grains
 ):

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
@@ -13,6 +12,7 @@ from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.noise.lattice import subkey
 from scenec.compiler.noise.perlin import fbm3, perlin3
 from scenec.compiler.objects.families.shape import LEAST, block, octaves, smooth_max, unit_vectors
+from scenec.schemas.kernels import kernel
 
 _FLATS = 7
 
@@ -88,7 +88,7 @@ def draw_rounded(
     )
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _surface(  # type: ignore[no-untyped-def]
     key, directions, normals, distances, frame, wear, bumpiness, waves, grains, pits
 ):

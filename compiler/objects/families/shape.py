@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import Protocol
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
+from scenec.schemas.kernels import inlined, kernel
 
 #: However bumpy, a surface stays this far from the center that it is star-shaped about.
 LEAST = 0.25
@@ -71,7 +71,7 @@ def unit_vectors(u: NDArray[np.float64]) -> NDArray[np.float64]:
     )
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@inlined
 def smooth_max(a: float, b: float, width: float) -> float:
     """The larger of two; where they are closer than ``width``, a parabola joins them."""
     gap = a - b if a > b else b - a
@@ -81,7 +81,7 @@ def smooth_max(a: float, b: float, width: float) -> float:
     return top + (width - gap) * (width - gap) / (4.0 * width)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def block(
     normals: NDArray, distances: NDArray, x: float, y: float, z: float, width: float
 ) -> tuple[float, int, float]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
@@ -13,6 +12,7 @@ from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.noise.lattice import subkey
 from scenec.compiler.noise.perlin import fbm3, perlin3
 from scenec.compiler.objects.families.shape import LEAST, block, octaves
+from scenec.schemas.kernels import kernel
 
 _MOST_SIDES = 8
 _LAYERS = 6
@@ -112,7 +112,7 @@ def draw_slab(
     )
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _surface(  # type: ignore[no-untyped-def]
     key, directions, normals, distances, bedding, steps, tones, width, bumpiness, spacing,
     waves, grains,

@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.noise.lattice import subkey
 from scenec.compiler.noise.perlin import fbm3
 from scenec.compiler.objects.families.shape import LEAST, block, octaves, unit_vectors
+from scenec.schemas.kernels import kernel
 
 _PLANES = 12
 _BUBBLES = 260
@@ -95,7 +95,7 @@ def draw_vesicular(
     )
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _worn(  # type: ignore[no-untyped-def]
     key, normals, distances, x, y, z, width, bumpiness, waves, grains
 ):
@@ -109,7 +109,7 @@ def _worn(  # type: ignore[no-untyped-def]
     return r * max(1.0 + bumpiness * bumps, LEAST)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _surface(  # type: ignore[no-untyped-def]
     key, directions, normals, distances, bubbles, width, bumpiness, spacing, waves, grains
 ):

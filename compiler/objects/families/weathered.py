@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.noise.lattice import subkey
 from scenec.compiler.noise.perlin import fbm3
 from scenec.compiler.objects.families.shape import LEAST
+from scenec.schemas.kernels import kernel
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class Weathered:
         )
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _surface(
     key: np.uint64,
     directions: NDArray,

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
@@ -14,6 +13,7 @@ from scenec.compiler.distributions.numbers import draw_number
 from scenec.compiler.distributions.resolve import resolve
 from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.terrain.grid import Grid
+from scenec.schemas.kernels import kernel
 
 #: Dunes of one operator at most.
 MAX_BARCHANS = 100_000
@@ -117,7 +117,7 @@ def draw_barchans(
     )
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _heap(
     sand: NDArray,
     x: NDArray,
@@ -147,7 +147,7 @@ def _heap(
                 sand[j, i] = max(sand[j, i], z)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _barchan(down: float, side: float, horn: float, slope: float) -> float:
     """Height of a unit dune, ``down`` heights downwind of its crest and ``side`` beside it."""
     a = down / (horn if down > 0.0 else _STOSS)

@@ -19,8 +19,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from scenec.schemas.kernels import inlined, kernel
 
 #: Radius at which the blanket ends, in crater radii; from 4 on it is faded out.
 REACH = 5.0
@@ -89,7 +90,7 @@ def profile_table(largest_state: float) -> ProfileTable:
     return ProfileTable(np.array(states), rims * window, depths * window)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _diffuse(z: NDArray, dt: float) -> NDArray:
     """One step of dz/dt = (1/x) d/dx (x dz/dx) with no flux through either end."""
     n = z.size
@@ -105,7 +106,7 @@ def _diffuse(z: NDArray, dt: float) -> NDArray:
     return _solve((middle - keep * z) / (_GAMMA * (2.0 - _GAMMA)), theta)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _solve(right: NDArray, theta: float) -> NDArray:
     """Solves (1 - theta * laplacian) z = right by elimination."""
     n = right.size
@@ -122,7 +123,7 @@ def _solve(right: NDArray, theta: float) -> NDArray:
     return z
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def blend_row(
     states: NDArray, rim: NDArray, depth: NDArray, state: float, rim_m: float, depth_m: float
 ) -> tuple[NDArray, float]:
@@ -140,7 +141,7 @@ def blend_row(
     return out, left / depth[0, 0]
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@inlined
 def height_at(profile: NDArray, x: float) -> float:
     """Height at a radius below ``REACH``, in crater radii: a cubic through the samples."""
     t = x / _STEP - 0.5

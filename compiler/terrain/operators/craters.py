@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.noise.perlin import perlin2
@@ -18,6 +17,7 @@ from scenec.compiler.terrain.operators.crater_profile import (
     profile_table,
 )
 from scenec.schemas.errors import SceneError
+from scenec.schemas.kernels import kernel
 
 #: Craters narrower than this many grid spacings are not shown.
 _FINEST = 3.0
@@ -119,7 +119,7 @@ def shown_on(craters: Craters, grid: Grid) -> NDArray[np.bool_]:
     return craters.diameter_m >= _FINEST * max(grid.spacing_m)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def uneven_distance(
     dx: float, dy: float, outline: np.uint64, irregularity: float, state: float
 ) -> float:
@@ -142,7 +142,7 @@ def uneven_distance(
     return away
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _excavate(
     height: NDArray,
     x: NDArray,
@@ -194,14 +194,14 @@ def _excavate(
     return touched
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def span(at: NDArray, center: float, reach: float) -> tuple[int, int]:
     """Indices [first, last) of the samples within reach of a center."""
     first = int(np.searchsorted(at, center - reach, side="left"))
     return first, int(np.searchsorted(at, center + reach, side="right"))
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _plane(
     height: NDArray, x: NDArray, y: NDArray, center_x: float, center_y: float, radius: float
 ) -> tuple[float, float, float]:

@@ -12,8 +12,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from scenec.schemas.kernels import inlined, kernel
 
 SIDES = ("west", "east", "south", "north")
 
@@ -45,7 +46,7 @@ def outlet_samples(shape: tuple[int, int], sides: tuple[str, ...]) -> NDArray[np
     return outlets
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@inlined
 def _push(keys: NDArray, items: NDArray, size: int, key: float, item: int) -> None:
     """Into a heap of four branches with ``size`` entries."""
     at = size
@@ -60,7 +61,7 @@ def _push(keys: NDArray, items: NDArray, size: int, key: float, item: int) -> No
     items[at] = item
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@inlined
 def _drop_first(keys: NDArray, items: NDArray, size: int) -> None:
     """Takes the smallest entry out of a heap; ``size`` entries are left."""
     key = keys[size]
@@ -83,7 +84,7 @@ def _drop_first(keys: NDArray, items: NDArray, size: int) -> None:
     items[at] = item
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def drain(height: NDArray, outlets: NDArray, dx: float, dy: float) -> Drainage:
     """Drainage of a field.
 
@@ -143,7 +144,7 @@ def drain(height: NDArray, outlets: NDArray, dx: float, dy: float) -> Drainage:
     return Drainage(receiver, distance, order, level)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def drainage_area(drainage: Drainage, cell: float) -> NDArray:
     """Area that drains through each sample, its own cell of area ``cell`` included: float64 [n]."""
     area = np.full(drainage.receiver.size, cell)

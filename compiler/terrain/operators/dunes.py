@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
-from scenec.compiler.noise.lattice import subkey
-from scenec.compiler.noise.rows import Octaves, octave_row, tabulate
+from scenec.compiler.noise.lattice import subkey, subkeys
+from scenec.compiler.noise.octaves import Octaves, octave_at, tabulate
 from scenec.compiler.terrain.grid import Grid
 from scenec.schemas.errors import SceneError
+from scenec.schemas.kernels import inlined, kernel
 from scenec.schemas.threads import over_threads
 
 #: Wavelengths of fewer grid spacings cannot be represented.
@@ -72,20 +72,15 @@ class Dunes:
         if self.wavelength_m < _FINEST * max(grid.spacing_m):
             return height, {"below_grid": True}
         wind = self.wind_deg * (elementary.PI / 180.0)
-        along, across = elementary.cos(wind), elementary.sin(wind)
-        x, y = grid.x() / self.wavelength_m, grid.y() / self.wavelength_m
-        first, second = (self._noise(i, x, y, along, across) for i in range(2))
-        real, imaginary = _envelope(first, second, x, y, along, across, self.order)
-        relief = _bedforms(
-            real,
-            imaginary,
-            x,
-            y,
-            along,
-            across,
-            lee,
-            self.rounded,
+        waves = Waves(
+            grid.x() / self.wavelength_m,
+            grid.y() / self.wavelength_m,
+            elementary.cos(wind),
+            elementary.sin(wind),
         )
+        noises = self._noise(0, waves), self._noise(1, waves)
+        real, imaginary = _envelope(*noises, waves, self.order)
+        relief = _bedforms(real, imaginary, waves, lee, self.rounded)
         relief *= self.height_m
         return height + relief, {
             "below_grid": False,
@@ -108,19 +103,19 @@ class Dunes:
             )
         return steepness * self.height_m / (self.wavelength_m * slope)
 
-    def _noise(self, part: int, x: NDArray, y: NDArray, along: float, across: float) -> Octaves:
+    def _noise(self, part: int, waves: Waves) -> Octaves:
         # The rectangle turned into the wind's axes, in its own.
+        x, y, along, across = waves
         u = [(along * a + across * b) / _ALONG for a in (x[0], x[-1]) for b in (y[0], y[-1])]
         v = [(along * b - across * a) / _ACROSS for a in (x[0], x[-1]) for b in (y[0], y[-1])]
         return tabulate(
-            subkey(np.uint64(self.key), part),
+            subkeys(np.uint64(subkey(np.uint64(self.key), part)), 1),
             np.array([min(u), max(u)]),
             # Two noises on one lattice would both be zero at its points.
             np.array([min(v), max(v)]) + 0.5 * part,
-            1,
             1.0,
-            1e-9,
             x.size * y.size,
+            1e-9,
         )
 
 
@@ -131,46 +126,52 @@ class Ripples(Dunes):
     rounded: ClassVar[bool] = True
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+class Waves(NamedTuple):
+    """A plane wave on a grid.
+
+    Attributes:
+        x, y: Of columns and rows, in wavelengths, float64 [nx], [ny].
+        along, across: Where it runs to: cosine and sine of the angle to x.
+    """
+
+    x: NDArray[np.float64]
+    y: NDArray[np.float64]
+    along: float
+    across: float
+
+
+@kernel
 def _envelope_part(
     begin: int,
     end: int,
     first: Octaves,
     second: Octaves,
-    x: NDArray,
-    y: NDArray,
-    along: float,
-    across: float,
+    waves: Waves,
     order: float,
     real: NDArray,
     imaginary: NDArray,
 ) -> None:
+    x, y, along, across = waves
     for j in range(begin, end):
         u = (along * x + across * y[j]) / _ALONG
         v = (along * y[j] - across * x) / _ACROSS
-        octave_row(first, 0, u, v, real[j])
-        octave_row(second, 0, u, v + 0.5, imaginary[j])
+        octave_at(first, 0, u, v, real[j])
+        octave_at(second, 0, u, v + 0.5, imaginary[j])
         for i in range(x.size):
             real[j, i] += order
 
 
 def _envelope(
-    first: Octaves,
-    second: Octaves,
-    x: NDArray,
-    y: NDArray,
-    along: float,
-    across: float,
-    order: float,
+    first: Octaves, second: Octaves, waves: Waves, order: float
 ) -> tuple[NDArray, NDArray]:
     """The complex noise of which the phase is a part: order + n1 + i n2, n of unit range."""
-    real = np.empty((y.size, x.size))
-    imaginary = np.empty((y.size, x.size))
-    over_threads(_envelope_part, y.size, first, second, x, y, along, across, order, real, imaginary)
+    real = np.empty((waves.y.size, waves.x.size))
+    imaginary = np.empty_like(real)
+    over_threads(_envelope_part, waves.y.size, first, second, waves, order, real, imaginary)
     return real, imaginary
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@inlined
 def _difference(field: NDArray, j: int, i: int, axis: int, spacing: float) -> float:
     """Central difference, one-sided at the border."""
     if axis == 0:
@@ -182,20 +183,18 @@ def _difference(field: NDArray, j: int, i: int, axis: int, spacing: float) -> fl
     return (field[j, high] - field[j, low]) / ((high - low) * spacing)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _bedforms_part(
     first: int,
     last: int,
     real: NDArray,
     imaginary: NDArray,
-    x: NDArray,
-    y: NDArray,
-    along: float,
-    across: float,
+    waves: Waves,
     lee: float,
     rounded: bool,
     out: NDArray,
 ) -> None:
+    x, y, along, across = waves
     dx = x[1] - x[0]
     dy = y[1] - y[0]
     turn = 0.5 / elementary.PI
@@ -235,16 +234,9 @@ def _bedforms_part(
 
 
 def _bedforms(
-    real: NDArray,
-    imaginary: NDArray,
-    x: NDArray,
-    y: NDArray,
-    along: float,
-    across: float,
-    lee: float,
-    rounded: bool,
+    real: NDArray, imaginary: NDArray, waves: Waves, lee: float, rounded: bool
 ) -> NDArray:
-    """Heights in units of the mean crest's, from positions in wavelengths: float64 [ny, nx]."""
+    """Heights in units of the mean crest's: float64 [ny, nx]."""
     out = np.empty(real.shape)
-    over_threads(_bedforms_part, y.size, real, imaginary, x, y, along, across, lee, rounded, out)
+    over_threads(_bedforms_part, len(out), real, imaginary, waves, lee, rounded, out)
     return out

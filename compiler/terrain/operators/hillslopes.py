@@ -12,7 +12,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.fft
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
@@ -57,6 +56,8 @@ class _Axis:
 
     def modes(self, field: NDArray[np.float64]) -> NDArray[np.float64]:
         """Modes of the samples between the fixed ones."""
+        import scipy.fft
+
         if not any(self.fixed):
             return np.asarray(scipy.fft.dct(field, type=2, axis=self.number))
         if all(self.fixed):
@@ -68,6 +69,8 @@ class _Axis:
 
     def field(self, modes: NDArray[np.float64]) -> NDArray[np.float64]:
         """What ``modes`` takes apart."""
+        import scipy.fft
+
         if not any(self.fixed):
             return np.asarray(scipy.fft.idct(modes, type=2, axis=self.number))
         if all(self.fixed):
@@ -139,7 +142,7 @@ class Hillslopes:
         """
         rows, columns = self._axes
         out = np.zeros([len(axis.eigenvalues) + sum(axis.fixed) for axis in self._axes])
-        if not self._decay.size:
+        if not self._decay.size or uplift_m == 0.0:
             return out
         # Mean of the decay over the step, (1 - exp(-x)) / x; where that cancels, its series.
         x = self._spread_m2 * self._eigenvalues

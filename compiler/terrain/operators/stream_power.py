@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
@@ -19,6 +18,7 @@ from scenec.compiler.terrain.operators.drainage import (
 )
 from scenec.compiler.terrain.operators.halving import halving_error, rms
 from scenec.compiler.terrain.operators.hillslopes import Hillslopes
+from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import POINTS, over_threads
 
 #: Steps at most for an aim.
@@ -142,7 +142,7 @@ class StreamPower:
         }
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _powers_part(first: int, last: int, x: NDArray, exponent: float, out: NDArray) -> None:
     for i in range(first, last):
         out[i] = np.sqrt(x[i]) if exponent == 0.5 else elementary.pow(x[i], exponent)
@@ -154,7 +154,7 @@ def _powers(x: NDArray, exponent: float) -> NDArray:
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _cut(height: NDArray, ways: Drainage, rate: NDArray, exponent: float) -> NDArray:
     """One implicit step: h + rate * ((h - h_receiver) / distance)^exponent = h_before."""
     out = height.copy().reshape(-1)
@@ -178,7 +178,7 @@ def _cut(height: NDArray, ways: Drainage, rate: NDArray, exponent: float) -> NDA
     return out.reshape(height.shape)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def implicit_slope(target: float, factor: float, exponent: float) -> float:
     """The x in [0, target] with x + factor * x^exponent = target.
 
@@ -194,7 +194,7 @@ def implicit_slope(target: float, factor: float, exponent: float) -> float:
     return _convex(target, factor, exponent)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _convex(target: float, factor: float, exponent: float) -> float:
     x = min(target, elementary.pow(target / factor, 1.0 / exponent))
     for _ in range(_NEWTON_STEPS):

@@ -6,13 +6,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from scenec.compiler.noise.fractal import Fractal
 from scenec.compiler.noise.lattice import hash2
-from scenec.compiler.noise.rows import fbm_grid, tabulate
 from scenec.compiler.terrain.grid import Grid
 from scenec.compiler.terrain.operators.multifractal import octaves_shown
+from scenec.schemas.kernels import inlined, kernel
 from scenec.schemas.threads import over_threads
 
 _GAIN = 0.5
@@ -52,8 +52,7 @@ class Terraces:
         """Terraced heights."""
         octaves = octaves_shown(_OCTAVES, self.bend_scale_m, _LACUNARITY, max(grid.spacing_m))
         x, y = grid.x() / self.bend_scale_m, grid.y() / self.bend_scale_m
-        bend = fbm_grid(tabulate(self.key, x, y, octaves, _LACUNARITY), x, y, _GAIN, _LACUNARITY)
-        bend *= self.bend_m
+        bend = self.bend_m * Fractal(self.key, octaves, _GAIN, _LACUNARITY).on(x, y)
         out = _terraced(
             height,
             bend,
@@ -70,14 +69,14 @@ class Terraces:
         }
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@inlined
 def _boundary(key: np.uint64, layer: int, irregularity: float) -> float:
     """Height of a layer's bottom, in mean thicknesses."""
     unit = np.float64(hash2(key, layer, 0) >> np.uint64(11)) * 2.0**-53
     return layer + 0.5 * irregularity * (unit - 0.5)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _terraced_part(
     first: int,
     last: int,

@@ -6,14 +6,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import scipy.fft
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.terrain.grid import Grid
 from scenec.compiler.terrain.operators.halving import halving_error, rms
 from scenec.compiler.terrain.operators.smooth import laplacian_eigenvalues
+from scenec.schemas.kernels import kernel
 
 # Iterations on coarser grids, where they are cheap, and on the grid itself.
 _COARSE = 50
@@ -71,7 +70,7 @@ class Thermal:
         }
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _excess(height: NDArray, dx: float, dy: float, slope: float) -> float:
     """Root mean square of what the triangles that are too steep drop too much, meters."""
     ny, nx = height.shape
@@ -131,6 +130,8 @@ def _iterate(
     iterations: int,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
     """Alternates between the two problems, on a state in place: see ``_slide``."""
+    import scipy.fft
+
     eigenvalues = (
         laplacian_eigenvalues(height.shape[0], dy)[:, None]
         + (laplacian_eigenvalues(height.shape[1], dx)[None, :])
@@ -156,7 +157,7 @@ def _start(ny: int, nx: int) -> tuple[NDArray, NDArray]:
     return np.zeros((4, ny, nx)), np.ones((2, ny, nx))
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _pull(height: NDArray, q: NDArray, held: NDArray, dx: float, dy: float, slope: float) -> None:
     """Gradients of the heights plus what was cut off q."""
     ny, nx = height.shape
@@ -180,7 +181,7 @@ def _pull(height: NDArray, q: NDArray, held: NDArray, dx: float, dy: float, slop
                 held[side, j, i] = slope / length if length > slope else 1.0
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _pushed(
     height: NDArray, q: NDArray, held: NDArray, dx: float, dy: float, penalty: float
 ) -> NDArray:
@@ -215,7 +216,7 @@ def _half(height: NDArray[np.float64]) -> NDArray[np.float64]:
     return 0.25 * (even[::2, ::2] + even[1::2, ::2] + even[::2, 1::2] + even[1::2, 1::2])
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _refine(q: NDArray, held: NDArray, ny: int, nx: int) -> tuple[NDArray, NDArray]:
     """The state on a grid twice as fine, where the penalty is half of it."""
     fine = np.empty((4, ny, nx))
@@ -231,7 +232,7 @@ def _refine(q: NDArray, held: NDArray, ny: int, nx: int) -> tuple[NDArray, NDArr
     return fine, factors
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _steepness(height: NDArray, dx: float, dy: float, slope: float) -> tuple[float, int]:
     """The steepest of the two triangles of all cells, and how many are steeper than a slope."""
     ny, nx = height.shape

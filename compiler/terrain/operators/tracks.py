@@ -7,13 +7,13 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.assets.polyline import read_polyline
 from scenec.compiler.terrain.grid import Grid
 from scenec.compiler.terrain.operators.smooth import diffuse
 from scenec.compiler.terrain.polyline import project
+from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
 
 # Across a rut, in half widths: where its walls begin, and how wide the berm beside it is.
@@ -90,7 +90,7 @@ class Tracks:
         }
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _press_part(
     first: int,
     last: int,

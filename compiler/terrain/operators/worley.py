@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Literal
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.noise.lattice import subkeys
@@ -14,6 +13,7 @@ from scenec.compiler.noise.worley import worley2
 from scenec.compiler.terrain.detail import Spectrum, octave_spectrum
 from scenec.compiler.terrain.grid import Grid
 from scenec.compiler.terrain.operators.multifractal import LARGEST_M, octaves_held, octaves_shown
+from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import POINTS, over_threads
 
 
@@ -127,7 +127,7 @@ class WorleyDetail:
         )
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _points_part(begin, end, key, x, y, shown, octaves, gain, lacunarity, jitter, difference, out):  # type: ignore[no-untyped-def]
     keys = subkeys(key, octaves)
     for n in range(begin, end):
@@ -167,7 +167,7 @@ def _points(  # type: ignore[no-untyped-def]
     return out
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _relief_part(
     begin: int,
     end: int,

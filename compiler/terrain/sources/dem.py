@@ -7,13 +7,13 @@ from pathlib import Path
 from typing import Any, ClassVar, Literal
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.assets.dem_file import GeoReference, read_dem
 from scenec.compiler.terrain.grid import Grid
 from scenec.compiler.terrain.sources.fill_holes import fill_holes
 from scenec.schemas.errors import SceneError
+from scenec.schemas.kernels import inlined, kernel
 from scenec.schemas.threads import over_threads
 
 # Holes are filled from what lies within so many pixels of the terrain.
@@ -157,14 +157,14 @@ def _used(u: NDArray, v: NDArray, shape: tuple[int, int]) -> list[int]:
     return [span(u, shape[1]), span(v, shape[0])]
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@inlined
 def _catmull_rom(p0: float, p1: float, p2: float, p3: float, t: float) -> float:
     return p1 + 0.5 * t * (
         p2 - p0 + t * (2.0 * p0 - 5.0 * p1 + 4.0 * p2 - p3 + t * (3.0 * (p1 - p2) + p3 - p0))
     )
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _bicubic_part(
     first: int, last: int, samples: NDArray, u: NDArray, v: NDArray, out: NDArray
 ) -> None:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from scenec.schemas.kernels import kernel
 
 #: Iterations on each grid at most, and the residual that ends them, as a part of the heights' span.
 _MOST, _RESIDUAL = 400, 1e-12
@@ -75,7 +76,7 @@ def _solve(field: NDArray[np.float64], mask: NDArray[np.bool_]) -> float:
     return error
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _coarsen(field: NDArray, mask: NDArray) -> tuple[NDArray, NDArray]:
     """Means of the known ones of 2 x 2 samples; holes where there is none."""
     ny = (field.shape[0] + 1) // 2
@@ -97,7 +98,7 @@ def _coarsen(field: NDArray, mask: NDArray) -> tuple[NDArray, NDArray]:
     return out, empty
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _equations(field: NDArray, holes: NDArray, number: NDArray) -> tuple[NDArray, NDArray, NDArray]:
     """What Laplace's equation says of each sample of a hole.
 
@@ -123,7 +124,7 @@ def _equations(field: NDArray, holes: NDArray, number: NDArray) -> tuple[NDArray
     return around, right, count
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _applied(x: NDArray, around: NDArray, count: NDArray) -> NDArray:
     """Minus the second differences of the holes' samples, the known ones taken as 0."""
     out = np.empty(x.size)

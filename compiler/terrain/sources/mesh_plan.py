@@ -9,9 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from scenec.schemas.kernels import inlined, kernel
 from scenec.schemas.threads import over_threads
 
 #: Distance from an edge within which a point counts as on it, in parts of the grid's spacing.
@@ -58,7 +58,7 @@ def see(
     return Above(top, floor, ceiling, down)
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@inlined
 def _side(points, i, j, x, y, flat):  # type: ignore[no-untyped-def]
     """Distance of (x, y) to the left of the edge from i to j; of j to i it is exactly minus that.
 
@@ -75,7 +75,7 @@ def _side(points, i, j, x, y, flat):  # type: ignore[no-untyped-def]
     return area if i < j else -area
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@inlined
 def hit(points, a, b, c, x, y, flat):  # type: ignore[no-untyped-def]
     """Whether a vertical line meets a triangle: 1 from its front, -1 from its back, 0 not; height.
 
@@ -105,7 +105,7 @@ def hit(points, a, b, c, x, y, flat):  # type: ignore[no-untyped-def]
     return facing, (wa * points[a, 2] + wb * points[b, 2] + wc * points[c, 2]) / total
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _see(points, faces, x0, y0, dx, dy, top, floor, ceiling, down):  # type: ignore[no-untyped-def]
     ny, nx = top.shape
     flat = HAIR * min(dx, dy)
@@ -172,7 +172,7 @@ class PlanBins:
         return cls(x0, y0, size, shape, start, held)
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@inlined
 def _squares(points, a, b, c, x0, y0, size, shape):  # type: ignore[no-untyped-def]
     """(first column, last column, first row, last row) that a triangle may touch."""
     left = min(points[a, 0], min(points[b, 0], points[c, 0]))
@@ -187,7 +187,7 @@ def _squares(points, a, b, c, x0, y0, size, shape):  # type: ignore[no-untyped-d
     )
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _count(points, faces, x0, y0, size, shape, start):  # type: ignore[no-untyped-def]
     for f in range(len(faces)):
         a, b, c = faces[f]
@@ -197,7 +197,7 @@ def _count(points, faces, x0, y0, size, shape, start):  # type: ignore[no-untype
                 start[j * shape[1] + i + 1] += 1
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _fill(points, faces, x0, y0, size, shape, at, held):  # type: ignore[no-untyped-def]
     for f in range(len(faces)):
         a, b, c = faces[f]
@@ -208,7 +208,7 @@ def _fill(points, faces, x0, y0, size, shape, at, held):  # type: ignore[no-unty
                 at[j * shape[1] + i] += 1
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@inlined
 def square_of(x, y, x0, y0, size, shape):  # type: ignore[no-untyped-def]
     """Square that holds a point, -1 outside of them all."""
     u, v = (x - x0) / size, (y - y0) / size
@@ -235,7 +235,7 @@ def top_at(
     )  # fmt: skip
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _top_at_part(first, last, points, faces, x0, y0, size, shape, start, held, flat, x, y, out):  # type: ignore[no-untyped-def]
     for n in range(first, last):
         top = -np.inf

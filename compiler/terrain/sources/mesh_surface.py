@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from scenec.compiler.geometry.bisect import bisectable, halve
@@ -14,6 +13,7 @@ from scenec.compiler.geometry.normals import vertex_normals
 from scenec.compiler.noise.perlin import fbm3
 from scenec.compiler.terrain.grid import HeightField
 from scenec.compiler.terrain.sources.mesh_plan import HAIR, PlanBins, see, top_at
+from scenec.schemas.kernels import inlined, kernel
 
 
 @dataclass(frozen=True)
@@ -140,7 +140,7 @@ def roughened(
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _roughen(points, normals, key, amplitude, scale, octaves, gain):  # type: ignore[no-untyped-def]
     for n in range(len(points)):
         x, y, z = points[n]
@@ -149,7 +149,7 @@ def _roughen(points, normals, key, amplitude, scale, octaves, gain):  # type: ig
             points[n, k] += move * normals[n, k]
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@inlined
 def _longest_square(points, a, b, c, half):  # type: ignore[no-untyped-def]
     """Square of a face's longest edge; 0 where it lies beyond the terrain."""
     for axis in range(2):
@@ -167,7 +167,7 @@ def _longest_square(points, a, b, c, half):  # type: ignore[no-untyped-def]
     return longest
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _longest_edge(points, faces, half):  # type: ignore[no-untyped-def]
     longest = 0.0
     for f in range(len(faces)):
@@ -176,7 +176,7 @@ def _longest_edge(points, faces, half):  # type: ignore[no-untyped-def]
     return np.sqrt(longest)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _has_longer_edge(points, faces, half, limit):  # type: ignore[no-untyped-def]
     # A hair of slack: an edge of the limit's length is not longer for its rounding.
     square = limit * limit * (1.0 + 1e-9)

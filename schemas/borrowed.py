@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from numba.core import cgutils, types
-from numba.core.types.containers import NamedTuple
-from numba.extending import intrinsic
+from scenec.schemas.kernels import intrinsic
 
 
 @intrinsic
@@ -19,9 +17,12 @@ def borrowed(context, value):  # type: ignore[no-untyped-def]
     A function of numba counts up the owner of each array that it is given, and counts it down when
     it is done; it cannot leave that out around loops. Where a ray's walk hands all of a scene's
     arrays to small functions that was half of its time. What has no owner is not counted, once the
-    small functions are part of the large one (``forceinline``).
+    small functions are part of the large one (``inlined``).
     """
-    if not isinstance(value, types.Array | NamedTuple):
+    from numba.core import cgutils, types
+    from numba.core.types.containers import NamedTuple, NamedUniTuple
+
+    if not isinstance(value, types.Array | NamedTuple | NamedUniTuple):
         return None
 
     def without_owner(context: Any, builder: Any, kind: Any, given: Any) -> Any:

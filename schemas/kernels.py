@@ -1,0 +1,293 @@
+"""Kernels: functions of numbers and arrays that numba compiles. Nobody else names numba.
+
+A kernel is compiled when it is first called with arguments of some types, and kept by content: by
+its bytecode, the constants it uses, the kernels it calls, Python, numba, and the CPU it is for. So
+no edit, move or clone ever meets code of other text, and whoever has the same text shares it. It is
+looked for beside the package (what a wheel brings), then in the user's folder for caches, and
+written to the latter alone; what cannot be read there is compiled again.
+
+Code is for x86-64-v3 (AVX2) where the CPU has that, so that one such machine can take what another
+compiled; elsewhere for the CPU there is. No flag lets the compiler change a result: no fast-math,
+no contraction. So the bits are those of any other target (``NUMBA_CPU_NAME``, where set, counts).
+
+Importing this module costs no import of numba; the first call of a kernel does.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import os
+import pickle
+import platform
+import sys
+from collections.abc import Callable
+from contextlib import suppress
+from opcode import opmap
+from pathlib import Path
+from threading import RLock, get_ident
+from types import CodeType, FunctionType, ModuleType
+from typing import Any
+
+#: Compiled kernels that came with the package.
+SHIPPED = Path(__file__).resolve().parent / "compiled"
+_FEATURES_OF_V3 = ("avx2", "bmi", "bmi2", "f16c", "fma", "lzcnt", "movbe")
+_OPTIONS = {"error_model": "numpy", "nogil": True, "no_cfunc_wrapper": True}
+_making = RLock()
+
+
+class Kernel:
+    """What a decorated function has become: called from Python, or from other kernels."""
+
+    def __init__(self, function: FunctionType, inline: bool) -> None:
+        self.py_func = function
+        self._inline = inline
+        self._entry: Callable[..., Any] | None = None
+        functools.update_wrapper(self, function)
+
+    def __call__(self, *arguments: Any) -> Any:
+        """Computes; compiles, if it is the first time with such arguments."""
+        entry = self._entry
+        return entry(*arguments) if entry is not None else self._compiled()(*arguments)
+
+    def _compiled(self) -> Callable[..., Any]:
+        """The dispatcher that Python calls."""
+        with _making:
+            if self._entry is None:
+                self._entry = _numba().njit(**_OPTIONS)(self.py_func)
+                if hasattr(self._entry, "_cache"):
+                    self._entry._cache = _Kept(self)
+            return self._entry
+
+    @functools.cached_property
+    def _called(self) -> Any:
+        """The dispatcher that other kernels call: of their code, so nothing of it is kept."""
+        inline = {"forceinline": True} if self._inline else {}
+        return _numba().njit(no_cpython_wrapper=True, **_OPTIONS, **inline)(self.py_func)
+
+    @property
+    def _numba_type_(self) -> Any:
+        """What numba takes it for, where a kernel names it."""
+        return self._called._numba_type_
+
+    @functools.cached_property
+    def content(self) -> str:
+        """Hash of all that decides what it computes, but the types of its arguments.
+
+        Raises:
+            TypeError: It uses what has no content to hash: a Python function, a module of ours.
+        """
+        return _content(self.py_func, (_OPTIONS, self._inline))
+
+
+def kernel(function: Callable[..., Any]) -> Kernel:
+    """Compiles a function when it is first called.
+
+    Divides like NumPy (no exception) and gives up the interpreter's lock (``schemas.threads``).
+    """
+    assert isinstance(function, FunctionType)
+    return Kernel(function, inline=False)
+
+
+def inlined(function: Callable[..., Any]) -> Kernel:
+    """A kernel whose code becomes part of the kernels that call it: for the small and the often."""
+    assert isinstance(function, FunctionType)
+    return Kernel(function, inline=True)
+
+
+class Intrinsic:
+    """A function of kernels that is defined by the code it stands for."""
+
+    def __init__(self, definition: FunctionType) -> None:
+        self.definition = definition
+        self.__doc__ = definition.__doc__
+
+    def __call__(self, *arguments: Any) -> Any:
+        """Kernels alone call it.
+
+        Raises:
+            TypeError: Python did.
+        """
+        raise TypeError(f"{self.definition.__qualname__} is for kernels")
+
+    @functools.cached_property
+    def _numba_type_(self) -> Any:
+        """What numba takes it for, where a kernel names it."""
+        _numba()
+        from numba.core.registry import cpu_target
+        from numba.extending import intrinsic
+
+        made = intrinsic(self.definition)
+        cpu_target.typing_context.refresh()
+        return cpu_target.typing_context.resolve_value_type(made)
+
+
+def intrinsic(definition: Callable[..., Any]) -> Intrinsic:
+    """As ``numba.extending.intrinsic``; whatever of numba it needs, it imports inside."""
+    assert isinstance(definition, FunctionType)
+    return Intrinsic(definition)
+
+
+@functools.cache
+def _numba() -> ModuleType:
+    """numba, set up."""
+    import numba
+    from llvmlite import binding
+    from numba.core import config
+
+    if config.CPU_NAME is None and platform.machine() in ("x86_64", "AMD64"):
+        features = binding.get_host_cpu_features()
+        if all(features.get(name) for name in _FEATURES_OF_V3):
+            config.CPU_NAME, config.CPU_FEATURES = "x86-64-v3", ""
+    return numba
+
+
+def user_folder() -> Path:
+    """Where kernels are kept: ``$NUMBA_CACHE_DIR``, or in the user's folder for caches."""
+    if chosen := os.environ.get("NUMBA_CACHE_DIR"):
+        return Path(chosen, "scenec")
+    home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return Path(home, "scenec", "kernels")
+
+
+def _content(function: FunctionType, options: object = None) -> str:
+    """As ``Kernel.content``."""
+    digest = hashlib.sha256(repr(options).encode())
+    named: set[str] = set()
+    attributes: set[str] = set()
+
+    def take(code: CodeType) -> None:
+        consts = [c for c in code.co_consts if c != function.__doc__]
+        plain = [
+            repr(sorted(map(repr, c)) if isinstance(c, frozenset) else c)
+            for c in consts
+            if not isinstance(c, CodeType)
+        ]
+        shape = code.co_argcount, code.co_varnames, code.co_names, code.co_freevars, code.co_flags
+        digest.update(repr((code.co_code, plain, shape)).encode())
+        named.update(_globals_of(code))
+        attributes.update(code.co_names)
+        for other in consts:
+            if isinstance(other, CodeType):
+                take(other)
+
+    take(function.__code__)
+    known = function.__globals__
+    cells = zip(function.__code__.co_freevars, function.__closure__ or (), strict=True)
+    values = {name: known[name] for name in sorted(named) if name in known}
+    values |= {name: cell.cell_contents for name, cell in cells}
+    for name, value in list(values.items()):
+        if isinstance(value, ModuleType) and value.__name__.startswith("scenec."):
+            del values[name]
+            inside = sorted(attributes & set(vars(value)))
+            values |= {f"{name}.{each}": getattr(value, each) for each in inside}
+    for name, value in values.items():
+        content = "itself" if getattr(value, "py_func", None) is function else _of_value(value)
+        if content is None and "." not in name:
+            raise TypeError(f"the kernel {function.__qualname__} uses {name}, which has no content")
+        digest.update(f"{name}={content};".encode())
+    digest.update(repr(function.__defaults__).encode())
+    return digest.hexdigest()
+
+
+def _globals_of(code: CodeType) -> set[str]:
+    """Names that bytecode looks up in its module."""
+    found: set[str] = set()
+    more = 0
+    for operation, argument in zip(code.co_code[::2], code.co_code[1::2], strict=True):
+        argument |= more
+        more = argument << 8 if operation == opmap["EXTENDED_ARG"] else 0
+        if operation == opmap["LOAD_GLOBAL"]:
+            found.add(code.co_names[argument >> 1])
+    return found
+
+
+def _of_value(value: Any) -> str | None:
+    """The content of what a kernel names; None: it has none that could be told."""
+    import numpy as np
+
+    if isinstance(value, Kernel):
+        return value.content
+    if isinstance(value, bool | int | float | complex | str | bytes | None):
+        return repr(value)
+    if isinstance(value, tuple):
+        return f"({','.join(str(_of_value(each)) for each in value)})"
+    if isinstance(value, np.ndarray | np.generic):
+        return f"{value.dtype.str}{np.shape(value)}{hashlib.sha256(value.tobytes()).hexdigest()}"
+    if isinstance(value, type):
+        return f"{value.__module__}.{value.__qualname__}{getattr(value, '_fields', '')}"
+    if isinstance(value, Intrinsic):
+        return _content(value.definition)
+    module = str(getattr(value, "__module__", ""))
+    known = isinstance(value, ModuleType) or (callable(value) and not module.startswith("scenec"))
+    return f"{module}.{value.__name__}" if known else None
+
+
+class _Kept:
+    """Compiled kernels in files: what numba's dispatchers take for their cache."""
+
+    cache_path = None
+
+    def __init__(self, of: Kernel) -> None:
+        self._of = of
+
+    def load_overload(self, signature: Any, context: Any) -> Any:
+        """What was compiled for these types, or None: numba then compiles it."""
+        from numba.core.compiler import CompileResult
+        from numba.core.runtime import rtsys
+
+        name = self._name(signature, context.codegen())
+        for folder in (SHIPPED, user_folder()):
+            try:
+                data = (folder / name).read_bytes()
+            except OSError:
+                continue
+            if data[:32] != hashlib.sha256(memoryview(data)[32:]).digest():
+                continue
+            rtsys.initialize(context)
+            with suppress(ImportError, AttributeError):
+                library, described, *others = pickle.loads(memoryview(data)[32:])
+                # The one name that is asked for; numba takes it from what ``save_overload`` spares.
+                context.codegen()._engine._defined_symbols.add(described.llvm_cpython_wrapper_name)
+                return CompileResult._rebuild(context, library, described, *others)
+        return None
+
+    def save_overload(self, signature: Any, result: Any) -> None:
+        """Keeps what was compiled, where that is possible."""
+        from llvmlite import binding
+        from numba.core.serialize import dumps
+
+        if result.library.has_dynamic_globals:
+            return  # Such code holds addresses of this process.
+        (name, kind, (code, _)), *others = result._reduce()
+        # In place of what a kernel that calls this one would need of it: none does, and to read it
+        # takes longer than all the rest.
+        data = dumps(((name, kind, (code, binding.parse_assembly("").as_bitcode())), *others))
+        folder = user_folder()
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            name = self._name(signature, result.codegen)
+            path = folder / f".{name}-{os.getpid()}-{get_ident()}"
+            path.write_bytes(hashlib.sha256(data).digest() + data)
+            path.replace(folder / name)
+        except OSError:
+            return
+
+    def _name(self, signature: Any, codegen: Any) -> str:
+        content = self._of.content, str(signature), codegen.magic_tuple(), _versions()
+        digest = hashlib.sha256(repr(content).encode()).hexdigest()[:24]
+        function = self._of.py_func
+        module = function.__module__.removeprefix("scenec.")
+        return f"{module}.{function.__name__}-{digest}"
+
+    def flush(self) -> None:
+        """Nothing waits to be written."""
+
+
+@functools.cache
+def _versions() -> tuple[object, ...]:
+    import llvmlite
+    import numpy as np
+
+    numba = _numba()
+    return sys.implementation.cache_tag, np.__version__, numba.__version__, llvmlite.__version__

@@ -1,0 +1,176 @@
+"""Kernels are found by their content, kept whole or not at all, and never change a result."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from scenec.schemas import kernels
+from scenec.schemas.kernels import Kernel, inlined, kernel
+
+TEXT = '''
+@kernel
+def called(x):
+    return x * FACTOR
+
+@kernel
+def caller(x):
+    """What it does."""
+    return called(x) + 1.0
+'''
+PROGRAM = """
+import sys
+from pathlib import Path
+from scenec.schemas import kernels
+kernels.SHIPPED = Path("/dev/null/nowhere")
+from scenec.compiler.arithmetic.elementary import exp
+loaded = []
+load = kernels._Kept.load_overload
+kernels._Kept.load_overload = lambda *given: loaded.append(load(*given)) or loaded[-1]
+assert "numba" not in sys.modules
+print(float(exp(1.0)).hex(), [each is not None for each in loaded])
+"""
+
+
+def _twice(x: float) -> float:
+    return 2.0 * x
+
+
+def made(text: str, **names: Any) -> dict[str, Any]:
+    """What a source makes."""
+    known: dict[str, Any] = {"kernel": kernel, "inlined": inlined, "np": np, "FACTOR": 2.0, **names}
+    known["__name__"] = "scenec.scratch"
+    exec(compile(text, "scratch.py", "exec"), known)
+    return known
+
+
+def content(text: str, name: str = "caller", **names: Any) -> str:
+    found: Kernel = made(text, **names)[name]
+    return found.content
+
+
+def test_what_it_says_and_where_it_stands_is_not_content() -> None:
+    assert content(TEXT) == content("\n\n# A remark.\n" + TEXT.replace("What it does", "Another"))
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        ("+ 1.0", "+ 2.0"),
+        ("+ 1.0", "+ 1"),
+        ("called(x) +", "called(x) -"),
+        ("x * FACTOR", "x / FACTOR"),
+        ("x * FACTOR", "x * 2.0"),
+        ("x * FACTOR", "np.floor(x) * FACTOR"),
+    ],
+)
+def test_what_it_computes_is_content_and_what_it_calls_too(before: str, after: str) -> None:
+    assert before in TEXT
+    assert content(TEXT) != content(TEXT.replace(before, after))
+
+
+@pytest.mark.parametrize(
+    ("one", "other"),
+    [
+        (2.0, np.nextafter(2.0, 3.0)),
+        (np.arange(3), np.arange(3.0)),
+        (np.arange(6.0), np.arange(6.0).reshape(2, 3)),
+        ((1, 2), (1, 3)),
+    ],
+)
+def test_constants_are_content_to_the_bit(one: Any, other: Any) -> None:
+    assert content(TEXT, FACTOR=one) == content(TEXT, FACTOR=one)
+    assert content(TEXT, FACTOR=one) != content(TEXT, FACTOR=other)
+
+
+def test_a_kernel_may_call_itself() -> None:
+    text = "@kernel\ndef fall(n):\n    return 0 if n == 0 else fall(n - 1) + 1\n"
+    assert content(text, "fall") == content(text, "fall")
+
+
+def test_what_has_no_content_is_refused() -> None:
+    with pytest.raises(TypeError, match="caller uses FACTOR"):
+        content(TEXT.replace("return called(x)", "return x + FACTOR"), FACTOR=object())
+
+
+def test_every_kernel_of_ours_has_a_content() -> None:
+    import importlib
+
+    root = Path(__file__).resolve().parents[2]
+    count = 0
+    for layer in ("schemas", "compiler", "backends/exact", "backends/annotation", "datasets"):
+        for file in sorted((root / layer).rglob("*.py")):
+            source = file.read_text(encoding="utf-8")
+            if "@kernel" not in source and "@inlined" not in source:
+                continue
+            dotted = ".".join(file.relative_to(root).with_suffix("").parts)
+            module = importlib.import_module(f"scenec.{dotted}")
+            found = [each for each in vars(module).values() if isinstance(each, Kernel)]
+            assert len({each.content for each in found}) >= 1
+            count += len(found)
+    assert count > 300
+
+
+def run(folder: Path, **environment: str) -> str:
+    done = subprocess.run(
+        [sys.executable, "-c", PROGRAM],
+        env={**os.environ, "NUMBA_CACHE_DIR": str(folder), **environment},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout.strip()
+
+
+def test_kernels_are_kept_and_damaged_ones_compiled_again(tmp_path: Path) -> None:
+    e, made_now = run(tmp_path).split()
+    assert made_now == "[False]"
+    assert run(tmp_path) == f"{e} [True]"
+    (file,) = (tmp_path / "scenec").iterdir()
+    whole = file.read_bytes()
+    for damaged in (whole[:-1], b"", whole[:4000] + b"?" + whole[4001:]):
+        file.write_bytes(damaged)
+        assert run(tmp_path) == f"{e} [False]"
+    assert file.read_bytes() != whole[:-1]
+    assert run(tmp_path) == f"{e} [True]"
+    # Code for another CPU is another file, with the same bits.
+    assert run(tmp_path, NUMBA_CPU_NAME="generic", NUMBA_CPU_FEATURES="") == f"{e} [False]"
+    assert len(list((tmp_path / "scenec").iterdir())) == 2
+    assert run(tmp_path) == f"{e} [True]"
+
+
+def test_where_nothing_can_be_written_kernels_compile_all_the_same(tmp_path: Path) -> None:
+    (tmp_path / "scenec").write_text("not a folder")
+    assert run(tmp_path).endswith(" [False]")
+
+
+def test_what_came_with_the_package_is_taken_first(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(kernels, "SHIPPED", tmp_path / "shipped")
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "user"))
+    assert Kernel(_twice, inline=False)(1.5) == 3.0
+    (tmp_path / "user" / "scenec").rename(tmp_path / "shipped")
+    before = {file: file.read_bytes() for file in (tmp_path / "shipped").iterdir()}
+    assert Kernel(_twice, inline=False)(1.5) == 3.0
+    assert len(before) == 1
+    assert not (tmp_path / "user").joinpath("scenec").exists()
+    assert {file: file.read_bytes() for file in (tmp_path / "shipped").iterdir()} == before
+
+
+def test_division_is_numpys_and_nothing_is_contracted() -> None:
+    found = made(
+        "@kernel\ndef divided(x):\n    return 1.0 / x\n"
+        "@kernel\ndef caller(x, y, z):\n    return x * y + z\n"
+    )
+    assert found["divided"](0.0) == np.inf
+    # (1 + e)^2 - (1 + 2 e): a fused multiply-add would leave e^2.
+    e = 2.0**-30
+    assert found["caller"](1.0 + e, 1.0 + e, -(1.0 + 2.0 * e)) == 0.0
