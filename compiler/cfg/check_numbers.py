@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Iterator, Mapping
+from decimal import Decimal
 from itertools import pairwise
 from typing import Any
 
@@ -66,19 +67,12 @@ def read_number(value: Any, keywords: Mapping[str, Any]) -> Number:
     if not isinstance(value, dict):
         # + 0.0 makes -0.0 into 0.0, so that equal cfgs have equal digests.
         return int(value) if whole else float(value) + 0.0
-    kind = value["type"]
-    per = value.get("per", keywords["x-per"])
-    if kind == "choice":
-        values = tuple(float(v) + 0.0 for v in value["values"])
+    kind, per = value["type"], value.get("per", keywords["x-per"])
+    low, high = support(value, keywords)
+    if kind in ("choice", "histogram"):
+        values = tuple(float(v) + 0.0 for v in value.get("values") or value["edges"])
         weights = tuple(float(w) for w in value.get("weights", [1.0] * len(values)))
-        return Distribution(
-            kind, per, whole, min(values), max(values), values=values, weights=weights
-        )
-    if kind == "histogram":
-        edges = tuple(float(v) + 0.0 for v in value["edges"])
-        weights = tuple(float(w) for w in value["weights"])
-        return Distribution(kind, per, whole, edges[0], edges[-1], values=edges, weights=weights)
-    low, high = _support(value, keywords)
+        return Distribution(kind, per, whole, low, high, values=values, weights=weights)
     mean, std = value.get("mean", 0.0), value.get("std", 0.0)
     if kind == "log_normal":
         mean, std = elementary.log(float(value["median"])), value["sigma"]
@@ -87,8 +81,8 @@ def read_number(value: Any, keywords: Mapping[str, Any]) -> Number:
         kind,
         per,
         whole,
-        low + 0.0,
-        high + 0.0,
+        low,
+        high,
         mean=float(mean) + 0.0,
         std=float(std) + 0.0,
         shape=float(shape) + 0.0,
@@ -97,10 +91,14 @@ def read_number(value: Any, keywords: Mapping[str, Any]) -> Number:
 
 def support(value: Any, keywords: Mapping[str, Any]) -> tuple[float, float]:
     """The smallest and largest number that a sound number can be."""
-    number = read_number(value, keywords)
-    if isinstance(number, Distribution):
-        return number.min, number.max
-    return float(number), float(number)
+    if not isinstance(value, dict):
+        ends = value, value
+    elif value["type"] in ("choice", "histogram"):
+        values = value.get("values") or value["edges"]
+        ends = min(values), max(values)
+    else:
+        ends = _support(value, keywords)
+    return float(ends[0]) + 0.0, float(ends[1]) + 0.0
 
 
 def _is_whole_key(keywords: Mapping[str, Any]) -> bool:
@@ -176,7 +174,8 @@ def _check_support(field: Field) -> Iterator[Finding]:
     ends, place = (low, high), at
     if kind == "log_normal":
         inside = [min(max(end, math.ulp(0.0)), sys.float_info.max) for end in ends]
-        ends, place = (elementary.log(inside[0]), elementary.log(inside[1])), elementary.log(at)
+        # Decimal's is exact enough, and needs no kernel.
+        ends, place = (_log(inside[0]), _log(inside[1])), _log(at)
     if low > high:
         bound = "min" if "min" in value else "max"
         yield Finding((*field.path, bound), f"nothing lies between {low:g} and {high:g}")
@@ -188,6 +187,10 @@ def _check_support(field: Field) -> Iterator[Finding]:
         )
     elif kind == "normal" and math.inf in (-low, high) and math.isinf(abs(at) + 40.0 * spread):
         yield Finding((*field.path, "std"), f"{shown(value['std'])}: too large for a number")
+
+
+def _log(x: float) -> float:
+    return float(Decimal(x).ln())
 
 
 def _bounds_given(value: Mapping[str, Any]) -> Iterator[tuple[tuple[str | int, ...], float]]:
