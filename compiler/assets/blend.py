@@ -37,7 +37,7 @@ _USER_VARIABLES = ("BLENDER_", "OCIO", "CYCLES_", "PYTHONSTARTUP")
 _MAGIC = (b"BLENDER", b"\x28\xb5\x2f\xfd", b"\x1f\x8b")
 
 
-def read_blend(file: Path) -> ParsedModel:
+def read_blend(file: Path, looks: bool) -> ParsedModel:
     """Reads a ``.blend`` file and the pictures beside it.
 
     Raises:
@@ -53,10 +53,10 @@ def read_blend(file: Path) -> ParsedModel:
     document, arrays = _evaluated(file.resolve(), status.st_size, status.st_mtime_ns)
     found: list[Path] = []
     notes = tuple(document["notes"])
-    looks = tuple(_look(file, values, arrays, found) for values in document["looks"])
+    materials = tuple(_look(file, values, arrays, found) for values in document["looks"])
     shells = tuple(_shell(values, arrays) for values in document["shells"])
     unit = float(document["unit_m"])
-    return ParsedModel(shells, looks, unit, "z", tuple(dict.fromkeys(found)), notes)
+    return ParsedModel(shells, materials, unit, "z", tuple(dict.fromkeys(found)), notes)
 
 
 @lru_cache(maxsize=2)

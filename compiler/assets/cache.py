@@ -5,7 +5,8 @@ from __future__ import annotations
 from functools import lru_cache
 from pathlib import Path
 
-from scenec.compiler.assets.model import Model, finish_model, parse_model
+from scenec.compiler.assets.model import Model, finish_model
+from scenec.compiler.assets.parse import parse_model
 from scenec.compiler.assets.shells import ParsedModel
 
 #: What is kept of this many files.

@@ -25,8 +25,8 @@ _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 _MOST_SHARED = 32
 
 
-def read_gltf(file: Path) -> ParsedModel:
-    """Reads a ``.glb`` or ``.gltf`` file with its buffers and pictures.
+def read_gltf(file: Path, looks: bool) -> ParsedModel:
+    """Reads a ``.glb`` or ``.gltf`` file with its buffers and, with its looks, its pictures.
 
     A part's path is the names of the nodes down to it. Skins, morph targets and animations are left
     at rest.
@@ -35,7 +35,7 @@ def read_gltf(file: Path) -> ParsedModel:
         MeshFileError: It is not sound, needs what is not known, or a file is missing.
     """
     with sound(file.suffix.lower()):
-        return GltfFile(file).model()
+        return GltfFile(file).model(looks)
 
 
 class GltfFile:
@@ -124,15 +124,15 @@ class GltfFile:
             return np.maximum(rows / float(np.iinfo(kind).max), -1.0)
         return rows.astype(np.float64 if kind.kind == "f" else np.int64)
 
-    def model(self) -> ParsedModel:
-        """Its parts and materials."""
+    def model(self, with_looks: bool) -> ParsedModel:
+        """Its parts and materials, or its parts alone."""
         document = self.document
         notes = [
             f"its {what} are left out: it stands as at rest"
             for key, what in (("animations", "animations"), ("skins", "skins"))
             if document.get(key)
         ]
-        looks = GltfLooks(self)
+        looks = GltfLooks(self) if with_looks else None
         shells: dict[int, list[Shell]] = {}
         parts: list[Shell] = []
         for path, own, matrix in placed_meshes(document):
@@ -147,9 +147,12 @@ class GltfFile:
             ]
         notes = list(dict.fromkeys(notes))
         companions = tuple(self.companions)
-        return ParsedModel(tuple(parts), looks.known(), 1.0, "y", companions, tuple(notes))
+        known = looks.known() if looks else ()
+        return ParsedModel(tuple(parts), known, 1.0, "y", companions, tuple(notes))
 
-    def _shell(self, primitive: dict[str, Any], looks: GltfLooks, notes: list[str]) -> list[Shell]:
+    def _shell(
+        self, primitive: dict[str, Any], looks: GltfLooks | None, notes: list[str]
+    ) -> list[Shell]:
         if "KHR_draco_mesh_compression" in primitive.get("extensions", {}):
             raise MeshFileError("compressed by KHR_draco_mesh_compression: export it without")
         mode, attributes = primitive.get("mode", _TRIANGLES), primitive["attributes"]
@@ -165,6 +168,8 @@ class GltfFile:
         faces = _triangles(corners, mode)
         if len(faces) and faces.max() >= len(points):
             raise MeshFileError(f"a face uses vertex {faces.max()} (from 0) of {len(points)}")
+        if looks is None:
+            return [compact(Shell("", points, faces))]
         uv: dict[str, NDArray] = {}
         sets = sorted(k for k in attributes if k.startswith("TEXCOORD_"))
         for key in sets:

@@ -1,14 +1,11 @@
 """glTF 2.0 (Khronos): which of its meshes are seen, and where its nodes put them.
 
-What accessors and buffers hold is read by trimesh; this is what goes around that. The format's unit
-is the meter and its upward axis y. What moves (skins, morph targets, animations) is left at rest;
-what lies in other files is refused, so that one file's hash covers all of it. Transforms are
-composed here: trimesh takes them from BLAS, whose last bit changes with the CPU.
+The format's unit is the meter and its upward axis y. What moves (skins, morph targets, animations)
+is left at rest.
 """
 
 from __future__ import annotations
 
-import json
 import struct
 from collections.abc import Iterator
 from typing import Any
@@ -16,126 +13,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.assets.parts import MeshFileError, Part
+from scenec.compiler.assets.parts import MeshFileError
 from scenec.compiler.geometry import affine
 
-_TRIANGLES, _STRIP, _FAN = 4, 5, 6
 #: Required extensions that leave geometry as it is, by how their names begin.
 _HARMLESS = ("KHR_materials_", "KHR_texture_", "KHR_lights_", "EXT_texture_", "KHR_mesh_quantiz")
-#: Items of all accessors together may be this many times the file's bytes; files that share data
-#: between accessors stay far below.
-_MOST_SHARED = 8
-
-
-class GltfScene:
-    """A glTF document, split into what trimesh reads and what is left to do.
-
-    Args:
-        data: The whole file.
-        binary: Whether it is a ``.glb``.
-
-    Raises:
-        MeshFileError: It is not one, is cut short, refers to other files, or holds what is not
-            known. Anything that a broken document can raise besides, see ``FAULTS``.
-    """
-
-    def __init__(self, data: bytes, binary: bool):
-        text: bytes
-        self._rest: bytes | None
-        text, self._rest = chunks(data) if binary else (data, None)
-        self._document: dict[str, Any] = required_version(json.loads(text))
-        for buffer in self._document.get("buffers", []):
-            uri = str(buffer.get("uri", "data:"))
-            if not uri.startswith("data:"):
-                raise MeshFileError(
-                    f"its geometry is in another file ({uri[:60]}): export it as .glb"
-                )
-        self._accessors: list[dict[str, Any]] = []
-        self._own: dict[tuple[int, str], int] = {}
-        self._meshes = [
-            [p for p in mesh["primitives"] if self._is_surface(p)]
-            for mesh in self._document.get("meshes", [])
-        ]
-        self._primitives = [self._plain(p) for mesh in self._meshes for p in mesh]
-        items = sum(accessor["count"] for accessor in self._accessors)
-        if items > _MOST_SHARED * len(data):
-            raise MeshFileError(f"a broken glTF file: {items} items in {len(data)} bytes")
-
-    def geometry(self) -> bytes:
-        """A file of the same kind with nothing but positions and faces: one mesh a primitive."""
-        document: dict[str, Any] = {
-            key: self._document[key]
-            for key in ("asset", "buffers", "bufferViews")
-            if key in self._document
-        }
-        document["accessors"] = self._accessors
-        document["meshes"] = [{"primitives": [primitive]} for primitive in self._primitives]
-        text = json.dumps(document).encode()
-        if self._rest is None:
-            return text
-        length = 20 + len(text) + len(self._rest)
-        return struct.pack("<4sIII4s", b"glTF", 2, length, len(text), b"JSON") + text + self._rest
-
-    def placed(self, read: list[tuple[NDArray[np.float64], NDArray[np.int64]]]) -> tuple[Part, ...]:
-        """The parts of the default scene, in the order of its nodes.
-
-        Args:
-            read: Points and triangles of each mesh of ``geometry``, in its order; points as they
-                are stored.
-        """
-        rest = iter(zip(self._primitives, read, strict=True))
-        meshes = [[self._scaled(*next(rest)) for _ in mesh] for mesh in self._meshes]
-        found: list[Part] = []
-        for path, own, matrix in placed_meshes(self._document):
-            for points, faces in meshes[own]:
-                turned = faces[:, ::-1] if affine.mirrors(matrix) else faces
-                found.append(Part(path, affine.applied(matrix, points), turned))
-        return tuple(found)
-
-    def _is_surface(self, primitive: dict[str, Any]) -> bool:
-        if "KHR_draco_mesh_compression" in primitive.get("extensions", {}):
-            raise MeshFileError("compressed by KHR_draco_mesh_compression: export it without")
-        mode = primitive.get("mode", _TRIANGLES)
-        if mode == _FAN:
-            raise MeshFileError("holds triangle fans: export it as triangles")
-        return mode in (_TRIANGLES, _STRIP) and "POSITION" in primitive["attributes"]
-
-    def _plain(self, primitive: dict[str, Any]) -> dict[str, Any]:
-        """A primitive of positions and indices, with accessors of its own."""
-        position = self._accessor(primitive["attributes"]["POSITION"], "VEC3")
-        plain = {"mode": primitive.get("mode", _TRIANGLES), "attributes": {"POSITION": position}}
-        if "indices" in primitive:
-            plain["indices"] = self._accessor(primitive["indices"], "SCALAR")
-        return plain
-
-    def _accessor(self, index: Any, kind: str) -> int:
-        if (index, kind) not in self._own:
-            accessor = self._document["accessors"][natural(index)]
-            if accessor["type"] != kind:
-                raise MeshFileError(f"an accessor of type {accessor['type']}, expected {kind}")
-            if "sparse" in accessor or "bufferView" not in accessor:
-                raise MeshFileError("holds sparse accessors or empty ones: export it without")
-            view = self._document["bufferViews"][natural(accessor["bufferView"])]
-            for holder, keys in (
-                (accessor, ("count", "byteOffset")),
-                (view, ("buffer", "byteOffset", "byteLength", "byteStride")),
-            ):
-                for key in keys:
-                    natural(holder.get(key, 0))
-            self._own[index, kind] = len(self._accessors)
-            self._accessors.append(accessor)
-        return self._own[index, kind]
-
-    def _scaled(
-        self, primitive: dict[str, Any], read: tuple[NDArray[np.float64], NDArray[np.int64]]
-    ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-        points, faces = read
-        accessor = self._accessors[primitive["attributes"]["POSITION"]]
-        if accessor.get("normalized"):
-            # Bytes and shorts, signed or not: KHR_mesh_quantization.
-            largest = {5120: 127.0, 5121: 255.0, 5122: 32767.0, 5123: 65535.0}
-            points = np.maximum(points / largest[accessor["componentType"]], -1.0)
-        return points, faces
 
 
 def required_version(document: Any) -> dict[str, Any]:

@@ -1,48 +1,24 @@
 """Models from files: a mesh with texture coordinates, parts and materials, for objects.
 
-What is read of each format:
-
-- OBJ: groups, objects, texture coordinates, normals, ``usemtl`` with its MTL files; Kd is linear,
-  Ns is (1 - roughness)^2 * 1000, map_Kd replaces Kd, all as Blender writes and reads them.
-- glTF: pbrMetallicRoughness with its pictures, KHR_texture_transform, ior, specular.
-- PLY: texture coordinates of vertices with ``comment TextureFile``; vertex colors as one average.
-- USD: UsdPreviewSurface and UsdUVTexture, by prim or GeomSubset.
-- STL and OFF: geometry only.
-- ``.blend``: see ``blend``.
-
 Opacity, emission, displacement, coats and the like have no place in the surface model: each that a
 file asks for is named in the notes.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.assets import trimesh_file
+from scenec.compiler.assets.joining import chosen_parts, join, require_keys, unit_and_up
 from scenec.compiler.assets.looks import Look, ModelMaterial, finished_look
-from scenec.compiler.assets.mesh_file import (
-    MEANING,
-    USD_SUFFIXES,
-    checked_suffix,
-    chosen_parts,
-    faults_of,
-    join,
-    missing_keys,
-    unit_and_up,
-)
+from scenec.compiler.assets.parse import SUFFIXES as SUFFIXES
+from scenec.compiler.assets.parse import faults_of, parse_model
 from scenec.compiler.assets.parts import MeshFileError
 from scenec.compiler.assets.shells import ParsedModel, Shell
 from scenec.compiler.geometry import affine
-from scenec.schemas.errors import SceneError
-
-BLEND_SUFFIX = ".blend"
-#: Endings of the files that ``read_model`` takes.
-SUFFIXES = (*trimesh_file.SUFFIXES, *USD_SUFFIXES, BLEND_SUFFIX)
 
 
 @dataclass(frozen=True)
@@ -94,8 +70,7 @@ def read_model(
             such part; or neither the arguments nor the file say the unit or the axis.
     """
     parsed = parse_model(file)
-    for missing in missing_keys(parsed, unit_m, up):
-        raise SceneError(f"{file.name}: does not say {MEANING[missing]}: give {missing}")
+    require_keys(file, parsed, unit_m, up)
     return finish_model(file, parsed, unit_m=unit_m, up=up, part=part)
 
 
@@ -106,16 +81,6 @@ def companions(file: Path) -> tuple[Path, ...]:
         SceneError: As ``read_model``; one of them is missing, or named by an absolute path.
     """
     return parse_model(file).companions
-
-
-def parse_model(file: Path) -> ParsedModel:
-    """A file's parts and materials as it has them, unchecked; ``missing_keys`` takes it, too.
-
-    Raises:
-        SceneError: The file cannot be read, is none of the formats, or refers to what is not there.
-    """
-    with faults_of(file):
-        return _reader(file)(file)
 
 
 def finish_model(
@@ -133,41 +98,6 @@ def finish_model(
     """
     with faults_of(file):
         return _finished(chosen_parts(parsed.parts, part), parsed, *unit_and_up(parsed, unit_m, up))
-
-
-def _reader(file: Path) -> Callable[[Path], ParsedModel]:
-    # Imported where they are used: each brings a library of its own.
-    suffix = checked_suffix(file)
-    if suffix == ".obj":
-        from scenec.compiler.assets.obj_model import read_obj
-
-        return read_obj
-    if suffix in (".glb", ".gltf"):
-        from scenec.compiler.assets.gltf_model import read_gltf
-
-        return read_gltf
-    if suffix == ".ply":
-        from scenec.compiler.assets.ply_model import read_ply_model
-
-        return read_ply_model
-    if suffix in trimesh_file.SUFFIXES:
-        return _bare
-    if suffix in USD_SUFFIXES:
-        from scenec.compiler.assets.usd_model import read_usd_model
-
-        return read_usd_model
-    if suffix == BLEND_SUFFIX:
-        from scenec.compiler.assets.blend import read_blend
-
-        return read_blend
-    known = ", ".join(SUFFIXES)
-    raise MeshFileError(f"expected a model ({known}), not {suffix or 'a file without an ending'}")
-
-
-def _bare(file: Path) -> ParsedModel:
-    parsed = trimesh_file.read(file)
-    shells = tuple(Shell(part.path, part.points, part.faces) for part in parsed.parts)
-    return ParsedModel(shells, (), parsed.unit_m, parsed.up)
 
 
 def _finished(shells: list[Shell], parsed: ParsedModel, unit_m: float, up: str) -> Model:

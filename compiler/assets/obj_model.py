@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -12,11 +13,23 @@ from scenec.compiler.assets.mtl import read_mtl
 from scenec.compiler.assets.parts import MeshFileError, fan_corners
 from scenec.compiler.assets.pictures import companion
 from scenec.compiler.assets.shells import ParsedModel, Shell, compact
-from scenec.compiler.assets.trimesh_file import obj_text, sound
+from scenec.compiler.assets.trimesh_file import sound
+
+_NUMBER = r"[-+]?(?:\d++\.?\d*+|\.\d++|(?i:nan|inf(?:inity)?))(?:[eE][-+]?\d++)?"
+#: A vertex without three numbers, or a face that is no list of indices other than 0.
+_OBJ_FAULT = re.compile(
+    rf"\n(?:v(?! +{_NUMBER} +{_NUMBER} +{_NUMBER}[ \n])"
+    r"|f(?!(?: +-?0*+[1-9]\d*+(?:/-?\d*+){0,2})+ *\n))(?: .*)?(?=\n)"
+)
+_FREE_FORM = re.compile(r"\n(?:curv2?|surf|cstype|bmat|parm) ")
+#: Texture coordinates and normals of a corner.
+_REFERENCES = re.compile(r"/\S*")
+#: Statements that only looks need.
+_OF_LOOKS = frozenset({"vt", "vn", "usemtl", "mtllib"})
 
 
-def read_obj(file: Path) -> ParsedModel:
-    """Reads an ``.obj`` file and its libraries of materials.
+def read_obj(file: Path, looks: bool) -> ParsedModel:
+    """Reads an ``.obj`` file and, with its looks, its libraries of materials.
 
     Parts are its objects (``o``) or, where it has none, its groups (``g``).
 
@@ -24,15 +37,16 @@ def read_obj(file: Path) -> ParsedModel:
         MeshFileError: It is not sound; a library or a picture is missing.
     """
     with sound(".obj"):
-        return _Reader(file).model()
+        return _Reader(file, looks).model()
 
 
 class _Reader:
     """One pass over the lines; what a face names is resolved where it stands."""
 
-    def __init__(self, file: Path):
+    def __init__(self, file: Path, looks: bool):
         self._file = file
-        text = obj_text(file.read_bytes())
+        self._with_looks = looks
+        text = _text(file.read_bytes())
         self._keyword = "o" if "\no " in text else "g"
         self._positions: list[str] = []
         self._coordinates: list[str] = []
@@ -46,7 +60,11 @@ class _Reader:
         part, look, changed = "", -1, True
         for line in text.split("\n"):
             key, _, rest = line.partition(" ")
+            if not looks and key in _OF_LOOKS:
+                continue
             if key == "f":
+                if not looks and "/" in rest:
+                    rest = _REFERENCES.sub("", rest)
                 if changed:
                     number = self._parts.setdefault(part, len(self._parts))
                     self._runs.append((len(self._faces), number, look))
@@ -80,15 +98,9 @@ class _Reader:
     def model(self) -> ParsedModel:
         """The parts and materials."""
         points, tints = self._points()
-        words = " ".join(self._faces).split()
         counts = np.array([len(face.split()) for face in self._faces], np.int64)
         triangles, polygon = fan_corners(counts)
-        # Corners are mostly spelled several times: each spelling is read once.
-        distinct = {word: i for i, word in enumerate(dict.fromkeys(words))}
-        corners = np.fromiter(map(distinct.__getitem__, words), np.int64, len(words))
-        keys = [self._key(word) for word in distinct]
-        spelled = np.array(keys, np.int64).reshape(-1, 3)[corners]
-        spelled = spelled[triangles] - 1
+        spelled = self._corners()[triangles] - 1
         faces = spelled[..., 0]
         if len(faces) and faces.max() >= len(points):
             raise MeshFileError(f"a face uses vertex {faces.max()} (from 0) of {len(points)}")
@@ -120,11 +132,27 @@ class _Reader:
             )
         return ParsedModel(tuple(shells), looks, None, None, companions, notes)
 
+    def _corners(self) -> NDArray[np.int64]:
+        """Position, texture coordinate and normal of each face's corners, from 1, 0 for none."""
+        text = " ".join(self._faces)
+        if "/" not in text:
+            positions = np.fromstring(text, np.int64, sep=" ")
+            return np.stack([positions, 0 * positions, 0 * positions], axis=1)
+        # Corners are mostly spelled several times: each spelling is read once.
+        words = text.split()
+        distinct = {word: i for i, word in enumerate(dict.fromkeys(words))}
+        corners = np.fromiter(map(distinct.__getitem__, words), np.int64, len(words))
+        return np.array([self._key(word) for word in distinct], np.int64).reshape(-1, 3)[corners]
+
     def _points(self) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
+        text = " ".join(self._positions)
+        # Each line has three numbers or more, see ``_text``.
+        if text.count(" ") == 3 * len(self._positions) - 1:
+            return np.fromstring(text, sep=" ").reshape(-1, 3), None
         rows = [line.split() for line in self._positions]
         points = _numbers(rows, 3)
         # Three more numbers are a color, as MeshLab and others write it; one more is a weight.
-        if not rows or any(len(row) < 6 for row in rows):
+        if not self._with_looks or any(len(row) < 6 for row in rows):
             return points, None
         return points, linear_array(np.nan_to_num(_numbers([row[3:] for row in rows], 3)))
 
@@ -177,3 +205,35 @@ def _numbers(rows: list[list[str]], width: int) -> NDArray[np.float64]:
     """The first words of each row as numbers, [rows, width]."""
     words = (float(word) for row in rows for word in row[:width])
     return np.fromiter(words, np.float64, width * len(rows)).reshape(-1, width)
+
+
+def _text(data: bytes) -> str:
+    """An OBJ file with one statement a line, words separated by spaces, between line feeds.
+
+    Raises:
+        MeshFileError: A vertex or a face is malformed, or there are free-form surfaces.
+    """
+    # What is not ASCII can stand in names and comments only.
+    text = data.decode("utf-8-sig", errors="replace").replace("\r\n", "\n").replace("\r", "\n")
+    text = "\n" + text.replace("\\\n", " ").replace("\t", " ") + "\n"
+    if "\n " in text or " #" in text:
+        text = re.sub(r"\n +", "\n", re.sub(r" +#.*", "", text))
+    fault = _FREE_FORM.search(text)
+    if fault:
+        raise MeshFileError(f"{_line(text, fault)}: a free-form surface: export it as polygons")
+    fault = _OBJ_FAULT.search(text)
+    if fault:
+        kind, expected = (
+            ("vertex", "three numbers")
+            if fault[0].startswith("\nv")
+            else ("face", "vertices, counted from 1")
+        )
+        raise MeshFileError(
+            f"{_line(text, fault)}: {fault[0].strip()[:60]!r} is no {kind} of an OBJ file: "
+            f"expected {expected}"
+        )
+    return text
+
+
+def _line(text: str, place: re.Match[str]) -> str:
+    return f"line {text.count('\n', 0, place.start()) + 1}"

@@ -1,8 +1,6 @@
-"""What the readers of mesh files have in common: parts, and polygons as fans of triangles."""
+"""What the readers of mesh files have in common: faults, names, polygons as fans of triangles."""
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,41 +8,6 @@ from numpy.typing import NDArray
 
 class MeshFileError(Exception):
     """What is wrong with a mesh file, in words that follow its name."""
-
-
-@dataclass(frozen=True)
-class Part:
-    """One mesh of a file, placed where the file puts it, in the file's axes and unit.
-
-    Attributes:
-        path: Its name; in files with a hierarchy, the names down to it, joined by ``/``.
-        points: float64 [n, 3].
-        faces: int64 [m, 3]; indices as the file has them, in range or not.
-    """
-
-    path: str
-    points: NDArray[np.float64]
-    faces: NDArray[np.int64]
-
-    def is_of(self, name: str) -> bool:
-        """Whether ``name`` is this part, or stands above it in the file's hierarchy."""
-        above = self.path.startswith(name.rstrip("/") + "/")
-        return name == self.path or above or name in self.path.split("/")
-
-
-@dataclass(frozen=True)
-class Parsed:
-    """A mesh file as it is.
-
-    Attributes:
-        parts: Its meshes, in the file's order.
-        unit_m: Meters per unit, where the format or the file says so.
-        up: Upward axis ("x", "y" or "z"), where the format or the file says so.
-    """
-
-    parts: tuple[Part, ...]
-    unit_m: float | None
-    up: str | None
 
 
 def fan_corners(counts: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -79,5 +42,5 @@ def fans(counts: NDArray[np.int64], corners: NDArray[np.int64]) -> NDArray[np.in
 
 
 def is_of(path: str, name: str) -> bool:
-    """Whether a part's path is a name's, or stands below it."""
+    """Whether a part's path is a name's, or stands below it in the file's hierarchy."""
     return path == name or path.startswith(name.rstrip("/") + "/") or name in path.split("/")

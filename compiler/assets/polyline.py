@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.compiler.assets.track import read_rows
 from scenec.schemas.errors import SceneError
 from scenec.schemas.spelling import shown
 
@@ -28,18 +27,7 @@ def read_polyline(file: Path) -> NDArray[np.float64]:
         SceneError: The file cannot be read, a value is not a finite number, or fewer than two
             points differ.
     """
-    try:
-        text = file.read_bytes().decode("utf-8-sig")
-        reader = csv.reader(io.StringIO(text, newline=""), strict=True)
-        rows = [
-            (reader.line_num, [cell.strip() for cell in row])
-            for row in reader
-            if "".join(row).strip() and not row[0].lstrip().startswith("#")
-        ]
-    except UnicodeDecodeError as error:
-        raise SceneError(f"{file.name}: not a text file in UTF-8") from error
-    except (OSError, csv.Error) as error:
-        raise SceneError(f"{file.name}: not a readable CSV file: {error}") from error
+    rows = read_rows(file)
     columns = [0, 1]
     if rows and not all(_is_number(cell) for cell in rows[0][1][:2]):
         line, header = rows.pop(0)

@@ -9,21 +9,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.assets.looks import Look
-from scenec.compiler.assets.parts import Part
 from scenec.compiler.geometry import affine
 
 
 @dataclass(frozen=True)
-class Shell(Part):
-    """A part of a model.
+class Shell:
+    """One mesh of a file, placed where the file puts it, in the file's axes and unit.
 
     Attributes:
+        path: Its name; in files with a hierarchy, the names down to it, joined by ``/``.
+        points: float64 [n, 3].
+        faces: int64 [m, 3]; indices as the file has them, in range or not.
         uv: Texture coordinates by the name of their set, the first one first, v up; [m, 3, 2].
         normals: At the corners, of any length, in the file's axes as the points: [m, 3, 3].
         colors: At the corners, linear Rec.709: [m, 3, 3].
         material: Index into ``ParsedModel.looks``, or -1: int64 [m].
     """
 
+    path: str
+    points: NDArray[np.float64]
+    faces: NDArray[np.int64]
     uv: dict[str, NDArray] = field(default_factory=dict)
     normals: NDArray | None = None
     colors: NDArray | None = None

@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pxr import Sdf, Tf, Usd, UsdGeom
 
-from scenec.compiler.assets.parts import MeshFileError, Parsed, Part, fans
+from scenec.compiler.assets.parts import MeshFileError, fans
+from scenec.compiler.assets.shells import Shell
 from scenec.compiler.geometry import affine
 from scenec.schemas.native import native_reading
 
@@ -24,20 +25,6 @@ from scenec.schemas.native import native_reading
 _NOT_RENDERED = (UsdGeom.Tokens.proxy, UsdGeom.Tokens.guide)
 #: When moving things are read.
 TIME = Usd.TimeCode.EarliestTime()
-
-
-def read_usd(file: Path) -> Parsed:
-    """Reads a ``.usd``, ``.usda``, ``.usdc`` or ``.usdz`` file.
-
-    A part's path is its prim's. Instances count as what they are instances of; subdivision surfaces
-    are taken as their cages; moving ones at their first time code.
-
-    Raises:
-        MeshFileError: It is not USD, refers to other files, or holds point instancers.
-    """
-    with sound_stage(file) as stage:
-        parts = [_mesh(mesh) for mesh in shown_meshes(stage)]
-        return Parsed(tuple(parts), *unit_and_axis(stage))
 
 
 @contextmanager
@@ -166,13 +153,18 @@ def polygons_of(mesh: UsdGeom.Mesh) -> UsdPolygons:
     )
 
 
-def _mesh(mesh: UsdGeom.Mesh) -> Part:
+def bare_shell(mesh: UsdGeom.Mesh) -> Shell:
+    """Points and faces of a prim, in the world.
+
+    Raises:
+        MeshFileError: As ``polygons_of``.
+    """
     polygons = polygons_of(mesh)
     faces = fans(polygons.counts, polygons.corners)
     if polygons.turned:
         faces = faces[:, ::-1]
     path = str(mesh.GetPath())
-    return Part(path, affine.applied(polygons.to_world, polygons.points), faces)
+    return Shell(path, affine.applied(polygons.to_world, polygons.points), faces)
 
 
 def _local_to_world(prim: Usd.Prim) -> NDArray[np.float64]:

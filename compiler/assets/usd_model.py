@@ -17,6 +17,7 @@ from scenec.compiler.assets.shells import ParsedModel, Shell, compact, placed
 from scenec.compiler.assets.usd import (
     TIME,
     UsdPolygons,
+    bare_shell,
     polygons_of,
     shown_meshes,
     sound_stage,
@@ -32,21 +33,28 @@ _PAIRS = (
 _WIDTHS = {"constant": "one", "uniform": "a face", "vertex": "a point", "faceVarying": "a corner"}
 
 
-def read_usd_model(file: Path) -> ParsedModel:
-    """Reads a ``.usd``, ``.usda``, ``.usdc`` or ``.usdz`` file and its pictures.
+def read_usd_model(file: Path, looks: bool) -> ParsedModel:
+    """Reads a ``.usd``, ``.usda``, ``.usdc`` or ``.usdz`` file and, with its looks, its pictures.
+
+    A part's path is its prim's. Instances count as what they are instances of; subdivision surfaces
+    are taken as their cages; moving ones at their first time code.
 
     Raises:
         MeshFileError: It is not sound, takes in other layers, or a picture is missing.
     """
     with sound_stage(file) as stage:
-        looks = UsdLooks(file)
-        shells = [shell for mesh in shown_meshes(stage) for shell in _shells(mesh, looks)]
+        found = UsdLooks(file)
+        shells = [
+            shell
+            for mesh in shown_meshes(stage)
+            for shell in (_shells(mesh, found) if looks else (bare_shell(mesh),))
+        ]
         return ParsedModel(
             tuple(shells),
-            tuple(looks.known),
+            tuple(found.known),
             *unit_and_axis(stage),
-            tuple(looks.companions),
-            tuple(dict.fromkeys(looks.notes)),
+            tuple(found.companions),
+            tuple(dict.fromkeys(found.notes)),
         )
 
 

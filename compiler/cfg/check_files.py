@@ -50,10 +50,13 @@ def check_files(
     files: dict[str, InputFile] = {}
     findings: list[Finding] = []
     for field in fields:
-        owner, key = cfg.at(*field.path[:-1]), field.path[-1] if field.path else ""
-        if "x-file" not in field.keywords or not owner[key]:
+        kind = field.keywords.get("x-file")
+        if kind is None:
             continue
-        name, kind = owner[key], field.keywords["x-file"]
+        owner = cfg.at(*field.path[:-1])
+        name = owner[field.path[-1]]
+        if not name:
+            continue
         try:
             path = find_folder(name, folder) if kind == "texture_set" else find_file(name, folder)
             digest = _sha256(path) if path.is_file() else ""
@@ -141,9 +144,11 @@ def _check_dem(file: Path, owner: Node, cfg: Node) -> Iterator[Finding]:
 
 
 def _check_mesh(file: Path, owner: Node, cfg: Node) -> Iterator[Finding]:
-    from scenec.compiler.assets.mesh_file import finish_mesh, missing_keys, parse_mesh
+    from scenec.compiler.assets.joining import missing_keys
+    from scenec.compiler.assets.mesh_file import finish_mesh
+    from scenec.compiler.assets.parse import parse_model
 
-    parsed = parse_mesh(file)
+    parsed = parse_model(file, looks=False)
     missing = _missing(file, owner, missing_keys(parsed, owner["unit_m"], owner["up"]))
     yield from missing
     if not missing:
@@ -152,7 +157,7 @@ def _check_mesh(file: Path, owner: Node, cfg: Node) -> Iterator[Finding]:
 
 def _check_model(file: Path, owner: Node, cfg: Node) -> Iterator[Finding]:
     from scenec.compiler.assets.cache import cached_model, parsed_model
-    from scenec.compiler.assets.mesh_file import missing_keys
+    from scenec.compiler.assets.joining import missing_keys
 
     unit_m, up = owner["unit_m"], owner["up"]
     missing = _missing(file, owner, missing_keys(parsed_model(file), unit_m, up))
@@ -170,12 +175,20 @@ def _missing(file: Path, owner: Node, keys: list[str]) -> list[Finding]:
     ]
 
 
+def _digest_of_mesh(file: Path, owner: Node, digest: str) -> str:
+    """With those of the buffers beside a glTF file."""
+    from scenec.compiler.assets.parse import GLTF, parse_model
+
+    if file.suffix.lower() not in GLTF:
+        return digest
+    return _sha256(file, *parse_model(file, looks=False).companions)
+
+
 def _digest_of_model(file: Path, owner: Node, digest: str) -> str:
     """With those of the files that belong to it, in its order."""
     from scenec.compiler.assets.cache import parsed_model
 
-    companions = parsed_model(file).companions
-    return _sha256(file, *companions) if companions else digest
+    return _sha256(file, *parsed_model(file).companions)
 
 
 def _check_poses(file: Path, owner: Node, cfg: Node) -> Iterable[Finding]:
@@ -269,6 +282,7 @@ _CHECKS: dict[str, Callable[[Path, Node, Node], Iterable[Finding]]] = {
 }
 #: Digests of more than the file itself.
 _DIGESTS: dict[str, Callable[[Path, Node, str], str]] = {
+    "mesh": _digest_of_mesh,
     "model": _digest_of_model,
     "texture_set": _digest_of_texture_set,
 }

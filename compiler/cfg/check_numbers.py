@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Iterator, Mapping
+from decimal import Decimal
 from itertools import pairwise
 from typing import Any
 
@@ -66,19 +67,12 @@ def read_number(value: Any, keywords: Mapping[str, Any]) -> Number:
     if not isinstance(value, dict):
         # + 0.0 makes -0.0 into 0.0, so that equal cfgs have equal digests.
         return int(value) if whole else float(value) + 0.0
-    kind = value["type"]
-    per = value.get("per", keywords["x-per"])
-    if kind == "choice":
-        values = tuple(float(v) + 0.0 for v in value["values"])
+    kind, per = value["type"], value.get("per", keywords["x-per"])
+    low, high = support(value, keywords)
+    if kind in ("choice", "histogram"):
+        values = tuple(float(v) + 0.0 for v in value.get("values") or value["edges"])
         weights = tuple(float(w) for w in value.get("weights", [1.0] * len(values)))
-        return Distribution(
-            kind, per, whole, min(values), max(values), values=values, weights=weights
-        )
-    if kind == "histogram":
-        edges = tuple(float(v) + 0.0 for v in value["edges"])
-        weights = tuple(float(w) for w in value["weights"])
-        return Distribution(kind, per, whole, edges[0], edges[-1], values=edges, weights=weights)
-    low, high = _support(value, keywords)
+        return Distribution(kind, per, whole, low, high, values=values, weights=weights)
     mean, std = value.get("mean", 0.0), value.get("std", 0.0)
     if kind == "log_normal":
         mean, std = elementary.log(float(value["median"])), value["sigma"]
@@ -87,8 +81,8 @@ def read_number(value: Any, keywords: Mapping[str, Any]) -> Number:
         kind,
         per,
         whole,
-        low + 0.0,
-        high + 0.0,
+        low,
+        high,
         mean=float(mean) + 0.0,
         std=float(std) + 0.0,
         shape=float(shape) + 0.0,
@@ -97,10 +91,14 @@ def read_number(value: Any, keywords: Mapping[str, Any]) -> Number:
 
 def support(value: Any, keywords: Mapping[str, Any]) -> tuple[float, float]:
     """The smallest and largest number that a sound number can be."""
-    number = read_number(value, keywords)
-    if isinstance(number, Distribution):
-        return number.min, number.max
-    return float(number), float(number)
+    if not isinstance(value, dict):
+        ends = value, value
+    elif value["type"] in ("choice", "histogram"):
+        values = value.get("values") or value["edges"]
+        ends = min(values), max(values)
+    else:
+        ends = _support(value, keywords)
+    return float(ends[0]) + 0.0, float(ends[1]) + 0.0
 
 
 def _is_whole_key(keywords: Mapping[str, Any]) -> bool:
@@ -143,71 +141,56 @@ def _check_shape(value: Mapping[str, Any]) -> Iterator[tuple[tuple[str | int, ..
     low, high = value.get("min"), value.get("max")
     if low is not None and high is not None and low > high:
         yield ("min",), f"{shown(low)}: min is above max ({shown(high)}); swap them"
-    edges = value.get("edges", [0.0, 1.0])
+    edges, values = value.get("edges", ()), value.get("values", ())
     for i, (before, after) in enumerate(pairwise(edges), start=1):
         if after <= before:
             yield ("edges", i), f"{shown(after)}: expected more than the edge before it"
-    if value["type"] == "histogram":
-        if len(value["weights"]) != len(edges) - 1:
-            yield (
-                ("weights",),
-                f"{len(value['weights'])} weights for {len(edges)} edges: expected one for each "
-                "interval between them",
-            )
-        elif not any(value["weights"]):
-            yield ("weights",), "all weights are 0: expected one that is more"
-    if value["type"] == "choice" and "weights" in value:
-        weights = value["weights"]
-        if len(weights) != len(value["values"]):
-            yield (
-                ("weights",),
-                f"{len(weights)} weights for {len(value['values'])} values: expected one for each",
-            )
-        elif not any(weights):
-            yield ("weights",), "all weights are 0: expected one that is more"
+    weights = value.get("weights", [1] * len(values))
+    if edges and len(weights) != len(edges) - 1:
+        each = f"{len(edges)} edges: expected one for each interval between them"
+        yield ("weights",), f"{len(weights)} weights for {each}"
+    elif values and len(weights) != len(values):
+        each = f"{len(values)} values: expected one for each"
+        yield ("weights",), f"{len(weights)} weights for {each}"
+    elif weights and not any(weights):
+        yield ("weights",), "all weights are 0: expected one that is more"
 
 
 def _check_support(field: Field) -> Iterator[Finding]:
     value, keywords = field.value, field.keywords
-    broken = False
-    for key, bound in _bounds_given(value):
-        message = _outside(bound, keywords)
-        if message:
-            broken = True
-            yield Finding((*field.path, *key), f"{shown(bound)}: expected {message}")
-    if value["type"] not in ("normal", "log_normal") or broken:
+    outside = [
+        (key, given, message)
+        for key, given in _bounds_given(value)
+        if (message := _outside(given, keywords))
+    ]
+    for key, given, message in outside:
+        yield Finding((*field.path, *key), f"{shown(given)}: expected {message}")
+    kind = value["type"]
+    if kind not in ("normal", "log_normal") or outside:
         return
     low, high = _support(value, keywords)
-    if value["type"] == "log_normal":
-        yield from _check_log_normal(field, low, high)
-        return
-    mean, std = float(value["mean"]), float(value["std"])
+    middle, width = ("mean", "std") if kind == "normal" else ("median", "sigma")
+    at, spread = float(value[middle]), float(value[width])
+    ends, place = (low, high), at
+    if kind == "log_normal":
+        inside = [min(max(end, math.ulp(0.0)), sys.float_info.max) for end in ends]
+        # Decimal's is exact enough, and needs no kernel.
+        ends, place = (_log(inside[0]), _log(inside[1])), _log(at)
     if low > high:
-        at: tuple[str, ...] = ("min",) if "min" in value else ("max",)
-        yield Finding((*field.path, *at), f"nothing lies between {low:g} and {high:g}")
-    elif not low - MAX_SIGMAS * std <= mean <= high + MAX_SIGMAS * std:
+        bound = "min" if "min" in value else "max"
+        yield Finding((*field.path, bound), f"nothing lies between {low:g} and {high:g}")
+    elif not ends[0] - MAX_SIGMAS * spread <= place <= ends[1] + MAX_SIGMAS * spread:
         yield Finding(
             field.path,
-            f"mean {mean:g} with std {std:g} never falls between {low:g} and {high:g}: "
-            f"expected a mean within {MAX_SIGMAS:g} std of them",
+            f"{middle} {at:g} with {width} {spread:g} never falls between {low:g} and {high:g}: "
+            f"expected a {middle} within {MAX_SIGMAS:g} {width} of them",
         )
-    elif (low == -math.inf or high == math.inf) and not math.isfinite(abs(mean) + 40.0 * std):
+    elif kind == "normal" and math.inf in (-low, high) and math.isinf(abs(at) + 40.0 * spread):
         yield Finding((*field.path, "std"), f"{shown(value['std'])}: too large for a number")
 
 
-def _check_log_normal(field: Field, low: float, high: float) -> Iterator[Finding]:
-    median, sigma = float(field.value["median"]), float(field.value["sigma"])
-    if low > high:
-        at = "min" if "min" in field.value else "max"
-        yield Finding((*field.path, at), f"nothing lies between {low:g} and {high:g}")
-        return
-    ends = [elementary.log(min(max(end, math.ulp(0.0)), sys.float_info.max)) for end in (low, high)]
-    if not ends[0] - MAX_SIGMAS * sigma <= elementary.log(median) <= ends[1] + MAX_SIGMAS * sigma:
-        yield Finding(
-            field.path,
-            f"median {median:g} with sigma {sigma:g} never falls between {low:g} and {high:g}: "
-            f"expected a median within {MAX_SIGMAS:g} sigma of them",
-        )
+def _log(x: float) -> float:
+    return float(Decimal(x).ln())
 
 
 def _bounds_given(value: Mapping[str, Any]) -> Iterator[tuple[tuple[str | int, ...], float]]:

@@ -7,6 +7,7 @@ from typing import Any
 from scenec.compiler.cfg import schema
 from scenec.compiler.cfg.check_numbers import read_number
 from scenec.compiler.cfg.schema import Field
+from scenec.compiler.cfg.typed import Cfg
 
 #: What the sun is above a planet's atmosphere, where the cfg is silent: mean irradiance (Kopp
 #: and Lean 2011, Geophys. Res. Lett. 38:L01706; on Mars over 1.524 au squared) and diameter.
@@ -17,7 +18,7 @@ SUNS: dict[str, dict[str, Any]] = {
 }
 
 
-def fill(document: Any) -> dict[str, Any]:
+def fill(document: Any) -> Cfg:
     """The cfg in full, as nested dicts and lists.
 
     - Every key of the schemas is there, in their order; named things keep the file's order. Those
@@ -32,7 +33,7 @@ def fill(document: Any) -> dict[str, Any]:
     Args:
         document: A cfg without faults.
     """
-    cfg = _fill(schema.root(document))
+    cfg: Any = _fill(schema.root(document))
     for rig in cfg["rigs"].values():
         for sensor in rig["sensors"].values():
             if sensor["outputs"] is None:
@@ -49,7 +50,8 @@ def fill(document: Any) -> dict[str, Any]:
             layer["threshold"] = None
         if layer["where"] is not None and "noise" not in own:
             layer["noise"] = None
-    return cfg
+    filled: Cfg = cfg
+    return filled
 
 
 def _fill(field: Field) -> Any:

@@ -23,6 +23,7 @@ from scenec.compiler.cfg.faults import Finding, locate
 from scenec.compiler.cfg.fill import fill
 from scenec.compiler.cfg.json_positions import Document, JsonError, parse
 from scenec.compiler.cfg.node import Node, Tree
+from scenec.compiler.cfg.typed import Cfg
 from scenec.compiler.distributions.numbers import Distribution
 from scenec.schemas.errors import CfgError, Fault
 from scenec.schemas.spelling import shown
@@ -36,7 +37,7 @@ class Spec:
     """A validated cfg.
 
     Attributes:
-        cfg: The cfg in full (see ``fill``): nested dicts and lists, numbers as float, int or
+        cfg: The cfg in full (see ``fill`` and ``typed``): numbers as float, int or
             ``Distribution``, keys without a value and default as None. Not to be changed.
         path: The cfg file.
         files: The files that it names, by the path of the string: "terrain/relief/0/file".
@@ -46,7 +47,7 @@ class Spec:
         text: The file's bytes.
     """
 
-    cfg: dict[str, Any]
+    cfg: Cfg
     path: FilePath
     files: Mapping[str, InputFile]
     digest: str
@@ -104,7 +105,7 @@ def _read(path: FilePath, name: str) -> tuple[bytes, Document]:
         raise CfgError([Fault(name, line, column, "", error.message)]) from error
 
 
-def digest_of(cfg: dict[str, Any], files: Mapping[str, InputFile]) -> str:
+def digest_of(cfg: Mapping[str, Any], files: Mapping[str, InputFile]) -> str:
     """sha256 over a cfg, or a part of one, and the hashes of its files; see ``Spec``."""
     content = {"cfg": cfg, "files": {name: file.sha256 for name, file in files.items()}}
     # Keys are not sorted: the order of objects decides their instance ids.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.metadata
 import importlib.util
 import re
+from collections.abc import Callable
 from pathlib import Path
 
 from scenec.schemas.spelling import closest, shown
@@ -33,14 +34,7 @@ def find_file(reference: str, folder: Path) -> Path:
     Raises:
         ResourceError: There is no such file, or no such package, or more than one match.
     """
-    if "\0" in reference:
-        raise ResourceError(f"{shown(reference)}: a path cannot hold a zero character")
-    try:
-        if reference.startswith(PREFIX):
-            return _find_in_package(reference)
-        return _find_beside(reference, folder)
-    except OSError as error:
-        raise ResourceError(f"{shown(reference)}: {error.strerror or error}") from error
+    return _find(reference, folder, "file", Path.is_file)
 
 
 def find_folder(reference: str, folder: Path) -> Path:
@@ -49,51 +43,48 @@ def find_folder(reference: str, folder: Path) -> Path:
     Raises:
         ResourceError: There is no such folder, or no such package, or more than one match.
     """
+    return _find(reference, folder, "folder", Path.is_dir)
+
+
+def _find(reference: str, folder: Path, what: str, fits: Callable[[Path], bool]) -> Path:
     if "\0" in reference:
         raise ResourceError(f"{shown(reference)}: a path cannot hold a zero character")
     try:
         if reference.startswith(PREFIX):
-            return _find_in_package(reference, folders=True)
-        path = folder / reference
-        if path.is_dir():
-            return path
-        if path.is_file():
-            raise ResourceError(f"{shown(reference)} is a file: expected a folder")
-        message = f"no folder {shown(reference)} (paths are relative to the cfg's folder)"
-        if path.parent.is_dir():
-            there = sorted(entry.name for entry in path.parent.iterdir() if entry.is_dir())
-            guess = closest(path.name, there)
-            message += f"; did you mean {shown(guess)}?" if guess else ""
-        raise ResourceError(message)
+            return _find_in_package(reference, what, fits)
+        return _find_beside(reference, folder, what, fits)
     except OSError as error:
         raise ResourceError(f"{shown(reference)}: {error.strerror or error}") from error
 
 
-def _find_beside(reference: str, folder: Path) -> Path:
+def _find_beside(reference: str, folder: Path, what: str, fits: Callable[[Path], bool]) -> Path:
     path = folder / reference
-    if path.is_file():
+    if fits(path):
         return path
-    if path.is_dir():
-        raise ResourceError(f"{shown(reference)} is a folder: expected a file")
-    message = f"no file {shown(reference)} (paths are relative to the cfg's folder)"
+    if path.is_dir() or path.is_file():
+        found = "folder" if what == "file" else "file"
+        raise ResourceError(f"{shown(reference)} is a {found}: expected a {what}")
+    message = f"no {what} {shown(reference)} (paths are relative to the cfg's folder)"
     if path.parent.is_dir():
-        guess = closest(path.name, sorted(entry.name for entry in path.parent.iterdir()))
+        there = [entry for entry in path.parent.iterdir() if what == "file" or fits(entry)]
+        guess = closest(path.name, sorted(entry.name for entry in there))
         message += f"; did you mean {shown(guess)}?" if guess else ""
     raise ResourceError(message)
 
 
-def _find_in_package(reference: str, folders: bool = False) -> Path:
+def _find_in_package(reference: str, what: str, fits: Callable[[Path], bool]) -> Path:
     name, _, pattern = reference.removeprefix(PREFIX).partition("/")
     if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", name) or not pattern.strip("/"):
         raise ResourceError(f'{shown(reference)}: expected "{PREFIX}NAME/path/in/the/package"')
-    parts = pattern.rstrip("/").split("/") if folders else pattern.split("/")
-    what = "folder" if folders else "file"
-    if ".." in parts or "" in parts or "." in parts:
+    parts = (pattern.rstrip("/") if what == "folder" else pattern).split("/")
+    if {"..", "", "."} & set(parts):
         raise ResourceError(f"{shown(reference)}: expected a plain path below the package")
-    matches: list[Path] = []
-    for root in _package_folders(name):
-        found = sorted(root.glob("/".join(parts)))
-        matches.extend(path for path in found if (path.is_dir() if folders else path.is_file()))
+    matches = [
+        path
+        for root in _package_folders(name)
+        for path in sorted(root.glob("/".join(parts)))
+        if fits(path)
+    ]
     if len(matches) == 1:
         return matches[0]
     if not matches:

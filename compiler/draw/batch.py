@@ -17,6 +17,7 @@ from scenec.compiler.cameras.paths.motion import Motion
 from scenec.compiler.cameras.shutters import draw_shutter
 from scenec.compiler.cfg.load import Spec
 from scenec.compiler.cfg.of_keys import of_keys
+from scenec.compiler.cfg.typed import Cfg, Sensor
 from scenec.compiler.distributions.resolve import per_sample, resolve
 from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.draw.craters import draw_craters
@@ -111,7 +112,7 @@ def _objects(
     return draw_placed(name, node, labels, table, streams, setting.files)
 
 
-def label_ids(cfg: dict[str, Any], choice: dict[str, str]) -> Labels:
+def label_ids(cfg: Cfg, choice: dict[str, str]) -> Labels:
     """Label ids of a choice of names, on every level; 0 where it chooses none."""
     return {
         level: table[choice[level]] if level in choice else 0
@@ -119,7 +120,7 @@ def label_ids(cfg: dict[str, Any], choice: dict[str, str]) -> Labels:
     }
 
 
-def _sky_labels(cfg: dict[str, Any]) -> Labels:
+def _sky_labels(cfg: Cfg) -> Labels:
     sky = cfg["light"]["sky"]
     return label_ids(cfg, (sky or {}).get("labels") or {})
 
@@ -255,9 +256,7 @@ def _random_target(
     )
 
 
-def _sensor(
-    name: str, cfg: dict[str, Any], path: str, streams: Streams, samples: int
-) -> SensorPlan:
+def _sensor(name: str, cfg: Sensor, path: str, streams: Streams, samples: int) -> SensorPlan:
     width, height = cfg["resolution"]
     lens = make_lens(resolve(cfg.get("lens"), streams, f"{path}/lens"))
     if cfg["intrinsics"] is not None:

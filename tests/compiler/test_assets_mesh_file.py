@@ -8,6 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import models
 import numpy as np
 import pytest
 import trimesh
@@ -15,6 +16,8 @@ from overhangs import FORMATS, glb, gltf_document, keys, shelter, triangles, wri
 from pxr import Gf, Sdf, Usd, UsdGeom
 
 from scenec.compiler.assets.mesh_file import MeshFile, read_mesh
+from scenec.compiler.assets.model import read_model
+from scenec.compiler.assets.parse import parse_model
 from scenec.compiler.geometry.affine import TO_Z_UP, about_axis, sin_cos
 from scenec.schemas.errors import SceneError
 
@@ -177,21 +180,42 @@ def test_obj_faces_of_one_file_may_differ_in_corners_and_in_what_they_name(tmp_p
 
 
 def test_without_trimesh_the_extra_to_install_is_named(tmp_path, monkeypatch):
-    path = write(tmp_path / "a.obj", BOX, BOX_QUADS)
+    path = write(tmp_path / "a.ply", BOX, BOX_QUADS)
     monkeypatch.setitem(sys.modules, "trimesh.exchange.load", None)
     assert "pip install 'scenec[meshes]'" in fails(path, unit_m=1, up="z")
-    usd = write(tmp_path / "a.usda", BOX, BOX_QUADS)
-    assert len(read_mesh(usd).faces) == 12
+    for suffix in ("obj", "glb", "usda"):
+        other = write(tmp_path / f"a.{suffix}", BOX, BOX_QUADS)
+        assert len(read_mesh(other, unit_m=1, up="z").faces) == 12
+
+
+def test_vertices_counted_backward_are_those_before_the_face(tmp_path):
+    one, two = ("v 0 0 0\nv 1 0 0\nv 0 1 0\n", "v 0 0 5\nv 1 0 5\nv 0 1 5\n")
+    (tmp_path / "a.obj").write_text(f"{one}f -3 -2 -1\n{two}f -3 -2 -1\n")
+    mesh = read_mesh(tmp_path / "a.obj", unit_m=1, up="z")
+    assert mesh.points[mesh.faces][:, :, 2].tolist() == [[0.0] * 3, [5.0] * 3]
+    assert mesh.faces.tolist() == [[0, 1, 2], [3, 4, 5]]
+
+
+def test_what_a_model_looks_like_is_not_read_for_a_terrain(tmp_path):
+    path = tmp_path / "a.obj"
+    path.write_text(
+        "mtllib missing.mtl\nvt bad\nusemtl rock\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1/9/9 2/9/9 3/9/9\n"
+    )
+    assert read_mesh(path, unit_m=1, up="z").faces.tolist() == [[0, 1, 2]]
+    with pytest.raises(SceneError, match="texture coordinate 8"):
+        read_model(path, unit_m=1, up="z")
 
 
 def test_only_a_mesh_file_that_needs_it_imports_trimesh(tmp_path):
     program = (
         "import sys; from pathlib import Path; import scenec.compiler.build\n"
         "from scenec.compiler.assets.mesh_file import read_mesh\n"
-        "read_mesh(Path(sys.argv[1])); assert 'trimesh' not in sys.modules\n"
-        "read_mesh(Path(sys.argv[2])); assert 'trimesh' in sys.modules\n"
+        "for name in sys.argv[1:]:\n"
+        "    read_mesh(Path(name), unit_m=1, up='z')\n"
+        "    assert ('trimesh' in sys.modules) == name.endswith('.ply')\n"
     )
-    files = [write(tmp_path / f"a.{suffix}", BOX, BOX_QUADS) for suffix in ("usda", "glb")]
+    suffixes = ("usda", "glb", "obj", "ply")
+    files = [write(tmp_path / f"a.{suffix}", BOX, BOX_QUADS) for suffix in suffixes]
     done = subprocess.run(
         [sys.executable, "-c", program, *map(str, files)],
         capture_output=True,
@@ -433,9 +457,18 @@ def test_gltf_strips_small_integers_and_data_uris(tmp_path):
     document["accessors"][0]["normalized"] = True
     path.write_text(json.dumps(document))
     assert np.array_equal(read_mesh(path).points, mesh.points / 32767.0)
-    document["meshes"][0]["primitives"][0]["mode"] = 6
+    document["meshes"][0]["primitives"] = [{"attributes": attributes, "mode": 6}]
     path.write_text(json.dumps(document))
-    assert "triangle fans" in fails(path)
+    fan = read_mesh(path).faces.tolist()
+    assert [sorted(face) for face in fan] == [[0, 1, 2], [0, 2, 3]]
+
+
+def test_a_buffer_beside_a_gltf_is_read_and_its_pictures_are_not(tmp_path):
+    whole = read_mesh(models.write(tmp_path / "box.glb"))
+    mesh = read_mesh(models.write(tmp_path / "box.gltf"))
+    assert np.array_equal(mesh.points[mesh.faces], whole.points[whole.faces])
+    found = parse_model(tmp_path / "box.gltf", looks=False).companions
+    assert [path.name for path in found] == ["box data.bin"]
 
 
 def test_a_folder_and_a_missing_file_are_told(tmp_path):

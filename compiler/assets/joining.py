@@ -1,0 +1,171 @@
+"""Parts of a file as one mesh: in meters, z up, welded, without faces that have no area."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenec.compiler.assets.parts import MeshFileError, is_of
+from scenec.compiler.assets.shells import ParsedModel, Shell
+from scenec.compiler.geometry import affine
+from scenec.schemas.errors import SceneError
+
+#: Largest coordinate, meters: beyond it squares of areas leave float64's range too easily.
+_LARGEST_M = 1e9
+_MEANING = {"unit_m": "how long its unit is", "up": "which axis points upward"}
+
+
+def require_keys(file: Path, parsed: ParsedModel, unit_m: float | None, up: str | None) -> None:
+    """Checks that the file or the arguments say the unit and the upward axis.
+
+    Raises:
+        SceneError: Neither do.
+    """
+    for missing in missing_keys(parsed, unit_m, up):
+        raise SceneError(f"{file.name}: does not say {_MEANING[missing]}: give {missing}")
+
+
+def unit_and_up(parsed: ParsedModel, unit_m: float | None, up: str | None) -> tuple[float, str]:
+    """What is given, else what the file says, else 1 m and z."""
+    unit = parsed.unit_m if unit_m is None else unit_m
+    return 1.0 if unit is None else unit, (parsed.up if up is None else up) or "z"
+
+
+def missing_keys(parsed: ParsedModel, unit_m: float | None, up: str | None) -> list[str]:
+    """Which of ``unit_m`` and ``up`` the file leaves open and nobody gives."""
+    given = {
+        "unit_m": parsed.unit_m if unit_m is None else unit_m,
+        "up": parsed.up if up is None else up,
+    }
+    return [key for key, value in given.items() if value is None]
+
+
+def chosen_parts(parts: tuple[Shell, ...], name: str | None) -> list[Shell]:
+    """The parts of a name; all of them without one.
+
+    Raises:
+        MeshFileError: There are none, or they have no faces.
+    """
+    if name is None:
+        chosen = list(parts)
+    else:
+        chosen = [part for part in parts if is_of(part.path, name)]
+        if not chosen:
+            names = [part.path for part in parts if part.path]
+            shown = ", ".join(names[:8]) + (", …" if len(names) > 8 else "")
+            raise MeshFileError(f"no part {name!r}; it has {shown or 'none with a name'}")
+    if not any(len(part.faces) for part in chosen):
+        raise MeshFileError("it holds no faces")
+    return chosen
+
+
+@dataclass(frozen=True)
+class Joined:
+    """Parts as one mesh, as ``MeshFile`` describes it.
+
+    Attributes:
+        points: float64 [n, 3].
+        faces: int32 [m, 3].
+        owner: Index of each face's part, int32 [m].
+        sound: Which of the parts' faces, one part after the other, are in ``faces``: bool.
+        welded: Vertices that were copies.
+    """
+
+    points: NDArray[np.float64]
+    faces: NDArray[np.int32]
+    owner: NDArray[np.int32]
+    sound: NDArray[np.bool_]
+    welded: int
+
+
+def join(parts: Sequence[Shell], unit_m: float, up: str) -> Joined:
+    """One mesh of several parts: in meters, z up, welded, without faces that have no area.
+
+    Raises:
+        MeshFileError: They are no sound mesh.
+    """
+    if not 0.0 < unit_m < np.inf:
+        raise MeshFileError(f"its unit is {unit_m:g} m, expected one above 0")
+    blocks: list[NDArray[np.float64]] = []
+    corners, total = [], 0
+    for part in parts:
+        count = len(part.points)
+        bad = (part.faces < 0) | (part.faces >= count)
+        if bad.any():
+            raise MeshFileError(
+                f"{part.path or 'a face'} uses vertex {int(part.faces[bad][0])} (from 0) of {count}"
+            )
+        blocks.append(part.points)
+        corners.append(part.faces + total)
+        total += count
+    points, faces = np.concatenate(blocks), np.concatenate(corners)
+    used = np.zeros(len(points), bool)
+    used[faces.ravel()] = True
+    if not np.isfinite(points[used]).all():
+        at = int(np.flatnonzero(used & ~np.isfinite(points).all(axis=1))[0])
+        raise MeshFileError(
+            f"vertex {at} (from 0) is {points[at].tolist()}: expected finite numbers"
+        )
+    if not len(faces):
+        raise MeshFileError("it holds no faces")
+
+    faces, points = _number(used)[faces], points[used]
+    matrix = np.eye(4)
+    matrix[:3, :3] = np.array(affine.TO_Z_UP[up], np.float64) * unit_m
+    points = affine.applied(matrix, points)
+    if not np.abs(points).max() < _LARGEST_M:
+        raise MeshFileError(
+            f"reaches out to {np.abs(points).max():.3g} m, at most {_LARGEST_M:g} m are taken"
+        )
+    owner = np.repeat(np.arange(len(parts), dtype=np.int32), [len(part.faces) for part in parts])
+    first_of, total = weld(points), len(points)
+    points, faces = points[first_of == np.arange(total)], _number_first(first_of)[faces]
+    sound = _doubled_areas(points, faces) > 0.0
+    if not sound.any():
+        raise MeshFileError(f"none of its {len(faces)} faces has an area")
+    faces, owner, welded = faces[sound], owner[sound], total - len(points)
+    used = np.zeros(len(points), bool)
+    used[faces.ravel()] = True
+    return Joined(
+        np.ascontiguousarray(points[used]),
+        np.ascontiguousarray(_number(used)[faces], np.int32),
+        owner,
+        sound,
+        welded,
+    )
+
+
+def _number(used: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """New indices once what is not used is gone."""
+    return np.cumsum(used) - 1
+
+
+def _number_first(first_of: NDArray[np.int64]) -> NDArray[np.int64]:
+    return _number(first_of == np.arange(len(first_of)))[first_of]
+
+
+def weld(points: NDArray[np.float64]) -> NDArray[np.int64]:
+    """For each point, the first one of exactly its position: int64 [n]."""
+    # 0 and -0 are one place, and sort as one.
+    order = np.lexsort((points[:, 2], points[:, 1], points[:, 0]))
+    ordered = points[order]
+    new = np.ones(len(points), bool)
+    new[1:] = (ordered[1:] != ordered[:-1]).any(axis=1)
+    # lexsort is stable: the first of each run is the first of all.
+    first = np.empty(len(points), np.int64)
+    first[order] = order[np.flatnonzero(new)][np.cumsum(new) - 1]
+    return first
+
+
+def _doubled_areas(points: NDArray[np.float64], faces: NDArray[np.int64]) -> NDArray[np.float64]:
+    a, b, c = (points[faces[:, k]] for k in range(3))
+    u, v = b - a, c - a
+    n = [
+        u[:, i] * v[:, j] - u[:, j] * v[:, i]
+        for i, j in ((1, 2), (2, 0), (0, 1))
+    ]  # fmt: skip
+    return np.sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2])
