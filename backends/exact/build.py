@@ -20,6 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.schemas.borrowed import borrowed
 from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
 
@@ -208,8 +209,10 @@ def _split(forest, start, stop, depth, bins):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _build(forest, task, task_size, tasks, bins):  # type: ignore[no-untyped-def]
+def _build(trees, task, task_size, tasks, scratch):  # type: ignore[no-untyped-def]
     """Build a range of entries but for what is left to others; how many ranges those are."""
+    # The caller keeps both.
+    forest, bins = borrowed(trees), borrowed(scratch)
     links = forest.links
     stack = np.empty((STACK_SIZE, 5), np.int64)
     for i in range(5):
