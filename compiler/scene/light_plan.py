@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.cfg.label_maps import LabelMapPlan
 from scenec.compiler.scene.scene import Haze, SunLight
+
+if TYPE_CHECKING:
+    from scenec.compiler.cfg.label_maps import LabelMapPlan
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from scenec.compiler.terrain.freshness import cover, crater_freshness
 from scenec.compiler.terrain.grid import Grid
 from scenec.compiler.terrain.operators.crater_profile import profile_table
 from scenec.compiler.terrain.operators.craters import Craters
-from scenec.compiler.terrain.quantities import DEFAULT_SPACINGS, Quantities
+from scenec.compiler.terrain.quantities import DEFAULT_SPACINGS, Quantities, Samples
 
 GRID = Grid.with_spacing((20.0, 12.0), 0.25)
 X, Y = np.meshgrid(GRID.x(), GRID.y())
@@ -177,3 +177,18 @@ def test_masks_take_curvature_and_flow():
     flow = FlowCondition(50.0, None, 1.0).weight(GRID, bowl)
     assert flow[24, 40] == 1.0
     assert flow.mean() < 0.1
+
+
+@pytest.mark.parametrize(("room", "evaluated"), [(0, 4), (1, 3), (2, 2)])
+def test_noises_at_samples_are_evaluated_once_as_far_as_they_may_be_kept(room, evaluated):
+    calls = []
+
+    def noise(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        calls.append(x.size)
+        return x + y
+
+    samples = Samples(GRID, kept=room * 8 * X.size)
+    for _ in range(2):
+        for key in ("a", "b"):
+            assert np.array_equal(samples.noise(key, noise), (X + Y).ravel())
+    assert calls == [X.size] * evaluated

@@ -15,7 +15,7 @@ from scenec.compiler.noise.fractal import Fractal
 from scenec.compiler.noise.lattice import subkey, subkeys
 from scenec.compiler.noise.octaves import octave_at, tabulate
 from scenec.compiler.noise.perlin import perlin2
-from scenec.compiler.noise.worley import feature_point, worley2
+from scenec.compiler.noise.worley import feature_point, worley2, worley2_points
 from scenec.compiler.terrain.grid import Grid
 from scenec.compiler.terrain.operators.multifractal import Multifractal
 from scenec.compiler.terrain.operators.worley import Worley
@@ -196,6 +196,16 @@ def test_cells_are_the_distances_to_the_two_nearest_feature_points(jitter):
     expected = cKDTree(points).query(at, k=2)[0]
     got = [worley2(key, x, y, jitter) for x, y in at]
     assert np.allclose(got, expected, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("jitter", [0.0, 0.5, 1.0])
+def test_cells_of_many_points_have_the_bits_of_one(jitter):
+    # So many that some have their second nearest point two cells away.
+    u, v = np.random.default_rng(1).uniform(-1e4, 1e4, (2, 20_000))
+    first, second = np.empty(u.size), np.empty(u.size)
+    worley2_points(np.uint64(3), u, v, jitter, first, second)
+    one = [worley2(np.uint64(3), x, y, jitter) for x, y in zip(u, v, strict=True)]
+    assert np.array_equal(np.stack([first, second], axis=1), one)
 
 
 def test_a_feature_point_lies_in_its_cell_and_nowhere_in_particular():
