@@ -66,8 +66,8 @@ def _find_beside(reference: str, folder: Path, what: str, fits: Callable[[Path],
         raise ResourceError(f"{shown(reference)} is a {found}: expected a {what}")
     message = f"no {what} {shown(reference)} (paths are relative to the cfg's folder)"
     if path.parent.is_dir():
-        there = sorted(entry for entry in path.parent.iterdir() if what == "file" or fits(entry))
-        guess = closest(path.name, [entry.name for entry in there])
+        there = sorted(path.parent.iterdir())
+        guess = closest(path.name, [e.name for e in there if what == "file" or fits(e)])
         message += f"; did you mean {shown(guess)}?" if guess else ""
     raise ResourceError(message)
 
