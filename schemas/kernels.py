@@ -298,6 +298,7 @@ class _Kept:
                 continue
             if data[:32] != hashlib.sha256(memoryview(data)[32:]).digest():
                 continue
+            # What compiled code needs; a refresh would import all that compiling does (0.3 CPU s).
             rtsys.initialize(context)
             with suppress(ImportError, AttributeError):
                 library, described, *others = pickle.loads(memoryview(data)[32:])
