@@ -25,8 +25,8 @@ from scenec.schemas.threads import over_threads
 
 #: Blocks of a height field have at least so many cells along a side, and those of a mesh are so
 #: many along the longer side; both are wider where all views have more blocks together than
-#: ``_MOST``, which take some 80 MB and a second.
-_CELLS, _BLOCKS, _MOST = 2, 512, 2e7
+#: ``_MOST``, which take 32 MB and half a second.
+_CELLS, _BLOCKS, _MOST = 2, 512, 8e6
 #: Blocks that a ball may touch to be looked up one by one: a larger one seldom hides as a whole.
 _TOUCHED = 64
 
