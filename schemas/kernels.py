@@ -148,7 +148,7 @@ def _numba() -> ModuleType:
 
 def _typed(dispatcher: Any) -> Any:
     """The same, compiled once for all constants that calls name: else once for each."""
-    from numba.core.types import unliteral
+    from numba.core.types.misc import unliteral
 
     resolve = dispatcher.get_call_template
 
