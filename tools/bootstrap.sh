@@ -87,15 +87,15 @@ say "Installing the packages of requirements.lock, each checked against its hash
 # First what compiles kernels: that is done while the rest, most of it renderers, arrives.
 .venv/bin/python tools/core_requirements.py >.venv/core.txt
 install .venv/core.txt
-say "Compiling the kernels beside the other downloads"
-PYTHONPATH=src .venv/bin/python tools/warm_kernels.py &
-warming=$!
-trap 'kill $warming 2>/dev/null || true' EXIT
-install requirements.lock
-
 say "Installing scenec itself, editable"
 .venv/bin/python -m pip install --disable-pip-version-check --quiet --no-index --no-deps \
   --no-build-isolation --editable .
+say "Compiling the kernels beside the other downloads"
+.venv/bin/python tools/warm_kernels.py &
+warming=$!
+trap 'kill $warming 2>/dev/null || true' EXIT
+install requirements.lock
+say "Waiting for the kernels"
 wait $warming || true
 trap - EXIT
 

@@ -1,4 +1,4 @@
-"""Prints the part of requirements.lock that scenec needs without any extra, hashes included."""
+"""Prints the part of requirements.lock that scenec needs without any extra, and to be installed."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def main() -> None:
         for name, entry in entries.items()
     }
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    needed = {plain(requirement) for requirement in project["dependencies"]}
+    needed = {"setuptools", *(plain(requirement) for requirement in project["dependencies"])}
     before = 0
     while len(needed) > before:
         before = len(needed)
