@@ -249,7 +249,7 @@ def test_batches_can_be_compiled_in_parts(reference, tmp_path):
 
 
 def test_an_interrupted_run_can_be_gone_on_with(reference, tmp_path, monkeypatch):
-    from scenec.compiler import batch_unit as module
+    from scenec.compiler.emit import batch as module
 
     cfg = write_cfg(tmp_path, small_cfg(batches=2))
     out = tmp_path / "out"
