@@ -213,7 +213,7 @@ def test_a_scan_s_sidecar_is_taken_or_refused_in_one_line(tmp_path, data):
 @given(data=st.data())
 def test_a_record_of_what_was_left_out_is_taken_or_refused_in_one_line(tmp_path, data):
     one = ClassRecord(9, np.array([1, 2, 5]), np.array([0, 4, 1], np.uint8))
-    write_left_out(tmp_path, Record({"rocks": one}, {"tile": Reason.OUT_OF_VIEW}, 0.1, 0.05))
+    write_left_out(tmp_path, Record({"rocks": one}, {"tile": Reason.OUT_OF_VIEW}))
     path = tmp_path / "left_out.json"
     path.write_text(json.dumps(data.draw(mutated(json.loads(path.read_text())))))
     only_our_errors(lambda: read_left_out(tmp_path))
