@@ -158,6 +158,7 @@ def test_detail_finer_than_float64_can_place_is_left_out(scale, lacunarity):
                 noise = Worley(2, 1.0, scale, variant, 1.0, 24, lacunarity, 0.5)
             else:
                 noise = Multifractal(1, 1.0, scale, 24, lacunarity, 0.5, variant, 0.7, 0.5)
+            assert np.isfinite(noise.apply(grid, np.zeros(grid.shape))[0]).all()
             details = (noise.detail(grid), noise.everywhere())
             found += [detail.at(x, 0.3 * x) for detail in details if detail is not None]
     # A few cells, or wavelengths, of height; coordinates would be 1e18 of them.

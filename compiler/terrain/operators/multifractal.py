@@ -71,9 +71,11 @@ class Multifractal:
         """Heights plus relief."""
         spacing = max(grid.spacing_m)
         octaves = octaves_shown(self.octaves, self.scale_m, self.lacunarity, spacing)
-        noise = self.noise(octaves, spacing)
-        relief = noise.on(grid.x() / self.scale_m, grid.y() / self.scale_m)
-        relief *= self.amplitude_m
+        relief = np.zeros(grid.shape)
+        if octaves:
+            noise = self.noise(octaves, spacing)
+            relief = noise.on(grid.x() / self.scale_m, grid.y() / self.scale_m)
+            relief *= self.amplitude_m
         return height + relief, {
             "octaves": octaves,
             "octaves_below_grid": self.octaves - octaves,
@@ -126,6 +128,8 @@ class MultifractalDetail:
     def at(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
         """Meters to add at points, float64 [n]."""
         relief = self.relief
+        if self.shown >= relief.octaves:
+            return np.zeros(x.shape)
         # Warped as the grid's octaves are, if there are any: its samples must not move.
         noise = relief.noise(relief.octaves, self.spacing_m if self.shown else 0.0)
         noise = replace(noise, shown=self.shown)

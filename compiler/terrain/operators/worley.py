@@ -55,8 +55,10 @@ class Worley:
     ) -> tuple[NDArray[np.float64], dict[str, Any]]:
         """Heights plus relief."""
         octaves = octaves_shown(self.octaves, self.scale_m, self.lacunarity, max(grid.spacing_m))
-        relief = replace(self, octaves=octaves).cells(*grid.points(), 0).reshape(grid.shape)
-        relief *= self.amplitude_m
+        relief = np.zeros(grid.shape)
+        if octaves:
+            relief = replace(self, octaves=octaves).cells(*grid.points(), 0).reshape(grid.shape)
+            relief *= self.amplitude_m
         return height + relief, {
             "octaves": octaves,
             "octaves_below_grid": self.octaves - octaves,
