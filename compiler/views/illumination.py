@@ -19,7 +19,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt
 
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.scene.scene import Scene
@@ -89,10 +88,8 @@ def seen_blocks(
     top = np.full(relief.low.shape, -np.inf)
     top[j[shown], i[shown]] = high[shown]
     _mark(middles, radii, relief.frame, top)
-    distance = np.full(top.shape, np.inf)
-    if (top > -np.inf).any():
-        # Points of two blocks are nearer than their middles by up to a diagonal.
-        distance = width * np.maximum(distance_transform_edt(top == -np.inf) - np.sqrt(2.0), 0.0)
+    # Points of two blocks are nearer than their middles by up to a diagonal.
+    distance = width * np.maximum(np.sqrt(squared_distances(top)) - np.sqrt(2.0), 0.0)
     ground = np.where(relief.whole, relief.low, -np.inf)
     size = bounds[1] - bounds[0]
     return Seen(top, distance, ground, relief.frame, float(np.sqrt((size * size).sum())))
@@ -162,6 +159,34 @@ def _mark(middles, radii, frame, top):  # type: ignore[no-untyped-def]
         for j in range(max(j0, 0), min(j1, rows - 1) + 1):
             for i in range(max(i0, 0), min(i1, columns - 1) + 1):
                 top[j, i] = max(top[j, i], middles[n, 2] + radii[n])
+
+
+@kernel
+def squared_distances(top):  # type: ignore[no-untyped-def]
+    """Of each block to the nearest that has a top, in blocks; inf where none has."""
+    rows, columns = top.shape
+    # Along columns first, then the lowest of their parabolas along rows: Meijster, Roerdink and
+    # Hesselink, "A general algorithm for computing distance transforms in linear time" (2000).
+    along = np.full(top.shape, np.inf)
+    for i in range(columns):
+        for start, stop, step in ((0, rows, 1), (rows - 1, -1, -1)):
+            blocks = np.inf
+            for j in range(start, stop, step):
+                blocks = 0.0 if top[j, i] > -np.inf else blocks + 1.0
+                along[j, i] = min(along[j, i], blocks)
+    out = np.empty(top.shape)
+    for j in range(rows):
+        for i in range(columns):
+            least = along[j, i] * along[j, i]
+            for away in range(1, columns):
+                if away * away >= least:
+                    break
+                for other in (i - away, i + away):
+                    if 0 <= other < columns:
+                        square = along[j, other] * along[j, other]
+                        least = min(least, away * away + square)
+            out[j, i] = least
+    return out
 
 
 @kernel

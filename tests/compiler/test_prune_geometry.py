@@ -6,13 +6,20 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.ndimage import distance_transform_edt
 
 from scenec.compiler.geometry.poses import look_at
 from scenec.compiler.scene.rig import Rig, Sensor
 from scenec.compiler.scene.scene import Ground, GroundLayer, Lamp, Scene, SunLight, Tile
 from scenec.compiler.views.frustum import COLOR, Views, in_view, views_of_all
 from scenec.compiler.views.horizon import Relief, is_hidden, relief_of_tiles, with_horizon
-from scenec.compiler.views.illumination import Seen, seen_blocks, shadows_seen, view_factors
+from scenec.compiler.views.illumination import (
+    Seen,
+    seen_blocks,
+    shadows_seen,
+    squared_distances,
+    view_factors,
+)
 from scenec.compiler.views.visible import SHOWN, visible
 
 _SIDE = 48
@@ -313,3 +320,17 @@ def test_blocks_without_ground_are_not_seen_and_hide_nothing():
     assert (seen.top > -np.inf).any()
     assert not (seen.top[empty] > -np.inf).any()
     assert (seen.ground[empty] == -np.inf).all()
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 9), (7, 1), (40, 61)])
+@pytest.mark.parametrize("share", [0.0, 0.001, 0.1, 1.0])
+def test_distances_to_what_is_seen_are_those_of_another_transform(shape, share):
+    rng = np.random.default_rng(5)
+    top = np.where(rng.random(shape) < share, 3.0, -np.inf)
+    if share == 0.0:
+        assert np.isinf(squared_distances(top)).all()
+        top.flat[rng.integers(top.size)] = -1e300
+    # Where nothing is seen SciPy has no answer.
+    if (top > -np.inf).any():
+        expected = distance_transform_edt(top == -np.inf)
+        np.testing.assert_array_equal(np.sqrt(squared_distances(top)), expected)
