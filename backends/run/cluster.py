@@ -71,8 +71,10 @@ class Cluster:
             import distributed
         except ImportError as error:
             raise BackendError(f"--cluster {address}: {MEND}") from error
-        # What it has to say is said by our errors.
-        logging.getLogger("distributed").setLevel(logging.CRITICAL)
+        # What it has to say is said by our errors. Parts of it have levels of their own.
+        for name in [*logging.root.manager.loggerDict]:
+            if name.split(".")[0] == "distributed":
+                logging.getLogger(name).setLevel(logging.CRITICAL)
         self._name = f"--cluster {address}"
         self._limits = limits or Limits()
         self._token = secrets.token_hex(8)
@@ -211,9 +213,12 @@ class Cluster:
             BackendError: One cannot take part, or there are none any more.
         """
         try:
-            known = self._client.scheduler_info(n_workers=-1)["workers"]
+            known = self._client.scheduler_info(n_workers=-1).get("workers")
         except (OSError, TimeoutError, ValueError) as error:
             raise self._lost(f"its scheduler does not answer any more ({error})") from error
+        if known is None:
+            # A client that has given up on its scheduler knows nothing at all.
+            raise self._lost("its scheduler does not answer any more")
         now = time.monotonic()
         if known:
             self._seen = now

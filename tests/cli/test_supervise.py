@@ -59,6 +59,16 @@ sys.meta_path.insert(0, Finder())
 WORDS = [sys.executable, "-m", "scenec.cli.main"]
 
 
+#: As from a terminal: whoever runs the tests in the background may have them ignored.
+HEEDED = (signal.SIGINT, signal.SIGHUP)
+
+
+def heed() -> None:
+    """Gives a process that is begun the signals back."""
+    for number in HEEDED:
+        signal.signal(number, signal.SIG_DFL)
+
+
 def with_site(folder: Path, code: str) -> dict[str, str]:
     """The environment of a Python that runs code at its start."""
     (folder / "site").mkdir()
@@ -124,6 +134,7 @@ def test_a_signal_ends_a_command_and_all_that_it_began(tmp_path, number):
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
+        preexec_fn=heed,
     )
     assert process.stdout is not None
     assert process.stdout.readline() == "busy\n"
@@ -161,6 +172,7 @@ def _take_terminal(terminal: int) -> None:
     import fcntl
     import termios
 
+    heed()
     os.setsid()
     fcntl.ioctl(terminal, termios.TIOCSCTTY, 0)
 
