@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import dataclasses
 import hashlib
-import math
 from typing import Any
 
 import numpy as np
@@ -12,10 +10,10 @@ from numpy.typing import NDArray
 
 from scenec.backends.camera.lens import RayTable, ray_table
 from scenec.backends.contract import BOUNCES, NO_ROW, LoadCost, Radiance, Rays, Visibility
-from scenec.backends.mitsuba import emitter, geometry, glow, lamps, scalar, variant
+from scenec.backends.mitsuba import emitter, geometry, glow, lamps, variant
 from scenec.backends.mitsuba.corners import split_corners
 from scenec.backends.mitsuba.kept import KeptScene
-from scenec.backends.mitsuba.surfaces import make_look
+from scenec.backends.mitsuba.stack import make_look
 from scenec.backends.stage.posing import posable, pose
 from scenec.backends.stage.scene import Camera, Lighting, RenderScene
 from scenec.schemas.errors import BackendError
@@ -27,7 +25,7 @@ MAX_KEPT = 1 << 21
 
 
 class _LoadCost(LoadCost):
-    """Surfaces that give off light have to be written out, and so has all in ``scalar_rgb``."""
+    """Surfaces that give off light have to be written out."""
 
     def keeps(self, scene: RenderScene) -> bool:
         return super().keeps(scene) and not any(surface.emits for surface in scene.surfaces)
@@ -43,12 +41,11 @@ class Mitsuba:
     name = "mitsuba"
     devices = ("cpu", "cuda")
     denoiser = None
+    follows_lenses = True
     load_cost = _LoadCost(row=900.0, triangle=250.0, written=140.0, most_written=2e9)
 
     def __init__(self, bounces: int = BOUNCES, device: str = "auto") -> None:
         self._mi = variant.load_mitsuba(device)
-        if not self.jit:
-            self.load_cost = dataclasses.replace(self.load_cost, most_written=math.inf)
         self._bounces = bounces
         self._scene: Any = None
         self._kept: KeptScene | None = None
@@ -67,16 +64,6 @@ class Mitsuba:
         self._uploaded: tuple[RayTable, list[Any]] | None = None
 
     @property
-    def jit(self) -> bool:
-        """Whether the variant is vectorized (everything but ``scalar_rgb``)."""
-        return not self._mi.variant().startswith("scalar")
-
-    @property
-    def follows_lenses(self) -> bool:
-        """Rays are its own in the vectorized variants only."""
-        return self.jit
-
-    @property
     def device(self) -> str:
         """Where it runs."""
         return "cuda" if self._mi.variant().startswith("cuda") else "cpu"
@@ -85,39 +72,12 @@ class Mitsuba:
         """Renderer, variant and integrator: whatever decides the picture."""
         return f"mitsuba {self._mi.__version__} {self._mi.variant()} path{self._bounces}"
 
-    def warning(self) -> str | None:
-        """A line for the user if this runs slower than it could."""
-        return None if self.jit else variant.scalar_warning()
+    def warning(self) -> None:
+        """None: it runs as fast as it can, or not at all."""
 
     def losses(self, scene: RenderScene) -> tuple[str, ...]:
-        """Nothing in the vectorized variants; cheaper gloss and lamps in ``scalar_rgb``."""
-        if self.jit:
-            return ()
-        found = scalar.lamp_losses([lamp for light in scene.lighting for lamp in light.lamps])
-        glossy = [s for s in scene.surfaces if s.glossy]
-        if glossy:
-            found.append(
-                "mitsuba (scalar_rgb) masks gloss as if its two directions were independent: up "
-                "to 10 % darker at roughness 0.9"
-            )
-        if any(s.roughness_variation != 0.0 for s in glossy):
-            found.append(
-                "mitsuba (scalar_rgb) squares a roughness that varies at the vertices and not "
-                "between them"
-            )
-        if any(mesh.normals is not None for mesh in scene.meshes):
-            found.append(
-                "mitsuba (scalar_rgb) draws dark rims where shading normals lean away from the "
-                "camera"
-            )
-        if any(s.reflectance is not None for s in scene.surfaces):
-            found.append(
-                "mitsuba (scalar_rgb) draws Lambert's law in place of Hapke's and Lommel and "
-                "Seeliger's"
-            )
-        if any(s.emits for s in scene.surfaces):
-            found.append("mitsuba (scalar_rgb) leaves out the light that surfaces give off")
-        return tuple(found)
+        """None: it draws all of the surface model."""
+        return ()
 
     def load(self, scene: RenderScene) -> None:
         """Flatten the scene and build Mitsuba's hierarchy over it, or keep too many instances.
@@ -142,8 +102,7 @@ class Mitsuba:
         self._meshes = [self._mesh(scene, group, i) for i, group in enumerate(self._groups)]
         parts: dict[str, Any] = {"type": "scene"}
         parts |= {f"mesh{i}": mesh for i, mesh in enumerate(self._meshes)}
-        if self.jit:
-            parts |= self._emitters(scene)
+        parts |= self._emitters(scene)
         # Merging equal meshes would renumber the faces that the witness names.
         self._scene = mi.load_dict(parts, optimize=False)
         self._integrator = mi.load_dict(
@@ -186,9 +145,6 @@ class Mitsuba:
         self._pose(self._loaded(), sample)
         if self._kept is not None:
             return self._kept.witness(rays)
-        if not self.jit:
-            return scalar.visibility(self._mi, self._scene, self._meshes, self._groups,
-                                     rays, self._center)  # fmt: skip
         import drjit as dr
 
         mi = self._mi
@@ -215,11 +171,8 @@ class Mitsuba:
         """Surface light in two independent halves of ceil(spp / 2) samples a pixel each.
 
         Box filter: the plain mean of samples placed anywhere in the pixel. The camera may have any
-        K, skew included (in ``scalar_rgb``: square pixels only), and a lens, between whose rays on
-        a lattice (``backends.lens``) samples are interpolated.
-
-        Raises:
-            BackendError: The camera is one that ``scalar_rgb`` cannot draw.
+        K, skew included, and a lens, between whose rays on a lattice (``camera.lens``) samples are
+        interpolated.
         """
         scene = self._loaded()
         self._pose(scene, sample)
@@ -227,18 +180,12 @@ class Mitsuba:
         halves = np.empty((2, camera.height, camera.width, 3), np.float32)
         coverage = np.zeros((camera.height, camera.width))
         self._table = None if camera.lens is None else ray_table(camera)
-        if self.jit and self._lit_sample != sample:
+        if self._lit_sample != sample:
             self._set_light(scene.lighting[sample])
             self._lit_sample = sample
         self._dropped = 0
         for half in range(2):
-            if self.jit:
-                halves[half], alpha = self._half(camera, each, seed, half)
-            else:
-                halves[half], alpha = scalar.half(
-                    self._mi, self._meshes, self._integrator, camera, scene.lighting[sample],
-                    self._center, scene.bounds, each, mix(seed, half, 0),
-                )  # fmt: skip
+            halves[half], alpha = self._half(camera, each, seed, half)
             coverage += 0.5 * alpha
         covered = np.minimum(coverage, 1.0).astype(np.float32)
         if self._table is not None:
@@ -359,9 +306,9 @@ class Mitsuba:
         look = make_look(mi, surfaces, flat, self._center)
         props = mi.Properties()
         props["bsdf"] = look.bsdf
-        if look.emission is not None and self.jit:
+        if look.glow is not None:
             weight = glow.light_share(scene, surfaces, flat)
-            self._glows[index] = glow.make_emitter(mi, look.emission, weight)
+            self._glows[index] = glow.make_emitter(mi, look.glow, weight)
             props["emitter"] = self._glows[index]
         mesh = mi.Mesh(
             f"mesh{index}",

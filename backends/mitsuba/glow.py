@@ -1,7 +1,7 @@
 """Surfaces that give off light: an emitter on a flattened mesh, from both sides of it.
 
 Mitsuba's own ``area`` shines from one side only, and samples textures by coordinates that no two
-points of a mesh may share. This one samples the mesh by its area and takes the texture as it is.
+points of a mesh may share. This one samples the mesh by its area.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.backends.mitsuba.geometry import FlatMesh
+from scenec.backends.mitsuba.stack import Glow as Radiance
 from scenec.backends.stage.scene import RenderScene, Surface
 
 PLUGIN = "scenec_glow"
@@ -21,16 +22,18 @@ PLUGIN = "scenec_glow"
 WEIGHTS = (0.05, 1.0)
 
 
-def make_emitter(mi: Any, radiance: dict[str, Any], weight: float) -> Any:
-    """An emitter with a texture of its radiance; ``place`` it once its mesh is made.
+def make_emitter(mi: Any, radiance: Radiance, weight: float) -> Any:
+    """An emitter; ``place`` it once its mesh is made.
 
     Args:
         mi: Mitsuba.
-        radiance: Dictionary of the texture.
+        radiance: What it gives off.
         weight: How often it is looked at for light; the sky and the suns together have 1.
     """
     register(mi)
-    return mi.load_dict({"type": PLUGIN, "radiance": radiance, "sampling_weight": weight})
+    made = mi.load_dict({"type": PLUGIN, "sampling_weight": weight})
+    made.radiance = radiance
+    return made
 
 
 def light_share(scene: RenderScene, surfaces: Sequence[Surface], flat: FlatMesh) -> float:
@@ -68,7 +71,7 @@ def register(mi: Any) -> None:
 
         def __init__(self, props: Any) -> None:
             super().__init__(props)
-            self.radiance = props["radiance"]
+            self.radiance: Any = None
             self.m_flags = mi.EmitterFlags.Surface | mi.EmitterFlags.SpatiallyVarying
 
         def place(self, mesh: Any, flat: FlatMesh) -> None:

@@ -20,7 +20,7 @@ from scenec.backends.exact.caster import ExactCaster
 from scenec.backends.exact.trace import Beams, Found, trace_all
 from scenec.backends.mitsuba.corners import vertex_uv
 from scenec.backends.mitsuba.geometry import Group, cofactors, group_surfaces, unplaced
-from scenec.backends.mitsuba.surfaces import make_look
+from scenec.backends.mitsuba.stack import make_look
 from scenec.backends.stage.scene import RenderScene
 from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads

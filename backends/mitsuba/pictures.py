@@ -1,8 +1,7 @@
 """All maps of a surface looked up at once: one place in the picture serves every kind.
 
-The same arithmetic as of the textures in ``projection`` and ``cells``, which look up one kind each;
-these stay for ``scalar_rgb`` and for what gives off light. Maps of one size lie in one texture of
-many channels, so that their texels share indices and cache lines.
+The arithmetic is that of ``surface.maps`` and ``surface.cells``. Maps of one size lie in one
+texture of many channels, so that their texels share indices and cache lines.
 """
 
 from __future__ import annotations
@@ -13,14 +12,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.backends.mitsuba.cells import Corner, Lattice, seen_from_above, turned_back
-from scenec.backends.mitsuba.projection import handedness, plane_shares, seen_from_sides
+from scenec.backends.mitsuba.cells import Corner, Lattice, turned_back
 from scenec.backends.stage.scene import Maps
 from scenec.backends.surface import cells
 from scenec.backends.surface.maps import PLANES, map_values
-
-#: What is looked up for what a surface throws back, in the order of the channels.
-KINDS = ("base_color", "normal", "roughness", "metallic", "height")
 
 
 class _Packed(NamedTuple):
@@ -36,7 +31,7 @@ class _Packed(NamedTuple):
 
 
 class Pictures:
-    """The maps of one surface. For the vectorized variants."""
+    """The maps of one surface."""
 
     def __init__(
         self, mi: Any, maps: Maps, kinds: Sequence[str], center: NDArray[np.float64]
@@ -46,7 +41,7 @@ class Pictures:
         Args:
             mi: Mitsuba.
             maps: A surface's.
-            kinds: What of ``KINDS`` is wanted; what has no map is left out.
+            kinds: What is wanted; what has no map is left out.
             center: Of the scene, meters.
         """
         self._mi, self._maps = mi, maps
@@ -105,11 +100,7 @@ class _Scale:
         self._lattice: Lattice | None = None
         size = maps.size_m * factor
         if maps.cells is not None:
-            side = maps.cells.size_m * factor
-            start = np.mod(np.array(cells.TO_LATTICE) @ center[:2] / side, cells.SIDE)
-            self._lattice = Lattice(
-                mi, 1.0 / side, side / size, mi.ScalarPoint2f(start.tolist()), maps.cells.seed
-            )
+            self._lattice = Lattice(mi, maps, center, factor)
             plain = [kind for kind in kinds if kind != "normal"]
             self._mean = {kind: _numbers(mi, cells.map_mean(maps, kind)) for kind in plain}
         elif maps.projection != "uv":
@@ -169,7 +160,9 @@ class _Scale:
                 total = mean * rest
                 for corner, value in zip(corners, channel, strict=True):
                     total = total + corner.gain * value
-                found[kind].append(dr.clip(total, 0.0, 1.0))
+                most = cells.most(kind)
+                total = dr.maximum(total, 0.0)
+                found[kind].append(total if most is None else dr.minimum(total, most))
         return found
 
     def _texels(self, uv: Any, active: Any) -> dict[str, list[Any]]:
@@ -208,3 +201,48 @@ def _numbers(mi: Any, values: NDArray[np.float64]) -> list[Any]:
     import drjit as dr
 
     return [dr.opaque(mi.Float, float(value)) for value in values]
+
+
+def plane_shares(si: Any) -> list[Any]:
+    """Of the planes across x, y and z."""
+    import drjit as dr
+
+    n = si.sh_frame.n
+    fourth = [dr.square(dr.square(part)) for part in (n.x, n.y, n.z)]
+    total = fourth[0] + fourth[1] + fourth[2]
+    return [f / total for f in fourth]
+
+
+def seen_from_sides(mi: Any, si: Any, shares: list[Any], mapped: list[list[Any]]) -> Any:
+    """A normal of a triplanar map, in the local frame; ``mapped`` is what each plane's holds."""
+    import drjit as dr
+
+    n = si.sh_frame.n
+    total: list[Any] = [0.0, 0.0, 0.0]
+    for axis, ((x, y, z), (u, v)) in enumerate(zip(mapped, PLANES, strict=True)):
+        part = [n.x, n.y, n.z]
+        part[u] = part[u] + x
+        part[v] = part[v] + y
+        part[axis] = part[axis] * z
+        total = [t + shares[axis] * p for t, p in zip(total, part, strict=True)]
+    return si.to_local(dr.normalize(mi.Vector3f(*total)))
+
+
+def seen_from_above(mi: Any, si: Any, x: Any, y: Any, z: Any) -> Any:
+    """A normal of a map projected from above, in the local frame.
+
+    Its frame is that of the face's dP/du, where u is the world's x, about the shading normal.
+    """
+    import drjit as dr
+
+    n = si.sh_frame.n
+    along = mi.Vector3f(dr.abs(si.n.z), 0.0, -dr.sign(si.n.z) * si.n.x)
+    u = dr.normalize(along - n * dr.dot(n, along))
+    return si.to_local(mi.Vector3f(u * x + dr.cross(n, u) * y + n * z))
+
+
+def handedness(si: Any) -> Any:
+    """On which side of dP/du the texture coordinates' dP/dv lies."""
+    import drjit as dr
+
+    return dr.sign(dr.dot(dr.cross(si.dp_du, si.dp_dv), si.sh_frame.n))

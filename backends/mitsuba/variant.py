@@ -1,4 +1,4 @@
-"""Which Mitsuba runs here: the vectorized LLVM variant, or the scalar one as a last resort."""
+"""Which Mitsuba runs here: the variant of CUDA, or of LLVM."""
 
 from __future__ import annotations
 
@@ -17,18 +17,10 @@ VARIANT_VARIABLE = "SCENEC_MITSUBA_VARIANT"
 LLVM_VARIABLE = "DRJIT_LIBLLVM_PATH"
 GPU = "cuda_ad_rgb"
 FAST = "llvm_ad_rgb"
-SLOW = "scalar_rgb"
+MEND = "Mend it with: pip install llvm-nanobind"
 #: 14 and 15 abort on rendering, 19 and 21 work (measured); between them nobody has tried, and a
 #: wrong guess ends the process.
 MIN_LLVM = 19
-
-#: Factor measured on two cores: 640x480, 64 samples a pixel, 1.5 million triangles, sun and sky:
-#: 6.0 s and 6.9 s against 1.3 s and 1.5 s.
-SCALAR_WARNING = (
-    "Mitsuba runs as scalar_rgb, about {factor} times slower than llvm_ad_rgb: no suitable LLVM "
-    "library was found. Mend it with: pip install llvm-nanobind"
-)
-SCALAR_FACTOR = 5
 
 
 def wheel_llvm() -> Path | None:
@@ -78,19 +70,21 @@ def load_mitsuba(device: str = "auto") -> Any:
     choices = [wanted] if wanted else _choices(device)
     for variant in choices:
         try:
+            if not variant.startswith(("llvm", "cuda")):
+                raise RuntimeError("it takes a variant of LLVM or CUDA")
             mi.set_variant(variant)
-            if variant != SLOW:
-                _probe(mi)
+            _probe(mi)
             _bound_threads()
         except (ImportError, RuntimeError) as error:
-            if len(choices) == 1:
+            if variant == choices[-1]:
                 why = f" ({VARIANT_VARIABLE})" if wanted else f" (device {device})"
+                mend = "" if wanted or variant == GPU else f". {MEND}"
                 raise BackendError(
-                    f"Mitsuba cannot run as {variant}{why}: {_first_line(error)}"
+                    f"Mitsuba cannot run as {variant}{why}: {_first_line(error)}{mend}"
                 ) from error
             continue
         return mi
-    raise BackendError("no variant of Mitsuba works here: neither llvm_ad_rgb nor scalar_rgb")
+    raise AssertionError("there is always a variant to try")
 
 
 def _bound_threads() -> None:
@@ -105,12 +99,7 @@ def _choices(device: str) -> list[str]:
         return [GPU]
     # Dr.Jit's first touch of a missing driver costs nothing, but prints; so it is looked for.
     gpu = [GPU] if device == "auto" and ctypes.util.find_library("cuda") else []
-    return [*gpu, FAST, SLOW]
-
-
-def scalar_warning() -> str:
-    """The line a user should see when rendering falls back to ``scalar_rgb``."""
-    return SCALAR_WARNING.format(factor=SCALAR_FACTOR)
+    return [*gpu, FAST]
 
 
 def _probe(mi: Any) -> None:
@@ -127,9 +116,7 @@ def _probe(mi: Any) -> None:
     if mi.variant().startswith("llvm"):
         version = dr.detail.llvm_version()
         if version[0] < MIN_LLVM:
-            raise RuntimeError(
-                f"LLVM {version[0]} is too old, it takes {MIN_LLVM}; pip install llvm-nanobind"
-            )
+            raise RuntimeError(f"LLVM {version[0]} is too old, it takes {MIN_LLVM}")
     x = dr.minimum(mi.Float(1.0, 2.0), dr.opaque(mi.Float, 1.5))
     dr.eval(x)
 

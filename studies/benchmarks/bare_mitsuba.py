@@ -12,9 +12,8 @@ import numpy as np
 
 from scenec.backends.mitsuba import Mitsuba
 from scenec.backends.mitsuba.emitter import dome_dict
-from scenec.backends.mitsuba.scalar import disc_dict
-from scenec.backends.picture.sky import combine
-from scenec.backends.stage.scene import RenderScene
+from scenec.backends.picture.sky import MIN_SUN_DIAMETER_RAD, combine
+from scenec.backends.stage.scene import RenderScene, Sun
 
 
 class Bare:
@@ -69,3 +68,20 @@ class Bare:
 
         picture = mi.render(self._scene, integrator=self._integrator, spp=spp, seed=seed)
         return float(np.array(picture)[..., :3].mean())
+
+
+def disc_dict(mi: Any, sun: Sun, distance: float) -> dict[str, Any]:
+    """A sun as a one-sided far disc that faces the scene's center."""
+    theta = 0.5 * max(sun.diameter_rad, MIN_SUN_DIAMETER_RAD)
+    radiance = np.asarray(sun.irradiance) / (np.pi * np.sin(theta) ** 2)
+    direction = np.asarray(sun.to_light, float)
+    up = [0.0, 0.0, 1.0] if abs(direction[2]) < 0.9 else [1.0, 0.0, 0.0]
+    transform = mi.ScalarTransform4f()
+    to_world = transform.look_at(
+        origin=(direction * distance).tolist(), target=[0.0, 0.0, 0.0], up=up
+    ) @ transform.scale([float(distance * np.tan(theta))] * 3)
+    return {
+        "type": "disk",
+        "to_world": to_world,
+        "emitter": {"type": "area", "radiance": {"type": "rgb", "value": radiance.tolist()}},
+    }

@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-import os
-import subprocess
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 import rough_scenes
 from numpy.typing import NDArray
 
-from scenec.backends.mitsuba import Mitsuba, variant
+from scenec.backends.mitsuba import Mitsuba
 from scenec.backends.stage.scene import RenderScene
 
 
@@ -67,38 +63,6 @@ def test_layers_that_vary_mix_as_pictures_do():
     expected = sum(w * picture(s, 1024) for w, s in zip(shares, alone, strict=True))
     got = picture(mixed, 2048).mean((0, 1))
     np.testing.assert_allclose(got, expected.mean((0, 1)), rtol=5e-3)
-
-
-SCALAR = """
-import sys
-sys.path.insert(0, sys.argv[1])
-import numpy as np
-import rough_scenes
-from scenec.backends.mitsuba import Mitsuba
-pictures = []
-for scene in (rough_scenes.strips(), rough_scenes.constant_strips()):
-    backend = Mitsuba()
-    backend.load(scene)
-    pictures.append(backend.radiance(scene.cameras[0][0], 0, 128, 2).halves.mean(axis=0))
-    print(backend.losses(scene))
-np.save(sys.argv[2], pictures)
-"""
-
-
-def test_scalar_rgb_varies_it_too_and_says_what_it_simplifies(tmp_path: Path):
-    out = tmp_path / "pictures.npy"
-    done = subprocess.run(
-        [sys.executable, "-c", SCALAR, str(Path(__file__).parent), str(out)],
-        env={**os.environ, variant.VARIANT_VARIABLE: "scalar_rgb"},
-        capture_output=True,
-        text=True,
-    )
-    assert done.returncode == 0, done.stderr
-    got, expected = np.load(out).astype(float)
-    np.testing.assert_allclose(got, expected, rtol=1e-3)
-    varied, constant = done.stdout.splitlines()
-    assert "at the vertices" in varied
-    assert "at the vertices" not in constant
 
 
 @pytest.mark.parametrize("amount", [-1.0, 1.0])

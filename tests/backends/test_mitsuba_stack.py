@@ -1,4 +1,4 @@
-"""A stack of mapped layers is what Mitsuba's own nesting says, and looks at each point once."""
+"""A stack of layers is the definition in float64, and looks at each point once."""
 
 from __future__ import annotations
 
@@ -15,9 +15,10 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
-from scenec.backends.mitsuba import Mitsuba, surfaces
+from scenec.backends.mitsuba import Mitsuba, stack
 from scenec.backends.mitsuba.pictures import Pictures
-from scenec.backends.stage.scene import Maps, Reflectance, RenderScene, Surface
+from scenec.backends.stage.scene import Maps, Mesh, Reflectance, RenderScene, Surface
+from scenec.backends.surface import cells, heights, maps, reflectance
 
 HAPKE = Reflectance("hapke", 0.25, 0.2, 1.5, 0.06, math.radians(20.0))
 #: Directions that each point is asked about.
@@ -34,8 +35,7 @@ def gray_picture(folder: Path, name: str) -> Path:
 def everything(folder: Path) -> RenderScene:
     """Four layers of all kinds, two of whose merges heed heights.
 
-    No normals from three sides: Mitsuba's ``normalmap`` hands its leaned normal on to the textures
-    below it, by which they would mix their planes.
+    No normals from three sides: ``test_mitsuba_projections`` has them.
     """
     colors, normals = (cs.write_picture(folder, kind) for kind in ("color", "normal"))
     rough, metal = gray_picture(folder, "rough"), gray_picture(folder, "metallic")
@@ -91,21 +91,135 @@ def spread(mi: Any, size: int) -> Any:
     return mi.Vector3f((w / np.linalg.norm(w, axis=0)).astype(np.float32))
 
 
-@pytest.mark.slow
-def test_four_layers_of_all_kinds_are_what_mitsubas_own_nesting_says(tmp_path, monkeypatch):
+def local(frame: NDArray, vectors: NDArray) -> NDArray:
+    """World vectors [n, 3] by the axes [n, 3 (axis), 3]."""
+    return np.einsum("nij,nj->ni", frame, vectors)
+
+
+def unit(vectors: NDArray) -> NDArray:
+    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+
+
+def of_maps(surface: Surface, kind: str, p: NDArray, n: NDArray, uv: NDArray) -> NDArray | None:
+    """Values of a map that is no map of normals, [n, 1 or 3]."""
+    described = surface.maps
+    if described is None or not cells.has_maps(described, kind):
+        return None
+    if described.projection == "above":
+        return cells.value(described, kind, p[:, :2])
+    picture = maps.map_values(described, kind)
+    if described.projection == "triplanar":
+        return maps.triplanar(picture, described.size_m, p, n)
+    return maps.sample(picture, uv[:, 0], uv[:, 1])
+
+
+def leaned(surface: Surface, mesh: Mesh, face: NDArray, p: NDArray, uv: NDArray, n: NDArray,
+           flat: NDArray) -> NDArray:  # fmt: skip
+    """The normal that a layer's map leaves, in the world, [n, 3]."""
+    described = surface.maps
+    if described is None or described.normal is None:
+        return n
+    if described.projection == "uv":
+        mapped = maps.sample(maps.map_values(described, "normal"), uv[:, 0], uv[:, 1])
+        along_u, along_v = (a[face].astype(float) for a in maps.face_tangents(mesh))
+        return maps.uv_normal(mapped, n, along_u, along_v)
+    mapped = cells.normal(described, p[:, :2])
+    # Along the face above the world's x, but across the shading normal.
+    x = np.stack([np.abs(flat[:, 2]), 0.0 * p[:, 0], -np.sign(flat[:, 2]) * flat[:, 0]], axis=1)
+    x = unit(x - n * (n * x).sum(axis=1, keepdims=True))
+    return unit(mapped[:, :1] * x + mapped[:, 1:2] * np.cross(n, x) + mapped[:, 2:] * n)
+
+
+def ggx(alpha: NDArray, cos_i: NDArray, cos_o: NDArray, cos_h: NDArray) -> NDArray:
+    """BRDF of a white lobe (Walter et al. 2007; masking after Heitz 2014)."""
+    square = alpha * alpha
+    density = square / (np.pi * ((square - 1.0) * cos_h**2 + 1.0) ** 2)
+    hidden = [0.5 * (np.sqrt(1.0 + square * (1.0 / c**2 - 1.0)) - 1.0) for c in (cos_i, cos_o)]
+    return density / (1.0 + hidden[0] + hidden[1]) / (4.0 * cos_i * cos_o)
+
+
+def defined(scene: RenderScene, si: Any, center: NDArray, wi: NDArray, wo: NDArray) -> NDArray:
+    """BRDF times cosine of ``everything``'s layers where rays met it, float64 [n, 3].
+
+    Args:
+        scene: Of one mesh in one row.
+        si: Mitsuba's interactions: where, on which face, and the shading frame.
+        center: Of Mitsuba's coordinates.
+        wi, wo: World, towards the viewer and the light, [n, 3].
+    """
+    mesh, row = scene.meshes[0], scene.rows
+    frame = np.stack([np.array(axis).T for axis in (si.sh_frame.s, si.sh_frame.t, si.sh_frame.n)])
+    frame = np.moveaxis(frame, 0, 1).astype(float)
+    n, flat = frame[:, 2], np.array(si.n).T.astype(float)
+    p, face = np.array(si.p).T.astype(float) + center, np.array(si.prim_index)
+    corners = mesh.points[mesh.faces[face]].astype(float) + cs.OFFSET
+    edges = corners[:, 1:] - corners[:, :1]
+    bary = np.array([np.linalg.lstsq(e.T, at, rcond=None)[0]
+                     for e, at in zip(edges, p - corners[:, 0], strict=True)])  # fmt: skip
+    bary = np.concatenate([1.0 - bary.sum(axis=1, keepdims=True), bary], axis=1)
+    uv = np.einsum("nk,nkc->nc", bary, mesh.uv[face].astype(float))
+    weights = [(bary * w[mesh.faces[face]]).sum(axis=1) for w in mesh.weights]
+    own = (bary * mesh.variation[mesh.faces[face]]).sum(axis=1)
+    levels = []
+    for surface in scene.surfaces:
+        height = of_maps(surface, "height", p, n, uv)
+        levels.append(np.full(len(p), heights.FLAT) if height is None else height[:, 0])
+    weights = heights.heeded_weights(weights, mesh.height_blends, levels)
+    # From the side of the face that is seen; what the shading normal leans from is at the horizon.
+    behind = (wi * flat).sum(axis=1) * (n * flat).sum(axis=1) < 0.0
+    mirror = np.stack([np.ones(len(p)), np.ones(len(p)), np.where(behind, -1.0, 1.0)], axis=1)
+    seen, lit = local(frame, wi) * mirror, local(frame, wo) * mirror
+    seen = unit(np.concatenate([seen[:, :2], np.maximum(seen[:, 2:], stack.GRAZING)], axis=1))
+    half = unit(seen + lit)
+    total, rest = np.zeros((len(p), 3)), np.ones(len(p))
+    for index in reversed(range(len(scene.surfaces))):
+        surface = scene.surfaces[index]
+        share = rest if index == 0 else weights[index - 1] * rest
+        rest = rest - share
+
+        def varied(amount: float) -> NDArray:
+            return (1.0 + amount * own) * (1.0 + amount * float(row.variation[0]))
+
+        color = np.array(surface.base_color) * varied(surface.variation)[:, None]
+        picture = of_maps(surface, "base_color", p, n, uv)
+        color = np.clip(color if picture is None else np.maximum(color, 0.0) * picture, 0.0, 1.0)
+        rough = of_maps(surface, "roughness", p, n, uv)
+        rough = surface.roughness if rough is None else rough[:, 0]
+        alpha = np.clip(rough * varied(surface.roughness_variation), 0.0, 1.0) ** 2
+        metal = of_maps(surface, "metallic", p, n, uv)
+        metal = np.full(len(p), surface.metallic) if metal is None else metal[:, 0]
+        white = (1.0 - metal) * surface.specular
+        normal = local(frame, leaned(surface, mesh, face, p, uv, n, flat))
+        away = (normal * seen).sum(axis=1) <= 0.0
+        normal[away, :2] *= -1.0
+        cos_i, cos_o, cos_h = ((normal * w).sum(axis=1) for w in (seen, lit, half))
+        sound = (cos_i > 0.0) & (cos_o > 0.0)
+        cos_i, cos_o = np.where(sound, cos_i, 1.0), np.where(sound, cos_o, 1.0)
+        dull = color / np.pi
+        if surface.reflectance is not None:
+            phase = (seen * lit).sum(axis=1)[:, None]
+            dull = reflectance.brdf(
+                surface.reflectance, color, cos_o[:, None], cos_i[:, None], phase
+            )
+        gloss = ggx(np.maximum(alpha, stack.MIN_ALPHA), cos_i, cos_o, cos_h)[:, None]
+        tint = white[:, None] + metal[:, None] * color
+        found = (1.0 - white - metal)[:, None] * dull + gloss * tint
+        total += np.where(sound[:, None], (share * cos_o)[:, None] * found, 0.0)
+    same_side = (wi * flat).sum(axis=1) * (wo * flat).sum(axis=1) > 0.0
+    return np.where((same_side & (lit[:, 2] > 0.0))[:, None], total, 0.0)
+
+
+def test_four_layers_of_all_kinds_are_the_definition(tmp_path):
     backend = Mitsuba(device="cpu")
     mi, scene = backend._mi, everything(tmp_path)
-    found: list[NDArray] = []
-    for make in (surfaces._stacked_look, surfaces._nested_look):
-        monkeypatch.setattr(surfaces, "_stacked_look", make)
-        si = hits(backend, scene)
-        wo = si.to_local(spread(mi, len(si.t)))
-        value, density = si.bsdf().eval_pdf(mi.BSDFContext(), si, wo)
-        found.append(np.stack([*np.array(value), np.array(density)]))
-    stacked, nested = found
-    assert (nested[0] > 0.0).mean() > 0.2
-    scale = np.abs(nested).mean(axis=1, keepdims=True)
-    assert np.abs(stacked - nested).mean() / scale.mean() < 1e-4
+    si = hits(backend, scene)
+    world = spread(mi, len(si.t))
+    value, _ = si.bsdf().eval_pdf(mi.BSDFContext(), si, si.to_local(world))
+    got = np.array(value).T.astype(float)
+    wi = np.array(si.to_world(si.wi)).T.astype(float)
+    expected = defined(scene, si, backend._center, wi, np.array(world).T.astype(float))
+    assert (expected[:, 0] > 0.0).mean() > 0.2
+    assert np.abs(got - expected).mean() / expected.mean() < 1e-4
 
 
 @pytest.mark.slow

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 import mitsuba_scenes as ms
 import numpy as np
@@ -113,67 +111,15 @@ def test_libllvm_is_found_in_the_wheel_without_importing_it():
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
-SCALAR = """
-import json, sys
-sys.path.insert(0, sys.argv[1])
-import numpy as np, mitsuba_scenes as ms, scenes
-from test_mitsuba_visibility import glossy_scene
-from scenec.backends.mitsuba import Mitsuba
-from scenec.backends.camera.rays import camera_rays
-scene = glossy_scene()
-backend = Mitsuba()
-backend.load(scene)
-camera = scene.cameras[0][0]
-r = backend.radiance(camera, 0, 256, 1)
-v = backend.witness(camera_rays(camera), 0)
-np.savez(sys.argv[2], halves=r.halves, coverage=r.coverage, row=v.row, face=v.face)
-print(json.dumps([backend.version(), backend.warning()]))
-"""
-
-
-def glossy_scene() -> RenderScene:
-    ball, faces = scenes.icosphere(2)
-    camera = ms.look_at((0, -6, 2.5), (0, 0, 0.5), 24, 18, 50)
-    return ms.scene(
-        [ms.mesh(*ms.plane(8.0)), ms.mesh(ball, faces, (1,), normals=ball)],
-        [ms.surface((0.5, 0.4, 0.3)), ms.surface((0.2, 0.3, 0.4), 0.2, 0.5)],
-        rows=[(0, scenes.affine()), (1, scenes.affine(1.0, (0, 0, 0.8)))],
-        cameras=[camera],
-        lights=[ms.sun(40, 20, 500, 3.0), ms.dome(40.0)],
-    )
-
-
-@pytest.mark.slow
-def test_scalar_rgb_agrees_with_llvm_within_noise(tmp_path: Path):
-    # Two emitters for one sky and sun: a cone of directions in LLVM, a far disc in scalar.
-    out = tmp_path / "scalar.npz"
-    done = subprocess.run(
-        [sys.executable, "-c", SCALAR, str(Path(__file__).parent), str(out)],
-        env={**os.environ, variant.VARIANT_VARIABLE: "scalar_rgb"},
-        check=True,
-        capture_output=True,
-        text=True,
-    )
-    version, warning = json.loads(done.stdout.splitlines()[-1])
-    assert "scalar_rgb" in version
-    assert "times slower" in warning
-    assert "pip install llvm-nanobind" in warning
-    scalar = np.load(out)
-    scene = glossy_scene()
-    backend = Mitsuba()
-    backend.load(scene)
-    camera = scene.cameras[0][0]
-    fast = backend.radiance(camera, 0, 256, 1)
-    seen = backend.witness(camera_rays(camera), 0)
-    assert np.mean(seen.row != scalar["row"]) < 0.01
-    difference = fast.halves.mean(axis=0).mean() - scalar["halves"].mean(axis=0).mean()
-    noise = [0.5 * (h[0].astype(float) - h[1]) for h in (fast.halves, scalar["halves"])]
-    error = np.sqrt(sum((n**2).mean() for n in noise) / noise[0].size * 3)
-    assert abs(difference) < 5 * error + 1e-3 * fast.halves.mean()
-    np.testing.assert_allclose(fast.coverage, scalar["coverage"], atol=0.25)
-
-
-def test_an_unusable_variant_is_said_in_one_line():
+@pytest.mark.parametrize(
+    ("setting", "told"),
+    [
+        ((variant.VARIANT_VARIABLE, "no_such_variant"), "no_such_variant"),
+        ((variant.VARIANT_VARIABLE, "scalar_rgb"), "of LLVM or CUDA"),
+        ((variant.LLVM_VARIABLE, "/no/such/library"), "Mend it with: pip install llvm-nanobind"),
+    ],
+)
+def test_an_unusable_variant_is_said_in_one_line(setting, told):
     code = (
         "from scenec.backends.mitsuba import Mitsuba\n"
         "from scenec.schemas.errors import BackendError\n"
@@ -181,10 +127,10 @@ def test_an_unusable_variant_is_said_in_one_line():
     )
     done = subprocess.run(
         [sys.executable, "-c", code],
-        env={**os.environ, variant.VARIANT_VARIABLE: "no_such_variant"},
+        env={**os.environ, setting[0]: setting[1]},
         capture_output=True,
         text=True,
         check=True,
     )
-    assert "no_such_variant" in done.stdout
+    assert told in done.stdout
     assert len(done.stdout.splitlines()) == 1
