@@ -161,7 +161,8 @@ def _look_up(plane, u, v):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _heights_part(first, last, plane, size, turns, cell, x, y, out):  # type: ignore[no-untyped-def]
+def _heights_part(first, last, plane, size, turns, cell, points, out):  # type: ignore[no-untyped-def]
+    x, y = points
     for n in range(first, last):
         if cell == 0.0:
             out[n] = _look_up(plane, x[n] / size, y[n] / size)
@@ -203,5 +204,5 @@ def _heights_part(first, last, plane, size, turns, cell, x, y, out):  # type: ig
 def _heights(plane, size, turns, cell, x, y):  # type: ignore[no-untyped-def]
     """The picture at points: as it repeats where ``cell`` is 0, else in cells of that side."""
     out = np.empty(x.size)
-    over_threads(_heights_part, x.size, plane, size, turns, cell, x, y, out)
+    over_threads(_heights_part, x.size, plane, size, turns, cell, (x, y), out)
     return out

@@ -53,10 +53,12 @@ def footprints(
         unseen: Part that pixels count where no view shows something.
     """
     found: dict[str, Footprint] = {}
-    for name, material in materials.items():
-        if material.maps is None:
-            continue
-        seen, possible = _of_ground(name, ground, views[0])
+    names = tuple(name for name, material in materials.items() if material.maps is not None)
+    of_ground = _of_ground(names, ground, views[0])
+    for name in names:
+        material = materials[name]
+        assert material.maps is not None
+        seen, possible = of_ground[name]
         seen, possible = seen * material.maps.size_m, possible * material.maps.size_m
         for one in objects:
             own = _of_objects(name, material, one, views[1])
@@ -66,64 +68,71 @@ def footprints(
 
 
 @memoized("footprint")
-def _of_ground(name: str, ground: Ground, views: Views) -> tuple[float, float]:
-    """Pixels per meter of a layer: in a view, and were all of it in view."""
-    layers = [i for i, layer in enumerate(ground.layers) if layer.material == name]
-    if not layers:
-        return 0.0, 0.0
+def _of_ground(
+    names: tuple[str, ...], ground: Ground, views: Views
+) -> dict[str, tuple[float, float]]:
+    """Pixels per meter of layers by material: in a view, and were all of it in view."""
     # Blends by height can show much of what has little weight.
     faint = 0.0 if any(layer.height_blend > 0.0 for layer in ground.layers) else FAINT
-    blocks = [
-        (tile, faces[start : start + _BLOCK])
-        for tile in ground.tiles
-        for faces in (np.flatnonzero(_shown(tile, layers, faint)),)
-        for start in range(0, len(faces), _BLOCK)
-    ]
-    if not blocks:
-        return 0.0, 0.0
-    balls = [_ball(*_corners(tile, faces)) for tile, faces in blocks]
-    middles = np.array([middle for middle, _ in balls])
-    radii = np.array([radius for _, radius in balls])
-    found = []
-    for part in (0.0, 1.0):
-        bounds = pixels_of_balls(views, middles, radii, part, NEAREST_M)
-        found.append(_largest(blocks, bounds, views, part))
-    return found[0], found[1]
+    used = tuple(name for name in names if any(name == one.material for one in ground.layers))
+    if not used or not ground.tiles:
+        return dict.fromkeys(names, (0.0, 0.0))
+    blocks = [(tile, start) for tile in ground.tiles for start in range(0, len(tile.faces), _BLOCK)]
+    middles, radii = (np.concatenate(p) for p in zip(*map(_blocks, ground.tiles), strict=True))
+    shown = [_shown(tile, ground, used, faint) for tile in ground.tiles]
+    largest = {name: [0.0, 0.0] for name in names}
+    for part, unseen in enumerate((0.0, 1.0)):
+        bounds = pixels_of_balls(views, middles, radii, unseen, NEAREST_M)
+        for i, name in enumerate(used):
+            faces = [
+                start + np.flatnonzero(own[i, start : start + _BLOCK])
+                for tile, own in zip(ground.tiles, shown, strict=True)
+                for start in range(0, len(tile.faces), _BLOCK)
+            ]
+            largest[name][part] = _largest(blocks, faces, bounds, views, unseen)
+    return {name: (seen, possible) for name, (seen, possible) in largest.items()}
 
 
-def _shown(tile: Tile, layers: list[int], faint: float) -> NDArray[np.bool_]:
-    """Faces at one of whose corners layers have more than a faint share."""
+def _shown(tile: Tile, ground: Ground, names: tuple[str, ...], faint: float) -> NDArray[np.bool_]:
+    """Faces at one of whose corners a material's layers have more than a faint share, for each."""
     left = np.ones(len(tile.points))
-    total = np.zeros(len(tile.points))
+    total = np.zeros((len(names), len(tile.points)))
     for index in range(len(tile.weights), -1, -1):
         alpha = tile.weights[index - 1].astype(np.float64) if index else np.ones(len(left))
-        if index in layers:
-            total += left * alpha
+        if ground.layers[index].material in names:
+            total[names.index(ground.layers[index].material)] += left * alpha
         left *= 1.0 - alpha
-    shown: NDArray[np.bool_] = (total > faint)[tile.faces].any(axis=1)
+    some = total > faint
+    shown: NDArray[np.bool_] = np.logical_or(
+        some[:, tile.faces[:, 0]] | some[:, tile.faces[:, 1]], some[:, tile.faces[:, 2]]
+    )
     return shown
 
 
 def _largest(
-    blocks: list[tuple[Tile, NDArray[np.int64]]],
+    blocks: list[tuple[Tile, int]],
+    faces: list[NDArray[np.int64]],
     bounds: NDArray[np.float64],
     views: Views,
     unseen: float,
 ) -> float:
-    """Most pixels per meter of any face: blocks in the order of what they could have at most."""
+    """Most pixels per meter of some faces: blocks in the order of what they could have at most."""
     best = 0.0
     for block in np.argsort(-bounds, kind="stable").tolist():
         if bounds[block] <= best:
             break
-        centers, radius = _balls(*_corners(*blocks[block]))
-        own = pixels_of_balls(views, centers, radius, unseen, NEAREST_M)
-        best = max(best, float(own.max(initial=0.0)))
+        if len(faces[block]):
+            centers, radius = _balls(*_corners(blocks[block][0], faces[block]))
+            own = pixels_of_balls(views, centers, radius, unseen, NEAREST_M)
+            best = max(best, float(own.max(initial=0.0)))
     return best
 
 
-def _corners(tile: Tile, faces: NDArray[np.int64]) -> tuple[NDArray[np.float64], ...]:
-    points = tile.points[tile.faces[faces]].astype(np.float64) + tile.translate
-    return points[:, 0], points[:, 1], points[:, 2]
+def _corners(tile: Tile, faces: NDArray[np.int64] | slice) -> tuple[NDArray[np.float64], ...]:
+    a, b, c = (
+        tile.points[tile.faces[faces, i]].astype(np.float64) + tile.translate for i in range(3)
+    )
+    return a, b, c
 
 
 def _balls(
@@ -135,14 +144,14 @@ def _balls(
     return middle, np.sqrt(np.maximum(np.maximum(away[0], away[1]), away[2]))
 
 
-def _ball(
-    a: NDArray[np.float64], b: NDArray[np.float64], c: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], float]:
-    """One ball about many triangles."""
-    points = np.concatenate([a, b, c])
-    low, high = points.min(axis=0), points.max(axis=0)
+def _blocks(tile: Tile) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Balls about blocks of a tile's faces: middles [blocks, 3] and radii [blocks]."""
+    corners = _corners(tile, slice(None))
+    starts = np.arange(0, len(tile.faces), _BLOCK)
+    low = np.minimum.reduceat(np.minimum.reduce(corners), starts)
+    high = np.maximum.reduceat(np.maximum.reduce(corners), starts)
     half = 0.5 * (high - low)
-    return low + half, float(np.sqrt((half * half).sum()))
+    return low + half, np.sqrt((half * half).sum(axis=1))
 
 
 @memoized("footprint")

@@ -96,11 +96,12 @@ class Tile:
         most = self.pixels // _CELL_PX
         count = min(max(round(min(self.size_m / width_m, most)), _FEWEST), most)
         key = self._key()
-        bends = [np.zeros((1, 1), np.float32)] * 2
+        bends = [np.zeros((self.pixels, self.pixels), np.float32)] * 2
         if warp > 0.0:
             bends = [np.float32(warp) * self.noise(warp_m or width_m, 0.6, 4) for _ in range(2)]
         warp_x, warp_y = bends
-        return Cells(*periodic.cells(key, self.pixels, count, jitter, warp_x, warp_y, bordered))
+        found: Cells = periodic.cells(key, self.pixels, count, jitter, warp_x, warp_y, bordered)
+        return found
 
     def waves(self, length_m: float, bend: Plane) -> Plane:
         """Phase of waves in their wavelengths, [0, 1): whole waves fit into the tile.
@@ -139,8 +140,14 @@ class Tile:
 
 def step(low: float, high: float, x: Values) -> Plane:
     """From 0 below ``low`` to 1 above ``high``, smoothly; falling where they are the other way."""
-    t = np.clip((_plane(x) - np.float32(low)) * np.float32(1.0 / (high - low)), 0.0, 1.0)
-    return _plane(t * t * (3.0 - 2.0 * t))
+    t = _plane(x) - np.float32(low)
+    t *= np.float32(1.0 / (high - low))
+    np.clip(t, 0.0, 1.0, out=t)
+    rest = np.float32(2.0) * t
+    np.subtract(np.float32(3.0), rest, out=rest)
+    t *= t
+    t *= rest
+    return t
 
 
 def dome(x: Values) -> Plane:

@@ -180,12 +180,12 @@ def test_what_is_finer_than_the_pixels_fades():
 
 def test_cells_have_the_distances_of_a_search_over_all_points():
     count, n = 5, 48
-    zero = np.zeros((1, 1), np.float32)
+    zero = np.zeros((n, n), np.float32)
     key = np.uint64(99)
     near, border, across, down, _ = periodic.cells(key, n, count, 1.0, zero, zero, True)
-    table, margin = periodic._scatter(key, count, 1.0)[0], periodic._MARGIN
-    places = np.arange(len(table)) - margin
-    points = (table + np.stack(np.meshgrid(places, places), axis=-1)).reshape(-1, 2)
+    x, y, _ = periodic._scatter(key, count, 1.0)
+    places = np.arange(count + 2 * periodic._MARGIN) - periodic._MARGIN
+    points = np.stack([x, y], axis=-1) + np.stack(np.meshgrid(places, places), -1).reshape(-1, 2)
     at = (np.arange(n) + 0.5) / n * count
     pixel = np.stack(np.meshgrid(at, at), axis=-1)[:, :, None]
     distance = np.linalg.norm(pixel - points, axis=-1)

@@ -11,9 +11,6 @@ ROOMS = ("schemas", "compiler", "backends", "datasets", "settle", "studies", "cl
 MOST, MOST_OF_KERNELS = 10, 8
 #: Functions with more, and how many: none may be added, none may grow.
 KNOWN: dict[str, int] = {
-    "compiler/materials/displacement.py:_heights_part": 9,
-    "compiler/materials/periodic.py:_cells_part": 14,
-    "compiler/materials/periodic.py:_octaves_part": 11,
     "compiler/mesh/bend.py:_of_faces_part": 13,
     "compiler/mesh/surface.py:_smooth_heights_part": 10,
     "compiler/objects/apart.py:_throw": 10,
