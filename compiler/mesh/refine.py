@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.geometry.bisect import Bisectable, Halved, halve, newest_first
-from scenec.compiler.mesh.bend import bends, of_faces
+from scenec.compiler.mesh.bend import of_faces
 from scenec.compiler.mesh.between import INSIDE, Known, Sampled, measured
 from scenec.compiler.mesh.cut import CutMesh
 from scenec.compiler.mesh.surface import Surface
@@ -280,28 +280,26 @@ def _known(
     middles of their edges, and by what these miss.
     """
     field, faces = surface.field, work.mesh.faces
-    samples, bend, whole = of_faces(field, bends(field), work.points, faces)
+    of = of_faces(field, work.points, faces)
     spacing = min(field.grid.spacing_m)
 
     def missed(face: NDArray[np.int64], apart: NDArray[np.float64]) -> NDArray[np.float64]:
         part = np.minimum(apart / spacing, 1.0)
-        cubic, kink = bend[face].T
-        # Between cells, where second derivatives leap, points see no more of a cubic than of kinks.
-        kink = np.where(whole[face], cubic, kink)
-        unseen: NDArray[np.float64] = part * kink + part * part * part * cubic
+        bend = of.bend[face]
+        unseen: NDArray[np.float64] = part * of.kink[face] + part * part * part * bend
         finer = surface.finer_than(2.0 * apart, work.shares, faces[face])
-        return finer + np.minimum(unseen, cubic)
+        return finer + np.minimum(unseen, bend)
 
-    room = samples + bend[:, 0]
+    room = of.samples + of.bend
     room += surface.finer_than(np.full(len(faces), np.inf), work.shares, faces)
     # All of these were looked at, before they were made or afterward.
-    small = np.flatnonzero(~whole)
+    small = np.flatnonzero(of.cell >= 0)
     error = _errors(
         work.points, work.sides[:, :0], work.middles, work.middle_sides[:, :0],
         faces[small], work.mesh.face_edges[small], leg[small],
     )  # fmt: skip
     room[small] = INSIDE * error + missed(small, leg[small])
-    return Known(room, pixels, samples, 0.5 * spacing, leg, radius, missed)
+    return Known(room, pixels, of.samples, 0.5 * spacing, leg, radius, missed)
 
 
 @kernel
