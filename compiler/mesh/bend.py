@@ -83,7 +83,8 @@ def of_faces(field: HeightField, points: NDArray[np.float64], faces: NDArray[np.
             and halves of cells, or lies in one half. int32 [m, 3].
     """
     height, count = np.ascontiguousarray(field.height), len(faces)
-    missed = Missed(*np.zeros((3, count)), np.full(count, -1, np.int32))
+    samples, bent, kinks = np.zeros((3, count))
+    missed = Missed(samples, bent, kinks, np.full(count, -1, np.int32))
     bend = bends(field)
     over_threads(_of_faces_part, count, height, field.frame(), bend, points, faces, missed)
     # Kinks take as long as all the rest: only those of cells with smaller faces.
