@@ -14,7 +14,6 @@ KNOWN: dict[str, int] = {
     "compiler/materials/displacement.py:_heights_part": 9,
     "compiler/materials/periodic.py:_cells_part": 14,
     "compiler/materials/periodic.py:_octaves_part": 11,
-    "compiler/mesh/surface.py:_smooth_heights_part": 10,
     "compiler/objects/apart.py:_throw": 10,
     "compiler/objects/deviation.py:_farthest": 9,
     "compiler/objects/families/angular.py:_surface": 10,
