@@ -11,53 +11,99 @@ order in which marks spread.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.compiler.geometry.growing import Growing
 from scenec.schemas.kernels import inlined, kernel
 
+#: In place of the vertex in an edge's middle: there is none; there will be one.
+_WHOLE, _MARKED = -1, -2
 
-class Bisectable(NamedTuple):
-    """A mesh that knows its edges.
+
+class Halved(NamedTuple):
+    """What a round of halving did.
 
     Attributes:
-        vertices: Number of vertices.
-        faces: Vertices of each face, the newest first, int32 [m, 3].
-        face_edges: Edge opposite of each of them, int32 [m, 3]; the first is the one to be halved.
-        edges: Ends of the edges, the lower first, int32 [e, 2].
+        middle_of: Edge that each new vertex halves, ascending, int64 [k].
+        parts: Faces that are parts of what was halved, int32 [p].
+        origin: Face that each face added was a part of, int32 [a].
     """
 
-    vertices: int
+    middle_of: NDArray[np.int64]
+    parts: NDArray[np.int32]
+    origin: NDArray[np.int32]
+
+
+class _Arrays(NamedTuple):
+    """A mesh as kernels see it: the attributes of ``Bisection`` of these names."""
+
     faces: NDArray[np.int32]
     face_edges: NDArray[np.int32]
     edges: NDArray[np.int32]
+    middles: NDArray[np.int32]
 
 
-@dataclass(frozen=True)
-class Halved:
-    """A mesh after a round of halving.
+class Bisection:
+    """A mesh that is halved in place, and knows its edges.
+
+    Faces, edges and vertices keep their numbers, and new ones follow. A part of a halved face takes
+    its place, the other parts follow; a halved edge stays, with a vertex in its middle.
 
     Attributes:
-        mesh: The mesh; old vertices keep their numbers, each new one follows.
-        ends: Ends of the edge in whose middle each new vertex lies, int32 [k, 2].
-        middle_of: Edge of the old mesh that each new vertex halves, int32 [k].
-        face_origin: Face of the old mesh that each face is (a part of), int32 [m'].
-        face_new: Whether the face is a part, bool [m'].
-        edge_origin: Edge of the old mesh that each edge is, -1 for a new one, int32 [e'].
+        vertices: Number of vertices.
+        order: The faces in the order that they would have if all parts stood where the face stood
+            that was halved, int32 [m].
     """
 
-    mesh: Bisectable
-    ends: NDArray[np.int32]
-    middle_of: NDArray[np.int32]
-    face_origin: NDArray[np.int32]
-    face_new: NDArray[np.bool_]
-    edge_origin: NDArray[np.int32]
+    def __init__(self, vertices: int, faces: NDArray[np.int32]) -> None:
+        """Of faces, int32 [m, 3], to be halved at the edges opposite of their first vertices."""
+        face_edges, edges = _numbered(vertices, faces)
+        self.vertices = vertices
+        self.order = np.arange(len(faces), dtype=np.int32)
+        self._faces, self._face_edges = Growing(faces.copy()), Growing(face_edges)
+        self._edges = Growing(edges)
+        self._middles = Growing(np.full(len(edges), _WHOLE, np.int32))
+
+    @property
+    def faces(self) -> NDArray[np.int32]:
+        """Vertices of each face, the newest first, int32 [m, 3]."""
+        return self._faces.rows
+
+    @property
+    def face_edges(self) -> NDArray[np.int32]:
+        """Edge opposite of each of them, int32 [m, 3]; the first is the one to be halved."""
+        return self._face_edges.rows
+
+    @property
+    def edges(self) -> NDArray[np.int32]:
+        """Ends of the edges, the lower first, int32 [e, 2]."""
+        return self._edges.rows
+
+    @property
+    def middles(self) -> NDArray[np.int32]:
+        """Vertex in the middle of each edge, negative for one that is whole, int32 [e]."""
+        return self._middles.rows
+
+    def halve(self, wanted: NDArray[np.integer]) -> Halved:
+        """Halves some faces, int64 [w], and what must follow."""
+        halved, added = _mark(self.face_edges, wanted, self.middles)
+        middle_of = np.flatnonzero(self.middles == _MARKED)
+        for rows in (self._faces, self._face_edges):
+            rows.add(added)
+        for rows in (self._edges, self._middles):
+            rows.add(2 * len(middle_of) + added)
+        before, self.order = self.order, np.empty(len(self.faces), np.int32)
+        done = Halved(middle_of, np.empty(halved + added, np.int32), np.empty(added, np.int32))
+        mesh = _Arrays(self.faces, self.face_edges, self.edges, self.middles)
+        _split(mesh, self.vertices, before, self.order, done)
+        self.vertices += len(middle_of)
+        return done
 
 
-def bisectable(points: NDArray[np.float64], faces: NDArray[np.int32]) -> Bisectable:
+def bisection(points: NDArray[np.float64], faces: NDArray[np.int32]) -> Bisection:
     """A mesh whose faces are to be halved at their longest edges first.
 
     Args:
@@ -69,47 +115,7 @@ def bisectable(points: NDArray[np.float64], faces: NDArray[np.int32]) -> Bisecta
         np.arange(len(faces))[:, None],
         (_longest(points, faces)[:, None] + np.arange(3)[None, :]) % 3,
     ].astype(np.int32)
-    return newest_first(len(points), turned)
-
-
-def newest_first(vertices: int, faces: NDArray[np.int32]) -> Bisectable:
-    """A mesh whose faces are to be halved at the edges opposite of their first vertices.
-
-    Args:
-        vertices: How many there are.
-        faces: int32 [m, 3].
-    """
-    face_edges, edges = _numbered(vertices, faces)
-    return Bisectable(vertices, faces, face_edges, edges)
-
-
-def halve(mesh: Bisectable, wanted: NDArray[np.bool_]) -> Halved:
-    """Halves the faces wanted, and what must follow.
-
-    Args:
-        mesh: The mesh.
-        wanted: bool [m].
-    """
-    marked = np.zeros(len(mesh.edges), bool)
-    _mark(mesh.face_edges, wanted, marked)
-    middle_of = np.flatnonzero(marked).astype(np.int32)
-    pieces, first_piece = _pieces(mesh.face_edges, marked)
-    kept = len(marked) - len(middle_of)
-    new_edges = kept + 2 * len(middle_of) + int((pieces - 1).sum())
-    faces = np.empty((int(pieces.sum()), 3), np.int32)
-    edges = np.empty((new_edges, 2), np.int32)
-    halved = Bisectable(mesh.vertices + len(middle_of), faces, np.empty_like(faces), edges)
-    edge_origin = np.full(new_edges, -1, np.int32)
-    edge_origin[:kept] = np.flatnonzero(~marked)
-    _split(mesh, marked, kept, first_piece, halved)
-    return Halved(
-        mesh=halved,
-        ends=mesh.edges[middle_of],
-        middle_of=middle_of,
-        face_origin=np.repeat(np.arange(len(pieces), dtype=np.int32), pieces),
-        face_new=np.repeat(pieces > 1, pieces),
-        edge_origin=edge_origin,
-    )
+    return Bisection(len(points), turned)
 
 
 @kernel
@@ -182,40 +188,32 @@ def _numbered(vertices, faces):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _mark(face_edges, wanted, marked):  # type: ignore[no-untyped-def]
-    """Marks edges to be halved until each face with a marked edge has its first one marked."""
-    for f in range(len(face_edges)):
-        if wanted[f]:
-            marked[face_edges[f, 0]] = True
+def _mark(face_edges, wanted, middles):  # type: ignore[no-untyped-def]
+    """Marks edges to be halved until each face with a marked edge has its first one marked.
+
+    Returns:
+        Number of faces to be halved, and by how many faces there will be more.
+    """
+    for f in wanted:
+        middles[face_edges[f, 0]] = _MARKED
     # Sweeps to and fro: marks run along chains of faces in either direction.
     changed = True
     forward = True
     while changed:
         changed = False
+        halved = added = 0
         for n in range(len(face_edges)):
             f = n if forward else len(face_edges) - 1 - n
-            if marked[face_edges[f, 0]]:
-                continue
-            if marked[face_edges[f, 1]] or marked[face_edges[f, 2]]:
-                marked[face_edges[f, 0]] = True
+            others = (middles[face_edges[f, 1]] == _MARKED) + (middles[face_edges[f, 2]] == _MARKED)
+            if middles[face_edges[f, 0]] != _MARKED:
+                if others == 0:
+                    continue
+                middles[face_edges[f, 0]] = _MARKED
                 changed = True
+            halved += 1
+            added += 1 + others
         forward = not forward
-
-
-@kernel
-def _pieces(face_edges, marked):  # type: ignore[no-untyped-def]
-    """Faces that each face becomes, and the number of the first of them."""
-    pieces = np.empty(len(face_edges), np.int64)
-    first = np.empty(len(face_edges), np.int64)
-    total = 0
-    for f in range(len(face_edges)):
-        count = 1
-        for k in range(3):
-            count += marked[face_edges[f, k]]
-        pieces[f] = count
-        first[f] = total
-        total += count
-    return pieces, first
+    return halved, added
 
 
 @inlined
@@ -225,70 +223,83 @@ def _write(mesh, at, corners, edges):  # type: ignore[no-untyped-def]
     face_edges[at, 0], face_edges[at, 1], face_edges[at, 2] = edges[0], edges[1], edges[2]
 
 
+@inlined
+def _add_edge(mesh, at, first, second):  # type: ignore[no-untyped-def]
+    mesh.edges[at, 0], mesh.edges[at, 1] = min(first, second), max(first, second)
+    mesh.middles[at] = _WHOLE
+
+
+@inlined
+def _half(mesh, first_half, m, e, end):  # type: ignore[no-untyped-def]
+    """The half of edge e, of which m is the middle's rank among the new ones, at an end of it."""
+    return first_half + 2 * m + (mesh.edges[e, 1] == end)
+
+
 @kernel
-def _split(mesh, marked, kept, first_piece, out):  # type: ignore[no-untyped-def]
-    """Halve the marked edges, and the faces beside them.
+def _split(mesh, vertices, before, order, done):  # type: ignore[no-untyped-def]
+    """Halves the marked edges, and the faces beside them.
 
     Args:
-        mesh: ``Bisectable``.
-        marked: Which edges, bool [e]; of a face with any, its first.
-        kept: How many are not.
-        first_piece: Number of the first face that each becomes, int64 [m].
-        out: Receives the halved mesh but for its number of vertices: first the edges that are kept,
-            then halves of the others in twos, then edges across faces.
+        mesh: ``_Arrays`` with room for what is added: halves of edges in twos, then edges across
+            faces. Edges are marked; of a face with any, its first.
+        vertices: How many there are.
+        before: The faces in order, int32 [m].
+        order: Receives the new order, int32 [m'].
+        done: ``Halved``, of which the faces are received.
     """
-    vertices, faces, face_edges, edges = mesh
-    all_edges = out.edges
-    # Where an edge stands now: its number, or the rank of its middle.
-    number = np.empty(len(edges), np.int64)
-    keeps = 0
-    halved = 0
-    for e in range(len(edges)):
-        if marked[e]:
-            number[e] = halved
-            for side in range(2):
-                half = kept + 2 * halved + side
-                # The middle has the higher number of the two.
-                all_edges[half, 0] = edges[e, side]
-                all_edges[half, 1] = vertices + halved
-            halved += 1
-        else:
-            number[e] = keeps
-            all_edges[keeps, 0], all_edges[keeps, 1] = edges[e, 0], edges[e, 1]
-            keeps += 1
-    inner = kept + 2 * halved
-    for f in range(len(faces)):
-        a, b, c = np.int64(faces[f, 0]), np.int64(faces[f, 1]), np.int64(faces[f, 2])
+    faces, face_edges, edges, middles = mesh
+    inner, added = len(edges) - len(done.origin), 0
+    first_half = inner - 2 * len(done.middle_of)
+    for k in range(len(done.middle_of)):
+        e = done.middle_of[k]
+        middles[e] = vertices + k
+        for side in range(2):
+            _add_edge(mesh, first_half + 2 * k + side, edges[e, side], vertices + k)
+    rank = parts = 0
+    for f in before:
         ea, eb, ec = face_edges[f, 0], face_edges[f, 1], face_edges[f, 2]
-        at = first_piece[f]
-        if not marked[ea]:
-            _write(out, at, (a, b, c), (number[ea], number[eb], number[ec]))
+        if middles[ea] < 0:
+            order[rank] = f
+            rank += 1
             continue
-        m = vertices + number[ea]
-        half_b = kept + 2 * number[ea] + (edges[ea, 1] == b)
-        half_c = kept + 2 * number[ea] + (edges[ea, 1] == c)
+        a, b, c = faces[f]
+        # The first part takes the face's place.
+        count = 2 + (middles[eb] >= 0) + (middles[ec] >= 0)
+        end = len(faces) - len(done.origin) + added
+        for k in range(count):
+            part = end + k - 1 if k else f
+            order[rank + k] = done.parts[parts + k] = part
+            if k:
+                done.origin[added + k - 1] = f
+        rank += count
+        parts += count
+        added += count - 1
+        at = f
+        m = middles[ea]
+        half_b = _half(mesh, first_half, m - vertices, ea, b)
+        half_c = _half(mesh, first_half, m - vertices, ea, c)
         am = inner
-        all_edges[am, 0], all_edges[am, 1] = min(a, m), max(a, m)
+        _add_edge(mesh, am, a, m)
         inner += 1
-        if marked[ec]:
-            n = vertices + number[ec]
-            at_a = kept + 2 * number[ec] + (edges[ec, 1] == a)
-            at_b = kept + 2 * number[ec] + (edges[ec, 1] == b)
-            all_edges[inner, 0], all_edges[inner, 1] = min(m, n), max(m, n)
-            _write(out, at, (n, m, a), (am, at_a, inner))
-            _write(out, at + 1, (n, b, m), (half_b, inner, at_b))
+        if middles[ec] >= 0:
+            n = middles[ec]
+            at_a = _half(mesh, first_half, n - vertices, ec, a)
+            at_b = _half(mesh, first_half, n - vertices, ec, b)
+            _add_edge(mesh, inner, m, n)
+            _write(mesh, at, (n, m, a), (am, at_a, inner))
+            _write(mesh, end, (n, b, m), (half_b, inner, at_b))
             inner += 1
-            at += 2
+            at = end + 1
         else:
-            _write(out, at, (m, a, b), (number[ec], half_b, am))
-            at += 1
-        if marked[eb]:
-            n = vertices + number[eb]
-            at_a = kept + 2 * number[eb] + (edges[eb, 1] == a)
-            at_c = kept + 2 * number[eb] + (edges[eb, 1] == c)
-            all_edges[inner, 0], all_edges[inner, 1] = min(m, n), max(m, n)
-            _write(out, at, (n, m, c), (half_c, at_c, inner))
-            _write(out, at + 1, (n, a, m), (am, inner, at_a))
+            _write(mesh, at, (m, a, b), (ec, half_b, am))
+            at = end
+        if middles[eb] >= 0:
+            n = middles[eb]
+            at_a = _half(mesh, first_half, n - vertices, eb, a)
+            at_c = _half(mesh, first_half, n - vertices, eb, c)
+            _add_edge(mesh, inner, m, n)
+            _write(mesh, at, (n, m, c), (half_c, at_c, inner))
+            _write(mesh, at + 1, (n, a, m), (am, inner, at_a))
             inner += 1
         else:
-            _write(out, at, (m, c, a), (number[eb], am, half_c))
+            _write(mesh, at, (m, c, a), (eb, am, half_c))

@@ -14,13 +14,15 @@ known at the middles of their edges.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.mesh.surface import _slope
 from scenec.compiler.terrain.grid import HeightField
 from scenec.schemas.kernels import inlined, kernel
-from scenec.schemas.threads import over_threads
+from scenec.schemas.threads import POINTS, over_threads
 
 #: Largest t (1 - t)^2 in [0, 1], at 1/3.
 _ONE_END = 4.0 / 27.0
@@ -38,6 +40,24 @@ _HALF_CELL = 0.75
 _HAIR = 1e-9
 
 
+class Missed(NamedTuple):
+    """What faces miss of the smooth surface.
+
+    Attributes:
+        samples: The largest distance of a sample in the face from its plane, meters, float64 [m].
+        bend: How much farther the smooth surface gets, meters, float64 [m].
+        kink: What kinks are off; of whole cells, where points see no more of a cubic than of kinks,
+            the bend; meters, float64 [m].
+        cell: Cell that a face lies within, -1 for one of whole cells and halves; int32 [m]. Those
+            hold no sample, and their bend is their cell's.
+    """
+
+    samples: NDArray[np.float64]
+    bend: NDArray[np.float64]
+    kink: NDArray[np.float64]
+    cell: NDArray[np.int32]
+
+
 def bends(field: HeightField) -> NDArray[np.float64]:
     """The most that the smooth surface is off from the bilinear one, meters.
 
@@ -45,40 +65,36 @@ def bends(field: HeightField) -> NDArray[np.float64]:
         field: The grid's heights.
 
     Returns:
-        Of each cell, and how far its kinks are off from planes, float64 [ny - 1, nx - 1, 2].
+        Of each cell, float64 [ny - 1, nx - 1].
     """
     ny, nx = field.height.shape
-    out = np.empty((ny - 1, nx - 1, 2))
+    out = np.empty((ny - 1, nx - 1))
     over_threads(_bends_part, ny - 1, np.ascontiguousarray(field.height), out)
     return out
 
 
-def of_faces(
-    field: HeightField, bend: NDArray[np.float64], points: NDArray[np.float64],
-    faces: NDArray[np.int32],
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:  # fmt: skip
-    """What faces miss of the smooth surface, meters.
+def of_faces(field: HeightField, points: NDArray[np.float64], faces: NDArray[np.int32]) -> Missed:
+    """What faces miss of the smooth surface.
 
     Args:
         field: The grid's heights.
-        bend: From ``bends``.
         points: Vertices, float64 [n, 3].
         faces: Of a hierarchy of right triangles, the grid's or finer: each is made of whole cells
             and halves of cells, or lies in one half. int32 [m, 3].
-
-    Returns:
-        The largest distance of a sample in the face from its plane, float64 [m]; how much farther
-        the smooth surface gets, and what kinks are off, float64 [m, 2]; whether the face is
-        as large as half a cell, bool [m]. Smaller faces hold no sample: the first is 0, and the
-        second is of their cell.
     """
-    samples, missed = np.zeros(len(faces)), np.zeros((len(faces), 2))
-    whole = np.zeros(len(faces), bool)
-    over_threads(
-        _of_faces_part, len(faces),
-        field.height, *field.frame(), bend, points, faces, samples, missed, whole,
-    )  # fmt: skip
-    return samples, missed, whole
+    height, count = np.ascontiguousarray(field.height), len(faces)
+    samples, bent, kinks = np.zeros((3, count))
+    missed = Missed(samples, bent, kinks, np.full(count, -1, np.int32))
+    bend = bends(field)
+    over_threads(_of_faces_part, count, height, field.frame(), bend, points, faces, missed)
+    # Kinks take as long as all the rest: only those of cells with smaller faces.
+    within = np.flatnonzero(missed.cell >= 0)
+    kink = np.full(bend.size, np.nan)
+    kink[missed.cell[within]] = 0.0
+    cells = np.flatnonzero(kink == 0.0)
+    over_threads(_kinks_part, len(cells), height, cells, kink, least=POINTS)
+    missed.kink[within] = kink[missed.cell[within]]
+    return missed
 
 
 @inlined
@@ -121,7 +137,7 @@ def _beyond(before, after):  # type: ignore[no-untyped-def]
         before, after: Rises at both columns, and p and q of the rises between them.
 
     Returns:
-        The least and the most, and how sharp its kinks can be together.
+        The least and the most.
     """
     d0, d1 = before[0] - after[0], before[1] - after[1]
     bent = _at_most(before[2] - after[2], before[3] - after[3])
@@ -134,6 +150,13 @@ def _beyond(before, after):  # type: ignore[no-untyped-def]
         steep = min(steep, ends + by_one + 3.0 * _at_most(before[2], before[3]))
     # At most the rises' difference in any case.
     most = max(most, min(steep, 2.0 * most))
+    low, high, _ = _range(d0, d1, before[2] - after[2], before[3] - after[3])
+    return (0.0 if low >= 0.0 else -most), (0.0 if high <= 0.0 else most)
+
+
+@inlined
+def _sharpness(before, after):  # type: ignore[no-untyped-def]
+    """How sharp the kinks of such a slope can be together."""
     kinks = 0.0
     for m, n, sharp in _KINKS:
         low, high, steepest = _range(
@@ -142,8 +165,7 @@ def _beyond(before, after):  # type: ignore[no-untyped-def]
         )  # fmt: skip
         if low < 0.0 < high:
             kinks += sharp * steepest
-    low, high, _ = _range(d0, d1, before[2] - after[2], before[3] - after[3])
-    return (0.0 if low >= 0.0 else -most), (0.0 if high <= 0.0 else most), kinks
+    return kinks
 
 
 @inlined
@@ -155,50 +177,84 @@ def _range(e0, e1, p, q):  # type: ignore[no-untyped-def]
     return min(min(e0, e1), min(c0, c1)), max(max(e0, e1), max(c0, c1)), steepest
 
 
+@inlined
+def _read(height, r, i, rows, at):  # type: ignore[no-untyped-def]
+    """Reads row r over the cells of column i: heights at both ends, p, and q.
+
+    Beyond the border the surface goes on as it is.
+
+    Args:
+        height: Samples, float64 [ny, nx].
+        r: A row, or the next one beyond the border: those two inside are read before it.
+        i: The column.
+        rows: Of four rows in turn, float64 [4, n, 4]: receives it.
+        at: Where.
+    """
+    ny, nx = height.shape
+    into = rows[r % 4, at]
+    if r < 0 or r >= ny:
+        inward = 1 if r < 0 else -1
+        for k in range(4):
+            into[k] = 2.0 * rows[(r + inward) % 4, at, k] - rows[(r + 2 * inward) % 4, at, k]
+        return
+    h1, h2 = height[r, i], height[r, i + 1]
+    step = h2 - h1
+    before = h1 - height[r, i - 1] if i > 0 else step
+    after = height[r, i + 2] - h2 if i + 2 < nx else step
+    into[0], into[1] = h1, h2
+    into[2], into[3] = _slope(before, step) - step, _slope(step, after) - step
+
+
+@inlined
+def _rise(rows, j, at):  # type: ignore[no-untyped-def]
+    """From row j to the next."""
+    low, high = rows[j % 4, at], rows[(j + 1) % 4, at]
+    return high[0] - low[0], high[1] - low[1], high[2] - low[2], high[3] - low[3]
+
+
+@inlined
+def _across(rows, j, at):  # type: ignore[no-untyped-def]
+    """The most that a cell of row j bends across rows: by the rises below, in, and above it."""
+    rise = _rise(rows, j, at)
+    p0, p1 = _beyond(_rise(rows, j - 1, at), rise)
+    q0, q1 = _beyond(_rise(rows, j + 1, at), rise)
+    return max(_at_most(p0, q1), _at_most(p1, q0))
+
+
 @kernel
 def _bends_part(first, last, height, out):  # type: ignore[no-untyped-def]
-    ny, nx = height.shape
-    # Of four rows: the height at the cell's two columns, p, and q.
-    row, rise = np.empty((4, 4)), np.empty((3, 4))
+    columns = out.shape[1]
+    rows, along = np.empty((4, columns, 4)), np.empty((2, columns))
+    for i in range(columns):
+        for r in (first, first + 1, first - 1):
+            _read(height, r, i, rows, i)
+        along[first % 2, i] = _most(rows[first % 4, i, 2], rows[first % 4, i, 3])
     for j in range(first, last):
-        for i in range(nx - 1):
-            for k in range(4):
-                r = j - 1 + k
-                if r < 0 or r >= ny:
-                    continue
-                h1, h2 = height[r, i], height[r, i + 1]
-                step = h2 - h1
-                # Beyond the border the surface goes on as it is.
-                before = h1 - height[r, i - 1] if i > 0 else step
-                after = height[r, i + 2] - h2 if i + 2 < nx else step
-                row[k, 0] = h1
-                row[k, 1] = h2
-                row[k, 2] = _slope(before, step) - step
-                row[k, 3] = _slope(step, after) - step
-            for k in range(4):
-                if j == 0:
-                    row[0, k] = 2.0 * row[1, k] - row[2, k]
-                if j + 2 == ny:
-                    row[3, k] = 2.0 * row[2, k] - row[1, k]
-            # Rises between the rows, below, in, and above the cell.
-            for k in range(4):
-                rise[0, k] = row[1, k] - row[0, k]
-                rise[1, k] = row[2, k] - row[1, k]
-                rise[2, k] = row[3, k] - row[2, k]
-            p0, p1, first_kinks = _beyond(rise[0], rise[1])
-            q0, q1, second_kinks = _beyond(rise[2], rise[1])
-            across = max(_at_most(p0, q1), _at_most(p1, q0))
-            along = max(_most(row[1, 2], row[1, 3]), _most(row[2, 2], row[2, 3]))
-            out[j, i, 0] = along + across
-            # Over a part of the cell kinks are no farther off than that part of the bend.
-            out[j, i, 1] = min(_KINK * (first_kinks + second_kinks), across)
+        upper = (j + 1) % 4
+        for i in range(columns):
+            _read(height, j + 2, i, rows, i)
+            along[(j + 1) % 2, i] = _most(rows[upper, i, 2], rows[upper, i, 3])
+            out[j, i] = max(along[0, i], along[1, i]) + _across(rows, j, i)
 
 
 @kernel
-def _of_faces_part(  # type: ignore[no-untyped-def]
-    first, last, height, x0, y0, dx, dy, bend, points, faces, samples, missed, whole
-):
+def _kinks_part(first, last, height, cells, kink):  # type: ignore[no-untyped-def]
+    """Of some cells, how far their kinks are off from planes: no farther than that part bends."""
+    rows = np.empty((4, 1, 4))
+    for n in range(first, last):
+        j, i = divmod(cells[n], height.shape[1] - 1)
+        for r in (j, j + 1, j - 1, j + 2):
+            _read(height, r, i, rows, 0)
+        rise = _rise(rows, j, 0)
+        below = _sharpness(_rise(rows, j - 1, 0), rise)
+        above = _sharpness(_rise(rows, j + 1, 0), rise)
+        kink[cells[n]] = min(_KINK * (below + above), _across(rows, j, 0))
+
+
+@kernel
+def _of_faces_part(first, last, height, frame, bend, points, faces, missed):  # type: ignore[no-untyped-def]
     ny, nx = height.shape
+    x0, y0, dx, dy = frame
     for f in range(first, last):
         a, b, c = points[faces[f, 0]], points[faces[f, 1]], points[faces[f, 2]]
         ax, ay = (a[0] - x0) / dx, (a[1] - y0) / dy
@@ -208,14 +264,13 @@ def _of_faces_part(  # type: ignore[no-untyped-def]
         if abs(det) < _HALF_CELL:
             i = min(max(int(ax + (bx + cx) / 3.0), 0), nx - 2)
             j = min(max(int(ay + (by + cy) / 3.0), 0), ny - 2)
-            missed[f, :] = bend[j, i]
+            missed.bend[f], missed.cell[f] = bend[j, i], j * (nx - 1) + i
             continue
-        whole[f] = True
         i0 = int(np.round(ax + min(0.0, min(bx, cx))))
         i1 = int(np.round(ax + max(0.0, max(bx, cx))))
         j0 = int(np.round(ay + min(0.0, min(by, cy))))
         j1 = int(np.round(ay + max(0.0, max(by, cy))))
-        off = most = kink = 0.0
+        off = most = 0.0
         for j in range(j0, j1 + 1):
             for i in range(i0, i1 + 1):
                 u = ((i - ax) * cy - (j - ay) * cx) / det
@@ -231,12 +286,11 @@ def _of_faces_part(  # type: ignore[no-untyped-def]
                 least = min(u, min(v, 1.0 - u - v))
                 if least < -_HAIR:
                     continue
-                bent = bend[j, i, 0]
-                kink = max(kink, bend[j, i, 1])
+                bent = bend[j, i]
                 if least <= _HAIR:
                     # A bilinear surface gets so far from the plane through three of its corners.
                     twist = height[j, i] + height[j + 1, i + 1]
                     twist -= height[j, i + 1] + height[j + 1, i]
                     bent += 0.25 * abs(twist)
                 most = max(most, bent)
-        samples[f], missed[f, 0], missed[f, 1] = off, most, kink
+        missed.samples[f], missed.bend[f], missed.kink[f] = off, most, most

@@ -194,8 +194,9 @@ def _search(mesh: Sampled, known: Known, worst_px: float) -> _Found:
     found = _Found(worst_px)
     budget = min(max(len(mesh.faces) // 2, _LEAST), _SEARCHED)
     room = known.room_m * known.pixels
-    # More than these are never looked into: room only falls.
-    chosen = np.argsort(-room, kind="stable")[: budget // _FIRST]
+    # No more than these are ever looked into: room only falls, and what was found only rises.
+    wide = np.flatnonzero(room > worst_px)
+    chosen = wide[np.argsort(-room[wide], kind="stable")][: budget // _FIRST]
     error_m, error_px, pixels = np.zeros((3, len(room)))
     done = np.zeros(len(room), np.int64)
     for _ in range(_ROUNDS):

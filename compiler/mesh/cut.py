@@ -17,9 +17,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.schemas.kernels import kernel
+
 #: Fraction of an edge within which a crossing snaps to its end.
 SNAP = 1.0 / 32.0
 _ROOT_STEPS = 8
+#: Of a face that has corners on both sides.
+_CROSSED = 3
 
 Field = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]
 
@@ -84,17 +88,14 @@ def cut(
         values = field(mesh.points[:, 0], mesh.points[:, 1])
     sign = np.where(values >= 0.0, 1, -1).astype(np.int8)
     faces = mesh.faces
-    a, b, c = _corners(sign, faces)
-    crossed = np.flatnonzero((a != b) | (a != c))
+    crossed = np.flatnonzero(_sides(faces, sign) == _CROSSED)
     edges = _crossing_edges(faces[crossed], sign)
     fraction = _roots(mesh.points, values, edges, field)
     snap = _snap(mesh.points, edges, fraction, sign)
 
     # Snapping has put some vertices on the line: some faces and edges are crossed no more.
-    a, b, c = _corners(sign, faces)
-    crossed = np.flatnonzero(
-        (np.minimum(np.minimum(a, b), c) * np.maximum(np.maximum(a, b), c)) < 0
-    )
+    side = _sides(faces, sign)
+    crossed, whole = np.flatnonzero(side == _CROSSED), np.flatnonzero(side != _CROSSED)
     kept = sign[edges[:, 0]] * sign[edges[:, 1]] < 0
     edges, fraction = edges[kept], fraction[kept]
 
@@ -104,10 +105,13 @@ def cut(
     vertex_of_edge = _EdgeIndex(edges, count)
     pieces, origin, piece_above, segments = _split(faces[crossed], sign, vertex_of_edge)
 
-    whole = np.ones(len(faces), bool)
-    whole[crossed] = False
     all_points = np.concatenate([mesh.points, new_points])
-    whole_above = _side_of_whole(mesh, faces[whole], sign, field)
+    whole_above = side[whole] > 0
+    flat = np.flatnonzero(side[whole] == 0)
+    if len(flat):
+        # All three vertices were snapped onto the line: the middle decides.
+        middle = mesh.points[faces[whole[flat]]].mean(axis=1)
+        whole_above[flat] = field(middle[:, 0].copy(), middle[:, 1].copy()) >= 0.0
     above = np.concatenate(
         [
             np.concatenate([mesh.above[:, whole], mesh.above[:, crossed][:, origin]], axis=1),
@@ -127,9 +131,15 @@ def cut(
     return result, CutReport(len(edges), len(result.faces) - len(faces), line, worst, rms, snap)
 
 
-def _corners(sign: NDArray, faces: NDArray) -> tuple[NDArray, NDArray, NDArray]:
-    """Signs at the three corners of each face: columns, since reducing rows of three is slow."""
-    return sign[faces[:, 0]], sign[faces[:, 1]], sign[faces[:, 2]]
+@kernel
+def _sides(faces, sign):  # type: ignore[no-untyped-def]
+    """Side of each face by the signs of its corners, 0 if all are, or _CROSSED; int8 [m]."""
+    out = np.empty(len(faces), np.int8)
+    for f in range(len(faces)):
+        a, b, c = sign[faces[f, 0]], sign[faces[f, 1]], sign[faces[f, 2]]
+        low, high = min(a, min(b, c)), max(a, max(b, c))
+        out[f] = _CROSSED if low * high < 0 else low + high
+    return out
 
 
 def _crossing_edges(faces: NDArray, sign: NDArray) -> NDArray[np.int32]:
@@ -241,17 +251,6 @@ def _rolled(faces: NDArray, first: NDArray) -> NDArray:
     """Faces with the vertex at column ``first`` moved to the front, orientation kept."""
     columns = (first[:, None] + np.arange(3)[None, :]) % 3
     return np.take_along_axis(faces, columns, axis=1)
-
-
-def _side_of_whole(mesh: CutMesh, faces: NDArray, sign: NDArray, field: Field) -> NDArray[np.bool_]:
-    a, b, c = _corners(sign, faces)
-    above = a + b + c > 0
-    flat = np.flatnonzero((a == 0) & (b == 0) & (c == 0))
-    if len(flat):
-        # All three vertices were snapped onto the line: the middle decides.
-        middle = mesh.points[faces[flat]].mean(axis=1)
-        above[flat] = field(middle[:, 0].copy(), middle[:, 1].copy()) >= 0.0
-    return above
 
 
 def _chord_error(points: NDArray, segments: NDArray, field: Field) -> tuple[float, float, float]:

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.geometry.bisect import Bisectable, Halved, halve, newest_first
-from scenec.compiler.mesh.bend import bends, of_faces
+from scenec.compiler.geometry.bisect import Bisection
+from scenec.compiler.geometry.growing import Growing
+from scenec.compiler.mesh.bend import of_faces
 from scenec.compiler.mesh.between import INSIDE, Known, Sampled, measured
 from scenec.compiler.mesh.cut import CutMesh
 from scenec.compiler.mesh.surface import Surface
@@ -43,7 +44,7 @@ class Limits:
     unseen: float
 
 
-@dataclass
+@dataclass(frozen=True)
 class _Work:
     """A mesh with what is known at its vertices and at the middles of its edges.
 
@@ -55,20 +56,18 @@ class _Work:
         middles: Heights of the surface above the middles of the edges, float64 [e]; NaN where none
             was asked for yet.
         middle_sides: Of the merges there, float64 [e, k].
-        new: Faces whose error is not known yet, bool [m].
         refined: Faces that were halved, bool [m].
         cell: Grid cell of each face, int32 [m].
     """
 
-    mesh: Bisectable
-    points: NDArray[np.float64]
-    sides: NDArray[np.float64]
-    shares: NDArray[np.float64]
-    middles: NDArray[np.float64]
-    middle_sides: NDArray[np.float64]
-    new: NDArray[np.bool_]
-    refined: NDArray[np.bool_]
-    cell: NDArray[np.int32]
+    mesh: Bisection
+    points: Growing
+    sides: Growing
+    shares: Growing
+    middles: Growing
+    middle_sides: Growing
+    refined: Growing
+    cell: Growing
 
 
 def refine(
@@ -94,108 +93,90 @@ def refine(
         The mesh, the merges' sides at its vertices, and the error left: measured at points inside
         of its faces, and bounded. None if it has more triangles than are allowed.
     """
-    work = _start(mesh, sides, surface, views, limits)
+    work = _start(mesh, sides, surface)
+    new = _doubtful(work, surface, views, limits)
     while len(work.mesh.faces) <= limits.max_triangles:
-        new = np.flatnonzero(work.new)
-        wanted = np.zeros(len(work.new), bool)
-        wanted[new] = _wanted(work, new, surface, views, limits)
-        if not wanted.any():
-            sides = tuple(np.ascontiguousarray(side) for side in work.sides.T)
+        wanted = new[_wanted(work, new, surface, views, limits)]
+        if not len(wanted):
+            sides = tuple(np.ascontiguousarray(side) for side in work.sides.rows.T)
             finer, report = _finish(mesh, work, surface, views, limits)
             return finer, sides, report
-        work = _halved(work, halve(work.mesh, wanted), surface)
+        new = _halved(work, wanted, surface)
     return None
 
 
-def _start(
-    mesh: CutMesh,
-    sides: Sequence[NDArray[np.float64]],
-    surface: Surface,
-    views: Views,
-    limits: Limits,
-) -> _Work:
-    bisectable = newest_first(len(mesh.points), mesh.faces)
+def _start(mesh: CutMesh, sides: Sequence[NDArray[np.float64]], surface: Surface) -> _Work:
+    bisection = Bisection(len(mesh.points), mesh.faces)
     x, y = np.ascontiguousarray(mesh.points[:, :2].T)
     height = surface.height_at(x, y, sides)
-    work = _Work(
-        bisectable,
-        np.stack([x, y, height], axis=1),
-        _columns(sides, len(x)),
-        surface.displaced(sides, len(x)),
-        np.full(len(bisectable.edges), np.nan),
-        np.empty((len(bisectable.edges), len(sides))),
-        np.zeros(len(mesh.faces), bool),
-        np.zeros(len(mesh.faces), bool),
-        mesh.cell,
+    edges = len(bisection.edges)
+    return _Work(
+        bisection,
+        Growing(np.stack([x, y, height], axis=1)),
+        Growing(_columns(sides, len(x))),
+        Growing(surface.displaced(sides, len(x))),
+        Growing(np.full(edges, np.nan)),
+        Growing(np.empty((edges, len(sides)))),
+        Growing(np.zeros(len(mesh.faces), bool)),
+        Growing(mesh.cell),
     )
-    work.new[:] = _doubtful(work, surface, views, limits)
-    return work
 
 
-def _doubtful(work: _Work, surface: Surface, views: Views, limits: Limits) -> NDArray[np.bool_]:
+def _doubtful(work: _Work, surface: Surface, views: Views, limits: Limits) -> NDArray[np.integer]:
     """Faces of the grid's mesh that can be wrong between the samples, where it was not measured.
 
     The others are flat to the tolerance at their samples, no line crosses them, and neither detail
     nor the surface's bend within a cell is large enough to show.
     """
-    center, radius, leg = _balls(work.points, work.mesh.faces)
+    points, faces = work.points.rows, work.mesh.faces
+    center, radius, leg = _balls(points, faces)
     pixels = pixels_of_balls(views, center, radius, limits.unseen, min(NEAREST_M, limits.finest_m))
     field = surface.field
-    bend = _bends(field.height, work.points, work.mesh.faces, *field.frame())
-    detail = surface.finer_than(np.full(len(leg), np.inf), work.shares, work.mesh.faces)
+    bend = _bends(field.height, points, faces, *field.frame())
+    detail = surface.finer_than(np.full(len(leg), np.inf), work.shares.rows, faces)
     off = detail + bend
     crossed = np.zeros(len(leg), bool)
-    for side in work.sides.T:
-        above = side[work.mesh.faces] >= 0.0
+    for side in work.sides.rows.T:
+        above = side[faces] >= 0.0
         crossed |= above.any(axis=1) & ~above.all(axis=1)
-    out: NDArray[np.bool_] = (np.where(crossed, leg, off) * pixels > limits.tolerance_px) & (
-        leg > limits.finest_m
+    return np.flatnonzero(
+        (np.where(crossed, leg, off) * pixels > limits.tolerance_px) & (leg > limits.finest_m)
     )
-    return out
 
 
 def _columns(sides: Sequence[NDArray[np.float64]], count: int) -> NDArray[np.float64]:
     return np.stack(sides, axis=1) if sides else np.zeros((count, 0))
 
 
-def _know(work: _Work, surface: Surface, asked: NDArray[np.int32]) -> None:
-    """Evaluates the surface above the middles of some edges, where it was not yet."""
-    needed = np.zeros(len(work.middles), bool)
-    needed[asked.ravel()] = True
-    unknown = np.flatnonzero(needed & np.isnan(work.middles))
-    height, sides = surface.evaluate(*_halfway(work, work.mesh.edges[unknown]))
-    work.middles[unknown] = height
-    work.middle_sides[unknown] = _columns(sides, len(unknown))
-
-
-def _halfway(
-    work: _Work, edges: NDArray[np.int32]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """X and y of the middles of edges."""
-    low, high = work.points[edges[:, 0]], work.points[edges[:, 1]]
-    return 0.5 * (low[:, 0] + high[:, 0]), 0.5 * (low[:, 1] + high[:, 1])
+def _know(work: _Work, surface: Surface, asked: NDArray[np.integer]) -> None:
+    """Evaluates the surface above the middles of some edges, int [n], where it was not yet."""
+    unknown = _unknown(asked, work.middles.rows)
+    height, sides = surface.evaluate(*_halfway(work.points.rows, work.mesh.edges, unknown))
+    work.middles.rows[unknown] = height
+    work.middle_sides.rows[unknown] = _columns(sides, len(unknown))
 
 
 def _wanted(
     work: _Work,
-    faces: NDArray[np.int64],
+    asked: NDArray[np.integer],
     surface: Surface,
     views: Views,
     limits: Limits,
 ) -> NDArray[np.bool_]:
     """Which of some faces show too large an error."""
-    _know(work, surface, work.mesh.face_edges[faces])
-    center, radius, leg = _balls(work.points, work.mesh.faces[faces])
+    faces, face_edges = work.mesh.faces[asked], work.mesh.face_edges[asked]
+    _know(work, surface, face_edges.ravel())
+    center, radius, leg = _balls(work.points.rows, faces)
     error = _errors(
-        work.points, work.sides, work.middles, work.middle_sides,
-        work.mesh.faces[faces], work.mesh.face_edges[faces], leg,
+        work.points.rows, work.sides.rows, work.middles.rows, work.middle_sides.rows,
+        faces, face_edges, leg,
     )  # fmt: skip
-    finer = surface.finer_than(2.0 * leg, work.shares, work.mesh.faces[faces])
+    finer = surface.finer_than(2.0 * leg, work.shares.rows, faces)
     finer = np.minimum(_UNRESOLVED * finer, _STEEP * leg)
     error = np.maximum(error, finer)
     # What is coarse enough needs no view.
     error[leg <= limits.finest_m] = 0.0
-    out = np.zeros(len(faces), bool)
+    out = np.zeros(len(asked), bool)
     some = np.flatnonzero(error > 0.0)
     pixels = pixels_of_balls(
         views, center[some], radius[some], limits.unseen, min(NEAREST_M, limits.finest_m)
@@ -204,31 +185,22 @@ def _wanted(
     return out
 
 
-def _halved(work: _Work, halved: Halved, surface: Surface) -> _Work:
+def _halved(work: _Work, wanted: NDArray[np.integer], surface: Surface) -> NDArray[np.integer]:
+    """Halves some faces, and what must follow; the faces that are new."""
+    halved = work.mesh.halve(wanted)
+    x, y = _halfway(work.points.rows, work.mesh.edges, halved.middle_of)
     _know(work, surface, halved.middle_of)
-    at = np.stack([*_halfway(work, halved.ends), work.middles[halved.middle_of]], axis=1)
-    points = np.concatenate([work.points, at])
-    new_sides = work.middle_sides[halved.middle_of]
-    sides = np.concatenate([work.sides, new_sides])
-    shares = surface.displaced(list(np.ascontiguousarray(new_sides.T)), len(new_sides))
-    # The old edges that are left come first.
-    old = halved.edge_origin[: len(work.middles) - len(halved.middle_of)]
-    middles = np.full(len(halved.edge_origin), np.nan)
-    middle_sides = np.empty((len(middles), sides.shape[1]))
-    # The default mode would write to a buffer first.
-    np.take(work.middles, old, out=middles[: len(old)], mode="clip")
-    np.take(work.middle_sides, old, axis=0, out=middle_sides[: len(old)], mode="clip")
-    return _Work(
-        halved.mesh,
-        points,
-        sides,
-        np.concatenate([work.shares, shares]),
-        middles,
-        middle_sides,
-        halved.face_new,
-        work.refined[halved.face_origin] | halved.face_new,
-        work.cell[halved.face_origin],
-    )
+    work.points.append(np.stack([x, y, work.middles.rows[halved.middle_of]], axis=1))
+    sides = work.middle_sides.rows[halved.middle_of]
+    work.sides.append(sides)
+    work.shares.append(surface.displaced(list(np.ascontiguousarray(sides.T)), len(sides)))
+    edges = len(work.mesh.edges) - len(work.middles.rows)
+    work.middles.add(edges)[:] = np.nan
+    work.middle_sides.add(edges)
+    work.refined.add(len(halved.origin))
+    work.refined.rows[halved.parts] = True
+    work.cell.append(work.cell.rows[halved.origin])
+    return halved.parts
 
 
 def _finish(
@@ -238,29 +210,30 @@ def _finish(
     views: Views,
     limits: Limits,
 ) -> tuple[CutMesh, dict[str, Any]]:
-    faces = work.mesh.faces
-    normals = np.zeros((len(work.points), 3))
+    order, points = work.mesh.order, work.points.rows
+    faces, refined = work.mesh.faces[order], work.refined.rows[order]
+    normals = np.zeros((len(points), 3))
     normals[: len(coarse.normals)] = coarse.normals
-    _refined_normals(work.points, faces, work.refined, normals)
-    vertices = np.arange(len(work.points), dtype=np.int32)
+    _refined_normals(points, faces, refined, normals)
+    vertices = np.arange(len(points), dtype=np.int32)
     mesh = replace(
         coarse,
-        points=work.points,
+        points=points,
         faces=faces,
         parents=np.stack([vertices, vertices], axis=1),
         fraction=np.zeros(len(vertices)),
-        cell=work.cell,
+        cell=work.cell.rows[order],
         above=np.zeros((0, len(faces)), bool),
         normals=normals,
     )
-    center, radius, leg = _balls(work.points, faces)
+    center, radius, leg = _balls(points, faces)
     nearest = min(NEAREST_M, limits.finest_m)
     pixels = pixels_of_balls(views, center, radius, limits.unseen, nearest)
-    known = _known(work, surface, radius, leg, pixels)
-    sampled = Sampled(work.points, faces, surface, views, limits.unseen, nearest)
+    known = _known(work, surface, faces, (radius, leg, pixels))
+    sampled = Sampled(points, faces, surface, views, limits.unseen, nearest)
     return mesh, {
         "triangles": len(faces),
-        "triangles_refined": int(work.refined.sum()),
+        "triangles_refined": int(refined.sum()),
         "finest_leg_m": float(leg.min()),
         **measured(sampled, known),
     }
@@ -269,9 +242,8 @@ def _finish(
 def _known(
     work: _Work,
     surface: Surface,
-    radius: NDArray[np.float64],
-    leg: NDArray[np.float64],
-    pixels: NDArray[np.float64],
+    faces: NDArray[np.int32],
+    balls: tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]],
 ) -> Known:
     """What faces can be off by.
 
@@ -279,29 +251,56 @@ def _known(
     the surface between these, and by the detail. Those within a cell: by what was found at the
     middles of their edges, and by what these miss.
     """
-    field, faces = surface.field, work.mesh.faces
-    samples, bend, whole = of_faces(field, bends(field), work.points, faces)
+    field, points, shares = surface.field, work.points.rows, work.shares.rows
+    radius, leg, pixels = balls
+    of = of_faces(field, points, faces)
     spacing = min(field.grid.spacing_m)
 
     def missed(face: NDArray[np.int64], apart: NDArray[np.float64]) -> NDArray[np.float64]:
         part = np.minimum(apart / spacing, 1.0)
-        cubic, kink = bend[face].T
-        # Between cells, where second derivatives leap, points see no more of a cubic than of kinks.
-        kink = np.where(whole[face], cubic, kink)
-        unseen: NDArray[np.float64] = part * kink + part * part * part * cubic
-        finer = surface.finer_than(2.0 * apart, work.shares, faces[face])
-        return finer + np.minimum(unseen, cubic)
+        bend = of.bend[face]
+        unseen: NDArray[np.float64] = part * of.kink[face] + part * part * part * bend
+        finer = surface.finer_than(2.0 * apart, shares, faces[face])
+        return finer + np.minimum(unseen, bend)
 
-    room = samples + bend[:, 0]
-    room += surface.finer_than(np.full(len(faces), np.inf), work.shares, faces)
+    room = of.samples + of.bend
+    room += surface.finer_than(np.full(len(faces), np.inf), shares, faces)
     # All of these were looked at, before they were made or afterward.
-    small = np.flatnonzero(~whole)
+    small = np.flatnonzero(of.cell >= 0)
     error = _errors(
-        work.points, work.sides[:, :0], work.middles, work.middle_sides[:, :0],
-        faces[small], work.mesh.face_edges[small], leg[small],
+        points, work.sides.rows[:, :0], work.middles.rows, work.middle_sides.rows[:, :0],
+        faces[small], work.mesh.face_edges[work.mesh.order[small]], leg[small],
     )  # fmt: skip
     room[small] = INSIDE * error + missed(small, leg[small])
-    return Known(room, pixels, samples, 0.5 * spacing, leg, radius, missed)
+    return Known(room, pixels, of.samples, 0.5 * spacing, leg, radius, missed)
+
+
+@kernel
+def _unknown(asked, middles):  # type: ignore[no-untyped-def]
+    """Those of some edges of which nothing is known yet, each once, int64 [u].
+
+    Args:
+        asked: Edges, [n].
+        middles: float64 [e], NaN where it is not known; infinite of those returned.
+    """
+    out = np.empty(len(asked), np.int64)
+    count = 0
+    for e in asked:
+        if np.isnan(middles[e]):
+            middles[e] = np.inf
+            out[count] = e
+            count += 1
+    return out[:count]
+
+
+@kernel
+def _halfway(points, edges, some):  # type: ignore[no-untyped-def]
+    """X and y of the middles of some edges."""
+    x, y = np.empty(len(some)), np.empty(len(some))
+    for n in range(len(some)):
+        low, high = points[edges[some[n], 0]], points[edges[some[n], 1]]
+        x[n], y[n] = 0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1])
+    return x, y
 
 
 @kernel

@@ -53,7 +53,7 @@ class Surface:
         """Heights, float64 [n], meters; ``sides`` of the merges there, where they are known."""
         if not self.smooth:
             return self.field.height_at(x, y)
-        height = _smooth_heights(self.field.height, *self.field.frame(), x, y)
+        height = _smooth_heights(self.field, x, y)
         for detail in self.details:
             height += detail.at(x, y)
         if any(self.displacements):
@@ -162,8 +162,9 @@ def _row(height, j, i, t):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _smooth_heights_part(first, last, height, x0, y0, dx, dy, x, y, out):  # type: ignore[no-untyped-def]
+def _smooth_heights_part(first, last, height, frame, x, y, out):  # type: ignore[no-untyped-def]
     ny, nx = height.shape
+    x0, y0, dx, dy = frame
     for n in range(first, last):
         u = min(max((x[n] - x0) / dx, 0.0), nx - 1.0)
         v = min(max((y[n] - y0) / dy, 0.0), ny - 1.0)
@@ -178,8 +179,11 @@ def _smooth_heights_part(first, last, height, x0, y0, dx, dy, x, y, out):  # typ
         out[n] = _hermite(h0, h1, h2, h3, v)
 
 
-def _smooth_heights(height, x0, y0, dx, dy, x, y):  # type: ignore[no-untyped-def]
+def _smooth_heights(
+    field: HeightField, x: NDArray[np.float64], y: NDArray[np.float64]
+) -> NDArray[np.float64]:
     """Cubic in both directions through the samples, continuous with its slope: float64 [n]."""
     out = np.empty(x.size)
-    over_threads(_smooth_heights_part, x.size, height, x0, y0, dx, dy, x, y, out, least=POINTS)
+    ground = field.height, field.frame()
+    over_threads(_smooth_heights_part, x.size, *ground, x, y, out, least=POINTS)
     return out

@@ -145,7 +145,7 @@ def test_no_point_of_a_cell_bends_farther_than_is_stated(kind, ny, nx, seed):
     # Heavy tails: cliffs beside flats, which limit slopes.
     some = heights(kind, grid, 1.0, rng) + 0.1 * rng.standard_cauchy(ny * nx)
     field = HeightField(grid, some.reshape(ny, nx))
-    found, stated = off_bilinear(field, 17), bends(field)[..., 0]
+    found, stated = off_bilinear(field, 17), bends(field)
     assert (found <= stated + 1e-12 * np.abs(some).max()).all()
 
 
@@ -153,7 +153,7 @@ def test_a_row_of_samples_bends_as_far_as_is_stated():
     grid = Grid((12.0, 10.0), (5, 40))
     x, _ = grid.points()
     field = HeightField(grid, np.sin(3.0 * x).reshape(grid.shape))
-    np.testing.assert_allclose(bends(field)[..., 0], off_bilinear(field, 81), rtol=0.05, atol=1e-3)
+    np.testing.assert_allclose(bends(field), off_bilinear(field, 81), rtol=0.05, atol=1e-3)
 
 
 def test_a_cliff_beside_a_face_bends_it_though_its_samples_are_level():
@@ -165,11 +165,11 @@ def test_a_cliff_beside_a_face_bends_it_though_its_samples_are_level():
     points = np.stack([x, y, height.ravel()], axis=1)
     # Samples 0..2 in x; the second ends at the cliff's foot, the third holds it.
     faces = np.array([[0, 2, 12], [1, 3, 13], [2, 4, 14]], np.int32)
-    samples, bend, whole = of_faces(field, bends(field), points, faces)
-    assert whole.all()
-    assert samples[0] == samples[1] == 0.0
-    assert bend[0, 0] == 0.0
-    assert samples[2] > 0.4
+    missed = of_faces(field, points, faces)
+    assert (missed.cell == -1).all()
+    assert missed.samples[0] == missed.samples[1] == 0.0
+    assert missed.bend[0] == 0.0
+    assert missed.samples[2] > 0.4
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -11,8 +11,6 @@ ROOMS = ("schemas", "compiler", "backends", "datasets", "settle", "studies", "cl
 MOST, MOST_OF_KERNELS = 10, 8
 #: Functions with more, and how many: none may be added, none may grow.
 KNOWN: dict[str, int] = {
-    "compiler/mesh/bend.py:_of_faces_part": 13,
-    "compiler/mesh/surface.py:_smooth_heights_part": 10,
     "compiler/objects/apart.py:_throw": 10,
     "compiler/objects/deviation.py:_farthest": 9,
     "compiler/objects/families/angular.py:_surface": 10,

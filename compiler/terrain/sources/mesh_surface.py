@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.geometry.bisect import bisectable, halve
+from scenec.compiler.geometry.bisect import bisection
 from scenec.compiler.geometry.normals import vertex_normals
 from scenec.compiler.noise.perlin import fbm3
 from scenec.compiler.terrain.grid import HeightField
@@ -90,22 +90,21 @@ def subdivided(
         Points, faces, and the longest edge that is left over the terrain.
     """
     half = 0.5 * size_m[0], 0.5 * size_m[1]
-    mesh = bisectable(points, faces)
+    mesh = bisection(points, faces)
     limit = max(_longest_edge(points, mesh.faces, half), longest_m)
-    done = points, mesh.faces
+    done = points, mesh.faces.copy()
     while True:
         # Level by level, so that a budget that binds leaves triangles of about one size.
         while True:
-            wanted = _has_longer_edge(points, mesh.faces, half, limit)
-            if not wanted.any():
+            wanted = np.flatnonzero(_has_longer_edge(points, mesh.faces, half, limit))
+            if not len(wanted):
                 break
-            halved = halve(mesh, wanted)
-            if len(halved.mesh.faces) > max_triangles:
+            halved = mesh.halve(wanted)
+            if len(mesh.faces) > max_triangles:
                 return *done, _longest_edge(*done, half)
-            ends = points[halved.ends]
+            ends = points[mesh.edges[halved.middle_of]]
             points = np.concatenate([points, 0.5 * (ends[:, 0] + ends[:, 1])])
-            mesh = halved.mesh
-        done = points, mesh.faces
+        done = points, mesh.faces[mesh.order]
         if limit <= longest_m:
             return *done, _longest_edge(*done, half)
         limit = max(longest_m, 0.7071067811865476 * limit)
