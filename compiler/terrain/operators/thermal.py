@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,7 @@ from scenec.compiler.arithmetic import elementary
 from scenec.compiler.terrain.grid import Grid
 from scenec.compiler.terrain.operators.halving import halving_error, rms
 from scenec.compiler.terrain.operators.smooth import laplacian_eigenvalues
-from scenec.schemas.kernels import kernel
+from scenec.schemas.kernels import inlined, kernel
 
 # Iterations on coarser grids, where they are cheap, and on the grid itself.
 _COARSE = 50
@@ -100,113 +100,224 @@ def _slide(
     levels = [height]
     while min(levels[-1].shape) >= _SMALLEST:
         levels.append(_half(levels[-1]))
-    state = _start(*levels[-1].shape)
     steps = [(spacing[0] * 2**level, spacing[1] * 2**level) for level in range(len(levels))]
     # How far what must go has to travel: the drop too much over the slope that holds. That the best
     # penalty is this times the spacing was found by trial, from steps of 1 m to 1,000 km.
     travel = max(
         _excess(field, *step, slope) / slope for field, step in zip(levels, steps, strict=True)
     )
+    aims = np.zeros((4, *_half(levels[-1]).shape))
     out, half, change = height, height, 0.0
     for level in range(len(levels) - 1, -1, -1):
         dx, dy = steps[level]
         spacing_mean = float(np.sqrt(dx * dy))
-        penalty = max(travel, spacing_mean) * spacing_mean
-        out, half, change = _iterate(
-            levels[level], dx, dy, slope, penalty, state, _COARSE if level else _FINE
-        )
-        if level:
-            state = _refine(*state, *levels[level - 1].shape)
+        sides = Sides(dx, dy, slope, max(travel, spacing_mean) * spacing_mean)
+        iterations = _COARSE if level else _FINE
+        out, half, change, aims = _iterate(levels[level], sides, aims, iterations)
     return out, half, change
 
 
+class Sides(NamedTuple):
+    """What the triangles' gradients are held to, in numbers.
+
+    Attributes:
+        dx, dy: Spacing.
+        slope: The steepest that holds.
+        penalty: On gradients other than those aimed at, m^2.
+    """
+
+    dx: float
+    dy: float
+    slope: float
+    penalty: float
+
+
 def _iterate(
-    height: NDArray[np.float64],
-    dx: float,
-    dy: float,
-    slope: float,
-    penalty: float,
-    state: tuple[NDArray, NDArray],
-    iterations: int,
-) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
-    """Alternates between the two problems, on a state in place: see ``_slide``."""
+    height: NDArray[np.float64], sides: Sides, aims: NDArray[np.float64], iterations: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64], float, NDArray[np.float64]]:
+    """Alternates between the two problems, see ``_slide``.
+
+    Args:
+        height: float64 [ny, nx].
+        sides: What to hold to.
+        aims: Gradients plus what was cut off them, on the grid half as fine: float64
+            [4, (ny + 1) // 2, (nx + 1) // 2].
+        iterations: How many.
+
+    Returns:
+        Heights after all and after half of them, the last change, and ``aims`` of this grid.
+    """
     import scipy.fft
 
+    ny, nx = height.shape
     eigenvalues = (
-        laplacian_eigenvalues(height.shape[0], dy)[:, None]
-        + (laplacian_eigenvalues(height.shape[1], dx)[None, :])
+        laplacian_eigenvalues(ny, sides.dy)[:, None]
+        + (laplacian_eigenvalues(nx, sides.dx)[None, :])
     )
-    divisor = 1.0 + 2.0 * penalty * eigenvalues
-    out = before = half = height
-    for number in range(iterations):
-        before = out
-        half = out if number == iterations // 2 else half
-        modes = scipy.fft.dctn(_pushed(height, *state, dx, dy, penalty), type=2)
+    divisor = 1.0 + 2.0 * sides.penalty * eigenvalues
+    cut = np.empty((4, ny, nx))
+    before, out = np.empty((2, ny, nx))
+    half = height
+    _refine(height, aims, sides, cut, out)
+    for number in range(1, iterations + 1):
+        # In place: the right-hand side becomes its modes, and those the heights.
+        modes = scipy.fft.dctn(out, type=2, overwrite_x=True)
         modes /= divisor
         out = scipy.fft.idctn(modes, type=2, overwrite_x=True)
-        _pull(out, *state, dx, dy, slope)
-    return out, half, float(np.abs(out - before).max())
+        if number == iterations // 2:
+            half = out.copy()
+        if number < iterations:
+            _exchange(height, out, sides, cut, before)
+            before, out = out, before
+    _pull(out, sides, cut)
+    before -= out
+    return out, half, float(np.abs(before, out=before).max()), cut
 
 
-def _start(ny: int, nx: int) -> tuple[NDArray, NDArray]:
-    """The iteration's state: q, and the factors that shorten it to the slope that holds.
+@inlined
+def _held(x: float, y: float, slope: float) -> float:
+    """The factor that shortens a gradient to the slope that holds."""
+    length = np.sqrt(x * x + y * y)
+    return slope / length if length > slope else 1.0
 
-    q [4, ny, nx] are gradients of two triangles at each sample, toward larger indices and toward
-    smaller ones, in x and y: those wanted plus all that was cut off so far. Factors: [2, ny, nx].
+
+@inlined
+def _shorten(
+    off_x: NDArray, x: NDArray, off_y: NDArray, y: NDArray, slope: float, factor: NDArray
+) -> None:
+    """Adds gradients to what was cut off; factors that shorten them to what holds."""
+    off_x += x
+    off_y += y
+    for i in range(factor.size):
+        factor[i] = _held(off_x[i], off_y[i], slope)
+
+
+@inlined
+def _aim(aims: NDArray, factor: NDArray, spacing: float, aimed: NDArray) -> None:
+    """Cuts gradients plus what was cut off; what they shall be, over the spacing."""
+    for i in range(aims.size):
+        aimed[i] = (2.0 * factor[i] - 1.0) * aims[i] / spacing
+        aims[i] *= 1.0 - factor[i]
+
+
+@inlined
+def _push(ground: NDArray, ring: NDArray, j: int, penalty: float, out: NDArray) -> None:
+    """Right-hand side of a row: heights minus penalty * divergence of the gradients aimed at.
+
+    Args:
+        ground: float64 [ny, nx].
+        ring: Gradients aimed at, over the spacing: float64 [3, 4, nx + 2], of row j at j % 3, with
+            a column of zeros about them.
+        j: The row.
+        penalty: See ``Sides``.
+        out: float64 [ny, nx].
     """
-    return np.zeros((4, ny, nx)), np.ones((2, ny, nx))
+    x, y, back_x, back_y = ring[j % 3]
+    below, above = ring[(j + 2) % 3, 1], ring[(j + 1) % 3, 3]
+    here, pushed = ground[j], out[j]
+    # A sample stands at one end of its own two edges and at the other of two more. In two loops:
+    # the compiler gives up on one of so many arrays.
+    for i in range(here.size):
+        pushed[i] = 0.0 - x[i + 1] - y[i + 1] + x[i] + below[i + 1]
+    for i in range(here.size):
+        total = pushed[i] + back_x[i + 1] + back_y[i + 1] - back_x[i + 2] - above[i + 1]
+        pushed[i] = here[i] + penalty * total
 
 
 @kernel
-def _pull(height: NDArray, q: NDArray, held: NDArray, dx: float, dy: float, slope: float) -> None:
-    """Gradients of the heights plus what was cut off q."""
+def _refine(ground: NDArray, aims: NDArray, sides: Sides, cut: NDArray, out: NDArray) -> None:
+    """The state from a grid half as fine, where the penalty is twice this one's.
+
+    Args:
+        ground: float64 [ny, nx].
+        aims: See ``_iterate``.
+        sides: What to hold to.
+        cut: To be filled.
+        out: The first right-hand side, float64 [ny, nx].
+    """
+    ny, nx = ground.shape
+    ring = np.zeros((3, 4, nx + 2))
+    factor = np.empty(nx)
+    for j in range(ny + 1):
+        row = ring[j % 3]
+        row[:] = 0.0
+        if j < ny:
+            for k in range(2):
+                for i in range(nx):
+                    x, y = aims[2 * k, j // 2, i // 2], aims[2 * k + 1, j // 2, i // 2]
+                    held = _held(x, y, sides.slope)
+                    longer = held + 2.0 * (1.0 - held)
+                    factor[i] = held / longer
+                    cut[2 * k, j, i], cut[2 * k + 1, j, i] = longer * x, longer * y
+                _aim(cut[2 * k, j], factor, sides.dx, row[2 * k, 1:-1])
+                _aim(cut[2 * k + 1, j], factor, sides.dy, row[2 * k + 1, 1:-1])
+        if j > 0:
+            _push(ground, ring, j - 1, sides.penalty, out)
+
+
+@inlined
+def _gradients(height: NDArray, j: int, dx: float, dy: float, x: NDArray, y: NDArray) -> None:
+    """Gradients along edges: in a row to x [nx + 1], and from it to the next to y [nx]."""
     ny, nx = height.shape
-    for j in range(ny):
+    here = height[j]
+    for i in range(nx - 1):
+        x[i + 1] = (here[i + 1] - here[i]) / dx
+    if j < ny - 1:
+        high = height[j + 1]
         for i in range(nx):
-            here = height[j, i]
-            for side in range(2):
-                a = i + 1 - 2 * side
-                b = j + 1 - 2 * side
-                sign = 1.0 - 2.0 * side
-                cut = 1.0 - held[side, j, i]
-                x = cut * q[2 * side, j, i]
-                y = cut * q[2 * side + 1, j, i]
-                if 0 <= a < nx:
-                    x += sign * (height[j, a] - here) / dx
-                if 0 <= b < ny:
-                    y += sign * (height[b, i] - here) / dy
-                length = np.sqrt(x * x + y * y)
-                q[2 * side, j, i] = x
-                q[2 * side + 1, j, i] = y
-                held[side, j, i] = slope / length if length > slope else 1.0
+            y[i] = (high[i] - here[i]) / dy
+    else:
+        y[:] = 0.0
 
 
 @kernel
-def _pushed(
-    height: NDArray, q: NDArray, held: NDArray, dx: float, dy: float, penalty: float
-) -> NDArray:
-    """Right-hand side: heights minus penalty * divergence of the gradients aimed at."""
+def _exchange(ground: NDArray, height: NDArray, sides: Sides, cut: NDArray, out: NDArray) -> None:
+    """Cuts gradients plus what was cut off so far, in place; makes the right-hand side of it.
+
+    Args:
+        ground: float64 [ny, nx], as ``out``.
+        height: Whose gradients, float64 [ny, nx].
+        sides: What to hold to.
+        cut: What was cut off gradients of two triangles at each sample, toward larger indices and
+            toward smaller ones, in x and y each: float64 [4, ny, nx].
+        out: Right-hand side.
+    """
+    ny, nx = ground.shape
+    ring = np.zeros((3, 4, nx + 2))
+    x = np.zeros(nx + 1)
+    y = np.zeros((2, nx))
+    factor = np.empty(nx)
+    for j in range(ny + 1):
+        row = ring[j % 3]
+        if j == ny:
+            row[:] = 0.0
+        else:
+            low, high = y[(j + 1) % 2], y[j % 2]
+            _gradients(height, j, sides.dx, sides.dy, x, high)
+            _shorten(cut[0, j], x[1:], cut[1, j], high, sides.slope, factor)
+            _aim(cut[0, j], factor, sides.dx, row[0, 1:-1])
+            _aim(cut[1, j], factor, sides.dy, row[1, 1:-1])
+            _shorten(cut[2, j], x[:-1], cut[3, j], low, sides.slope, factor)
+            _aim(cut[2, j], factor, sides.dx, row[2, 1:-1])
+            _aim(cut[3, j], factor, sides.dy, row[3, 1:-1])
+        if j > 0:
+            _push(ground, ring, j - 1, sides.penalty, out)
+
+
+@kernel
+def _pull(height: NDArray, sides: Sides, cut: NDArray) -> None:
+    """Adds the heights' gradients to what was cut off."""
     ny, nx = height.shape
-    out = np.empty((ny, nx))
+    x = np.zeros(nx + 1)
+    y = np.zeros((2, nx))
     for j in range(ny):
+        low, high = y[(j + 1) % 2], y[j % 2]
+        _gradients(height, j, sides.dx, sides.dy, x, high)
         for i in range(nx):
-            total = 0.0
-            for side in range(2):
-                sign = 1.0 - 2.0 * side
-                # A sample stands at one end of its own two edges and at the other of two more.
-                aim = sign * (2.0 * held[side, j, i] - 1.0)
-                if 0 <= i + 1 - 2 * side < nx:
-                    total -= aim * q[2 * side, j, i] / dx
-                if 0 <= j + 1 - 2 * side < ny:
-                    total -= aim * q[2 * side + 1, j, i] / dy
-                a = i - 1 + 2 * side
-                if 0 <= a < nx:
-                    total += sign * (2.0 * held[side, j, a] - 1.0) * q[2 * side, j, a] / dx
-                b = j - 1 + 2 * side
-                if 0 <= b < ny:
-                    total += sign * (2.0 * held[side, b, i] - 1.0) * q[2 * side + 1, b, i] / dy
-            out[j, i] = height[j, i] + penalty * total
-    return out
+            cut[0, j, i] += x[i + 1]
+            cut[1, j, i] += high[i]
+            cut[2, j, i] += x[i]
+            cut[3, j, i] += low[i]
 
 
 def _half(height: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -214,22 +325,6 @@ def _half(height: NDArray[np.float64]) -> NDArray[np.float64]:
     ny, nx = height.shape
     even = np.pad(height, ((0, ny % 2), (0, nx % 2)), mode="edge")
     return 0.25 * (even[::2, ::2] + even[1::2, ::2] + even[::2, 1::2] + even[1::2, 1::2])
-
-
-@kernel
-def _refine(q: NDArray, held: NDArray, ny: int, nx: int) -> tuple[NDArray, NDArray]:
-    """The state on a grid twice as fine, where the penalty is half of it."""
-    fine = np.empty((4, ny, nx))
-    factors = np.empty((2, ny, nx))
-    for j in range(ny):
-        for i in range(nx):
-            for side in range(2):
-                factor = held[side, j // 2, i // 2]
-                longer = factor + 2.0 * (1.0 - factor)
-                fine[2 * side, j, i] = longer * q[2 * side, j // 2, i // 2]
-                fine[2 * side + 1, j, i] = longer * q[2 * side + 1, j // 2, i // 2]
-                factors[side, j, i] = factor / longer
-    return fine, factors
 
 
 @kernel
