@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.noise.fractal import Fractal, fbm2_points
 from scenec.compiler.terrain.freshness import crater_freshness
-from scenec.compiler.terrain.grid import Grid
+from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.compiler.terrain.operators.craters import Craters
 from scenec.compiler.terrain.operators.multifractal import octaves_shown
 from scenec.compiler.terrain.quantities import Quantities, Samples
@@ -77,6 +77,10 @@ class Interval(Condition):
         """The quantity at points, float64 [n]: linear between samples where it lies on them."""
         return quantities.between(self.quantity(quantities), x, y)
 
+    def quantity_on(self, quantities: Quantities) -> NDArray[np.float64]:
+        """``quantity_at`` the grid's samples, row-major: float64 [n]."""
+        return HeightField(quantities.grid, self.quantity(quantities)).height_on()
+
     def value_at(
         self, quantities: Quantities, x: NDArray[np.float64], y: NDArray[np.float64]
     ) -> NDArray[np.float64]:
@@ -86,7 +90,7 @@ class Interval(Condition):
 
     def value_on(self, quantities: Quantities, samples: Samples) -> NDArray[np.float64]:
         """``value_at`` the grid's samples, row-major: float64 [n]."""
-        value = self.quantity_at(quantities, *quantities.grid.points())
+        value = self.quantity_on(quantities)
         return value if self.ragged is None else value + samples.noise(self.ragged, self.ragged.at)
 
     def weight_of(self, quantities: Quantities) -> NDArray[np.float64]:
@@ -262,6 +266,12 @@ class NoiseCondition(Interval):
         noise = Fractal(self.key, self.octaves, self.gain, self.lacunarity)
         return noise.at(x / self.scale_m, y / self.scale_m)
 
+    def quantity_on(self, quantities: Quantities) -> NDArray[np.float64]:
+        """All octaves."""
+        grid = quantities.grid
+        noise = Fractal(self.key, self.octaves, self.gain, self.lacunarity)
+        return noise.on(grid.x() / self.scale_m, grid.y() / self.scale_m).ravel()
+
 
 @dataclass(frozen=True)
 class PointCondition(Interval):
@@ -290,6 +300,10 @@ class PointCondition(Interval):
         """Distances, not interpolated."""
         dx, dy = x - self.x_m, y - self.y_m
         return np.sqrt(dx * dx + dy * dy)
+
+    def quantity_on(self, quantities: Quantities) -> NDArray[np.float64]:
+        """Distances, not interpolated."""
+        return self.quantity(quantities).ravel()
 
 
 @dataclass(frozen=True)

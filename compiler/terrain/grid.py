@@ -96,24 +96,20 @@ def _heights_at_part(
     first: int,
     last: int,
     height: NDArray,
-    x0: float,
-    y0: float,
-    dx: float,
-    dy: float,
+    frame: tuple[float, float, float, float],
     x: NDArray,
     y: NDArray,
     out: NDArray,
 ) -> None:
-    for n in range(first, last):
-        out[n] = surface_height(height, x0, y0, dx, dy, x[n], y[n])
-
-
-def _heights_at(
-    height: NDArray, x0: float, y0: float, dx: float, dy: float, x: NDArray, y: NDArray
-) -> NDArray:
-    out = np.empty(x.size)
-    over_threads(_heights_at_part, x.size, height, x0, y0, dx, dy, x, y, out, least=POINTS)
-    return out
+    """At points (x, y), float64 [n] each; where ``out`` has more, at all of a grid of them."""
+    x0, y0, dx, dy = frame
+    if out.size == x.size:
+        for n in range(first, last):
+            out[n] = surface_height(height, x0, y0, dx, dy, x[n], y[n])
+    else:
+        for n in range(first, last):
+            j = n // x.size
+            out[n] = surface_height(height, x0, y0, dx, dy, x[n - j * x.size], y[j])
 
 
 @dataclass(frozen=True)
@@ -135,7 +131,16 @@ class HeightField:
 
     def height_at(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
         """Height of the surface at points: float64 [n] from two float64 [n], meters."""
-        return _heights_at(self.height, *self.frame(), np.asarray(x), np.asarray(y))
+        return self._heights(np.asarray(x), np.asarray(y), np.empty(x.size))
+
+    def height_on(self) -> NDArray[np.float64]:
+        """``height_at`` the samples, row-major, rounded like it: float64 [n], meters."""
+        return self._heights(self.grid.x(), self.grid.y(), np.empty(self.height.size))
+
+    def _heights(self, x: NDArray, y: NDArray, out: NDArray) -> NDArray:
+        frame = self.frame()
+        over_threads(_heights_at_part, out.size, self.height, frame, x, y, out, least=POINTS)
+        return out
 
     def normals(self) -> NDArray[np.float64]:
         """Unit normals at the samples, from central differences: float64 [ny, nx, 3]."""

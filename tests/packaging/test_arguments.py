@@ -27,7 +27,6 @@ KNOWN: dict[str, int] = {
     "compiler/objects/places.py:_points_part": 9,
     "compiler/objects/seat.py:_seat": 16,
     "compiler/objects/seat.py:_seat_part": 19,
-    "compiler/terrain/grid.py:_heights_at_part": 10,
     "compiler/terrain/operators/barchans.py:_heap": 10,
     "compiler/terrain/operators/terraces.py:_terraced_part": 10,
     "compiler/terrain/operators/tracks.py:_press_part": 13,

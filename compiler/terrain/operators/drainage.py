@@ -72,9 +72,15 @@ def _drop_first(keys: NDArray, items: NDArray, size: int) -> None:
         if child >= size:
             break
         smallest = child
-        for other in range(child + 1, min(child + 4, size)):
-            if keys[other] < keys[smallest]:
-                smallest = other
+        if child + 4 <= size:
+            # Of four, the first that is smallest; without a branch that depends on keys.
+            smallest += int(keys[child + 1] < keys[child])
+            other = child + 2 + int(keys[child + 3] < keys[child + 2])
+            smallest = other if keys[other] < keys[smallest] else smallest
+        else:
+            for other in range(child + 1, size):
+                if keys[other] < keys[smallest]:
+                    smallest = other
         if keys[smallest] >= key:
             break
         keys[at] = keys[smallest]
