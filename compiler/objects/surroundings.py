@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.mesh.surface import Surface
-from scenec.compiler.objects.highest import Highest
+from scenec.compiler.objects.height_pyramid import HeightPyramid
 from scenec.compiler.scene.scene import Placed, Scatter
 from scenec.compiler.terrain.quantities import Quantities
 from scenec.compiler.views.sight import NO_VIEWS, Views
@@ -51,13 +51,13 @@ class Surroundings:
         """Prepares what is computed once for all classes."""
         #: Of the relief.
         self.quantities = Quantities(self.surface.field.grid, self.surface.field.height)
-        self._highest: list[Highest] = []
+        self._pyramids: list[HeightPyramid] = []
 
-    def highest(self) -> Highest:
+    def height_pyramid(self) -> HeightPyramid:
         """Bounds of the relief from above, made once."""
-        if not self._highest:
-            self._highest.append(Highest(self.surface.field))
-        return self._highest[0]
+        if not self._pyramids:
+            self._pyramids.append(HeightPyramid(self.surface.field))
+        return self._pyramids[0]
 
     def only(self, names: Container[str]) -> Surroundings:
         """The same with no other classes than some; what is computed once is shared."""

@@ -8,10 +8,10 @@ from unittest import mock
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.objects import foot
+from scenec.compiler.objects import detail_seating
 from scenec.compiler.objects.lod import budget_factor, choose_levels, see_levels
 from scenec.compiler.objects.rocks import build_chains
-from scenec.compiler.objects.seat import seat
+from scenec.compiler.objects.seating import seat
 from scenec.compiler.scene.scene import Scatter
 from scenec.compiler.views.sight import views_of
 from scenec.schemas.errors import SceneError
@@ -47,14 +47,14 @@ def seats(page: Page) -> str:
         return on_grid() + surface.lift_at(x, y)
 
     def with_lowest(most: int) -> NDArray[np.float64]:
-        with mock.patch.object(foot, "LOWEST", most):
-            return foot.seat_on_detail(surface, *rest)
+        with mock.patch.object(detail_seating, "LOWEST", most):
+            return detail_seating.seat_on_detail(surface, *rest)
 
     ways = [
         ("all, against the grid's triangles only", on_grid),
         ("the same, and the detail at the middle", lifted),
         *(
-            (f"{most:,} lowest{' (as compiled)' * (most == foot.LOWEST)}",
+            (f"{most:,} lowest{' (as compiled)' * (most == detail_seating.LOWEST)}",
              lambda most=most: with_lowest(most))
             for most in (1, 8, 32, 128)
         ),

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from scenec.compiler.mesh.surface import Surface
+from scenec.compiler.objects.conditions import OnRelief, PlacementCondition
 from scenec.compiler.objects.density import (
     AroundDensity,
     ClusterDensity,
@@ -23,9 +24,8 @@ from scenec.compiler.objects.density import (
     UniformDensity,
     WorleyDensity,
 )
-from scenec.compiler.objects.placement import places_on
+from scenec.compiler.objects.height_candidates import candidates_on
 from scenec.compiler.objects.surroundings import Footprints, Surroundings
-from scenec.compiler.objects.where import OnRelief, Place
 from scenec.compiler.scene.scene import Scatter
 from scenec.compiler.terrain.condition import SlopeCondition
 from scenec.compiler.terrain.grid import Grid, HeightField
@@ -73,7 +73,7 @@ def _skirts(x: NDArray, y: NDArray, there: Footprints) -> NDArray[np.float64]:
 
 def _cases(
     folder: Path, around: Surroundings
-) -> list[tuple[str, Density, tuple[Place, ...], NDArray]]:
+) -> list[tuple[str, Density, tuple[PlacementCondition, ...], NDArray]]:
     """Name, density, where, and the density by its formula at the middles of fine squares."""
     axes = [_FINE * (np.arange(round(n / _FINE)) + 0.5) - 0.5 * n for n in SIZE]
     x, y = np.meshgrid(*axes)
@@ -160,10 +160,10 @@ def densities(page: Page) -> str:
     rows = []
     for axes, (name, density, where, wanted) in zip(plots.ravel(), cases, strict=False):
         field = around.surface.field
-        places = places_on(field, density, where, around, name)
+        places = candidates_on(field, density, where, around, name)
         x, y, _ = places.at(u)
         seconds = page.timed(
-            lambda d=density, w=where: places_on(around.surface.field, d, w, around, "").at(u)
+            lambda d=density, w=where: candidates_on(around.surface.field, d, w, around, "").at(u)
         )
         chi, degrees = _chi_square(x, y, wanted)
         sigmas = (chi - degrees) / np.sqrt(2.0 * degrees)

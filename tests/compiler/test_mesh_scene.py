@@ -19,7 +19,7 @@ from scenec.compiler.draw.batch import draw
 from scenec.compiler.geometry.rotations import rotation_rows
 from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.objects.density import Density, NoiseDensity, UniformDensity
-from scenec.compiler.objects.on_mesh import STANDING, MeshPlaces, Spots, seat_on_mesh
+from scenec.compiler.objects.mesh_candidates import STANDING, MeshCandidates, Spots, seat_on_mesh
 from scenec.compiler.objects.rocks import build_prototypes
 from scenec.compiler.objects.surroundings import Surroundings
 from scenec.compiler.terrain.operators.multifractal import Multifractal
@@ -37,7 +37,7 @@ EMBED = np.linspace(0.0, 0.5, N)
 def place_on_mesh(surface: MeshSurface, density: Density, u: np.ndarray, name: str) -> Spots:
     """Spots that uniform numbers lead to."""
     around = Surroundings(Surface(surface), np.zeros((0, 3)))
-    return MeshPlaces(surface, density, (), around, name).spots(u)
+    return MeshCandidates(surface, density, (), around, name).spots(u)
 
 
 def table(folder: Path) -> Path:

@@ -11,9 +11,9 @@ from scenec.compiler.geometry.rotations import align_to_normals, rotation_rows
 from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.objects.density import Density, NoiseDensity, UniformDensity
 from scenec.compiler.objects.families.weathered import Weathered
-from scenec.compiler.objects.placement import places_on
+from scenec.compiler.objects.height_candidates import candidates_on
 from scenec.compiler.objects.rocks import build_prototypes
-from scenec.compiler.objects.seat import seat
+from scenec.compiler.objects.seating import seat
 from scenec.compiler.objects.surroundings import Surroundings
 from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.compiler.terrain.operators.multifractal import Multifractal
@@ -47,7 +47,7 @@ def place(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Where uniform numbers lead to."""
     around = Surroundings(Surface(field), np.zeros((0, 3)))
-    return places_on(field, density, (), around, name).at(u)[:2]
+    return candidates_on(field, density, (), around, name).at(u)[:2]
 
 
 def quaternions(n: int, seed: int = 0) -> np.ndarray:

@@ -28,15 +28,15 @@ def seat_on_detail(
     size_m: NDArray[np.float64],
     embed: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Heights at which instances sit in the surface with its detail, see ``seat.seat``.
+    """Heights at which instances sit in the surface with its detail, see ``seating.seat``.
 
     Only the ``LOWEST`` vertices over the grid's triangles are held against the surface, each of
     which costs all its noises: where detail is large beside an object, another may be deeper, by
-    what ``stand.seating_report`` measures.
+    what ``placement.seating_report`` measures.
 
     Args:
         surface: The ground.
-        prototypes, prototype, x, y, orientations, size_m, embed: As for ``seat.seat``.
+        prototypes, prototype, x, y, orientations, size_m, embed: As for ``seating.seat``.
 
     Returns:
         z of each instance's origin, float64 [n].

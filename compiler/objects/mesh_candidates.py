@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 
 from scenec.compiler.geometry.normals import faces_of_vertices
 from scenec.compiler.geometry.rotations import rotation_rows
+from scenec.compiler.objects.candidates import Candidates
+from scenec.compiler.objects.conditions import PlacementCondition
 from scenec.compiler.objects.density import Density, Everywhere
-from scenec.compiler.objects.placement import lattice_of, require_somewhere
-from scenec.compiler.objects.places import Places
+from scenec.compiler.objects.height_candidates import lattice_of, require_somewhere
 from scenec.compiler.objects.surroundings import Surroundings
-from scenec.compiler.objects.where import Place
 from scenec.compiler.scene.scene import Prototype
 from scenec.compiler.terrain.sources.mesh_plan import hit, square_of
 from scenec.compiler.terrain.sources.mesh_surface import MeshSurface
@@ -33,7 +33,7 @@ CARRYING = 0.1
 
 @dataclass(frozen=True)
 class Spots:
-    """Places on a mesh.
+    """Candidates on a mesh.
 
     Attributes:
         points: float64 [n, 3], meters.
@@ -50,8 +50,8 @@ class Spots:
         return Spots(self.points[index], self.face[index], self.normals[index])
 
 
-class MeshPlaces:
-    """Places with a given density in plan.
+class MeshCandidates:
+    """Candidates with a given density in plan.
 
     Every surface that faces upward (``STANDING``) within the terrain's rectangle takes part: under
     an overhang there are as many to the square meter as on it. The density is taken as constant
@@ -62,7 +62,7 @@ class MeshPlaces:
         self,
         surface: MeshSurface,
         density: Density,
-        where: Sequence[Place],
+        where: Sequence[PlacementCondition],
         around: Surroundings,
         name: str,
     ):
@@ -109,7 +109,7 @@ class MeshPlaces:
         require_somewhere(whole, float(cumulative[-1]), name)
         share = 1.0 if not where else float(dense.sum()) / whole
         #: As points in plan.
-        self.places: Places = Places(
+        self.candidates: Candidates = Candidates(
             lattice, cumulative, np.ascontiguousarray(corners[faces, :, :2]), share
         )
 
@@ -118,7 +118,7 @@ class MeshPlaces:
         if not len(u):
             return Spots(np.zeros((0, 3)), np.zeros(0, np.int32), np.zeros((0, 3)))
         corners, normals, length = self._corners, self._normals, self._length
-        surface, cumulative = self._surface, self.places.cumulative
+        surface, cumulative = self._surface, self.candidates.cumulative
         picked = np.searchsorted(cumulative, u[:, 0] * cumulative[-1], side="right")
         # u < 1, yet u * total can round up to total itself.
         face = self._faces[np.minimum(picked, len(cumulative) - 1)]
@@ -160,7 +160,7 @@ def seat_on_mesh(
     size_m: NDArray[np.float64],
     embed: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Heights at which instances sit in the ground, as ``seat.seat`` has them.
+    """Heights at which instances sit in the ground, as ``seating.seat`` has them.
 
     A rock's vertices are held against the patch that it lies on: the faces that can be reached from
     its own under the rock, over faces that are no walls (``CARRYING``). Where a vertex hangs over
@@ -170,7 +170,7 @@ def seat_on_mesh(
     Args:
         surface: The terrain.
         spots: As placed.
-        prototypes, prototype, orientations, size_m, embed: As for ``seat.seat``.
+        prototypes, prototype, orientations, size_m, embed: As for ``seating.seat``.
         x, y: The spots' positions as the stage has them, float64 [n].
 
     Returns:

@@ -12,7 +12,7 @@ from scenec.schemas.kernels import kernel
 _HAIR = 1e-12
 
 
-class Highest:
+class HeightPyramid:
     """Bounds of a relief from above, over any square: maxima of ever larger blocks of cells."""
 
     def __init__(self, field: HeightField):
@@ -38,7 +38,7 @@ class Highest:
 
 
 @kernel
-def bound(blocks, shapes, starts, x0, y0, dx, dy, x, y, reach):  # type: ignore[no-untyped-def]
+def upper_bound(blocks, shapes, starts, x0, y0, dx, dy, x, y, reach):  # type: ignore[no-untyped-def]
     """No less than the surface anywhere within ``reach`` of (x, y) along both axes."""
     width = 2.0 * reach / min(dx, dy)
     level = 0

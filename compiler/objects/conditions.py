@@ -16,7 +16,7 @@ from scenec.compiler.objects.surroundings import Surroundings
 from scenec.compiler.terrain.condition import Interval, Ragged, soft_interval
 
 
-class Place(ABC):
+class PlacementCondition(ABC):
     """One condition on a place."""
 
     @abstractmethod
@@ -29,7 +29,7 @@ class Place(ABC):
 
 
 @dataclass(frozen=True)
-class OnRelief(Place):
+class OnRelief(PlacementCondition):
     """A condition on the relief or the place; the relief's quantities are linear between samples.
 
     On a mesh it is the heights as seen from above that count, under overhangs too.
@@ -44,7 +44,7 @@ class OnRelief(Place):
 
 
 @dataclass(frozen=True)
-class OnMaterial(Place):
+class OnMaterial(PlacementCondition):
     """Where ground layers show, with the weight of their color: of the ground as it is laid.
 
     Attributes:
@@ -71,7 +71,7 @@ class OnMaterial(Place):
 
 
 @dataclass(frozen=True)
-class _Distance(Place):
+class _Distance(PlacementCondition):
     """A distance in plan, from ``min_m`` to ``max_m``."""
 
     min_m: float | None

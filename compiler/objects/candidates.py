@@ -21,7 +21,7 @@ _TO_UNIT = 2.0**-53
 
 
 @dataclass(frozen=True, eq=False)
-class Places:
+class Candidates:
     """Where three uniform numbers lead: a cell or a face by the first, a place in it by the others.
 
     Attributes:

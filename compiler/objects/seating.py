@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.geometry.rotations import rotation_rows
-from scenec.compiler.objects.highest import Highest, bound
+from scenec.compiler.objects.height_pyramid import HeightPyramid, upper_bound
 from scenec.compiler.scene.scene import Prototype
 from scenec.compiler.terrain.grid import HeightField, surface_height
 from scenec.schemas.kernels import kernel
@@ -22,7 +22,7 @@ def seat(
     orientations: NDArray[np.float16],
     size_m: NDArray[np.float64],
     embed: NDArray[np.float64],
-    highest: Highest | None = None,
+    highest: HeightPyramid | None = None,
 ) -> NDArray[np.float64]:
     """Heights at which instances sit in the ground by a given part of their own height.
 
@@ -44,7 +44,7 @@ def seat(
     """
     if not len(x):
         return np.zeros(0)
-    above = highest or Highest(field)
+    above = highest or HeightPyramid(field)
     offsets = np.cumsum([0] + [len(p.points) for p in prototypes])
     points = np.concatenate([p.points for p in prototypes]).astype(np.float64)
     return _seat(
@@ -103,7 +103,7 @@ def _seat_part(  # type: ignore[no-untyped-def]
             high = max(high, pz)
         # No vertex is farther than this, but for rounding.
         reach = size[n] * np.sqrt(square) * (1.0 + 1e-9)
-        most = bound(blocks, shapes, starts, x0, y0, dx, dy, x[n], y[n], reach)
+        most = upper_bound(blocks, shapes, starts, x0, y0, dx, dy, x[n], y[n], reach)
         clearance = np.inf
         for k in range(start - 1, end):
             # The lowest first: few others are then left.
