@@ -7,18 +7,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.geometry.rotations import align_to_normals, rotation_rows
+from scenec.compiler.geometry.rotations import align_to_normals
 from scenec.compiler.mesh.surface import Surface
-from scenec.compiler.objects.detail_seating import seat_on_detail
-from scenec.compiler.objects.mesh_candidates import MeshCandidates, Spots, seat_on_mesh
-from scenec.compiler.objects.seating import HeightPyramid, seat
+from scenec.compiler.objects.bodies import Bodies, vertices
+from scenec.compiler.objects.height_pyramid import HeightPyramid
+from scenec.compiler.objects.mesh_candidates import MeshCandidates, Spots
+from scenec.compiler.objects.mesh_seating import seat_on_mesh
+from scenec.compiler.objects.seating import seat, seat_on_detail
 from scenec.compiler.objects.surroundings import Surroundings
 from scenec.compiler.scene.plan import ScatterPlan
 from scenec.compiler.scene.scene import Prototype, Scatter
 from scenec.compiler.terrain.grid import HeightField
 from scenec.compiler.terrain.sources.mesh_surface import MeshSurface
 from scenec.compiler.views.sight import NEAREST_M, pixels_of_balls
-from scenec.schemas.kernels import kernel
 
 #: Instances whose seat is measured again: all, up to so many, then as many spread over all.
 _MEASURED = 16_384
@@ -59,10 +60,6 @@ class Placement:
         self.orientations: NDArray[np.float16] = plan.orientations.astype(np.float16)
         #: Whether each is seated on what is finer than the grid, bool [n].
         self.on_detail = np.zeros(n, np.bool_)
-        self.highest: HeightPyramid | None = None
-        field = around.surface.field
-        if not isinstance(field, MeshSurface):
-            self.highest = around.height_pyramid()
 
     def place(
         self,
@@ -107,11 +104,13 @@ class Placement:
         half = orientations.astype(np.float16)
         x, y = (at.astype(np.float32).astype(np.float64) for at in (x, y))
         size = plan.scale[which].astype(np.float32).astype(np.float64)
-        rest = self._prototypes, plan.prototype[which], x, y, half, size, plan.embed[which]
+        bodies = Bodies.of(
+            self._prototypes, plan.prototype[which], (x, y), half, size, plan.embed[which]
+        )
         if isinstance(field, MeshSurface) and spots:
-            z = seat_on_mesh(field, spots, *rest)
+            z = seat_on_mesh(field, spots, bodies)
         else:
-            z = seat(field, *rest, highest=self.highest)
+            z = seat(self.ground, bodies)
         # They follow what is finer than the grid as a whole: by what it is at their middles ...
         z += self.surface.lift_at(x, y)
         # ... unless one could see that.
@@ -119,14 +118,16 @@ class Placement:
         near = self._pixels_per_m(at, self._radii(which), least)
         seen = np.flatnonzero(near * self._amplitude > _SHOWS_PX)
         if len(seen):
-            z[seen] = seat_on_detail(
-                self.surface, self._prototypes, plan.prototype[which][seen], x[seen], y[seen],
-                half[seen], size[seen], plan.embed[which][seen],
-            )  # fmt: skip
+            z[seen] = seat_on_detail(self.surface, self.ground, bodies.some(seen))
         self.on_detail[which] = False
         self.on_detail[which[seen]] = True
         self.x[which], self.y[which], self.z[which] = x, y, z
         self.orientations[which] = half
+
+    @property
+    def ground(self) -> HeightPyramid:
+        """The relief."""
+        return self._around.height_pyramid()
 
     def pixels_per_m(
         self, at: NDArray[np.float64], prototype: NDArray[np.int32], size: NDArray[np.float64]
@@ -191,21 +192,15 @@ def seating_report(
     surface = placement.surface
     if not n or isinstance(surface.field, MeshSurface):
         return {}
+    x, y, z = np.ascontiguousarray(scatter.positions.T, np.float64)
+    bodies = Bodies.of(
+        scatter.prototypes, scatter.prototype, (x, y), scatter.orientations,
+        scatter.scales[:, 0].astype(np.float64), embed,
+    )  # fmt: skip
     some = np.arange(0, n, -(-n // _MEASURED))
-    x, y, z = scatter.positions[some].astype(np.float64).T
-    seated = seat(
-        surface.field,
-        scatter.prototypes,
-        scatter.prototype[some],
-        np.ascontiguousarray(x),
-        np.ascontiguousarray(y),
-        scatter.orientations[some],
-        scatter.scales[some, 0].astype(np.float64),
-        embed[some],
-        highest=placement.highest,
-    )
-    lift = surface.lift_at(np.ascontiguousarray(x), np.ascontiguousarray(y))
-    off = np.abs(z - lift - seated)[~placement.on_detail[which][some]]
+    seated = seat(placement.ground, bodies.some(some))
+    off = np.abs(z[some] - surface.lift_at(x[some], y[some]) - seated)
+    off = off[~placement.on_detail[which][some]]
     report: dict[str, Any] = {
         "seating_error_max_m": float(off.max(initial=0.0)),
         "seating_measured": len(off),
@@ -214,7 +209,7 @@ def seating_report(
         return report
     per = max(len(p.points) for p in scatter.prototypes)
     few = np.arange(0, n, -(-n // max(_VERTICES // per, 1)))
-    gaps = _gaps(scatter, few, embed[few], surface)
+    gaps = _gaps(surface, bodies.some(few), z[few])
     near = placement.pixels_per_m(
         scatter.positions[few].astype(np.float64),
         scatter.prototype[few],
@@ -230,40 +225,11 @@ def seating_report(
     }
 
 
-def _gaps(
-    scatter: Scatter, which: NDArray[np.int64], embed: NDArray[np.float64], surface: Surface
-) -> NDArray[np.float64]:
-    """How far the deepest vertex of some instances lies above the depth asked for, meters, [m]."""
-    offsets = np.cumsum([0] + [len(p.points) for p in scatter.prototypes])
-    counts = np.diff(offsets)[scatter.prototype[which]]
-    starts = np.cumsum(counts) - counts
-    x, y, z = _vertices(
-        np.concatenate([p.points for p in scatter.prototypes]).astype(np.float64),
-        offsets,
-        scatter.prototype[which],
-        scatter.positions[which].astype(np.float64),
-        scatter.orientations[which].astype(np.float64),
-        scatter.scales[which, 0].astype(np.float64),
-        starts,
-        int(counts.sum()),
-    )
+def _gaps(surface: Surface, bodies: Bodies, origin_z: NDArray[np.float64]) -> NDArray[np.float64]:
+    """How far the deepest vertex of each body lies above the depth asked for, meters, [n]."""
+    (x, y, z), starts = vertices(bodies)
+    z += np.repeat(origin_z, np.diff(starts, append=len(z)))
     above = np.minimum.reduceat(z - surface.height_at(x, y), starts)
     tall = np.maximum.reduceat(z, starts) - np.minimum.reduceat(z, starts)
-    gaps: NDArray[np.float64] = above + embed * tall
+    gaps: NDArray[np.float64] = above + bodies.embed * tall
     return gaps
-
-
-@kernel
-def _vertices(points, offsets, prototype, at, turns, size, starts, total):  # type: ignore[no-untyped-def]
-    """The vertices of instances in the world, one instance after the other."""
-    x, y, z = np.empty(total), np.empty(total), np.empty(total)
-    for n in range(len(starts)):
-        r = rotation_rows(turns[n])
-        first = offsets[prototype[n]]
-        for k in range(offsets[prototype[n] + 1] - first):
-            a, b, c = points[first + k, 0], points[first + k, 1], points[first + k, 2]
-            i = starts[n] + k
-            x[i] = at[n, 0] + size[n] * (r[0] * a + r[1] * b + r[2] * c)
-            y[i] = at[n, 1] + size[n] * (r[3] * a + r[4] * b + r[5] * c)
-            z[i] = at[n, 2] + size[n] * (r[6] * a + r[7] * b + r[8] * c)
-    return x, y, z

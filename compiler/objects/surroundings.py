@@ -56,7 +56,7 @@ class Surroundings:
     def height_pyramid(self) -> HeightPyramid:
         """Bounds of the relief from above, made once."""
         if not self._pyramids:
-            self._pyramids.append(HeightPyramid(self.surface.field))
+            self._pyramids.append(HeightPyramid.of(self.surface.field))
         return self._pyramids[0]
 
     def only(self, names: Container[str]) -> Surroundings:

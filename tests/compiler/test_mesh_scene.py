@@ -18,8 +18,10 @@ from scenec.compiler.cfg.load import load
 from scenec.compiler.draw.batch import draw
 from scenec.compiler.geometry.rotations import rotation_rows
 from scenec.compiler.mesh.surface import Surface
+from scenec.compiler.objects.bodies import Bodies
 from scenec.compiler.objects.density import Density, NoiseDensity, UniformDensity
-from scenec.compiler.objects.mesh_candidates import STANDING, MeshCandidates, Spots, seat_on_mesh
+from scenec.compiler.objects.mesh_candidates import STANDING, MeshCandidates, Spots
+from scenec.compiler.objects.mesh_seating import seat_on_mesh
 from scenec.compiler.objects.rocks import build_prototypes
 from scenec.compiler.objects.surroundings import Surroundings
 from scenec.compiler.terrain.operators.multifractal import Multifractal
@@ -56,7 +58,8 @@ def uniforms(n: int = N) -> np.ndarray:
 def seated(surface: MeshSurface, spots: Spots, size: np.ndarray) -> tuple[np.ndarray, list]:
     """Heights of rocks, and each one's vertices."""
     x, y = np.ascontiguousarray(spots.points[:, :2].T)
-    z = seat_on_mesh(surface, spots, PROTOTYPES, PROTOTYPE, x, y, TURNS, size, EMBED)
+    bodies = Bodies.of(PROTOTYPES, PROTOTYPE, (x, y), TURNS, size, EMBED)
+    z = seat_on_mesh(surface, spots, bodies)
     rocks = []
     for n in range(N):
         turn = np.array(rotation_rows(TURNS[n].astype(float))).reshape(3, 3)
