@@ -89,7 +89,7 @@ class Disks:
         self.make_room(len(order))
         return _throw(
             self._grid(),
-            *candidates.frame(),
+            candidates.cells(),
             u,
             subkeys(np.uint64(key), 3),
             order,
@@ -170,7 +170,7 @@ def _free(grid, x, y, radius):  # type: ignore[no-untyped-def]
 
 @kernel
 def _throw(  # type: ignore[no-untyped-def]
-    grid, cumulative, corners, frame, u, keys, order, radius, first, among_themselves
+    grid, cells, u, keys, order, radius, first, among_themselves
 ):  # fmt: skip
     out = np.full(order.size, -1, np.int64)
     lost = 0
@@ -179,10 +179,10 @@ def _throw(  # type: ignore[no-untyped-def]
         tries = max(MOST_TRIES >> min(lost // _HOPELESS, 16), _FEWEST_TRIES)
         for attempt in range(first[n], first[n] + tries):
             if attempt == 0:
-                x, y, _ = point(cumulative, corners, frame, u[n, 0], u[n, 1], u[n, 2])
+                x, y, _ = point(cells, u[n, 0], u[n, 1], u[n, 2])
             else:
                 x, y, _ = point(
-                    cumulative, corners, frame,
+                    cells,
                     unit(keys[0], n, attempt), unit(keys[1], n, attempt), unit(keys[2], n, attempt),
                 )  # fmt: skip
             # As the stage will have it.

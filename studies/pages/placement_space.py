@@ -25,7 +25,8 @@ from scenec.compiler.objects.density import (
     WorleyDensity,
 )
 from scenec.compiler.objects.height_candidates import candidates_on
-from scenec.compiler.objects.surroundings import Footprints, Surroundings
+from scenec.compiler.objects.lattice import Circles
+from scenec.compiler.objects.surroundings import Surroundings
 from scenec.compiler.scene.scene import Scatter
 from scenec.compiler.terrain.condition import SlopeCondition
 from scenec.compiler.terrain.grid import Grid, HeightField
@@ -62,7 +63,7 @@ def _rings(x: NDArray, y: NDArray, craters: Craters) -> NDArray[np.float64]:
     return found
 
 
-def _skirts(x: NDArray, y: NDArray, there: Footprints) -> NDArray[np.float64]:
+def _skirts(x: NDArray, y: NDArray, there: Circles) -> NDArray[np.float64]:
     found = np.zeros(x.shape)
     for cx, cy, radius in zip(*there, strict=True):
         s = np.hypot(x - cx, y - cy) / radius
@@ -97,7 +98,7 @@ def _cases(
     noise = NoiseDensity(5, 6.0, 3, 2.0)
     away = _away(x, y)
     band = (np.abs(away - 2.0) <= 0.7).astype(float)
-    there = Footprints(np.array([-10.0, 2.0, 12.0]), np.array([-4.0, 6.0, -7.0]),
+    there = Circles(np.array([-10.0, 2.0, 12.0]), np.array([-4.0, 6.0, -7.0]),
                        np.array([3.0, 2.0, 1.0]))  # fmt: skip
     around.objects["boulders"] = there
     gentle = OnRelief(SlopeCondition(None, 8.0, 4.0))
