@@ -10,7 +10,7 @@ from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.draw.scatter import Setting, draw_scattered, uniforms
 from scenec.compiler.objects.families.angular import draw_angular
 from scenec.compiler.objects.families.rounded import draw_rounded
-from scenec.compiler.objects.families.shape import Shape, unit_vectors
+from scenec.compiler.objects.families.shape import Common, Shape, unit_vectors
 from scenec.compiler.objects.families.slab import draw_slab
 from scenec.compiler.objects.families.vesicular import draw_vesicular
 from scenec.compiler.objects.families.weathered import Weathered
@@ -96,13 +96,15 @@ def _shape(path: str, cfg: dict[str, Any], streams: Streams) -> Shape:
     middle = 1.0 - min(elongation * (0.4 + 1.2 * u[0]), 0.95)
     low = 1.0 - flatness * (0.75 + 0.5 * u[1])
     return _FAMILIES[cfg["family"]](
-        streams.key(path),
         path,
         streams,
         wear,
-        cfg["bumpiness"],
-        (1.0, middle, min(max(low, 0.05), middle)),
-        int(cfg["subdivisions"]),
+        Common(
+            streams.key(path),
+            cfg["bumpiness"],
+            (1.0, middle, min(max(low, 0.05), middle)),
+            int(cfg["subdivisions"]),
+        ),
     )
 
 

@@ -15,6 +15,13 @@ from scenec.compiler.distributions.laws import golombek_rapp_per_m2
 from scenec.compiler.distributions.numbers import Distribution, draw_number
 from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.draw.ground import craters_of, draw_condition
+from scenec.compiler.objects.conditions import (
+    FromCameras,
+    FromObjects,
+    OnMaterial,
+    OnRelief,
+    PlacementCondition,
+)
 from scenec.compiler.objects.density import (
     CLUSTER_REACH,
     AroundDensity,
@@ -27,7 +34,6 @@ from scenec.compiler.objects.density import (
     UniformDensity,
     WorleyDensity,
 )
-from scenec.compiler.objects.where import FromCameras, FromObjects, OnMaterial, OnRelief, Place
 from scenec.compiler.scene.plan import Apart, Count, ModelSource, RockShapes, ScatterPlan
 from scenec.compiler.scene.scene import Labels
 from scenec.compiler.terrain.condition import Ragged
@@ -237,7 +243,9 @@ def _poisson(streams: Streams, path: str, mean: float) -> int:
         n *= 2
 
 
-def _place(node: Mapping[str, Any], streams: Streams, path: str, setting: Setting) -> Place:
+def _place(
+    node: Mapping[str, Any], streams: Streams, path: str, setting: Setting
+) -> PlacementCondition:
     if node["type"] == "material":
         layers = tuple(
             i for i, layer in enumerate(setting.ground) if layer["material"] == node["material"]

@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.cache.memo import memoized
-from scenec.compiler.objects.lay import lay
 from scenec.compiler.objects.lod import Levels, budget_factor, choose_levels, finest, see_levels
 from scenec.compiler.objects.placed import place_objects
 from scenec.compiler.objects.poses import PlacedPlan
 from scenec.compiler.objects.prototypes import Looks, ModelPlan, build_prototype, load_model
 from scenec.compiler.objects.rocks import Chain, build_chains
+from scenec.compiler.objects.scatter import scatter
 from scenec.compiler.objects.surroundings import Surroundings, footprints
 from scenec.compiler.scene.plan import ModelSource, ScatterPlan
 from scenec.compiler.scene.scene import Placed, Prototype, Scatter
@@ -122,7 +122,7 @@ def _laid(
 ) -> tuple[Levels, dict[str, Any]]:
     """The same without its meshes, which the chains hold."""
     facts: dict[str, Any] = {}
-    laid = lay(plan, chains, around, facts)
+    laid = scatter(plan, chains, around, facts)
     levels = see_levels(laid, chains, views, unseen, plan.lod_px)
     return replace(levels, scatter=replace(laid, prototypes=()), meshes=()), facts
 

@@ -16,7 +16,7 @@ from scenec.compiler.assets.polyline import read_polyline
 from scenec.compiler.noise.fractal import fbm2_points
 from scenec.compiler.noise.octaves import BLOCK
 from scenec.compiler.noise.worley import worley2_points
-from scenec.compiler.objects.lattice import Lattice, splat, table
+from scenec.compiler.objects.lattice import Circles, Lattice, splat, table
 from scenec.compiler.objects.surroundings import Surroundings
 from scenec.compiler.terrain.condition import Condition, product
 from scenec.compiler.terrain.operators.crater_profile import profile_table
@@ -195,7 +195,8 @@ class ClusterDensity(Density):
         at = table(CLUSTER_REACH)
         values = elementary.exp_array(-0.5 * at * at)
         ones = np.ones(len(self.x_m))
-        dense = splat(lattice, self.x_m, self.y_m, self.sigma_m * ones, ones, values, CLUSTER_REACH)
+        parents = Circles(self.x_m, self.y_m, self.sigma_m * ones)
+        dense = splat(lattice, parents, ones, values, CLUSTER_REACH)
         return with_background(dense, self.background)
 
     def finest_m(self, around: Surroundings) -> float | None:
@@ -285,7 +286,7 @@ class RingDensity(Density):
             if conditions:
                 quantities = around.quantities
                 weight *= quantities.between(product(conditions, quantities), x, y)
-            dense += splat(lattice, x, y, radius, weight, falling, self.max_radii)
+            dense += splat(lattice, Circles(x, y, radius), weight, falling, self.max_radii)
         return with_background(dense, self.background)
 
 
@@ -314,7 +315,7 @@ class AroundDensity(Density):
         left = np.clip(1.0 - (at - 1.0) / self.reach, 0.0, 1.0)
         values = np.where(at >= self.inside, left * left, 0.0)
         weight = (2.0 * there.radius >= self.min_size_m).astype(np.float64)
-        dense = splat(lattice, *there, weight, values, 1.0 + self.reach)
+        dense = splat(lattice, there, weight, values, 1.0 + self.reach)
         return with_background(dense, self.background)
 
     def finest_m(self, around: Surroundings) -> float | None:

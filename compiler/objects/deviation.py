@@ -2,11 +2,27 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.geometry.icosphere import face_neighbors, icosphere
 from scenec.schemas.kernels import inlined, kernel
+
+
+class _Star(NamedTuple):
+    """A mesh that is star-shaped about 0.
+
+    Attributes:
+        points: float64 [n, 3].
+        faces: int32 [m, 3].
+        beyond: The face across each edge, int32 [m, 3].
+    """
+
+    points: NDArray[np.float64]
+    faces: NDArray[np.int32]
+    beyond: NDArray[np.int32]
 
 
 def deviation(
@@ -28,16 +44,12 @@ def deviation(
         fine_subdivisions, coarse_subdivisions: Of these.
         middle: What both are star-shaped about, [3].
     """
-    _, fine_faces = icosphere(fine_subdivisions)
-    _, coarse_faces = icosphere(coarse_subdivisions)
-    beyond_fine = face_neighbors(fine_subdivisions)
-    beyond_coarse = face_neighbors(coarse_subdivisions)
-    a, b = fine - middle, coarse - middle
-    ratio = 4 ** (fine_subdivisions - coarse_subdivisions)
-    worst = _farthest(a, fine_faces, beyond_fine, b, coarse_faces, beyond_coarse, ratio, 1, 0.0)
-    return float(
-        _farthest(b, coarse_faces, beyond_coarse, a, fine_faces, beyond_fine, 1, ratio, worst)
+    a, b = (
+        _Star(points - middle, icosphere(subdivisions)[1], face_neighbors(subdivisions))
+        for points, subdivisions in ((fine, fine_subdivisions), (coarse, coarse_subdivisions))
     )
+    ratio = 4 ** (fine_subdivisions - coarse_subdivisions)
+    return float(_farthest(b, a, 1, ratio, _farthest(a, b, ratio, 1, 0.0)))
 
 
 @inlined
@@ -49,10 +61,11 @@ def _side(points, a, b, x, y, z):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def find_face(points, faces, beyond, face, x, y, z):  # type: ignore[no-untyped-def]
+def _find_face(mesh, face, x, y, z):  # type: ignore[no-untyped-def]
     """The face that the ray from 0 along (x, y, z) meets; by walking from ``face``."""
-    for _step in range(len(faces)):
-        a, b, c = faces[face]
+    points = mesh.points
+    for _step in range(len(mesh.faces)):
+        a, b, c = mesh.faces[face]
         # Across the edge that it is farthest outside of.
         least = 0.0
         edge = -1
@@ -68,7 +81,7 @@ def find_face(points, faces, beyond, face, x, y, z):  # type: ignore[no-untyped-
                 edge = k
         if edge < 0:
             return face
-        face = beyond[face, edge]
+        face = mesh.beyond[face, edge]
     return face
 
 
@@ -109,27 +122,27 @@ def _square_to_triangle(points, face, x, y, z):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _square_around(points, faces, beyond, face, x, y, z):  # type: ignore[no-untyped-def]
+def _square_around(mesh, face, x, y, z):  # type: ignore[no-untyped-def]
     """Squared distance to a face and its three neighbors, the nearest of them."""
-    best = _square_to_triangle(points, faces[face], x, y, z)
+    best = _square_to_triangle(mesh.points, mesh.faces[face], x, y, z)
     for k in range(3):
-        best = min(best, _square_to_triangle(points, faces[beyond[face, k]], x, y, z))
+        other = mesh.faces[mesh.beyond[face, k]]
+        best = min(best, _square_to_triangle(mesh.points, other, x, y, z))
     return best
 
 
 @kernel
-def _farthest(  # type: ignore[no-untyped-def]
-    a, a_faces, a_beyond, b, b_faces, b_beyond, divide, multiply, worst
-):
-    """Over points of mesh a, what exceeds ``worst``: the distance to b, and back."""
+def _farthest(own, other, divide, multiply, worst):  # type: ignore[no-untyped-def]
+    """Over points of one mesh, what exceeds ``worst``: the distance to the other, and back."""
+    a, b = own.points, other.points
     done = np.zeros(len(a), np.bool_)
-    for f in range(len(a_faces)):
-        i, j, k = a_faces[f]
+    for f in range(len(own.faces)):
+        i, j, k = own.faces[f]
         face = f // divide * multiply
         for s in range(7):
             # Three vertices, three middles of edges, the middle of the face; each point once.
             if s < 3:
-                corner = a_faces[f, s]
+                corner = own.faces[f, s]
                 if done[corner]:
                     continue
                 done[corner] = True
@@ -141,8 +154,8 @@ def _farthest(  # type: ignore[no-untyped-def]
             x = u * a[i, 0] + v * a[j, 0] + w * a[k, 0]
             y = u * a[i, 1] + v * a[j, 1] + w * a[k, 1]
             z = u * a[i, 2] + v * a[j, 2] + w * a[k, 2]
-            face = find_face(b, b_faces, b_beyond, face, x, y, z)
-            p, q, r = b_faces[face]
+            face = _find_face(other, face, x, y, z)
+            p, q, r = other.faces[face]
             px, py, pz = b[p, 0], b[p, 1], b[p, 2]
             qx, qy, qz = b[q, 0] - px, b[q, 1] - py, b[q, 2] - pz
             rx, ry, rz = b[r, 0] - px, b[r, 1] - py, b[r, 2] - pz
@@ -152,7 +165,7 @@ def _farthest(  # type: ignore[no-untyped-def]
             apart = abs(t - 1.0) * np.sqrt(x * x + y * y + z * z)
             if not apart > worst:
                 continue
-            there = _square_around(b, b_faces, b_beyond, face, x, y, z)
-            back = _square_around(a, a_faces, a_beyond, f, t * x, t * y, t * z)
+            there = _square_around(other, face, x, y, z)
+            back = _square_around(own, f, t * x, t * y, t * z)
             worst = max(worst, min(apart, np.sqrt(max(there, back))))
     return worst

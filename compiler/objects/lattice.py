@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,18 @@ MOST_CELLS = 1 << 23
 _ROWS = 16
 #: Steps of a table of a radial function.
 _STEPS = 2048
+
+
+class Circles(NamedTuple):
+    """Circles in plan.
+
+    Attributes:
+        x, y, radius: float64 [n], meters.
+    """
+
+    x: NDArray[np.float64]
+    y: NDArray[np.float64]
+    radius: NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -69,6 +82,11 @@ class Lattice:
         """Middles of the rows, meters, [ny]."""
         return np.asarray(self.y0 + self.dy * (np.arange(self.shape[0]) + 0.5), np.float64)
 
+    @property
+    def axes(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """``x`` and ``y``, as kernels take them."""
+        return self.x, self.y
+
     def points(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Middles of all cells, row by row, [ny * nx] each."""
         y, x = np.meshgrid(self.y, self.x, indexing="ij")
@@ -88,35 +106,23 @@ def table(reach: float) -> NDArray[np.float64]:
 
 def splat(
     lattice: Lattice,
-    x: NDArray[np.float64],
-    y: NDArray[np.float64],
-    unit_m: NDArray[np.float64],
+    centers: Circles,
     weight: NDArray[np.float64],
     values: NDArray[np.float64],
     reach: float,
 ) -> NDArray[np.float64]:
-    """The sum of weight * f(distance / unit) over centers: float64 [ny, nx].
+    """The sum of weight * f(distance / radius) over centers: float64 [ny, nx].
 
     Args:
         lattice: Where.
-        x, y, unit_m, weight: Of the centers, float64 [n].
+        centers: Where, and what distances are divided by.
+        weight: Of each, float64 [n].
         values: f at ``table(reach)``, 0 beyond; linear in between.
         reach: Where f ends.
     """
     out = np.zeros(lattice.shape)
-    over_threads(
-        _splat,
-        -(-lattice.y.size // _ROWS),
-        lattice.x,
-        lattice.y,
-        x,
-        y,
-        unit_m,
-        weight,
-        values,
-        reach,
-        out,
-    )
+    strips = -(-lattice.y.size // _ROWS)
+    over_threads(_splat, strips, lattice.axes, centers, weight, values, reach, out)
     return out
 
 
@@ -130,7 +136,8 @@ def _columns(at, center, reach):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _splat(first, last, x, y, cx, cy, unit, weight, values, reach, out):  # type: ignore[no-untyped-def]
+def _splat(first, last, axes, centers, weight, values, reach, out):  # type: ignore[no-untyped-def]
+    (x, y), (cx, cy, unit) = axes, centers
     steps = values.size - 1
     # A cell adds up its centers in their order, whatever thread does it.
     for band in range(first, last):
@@ -152,31 +159,25 @@ def _splat(first, last, x, y, cx, cy, unit, weight, values, reach, out):  # type
                         out[j, i] += weight[n] * value
 
 
-def nearest(
-    lattice: Lattice,
-    x: NDArray[np.float64],
-    y: NDArray[np.float64],
-    radius: NDArray[np.float64],
-    reach_m: float,
-) -> NDArray[np.float64]:
+def nearest(lattice: Lattice, circles: Circles, reach_m: float) -> NDArray[np.float64]:
     """Distance in plan from the nearest of many circles, meters: float64 [ny, nx].
 
     Below 0 within a circle, by how far it is to its border; ``reach_m`` where it is farther.
 
     Args:
         lattice: Where.
-        x, y, radius: The circles, float64 [n].
+        circles: From which.
         reach_m: Distances beyond it are not told apart.
     """
     out = np.full(lattice.shape, reach_m)
-    over_threads(
-        _nearest, -(-lattice.y.size // _ROWS), lattice.x, lattice.y, x, y, radius, reach_m, out
-    )
+    strips = -(-lattice.y.size // _ROWS)
+    over_threads(_nearest, strips, lattice.axes, circles, reach_m, out)
     return out
 
 
 @kernel
-def _nearest(first, last, x, y, cx, cy, radius, reach, out):  # type: ignore[no-untyped-def]
+def _nearest(first, last, axes, circles, reach, out):  # type: ignore[no-untyped-def]
+    (x, y), (cx, cy, radius) = axes, circles
     for band in range(first, last):
         j0 = band * _ROWS
         j1 = min(j0 + _ROWS, y.size)

@@ -5,28 +5,16 @@ from __future__ import annotations
 from collections.abc import Container, Iterator
 from copy import copy
 from dataclasses import dataclass, field
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.mesh.surface import Surface
-from scenec.compiler.objects.highest import Highest
+from scenec.compiler.objects.height_pyramid import HeightPyramid
+from scenec.compiler.objects.lattice import Circles
 from scenec.compiler.scene.scene import Placed, Scatter
 from scenec.compiler.terrain.quantities import Quantities
 from scenec.compiler.views.sight import NO_VIEWS, Views
-
-
-class Footprints(NamedTuple):
-    """Objects in plan: circles as wide as the balls around them.
-
-    Attributes:
-        x, y, radius: float64 [n], meters.
-    """
-
-    x: NDArray[np.float64]
-    y: NDArray[np.float64]
-    radius: NDArray[np.float64]
 
 
 @dataclass
@@ -45,19 +33,19 @@ class Surroundings:
     cameras: NDArray[np.float64]
     views: Views = NO_VIEWS
     unseen: float = 0.0
-    objects: dict[str, Footprints] = field(default_factory=dict)
+    objects: dict[str, Circles] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Prepares what is computed once for all classes."""
         #: Of the relief.
         self.quantities = Quantities(self.surface.field.grid, self.surface.field.height)
-        self._highest: list[Highest] = []
+        self._pyramids: list[HeightPyramid] = []
 
-    def highest(self) -> Highest:
+    def height_pyramid(self) -> HeightPyramid:
         """Bounds of the relief from above, made once."""
-        if not self._highest:
-            self._highest.append(Highest(self.surface.field))
-        return self._highest[0]
+        if not self._pyramids:
+            self._pyramids.append(HeightPyramid.of(self.surface.field))
+        return self._pyramids[0]
 
     def only(self, names: Container[str]) -> Surroundings:
         """The same with no other classes than some; what is computed once is shared."""
@@ -65,12 +53,12 @@ class Surroundings:
         own.objects = {name: self.objects[name] for name in self.objects if name in names}
         return own
 
-    def among(self, names: tuple[str, ...]) -> Iterator[Footprints]:
+    def among(self, names: tuple[str, ...]) -> Iterator[Circles]:
         """The objects of some classes, those that are laid already."""
         return (self.objects[name] for name in names if name in self.objects)
 
 
-def footprints(laid: Scatter | Placed) -> Footprints:
-    """The circles of one class; of single objects that move, wherever they are at any sample."""
+def footprints(laid: Scatter | Placed) -> Circles:
+    """One class in plan, circles as wide as its balls; single objects wherever they ever are."""
     at, radii = laid.balls()
-    return Footprints(np.ascontiguousarray(at[:, 0]), np.ascontiguousarray(at[:, 1]), radii)
+    return Circles(np.ascontiguousarray(at[:, 0]), np.ascontiguousarray(at[:, 1]), radii)

@@ -25,11 +25,11 @@ if TYPE_CHECKING:
     from scenec.compiler.cameras.tracks import TrackWay
     from scenec.compiler.mesh.merge import Merge
     from scenec.compiler.mesh.mesh import Meshing
+    from scenec.compiler.objects.conditions import PlacementCondition
     from scenec.compiler.objects.density import Density
     from scenec.compiler.objects.families.shape import Shape
     from scenec.compiler.objects.poses import PlacedPlan
     from scenec.compiler.objects.prototypes import ModelPlan, PartRule
-    from scenec.compiler.objects.where import Place
     from scenec.compiler.scene.light_plan import LightPlan
     from scenec.compiler.terrain.detail import Detail
     from scenec.compiler.terrain.operator import ReliefOperator
@@ -153,7 +153,7 @@ class ScatterPlan:
     source: RockShapes | ModelSource
     count: Count
     density: Density
-    where: tuple[Place, ...]
+    where: tuple[PlacementCondition, ...]
     apart: Apart | None
     fewer: bool
     clearance_m: float

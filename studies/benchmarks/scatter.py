@@ -19,8 +19,8 @@ from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.draw.rocks import draw_rocks
 from scenec.compiler.draw.scatter import Setting
 from scenec.compiler.mesh.surface import Surface
-from scenec.compiler.objects.lay import lay
 from scenec.compiler.objects.rocks import build_chains
+from scenec.compiler.objects.scatter import scatter
 from scenec.compiler.objects.surroundings import Surroundings
 from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.compiler.terrain.operators.multifractal import Multifractal
@@ -69,9 +69,9 @@ def measure(count: int, subdivisions: int, name: str) -> tuple[float, ...]:
         clock.append(time.perf_counter())
         chains = build_chains(plan.source.shapes, coarser=False)
         clock.append(time.perf_counter())
-        scatter = lay(plan, chains, Surroundings(surface, cameras), {})
+        made = scatter(plan, chains, Surroundings(surface, cameras), {})
         clock.append(time.perf_counter())
-        return scatter.count, *np.diff(clock).tolist()
+        return made.count, *np.diff(clock).tolist()
 
     once(100)
     before = peak_mib()

@@ -8,10 +8,11 @@ from unittest import mock
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.objects import foot
+from scenec.compiler.objects import seating
+from scenec.compiler.objects.bodies import Bodies
+from scenec.compiler.objects.height_pyramid import HeightPyramid
 from scenec.compiler.objects.lod import budget_factor, choose_levels, see_levels
 from scenec.compiler.objects.rocks import build_chains
-from scenec.compiler.objects.seat import seat
 from scenec.compiler.scene.scene import Scatter
 from scenec.compiler.views.sight import views_of
 from scenec.schemas.errors import SceneError
@@ -37,24 +38,27 @@ def seats(page: Page) -> str:
     embed = plan.embed[scatter.ids - 1]
     x, y = (np.ascontiguousarray(at) for at in scatter.positions[:, :2].astype(np.float64).T)
     size = scatter.scales[:, 0].astype(np.float64)
-    rest = (scatter.prototypes, scatter.prototype, x, y, scatter.orientations, size, embed)
+    bodies = Bodies.of(
+        scatter.prototypes, scatter.prototype, (x, y), scatter.orientations, size, embed
+    )
+    ground = HeightPyramid.of(surface.field)
     vertices = len(scatter.prototypes[0].points)
 
     def on_grid() -> NDArray[np.float64]:
-        return seat(surface.field, *rest)
+        return seating.seat(ground, bodies)
 
     def lifted() -> NDArray[np.float64]:
         return on_grid() + surface.lift_at(x, y)
 
     def with_lowest(most: int) -> NDArray[np.float64]:
-        with mock.patch.object(foot, "LOWEST", most):
-            return foot.seat_on_detail(surface, *rest)
+        with mock.patch.object(seating, "LOWEST", most):
+            return seating.seat_on_detail(surface, ground, bodies)
 
     ways = [
         ("all, against the grid's triangles only", on_grid),
         ("the same, and the detail at the middle", lifted),
         *(
-            (f"{most:,} lowest{' (as compiled)' * (most == foot.LOWEST)}",
+            (f"{most:,} lowest{' (as compiled)' * (most == seating.LOWEST)}",
              lambda most=most: with_lowest(most))
             for most in (1, 8, 32, 128)
         ),

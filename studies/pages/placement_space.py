@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from scenec.compiler.mesh.surface import Surface
+from scenec.compiler.objects.conditions import OnRelief, PlacementCondition
 from scenec.compiler.objects.density import (
     AroundDensity,
     ClusterDensity,
@@ -23,9 +24,9 @@ from scenec.compiler.objects.density import (
     UniformDensity,
     WorleyDensity,
 )
-from scenec.compiler.objects.placement import places_on
-from scenec.compiler.objects.surroundings import Footprints, Surroundings
-from scenec.compiler.objects.where import OnRelief, Place
+from scenec.compiler.objects.height_candidates import candidates_on
+from scenec.compiler.objects.lattice import Circles
+from scenec.compiler.objects.surroundings import Surroundings
 from scenec.compiler.scene.scene import Scatter
 from scenec.compiler.terrain.condition import SlopeCondition
 from scenec.compiler.terrain.grid import Grid, HeightField
@@ -62,7 +63,7 @@ def _rings(x: NDArray, y: NDArray, craters: Craters) -> NDArray[np.float64]:
     return found
 
 
-def _skirts(x: NDArray, y: NDArray, there: Footprints) -> NDArray[np.float64]:
+def _skirts(x: NDArray, y: NDArray, there: Circles) -> NDArray[np.float64]:
     found = np.zeros(x.shape)
     for cx, cy, radius in zip(*there, strict=True):
         s = np.hypot(x - cx, y - cy) / radius
@@ -73,7 +74,7 @@ def _skirts(x: NDArray, y: NDArray, there: Footprints) -> NDArray[np.float64]:
 
 def _cases(
     folder: Path, around: Surroundings
-) -> list[tuple[str, Density, tuple[Place, ...], NDArray]]:
+) -> list[tuple[str, Density, tuple[PlacementCondition, ...], NDArray]]:
     """Name, density, where, and the density by its formula at the middles of fine squares."""
     axes = [_FINE * (np.arange(round(n / _FINE)) + 0.5) - 0.5 * n for n in SIZE]
     x, y = np.meshgrid(*axes)
@@ -97,7 +98,7 @@ def _cases(
     noise = NoiseDensity(5, 6.0, 3, 2.0)
     away = _away(x, y)
     band = (np.abs(away - 2.0) <= 0.7).astype(float)
-    there = Footprints(np.array([-10.0, 2.0, 12.0]), np.array([-4.0, 6.0, -7.0]),
+    there = Circles(np.array([-10.0, 2.0, 12.0]), np.array([-4.0, 6.0, -7.0]),
                        np.array([3.0, 2.0, 1.0]))  # fmt: skip
     around.objects["boulders"] = there
     gentle = OnRelief(SlopeCondition(None, 8.0, 4.0))
@@ -160,10 +161,10 @@ def densities(page: Page) -> str:
     rows = []
     for axes, (name, density, where, wanted) in zip(plots.ravel(), cases, strict=False):
         field = around.surface.field
-        places = places_on(field, density, where, around, name)
+        places = candidates_on(field, density, where, around, name)
         x, y, _ = places.at(u)
         seconds = page.timed(
-            lambda d=density, w=where: places_on(around.surface.field, d, w, around, "").at(u)
+            lambda d=density, w=where: candidates_on(around.surface.field, d, w, around, "").at(u)
         )
         chi, degrees = _chi_square(x, y, wanted)
         sigmas = (chi - degrees) / np.sqrt(2.0 * degrees)

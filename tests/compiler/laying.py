@@ -15,8 +15,8 @@ from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.draw.rocks import draw_rocks
 from scenec.compiler.draw.scatter import Setting
 from scenec.compiler.mesh.surface import Surface
-from scenec.compiler.objects.lay import lay
 from scenec.compiler.objects.rocks import build_chains
+from scenec.compiler.objects.scatter import scatter
 from scenec.compiler.objects.surroundings import Surroundings, footprints
 from scenec.compiler.scene.plan import ScatterPlan
 from scenec.compiler.scene.scene import Scatter
@@ -75,4 +75,4 @@ def laid(around: Surroundings, facts: dict[str, Any] | None = None, **change: An
     """One class of rocks, laid."""
     drawn = plan(**change)
     chains = build_chains(drawn.source.shapes, coarser=False)
-    return lay(drawn, chains, around, {} if facts is None else facts)
+    return scatter(drawn, chains, around, {} if facts is None else facts)

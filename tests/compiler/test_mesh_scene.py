@@ -18,8 +18,10 @@ from scenec.compiler.cfg.load import load
 from scenec.compiler.draw.batch import draw
 from scenec.compiler.geometry.rotations import rotation_rows
 from scenec.compiler.mesh.surface import Surface
+from scenec.compiler.objects.bodies import Bodies
 from scenec.compiler.objects.density import Density, NoiseDensity, UniformDensity
-from scenec.compiler.objects.on_mesh import STANDING, MeshPlaces, Spots, seat_on_mesh
+from scenec.compiler.objects.mesh_candidates import STANDING, MeshCandidates, Spots
+from scenec.compiler.objects.mesh_seating import seat_on_mesh
 from scenec.compiler.objects.rocks import build_prototypes
 from scenec.compiler.objects.surroundings import Surroundings
 from scenec.compiler.terrain.operators.multifractal import Multifractal
@@ -37,7 +39,7 @@ EMBED = np.linspace(0.0, 0.5, N)
 def place_on_mesh(surface: MeshSurface, density: Density, u: np.ndarray, name: str) -> Spots:
     """Spots that uniform numbers lead to."""
     around = Surroundings(Surface(surface), np.zeros((0, 3)))
-    return MeshPlaces(surface, density, (), around, name).spots(u)
+    return MeshCandidates(surface, density, (), around, name).spots(u)
 
 
 def table(folder: Path) -> Path:
@@ -56,7 +58,8 @@ def uniforms(n: int = N) -> np.ndarray:
 def seated(surface: MeshSurface, spots: Spots, size: np.ndarray) -> tuple[np.ndarray, list]:
     """Heights of rocks, and each one's vertices."""
     x, y = np.ascontiguousarray(spots.points[:, :2].T)
-    z = seat_on_mesh(surface, spots, PROTOTYPES, PROTOTYPE, x, y, TURNS, size, EMBED)
+    bodies = Bodies.of(PROTOTYPES, PROTOTYPE, (x, y), TURNS, size, EMBED)
+    z = seat_on_mesh(surface, spots, bodies)
     rocks = []
     for n in range(N):
         turn = np.array(rotation_rows(TURNS[n].astype(float))).reshape(3, 3)

@@ -17,7 +17,7 @@ from test_motions import around, bodies_of_meshes, prototype, rover
 from scenec.compiler.cameras.paths.obstacles import obstacles_of
 from scenec.compiler.cameras.paths.route import passable
 from scenec.compiler.geometry.voxels import Cubes, voxels_of
-from scenec.compiler.objects.lay import lay
+from scenec.compiler.objects.scatter import scatter
 from scenec.compiler.scene.plan import ModelSource
 from scenec.schemas.errors import SceneError
 
@@ -202,8 +202,10 @@ def in_woods(cameras: np.ndarray, **change):
     drawn = replace(drawn, source=source, scale=np.ones(30), prototype=np.zeros(30, np.int32))
     spin = np.tile([0.0, 0.0, 0.0, 1.0], (30, 1))
     facts: dict = {}
-    scatter = lay(replace(drawn, orientations=spin), ((model,),), surroundings(cameras, 0.0), facts)
-    return scatter, facts
+    placed = scatter(
+        replace(drawn, orientations=spin), ((model,),), surroundings(cameras, 0.0), facts
+    )
+    return placed, facts
 
 
 def test_a_camera_may_be_under_a_crown_and_not_in_one():

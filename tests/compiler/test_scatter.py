@@ -9,11 +9,13 @@ import trimesh
 from scenec.compiler.geometry.icosphere import icosphere
 from scenec.compiler.geometry.rotations import align_to_normals, rotation_rows
 from scenec.compiler.mesh.surface import Surface
+from scenec.compiler.objects.bodies import Bodies
 from scenec.compiler.objects.density import Density, NoiseDensity, UniformDensity
 from scenec.compiler.objects.families.weathered import Weathered
-from scenec.compiler.objects.placement import places_on
+from scenec.compiler.objects.height_candidates import candidates_on
+from scenec.compiler.objects.height_pyramid import HeightPyramid
 from scenec.compiler.objects.rocks import build_prototypes
-from scenec.compiler.objects.seat import seat
+from scenec.compiler.objects.seating import seat
 from scenec.compiler.objects.surroundings import Surroundings
 from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.compiler.terrain.operators.multifractal import Multifractal
@@ -47,7 +49,7 @@ def place(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Where uniform numbers lead to."""
     around = Surroundings(Surface(field), np.zeros((0, 3)))
-    return places_on(field, density, (), around, name).at(u)[:2]
+    return candidates_on(field, density, (), around, name).at(u)[:2]
 
 
 def quaternions(n: int, seed: int = 0) -> np.ndarray:
@@ -164,7 +166,8 @@ def test_every_rock_is_in_the_ground_by_the_depth_asked_for():
     half = quaternions(n).astype(np.float16)
     size, embed = rng.uniform(0.05, 2.0, n), rng.uniform(0.0, 0.8, n)
     which = rng.integers(0, 2, n).astype(np.int32)
-    z = seat(field, rocks, which, x, y, half, size, embed)
+    bodies = Bodies.of(rocks, which, (x, y), half, size, embed)
+    z = seat(HeightPyramid.of(field), bodies)
     for i in range(n):
         turn = np.array(rotation_rows(half[i].astype(np.float64))).reshape(3, 3)
         points = rocks[which[i]].points.astype(np.float64) @ turn.T * size[i]
@@ -184,7 +187,8 @@ def test_seats_on_one_cell_a_border_and_huge_rocks_are_those_of_every_vertex():
         x, y = rng.uniform(-20, 20, (2, n))
         half = quaternions(n, 2).astype(np.float16)
         size, embed = scale * rng.uniform(0.01, 2.0, n), rng.uniform(0.0, 1.0, n)
-        z = seat(field, (rock,), np.zeros(n, np.int32), x, y, half, size, embed)
+        bodies = Bodies.of((rock,), np.zeros(n, np.int32), (x, y), half, size, embed)
+        z = seat(HeightPyramid.of(field), bodies)
         for i in range(n):
             turn = np.array(rotation_rows(half[i].astype(np.float64))).reshape(3, 3)
             points = rock.points.astype(np.float64) @ turn.T * size[i]

@@ -23,8 +23,8 @@ from scenec.compiler.objects.density import (
     RingDensity,
     WorleyDensity,
 )
-from scenec.compiler.objects.lattice import Lattice, nearest
-from scenec.compiler.objects.placement import places_on
+from scenec.compiler.objects.height_candidates import candidates_on
+from scenec.compiler.objects.lattice import Circles, Lattice, nearest
 from scenec.compiler.terrain.operators.craters import Craters
 from scenec.schemas.errors import SceneError
 
@@ -37,7 +37,7 @@ def uniforms(n: int = N, seed: int = 1) -> np.ndarray:
 
 def points(density: Density, around=None, n: int = N) -> tuple[np.ndarray, np.ndarray]:
     around = around or surroundings()
-    return places_on(around.surface.field, density, (), around, "rocks").at(uniforms(n))[:2]
+    return candidates_on(around.surface.field, density, (), around, "rocks").at(uniforms(n))[:2]
 
 
 def chi_square(x: np.ndarray, y: np.ndarray, wanted: np.ndarray) -> float:
@@ -191,7 +191,7 @@ def test_pairs_in_thomas_clusters_are_as_close_as_the_process_says():
     for seed in range(40):
         drawn = plan(count=600, density=density, seed=seed, setting=setting)
         around = surroundings()
-        places = places_on(around.surface.field, drawn.density, (), around, "rocks")
+        places = candidates_on(around.surface.field, drawn.density, (), around, "rocks")
         x, y, _ = places.at(drawn.position_u)
         inside = (np.abs(x) < 18) & (np.abs(y) < 14)
         tree = cKDTree(np.stack([x, y], axis=1))
@@ -228,7 +228,7 @@ def test_the_nearest_circle_is_that_of_brute_force(reach):
     rng = np.random.default_rng(2)
     x, y, radius = rng.uniform(-22, 22, 50), rng.uniform(-18, 18, 50), rng.uniform(0, 4, 50)
     lattice = Lattice(-20.0, -16.0, 0.8, 0.5, (64, 50))
-    found = nearest(lattice, x, y, radius, reach)
+    found = nearest(lattice, Circles(x, y, radius), reach)
     px, py = lattice.points()
     wanted = (np.hypot(px[:, None] - x, py[:, None] - y) - radius).min(axis=1)
     assert np.allclose(found.ravel(), np.minimum(wanted, reach), atol=1e-12)

@@ -11,22 +11,6 @@ ROOMS = ("schemas", "compiler", "backends", "datasets", "settle", "studies", "cl
 MOST, MOST_OF_KERNELS = 10, 8
 #: Functions with more, and how many: none may be added, none may grow.
 KNOWN: dict[str, int] = {
-    "compiler/objects/apart.py:_throw": 10,
-    "compiler/objects/deviation.py:_farthest": 9,
-    "compiler/objects/families/angular.py:_surface": 10,
-    "compiler/objects/families/rounded.py:_surface": 10,
-    "compiler/objects/families/slab.py:_surface": 12,
-    "compiler/objects/families/vesicular.py:_surface": 10,
-    "compiler/objects/families/vesicular.py:_worn": 10,
-    "compiler/objects/foot.py:_lowest": 13,
-    "compiler/objects/foot.py:_lowest_part": 17,
-    "compiler/objects/highest.py:bound": 10,
-    "compiler/objects/lattice.py:_nearest": 9,
-    "compiler/objects/lattice.py:_splat": 11,
-    "compiler/objects/on_mesh.py:_seat": 21,
-    "compiler/objects/places.py:_points_part": 9,
-    "compiler/objects/seat.py:_seat": 16,
-    "compiler/objects/seat.py:_seat_part": 19,
     "compiler/terrain/operators/barchans.py:_heap": 10,
     "compiler/terrain/operators/terraces.py:_terraced_part": 10,
     "compiler/terrain/operators/tracks.py:_press_part": 13,

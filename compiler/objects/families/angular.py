@@ -4,15 +4,24 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.geometry.icosphere import icosphere
-from scenec.compiler.noise.lattice import subkey
 from scenec.compiler.noise.perlin import fbm3, perlin3
-from scenec.compiler.objects.families.shape import LEAST, block, octaves, unit_vectors
+from scenec.compiler.objects.families.shape import (
+    Common,
+    Shape,
+    ball_along,
+    block,
+    octaves,
+    rough,
+    sampling,
+    unit_vectors,
+)
 from scenec.schemas.kernels import kernel
 
 _CUTS = 5
@@ -23,34 +32,26 @@ _WIDEST = 0.5
 
 
 @dataclass(frozen=True)
-class Angular:
+class Angular(Shape):
     """A block between three pairs of joints and a few random fractures.
 
     Chips then take its sharpest corners one after the other, each by a plane across a corner, as
     collisions do (Domokos et al. 2014); shallow bowls are the scars of flakes.
 
     Attributes:
-        key: Noise key.
         fracture_normals, fracture_distances: Unit normals [p, 3] and distances [p] of the planes.
         chips: What picks the corners and tilts the chips, and their depths, float64 [c, 7].
         scars: Unit directions of the bowls, their radii and depths, float64 [s, 5].
         tones: Albedo variation of each plane, float64 [p + c].
         wear: 0 is freshly broken, 1 has no edges left.
-        bumpiness: Height of the roughness of its faces.
-        axes, subdivisions: As of ``Shape``.
     """
 
-    key: int
     fracture_normals: NDArray[np.float64]
     fracture_distances: NDArray[np.float64]
     chips: NDArray[np.float64]
     scars: NDArray[np.float64]
     tones: NDArray[np.float64]
     wear: float
-    bumpiness: float
-    axes: tuple[float, float, float]
-    subdivisions: int
-    fits_axes: bool = True
 
     @cached_property
     def planes(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -76,28 +77,27 @@ class Angular:
         self, directions: NDArray[np.float64], spacing: float
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """As of ``Shape``."""
-        return _surface(
-            np.uint64(self.key),
-            directions,
-            *self.planes,
-            self.bowls,
-            self.tones,
-            self.wear * _WIDEST,
-            self.bumpiness,
-            octaves(1.3, spacing, 2),
-            octaves(5.0, spacing, 4),
-        )
+        rock = _Block(
+            *self.planes, self.bowls, self.tones, self.wear * _WIDEST, self.bumpiness,
+            octaves(1.3, spacing, 2), octaves(5.0, spacing, 4),
+        )  # fmt: skip
+        return _surface(np.uint64(self.key), directions, rock)
 
 
-def draw_angular(
-    key: int,
-    path: str,
-    streams: Streams,
-    wear: float,
-    bumpiness: float,
-    axes: tuple[float, float, float],
-    subdivisions: int,
-) -> Angular:
+class _Block(NamedTuple):
+    """What the kernel takes of one: see ``Angular``, and the octaves of its roughness."""
+
+    normals: NDArray[np.float64]
+    distances: NDArray[np.float64]
+    bowls: NDArray[np.float64]
+    tones: NDArray[np.float64]
+    width: float
+    bumpiness: float
+    waves: int
+    grains: int
+
+
+def draw_angular(path: str, streams: Streams, wear: float, common: Common) -> Angular:
     """Draws one."""
     u = streams.uniforms(f"{path}/joints", 24).reshape(6, 4)
     tilt = unit_vectors(u[:, :2])
@@ -113,16 +113,13 @@ def draw_angular(
     # What broke last has not darkened yet.
     tones = np.concatenate([0.35 * tones[: 6 + _CUTS], 0.45 + 0.25 * tones[6 + _CUTS :]])
     return Angular(
-        key=key,
+        *common,
         fracture_normals=np.concatenate([joints, unit_vectors(v[:, :2])]),
         fracture_distances=np.concatenate([0.62 + 0.33 * u[:, 2], 0.68 + 0.3 * v[:, 2]]),
         chips=w,
         scars=np.concatenate([scar, bowl[:, None], 0.01 + 0.05 * s[:, 3:]], axis=1),
         tones=tones,
         wear=wear,
-        bumpiness=bumpiness,
-        axes=axes,
-        subdivisions=subdivisions,
     )
 
 
@@ -161,49 +158,34 @@ def _bowls(normals, distances, scars):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _surface(  # type: ignore[no-untyped-def]
-    key, directions, normals, distances, scars, tones, width, bumpiness, waves, grains
-):
-    radius = np.empty(len(directions))
-    variation = np.empty(len(directions))
-    wear_key, wave_key, grain_key, color_key = (
-        subkey(key, 1),
-        subkey(key, 2),
-        subkey(key, 3),
-        subkey(key, 4),
-    )
-    for n in range(len(directions)):
-        x, y, z = directions[n]
-        # Some edges are worn more than others.
-        own = width * (1.0 + 0.8 * perlin3(wear_key, 1.9 * x, 1.9 * y, 1.9 * z))
-        h, plane, gap = block(normals, distances, x, y, z, own)
-        tone = tones[plane]
-        if gap < 0.08:
-            # Edges shed their crust first.
-            tone += 0.3 * (1.0 - gap / 0.08)
-        for s in range(len(scars)):
-            along = scars[s, 0] * x + scars[s, 1] * y + scars[s, 2] * z
-            if along <= 0.0:
-                continue
-            away = scars[s, 0] * scars[s, 0] + scars[s, 1] * scars[s, 1] + scars[s, 2] * scars[s, 2]
-            own_square = scars[s, 3] * scars[s, 3]
-            square = along * along - away + own_square
-            if square <= 0.0:
-                continue
-            # Nothing is taken where the ray only touches the ball: no wall behind a bowl's rim.
-            least = (1.0 - 0.3 * square / own_square) / h
-            near = 1.0 / max(along - np.sqrt(square), least)
-            if near > h:
-                tone += 0.3 * min((near - h) / 0.05, 1.0)
-                h = near
-        r = 1.0 / h
-        px, py, pz = r * x, r * y, r * z
-        bumps = 0.0
-        if waves > 0:
-            bumps += 0.11 * fbm3(wave_key, 1.3 * px, 1.3 * py, 1.3 * pz, waves, 0.5)
-        if grains > 0:
-            bumps += 0.06 * fbm3(grain_key, 5.0 * px, 5.0 * py, 5.0 * pz, grains, 0.55)
-        radius[n] = r * max(1.0 + bumpiness * bumps, LEAST)
-        tone += 0.45 * fbm3(color_key, 2.3 * px, 2.3 * py, 2.3 * pz, 4, 0.65)
-        variation[n] = min(max(tone, -1.0), 1.0)
-    return radius, variation
+def _at(keys, rock, x, y, z):  # type: ignore[no-untyped-def]
+    # Some edges are worn more than others.
+    width = rock.width * (1.0 + 0.8 * perlin3(keys[1], 1.9 * x, 1.9 * y, 1.9 * z))
+    h, plane, gap = block(rock.normals, rock.distances, x, y, z, width)
+    tone = rock.tones[plane]
+    if gap < 0.08:
+        # Edges shed their crust first.
+        tone += 0.3 * (1.0 - gap / 0.08)
+    for s in range(len(rock.bowls)):
+        cx, cy, cz, size = rock.bowls[s]
+        along, square = ball_along(x, y, z, cx, cy, cz, size)
+        if along <= 0.0 or square <= 0.0:
+            continue
+        # Nothing is taken where the ray only touches the ball: no wall behind a bowl's rim.
+        least = (1.0 - 0.3 * square / (size * size)) / h
+        near = 1.0 / max(along - np.sqrt(square), least)
+        if near > h:
+            tone += 0.3 * min((near - h) / 0.05, 1.0)
+            h = near
+    r = 1.0 / h
+    px, py, pz = r * x, r * y, r * z
+    bumps = 0.0
+    if rock.waves > 0:
+        bumps += 0.11 * fbm3(keys[2], 1.3 * px, 1.3 * py, 1.3 * pz, rock.waves, 0.5)
+    if rock.grains > 0:
+        bumps += 0.06 * fbm3(keys[3], 5.0 * px, 5.0 * py, 5.0 * pz, rock.grains, 0.55)
+    tone += 0.45 * fbm3(keys[4], 2.3 * px, 2.3 * py, 2.3 * pz, 4, 0.65)
+    return r * rough(rock.bumpiness, bumps), tone
+
+
+_surface = sampling(_at)

@@ -2,39 +2,56 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
-from scenec.schemas.kernels import inlined, kernel
+from scenec.compiler.noise.lattice import subkeys
+from scenec.schemas.kernels import Kernel, inlined, kernel
 
 #: However bumpy, a surface stays this far from the center that it is star-shaped about.
 LEAST = 0.25
 
 
-class Shape(Protocol):
+class Common(NamedTuple):
+    """What is drawn of a rock of any family, see ``Shape``."""
+
+    key: int
+    bumpiness: float
+    axes: tuple[float, float, float]
+    subdivisions: int
+
+
+@dataclass(frozen=True)
+class Shape(ABC):
     """One rock, all of it drawn.
 
     The surface is ``radius(d) * d`` for every direction d, stretched along x, y, z.
+
+    Attributes:
+        key: Noise key.
+        bumpiness: Height of its roughness, in radii.
+        axes: Extents along x, y, z, the largest being 1.
+        subdivisions: Of the icosphere, in the finest mesh.
+        fits_axes: Whether the finest mesh has those extents; otherwise they stretch what it has.
     """
 
-    @property
-    def subdivisions(self) -> int:
-        """Of the icosphere, in the finest mesh."""
-
-    @property
-    def axes(self) -> tuple[float, float, float]:
-        """Extents along x, y, z, the largest being 1."""
-
-    @property
-    def fits_axes(self) -> bool:
-        """Whether the finest mesh has those extents; otherwise they stretch what it has."""
+    key: int
+    bumpiness: float
+    axes: tuple[float, float, float]
+    subdivisions: int
+    fits_axes: ClassVar[bool] = True
 
     def creases(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Unit normals [p, 3] and distances [p] of the planes that meet in sharp edges."""
+        return np.zeros((0, 3)), np.zeros(0)
 
+    @abstractmethod
     def surface(
         self, directions: NDArray[np.float64], spacing: float
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -44,6 +61,28 @@ class Shape(Protocol):
             directions: Unit vectors, float64 [n, 3].
             spacing: Angle between neighboring directions; what is too fine for it is left out.
         """
+
+
+def sampling(at: Kernel) -> Callable[..., tuple[NDArray[np.float64], NDArray[np.float64]]]:
+    """The loop over directions: a kernel of (key, directions, rock), see ``Shape.surface``.
+
+    Args:
+        at: Of (keys, rock, x, y, z), a unit vector: radius and albedo variation there. ``keys`` are
+            those of the rock's noises, ``rock`` is what the family has drawn.
+    """
+
+    @kernel
+    def surface(key, directions, rock):  # type: ignore[no-untyped-def]
+        keys = subkeys(key, 6)
+        radius = np.empty(len(directions))
+        variation = np.empty(len(directions))
+        for n in range(len(directions)):
+            x, y, z = directions[n]
+            radius[n], tone = at(keys, rock, x, y, z)
+            variation[n] = min(max(tone, -1.0), 1.0)
+        return radius, variation
+
+    return surface
 
 
 def octaves(frequency: float, spacing: float, most: int) -> int:
@@ -114,3 +153,19 @@ def block(
     if width > 0.0:
         top = smooth_max(smooth_max(first, second, width), third, width)
     return top, plane, first - second
+
+
+@inlined
+def rough(bumpiness, bumps):  # type: ignore[no-untyped-def]
+    """Factor on a radius: the center stays inside, however deep the bumps are."""
+    return max(1.0 + bumpiness * bumps, LEAST)
+
+
+@inlined
+def ball_along(x, y, z, cx, cy, cz, radius):  # type: ignore[no-untyped-def]
+    """Where a ray from the center meets a ball: its middle along the ray, half the chord squared.
+
+    The square is below 0 where the ray misses.
+    """
+    along = cx * x + cy * y + cz * z
+    return along, along * along - (cx * cx + cy * cy + cz * cz) + radius * radius

@@ -7,6 +7,7 @@ the class's key, the instance and the number of the try: no generator is needed 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,8 +21,25 @@ _SHIFT = np.uint64(11)
 _TO_UNIT = 2.0**-53
 
 
+class Cells(NamedTuple):
+    """What kernels take of ``Candidates``.
+
+    Attributes:
+        cumulative, corners: As there.
+        corner, size: Of the lattice, and of its cells, in x and y, meters.
+        columns, rows: Of the lattice.
+    """
+
+    cumulative: NDArray[np.float64]
+    corners: NDArray[np.float64]
+    corner: tuple[float, float]
+    size: tuple[float, float]
+    columns: int
+    rows: int
+
+
 @dataclass(frozen=True, eq=False)
-class Places:
+class Candidates:
     """Where three uniform numbers lead: a cell or a face by the first, a place in it by the others.
 
     Attributes:
@@ -36,11 +54,10 @@ class Places:
     corners: NDArray[np.float64]
     share: float
 
-    def frame(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """The arguments of ``point``: cumulative, corners, and six numbers of the lattice."""
-        ny, nx = self.lattice.shape
-        of = self.lattice
-        return self.cumulative, self.corners, np.array([of.x0, of.y0, of.dx, of.dy, nx, ny])
+    def cells(self) -> Cells:
+        """As ``point`` takes it."""
+        (ny, nx), of = self.lattice.shape, self.lattice
+        return Cells(self.cumulative, self.corners, (of.x0, of.y0), (of.dx, of.dy), nx, ny)
 
     def at(
         self, u: NDArray[np.float64]
@@ -50,7 +67,10 @@ class Places:
         Args:
             u: In [0, 1), float64 [n, 3].
         """
-        return _points(*self.frame(), np.ascontiguousarray(u))
+        x, y, index = np.empty(len(u)), np.empty(len(u)), np.empty(len(u), np.int64)
+        u = np.ascontiguousarray(u)
+        over_threads(_points_part, len(u), self.cells(), u, x, y, index, least=POINTS)
+        return x, y, index
 
     def allowed(self) -> float:
         """Share of the ground in plan that is in cells or faces where anything may be."""
@@ -67,41 +87,35 @@ class Places:
 
 
 @kernel
-def point(cumulative, corners, frame, u, v, w):  # type: ignore[no-untyped-def]
+def point(cells, u, v, w):  # type: ignore[no-untyped-def]
     """x, y, and the index of the cell or face, of three numbers in [0, 1)."""
-    nx = int(frame[4])
+    cumulative, nx = cells.cumulative, cells.columns
     if cumulative.size:
         total = u * cumulative[-1]
         index = np.searchsorted(cumulative, total, side="right")
         # u < 1, yet u * total can round up to total itself.
         index = min(index, cumulative.size - 1)
     else:
-        count = nx * int(frame[5])
+        count = nx * cells.rows
         index = min(int(u * count), count - 1)
-    if corners.shape[0]:
+    if cells.corners.shape[0]:
         # Uniform over a triangle (Turk 1990).
         root = np.sqrt(v)
         a, b, c = 1.0 - root, root * (1.0 - w), root * w
-        face = corners[index]
+        face = cells.corners[index]
         return (
             a * face[0, 0] + b * face[1, 0] + c * face[2, 0],
             a * face[0, 1] + b * face[1, 1] + c * face[2, 1],
             index,
         )
-    return frame[0] + frame[2] * (index % nx + v), frame[1] + frame[3] * (index // nx + w), index
+    (x0, y0), (dx, dy) = cells.corner, cells.size
+    return x0 + dx * (index % nx + v), y0 + dy * (index // nx + w), index
 
 
 @kernel
-def _points_part(first, last, cumulative, corners, frame, u, x, y, index):  # type: ignore[no-untyped-def]
+def _points_part(first, last, cells, u, x, y, index):  # type: ignore[no-untyped-def]
     for n in range(first, last):
-        x[n], y[n], index[n] = point(cumulative, corners, frame, u[n, 0], u[n, 1], u[n, 2])
-
-
-def _points(cumulative, corners, frame, u):  # type: ignore[no-untyped-def]
-    x, y = np.empty(len(u)), np.empty(len(u))
-    index = np.empty(len(u), np.int64)
-    over_threads(_points_part, len(u), cumulative, corners, frame, u, x, y, index, least=POINTS)
-    return x, y, index
+        x[n], y[n], index[n] = point(cells, u[n, 0], u[n, 1], u[n, 2])
 
 
 @inlined

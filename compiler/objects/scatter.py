@@ -1,4 +1,4 @@
-"""Lays a class of objects: from a plan to instances that stand on the ground."""
+"""Scatters a class of objects: from a plan to instances that are seated on the ground."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 
 from scenec.compiler.geometry.rotations import turned
 from scenec.compiler.geometry.voxels import Cubes
-from scenec.compiler.objects.apart import MOST_TRIES, Circles
+from scenec.compiler.objects.candidates import Candidates, numbers
+from scenec.compiler.objects.height_candidates import candidates_on
 from scenec.compiler.objects.lod import finest
-from scenec.compiler.objects.on_mesh import MeshPlaces
-from scenec.compiler.objects.placement import places_on
-from scenec.compiler.objects.places import Places, numbers
+from scenec.compiler.objects.mesh_candidates import MeshCandidates
+from scenec.compiler.objects.placement import Placement, seating_report
 from scenec.compiler.objects.rocks import Chain
-from scenec.compiler.objects.stand import Standing, seating_report
+from scenec.compiler.objects.spacing import MOST_TRIES, Disks
 from scenec.compiler.objects.surroundings import Surroundings
 from scenec.compiler.scene.plan import Apart, Count, ScatterPlan
 from scenec.compiler.scene.scene import Prototype, Scatter
@@ -27,7 +27,7 @@ from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import POINTS, over_threads
 
 
-def lay(
+def scatter(
     plan: ScatterPlan, chains: Sequence[Chain], around: Surroundings, facts: dict[str, Any]
 ) -> Scatter:
     """The instances of one class, all at their finest level.
@@ -39,68 +39,68 @@ def lay(
     Args:
         plan: The class.
         chains: The levels of each prototype; seated is the finest, so that none moves with another.
-        around: Ground, cameras, and the classes laid before.
+        around: Ground, cameras, and the classes placed before.
         facts: Receives what was done, for report.json.
 
     Raises:
         SceneError: The density is zero everywhere, or there is no place for all.
     """
     prototypes = finest(chains)
-    places, mesh = _places(plan, around)
-    n = _count(plan.count, places, around)
+    candidates, mesh = _candidates(plan, around)
+    n = _count(plan.count, candidates, around)
     u = plan.position_u[:n]
     radius = np.array([p.radius for p in prototypes], np.float64)[plan.prototype[:n]]
     radius = radius * plan.scale[:n].astype(np.float32).astype(np.float64)
     seated = prototypes if plan.source.touch else tuple(stem(p) for p in prototypes)
-    standing = Standing(plan, seated, around, mesh)
+    placement = Placement(plan, seated, around, mesh)
     tries = np.zeros(n, np.int64)
-    thrower = None
-    if plan.apart is not None and places is not None:
-        thrower = _Thrower(plan, plan.apart, radius, places, u, around)
-        tries = thrower.throw(tries)
-    reach = radius if thrower is None else thrower.reach
+    spacing = None
+    if plan.apart is not None and candidates is not None:
+        spacing = _Spacing(plan, plan.apart, radius, candidates, u, around)
+        tries = spacing.tries(tries)
+    reach = radius if spacing is None else spacing.reach
     placed = np.flatnonzero(tries >= 0)
-    if places is not None:
+    if candidates is not None:
         at = _numbers_of(plan, u, placed, tries[placed])
-        standing.put(placed, at, *places.at(at)[:2])
-    _require_all(plan, n, len(placed), "keep apart from each other", reach, places, around)
+        placement.place(placed, at, *candidates.at(at)[:2])
+    _require_all(plan, n, len(placed), "keep apart from each other", reach, candidates, around)
     apart_lost = n - len(placed)
     moved = np.zeros(0, np.int64)
-    if places is not None and len(around.cameras):
+    if candidates is not None and len(around.cameras):
         moved, tries = _clear(
-            plan, prototypes, standing, thrower, radius, places, u, tries, around.cameras
+            plan, prototypes, placement, spacing, radius, candidates, u, tries, around.cameras
         )
     kept = np.flatnonzero(tries >= 0)
     _require_all(
         plan, n, len(kept) + apart_lost, _clear_of(plan.clearance_m),
-        reach, places, around,
+        reach, candidates, around,
     )  # fmt: skip
     facts.update(
         {
             "count": len(kept),
-            "float32_error_max_m": standing.rounding_m(kept),
+            "float32_error_max_m": placement.rounding_m(kept),
             **({"asked_for": n} if len(kept) < n else {}),
             **({"moved_off_cameras": len(moved)} if len(moved) else {}),
-            **({"tries_max": int(tries.max()) + 1} if thrower is not None and n else {}),
+            **({"tries_max": int(tries.max()) + 1} if spacing is not None and n else {}),
         }
     )
-    scatter = Scatter(
+    instances = Scatter(
         name=plan.name,
         material=plan.material,
         labels=plan.labels,
         instances=plan.instances,
         prototypes=prototypes,
         prototype=plan.prototype[kept],
-        positions=standing.positions(kept),
-        orientations=standing.orientations[kept],
+        positions=placement.positions(kept),
+        orientations=placement.orientations[kept],
         scales=_scales(plan, kept),
         variation=plan.variation[kept].astype(np.float32),
         ids=kept + 1,
         drawn=n,
     )
-    as_seated = replace(scatter, prototypes=seated)
-    facts.update(seating_report(as_seated, plan.embed[kept], standing, kept))
-    return scatter
+    as_seated = replace(instances, prototypes=seated)
+    facts.update(seating_report(as_seated, plan.embed[kept], placement, kept))
+    return instances
 
 
 def stem(prototype: Prototype) -> Prototype:
@@ -115,24 +115,26 @@ def _scales(plan: ScatterPlan, which: NDArray[np.int64]) -> NDArray[np.float32]:
     return np.repeat(plan.scale[which].astype(np.float32)[:, None], 3, axis=1)
 
 
-def _places(plan: ScatterPlan, around: Surroundings) -> tuple[Places | None, MeshPlaces | None]:
+def _candidates(
+    plan: ScatterPlan, around: Surroundings
+) -> tuple[Candidates | None, MeshCandidates | None]:
     """Candidates; None where there is nothing to place."""
     if plan.count.exact == 0 or plan.count.per_m2 == 0.0:
         return None, None
     field = around.surface.field
     if isinstance(field, MeshSurface):
-        mesh = MeshPlaces(field, plan.density, plan.where, around, plan.name)
-        return mesh.places, mesh
-    return places_on(field, plan.density, plan.where, around, plan.name), None
+        mesh = MeshCandidates(field, plan.density, plan.where, around, plan.name)
+        return mesh.candidates, mesh
+    return candidates_on(field, plan.density, plan.where, around, plan.name), None
 
 
-def _count(count: Count, places: Places | None, around: Surroundings) -> int:
+def _count(count: Count, candidates: Candidates | None, around: Surroundings) -> int:
     if count.exact is not None:
         return count.exact
-    if places is None or count.per_m2 is None:
+    if candidates is None or count.per_m2 is None:
         return 0
     size = around.surface.field.grid.size_m
-    return int(count.per_m2 * size[0] * size[1] * min(places.share, 1.0) + count.rounding_u)
+    return int(count.per_m2 * size[0] * size[1] * min(candidates.share, 1.0) + count.rounding_u)
 
 
 def _numbers_of(
@@ -143,34 +145,34 @@ def _numbers_of(
     return numbers(u, plan.place_key, which, tries)
 
 
-class _Thrower:
-    """Puts a class' circles among those that are there before."""
+class _Spacing:
+    """Puts a class' disks among those that are there before."""
 
     def __init__(
         self,
         plan: ScatterPlan,
         apart: Apart,
         radius: NDArray[np.float64],
-        places: Places,
+        candidates: Candidates,
         u: NDArray[np.float64],
         around: Surroundings,
     ):
         """Takes the plan's distances; ``radius`` is that of the balls, float64 [n]."""
-        self._plan, self._apart, self._places, self._u = plan, apart, places, u
+        self._plan, self._apart, self._candidates, self._u = plan, apart, candidates, u
         self._others = list(around.among(apart.of))
         #: Radius of each circle, half of the gap included, float64 [n].
         self.reach: NDArray[np.float64] = apart.radius * radius + 0.5 * apart.gap_m
         self._order = np.argsort(-self.reach, kind="stable")
 
-    def throw(self, first: NDArray[np.int64]) -> NDArray[np.int64]:
+    def tries(self, first: NDArray[np.int64]) -> NDArray[np.int64]:
         """The try that each takes, none before its first; -1 where there is no place."""
         apart = self._apart
-        circles = Circles(len(first) + sum(len(other.x) for other in self._others))
+        disks = Disks(len(first) + sum(len(other.x) for other in self._others))
         for other in self._others:
-            circles.add(other.x, other.y, apart.radius * other.radius + 0.5 * apart.gap_m)
+            disks.add(other.x, other.y, apart.radius * other.radius + 0.5 * apart.gap_m)
         tries = np.empty(len(first), np.int64)
-        tries[self._order] = circles.throw(
-            self._places,
+        tries[self._order] = disks.scatter(
+            self._candidates,
             self._u,
             self._plan.place_key,
             self._order,
@@ -187,13 +189,13 @@ def _require_all(
     found: int,
     what: str,
     reach: NDArray[np.float64],
-    places: Places | None,
+    candidates: Candidates | None,
     around: Surroundings,
 ) -> None:
     if found == n or plan.fewer:
         return
     size = around.surface.field.grid.size_m
-    allowed = 1.0 if places is None else places.allowed()
+    allowed = 1.0 if candidates is None else candidates.allowed()
     part = np.pi * float((reach * reach).sum()) / (size[0] * size[1] * allowed)
     where = "the terrain" if allowed == 1.0 else f"the {100 * allowed:.3g} % of it they may be on"
     covered = f" (side by side their circles would cover {100 * part:.3g} % of {where})"
@@ -213,17 +215,17 @@ def _clear_of(clearance_m: float) -> str:
 def _clear(
     plan: ScatterPlan,
     prototypes: tuple[Prototype, ...],
-    standing: Standing,
-    thrower: _Thrower | None,
+    placement: Placement,
+    spacing: _Spacing | None,
     radius: NDArray[np.float64],
-    places: Places,
+    candidates: Candidates,
     u: NDArray[np.float64],
     tries: NDArray[np.int64],
     cameras: NDArray[np.float64],
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Moves what is too near to a camera to its next places until nothing is.
+    """Moves what is too near to a camera to its next candidates until nothing is.
 
-    Where circles keep apart, all are put anew, the largest first: what was moved does not have to
+    Where disks keep apart, all are put anew, the largest first: what was moved does not have to
     do with the room that smaller ones left.
 
     Args:
@@ -238,7 +240,7 @@ def _clear(
     cubes = Cubes(prototypes)
     moved = []
     while len(looked_at):
-        at = standing.positions(looked_at).astype(np.float64)
+        at = placement.positions(looked_at).astype(np.float64)
         reach = np.maximum(radius[looked_at] + plan.clearance_m, 0.0)
         # Of those whose ball a camera is in, the ones that have geometry there.
         some = np.flatnonzero(_too_near(at, reach, sorted_cameras))
@@ -246,7 +248,7 @@ def _clear(
         near = near[
             cubes.near(
                 plan.prototype[near], at[some],
-                turned(standing.orientations[near], _scales(plan, near)), reach[some],
+                turned(placement.orientations[near], _scales(plan, near)), reach[some],
                 max(plan.clearance_m, 0.0), sorted_cameras,
             )
         ]  # fmt: skip
@@ -255,15 +257,15 @@ def _clear(
         moved.append(near)
         first[near] = tries[near] + 1
         before = tries
-        if thrower is not None:
-            tries = thrower.throw(np.minimum(first, MOST_TRIES))
+        if spacing is not None:
+            tries = spacing.tries(np.minimum(first, MOST_TRIES))
         else:
             tries = tries.copy()
             tries[near] += 1
         tries[first >= MOST_TRIES] = -1
         looked_at = np.flatnonzero((tries != before) & (tries >= 0))
         numbers_at = numbers(u, plan.place_key, looked_at, tries[looked_at])
-        standing.put(looked_at, numbers_at, *places.at(numbers_at)[:2])
+        placement.place(looked_at, numbers_at, *candidates.at(numbers_at)[:2])
     return np.unique(np.concatenate(moved)) if moved else np.zeros(0, np.int64), tries
 
 

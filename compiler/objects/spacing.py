@@ -1,13 +1,13 @@
 """Keeps objects from overlapping in plan by dart throwing (Poisson disks), the largest first.
 
 Each object is a circle. In order of falling radius, each takes the first of its candidate places
-(``places``) at which it keeps its distance from all circles that are there already. So where it
+(``candidates``) at which it keeps its distance from all circles that are there already. So where it
 comes to lie depends on those larger than it, on those equally large with a lower id, and on other
 classes laid before; on nothing else. With more objects of a class the ones there were stay where
 they are, but for those whose place a new one that goes before them takes, and in turn those whose
 place these then take.
 
-Circles stand in a hash of square cells, one size of cell to each octave of radii: a circle meets at
+Disks stand in a hash of square cells, one size of cell to each octave of radii: a circle meets at
 most the 3 by 3 cells around it in each octave from its own upward.
 """
 
@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.noise.lattice import hash3, subkeys
-from scenec.compiler.objects.places import Places, point, unit
+from scenec.compiler.objects.candidates import Candidates, point, unit
 from scenec.schemas.kernels import inlined, kernel
 
 #: Tries of one object at most.
@@ -32,8 +32,8 @@ _OCTAVES = 100
 _FIRST = -40
 
 
-class Circles:
-    """Circles in plan that keep apart."""
+class Disks:
+    """Disks in plan that keep apart."""
 
     def __init__(self, most: int):
         """Makes room for a number of circles."""
@@ -63,9 +63,9 @@ class Circles:
             self._next = np.concatenate([self._next, np.full(missing, -1, np.int64)])
             self._octave = np.concatenate([self._octave, np.zeros(missing, np.int64)])
 
-    def throw(
+    def scatter(
         self,
-        places: Places,
+        candidates: Candidates,
         u: NDArray[np.float64],
         key: int,
         order: NDArray[np.int64],
@@ -76,8 +76,8 @@ class Circles:
         """Puts each of some objects at the first of its places where it keeps apart.
 
         Args:
-            places: Candidates.
-            u, key: As in ``places.numbers``.
+            candidates: Candidates.
+            u, key: As in ``candidates.numbers``.
             order: Which objects, in the order in which they are put, int64 [m].
             radius: Of every object's circle, half of the gap included, float64 [n].
             first_try: The first try that each may take, int64 [n].
@@ -89,7 +89,7 @@ class Circles:
         self.make_room(len(order))
         return _throw(
             self._grid(),
-            *places.frame(),
+            candidates.cells(),
             u,
             subkeys(np.uint64(key), 3),
             order,
@@ -170,7 +170,7 @@ def _free(grid, x, y, radius):  # type: ignore[no-untyped-def]
 
 @kernel
 def _throw(  # type: ignore[no-untyped-def]
-    grid, cumulative, corners, frame, u, keys, order, radius, first, among_themselves
+    grid, cells, u, keys, order, radius, first, among_themselves
 ):  # fmt: skip
     out = np.full(order.size, -1, np.int64)
     lost = 0
@@ -179,10 +179,10 @@ def _throw(  # type: ignore[no-untyped-def]
         tries = max(MOST_TRIES >> min(lost // _HOPELESS, 16), _FEWEST_TRIES)
         for attempt in range(first[n], first[n] + tries):
             if attempt == 0:
-                x, y, _ = point(cumulative, corners, frame, u[n, 0], u[n, 1], u[n, 2])
+                x, y, _ = point(cells, u[n, 0], u[n, 1], u[n, 2])
             else:
                 x, y, _ = point(
-                    cumulative, corners, frame,
+                    cells,
                     unit(keys[0], n, attempt), unit(keys[1], n, attempt), unit(keys[2], n, attempt),
                 )  # fmt: skip
             # As the stage will have it.

@@ -11,12 +11,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.objects.lattice import Lattice, nearest
+from scenec.compiler.objects.lattice import Circles, Lattice, nearest
 from scenec.compiler.objects.surroundings import Surroundings
 from scenec.compiler.terrain.condition import Interval, Ragged, soft_interval
 
 
-class Place(ABC):
+class PlacementCondition(ABC):
     """One condition on a place."""
 
     @abstractmethod
@@ -29,7 +29,7 @@ class Place(ABC):
 
 
 @dataclass(frozen=True)
-class OnRelief(Place):
+class OnRelief(PlacementCondition):
     """A condition on the relief or the place; the relief's quantities are linear between samples.
 
     On a mesh it is the heights as seen from above that count, under overhangs too.
@@ -44,7 +44,7 @@ class OnRelief(Place):
 
 
 @dataclass(frozen=True)
-class OnMaterial(Place):
+class OnMaterial(PlacementCondition):
     """Where ground layers show, with the weight of their color: of the ground as it is laid.
 
     Attributes:
@@ -71,7 +71,7 @@ class OnMaterial(Place):
 
 
 @dataclass(frozen=True)
-class _Distance(Place):
+class _Distance(PlacementCondition):
     """A distance in plan, from ``min_m`` to ``max_m``."""
 
     min_m: float | None
@@ -79,18 +79,12 @@ class _Distance(Place):
     softness_m: float
     ragged: Ragged | None
 
-    def _soft(
-        self,
-        lattice: Lattice,
-        x: NDArray[np.float64],
-        y: NDArray[np.float64],
-        radius: NDArray[np.float64],
-    ) -> NDArray[np.float64]:
+    def _soft(self, lattice: Lattice, circles: Circles) -> NDArray[np.float64]:
         reach = max(bound for bound in (self.min_m, self.max_m, 0.0) if bound is not None)
         reach += self.softness_m + lattice.dx + lattice.dy
         if self.ragged is not None:
             reach += 2.0 * self.ragged.amplitude
-        away = nearest(lattice, x, y, radius, reach)
+        away = nearest(lattice, circles, reach)
         if self.ragged is not None:
             away = away + self.ragged.at(*lattice.points()).reshape(lattice.shape)
         return soft_interval(away, self.min_m, self.max_m, self.softness_m)
@@ -103,7 +97,7 @@ class FromCameras(_Distance):
     def weight(self, lattice: Lattice, around: Surroundings) -> NDArray[np.float64]:
         """The soft interval; without cameras all is far."""
         x, y = (np.ascontiguousarray(around.cameras[:, axis]) for axis in (0, 1))
-        return self._soft(lattice, x, y, np.zeros(len(x)))
+        return self._soft(lattice, Circles(x, y, np.zeros(len(x))))
 
 
 @dataclass(frozen=True)
@@ -114,7 +108,7 @@ class FromObjects(_Distance):
 
     def weight(self, lattice: Lattice, around: Surroundings) -> NDArray[np.float64]:
         """The soft interval; without objects all is far."""
-        return self._soft(lattice, *around.objects[self.of])
+        return self._soft(lattice, around.objects[self.of])
 
     def finest_m(self, around: Surroundings) -> float | None:
         """Half of the smallest radius."""

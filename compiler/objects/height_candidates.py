@@ -1,0 +1,75 @@
+"""Places instances on heights by density, and turns them with the ground."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from scenec.compiler.objects.candidates import Candidates
+from scenec.compiler.objects.conditions import PlacementCondition
+from scenec.compiler.objects.density import Density, UniformDensity
+from scenec.compiler.objects.lattice import Lattice
+from scenec.compiler.objects.surroundings import Surroundings
+from scenec.compiler.terrain.grid import HeightField
+from scenec.schemas.errors import SceneError
+
+
+def candidates_on(
+    field: HeightField,
+    density: Density,
+    where: Sequence[PlacementCondition],
+    around: Surroundings,
+    name: str,
+) -> Candidates:
+    """Where objects of a density lie on heights: it is taken as constant over each cell.
+
+    Args:
+        field: The terrain.
+        density: Relative density.
+        where: What it is multiplied with.
+        around: What it may depend on.
+        name: Object class, for messages.
+
+    Raises:
+        SceneError: It is zero everywhere.
+    """
+    if isinstance(density, UniformDensity) and not where:
+        return Candidates(Lattice.over(field.grid), np.zeros(0), np.zeros((0, 3, 2)), 1.0)
+    lattice = lattice_of(field, density, where, around)
+    dense = density.on(lattice, around)
+    whole = float(dense.sum())
+    for place in where:
+        dense = dense * place.weight(lattice, around)
+    cumulative = np.cumsum(dense.ravel())
+    require_somewhere(whole, float(cumulative[-1]), name)
+    share = 1.0 if not where else float(dense.sum()) / whole
+    return Candidates(lattice, cumulative, np.zeros((0, 3, 2)), share)
+
+
+def lattice_of(
+    field: HeightField, density: Density, where: Sequence[PlacementCondition], around: Surroundings
+) -> Lattice:
+    """Cells fine enough for a density and its conditions."""
+    finest = [density.finest_m(around), *(place.finest_m(around) for place in where)]
+    return Lattice.over(field.grid, min((f for f in finest if f is not None), default=None))
+
+
+def require_somewhere(whole: float, left: float, name: str) -> None:
+    """Refuses a density that is zero everywhere.
+
+    Raises:
+        SceneError: It is.
+    """
+    if not whole > 0.0:
+        raise SceneError(
+            f"objects/{name}: its density is zero everywhere; lower its contrast, widen it, "
+            "or give it a background"
+        )
+    if not np.isfinite(left):
+        raise SceneError(f"objects/{name}: its density overflows; use smaller numbers")
+    if not left > 0.0:
+        raise SceneError(
+            f"objects/{name}: nowhere on the terrain do density and where both allow anything; "
+            "widen the bounds"
+        )
