@@ -67,12 +67,9 @@ class Barchans:
             sand,
             grid.x(),
             grid.y(),
-            self.x_m[shown],
-            self.y_m[shown],
-            self.height_m[shown],
+            np.stack([self.x_m, self.y_m, self.height_m], axis=1)[shown],
             self.horns[shown],
-            elementary.cos(wind),
-            elementary.sin(wind),
+            (elementary.cos(wind), elementary.sin(wind)),
             elementary.sin(repose) / elementary.cos(repose),
         )
         dx, dy = grid.spacing_m
@@ -122,25 +119,24 @@ def _heap(
     sand: NDArray,
     x: NDArray,
     y: NDArray,
-    center_x: NDArray,
-    center_y: NDArray,
-    height: NDArray,
+    dunes: NDArray,
     horns: NDArray,
-    along: float,
-    across: float,
+    wind: tuple[float, float],
     slope: float,
 ) -> None:
-    for n in range(height.size):
-        h = height[n]
+    """Raises sand, float64 [ny, nx], to dunes: x, y and height, float64 [n, 3]."""
+    along, across = wind
+    for n in range(len(dunes)):
+        center_x, center_y, h = dunes[n]
         reach = h * max(max(horns[n, 0], horns[n, 1]), max(_STOSS, _HALF_WIDTH))
-        i0 = np.searchsorted(x, center_x[n] - reach)
-        i1 = np.searchsorted(x, center_x[n] + reach)
-        j0 = np.searchsorted(y, center_y[n] - reach)
-        j1 = np.searchsorted(y, center_y[n] + reach)
+        i0 = np.searchsorted(x, center_x - reach)
+        i1 = np.searchsorted(x, center_x + reach)
+        j0 = np.searchsorted(y, center_y - reach)
+        j1 = np.searchsorted(y, center_y + reach)
         for j in range(j0, j1):
             for i in range(i0, i1):
-                dx = (x[i] - center_x[n]) / h
-                dy = (y[j] - center_y[n]) / h
+                dx = (x[i] - center_x) / h
+                dy = (y[j] - center_y) / h
                 side = along * dy - across * dx
                 horn = horns[n, 0] if side > 0.0 else horns[n, 1]
                 z = h * _barchan(along * dx + across * dy, side, horn, slope)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,16 @@ from scenec.schemas.threads import over_threads
 _GAIN = 0.5
 _LACUNARITY = 2.0
 _OCTAVES = 4
+
+
+class Layers(NamedTuple):
+    """Of a ``Terraces``, in numbers: what it has of that name."""
+
+    key: np.uint64
+    step: float
+    riser: float
+    tread_slope: float
+    irregularity: float
 
 
 @dataclass(frozen=True)
@@ -53,15 +63,11 @@ class Terraces:
         octaves = octaves_shown(_OCTAVES, self.bend_scale_m, _LACUNARITY, max(grid.spacing_m))
         x, y = grid.x() / self.bend_scale_m, grid.y() / self.bend_scale_m
         bend = self.bend_m * Fractal(self.key, octaves, _GAIN, _LACUNARITY).on(x, y)
-        out = _terraced(
-            height,
-            bend,
-            np.uint64(self.key),
-            self.step_m,
-            self.riser,
-            self.tread_slope,
-            self.irregularity,
+        layers = Layers(
+            np.uint64(self.key), self.step_m, self.riser, self.tread_slope, self.irregularity
         )
+        out = np.empty(height.shape)
+        over_threads(_terraced_part, len(height), height, bend, layers, out)
         change = out - height
         return out, {
             "change_rms_m": float(np.sqrt((change * change).mean())),
@@ -78,18 +84,10 @@ def _boundary(key: np.uint64, layer: int, irregularity: float) -> float:
 
 @kernel
 def _terraced_part(
-    first: int,
-    last: int,
-    height: NDArray,
-    bend: NDArray,
-    key: np.uint64,
-    step: float,
-    riser: float,
-    tread_slope: float,
-    irregularity: float,
-    out: NDArray,
+    first: int, last: int, height: NDArray, bend: NDArray, layers: Layers, out: NDArray
 ) -> None:
     _ny, nx = height.shape
+    key, step, riser, tread_slope, irregularity = layers
     for j in range(first, last):
         for i in range(nx):
             level = (height[j, i] + bend[j, i]) / step
@@ -106,18 +104,3 @@ def _terraced_part(
             s = min(max((t - 1.0 + riser) / riser, 0.0), 1.0)
             s = tread_slope * t + (1.0 - tread_slope) * s * s * (3.0 - 2.0 * s)
             out[j, i] = height[j, i] + step * thickness * (s - t)
-
-
-def _terraced(
-    height: NDArray,
-    bend: NDArray,
-    key: np.uint64,
-    step: float,
-    riser: float,
-    tread_slope: float,
-    irregularity: float,
-) -> NDArray:
-    ny, nx = height.shape
-    out = np.empty((ny, nx))
-    over_threads(_terraced_part, ny, height, bend, key, step, riser, tread_slope, irregularity, out)
-    return out

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,25 @@ _DISPLACED = 0.5
 # Half the width of a grouser's imprint, in spacings of grousers.
 _BAR = 0.22
 _FINEST = 3.0
+
+
+class Wheels(NamedTuple):
+    """What presses, in meters.
+
+    Attributes:
+        middle: Half the distance between the wheels' middles.
+        half: Half a wheel's width.
+        depth: Sinkage.
+        spacing, grousers: Of grousers along the track, and how much deeper they press.
+        chevrons: Whether they point ahead.
+    """
+
+    middle: float
+    half: float
+    depth: float
+    spacing: float
+    grousers: float
+    chevrons: bool
 
 
 @dataclass(frozen=True)
@@ -69,11 +88,7 @@ class Tracks:
         reach = 0.5 * (self.wheel_distance_m + (1.0 + _BERM) * self.wheel_width_m)
         offset, along = project(grid, path, reach, round_ends=False)
         grousers = self.grouser_depth_m if self.grouser_spacing_m >= finest else 0.0
-        out = _press(
-            height,
-            diffuse(grid, height, 0.5 * self.wheel_width_m),
-            offset,
-            along,
+        wheels = Wheels(
             0.5 * self.wheel_distance_m,
             0.5 * self.wheel_width_m,
             self.depth_m,
@@ -81,6 +96,9 @@ class Tracks:
             grousers,
             self.pattern == "chevrons",
         )
+        smooth = diffuse(grid, height, wheels.half)
+        out = height.copy()
+        over_threads(_press_part, len(height), height, smooth, offset, along, wheels, out)
         dx, dy = grid.spacing_m
         return out, {
             "below_grid": False,
@@ -98,15 +116,11 @@ def _press_part(
     smooth: NDArray,
     offset: NDArray,
     along: NDArray,
-    middle: float,
-    half: float,
-    depth: float,
-    spacing: float,
-    grousers: float,
-    chevrons: bool,
+    wheels: Wheels,
     out: NDArray,
 ) -> None:
     _ny, nx = height.shape
+    middle, half, depth, spacing, grousers, chevrons = wheels
     # Cross-sections over depth * half: of the rut, and of both berms for a height of 1.
     rut = 2.0 * (0.5 * (1.0 + _FLOOR))
     berm = 2.0 * _BERM * (8.0 / 15.0)
@@ -129,35 +143,3 @@ def _press_part(
             elif s < 1.0 + _BERM:
                 t = (s - 1.0) / _BERM
                 out[j, i] += raised * 16.0 * t * t * (1.0 - t) * (1.0 - t)
-
-
-def _press(
-    height: NDArray,
-    smooth: NDArray,
-    offset: NDArray,
-    along: NDArray,
-    middle: float,
-    half: float,
-    depth: float,
-    spacing: float,
-    grousers: float,
-    chevrons: bool,
-) -> NDArray:
-    ny, _nx = height.shape
-    out = height.copy()
-    over_threads(
-        _press_part,
-        ny,
-        height,
-        smooth,
-        offset,
-        along,
-        middle,
-        half,
-        depth,
-        spacing,
-        grousers,
-        chevrons,
-        out,
-    )
-    return out

@@ -6,7 +6,7 @@ between them; a point on an edge lies in both.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,15 +20,14 @@ HAIR = 1e-9
 SAME = 1e-6
 
 
-@dataclass(frozen=True)
-class Above:
+class Above(NamedTuple):
     """A mesh from above, at the samples of a grid.
 
     Attributes:
         top: Height of the topmost surface, -inf where there is none, float64 [ny, nx].
         floor: Height of the lowest surface that faces upward; inf where there is none.
         ceiling: Of the topmost that faces upward; -inf where there is none.
-        down: Whether the topmost surface faces downward.
+        down: Whether the topmost surface faces downward, bool.
     """
 
     top: NDArray[np.float64]
@@ -54,8 +53,9 @@ def see(
     top = np.full(shape, -np.inf)
     floor, ceiling = np.full(shape, np.inf), np.full(shape, -np.inf)
     down = np.zeros(shape, bool)
-    _see(points, faces, *frame, top, floor, ceiling, down)
-    return Above(top, floor, ceiling, down)
+    above = Above(top, floor, ceiling, down)
+    _see(points, faces, frame, above)
+    return above
 
 
 @inlined
@@ -106,7 +106,9 @@ def hit(points, a, b, c, x, y, flat):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _see(points, faces, x0, y0, dx, dy, top, floor, ceiling, down):  # type: ignore[no-untyped-def]
+def _see(points, faces, frame, above):  # type: ignore[no-untyped-def]
+    x0, y0, dx, dy = frame
+    top, floor, ceiling, down = above
     ny, nx = top.shape
     flat = HAIR * min(dx, dy)
     for f in range(len(faces)):
@@ -135,8 +137,7 @@ def _see(points, faces, x0, y0, dx, dy, top, floor, ceiling, down):  # type: ign
                     ceiling[j, i] = max(ceiling[j, i], z)
 
 
-@dataclass(frozen=True)
-class PlanBins:
+class PlanBins(NamedTuple):
     """Faces by the squares of the plan that they may touch.
 
     Attributes:
@@ -144,7 +145,7 @@ class PlanBins:
         size: Of a square, meters.
         shape: (rows, columns).
         start: Where the faces of each square begin, int64 [rows * columns + 1].
-        faces: int32.
+        faces: Of all squares, one after the other, int32.
     """
 
     x0: float
@@ -229,29 +230,22 @@ def top_at(
     y: NDArray[np.float64],
 ) -> NDArray[np.float64]:
     """Height of the topmost surface at points, -inf where there is none: float64 [n]."""
-    return _top_at(
-        points, faces, bins.x0, bins.y0, bins.size, bins.shape, bins.start, bins.faces, flat,
-        np.ascontiguousarray(x, np.float64), np.ascontiguousarray(y, np.float64),
-    )  # fmt: skip
+    xy = np.stack([x, y], axis=1)
+    out = np.empty(x.size)
+    over_threads(_top_at_part, x.size, points, faces, bins, flat, xy, out)
+    return out
 
 
 @kernel
-def _top_at_part(first, last, points, faces, x0, y0, size, shape, start, held, flat, x, y, out):  # type: ignore[no-untyped-def]
+def _top_at_part(first, last, points, faces, bins, flat, xy, out):  # type: ignore[no-untyped-def]
     for n in range(first, last):
         top = -np.inf
-        square = square_of(x[n], y[n], x0, y0, size, shape)
+        x, y = xy[n]
+        square = square_of(x, y, bins.x0, bins.y0, bins.size, bins.shape)
         if square >= 0:
-            for k in range(start[square], start[square + 1]):
-                a, b, c = faces[held[k]]
-                facing, z = hit(points, a, b, c, x[n], y[n], flat)
+            for k in range(bins.start[square], bins.start[square + 1]):
+                a, b, c = faces[bins.faces[k]]
+                facing, z = hit(points, a, b, c, x, y, flat)
                 if facing != 0:
                     top = max(top, z)
         out[n] = top
-
-
-def _top_at(points, faces, x0, y0, size, shape, start, held, flat, x, y):  # type: ignore[no-untyped-def]
-    out = np.empty(x.size)
-    over_threads(
-        _top_at_part, x.size, points, faces, x0, y0, size, shape, start, held, flat, x, y, out
-    )
-    return out
