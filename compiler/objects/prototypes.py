@@ -145,12 +145,6 @@ def _rules_of_faces(model: Model, rules: tuple[PartRule, ...]) -> NDArray[np.int
     return found
 
 
-def part_names(model: Model) -> list[str]:
-    """What rules can name, for messages."""
-    steps = [step for path in model.parts for step in path.split("/") if step]
-    return list(dict.fromkeys([*steps, *(m.name for m in model.materials if m.name)]))
-
-
 def _parts(
     owner: str,
     model: Model,
