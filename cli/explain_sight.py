@@ -11,7 +11,7 @@ import numpy as np
 
 from scenec.schemas import stage as names
 
-#: No camera counts as nearer, meters: the compiler's own measure (``compiler.views.sight``).
+#: No camera counts as nearer, meters: the compiler's own measure (``compiler.views.resolution``).
 _NEAREST_M = 0.05
 
 

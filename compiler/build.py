@@ -47,7 +47,7 @@ from scenec.compiler.views import needed
 from scenec.compiler.views.keep import Keep
 from scenec.compiler.views.lamps import without_idle
 from scenec.compiler.views.prune import Pruned, prune
-from scenec.compiler.views.sight import Views, pixels_per_meter, views_of
+from scenec.compiler.views.resolution import Views, pixels_per_meter, views_of
 from scenec.schemas.errors import SceneError
 from scenec.schemas.left_out import Record, entry
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 _OF: dict[str, tuple[str, ...]] = {
     "cameras.paths.motion": ("Bodies",),
     "mesh.cover": ("MaterialCondition",),
-    "mesh.limit": ("Limit",),
+    "mesh.signed_bound": ("SignedBound",),
     "mesh.merge": ("Merge",),
     "light.build": ("Light",),
     "views.prune": ("Pruned",),

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from scenec.compiler.cache.memo import memoized
 from scenec.compiler.scene.scene import Ground, Material, Placed, Prototype, Scatter, Tile
-from scenec.compiler.views.sight import NEAREST_M, Views, pixels_of_balls
+from scenec.compiler.views.resolution import NEAREST_M, Views, pixels_of_balls
 
 #: A layer whose weight is no larger changes no 8-bit code.
 FAINT = 1.0 / 512.0

@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.mesh.surface import Surface
-from scenec.compiler.views.sight import NEAREST_M, Views, pixels_of_balls
+from scenec.compiler.views.resolution import NEAREST_M, Views, pixels_of_balls
 
 #: A quadratic that is 0 at a triangle's corners is inside of it at most so many times as large as
 #: at the middles of its edges: 4/9 of their sum, at the centroid.

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.cache.memo import memoized
-from scenec.compiler.mesh.limit import Limit, limit
 from scenec.compiler.mesh.merge import Merge, center_for_coverage, label_index
+from scenec.compiler.mesh.signed_bound import SignedBound, signed_bound
 from scenec.compiler.terrain.condition import Condition
 from scenec.compiler.terrain.grid import HeightField
 from scenec.compiler.terrain.mask import CONDITIONS
@@ -102,7 +102,7 @@ def _laid(
     for i, (merge, part) in enumerate(zip(merges, coverage, strict=True), start=1):
         values = [condition.value_on(quantities, samples) for condition in merge.where]
         pairs = zip(merge.where, values, strict=True)
-        limits = tuple(limit(condition, quantities, value) for condition, value in pairs)
+        limits = tuple(signed_bound(condition, quantities, value) for condition, value in pairs)
         laid = _Laid(replace(merge, limits=limits), values, None)
         if part is not None:
             laid = laid.noised(lambda merge: merge.noise_on(samples))
@@ -168,7 +168,7 @@ def _report(laid: Sequence[_Laid]) -> list[dict[str, Any]]:
     ]
 
 
-def _of_limit(merge: Merge, laid: Limit, value: NDArray[np.float64]) -> dict[str, Any]:
+def _of_limit(merge: Merge, laid: SignedBound, value: NDArray[np.float64]) -> dict[str, Any]:
     low, high, softness = laid.condition.bounds()
     kind = next(name for name, cls in CONDITIONS.items() if type(laid.condition) is cls)
     report: dict[str, Any] = {

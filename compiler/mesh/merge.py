@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.arithmetic.ranks import ranked
-from scenec.compiler.mesh.limit import Limit
+from scenec.compiler.mesh.signed_bound import SignedBound
 from scenec.compiler.noise.fractal import fbm2_points
 from scenec.compiler.terrain.condition import Interval
 from scenec.compiler.terrain.quantities import Samples
@@ -54,7 +54,7 @@ class Merge:
     center: float = 0.0
     noisy: bool = True
     where: tuple[Interval, ...] = ()
-    limits: tuple[Limit, ...] = ()
+    limits: tuple[SignedBound, ...] = ()
 
     def noise(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
         """The noise at points, float64 [n]."""

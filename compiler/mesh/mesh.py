@@ -17,7 +17,7 @@ from scenec.compiler.mesh.merge import Merge, label_index
 from scenec.compiler.mesh.refine import Limits, refine
 from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.terrain.grid import HeightField, cuts_main_diagonal
-from scenec.compiler.views.sight import Views
+from scenec.compiler.views.resolution import Views
 from scenec.schemas.kernels import kernel
 
 #: What a shading deviation is allowed to be: of a weight, of the albedo variation, of a slope.
@@ -75,7 +75,7 @@ def adaptive_mesh(
     Args:
         surface: What the mesh stands for.
         appearance: What lies on the ground, at the grid's samples.
-        pixels_per_m: See ``views.sight``.
+        pixels_per_m: See ``views.resolution``.
         views: The cameras, for triangles finer than the grid.
         meshing: The tolerance and the budget.
 
@@ -168,7 +168,7 @@ def label_error(
         mesh: The cut mesh.
         layer: Label of its faces, int32 [m].
         sides: Of the merges at the samples, [ny, nx] each.
-        pixels_per_m: See ``views.sight``.
+        pixels_per_m: See ``views.resolution``.
     """
     right = np.zeros(field.grid.shape, bool)
     truth = label_index(list(sides))

@@ -12,7 +12,7 @@ from scenec.compiler.arithmetic import elementary
 from scenec.compiler.mesh.tiles import TILE_CELLS
 from scenec.compiler.scene.rig import Rig, Sensor
 from scenec.compiler.terrain.grid import HeightField
-from scenec.compiler.views.sight import pixels_per_meter, views_of
+from scenec.compiler.views.resolution import pixels_per_meter, views_of
 from scenec.schemas.errors import SceneError
 
 #: Precision promised of a position: this part of the extent, the step of float32 (2**-24).
@@ -38,7 +38,7 @@ def require_resolvable(
         rigs: The cameras.
         field: The terrain; positions in its tiles are off by between 2**-26 and 2**-25 of the
             largest tile's size. The first of these counts.
-        pixels_per_m: Of all of them, see ``views.sight``; None without cameras.
+        pixels_per_m: Of all of them, see ``views.resolution``; None without cameras.
         unseen: As it was made with.
 
     Raises:
@@ -80,7 +80,7 @@ def refuse(
     Args:
         rigs: The cameras.
         field: The terrain.
-        unseen: See ``views.sight``.
+        unseen: See ``views.resolution``.
         error_m: How far float32 moves a position.
         where: Over what extent it holds positions.
 
@@ -122,7 +122,7 @@ def precision(
     Args:
         bounds: Of all geometry, float64 [2, 3].
         errors: The largest of positions in float32, of the ground and each class, meters.
-        pixels_per_m: See ``views.sight``; None without cameras.
+        pixels_per_m: See ``views.resolution``; None without cameras.
 
     Returns:
         The extent (the longest side of the bounds), the precision promised for it and the largest

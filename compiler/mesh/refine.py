@@ -15,7 +15,7 @@ from scenec.compiler.mesh.bend import of_faces
 from scenec.compiler.mesh.between import INSIDE, Known, Sampled, measured
 from scenec.compiler.mesh.cut import CutMesh
 from scenec.compiler.mesh.surface import Surface
-from scenec.compiler.views.sight import NEAREST_M, Views, pixels_of_balls
+from scenec.compiler.views.resolution import NEAREST_M, Views, pixels_of_balls
 from scenec.schemas.kernels import kernel
 
 #: Part of the amplitude of what is finer than a triangle that it may be wrong by: octaves of noise

@@ -19,7 +19,7 @@ from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.noise.fractal import fbm2_points
 from scenec.compiler.scene.scene import Tile
 from scenec.compiler.terrain.sources.mesh_surface import MeshSurface
-from scenec.compiler.views.sight import NO_VIEWS, Views
+from scenec.compiler.views.resolution import NO_VIEWS, Views
 from scenec.schemas.errors import SceneError
 from scenec.schemas.kernels import kernel
 
@@ -51,7 +51,7 @@ def build_tiles(
         surface: Heights, and merges from the first one up; none for one material.
         variation_key: Noise key of the albedo variation.
         meshing: How fine the mesh is.
-        pixels_per_m, views: See ``views.sight``; taken where the mesh is adaptive.
+        pixels_per_m, views: See ``views.resolution``; taken where the mesh is adaptive.
         color: False where no output shows color: weights and variation are then left out.
         cut_labels: False where no output shows labels: the mesh then stays whole.
 

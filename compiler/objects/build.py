@@ -21,7 +21,7 @@ from scenec.compiler.objects.scatter import scatter
 from scenec.compiler.objects.surroundings import Surroundings, footprints
 from scenec.compiler.scene.plan import ModelSource, ScatterPlan
 from scenec.compiler.scene.scene import Placed, Prototype, Scatter
-from scenec.compiler.views.sight import Views
+from scenec.compiler.views.resolution import Views
 
 Timed = Callable[[str], AbstractContextManager[None]]
 

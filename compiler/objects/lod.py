@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from scenec.compiler.objects.rocks import Chain
 from scenec.compiler.scene.scene import Prototype, Scatter
-from scenec.compiler.views.sight import NEAREST_M, Views, pixels_of_balls
+from scenec.compiler.views.resolution import NEAREST_M, Views, pixels_of_balls
 from scenec.schemas.errors import SceneError
 
 

@@ -19,7 +19,7 @@ from scenec.compiler.scene.plan import ScatterPlan
 from scenec.compiler.scene.scene import Prototype, Scatter
 from scenec.compiler.terrain.grid import HeightField
 from scenec.compiler.terrain.sources.mesh_surface import MeshSurface
-from scenec.compiler.views.sight import NEAREST_M, pixels_of_balls
+from scenec.compiler.views.resolution import NEAREST_M, pixels_of_balls
 
 #: Instances whose seat is measured again: all, up to so many, then as many spread over all.
 _MEASURED = 16_384

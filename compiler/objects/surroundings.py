@@ -14,7 +14,7 @@ from scenec.compiler.objects.height_pyramid import HeightPyramid
 from scenec.compiler.objects.lattice import Circles
 from scenec.compiler.scene.scene import Placed, Scatter
 from scenec.compiler.terrain.quantities import Quantities
-from scenec.compiler.views.sight import NO_VIEWS, Views
+from scenec.compiler.views.resolution import NO_VIEWS, Views
 
 
 @dataclass

@@ -26,7 +26,7 @@ from scenec.compiler.scene.scene import Placed, Scatter, Tile
 from scenec.compiler.terrain.sources.mesh_surface import MeshSurface
 from scenec.compiler.views.keep import Keep
 from scenec.compiler.views.needed import with_color
-from scenec.compiler.views.sight import Views, pixels_of_balls, pixels_per_meter, views_of
+from scenec.compiler.views.resolution import Views, pixels_of_balls, pixels_per_meter, views_of
 from scenec.studies.ladder.eyes import Eye, eyes_of
 
 #: As near as errors on the ground are looked at, meters.

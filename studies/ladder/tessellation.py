@@ -15,7 +15,7 @@ from scenec.compiler.mesh.tiles import build_tiles
 from scenec.compiler.scene.scene import Ground, Tile
 from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.compiler.terrain.sources.mesh_surface import MeshSurface
-from scenec.compiler.views.sight import pixels_per_meter
+from scenec.compiler.views.resolution import pixels_per_meter
 from scenec.studies.ladder.base import Base
 from scenec.studies.ladder.cost import Clock, written
 from scenec.studies.ladder.points import rms, worst

@@ -12,7 +12,7 @@ from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.mesh.tiles import build_tiles
 from scenec.compiler.scene.scene import Ground
 from scenec.compiler.terrain.grid import Grid, HeightField
-from scenec.compiler.views.sight import pixels_per_meter
+from scenec.compiler.views.resolution import pixels_per_meter
 from scenec.studies.ladder.base import Base
 from scenec.studies.ladder.cost import written
 

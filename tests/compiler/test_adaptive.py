@@ -18,7 +18,7 @@ from scenec.compiler.mesh.tiles import build_tiles
 from scenec.compiler.scene.rig import Rig, Sensor
 from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.compiler.terrain.operators.multifractal import Multifractal
-from scenec.compiler.views.sight import pixels_per_meter, views_of
+from scenec.compiler.views.resolution import pixels_per_meter, views_of
 
 MERGES = (
     Merge(5, 9.0, 3, 0.5, 2.0, 0.0, 5.0, 0.5),
@@ -225,7 +225,7 @@ import test_adaptive as t
 from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.mesh.tiles import build_tiles
 from scenec.compiler.mesh.mesh import Meshing
-from scenec.compiler.views.sight import pixels_per_meter, views_of
+from scenec.compiler.views.resolution import pixels_per_meter, views_of
 field = t.relief(30.0)
 sight = pixels_per_meter(field, views_of((t.one_rig(field, (3.0, -10.0)),)), 0.125)
 tiles, _ = build_tiles(Surface(field, t.MERGES, smooth=False), 1, Meshing(0.5, 10**9, 0.125), sight)

@@ -24,7 +24,7 @@ from scenec.compiler.terrain.operators.smooth import Smooth
 from scenec.compiler.terrain.operators.worley import Worley
 from scenec.compiler.terrain.program import run
 from scenec.compiler.terrain.sources.plane import Plane
-from scenec.compiler.views.sight import pixels_of_balls, pixels_per_meter, views_of
+from scenec.compiler.views.resolution import pixels_of_balls, pixels_per_meter, views_of
 
 MERGES = (Merge(5, 3.0, 3, 0.5, 2.0, 0.0, 5.0, 0.5),)
 GRAINS = Worley(9, 0.03, 0.12, "f1", 1.0, 1, 2.0, 0.5).everywhere()

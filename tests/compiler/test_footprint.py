@@ -32,7 +32,7 @@ from scenec.compiler.scene.scene import (
     Tile,
 )
 from scenec.compiler.scene.sources import Sources
-from scenec.compiler.views.sight import Views, views_of
+from scenec.compiler.views.resolution import Views, views_of
 from scenec.schemas.maps import decode, read_pixels
 
 SENSOR = Sensor(

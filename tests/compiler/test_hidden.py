@@ -12,7 +12,7 @@ from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.compiler.terrain.operators.multifractal import Multifractal
 from scenec.compiler.views.frustum import Views
 from scenec.compiler.views.horizon import with_hidden_ground
-from scenec.compiler.views.sight import pixels_per_meter, views_of
+from scenec.compiler.views.resolution import pixels_per_meter, views_of
 
 
 def all_round(*eyes: np.ndarray) -> Views:

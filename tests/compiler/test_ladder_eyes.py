@@ -9,7 +9,7 @@ import pytest
 
 from scenec.compiler.scene.rig import Lidar, LidarNoise, Rig, Sensor
 from scenec.compiler.terrain.grid import Grid, HeightField
-from scenec.compiler.views.sight import views_of
+from scenec.compiler.views.resolution import views_of
 from scenec.schemas.lens import Lens
 from scenec.studies.ladder import points
 from scenec.studies.ladder.eyes import Eye, eyes_of

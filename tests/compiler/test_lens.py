@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from scenec.compiler.geometry import lenses
 from scenec.compiler.scene.rig import Rig, Sensor
-from scenec.compiler.views import sight
+from scenec.compiler.views import resolution
 from scenec.schemas.lens import (
     Lens,
     directions,
@@ -216,13 +216,13 @@ def sensor(lens: Lens | None, resolution: tuple[int, int], fov: float) -> Sensor
 def test_a_view_counts_all_that_its_picture_shows(lens: Lens, fov: float) -> None:
     """Random points that project into the picture are seen at full size, whatever their angle."""
     one = sensor(lens, (320, 200), fov)
-    views = sight.views_of((Rig("r", np.eye(4)[None], (one,)),))
+    views = resolution.views_of((Rig("r", np.eye(4)[None], (one,)),))
     points = np.random.default_rng(2).normal(size=(4000, 3)) * 5.0
     plane, shown = project(lens, points)
     u, v = to_pixels(lenses.matrix(one.intrinsics), plane).T
     inside = shown & (u >= 0.0) & (u <= 320.0) & (v >= 0.0) & (v <= 200.0)
     assert inside.sum() > 20
-    pixels = sight.pixels_of_balls(views, points, np.zeros(len(points)), 0.0, 1e-3)
+    pixels = resolution.pixels_of_balls(views, points, np.zeros(len(points)), 0.0, 1e-3)
     assert (pixels[inside] > 0.0).all()
     if fov < 100.0 and lens is not PANORAMA:
         # What lies behind the camera is not.
@@ -232,17 +232,17 @@ def test_a_view_counts_all_that_its_picture_shows(lens: Lens, fov: float) -> Non
 def test_a_pinholes_view_is_the_same_beside_one_with_a_lens() -> None:
     """What another camera sees alone counts as what that one sees."""
     plain = Sensor("p", (64, 48), (60.0, 60.0, 32.0, 24.0, 0.0), np.eye(4), np.zeros(1), ("depth",))
-    alone = sight.views_of((Rig("r", np.eye(4)[None], (plain,)),))
+    alone = resolution.views_of((Rig("r", np.eye(4)[None], (plain,)),))
     points = np.random.default_rng(3).normal(size=(500, 3)) * 4.0
     radius = np.full(len(points), 0.1)
     bent = sensor(FISHEYE, (64, 48), 170.0)
     beside, both = (
-        sight.pixels_of_balls(
-            sight.views_of((Rig("r", np.eye(4)[None], one),)), points, radius, 0.0, 0.1
+        resolution.pixels_of_balls(
+            resolution.views_of((Rig("r", np.eye(4)[None], one),)), points, radius, 0.0, 0.1
         )
         for one in ((bent,), (plain, bent))
     )
-    expected = sight.pixels_of_balls(alone, points, radius, 0.0, 0.1)
+    expected = resolution.pixels_of_balls(alone, points, radius, 0.0, 0.1)
     assert 0 < (expected > 0.0).sum() < (beside > 0.0).sum()
     assert np.array_equal(both, np.maximum(expected, beside))
 

@@ -20,7 +20,7 @@ from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.compiler.terrain.operators.multifractal import Multifractal
 from scenec.compiler.terrain.operators.worley import Worley
-from scenec.compiler.views.sight import Views, pixels_of_balls, pixels_per_meter, views_of
+from scenec.compiler.views.resolution import Views, pixels_of_balls, pixels_per_meter, views_of
 
 UNSEEN = 0.125
 

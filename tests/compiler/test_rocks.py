@@ -23,7 +23,7 @@ from scenec.compiler.objects.rocks import Chain, build_chains, build_prototypes
 from scenec.compiler.scene.plan import ScatterPlan
 from scenec.compiler.scene.rig import Rig, Sensor
 from scenec.compiler.scene.scene import Prototype, Scatter
-from scenec.compiler.views.sight import NO_VIEWS, Views, views_of
+from scenec.compiler.views.resolution import NO_VIEWS, Views, views_of
 from scenec.schemas.errors import SceneError
 
 FAMILIES = ("weathered", "angular", "rounded", "slab", "vesicular")

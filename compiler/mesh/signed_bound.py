@@ -24,7 +24,7 @@ _LEAST = 1e-200
 
 
 @dataclass(frozen=True, eq=False)
-class Limit:
+class SignedBound:
     """A condition on a relief that is known.
 
     Attributes:
@@ -53,7 +53,9 @@ class Limit:
         return t
 
 
-def limit(condition: Interval, quantities: Quantities, value: NDArray[np.float64]) -> Limit:
+def signed_bound(
+    condition: Interval, quantities: Quantities, value: NDArray[np.float64]
+) -> SignedBound:
     """A condition on a relief, its softness raised to the narrowest that a spacing can show.
 
     Args:
@@ -63,7 +65,7 @@ def limit(condition: Interval, quantities: Quantities, value: NDArray[np.float64
     """
     low, high, softness = condition.bounds()
     value = value.reshape(quantities.grid.shape)
-    return Limit(
+    return SignedBound(
         condition,
         quantities,
         (_shown(value, low, softness), _shown(value, high, softness)),
