@@ -131,8 +131,10 @@ class Backend(Protocol):
     devices: tuple[str, ...]
     #: Where it runs: one of ``devices``.
     device: str
-    #: Name of its denoiser; None if it has none.
+    #: Name of its denoiser; None if it has none, or its package is not installed.
     denoiser: str | None
+    #: Extra of scenec that brings the denoiser. May be missing.
+    denoiser_extra: str
     #: Whether ``radiance`` draws cameras with a lens by their own rays. Where it does not (nor
     #: says so: the attribute may be missing), it draws pinhole views, and ``backends.resample``
     #: makes the picture of them.

@@ -13,6 +13,7 @@ from scenec.backends.cycles import blender, render
 from scenec.backends.cycles.built import PASSES, Built
 from scenec.backends.cycles.camera import Lens, find_lens, place
 from scenec.backends.cycles.planetary import has_laws
+from scenec.backends.picture.denoise import NAME, keep_rim
 from scenec.backends.stage.scene import Camera, RenderScene
 from scenec.schemas.errors import BackendError, CameraRefusedError
 
@@ -38,7 +39,7 @@ class Cycles:
 
     name = "cycles"
     devices = ("cpu", "cuda", "optix")
-    denoiser = "OpenImageDenoise"
+    denoiser = NAME
     load_cost = LoadCost(row=2700.0, triangle=300.0)
     follows_lenses = False
 
@@ -133,11 +134,7 @@ class Cycles:
         coverage = np.asarray(np.clip(hits / (2 * each * shares), 0.0, 1.0), np.float32)
         denoised = None
         if denoise:
-            denoised = 0.5 * (clean[0] + clean[1])
-            # The denoiser knows no coverage: it smears a silhouette's light over the sky, and
-            # leaves an eighth too little along it.
-            rim = _near_sky(coverage)
-            denoised[rim] = halves.mean(axis=0)[rim]
+            denoised = keep_rim(0.5 * (clean[0] + clean[1]), halves, coverage)
         return Radiance(halves, coverage, 2 * each, denoised=denoised)
 
     def _works(self, device: str) -> bool:
@@ -160,14 +157,6 @@ def _whole(picture: NDArray[np.float32]) -> NDArray[np.int32]:
     """Whole numbers from two halves of 16 bits, [h, w, 4] -> int32 [h * w]."""
     low, high = (picture[..., i].astype(np.int64) for i in range(2))
     return (low + (high << 16)).ravel().astype(np.int32)
-
-
-def _near_sky(coverage: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Pixels in whose 3x3 window some pixel is not covered altogether."""
-    height, width = coverage.shape
-    wide = np.pad(coverage < 1.0, 1)
-    shifted = [wide[y : y + height, x : x + width] for y in range(3) for x in range(3)]
-    return np.logical_or.reduce(shifted)
 
 
 def mix(seed: int, half: int) -> int:

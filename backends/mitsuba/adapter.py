@@ -14,6 +14,7 @@ from scenec.backends.mitsuba import emitter, geometry, glow, lamps, variant
 from scenec.backends.mitsuba.corners import split_corners
 from scenec.backends.mitsuba.kept import KeptScene
 from scenec.backends.mitsuba.stack import make_look
+from scenec.backends.picture import denoise as oidn
 from scenec.backends.stage.posing import posable, pose
 from scenec.backends.stage.scene import Camera, Lighting, RenderScene
 from scenec.schemas.errors import BackendError
@@ -22,6 +23,8 @@ from scenec.schemas.errors import BackendError
 MAX_WAVEFRONT = 1 << 25
 #: Where instances are kept: 150 bytes a sample.
 MAX_KEPT = 1 << 21
+#: Samples per pixel of what guides the denoiser.
+GUIDE_SPP = 16
 
 
 class _LoadCost(LoadCost):
@@ -40,7 +43,8 @@ class Mitsuba:
 
     name = "mitsuba"
     devices = ("cpu", "cuda")
-    denoiser = None
+    denoiser = oidn.installed()
+    denoiser_extra = "denoise"
     follows_lenses = True
     load_cost = _LoadCost(row=900.0, triangle=250.0, written=140.0, most_written=2e9)
 
@@ -191,7 +195,11 @@ class Mitsuba:
         if self._table is not None:
             halves[:, ~self._table.known] = 0.0
             covered[~self._table.known] = 0.0
-        return Radiance(halves, covered, 2 * each, self._dropped)
+        dropped, clean = self._dropped, None
+        if denoise:
+            guides = self._guides(camera, mix(seed, 2, 0))
+            clean = oidn.denoise(halves, covered, *guides)
+        return Radiance(halves, covered, 2 * each, dropped, clean)
 
     def _half(
         self, camera: Camera, spp: int, seed: int, half: int
@@ -213,13 +221,7 @@ class Mitsuba:
 
         mi = self._mi
         pixels = camera.width * camera.height
-        sampler = _sampler(mi, spp)
-        # Opaque, or every seed is a kernel of its own to compile.
-        sampler.seed(dr.opaque(mi.UInt32, seed), pixels * spp)
-        # Likewise every number of samples.
-        pixel = dr.arange(mi.UInt32, pixels * spp) // dr.opaque(mi.UInt32, spp)
-        jitter = sampler.next_2d()
-        ray = self._camera_rays(camera, pixel, jitter)
+        ray, sampler = self._rays(camera, spp, seed)
         if self._kept is not None:
             light, valid = self._kept.sample(self._emitter(), sampler, ray)
         else:
@@ -240,6 +242,41 @@ class Mitsuba:
         shape = (camera.height, camera.width)
         stacked = np.stack([np.array(channel).reshape(shape) for channel in sums], axis=-1)
         return stacked, np.array(hits).reshape(shape)
+
+    def _guides(self, camera: Camera, seed: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Albedo and normals that pixels see first, float32 [h, w, 3] each; 0 of the sky."""
+        import drjit as dr
+
+        shape = (camera.height, camera.width)
+        sums = np.zeros((6, *shape))
+        most = MAX_WAVEFRONT if self._kept is None else MAX_KEPT
+        for part, count in enumerate(split_samples(GUIDE_SPP, shape[0] * shape[1], most)):
+            ray, _ = self._rays(camera, count, mix(seed, 0, part))
+            if self._kept is not None:
+                albedo, normal = self._kept.guides(ray)
+            else:
+                si = self._scene.ray_intersect(ray)
+                met = si.is_valid()
+                albedo = dr.select(met, si.bsdf(ray).eval_diffuse_reflectance(si, met), 0.0)
+                normal = dr.select(met, si.sh_frame.n, 0.0)
+            dr.eval(albedo, normal)
+            for number, channel in enumerate((*albedo, *normal)):
+                sums[number] += np.array(dr.block_sum(channel, count)).reshape(shape)
+        means = np.moveaxis(sums / GUIDE_SPP, 0, -1).astype(np.float32)
+        return np.ascontiguousarray(means[..., :3]), np.ascontiguousarray(means[..., 3:])
+
+    def _rays(self, camera: Camera, spp: int, seed: int) -> tuple[Any, Any]:
+        """Rays anywhere through each pixel, ``spp`` in a row, and the sampler they are drawn of."""
+        import drjit as dr
+
+        mi = self._mi
+        pixels = camera.width * camera.height
+        sampler = _sampler(mi, spp)
+        # Opaque, or every seed is a kernel of its own to compile.
+        sampler.seed(dr.opaque(mi.UInt32, seed), pixels * spp)
+        # Likewise every number of samples.
+        pixel = dr.arange(mi.UInt32, pixels * spp) // dr.opaque(mi.UInt32, spp)
+        return self._camera_rays(camera, pixel, sampler.next_2d()), sampler
 
     def _camera_rays(self, camera: Camera, pixel: Any, jitter: Any) -> Any:
         import drjit as dr

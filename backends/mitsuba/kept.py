@@ -170,6 +170,30 @@ class KeptScene:
         self._lanes.channels = []
         return mi.Color3f(np.ascontiguousarray(total.T)), mi.Bool(valid)
 
+    def guides(self, ray: Any) -> tuple[Any, Any]:
+        """Albedo and normals at the first hits of camera rays, ``mi.Color3f`` each; 0 without."""
+        import drjit as dr
+
+        mi = self._mi
+        directions = np.array(ray.d, np.float64).T.copy()
+        count = len(directions)
+        origins = np.broadcast_to(np.array(ray.o, np.float64).T, (count, 3)) + self._center
+        rays = Rays(origins, directions, (1, count))
+        found = np.zeros((2, 3, count), np.float32)
+        for first in range(0, count, _CHUNK):
+            lanes = np.arange(first, min(first + _CHUNK, count))
+            row, face, _ = self._caster.cast(rays, lanes)
+            met = row != NO_ROW
+            lanes = lanes[met]
+            if len(lanes):
+                si, bsdf = self._interaction(_Hits.of(self, rays, lanes, row[met], face[met]))
+                albedo = bsdf.eval_diffuse_reflectance(si)
+                dr.eval(albedo)
+                found[0][:, lanes] = np.array(albedo)
+                found[1][:, lanes] = np.array(si.sh_frame.n)
+        self._lanes.channels = []
+        return mi.Color3f(found[0]), mi.Color3f(found[1])
+
     def _unshadowed(self, hit: _Hits, shaded: _Shaded) -> NDArray[np.float32]:
         """The light that was drawn, where nothing stands before it."""
         lit = np.flatnonzero(shaded.light.any(axis=1))
@@ -183,8 +207,8 @@ class KeptScene:
         found[seen] = shaded.light[seen]
         return found
 
-    def _shade(self, light: Any, hit: _Hits, drawn: list[NDArray[np.float32]]) -> _Shaded:
-        """One step of the path integrator: light that is drawn, and the way on."""
+    def _interaction(self, hit: _Hits) -> tuple[Any, Any]:
+        """Of Mitsuba, and whose surface it is."""
         import drjit as dr
 
         mi = self._mi
@@ -205,6 +229,15 @@ class KeptScene:
         self._lanes.channels = columns[20:]
         (which,) = _aligned([self._looks[self._look_of_row[hit.row]]], np.uint32)
         bsdf: Any = dr.reinterpret_array(mi.BSDFPtr, mi.UInt32(which))
+        return si, bsdf
+
+    def _shade(self, light: Any, hit: _Hits, drawn: list[NDArray[np.float32]]) -> _Shaded:
+        """One step of the path integrator: light that is drawn, and the way on."""
+        import drjit as dr
+
+        mi = self._mi
+        count = len(hit.row)
+        si, bsdf = self._interaction(hit)
         numbers = [mi.Float(values) for values in _aligned(drawn)]
 
         ds, value = light.sample_direction(si, mi.Point2f(*numbers[:2]), mi.Bool(True))

@@ -56,6 +56,7 @@ def frames_of(
         stem = frame_stem(batch.folder, opened.backend, name, 0)
         inside(batch.folder, stem.relative_to(batch.folder).as_posix(), batch.stage)
     holds = opening(batch, plan)
+    version = f"{opened.version}, {opened.denoiser}" if plan.denoise else opened.version
     found = []
     for sample, number, camera in _wanted(plan, opened):
         made = tuple(camera.passes if passes is None else passes)
@@ -72,7 +73,7 @@ def frames_of(
                 camera=camera.name,
                 number=number,
                 sample=sample,
-                key=plan.key(opened.digest, made, opened.backend, opened.version),
+                key=plan.key(opened.digest, made, opened.backend, version),
                 seed=frame_seed(plan.noise_seed, batch.name, camera.name, sample),
                 choice=choice,
             )

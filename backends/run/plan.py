@@ -113,7 +113,9 @@ class RenderPlan:
         if self.device != "auto":
             backend_class(self.backend, self.device)
         if self.denoise and backend_class(self.backend).denoiser is None:
-            raise BackendError(f"backend {self.backend} has no denoiser{_denoisers()}")
+            extra = getattr(backend_class(self.backend), "denoiser_extra", None)
+            mend = f" here: pip install 'scenec[{extra}]'" if extra else ""
+            raise BackendError(f"backend {self.backend} has no denoiser{mend}{_denoisers()}")
 
     def key(self, digest: str, passes: Sequence[str], backend: str, version: str) -> FrameKey:
         """What decides a frame's content: its resume key.
