@@ -27,8 +27,8 @@ BUILT_IN: dict[str, tuple[str, str | None]] = {
 }
 #: The packages that draw for them.
 _PACKAGES = {"mitsuba": "mitsuba", "cycles": "bpy", "pyrender": "pyrender-maintained"}
-
-
+#: What people also call them.
+_OTHER_NAMES = {"blender": "cycles", "bpy": "cycles", "opengl": "pyrender", "gl": "pyrender"}
 #: In place of a name: the first that works (``scenec.backends.run.auto``).
 AUTO = "auto"
 
@@ -50,8 +50,9 @@ def require_name(name: str) -> None:
         return
     names = backend_names()
     if name not in names:
-        near = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
-        hint = f"did you mean {near[0]!r}? " if near else ""
+        known = {**{other: other for other in names}, **_OTHER_NAMES}
+        near = difflib.get_close_matches(name.lower(), known, n=1, cutoff=0.5)
+        hint = f"did you mean {known[near[0]]!r}? " if near else ""
         there = ", ".join((*names, ANNOTATION))
         raise BackendError(f"no backend {name!r}: {hint}there are {there}")
 

@@ -23,6 +23,13 @@ def seed(text: str) -> int:
     return value
 
 
+def add_seed(parser: argparse.ArgumentParser) -> None:
+    """``--seed``."""
+    parser.add_argument(
+        "--seed", type=seed, default=0, help="whole number from 0 to 2^64 - 1 (default: 0)"
+    )
+
+
 def span(text: str) -> range:
     """``A:B`` as the range A to B - 1; ``A`` alone is A:A+1."""
     first, colon, last = text.partition(":")

@@ -6,8 +6,10 @@ import argparse
 import importlib
 import io
 import os
+import re
 import sys
 from collections.abc import Sequence
+from typing import NoReturn
 
 from scenec.cli import interrupt
 from scenec.cli.arguments import (
@@ -19,10 +21,10 @@ from scenec.cli.arguments import (
     add_keep,
     add_render_options,
     add_replace,
+    add_seed,
     add_settle_options,
     passes,
     positive,
-    seed,
     span,
 )
 from scenec.cli.converge_arguments import add_converge_options
@@ -32,6 +34,7 @@ from scenec.cli.output import clear_bar
 from scenec.cli.supervise import supervised
 from scenec.cli.view_arguments import add_view_options
 from scenec.schemas.errors import CfgError, ScenecError
+from scenec.schemas.spelling import closest
 from scenec.schemas.versions import version_of
 
 EXIT_FAILED = 1
@@ -120,7 +123,7 @@ def _fault_of(word: str) -> str:
 
 def parser() -> argparse.ArgumentParser:
     """The parser of all commands."""
-    top = argparse.ArgumentParser(
+    top = _Parser(
         prog="scenec",
         description="A deterministic procedural scene compiler: a cfg and a seed become USD "
         "stages, and renderers turn those into pictures with exact annotation.",
@@ -131,7 +134,7 @@ def parser() -> argparse.ArgumentParser:
 
     run = _command(commands, "run", "compile a cfg and render it: the main job")
     run.add_argument("cfg", metavar="CFG", help="the cfg, a JSON file")
-    run.add_argument("--seed", type=seed, required=True, help="whole number from 0 to 2^64 - 1")
+    add_seed(run)
     run.add_argument("-o", "--out", metavar="OUT", required=True, help="output folder")
     add_render_options(run)
     add_keep(run)
@@ -142,7 +145,7 @@ def parser() -> argparse.ArgumentParser:
 
     compile_ = _command(commands, "compile", "compile a cfg into USD stages, one per batch")
     compile_.add_argument("cfg", metavar="CFG", help="the cfg, a JSON file")
-    compile_.add_argument("--seed", type=seed, required=True, help="whole number, 0 to 2^64 - 1")
+    add_seed(compile_)
     compile_.add_argument("-o", "--out", metavar="OUT", required=True, help="output folder")
     add_keep(compile_)
     add_cache(compile_)
@@ -151,9 +154,13 @@ def parser() -> argparse.ArgumentParser:
     add_executor(compile_, "0")
     add_json(compile_)
 
+    validate = _command(commands, "validate", "is a cfg without faults; compiles nothing")
+    validate.add_argument("cfg", metavar="CFG", help="the cfg, a JSON file")
+    add_json(validate)
+
     settle = _command(commands, "settle", "drop chosen objects by physics, into a table of poses")
     settle.add_argument("cfg", metavar="CFG", help="the cfg, a JSON file")
-    settle.add_argument("--seed", type=seed, required=True, help="whole number, 0 to 2^64 - 1")
+    add_seed(settle)
     settle.add_argument("-o", "--out", metavar="CSV", required=True, help="table of poses")
     add_settle_options(settle)
     add_json(settle)
@@ -259,13 +266,31 @@ def parser() -> argparse.ArgumentParser:
 
 
 def _command(
-    commands: argparse._SubParsersAction[argparse.ArgumentParser], name: str, text: str
+    commands: argparse._SubParsersAction[_Parser], name: str, text: str
 ) -> argparse.ArgumentParser:
     command: argparse.ArgumentParser = commands.add_parser(
         name, help=text, description=f"{text[0].upper()}{text[1:]}."
     )
     command.set_defaults(module=f"{name}_command")
     return command
+
+
+class _Parser(argparse.ArgumentParser):
+    """Names the nearest command or option to one that there is not."""
+
+    def error(self, message: str) -> NoReturn:
+        """As of the base class, with a question after it."""
+        word = re.search(r"(?:invalid choice: '|unrecognized arguments: )([^\s']+)", message)
+        near = None if word is None else closest(word[1].partition("=")[0], self._words())
+        super().error(message if near is None else f"{message}; did you mean {near}?")
+
+    def _words(self) -> set[str]:
+        """Commands, and what this parser and those of its commands take."""
+        words = {option for action in self._actions for option in action.option_strings}
+        for action in self._actions:
+            if isinstance(action, argparse._SubParsersAction):
+                words.update(action.choices, *(of._words() for of in action.choices.values()))
+        return words
 
 
 class _Version(argparse.Action):

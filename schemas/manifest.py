@@ -68,6 +68,11 @@ def read_manifest(out: Path) -> dict[str, Any]:
     Raises:
         OutputError: There is none, it is none, or it names a path outside of the folder.
     """
+    if out.is_file():
+        mend = f"; compile it: scenec compile {out} -o OUT" if out.suffix == ".json" else ""
+        raise OutputError(
+            f"{out}: is a file; expected the output folder of a compile, or a USD file{mend}"
+        )
     finish_update(out)
     path = out / MANIFEST
     try:

@@ -181,7 +181,6 @@ BAD = {
     "seed below 0": ["compile", "CFG", "--seed", "-1", "-o", "OUT"],
     "seed too large": ["compile", "CFG", "--seed", str(2**64), "-o", "OUT"],
     "seed is no number": ["compile", "CFG", "--seed", "one", "-o", "OUT"],
-    "no seed": ["compile", "CFG", "-o", "OUT"],
     "empty range": ["compile", "CFG", "--seed", "1", "-o", "OUT", "--batches", "2:2"],
     "unknown pass": ["render", "OUT", "--passes", "rgb,colour"],
     "no samples": ["render", "OUT", "--spp", "0"],
@@ -194,6 +193,44 @@ def test_bad_usage_ends_with_status_2(name, capsys):
         main(BAD[name])
     assert left.value.code == 2
     assert "usage:" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "meant"),
+    [
+        (["rendr", "OUT"], "did you mean render?"),
+        (["compile", "CFG", "-o", "OUT", "--sead", "1"], "did you mean --seed?"),
+        (["render", "OUT", "--sampels=0:1"], "did you mean --samples?"),
+    ],
+)
+def test_the_command_or_option_that_was_meant_is_named(words, meant, capsys):
+    with pytest.raises(SystemExit) as left:
+        main(words)
+    assert left.value.code == 2
+    assert meant in capsys.readouterr().err
+
+
+def test_without_a_seed_it_is_0():
+    words = ["compile", "CFG", "-o", "OUT"]
+    assert parser().parse_args(words) == parser().parse_args([*words, "--seed", "0"])
+
+
+def test_validate_says_all_faults_and_writes_nothing(tmp_path, capsys):
+    cfg = small_cfg(samples=2)
+    path = write_cfg(tmp_path, cfg)
+    assert main(["validate", str(path), "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert said == {
+        "cfg": str(path), "name": cfg["name"], "batches": 1, "samples": 2, "cameras": 1, "lidars": 0
+    }  # fmt: skip
+    cfg["terrain"]["spacing"] = 0.2
+    cfg["objects"]["rocks"]["material"] = "ston"
+    write_cfg(tmp_path, cfg)
+    assert main(["validate", str(path)]) == 2
+    lines = capsys.readouterr().err.splitlines()
+    assert any("/terrain/spacing" in line for line in lines)
+    assert any("/objects/rocks/material" in line for line in lines)
+    assert [path] == list(tmp_path.iterdir())
 
 
 def test_all_faults_of_a_cfg_are_printed_at_once_with_their_places(tmp_path, capsys):
@@ -224,10 +261,13 @@ def test_all_faults_of_a_cfg_are_printed_at_once_with_their_places(tmp_path, cap
         (["sheet", "nowhere", "-o", "sheet.jpg"], "PNG"),
         (["explain", "nowhere"], "manifest"),
         (["render", "nowhere", "--backend", "mitsubi"], "mitsuba"),
+        (["render", "nowhere", "--backend", "Blender"], "did you mean 'cycles'?"),
+        (["render", "small.json"], "compile it: scenec compile small.json"),
     ],
 )
 def test_what_is_not_there_is_named_in_one_line(arguments, words, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
+    write_cfg(tmp_path, small_cfg())
     assert main(arguments) == 2
     said = capsys.readouterr().err
     assert words in said
