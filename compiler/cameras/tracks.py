@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.assets.track_formats import Stamped
+from scenec.compiler.assets.tracks import Stamped
 from scenec.compiler.geometry.se3 import interpolate, matrices
 from scenec.schemas import stage as names
 from scenec.schemas.errors import SceneError

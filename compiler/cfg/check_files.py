@@ -145,14 +145,14 @@ def _check_dem(file: Path, owner: Node, cfg: Node) -> Iterator[Finding]:
 
 def _check_mesh(file: Path, owner: Node, cfg: Node) -> Iterator[Finding]:
     from scenec.compiler.assets.joining import missing_keys
-    from scenec.compiler.assets.mesh_file import finish_mesh
+    from scenec.compiler.assets.model import finish_model
     from scenec.compiler.assets.parse import parse_model
 
     parsed = parse_model(file, looks=False)
     missing = _missing(file, owner, missing_keys(parsed, owner["unit_m"], owner["up"]))
     yield from missing
     if not missing:
-        finish_mesh(file, parsed, part=owner["part"])
+        finish_model(file, parsed, part=owner["part"])
 
 
 def _check_model(file: Path, owner: Node, cfg: Node) -> Iterator[Finding]:
@@ -218,8 +218,7 @@ def _check_image(file: Path, owner: Node, cfg: Node) -> Iterable[Finding]:
 
 
 def _check_track(file: Path, owner: Node, cfg: Node) -> Iterable[Finding]:
-    from scenec.compiler.assets.track import read_track
-    from scenec.compiler.assets.track_formats import read_stamped
+    from scenec.compiler.assets.tracks import read_stamped, read_track
 
     form, order, samples = owner["format"] or "csv", owner["quaternion"], cfg["samples"]
     if form == "csv" and order is None and "sampling" not in owner:

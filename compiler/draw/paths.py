@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.assets.track import read_track
-from scenec.compiler.assets.track_formats import Stamped, read_stamped
+from scenec.compiler.assets.tracks import Stamped, read_stamped, read_track
 from scenec.compiler.cameras.paths.descent import Descent
 from scenec.compiler.cameras.paths.lawn_mower import LawnMower
 from scenec.compiler.cameras.paths.mav import Mav

@@ -15,7 +15,7 @@ from pruned_scenes import annotation, compiled, drawn_cfg
 from scipy.spatial.transform import Rotation
 from shutter_cfgs import ORBIT, SHUTTER, cfg
 
-from scenec.compiler.assets.track_formats import Stamped
+from scenec.compiler.assets.tracks import Stamped
 from scenec.compiler.cameras.paths.descent import Descent
 from scenec.compiler.cameras.paths.lawn_mower import LawnMower
 from scenec.compiler.cameras.paths.mav import Mav
