@@ -16,7 +16,6 @@ from scenec.compiler.cameras.lidars import draw_lidar
 from scenec.compiler.cameras.paths.motion import Motion
 from scenec.compiler.cameras.shutters import draw_shutter
 from scenec.compiler.cfg.load import Spec
-from scenec.compiler.cfg.of_keys import of_keys
 from scenec.compiler.cfg.typed import Cfg, Sensor
 from scenec.compiler.distributions.resolve import per_sample, resolve
 from scenec.compiler.distributions.streams import Streams
@@ -25,6 +24,7 @@ from scenec.compiler.draw.ground import draw_mask, draw_merges
 from scenec.compiler.draw.light import draw_light
 from scenec.compiler.draw.materials import draw_materials
 from scenec.compiler.draw.models import draw_meshes, draw_placed
+from scenec.compiler.draw.of_keys import of_keys
 from scenec.compiler.draw.paths import draw_motion, draw_track
 from scenec.compiler.draw.rocks import draw_rocks
 from scenec.compiler.draw.scatter import Setting

@@ -7,8 +7,8 @@ from typing import Any
 
 from scenec.compiler.assets.texture_set import TextureSet, read_texture_set
 from scenec.compiler.cfg.load import Spec
-from scenec.compiler.cfg.of_keys import of_keys
 from scenec.compiler.distributions.streams import Streams
+from scenec.compiler.draw.of_keys import of_keys
 from scenec.compiler.materials.kinds import SURFACES
 from scenec.compiler.scene.scene import Cells, Far, MaterialMaps
 from scenec.compiler.scene.sources import Sources
