@@ -9,20 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.assets.parts import MeshFileError, is_of
-from scenec.compiler.assets.shells import ParsedModel, Shell
+from scenec.compiler.assets.shells import Shell
 from scenec.compiler.geometry import affine
 
 #: Largest coordinate, meters: beyond it squares of areas leave float64's range too easily.
 _LARGEST_M = 1e9
-
-
-def missing_keys(parsed: ParsedModel, unit_m: float | None, up: str | None) -> list[str]:
-    """Which of ``unit_m`` and ``up`` the file leaves open and nobody gives."""
-    given = {
-        "unit_m": parsed.unit_m if unit_m is None else unit_m,
-        "up": parsed.up if up is None else up,
-    }
-    return [key for key, value in given.items() if value is None]
 
 
 def chosen_parts(parts: tuple[Shell, ...], name: str | None) -> list[Shell]:

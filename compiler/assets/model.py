@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.assets.joining import chosen_parts, join, missing_keys, normals_of
+from scenec.compiler.assets.joining import chosen_parts, join, normals_of
 from scenec.compiler.assets.looks import Look, ModelMaterial, finished_look
 from scenec.compiler.assets.parse import faults_of, parse_model
 from scenec.compiler.assets.parts import MeshFileError
@@ -79,7 +79,7 @@ def read_model(
             such part; or neither the arguments nor the file say the unit or the axis.
     """
     parsed = parse_model(file, looks=looks)
-    for missing in missing_keys(parsed, unit_m, up):
+    for missing in parsed.missing(unit_m, up):
         raise SceneError(f"{file.name}: does not say {_MEANING[missing]}: give {missing}")
     return finish_model(file, parsed, unit_m=unit_m, up=up, part=part)
 

@@ -85,6 +85,11 @@ class ParsedModel:
     companions: tuple[Path, ...] = ()
     notes: tuple[str, ...] = ()
 
+    def missing(self, unit_m: float | None, up: str | None) -> list[str]:
+        """Which of ``unit_m`` and ``up`` the file leaves open and nobody gives."""
+        said = {"unit_m": (unit_m, self.unit_m), "up": (up, self.up)}
+        return [key for key, values in said.items() if values == (None, None)]
+
 
 def placed(shell: Shell, matrix: NDArray[np.float64], *, turned: bool | None = None) -> Shell:
     """A shell under a map; what turns right into left turns the faces, too.

@@ -40,7 +40,7 @@ def sound_stage(file: Path) -> Iterator[Usd.Stage]:
             yield stage
     except Tf.ErrorException as error:
         # USD lists each of thousands of broken specs.
-        reason = _reason(error).replace(f"{file}:", "line ")[:300]
+        reason = _reason(error).replace(f"{file}:", "line ")[:1000]
         raise MeshFileError(f"not a sound USD file: {reason}") from error
     except (TypeError, ValueError, OverflowError) as error:
         # An attribute of another type than the schema's.

@@ -47,14 +47,14 @@ def check_schema(fields: Iterable[Field]) -> list[Finding]:
     """
     findings: list[Finding] = []
     for field in fields:
-        findings += _check(field)
+        findings += check_value(field)
         if field.is_number:
             for below in walk(inside(field)):
-                findings += _check(below)
+                findings += check_value(below)
     return findings
 
 
-def _check(field: Field) -> Iterator[Finding]:
+def check_value(field: Field) -> Iterator[Finding]:
     """What a value's own keywords find wrong with it."""
     value, keywords = field.value, field.keywords
     for keyword, bound in keywords.items():
