@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scenec.compiler.cache.memo import memoized
 from scenec.compiler.cameras.imaging import expose
 from scenec.compiler.cameras.paths.motion import Bodies, bodies_of
-from scenec.compiler.cameras.rigs import build_rigs, build_rigs_and_report, needs_objects
+from scenec.compiler.cameras.rigs import build_rigs, memoized_rigs
 from scenec.compiler.light.build import build_light
 from scenec.compiler.light.dark import without_dark
 from scenec.compiler.light.lamps import build_lamps, meter_lamps
@@ -282,12 +282,12 @@ def stand_rigs(
         SceneError: A motion cannot be as it is asked for.
     """
     bodies: dict[str, Bodies] = {}
-    if plan.objects and any(map(needs_objects, plan.rigs)):
-        others = tuple(rig for rig in plan.rigs if not needs_objects(rig))
-        early = build_rigs(others, surface, None)
+    others = tuple(rig for rig in plan.rigs if not rig.pose.needs_objects)
+    if plan.objects and len(others) < len(plan.rigs):
+        early, _ = build_rigs(others, surface, None, bodies)
         for one in stand_objects(plan, surface, early, None, BuildLog()).objects:
             bodies[one.name] = bodies_of(one)
-    rigs, motion = build_rigs_and_report(plan.rigs, surface, irradiance, bodies)
+    rigs, motion = memoized_rigs(plan.rigs, surface, irradiance, bodies)
     if motion:
         log.facts["motion"] = motion
     return rigs

@@ -22,7 +22,6 @@ from scenec.schemas.shutter import Shutter
 # Names of what a plan is made of; the rooms they come from read plans.
 if TYPE_CHECKING:
     from scenec.compiler.cameras.paths.motion import Motion
-    from scenec.compiler.cameras.tracks import TrackWay
     from scenec.compiler.mesh.merge import Merge
     from scenec.compiler.mesh.mesh import Meshing
     from scenec.compiler.objects.conditions import PlacementCondition
@@ -169,38 +168,6 @@ class ScatterPlan:
 
 
 @dataclass(frozen=True)
-class RandomTargetPlan:
-    """Cameras at drawn places that look at drawn targets; all arrays over the samples.
-
-    Attributes:
-        xy: Position in plan, [s, 2].
-        height_m: Above the surface.
-        distance_m, bearing_deg: Of the target, in plan.
-        target_height_m: Of the target above the surface.
-        roll_deg: About the viewing axis.
-    """
-
-    xy: NDArray[np.float64]
-    height_m: NDArray[np.float64]
-    distance_m: NDArray[np.float64]
-    bearing_deg: NDArray[np.float64]
-    target_height_m: NDArray[np.float64]
-    roll_deg: NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class TrackPlan:
-    """Given poses: world matrices with OpenCV axes, [s, 4, 4], and their times, [s].
-
-    ``way`` gives those at other times; None where nobody asks for them.
-    """
-
-    to_world: NDArray[np.float64]
-    times: NDArray[np.float64]
-    way: TrackWay | None = None
-
-
-@dataclass(frozen=True)
 class ImagingPlan:
     """A sensor's parameters as drawn.
 
@@ -245,7 +212,7 @@ class RigPlan:
     """A rig, its motion and its sensors."""
 
     name: str
-    pose: RandomTargetPlan | TrackPlan | Motion
+    pose: Motion
     sensors: tuple[SensorPlan, ...]
     lidars: tuple[Lidar, ...] = ()
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -114,6 +114,18 @@ class Around:
             )
 
 
+class Way(NamedTuple):
+    """How a rig moves.
+
+    Attributes:
+        at: Rig-to-world matrices [n, 4, 4] at seconds [n] after the motion's beginning.
+        times: Of the samples, likewise, [s].
+    """
+
+    at: Callable[[NDArray[np.float64]], NDArray[np.float64]]
+    times: NDArray[np.float64]
+
+
 @dataclass(frozen=True)
 class Built:
     """A motion's poses.
@@ -122,11 +134,13 @@ class Built:
         to_world: Rig-to-world, OpenCV axes, float64 [s, 4, 4].
         times: Of the samples, seconds, [s]; None: they have none of their own.
         facts: For report.json.
+        way: How it moves between the samples; None: as it does with samples at other times.
     """
 
     to_world: NDArray[np.float64]
     times: NDArray[np.float64] | None = None
     facts: dict[str, Any] = field(default_factory=dict)
+    way: Way | None = None
 
 
 class Motion(Protocol):
