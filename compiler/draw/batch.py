@@ -163,7 +163,7 @@ def _displacement(
     parts: list[Detail] = []
     for i, node in enumerate(nodes):
         drawn = resolve(node, streams, f"{path}/{i}")
-        parts.append(of_keys(spec, OPERATORS, drawn, streams, f"{path}/{i}").everywhere())
+        parts.append(of_keys(OPERATORS, drawn, streams, f"{path}/{i}", spec.files).everywhere())
     pictured = displacement_of(maps)
     if pictured is not None:
         parts.append(pictured)
@@ -192,7 +192,7 @@ def _relief(
             node["pixel_m"] = [node["pixel_m"]] * 2
         if isinstance(node.get("roughness"), dict):
             node["roughness"] = Roughness(streams.key(f"{path}/roughness"), **node["roughness"])
-        operator = of_keys(spec, OPERATORS, node, streams, path)
+        operator = of_keys(OPERATORS, node, streams, path, spec.files)
     if mask is None:
         return operator
     path = f"{path}/mask"
