@@ -95,7 +95,9 @@ def build(plan: Plan, log: BuildLog, keep: Keep = Keep.SEEN) -> Scene:
     """
     if keep is Keep.ALL:
         plan = seen_everywhere(plan)
-    outputs = tuple(dict.fromkeys(o for rig in plan.rigs for s in rig.sensors for o in s.outputs))
+    outputs = tuple(
+        dict.fromkeys(o for rig in plan.rigs for s in rig.sensors for o in s.sensor.outputs)
+    )
     needs = needs_of_plan(plan, keep)
     color, labels = needs.color, needs.labels
     relief = build_relief(plan, log)
@@ -210,7 +212,7 @@ def needs_of_plan(plan: Plan, keep: Keep) -> needed.Needs:
         plan: The batch.
         keep: How much stays.
     """
-    outputs = [o for rig in plan.rigs for sensor in rig.sensors for o in sensor.outputs]
+    outputs = [name for rig in plan.rigs for name in rig.outputs]
     # Scans hold labels and ids, whatever cameras are asked for.
     scanned = ("label", "instance") if any(rig.lidars for rig in plan.rigs) else ()
     return needed.needs_of((*outputs, *scanned), keep, bool(plan.label_table))

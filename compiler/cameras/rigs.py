@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -38,10 +39,11 @@ def build_rigs(
     rigs, facts = [], {}
     for plan in plans:
         what = f"rigs/{plan.name}/pose"
-        samples = len(plan.sensors[0].ev) if plan.sensors else 0
-        around = Around(what, samples, surface, plan.sensors, bodies, lidars=plan.lidars)
+        drawn = tuple(sensor.sensor for sensor in plan.sensors)
+        samples = len(drawn[0].exposure_ev) if drawn else 0
+        around = Around(what, samples, surface, drawn, bodies, lidars=plan.lidars)
         built = plan.pose.built(around)
-        sensors = tuple(_sensor(sensor, irradiance) for sensor in plan.sensors)
+        sensors = tuple(_exposed(sensor, irradiance) for sensor in plan.sensors)
         still = Rig(plan.name, built.to_world, sensors, built.times, plan.lidars)
         rig, opened = open_shutters(still, plan.sensors, way_of(plan.pose, built, around), around)
         require_rectified(f"rigs/{plan.name}", rig.sensors)
@@ -56,24 +58,10 @@ def build_rigs(
 memoized_rigs = memoized("cameras")(build_rigs)
 
 
-def _sensor(plan: SensorPlan, irradiance: NDArray[np.float64] | None) -> Sensor:
-    ev = plan.ev
+def _exposed(plan: SensorPlan, irradiance: NDArray[np.float64] | None) -> Sensor:
+    ev = plan.sensor.exposure_ev
     if irradiance is None:
         ev = np.zeros_like(ev)
     elif plan.metered:
         ev = ev + incident_exposure(irradiance)
-    return Sensor(
-        name=plan.name,
-        resolution=plan.resolution,
-        intrinsics=plan.intrinsics,
-        to_rig=plan.to_rig,
-        exposure_ev=ev,
-        outputs=plan.outputs,
-        exposure_per=plan.exposure_per,
-        partner=plan.partner,
-        trigger=plan.trigger,
-        depth_camera=plan.depth_camera,
-        lens=plan.lens,
-        # Light alone is blurred.
-        focus=plan.focus if "rgb" in plan.outputs else None,
-    )
+    return replace(plan.sensor, exposure_ev=ev)

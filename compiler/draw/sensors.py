@@ -9,20 +9,22 @@ import numpy as np
 
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.cameras.imaging import draw_imaging
-from scenec.compiler.cfg.typed import Sensor
+from scenec.compiler.cfg import typed
 from scenec.compiler.distributions.resolve import per_sample, resolve
 from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.geometry.lenses import find_fault, lens_intrinsics, make_lens
 from scenec.compiler.geometry.poses import from_euler
 from scenec.compiler.scene.plan import ImagingPlan, SensorPlan
-from scenec.compiler.scene.rig import Focus, Lidar, LidarNoise
+from scenec.compiler.scene.rig import Focus, Lidar, LidarNoise, Sensor
 from scenec.schemas.depth_camera import DepthCamera, StereoDepth, TimeOfFlightDepth
 from scenec.schemas.errors import SceneError
 from scenec.schemas.lens import Lens
 from scenec.schemas.shutter import Shutter
 
 
-def draw_sensor(name: str, cfg: Sensor, path: str, streams: Streams, samples: int) -> SensorPlan:
+def draw_sensor(
+    name: str, cfg: typed.Sensor, path: str, streams: Streams, samples: int
+) -> SensorPlan:
     """A camera, every number drawn.
 
     Args:
@@ -47,31 +49,32 @@ def draw_sensor(name: str, cfg: Sensor, path: str, streams: Streams, samples: in
     imaging = draw_imaging(cfg.get("imaging"), streams, f"{path}/imaging", samples)
     exposure = cfg["exposure"]
     key = {"incident": "ev_offset", "fixed": "ev"}.get(exposure["type"])
-    return SensorPlan(
+    focus = _focus(cfg.get("focus"), streams, f"{path}/focus", samples, intrinsics[0], imaging)
+    sensor = Sensor(
         name=name,
         resolution=(width, height),
         intrinsics=intrinsics,
         to_rig=from_euler(tuple(mount["position_m"]), tuple(mount["rotation_deg"])),
-        metered=exposure["type"] != "fixed",
-        ev=(
+        exposure_ev=(
             np.zeros(samples)
             if key is None
             else per_sample(exposure[key], streams, f"{path}/exposure/{key}", samples)
         ),
-        exposure_per=exposure["per"] if exposure["type"] == "auto" else None,
         outputs=tuple(cfg["outputs"]),
+        exposure_per=exposure["per"] if exposure["type"] == "auto" else None,
         partner=cfg.get("partner"),
-        depth_camera=_depth_camera(cfg.get("depth_camera"), f"{path}/depth_camera", streams),
         trigger=(trigger["every"], trigger["first"]),
+        depth_camera=_depth_camera(cfg.get("depth_camera"), f"{path}/depth_camera", streams),
         lens=lens,
-        imaging=imaging,
-        shutter=_shutter(cfg.get("shutter"), imaging, streams, f"{path}/shutter", samples),
-        focus=_focus(cfg.get("focus"), streams, f"{path}/focus", samples, intrinsics[0], imaging),
+        # Light alone is blurred.
+        focus=focus if "rgb" in cfg["outputs"] else None,
     )
+    shutter = _shutter(cfg.get("shutter"), imaging, streams, f"{path}/shutter", samples)
+    return SensorPlan(sensor, exposure["type"] != "fixed", imaging, shutter)
 
 
 def _intrinsics(
-    cfg: Sensor, path: str, streams: Streams, lens: Lens | None
+    cfg: typed.Sensor, path: str, streams: Streams, lens: Lens | None
 ) -> tuple[float, float, float, float, float]:
     width, height = cfg["resolution"]
     if cfg["intrinsics"] is not None:

@@ -12,11 +12,9 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.scene.rig import Focus, Lidar
+from scenec.compiler.scene.rig import Lidar, Sensor
 from scenec.compiler.scene.scene import GroundLayer, Labels, Material
-from scenec.schemas.depth_camera import DepthCamera
 from scenec.schemas.imaging import Imaging
-from scenec.schemas.lens import Lens
 from scenec.schemas.shutter import Shutter
 
 # Names of what a plan is made of; the rooms they come from read plans.
@@ -183,28 +181,21 @@ class ImagingPlan:
 
 @dataclass(frozen=True)
 class SensorPlan:
-    """A sensor; ``ev`` [s] is absolute, or relative to the incident light's if ``metered``.
+    """A sensor, but for what depends on light and motion.
 
-    An automatic exposure is metered, too: what it is before there are pictures.
-
-    The other fields mean what they do in ``Sensor``.
+    Attributes:
+        sensor: Without imaging and shutter; its exposure is absolute, or relative to the incident
+            light's if ``metered``. An automatic one is metered, too: what it is before there are
+            pictures.
+        metered: Whether the exposure follows the light.
+        imaging: What it makes of light, or None.
+        shutter: At each sample, or None.
     """
 
-    name: str
-    resolution: tuple[int, int]
-    intrinsics: tuple[float, float, float, float, float]
-    to_rig: NDArray[np.float64]
+    sensor: Sensor
     metered: bool
-    ev: NDArray[np.float64]
-    outputs: tuple[str, ...]
-    exposure_per: str | None = None
-    partner: str | None = None
-    trigger: tuple[int, int] = (1, 0)
-    depth_camera: DepthCamera | None = None
-    lens: Lens | None = None
     imaging: ImagingPlan | None = None
     shutter: tuple[Shutter, ...] | None = None
-    focus: Focus | None = None
 
 
 @dataclass(frozen=True)
@@ -215,6 +206,11 @@ class RigPlan:
     pose: Motion
     sensors: tuple[SensorPlan, ...]
     lidars: tuple[Lidar, ...] = ()
+
+    @property
+    def outputs(self) -> list[str]:
+        """What is asked of its sensors, one after the other."""
+        return [name for sensor in self.sensors for name in sensor.sensor.outputs]
 
 
 @dataclass(frozen=True)

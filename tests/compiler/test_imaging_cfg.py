@@ -59,10 +59,9 @@ def exposed(plan: ImagingPlan, ev: list[float]) -> Sensor:
     """The sensor of a rig whose exposures are these."""
     eye = np.eye(4)
     intrinsics = (10.0, 10.0, 4.0, 3.0, 0.0)
-    rest = (eye, True, np.zeros(len(ev)), ("rgb",))
-    drawn_sensor = SensorPlan("front", (8, 6), intrinsics, *rest, imaging=plan)
-    rig_plan = RigPlan("rover", TrackPlan(eye[None], np.zeros(1)), (drawn_sensor,))
     sensor = Sensor("front", (8, 6), intrinsics, eye, np.array(ev), ("rgb",))
+    drawn_sensor = SensorPlan(sensor, True, plan)
+    rig_plan = RigPlan("rover", TrackPlan(eye[None], np.zeros(1)), (drawn_sensor,))
     rigs = expose((Rig("rover", eye[None], (sensor,)),), (rig_plan,))
     return rigs[0].sensors[0]
 

@@ -133,7 +133,7 @@ def metered(irradiance: float, lamps: tuple[Lamp, ...], down_deg: float = 45.0) 
     pose[:3, 3] = (1.0, 2.0, 6.0)
     k = (50.0, 50.0, 32.0, 24.0, 0.0)
     sensor = Sensor("s", (64, 48), k, np.eye(4), np.zeros(1), ("rgb",))
-    plan = SensorPlan("s", (64, 48), k, np.eye(4), True, np.zeros(1), ("rgb",))
+    plan = SensorPlan(sensor, True)
     unused = RandomTarget(*[np.zeros((1, 2))] + [np.zeros(1)] * 5)
     (rig,) = meter_lamps(
         (Rig("r", pose[None], (sensor,)),),

@@ -39,10 +39,9 @@ from scenec.schemas.left_out import read_left_out
 from scenec.schemas.lens import directions, to_plane
 from scenec.schemas.shutter import Shutter, between
 
-SENSOR = SensorPlan(
-    "front", (200, 100), (180.0, 182.0, 98.0, 53.0, 0.5), np.eye(4), False, np.zeros(1),
-    ("depth",), shutter=None,
-)  # fmt: skip
+SENSOR = Sensor(
+    "front", (200, 100), (180.0, 182.0, 98.0, 53.0, 0.5), np.eye(4), np.zeros(1), ("depth",)
+)
 FREE = Sampling()
 NONE = np.empty((0, 2))
 
@@ -114,11 +113,12 @@ def flat() -> Surface:
 
 def rig_of(pose: Any, shutter: Shutter, samples: int = 3, **change: Any) -> tuple[Rig, Any, Way]:
     """A rig with an open shutter, what is said of it, and its way."""
-    sensor = replace(SENSOR, ev=np.zeros(samples), shutter=(shutter,) * samples, **change)
+    still = replace(SENSOR, exposure_ev=np.zeros(samples), **change)
+    sensor = SensorPlan(still, False, shutter=(shutter,) * samples)
     plan = RigPlan("r", pose, (sensor,))
     surface = flat()
     (rig,), facts = build_rigs((plan,), surface, None, {})
-    around = Around("rigs/r/pose", samples, surface, plan.sensors)
+    around = Around("rigs/r/pose", samples, surface, (still,))
     way = way_of(pose, pose.built(around), around)
     assert way is not None
     return rig, facts["r"]["shutter"]["front"], way
@@ -211,8 +211,9 @@ def test_a_motion_of_no_length_stands_still() -> None:
     alone = TrackPlan(way.at(np.zeros(1)), np.full(1, 2.0), way)
     still = replace(WAYS["orbit"], sweep_deg=0.0)
     for pose, samples in ((hover, 3), (alone, 1), (still, 3)):
-        sensor = replace(SENSOR, ev=np.zeros(samples), shutter=(Shutter(0.1, 0.2),) * samples)
-        (rig,), _ = build_rigs((RigPlan("r", pose, (sensor,)),), flat(), None, {})
+        sensor = replace(SENSOR, exposure_ev=np.zeros(samples))
+        drawn_sensor = SensorPlan(sensor, False, shutter=(Shutter(0.1, 0.2),) * samples)
+        (rig,), _ = build_rigs((RigPlan("r", pose, (drawn_sensor,)),), flat(), None, {})
         opened = rig.sensors[0].shutter
         assert opened is not None
         assert (opened.to_world == opened.to_world[:, :1]).all()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,12 +12,9 @@ from numpy.typing import NDArray
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.geometry.rotations import turned
 from scenec.compiler.mesh.surface import Surface
-from scenec.compiler.scene.rig import Lidar
+from scenec.compiler.scene.rig import Lidar, Sensor
 from scenec.compiler.scene.scene import Placed, Prototype, Scatter
 from scenec.schemas.errors import SceneError
-
-if TYPE_CHECKING:
-    from scenec.compiler.scene.plan import SensorPlan
 
 _DEGREE = elementary.PI / 180.0
 
@@ -84,7 +81,7 @@ class Around:
     what: str
     samples: int
     surface: Surface
-    sensors: tuple[SensorPlan, ...] = ()
+    sensors: tuple[Sensor, ...] = ()
     bodies: Mapping[str, Bodies] = field(default_factory=dict)
     exposing: bool = False
     lidars: tuple[Lidar, ...] = ()
