@@ -95,9 +95,7 @@ def build(plan: Plan, log: BuildLog, keep: Keep = Keep.SEEN) -> Scene:
     """
     if keep is Keep.ALL:
         plan = seen_everywhere(plan)
-    outputs = tuple(
-        dict.fromkeys(o for rig in plan.rigs for s in rig.sensors for o in s.sensor.outputs)
-    )
+    outputs = tuple(dict.fromkeys(name for rig in plan.rigs for name in rig.outputs))
     needs = needs_of_plan(plan, keep)
     color, labels = needs.color, needs.labels
     relief = build_relief(plan, log)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from scenec.compiler.cfg.faults import Finding
 from scenec.compiler.cfg.node import Node
-from scenec.compiler.cfg.resources import ResourceError, find_file, find_folder
+from scenec.compiler.cfg.resources import ResourceError, find_file
 from scenec.compiler.cfg.schema import Field
 from scenec.schemas.errors import SceneError
 from scenec.schemas.spelling import nearest, shown
@@ -62,7 +62,7 @@ def check_files(
         if not name:
             continue
         try:
-            path = find_folder(name, folder) if kind == "texture_set" else find_file(name, folder)
+            path = find_file(name, folder, "folder" if kind == "texture_set" else "file")
             digest = _sha256(path) if path.is_file() else ""
             found = list(_CHECKS[kind](path, owner, cfg) or ())
             if not found and kind in _DIGESTS:
