@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scenec.compiler.cache.memo import memoized
 from scenec.compiler.cameras.imaging import expose
 from scenec.compiler.cameras.paths.motion import Bodies, bodies_of
-from scenec.compiler.cameras.rigs import build_rigs, build_rigs_and_report, needs_objects
+from scenec.compiler.cameras.rigs import build_rigs, memoized_rigs
 from scenec.compiler.light.build import build_light
 from scenec.compiler.light.dark import without_dark
 from scenec.compiler.light.lamps import build_lamps, meter_lamps
@@ -95,7 +95,7 @@ def build(plan: Plan, log: BuildLog, keep: Keep = Keep.SEEN) -> Scene:
     """
     if keep is Keep.ALL:
         plan = seen_everywhere(plan)
-    outputs = tuple(dict.fromkeys(o for rig in plan.rigs for s in rig.sensors for o in s.outputs))
+    outputs = tuple(dict.fromkeys(name for rig in plan.rigs for name in rig.outputs))
     needs = needs_of_plan(plan, keep)
     color, labels = needs.color, needs.labels
     relief = build_relief(plan, log)
@@ -210,7 +210,7 @@ def needs_of_plan(plan: Plan, keep: Keep) -> needed.Needs:
         plan: The batch.
         keep: How much stays.
     """
-    outputs = [o for rig in plan.rigs for sensor in rig.sensors for o in sensor.outputs]
+    outputs = [name for rig in plan.rigs for name in rig.outputs]
     # Scans hold labels and ids, whatever cameras are asked for.
     scanned = ("label", "instance") if any(rig.lidars for rig in plan.rigs) else ()
     return needed.needs_of((*outputs, *scanned), keep, bool(plan.label_table))
@@ -282,12 +282,12 @@ def stand_rigs(
         SceneError: A motion cannot be as it is asked for.
     """
     bodies: dict[str, Bodies] = {}
-    if plan.objects and any(map(needs_objects, plan.rigs)):
-        others = tuple(rig for rig in plan.rigs if not needs_objects(rig))
-        early = build_rigs(others, surface, None)
+    others = tuple(rig for rig in plan.rigs if not rig.pose.needs_objects)
+    if plan.objects and len(others) < len(plan.rigs):
+        early, _ = build_rigs(others, surface, None, bodies)
         for one in stand_objects(plan, surface, early, None, BuildLog()).objects:
             bodies[one.name] = bodies_of(one)
-    rigs, motion = build_rigs_and_report(plan.rigs, surface, irradiance, bodies)
+    rigs, motion = memoized_rigs(plan.rigs, surface, irradiance, bodies)
     if motion:
         log.facts["motion"] = motion
     return rigs

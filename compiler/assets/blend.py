@@ -26,7 +26,7 @@ from scenec.compiler.arithmetic import elementary
 from scenec.compiler.assets.looks import SAME_UV, Look, Slot, UvMap, reflectance
 from scenec.compiler.assets.parts import MeshFileError
 from scenec.compiler.assets.pictures import companion, embedded
-from scenec.compiler.assets.shells import ParsedModel, Shell, compact, placed
+from scenec.compiler.assets.shells import ParsedModel, Shell, placed
 from scenec.compiler.geometry import affine
 
 #: What the process may take; a file that needs more is refused.
@@ -131,7 +131,7 @@ def _shell(values: dict[str, Any], arrays: dict[str, np.ndarray]) -> Shell:
         None,
         arrays[values["material"]].astype(np.int64),
     )
-    return compact(placed(shell, np.array(values["matrix"], np.float64)))
+    return placed(shell, np.array(values["matrix"], np.float64)).compact()
 
 
 def _look(

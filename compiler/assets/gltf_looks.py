@@ -21,25 +21,24 @@ _READ = ("KHR_materials_ior", "KHR_materials_specular", "KHR_materials_pbrSpecul
 
 
 class GltfLooks:
-    """The materials of a document, each read when a mesh first uses it."""
+    """The materials of a document, each read when a mesh first uses it.
+
+    Attributes:
+        known: Those in use.
+    """
 
     def __init__(self, file: GltfFile):
         self._file = file
         self._numbers: dict[int, int] = {}
-        self._looks: list[Look] = []
+        self.known: list[Look] = []
         self._pictures: dict[int, tuple[Source, str]] = {}
 
     def number(self, index: Any) -> int:
         """Position of a document's material in ``known``."""
         if natural(index) not in self._numbers:
-            material = self._file.document["materials"][index]
-            self._looks.append(self._look(material))
-            self._numbers[index] = len(self._looks) - 1
+            self._numbers[index] = len(self.known)
+            self.known.append(self._look(self._file.document["materials"][index]))
         return self._numbers[index]
-
-    def known(self) -> tuple[Look, ...]:
-        """The materials in use."""
-        return tuple(self._looks)
 
     def _look(self, material: dict[str, Any]) -> Look:
         name = str(material.get("name", ""))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import binascii
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ from scenec.compiler.assets.gltf_looks import GltfLooks
 from scenec.compiler.assets.gltf_scene import chunks, natural, placed_meshes, required_version
 from scenec.compiler.assets.parts import MeshFileError
 from scenec.compiler.assets.pictures import companion
-from scenec.compiler.assets.shells import ParsedModel, Shell, compact, placed
+from scenec.compiler.assets.shells import ParsedModel, Shell, placed
 from scenec.compiler.assets.trimesh_file import sound
 
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
@@ -139,15 +140,9 @@ class GltfFile:
             if own not in shells:
                 mesh = document["meshes"][own]
                 shells[own] = [s for p in mesh["primitives"] for s in self._shell(p, looks, notes)]
-            parts += [
-                placed(
-                    Shell(path, s.points, s.faces, s.uv, s.normals, s.colors, s.material), matrix
-                )
-                for s in shells[own]
-            ]
-        notes = list(dict.fromkeys(notes))
-        companions = tuple(self.companions)
-        known = looks.known() if looks else ()
+            parts += [placed(replace(shell, path=path), matrix) for shell in shells[own]]
+        known = tuple(looks.known) if looks else ()
+        companions, notes = tuple(self.companions), list(dict.fromkeys(notes))
         return ParsedModel(tuple(parts), known, 1.0, "y", companions, tuple(notes))
 
     def _shell(
@@ -169,7 +164,7 @@ class GltfFile:
         if len(faces) and faces.max() >= len(points):
             raise MeshFileError(f"a face uses vertex {faces.max()} (from 0) of {len(points)}")
         if looks is None:
-            return [compact(Shell("", points, faces))]
+            return [Shell("", points, faces).compact()]
         uv: dict[str, NDArray] = {}
         sets = sorted(k for k in attributes if k.startswith("TEXCOORD_"))
         for key in sets:
@@ -184,7 +179,7 @@ class GltfFile:
             colors = np.clip(np.nan_to_num(colors[:, :3]), 0.0, 1.0)[faces]
         number = looks.number(primitive["material"]) if "material" in primitive else -1
         owners = np.full(len(faces), number, np.int64)
-        return [compact(Shell("", points, faces, uv, normals, colors, owners))]
+        return [Shell("", points, faces, uv, normals, colors, owners).compact()]
 
     def _per_point(self, index: Any, count: int, *kinds: str) -> NDArray[np.float64]:
         values = self.values(index, *kinds).astype(np.float64)

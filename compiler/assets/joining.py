@@ -4,44 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.assets.parts import MeshFileError, is_of
-from scenec.compiler.assets.shells import ParsedModel, Shell
+from scenec.compiler.assets.shells import Shell
 from scenec.compiler.geometry import affine
-from scenec.schemas.errors import SceneError
 
 #: Largest coordinate, meters: beyond it squares of areas leave float64's range too easily.
 _LARGEST_M = 1e9
-_MEANING = {"unit_m": "how long its unit is", "up": "which axis points upward"}
-
-
-def require_keys(file: Path, parsed: ParsedModel, unit_m: float | None, up: str | None) -> None:
-    """Checks that the file or the arguments say the unit and the upward axis.
-
-    Raises:
-        SceneError: Neither do.
-    """
-    for missing in missing_keys(parsed, unit_m, up):
-        raise SceneError(f"{file.name}: does not say {_MEANING[missing]}: give {missing}")
-
-
-def unit_and_up(parsed: ParsedModel, unit_m: float | None, up: str | None) -> tuple[float, str]:
-    """What is given, else what the file says, else 1 m and z."""
-    unit = parsed.unit_m if unit_m is None else unit_m
-    return 1.0 if unit is None else unit, (parsed.up if up is None else up) or "z"
-
-
-def missing_keys(parsed: ParsedModel, unit_m: float | None, up: str | None) -> list[str]:
-    """Which of ``unit_m`` and ``up`` the file leaves open and nobody gives."""
-    given = {
-        "unit_m": parsed.unit_m if unit_m is None else unit_m,
-        "up": parsed.up if up is None else up,
-    }
-    return [key for key, value in given.items() if value is None]
 
 
 def chosen_parts(parts: tuple[Shell, ...], name: str | None) -> list[Shell]:
@@ -65,7 +37,7 @@ def chosen_parts(parts: tuple[Shell, ...], name: str | None) -> list[Shell]:
 
 @dataclass(frozen=True)
 class Joined:
-    """Parts as one mesh, as ``MeshFile`` describes it.
+    """Parts as one mesh, as ``Model`` describes it.
 
     Attributes:
         points: float64 [n, 3].
@@ -124,7 +96,8 @@ def join(parts: Sequence[Shell], unit_m: float, up: str) -> Joined:
     owner = np.repeat(np.arange(len(parts), dtype=np.int32), [len(part.faces) for part in parts])
     first_of, total = weld(points), len(points)
     points, faces = points[first_of == np.arange(total)], _number_first(first_of)[faces]
-    sound = _doubled_areas(points, faces) > 0.0
+    n = normals_of(points, faces).T
+    sound = np.sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2]) > 0.0
     if not sound.any():
         raise MeshFileError(f"none of its {len(faces)} faces has an area")
     faces, owner, welded = faces[sound], owner[sound], total - len(points)
@@ -161,11 +134,10 @@ def weld(points: NDArray[np.float64]) -> NDArray[np.int64]:
     return first
 
 
-def _doubled_areas(points: NDArray[np.float64], faces: NDArray[np.int64]) -> NDArray[np.float64]:
+def normals_of(points: NDArray[np.float64], faces: NDArray[np.integer]) -> NDArray[np.float64]:
+    """Normals of triangles, as long as twice their areas, [m, 3]."""
     a, b, c = (points[faces[:, k]] for k in range(3))
     u, v = b - a, c - a
-    n = [
-        u[:, i] * v[:, j] - u[:, j] * v[:, i]
-        for i, j in ((1, 2), (2, 0), (0, 1))
-    ]  # fmt: skip
-    return np.sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2])
+    return np.stack(
+        [u[:, i] * v[:, j] - u[:, j] * v[:, i] for i, j in ((1, 2), (2, 0), (0, 1))], axis=1
+    )

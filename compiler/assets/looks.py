@@ -162,15 +162,8 @@ def reflectance(ior: float) -> float:
     return ratio * ratio
 
 
-def linear(code: float) -> float:
-    """Linear value of an sRGB one in [0, 1] (IEC 61966-2-1)."""
-    if code <= 0.04045:
-        return code / 12.92
-    return float(elementary.pow((code + 0.055) / 1.055, 2.4))
-
-
 def linear_array(codes: np.ndarray) -> np.ndarray:
-    """As ``linear``, of an array."""
+    """Linear values of sRGB ones, which are clipped to [0, 1] (IEC 61966-2-1)."""
     codes = np.clip(codes, 0.0, 1.0).astype(np.float64)
     steep = elementary.exp_array(2.4 * elementary.log_array((codes + 0.055) / 1.055))
     return np.where(codes <= 0.04045, codes / 12.92, steep)

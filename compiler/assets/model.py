@@ -1,8 +1,4 @@
-"""Models from files: a mesh with texture coordinates, parts and materials, for objects.
-
-Opacity, emission, displacement, coats and the like have no place in the surface model: each that a
-file asks for is named in the notes.
-"""
+"""Models from files, for terrain and objects: a mesh with coordinates, parts and materials."""
 
 from __future__ import annotations
 
@@ -12,25 +8,28 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.assets.joining import chosen_parts, join, require_keys, unit_and_up
+from scenec.compiler.assets.joining import chosen_parts, join, normals_of
 from scenec.compiler.assets.looks import Look, ModelMaterial, finished_look
-from scenec.compiler.assets.parse import SUFFIXES as SUFFIXES
 from scenec.compiler.assets.parse import faults_of, parse_model
 from scenec.compiler.assets.parts import MeshFileError
 from scenec.compiler.assets.shells import ParsedModel, Shell
 from scenec.compiler.geometry import affine
+from scenec.schemas.errors import SceneError
+
+_MEANING = {"unit_m": "how long its unit is", "up": "which axis points upward"}
 
 
 @dataclass(frozen=True)
 class Model:
-    """A model from a file: meters, Z up, right-handed; welded and cleaned as ``MeshFile``.
+    """A model from a file: meters, Z up, right-handed.
 
-    Points are welded by position alone: texture coordinates and normals stand at the corners of
-    faces, so that their seams do not split the surface.
+    Vertices of exactly equal position are one, in the order in which they come first: texture
+    coordinates and normals stand at the corners of faces, so that their seams do not split the
+    surface. Faces without area are dropped, as are vertices that no face uses.
 
     Attributes:
         points: float64 [n, 3].
-        faces: int32 [m, 3], counter-clockwise seen from outside.
+        faces: int32 [m, 3], counter-clockwise seen from outside; polygons are fans.
         uv: Texture coordinates of the faces' corners, v up as USD's ``st``, float32 [m, 3, 2]; 0
             where a part has none; None where none has. What a material does to its coordinates
             is done.
@@ -41,6 +40,8 @@ class Model:
         normals: Shading normals of the faces' corners, unit, float32 [m, 3, 3]; None where the
             file has none. A face without them has its geometric one.
         notes: What of the file is left out, in words for a user.
+        degenerate: Faces dropped.
+        welded: Vertices that were copies.
     """
 
     points: NDArray[np.float64]
@@ -52,35 +53,35 @@ class Model:
     materials: tuple[ModelMaterial, ...]
     normals: NDArray[np.float32] | None
     notes: tuple[str, ...]
+    degenerate: int
+    welded: int
 
 
 def read_model(
-    file: Path, *, unit_m: float | None = None, up: str | None = None, part: str | None = None
+    file: Path,
+    *,
+    unit_m: float | None = None,
+    up: str | None = None,
+    part: str | None = None,
+    looks: bool = True,
 ) -> Model:
-    """Reads a file of one of ``SUFFIXES``.
+    """Reads a file of one of ``parse.SUFFIXES``.
 
     Args:
         file: PLY, STL and OFF need the extra ``meshes``, ``.blend`` the extra ``cycles``.
         unit_m: Meters per unit; None takes what the file says.
         up: Upward axis: x, y, z, -x, -y or -z; None takes what the file says.
         part: One of its meshes, or a name above some of them; None takes all.
+        looks: As of ``parse_model``.
 
     Raises:
         SceneError: The file, or one that belongs to it, cannot be read; it is no mesh; it has no
             such part; or neither the arguments nor the file say the unit or the axis.
     """
-    parsed = parse_model(file)
-    require_keys(file, parsed, unit_m, up)
+    parsed = parse_model(file, looks=looks)
+    for missing in parsed.missing(unit_m, up):
+        raise SceneError(f"{file.name}: does not say {_MEANING[missing]}: give {missing}")
     return finish_model(file, parsed, unit_m=unit_m, up=up, part=part)
-
-
-def companions(file: Path) -> tuple[Path, ...]:
-    """The files beside a model that belong to it: materials, pictures, buffers.
-
-    Raises:
-        SceneError: As ``read_model``; one of them is missing, or named by an absolute path.
-    """
-    return parse_model(file).companions
 
 
 def finish_model(
@@ -97,7 +98,11 @@ def finish_model(
         SceneError: It is no sound mesh, has no such part, or a picture is broken.
     """
     with faults_of(file):
-        return _finished(chosen_parts(parsed.parts, part), parsed, *unit_and_up(parsed, unit_m, up))
+        unit = parsed.unit_m if unit_m is None else unit_m
+        axis = (parsed.up if up is None else up) or "z"
+        return _finished(
+            chosen_parts(parsed.parts, part), parsed, 1.0 if unit is None else unit, axis
+        )
 
 
 def _finished(shells: list[Shell], parsed: ParsedModel, unit_m: float, up: str) -> Model:
@@ -131,6 +136,8 @@ def _finished(shells: list[Shell], parsed: ParsedModel, unit_m: float, up: str) 
         tuple(materials),
         _normals(shells, joined.points, joined.faces, joined.sound, up),
         tuple(dict.fromkeys(notes)),
+        int((~joined.sound).sum()),
+        joined.welded,
     )
 
 
@@ -223,11 +230,7 @@ def _normals(
     turn = np.eye(4)
     turn[:3, :3] = affine.TO_Z_UP[up]
     given = affine.applied(turn, given.reshape(-1, 3)).reshape(-1, 3, 3)
-    a, b, c = (points[faces[:, k]] for k in range(3))
-    u, v = b - a, c - a
-    flat = np.stack(
-        [u[:, i] * v[:, j] - u[:, j] * v[:, i] for i, j in ((1, 2), (2, 0), (0, 1))], axis=1
-    )
+    flat = normals_of(points, faces)
     given = np.where(np.isfinite(given).all(axis=2, keepdims=True), given, 0.0)
     # Largest first, so that squares neither vanish nor overflow.
     largest = np.abs(given).max(axis=2, keepdims=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ from scenec.compiler.assets.looks import Look, linear_array
 from scenec.compiler.assets.mtl import read_mtl
 from scenec.compiler.assets.parts import MeshFileError, fan_corners
 from scenec.compiler.assets.pictures import companion
-from scenec.compiler.assets.shells import ParsedModel, Shell, compact
+from scenec.compiler.assets.shells import ParsedModel, Shell
 from scenec.compiler.assets.trimesh_file import sound
 
 _NUMBER = r"[-+]?(?:\d++\.?\d*+|\.\d++|(?i:nan|inf(?:inity)?))(?:[eE][-+]?\d++)?"
@@ -110,26 +111,23 @@ class _Reader:
         runs = np.array(self._runs, np.int64).reshape(-1, 3)
         lengths = np.diff(np.append(runs[:, 0], len(self._faces)))
         part_of, look_of = (np.repeat(runs[:, k], lengths)[polygon] for k in (1, 2))
+        whole = Shell(
+            "",
+            points,
+            faces,
+            {} if uv is None else {"vt": uv},
+            normals,
+            None if tints is None else tints[faces],
+            look_of,
+        )
         shells = []
         order = np.argsort(part_of, kind="stable")
         ends = np.cumsum(np.bincount(part_of, minlength=len(self._parts))).tolist()
         for name, start, end in zip(self._parts, [0, *ends], ends, strict=False):
             own = order[start:end]
-            shells.append(
-                compact(
-                    Shell(
-                        name,
-                        points,
-                        faces[own],
-                        {"vt": uv[own]}
-                        if uv is not None and (spelled[own, :, 1] >= 0).any()
-                        else {},
-                        normals[own] if normals is not None else None,
-                        tints[faces[own]] if tints is not None else None,
-                        look_of[own],
-                    )
-                )
-            )
+            shell = replace(whole.chosen(own), path=name)
+            has_uv = uv is not None and (spelled[own, :, 1] >= 0).any()
+            shells.append(shell if has_uv else replace(shell, uv={}))
         return ParsedModel(tuple(shells), looks, None, None, companions, notes)
 
     def _corners(self) -> NDArray[np.int64]:

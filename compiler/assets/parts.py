@@ -28,19 +28,6 @@ def fan_corners(counts: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[n
     return np.stack([first, first + step + 1, first + step + 2], axis=1), polygon
 
 
-def fans(counts: NDArray[np.int64], corners: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Polygons as triangles around their first corners; what has fewer than three is left out.
-
-    Args:
-        counts: Corners of each polygon, [p].
-        corners: All their corners, one polygon after the other, [sum of counts].
-
-    Returns:
-        int64 [m, 3].
-    """
-    return corners[fan_corners(counts)[0]]
-
-
 def is_of(path: str, name: str) -> bool:
     """Whether a part's path is a name's, or stands below it in the file's hierarchy."""
     return path == name or path.startswith(name.rstrip("/") + "/") or name in path.split("/")

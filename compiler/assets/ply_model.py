@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.assets.looks import Look, Slot, linear_array
-from scenec.compiler.assets.parts import MeshFileError, fan_corners, fans
+from scenec.compiler.assets.parts import MeshFileError, fan_corners
 from scenec.compiler.assets.pictures import companion
 from scenec.compiler.assets.shells import ParsedModel, Shell
 from scenec.compiler.assets.trimesh_file import MIXED, loader, sound
@@ -50,15 +50,13 @@ def read_ply(file: Path, looks: bool) -> ParsedModel:
     with sound(".ply"):
         data = file.read_bytes()
         mesh = _read(data, load)
-        if not looks:
-            bare = Shell("", mesh.points, fans(mesh.counts, mesh.corners))
-            return ParsedModel((bare,), (), None, None)
-    return _with_looks(file, data, mesh)
+        faces = mesh.corners[fan_corners(mesh.counts)[0]]
+    if looks:
+        return _with_looks(file, data, mesh, faces)
+    return ParsedModel((Shell("", mesh.points, faces),), (), None, None)
 
 
-def _with_looks(file: Path, data: bytes, mesh: PlyMesh) -> ParsedModel:
-    corners, _ = fan_corners(mesh.counts)
-    faces = mesh.corners[corners]
+def _with_looks(file: Path, data: bytes, mesh: PlyMesh, faces: NDArray[np.int64]) -> ParsedModel:
     inside = bool(len(faces)) and faces.min() >= 0 and faces.max() < len(mesh.points)
     looks: list[Look] = []
     notes: list[str] = []

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.assets.track import read_rows
+from scenec.compiler.assets.tables import read_rows
 from scenec.schemas.errors import SceneError
 from scenec.schemas.spelling import shown
 

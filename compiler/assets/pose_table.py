@@ -8,14 +8,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.assets.track import of_unit_length, read_number, read_rows
+from scenec.compiler.assets.tables import QUATERNION, Row, Table, read_rows, read_table
 from scenec.schemas.errors import SceneError
 from scenec.schemas.spelling import nearest, shown
 
 _PLACE = ("x_m", "y_m", "z_m")
-_TURN = ("qw", "qx", "qy", "qz")
 #: Columns there can be, in the order in which the docs name them.
-COLUMNS = ("id", "time_s", *_PLACE, *_TURN, "scale", "model")
+COLUMNS = ("id", "time_s", *_PLACE, *QUATERNION, "scale", "model")
 _LARGEST_ID = 2**31 - 1
 
 
@@ -60,40 +59,53 @@ def read_poses(file: Path, models: int = 1) -> PoseTable:
     rows = read_rows(file)
     if not rows:
         raise SceneError(f"{file.name}: no poses: expected a header line and rows below it")
-    columns = _header(file, *rows[0])
-    rows = rows[1:]
+    header, *rows = rows
+    _check_header(file, header)
     if not rows:
         raise SceneError(f"{file.name}: no poses below the header")
-    table = {name: np.empty(len(rows)) for name in columns}
-    for i, (line, cells) in enumerate(rows):
-        if len(cells) != len(columns):
-            raise SceneError(f"{file.name}:{line}: {len(cells)} columns, expected {len(columns)}")
-        for name, cell in zip(columns, cells, strict=True):
-            table[name][i] = read_number(file, line, name, cell)
-    lines = [line for line, _ in rows]
-    count = len(rows)
-    for name, low, high in (("id", 1, _LARGEST_ID), ("model", 0, models - 1)):
-        _require_whole(file, lines, table.get(name), name, low, high)
-    times = table.get("time_s", np.zeros(count))
-    if "id" in table:
-        ids = table["id"].astype(np.int64)
-    else:
-        ids = np.ones(count, np.int64) if "time_s" in table else np.arange(1, count + 1)
+    given, count = header[1], len(rows)
+    table = read_table(file, rows, {name: i for i, name in enumerate(given)}, len(given))
+    _require_whole(table, "id", 1, _LARGEST_ID)
+    _require_whole(table, "model", 0, models - 1)
+    usual = np.arange(1, count + 1) if "time_s" not in given else np.ones(count)
+    ids = table.columns.get("id", usual).astype(np.int64)
+    # What the file leaves out: no height, no turn, the file's own size, the first model.
+    usual_of = dict.fromkeys(COLUMNS, np.zeros(count)) | {"scale": np.ones(count)}
+    if "qw" not in given:
+        usual_of["qw"] = np.ones(count)
+    table = Table(file, table.lines, usual_of | table.columns)
+    times, model = table.columns["time_s"], table.columns["model"].astype(np.int64)
     order = np.lexsort((np.arange(count), times, ids))
-    _require_distinct(file, lines, ids, times, order)
-    model = table.get("model", np.zeros(count)).astype(np.int64)
-    _require_same_model(file, lines, ids, model, order)
+    same = ids[order][1:] == ids[order][:-1]
+    again = np.flatnonzero(same & (times[order][1:] == times[order][:-1]))
+    if again.size:
+        at = int(order[again[0] + 1])
+        raise table.fault(at, f"object {ids[at]} stands in another row with the same time")
+    change = np.flatnonzero(same & (model[order][1:] != model[order][:-1]))
+    if change.size:
+        at = int(order[change[0] + 1])
+        raise table.fault(
+            at,
+            f"object {ids[at]} has model {model[at]}, and another in another row: an object keeps "
+            "its model",
+        )
+    quaternion, scale = table.quaternions(), table.columns["scale"]
+    bad = np.flatnonzero(~(scale > 0.0) | (scale > 1e6))
+    if bad.size:
+        at = int(bad[0])
+        raise table.fault(at, f"scale is {scale[at]:g}, expected a number above 0 and up to 1e6")
     return PoseTable(
         id=ids[order],
         time_s=times[order],
-        position_m=np.stack([table.get(n, np.zeros(count)) for n in _PLACE], axis=1)[order],
-        quaternion=_quaternions(file, lines, table)[order],
-        scale=_scales(file, lines, table.get("scale"), count)[order],
+        position_m=table.stacked(_PLACE)[order],
+        quaternion=quaternion[order],
+        scale=scale[order],
         model=model[order],
     )
 
 
-def _header(file: Path, line: int, cells: list[str]) -> list[str]:
+def _check_header(file: Path, header: Row) -> None:
+    line, cells = header
     expected = f"expected columns of {', '.join(COLUMNS)}"
     for cell in cells:
         if cell not in COLUMNS:
@@ -103,76 +115,19 @@ def _header(file: Path, line: int, cells: list[str]) -> list[str]:
             )
         if cells.count(cell) > 1:
             raise SceneError(f"{file.name}:{line}: the column {shown(cell)} stands twice")
-    turned = [name for name in _TURN if name in cells]
-    needed = ["x_m", "y_m", *(_TURN if turned else ())]
-    for name in needed:
+    turned = not set(QUATERNION).isdisjoint(cells)
+    for name in ("x_m", "y_m", *(QUATERNION if turned else ())):
         if name not in cells:
             raise SceneError(f"{file.name}:{line}: no column {shown(name)}; {expected}")
-    return cells
 
 
-def _require_whole(
-    file: Path, lines: list[int], values: NDArray[np.float64] | None, name: str, low: int, high: int
-) -> None:
+def _require_whole(table: Table, name: str, low: int, high: int) -> None:
+    values = table.columns.get(name)
     if values is None:
         return
     bad = np.flatnonzero((values != np.floor(values)) | (values < low) | (values > high))
     if bad.size:
-        raise SceneError(
-            f"{file.name}:{lines[bad[0]]}: {name} is {values[bad[0]]:g}, expected a whole number "
-            f"from {low} to {high}"
+        value = values[bad[0]]
+        raise table.fault(
+            int(bad[0]), f"{name} is {value:g}, expected a whole number from {low} to {high}"
         )
-
-
-def _require_distinct(
-    file: Path,
-    lines: list[int],
-    ids: NDArray[np.int64],
-    times: NDArray[np.float64],
-    order: NDArray[np.int64],
-) -> None:
-    same = (ids[order][1:] == ids[order][:-1]) & (times[order][1:] == times[order][:-1])
-    if same.any():
-        at = int(order[int(np.flatnonzero(same)[0]) + 1])
-        raise SceneError(
-            f"{file.name}:{lines[at]}: object {ids[at]} stands in another row with the same time"
-        )
-
-
-def _require_same_model(
-    file: Path,
-    lines: list[int],
-    ids: NDArray[np.int64],
-    model: NDArray[np.int64],
-    order: NDArray[np.int64],
-) -> None:
-    change = (ids[order][1:] == ids[order][:-1]) & (model[order][1:] != model[order][:-1])
-    if change.any():
-        at = int(order[int(np.flatnonzero(change)[0]) + 1])
-        raise SceneError(
-            f"{file.name}:{lines[at]}: object {ids[at]} has model {model[at]}, and another in "
-            "another row: an object keeps its model"
-        )
-
-
-def _quaternions(
-    file: Path, lines: list[int], table: dict[str, NDArray[np.float64]]
-) -> NDArray[np.float64]:
-    if "qw" not in table:
-        return np.tile([1.0, 0.0, 0.0, 0.0], (len(lines), 1))
-    quaternion = np.stack([table[name] for name in _TURN], axis=1)
-    return of_unit_length(file, lines, quaternion)
-
-
-def _scales(
-    file: Path, lines: list[int], values: NDArray[np.float64] | None, count: int
-) -> NDArray[np.float64]:
-    if values is None:
-        return np.ones(count)
-    bad = np.flatnonzero(~(values > 0.0) | (values > 1e6))
-    if bad.size:
-        raise SceneError(
-            f"{file.name}:{lines[bad[0]]}: scale is {values[bad[0]]:g}, expected a number above 0 "
-            "and up to 1e6"
-        )
-    return values

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +23,7 @@ class Shell:
         uv: Texture coordinates by the name of their set, the first one first, v up; [m, 3, 2].
         normals: At the corners, of any length, in the file's axes as the points: [m, 3, 3].
         colors: At the corners, linear Rec.709: [m, 3, 3].
-        material: Index into ``ParsedModel.looks``, or -1: int64 [m].
+        material: Index into ``ParsedModel.looks``, or -1: int64 [m]; None: no face has one.
     """
 
     path: str
@@ -32,12 +32,37 @@ class Shell:
     uv: dict[str, NDArray] = field(default_factory=dict)
     normals: NDArray | None = None
     colors: NDArray | None = None
-    material: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
+    material: NDArray[np.int64] | None = None
 
     def owners(self) -> NDArray[np.int64]:
-        """Index of each face's material; -1 for all where the part has none."""
-        none = np.full(len(self.faces), -1, np.int64)
-        return self.material if len(self.material) == len(self.faces) else none
+        """Index of each face's material; -1 for none."""
+        return np.full(len(self.faces), -1, np.int64) if self.material is None else self.material
+
+    def chosen(self, own: NDArray) -> Shell:
+        """Some of its faces, by their indices or by a mask, with the points that they use."""
+        return replace(
+            self,
+            faces=self.faces[own],
+            uv={name: uv[own] for name, uv in self.uv.items()},
+            normals=None if self.normals is None else self.normals[own],
+            colors=None if self.colors is None else self.colors[own],
+            material=None if self.material is None else self.material[own],
+        ).compact()
+
+    def compact(self) -> Shell:
+        """Without the points that no face uses; with all if a face uses one that there is not."""
+        faces, count = self.faces, len(self.points)
+        if not len(faces) or faces.min() < 0 or faces.max() >= count:
+            return self
+        # Sorting is for the many small parts of a large file.
+        if 20 * len(faces) < count:
+            used, corners = np.unique(faces.ravel(), return_inverse=True)
+            faces = corners.reshape(-1, 3)
+        else:
+            marked = np.zeros(count, bool)
+            marked[faces.ravel()] = True
+            used, faces = np.flatnonzero(marked), (np.cumsum(marked) - 1)[faces]
+        return replace(self, points=self.points[used], faces=faces)
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,6 +84,11 @@ class ParsedModel:
     up: str | None
     companions: tuple[Path, ...] = ()
     notes: tuple[str, ...] = ()
+
+    def missing(self, unit_m: float | None, up: str | None) -> list[str]:
+        """Which of ``unit_m`` and ``up`` the file leaves open and nobody gives."""
+        said = {"unit_m": (unit_m, self.unit_m), "up": (up, self.up)}
+        return [key for key, values in said.items() if values == (None, None)]
 
 
 def placed(shell: Shell, matrix: NDArray[np.float64], *, turned: bool | None = None) -> Shell:
@@ -85,31 +115,11 @@ def placed(shell: Shell, matrix: NDArray[np.float64], *, turned: bool | None = N
             cofactors = -cofactors
         flat = np.asarray(normals, np.float64).reshape(-1, 3)
         normals = affine.applied(cofactors, flat).reshape(-1, 3, 3)[:, ::step]
-    return Shell(
-        shell.path,
-        affine.applied(matrix, shell.points),
-        shell.faces[:, ::step],
-        {name: uv[:, ::step] for name, uv in shell.uv.items()},
-        normals,
-        None if shell.colors is None else shell.colors[:, ::step],
-        shell.material,
-    )
-
-
-def compact(shell: Shell) -> Shell:
-    """Without the points that no face uses; faces that use none of the points stay as they are."""
-    if not len(shell.faces):
-        return shell
-    if shell.faces.min() < 0 or shell.faces.max() >= len(shell.points):
-        return shell
-    # Sorting is for the many small parts of a large file.
-    if 20 * len(shell.faces) < len(shell.points):
-        used, corners = np.unique(shell.faces.ravel(), return_inverse=True)
-        faces = corners.reshape(-1, 3)
-    else:
-        marked = np.zeros(len(shell.points), bool)
-        marked[shell.faces.ravel()] = True
-        used, faces = np.flatnonzero(marked), (np.cumsum(marked) - 1)[shell.faces]
-    return Shell(
-        shell.path, shell.points[used], faces, shell.uv, shell.normals, shell.colors, shell.material
+    return replace(
+        shell,
+        points=affine.applied(matrix, shell.points),
+        faces=shell.faces[:, ::step],
+        uv={name: uv[:, ::step] for name, uv in shell.uv.items()},
+        normals=normals,
+        colors=None if shell.colors is None else shell.colors[:, ::step],
     )

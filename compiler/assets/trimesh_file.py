@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from scenec.compiler.assets.parts import MeshFileError, fans
+from scenec.compiler.assets.parts import MeshFileError, fan_corners
 from scenec.compiler.assets.shells import ParsedModel, Shell
 
 #: What trimesh, NumPy and the standard library raise for files that are no meshes.
@@ -160,8 +160,8 @@ def _part(path: str, loaded: dict[str, Any]) -> Shell:
         raise MeshFileError(f"expected vertices of three numbers, found {points.shape}")
     if faces.ndim != 2 or faces.dtype.kind not in "iu":
         raise MeshFileError(f"expected faces as lists of vertices, found {faces.dtype}")
-    counts = np.full(len(faces), faces.shape[1], np.int64)
-    return Shell(path, points.astype(np.float64), fans(counts, faces.ravel().astype(np.int64)))
+    triangles, _ = fan_corners(np.full(len(faces), faces.shape[1], np.int64))
+    return Shell(path, points.astype(np.float64), faces.ravel().astype(np.int64)[triangles])
 
 
 def _stl(data: bytes, load: Callable[..., dict[str, Any]]) -> tuple[Shell, ...]:

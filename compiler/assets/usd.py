@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pxr import Sdf, Tf, Usd, UsdGeom
 
-from scenec.compiler.assets.parts import MeshFileError, fans
-from scenec.compiler.assets.shells import Shell
+from scenec.compiler.assets.parts import MeshFileError
 from scenec.compiler.geometry import affine
 from scenec.schemas.native import native_reading
 
@@ -40,7 +39,8 @@ def sound_stage(file: Path) -> Iterator[Usd.Stage]:
             _require_one_file(stage)
             yield stage
     except Tf.ErrorException as error:
-        reason = _reason(error).replace(f"{file}:", "line ")
+        # USD lists each of thousands of broken specs.
+        reason = _reason(error).replace(f"{file}:", "line ")[:1000]
         raise MeshFileError(f"not a sound USD file: {reason}") from error
     except (TypeError, ValueError, OverflowError) as error:
         # An attribute of another type than the schema's.
@@ -151,20 +151,6 @@ def polygons_of(mesh: UsdGeom.Mesh) -> UsdPolygons:
         matrix,
         bool(left_handed != affine.mirrors(matrix)),
     )
-
-
-def bare_shell(mesh: UsdGeom.Mesh) -> Shell:
-    """Points and faces of a prim, in the world.
-
-    Raises:
-        MeshFileError: As ``polygons_of``.
-    """
-    polygons = polygons_of(mesh)
-    faces = fans(polygons.counts, polygons.corners)
-    if polygons.turned:
-        faces = faces[:, ::-1]
-    path = str(mesh.GetPath())
-    return Shell(path, affine.applied(polygons.to_world, polygons.points), faces)
 
 
 def _local_to_world(prim: Usd.Prim) -> NDArray[np.float64]:

@@ -13,11 +13,10 @@ from numpy.typing import NDArray
 from pxr import Sdf, Usd, UsdGeom, UsdShade
 
 from scenec.compiler.assets.parts import MeshFileError, fan_corners
-from scenec.compiler.assets.shells import ParsedModel, Shell, compact, placed
+from scenec.compiler.assets.shells import ParsedModel, Shell, placed
 from scenec.compiler.assets.usd import (
     TIME,
     UsdPolygons,
-    bare_shell,
     polygons_of,
     shown_meshes,
     sound_stage,
@@ -44,11 +43,8 @@ def read_usd_model(file: Path, looks: bool) -> ParsedModel:
     """
     with sound_stage(file) as stage:
         found = UsdLooks(file)
-        shells = [
-            shell
-            for mesh in shown_meshes(stage)
-            for shell in (_shells(mesh, found) if looks else (bare_shell(mesh),))
-        ]
+        read = _shells if looks else _bare_shells
+        shells = [shell for mesh in shown_meshes(stage) for shell in read(mesh, found)]
         return ParsedModel(
             tuple(shells),
             tuple(found.known),
@@ -56,6 +52,13 @@ def read_usd_model(file: Path, looks: bool) -> ParsedModel:
             tuple(found.companions),
             tuple(dict.fromkeys(found.notes)),
         )
+
+
+def _bare_shells(mesh: UsdGeom.Mesh, looks: UsdLooks) -> list[Shell]:
+    polygons = polygons_of(mesh)
+    faces = polygons.corners[fan_corners(polygons.counts)[0]]
+    shell = Shell(str(mesh.GetPath()), polygons.points, faces)
+    return [placed(shell, polygons.to_world, turned=polygons.turned)]
 
 
 def _shells(mesh: UsdGeom.Mesh, looks: UsdLooks) -> list[Shell]:
@@ -113,22 +116,13 @@ def _split(
     whole = replace(whole, material=owners)
     if (part < 0).all():
         return [whole]
-    paths = [str(subset.GetPath()) for subset in subsets]
-    shells = []
-    for i in range(-1, len(subsets)):
-        own = part == i
-        if own.any():
-            shell = Shell(
-                whole.path if i < 0 else paths[i],
-                whole.points,
-                whole.faces[own],
-                {name: uv[own] for name, uv in whole.uv.items()},
-                None if whole.normals is None else whole.normals[own],
-                None if whole.colors is None else whole.colors[own],
-                owners[own],
-            )
-            shells.append(compact(shell))
-    return shells
+    paths = [*(str(subset.GetPath()) for subset in subsets), whole.path]
+    # What is in no subset comes first.
+    return [
+        replace(whole.chosen(part == i), path=paths[i])
+        for i in range(-1, len(subsets))
+        if (part == i).any()
+    ]
 
 
 class _Primvars:

@@ -13,19 +13,16 @@ of a track is one for these times as for samples.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.cameras.paths.motion import Around, Built, Motion
+from scenec.compiler.cameras.paths.motion import Around, Built, Motion, Way
 from scenec.compiler.cameras.tracks import Sampling
-from scenec.compiler.distributions.resolve import resolve
-from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.geometry.lenses import FUNCTIONS, sight_of
 from scenec.compiler.geometry.poses import composed
-from scenec.compiler.scene.plan import ImagingPlan, RandomTargetPlan, SensorPlan, TrackPlan
+from scenec.compiler.scene.plan import SensorPlan
 from scenec.compiler.scene.rig import Between, OpenShutter, Rig, Sensor
 from scenec.schemas.shutter import Shutter, between
 
@@ -42,44 +39,6 @@ _MOST_IN_ALL: Final = 1_000_000
 _AT_ONCE: Final = 4096
 #: Codes that differ by less are one.
 _SAME_CODE: Final = 1e-9
-
-
-class Way(NamedTuple):
-    """How a rig moves.
-
-    Attributes:
-        at: Rig-to-world matrices [n, 4, 4] at seconds [n] after the motion's beginning.
-        times: Of the samples, likewise, [s].
-    """
-
-    at: Callable[[NDArray[np.float64]], NDArray[np.float64]]
-    times: NDArray[np.float64]
-
-
-def draw_shutter(
-    cfg: dict[str, Any] | None,
-    imaging: ImagingPlan | None,
-    streams: Streams,
-    path: str,
-    samples: int,
-) -> tuple[Shutter, ...] | None:
-    """Draw a sensor's ``shutter``: one for each sample.
-
-    Args:
-        cfg: It, filled in; None without.
-        imaging: The sensor's, whose exposure time counts where the shutter has none.
-        streams: The batch's.
-        path: Where it stands.
-        samples: Number of samples.
-    """
-    if cfg is None:
-        return None
-    node = resolve(cfg, streams, path)
-    upward = node["direction"] == "up"
-    if node["exposure_s"] is not None:
-        return (Shutter(node["exposure_s"], node["readout_s"], upward),) * samples
-    assert imaging is not None
-    return tuple(Shutter(one.time_s, node["readout_s"], upward) for one in imaging.samples)
 
 
 def open_shutters(
@@ -117,13 +76,11 @@ def open_shutters(
     return dataclasses.replace(rig, sensors=tuple(sensors), between=moving), facts
 
 
-def way_of(pose: RandomTargetPlan | TrackPlan | Motion, built: Built, around: Around) -> Way | None:
+def way_of(pose: Motion, built: Built, around: Around) -> Way | None:
     """How a rig moves between its samples; None where it does not."""
-    if isinstance(pose, TrackPlan):
-        return None if pose.way is None else Way(pose.way.at, pose.way.times)
     duration = built.facts.get("duration_s")
-    if isinstance(pose, RandomTargetPlan) or built.times is None or duration is None:
-        return None
+    if built.way is not None or built.times is None or duration is None:
+        return built.way
     what = f"while a shutter is open: {around.what}"
     # Each motion over time is a dataclass with a sampling.
     motion: Any = pose

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.assets.track_formats import Stamped
+from scenec.compiler.assets.tracks import Stamped
+from scenec.compiler.cameras.paths.motion import Around, Built, Way
 from scenec.compiler.geometry.se3 import interpolate, matrices
 from scenec.schemas import stage as names
 from scenec.schemas.errors import SceneError
@@ -112,6 +113,27 @@ class TrackWay:
         return resampled(
             self.track, inside, self.method, self.gaps, what, self.usd, "the exposure at"
         )
+
+
+@dataclass(frozen=True)
+class TrackPlan:
+    """Given poses.
+
+    Attributes:
+        to_world: World matrices with OpenCV axes, [s, 4, 4].
+        times: Their times, [s].
+        way: Gives those at other times; None where nobody asks for them.
+    """
+
+    to_world: NDArray[np.float64]
+    times: NDArray[np.float64]
+    way: TrackWay | None = None
+    needs_objects: bool = False
+
+    def built(self, around: Around) -> Built:
+        """The poses; see ``Motion``."""
+        way = None if self.way is None else Way(self.way.at, self.way.times)
+        return Built(self.to_world, self.times, way=way)
 
 
 def resampled(

@@ -8,13 +8,17 @@ import zlib
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from scenec.compiler.cfg.faults import Finding
 from scenec.compiler.cfg.node import Node
-from scenec.compiler.cfg.resources import ResourceError, find_file, find_folder
+from scenec.compiler.cfg.resources import ResourceError, find_file
 from scenec.compiler.cfg.schema import Field
 from scenec.schemas.errors import SceneError
 from scenec.schemas.spelling import nearest, shown
+
+if TYPE_CHECKING:
+    from scenec.compiler.assets.shells import ParsedModel
 
 _EXR_MAGIC = b"\x76\x2f\x31\x01"
 
@@ -58,9 +62,9 @@ def check_files(
         if not name:
             continue
         try:
-            path = find_folder(name, folder) if kind == "texture_set" else find_file(name, folder)
+            path = find_file(name, folder, "folder" if kind == "texture_set" else "file")
             digest = _sha256(path) if path.is_file() else ""
-            found = list(_CHECKS[kind](path, owner, cfg))
+            found = list(_CHECKS[kind](path, owner, cfg) or ())
             if not found and kind in _DIGESTS:
                 digest = _DIGESTS[kind](path, owner, digest)
             if not found:
@@ -101,7 +105,7 @@ def _check_texture_set(folder: Path, owner: Node, cfg: Node) -> Iterator[Finding
             )
     for name in files.values():
         try:
-            yield from _check_map(folder / name, owner, cfg)
+            _check_map(folder / name, owner, cfg)
         except SceneError as error:
             yield owner.fault(str(error), "folder")
 
@@ -144,33 +148,31 @@ def _check_dem(file: Path, owner: Node, cfg: Node) -> Iterator[Finding]:
 
 
 def _check_mesh(file: Path, owner: Node, cfg: Node) -> Iterator[Finding]:
-    from scenec.compiler.assets.joining import missing_keys
-    from scenec.compiler.assets.mesh_file import finish_mesh
+    from scenec.compiler.assets.model import finish_model
     from scenec.compiler.assets.parse import parse_model
 
     parsed = parse_model(file, looks=False)
-    missing = _missing(file, owner, missing_keys(parsed, owner["unit_m"], owner["up"]))
+    missing = _missing(file, owner, parsed)
     yield from missing
     if not missing:
-        finish_mesh(file, parsed, part=owner["part"])
+        # Its unit may be drawn, and is of no account here.
+        finish_model(file, parsed, part=owner["part"])
 
 
 def _check_model(file: Path, owner: Node, cfg: Node) -> Iterator[Finding]:
     from scenec.compiler.assets.cache import cached_model, parsed_model
-    from scenec.compiler.assets.joining import missing_keys
 
-    unit_m, up = owner["unit_m"], owner["up"]
-    missing = _missing(file, owner, missing_keys(parsed_model(file), unit_m, up))
+    missing = _missing(file, owner, parsed_model(file))
     yield from missing
     if not missing:
-        cached_model(file, unit_m, up, owner["part"])
+        cached_model(file, owner["unit_m"], owner["up"], owner["part"])
 
 
-def _missing(file: Path, owner: Node, keys: list[str]) -> list[Finding]:
+def _missing(file: Path, owner: Node, parsed: ParsedModel) -> list[Finding]:
     """Findings on keys that neither the cfg nor the file gives."""
     return [
         owner.fault(f'the key "{key}" is missing: {file.name} does not say it')
-        for key in keys
+        for key in parsed.missing(owner["unit_m"], owner["up"])
         if key not in owner
     ]
 
@@ -191,14 +193,13 @@ def _digest_of_model(file: Path, owner: Node, digest: str) -> str:
     return _sha256(file, *parsed_model(file).companions)
 
 
-def _check_poses(file: Path, owner: Node, cfg: Node) -> Iterable[Finding]:
+def _check_poses(file: Path, owner: Node, cfg: Node) -> None:
     from scenec.compiler.assets.pose_table import read_poses
 
     read_poses(file, max(len(owner.at("models").entries), 1))
-    return ()
 
 
-def _check_image(file: Path, owner: Node, cfg: Node) -> Iterable[Finding]:
+def _check_image(file: Path, owner: Node, cfg: Node) -> None:
     with file.open("rb") as stream:
         if stream.read(4) != _EXR_MAGIC:
             raise SceneError(f"{file.name}: not an OpenEXR file")
@@ -214,12 +215,10 @@ def _check_image(file: Path, owner: Node, cfg: Node) -> Iterable[Finding]:
         raise SceneError(
             f"{file.name}: expected the channels R, G and B, found {', '.join(sorted(channels))}"
         )
-    return ()
 
 
-def _check_track(file: Path, owner: Node, cfg: Node) -> Iterable[Finding]:
-    from scenec.compiler.assets.track import read_track
-    from scenec.compiler.assets.track_formats import read_stamped
+def _check_track(file: Path, owner: Node, cfg: Node) -> None:
+    from scenec.compiler.assets.tracks import read_stamped, read_track
 
     form, order, samples = owner["format"] or "csv", owner["quaternion"], cfg["samples"]
     if form == "csv" and order is None and "sampling" not in owner:
@@ -230,44 +229,39 @@ def _check_track(file: Path, owner: Node, cfg: Node) -> Iterable[Finding]:
         raise SceneError(
             f"{file.name}: {rows} poses for {samples} samples: expected a row for each sample"
         )
-    return ()
 
 
-def _check_map(file: Path, owner: Node, cfg: Node) -> Iterable[Finding]:
+def _check_map(file: Path, owner: Node, cfg: Node) -> None:
     from scenec.schemas.maps import read_pixels
 
     try:
         read_pixels(file)
     except ValueError as error:
         raise SceneError(f"{file.name}: {error}") from error
-    return ()
 
 
-def _check_polyline(file: Path, owner: Node, cfg: Node) -> Iterable[Finding]:
+def _check_polyline(file: Path, owner: Node, cfg: Node) -> None:
     from scenec.compiler.assets.polyline import read_polyline
 
     read_polyline(file)
-    return ()
 
 
-def _check_density(file: Path, owner: Node, cfg: Node) -> Iterable[Finding]:
+def _check_density(file: Path, owner: Node, cfg: Node) -> None:
     from scenec.compiler.assets.pictures import read_gray
 
     read_gray(file)
-    return ()
 
 
-def _check_label_map(file: Path, owner: Node, cfg: Node) -> Iterable[Finding]:
+def _check_label_map(file: Path, owner: Node, cfg: Node) -> None:
     from scenec.compiler.cfg.label_maps import code_of, decode
 
     values = owner.at("values").entries
     if values and None not in map(code_of, values):
         decode(file, dict.fromkeys(values, 0))
-    return ()
 
 
 #: What a file must be, by the keyword "x-file"; a SceneError speaks of the file itself.
-_CHECKS: dict[str, Callable[[Path, Node, Node], Iterable[Finding]]] = {
+_CHECKS: dict[str, Callable[[Path, Node, Node], Iterable[Finding] | None]] = {
     "dem": _check_dem,
     "density": _check_density,
     "image": _check_image,

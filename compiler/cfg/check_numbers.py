@@ -14,6 +14,7 @@ from itertools import pairwise
 from typing import Any
 
 from scenec.compiler.arithmetic import elementary
+from scenec.compiler.cfg.check_schema import check_value
 from scenec.compiler.cfg.faults import Finding
 from scenec.compiler.cfg.json_positions import Path
 from scenec.compiler.cfg.schema import Field
@@ -25,6 +26,7 @@ from scenec.schemas.spelling import shown
 _LARGEST_WHOLE = 2**53
 # Nearer to 0 the inverse of a number is beyond float32, and its powers soon beyond a double.
 _SMALLEST = 1e-30
+_BOUNDS = ("exclusiveMinimum", "minimum", "exclusiveMaximum", "maximum", "x-unit")
 
 
 def check_number(field: Field) -> Iterator[Finding]:
@@ -146,11 +148,11 @@ def _check_shape(value: Mapping[str, Any]) -> Iterator[tuple[tuple[str | int, ..
         if after <= before:
             yield ("edges", i), f"{shown(after)}: expected more than the edge before it"
     weights = value.get("weights", [1] * len(values))
-    if edges and len(weights) != len(edges) - 1:
+    count, each = len(values), f"{len(values)} values: expected one for each"
+    if edges:
+        count = len(edges) - 1
         each = f"{len(edges)} edges: expected one for each interval between them"
-        yield ("weights",), f"{len(weights)} weights for {each}"
-    elif values and len(weights) != len(values):
-        each = f"{len(values)} values: expected one for each"
+    if (edges or values) and len(weights) != count:
         yield ("weights",), f"{len(weights)} weights for {each}"
     elif weights and not any(weights):
         yield ("weights",), "all weights are 0: expected one that is more"
@@ -158,13 +160,12 @@ def _check_shape(value: Mapping[str, Any]) -> Iterator[tuple[tuple[str | int, ..
 
 def _check_support(field: Field) -> Iterator[Finding]:
     value, keywords = field.value, field.keywords
-    outside = [
-        (key, given, message)
-        for key, given in _bounds_given(value)
-        if (message := _outside(given, keywords))
-    ]
-    for key, given, message in outside:
-        yield Finding((*field.path, *key), f"{shown(given)}: expected {message}")
+    bounds = {key: keywords[key] for key in _BOUNDS if key in keywords}
+    outside = []
+    for key, given in _bounds_given(value):
+        # A narrower bound stands before a wider one.
+        outside += list(check_value(Field((*field.path, *key), given, bounds, False)))[:1]
+    yield from outside
     kind = value["type"]
     if kind not in ("normal", "log_normal") or outside:
         return
@@ -200,20 +201,6 @@ def _bounds_given(value: Mapping[str, Any]) -> Iterator[tuple[tuple[str | int, .
     for name in ("values", "edges"):
         for i, entry in enumerate(value.get(name, ())):
             yield (name, i), entry
-
-
-def _outside(value: float, keywords: Mapping[str, Any]) -> str:
-    unit = keywords.get("x-unit", "")
-    tests = (
-        ("minimum", "at least", lambda bound: value >= bound),
-        ("exclusiveMinimum", "more than", lambda bound: value > bound),
-        ("maximum", "at most", lambda bound: value <= bound),
-        ("exclusiveMaximum", "less than", lambda bound: value < bound),
-    )
-    for keyword, words, inside in tests:
-        if keyword in keywords and not inside(keywords[keyword]):
-            return f"{words} {keywords[keyword]} {unit}".rstrip()
-    return ""
 
 
 def _check_whole(field: Field) -> Iterator[Finding]:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from typing import Any
-
-from jsonschema import ValidationError
+import operator
+import re
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import Any, NamedTuple
 
 from scenec.compiler.cfg.faults import Finding
-from scenec.compiler.cfg.json_positions import Path
-from scenec.compiler.cfg.schema import describe, validator
+from scenec.compiler.cfg.schema import Field, inside, is_of, walk
 from scenec.schemas.passes import GROUP as PASSES
 from scenec.schemas.passes import pass_names
 from scenec.schemas.spelling import closest, nearest, shown
@@ -23,118 +22,130 @@ _TYPES = {
     "object": "an object",
     "string": "a string",
 }
+_NAME = "a name of letters, digits and underscores, with no digit first"
 
 
-def check_schema(document: Any) -> list[Finding]:
-    """All findings of the schemas on a document."""
+class _Rule(NamedTuple):
+    """What a keyword asks for.
+
+    Attributes:
+        holds: Whether a value is as the keyword's own value asks for.
+        expected: What is, in words: of the keyword's value and the place.
+        of: Type of the values that it speaks of; None: all.
+    """
+
+    holds: Callable[[Any, Any], bool]
+    expected: Callable[[Any, Field], str]
+    of: str | None = None
+
+
+def check_schema(fields: Iterable[Field]) -> list[Finding]:
+    """What the schemas find wrong.
+
+    Args:
+        fields: All places of a cfg, see ``schema.walk``.
+    """
     findings: list[Finding] = []
-    for error in validator().iter_errors(document):
-        findings.extend(_findings(error))
+    for field in fields:
+        findings += check_value(field)
+        if field.is_number:
+            for below in walk(inside(field)):
+                findings += check_value(below)
     return findings
 
 
-def _findings(error: ValidationError) -> Iterator[Finding]:
-    path: Path = tuple(error.absolute_path)
-    keyword = str(error.validator)
-    if keyword in ("additionalProperties", "unevaluatedProperties"):
-        yield from _unknown_keys(error, path)
-    elif keyword == "required":
-        yield from _missing_keys(error, path)
-    elif "propertyNames" in error.absolute_schema_path:
-        yield Finding(
-            (*path, error.instance),
-            f"{shown(error.instance)}: {_IDENTIFIER}",
-            at_key=True,
-        )
-    elif not (keyword == "enum" and error.instance in _offered(error)):
-        say = _MESSAGES.get(keyword)
-        expected = say(error) if say else error.message
-        yield Finding(path, f"{shown(error.instance)}: expected {expected}")
-
-
-_IDENTIFIER = "expected a name of letters, digits and underscores, with no digit first"
-
-
-def _unknown_keys(error: ValidationError, path: Path) -> Iterator[Finding]:
-    # With those of the schemas that it refers to.
-    schema = describe(error.schema, error.instance).keywords
-    known = [name for name, entry in schema["properties"].items() if not entry.get("x-ignored")]
-    reasons = schema.get("x-unknown", {})
-    unused = [name for name in known if name not in error.instance]
-    for key in error.instance:
-        if key in schema["properties"]:
+def check_value(field: Field) -> Iterator[Finding]:
+    """What a value's own keywords find wrong with it."""
+    value, keywords = field.value, field.keywords
+    for keyword, bound in keywords.items():
+        if keyword not in _RULES:
             continue
-        if key in reasons:
-            message = f"unknown key {shown(key)}: {reasons[key]}"
+        rule = _RULES[keyword]
+        if keyword == "enum" and keywords.get("x-open") == PASSES:
+            # With what other packages add.
+            bound = pass_names()
+        if (rule.of is None or is_of(value, rule.of)) and not rule.holds(value, bound):
+            yield Finding(field.path, f"{shown(value)}: expected {rule.expected(bound, field)}")
+    if isinstance(value, dict):
+        yield from _check_keys(field)
+
+
+def _check_keys(field: Field) -> Iterator[Finding]:
+    value, keywords = field.value, field.keywords
+    properties = keywords.get("properties", {})
+    for key in keywords.get("required", ()):
+        if key not in value:
+            about = properties.get(key, {}).get("description", "").rstrip(".")
+            yield Finding(
+                field.path, f"the key {shown(key)} is missing" + (f" ({about})" if about else "")
+            )
+    closed = False in (
+        keywords.get("additionalProperties"),
+        keywords.get("unevaluatedProperties"),
+    )
+    known = [name for name, entry in properties.items() if not entry.get("x-ignored")]
+    unused = [name for name in known if name not in value]
+    for key in value:
+        if "propertyNames" in keywords and not re.search(keywords["propertyNames"]["pattern"], key):
+            yield Finding((*field.path, key), f"{shown(key)}: expected {_NAME}", at_key=True)
+        if not closed or key in properties:
+            continue
+        if key in keywords.get("x-unknown", {}):
+            message = f"unknown key {shown(key)}: {keywords['x-unknown'][key]}"
         else:
             # A key that is missing is a likelier meaning than one that is there already.
             likely = unused if closest(key, unused) else known
             message = f"unknown key {shown(key)}{nearest(key, likely)}"
-        yield Finding((*path, key), message, at_key=True)
+        yield Finding((*field.path, key), message, at_key=True)
 
 
-def _missing_keys(error: ValidationError, path: Path) -> Iterator[Finding]:
-    # One error names one key, in its message only; a second error names the next.
-    for key in error.validator_value:
-        if key not in error.instance and error.message.startswith(f"{key!r} "):
-            about = error.schema.get("properties", {}).get(key, {}).get("description", "")
-            yield Finding(
-                path,
-                f"the key {shown(key)} is missing" + (f" ({about.rstrip('.')})" if about else ""),
-            )
+def _is_same(value: Any, other: Any) -> bool:
+    """Whether two values of JSON are equal: true is not 1."""
+    return value == other and isinstance(value, bool) == isinstance(other, bool)
 
 
-def _type(error: ValidationError) -> str:
-    types = error.validator_value
-    names = [types] if isinstance(types, str) else list(types)
+def _is_distinct(values: list[Any], asked: bool) -> bool:
+    return not any(_is_same(a, b) for i, a in enumerate(values) for b in values[:i])
+
+
+def _types(types: str | list[str], field: Field) -> str:
+    names = [types] if isinstance(types, str) else types
+    words = []
     if "number" in names and "object" in names:
         words = ['a number or a distribution such as {"type": "uniform", "min": …, "max": …}']
         names = [name for name in names if name not in ("number", "object")]
-    else:
-        words = []
     return " or ".join(words + [_TYPES[name] for name in names])
 
 
-def _offered(error: ValidationError) -> tuple[str, ...]:
-    """What other packages add to a list of values that is open to them."""
-    return pass_names() if error.schema.get("x-open") == PASSES else ()
-
-
-def _enum(error: ValidationError) -> str:
-    values = [str(value) for value in _offered(error) or error.validator_value]
+def _choice(choices: Sequence[Any], field: Field) -> str:
+    values = [str(value) for value in choices]
     expected = "one of " + ", ".join(values) if len(values) > 1 else values[0]
-    guess = isinstance(error.instance, str) and closest(error.instance, values)
+    guess = isinstance(field.value, str) and closest(field.value, values)
     return expected + (f"; did you mean {shown(guess)}?" if guess else "")
 
 
-def _bound(words: str) -> Callable[[ValidationError], str]:
-    def say(error: ValidationError) -> str:
-        unit = error.schema.get("x-unit", "")
-        return f"{words} {error.validator_value}" + (f" {unit}" if unit else "")
-
-    return say
+def _bound(words: str) -> Callable[[Any, Field], str]:
+    return lambda bound, field: f"{words} {bound} {field.keywords.get('x-unit', '')}".rstrip()
 
 
-def _count(least: str, one: str, many: str) -> Callable[[ValidationError], str]:
-    def say(error: ValidationError) -> str:
-        number = error.validator_value
-        return f"{least} {number} {one if number == 1 else many}"
-
-    return say
+def _count(words: str, one: str, many: str) -> Callable[[Any, Field], str]:
+    return lambda bound, _: f"{words} {bound} {one if bound == 1 else many}"
 
 
-_MESSAGES: dict[str, Callable[[ValidationError], str]] = {
-    "type": _type,
-    "enum": _enum,
-    "const": lambda error: shown(error.validator_value),
-    "minimum": _bound("at least"),
-    "maximum": _bound("at most"),
-    "exclusiveMinimum": _bound("more than"),
-    "exclusiveMaximum": _bound("less than"),
-    "minItems": _count("at least", "item", "items"),
-    "maxItems": _count("at most", "item", "items"),
-    "minProperties": _count("at least", "entry", "entries"),
-    "minLength": lambda error: "a string that is not empty",
-    "uniqueItems": lambda error: "each item once",
-    "pattern": lambda error: _IDENTIFIER.removeprefix("expected "),
+_RULES = {
+    "type": _Rule(is_of, _types),
+    "enum": _Rule(lambda value, choices: value in choices, _choice),
+    "const": _Rule(_is_same, lambda value, _: shown(value)),
+    "minimum": _Rule(operator.ge, _bound("at least"), "number"),
+    "maximum": _Rule(operator.le, _bound("at most"), "number"),
+    "exclusiveMinimum": _Rule(operator.gt, _bound("more than"), "number"),
+    "exclusiveMaximum": _Rule(operator.lt, _bound("less than"), "number"),
+    "minItems": _Rule(lambda v, n: len(v) >= n, _count("at least", "item", "items"), "array"),
+    "maxItems": _Rule(lambda v, n: len(v) <= n, _count("at most", "item", "items"), "array"),
+    "uniqueItems": _Rule(_is_distinct, lambda *_: "each item once", "array"),
+    "minProperties": _Rule(
+        lambda v, n: len(v) >= n, _count("at least", "entry", "entries"), "object"
+    ),
+    "minLength": _Rule(lambda v, n: len(v) >= n, lambda *_: "a string that is not empty", "string"),
+    "pattern": _Rule(lambda v, p: bool(re.search(p, v)), lambda *_: _NAME, "string"),
 }

@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import math
 import re
+from bisect import bisect_right
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -74,14 +75,18 @@ def parse(data: bytes) -> Document:
         good = data[: error.start].decode("utf-8-sig", errors="replace")
         raise JsonError(
             f"byte 0x{data[error.start]:02x} is not UTF-8: save the file as UTF-8",
-            _position(good, len(good)),
+            _position(_line_starts(good), len(good)),
         ) from error
     return _Parser(text).document()
 
 
-def _position(text: str, offset: int) -> Position:
-    line_start = text.rfind("\n", 0, offset) + 1
-    return Position(text.count("\n", 0, offset) + 1, offset - line_start + 1)
+def _line_starts(text: str) -> list[int]:
+    return [0, *(match.end() for match in re.finditer("\n", text))]
+
+
+def _position(line_starts: list[int], offset: int) -> Position:
+    line = bisect_right(line_starts, offset)
+    return Position(line, offset - line_starts[line - 1] + 1)
 
 
 @dataclass
@@ -93,10 +98,7 @@ class _Parser:
     duplicates: list[tuple[Path, Position]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        # Positions are asked for in rising order, so that lines are counted once.
-        self._line = 1
-        self._line_start = 0
-        self._counted = 0
+        self._line_starts = _line_starts(self.text)
 
     def document(self) -> Document:
         self._skip_space()
@@ -107,15 +109,11 @@ class _Parser:
         return Document(value, self.values, self.keys, tuple(self.duplicates))
 
     def _here(self) -> Position:
-        newlines = self.text.count("\n", self._counted, self.offset)
-        if newlines:
-            self._line += newlines
-            self._line_start = self.text.rfind("\n", self._counted, self.offset) + 1
-        self._counted = self.offset
-        return Position(self._line, self.offset - self._line_start + 1)
+        return _position(self._line_starts, self.offset)
 
     def _error(self, message: str, offset: int | None = None) -> JsonError:
-        return JsonError(message, _position(self.text, self.offset if offset is None else offset))
+        at = self.offset if offset is None else offset
+        return JsonError(message, _position(self._line_starts, at))
 
     def _found(self) -> str:
         if self.offset >= len(self.text):

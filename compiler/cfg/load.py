@@ -67,8 +67,8 @@ def load(path: FilePath | str) -> Spec:
         Finding(at, f"the key {shown(at[-1])} stands twice in its object", position=position)
         for at, position in document.duplicates
     ]
-    schema_findings = check_schema(document.value)
     fields = list(schema.walk(schema.root(document.value)))
+    schema_findings = check_schema(fields)
     tree = Tree(fields, schema_findings)
     number_findings = [
         finding

@@ -20,7 +20,7 @@ class ResourceError(Exception):
     """A file that cannot be found; the message says what was looked for and what would help."""
 
 
-def find_file(reference: str, folder: Path) -> Path:
+def find_file(reference: str, folder: Path, what: str = "file") -> Path:
     """The file that a cfg's string stands for.
 
     A plain path is relative to the cfg's folder. ``package:NAME/path`` is a file of the installed
@@ -30,25 +30,14 @@ def find_file(reference: str, folder: Path) -> Path:
     Args:
         reference: The string in the cfg.
         folder: The cfg's folder.
+        what: A "file", or a "folder".
 
     Raises:
         ResourceError: There is no such file, or no such package, or more than one match.
     """
-    return _find(reference, folder, "file", Path.is_file)
-
-
-def find_folder(reference: str, folder: Path) -> Path:
-    """The folder that a cfg's string stands for; see ``find_file``.
-
-    Raises:
-        ResourceError: There is no such folder, or no such package, or more than one match.
-    """
-    return _find(reference, folder, "folder", Path.is_dir)
-
-
-def _find(reference: str, folder: Path, what: str, fits: Callable[[Path], bool]) -> Path:
     if "\0" in reference:
         raise ResourceError(f"{shown(reference)}: a path cannot hold a zero character")
+    fits = Path.is_file if what == "file" else Path.is_dir
     try:
         if reference.startswith(PREFIX):
             return _find_in_package(reference, what, fits)

@@ -4,8 +4,9 @@ The schemas of ``schemas/cfg/`` keep to a part of draft 2020-12 that can be walk
 another file, ``properties``, ``additionalProperties``, ``unevaluatedProperties`` (beside a
 ``$ref`` to keys that schemas share, which has "x-shared"), ``items``, ``prefixItems``, and ``if``,
 ``then``, ``else`` (alone or in ``allOf``). So defaults, the reference page and the drawing of
-numbers come from the same files as the validation. Forms that many keys share (a length drawn once
-a batch, a color, a name) stand in ``forms.schema.json`` and are taken in when they are loaded.
+numbers come from the same files as the validation (``check_schema``). Forms that many keys share (a
+length drawn once a batch, a color, a name) stand in ``forms.schema.json`` and are taken in when
+they are loaded.
 """
 
 from __future__ import annotations
@@ -16,10 +17,6 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
-
-from jsonschema import Draft202012Validator
-from referencing import Registry
-from referencing.jsonschema import DRAFT202012
 
 from scenec.compiler.cfg.json_positions import Path
 
@@ -56,25 +53,6 @@ def _with_forms(schema: Any, forms: Mapping[str, Any]) -> Any:
     return {key: _with_forms(entry, forms) for key, entry in schema.items()}
 
 
-@cache
-def _registry() -> Registry:
-    resources = [
-        (name, DRAFT202012.create_resource(schema)) for name, schema in load_schemas().items()
-    ]
-    return Registry().with_resources(resources)
-
-
-def validator(schema: Mapping[str, Any] | None = None) -> Draft202012Validator:
-    """A validator of the whole cfg, or of one schema that may refer to the cfg's."""
-    # Evolved: a validator made anew puts all schemas into a registry of its own.
-    return _whole() if schema is None else _whole().evolve(schema=schema)
-
-
-@cache
-def _whole() -> Draft202012Validator:
-    return Draft202012Validator({"$ref": ROOT}, registry=_registry())
-
-
 @dataclass(frozen=True)
 class Field:
     """A place in a document, and what the schemas say of it.
@@ -107,21 +85,17 @@ def root(document: Any) -> Field:
 def _flatten(schema: Mapping[str, Any], value: Any) -> tuple[dict[str, Any], bool]:
     merged: dict[str, Any] = {}
     is_number = False
-    own = {key: entry for key, entry in schema.items() if key not in _APPLICATORS}
-    parts: list[Mapping[str, Any]] = []
     for branch in (schema, *schema.get("allOf", ())):
         if "if" in branch:
-            taken = "then" if validator(branch["if"]).is_valid(value) else "else"
-            parts.append(branch.get(taken, {}))
-    for part in parts:
-        keywords, number = _flatten(part, value)
-        _merge(merged, keywords)
-        is_number = is_number or number
-    _merge(merged, own)
+            taken = "then" if _fits(value, branch["if"]) else "else"
+            keywords, number = _flatten(branch.get(taken, {}), value)
+            _merge(merged, keywords)
+            is_number = is_number or number
+    _merge(merged, {key: entry for key, entry in schema.items() if key not in _APPLICATORS})
     if schema.get("$ref") == NUMBER:
         is_number = True
     elif "$ref" in schema:
-        keywords, number = _flatten(load_schemas()[schema["$ref"]], value)
+        keywords, number = _flatten(_referred(schema["$ref"]), value)
         # What is said here goes before what is referred to.
         _merge(
             merged,
@@ -131,6 +105,43 @@ def _flatten(schema: Mapping[str, Any], value: Any) -> tuple[dict[str, Any], boo
     return merged, is_number
 
 
+def _referred(reference: str) -> Mapping[str, Any]:
+    """A schema's file, or one of the kinds of numbers."""
+    file, _, kind = reference.partition("#/$defs/")
+    schema = load_schemas()[file or NUMBER]
+    return schema["$defs"][kind] if kind else schema
+
+
+def _fits(value: Any, condition: Mapping[str, Any]) -> bool:
+    """Whether a value is as an ``if`` says: of a type, or with such values at its keys."""
+    if "type" in condition and not is_of(value, condition["type"]):
+        return False
+    if value not in condition.get("enum", [condition.get("const", value)]):
+        return False
+    if not isinstance(value, dict):
+        return True
+    return all(key in value for key in condition.get("required", ())) and all(
+        _fits(value[key], below)
+        for key, below in condition.get("properties", {}).items()
+        if key in value
+    )
+
+
+def is_of(value: Any, types: str | list[str]) -> bool:
+    """Whether a value is of one of JSON Schema's types: 1.0 is an integer, true is no number."""
+    if not isinstance(types, str):
+        return any(is_of(value, name) for name in types)
+    if isinstance(value, bool):
+        return types == "boolean"
+    if types == "integer":
+        return isinstance(value, int) or (isinstance(value, float) and value.is_integer())
+    return isinstance(value, _TYPES[types])
+
+
+_TYPES: dict[str, type | tuple[type, ...]] = {
+    "array": list, "boolean": bool, "null": type(None), "number": (int, float), "object": dict,
+    "string": str,
+}  # fmt: skip
 #: Keywords of which both sides count.
 _JOINED = frozenset({"properties", "required"})
 _APPLICATORS = frozenset({"$ref", "$schema", "$defs", "allOf", "if", "then", "else"})
@@ -139,8 +150,13 @@ _APPLICATORS = frozenset({"$ref", "$schema", "$defs", "allOf", "if", "then", "el
 def _merge(into: dict[str, Any], keywords: Mapping[str, Any]) -> None:
     for key, entry in keywords.items():
         if key == "properties":
-            # The first wins: a file of one type says more of "type" than the switch over types.
-            into[key] = {**entry, **into.get(key, {})}
+            # Of each keyword the first wins: a file of one type says more of "type" than the switch
+            # over types.
+            first = into.get(key, {})
+            into[key] = {
+                **entry,
+                **{name: {**entry.get(name, {}), **own} for name, own in first.items()},
+            }
         elif key == "required":
             into[key] = [*into.get(key, ()), *(k for k in entry if k not in into.get(key, ()))]
         else:
@@ -160,6 +176,12 @@ def child(field: Field, key: str | int, value: Any) -> Field | None:
     if not isinstance(schema, dict):
         return None
     return describe(schema, value, (*field.path, key))
+
+
+def inside(number: Field) -> Field:
+    """A number as an object with keys of its own."""
+    keywords, _ = _flatten(load_schemas()[NUMBER], number.value)
+    return Field(number.path, number.value, keywords, False)
 
 
 def walk(field: Field) -> Iterator[Field]:

@@ -5,42 +5,29 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from scenec.compiler.arithmetic import elementary
-from scenec.compiler.cameras.depth_cameras import draw_depth_camera
-from scenec.compiler.cameras.focus import draw_focus
-from scenec.compiler.cameras.imaging import draw_imaging
-from scenec.compiler.cameras.lidars import draw_lidar
 from scenec.compiler.cameras.paths.motion import Motion
-from scenec.compiler.cameras.shutters import draw_shutter
 from scenec.compiler.cfg.load import Spec
-from scenec.compiler.cfg.of_keys import of_keys
-from scenec.compiler.cfg.typed import Cfg, Sensor
-from scenec.compiler.distributions.resolve import per_sample, resolve
+from scenec.compiler.cfg.typed import Cfg
+from scenec.compiler.distributions.resolve import resolve
 from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.draw.craters import draw_craters
 from scenec.compiler.draw.ground import draw_mask, draw_merges
 from scenec.compiler.draw.light import draw_light
 from scenec.compiler.draw.materials import draw_materials
 from scenec.compiler.draw.models import draw_meshes, draw_placed
-from scenec.compiler.draw.paths import draw_motion, draw_track
+from scenec.compiler.draw.of_keys import of_keys
+from scenec.compiler.draw.paths import draw_motion, draw_random_target, draw_track
 from scenec.compiler.draw.rocks import draw_rocks
 from scenec.compiler.draw.scatter import Setting
-from scenec.compiler.geometry.lenses import find_fault, lens_intrinsics, make_lens
-from scenec.compiler.geometry.poses import from_euler
+from scenec.compiler.draw.sensors import draw_lidar, draw_sensor
 from scenec.compiler.materials.displacement import displacement_of
 from scenec.compiler.mesh.mesh import Meshing
 from scenec.compiler.objects.poses import PlacedPlan
 from scenec.compiler.scene.plan import (
     Plan,
-    RandomTargetPlan,
     RigPlan,
     ScatterPlan,
-    SensorPlan,
     TerrainPlan,
-    TrackPlan,
 )
 from scenec.compiler.scene.scene import GroundLayer, Labels, Material, MaterialMaps
 from scenec.compiler.terrain.detail import Detail, Sum
@@ -48,7 +35,6 @@ from scenec.compiler.terrain.mask import Masked
 from scenec.compiler.terrain.operator import OPERATORS, ReliefOperator
 from scenec.compiler.terrain.operators.barchans import draw_barchans
 from scenec.compiler.terrain.sources.mesh_base import Roughness
-from scenec.schemas.errors import SceneError
 
 #: Relief operators that are many things, each drawn.
 _SCATTERED: dict[str, Callable[..., ReliefOperator]] = {
@@ -177,7 +163,7 @@ def _displacement(
     parts: list[Detail] = []
     for i, node in enumerate(nodes):
         drawn = resolve(node, streams, f"{path}/{i}")
-        parts.append(of_keys(spec, OPERATORS, drawn, streams, f"{path}/{i}").everywhere())
+        parts.append(of_keys(OPERATORS, drawn, streams, f"{path}/{i}", spec.files).everywhere())
     pictured = displacement_of(maps)
     if pictured is not None:
         parts.append(pictured)
@@ -206,7 +192,7 @@ def _relief(
             node["pixel_m"] = [node["pixel_m"]] * 2
         if isinstance(node.get("roughness"), dict):
             node["roughness"] = Roughness(streams.key(f"{path}/roughness"), **node["roughness"])
-        operator = of_keys(spec, OPERATORS, node, streams, path)
+        operator = of_keys(OPERATORS, node, streams, path, spec.files)
     if mask is None:
         return operator
     path = f"{path}/mask"
@@ -218,16 +204,16 @@ def _rig(spec: Spec, name: str, streams: Streams) -> RigPlan:
     cfg = spec.cfg["rigs"][name]
     samples = int(spec.cfg["samples"])
     path = f"rigs/{name}/pose"
-    pose: RandomTargetPlan | TrackPlan | Motion
+    pose: Motion
     if cfg["pose"]["type"] == "track":
         opened = any("shutter" in sensor for sensor in cfg["sensors"].values())
         pose = draw_track(spec, cfg["pose"], path, streams, samples, opened)
     elif cfg["pose"]["type"] == "random_target":
-        pose = _random_target(cfg["pose"], path, streams, samples)
+        pose = draw_random_target(cfg["pose"], path, streams, samples)
     else:
         pose = draw_motion(cfg["pose"], path, streams)
     sensors = tuple(
-        _sensor(sensor, node, f"rigs/{name}/sensors/{sensor}", streams, samples)
+        draw_sensor(sensor, node, f"rigs/{name}/sensors/{sensor}", streams, samples)
         for sensor, node in cfg["sensors"].items()
     )
     lidars = tuple(
@@ -235,71 +221,3 @@ def _rig(spec: Spec, name: str, streams: Streams) -> RigPlan:
         for lidar, node in cfg.get("lidars", {}).items()
     )
     return RigPlan(name, pose, sensors, lidars)
-
-
-def _random_target(
-    cfg: dict[str, Any], path: str, streams: Streams, samples: int
-) -> RandomTargetPlan:
-    def drawn(*keys: str) -> NDArray[np.float64]:
-        node: Any = cfg
-        for key in keys:
-            node = node[key]
-        return per_sample(node, streams, "/".join((path, *keys)), samples)
-
-    return RandomTargetPlan(
-        xy=np.stack([drawn("position", "x_m"), drawn("position", "y_m")], axis=1),
-        height_m=drawn("position", "height_m"),
-        distance_m=drawn("target", "distance_m"),
-        bearing_deg=drawn("target", "bearing_deg"),
-        target_height_m=drawn("target", "height_m"),
-        roll_deg=drawn("roll_deg"),
-    )
-
-
-def _sensor(name: str, cfg: Sensor, path: str, streams: Streams, samples: int) -> SensorPlan:
-    width, height = cfg["resolution"]
-    lens = make_lens(resolve(cfg.get("lens"), streams, f"{path}/lens"))
-    if cfg["intrinsics"] is not None:
-        k = resolve(cfg["intrinsics"], streams, f"{path}/intrinsics")
-        intrinsics = (k["fx"], k["fy"], k["cx"], k["cy"], k["skew"])
-    elif lens is not None:
-        fov = resolve(cfg["fov_deg"], streams, f"{path}/fov_deg")
-        found = lens_intrinsics(lens, (width, height), fov)
-        if isinstance(found, str):
-            raise SceneError(f"{path}/lens: {found}")
-        intrinsics = found
-    else:
-        half = resolve(cfg["fov_deg"], streams, f"{path}/fov_deg") * elementary.PI / 360.0
-        focal = 0.5 * width * elementary.cos(half) / elementary.sin(half)
-        intrinsics = (focal, focal, 0.5 * width, 0.5 * height, 0.0)
-    fault = find_fault(lens, intrinsics, (width, height))
-    if fault is not None:
-        raise SceneError(f"{path}/lens: {fault}")
-    mount = resolve(cfg["mount"], streams, f"{path}/mount")
-    trigger = cfg.get("trigger", {"every": 1, "first": 0})
-    imaging = draw_imaging(cfg.get("imaging"), streams, f"{path}/imaging", samples)
-    exposure = cfg["exposure"]
-    key = {"incident": "ev_offset", "fixed": "ev"}.get(exposure["type"])
-    return SensorPlan(
-        name=name,
-        resolution=(width, height),
-        intrinsics=intrinsics,
-        to_rig=from_euler(tuple(mount["position_m"]), tuple(mount["rotation_deg"])),
-        metered=exposure["type"] != "fixed",
-        ev=(
-            np.zeros(samples)
-            if key is None
-            else per_sample(exposure[key], streams, f"{path}/exposure/{key}", samples)
-        ),
-        exposure_per=exposure["per"] if exposure["type"] == "auto" else None,
-        outputs=tuple(cfg["outputs"]),
-        partner=cfg.get("partner"),
-        depth_camera=draw_depth_camera(cfg.get("depth_camera"), f"{path}/depth_camera", streams),
-        trigger=(trigger["every"], trigger["first"]),
-        lens=lens,
-        imaging=imaging,
-        shutter=draw_shutter(cfg.get("shutter"), imaging, streams, f"{path}/shutter", samples),
-        focus=draw_focus(
-            cfg.get("focus"), streams, f"{path}/focus", samples, intrinsics[0], imaging
-        ),
-    )

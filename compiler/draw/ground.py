@@ -7,12 +7,12 @@ from typing import Any
 
 from scenec.compiler.cfg.check_files import InputFile
 from scenec.compiler.distributions.streams import Streams
+from scenec.compiler.draw.of_keys import of_keys
 from scenec.compiler.mesh.cover import MaterialCondition
 from scenec.compiler.mesh.merge import Merge
-from scenec.compiler.terrain.condition import Condition, FreshnessCondition, Interval, Ragged
-from scenec.compiler.terrain.mask import CONDITIONS, Masked
+from scenec.compiler.terrain.condition import Condition
+from scenec.compiler.terrain.mask import CONDITIONS
 from scenec.compiler.terrain.operator import ReliefOperator
-from scenec.compiler.terrain.operators.craters import Craters
 
 
 def draw_merges(
@@ -45,52 +45,13 @@ def draw_merges(
                 threshold=0.5 if layer["threshold"] is None else layer["threshold"],
                 noisy=layer["noise"] is not None,
                 where=tuple(
-                    draw_condition(node, streams, f"{path}/where/{k}", files, relief)
+                    of_keys(CONDITIONS, node, streams, f"{path}/where/{k}", files, relief)
                     for k, node in enumerate(layer["where"] or ())
                 ),
             )
         )
         coverage.append(layer["coverage"])
     return tuple(merges), tuple(coverage)
-
-
-def draw_condition(
-    node: Mapping[str, Any],
-    streams: Streams,
-    path: str,
-    files: Mapping[str, InputFile],
-    relief: Sequence[ReliefOperator],
-) -> Interval:
-    """One condition: its keys in the cfg are the fields of its class.
-
-    Args:
-        node: The cfg's part, resolved.
-        streams: The batch's streams.
-        path: Where it stands in the cfg.
-        files: Files of the cfg, by path.
-        relief: Operators before it, of which the craters leave fresh ground.
-    """
-    kind = CONDITIONS[node["type"]]
-    values = {key: value for key, value in node.items() if key != "type"}
-    if values["ragged"] is not None:
-        values["ragged"] = Ragged(key=streams.key(f"{path}/ragged"), **values["ragged"])
-    if "file" in values:
-        values["file"] = files[f"{path}/file"].path
-    if "key" in kind.__dataclass_fields__:
-        values["key"] = streams.key(path)
-    if kind is FreshnessCondition:
-        values["craters"] = tuple(laid for operator in relief for laid in craters_of(operator))
-    condition: Interval = kind(**values)
-    return condition
-
-
-def craters_of(operator: ReliefOperator) -> list[tuple[Craters, tuple[Condition, ...]]]:
-    """The craters that an operator lays, with the conditions of its mask; most lay none."""
-    if isinstance(operator, Craters):
-        return [(operator, ())]
-    if isinstance(operator, Masked) and isinstance(operator.operator, Craters):
-        return [(operator.operator, operator.conditions)]
-    return []
 
 
 def draw_mask(
@@ -124,5 +85,5 @@ def draw_mask(
         if node["type"] == "slope" and node["over_m"] is None:
             # An operator asks for the slope of the heights as they are.
             node = {**node, "over_m": 0.0}
-        conditions.append(draw_condition(node, streams, f"{path}/{i}", files, relief))
+        conditions.append(of_keys(CONDITIONS, node, streams, f"{path}/{i}", files, relief))
     return tuple(conditions)

@@ -2,17 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from scenec.compiler.cfg.label_maps import LabelMapPlan
 from scenec.compiler.cfg.load import Spec
 from scenec.compiler.distributions.resolve import per_sample, resolve
 from scenec.compiler.distributions.streams import Streams
-from scenec.compiler.draw.lamps import draw_lamps, draw_more_suns
+from scenec.compiler.geometry.poses import from_euler
+from scenec.compiler.light.earthshine import earthshine_irradiance
 from scenec.compiler.light.latlong import luminance
-from scenec.compiler.scene.light_plan import AtmospherePlan, ClearSkyPlan, ImageSkyPlan, LightPlan
+from scenec.compiler.scene.light_plan import (
+    AtmospherePlan,
+    ClearSkyPlan,
+    ImageSkyPlan,
+    LampPlan,
+    LightPlan,
+    RigMount,
+    WorldMount,
+)
 from scenec.compiler.scene.scene import Haze, SunLight
 
 #: -ln 0.02: over the visibility, contrast falls to 2 % (Koschmieder 1924).
@@ -21,33 +32,49 @@ KOSCHMIEDER = 3.912
 
 def draw_light(spec: Spec, streams: Streams, samples: int) -> LightPlan:
     """The light of a batch."""
+    cfg = spec.cfg["light"]
     return LightPlan(
-        sun=draw_sun(spec.cfg["light"]["sun"], streams, "light/sun", samples),
+        sun=None if cfg["sun"] is None else _sun(cfg["sun"], streams, "light/sun", samples),
         sky=_sky(spec, streams, samples),
-        haze=_haze(spec.cfg["light"]["haze"], streams, samples),
-        more_suns=draw_more_suns(spec, streams, samples),
-        lamps=draw_lamps(spec, streams, samples),
+        haze=_haze(cfg["haze"], streams, samples),
+        more_suns={
+            name: _sun(node, streams, f"light/more/{name}", samples)
+            for name, node in cfg["more"].items()
+        },
+        lamps=tuple(
+            _lamp(name, node, streams, f"light/lamps/{name}", samples)
+            for name, node in cfg["lamps"].items()
+        ),
     )
 
 
-def draw_sun(
-    cfg: dict[str, Any] | None, streams: Streams, path: str, samples: int
-) -> SunLight | None:
-    """A distant disc whose keys are the fields of ``SunLight``; its color gets luminance 1.
-
-    A color of None is white.
-    """
-    if cfg is None:
-        return None
-    drawn = {
-        key: per_sample(value, streams, f"{path}/{key}", samples)
-        for key, value in cfg.items()
-        if value is not None
+def _drawn(
+    node: Mapping[str, Any], streams: Streams, path: str, samples: int, *keys: str
+) -> dict[str, NDArray[np.float64]]:
+    """Numbers of a node at every sample: of some keys, or of all that have one but its type."""
+    return {
+        key: per_sample(node[key], streams, f"{path}/{key}", samples)
+        for key in keys or node
+        if node[key] is not None and key != "type"
     }
-    drawn.setdefault("color", np.ones((samples, 3)))
-    level = luminance(drawn["color"])
-    drawn["color"] = drawn["color"] / np.where(level > 0.0, level, 1.0)[:, None]
+
+
+def _sun(node: dict[str, Any], streams: Streams, path: str, samples: int) -> SunLight:
+    """A distant disc whose keys are the fields of ``SunLight``; one without a color is white."""
+    drawn = _drawn(node, streams, path, samples)
+    if node.get("type") == "earthshine":
+        drawn["irradiance"] = earthshine_irradiance(
+            drawn.pop("phase_deg"), drawn.pop("solar_irradiance"), drawn.pop("geometric_albedo")
+        )
+    drawn["color"] = _of_luminance_one(drawn.get("color", np.ones((samples, 3))))
     return SunLight(**drawn)
+
+
+def _of_luminance_one(color: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Colors [s, 3] scaled to luminance 1; black stays black."""
+    level = luminance(color)
+    scaled: NDArray[np.float64] = color / np.where(level > 0.0, level, 1.0)[:, None]
+    return scaled
 
 
 def _sky(
@@ -58,12 +85,12 @@ def _sky(
     path = "light/sky"
     if kind == "clear":
         keys = ("irradiance", "zenith_color", "horizon_color", "ground_color")
-        drawn = {key: per_sample(cfg[key], streams, f"{path}/{key}", samples) for key in keys}
+        drawn = _drawn(cfg, streams, path, samples, *keys)
         resolution = resolve(cfg["resolution"], streams, f"{path}/resolution")
         return ClearSkyPlan(resolution=int(resolution), **drawn)
     if kind == "atmosphere":
         factors = ("air_density", "dust_density", "ozone_density", "altitude_m", "ground_color")
-        drawn = {key: per_sample(cfg[key], streams, f"{path}/{key}", samples) for key in factors}
+        drawn = _drawn(cfg, streams, path, samples, *factors)
         return AtmospherePlan(
             planet=cfg["planet"],
             scattering=cfg["scattering"],
@@ -74,8 +101,7 @@ def _sky(
         picked = [_pick(cfg, streams, i, samples) for i in range(samples)]
         return ImageSkyPlan(
             files=tuple(spec.files[f"light/sky/files/{index}"].path for index in picked),
-            strength=per_sample(cfg["strength"], streams, f"{path}/strength", samples),
-            rotation_deg=per_sample(cfg["rotation_deg"], streams, f"{path}/rotation_deg", samples),
+            **_drawn(cfg, streams, path, samples, "strength", "rotation_deg"),
             extract_sun=cfg["sun"] == "extract",
             label_maps=_label_maps(spec, cfg, picked),
         )
@@ -85,11 +111,8 @@ def _sky(
 def _haze(cfg: dict[str, Any] | None, streams: Streams, samples: int) -> Haze | None:
     if cfg is None:
         return None
-    drawn = {
-        key: per_sample(cfg[key], streams, f"light/haze/{key}", samples)
-        for key, value in cfg.items()
-        if value is not None and value != "sky"
-    }
+    keys = [key for key, value in cfg.items() if value != "sky"]
+    drawn = _drawn(cfg, streams, "light/haze", samples, *keys)
     extinction = drawn.get("extinction_per_m")
     if extinction is None:
         color, visibility = drawn["color"], drawn["visibility_m"]
@@ -132,3 +155,37 @@ def _label_maps(
         if any(of_level):
             maps[level] = tuple(of_level)
     return maps
+
+
+def _lamp(name: str, node: dict[str, Any], streams: Streams, path: str, samples: int) -> LampPlan:
+    numbers = ("intensity", "color", "radius_m", "cone_deg", "softness")
+    drawn = _drawn(node, streams, path, samples, *numbers)
+    return LampPlan(
+        name=name,
+        mount=_mount(node["mount"], streams, f"{path}/mount", samples),
+        intensity=_of_luminance_one(drawn["color"]) * drawn["intensity"][:, None],
+        radius_m=drawn["radius_m"],
+        cone_deg=drawn["cone_deg"],
+        softness=drawn["softness"],
+    )
+
+
+def _mount(
+    node: dict[str, Any], streams: Streams, path: str, samples: int
+) -> RigMount | WorldMount:
+    if node["type"] == "rig":
+        drawn = resolve(node, streams, path)
+        to_rig = from_euler(tuple(drawn["position_m"]), tuple(drawn["rotation_deg"]))
+        return RigMount(node["rig"], to_rig)
+
+    def place(at: dict[str, Any], path: str) -> NDArray[np.float64]:
+        axes = _drawn(at, streams, path, samples, "x_m", "y_m", "z_m")
+        return np.stack(list(axes.values()), axis=1)
+
+    target = node["target"]
+    return WorldMount(
+        position=place(node, path),
+        on_ground=node["heights"] == "ground",
+        **_drawn(node, streams, path, samples, "bearing_deg", "elevation_deg"),
+        target=None if target is None else place(target, f"{path}/target"),
+    )

@@ -21,42 +21,6 @@ from scenec.compiler.scene.plan import ModelSource, ScatterPlan
 from scenec.compiler.scene.scene import Labels
 
 
-def draw_models(
-    path: str, cfg: Sequence[Mapping[str, Any]], files: Mapping[str, InputFile]
-) -> tuple[ModelPlan, ...]:
-    """The models of a class.
-
-    Args:
-        path: Of the class in the cfg.
-        cfg: Its ``models``.
-        files: Files of the cfg, by path.
-    """
-    found = []
-    for i, node in enumerate(cfg):
-        file = files[f"{path}/models/{i}/file"]
-        found.append(ModelPlan(file.path, node["unit_m"], node["up"], node["part"]))
-    return tuple(found)
-
-
-def draw_rules(
-    parts: Mapping[str, Mapping[str, Any]], table: Mapping[str, Mapping[str, int]]
-) -> tuple[PartRule, ...]:
-    """What the cfg says of parts.
-
-    Args:
-        parts: The class's ``parts``.
-        table: The cfg's labels: per level, name -> id.
-    """
-    return tuple(
-        PartRule(
-            name,
-            node["material"],
-            {level: table[level][chosen] for level, chosen in node["labels"].items()},
-        )
-        for name, node in parts.items()
-    )
-
-
 def draw_meshes(
     name: str,
     cfg: Mapping[str, Any],
@@ -85,8 +49,8 @@ def draw_meshes(
         streams,
         setting,
         source=ModelSource(
-            draw_models(path, cfg["models"], setting.files),
-            draw_rules(cfg["parts"], table),
+            _models(path, cfg, setting.files),
+            _rules(cfg, table),
             float(node["variation"]),
             cfg["seat"] == "touch",
         ),
@@ -128,8 +92,8 @@ def draw_placed(
         material=cfg["material"],
         labels=labels,
         instances=cfg["instances"],
-        models=draw_models(path, cfg["models"], files),
-        rules=draw_rules(cfg["parts"], table),
+        models=_models(path, cfg, files),
+        rules=_rules(cfg, table),
         model=poses.model[first].astype(np.int32),
         ids=ids,
         keys=tuple(
@@ -141,6 +105,27 @@ def draw_placed(
         on_ground=cfg["heights"] == "ground",
         along_normal=cfg["orientation"] == "normal",
         variation=0.0,
+    )
+
+
+def _models(
+    path: str, cfg: Mapping[str, Any], files: Mapping[str, InputFile]
+) -> tuple[ModelPlan, ...]:
+    return tuple(
+        ModelPlan(files[f"{path}/models/{i}/file"].path, node["unit_m"], node["up"], node["part"])
+        for i, node in enumerate(cfg["models"])
+    )
+
+
+def _rules(cfg: Mapping[str, Any], table: Mapping[str, Mapping[str, int]]) -> tuple[PartRule, ...]:
+    """What the cfg says of parts; ``table`` is its labels: per level, name -> id."""
+    return tuple(
+        PartRule(
+            name,
+            node["material"],
+            {level: table[level][chosen] for level, chosen in node["labels"].items()},
+        )
+        for name, node in cfg["parts"].items()
     )
 
 

@@ -7,22 +7,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.assets.track import read_track
-from scenec.compiler.assets.track_formats import Stamped, read_stamped
+from scenec.compiler.assets.tracks import Stamped, read_stamped, read_track
 from scenec.compiler.cameras.paths.descent import Descent
 from scenec.compiler.cameras.paths.lawn_mower import LawnMower
 from scenec.compiler.cameras.paths.mav import Mav
 from scenec.compiler.cameras.paths.motion import Motion
 from scenec.compiler.cameras.paths.orbit import ObjectAim, Orbit, PointAim
 from scenec.compiler.cameras.paths.random_pose import Limits, Look, RandomPose
+from scenec.compiler.cameras.paths.random_target import RandomTarget
 from scenec.compiler.cameras.paths.rover import Rover
-from scenec.compiler.cameras.tracks import Gaps, Sampling, TrackWay, resampled
+from scenec.compiler.cameras.tracks import Gaps, Sampling, TrackPlan, TrackWay, resampled
 from scenec.compiler.cfg.load import Spec
-from scenec.compiler.distributions.resolve import resolve
+from scenec.compiler.distributions.resolve import per_sample, resolve
 from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.geometry.poses import compose, from_quaternion
 from scenec.compiler.geometry.se3 import matrices
-from scenec.compiler.scene.plan import TrackPlan
 from scenec.schemas import stage as names
 from scenec.schemas.errors import SceneError
 
@@ -78,6 +77,27 @@ def draw_track(
     to_world = resampled(stamped, at, method, gaps, what, usd)
     way = TrackWay(at, stamped, method, gaps, what, usd) if between else None
     return TrackPlan(to_world, stamped.begin_s + at, way)
+
+
+def draw_random_target(
+    cfg: dict[str, Any], path: str, streams: Streams, samples: int
+) -> RandomTarget:
+    """Places and targets of every sample."""
+
+    def drawn(*keys: str) -> NDArray[np.float64]:
+        node: Any = cfg
+        for key in keys:
+            node = node[key]
+        return per_sample(node, streams, "/".join((path, *keys)), samples)
+
+    return RandomTarget(
+        xy=np.stack([drawn("position", "x_m"), drawn("position", "y_m")], axis=1),
+        height_m=drawn("position", "height_m"),
+        distance_m=drawn("target", "distance_m"),
+        bearing_deg=drawn("target", "bearing_deg"),
+        target_height_m=drawn("target", "height_m"),
+        roll_deg=drawn("roll_deg"),
+    )
 
 
 def draw_motion(cfg: dict[str, Any], path: str, streams: Streams) -> Motion:

@@ -14,7 +14,7 @@ from scenec.compiler.cfg.check_files import InputFile
 from scenec.compiler.distributions.laws import golombek_rapp_per_m2
 from scenec.compiler.distributions.numbers import Distribution, draw_number
 from scenec.compiler.distributions.streams import Streams
-from scenec.compiler.draw.ground import craters_of, draw_condition
+from scenec.compiler.draw.of_keys import of_keys
 from scenec.compiler.objects.conditions import (
     FromCameras,
     FromObjects,
@@ -36,7 +36,7 @@ from scenec.compiler.objects.density import (
 )
 from scenec.compiler.scene.plan import Apart, Count, ModelSource, RockShapes, ScatterPlan
 from scenec.compiler.scene.scene import Labels
-from scenec.compiler.terrain.condition import Ragged
+from scenec.compiler.terrain.mask import CONDITIONS
 from scenec.compiler.terrain.operator import ReliefOperator
 from scenec.schemas.errors import SceneError
 
@@ -183,30 +183,23 @@ def _most(path: str, count: Count, setting: Setting) -> int:
     return most
 
 
-def _density(cfg: Mapping[str, Any], streams: Streams, path: str, setting: Setting) -> Density:
-    values = {key: value for key, value in cfg.items() if key != "type"}
-    kind = cfg["type"]
-    if kind == "uniform":
-        return UniformDensity()
-    if kind == "noise":
-        return NoiseDensity(
-            key=streams.key(path),
-            scale_m=cfg["scale_m"],
-            octaves=int(cfg["octaves"]),
-            contrast=cfg["contrast"],
-        )
-    if kind == "worley":
-        return WorleyDensity(key=streams.key(path), **values)
-    if kind == "image":
-        return ImageDensity(setting.files[f"{path}/file"].path)
-    if kind == "clusters":
-        return _clusters(cfg, streams, path, setting)
-    if kind == "path":
-        return PathDensity(**{**values, "file": setting.files[f"{path}/file"].path})
-    if kind == "rings":
-        craters = tuple(laid for operator in setting.relief for laid in craters_of(operator))
-        return RingDensity(craters=craters, **values)
-    return AroundDensity(**values)
+_DENSITIES: dict[str, type[Density]] = {
+    "uniform": UniformDensity,
+    "noise": NoiseDensity,
+    "worley": WorleyDensity,
+    "image": ImageDensity,
+    "path": PathDensity,
+    "rings": RingDensity,
+    "around": AroundDensity,
+}
+_DISTANCES: dict[str, type[PlacementCondition]] = {"camera": FromCameras, "object": FromObjects}
+
+
+def _density(node: Mapping[str, Any], streams: Streams, path: str, setting: Setting) -> Density:
+    if node["type"] == "clusters":
+        return _clusters(node, streams, path, setting)
+    density: Density = of_keys(_DENSITIES, node, streams, path, setting.files, setting.relief)
+    return density
 
 
 def _clusters(
@@ -251,12 +244,10 @@ def _place(
             i for i, layer in enumerate(setting.ground) if layer["material"] == node["material"]
         )
         return OnMaterial(layers if node["layer"] is None else (node["layer"],))
-    if node["type"] in ("camera", "object"):
-        values = {key: value for key, value in node.items() if key != "type"}
-        if values["ragged"] is not None:
-            values["ragged"] = Ragged(key=streams.key(f"{path}/ragged"), **values["ragged"])
-        return FromCameras(**values) if node["type"] == "camera" else FromObjects(**values)
-    return OnRelief(draw_condition(node, streams, path, setting.files, setting.relief))
+    if node["type"] in _DISTANCES:
+        distance: PlacementCondition = of_keys(_DISTANCES, node, streams, path, setting.files)
+        return distance
+    return OnRelief(of_keys(CONDITIONS, node, streams, path, setting.files, setting.relief))
 
 
 def _random_turns(streams: Streams, path: str, n: int) -> NDArray[np.float64]:

@@ -140,7 +140,7 @@ def meter_lamps(
             if drawn.metered:
                 poses = [compose(pose, sensor.to_rig) for pose in rig.to_world]
                 total = irradiance + _on_ground(np.stack(poses), sensor, lamps, surface)
-                exposure = drawn.ev + incident_exposure(total)
+                exposure = drawn.sensor.exposure_ev + incident_exposure(total)
                 sensor = dataclasses.replace(sensor, exposure_ev=exposure)
             sensors.append(sensor)
         out.append(dataclasses.replace(rig, sensors=tuple(sensors)))

@@ -12,17 +12,14 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.scene.rig import Focus, Lidar
+from scenec.compiler.scene.rig import Lidar, Sensor
 from scenec.compiler.scene.scene import GroundLayer, Labels, Material
-from scenec.schemas.depth_camera import DepthCamera
 from scenec.schemas.imaging import Imaging
-from scenec.schemas.lens import Lens
 from scenec.schemas.shutter import Shutter
 
 # Names of what a plan is made of; the rooms they come from read plans.
 if TYPE_CHECKING:
     from scenec.compiler.cameras.paths.motion import Motion
-    from scenec.compiler.cameras.tracks import TrackWay
     from scenec.compiler.mesh.merge import Merge
     from scenec.compiler.mesh.mesh import Meshing
     from scenec.compiler.objects.conditions import PlacementCondition
@@ -169,38 +166,6 @@ class ScatterPlan:
 
 
 @dataclass(frozen=True)
-class RandomTargetPlan:
-    """Cameras at drawn places that look at drawn targets; all arrays over the samples.
-
-    Attributes:
-        xy: Position in plan, [s, 2].
-        height_m: Above the surface.
-        distance_m, bearing_deg: Of the target, in plan.
-        target_height_m: Of the target above the surface.
-        roll_deg: About the viewing axis.
-    """
-
-    xy: NDArray[np.float64]
-    height_m: NDArray[np.float64]
-    distance_m: NDArray[np.float64]
-    bearing_deg: NDArray[np.float64]
-    target_height_m: NDArray[np.float64]
-    roll_deg: NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class TrackPlan:
-    """Given poses: world matrices with OpenCV axes, [s, 4, 4], and their times, [s].
-
-    ``way`` gives those at other times; None where nobody asks for them.
-    """
-
-    to_world: NDArray[np.float64]
-    times: NDArray[np.float64]
-    way: TrackWay | None = None
-
-
-@dataclass(frozen=True)
 class ImagingPlan:
     """A sensor's parameters as drawn.
 
@@ -216,28 +181,21 @@ class ImagingPlan:
 
 @dataclass(frozen=True)
 class SensorPlan:
-    """A sensor; ``ev`` [s] is absolute, or relative to the incident light's if ``metered``.
+    """A sensor, but for what depends on light and motion.
 
-    An automatic exposure is metered, too: what it is before there are pictures.
-
-    The other fields mean what they do in ``Sensor``.
+    Attributes:
+        sensor: Without imaging and shutter; its exposure is absolute, or relative to the incident
+            light's if ``metered``. An automatic one is metered, too: what it is before there are
+            pictures.
+        metered: Whether the exposure follows the light.
+        imaging: What it makes of light, or None.
+        shutter: At each sample, or None.
     """
 
-    name: str
-    resolution: tuple[int, int]
-    intrinsics: tuple[float, float, float, float, float]
-    to_rig: NDArray[np.float64]
+    sensor: Sensor
     metered: bool
-    ev: NDArray[np.float64]
-    outputs: tuple[str, ...]
-    exposure_per: str | None = None
-    partner: str | None = None
-    trigger: tuple[int, int] = (1, 0)
-    depth_camera: DepthCamera | None = None
-    lens: Lens | None = None
     imaging: ImagingPlan | None = None
     shutter: tuple[Shutter, ...] | None = None
-    focus: Focus | None = None
 
 
 @dataclass(frozen=True)
@@ -245,9 +203,14 @@ class RigPlan:
     """A rig, its motion and its sensors."""
 
     name: str
-    pose: RandomTargetPlan | TrackPlan | Motion
+    pose: Motion
     sensors: tuple[SensorPlan, ...]
     lidars: tuple[Lidar, ...] = ()
+
+    @property
+    def outputs(self) -> list[str]:
+        """What is asked of its sensors, one after the other."""
+        return [name for sensor in self.sensors for name in sensor.sensor.outputs]
 
 
 @dataclass(frozen=True)

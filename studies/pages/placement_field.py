@@ -113,7 +113,7 @@ def stand(content: dict[str, Any], folder: Path | None = None, seed: int = 4) ->
         plan = draw(spec, seed, 0)
         seconds = time.perf_counter() - start
         surface = build_surface(plan, log)
-        rigs = build_rigs(plan.rigs, surface, None)
+        rigs, _ = build_rigs(plan.rigs, surface, None, {})
         start = time.perf_counter()
         objects = stand_objects(plan, surface, rigs, None, log).objects
         seconds += time.perf_counter() - start

@@ -18,7 +18,8 @@ from models import BOX
 from test_assets_model import fails, pixels
 
 from scenec.compiler.assets import blend
-from scenec.compiler.assets.model import companions, read_model
+from scenec.compiler.assets.model import read_model
+from scenec.compiler.assets.parse import parse_model
 from scenec.compiler.scene.scene import Picture
 
 
@@ -171,7 +172,7 @@ def test_a_blend_file_is_the_model_that_the_other_formats_are(made, name):
                       for k in (1, 2)))  # fmt: skip
     flat /= np.linalg.norm(flat, axis=1, keepdims=True)
     assert np.allclose(model.normals, flat[:, None], atol=1e-6)
-    beside = [path.name for path in companions(file)]
+    beside = [path.name for path in parse_model(file).companions]
     assert beside == (["color.png", "packed.png", "normal.png"] if name == "beside" else [])
     assert isinstance(painted.pictures["base_color"], Path if name == "beside" else Picture)
 

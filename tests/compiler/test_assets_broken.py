@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from overhangs import glb, gltf_document, shelter, triangles, write
-from test_assets_mesh_file import BOX, binary_stl, fails, solid
+from test_assets_mesh_file import BOX, binary_stl, fails, read_mesh, solid
 
-from scenec.compiler.assets.mesh_file import read_mesh
 from scenec.schemas.errors import SceneError
 
 

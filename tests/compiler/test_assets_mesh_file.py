@@ -6,6 +6,7 @@ import base64
 import json
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
 import models
@@ -15,19 +16,19 @@ import trimesh
 from overhangs import FORMATS, glb, gltf_document, keys, shelter, triangles, write
 from pxr import Gf, Sdf, Usd, UsdGeom
 
-from scenec.compiler.assets.mesh_file import MeshFile, read_mesh
-from scenec.compiler.assets.model import read_model
+from scenec.compiler.assets.model import Model, read_model
 from scenec.compiler.assets.parse import parse_model
 from scenec.compiler.geometry.affine import TO_Z_UP, about_axis, sin_cos
 from scenec.schemas.errors import SceneError
 
+read_mesh = partial(read_model, looks=False)
 BOX = np.array([[x, y, z] for x in (0, 2) for y in (0, 3) for z in (0, 5)], float)
 BOX_QUADS = np.array(
     [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
 )
 
 
-def ours(mesh: MeshFile) -> trimesh.Trimesh:
+def ours(mesh: Model) -> trimesh.Trimesh:
     return trimesh.Trimesh(mesh.points, mesh.faces, process=False)
 
 
@@ -209,9 +210,9 @@ def test_what_a_model_looks_like_is_not_read_for_a_terrain(tmp_path):
 def test_only_a_mesh_file_that_needs_it_imports_trimesh(tmp_path):
     program = (
         "import sys; from pathlib import Path; import scenec.compiler.build\n"
-        "from scenec.compiler.assets.mesh_file import read_mesh\n"
+        "from scenec.compiler.assets.model import read_model\n"
         "for name in sys.argv[1:]:\n"
-        "    read_mesh(Path(name), unit_m=1, up='z')\n"
+        "    read_model(Path(name), unit_m=1, up='z', looks=False)\n"
         "    assert ('trimesh' in sys.modules) == name.endswith('.ply')\n"
     )
     suffixes = ("usda", "glb", "obj", "ply")
@@ -448,7 +449,7 @@ def test_gltf_strips_small_integers_and_data_uris(tmp_path):
     path = tmp_path / "a.gltf"
     path.write_text(json.dumps(document))
     mesh = read_mesh(path)
-    assert np.bincount(mesh.part_of_face).tolist() == [2, 2]
+    assert len(mesh.faces) == 4
     triangle = mesh.points[mesh.faces]
     normal = np.cross(triangle[:, 1] - triangle[:, 0], triangle[:, 2] - triangle[:, 0])
     # All four face the same way, glTF's +z, and cover the square twice.

@@ -19,7 +19,8 @@ from overhangs import keys as shelter_keys
 from overhangs import write as write_shelter
 from PIL import Image
 
-from scenec.compiler.assets.model import companions, read_model
+from scenec.compiler.assets.model import read_model
+from scenec.compiler.assets.parse import parse_model
 from scenec.compiler.assets.pictures import png
 from scenec.compiler.scene.scene import Picture
 from scenec.schemas.errors import SceneError
@@ -71,7 +72,7 @@ def test_the_same_box_is_the_same_model_in_every_format(tmp_path, suffix):
 def test_companions_are_the_files_beside_a_model_in_the_order_of_their_names_in_it(tmp_path):
     def named(suffix: str) -> list[str]:
         file = write(tmp_path / f"box.{suffix}")
-        return [str(path.relative_to(tmp_path)) for path in companions(file)]
+        return [str(path.relative_to(tmp_path)) for path in parse_model(file).companions]
 
     tex = ["tex/color.png", "tex/packed.png", "tex/normal.png"]
     obj = ["tex/color.png", "tex/rough.png", "tex/metal.png", "tex/normal.png"]
@@ -82,7 +83,7 @@ def test_companions_are_the_files_beside_a_model_in_the_order_of_their_names_in_
         assert named(suffix) == []
     for name in ("a.stl", "a.off"):
         trimesh.creation.box().export(tmp_path / name)
-        assert companions(tmp_path / name) == ()
+        assert parse_model(tmp_path / name).companions == ()
 
 
 @pytest.mark.parametrize(
@@ -120,11 +121,9 @@ def test_pictures_may_lie_above_the_model_and_their_paths_may_have_backslashes(t
 
 
 @pytest.mark.parametrize("suffix", [s for s in FORMATS if s != "obj"])
-def test_a_model_s_surface_is_that_of_the_mesh_reader(tmp_path, suffix):
-    from scenec.compiler.assets.mesh_file import read_mesh
-
+def test_a_surface_is_the_same_with_and_without_looks(tmp_path, suffix):
     file = write_shelter(tmp_path / f"a.{suffix}", *shelter(9))
-    model, mesh = (read(file, **shelter_keys(suffix)) for read in (read_model, read_mesh))
+    model, mesh = (read_model(file, **shelter_keys(suffix), looks=looks) for looks in (True, False))
     assert np.array_equal(model.points, mesh.points)
     assert np.array_equal(model.faces, mesh.faces)
     assert (model.parts, model.materials, model.uv) == (mesh.parts, (), None)

@@ -14,7 +14,8 @@ from pxr import Sdf, Usd, UsdShade
 from test_assets_broken import _broken
 from test_assets_model import fails
 
-from scenec.compiler.assets.model import SUFFIXES, read_model
+from scenec.compiler.assets.model import read_model
+from scenec.compiler.assets.parse import SUFFIXES
 from scenec.schemas.errors import SceneError
 
 #: Where the reader of models knows more than that of meshes, or says it in other words.

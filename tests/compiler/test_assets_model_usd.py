@@ -11,7 +11,8 @@ from models import BOX, write
 from pxr import Sdf, Usd, UsdGeom, UsdShade
 from test_assets_model import fails
 
-from scenec.compiler.assets.model import companions, read_model
+from scenec.compiler.assets.model import read_model
+from scenec.compiler.assets.parse import parse_model
 
 
 def usd_box(path: Path) -> tuple[Usd.Stage, UsdGeom.Mesh]:
@@ -122,5 +123,5 @@ def test_ply_colors_are_an_average_and_its_picture_lies_on_its_coordinates(tmp_p
     file.write_text(text)
     model = read_model(file, unit_m=1, up="z")
     assert np.array_equal(model.uv, [[[0, 0], [0.5, 0], [0, 0.25]]])
-    assert companions(file) == (tmp_path / "tex" / "color.png",)
+    assert parse_model(file).companions == (tmp_path / "tex" / "color.png",)
     assert model.materials[0].pictures == {"base_color": tmp_path / "tex" / "color.png"}

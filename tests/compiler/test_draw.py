@@ -9,11 +9,12 @@ import pytest
 from small import small_cfg, write_cfg
 
 from scenec.compiler.build import BuildLog, build
+from scenec.compiler.cameras.tracks import TrackPlan
 from scenec.compiler.cfg.load import load
 from scenec.compiler.draw.batch import draw
 from scenec.compiler.geometry.poses import from_quaternion
 from scenec.compiler.light.latlong import read_picture
-from scenec.compiler.scene.plan import Plan, TrackPlan
+from scenec.compiler.scene.plan import Plan
 from scenec.schemas.errors import SceneError
 from scenec.schemas.exr import write_rgb
 

@@ -32,7 +32,7 @@ def cfg_with(**sensor: Any) -> dict[str, Any]:
 
 def drawn(folder: Path, **sensor: Any) -> Focus | None:
     plan = draw(load(write_cfg(folder, cfg_with(**sensor))), 1, 0)
-    return plan.rigs[0].sensors[0].focus
+    return plan.rigs[0].sensors[0].sensor.focus
 
 
 def faults_of(folder: Path, **sensor: Any) -> str:
@@ -110,7 +110,7 @@ def test_drawn_focus_comes_back_at_each_sample(tmp_path: Path) -> None:
     spread = {"type": "uniform", "min": 1.0, "max": 8.0}
     _, cameras = compiled(tmp_path, focus={**FREE, "distance_m": spread})
     distances = [camera.focus.distance_m for camera in cameras if camera.focus is not None]
-    focus = draw(load(tmp_path / "small.json"), 3, 0).rigs[0].sensors[0].focus
+    focus = draw(load(tmp_path / "small.json"), 3, 0).rigs[0].sensors[0].sensor.focus
     assert focus is not None
     assert distances == pytest.approx(focus.distance_m.tolist(), rel=1e-6)
 

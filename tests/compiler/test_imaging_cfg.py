@@ -17,11 +17,12 @@ from pxr import Sdf, Usd, UsdGeom
 from scenec.backends.run.render import render
 from scenec.backends.stage.imaging import read_imaging
 from scenec.compiler.cameras.imaging import draw_imaging, expose
+from scenec.compiler.cameras.tracks import TrackPlan
 from scenec.compiler.cfg.load import load
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.emit.imaging import write_imaging
-from scenec.compiler.scene.plan import ImagingPlan, RigPlan, SensorPlan, TrackPlan
+from scenec.compiler.scene.plan import ImagingPlan, RigPlan, SensorPlan
 from scenec.compiler.scene.rig import Rig, Sensor
 from scenec.schemas import imaging as formulas
 from scenec.schemas.errors import CfgError, SceneError, StageError
@@ -58,10 +59,9 @@ def exposed(plan: ImagingPlan, ev: list[float]) -> Sensor:
     """The sensor of a rig whose exposures are these."""
     eye = np.eye(4)
     intrinsics = (10.0, 10.0, 4.0, 3.0, 0.0)
-    rest = (eye, True, np.zeros(len(ev)), ("rgb",))
-    drawn_sensor = SensorPlan("front", (8, 6), intrinsics, *rest, imaging=plan)
-    rig_plan = RigPlan("rover", TrackPlan(eye[None], np.zeros(1)), (drawn_sensor,))
     sensor = Sensor("front", (8, 6), intrinsics, eye, np.array(ev), ("rgb",))
+    drawn_sensor = SensorPlan(sensor, True, plan)
+    rig_plan = RigPlan("rover", TrackPlan(eye[None], np.zeros(1)), (drawn_sensor,))
     rigs = expose((Rig("rover", eye[None], (sensor,)),), (rig_plan,))
     return rigs[0].sensors[0]
 

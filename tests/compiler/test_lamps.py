@@ -12,6 +12,7 @@ from small import small_cfg, write_cfg
 
 from scenec.backends.check.stage import check_stage
 from scenec.backends.stage.read import read_stage
+from scenec.compiler.cameras.paths.random_target import RandomTarget
 from scenec.compiler.compile import CompileReport, compile_cfg
 from scenec.compiler.light.build import Light
 from scenec.compiler.light.dark import without_dark
@@ -20,7 +21,7 @@ from scenec.compiler.light.lamps import build_lamps, lamp_irradiance, meter_lamp
 from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.scene.exposure import incident_exposure
 from scenec.compiler.scene.light_plan import LampPlan, WorldMount
-from scenec.compiler.scene.plan import RandomTargetPlan, RigPlan, SensorPlan
+from scenec.compiler.scene.plan import RigPlan, SensorPlan
 from scenec.compiler.scene.rig import Rig, Sensor
 from scenec.compiler.scene.scene import Lamp, SkyLight, SunLight
 from scenec.compiler.terrain.grid import Grid, HeightField
@@ -132,8 +133,8 @@ def metered(irradiance: float, lamps: tuple[Lamp, ...], down_deg: float = 45.0) 
     pose[:3, 3] = (1.0, 2.0, 6.0)
     k = (50.0, 50.0, 32.0, 24.0, 0.0)
     sensor = Sensor("s", (64, 48), k, np.eye(4), np.zeros(1), ("rgb",))
-    plan = SensorPlan("s", (64, 48), k, np.eye(4), True, np.zeros(1), ("rgb",))
-    unused = RandomTargetPlan(*[np.zeros((1, 2))] + [np.zeros(1)] * 5)
+    plan = SensorPlan(sensor, True)
+    unused = RandomTarget(*[np.zeros((1, 2))] + [np.zeros(1)] * 5)
     (rig,) = meter_lamps(
         (Rig("r", pose[None], (sensor,)),),
         (RigPlan("r", unused, (plan,)),),

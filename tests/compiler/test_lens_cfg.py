@@ -37,7 +37,7 @@ def faults_of(folder: Path, **sensor: Any) -> str:
 def drawn(folder: Path, seed: int = 1, **sensor: Any) -> Any:
     """The plan of such a sensor."""
     plan = draw(load(write_cfg(folder, cfg_with(**sensor))), seed, 0)
-    return plan.rigs[0].sensors[0]
+    return plan.rigs[0].sensors[0].sensor
 
 
 def test_a_fold_within_the_picture_is_a_fault_that_names_its_radius(tmp_path: Path) -> None:

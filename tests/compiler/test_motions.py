@@ -19,13 +19,13 @@ from scenec.compiler.cameras.paths.spline import Spline, largest
 from scenec.compiler.cameras.tracks import Sampling
 from scenec.compiler.geometry.poses import look_at
 from scenec.compiler.mesh.surface import Surface
-from scenec.compiler.scene.plan import SensorPlan
+from scenec.compiler.scene.rig import Sensor
 from scenec.compiler.scene.scene import Prototype
 from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.schemas.errors import SceneError
 
-SENSOR = SensorPlan(
-    "front", (200, 100), (250.0, 250.0, 100.0, 50.0, 0.0), np.eye(4), False, np.zeros(1), ("rgb",)
+SENSOR = Sensor(
+    "front", (200, 100), (250.0, 250.0, 100.0, 50.0, 0.0), np.eye(4), np.zeros(1), ("rgb",)
 )
 NONE = np.empty((0, 2))
 

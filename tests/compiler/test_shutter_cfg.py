@@ -15,21 +15,21 @@ from pruned_scenes import annotation, compiled, drawn_cfg
 from scipy.spatial.transform import Rotation
 from shutter_cfgs import ORBIT, SHUTTER, cfg
 
-from scenec.compiler.assets.track_formats import Stamped
+from scenec.compiler.assets.tracks import Stamped
 from scenec.compiler.cameras.paths.descent import Descent
 from scenec.compiler.cameras.paths.lawn_mower import LawnMower
 from scenec.compiler.cameras.paths.mav import Mav
-from scenec.compiler.cameras.paths.motion import Around
+from scenec.compiler.cameras.paths.motion import Around, Way
 from scenec.compiler.cameras.paths.orbit import Orbit, PointAim
 from scenec.compiler.cameras.paths.rover import Rover
 from scenec.compiler.cameras.rigs import build_rigs
-from scenec.compiler.cameras.shutters import ERROR_PX, Way, way_of
-from scenec.compiler.cameras.tracks import Gaps, Sampling, TrackWay
+from scenec.compiler.cameras.shutters import ERROR_PX, way_of
+from scenec.compiler.cameras.tracks import Gaps, Sampling, TrackPlan, TrackWay
 from scenec.compiler.cfg.load import load
 from scenec.compiler.draw.batch import draw
 from scenec.compiler.geometry.lenses import make_lens
 from scenec.compiler.mesh.surface import Surface
-from scenec.compiler.scene.plan import RigPlan, SensorPlan, TrackPlan
+from scenec.compiler.scene.plan import RigPlan, SensorPlan
 from scenec.compiler.scene.rig import OpenShutter, Rig, Sensor
 from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.compiler.views.frustum import MOVING, in_view, views_of_all
@@ -39,10 +39,9 @@ from scenec.schemas.left_out import read_left_out
 from scenec.schemas.lens import directions, to_plane
 from scenec.schemas.shutter import Shutter, between
 
-SENSOR = SensorPlan(
-    "front", (200, 100), (180.0, 182.0, 98.0, 53.0, 0.5), np.eye(4), False, np.zeros(1),
-    ("depth",), shutter=None,
-)  # fmt: skip
+SENSOR = Sensor(
+    "front", (200, 100), (180.0, 182.0, 98.0, 53.0, 0.5), np.eye(4), np.zeros(1), ("depth",)
+)
 FREE = Sampling()
 NONE = np.empty((0, 2))
 
@@ -114,15 +113,12 @@ def flat() -> Surface:
 
 def rig_of(pose: Any, shutter: Shutter, samples: int = 3, **change: Any) -> tuple[Rig, Any, Way]:
     """A rig with an open shutter, what is said of it, and its way."""
-    sensor = replace(SENSOR, ev=np.zeros(samples), shutter=(shutter,) * samples, **change)
+    still = replace(SENSOR, exposure_ev=np.zeros(samples), **change)
+    sensor = SensorPlan(still, False, shutter=(shutter,) * samples)
     plan = RigPlan("r", pose, (sensor,))
-    facts: dict[str, Any] = {}
     surface = flat()
-    rig = build_rigs((plan,), surface, None, {}, facts)[0]
-    around = Around("rigs/r/pose", samples, surface, plan.sensors)
-    if isinstance(pose, TrackPlan):
-        assert pose.way is not None
-        return rig, facts["r"]["shutter"]["front"], Way(pose.way.at, pose.way.times)
+    (rig,), facts = build_rigs((plan,), surface, None, {})
+    around = Around("rigs/r/pose", samples, surface, (still,))
     way = way_of(pose, pose.built(around), around)
     assert way is not None
     return rig, facts["r"]["shutter"]["front"], way
@@ -215,8 +211,9 @@ def test_a_motion_of_no_length_stands_still() -> None:
     alone = TrackPlan(way.at(np.zeros(1)), np.full(1, 2.0), way)
     still = replace(WAYS["orbit"], sweep_deg=0.0)
     for pose, samples in ((hover, 3), (alone, 1), (still, 3)):
-        sensor = replace(SENSOR, ev=np.zeros(samples), shutter=(Shutter(0.1, 0.2),) * samples)
-        rig = build_rigs((RigPlan("r", pose, (sensor,)),), flat(), None, {}, None)[0]
+        sensor = replace(SENSOR, exposure_ev=np.zeros(samples))
+        drawn_sensor = SensorPlan(sensor, False, shutter=(Shutter(0.1, 0.2),) * samples)
+        (rig,), _ = build_rigs((RigPlan("r", pose, (drawn_sensor,)),), flat(), None, {})
         opened = rig.sensors[0].shutter
         assert opened is not None
         assert (opened.to_world == opened.to_world[:, :1]).all()
@@ -300,11 +297,11 @@ def test_a_pair_that_rolls_differently_is_none(tmp_path: Path) -> None:
     }
     sensors["front"] |= {"partner": "right", "outputs": ["disparity"]}
     plans = draw(load(small.write_cfg(tmp_path, document)), 1, 0).rigs
-    assert build_rigs(plans, flat(), None)
+    assert build_rigs(plans, flat(), None, {})
     sensors["right"]["shutter"]["direction"] = "up"
     plans = draw(load(small.write_cfg(tmp_path, document)), 1, 0).rigs
     with pytest.raises(SceneError, match="read out differently"):
-        build_rigs(plans, flat(), None)
+        build_rigs(plans, flat(), None, {})
 
 
 # Views that pruning goes by ----------------------------------------------------------------------

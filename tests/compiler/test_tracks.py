@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation, Slerp
 from small import small_cfg, write_cfg
 
-from scenec.compiler.assets.track_formats import read_stamped
+from scenec.compiler.assets.tracks import read_stamped
 from scenec.compiler.cameras.tracks import Gaps, Sampling, resampled
 from scenec.compiler.cfg.load import load
 from scenec.compiler.draw.batch import draw

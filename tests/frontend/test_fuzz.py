@@ -10,14 +10,21 @@ import pytest
 from examples import examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from jsonschema import Draft202012Validator
+from referencing import Registry
+from referencing.jsonschema import DRAFT202012
 from small_cfg import minimal
 
+from scenec.compiler.cfg.check_schema import check_schema
 from scenec.compiler.cfg.load import load
+from scenec.compiler.cfg.schema import ROOT, load_schemas, root, walk
 from scenec.compiler.distributions.numbers import Distribution
 from scenec.compiler.distributions.resolve import resolve
 from scenec.compiler.distributions.streams import Streams
 from scenec.schemas.errors import CfgError
 
+_SCHEMAS = [(name, DRAFT202012.create_resource(schema)) for name, schema in load_schemas().items()]
+_JSONSCHEMA = Draft202012Validator({"$ref": ROOT}, registry=Registry().with_resources(_SCHEMAS))
 _SHARED_FOLDER = settings(
     suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture]
 )
@@ -113,6 +120,17 @@ def _mutate(cfg, changes):
                 else:
                     owner[0] = value
     return cfg
+
+
+@examples(100)
+@given(_CHANGES)
+def test_the_schemas_find_a_fault_where_jsonschema_does(changes):
+    cfg = _mutate(copy.deepcopy(_FULL), changes)
+    places = {finding.path for finding in check_schema(walk(root(cfg)))}
+    found = [tuple(error.absolute_path) for error in _JSONSCHEMA.iter_errors(cfg)]
+    # Of unknown keys and of bad names jsonschema names the object.
+    assert places <= {*found} | {path for path in places if path[:-1] in found}
+    assert {path for path in found if path not in places} <= {path[:-1] for path in places}
 
 
 def _load_or_faults(file: Path):

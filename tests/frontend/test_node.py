@@ -15,7 +15,8 @@ from scenec.compiler.cfg.node import Node, Tree
 
 
 def node(cfg) -> Node:
-    return Node(Tree(list(schema.walk(schema.root(cfg))), check_schema(cfg)))
+    fields = list(schema.walk(schema.root(cfg)))
+    return Node(Tree(fields, check_schema(fields)))
 
 
 def test_a_value_is_read_as_it_stands_and_a_default_where_the_key_is_left_out():

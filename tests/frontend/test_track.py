@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from small_cfg import changed, faults_of, load_cfg
 
-from scenec.compiler.assets.track import read_track
+from scenec.compiler.assets.tracks import read_track
 from scenec.schemas.errors import SceneError
 
 _ROWS = "0,1,2,3,1,0,0,0\n0.5,1,2,3,0.6,0,0.8,0\n"

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,12 +12,9 @@ from numpy.typing import NDArray
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.geometry.rotations import turned
 from scenec.compiler.mesh.surface import Surface
-from scenec.compiler.scene.rig import Lidar
+from scenec.compiler.scene.rig import Lidar, Sensor
 from scenec.compiler.scene.scene import Placed, Prototype, Scatter
 from scenec.schemas.errors import SceneError
-
-if TYPE_CHECKING:
-    from scenec.compiler.scene.plan import SensorPlan
 
 _DEGREE = elementary.PI / 180.0
 
@@ -84,7 +81,7 @@ class Around:
     what: str
     samples: int
     surface: Surface
-    sensors: tuple[SensorPlan, ...] = ()
+    sensors: tuple[Sensor, ...] = ()
     bodies: Mapping[str, Bodies] = field(default_factory=dict)
     exposing: bool = False
     lidars: tuple[Lidar, ...] = ()
@@ -114,6 +111,18 @@ class Around:
             )
 
 
+class Way(NamedTuple):
+    """How a rig moves.
+
+    Attributes:
+        at: Rig-to-world matrices [n, 4, 4] at seconds [n] after the motion's beginning.
+        times: Of the samples, likewise, [s].
+    """
+
+    at: Callable[[NDArray[np.float64]], NDArray[np.float64]]
+    times: NDArray[np.float64]
+
+
 @dataclass(frozen=True)
 class Built:
     """A motion's poses.
@@ -122,11 +131,13 @@ class Built:
         to_world: Rig-to-world, OpenCV axes, float64 [s, 4, 4].
         times: Of the samples, seconds, [s]; None: they have none of their own.
         facts: For report.json.
+        way: How it moves between the samples; None: as it does with samples at other times.
     """
 
     to_world: NDArray[np.float64]
     times: NDArray[np.float64] | None = None
     facts: dict[str, Any] = field(default_factory=dict)
+    way: Way | None = None
 
 
 class Motion(Protocol):

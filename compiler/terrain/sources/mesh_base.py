@@ -9,7 +9,7 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.assets.mesh_file import MeshFile, read_mesh
+from scenec.compiler.assets.model import Model, read_model
 from scenec.compiler.geometry import affine
 from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.compiler.terrain.operators.multifractal import octaves_shown
@@ -38,7 +38,7 @@ class MeshBase:
     """A mesh laid on the terrain: scaled, turned, then moved.
 
     Attributes:
-        file: OBJ, PLY, glTF or USD, see ``read_mesh``.
+        file: OBJ, PLY, glTF or USD, see ``read_model``.
         surface: "mesh": the ground is the mesh, overhangs included; "heights": what is seen of it
             from above, sampled on the grid.
         part: One of the file's meshes, or a name above some of them; None takes all.
@@ -120,10 +120,10 @@ class MeshBase:
         top = _without_holes(seen)[0]
         return MeshSurface(grid, top, points, faces), {**report, **above, **filled}
 
-    def _read(self) -> MeshFile:
-        return read_mesh(self.file, unit_m=self.unit_m, up=self.up, part=self.part)
+    def _read(self) -> Model:
+        return read_model(self.file, unit_m=self.unit_m, up=self.up, part=self.part, looks=False)
 
-    def _placed(self, mesh: MeshFile) -> NDArray[np.float64]:
+    def _placed(self, mesh: Model) -> NDArray[np.float64]:
         turn = affine.about_axis(2, self.rotation_deg)
         points = affine.applied(turn, mesh.points * self.scale)
         if self.place == "center":
@@ -178,7 +178,7 @@ def _without_holes(seen: Above) -> tuple[NDArray[np.float64], float]:
     return fill_holes(np.where(holes, 0.0, seen.top), holes)
 
 
-def _read_report(mesh: MeshFile) -> dict[str, Any]:
+def _read_report(mesh: Model) -> dict[str, Any]:
     return {
         "triangles_of_file": len(mesh.faces),
         "degenerate_dropped": mesh.degenerate,

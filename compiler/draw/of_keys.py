@@ -1,0 +1,54 @@
+"""Draws objects whose fields are the keys of a cfg's node."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from scenec.compiler.cfg.check_files import InputFile
+from scenec.compiler.distributions.streams import Streams
+from scenec.compiler.terrain.condition import Condition, Ragged
+from scenec.compiler.terrain.mask import Masked
+from scenec.compiler.terrain.operator import ReliefOperator
+from scenec.compiler.terrain.operators.craters import Craters
+
+
+def of_keys(
+    kinds: Mapping[str, type[Any]],
+    node: Mapping[str, Any],
+    streams: Streams,
+    path: str,
+    files: Mapping[str, InputFile],
+    relief: Sequence[ReliefOperator] = (),
+) -> Any:
+    """What a node's ``type`` names, with the node's other keys as its fields.
+
+    Args:
+        kinds: Classes by type. A field "key" gets a noise key, "craters" those of the relief.
+        node: The cfg's part, resolved.
+        streams: The batch's streams.
+        path: Where it stands in the cfg.
+        files: Files of the cfg, by path.
+        relief: Operators before it.
+    """
+    values: dict[str, Any] = {key: value for key, value in node.items() if key != "type"}
+    values = {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}
+    kind = kinds[node["type"]]
+    if "file" in values:
+        values["file"] = files[f"{path}/file"].path
+    if values.get("ragged") is not None:
+        values["ragged"] = Ragged(key=streams.key(f"{path}/ragged"), **values["ragged"])
+    if "key" in kind.__dataclass_fields__:
+        values["key"] = streams.key(path)
+    if "craters" in kind.__dataclass_fields__:
+        values["craters"] = tuple(laid for operator in relief for laid in _craters_of(operator))
+    return kind(**values)
+
+
+def _craters_of(operator: ReliefOperator) -> list[tuple[Craters, tuple[Condition, ...]]]:
+    """The craters that an operator lays, with the conditions of its mask; most lay none."""
+    if isinstance(operator, Craters):
+        return [(operator, ())]
+    if isinstance(operator, Masked) and isinstance(operator.operator, Craters):
+        return [(operator.operator, operator.conditions)]
+    return []
