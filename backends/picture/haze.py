@@ -171,8 +171,8 @@ def _farthest(t: NDArray[np.float64], shape: tuple[int, int]) -> NDArray[np.floa
     """The farthest hit in the 3x3 windows, float64 [n]; +inf without any."""
     most = np.pad(np.where(np.isfinite(t), t, -np.inf).reshape(shape), 1, constant_values=-np.inf)
     most = np.maximum(np.maximum(most[:-2], most[1:-1]), most[2:])
-    most = np.maximum(np.maximum(most[:, :-2], most[:, 1:-1]), most[:, 2:]).ravel()
-    return np.where(np.isfinite(most), most, np.inf)
+    most = np.maximum(np.maximum(most[:, :-2], most[:, 1:-1]), most[:, 2:])
+    return np.where(np.isfinite(most), most, np.inf).ravel()
 
 
 def _changes(
