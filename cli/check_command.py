@@ -17,9 +17,8 @@ from scenec.backends.check.compare import (
 )
 from scenec.backends.check.files import check_files
 from scenec.backends.check.finding import Finding
-from scenec.backends.check.frames import check_frames
+from scenec.backends.check.frames import check_frames, check_scans
 from scenec.backends.check.radiance import RadianceComparison
-from scenec.backends.check.scans import check_scans
 from scenec.backends.check.scene import check_scene
 from scenec.backends.check.stage import NOT_WHOLE, check_stage
 from scenec.backends.check.witness import HAIR_PIXELS

@@ -98,7 +98,7 @@ def subpixel_directions(
     """World directions through points around the centers of some pixels, float64 [k, m, 3].
 
     Args:
-        camera: With a lens, or a rolling shutter: as it is in the middle of the pixel's row.
+        camera: With a rolling shutter as it is in the middle of the pixel's row.
         index: Pixels, row-major, int64 [k].
         du, dv: Columns and rows from their centers, float64 [m].
     """

@@ -1,10 +1,11 @@
-"""Checks of frames: whole, of this stage, and consistent in themselves."""
+"""Checks of frames and lidar scans: whole, of this stage, and consistent in themselves."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -14,7 +15,8 @@ from scenec.backends.picture.brightness import brief, told
 from scenec.schemas.errors import FrameError
 from scenec.schemas.frames import Frame, read_frame
 from scenec.schemas.manifest import FRAMES
-from scenec.schemas.strays import Firing, strays
+from scenec.schemas.scans import SCANS, read_scan
+from scenec.schemas.strays import Firing, stray_scans, strays
 
 _NO_FACE = 0xFFFFFFFF
 
@@ -30,40 +32,84 @@ def check_frames(
         firing: When its cameras are triggered; None likewise.
     """
     frames = folder / FRAMES
+    check = _Check("frames", folder, digest)
     astray = {} if firing is None else dict(strays(folder, firing))
-    yield from check_batch_table(frames, digest, _name(frames, folder))
-    for exr in sorted(frames.glob("*/*/*.exr")):
-        if not exr.with_suffix(".json").is_file():
-            yield Finding("frames", "error", _name(exr, folder), "has no sidecar: cut short?")
+    yield from check_batch_table(frames, digest, check.name(frames))
+    yield from check.cut_short(frames.glob("*/*/*.exr"))
     pictures: dict[Path, list[dict[str, Any]]] = {}
     for path in sorted(frames.glob("*/*/*.json")):
-        where = _name(path, folder)
         if path in astray:
-            message = (
-                f"not of this stage: {astray[path]}; no render replaces it and exports pass it "
-                f"over: delete {path.stem}.*"
-            )
-            yield Finding("frames", "warning", where, message)
+            why = f"{astray[path]}; no render replaces it and exports pass it over"
+            yield check.astray(path, why)
             continue
         try:
             frame = read_frame(path)
         except FrameError as error:
-            yield Finding("frames", "error", where, str(error))
+            yield check.finding(path, str(error))
             continue
         pictures.setdefault(path.parent, []).append(brief(frame.sidecar))
-        if digest is not None and frame.sidecar.get("stage_digest") != digest:
-            message = "was rendered from another stage; render again"
-            yield Finding("frames", "warning", where, message)
+        yield from check.stale(path, frame.sidecar, "was rendered from another stage; render again")
         for message in (*inconsistencies(frame), *table_faults(frame)):
-            yield Finding("frames", "error", where, message)
+            yield check.finding(path, message)
     for camera, sidecars in pictures.items():
         line = told(sidecars)
         if line is not None:
-            yield Finding("brightness", "warning", _name(camera, folder), line)
+            yield Finding("brightness", "warning", check.name(camera), line)
 
 
-def _name(path: Path, folder: Path) -> str:
-    return path.relative_to(folder.parent).as_posix()
+def check_scans(
+    folder: Path, digest: str | None, firing: Firing | None = None
+) -> Iterator[Finding]:
+    """Findings on all lidar scans of a batch; arguments as of ``check_frames``."""
+    scans = folder / SCANS
+    check = _Check("scans", folder, digest)
+    astray = {} if firing is None else dict(stray_scans(folder, firing))
+    yield from check.cut_short(_numbered(scans, "npz"))
+    for path in _numbered(scans, "json"):
+        if path in astray:
+            yield check.astray(path, f"{astray[path]}; no scan replaces it")
+            continue
+        try:
+            scan = read_scan(path)
+        except FrameError as error:
+            yield check.finding(path, str(error))
+            continue
+        yield from check.stale(path, scan.sidecar, "was made of another stage; scan again")
+
+
+def _numbered(scans: Path, suffix: str) -> list[Path]:
+    """Files of scans; others are a user's."""
+    found = sorted(scans.glob(f"*/*.{suffix}"))
+    return [path for path in found if path.stem.isascii() and path.stem.isdigit()]
+
+
+@dataclass(frozen=True)
+class _Check:
+    """What checks of frames and of scans say alike."""
+
+    kind: str
+    folder: Path
+    digest: str | None
+
+    def name(self, path: Path) -> str:
+        return path.relative_to(self.folder.parent).as_posix()
+
+    def finding(
+        self, path: Path, message: str, severity: Literal["error", "warning"] = "error"
+    ) -> Finding:
+        return Finding(self.kind, severity, self.name(path), message)
+
+    def cut_short(self, paths: Iterable[Path]) -> Iterator[Finding]:
+        for path in sorted(paths):
+            if not path.with_suffix(".json").is_file():
+                yield self.finding(path, "has no sidecar: cut short?")
+
+    def astray(self, path: Path, why: str) -> Finding:
+        return self.finding(path, f"not of this stage: {why}: delete {path.stem}.*", "warning")
+
+    def stale(self, path: Path, sidecar: Mapping[str, Any], message: str) -> Iterator[Finding]:
+        if self.digest is not None and sidecar.get("stage_digest") != self.digest:
+            yield self.finding(path, message, "warning")
 
 
 def inconsistencies(frame: Frame) -> Iterator[str]:

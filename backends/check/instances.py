@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from scenec.backends.check.finding import Finding
+from scenec.schemas import rle
 from scenec.schemas.amodal import amodal_path, read_amodal
 from scenec.schemas.errors import FrameError
 from scenec.schemas.files import sha256
@@ -129,28 +130,27 @@ def _mask_faults(frame: Frame, table: dict[str, np.ndarray]) -> Iterator[str]:
 
 def _against_pixels(frame: Frame, table: dict[str, np.ndarray]) -> Iterator[str]:
     ids = frame.passes["instance"]
-    shown, index = np.unique(ids, return_inverse=True)
-    index = index.reshape(ids.shape)
-    wanted = {name: np.zeros(len(shown), np.int64) for name in ("x_min", "y_min", "x_max", "y_max")}
-    rows, columns = np.indices(ids.shape)
-    for name, values in (("x", columns), ("y", rows)):
-        wanted[f"{name}_min"][:] = max(ids.shape)
-        np.minimum.at(wanted[f"{name}_min"], index.ravel(), values.ravel())
-        np.maximum.at(wanted[f"{name}_max"], index.ravel(), values.ravel())
-    wanted = {"id": shown, "pixels": np.bincount(index.ravel(), minlength=len(shown)), **wanted}
+    shown = np.unique(ids)
+    shown = shown[shown > 0]
+    pixels, boxes = rle.boxes(ids, shown)
+    x, y, width, height = boxes.T
+    wanted = {
+        "id": shown, "pixels": pixels, "x_min": x, "y_min": y,
+        "x_max": x + width - 1, "y_max": y + height - 1,
+    }  # fmt: skip
     for name, own in wanted.items():
-        if not np.array_equal(table[name], own[shown > 0]):
+        if not np.array_equal(table[name], own):
             yield f"its table of instances has other values of {name} than its pass instance"
             return
     if "depth" not in frame.passes:
         return
-    depth = frame.passes["depth"].astype(np.float64).ravel()
-    least = np.full(len(shown), np.inf)
-    np.minimum.at(least, index.ravel(), depth)
-    total = np.bincount(index.ravel(), np.where(np.isfinite(depth), depth, 0.0), len(shown))
-    mean = total / wanted["pixels"]
-    most = np.zeros(len(shown))
-    np.maximum.at(most, index.ravel(), depth)
+    slots = rle.slots(ids, shown)
+    slot, depth = slots[slots >= 0], frame.passes["depth"][slots >= 0].astype(np.float64)
+    least, most = np.full(len(shown), np.inf), np.zeros(len(shown))
+    np.minimum.at(least, slot, depth)
+    np.maximum.at(most, slot, depth)
+    finite = np.where(np.isfinite(depth), depth, 0.0)
+    mean = np.bincount(slot, finite, len(shown)) / pixels
     for name, of_depth in (("depth_min", least), ("depth_mean", mean), ("depth_max", most)):
-        if not np.allclose(table[name], of_depth[shown > 0], rtol=_RELATIVE, atol=0.0):
+        if not np.allclose(table[name], of_depth, rtol=_RELATIVE, atol=0.0):
             yield f"its table of instances has other values of {name} than its pass depth"

@@ -14,13 +14,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pxr import Tf, Usd, UsdGeom, UsdRender, UsdShade, UsdValidation
+from pxr import Sdf, Tf, Usd, UsdGeom, UsdRender, UsdShade, UsdValidation
 
 from scenec.backends.check.finding import Finding
-from scenec.backends.check.sky import check_sky
 from scenec.backends.stage import values as reading
 from scenec.backends.stage.cameras import intrinsics_from_apertures
 from scenec.backends.stage.labels import LabelTable, read_table
+from scenec.backends.stage.sky_labels import load_label_map
 from scenec.backends.stage.sources import Sources
 from scenec.schemas import materialx
 from scenec.schemas import stage as names
@@ -65,7 +65,7 @@ def _findings(stage: Usd.Stage, path: Path) -> list[Finding]:
         Finding(check, "error", path.name, message)
         for check, message in [
             *(("layout", message) for message in _layout(stage)),
-            *(("assets", message) for message in _assets(stage, path)),
+            *(("assets", message) for message in _assets(stage)),
         ]
     ]
     try:
@@ -80,7 +80,7 @@ def _findings(stage: Usd.Stage, path: Path) -> list[Finding]:
                     Finding(name, "error", str(prim.GetPath()), message)
                     for message in _told(rule(prim, table))
                 )
-    findings.extend(check_sky(stage, table))
+    findings.extend(_sky_labels(stage, table))
     findings.extend(_instance_ids(stage))
     findings.extend(_usd_validation(stage))
     return findings
@@ -110,7 +110,7 @@ def _layout(stage: Usd.Stage) -> Iterator[str]:
         yield f"upAxis is {UsdGeom.GetStageUpAxis(stage)}, expected Z"
 
 
-def _assets(stage: Usd.Stage, path: Path) -> Iterator[str]:
+def _assets(stage: Usd.Stage) -> Iterator[str]:
     """Every layer and picture is found, by a relative path."""
     for prim in stage.TraverseAll():
         for attribute in prim.GetAuthoredAttributes():
@@ -171,7 +171,9 @@ def _mesh_labels(prim: Usd.Prim, table: LabelTable) -> Iterator[str]:
 def _vertex_primvars(prim: Usd.Prim, table: LabelTable) -> Iterator[str]:
     """Scenec's vertex primvars have one finite value a point; there is a weight for each merge."""
     count = len(_numbers(UsdGeom.Mesh(prim).GetPointsAttr(), 3))
-    wanted = [names.weight_primvar(i) for i in range(1, len(_targets(prim, names.REL_LAYERS)))]
+    wanted = [
+        names.weight_primvar(i) for i in range(1, len(reading.targets(prim, names.REL_LAYERS)))
+    ]
     api = UsdGeom.PrimvarsAPI(prim)
     if api.HasPrimvar(names.PRIMVAR_VARIATION):
         wanted.append(names.PRIMVAR_VARIATION)
@@ -321,6 +323,31 @@ _RULES: tuple[tuple[str, Any, Rule], ...] = (
 )
 
 
+def _sky_labels(stage: Usd.Stage, table: LabelTable) -> Iterator[Finding]:
+    """Label maps of the Sky prim are pictures of one channel, with ids that the table knows."""
+    prim = stage.GetPrimAtPath(names.SKY_PRIM)
+    found: dict[tuple[str, Path], None] = {}
+    for level in table.levels if prim else ():
+        attribute = prim.GetAttribute(names.ATTR_SKY_LABEL_MAP.format(level=level))
+        if not attribute:
+            continue
+        for time in attribute.GetTimeSamples() or [Usd.TimeCode.Default()]:
+            asset = attribute.Get(time)
+            # One that is not there is another check's.
+            if isinstance(asset, Sdf.AssetPath) and asset.resolvedPath:
+                found[level, Path(asset.resolvedPath)] = None
+    for level, file in found:
+        try:
+            ids = set(np.unique(load_label_map(file)).tolist())
+        except StageError as error:
+            yield Finding("sky-labels", "error", str(prim.GetPath()), str(error))
+            continue
+        unknown = sorted(ids - {0, *table.ids[level].values()})
+        if unknown:
+            message = f"{file.name} has ids {unknown[:5]} that the level {level} lacks"
+            yield Finding("sky-labels", "error", str(prim.GetPath()), message)
+
+
 def _instance_ids(stage: Usd.Stage) -> Iterator[Finding]:
     try:
         yield from _id_ranges(stage)
@@ -403,10 +430,6 @@ def _is_our_materialx(prim: Usd.Prim) -> bool:
         return False
     authored = prim.GetAttribute("info:id").GetPropertyStack(Usd.TimeCode.Default())
     return bool(authored) and authored[0].layer.identifier.endswith(materialx.LAYER_SUFFIX)
-
-
-def _targets(prim: Usd.Prim, name: str) -> list[Any]:
-    return list(reading.targets(prim, name))
 
 
 def _primvar(api: UsdGeom.PrimvarsAPI, name: str) -> np.ndarray:

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from operator import methodcaller
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,9 +25,9 @@ from scenec.backends.contract import NO_ROW, Rays, Visibility
 from scenec.backends.exact.caster import ExactCaster, Hits
 from scenec.backends.exact.intersect import distance_from_face, ray_frame, row_matrix
 from scenec.backends.run.executors import make_executor
-from scenec.backends.run.frames import opening
+from scenec.backends.run.frames import opening_of
 from scenec.backends.run.plan import RenderPlan
-from scenec.backends.run.units import OfSession, witness
+from scenec.backends.run.units import OfSession
 from scenec.schemas.errors import BackendError
 from scenec.schemas.kernels import kernel
 from scenec.schemas.manifest import Batch
@@ -105,10 +105,12 @@ def ask(
     Raises:
         ScenecError: The stage cannot be read, or the backend does not start.
     """
-    holds = opening(batch, plan)
+    holds = opening_of(batch, plan)
     units = (
         OfSession(
-            holds, f"{plan.backend}: {batch.name}/{sample:06d}", partial(witness, camera, sample)
+            holds,
+            f"{plan.backend}: {batch.name}/{sample:06d}",
+            methodcaller("witness", camera, sample),
         )
         for sample, camera in places
     )

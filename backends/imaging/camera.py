@@ -85,7 +85,9 @@ def exposure(rgb: NDArray[np.float32], imaging: Imaging) -> tuple[float, float]:
         return imaging.time_s, imaging.iso
     limits = imaging.time_range_s, imaging.iso_range
     if imaging.percentile < 0.0:
-        sums = _log_luminance(rgb).sum(axis=0)
+        rows = np.zeros((len(rgb), 2))
+        over_threads(_log_luminance, len(rgb), rgb, rows)
+        sums = rows.sum(axis=0)
         stops = sums[0] / sums[1] / math.log(2.0) if sums[1] else math.inf
     else:
         seen = optics.light(rgb, np.ones((1, 1), np.float32))
@@ -193,30 +195,27 @@ def _without_noise(
 ) -> NDArray[np.float32]:
     """Numbers above black of all colors of each pixel, never rounded."""
     out = np.empty(light.shape, np.float32)
-    limits = float(how.full_well_e), float(how.gain), float(how.largest - how.black)
-    over_threads(_expected, len(light), light, shade, how.weights, limits, out)
+    over_threads(_expected, len(light), light, shade, how, out)
     return out
 
 
 @kernel
-def _expected(first, last, light, shade, weights, limits, out):  # type: ignore[no-untyped-def]
-    """Some lines; limits: electrons at most, electrons a number, numbers at most."""
-    full, gain, steps = limits
-    for line in range(first, last):
-        y = np.int64(line)
+def _expected(first, last, light, shade, how, out):  # type: ignore[no-untyped-def]
+    steps = how.largest - how.black
+    for y in range(first, last):
         for x in range(light.shape[1]):
             factor = shade[min(y, shade.shape[0] - 1), min(x, shade.shape[1] - 1)]
             for color in range(3):
-                red, green, blue = weights[color, 0], weights[color, 1], weights[color, 2]
-                r, g, b = light[y, x, 0], light[y, x, 1], light[y, x, 2]
-                made = sensor.electrons(r, g, b, red, green, blue) * factor
-                out[y, x, color] = min(min(made, full) / gain, steps)
+                red, green, blue = light[y, x, 0], light[y, x, 1], light[y, x, 2]
+                wr, wg, wb = how.weights[color, 0], how.weights[color, 1], how.weights[color, 2]
+                made = sensor.electrons(red, green, blue, wr, wg, wb) * factor
+                out[y, x, color] = min(min(made, how.full_well_e) / how.gain, steps)
 
 
 @kernel
-def _log_luminance_part(first, last, rgb, out):  # type: ignore[no-untyped-def]
-    for line in range(first, last):
-        y = np.int64(line)
+def _log_luminance(first, last, rgb, out):  # type: ignore[no-untyped-def]
+    """Per row, the sum of logarithms of what is lit, and how much is, float64 [h, 2]."""
+    for y in range(first, last):
         for x in range(rgb.shape[1]):
             value = 0.0
             for c in range(3):
@@ -225,10 +224,3 @@ def _log_luminance_part(first, last, rgb, out):  # type: ignore[no-untyped-def]
             if value > 0.0:
                 out[y, 0] += log(value)
                 out[y, 1] += 1.0
-
-
-def _log_luminance(rgb):  # type: ignore[no-untyped-def]
-    """Per row, the sum of logarithms of what is lit, and how much is."""
-    out = np.zeros((rgb.shape[0], 2))
-    over_threads(_log_luminance_part, rgb.shape[0], rgb, out)
-    return out

@@ -25,7 +25,7 @@ _SQRT_HALF = float.fromhex("0x1.6a09e667f3bcdp-1")
 _TO_UNIT = 2.0**-32
 _ODD = 1.0 / np.arange(1.0, 21.0, 2.0)
 
-#: Poisson numbers of smaller means are inverted exactly, of larger ones nearly (``poisson``).
+#: Poisson numbers of smaller means are inverted exactly, of larger ones nearly (``poissons``).
 EXACT_BELOW = 10.0
 _INVERSE = 1.0 / np.maximum(np.arange(128), 1)
 
@@ -165,8 +165,8 @@ def normals(words, table, out):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def poisson(mean: float, word: int, table: NDArray[np.float64]) -> float:
-    """The Poisson number of a mean that belongs to a 32-bit word.
+def poissons(means, words, table):  # type: ignore[no-untyped-def]
+    """Poisson numbers of means, in their place, that belong to 32-bit words.
 
     Below ``EXACT_BELOW`` the cumulative sum is inverted (to 2**-32). From there on it is the
     rounded Cornish-Fisher expansion of the quantile, mean + s z + (z^2 - 1)/6 + (z - z^3)/(72 s)
@@ -174,31 +174,16 @@ def poisson(mean: float, word: int, table: NDArray[np.float64]) -> float:
     3e-4 at a mean of 10 and 1e-5 at 100; mean and variance by less than 2e-5 of themselves.
 
     Args:
-        mean: 0 or more.
-        word: As ``philox`` makes them.
+        means: 0 or more, float64 [n].
+        words: As ``philox`` makes them, [n].
         table: ``quantiles()``.
     """
-    if mean < EXACT_BELOW:
-        return _few(mean, unit(word))
-    return _many(mean, normal(word, table))
-
-
-@kernel
-def poissons(means, words, table):  # type: ignore[no-untyped-def]
-    """``poisson`` of many means, in their place: the same numbers, faster."""
     z = np.empty(len(means))
     normals(words, table, z)
-    few = 0
     for i in range(len(means)):
-        few += means[i] < EXACT_BELOW
         z[i] = _many(max(means[i], EXACT_BELOW), z[i])
-    if few == 0:
-        for i in range(len(means)):
-            means[i] = z[i]
-    else:
-        for i in range(len(means)):
-            few_of_it = means[i] < EXACT_BELOW
-            means[i] = _few(means[i], unit(words[i])) if few_of_it else z[i]
+    for i in range(len(means)):
+        means[i] = _few(means[i], unit(words[i])) if means[i] < EXACT_BELOW else z[i]
 
 
 @kernel

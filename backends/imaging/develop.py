@@ -1,7 +1,7 @@
 """From numbers to a picture: white balance, demosaicing, color matrix, tone curve, 8 bits.
 
-The tone curve is that of all
-pictures (``scenec.schemas.picture``), stretched so that the brightest value becomes white.
+The tone curve is that of all pictures (``scenec.schemas.picture``), stretched so that the brightest
+value becomes white.
 """
 
 from __future__ import annotations
@@ -178,7 +178,7 @@ def _balanced(
     h, w = raw.shape
     factors = np.array(balance)[np.array(COLORS[mosaic])].astype(np.float32)
     out = np.empty((h + 2 * _BORDER, w + 2 * _BORDER), np.float32)
-    over_threads(_balance, raw.shape[0] + 4, raw, np.float32(black), factors, out)
+    over_threads(_balance, len(out), raw, np.float32(black), factors, out)
     return out
 
 
@@ -193,7 +193,7 @@ def _mirror(i: int, n: int) -> int:
 def _balance(first, last, raw, black, factors, out):  # type: ignore[no-untyped-def]
     h, w = raw.shape
     for line in range(first, last):
-        y = _mirror(np.int64(line) - 2, h)
+        y = _mirror(line - 2, h)
         row = out[line]
         for i in range(2):
             factor = factors[y & 1, i]
@@ -260,7 +260,7 @@ def _from_mosaic(first, last, padded, colors, corrections, shown, out):  # type:
     for line in range(first, last):
         row = np.empty((out.shape[1], 3), np.float32)
         for i in range(2):
-            _row_colors(padded, np.int64(line), i, colors, corrections, row)
+            _row_colors(padded, line, i, colors, corrections, row)
         _show(row, shown, out[line])
 
 

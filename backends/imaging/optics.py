@@ -186,7 +186,7 @@ def _halve_part(first: int, last: int, picture: Picture, out: NDArray) -> None:
     h, w, _ = picture.shape
     quarter = np.float32(0.25)
     for line in range(first, last):
-        y = 2 * np.int64(line)
+        y = 2 * line
         top, bottom = picture[y], picture[y + 1 if y + 1 < h else y]
         for x in range(w // 2):
             for c in range(3):
@@ -205,15 +205,15 @@ def _halve(picture: Picture) -> Picture:
 
 
 @kernel
-def _double_part(first: int, last: int, picture: Picture, h: int, out: NDArray) -> None:
-    for line in range(first, last):
-        _double_line(picture, np.int64(line), out[line])
+def _double_part(first: int, last: int, picture: Picture, out: NDArray) -> None:
+    for y in range(first, last):
+        _double_line(picture, y, out[y])
 
 
 def _double(picture: Picture, h: int, w: int) -> Picture:
     """Twice as large, linear between centers: 3/4 of the nearer one, 1/4 of the farther."""
     out = np.empty((h, w, 3), np.float32)
-    over_threads(_double_part, h, picture, h, out)
+    over_threads(_double_part, h, picture, out)
     return out
 
 
@@ -243,39 +243,28 @@ def _blur(picture: Picture, taps: Picture) -> Picture:
     """Down and along, mirrored at the edges."""
     out = np.empty_like(picture)
     # As lines of numbers, which loops run along faster than along colors.
-    over_threads(
-        _blur_lines,
-        (picture.reshape(len(picture), -1)).shape[0],
-        picture.reshape(len(picture), -1),
-        taps,
-        out.reshape(len(picture), -1),
-    )
+    lines = len(picture)
+    over_threads(_blur_lines, lines, picture.reshape(lines, -1), taps, out.reshape(lines, -1))
     return out
 
 
 @kernel
 def _blur_lines(first, last, picture, taps, out):  # type: ignore[no-untyped-def]
-    for line in range(first, last):
-        _blur_line(picture, np.int64(line), taps, out[line])
-
-
-@kernel
-def _blur_line(picture, y, taps, out):  # type: ignore[no-untyped-def]
     h, n = picture.shape
     w, reach = n // 3, len(taps) - 1
-    down = np.zeros(n + 6 * reach, np.float32)
-    inside = down[3 * reach : 3 * reach + n]
-    for j in range(-reach, reach + 1):
-        _add(picture[_reflect(y + j, h)], taps[abs(j)], inside)
-    for i in range(1, reach + 1):
-        left, right = _reflect(-i, w), _reflect(w - 1 + i, w)
-        for c in range(3):
-            down[3 * (reach - i) + c] = inside[3 * left + c]
-            down[3 * (reach + w - 1 + i) + c] = inside[3 * right + c]
-    for x in range(n):
-        out[x] = np.float32(0.0)
-    for j in range(-reach, reach + 1):
-        _add(down[3 * (reach + j) : 3 * (reach + j) + n], taps[abs(j)], out)
+    for y in range(first, last):
+        down = np.zeros(n + 6 * reach, np.float32)
+        inside = down[3 * reach : 3 * reach + n]
+        for j in range(-reach, reach + 1):
+            _add(picture[_reflect(y + j, h)], taps[abs(j)], inside)
+        for i in range(1, reach + 1):
+            left, right = _reflect(-i, w), _reflect(w - 1 + i, w)
+            for c in range(3):
+                down[3 * (reach - i) + c] = inside[3 * left + c]
+                down[3 * (reach + w - 1 + i) + c] = inside[3 * right + c]
+        out[y] = np.float32(0.0)
+        for j in range(-reach, reach + 1):
+            _add(down[3 * (reach + j) : 3 * (reach + j) + n], taps[abs(j)], out[y])
 
 
 @kernel
@@ -286,23 +275,16 @@ def _add(row, weight, out):  # type: ignore[no-untyped-def]
 
 @kernel
 def _mix(first, last, rgb, kept, factor, spread, out):  # type: ignore[no-untyped-def]
-    for line in range(first, last):
-        _mix_line(rgb, np.int64(line), kept, factor, spread, out)
-
-
-@kernel
-def _mix_line(rgb, y, kept, factor, spread, out):  # type: ignore[no-untyped-def]
-    """One line; ``spread`` is as large as the picture, or half as large."""
-    row = out[y]
-    if spread.shape == rgb.shape:
+    """Some lines; ``spread`` is as large as the picture, or half as large."""
+    for y in range(first, last):
+        row = out[y]
+        if spread.shape == rgb.shape:
+            row[:] = spread[y]
+        else:
+            _double_line(spread, y, row)
         for x in range(row.shape[0]):
             for c in range(3):
-                row[x, c] = spread[y, x, c]
-    else:
-        _double_line(spread, y, row)
-    for x in range(row.shape[0]):
-        for c in range(3):
-            row[x, c] = kept * rgb[y, x, c] + factor[c] * row[x, c]
+                row[x, c] = kept * rgb[y, x, c] + factor[c] * row[x, c]
 
 
 @kernel

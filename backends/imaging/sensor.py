@@ -11,7 +11,6 @@ What is drawn belongs to (seed, sample, pixel, color): see ``scenec.backends.ima
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -24,7 +23,6 @@ from scenec.backends.imaging.chance import (
     normals,
     philox,
     philoxes,
-    poisson,
     poissons,
     quantiles,
     unit,
@@ -45,8 +43,7 @@ COLORS = {
 }
 
 
-@dataclass(frozen=True)
-class Pattern:
+class Pattern(NamedTuple):
     """What is the same in all pictures of a sensor.
 
     Attributes:
@@ -62,8 +59,7 @@ class Pattern:
     rate: NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class Exposed:
+class Exposed(NamedTuple):
     """What decides the numbers of a picture.
 
     Attributes:
@@ -111,7 +107,7 @@ def pattern(
     """
     gain, offset = np.empty(shape, np.float32), np.empty(shape, np.float32)
     rate = np.zeros(shape, np.float32)
-    law = _Spread(float(prnu), float(dsnu_e), float(hot), float(hot_rate_e_s), float(dead))
+    law = float(prnu), float(dsnu_e), float(hot), float(hot_rate_e_s), float(dead)
     table = quantiles()
     over_threads(_pattern, shape[0], np.uint64(key), law, table, gain, offset, rate)
     where = np.flatnonzero(rate)
@@ -142,36 +138,10 @@ def expose(
         uint16 [h, w, planes].
     """
     colors = np.array(COLORS.get(mosaic, ((0, 0), (0, 0))), np.int64)
-    cap = how.full_well_e + 10.0 * np.sqrt(how.full_well_e) + 100.0
-    numbers = _Numbers(
-        dark_e=float(how.dark_e),
-        full_well_e=float(how.full_well_e),
-        read_e=float(how.read_e),
-        per_e=float(1.0 / how.gain),
-        black=float(how.black),
-        largest=float(how.largest),
-        cap=float(cap),
-        shot=bool(how.shot),
-    )
-    light = _Light(rgb, shade, how.weights, colors)
-    plane = _Plane(sensor.gain, sensor.offset)
     noise = _Noise(np.uint64(sample), np.uint64(key), quantiles())
     out = np.empty(sensor.gain.shape, np.uint16)
-    over_threads(_expose, len(out), light, plane, noise, numbers, out)
-    if len(sensor.hot):
-        more = sensor.rate * how.time_s
-        _expose_hot(sensor.hot, more, light, plane, noise, numbers, out)
+    over_threads(_expose, len(out), _Light(rgb, shade, colors), sensor, noise, how, out)
     return out
-
-
-class _Spread(NamedTuple):
-    """What ``pattern`` is told of a sensor."""
-
-    prnu: float
-    dsnu_e: float
-    hot: float
-    hot_rate_e_s: float
-    dead: float
 
 
 class _Light(NamedTuple):
@@ -180,74 +150,38 @@ class _Light(NamedTuple):
     Attributes:
         rgb: float32 [h, w, 3].
         shade: Vignetting, float32 [h, w] or [1, 1].
-        weights: ``Exposed.weights``, float64 [3, 3].
         colors: Color of each of the first 2 x 2 pixels, int64 [2, 2].
     """
 
     rgb: NDArray[np.float32]
     shade: NDArray[np.float32]
-    weights: NDArray[np.float64]
     colors: NDArray[np.int64]
 
 
-class _Plane(NamedTuple):
-    """``Pattern.gain`` and ``Pattern.offset``, float32 [h, w, planes]."""
-
-    gain: NDArray[np.float32]
-    offset: NDArray[np.float32]
-
-
 class _Noise(NamedTuple):
-    """Sample and key of the noise, uint64, and ``chance.quantiles``."""
+    """Sample and key of the noise, uint64, and ``chance.quantiles``, float64 [4097]."""
 
     sample: np.uint64
     key: np.uint64
     table: NDArray[np.float64]
 
 
-class _Numbers(NamedTuple):
-    """How electrons become numbers: ``Exposed``, and what is certain to fill a pixel."""
-
-    dark_e: float
-    full_well_e: float
-    read_e: float
-    per_e: float
-    black: float
-    largest: float
-    cap: float
-    shot: bool
-
-
 @kernel
 def _pattern(first, last, key, law, table, gain, offset, rate):  # type: ignore[no-untyped-def]
     """``Pattern`` of some lines, float32 [h, w, planes] each; ``rate`` is 0 but of hot pixels."""
+    prnu, dsnu_e, hot, hot_rate_e_s, dead = law
     _, w, planes = gain.shape
-    for line in range(first, last):
-        y = np.int64(line)
+    for y in range(first, last):
         for x in range(w):
             for p in range(planes):
                 at, plane = np.uint64(y * w + x), np.uint64(p)
                 a, b, c, d = philox(key, at, plane, np.uint64(0), np.uint64(PATTERN))
                 chosen = unit(c)
-                factor = max(1.0 + law.prnu * normal(a, table), 0.0)
-                gain[y, x, p] = 0.0 if chosen > 1.0 - law.dead else factor
-                offset[y, x, p] = law.dsnu_e * normal(b, table)
-                if chosen < law.hot:
-                    rate[y, x, p] = -law.hot_rate_e_s * log(unit(d))
-
-
-@kernel
-def _number(light, dark, gain, offset, words, numbers, table):  # type: ignore[no-untyped-def]
-    """The number of a pixel; words: of its shot and its read noise, uint64."""
-    # Beyond the cap a pixel is full whatever its noise.
-    made = min(max(light * gain + dark, 0.0), numbers.cap)
-    if numbers.shot:
-        made = poisson(made, words[0], table)
-    made = min(made, numbers.full_well_e) + offset
-    if numbers.read_e > 0.0:
-        made += numbers.read_e * normal(words[1], table)
-    value = np.floor(numbers.black + made * numbers.per_e + 0.5)
-    return np.uint16(min(max(value, 0.0), numbers.largest))
+                factor = max(1.0 + prnu * normal(a, table), 0.0)
+                gain[y, x, p] = 0.0 if chosen > 1.0 - dead else factor
+                offset[y, x, p] = dsnu_e * normal(b, table)
+                if chosen < hot:
+                    rate[y, x, p] = -hot_rate_e_s * log(unit(d))
 
 
 @kernel
@@ -261,25 +195,30 @@ def electrons(r, g, b, r_weight, g_weight, b_weight):  # type: ignore[no-untyped
 
 
 @kernel
-def _expose(first, last, light, plane, noise, numbers, out):  # type: ignore[no-untyped-def]
-    for line in range(first, last):
-        _expose_line(np.int64(line), light, plane, noise, numbers, out)
+def _expose(first, last, light, sensor, noise, how, out):  # type: ignore[no-untyped-def]
+    for y in range(first, last):
+        _expose_line(y, light, sensor, noise, how, out)
 
 
 @kernel
-def _expose_line(y, light, plane, noise, numbers, out):  # type: ignore[no-untyped-def]
+def _expose_line(y, light, sensor, noise, how, out):  # type: ignore[no-untyped-def]
     h, w, planes = out.shape
     half = (w + 1) // 2
-    rgb, shade, gain, offset = light.rgb, light.shade, plane.gain, plane.offset
+    rgb, shade, table = light.rgb, light.shade, noise.table
+    per_e = 1.0 / how.gain
+    # Beyond the cap a pixel is full whatever its noise.
+    cap = how.full_well_e + 10.0 * np.sqrt(how.full_well_e) + 100.0
+    hot = np.searchsorted(sensor.hot, np.int64(y * w * planes))
+    hot_end = np.searchsorted(sensor.hot, np.int64((y + 1) * w * planes))
     # One step after the other, each a loop that compilers make wide instructions of.
     words = np.empty((4, half), np.uint64)
-    made, read = np.empty(half), np.zeros(half)
+    made, dark, read = np.empty(half), np.empty(half), np.zeros(half)
     for p in range(planes):
         first = np.uint64(y * half)
         philoxes(noise.key, first, np.uint64(p), noise.sample, np.uint64(NOISE), words)
         for i in range(2):
             color = p if planes == 3 else light.colors[y & 1, i]
-            wr, wg, wb = light.weights[color, 0], light.weights[color, 1], light.weights[color, 2]
+            wr, wg, wb = how.weights[color, 0], how.weights[color, 1], how.weights[color, 2]
             count = half - i * (w & 1)
             for k in range(count):
                 x = 2 * k + i
@@ -287,44 +226,19 @@ def _expose_line(y, light, plane, noise, numbers, out):  # type: ignore[no-untyp
             if shade.shape[0] == h and shade.shape[1] == w:
                 for k in range(count):
                     made[k] *= shade[y, 2 * k + i]
+            dark[:] = how.dark_e
+            for n in range(hot, hot_end):
+                x = sensor.hot[n] // planes % w
+                if sensor.hot[n] % planes == p and x & 1 == i:
+                    dark[x // 2] += sensor.rate[n] * how.time_s
             for k in range(count):
-                # Beyond the cap a pixel is full whatever its noise.
-                value = made[k] * gain[y, 2 * k + i, p] + numbers.dark_e
-                made[k] = min(max(value, 0.0), numbers.cap)
-            if numbers.shot:
-                poissons(made[:count], words[2 * i, :count], noise.table)
-            if numbers.read_e > 0.0:
-                normals(words[2 * i + 1, :count], noise.table, read[:count])
+                value = made[k] * sensor.gain[y, 2 * k + i, p] + dark[k]
+                made[k] = min(max(value, 0.0), cap)
+            if how.shot:
+                poissons(made[:count], words[2 * i, :count], table)
+            if how.read_e > 0.0:
+                normals(words[2 * i + 1, :count], table, read[:count])
             for k in range(count):
-                value = min(made[k], numbers.full_well_e) + offset[y, 2 * k + i, p]
-                value = value + numbers.read_e * read[k]
-                value = np.floor(numbers.black + value * numbers.per_e + 0.5)
-                out[y, 2 * k + i, p] = np.uint16(min(max(value, 0.0), numbers.largest))
-
-
-@kernel
-def _expose_hot(hot, more, light, plane, noise, numbers, out):  # type: ignore[no-untyped-def]
-    """Hot pixels anew: the same noise, more dark current.
-
-    Args:
-        hot: Flat indices, int64 [n].
-        more: Electrons of the dark current that each has beyond the others', float64 [n].
-        light, plane, noise, numbers: As for the picture.
-        out: Receives their numbers, uint16 [h, w, planes].
-    """
-    h, w, planes = out.shape
-    rgb, shade, weights = light.rgb, light.shade, light.weights
-    shaded = shade.shape[0] == h and shade.shape[1] == w
-    for k in range(len(hot)):
-        p, x, y = hot[k] % planes, hot[k] // planes % w, hot[k] // (planes * w)
-        counter = np.uint64(y * ((w + 1) // 2) + x // 2)
-        a, b, c, d = philox(noise.key, counter, np.uint64(p), noise.sample, np.uint64(NOISE))
-        color = p if planes == 3 else light.colors[y & 1, x & 1]
-        red, green, blue = weights[color, 0], weights[color, 1], weights[color, 2]
-        falls = electrons(rgb[y, x, 0], rgb[y, x, 1], rgb[y, x, 2], red, green, blue)
-        if shaded:
-            falls *= shade[y, x]
-        odd, pixel, dark = x & 1, (y, x, p), numbers.dark_e + more[k]
-        words = c if odd else a, d if odd else b
-        gain, offset = plane.gain[pixel], plane.offset[pixel]
-        out[pixel] = _number(falls, dark, gain, offset, words, numbers, noise.table)
+                value = min(made[k], how.full_well_e) + sensor.offset[y, 2 * k + i, p]
+                value = np.floor(how.black + (value + how.read_e * read[k]) * per_e + 0.5)
+                out[y, 2 * k + i, p] = np.uint16(min(max(value, 0.0), how.largest))

@@ -5,16 +5,17 @@ No renderer shows the sky or a sun's disc, so none differs in them and none coun
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scenec.backends.camera.rays import camera_rays, subpixel_directions
-from scenec.backends.camera.shutter import is_rolling
+from scenec.backends.camera.tiles import bands
 from scenec.backends.contract import Radiance
-from scenec.backends.picture.noise import Noise, estimate, sky_differs
+from scenec.backends.picture.noise import Noise, estimate, estimate_parts, sky_differs
 from scenec.backends.picture.sky import MIN_SUN_DIAMETER_RAD, Sky, combine, lookup
 from scenec.backends.stage.scene import Camera, RenderScene, Sun
 
@@ -62,15 +63,51 @@ def compose(
     of the surfaces' light, and are relative to the picture with airlight.
 
     Where radiance brings what is behind (``Radiance.background``) it is the mean of both together.
+    Large pictures are composed by bands of rows: the same picture; its noise but for the order of
+    sums.
 
     Args:
         radiance: What the renderer has.
         scene, camera, sample: For the sky behind it.
         veil: Haze before it, if there is any.
     """
-    rgb = paint(radiance, scene, camera, sample, veil)
-    noise = estimate(through(radiance, veil), noisy_pixels(radiance), radiance.stochastic)
-    return Picture(rgb, noise)
+    parts = bands(camera)
+    if len(parts) == 1:
+        rgb = paint(radiance, scene, camera, sample, veil)
+        halves, noisy = through(radiance, veil), noisy_pixels(radiance)
+        return Picture(rgb, estimate(halves, noisy, radiance.stochastic))
+    rgb = np.empty((camera.height, camera.width, 3), np.float32)
+    for rows in parts:
+        own, veiled = _of_rows(radiance, veil, rows)
+        rgb[rows.start : rows.stop] = paint(own, scene, camera, sample, veiled, rows)
+
+    def each() -> Iterator[tuple[NDArray[np.float64], NDArray[np.bool_]]]:
+        for rows in parts:
+            own, veiled = _of_rows(radiance, veil, rows)
+            yield through(own, veiled), noisy_pixels(own)
+
+    return Picture(rgb, estimate_parts(each, radiance.stochastic))
+
+
+def _of_rows(radiance: Radiance, veil: Veil | None, rows: range) -> tuple[Radiance, Veil | None]:
+    """What some rows have of either."""
+    part = slice(rows.start, rows.stop)
+    own = replace(
+        radiance,
+        halves=radiance.halves[:, part],
+        coverage=radiance.coverage[part],
+        denoised=None if radiance.denoised is None else radiance.denoised[part],
+        background=None if radiance.background is None else radiance.background[:, part],
+    )
+    if veil is None:
+        return own, None
+    return own, replace(
+        veil,
+        transmittance=veil.transmittance[part],
+        airlight=veil.airlight[part],
+        behind=veil.behind[part],
+        airlight_behind=veil.airlight_behind[part],
+    )
 
 
 def noisy_pixels(radiance: Radiance) -> NDArray[np.bool_]:
@@ -157,11 +194,8 @@ def background(
     if sky is not None:
         out[index] = lookup(sky, directions)
     for sun in lighting.suns:
-        if camera.lens is None and not is_rolling(camera):
-            near, fraction = disc_fraction(sun, camera, directions)
-        else:
-            pixels = index + rows.start * camera.width
-            near, fraction = lens_disc_fraction(sun, camera, directions, pixels)
+        pixels = index + rows.start * camera.width
+        near, fraction = disc_fraction(sun, camera, directions, pixels)
         half = 0.5 * max(sun.diameter_rad, MIN_SUN_DIAMETER_RAD)
         disc = np.asarray(sun.irradiance) / (np.pi * np.sin(half) ** 2)
         out[index[near]] += fraction[:, None] * disc
@@ -169,49 +203,17 @@ def background(
 
 
 def disc_fraction(
-    sun: Sun, camera: Camera, directions: NDArray[np.float64]
-) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Which of the pixels a sun's disc may touch, and what fraction of each it fills.
-
-    Args:
-        sun: The sun.
-        camera: The camera.
-        directions: Rays through the pixels' centers, float64 [n, 3], z = 1 in the camera's frame.
-
-    Returns:
-        (which of the rays, int64 [k]; fractions, float64 [k]).
-    """
-    half = 0.5 * max(sun.diameter_rad, MIN_SUN_DIAMETER_RAD)
-    k = camera.intrinsics
-    # No point of a pixel is farther from its center's ray than this angle (the image plane's
-    # distance is at least 1).
-    reach = np.hypot(0.5 / k[0, 0] * (1.0 + abs(k[0, 1] / k[1, 1])), 0.5 / k[1, 1])
-    near = np.flatnonzero(_angle(directions, sun.to_light) <= half + reach)
-    if len(near) == 0:
-        return near, np.zeros(0)
-    steps = (np.arange(DISC_SUBPIXELS) + 0.5) / DISC_SUBPIXELS - 0.5
-    dv, du = (a.ravel() for a in np.meshgrid(steps, steps, indexing="ij"))
-    pose = camera.camera_to_world
-    y = dv / k[1, 1]
-    x = (du - k[0, 1] * y) / k[0, 0]
-    offsets = x[:, None] * pose[:3, 0] + y[:, None] * pose[:3, 1]
-    fractions = np.empty(len(near))
-    for start in range(0, len(near), 4096):
-        part = near[start : start + 4096]
-        rays = directions[part][:, None, :] + offsets[None, :, :]
-        fractions[start : start + 4096] = (_angle(rays, sun.to_light) <= half).mean(axis=1)
-    return near, fractions
-
-
-def lens_disc_fraction(
     sun: Sun, camera: Camera, directions: NDArray[np.float64], index: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """The same of a camera with a lens or a rolling shutter.
+    """Which of some pixels a sun's disc may touch, and what fraction of each it fills.
 
     Args:
         sun, camera: Which.
         directions: Rays through the pixels' centers, float64 [n, 3].
         index: Which pixels they are, row-major, int64 [n].
+
+    Returns:
+        (which of them, int64 [k]; fractions, float64 [k]).
     """
     half = 0.5 * max(sun.diameter_rad, MIN_SUN_DIAMETER_RAD)
     away = _angle(directions, sun.to_light)
@@ -219,19 +221,22 @@ def lens_disc_fraction(
     k = camera.intrinsics
     wide = 0.75 / min(k[0, 0], k[1, 1]) * (1.0 + abs(k[0, 1] / k[1, 1]))
     near = np.flatnonzero(away <= half + max(0.1, 8.0 * wide))
-    corner = np.array([-0.5, 0.5])
-    dv, du = (a.ravel() for a in np.meshgrid(corner, corner, indexing="ij"))
     if len(near):
-        corners = subpixel_directions(camera, index[near], du, dv)
+        corners = subpixel_directions(camera, index[near], *_within_pixel(np.array([-0.5, 0.5])))
         spread = np.stack([_between(corners[:, i], directions[near]) for i in range(4)]).max(axis=0)
         near = near[away[near] <= half + 1.5 * spread]
-    steps = (np.arange(DISC_SUBPIXELS) + 0.5) / DISC_SUBPIXELS - 0.5
-    dv, du = (a.ravel() for a in np.meshgrid(steps, steps, indexing="ij"))
+    places = _within_pixel((np.arange(DISC_SUBPIXELS) + 0.5) / DISC_SUBPIXELS - 0.5)
     fractions = np.empty(len(near))
     for start in range(0, len(near), 1024):
-        rays = subpixel_directions(camera, index[near[start : start + 1024]], du, dv)
+        rays = subpixel_directions(camera, index[near[start : start + 1024]], *places)
         fractions[start : start + 1024] = (_angle(rays, sun.to_light) <= half).mean(axis=1)
     return near, fractions
+
+
+def _within_pixel(steps: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Columns and rows of a square lattice from a pixel's center, float64 [n^2] each."""
+    dv, du = np.meshgrid(steps, steps, indexing="ij")
+    return du.ravel(), dv.ravel()
 
 
 def _between(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.backends.exact.caster import ExactCaster
-from scenec.backends.picture.metering import Seen, look, luminances
+from scenec.backends.picture.metering import Seen, look
 from scenec.backends.stage.scene import Camera, RenderScene
 from scenec.schemas import imaging as formulas
 
@@ -115,7 +115,10 @@ class Meter:
         chosen = [views[k * len(views) // count] for k in range(count)]
         rays = max(_LEAST_RAYS, _RAYS // count)
         seen = [look(self._scene, caster, camera, i, rays) for camera, i in chosen]
-        return expose(luminances(seen), count)
+        surfaces, sky = (
+            np.concatenate([getattr(one, what) for one in seen]) for what in ("surfaces", "sky")
+        )
+        return expose(Seen(surfaces, sky), count)
 
 
 def expose(seen: Seen, samples: int) -> Exposure:

@@ -21,7 +21,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.backends.camera.rays import subpixel_directions
-from scenec.backends.camera.shutter import is_rolling
 from scenec.backends.contract import Rays
 from scenec.backends.exact.caster import ExactCaster
 from scenec.backends.picture.airlight import Air, air_of, arrive, sources
@@ -170,9 +169,10 @@ def _behind(
 
 def _farthest(t: NDArray[np.float64], shape: tuple[int, int]) -> NDArray[np.float64]:
     """The farthest hit in the 3x3 windows, float64 [n]; +inf without any."""
-    hit = np.isfinite(t)
-    most = _window(np.where(hit, t, -np.inf).reshape(shape), np.maximum).ravel()
-    return np.where(np.isfinite(most), most, np.inf)
+    most = np.pad(np.where(np.isfinite(t), t, -np.inf).reshape(shape), 1, constant_values=-np.inf)
+    most = np.maximum(np.maximum(most[:-2], most[1:-1]), most[2:])
+    most = np.maximum(np.maximum(most[:, :-2], most[:, 1:-1]), most[:, 2:])
+    return np.where(np.isfinite(most), most, np.inf).ravel()
 
 
 def _changes(
@@ -208,18 +208,6 @@ def _bends(first, last, passed, hit, changes):  # type: ignore[no-untyped-def]
                         changes[v * width + u] = True
 
 
-def _window(values: NDArray[np.float64], extreme: np.ufunc) -> NDArray[np.float64]:
-    """Extremes over the 3x3 window, [h, w]."""
-    for axis in (0, 1):
-        padded = np.concatenate(
-            [values.take([0], axis), values, values.take([-1], axis)], axis=axis
-        )
-        count = values.shape[axis]
-        parts = [padded.take(range(i, i + count), axis) for i in range(3)]
-        values = extreme(extreme(parts[0], parts[1]), parts[2])
-    return values
-
-
 def _refine(
     air: Air,
     camera: Camera,
@@ -234,16 +222,9 @@ def _refine(
     number = np.arange(SUBRAYS)
     du = (number + 0.5) / SUBRAYS - 0.5
     dv = (number * _LATTICE % SUBRAYS + 0.5) / SUBRAYS - 0.5
-    k, pose = camera.intrinsics, camera.camera_to_world
-    y = dv / k[1, 1]
-    x = (du - k[0, 1] * y) / k[0, 0]
-    offsets = x[:, None] * pose[:3, 0] + y[:, None] * pose[:3, 1]
     for start in range(0, len(index), _PART // SUBRAYS):
         part = index[start : start + _PART // SUBRAYS]
-        if camera.lens is None and not is_rolling(camera):
-            around = rays.directions[part][:, None, :] + offsets
-        else:
-            around = subpixel_directions(camera, part, du, dv)
+        around = subpixel_directions(camera, part, du, dv)
         shape = (len(part), SUBRAYS)
         origins = rays.origins[part]
         table = Rays(np.repeat(origins, SUBRAYS, axis=0), around.reshape(-1, 3), shape)

@@ -14,7 +14,6 @@ of renderers is measured in ``docs/sensors.md``.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -34,7 +33,6 @@ from scenec.backends.stage.scene import (
     Reflectance,
     RenderScene,
     Rows,
-    Sun,
     Surface,
 )
 from scenec.backends.surface import cells, maps, reflectance
@@ -172,7 +170,8 @@ class _Paths:
         """What is reflected of suns, lamps and sky, float64 [k, 3]."""
         out = np.zeros(points.at.shape)
         for sun in self._suns:
-            out += self._sunlight(points, sun)
+            ways = np.broadcast_to(sun.to_light, points.at.shape)
+            out += self._unshaded(points, points.reflected(ways) * sun.irradiance, ways, np.inf)
         if self._lamps:
             out += self._lamplight(points)
         if self._dome is not None and self._dome.total > 0.0:
@@ -183,10 +182,6 @@ class _Paths:
                 lit = points.reflected(ways) * light
                 out += self._unshaded(points, lit, ways, np.inf) / sky_rays
         return out
-
-    def _sunlight(self, points: _Points, sun: Sun) -> NDArray[np.float64]:
-        ways = np.broadcast_to(sun.to_light, points.at.shape)
-        return self._unshaded(points, points.reflected(ways) * sun.irradiance, ways, np.inf)
 
     def _lamplight(self, points: _Points) -> NDArray[np.float64]:
         """One of the lamps, drawn by what each would give if nothing stood before it."""
@@ -240,13 +235,14 @@ class _Paths:
         mesh_of = self._rows.mesh[row]
         for number in np.unique(mesh_of):
             mesh, index = self._scene.meshes[number], np.flatnonzero(mesh_of == number)
-            shares = _corner_shares(mesh, self._rows, row[index], face[index], at[index])
-            normal, to_viewer = shares.normal, -way[index]
+            there = row[index], face[index]
+            corners, normal = _corner_shares(mesh, self._rows, *there, at[index])
+            to_viewer = -way[index]
             facing = (normal * to_viewer).sum(axis=1, keepdims=True)
             # A sliver whose area underflows has no normal of its own.
             flat = (normal == 0.0).all(axis=1, keepdims=True)
             out.normal[index] = np.where(flat, to_viewer, np.where(facing < 0.0, -normal, normal))
-            self._add_layers(out, mesh, index, row[index], face[index], shares.corners)
+            self._add_layers(out, mesh, index, *there, corners)
         distance = np.abs(at).max(axis=1) + t * np.abs(directions).max(axis=1)
         out.at += (_LIFT * distance)[:, None] * out.normal
         return out
@@ -290,21 +286,14 @@ class _Paths:
                 out.emission[index] += part * glow
 
 
-@dataclass(frozen=True)
-class _Corners:
-    """Barycentric coordinates [k, 3] and unit normals [k, 3] of hits on one mesh."""
-
-    corners: NDArray[np.float64]
-    normal: NDArray[np.float64]
-
-
 def _corner_shares(
     mesh: Mesh,
     rows: Rows,
     row: NDArray[np.int32],
     face: NDArray[np.int32],
     at: NDArray[np.float64],
-) -> _Corners:
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Barycentric coordinates [k, 3] and unit normals [k, 3] of hits on one mesh."""
     local = mesh.points[mesh.faces[face]].astype(np.float64)
     matrix = rows.to_world[row]
     world = np.einsum("kij,kcj->kci", matrix[:, :, :3], local) + matrix[:, None, :, 3]
@@ -317,7 +306,7 @@ def _corner_shares(
     c = (np.cross(first, offset) * across).sum(axis=1) / area
     shares = np.clip(np.stack([1.0 - b - c, b, c], axis=1), 0.0, 1.0)
     shares /= shares.sum(axis=1)[:, None]
-    return _Corners(shares, across / np.sqrt(area)[:, None])
+    return shares, across / np.sqrt(area)[:, None]
 
 
 def _map(
@@ -370,15 +359,17 @@ class _Dome:
         picture = sky.picture.astype(np.float64)
         if sky.constant:
             picture = np.broadcast_to(picture, (_SKY_ROWS // 4, _SKY_ROWS // 2, 3))
-        picture = _reduced(picture, max(1, picture.shape[0] // _SKY_ROWS))
-        height, width = picture.shape[:2]
+        # Means over blocks of texels; what does not fill a block at the right or below is left.
+        side = max(1, picture.shape[0] // _SKY_ROWS)
+        height, width = (size // side for size in picture.shape[:2])
+        blocks = picture[: height * side, : width * side].reshape(height, side, width, side, 3)
+        picture = blocks.mean(axis=(1, 3))
         rows = -np.diff(np.cos(np.arange(height + 1) * (np.pi / height)))
         luminance = (picture * LUMINANCE).sum(axis=2)
         self._sums = np.cumsum((luminance * rows[:, None]).ravel())
         self.total = float(self._sums[-1]) * 2.0 * np.pi / width
-        self._colors = (picture / np.where(luminance > 0.0, luminance, 1.0)[..., None]).reshape(
-            -1, 3
-        )
+        colors = picture / np.where(luminance > 0.0, luminance, 1.0)[..., None]
+        self._colors = colors.reshape(-1, 3)
         self._directions = (texel_directions(height, width) @ sky.to_world.T).reshape(-1, 3)
 
     def draw(self, u: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -386,18 +377,3 @@ class _Dome:
         which = np.searchsorted(self._sums, u * self._sums[-1], side="right")
         which = np.minimum(which, len(self._sums) - 1)
         return self._directions[which], self.total * self._colors[which]
-
-
-def _reduced(picture: NDArray[np.float64], factor: int) -> NDArray[np.float64]:
-    """Means over blocks of texels; what does not fill a block at the right or below is left."""
-    height, width = picture.shape[0] // factor * factor, picture.shape[1] // factor * factor
-    blocks = picture[:height, :width].reshape(height // factor, factor, width // factor, factor, 3)
-    mean: NDArray[np.float64] = blocks.mean(axis=(1, 3))
-    return mean
-
-
-def luminances(seen: Sequence[Seen]) -> Seen:
-    """Several of them as one."""
-    return Seen(
-        np.concatenate([one.surfaces for one in seen]), np.concatenate([one.sky for one in seen])
-    )

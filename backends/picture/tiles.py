@@ -1,21 +1,13 @@
-"""Radiance of large pictures, and what is composed of it, part by part (``camera.tiles``)."""
+"""Radiance of large pictures, part by part (``camera.tiles``)."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import replace
-
 import numpy as np
-from numpy.typing import NDArray
 
 from scenec.backends.camera import tiles
-from scenec.backends.camera.tiles import bands, crop
+from scenec.backends.camera.tiles import crop
 from scenec.backends.contract import Backend, Radiance
-from scenec.backends.picture.compose import Picture, noisy_pixels, paint, through
-from scenec.backends.picture.compose import compose as compose_whole
-from scenec.backends.picture.haze import Veil
-from scenec.backends.picture.noise import estimate_parts
-from scenec.backends.stage.scene import Camera, RenderScene
+from scenec.backends.stage.scene import Camera
 
 
 def radiance(
@@ -46,43 +38,3 @@ def radiance(
         stochastic &= part.stochastic
         drawn = part.spp
     return Radiance(halves, coverage, drawn, dropped, stochastic=stochastic)
-
-
-def compose(
-    radiance: Radiance, scene: RenderScene, camera: Camera, sample: int, veil: Veil | None = None
-) -> Picture:
-    """As ``compose.compose``: the same picture; its noise but for the order of sums."""
-    parts = bands(camera)
-    if len(parts) == 1:
-        return compose_whole(radiance, scene, camera, sample, veil)
-    rgb = np.empty((camera.height, camera.width, 3), np.float32)
-    for rows in parts:
-        own, veiled = _part(radiance, veil, rows)
-        rgb[rows.start : rows.stop] = paint(own, scene, camera, sample, veiled, rows)
-
-    def halves() -> Iterator[tuple[NDArray[np.float64], NDArray[np.bool_]]]:
-        for rows in parts:
-            own, veiled = _part(radiance, veil, rows)
-            yield through(own, veiled), noisy_pixels(own)
-
-    return Picture(rgb, estimate_parts(halves, radiance.stochastic))
-
-
-def _part(radiance: Radiance, veil: Veil | None, rows: range) -> tuple[Radiance, Veil | None]:
-    """What some rows have of either."""
-    part = slice(rows.start, rows.stop)
-    own = replace(
-        radiance,
-        halves=radiance.halves[:, part],
-        coverage=radiance.coverage[part],
-        denoised=None if radiance.denoised is None else radiance.denoised[part],
-        background=None if radiance.background is None else radiance.background[:, part],
-    )
-    if veil is None:
-        return own, None
-    return own, replace(
-        veil,
-        transmittance=veil.transmittance[part],
-        behind=veil.behind[part],
-        airlight=veil.airlight[part],
-    )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any
 
 from scenec.backends.run.plan import RenderPlan
@@ -16,7 +16,7 @@ from scenec.schemas.manifest import Batch
 from scenec.schemas.spelling import nearest
 
 
-def opening(batch: Batch, plan: RenderPlan) -> Opening:
+def opening_of(batch: Batch, plan: RenderPlan) -> Opening:
     """What a worker keeps for a batch."""
     passes = None if plan.passes is None else tuple(plan.passes)
     stage = os.path.abspath(batch.stage)
@@ -43,10 +43,7 @@ def frames_of(
         StageError: The stage does not hold what is asked for.
         BackendError: A picture is to be denoised that cannot be.
     """
-    there = range(len(opened.cameras))
-    beyond = [sample for sample in plan.samples or () if sample not in there]
-    if beyond:
-        raise StageError(f"{batch.stage}: has samples 0 to {len(there) - 1}, not {beyond[0]}")
+    require_samples(batch, plan.samples, len(opened.cameras))
     seen = sorted({camera.name for cameras in opened.cameras for camera in cameras})
     unknown = [name for name in plan.cameras or () if name not in seen]
     if unknown:
@@ -55,7 +52,7 @@ def frames_of(
         # The name is the stage's, and what lies there may be a link.
         stem = frame_stem(batch.folder, opened.backend, name, 0)
         inside(batch.folder, stem.relative_to(batch.folder).as_posix(), batch.stage)
-    holds = opening(batch, plan)
+    holds = opening_of(batch, plan)
     version = f"{opened.version}, {opened.denoiser}" if plan.denoise else opened.version
     found = []
     for sample, number, camera in _wanted(plan, opened):
@@ -67,7 +64,7 @@ def frames_of(
         stem = frame_stem(batch.folder, opened.backend, camera.name, sample)
         found.append(
             RenderFrame(
-                opening=holds,
+                holds=holds,
                 what=f"{batch.name}/{camera.name}/{sample:06d}",
                 stem=stem.absolute(),
                 camera=camera.name,
@@ -79,6 +76,17 @@ def frames_of(
             )
         )
     return found
+
+
+def require_samples(batch: Batch, samples: Collection[int] | None, count: int) -> None:
+    """Refuse samples that a stage of so many does not hold.
+
+    Raises:
+        StageError: There is one.
+    """
+    beyond = [sample for sample in samples or () if not 0 <= sample < count]
+    if beyond:
+        raise StageError(f"{batch.stage}: has samples 0 to {count - 1}, not {beyond[0]}")
 
 
 def _wanted(plan: RenderPlan, opened: Opened) -> Iterator[tuple[int, int, CameraFacts]]:

@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Callable, Hashable, Sequence
 from contextlib import ExitStack, closing, suppress
 from dataclasses import dataclass, field, replace
-from functools import partial
+from operator import methodcaller
 from pathlib import Path
 from typing import Any
 
@@ -15,16 +15,16 @@ from scenec.backends.picture import brightness
 from scenec.backends.registry import AUTO
 from scenec.backends.run.auto import choose
 from scenec.backends.run.executors import make_executor
-from scenec.backends.run.frames import frames_of, opening, unasked
+from scenec.backends.run.frames import frames_of, opening_of, unasked
 from scenec.backends.run.plan import RenderPlan
 from scenec.backends.run.supervise import FrameLostError
 from scenec.backends.run.units import (
     Made,
     OfSession,
     Opened,
-    OpenStage,
+    Opening,
     RenderFrame,
-    write_instances,
+    open_stage,
 )
 from scenec.schemas.errors import CameraRefusedError, FrameError, StageError
 from scenec.schemas.files import check_writable, sweep
@@ -144,11 +144,11 @@ def render(
         report = RenderReport(
             backend=plan.backend, choice=None if choice is None else choice.as_json()
         )
-        run = _Render(plan, batches, report, _Tell(progress, warn, say, report))
+        run = _Render(plan, batches, report, progress, warn, say)
         # Beside a USD file there may be the frames of another.
         run.strays_count = plan.folder is None and out.is_dir()
         if plan.batches is None and out.is_dir():
-            run.tell.warn_all(gaps(read_manifest(out)))
+            run.warn(*gaps(read_manifest(out)))
         executor = executor or stack.enter_context(make_executor())
         drawn = plan.passes is None or "rgb" in plan.passes
         backend = plan.backend if drawn else ""
@@ -157,33 +157,6 @@ def render(
     if not report.frames:
         raise StageError(f"{out}: no frame to render: no camera, or no sample in the range asked")
     return report
-
-
-@dataclass
-class _Tell:
-    """Whom a render tells what."""
-
-    progress: Progress | None
-    _warn: Say | None
-    say: Say
-    _report: RenderReport
-
-    def warn(self, line: str) -> None:
-        """Warns of something, once."""
-        if line not in self._report.warnings:
-            self._report.warnings.append(line)
-            if self._warn:
-                self._warn(line)
-
-    def warn_all(self, lines: Sequence[str]) -> None:
-        """Warns of some things."""
-        for line in lines:
-            self.warn(line)
-
-    def fail(self, line: str) -> None:
-        """Notes what cannot be made."""
-        self._report.failed.append(line)
-        self.warn(line)
 
 
 @dataclass
@@ -211,17 +184,23 @@ class _Render:
         plan: What is asked.
         batches: Of what.
         report: Filled.
-        tell: Told.
+        progress, warn, say: Told.
     """
 
     def __init__(
-        self, plan: RenderPlan, batches: Sequence[Batch], report: RenderReport, tell: _Tell
+        self,
+        plan: RenderPlan,
+        batches: Sequence[Batch],
+        report: RenderReport,
+        progress: Progress | None,
+        warn: Say | None,
+        say: Say,
     ) -> None:
-        self.tell = tell
+        self._progress, self._warn, self._say = progress, warn, say
         self.strays_count = False
         self._plan = plan
         self._report = report
-        self._batches = {opening(batch, plan): batch for batch in batches}
+        self._batches = {opening_of(batch, plan): batch for batch in batches}
         self._count = len(batches)
         self._unopened = deque(self._batches)
         self._works: dict[Hashable, _Work] = {}
@@ -253,19 +232,32 @@ class _Render:
         order = {batch.folder: number for number, batch in enumerate(self._batches.values())}
         self._report.frames.sort(key=lambda stem: order[stem.parents[3]])
 
+    def warn(self, *lines: str) -> None:
+        """Warns of some things, each once."""
+        for line in lines:
+            if line not in self._report.warnings:
+                self._report.warnings.append(line)
+                if self._warn:
+                    self._warn(line)
+
+    def _fail(self, line: str) -> None:
+        """Notes what cannot be made."""
+        self._report.failed.append(line)
+        self.warn(line)
+
     def _ended_unit(self, unit: Unit, outcome: Outcome) -> None:
         self._under_way.remove(unit)
         self._report.deaths += outcome.deaths
         self._report.replaced += outcome.replaced
-        self.tell.warn_all(outcome.warnings)
+        self.warn(*outcome.warnings)
         for line in outcome.notes:
-            self.tell.say(line)
-        if isinstance(unit, OpenStage):
-            self._open(unit, outcome)
-        elif isinstance(unit, RenderFrame):
+            self._say(line)
+        if isinstance(unit, RenderFrame):
             self._frame(unit, outcome)
+        elif isinstance(unit.holds, Opening) and unit.holds not in self._works:
+            self._open(unit.holds, outcome)
         elif isinstance(outcome.error, FrameLostError):
-            self.tell.fail(str(outcome.error))
+            self._fail(str(outcome.error))
         else:
             outcome.result()
 
@@ -287,7 +279,7 @@ class _Render:
             if work.ready:
                 return work.ready.popleft()
         if self._unopened:
-            return OpenStage(self._unopened.popleft())
+            return open_stage(self._unopened.popleft())
         if self._busy and not self._under_way:
             return self._wait()
         return None
@@ -302,16 +294,16 @@ class _Render:
                         pass
                 except BusyError as error:
                     if not said and not is_done(frame.stem, frame.key):
-                        self.tell.say(f"waiting: {error}")
+                        self._say(f"waiting: {error}")
                         said = True
                     continue
                 self._busy.remove(frame)
                 return frame
             time.sleep(_LOOK_S)
 
-    def _open(self, unit: OpenStage, outcome: Outcome) -> None:
+    def _open(self, opening: Opening, outcome: Outcome) -> None:
         """Notes what a batch holds."""
-        batch = self._batches[unit.opening]
+        batch = self._batches[opening]
         try:
             opened: Opened = outcome.result()
             frames = frames_of(batch, self._plan, opened, self._report.choice)
@@ -325,15 +317,15 @@ class _Render:
         folder = batch.folder / FRAMES
         sweep([folder, *sorted((folder / opened.backend).glob("*"))])
         work = _Work(batch, opened, frames, deque(), len(frames))
-        self._works[unit.opening] = work
+        self._works[opening] = work
         for frame in frames:
             self._report.frames.append(
                 frame_stem(batch.folder, opened.backend, frame.camera, frame.sample)
             )
         self._tell_unread()
         if any("instance" in frame.key.passes for frame in frames):
-            table = partial(write_instances, folder.absolute())
-            work.ready.append(OfSession(unit.opening, "the table of instances", table))
+            table = methodcaller("write_instances", folder.absolute())
+            work.ready.append(OfSession(opening, "the table of instances", table))
         for frame in frames:
             if is_done(frame.stem, frame.key):
                 self._ended(work, frame, "there already")
@@ -345,7 +337,7 @@ class _Render:
     def _tell_unread(self) -> None:
         if self._report.frames:
             for line, _ in self._unread:
-                self.tell.fail(line)
+                self._fail(line)
             self._unread.clear()
 
     def _frame(self, frame: RenderFrame, outcome: Outcome) -> None:
@@ -355,11 +347,11 @@ class _Render:
             CameraRefusedError: Nothing has been made, and the last of the batch's cameras is
                 refused.
         """
-        work, report = self._works[frame.opening], self._report
+        work, report = self._works[frame.holds], self._report
         if outcome.deaths or outcome.error is not None:
             frame.clean()
         if isinstance(outcome.error, FrameLostError):
-            self.tell.fail(str(outcome.error))
+            self._fail(str(outcome.error))
             self._ended(work, frame, "given up")
         elif isinstance(outcome.error, CameraRefusedError):
             self._refuse(work, frame, outcome.error)
@@ -391,7 +383,7 @@ class _Render:
         if (frame.camera, str(error)) not in self._said:
             # Once a render: it holds for the other batches, too.
             self._said.add((frame.camera, str(error)))
-            self.tell.warn(f"{frame.what}: {error}; other frames of this camera are not tried")
+            self.warn(f"{frame.what}: {error}; other frames of this camera are not tried")
         self._ended(work, frame, "refused")
         others = [
             of for of in work.ready if isinstance(of, RenderFrame) and of.camera == frame.camera
@@ -407,10 +399,10 @@ class _Render:
     def _ended(self, work: _Work, frame: RenderFrame, text: str) -> None:
         work.left -= 1
         self._done += 1
-        if self.tell.progress:
+        if self._progress:
             known = sum(len(of.frames) for of in self._works.values())
             total = known + (self._count - len(self._works)) * len(work.frames)
-            self.tell.progress(self._done, total, f"{frame.what}: {text}")
+            self._progress(self._done, total, f"{frame.what}: {text}")
 
     def _finish(self, work: _Work) -> None:
         """Notes cameras whose pictures are black or burnt out, once a batch is whole."""
@@ -428,7 +420,7 @@ class _Render:
         for camera, found in sidecars.items():
             line = brightness.told(found)
             if line is not None:
-                self.tell.warn(f"{work.batch.name}/{camera}: {line}")
+                self.warn(f"{work.batch.name}/{camera}: {line}")
 
     def _strays(self, batch: Batch, opened: Opened) -> None:
         """Notes frames of an earlier stage that this one does not replace."""
@@ -438,7 +430,7 @@ class _Render:
         if found:
             # Once a render: other batches have them for the same reason.
             self.strays_count = False
-            self.tell.warn(told(found))
+            self.warn(told(found))
 
     def _tell_opened(self, opened: Opened, *, rgb: bool) -> None:
         """Tells what will render, and what it cannot."""
@@ -451,11 +443,9 @@ class _Render:
             parts = [f"rgb: {plan.quality}"] if rgb else []
             parts += [f"denoised by {report.denoiser}"] if report.denoiser else []
             more = f" ({', '.join(parts)})" if parts else ""
-            self.tell.say(f"rendering with {opened.version} on {opened.device}{more}")
+            self._say(f"rendering with {opened.version} on {opened.device}{more}")
         if opened.warning:
-            self.tell.warn(opened.warning)
-        self.tell.warn_all(list(unasked(opened.cameras[0] if opened.cameras else [])))
-        for line in opened.losses:
-            if line not in report.losses:
-                report.losses.append(line)
-            self.tell.warn(line)
+            self.warn(opened.warning)
+        self.warn(*unasked(opened.cameras[0] if opened.cameras else []))
+        report.losses += [line for line in opened.losses if line not in report.losses]
+        self.warn(*opened.losses)

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 from scenec.backends.annotation.lidar import scan
 from scenec.backends.run.executors import make_executor
+from scenec.backends.run.frames import require_samples
 from scenec.backends.run.units import OfSession, Opening
 from scenec.backends.run.writer import plain
 from scenec.backends.stage.scene import Lidar, RenderScene
@@ -119,11 +120,7 @@ def scan_output(
             report.seconds["read"] += time.perf_counter() - start
             names |= {name for some in there.lidars for name in some}
             report.warn(there.losses)
-            beyond = [sample for sample in samples or () if sample >= len(there.lidars)]
-            if beyond:
-                raise StageError(
-                    f"{batch.stage}: has samples 0 to {len(there.lidars) - 1}, not {beyond[0]}"
-                )
+            require_samples(batch, samples, len(there.lidars))
             wanted = [
                 (sample, number, name)
                 for sample, some in enumerate(there.lidars)

@@ -22,6 +22,7 @@ from scenec.backends.contract import Backend, Radiance, Visibility
 from scenec.backends.exact import ExactCaster, Hits
 from scenec.backends.picture import tiles
 from scenec.backends.picture.adaptive import Draw, Rounds, Target, collect
+from scenec.backends.picture.compose import compose
 from scenec.backends.picture.exposure import Meter
 from scenec.backends.registry import open_backend
 from scenec.backends.run import memory
@@ -404,7 +405,7 @@ class Session:
     ) -> NDArray[np.float32]:
         """``rgb``, with what there is to say of it."""
         with _timed(details["seconds"], "compose"):
-            picture = tiles.compose(radiance, self.scene, camera, sample, veil)
+            picture = compose(radiance, self.scene, camera, sample, veil)
         noise = picture.noise.as_json()
         if rounds is not None:
             details["rounds"] = rounds.as_json(picture.noise.relative_rms_bound)

@@ -12,7 +12,7 @@ from collections.abc import Hashable
 from contextlib import suppress
 from dataclasses import replace
 from multiprocessing.connection import Connection, Pipe
-from typing import Any, Self
+from typing import Any
 
 from scenec.backends.run.limits import Growth, Limits, Watch
 from scenec.backends.run.memory import default_limit
@@ -43,7 +43,7 @@ class FrameLostError(BackendError):
 
 
 class Supervisor:
-    """One worker process; ends with the ``with`` block, or with this process.
+    """One worker process; ends when it is closed, or with this process.
 
     A worker that crashes, hangs, takes too long or grows too large is ended and replaced, and its
     unit tried again; one that would grow too large is replaced before its next unit, and one that
@@ -71,12 +71,6 @@ class Supervisor:
         self._done = 0
         self._peak = 0
         self._stopped = False
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     @property
     def budget(self) -> tuple[Limits, int | None]:

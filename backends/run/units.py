@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +16,6 @@ from scenec.schemas.native import native_reading
 from scenec.schemas.units import Keeper
 
 if TYPE_CHECKING:
-    from scenec.backends.contract import Visibility
     from scenec.backends.run.session import Session
 
 
@@ -56,7 +56,6 @@ class CameraFacts:
     Attributes:
         name: Its own.
         passes: What its frame will have (``Session.passes``).
-        pixels: Of its picture.
         fires: Whether it is triggered.
         outputs: What the stage was compiled for.
         undenoised: Why its picture cannot be denoised, or None.
@@ -64,7 +63,6 @@ class CameraFacts:
 
     name: str
     passes: tuple[str, ...]
-    pixels: int
     fires: bool
     outputs: tuple[str, ...]
     undenoised: str | None
@@ -92,44 +90,67 @@ class Opened:
 
 
 @dataclass(frozen=True)
-class OpenStage:
-    """Open a stage, and say what there is to render; returns ``Opened``."""
+class OfSession:
+    """Have something done with an open stage; returns what it returns.
 
-    opening: Opening
+    Attributes:
+        holds: The stage.
+        what: In messages.
+        do: Takes the session; what can be pickled, such as an ``operator.methodcaller``.
+    """
+
+    holds: Opening
+    what: str
+    do: Callable[[Session], Any]
+
+    def run(self, keeper: Keeper) -> Any:
+        """Do it."""
+        return self.do(self.holds.session(keeper))
+
+
+@dataclass(frozen=True)
+class OfBackend:
+    """Have something done with a backend and no stage; returns what it returns.
+
+    Attributes:
+        backend: Name.
+        do: Takes the name; a function of a module, or a ``functools.partial`` of one.
+    """
+
+    backend: str
+    do: Callable[[str], Any]
+    holds: None = None
 
     @property
     def what(self) -> str:
         """In messages."""
-        return f"opening {self.opening.stage}"
+        return f"backend {self.backend}"
 
-    @property
-    def holds(self) -> Opening:
-        """The stage."""
-        return self.opening
+    def run(self, keeper: Keeper) -> Any:
+        """Do it."""
+        return self.do(self.backend)
 
-    def run(self, keeper: Keeper) -> Opened:
-        """Open it.
 
-        Raises:
-            StageError: It cannot be read.
-            BackendError: The backend cannot start.
-        """
-        session = self.opening.session(keeper)
-        cameras = [
-            [
-                CameraFacts(
-                    name=camera.name,
-                    passes=session.passes(self.opening.passes, camera),
-                    pixels=camera.width * camera.height,
-                    fires=camera.fires(sample),
-                    outputs=tuple(camera.outputs),
-                    undenoised=session.undenoised(camera),
-                )
-                for camera in cameras
-            ]
-            for sample, cameras in enumerate(session.scene.cameras)
+def open_stage(opening: Opening) -> OfSession:
+    """Open a stage, and say what there is to render; returns ``Opened``."""
+    return OfSession(opening, f"opening {opening.stage}", partial(_opened, opening.passes))
+
+
+def _opened(passes: tuple[str, ...] | None, session: Session) -> Opened:
+    cameras = [
+        [
+            CameraFacts(
+                name=camera.name,
+                passes=session.passes(passes, camera),
+                fires=camera.fires(sample),
+                outputs=tuple(camera.outputs),
+                undenoised=session.undenoised(camera),
+            )
+            for camera in cameras
         ]
-        return Opened(session.scene.digest, cameras, session.losses, **session.facts())
+        for sample, cameras in enumerate(session.scene.cameras)
+    ]
+    return Opened(session.scene.digest, cameras, session.losses, **session.facts())
 
 
 @dataclass(frozen=True)
@@ -156,7 +177,7 @@ class RenderFrame:
     """Make a frame, unless it is there or another process is making it; returns ``Made``.
 
     Attributes:
-        opening: Its stage.
+        holds: Its stage.
         what: Its name in messages.
         stem: Its path without a suffix.
         camera: Whose frame it is, by name.
@@ -167,7 +188,7 @@ class RenderFrame:
         choice: Why this backend, for the sidecar (``auto.Choice``), or None.
     """
 
-    opening: Opening
+    holds: Opening
     what: str
     stem: Path
     camera: str
@@ -176,11 +197,6 @@ class RenderFrame:
     key: FrameKey
     seed: int
     choice: Mapping[str, Any] | None = None
-
-    @property
-    def holds(self) -> Opening:
-        """The stage."""
-        return self.opening
 
     @property
     def claim(self) -> Path:
@@ -195,7 +211,7 @@ class RenderFrame:
             StageError: The stage is no more what it was.
             OutputError: A file cannot be written.
         """
-        session = self.opening.session(keeper)
+        session = self.holds.session(keeper)
         if self.stem.parent not in session.folders:
             folder = self.stem.parent
             try:
@@ -243,64 +259,3 @@ def describe(details: Mapping[str, Any]) -> str:
         if details["rounds"]["target_met"] is False:
             parts.append("target not met")
     return ", ".join(parts)
-
-
-@dataclass(frozen=True)
-class OfSession:
-    """Have something done with an open stage that makes no frame; returns what it returns.
-
-    Attributes:
-        opening: The stage.
-        what: In messages.
-        do: Takes the session; a function of a module, or a ``functools.partial`` of one.
-    """
-
-    opening: Opening
-    what: str
-    do: Callable[[Session], Any]
-
-    @property
-    def holds(self) -> Opening:
-        """The stage."""
-        return self.opening
-
-    def run(self, keeper: Keeper) -> Any:
-        """Do it."""
-        return self.do(self.opening.session(keeper))
-
-
-def write_instances(folder: Path, session: Session) -> None:
-    """Leave the batch's table of instances in a folder, unless it is there."""
-    session.write_instances(folder)
-
-
-def witness(number: int, sample: int, session: Session) -> Visibility | None:
-    """What the renderer itself sees of a frame; None if it does not tell."""
-    return session.witness(number, sample)
-
-
-@dataclass(frozen=True)
-class OfBackend:
-    """Have something done with a backend and no stage; returns what it returns.
-
-    Attributes:
-        backend: Name.
-        do: Takes the name; a function of a module, or a ``functools.partial`` of one.
-    """
-
-    backend: str
-    do: Callable[[str], Any]
-
-    @property
-    def what(self) -> str:
-        """In messages."""
-        return f"backend {self.backend}"
-
-    @property
-    def holds(self) -> None:
-        """Nothing."""
-        return
-
-    def run(self, keeper: Keeper) -> Any:
-        """Do it."""
-        return self.do(self.backend)

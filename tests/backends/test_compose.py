@@ -96,7 +96,7 @@ def test_the_disc_is_centered_on_the_sun():
     camera = ms.look_at((0, 0, 0), (1, 0, 0), 101, 101, 10)
     sun = ms.sun(1.0, -2.0, diameter_deg=1.0)
     index = np.arange(101 * 101)
-    near, fraction = disc_fraction(sun, camera, camera_rays(camera).directions)
+    near, fraction = disc_fraction(sun, camera, camera_rays(camera).directions, index)
     v, u = np.divmod(index[near], 101)
     x = camera.camera_to_world[:3, :3].T @ sun.to_light
     expected = camera.intrinsics @ (x / x[2])

@@ -12,6 +12,7 @@ import sys
 from collections.abc import Callable
 from contextlib import closing
 from functools import partial
+from operator import methodcaller
 from pathlib import Path
 
 import counted_backend
@@ -24,7 +25,7 @@ from third_party import install, plan_fault, square_stage
 from scenec.backends.run.executors import Processes, make_executor
 from scenec.backends.run.render import render
 from scenec.backends.run.scan import scan_output
-from scenec.backends.run.units import OfBackend, OfSession, Opening, OpenStage, write_instances
+from scenec.backends.run.units import OfBackend, OfSession, Opening, open_stage
 from scenec.compiler.batch_unit import CompileBatch
 from scenec.compiler.cfg.load import load
 from scenec.compiler.compile import compile_cfg
@@ -100,8 +101,8 @@ def children() -> list[psutil.Process]:
 def test_units_are_the_same_after_a_journey(tmp_path):
     opening = Opening(str(tmp_path / "stage.usda"), "mitsuba", passes=("rgb",))
     units = [
-        OpenStage(opening),
-        OfSession(opening, "a table", partial(write_instances, tmp_path)),
+        open_stage(opening),
+        OfSession(opening, "a table", methodcaller("write_instances", tmp_path)),
         OfBackend("mitsuba", print),
         CompileBatch(
             tmp_path / "cfg.json", "00", 1, 0, Keep.SEEN, 0, False, None, tmp_path, tmp_path

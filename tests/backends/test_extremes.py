@@ -36,6 +36,7 @@ from scenec.backends.contract import Radiance
 from scenec.backends.exact import ExactCaster
 from scenec.backends.picture import compose
 from scenec.backends.picture import tiles as drawn
+from scenec.backends.picture.haze import Veil
 from scenec.backends.run.render import render
 from scenec.backends.run.session import Session
 from scenec.backends.stage.read import read_stage
@@ -186,16 +187,20 @@ def test_annotation_in_bands_is_that_of_the_whole_picture_to_the_bit(
         np.testing.assert_array_equal(getattr(found.hits, key), getattr(exact, key))
 
 
-def test_a_picture_composed_in_bands_is_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("hazy", [False, True])
+def test_a_picture_composed_in_bands_is_the_same(
+    monkeypatch: pytest.MonkeyPatch, hazy: bool
+) -> None:
     rng = np.random.default_rng(3)
     camera = pinhole(23, 19)
     made = scene([], [], cameras=[camera])
     coverage = np.clip(rng.normal(0.6, 0.6, (19, 23)), 0, 1).astype(np.float32)
     light = rng.exponential(size=(2, 19, 23, 3)).astype(np.float32) * coverage[..., None]
     radiance = Radiance(light, coverage, 8)
-    whole = compose.compose(radiance, made, camera, 0)
+    veil = Veil(*rng.uniform(size=(4, 19, 23, 3)), 0) if hazy else None
+    whole = compose.compose(radiance, made, camera, 0, veil)
     monkeypatch.setattr(tiles, "PIXELS", 4 * 23)
-    parts = drawn.compose(radiance, made, camera, 0)
+    parts = compose.compose(radiance, made, camera, 0, veil)
     np.testing.assert_array_equal(parts.rgb, whole.rgb)
     for key, value in whole.noise.as_json().items():
         assert parts.noise.as_json()[key] == pytest.approx(value, rel=1e-12), key
@@ -209,7 +214,7 @@ def test_noise_of_a_black_picture_and_of_nothing_is_nothing_in_bands(
     made = scene([], [], cameras=[camera])
     for coverage in (0.0, 1.0):
         dark = Radiance(np.zeros((2, 6, 5, 3), np.float32), np.full((6, 5), coverage, "f4"), 2)
-        assert drawn.compose(dark, made, camera, 0).noise.relative_rms == 0.0
+        assert compose.compose(dark, made, camera, 0).noise.relative_rms == 0.0
 
 
 def test_radiance_in_tiles_is_as_bright_and_none_has_the_noise_of_another(

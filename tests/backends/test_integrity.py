@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import shutil
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -16,7 +17,7 @@ from scenec.backends.run.render import render
 from scenec.backends.run.scan import scan_output
 from scenec.backends.run.session import Session
 from scenec.backends.run.supervise import Supervisor
-from scenec.backends.run.units import Opening, OpenStage
+from scenec.backends.run.units import Opening, open_stage
 from scenec.backends.stage.read import read_stage
 from scenec.cli.main import main
 from scenec.compiler.compile import compile_cfg
@@ -459,8 +460,8 @@ def test_bad_input_costs_a_worker_one_try(tmp_path, kind):
     if kind == "text":
         (tmp_path / "foreign.usda").write_text("#usda 1.0\ndef {\n", encoding="utf-8")
     told = "is of type string, expected" if kind == "type" else "foreign.usda:2:"
-    with Supervisor() as worker:
-        outcome = worker.do(OpenStage(Opening(str(tmp_path / "foreign.usda"), "annotation")))
+    with closing(Supervisor()) as worker:
+        outcome = worker.do(open_stage(Opening(str(tmp_path / "foreign.usda"), "annotation")))
     assert outcome.deaths == 0
     with pytest.raises(StageError, match=told):
         outcome.result()

@@ -18,7 +18,7 @@ from scenec.backends.contract import Radiance, Rays
 from scenec.backends.exact import ExactCaster
 from scenec.backends.mitsuba.adapter import Mitsuba
 from scenec.backends.picture import resample
-from scenec.backends.picture.compose import compose, lens_disc_fraction
+from scenec.backends.picture.compose import compose, disc_fraction
 from scenec.backends.run.session import Session
 from scenec.backends.stage.scene import Camera, RenderScene
 from scenec.schemas.errors import BackendError
@@ -230,7 +230,7 @@ def test_a_sun_behind_a_lens_keeps_its_light(name: str) -> None:
     index = np.arange(len(rays.directions))
     to_light = rays.directions[len(index) // 2 + 11]
     disc = dataclasses.replace(sun(diameter_deg=9.0), to_light=to_light / np.linalg.norm(to_light))
-    near, fraction = lens_disc_fraction(disc, camera, rays.directions, index)
+    near, fraction = disc_fraction(disc, camera, rays.directions, index)
     corners = subpixel_directions(
         camera, index[near], np.array([-0.5, 0.5, 0.5, -0.5]), np.array([-0.5, -0.5, 0.5, 0.5])
     )

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from small import small_cfg, write_cfg
 
-from scenec.backends.check.scans import check_scans
+from scenec.backends.check.frames import check_scans
 from scenec.backends.run.render import render
 from scenec.backends.run.scan import scan_output
 from scenec.backends.stage.read import read_stage

@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -142,9 +143,9 @@ def test_a_worker_goes_with_its_parent(stage):
     code = (
         "import sys, time\n"
         "from scenec.backends.run.supervise import Supervisor\n"
-        "from scenec.backends.run.units import Opening, OpenStage\n"
+        "from scenec.backends.run.units import Opening, open_stage\n"
         "w = Supervisor()\n"
-        f"w.do(OpenStage(Opening({str(stage)!r}, 'annotation'))).result()\n"
+        f"w.do(open_stage(Opening({str(stage)!r}, 'annotation'))).result()\n"
         "print(w.pid, flush=True)\n"
         "time.sleep(60)\n"
     )
@@ -158,7 +159,7 @@ def test_a_worker_goes_with_its_parent(stage):
 
 
 def test_what_libraries_print_does_not_reach_the_protocol(capfd):
-    with Supervisor() as worker:
+    with closing(Supervisor()) as worker:
         assert worker.do(OfBackend("echo LLVM says hello", os.system)).result() == 0
         assert worker.do(OfBackend("python too", print)).result() is None
         # It is told where it may explain a death.

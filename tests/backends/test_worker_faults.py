@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +24,7 @@ from scenec.backends.run.executors import Processes
 from scenec.backends.run.limits import Growth, Limits, Watch
 from scenec.backends.run.render import render
 from scenec.backends.run.supervise import RETRIES, Supervisor
-from scenec.backends.run.units import Opening, OpenStage
+from scenec.backends.run.units import Opening, open_stage
 from scenec.schemas import memory as machine
 from scenec.schemas.errors import BackendError
 from scenec.schemas.frames import read_frame
@@ -295,8 +296,8 @@ def test_an_interrupt_amid_a_frame_ends_at_once_and_leaves_nothing_behind(
 def test_workers_offer_themselves_to_the_kernel_before_their_parent(stage, tmp_path, monkeypatch):
     if not os.path.exists("/proc/self/oom_score_adj"):
         pytest.skip("no such system call here")
-    with Supervisor() as worker:
-        worker.do(OpenStage(Opening(str(stage), "plain"))).result()
+    with closing(Supervisor()) as worker:
+        worker.do(open_stage(Opening(str(stage), "plain"))).result()
         own = int(Path("/proc/self/oom_score_adj").read_text())
         its = int(Path(f"/proc/{worker.pid}/oom_score_adj").read_text())
     assert its > own

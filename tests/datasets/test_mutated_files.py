@@ -18,8 +18,7 @@ from hypothesis import strategies as st
 from made_output import make_output
 
 from scenec.backends.check.files import check_files
-from scenec.backends.check.frames import check_frames
-from scenec.backends.check.scans import check_scans
+from scenec.backends.check.frames import check_frames, check_scans
 from scenec.cli.main import main
 from scenec.datasets.export import Choice, export
 from scenec.datasets.export_records import read_record, record_path, write_record
