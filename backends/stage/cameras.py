@@ -3,24 +3,35 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pxr import Usd, UsdGeom, UsdRender
+from pxr import Gf, Usd, UsdGeom, UsdRender, Vt
 
 from scenec.backends.stage import values
 from scenec.backends.stage.frame import StageFrame
-from scenec.backends.stage.imaging import read_imaging
-from scenec.backends.stage.scene import DEFAULT_OUTPUTS, Camera, Focus
-from scenec.backends.stage.sensors import read_depth_camera, read_trigger
-from scenec.backends.stage.shutter import read_shutter
+from scenec.backends.stage.scene import DEFAULT_OUTPUTS, Camera, Focus, OpenShutter
+from scenec.schemas import imaging as formulas
 from scenec.schemas import stage as names
+from scenec.schemas.depth_camera import DepthCamera, of_numbers
 from scenec.schemas.errors import StageError
+from scenec.schemas.imaging import Imaging
 from scenec.schemas.lens import COEFFICIENTS, Lens
 from scenec.schemas.passes import is_pass
+from scenec.schemas.shutter import Shutter
+from scenec.schemas.spelling import shown
 
 _DEFAULT_RESOLUTION = (640, 480)
+_DIRECTIONS = ("down", "up")
+#: What names of attributes of a camera's exposure begin with.
+_EXPOSURE = ("exposure", "scenec:exposure:")
+#: How far a relative pose may be from a rigid one.
+_RIGID = 1e-6
+#: By how much of themselves the times of poses may miss the ends of the exposures.
+_ENDS = 1e-9
 
 
 def read_cameras(
@@ -42,7 +53,8 @@ def read_cameras(
             _Request(name, p, _resolution(p), DEFAULT_OUTPUTS)
             for name, p in _distinct_names(cameras)
         ]
-    return tuple(tuple(_camera(request, frame, time) for request in found) for time in times)
+    columns = [_over_time(request, frame, times) for request in found]
+    return tuple(tuple(column[i] for column in columns) for i in range(len(times)))
 
 
 @dataclass(frozen=True)
@@ -95,7 +107,33 @@ def _resolution(prim: Usd.Prim) -> tuple[int, int]:
     return width, max(1, round(width * up / across)) if across > 0 else _DEFAULT_RESOLUTION[1]
 
 
+def _over_time(request: _Request, frame: StageFrame, times: list[Usd.TimeCode]) -> list[Camera]:
+    """A camera at each time."""
+    prim = request.prim
+    poses = frame.pose(values.matrices(prim, times, of_world=True))
+    poses[..., :3, :3] *= names.HALF_TURN
+    if not np.isfinite(poses).all() or min(request.size) < 1:
+        raise StageError(
+            f"{prim.GetPath()}: a camera needs a resolution and an invertible transform"
+        )
+    # What differs from sample to sample where nothing else does.
+    exposures = [a for a in prim.GetAttributes() if a.GetName().startswith(_EXPOSURE)]
+    exposed = values.kept(exposures, lambda time: _exposure(prim, time))
+    at = values.kept(
+        values.own(prim, *_EXPOSURE, "scenec:shutter:"), lambda time: _camera(request, frame, time)
+    )
+    found = []
+    for time, pose in zip(times, poses, strict=True):
+        camera, (ev, per) = at(time), exposed(time)
+        shutter = _shutter(prim, frame, time, pose)
+        found.append(
+            replace(camera, camera_to_world=pose, exposure_ev=ev, exposure_per=per, shutter=shutter)
+        )
+    return found
+
+
 def _camera(request: _Request, frame: StageFrame, time: Usd.TimeCode) -> Camera:
+    """All of a camera but its pose, exposure and shutter."""
     prim, size = request.prim, request.size
     camera = UsdGeom.Camera(prim)
     projection = values.word(camera.GetProjectionAttr(), UsdGeom.Tokens.perspective, time)
@@ -103,31 +141,19 @@ def _camera(request: _Request, frame: StageFrame, time: Usd.TimeCode) -> Camera:
         raise StageError(
             f"{prim.GetPath()}: is {projection}; only perspective cameras are rendered"
         )
-    matrix = values.world_matrix(prim, time)
-    pose = np.eye(4)
-    pose[:3, :3] = frame.axes(matrix) * np.array(names.HALF_TURN)
-    pose[:3, 3] = frame.point(matrix)
-    if not np.isfinite(pose).all() or min(size) < 1:
-        raise StageError(
-            f"{prim.GetPath()}: a camera needs a resolution and an invertible transform"
-        )
-    ev, per = _exposure(prim, time)
     return Camera(
         name=request.name,
         path=str(prim.GetPath()),
         width=size[0],
         height=size[1],
         intrinsics=_intrinsics(prim, size, time),
-        camera_to_world=pose,
-        exposure_ev=ev,
-        exposure_per=per,
+        camera_to_world=np.eye(4),
         outputs=request.outputs,
         partner=_partner(prim),
         trigger=read_trigger(prim),
-        depth_camera=read_depth_camera(prim),
+        depth_camera=_depth_camera(prim),
         lens=_lens(prim),
         imaging=read_imaging(prim, time),
-        shutter=read_shutter(prim, frame, time, pose),
         focus=_focus(prim, frame, time),
     )
 
@@ -251,3 +277,124 @@ def intrinsics_from_apertures(
             [0.0, 0.0, 1.0],
         ]
     )
+
+
+def read_trigger(prim: Usd.Prim) -> tuple[int, int]:
+    """Samples from one to the next that a sensor is triggered at, and the first.
+
+    Raises:
+        StageError: Numbers that cannot be.
+    """
+    if not prim.HasAttribute(names.ATTR_TRIGGER):
+        return 1, 0
+    every, first = values.vector(prim.GetAttribute(names.ATTR_TRIGGER), 2) or (0.0, 0.0)
+    if every < 1 or first < 0:
+        raise StageError(
+            f"{prim.GetPath()}: {names.ATTR_TRIGGER} is ({every:g}, {first:g}), expected at least "
+            "(1, 0)"
+        )
+    return int(every), int(first)
+
+
+def _depth_camera(prim: Usd.Prim) -> DepthCamera | None:
+    """How a camera measures depth, or None."""
+    kind = values.word(prim.GetAttribute(names.ATTR_DEPTH_MODEL), "")
+    if not kind:
+        return None
+    numbers = values.array(prim.GetAttribute(names.ATTR_DEPTH_NUMBERS), np.float64, finite=False)
+    key = values.whole(prim.GetAttribute(names.ATTR_DEPTH_KEY), 0)
+    try:
+        return DepthCamera(of_numbers(kind, numbers.tolist()), key)
+    except ValueError as error:
+        raise StageError(f"{prim.GetPath()}: {names.ATTR_DEPTH_NUMBERS}: {error}") from error
+
+
+#: By the names of ``Sdf.ValueTypeNames``.
+_READERS: dict[str, Callable[[Usd.Attribute, Usd.TimeCode], Any]] = {
+    "Bool": lambda attribute, time: values.flag(attribute, False, time),
+    "Double": lambda attribute, time: values.number(attribute, 0.0, time),
+    "DoubleArray": lambda attribute, time: tuple(
+        values.array(attribute, np.float64, time).tolist()
+    ),
+    "Int": lambda attribute, time: values.whole(attribute, 0, time),
+    "Token": lambda attribute, time: values.word(attribute, "", time),
+    "UInt64": lambda attribute, time: values.whole(attribute, 0, time),
+}
+
+
+def read_imaging(prim: Usd.Prim, time: Usd.TimeCode) -> Imaging | None:
+    """What a camera does to light at a time; None without ``scenec:imaging:rule``.
+
+    Raises:
+        StageError: A parameter is not what it can be.
+    """
+    given = {field: prim.GetAttribute(formulas.attribute(field)) for field in formulas.TYPES}
+    if not given["rule"].HasAuthoredValue():
+        return None
+    imaging = Imaging(
+        **{
+            field: _READERS[kind](given[field], time)
+            for field, kind in formulas.TYPES.items()
+            if given[field].HasAuthoredValue()
+        }
+    )
+    faults = formulas.faults(imaging)
+    if faults:
+        raise StageError(f"{prim.GetPath()}: {'; '.join(faults)}")
+    return imaging
+
+
+def _shutter(
+    prim: Usd.Prim, frame: StageFrame, time: Usd.TimeCode, pose: NDArray[np.float64]
+) -> OpenShutter | None:
+    """The shutter of a camera that has a pose at a sample; None where the stage names none."""
+    exposure = prim.GetAttribute(names.ATTR_SHUTTER_EXPOSURE)
+    if not exposure or not exposure.HasValue():
+        return None
+    direction = prim.GetAttribute(names.ATTR_SHUTTER_DIRECTION)
+    shutter = Shutter(
+        values.number(exposure, 0.0, time),
+        values.number(prim.GetAttribute(names.ATTR_SHUTTER_READOUT), 0.0),
+        values.word(direction, "down", known=_DIRECTIONS) == "up",
+    )
+    if shutter.exposure_s < 0.0 or shutter.readout_s < 0.0:
+        raise StageError(
+            f"{prim.GetPath()}: {names.ATTR_SHUTTER_EXPOSURE} is {shutter.exposure_s:g} s and "
+            f"{names.ATTR_SHUTTER_READOUT} {shutter.readout_s:g} s; expected 0 or more"
+        )
+    listed, moved = (
+        prim.GetAttribute(name) for name in (names.ATTR_SHUTTER_TIMES, names.ATTR_SHUTTER_POSES)
+    )
+    times, steps = np.zeros(1), np.eye(4)[None]
+    if values.value_of(listed) is not None:
+        times = values.array(listed, np.float64)
+    if values.value_of(moved, time) is not None:
+        steps = values.array(moved, np.float64, time, width=(4, 4), finite=False)
+    half = shutter.half_span * (1.0 - _ENDS)
+    if (
+        not (np.diff(times) > 0.0).all()
+        or 0.0 not in times
+        or (len(times) > 1 and not times[0] <= -half <= half <= times[-1])
+    ):
+        raise StageError(
+            f"{prim.GetPath()}: {names.ATTR_SHUTTER_TIMES} are {shown(times.tolist())}; expected "
+            f"seconds that rise, 0 among them, from -{shutter.half_span:g} to "
+            f"{shutter.half_span:g} or beyond"
+        )
+    if len(steps) != len(times):
+        raise StageError(
+            f"{prim.GetPath()}: {len(steps)} {names.ATTR_SHUTTER_POSES} for {len(times)} "
+            f"{names.ATTR_SHUTTER_TIMES}; expected one for each"
+        )
+    turns = steps[:, :3, :3]
+    off = np.abs(turns @ turns.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
+    rigid = (np.isfinite(steps[..., :3]).all(axis=(1, 2)) & (off <= _RIGID)) | (times == 0.0)
+    if not rigid.all():
+        at = int(np.argmin(rigid))
+        raise StageError(f"{prim.GetPath()}: {names.ATTR_SHUTTER_POSES}[{at}] is no rigid motion")
+    whole = UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(time)
+    moved_by = [Gf.Matrix4d(step) * whole for step in steps.tolist()]
+    poses = frame.pose(np.array(Vt.Matrix4dArray(moved_by)).transpose(0, 2, 1)[:, :3])
+    poses[:, :3, :3] *= names.HALF_TURN
+    poses[times == 0.0] = pose
+    return OpenShutter(shutter, times, poses)

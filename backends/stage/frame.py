@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from pxr import Gf, Usd, UsdGeom
+from pxr import Usd, UsdGeom
 
 from scenec.schemas.errors import StageError
 
@@ -42,19 +42,18 @@ class StageFrame:
             return matrix
         return self.meters_per_unit * (self.turn @ matrix)
 
-    def axes(self, matrix: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Unit axes (columns) of a local-to-world matrix [3, 4], turned to Z up: [3, 3]."""
-        axes = self.turn @ matrix[:, :3]
-        return axes / np.sqrt((axes * axes).sum(axis=0))
+    def pose(self, matrices: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Unit axes and origins of local-to-world matrices [..., 3, 4]: float64 [..., 4, 4]."""
+        poses = np.zeros((*matrices.shape[:-2], 4, 4))
+        axes = self.turn @ matrices[..., :3]
+        poses[..., :3, :3] = axes / np.sqrt((axes * axes).sum(axis=-2, keepdims=True))
+        poses[..., :3, 3] = self.points(matrices)
+        poses[..., 3, 3] = 1.0
+        return poses
 
-    def point(self, matrix: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Origin of a local-to-world matrix [3, 4], in meters, Z up: [3]."""
-        return self.meters_per_unit * (self.turn @ matrix[:, 3])
-
-
-def columns(matrix: Gf.Matrix4d) -> NDArray[np.float64]:
-    """A Gf matrix (row vectors) as affine columns, float64 [3, 4]."""
-    return np.array(matrix, dtype=np.float64).T[:3].copy()
+    def points(self, matrices: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Origins of local-to-world matrices [..., 3, 4], in meters, Z up: [..., 3]."""
+        return self.meters_per_unit * (self.turn @ matrices[..., 3:])[..., 0]
 
 
 def composed(parent: NDArray[np.float64], child: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -182,13 +182,12 @@ class Expander:
 
     def _walk(self, prim: Usd.Prim, place: _Place, parts: list[Expanded]) -> None:
         shown = self._shown(prim)
-        if isinstance(shown, bool):
-            if not shown:
-                return
-        else:
-            place = replace(place, shown=shown if place.shown is None else shown & place.shown)
-            if not place.shown.any():  # type: ignore[union-attr]
-                return
+        if place.shown is not None:
+            shown = shown & place.shown
+        if not shown.any():
+            return
+        if not shown.all():
+            place = replace(place, shown=shown)
         self._meshes.unread.prim(prim, in_prototype=bool(self._open))
         place = self._with_id(prim, self._moved(prim, place))
         if prim.IsA(UsdGeom.PointInstancer):
@@ -218,25 +217,20 @@ class Expander:
         for child in prim.GetFilteredChildren(Usd.TraverseInstanceProxies()):
             self._walk(child, place, parts)
 
-    def _shown(self, prim: Usd.Prim) -> bool | NDArray[np.bool_]:
-        """Whether a prim (and what is below it) is rendered: visible, purpose default or render.
+    def _shown(self, prim: Usd.Prim) -> NDArray[np.bool_]:
+        """When a prim (and what is below it) is rendered, bool [samples].
 
-        Bool [samples] where that changes.
+        It is where it is visible and its purpose is default or render.
         """
+        always = np.ones(len(self._times), bool)
         imageable = UsdGeom.Imageable(prim)
         if not imageable:
-            return True
+            return always
         # USD takes a purpose that is no token for none.
         values.word(imageable.GetPurposeAttr(), "")
         if imageable.ComputePurpose() not in (UsdGeom.Tokens.default_, UsdGeom.Tokens.render):
-            return False
-        attribute = imageable.GetVisibilityAttr()
-        times = self._times if attribute.ValueMightBeTimeVarying() else self._times[:1]
-        seen = [values.word(attribute, "", time) != UsdGeom.Tokens.invisible for time in times]
-        shown = np.array(seen)
-        if shown.all() or not shown.any():
-            return bool(shown[0])
-        return shown
+            return ~always
+        return values.visible(prim, self._times)
 
     def _where_shown(
         self, poses: NDArray[np.float64], shown: NDArray[np.bool_] | None
@@ -259,12 +253,7 @@ class Expander:
         xformable = UsdGeom.Xformable(prim)
         if not xformable:
             return place
-        if len(self._times) > 1 and xformable.TransformMightBeTimeVarying():
-            local = np.stack([values.local_matrix(prim, time) for time in self._times])
-            if (local == local[0]).all():
-                local = local[0]
-        else:
-            local = values.local_matrix(prim, self._times[0])
+        local = values.matrices(prim, self._times)
         if xformable.GetResetXformStack():
             return replace(place, matrix=local, relative=None)
         relative = place.relative

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
+from numpy.typing import NDArray
 from pxr import Usd
 
 from scenec.backends.stage import values
+from scenec.backends.stage.cameras import read_trigger
 from scenec.backends.stage.frame import StageFrame
 from scenec.backends.stage.scene import Lidar
-from scenec.backends.stage.sensors import read_trigger
 from scenec.schemas import stage as names
 from scenec.schemas.errors import StageError
 
@@ -27,22 +30,21 @@ def read_lidars(
     prims = [p for p in stage.Traverse() if p.HasAttribute(names.ATTR_LIDAR_ELEVATIONS)]
     if not prims:
         return ()
-    fires = [(prim, read_trigger(prim)) for prim in prims]
-    return tuple(
-        tuple(_lidar(p, frame, time) for p, (every, first) in fires if _hits(sample, every, first))
-        for sample, time in enumerate(times)
-    )
+    found: list[list[Lidar]] = [[] for _ in times]
+    for prim in prims:
+        every, first = read_trigger(prim)
+        scans = range(first, len(times), every)
+        if not scans:
+            continue
+        poses = frame.pose(values.matrices(prim, [times[i] for i in scans], of_world=True))
+        lidar = _lidar(prim, frame, poses)
+        for sample, pose in zip(scans, poses, strict=True):
+            found[sample].append(replace(lidar, to_world=pose))
+    return tuple(tuple(lidars) for lidars in found)
 
 
-def _hits(sample: int, every: int, first: int) -> bool:
-    return sample >= first and (sample - first) % every == 0
-
-
-def _lidar(prim: Usd.Prim, frame: StageFrame, time: Usd.TimeCode) -> Lidar:
-    matrix = values.world_matrix(prim, time)
-    pose = np.eye(4)
-    pose[:3, :3] = frame.axes(matrix)
-    pose[:3, 3] = frame.point(matrix)
+def _lidar(prim: Usd.Prim, frame: StageFrame, poses: NDArray[np.float64]) -> Lidar:
+    """A lidar at the first of its poses."""
     elevations = values.array(prim.GetAttribute(names.ATTR_LIDAR_ELEVATIONS), np.float64)
     count = values.whole(prim.GetAttribute(names.ATTR_LIDAR_AZIMUTHS), 0)
     if not 0 < count * len(elevations) <= _MOST:
@@ -51,7 +53,7 @@ def _lidar(prim: Usd.Prim, frame: StageFrame, time: Usd.TimeCode) -> Lidar:
     reach = values.vector(prim.GetAttribute(names.ATTR_LIDAR_RANGE), 2, finite=False)
     unit = frame.meters_per_unit
     near, far = (unit * value for value in reach or (0.0, np.inf))
-    if not (np.isfinite(pose).all() and 0.0 <= near <= far):
+    if not (np.isfinite(poses).all() and 0.0 <= near <= far):
         raise StageError(
             f"{prim.GetPath()}: a lidar needs an invertible transform, finite elevations, and "
             f"ranges from 0 up; {names.ATTR_LIDAR_RANGE} is {near:g} to {far:g} m"
@@ -60,7 +62,7 @@ def _lidar(prim: Usd.Prim, frame: StageFrame, time: Usd.TimeCode) -> Lidar:
     return Lidar(
         name=f"{parent}_{prim.GetName()}",
         path=str(prim.GetPath()),
-        to_world=pose,
+        to_world=poses,
         elevations_deg=elevations,
         azimuths_deg=start + (stop - start) * np.arange(count) / count,
         range_m=(near, far),

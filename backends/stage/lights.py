@@ -1,6 +1,8 @@
-"""Suns, domes and lamps of a stage at each sample."""
+"""Suns, domes and lamps of a stage at each sample, its haze and labels of its sky."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,13 +10,20 @@ from pxr import Usd, UsdGeom, UsdLux
 
 from scenec.backends.stage import values
 from scenec.backends.stage.frame import StageFrame
-from scenec.backends.stage.scene import Dome, Lamp, Lighting, Sun
+from scenec.backends.stage.labels import LabelTable
+from scenec.backends.stage.scene import Dome, Haze, Lamp, Lighting, SkyLabelMap, Sun
 from scenec.backends.stage.sources import Sources
 from scenec.backends.stage.unread import LIGHTS
+from scenec.schemas import stage as names
 from scenec.schemas.errors import StageError
 
-#: What a dome whose pole is +Z is turned by first: +Y goes to +Z, as OrientToStageUpAxis does.
-_POLE_Z = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+#: A frame whose pole is +Y stood up: +Y goes to +Z, as OrientToStageUpAxis does.
+_STANDING = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+
+#: Color times intensity, linear Rec.709, float64 [3].
+type _Strength = Callable[[Usd.TimeCode], NDArray[np.float64]]
+#: What a light gives where a local-to-world matrix [3, 4] and its pose [4, 4] place it, if any.
+type _Placed = Callable[[NDArray[np.float64], NDArray[np.float64]], Sun | Dome | Lamp | None]
 
 
 def read_lighting(
@@ -35,31 +44,52 @@ def read_lighting(
             prims.PruneChildren()
         if prim.GetTypeName() in LIGHTS:
             lights.append(prim)
-    return tuple(_lighting(lights, frame, time, sources) for time in times)
+    columns = [_over_time(prim, frame, times, sources) for prim in lights]
+    return tuple(
+        Lighting(_all(Sun, shining), _all(Dome, shining), _all(Lamp, shining))
+        for shining in ([column[i] for column in columns] for i in range(len(times)))
+    )
 
 
-def _lighting(
-    prims: list[Usd.Prim], frame: StageFrame, time: Usd.TimeCode, sources: Sources
-) -> Lighting:
-    suns, domes, lamps = [], [], []
-    for prim in prims:
-        if not values.visible(prim, time):
-            continue
-        kind, matrix = prim.GetTypeName(), values.world_matrix(prim, time)
-        if kind == "SphereLight":
-            lamp = _lamp(UsdLux.SphereLight(prim), matrix, frame, time)
-            lamps += [] if lamp is None else [lamp]
-            continue
-        if _flat(matrix):
-            # Scaled to nothing: there is no direction that it shines in.
-            continue
-        axes = frame.axes(matrix)
-        if kind == "DistantLight":
-            suns.append(_sun(UsdLux.DistantLight(prim), axes, time))
-        else:
-            dome = _dome(prim, axes, time, sources)
-            domes += [] if dome is None else [dome]
-    return Lighting(tuple(suns), tuple(domes), tuple(lamps))
+def _all[T](kind: type[T], lights: list[Sun | Dome | Lamp | None]) -> tuple[T, ...]:
+    return tuple(light for light in lights if isinstance(light, kind))
+
+
+def _over_time(
+    prim: Usd.Prim, frame: StageFrame, times: list[Usd.TimeCode], sources: Sources
+) -> list[Sun | Dome | Lamp | None]:
+    """A light at each time; None where it gives none."""
+    found: list[Sun | Dome | Lamp | None] = [None] * len(times)
+    shown = np.ones(len(times), bool)
+    above = prim
+    while above and not above.IsPseudoRoot():
+        if UsdGeom.Imageable(above):
+            shown &= values.visible(above, times)
+        above = above.GetParent()
+    if not shown.any():
+        return found
+    samples = np.flatnonzero(shown).tolist()
+    matrices = values.matrices(prim, [times[i] for i in samples], of_world=True)
+    with np.errstate(all="ignore"):
+        poses = frame.pose(matrices)
+    # Few lights change but for the picture of a dome.
+    strength = values.kept(
+        values.own(prim, "inputs:texture:"), lambda time: _strength(UsdLux.LightAPI(prim), time)
+    )
+
+    def light(time: Usd.TimeCode) -> _Placed:
+        if prim.GetTypeName() == "DistantLight":
+            return _sun(UsdLux.DistantLight(prim), time, strength)
+        if prim.GetTypeName() == "SphereLight":
+            return _lamp(UsdLux.SphereLight(prim), frame, time, strength)
+        return _dome(prim, time, strength, sources)
+
+    read = values.kept(values.own(prim), light)
+    for i, matrix, pose in zip(samples, matrices, poses, strict=True):
+        # Scaled to nothing: there is no direction that it shines in.
+        if prim.GetTypeName() == "SphereLight" or not _flat(matrix):
+            found[i] = read(times[i])(matrix, pose)
+    return found
 
 
 def _flat(matrix: NDArray[np.float64]) -> bool:
@@ -67,67 +97,75 @@ def _flat(matrix: NDArray[np.float64]) -> bool:
     return not bool(((matrix[:, :3] ** 2).sum(axis=0) > 0.0).all())
 
 
-def _sun(light: UsdLux.DistantLight, axes: NDArray[np.float64], time: Usd.TimeCode) -> Sun:
+def _sun(light: UsdLux.DistantLight, time: Usd.TimeCode, strength: _Strength) -> _Placed:
     diameter = float(np.radians(values.number(light.GetAngleAttr(), 0.0, time)))
-    strength = _strength(UsdLux.LightAPI(light.GetPrim()), time)
+    irradiance = strength(time)
     normalized = values.flag(light.GetNormalizeAttr(), False, time)
     if not normalized:
         # Not normalized: intensity is the disc's radiance. A disc of no size then gives no light.
-        strength = strength * (np.pi * np.sin(0.5 * diameter) ** 2)
-    return Sun(axes[:, 2].copy(), strength, diameter, str(light.GetPath()), normalized)
+        irradiance = irradiance * (np.pi * np.sin(0.5 * diameter) ** 2)
+    path = str(light.GetPath())
+    return lambda _, pose: Sun(pose[:3, 2].copy(), irradiance, diameter, path, normalized)
 
 
 def _lamp(
-    light: UsdLux.SphereLight, matrix: NDArray[np.float64], frame: StageFrame, time: Usd.TimeCode
-) -> Lamp | None:
+    light: UsdLux.SphereLight, frame: StageFrame, time: Usd.TimeCode, strength: _Strength
+) -> _Placed:
     """A sphere of radiance L has pi r^2 L of radiant intensity; None where it gives no light.
 
     A transform that stretches it leaves a sphere of the same volume.
     """
-    path = light.GetPath()
     cone, softness = np.pi, 0.0
     if light.GetPrim().HasAPI(UsdLux.ShapingAPI):
         shaping = UsdLux.ShapingAPI(light.GetPrim())
         angle = values.number(shaping.GetShapingConeAngleAttr(), 180.0, time, finite=False)
-        cone = np.radians(min(angle, 180.0))
+        cone = float(np.radians(min(angle, 180.0)))
         softness = values.number(shaping.GetShapingConeSoftnessAttr(), 0.0, time, finite=False)
         softness = float(np.clip(softness, 0.0, 1.0))
-    if not cone > 0.0 or (_flat(matrix) and cone < np.pi):
-        return None
-    stretch = float(np.cbrt(np.abs(np.linalg.det(matrix[:, :3]))))
-    radius = abs(values.number(light.GetRadiusAttr(), 0.0, time)) * stretch * frame.meters_per_unit
-    intensity = np.maximum(_strength(UsdLux.LightAPI(light.GetPrim()), time), 0.0)
-    if values.flag(light.GetNormalizeAttr(), False, time):
-        # Divided by the surface in stage units: the radius drops out.
-        intensity = intensity * (0.25 * frame.meters_per_unit**2)
-    else:
-        intensity = intensity * (np.pi * radius**2)
-    position = frame.point(matrix)
-    if not np.isfinite([*position, *intensity, radius, softness]).all():
-        raise StageError(f"{path}: a light whose place or size is not finite")
-    if not intensity.any():
-        return None
-    axis = np.array([0.0, 0.0, -1.0]) if _flat(matrix) else -frame.axes(matrix)[:, 2]
-    if values.flag(light.GetTreatAsPointAttr(), False, time):
-        radius = 0.0
-    return Lamp(position, axis, intensity, radius, float(cone), softness)
+    if not cone > 0.0:
+        return lambda matrix, pose: None
+    unit = frame.meters_per_unit
+    radius = abs(values.number(light.GetRadiusAttr(), 0.0, time))
+    gain = np.maximum(strength(time), 0.0)
+    normalized = values.flag(light.GetNormalizeAttr(), False, time)
+    as_point = values.flag(light.GetTreatAsPointAttr(), False, time)
+
+    def placed(matrix: NDArray[np.float64], pose: NDArray[np.float64]) -> Lamp | None:
+        flat = _flat(matrix)
+        if flat and cone < np.pi:
+            return None
+        stretch = float(np.cbrt(np.abs(np.linalg.det(matrix[:, :3]))))
+        size = radius * stretch * unit
+        # Normalized, it is divided by the surface in stage units: the radius drops out.
+        intensity = gain * (0.25 * unit**2 if normalized else np.pi * size**2)
+        position = pose[:3, 3].copy()
+        if not np.isfinite([*position, *intensity, size, softness]).all():
+            raise StageError(f"{light.GetPath()}: a light whose place or size is not finite")
+        if not intensity.any():
+            return None
+        axis = np.array([0.0, 0.0, -1.0]) if flat else -pose[:3, 2]
+        return Lamp(position, axis, intensity, 0.0 if as_point else size, cone, softness)
+
+    return placed
 
 
-def _dome(
-    prim: Usd.Prim, axes: NDArray[np.float64], time: Usd.TimeCode, sources: Sources
-) -> Dome | None:
+def _dome(prim: Usd.Prim, time: Usd.TimeCode, strength: _Strength, sources: Sources) -> _Placed:
     attribute = prim.GetAttribute("inputs:texture:file")
     texture = sources.picture(attribute, time)
     if texture is None and values.asset(attribute, time) is not None:
         # Of a color alone it would be another light.
-        return None
+        return lambda matrix, pose: None
+    stands = False
     if prim.IsA(UsdLux.DomeLight_1):
         pole = values.word(UsdLux.DomeLight_1(prim).GetPoleAxisAttr(), "")
-        if pole == "scene":
-            pole = UsdGeom.GetStageUpAxis(prim.GetStage())
-        if pole == "Z":
-            axes = axes @ _POLE_Z
-    return Dome(texture, _strength(UsdLux.LightAPI(prim), time), axes)
+        stands = (UsdGeom.GetStageUpAxis(prim.GetStage()) if pole == "scene" else pole) == "Z"
+    radiance = strength(time)
+
+    def placed(_: NDArray[np.float64], pose: NDArray[np.float64]) -> Dome:
+        axes = pose[:3, :3]
+        return Dome(texture, radiance, axes @ _STANDING if stands else axes.copy())
+
+    return placed
 
 
 def _strength(light: UsdLux.LightAPI, time: Usd.TimeCode) -> NDArray[np.float64]:
@@ -143,3 +181,87 @@ def _strength(light: UsdLux.LightAPI, time: Usd.TimeCode) -> NDArray[np.float64]
     if not np.isfinite(strength).all():
         raise StageError(f"{light.GetPath()}: a light whose strength is not finite")
     return strength
+
+
+def read_sky_label_maps(
+    stage: Usd.Stage, table: LabelTable, times: list[Usd.TimeCode], sources: Sources
+) -> tuple[dict[str, SkyLabelMap], ...]:
+    """Label maps by level, at each sample; () where the stage has none.
+
+    Where one is missing, the sky has its one label.
+
+    Raises:
+        StageError: A value is not what it can be.
+    """
+    prim = stage.GetPrimAtPath(names.SKY_PRIM)
+    if not prim:
+        return ()
+    read = values.kept(values.own(prim), lambda time: _label_maps(prim, table, time, sources))
+    found = tuple(read(time) for time in times)
+    return found if any(found) else ()
+
+
+def _label_maps(
+    prim: Usd.Prim, table: LabelTable, time: Usd.TimeCode, sources: Sources
+) -> dict[str, SkyLabelMap]:
+    maps = {}
+    for level in table.levels:
+        attribute = prim.GetAttribute(names.ATTR_SKY_LABEL_MAP.format(level=level))
+        file = sources.picture(attribute, time)
+        if file is None:
+            continue
+        rotation = prim.GetAttribute(names.ATTR_SKY_ROTATION)
+        turn = np.radians(values.number(rotation, 0.0, time))
+        # Clockwise from above is negative about +Z.
+        c, s = np.cos(turn), np.sin(turn)
+        maps[level] = SkyLabelMap(
+            file, np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) @ _STANDING
+        )
+    return maps
+
+
+def read_haze(
+    stage: Usd.Stage, frame: StageFrame, times: list[Usd.TimeCode]
+) -> tuple[Haze | None, ...]:
+    """Haze at each sample; () where the stage has none.
+
+    Raises:
+        StageError: Its numbers are negative or not finite.
+    """
+    prim = stage.GetPrimAtPath(names.SKY_PRIM)
+    if not prim:
+        return ()
+    read = values.kept(values.own(prim), lambda time: _haze(prim, frame, time))
+    found = tuple(read(time) for time in times)
+    return found if any(found) else ()
+
+
+def _haze(prim: Usd.Prim, frame: StageFrame, time: Usd.TimeCode) -> Haze | None:
+    extinction = _color(prim, names.ATTR_HAZE_EXTINCTION, time)
+    if extinction is None or not extinction.any():
+        return None
+    scale = prim.GetAttribute(names.ATTR_HAZE_SCALE_HEIGHT)
+    height = values.number(scale, np.inf, time, finite=False)
+    if not height > 0.0:
+        raise StageError(
+            f"{prim.GetPath()}: {names.ATTR_HAZE_SCALE_HEIGHT} is {height}, expected above 0"
+        )
+    ground = prim.GetAttribute(names.ATTR_HAZE_FLOOR)
+    floor = None
+    if values.value_of(ground, time) is not None:
+        floor = values.number(ground, 0.0, time) * frame.meters_per_unit
+    return Haze(
+        extinction=extinction / frame.meters_per_unit,
+        scale_height_m=height * frame.meters_per_unit,
+        airlight=_color(prim, names.ATTR_HAZE_AIRLIGHT, time),
+        floor_m=floor,
+    )
+
+
+def _color(prim: Usd.Prim, name: str, time: Usd.TimeCode) -> NDArray[np.float64] | None:
+    value = values.vector(prim.GetAttribute(name), 3, time)
+    if value is None:
+        return None
+    if min(value) < 0.0:
+        raise StageError(f"{prim.GetPath()}: {name} is {value}, expected three numbers from 0 on")
+    return np.array(value)

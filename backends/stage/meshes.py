@@ -2,28 +2,29 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from pxr import Usd, UsdGeom, UsdShade
 
 from scenec.backends.stage import values
-from scenec.backends.stage.coordinates import Coordinates
 from scenec.backends.stage.implicit import dimensions, tessellate
 from scenec.backends.stage.labels import LabelTable, face_labels, prim_labels
-from scenec.backends.stage.mapped import read_height_blends
-from scenec.backends.stage.scene import Mesh
+from scenec.backends.stage.scene import Maps, Mesh, Surface
 from scenec.backends.stage.sources import Sources
 from scenec.backends.stage.surfaces import (
     SurfaceTable,
     bound_material,
     bound_surface,
     display_color,
+    read_height_blends,
     read_layers,
     read_variation,
 )
 from scenec.backends.stage.unread import Unread
+from scenec.schemas import stage as names
 from scenec.schemas.errors import StageError
 
 
@@ -114,22 +115,19 @@ class MeshTable:
         holes = values.array(mesh.GetHoleIndicesAttr(), np.int64, time)
         _require_sound(prim, points, counts, indices, holes)
         left_handed = values.word(mesh.GetOrientationAttr(), "", time) == UsdGeom.Tokens.leftHanded
-        faces, authored = triangulate(counts, indices, holes, left_handed)
+        corners, authored = triangulate(counts, holes, left_handed)
+        faces = indices[corners]
         labels = face_labels(mesh, self.labels, inherited, len(counts))
         layers = read_layers(mesh, len(points), self._sources)
-        weights = np.zeros((0, len(points)), np.float32)
+        surfaces, weights = layers or ([], np.zeros((0, len(points)), np.float32))
         if layers is not None:
-            surfaces, weights = layers
             indices_of_layers = tuple(self.surfaces.add(surface) for surface in surfaces)
         else:
             indices_of_layers = (self.surfaces.add(bound_surface(prim, self._sources)),)
 
-        def corners() -> NDArray[np.int32]:
-            order = np.arange(len(indices), dtype=np.int32)
-            return triangulate(counts, order, holes, left_handed)[0]
-
-        sizes = (len(points), len(indices), len(counts))
-        coordinates = Coordinates(mesh, corners, faces, authored, sizes, self._time)
+        coordinates = _Coordinates(
+            mesh, corners, faces, authored, (len(points), len(indices), len(counts)), time
+        )
         same = len(counts) == len(faces) and bool((authored == np.arange(len(faces))).all())
         whole = Mesh(
             path=str(prim.GetPath()),
@@ -152,7 +150,7 @@ class MeshTable:
         mesh: UsdGeom.Mesh,
         whole: Mesh,
         authored: NDArray[np.int32],
-        coordinates: Coordinates,
+        coordinates: _Coordinates,
     ) -> list[Mesh]:
         """Splits a mesh whose subsets are bound to several materials."""
         subsets = UsdShade.MaterialBindingAPI(mesh.GetPrim()).GetMaterialBindSubsets()
@@ -191,34 +189,28 @@ def _part(
 
 
 def triangulate(
-    counts: NDArray[np.int32],
-    indices: NDArray[np.int32],
-    holes: NDArray[np.int64],
-    left_handed: bool,
+    counts: NDArray[np.int32], holes: NDArray[np.int64], left_handed: bool
 ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
     """Fans of triangles from polygons.
 
     Args:
         counts: Vertices of each polygon, [f].
-        indices: Their vertices, one polygon after the other.
         holes: Polygons to leave out.
         left_handed: Whether polygons are wound clockwise; triangles come out counter-clockwise.
 
     Returns:
-        int32 [m, 3], and the polygon each triangle comes from, int32 [m]. Polygons of fewer than
-        three vertices give none.
+        Which of ``faceVertexIndices`` are the corners of each triangle, int32 [m, 3], and the
+        polygon each comes from, int32 [m]. Polygons of fewer than three vertices give none.
     """
     starts = np.cumsum(counts, dtype=np.int64) - counts
     fans = np.maximum(counts - 2, 0)
     fans[holes] = 0
     authored = np.repeat(np.arange(len(counts), dtype=np.int32), fans)
     first = np.repeat(np.cumsum(fans, dtype=np.int64) - fans, fans)
-    corner = np.arange(len(authored)) - first
     at = starts[authored]
-    faces = np.stack([indices[at], indices[at + corner + 1], indices[at + corner + 2]], axis=1)
-    if left_handed:
-        faces = faces[:, [0, 2, 1]]
-    return np.ascontiguousarray(faces.reshape(-1, 3), np.int32), authored
+    second = at + np.arange(len(authored)) - first + 1
+    after = (second + 1, second) if left_handed else (second, second + 1)
+    return np.stack([at, *after], axis=1).astype(np.int32), authored
 
 
 def _require_sound(
@@ -255,3 +247,74 @@ def _normals(
     if not smooth or len(normals) != point_count or not np.isfinite(normals).all():
         return None
     return normals
+
+
+@dataclass(frozen=True)
+class _Coordinates:
+    """Texture coordinates of a mesh, read where a surface asks for them.
+
+    Attributes:
+        mesh: The mesh.
+        corners: Which of ``faceVertexIndices`` each triangle's are, int32 [m, 3].
+        faces: Vertices of each triangle, int32 [m, 3].
+        authored: Polygon of each triangle, int32 [m].
+        sizes: Number of the mesh's (vertices, corners, polygons).
+        time: When.
+    """
+
+    mesh: UsdGeom.Mesh
+    corners: NDArray[np.int32]
+    faces: NDArray[np.int32]
+    authored: NDArray[np.int32]
+    sizes: tuple[int, int, int]
+    time: Usd.TimeCode
+
+    def of(self, surfaces: Sequence[Surface]) -> NDArray[np.float32] | None:
+        """What the first surface with maps by texture coordinates wants, float32 [m, 3, 2].
+
+        None where no surface has such maps.
+
+        Raises:
+            StageError: They are missing (from a mesh with a material of ours), of another length
+                than the mesh needs, or not finite.
+        """
+        for surface in surfaces:
+            if surface.maps is not None and surface.maps.projection == "uv":
+                uv = self._read(surface, surface.maps.primvar)
+                if surface.maps.uv_transform == Maps(1.0).uv_transform:
+                    return uv
+                a, b, c, d, e, f = surface.maps.uv_transform
+                u, v = uv[..., 0].astype(np.float64), uv[..., 1].astype(np.float64)
+                turned = np.stack([a * u + b * v + c, d * u + e * v + f], axis=-1)
+                return turned.astype(np.float32)
+        return None
+
+    def _read(self, surface: Surface, name: str) -> NDArray[np.float32]:
+        prim = self.mesh.GetPrim()
+        primvar = UsdGeom.PrimvarsAPI(prim).FindPrimvarWithInheritance(name)
+        if not primvar or not primvar.HasValue():
+            material = prim.GetStage().GetPrimAtPath(surface.path) if surface.path else None
+            if material and material.HasAttribute(names.ATTR_MAP_PROJECTION):
+                raise StageError(
+                    f"{prim.GetPath()}: {surface.path} lays maps by texture coordinates, and the "
+                    f"mesh has no primvar {name}"
+                )
+            # What UsdPrimvarReader_float2 gives where there is none.
+            return np.zeros((len(self.faces), 3, 2), np.float32)
+        found = values.flattened(primvar, np.float32, self.time, width=(2,))
+        vertices, corners, polygons = self.sizes
+        kind = primvar.GetInterpolation()
+        tokens = UsdGeom.Tokens
+        needed, at = vertices, self.faces
+        if kind == tokens.faceVarying:
+            needed, at = corners, self.corners
+        elif kind == tokens.uniform:
+            needed, at = polygons, np.repeat(self.authored[:, None], 3, axis=1)
+        elif kind == tokens.constant:
+            needed, at = 1, np.zeros_like(self.faces)
+        if len(found) != needed or not np.isfinite(found).all():
+            raise StageError(
+                f"{prim.GetPath()}: primvar {name} ({kind}) must hold {needed} finite pairs of "
+                f"numbers, has {len(found)}"
+            )
+        return np.ascontiguousarray(found[at])

@@ -12,14 +12,12 @@ from pxr import Usd
 from scenec.backends.stage import values
 from scenec.backends.stage.cameras import read_cameras
 from scenec.backends.stage.frame import StageFrame
-from scenec.backends.stage.instance_labels import labeled_instances
 from scenec.backends.stage.instancers import Expanded, Expander
-from scenec.backends.stage.labels import LabelTable, prim_labels, read_table
+from scenec.backends.stage.labels import LabelTable, labeled_instances, prim_labels, read_table
 from scenec.backends.stage.lidars import read_lidars
-from scenec.backends.stage.lights import read_lighting
+from scenec.backends.stage.lights import read_haze, read_lighting, read_sky_label_maps
 from scenec.backends.stage.meshes import MeshTable
 from scenec.backends.stage.scene import Mesh, Motion, RenderScene, Rows
-from scenec.backends.stage.sky import read_haze, read_sky_label_maps
 from scenec.backends.stage.sources import Sources
 from scenec.backends.stage.unread import Unread
 from scenec.schemas import stage as names
@@ -182,6 +180,7 @@ def _times(stage: Usd.Stage, times: list[Usd.TimeCode]) -> NDArray[np.float64]:
     root = stage.GetDefaultPrim()
     attribute = root.GetAttribute(names.ATTR_TIME) if root else None
     if attribute and attribute.HasValue():
-        return np.array([values.number(attribute, 0.0, time) for time in times])
+        at = values.kept([attribute], lambda time: values.number(attribute, 0.0, time))
+        return np.array([at(time) for time in times])
     rate = stage.GetTimeCodesPerSecond() or 1.0
     return np.arange(len(times)) / rate

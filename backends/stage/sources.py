@@ -137,7 +137,7 @@ class Sources:
                 "archive, and render the stage in it"
             )
         # Unresolved, it may be there by chance: relative to the working directory.
-        if not asset.resolvedPath or not Path(asset.resolvedPath).is_file():
+        if not os.path.isfile(asset.resolvedPath):
             self.miss(f"{attribute.GetPath()}: {asset.path} does not exist")
             return None
         file = self._pictures[asset.resolvedPath] = Path(asset.resolvedPath)

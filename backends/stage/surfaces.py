@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from pxr import Usd, UsdGeom, UsdShade
 
 from scenec.backends.stage import values
-from scenec.backends.stage.mapped import read_cells, read_emission, read_far
-from scenec.backends.stage.reflectance import read_reflectance
-from scenec.backends.stage.scene import Maps, Surface
+from scenec.backends.stage.scene import Cells, Maps, Reflectance, Surface
 from scenec.backends.stage.sources import Sources
 from scenec.backends.stage.textures import FIRST, constant, texture_maps
 from scenec.schemas import stage as names
@@ -20,6 +18,15 @@ from scenec.schemas.errors import StageError
 
 #: What UsdPreviewSurface shows without a color.
 _GRAY = 0.18
+
+#: Least and largest value, and whether these are in.
+_RANGES = {
+    names.ATTR_PHASE_B: (0.0, True, 1.0, False),
+    names.ATTR_PHASE_C: (-1.0, True, 1.0, True),
+    names.ATTR_OPPOSITION: (0.0, True, math.inf, False),
+    names.ATTR_OPPOSITION_WIDTH: (0.0, False, math.inf, False),
+    names.ATTR_MEAN_SLOPE: (0.0, True, 90.0, False),
+}
 
 
 class SurfaceTable:
@@ -141,8 +148,8 @@ def surface_of(
             values.number(prim.GetAttribute(names.ATTR_METALLIC), 0.0),
             _maps(prim, sources),
             values.number(prim.GetAttribute(names.ATTR_ROUGHNESS_VARIATION), 0.0),
-            reflectance=read_reflectance(prim),
-            emission=read_emission(prim),
+            reflectance=_reflectance_of(prim),
+            emission=_emission_of(prim),
         )
     shader, _, _ = material.ComputeSurfaceSource()
     if not shader or values.word(shader.GetIdAttr(), "") != "UsdPreviewSurface":
@@ -173,11 +180,8 @@ def _emission(shader: UsdShade.Shader, maps: Maps | None) -> tuple[float, float,
 
 
 def _maps(prim: Usd.Prim, sources: Sources) -> Maps | None:
-    files: dict[str, Path] = {}
-    for kind, name in names.ATTR_MAPS.items():
-        file = sources.picture(prim.GetAttribute(name))
-        if file is not None:
-            files[kind] = file
+    named = {k: sources.picture(prim.GetAttribute(name)) for k, name in names.ATTR_MAPS.items()}
+    files: dict[str, Any] = {kind: file for kind, file in named.items() if file is not None}
     if not files:
         return None
     lie = names.MAP_PROJECTIONS
@@ -185,16 +189,11 @@ def _maps(prim: Usd.Prim, sources: Sources) -> Maps | None:
     convention = values.word(prim.GetAttribute(names.ATTR_NORMAL_CONVENTION), "")
     return Maps(
         size_m=1.0 if projection == "uv" else _map_size(prim),
-        base_color=files.get("base_color"),
-        roughness=files.get("roughness"),
-        metallic=files.get("metallic"),
-        normal=files.get("normal"),
         flip_green=convention == "directx",
         projection=projection,
-        emission=files.get("emission"),
-        height=files.get("height"),
-        cells=read_cells(prim, projection),
-        far=read_far(prim, projection),
+        cells=_cells_of(prim, projection),
+        far=_far_of(prim, projection),
+        **files,
     )
 
 
@@ -220,3 +219,126 @@ def _input(shader: UsdShade.Shader, name: str, default: float) -> float:
 
 def _color_input(shader: UsdShade.Shader, name: str) -> tuple[float, ...] | None:
     return values.vector(constant(shader, name), 3, FIRST)
+
+
+def _reflectance_of(prim: Usd.Prim) -> Reflectance | None:
+    """The law of a material; None for Lambert's.
+
+    Raises:
+        StageError: A law that is not known, or a number outside of its range.
+    """
+    attribute = prim.GetAttribute(names.ATTR_REFLECTANCE)
+    model = values.word(attribute, names.REFLECTANCES[0], known=names.REFLECTANCES)
+    if model == names.REFLECTANCES[0]:
+        return None
+    opposition = _number(prim, names.ATTR_OPPOSITION)
+    return Reflectance(
+        model,
+        _number(prim, names.ATTR_PHASE_B),
+        _number(prim, names.ATTR_PHASE_C),
+        opposition,
+        # Of no meaning without a surge.
+        _number(prim, names.ATTR_OPPOSITION_WIDTH) if opposition > 0.0 else 1.0,
+        math.radians(_number(prim, names.ATTR_MEAN_SLOPE)) if model == "hapke" else 0.0,
+    )
+
+
+def _number(prim: Usd.Prim, name: str) -> float:
+    """An attribute within its range; 0 where it is not authored."""
+    value = values.number(prim.GetAttribute(name), 0.0, finite=False)
+    low, with_low, high, with_high = _RANGES[name]
+    above = value >= low if with_low else value > low
+    below = value <= high if with_high else value < high
+    if not (above and below):
+        left, right = "[" if with_low else "(", "]" if with_high else ")"
+        raise StageError(
+            f"{prim.GetPath()}: {name} is {value}, expected a number in "
+            f"{left}{low:g}, {high:g}{right}"
+        )
+    return value
+
+
+def _cells_of(prim: Usd.Prim, projection: str) -> Cells | None:
+    """A material's cells, or None; the seed is 0 where it is not authored.
+
+    Raises:
+        StageError: A size that is not above 0, or another projection than from above.
+    """
+    attribute = prim.GetAttribute(names.ATTR_MAP_CELL_SIZE)
+    if values.value_of(attribute) is None:
+        return None
+    size_m = values.number(attribute, 0.0) * UsdGeom.GetStageMetersPerUnit(prim.GetStage())
+    if not 0.0 < size_m < math.inf:
+        raise StageError(f"{prim.GetPath()}: {names.ATTR_MAP_CELL_SIZE} must be above 0")
+    _require_above(prim, names.ATTR_MAP_CELL_SIZE, projection)
+    seed = values.whole(prim.GetAttribute(names.ATTR_MAP_CELL_SEED), 0)
+    if not 0 <= seed < 2**32:
+        raise StageError(
+            f"{prim.GetPath()}: {names.ATTR_MAP_CELL_SEED} is {seed}, expected a whole number "
+            "from 0 to 2**32 - 1"
+        )
+    return Cells(size_m, seed)
+
+
+def _far_of(prim: Usd.Prim, projection: str) -> tuple[float, float] | None:
+    """A material's (factor, share) of the colors' larger scale, or None.
+
+    Raises:
+        StageError: A factor below 1, a share outside of [0, 1], or another projection than from
+            above.
+    """
+    found = values.vector(prim.GetAttribute(names.ATTR_MAP_FAR), 2)
+    if found is None:
+        return None
+    factor, share = found
+    if not (1.0 <= factor < math.inf and 0.0 <= share <= 1.0):
+        raise StageError(
+            f"{prim.GetPath()}: {names.ATTR_MAP_FAR} is ({factor:g}, {share:g}), expected a factor "
+            "of at least 1 and a share in [0, 1]"
+        )
+    _require_above(prim, names.ATTR_MAP_FAR, projection)
+    return (factor, share) if share > 0.0 else None
+
+
+def _emission_of(prim: Usd.Prim) -> tuple[float, float, float]:
+    """Radiance that a material gives off; black where none is authored.
+
+    Raises:
+        StageError: Not three finite numbers, none below 0.
+    """
+    found = values.vector(prim.GetAttribute(names.ATTR_EMISSION), 3)
+    if found is None:
+        return (0.0, 0.0, 0.0)
+    red, green, blue = found
+    if not all(0.0 <= value < math.inf for value in found):
+        raise StageError(
+            f"{prim.GetPath()}: {names.ATTR_EMISSION} is {found}, expected finite numbers, none "
+            "below 0"
+        )
+    return (red, green, blue)
+
+
+def read_height_blends(prim: Usd.Prim, merges: int) -> tuple[float, ...]:
+    """Depths of a mesh's merges; empty where all are 0.
+
+    Raises:
+        StageError: Not one finite number, not below 0, for each merge.
+    """
+    name = names.ATTR_HEIGHT_BLENDS
+    attribute = prim.GetAttribute(name)
+    if values.value_of(attribute) is None:
+        return ()
+    found = tuple(values.array(attribute, np.float64).tolist())
+    if len(found) != merges or not all(0.0 <= depth < math.inf for depth in found):
+        raise StageError(
+            f"{prim.GetPath()}: {name} must hold {merges} finite floats, one a merge and none "
+            f"below 0, has {list(found)}"
+        )
+    return found if any(found) else ()
+
+
+def _require_above(prim: Usd.Prim, name: str, projection: str) -> None:
+    if projection != "above":
+        raise StageError(
+            f"{prim.GetPath()}: {name} is for maps of the projection above, not {projection}"
+        )

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from pxr import Usd, UsdShade
 
@@ -51,7 +50,7 @@ def texture_maps(shader: UsdShade.Shader, specular: bool, sources: Sources) -> M
         StageError: A texture's file stands inside a package (usdz), or an input is not what it can
             be.
     """
-    files: dict[str, Path] = {}
+    files: dict[str, Any] = {}
     readings: list[tuple[str, Reading]] = []
     coordinates: _Coordinates | None = None
     flip_green = False
@@ -78,16 +77,12 @@ def texture_maps(shader: UsdShade.Shader, specular: bool, sources: Sources) -> M
         return None
     return Maps(
         size_m=1.0,
-        base_color=files.get("base_color"),
-        roughness=files.get("roughness"),
-        metallic=files.get("metallic"),
-        normal=files.get("normal"),
-        emission=files.get("emission"),
         flip_green=flip_green,
         projection="uv",
         readings=tuple(readings),
         primvar=coordinates.primvar,
         uv_transform=coordinates.transform,
+        **files,
     )
 
 

@@ -9,14 +9,13 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
-from pxr import Gf, Sdf, Tf, Usd, UsdGeom, Vt
+from pxr import Sdf, Tf, Usd, UsdGeom, Vt
 
-from scenec.backends.stage.frame import columns
 from scenec.schemas.errors import StageError
 from scenec.schemas.spelling import nearest, shown
 
@@ -284,52 +283,82 @@ def asset(attribute: Usd.Attribute, time: Usd.TimeCode = DEFAULT) -> Sdf.AssetPa
     return value
 
 
-def visible(prim: Usd.Prim, time: Usd.TimeCode) -> bool:
-    """Whether neither a prim nor one above it is invisible.
+def own(prim: Usd.Prim, *others: str) -> list[Usd.Attribute]:
+    """Attributes of a prim that say neither where nor whether it is, nor begin with ``others``."""
+    excluded = ("visibility", "xformOp", *others)
+    return [a for a in prim.GetAttributes() if not a.GetName().startswith(excluded)]
+
+
+def kept[T](
+    attributes: Iterable[Usd.Attribute], read: Callable[[Usd.TimeCode], T]
+) -> Callable[[Usd.TimeCode], T]:
+    """What a function reads at a time; read once where none of the attributes it reads varies."""
+    if any(attribute and attribute.ValueMightBeTimeVarying() for attribute in attributes):
+        return read
+    found: list[T] = []
+
+    def first(time: Usd.TimeCode) -> T:
+        if not found:
+            found.append(read(time))
+        return found[0]
+
+    return first
+
+
+def visible(prim: Usd.Prim, times: Sequence[Usd.TimeCode]) -> NDArray[np.bool_]:
+    """At which times a prim is not itself invisible, bool [times].
 
     Raises:
-        StageError: A visibility is no token.
+        StageError: Its visibility is no token.
     """
-    above = prim
-    while above and not above.IsPseudoRoot():
-        if imageable := UsdGeom.Imageable(above):
-            shown = word(imageable.GetVisibilityAttr(), "", time)
-            if shown == UsdGeom.Tokens.invisible:
-                return False
-        above = above.GetParent()
-    return True
+    attribute = UsdGeom.Imageable(prim).GetVisibilityAttr()
+    read = kept([attribute], lambda time: word(attribute, "", time) != UsdGeom.Tokens.invisible)
+    return np.fromiter((read(time) for time in times), bool, len(times))
 
 
-def local_matrix(prim: Usd.Prim, time: Usd.TimeCode) -> NDArray[np.float64]:
-    """Where a prim stands in its parent, affine columns in stage units, float64 [3, 4].
+def matrices(
+    prim: Usd.Prim, times: Sequence[Usd.TimeCode], *, of_world: bool = False
+) -> NDArray[np.float64]:
+    """Where a prim stands in its parent: affine columns in stage units.
+
+    Args:
+        prim: The prim.
+        times: When.
+        of_world: Whether in the world instead.
+
+    Returns:
+        float64 [times, 3, 4]; in the parent [3, 4] where it does not move.
 
     Raises:
-        StageError: One of its operations is no transform, or holds NaN or infinity.
+        StageError: An operation of it, or of a prim above it that counts, is no transform, or holds
+            NaN or infinity.
     """
-    xformable = UsdGeom.Xformable(prim)
-    _require_order(xformable)
-    try:
-        return _affine(prim, xformable.GetLocalTransformation(time))
-    except Tf.ErrorException as error:
-        raise _no_transform(prim, error) from error
-
-
-def world_matrix(prim: Usd.Prim, time: Usd.TimeCode) -> NDArray[np.float64]:
-    """Where a prim stands in the world, affine columns in stage units, float64 [3, 4].
-
-    Raises:
-        StageError: An operation of it, or of a prim above it, is no transform, or holds NaN or
-            infinity.
-    """
-    above = prim
+    above, moves = prim, False
     while above and not above.IsPseudoRoot():
         if xformable := UsdGeom.Xformable(above):
-            _require_order(xformable)
-        above = above.GetParent()
+            # USD takes a prim for one without a transform where this is of another type.
+            words(xformable.GetXformOpOrderAttr())
+            moves |= xformable.TransformMightBeTimeVarying()
+        above = above.GetParent() if of_world else None
+    cache, found = UsdGeom.XformCache(), []
     try:
-        return _affine(prim, UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(time))
+        for time in times if moves else times[:1]:
+            cache.SetTime(time)
+            found.append(
+                cache.GetLocalToWorldTransform(prim)
+                if of_world
+                else cache.GetLocalTransformation(prim)[0]
+            )
     except Tf.ErrorException as error:
-        raise _no_transform(prim, error) from error
+        raise StageError(
+            f"{prim.GetPath()}: its transform cannot be read: {said(error)}"
+        ) from error
+    affine = np.array(Vt.Matrix4dArray(found)).transpose(0, 2, 1)[:, :3].copy()
+    if not np.isfinite(affine).all():
+        raise StageError(f"{prim.GetPath()}: its transform holds NaN or infinity")
+    if of_world:
+        return affine if moves else np.repeat(affine, len(times), axis=0)
+    return affine[0] if (affine == affine[0]).all() else affine
 
 
 def said(error: Tf.ErrorException) -> str:
@@ -337,22 +366,6 @@ def said(error: Tf.ErrorException) -> str:
     lines = [" ".join(str(each.commentary).split()) for each in error.args]
     located = [line for line in lines if re.search(r":\d+:\d+: ", line)]
     return next((line for line in (*located, *lines) if line), "USD gives no reason")
-
-
-def _require_order(xformable: UsdGeom.Xformable) -> None:
-    # USD takes a prim for one without a transform where this is of another type.
-    words(xformable.GetXformOpOrderAttr())
-
-
-def _affine(prim: Usd.Prim, matrix: Gf.Matrix4d) -> NDArray[np.float64]:
-    affine = columns(matrix)
-    if not np.isfinite(affine).all():
-        raise StageError(f"{prim.GetPath()}: its transform holds NaN or infinity")
-    return affine
-
-
-def _no_transform(prim: Usd.Prim, error: Tf.ErrorException) -> StageError:
-    return StageError(f"{prim.GetPath()}: its transform cannot be read: {said(error)}")
 
 
 def _is_array(value: Any) -> bool:

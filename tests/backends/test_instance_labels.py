@@ -9,8 +9,7 @@ from foreign_stages import label, opened, square
 from pxr import Kind, Sdf, Usd, UsdGeom
 from small import write_cfg
 
-from scenec.backends.stage.instance_labels import labeled_instances
-from scenec.backends.stage.labels import read_table
+from scenec.backends.stage.labels import labeled_instances, read_table
 from scenec.backends.stage.read import read_stage
 from scenec.backends.stage.scene import RenderScene
 from scenec.compiler.compile import compile_cfg

@@ -207,11 +207,10 @@ def test_centimeters_and_y_up_become_metres_and_z_up(tmp_path):
 
 def test_polygons_become_fans_with_a_way_back():
     counts = np.array([4, 3, 5, 2, 3], np.int32)
-    indices = np.arange(17, dtype=np.int32)
-    faces, authored = triangulate(counts, indices, np.array([4]), left_handed=False)
+    faces, authored = triangulate(counts, np.array([4]), left_handed=False)
     assert authored.tolist() == [0, 0, 1, 2, 2, 2]
     assert faces.tolist() == [[0, 1, 2], [0, 2, 3], [4, 5, 6], [7, 8, 9], [7, 9, 10], [7, 10, 11]]
-    flipped, _ = triangulate(counts, indices, np.array([4]), left_handed=True)
+    flipped, _ = triangulate(counts, np.array([4]), left_handed=True)
     assert flipped[0].tolist() == [0, 2, 1]
 
 

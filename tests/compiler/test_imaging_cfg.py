@@ -15,7 +15,7 @@ from PIL import Image
 from pxr import Sdf, Usd, UsdGeom
 
 from scenec.backends.run.render import render
-from scenec.backends.stage.imaging import read_imaging
+from scenec.backends.stage.cameras import read_imaging
 from scenec.compiler.cameras.imaging import draw_imaging, expose
 from scenec.compiler.cameras.tracks import TrackPlan
 from scenec.compiler.cfg.load import load
