@@ -1,0 +1,39 @@
+"""Dr.Jit's arrays as a kind of number that the surface model is computed in.
+
+Import it once Mitsuba's variant is set.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+from scenec.backends.surface.algebra import Algebra, Number, Vector, borrowed
+
+
+class Arrays(Algebra):
+    """Numbers are ``mi.Float``, vectors ``mi.Vector3f``."""
+
+    sqrt, exp, log = borrowed(dr.sqrt), borrowed(dr.exp), borrowed(dr.log)
+    arccos, arcsin = borrowed(dr.acos), borrowed(dr.asin)
+    floor, absolute, sign = borrowed(dr.floor), borrowed(dr.abs), borrowed(dr.sign)
+    maximum, minimum = borrowed(dr.maximum), borrowed(dr.minimum)
+    dot, cross = borrowed(dr.dot), borrowed(dr.cross)
+
+    def select(self, x: Number, above: Any, otherwise: Any) -> Any:
+        return dr.select(x > 0.0, above, otherwise)
+
+    def vector(self, x: Number, y: Number, z: Number) -> Vector:
+        return mi.Vector3f(x, y, z)
+
+    def parts(self, v: Vector) -> tuple[Number, Number, Number]:
+        return v[0], v[1], v[2]
+
+    def number(self, value: float) -> Number:
+        # Opaque: another scene's numbers are no other kernel to compile.
+        return dr.opaque(mi.Float, float(value))
+
+
+ARRAYS = Arrays()
