@@ -12,10 +12,16 @@ from typing import Any
 
 import numpy as np
 
-from scenec.backends.surface.algebra import Algebra, Number, Vector
+from scenec.backends.surface.algebra import Algebra, Number, Traced, Vector
+
+#: Operations of the Math nodes, where they are not NumPy's names.
+_NAMES = {
+    "arccos": "ARCCOSINE", "arcsin": "ARCSINE", "cos": "COSINE", "exp": "EXPONENT",
+    "log": "LOGARITHM", "sin": "SINE",
+}  # fmt: skip
 
 
-class Value:
+class Value(Traced):
     """A socket that takes part in arithmetic; a product becomes a node when it is first needed.
 
     Args:
@@ -25,9 +31,6 @@ class Value:
         factors: Of a product.
         part_of: The vector that it is a component of, and which.
     """
-
-    # Arrays leave arithmetic with values to the values.
-    __array_ufunc__ = None
 
     def __init__(
         self,
@@ -44,42 +47,31 @@ class Value:
     def socket(self) -> Any:
         """Blender's."""
         if self._socket is None:
-            self._socket = self.graph.multiplied(*self.factors or ())
+            assert self.factors is not None
+            self._socket = self.graph.multiplied(*self.factors)
         return self._socket
 
-    def __add__(self, other: Any) -> Any:
-        return self.graph.sum(self, other)
+    @property
+    def pending(self) -> tuple[Any, Any] | None:
+        """Factors of a product that is no node yet."""
+        return self.factors if self._socket is None else None
 
-    __radd__ = __add__
-
-    def __sub__(self, other: Any) -> Any:
-        return self.graph.sum(self, -other) if _constant(other) else self._apart(self, other)
-
-    def __rsub__(self, other: Any) -> Any:
-        return self._apart(other, self)
-
-    def _apart(self, a: Any, b: Value) -> Any:
-        constant = next((f for f in b.factors or () if isinstance(f, float)), None)
-        if constant is None or b.factors is None:
-            return self.graph.apply("SUBTRACT", a, b)
+    def _binary(self, operator: str, a: Any, b: Any) -> Any:
+        graph = self.graph
+        if operator == "+":
+            return graph.sum(a, b)
+        if operator == "*":
+            return graph.product(a, b)
+        if operator == "/":
+            return a * (1.0 / b) if isinstance(b, float) else graph.apply("DIVIDE", a, b)
+        if _constant(b):
+            return graph.sum(a, -b)
         # a - c x is a sum of two terms, which one node computes.
-        return self.graph.sum(a, b.factors[0 if b.factors[1] is constant else 1] * -constant)
-
-    def __neg__(self) -> Any:
-        return self * -1.0
-
-    def __mul__(self, other: Any) -> Any:
-        return self.graph.product(self, other)
-
-    __rmul__ = __mul__
-
-    def __truediv__(self, other: Any) -> Any:
-        if isinstance(other, float):
-            return self * (1.0 / other)
-        return self.graph.apply("DIVIDE", self, other)
-
-    def __rtruediv__(self, other: Any) -> Any:
-        return self.graph.apply("DIVIDE", other, self)
+        if b.pending is not None:
+            x, c = b.pending[::-1] if isinstance(b.pending[0], float) else b.pending
+            if isinstance(c, float):
+                return graph.sum(a, x * -c)
+        return graph.apply("SUBTRACT", a, b)
 
 
 def _constant(value: Any) -> bool:
@@ -233,7 +225,7 @@ class Graph:
             if is_black(one) and _is_vector(other) == vector:
                 return other
         for term, other in ((a, b), (b, a)):
-            factors = term.factors if isinstance(term, Value) and term._socket is None else None
+            factors = term.pending if isinstance(term, Value) else None
             if factors and all(_constant(x) or x.vector == vector for x in (*factors, other)):
                 return self.apply("MULTIPLY_ADD", *factors, other)
         return self.apply("ADD", a, b)
@@ -247,43 +239,13 @@ class Graph:
 class Nodes(Algebra):
     """Numbers are floats and ``Value``; constant vectors are arrays of three."""
 
-    def sqrt(self, x: Number) -> Number:
-        return _of("SQRT", math.sqrt, x)
-
-    def exp(self, x: Number) -> Number:
-        return _of("EXPONENT", math.exp, x)
-
-    def log(self, x: Number) -> Number:
-        return x.graph.apply("LOGARITHM", x, math.e) if isinstance(x, Value) else math.log(x)
-
-    def cos(self, x: Number) -> Number:
-        """Cosine."""
-        return _of("COSINE", math.cos, x)
-
-    def sin(self, x: Number) -> Number:
-        """Sine."""
-        return _of("SINE", math.sin, x)
-
-    def arccos(self, x: Number) -> Number:
-        return _of("ARCCOSINE", math.acos, x)
-
-    def arcsin(self, x: Number) -> Number:
-        return _of("ARCSINE", math.asin, x)
-
-    def floor(self, x: Number) -> Number:
-        return _of("FLOOR", np.floor, x)
-
-    def absolute(self, x: Number) -> Number:
-        return _of("ABSOLUTE", np.abs, x)
-
-    def sign(self, x: Number) -> Number:
-        return _of("SIGN", np.sign, x)
-
-    def maximum(self, x: Any, y: Any) -> Any:
-        return _of("MAXIMUM", np.maximum, x, y)
-
-    def minimum(self, x: Any, y: Any) -> Any:
-        return _of("MINIMUM", np.minimum, x, y)
+    def call(self, name: str, *operands: Any) -> Any:
+        value = next((x for x in operands if isinstance(x, Value)), None)
+        if value is None:
+            found = getattr(np, name)(*operands)
+            return found if isinstance(found, np.ndarray) else float(found)
+        base = (math.e,) if name == "log" else ()
+        return value.graph.apply(_NAMES.get(name, name.upper()), *operands, *base)
 
     def clip(self, x: Any, low: float, high: float) -> Any:
         if isinstance(x, Value) and not x.vector:
@@ -333,28 +295,26 @@ class Nodes(Algebra):
         return x, y, z
 
     def dot(self, a: Vector, b: Vector) -> Number:
-        return _of("DOT_PRODUCT", np.dot, a, b)
+        return _of("DOT_PRODUCT", a, b) or float(np.dot(a, b))
 
     def cross(self, a: Vector, b: Vector) -> Vector:
-        return _of("CROSS_PRODUCT", np.cross, a, b)
+        return _of("CROSS_PRODUCT", a, b) or np.cross(a, b)
 
     def length(self, v: Vector) -> Number:
-        return _of("LENGTH", np.linalg.norm, v)
+        return _of("LENGTH", v) or super().length(v)
 
     def unit(self, v: Vector) -> Vector:
-        return super().unit(v) if _constant(v) else v.graph.apply("NORMALIZE", v)
+        return _of("NORMALIZE", v) or super().unit(v)
 
     def numbers(self, values: Any) -> Any:
         found = np.array(values, np.float64)
         return float(found[0]) if len(found) == 1 else found
 
 
-def _of(operation: str, constant: Any, *operands: Any) -> Any:
+def _of(operation: str, *operands: Any) -> Value | None:
+    """An operation on vectors; None: all are constant."""
     value = next((x for x in operands if isinstance(x, Value)), None)
-    if value is not None:
-        return value.graph.apply(operation, *operands)
-    found = constant(*operands)
-    return found if isinstance(found, np.ndarray) else float(found)
+    return None if value is None else value.graph.apply(operation, *operands)
 
 
 NODES = Nodes()

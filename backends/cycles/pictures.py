@@ -121,7 +121,7 @@ class Pictures:
             found = graph.picture(image, u, v, "REPEAT", filtered=False)
             shift_u, shift_v, turn = NODES.parts(found)
             angle = turn * (2.0 * math.pi)
-            return shift_u, shift_v, NODES.cos(angle), NODES.sin(angle)
+            return shift_u, shift_v, NODES.call("cos", angle), NODES.call("sin", angle)
 
         found = pictures.look_up(NODES, placement, point, texels, entry)
         if "normal" in found:

@@ -10,17 +10,23 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-from scenec.backends.surface.algebra import Algebra, Number, Vector, borrowed
+from scenec.backends.surface.algebra import Algebra, Number, Vector
+
+#: Dr.Jit's names where they are not NumPy's.
+_NAMES = {"absolute": "abs", "arccos": "acos", "arcsin": "asin"}
 
 
 class Arrays(Algebra):
     """Numbers are ``mi.Float``, vectors ``mi.Vector3f``."""
 
-    sqrt, exp, log = borrowed(dr.sqrt), borrowed(dr.exp), borrowed(dr.log)
-    arccos, arcsin = borrowed(dr.acos), borrowed(dr.asin)
-    floor, absolute, sign = borrowed(dr.floor), borrowed(dr.abs), borrowed(dr.sign)
-    maximum, minimum = borrowed(dr.maximum), borrowed(dr.minimum)
-    dot, cross = borrowed(dr.dot), borrowed(dr.cross)
+    def call(self, name: str, *operands: Any) -> Any:
+        return getattr(dr, _NAMES.get(name, name))(*operands)
+
+    def dot(self, a: Vector, b: Vector) -> Number:
+        return dr.dot(a, b)
+
+    def cross(self, a: Vector, b: Vector) -> Vector:
+        return dr.cross(a, b)
 
     def select(self, x: Number, above: Any, otherwise: Any) -> Any:
         return dr.select(x > 0.0, above, otherwise)

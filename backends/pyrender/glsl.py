@@ -8,10 +8,15 @@ from typing import Any
 
 import numpy as np
 
-from scenec.backends.surface.algebra import Algebra, Number, Vector
+from scenec.backends.surface.algebra import Algebra, Number, Traced, Vector
+
+#: Names where they are not NumPy's.
+_NAMES = {
+    "absolute": "abs", "arccos": "acos", "arcsin": "asin", "maximum": "max", "minimum": "min"
+}  # fmt: skip
 
 
-class Value:
+class Value(Traced):
     """What an expression gives, a "float" or a "vec3".
 
     Args:
@@ -20,38 +25,11 @@ class Value:
         kind: Its type.
     """
 
-    # Arrays leave arithmetic with values to the values.
-    __array_ufunc__ = None
-
     def __init__(self, fn: Glsl, name: str, kind: str) -> None:
         self.fn, self.name, self.kind = fn, name, kind
 
-    def __neg__(self) -> Value:
-        return self * -1.0
-
-    def __add__(self, other: Any) -> Value:
-        return self.fn.binary(self, "+", other)
-
-    def __radd__(self, other: Any) -> Value:
-        return self.fn.binary(other, "+", self)
-
-    def __sub__(self, other: Any) -> Value:
-        return self.fn.binary(self, "-", other)
-
-    def __rsub__(self, other: Any) -> Value:
-        return self.fn.binary(other, "-", self)
-
-    def __mul__(self, other: Any) -> Value:
-        return self.fn.binary(self, "*", other)
-
-    def __rmul__(self, other: Any) -> Value:
-        return self.fn.binary(other, "*", self)
-
-    def __truediv__(self, other: Any) -> Value:
-        return self.fn.binary(self, "/", other)
-
-    def __rtruediv__(self, other: Any) -> Value:
-        return self.fn.binary(other, "/", self)
+    def _binary(self, operator: str, a: Any, b: Any) -> Value:
+        return self.fn.emit(_common(a, b), f"{_text(a)} {operator} {_text(b)}")
 
 
 class Glsl(Algebra):
@@ -73,63 +51,27 @@ class Glsl(Algebra):
             self._known[expression] = Value(self, name, kind)
         return self._known[expression]
 
-    def binary(self, a: Any, operator: str, b: Any) -> Value:
-        """An operation on two operands."""
-        kind = "vec3" if "vec3" in (_kind(a), _kind(b)) else "float"
-        return self.emit(kind, f"{_text(a)} {operator} {_text(b)}")
-
-    def _call(self, name: str, *operands: Any, kind: str | None = None) -> Any:
-        found = kind or ("vec3" if "vec3" in map(_kind, operands) else "float")
-        return self.emit(found, f"{name}({', '.join(map(_text, operands))})")
-
-    def sqrt(self, x: Number) -> Number:
-        return self._call("sqrt", x)
-
-    def exp(self, x: Number) -> Number:
-        return self._call("exp", x)
-
-    def log(self, x: Number) -> Number:
-        return self._call("log", x)
-
-    def arccos(self, x: Number) -> Number:
-        return self._call("acos", x)
-
-    def arcsin(self, x: Number) -> Number:
-        return self._call("asin", x)
-
-    def floor(self, x: Number) -> Number:
-        return self._call("floor", x)
-
-    def absolute(self, x: Number) -> Number:
-        return self._call("abs", x)
-
-    def sign(self, x: Number) -> Number:
-        return self._call("sign", x)
-
-    def maximum(self, x: Any, y: Any) -> Any:
-        return self._call("max", x, y)
-
-    def minimum(self, x: Any, y: Any) -> Any:
-        return self._call("min", x, y)
+    def call(self, name: str, *operands: Any) -> Value:
+        texts = ", ".join(map(_text, operands))
+        return self.emit(_common(*operands), f"{_NAMES.get(name, name)}({texts})")
 
     def select(self, x: Number, above: Any, otherwise: Any) -> Any:
-        kind = "vec3" if "vec3" in (_kind(above), _kind(otherwise)) else "float"
-        a, b = (_text(value) if _kind(value) == kind else f"vec3({_text(value)})"
-                for value in (above, otherwise))  # fmt: skip
-        return self.emit(kind, f"{_text(x)} > 0.0 ? {a} : {b}")
+        kind = _common(above, otherwise)
+        values = (_text(v) if _kind(v) == kind else f"vec3({_text(v)})" for v in (above, otherwise))
+        return self.emit(kind, f"{_text(x)} > 0.0 ? {' : '.join(values)}")
 
     def vector(self, x: Number, y: Number, z: Number) -> Vector:
-        return self._call("vec3", x, y, z, kind="vec3")
+        return self.emit("vec3", f"vec3({', '.join(map(_text, (x, y, z)))})")
 
     def parts(self, v: Vector) -> tuple[Number, Number, Number]:
         x, y, z = (self.given("float", f"{v.name}.{axis}") for axis in "xyz")
         return x, y, z
 
     def dot(self, a: Vector, b: Vector) -> Number:
-        return self._call("dot", a, b, kind="float")
+        return self.emit("float", f"dot({_text(a)}, {_text(b)})")
 
     def cross(self, a: Vector, b: Vector) -> Vector:
-        return self._call("cross", a, b)
+        return self.emit("vec3", f"cross({_text(a)}, {_text(b)})")
 
 
 def function(signature: str, body: Callable[[Glsl], Any]) -> str:
@@ -162,6 +104,10 @@ def _kind(value: Any) -> str:
     if isinstance(value, Value):
         return value.kind
     return "vec3" if isinstance(value, np.ndarray) else "float"
+
+
+def _common(*values: Any) -> str:
+    return "vec3" if "vec3" in map(_kind, values) else "float"
 
 
 def _text(value: Any) -> str:

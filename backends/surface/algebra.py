@@ -33,44 +33,8 @@ class Algebra(ABC):
     """
 
     @abstractmethod
-    def sqrt(self, x: Number) -> Number:
-        """Square root of what is not negative."""
-
-    @abstractmethod
-    def exp(self, x: Number) -> Number:
-        """The exponential."""
-
-    @abstractmethod
-    def log(self, x: Number) -> Number:
-        """Natural logarithm."""
-
-    @abstractmethod
-    def arccos(self, x: Number) -> Number:
-        """Arc cosine, radians."""
-
-    @abstractmethod
-    def arcsin(self, x: Number) -> Number:
-        """Arc sine, radians."""
-
-    @abstractmethod
-    def floor(self, x: Number) -> Number:
-        """The largest whole number that is not above it."""
-
-    @abstractmethod
-    def absolute(self, x: Number) -> Number:
-        """Without its sign."""
-
-    @abstractmethod
-    def sign(self, x: Number) -> Number:
-        """-1, 0 or 1."""
-
-    @abstractmethod
-    def maximum(self, x: Any, y: Any) -> Any:
-        """The larger."""
-
-    @abstractmethod
-    def minimum(self, x: Any, y: Any) -> Any:
-        """The smaller."""
+    def call(self, name: str, *operands: Any) -> Any:
+        """A function of numbers by its name in NumPy."""
 
     @abstractmethod
     def select(self, x: Number, above: Any, otherwise: Any) -> Any:
@@ -101,13 +65,49 @@ class Algebra(ABC):
         found = [self.number(value) for value in values]
         return found[0] if len(found) == 1 else self.vector(*found)
 
+    def sqrt(self, x: Number) -> Number:
+        """Square root of what is not negative."""
+        return self.call("sqrt", x)
+
+    def exp(self, x: Number) -> Number:
+        """The exponential."""
+        return self.call("exp", x)
+
+    def log(self, x: Number) -> Number:
+        """Natural logarithm."""
+        return self.call("log", x)
+
+    def arccos(self, x: Number) -> Number:
+        """Arc cosine, radians."""
+        return self.call("arccos", x)
+
+    def arcsin(self, x: Number) -> Number:
+        """Arc sine, radians."""
+        return self.call("arcsin", x)
+
+    def floor(self, x: Any) -> Any:
+        """The largest whole number that is not above it."""
+        return self.call("floor", x)
+
+    def absolute(self, x: Any) -> Any:
+        """Without its sign."""
+        return self.call("absolute", x)
+
+    def sign(self, x: Number) -> Number:
+        """-1, 0 or 1."""
+        return self.call("sign", x)
+
+    def maximum(self, x: Any, y: Any) -> Any:
+        """The larger."""
+        return self.call("maximum", x, y)
+
+    def minimum(self, x: Any, y: Any) -> Any:
+        """The smaller."""
+        return self.call("minimum", x, y)
+
     def clip(self, x: Any, low: float, high: float) -> Any:
         """Within bounds."""
         return self.minimum(self.maximum(x, low), high)
-
-    def mix(self, below: Any, above: Any, weight: Number) -> Any:
-        """(1 - weight) * below + weight * above."""
-        return below + (above - below) * weight
 
     def length(self, v: Vector) -> Number:
         """The length of a vector."""
@@ -118,18 +118,49 @@ class Algebra(ABC):
         return v * (1.0 / self.sqrt(self.maximum(self.dot(v, v), _NO_LENGTH)))
 
 
-def borrowed(function: Any) -> Any:
-    """A library's function as a method."""
-    return staticmethod(function)
+class Traced:
+    """A value whose arithmetic is written down: each operation is ``_binary`` of its operands."""
+
+    # Arrays leave arithmetic with values to the values.
+    __array_ufunc__ = None
+
+    def _binary(self, operator: str, a: Any, b: Any) -> Any:
+        """A + b, a - b, a * b or a / b, of which one is this."""
+        raise NotImplementedError
+
+    def __neg__(self) -> Any:
+        return self._binary("*", self, -1.0)
+
+    def __add__(self, other: Any) -> Any:
+        return self._binary("+", self, other)
+
+    def __radd__(self, other: Any) -> Any:
+        return self._binary("+", other, self)
+
+    def __sub__(self, other: Any) -> Any:
+        return self._binary("-", self, other)
+
+    def __rsub__(self, other: Any) -> Any:
+        return self._binary("-", other, self)
+
+    def __mul__(self, other: Any) -> Any:
+        return self._binary("*", self, other)
+
+    def __rmul__(self, other: Any) -> Any:
+        return self._binary("*", other, self)
+
+    def __truediv__(self, other: Any) -> Any:
+        return self._binary("/", self, other)
+
+    def __rtruediv__(self, other: Any) -> Any:
+        return self._binary("/", other, self)
 
 
 class Float64(Algebra):
     """The definition: numbers are arrays [...], vectors arrays [3, ...], float64."""
 
-    sqrt, exp, log = borrowed(np.sqrt), borrowed(np.exp), borrowed(np.log)
-    arccos, arcsin = borrowed(np.arccos), borrowed(np.arcsin)
-    floor, absolute, sign = borrowed(np.floor), borrowed(np.abs), borrowed(np.sign)
-    maximum, minimum = borrowed(np.maximum), borrowed(np.minimum)
+    def call(self, name: str, *operands: Any) -> Any:
+        return getattr(np, name)(*operands)
 
     def select(self, x: Number, above: Any, otherwise: Any) -> Any:
         return np.where(np.asarray(x) > 0.0, above, otherwise)
