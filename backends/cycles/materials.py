@@ -24,6 +24,7 @@ from scenec.backends.cycles.planetary import KnownLight, Laws
 from scenec.backends.stage.scene import DEFAULT_SURFACE, RenderScene, Surface
 from scenec.backends.surface import lobes, merges
 from scenec.backends.surface.maps import load_map
+from scenec.backends.surface.projections import GRAZING
 from scenec.schemas.cells import table as cell_table
 
 #: Passes that carry row + 1 and face, each as two halves of 16 bits.
@@ -233,17 +234,19 @@ class _Look:
             found.get("roughness", surface.roughness),
             self._factor(surface.roughness_variation),
         )
-        dull, white, tinted = lobes.weights(
-            surface.specular, found.get("metallic", surface.metallic)
-        )
+        weights = lobes.weights(surface.specular, found.get("metallic", surface.metallic))
+        dull, facing = weights.dull, graph.geometry("Normal") if normal is None else normal
         key: tuple[Any, ...] = (None, normal)
         base = Lobe(None, normal, color * dull)
         if surface.reflectance is not None and self._laws is not None:
             key = ("law", normal)
-            facing = graph.geometry("Normal") if normal is None else normal
             even, lit = self._laws.colors(surface.reflectance, color, facing)
             base = Lobe(None, normal, even * dull, lit * dull, self._laws.known(facing))
-        gloss = Lobe(rough, normal, np.ones(3) * white + color * tinted)
+        shine: Any = _BLACK
+        if not (is_black(weights.white) and is_black(weights.tinted)):
+            cosine = NODES.maximum(NODES.dot(graph.geometry("Incoming"), facing), GRAZING)
+            shine = np.ones(3) * lobes.gloss_color(weights, color, rough * rough, cosine)
+        gloss = Lobe(rough, normal, shine)
         glow = np.array(surface.emission, np.float64) * found.get("emission", 1.0)
         return Layer({key: base, (rough, normal): gloss}, glow, found.get("height", merges.FLAT))
 

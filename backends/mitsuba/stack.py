@@ -268,8 +268,10 @@ class Stack(mi.BSDF):
                     sine2 = dr.squared_norm(half - at.normal * cos_h)
                 gloss, drawn = lobes.ggx(ARRAYS, at.alpha, (cos_i, cos_o), cos_h, sine2)
                 seen = cos_i > SEEN
+                facing = dr.maximum(cos_i, projections.GRAZING)
+                tint = lobes.gloss_color(at.weights, at.color, at.alpha, facing)
                 _, white, tinted = at.weights
-                light += dr.select(seen, gloss, 0.0) * (white + tinted * at.color)
+                light += dr.select(seen, gloss, 0.0) * tint
                 chance += dr.select(seen, drawn, 0.0) * (white + tinted)
             lit = (cos_i > 0.0) & (cos_o > 0.0)
             total += dr.select(lit, at.share * light, 0.0)

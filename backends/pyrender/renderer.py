@@ -25,22 +25,21 @@ from scenec.backends.pyrender.geometry import Geometry, Selection, View
 from scenec.backends.pyrender.laws import LAW_ROWS
 from scenec.backends.pyrender.lighting import (
     CASCADES,
-    MIN_ALPHA,
     ShadowMap,
     SmoothSky,
-    gloss_albedo,
 )
 from scenec.backends.pyrender.surface_model import MARK, surface_functions
 from scenec.backends.pyrender.tables import Tables
 from scenec.backends.stage.scene import Lamp, RenderScene, Sun
 from scenec.backends.surface import lamps
+from scenec.backends.surface.lobes import MIN_ALPHA
 from scenec.schemas.errors import BackendError
 
 SHADERS = Path(__file__).parent / "shaders"
 #: Texture units, by the numbers that the programs name them with.
 UNITS = (
     "ids", "poses", "faces", "vertices", "normals", "weights", "meshes", "layers", "surfaces",
-    "gloss_albedo", "maps", "shadows", "ground_sky", "ground_light", "uvs", "laws",
+    "laws", "maps", "shadows", "ground_sky", "ground_light", "uvs",
 )  # fmt: skip
 #: Share of a shadow map's texel that a surface may lie farther from the sun than itself.
 _BIAS = 0.25
@@ -190,7 +189,6 @@ class Renderer(pyrender.Renderer):
         ):  # fmt: skip
             self._tables[name] = resources.Table()
             self._tables[name].fill(getattr(tables, name))
-        self._pictures["gloss_albedo"] = resources.lookup_texture(gloss_albedo())
         self._pictures["maps"] = resources.map_texture(tables.maps)
         self._defines = {"CASCADES": CASCADES} | dict.fromkeys(tables.features, 1)
         if "WITH_REFLECTANCE" in tables.features:
@@ -254,7 +252,6 @@ class Renderer(pyrender.Renderer):
         for unit, table in self._tables.items():
             _bind(unit, GL.GL_TEXTURE_BUFFER, table.texture)
         _bind("ids", GL.GL_TEXTURE_2D, ids.color)
-        _bind("gloss_albedo", GL.GL_TEXTURE_2D, self._pictures["gloss_albedo"])
         _bind("maps", GL.GL_TEXTURE_2D_ARRAY, self._pictures["maps"])
         _bind("shadows", GL.GL_TEXTURE_2D_ARRAY, shadow_maps)
         if "laws" in self._pictures:

@@ -24,7 +24,7 @@ _LOOKS = {
 }
 _LOBES = (
     "Lobes lobes_of(vec3 base, vec3 picture, float specular, float metallic, float rough, "
-    "float amount, float swing, float own, float row)"
+    "float amount, float swing, float own, float row, float cosine)"
 )
 #: Laws by whether light is scattered more than once, and whether the surface is rough.
 _LAWS = {"law_once": (False, False), "law_smooth": (True, False), "law_rough": (True, True)}
@@ -36,6 +36,7 @@ def surface_functions(features: frozenset[str]) -> str:
     texts = [
         _of(lobes_of, _LOBES),
         _of(gloss, "float gloss(float alpha, vec3 n, vec3 v, vec3 l)"),
+        _of(_albedo, "float gloss_albedo(float alpha, float cosine)"),
     ]
     if "WITH_HEIGHTS" in features:
         texts.append(
@@ -86,17 +87,18 @@ def lobes_of(
     swing: Value,
     own: Value,
     row: Value,
+    cosine: Value,
 ) -> dict[str, Any]:
     """Color, roughness and weights of a surface."""
-    varied = lobes.factor(amount, (own, row))
-    dull, white, tinted = lobes.weights(specular, metallic)
-    return {
-        "color": lobes.color(fn, base, varied, picture),
-        "roughness": lobes.roughness(fn, rough, lobes.factor(swing, (own, row))),
-        "dull": dull,
-        "white": white,
-        "tinted": tinted,
-    }
+    color = lobes.color(fn, base, lobes.factor(amount, (own, row)), picture)
+    rough = lobes.roughness(fn, rough, lobes.factor(swing, (own, row)))
+    weights = lobes.weights(specular, metallic)
+    gloss = lobes.gloss_color(weights, color, rough * rough, cosine)
+    return {"color": color, "roughness": rough, "dull": weights.dull, "gloss": gloss}
+
+
+def _albedo(fn: Glsl, alpha: Value, cosine: Value) -> Any:
+    return lobes.albedo(alpha, cosine)
 
 
 def gloss(fn: Glsl, alpha: Value, n: Value, v: Value, light: Value) -> Any:

@@ -3,7 +3,17 @@
 f = (1-m) * ((1-s) * Lambert(c) + s * GGX(white)) + m * GGX(c), alpha = roughness**2.
 
 Gloss is masked and shadowed as on a surface of heights (Heitz 2014, Understanding the
-Masking-Shadowing Function, eq. 99).
+Masking-Shadowing Function, eq. 99). Facets hide some of what they reflect from each other, and
+reflect it again: without that a white metal would lose 12 % of its light at a roughness of 0.5 and
+half of it at 0.9. With E the albedo of a white lobe that scatters once, by the viewer's cosine, and
+A its mean over all directions by their cosine, a lobe of color c is brighter by
+
+    1 + F (1 - E) / E,   F = c A / (1 - c (1 - A)),
+
+so that a white one reflects all (Turquin 2019, Practical multiple scattering compensation for
+microfacet models, whose F is c; the series of further bounces is Kulla and Conty's, 2017,
+Revisiting Physically Based Shading at Imageworks, as in Cycles' own multiple-scattering GGX). E is
+a polynomial in alpha and mu / (mu + alpha), off by 0.5 % at most; A one in alpha, by 0.3 %.
 """
 
 from __future__ import annotations
@@ -17,6 +27,16 @@ from scenec.backends.surface.algebra import Algebra, Number, Vector
 #: GGX in float32 loses its digits below this; roughness under 0.032 is drawn as 0.032.
 MIN_ALPHA = 1e-3
 SMOOTHEST = MIN_ALPHA**0.5
+#: Coefficients of E: a row for each power of mu / (mu + alpha), of powers of alpha; and of A.
+ALBEDO = (
+    (0.9925, 0.0212, -0.0040, -0.0172),
+    (0.0237, -1.1460, -3.6787, 1.0757),
+    (-1.5148, 8.0740, 10.0983, 0.3494),
+    (2.3045, -18.4015, -33.0788, -9.6392),
+    (0.0776, 17.3218, 42.5510, 43.1222),
+    (-0.8835, -6.3140, -10.6141, -51.5066),
+)
+MEAN_ALBEDO = (1.0025, -0.1873, -1.5814, 1.8181, -0.6433)
 
 
 class Weights(NamedTuple):
@@ -75,3 +95,24 @@ def ggx(
     hidden = [fn.sqrt(1.0 + square * (1.0 / (c * c) - 1.0)) for c in cosines]
     scale = spread / (2.0 * cosines[0])
     return scale / (hidden[0] + hidden[1]), scale / (1.0 + hidden[0])
+
+
+def albedo(alpha: Number, cosine: Number) -> Number:
+    """E of a white lobe that scatters once; ``cosine`` above 0."""
+    grazing = cosine / (cosine + alpha)
+    return _polynomial([_polynomial(row, alpha) for row in ALBEDO], grazing)
+
+
+def gloss_color(found: Weights, color: Vector, alpha: Number, cosine: Number) -> Vector:
+    """What a white lobe that scatters once is multiplied with; ``cosine`` is the viewer's."""
+    lost = 1.0 / albedo(alpha, cosine) - 1.0
+    mean = _polynomial(MEAN_ALBEDO, alpha)
+    again = color * mean / (1.0 - color * (1.0 - mean))
+    return color * found.tinted * (1.0 + again * lost) + found.white * (1.0 + lost)
+
+
+def _polynomial(coefficients: Sequence[Number], x: Number) -> Number:
+    total = coefficients[-1]
+    for coefficient in reversed(coefficients[:-1]):
+        total = total * x + coefficient
+    return total

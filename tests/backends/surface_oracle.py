@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.backends.stage.scene import Cells, Maps
+from scenec.backends.surface import lobes
 from scenec.backends.surface.maps import map_values, sample
 from scenec.schemas.cells import SIDE, table
 
@@ -252,4 +253,20 @@ def uv_normal(
     leaned = mapped[..., :1] * tangent + mapped[..., 1:2] * side * across + mapped[..., 2:3] * n
     size = np.sqrt((leaned * leaned).sum(axis=-1, keepdims=True))
     found: NDArray[np.float64] = np.where((length > 0.0) & (size > 0.0), leaned / size, n)
+    return found
+
+
+def brighter(
+    color: NDArray | float, roughness: NDArray | float, cosine: NDArray | float
+) -> NDArray[np.float64]:
+    """What bounces after the first make a lobe of a color brighter by (Kulla and Conty 2017).
+
+    Albedos are the definition's polynomials, which ``test_rough_lobes`` holds against integrals.
+    """
+    color, alpha = np.asarray(color, np.float64), np.maximum(np.square(roughness), 1e-3)
+    once = lobes.albedo(alpha, np.asarray(cosine, np.float64))
+    mean = np.polynomial.polynomial.polyval(alpha, lobes.MEAN_ALBEDO)
+    found: NDArray[np.float64] = 1.0 + color * mean / (1.0 - color * (1.0 - mean)) * (
+        1.0 / once - 1.0
+    )
     return found

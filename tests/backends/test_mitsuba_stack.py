@@ -206,7 +206,9 @@ def defined(scene: RenderScene, si: Any, center: NDArray, wi: NDArray, wo: NDArr
                 surface.reflectance, color, cos_o[:, None], cos_i[:, None], phase
             )
         gloss = ggx(np.maximum(alpha, MIN_ALPHA), cos_i, cos_o, cos_h)[:, None]
-        tint = white[:, None] + metal[:, None] * color
+        rough = np.sqrt(alpha)[:, None]
+        tint = white[:, None] * oracle.brighter(1.0, rough, cos_i[:, None])
+        tint = tint + metal[:, None] * color * oracle.brighter(color, rough, cos_i[:, None])
         found = (1.0 - white - metal)[:, None] * dull + gloss * tint
         total += np.where(sound[:, None], (share * cos_o)[:, None] * found, 0.0)
     same_side = (wi * flat).sum(axis=1) * (wo * flat).sum(axis=1) > 0.0

@@ -15,7 +15,6 @@ layout(binding = 5) uniform samplerBuffer weights;     // Merge by merge, of all
 layout(binding = 6) uniform usamplerBuffer meshes;     // Two texels a mesh, see tables.py.
 layout(binding = 7) uniform usamplerBuffer layers;     // Surfaces of the meshes.
 layout(binding = 8) uniform samplerBuffer surfaces;    // Four texels a surface, see tables.py.
-layout(binding = 9) uniform sampler2D gloss_albedo;    // Albedo of a white GGX lobe over (cosine, roughness).
 layout(binding = 10) uniform sampler2DArray maps;
 layout(binding = 11) uniform sampler2DArrayShadow shadows;
 
@@ -23,7 +22,7 @@ layout(binding = 11) uniform sampler2DArrayShadow shadows;
 layout(binding = 14) uniform samplerBuffer uvs;        // Two texels a face: its corners' coordinates.
 #endif
 #ifdef WITH_REFLECTANCE
-layout(binding = 15) uniform sampler2D laws;          // See laws.py.
+layout(binding = 9) uniform sampler2D laws;          // See laws.py.
 #endif
 #ifdef WITH_GROUND
 layout(binding = 12) uniform sampler2D ground_sky;    // Share of the sky, and of ground above.
@@ -82,9 +81,8 @@ struct Hit {
 struct Lobes {
     vec3 color;
     float roughness;
-    float dull;     // Weights: Lambert's lobe or a law in its place,
-    float white;    // white gloss,
-    float tinted;   // and gloss of the color.
+    float dull;     // Weight of Lambert's lobe or of a law in its place.
+    vec3 gloss;     // What a white lobe that scatters once is multiplied with.
 };
 
 // What maps hold at a hit.
@@ -312,7 +310,7 @@ float sunlit(Hit hit)
 // 2001).
 vec3 sky_gloss(float roughness, vec3 n, vec3 v, Around around)
 {
-    float nv = clamp(dot(n, v), 0.0, 1.0);
+    float nv = max(dot(n, v), 1e-5);
     vec3 r = reflect(-v, n);
     float alpha = roughness * roughness;
     vec3 radiance = max(sky_mirrored[0]
@@ -327,15 +325,13 @@ vec3 sky_gloss(float roughness, vec3 n, vec3 v, Around around)
     float below = clamp(0.5 - r.z / (2.0 * max(alpha, 0.05)), 0.0, 1.0) * clamp(1.0 - n.z, 0.0, 1.0);
     radiance = mix(radiance, around.ground, below);
 #endif
-    vec2 size = vec2(textureSize(gloss_albedo, 0));
-    vec2 node = (vec2(nv, roughness) * (size - 1.0) + 0.5) / size;
-    return radiance * texture(gloss_albedo, node).r;
+    return radiance * gloss_albedo(alpha, nv);
 }
 
 // A surface at a hit, or a mixture of several that share roughness and normal.
 struct Look {
     vec3 dull;   // Albedo of the Lambert lobe,
-    vec3 shine;  // and of the GGX lobe.
+    vec3 shine;  // and of the GGX lobe, by one that is white and scatters once.
     float roughness;
     vec3 normal;  // Towards the camera.
 #ifdef WITH_REFLECTANCE
@@ -495,9 +491,10 @@ Look look_of(int index, Hit hit)
     }
 #endif
     Lobes lobes = lobes_of(first.rgb, found.base_color, first.a, found.metallic, found.roughness,
-                           second.y, second.w, hit.variation, hit.row);
+                           second.y, second.w, hit.variation, hit.row,
+                           max(dot(look.normal, hit.view), 1e-5));
     look.dull = lobes.dull * lobes.color;
-    look.shine = vec3(lobes.white) + lobes.tinted * lobes.color;
+    look.shine = lobes.gloss;
     look.roughness = lobes.roughness;
 #ifdef WITH_REFLECTANCE
     look.color = lobes.color;
