@@ -85,9 +85,9 @@ def function(signature: str, body: Callable[[Glsl], Any]) -> str:
     found = body(fn)
     returned = signature.split()[0]
     if isinstance(found, dict):
-        fn.statements.append(f"{returned} found;")
-        fn.statements += [f"found.{name} = {_text(value)};" for name, value in found.items()]
-        result = "found"
+        fn.statements.append(f"{returned} made;")
+        fn.statements += [f"made.{name} = {_text(value)};" for name, value in found.items()]
+        result = "made"
     else:
         result = _text(found)
     lines = "".join(f"    {line}\n" for line in (*fn.statements, f"return {result};"))

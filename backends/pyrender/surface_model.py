@@ -22,10 +22,6 @@ _LOOKS = {
     "look_triplanar": "WITH_TRIPLANAR",
     "look_uv": "WITH_UV",
 }
-_LOBES = (
-    "Lobes lobes_of(vec3 base, vec3 picture, float specular, float metallic, float rough, "
-    "float amount, float swing, float own, float row, float cosine)"
-)
 #: Laws by whether light is scattered more than once, and whether the surface is rough.
 _LAWS = {"law_once": (False, False), "law_smooth": (True, False), "law_rough": (True, True)}
 
@@ -34,7 +30,7 @@ _LAWS = {"law_once": (False, False), "law_smooth": (True, False), "law_rough": (
 def surface_functions(features: frozenset[str]) -> str:
     """The text of the functions that a program with these features calls."""
     texts = [
-        _of(lobes_of, _LOBES),
+        _lobes(),
         _of(gloss, "float gloss(float alpha, vec3 n, vec3 v, vec3 l)"),
         _of(_albedo, "float gloss_albedo(float alpha, float cosine)"),
     ]
@@ -76,25 +72,22 @@ def lamp_falloff(fn: Glsl, away: Value, axis: Value, cone: Value) -> Any:
     return lamps.falloff(fn, away, axis, fn.parts(cone))
 
 
-def lobes_of(
-    fn: Glsl,
-    base: Value,
-    picture: Value,
-    specular: Value,
-    metallic: Value,
-    rough: Value,
-    amount: Value,
-    swing: Value,
-    own: Value,
-    row: Value,
-    cosine: Value,
-) -> dict[str, Any]:
-    """Color, roughness and weights of a surface."""
-    color = lobes.color(fn, base, lobes.factor(amount, (own, row)), picture)
-    rough = lobes.roughness(fn, rough, lobes.factor(swing, (own, row)))
-    weights = lobes.weights(specular, metallic)
-    gloss = lobes.gloss_color(weights, color, rough * rough, cosine)
-    return {"color": color, "roughness": rough, "dull": weights.dull, "gloss": gloss}
+def _lobes() -> str:
+    """What a surface's rows in ``Tables.surfaces`` and its maps make of it."""
+
+    def body(fn: Glsl) -> Any:
+        base, picture = (fn.given("vec3", name) for name in ("first.rgb", "found.base_color"))
+        names = ("first.a", "second.y", "second.w", "found.roughness", "found.metallic", "cosine")
+        specular, amount, swing, rough, metallic, cosine = (fn.given("float", n) for n in names)
+        variations = [fn.given("float", f"hit.{name}") for name in ("variation", "row")]
+        color = lobes.color(fn, base, lobes.factor(amount, variations), picture)
+        rough = lobes.roughness(fn, rough, lobes.factor(swing, variations))
+        weights = lobes.weights(specular, metallic)
+        gloss = lobes.gloss_color(weights, color, rough * rough, cosine)
+        return {"color": color, "roughness": rough, "dull": weights.dull, "gloss": gloss}
+
+    signature = "Lobes lobes_of(vec4 first, vec4 second, Pictured found, Hit hit, float cosine)"
+    return function(signature, body)
 
 
 def _albedo(fn: Glsl, alpha: Value, cosine: Value) -> Any:

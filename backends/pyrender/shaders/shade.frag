@@ -490,9 +490,8 @@ Look look_of(int index, Hit hit)
         look.normal = seen(found.normal, hit.normal, look.normal, hit.view);
     }
 #endif
-    Lobes lobes = lobes_of(first.rgb, found.base_color, first.a, found.metallic, found.roughness,
-                           second.y, second.w, hit.variation, hit.row,
-                           max(dot(look.normal, hit.view), 1e-5));
+    float cosine = max(dot(look.normal, hit.view), 1e-5);
+    Lobes lobes = lobes_of(first, second, found, hit, cosine);
     look.dull = lobes.dull * lobes.color;
     look.shine = lobes.gloss;
     look.roughness = lobes.roughness;
