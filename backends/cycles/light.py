@@ -8,10 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.backends.cycles.geometry import Frame
-from scenec.backends.cycles.graph import Graph
+from scenec.backends.cycles.graph import NODES, Graph
 from scenec.backends.cycles.materials import picture_image
 from scenec.backends.picture.sky import MIN_SUN_DIAMETER_RAD, Sky
 from scenec.backends.stage.scene import Lamp, Sun
+from scenec.backends.surface import lamps
 
 #: A dome's picture is written out with at least so many rows: see ``env_rows``.
 MIN_ROWS = 1024
@@ -50,16 +51,14 @@ def make_world(bpy: Any, sky: Sky | None) -> Any:
     if sky is None or not np.any(sky.picture):
         graph.feed(background.inputs["Strength"], 0.0)
     elif sky.constant:
-        red, green, blue = sky.picture[0, 0].tolist()
-        graph.feed(background.inputs["Color"], (red, green, blue))
+        graph.feed(background.inputs["Color"], sky.picture[0, 0])
     else:
         image = picture_image(bpy, env_rows(sky.picture))
         node = graph.node("ShaderNodeTexEnvironment")
         node.image, node.interpolation = image, "Linear"
-        direction = graph.node("ShaderNodeTexCoord").outputs["Generated"]
-        to_picture = _AXES @ sky.to_world.T
-        axes = [graph.vector("DOT_PRODUCT", direction, tuple(axis)) for axis in to_picture.tolist()]
-        graph.feed(node.inputs["Vector"], graph.combine(axes[0], axes[1], axes[2]))
+        direction = graph.triple(graph.node("ShaderNodeTexCoord").outputs["Generated"])
+        axes = [NODES.dot(direction, axis) for axis in _AXES @ sky.to_world.T]
+        graph.feed(node.inputs["Vector"], NODES.vector(*axes))
         graph.feed(background.inputs["Color"], node.outputs["Color"])
         made.cycles.sampling_method = "MANUAL"
         columns = 2 * sky.picture.shape[1]
@@ -101,28 +100,11 @@ def make_lamp(bpy: Any, lamp: Lamp, frame: Frame) -> Any:
         light.node_tree.nodes.clear()
         graph = Graph(light.node_tree)
         emission = graph.node("ShaderNodeEmission")
-        graph.feed(emission.inputs["Strength"], _falloff(graph, lamp))
+        away = graph.geometry("Incoming")
+        share = lamps.falloff(NODES, away, np.asarray(lamp.axis, np.float64), lamps.cone(lamp))
+        graph.feed(emission.inputs["Strength"], share)
         graph.feed(graph.node("ShaderNodeOutputLight").inputs["Surface"], emission.outputs[0])
     return _shining(bpy, "scenec_lamp", light, lamp.axis, frame.place(lamp.position))
-
-
-def _falloff(graph: Graph, lamp: Lamp) -> Any:
-    """1 - smoothstep of the angle between what leaves the lamp and its axis."""
-    x, y, z = (float(value) for value in lamp.axis)
-    apart = graph.vector("SUBTRACT", graph.geometry("Incoming"), (x, y, z))
-    # By the chord: an arc cosine has no digits left near the axis.
-    half_chord = graph.math("MULTIPLY", graph.vector("LENGTH", apart), 0.5)
-    angle = graph.math("MULTIPLY", graph.math("ARCSINE", half_chord), 2.0)
-    if lamp.softness == 0.0:
-        return graph.math("LESS_THAN", angle, lamp.cone)
-    made = graph.node("ShaderNodeMapRange")
-    made.interpolation_type, made.clamp = "SMOOTHSTEP", True
-    numbers = (angle, lamp.cone * (1.0 - lamp.softness), lamp.cone, 1.0, 0.0)
-    names = ("Value", "From Min", "From Max", "To Min", "To Max")
-    inputs = {socket.identifier: socket for socket in made.inputs}
-    for name, value in zip(names, numbers, strict=True):
-        graph.feed(inputs[name], value)
-    return made.outputs["Result"]
 
 
 def _shining(

@@ -16,21 +16,21 @@ from scenec.backends.cycles.geometry import (
     Frame,
     LookKey,
     look_key,
+    weight_name,
 )
-from scenec.backends.cycles.graph import BLACK, Graph, Scalar, Vector
-from scenec.backends.cycles.heights import merge_weights
+from scenec.backends.cycles.graph import NODES, Graph, is_black
+from scenec.backends.cycles.pictures import Pictures
 from scenec.backends.cycles.planetary import KnownLight, Laws
-from scenec.backends.cycles.projection import Pictures
 from scenec.backends.stage.scene import DEFAULT_SURFACE, RenderScene, Surface
-from scenec.backends.surface import cells
-from scenec.backends.surface.maps import load_map, map_key
+from scenec.backends.surface import lobes, merges
+from scenec.backends.surface.maps import load_map
+from scenec.backends.surface.projections import GRAZING
+from scenec.schemas.cells import table as cell_table
 
 #: Passes that carry row + 1 and face, each as two halves of 16 bits.
 ROW_PASS, FACE_PASS = "scenec_row", "scenec_face"
-#: GGX in float32 loses its digits below this; roughness under 0.032 is drawn as 0.032.
-MIN_ALPHA = 1e-3
 
-_SMOOTHEST = MIN_ALPHA**0.5
+_BLACK = np.zeros(3)
 
 
 @dataclass
@@ -39,16 +39,16 @@ class Lobe:
 
     Attributes:
         roughness: Perceptual; None for Lambertian ones.
-        normal: Socket of a mapped normal, or None.
+        normal: The mapped normal, or None.
         color: Of them all.
         lit: Where they follow other laws than Lambert's: their color for the known light;
         known: and where that holds, see ``planetary``.
     """
 
-    roughness: Scalar | None
+    roughness: Any
     normal: Any
-    color: Vector
-    lit: Vector | None = None
+    color: Any
+    lit: Any = None
     known: Any = None
 
 
@@ -57,13 +57,28 @@ class Reach:
     """What occurs on the meshes of a material.
 
     Attributes:
-        vertex, row: The largest variation, absolute; 0 where there is none.
+        vertex, row: Whether any varies.
         smooth: Whether there are shading normals.
     """
 
-    vertex: float = 0.0
-    row: float = 0.0
+    vertex: bool = False
+    row: bool = False
     smooth: bool = False
+
+
+@dataclass(frozen=True)
+class Layer:
+    """What a layer is at the point shaded.
+
+    Attributes:
+        lobes: By what tells those apart that do not mix.
+        glow: What it gives off.
+        height: For merges that heed it.
+    """
+
+    lobes: dict[tuple[Any, ...], Lobe]
+    glow: Any
+    height: Any
 
 
 def make_materials(
@@ -82,7 +97,7 @@ def make_materials(
     """
     made = {}
     image = lru_cache(maxsize=None)(partial(make_image, bpy))
-    table = lru_cache(maxsize=None)(lambda seed: picture_image(bpy, cells.table(seed)[::-1]))
+    table = lru_cache(maxsize=None)(lambda seed: picture_image(bpy, cell_table(seed)[::-1]))
     for key, reach in _reaches(scene).items():
         layers, depths = key
         material = bpy.data.materials.new("scenec_look")
@@ -99,18 +114,17 @@ def make_materials(
 
 
 def _reaches(scene: RenderScene) -> dict[LookKey, Reach]:
-    """How far colors vary, for each ``look_key`` that occurs."""
-    of_rows = np.zeros(len(scene.meshes))
-    np.maximum.at(of_rows, scene.rows.mesh, np.abs(scene.rows.variation))
+    """What occurs, for each ``look_key``."""
+    of_rows = np.zeros(len(scene.meshes), np.bool_)
+    np.logical_or.at(of_rows, scene.rows.mesh, scene.rows.variation != 0.0)
     reaches: dict[LookKey, Reach] = {}
     for index in np.unique(scene.rows.mesh).tolist():
         mesh = scene.meshes[index]
         if len(mesh.faces):
             known = reaches.get(look_key(mesh), Reach())
-            own = 0.0 if mesh.variation is None else float(np.abs(mesh.variation).max())
             reaches[look_key(mesh)] = Reach(
-                max(known.vertex, own),
-                max(known.row, float(of_rows[index])),
+                known.vertex or (mesh.variation is not None and bool(mesh.variation.any())),
+                known.row or bool(of_rows[index]),
                 known.smooth or mesh.normals is not None,
             )
     return reaches
@@ -132,48 +146,38 @@ class _Look:
         mixed color, so that n layers without maps take two closures instead of 3 n.
         """
         graph = self._graph
-        merged: dict[tuple[object, ...], Lobe] = {}
-        glow: Vector = BLACK
-        weights = merge_weights(graph, self._pictures, surfaces, depths)
-        for number, surface in enumerate(surfaces):
-            own = self._lobes(surface)
-            for key, lobe in own.items():
-                merged.setdefault(key, dataclasses.replace(lobe, color=BLACK, lit=BLACK))
-            for key, lobe in merged.items():
-                color = own[key].color if key in own else BLACK
-                lit = own[key].lit if key in own else BLACK
-                if number == 0:
-                    lobe.color, lobe.lit = color, lit
-                else:
-                    lobe.color = graph.mixed(lobe.color, color, weights[number - 1])
-                    if lobe.known is not None:
-                        lobe.lit = graph.mixed(lobe.lit, lit, weights[number - 1])
-            own_glow = self._glow(surface)
-            glow = own_glow if number == 0 else graph.mixed(glow, own_glow, weights[number - 1])
-        self._close(list(merged.values()), glow)
-        for name, attribute, kind in ((ROW_PASS, ROW, "INSTANCER"), (FACE_PASS, FACE, "GEOMETRY")):
+        heeded = merges.needed(depths)
+        layers = [self._layer(surface, k < heeded) for k, surface in enumerate(surfaces)]
+        weights = merges.heeded_weights(
+            NODES,
+            [graph.attribute(weight_name(k), "Fac") for k in range(len(surfaces) - 1)],
+            merges.all_slopes(NODES, depths),
+            [layer.height for layer in layers],
+        )
+        kinds = {key: lobe for layer in layers for key, lobe in layer.lobes.items()}
+        none = Lobe(None, None, _BLACK, _BLACK)
+        merged, glow = [], layers[0].glow
+        for key, kind in kinds.items():
+            own = [layer.lobes.get(key, none) for layer in layers]
+            color, lit = own[0].color, own[0].lit
+            for lobe, weight in zip(own[1:], weights, strict=True):
+                color = NODES.mix(color, lobe.color, weight)
+                if kind.known is not None:
+                    lit = NODES.mix(lit, lobe.lit, weight)
+            merged.append(dataclasses.replace(kind, color=color, lit=lit))
+        for layer, weight in zip(layers[1:], weights, strict=True):
+            glow = NODES.mix(glow, layer.glow, weight)
+        self._close(merged, glow)
+        for name, attribute, of in ((ROW_PASS, ROW, "INSTANCER"), (FACE_PASS, FACE, "GEOMETRY")):
             out = graph.node("ShaderNodeOutputAOV")
             out.aov_name = name
-            graph.feed(out.inputs["Color"], graph.attribute(attribute, kind).outputs["Vector"])
+            graph.feed(out.inputs["Color"], graph.attribute(attribute, kind=of))
 
-    def _glow(self, surface: Surface) -> Vector:
-        """What a surface gives off."""
-        maps = surface.maps
-        if not surface.emits:
-            return BLACK
-        if maps is None or maps.emission is None:
-            return surface.emission
-        picture = self._pictures.value(maps, "emission")
-        return self._graph.vector("MULTIPLY", picture, surface.emission)
-
-    def _close(self, lobes: list[Lobe], glow: Vector) -> None:
+    def _close(self, found: list[Lobe], glow: Any) -> None:
         """Closures, added up; one at least, or rays would pass through."""
         graph = self._graph
         total: Any = None
-        lit = [
-            lobe for lobe in lobes if not (isinstance(lobe.color, tuple) and lobe.color == BLACK)
-        ]
-        for lobe in lit or lobes[:1]:
+        for lobe in [lobe for lobe in found if not is_black(lobe.color)] or found[:1]:
             closure = self._closure(lobe, lobe.color)
             if lobe.known is not None:
                 either = graph.node("ShaderNodeMixShader")
@@ -182,7 +186,7 @@ class _Look:
                 graph.feed(either.inputs[2], self._closure(lobe, lobe.lit))
                 closure = either.outputs[0]
             total = self._added(total, closure)
-        if not (isinstance(glow, tuple) and glow == BLACK):
+        if not is_black(glow):
             emission = graph.node("ShaderNodeEmission")
             graph.feed(emission.inputs["Color"], glow)
             if self._laws is not None:
@@ -190,12 +194,12 @@ class _Look:
             total = self._added(total, emission.outputs[0])
         graph.feed(graph.node("ShaderNodeOutputMaterial").inputs["Surface"], total)
 
-    def _closure(self, lobe: Lobe, color: Vector) -> Any:
+    def _closure(self, lobe: Lobe, color: Any) -> Any:
         graph = self._graph
         diffuse = lobe.roughness is None
         closure = graph.node("ShaderNodeBsdfDiffuse" if diffuse else "ShaderNodeBsdfGlossy")
         graph.feed(closure.inputs["Color"], color)
-        graph.feed(closure.inputs["Roughness"], lobe.roughness or 0.0)
+        graph.feed(closure.inputs["Roughness"], 0.0 if diffuse else lobe.roughness)
         if not diffuse:
             closure.distribution = "GGX"
         if lobe.normal is not None:
@@ -210,86 +214,49 @@ class _Look:
         self._graph.feed(both.inputs[1], closure)
         return both.outputs[0]
 
-    def _lobes(self, surface: Surface) -> dict[tuple[object, ...], Lobe]:
-        """A surface by kinds of lobe.
-
-        (1-m) * ((1-s) * Lambert(c) + s * GGX(white)) + m * GGX(c).
-        """
+    def _layer(self, surface: Surface, heeded: bool) -> Layer:
+        """A surface where its maps and variations are looked up."""
         graph, maps = self._graph, surface.maps
-        color = self._color(surface)
-        white = surface.specular
-        normal, normal_key = None, None
-        if maps is not None and maps.normal is not None:
-            normal = self._pictures.normal(maps)
-            normal_key = map_key(maps, "normal")
-        elif self._reach.smooth:
-            normal = self._pictures.facing()
-        roughness, roughness_key = self._roughness(surface)
-        metallic: Scalar = surface.metallic
-        dull: Scalar = 1.0 - surface.metallic
-        if maps is not None and maps.metallic is not None:
-            metallic = self._pictures.value(maps, "metallic")
-            dull = graph.math("SUBTRACT", 1.0, metallic)
-        share = graph.product(dull, 1.0 - white)
-        sheen = graph.scaled((white, white, white), dull)
-        gloss = graph.sum(sheen, graph.scaled(color, metallic))
-        key: tuple[object, ...] = (None, normal_key)
-        base = Lobe(None, normal, graph.scaled(color, share))
+        wanted = ["base_color", "normal", "metallic"]
+        wanted += ["roughness"] if surface.glossy else []
+        wanted += ["height"] if heeded else []
+        wanted += ["emission"] if surface.emits else []
+        found = {} if maps is None else self._pictures.look_up(maps, wanted)
+        color = lobes.color(
+            NODES,
+            np.array(surface.base_color, np.float64),
+            self._factor(surface.variation),
+            found.get("base_color"),
+        )
+        normal = found.get("normal", self._pictures.point.facing if self._reach.smooth else None)
+        rough = lobes.roughness(
+            NODES,
+            found.get("roughness", surface.roughness),
+            self._factor(surface.roughness_variation),
+        )
+        weights = lobes.weights(surface.specular, found.get("metallic", surface.metallic))
+        dull, facing = weights.dull, graph.geometry("Normal") if normal is None else normal
+        key: tuple[Any, ...] = (None, normal)
+        base = Lobe(None, normal, color * dull)
         if surface.reflectance is not None and self._laws is not None:
-            key = ("law", normal_key)
-            facing = graph.geometry("Normal") if normal is None else normal
-            even, lit = self._laws.colors(surface.reflectance, color, facing, repr(normal_key))
-            known = self._laws.known(facing, repr(normal_key))
-            base = Lobe(None, normal, graph.scaled(even, share), graph.scaled(lit, share), known)
-        return {key: base, (roughness_key, normal_key): Lobe(roughness, normal, gloss)}
+            key = ("law", normal)
+            even, lit = self._laws.colors(surface.reflectance, color, facing)
+            base = Lobe(None, normal, even * dull, lit * dull, self._laws.known(facing))
+        shine: Any = _BLACK
+        if not (is_black(weights.white) and is_black(weights.tinted)):
+            cosine = NODES.maximum(NODES.dot(graph.geometry("Incoming"), facing), GRAZING)
+            shine = np.ones(3) * lobes.gloss_color(weights, color, rough * rough, cosine)
+        gloss = Lobe(rough, normal, shine)
+        glow = np.array(surface.emission, np.float64) * found.get("emission", 1.0)
+        return Layer({key: base, (rough, normal): gloss}, glow, found.get("height", merges.FLAT))
 
-    def _roughness(self, surface: Surface) -> tuple[Scalar, object]:
-        """Number or map, times the factor of its variation; and what tells it from others."""
-        graph, maps = self._graph, surface.maps
-        factor = self._factor(surface.roughness_variation)
-        amount = 0.0 if isinstance(factor, float) else surface.roughness_variation
-        if maps is not None and maps.roughness is not None:
-            value = self._pictures.value(maps, "roughness")
-            varied = graph.product(value, factor)
-            key: object = (map_key(maps, "roughness"), amount)
-        elif isinstance(factor, float):
-            smooth = max(surface.roughness, _SMOOTHEST)
-            return smooth, smooth
-        else:
-            varied = graph.product(surface.roughness, factor)
-            key = (surface.roughness, amount)
-        if amount != 0.0:
-            varied = graph.math("MINIMUM", varied, 1.0)
-        return graph.math("MAXIMUM", varied, _SMOOTHEST), key
-
-    def _factor(self, amount: float) -> Scalar:
-        """(1 + amount * vertex) * (1 + amount * row)."""
-        graph = self._graph
-        factor: Scalar = 1.0
-        if amount != 0.0 and self._reach.vertex > 0.0:
-            own = graph.attribute(VARIATION).outputs["Fac"]
-            factor = graph.math("MULTIPLY_ADD", own, amount, 1.0)
-        if amount != 0.0 and self._reach.row > 0.0:
-            row = graph.once(
-                "row variation",
-                lambda: graph.separate(graph.attribute(ROW, "INSTANCER").outputs["Vector"])[2],
-            )
-            whole = graph.math("MULTIPLY_ADD", row, amount, 1.0)
-            factor = graph.product(factor, whole)
-        return factor
-
-    def _color(self, surface: Surface) -> Vector:
-        """base_color * (1 + variation * vertex) * (1 + variation * row) * map, in [0, 1]."""
-        graph, amount, maps = self._graph, surface.variation, surface.maps
-        color = graph.scaled(surface.base_color, self._factor(amount))
-        if maps is not None and maps.base_color is not None:
-            picture = self._pictures.value(maps, "base_color")
-            color = graph.vector("MULTIPLY", color, picture)
-        swing = [abs(amount) * self._reach.vertex, abs(amount) * self._reach.row]
-        brightest = max(surface.base_color) * (1.0 + swing[0]) * (1.0 + swing[1])
-        if max(swing) > 1.0 or min(surface.base_color) < 0.0 or brightest > 1.0:
-            color = graph.clipped(color)
-        return color
+    def _factor(self, amount: float) -> Any:
+        graph, variations = self._graph, []
+        if amount != 0.0 and self._reach.vertex:
+            variations.append(graph.attribute(VARIATION, "Fac"))
+        if amount != 0.0 and self._reach.row:
+            variations.append(NODES.parts(graph.attribute(ROW, kind="INSTANCER"))[2])
+        return lobes.factor(amount, variations)
 
 
 def make_image(bpy: Any, *source: Any) -> Any:

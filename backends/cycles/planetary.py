@@ -18,8 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.backends.cycles.expression import Nodes, Value
-from scenec.backends.cycles.graph import Graph, Scalar, Vector
+from scenec.backends.cycles.graph import NODES, Graph, Value
 from scenec.backends.stage.scene import Reflectance, RenderScene
 from scenec.backends.surface.reflectance import (
     ALBEDO_NODES,
@@ -75,7 +74,7 @@ class KnownLight:
         # The mean of tan(g/2) over a disc about the viewer's direction: no surge is sharper.
         self._values["Blur"].default_value = radius / 3.0
 
-    def output(self, graph: Graph, name: str) -> Any:
+    def output(self, graph: Graph, name: str) -> Value:
         """One of its values in a material or a light: "Alone", "Place", "Near" or "Blur"."""
 
         def make() -> Any:
@@ -83,7 +82,8 @@ class KnownLight:
             node.node_tree = self._tree
             return node.outputs
 
-        return graph.once("known light", make)[name]
+        socket = graph.once("known light", make)[name]
+        return graph.triple(socket) if name == "Place" else graph.number(socket)
 
 
 @lru_cache(maxsize=64)
@@ -105,105 +105,67 @@ class Laws:
     def __init__(self, graph: Graph, light: KnownLight, picture: Callable[..., Any]) -> None:
         self._graph, self._light, self._picture = graph, light, picture
 
-    def colors(self, law: Reflectance, color: Vector, normal: Any, name: str) -> tuple[Any, Any]:
+    def colors(self, law: Reflectance, color: Any, normal: Value) -> tuple[Any, Any]:
         """Colors of a diffuse closure: for light from all around, and for the known light.
 
         Args:
             law: The law.
             color: r0, in [0, 1].
-            normal: Socket of the normal.
-            name: Of the normal.
+            normal: The normal.
         """
-        graph, fn = self._graph, Nodes()
-        mu = Value(graph, self._cosine(graph.geometry("Incoming"), normal, f"viewer {name}"))
-        mu0 = Value(graph, self._cosine(self._to_light(), normal, f"light {name}"))
-        found = graph.once(
-            f"law {law!r} {name}",
-            lambda: terms(fn, numbers_of(law), mu0, mu, Value(graph, self._half_phase())),
+        mu = NODES.dot(self._graph.geometry("Incoming"), normal)
+        mu0 = NODES.dot(self._to_light(), normal)
+        found = terms(NODES, numbers_of(law), mu0, mu, self._half_phase())
+        even = (
+            self._varied(law, color, mu)
+            if isinstance(color, Value)
+            else self._fixed(law, color, mu)
         )
-        if isinstance(color, tuple):
-            lit = math.pi * value(found, np.array(color, np.float64))
-            even = self._lookup(_fixed_albedo(law, color), mu, 0.5)
-        else:
-            r0 = Value(graph, color, True)
-            even, lit = self._varied(law, r0, mu), math.pi * value(found, r0)
-        return even, lit.socket
+        return even, value(found, color) * math.pi
 
-    def known(self, normal: Any, name: str) -> Any:
+    def known(self, normal: Value) -> Any:
         """1 where the color for the known light holds, else 0."""
         graph = self._graph
+        camera = graph.number(graph.shared("ShaderNodeLightPath").outputs["Is Camera Ray"])
+        asked = NODES.maximum(self._light.output(graph, "Alone"), 1.0 - camera)
+        return NODES.select(NODES.dot(self._to_light(), normal), 1.0, 0.0) * asked
 
-        def make() -> Any:
-            camera = graph.node("ShaderNodeLightPath").outputs["Is Camera Ray"]
-            alone = self._light.output(graph, "Alone")
-            asked = graph.math("MAXIMUM", alone, graph.math("SUBTRACT", 1.0, camera))
-            cosine = self._cosine(self._to_light(), normal, f"light {name}")
-            return graph.math("MULTIPLY", graph.math("GREATER_THAN", cosine, 0.0), asked)
-
-        return graph.once(f"known {name}", make)
-
-    def glow(self) -> Scalar:
+    def glow(self) -> Any:
         """What light that surfaces give off counts: nothing where the known light is alone."""
+        return 1.0 - self._light.output(self._graph, "Alone")
+
+    def _to_light(self) -> Value:
         graph = self._graph
-        alone = self._light.output(graph, "Alone")
-        return graph.once("glow", lambda: graph.math("SUBTRACT", 1.0, alone))
-
-    def _to_light(self) -> Any:
-        graph = self._graph
-
-        def make() -> Any:
-            near = self._light.output(graph, "Near")
-            own = graph.scaled(graph.geometry("Position"), near)
-            way = graph.vector("SUBTRACT", self._light.output(graph, "Place"), own)
-            return graph.vector("NORMALIZE", way)
-
-        return graph.once("to light", make)
-
-    def _cosine(self, direction: Any, normal: Any, name: str) -> Any:
-        graph = self._graph
-        return graph.once(
-            f"cosine to {name}", lambda: graph.vector("DOT_PRODUCT", direction, normal)
-        )
+        own = graph.geometry("Position") * self._light.output(graph, "Near")
+        return NODES.unit(self._light.output(graph, "Place") - own)
 
     def _half_phase(self) -> Any:
         """tan(g / 2), blurred by the light's disc."""
-        graph = self._graph
+        view, light = self._graph.geometry("Incoming"), self._to_light()
+        apart, both = view - light, view + light
+        blur = self._light.output(self._graph, "Blur")
+        square = NODES.dot(apart, apart) / NODES.maximum(NODES.dot(both, both), 1e-6)
+        return NODES.sqrt(blur * blur + square)
 
-        def make() -> Any:
-            squares = []
-            for operation in ("SUBTRACT", "ADD"):
-                v = graph.vector(operation, graph.geometry("Incoming"), self._to_light())
-                squares.append(graph.vector("DOT_PRODUCT", v, v))
-            blur = self._light.output(graph, "Blur")
-            below = graph.math("MAXIMUM", squares[1], 1e-6)
-            square = graph.math("DIVIDE", squares[0], below)
-            return graph.math("SQRT", graph.math("MULTIPLY_ADD", blur, blur, square))
+    def _fixed(self, law: Reflectance, color: NDArray[np.float64], mu: Value) -> Value:
+        """Albedo of one color, by the cosine."""
+        return self._lookup(_fixed_albedo(law, tuple(color.tolist())), mu, 0.5)
 
-        return graph.once("half phase", make)
-
-    def _varied(self, law: Reflectance, r0: Value, mu: Value) -> Any:
+    def _varied(self, law: Reflectance, r0: Value, mu: Value) -> Value:
         """Albedo of a color that varies, by the cosine and each channel."""
-        graph = self._graph
         # The picture's first row is the top one.
         table = albedo_table(law)[::-1, :, None]
-        image = graph.once(f"albedo {law!r}", lambda: self._image(table))
         rows = ALBEDO_NODES[0]
         found = []
-        for channel in graph.separate(r0.socket):
-            v = graph.math("MULTIPLY_ADD", channel, (rows - 1.0) / rows, 0.5 / rows)
-            red, _, _ = graph.separate(self._lookup(image, mu, v))
-            found.append(red)
-        return graph.vector("MULTIPLY", r0.socket, graph.combine(*found))
+        for channel in NODES.parts(r0):
+            v = channel * ((rows - 1.0) / rows) + 0.5 / rows
+            found.append(NODES.parts(self._lookup(table, mu, v))[0])
+        return r0 * NODES.vector(*found)
 
-    def _image(self, values: NDArray[np.floating]) -> Any:
-        return self._picture(np.asarray(values, np.float32))
-
-    def _lookup(self, values: Any, mu: Value, v: Scalar) -> Any:
-        graph = self._graph
-        image = self._image(values) if isinstance(values, np.ndarray) else values
-        node = graph.node("ShaderNodeTexImage")
-        node.image, node.interpolation, node.extension = image, "Linear", "EXTEND"
-        columns = image.size[0]
-        u = graph.math("MULTIPLY_ADD", mu.socket, (columns - 1.0) / columns, 0.5 / columns)
-        graph.feed(node.inputs["Vector"], graph.combine(u, v, 0.0))
-        return node.outputs["Color"]
+    def _lookup(self, values: NDArray[np.floating], mu: Value, v: Any) -> Value:
+        image = self._graph.once(
+            ("table", values.tobytes()), lambda: self._picture(np.asarray(values, np.float32))
+        )
+        columns = values.shape[1]
+        u = mu * ((columns - 1.0) / columns) + 0.5 / columns
+        return self._graph.picture(image, u, v, "EXTEND")

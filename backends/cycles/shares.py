@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from scenec.backends.cycles.geometry import Frame
-from scenec.backends.cycles.graph import Graph
+from scenec.backends.cycles.graph import NODES, Graph
 from scenec.backends.cycles.planetary import KnownLight
 from scenec.backends.picture.sky import MIN_SUN_DIAMETER_RAD
 from scenec.backends.stage.scene import Lamp, Sun
@@ -93,11 +93,10 @@ class Shares:
         graph = Graph(light.node_tree)
         # Blender's own, or ours where a lamp fades towards its border.
         emission = next(n for n in light.node_tree.nodes if n.bl_idname == "ShaderNodeEmission")
-        depth = graph.node("ShaderNodeLightPath").outputs["Ray Depth"]
+        depth = graph.number(graph.node("ShaderNodeLightPath").outputs["Ray Depth"])
         # 1 is the first hit.
-        later = graph.math("GREATER_THAN", depth, 1.5)
-        mask = graph.math("MAXIMUM", later, self.light.output(graph, "Alone"))
+        mask = NODES.maximum(NODES.select(depth - 1.5, 1.0, 0.0), self.light.output(graph, "Alone"))
         strength = emission.inputs["Strength"]
         if strength.is_linked:
-            mask = graph.math("MULTIPLY", mask, strength.links[0].from_socket)
+            mask = mask * graph.number(strength.links[0].from_socket)
         graph.feed(strength, mask)

@@ -10,10 +10,9 @@ from numpy.typing import NDArray
 
 from scenec.backends.camera.lens import RayTable, ray_table
 from scenec.backends.contract import BOUNCES, NO_ROW, LoadCost, Radiance, Rays, Visibility
-from scenec.backends.mitsuba import emitter, geometry, glow, lamps, variant
+from scenec.backends.mitsuba import geometry, variant
 from scenec.backends.mitsuba.corners import split_corners
 from scenec.backends.mitsuba.kept import KeptScene
-from scenec.backends.mitsuba.stack import make_look
 from scenec.backends.picture import denoise as oidn
 from scenec.backends.stage.posing import posable, pose
 from scenec.backends.stage.scene import Camera, Lighting, RenderScene
@@ -122,14 +121,15 @@ class Mitsuba:
 
     def _emitters(self, scene: RenderScene) -> dict[str, Any]:
         """One that has all light; without any, one that is black."""
+        # Classes of Mitsuba's, which exist once its variant is set.
+        from scenec.backends.mitsuba import emitter, lamps
+
         mi = self._mi
         self._light = self._lamps = None
         with_lamps = any(lighting.lamps for lighting in scene.lighting)
         if not with_lamps or any(lighting.suns or lighting.domes for lighting in scene.lighting):
-            emitter.register(mi)
             self._light = mi.load_dict({"type": emitter.PLUGIN})
         if with_lamps:
-            lamps.register(mi)
             self._lamps = mi.load_dict({"type": lamps.PLUGIN})
             self._lamps.around = self._light
         self._set_light(Lighting((), ()))
@@ -331,6 +331,9 @@ class Mitsuba:
         return x, y, z
 
     def _mesh(self, scene: RenderScene, group: geometry.Group, index: int) -> Any:
+        from scenec.backends.mitsuba import glow
+        from scenec.backends.mitsuba.stack import make_look
+
         mi = self._mi
         vertices, faces = int(group.first_vertex[-1]), int(group.first_face[-1])
         if max(3 * vertices, 3 * faces) >= 1 << 32:
@@ -340,12 +343,12 @@ class Mitsuba:
             )
         flat = geometry.flatten(scene, group, self._center)
         surfaces = geometry.group_surfaces(scene, group)
-        look = make_look(mi, surfaces, flat, self._center)
+        look = make_look(surfaces, flat, self._center)
         props = mi.Properties()
         props["bsdf"] = look.bsdf
         if look.glow is not None:
             weight = glow.light_share(scene, surfaces, flat)
-            self._glows[index] = glow.make_emitter(mi, look.glow, weight)
+            self._glows[index] = glow.make_emitter(look.glow, weight)
             props["emitter"] = self._glows[index]
         mesh = mi.Mesh(
             f"mesh{index}",

@@ -20,7 +20,6 @@ from scenec.backends.exact.caster import ExactCaster
 from scenec.backends.exact.trace import Beams, Found, trace_all
 from scenec.backends.mitsuba.corners import vertex_uv
 from scenec.backends.mitsuba.geometry import Group, cofactors, group_surfaces, unplaced
-from scenec.backends.mitsuba.stack import make_look
 from scenec.backends.stage.scene import RenderScene
 from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
@@ -88,13 +87,15 @@ class KeptScene:
         center: NDArray[np.float64],
         bounces: int,
     ) -> None:
+        # A class of Mitsuba's, which exists once its variant is set.
+        from scenec.backends.mitsuba.stack import make_look
+
         self._mi, self._center, self._bounces = mi, center, bounces
         self._caster = ExactCaster(scene)
         self._lanes = Lanes()
         self._tables = _tables(scene)
         looks = [
             make_look(
-                mi,
                 group_surfaces(scene, group),
                 unplaced(scene, group, self._lanes),
                 center,

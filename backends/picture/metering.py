@@ -35,7 +35,10 @@ from scenec.backends.stage.scene import (
     Rows,
     Surface,
 )
-from scenec.backends.surface import cells, maps, reflectance
+from scenec.backends.surface import lamps, lobes, reflectance
+from scenec.backends.surface.algebra import FLOAT64
+from scenec.backends.surface.maps import map_mean
+from scenec.backends.surface.pictures import Points, has_maps, values_at
 
 #: Rec.709.
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
@@ -270,19 +273,22 @@ class _Paths:
                 weight = (corners * mesh.weights[layer - 1][vertices]).sum(axis=1)
                 share, left = left * weight, left * (1.0 - weight)
             at, normal = out.at[index], out.normal[index]
-            color = np.array(surface.base_color) * _map(surface, "base_color", at, normal, uv)
-            for variation in (own, self._rows.variation[row]):
-                color = color * (1.0 + surface.variation * variation)[:, None]
-            color = np.clip(color, 0.0, 1.0)
-            dull, part = (1.0 - surface.metallic) * (1.0 - surface.specular), share[:, None]
-            gloss = (1.0 - surface.metallic) * surface.specular + surface.metallic * color
+            varied = lobes.factor(surface.variation, (own, self._rows.variation[row]))
+            base = np.array(surface.base_color)[:, None]
+            picture = _map(surface, "base_color", at, normal, uv)
+            color = lobes.color(FLOAT64, base, varied, picture).T
+            (dull, white, tinted), part = (
+                lobes.weights(surface.specular, surface.metallic),
+                share[:, None],
+            )
+            gloss = white + tinted * color
             if surface.reflectance is None:
                 gloss = gloss + dull * color
             else:
                 out.laws.append((surface.reflectance, index, part * dull, color))
             out.diffuse[index] += part * gloss
             if surface.emits:
-                glow = np.array(surface.emission) * _map(surface, "emission", at, normal, uv)
+                glow = np.array(surface.emission) * _map(surface, "emission", at, normal, uv).T
                 out.emission[index] += part * glow
 
 
@@ -316,18 +322,14 @@ def _map(
     normal: NDArray[np.float64],
     uv: NDArray[np.float64] | None,
 ) -> NDArray[np.float64]:
-    """What a map multiplies a color with, float64 [k, 3] or a scalar's shape; 1 without one."""
-    described = surface.maps
-    if described is None or maps.map_file(described, kind) is None:
-        return np.ones(1)
-    if described.projection == "above":
-        return cells.value(described, kind, at[:, :2])
-    picture = maps.map_values(described, kind)
-    if described.projection == "triplanar":
-        return maps.triplanar(picture, described.size_m, at, normal)
-    if uv is None:
-        return picture.mean(axis=(0, 1), dtype=np.float64)
-    return maps.sample(picture, uv[:, 0], uv[:, 1])
+    """What a map multiplies a color with, float64 [3, k] or [3, 1]; 1 without one."""
+    maps = surface.maps
+    if maps is None or not has_maps(maps, kind):
+        return np.ones((3, 1))
+    if maps.projection == "uv" and uv is None:
+        return map_mean(maps, kind)[:, None]
+    points = Points(at.T, normal.T, uv=None if uv is None else uv.T)
+    return values_at(maps, (kind,), points)[kind]
 
 
 def _rays(points: _Points, ways: NDArray[np.float64]) -> Rays:
@@ -340,12 +342,9 @@ def _irradiance(lamp: Lamp, at: NDArray[np.float64]) -> NDArray[np.float64]:
     squared = (offset * offset).sum(axis=1)
     outside = squared > lamp.radius_m * lamp.radius_m
     squared = np.where(outside, squared, 1.0)
-    cosine = (offset * lamp.axis).sum(axis=1) / np.sqrt(squared)
-    angle = np.arccos(np.clip(cosine, -1.0, 1.0))
-    start = lamp.cone * (1.0 - lamp.softness)
-    x = np.clip((angle - start) / max(lamp.cone - start, 1e-12), 0.0, 1.0)
-    falloff = np.where(outside & (angle <= lamp.cone), 1.0 - x * x * (3.0 - 2.0 * x), 0.0)
-    return np.asarray((falloff / squared)[:, None] * lamp.intensity)
+    away = (offset / np.sqrt(squared)[:, None]).T
+    share = lamps.falloff(FLOAT64, away, lamp.axis[:, None], lamps.cone(lamp))
+    return np.asarray(np.where(outside, share / squared, 0.0)[:, None] * lamp.intensity)
 
 
 class _Dome:

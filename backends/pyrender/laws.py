@@ -38,12 +38,10 @@ def law_table(surfaces: Sequence[Surface]) -> NDArray[np.float32]:
 def law_features(scene: RenderScene) -> set[str]:
     """What the shading program has to know of the laws in use."""
     used = [scene.surfaces[i] for mesh in scene.meshes for i in mesh.layers]
-    laws = laws_of(used)
-    if not laws:
+    if not laws_of(used):
         return set()
     # Layers are shaded one by one: laws are not linear in the color.
-    features = {"WITH_REFLECTANCE", "WITH_MIXED"}
-    return features | ({"WITH_ROUGH_LAWS"} if any(numbers_of(law).slope for law in laws) else set())
+    return {"WITH_REFLECTANCE", "WITH_MIXED"}
 
 
 def even_albedo(surface: Surface) -> NDArray[np.float32]:

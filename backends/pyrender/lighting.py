@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,8 +12,6 @@ from scenec.backends.pyrender.geometry import View
 from scenec.backends.stage.scene import Lighting, RenderScene, Sun
 from scenec.schemas.kernels import kernel
 
-#: GGX in float32 loses its digits below this; roughness under 0.032 is drawn as 0.032.
-MIN_ALPHA = 1e-3
 #: Radians; suns wider than this, three times ours, throw visibly soft shadows.
 _WIDE_SUN = 0.03
 #: Shadow maps of a sun: the nearer what is seen, the finer.
@@ -87,41 +84,6 @@ def polynomials(n: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.stack(
         [np.ones_like(x), y, z, x, x * y, y * z, 3.0 * z * z - 1.0, x * z, x * x - y * y], axis=1
     )
-
-
-@lru_cache(maxsize=1)
-def gloss_albedo(size: int = 32) -> NDArray[np.float32]:
-    """Albedo of a white single-scatter GGX lobe, float32 [roughness, cosine], from 0 to 1 each.
-
-    The mean over normals visible from the viewer (Heitz 2018) of G2 / G1, which is what the lobe
-    over the density of those normals leaves; G2 is height-correlated.
-    """
-    node = np.maximum(np.arange(size) / (size - 1), 1e-3)
-    u, v = (a.ravel() for a in np.meshgrid(*2 * [(np.arange(24) + 0.5) / 24], indexing="ij"))
-    rough, cosine = (a[..., None] for a in np.meshgrid(node, node, indexing="ij"))
-    alpha = np.maximum(rough**2, 1e-3)
-    sine = np.sqrt(1.0 - cosine**2)
-    # The viewer's direction over the stretched hemisphere, and a frame about it.
-    length = np.sqrt((alpha * sine) ** 2 + cosine**2)
-    sx, sz = alpha * sine / length, cosine / length
-    r, phi = np.sqrt(u), 2.0 * np.pi * v
-    t1 = r * np.cos(phi)
-    t2 = (1.0 - 0.5 * (1.0 + sz)) * np.sqrt(1.0 - t1**2) + 0.5 * (1.0 + sz) * r * np.sin(phi)
-    t3 = np.sqrt(np.maximum(0.0, 1.0 - t1**2 - t2**2))
-    # Frame: (sx, 0, sz), T1 = y, T2 = s x T1 = (-sz, 0, sx).
-    hx, hy, hz = alpha * (-sz * t2 + sx * t3), alpha * t1, np.maximum(0.0, sx * t2 + sz * t3)
-    scale = 1.0 / np.sqrt(hx**2 + hy**2 + hz**2)
-    hx, hz = hx * scale, hz * scale
-    lz = 2.0 * (sine * hx + cosine * hz) * hz - cosine
-    up = np.clip(lz, 1e-6, 1.0)
-
-    def hidden(c: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Smith's Lambda of a cosine."""
-        result: NDArray[np.float64] = 0.5 * np.sqrt(1.0 + alpha**2 * (1.0 - c**2) / c**2) - 0.5
-        return result
-
-    left = (1.0 + hidden(cosine)) / (1.0 + hidden(cosine) + hidden(up))
-    return np.where(lz > 0.0, left, 0.0).mean(axis=-1).astype(np.float32)
 
 
 def losses(scene: RenderScene) -> tuple[str, ...]:

@@ -25,20 +25,21 @@ from scenec.backends.pyrender.geometry import Geometry, Selection, View
 from scenec.backends.pyrender.laws import LAW_ROWS
 from scenec.backends.pyrender.lighting import (
     CASCADES,
-    MIN_ALPHA,
     ShadowMap,
     SmoothSky,
-    gloss_albedo,
 )
+from scenec.backends.pyrender.surface_model import MARK, surface_functions
 from scenec.backends.pyrender.tables import Tables
 from scenec.backends.stage.scene import Lamp, RenderScene, Sun
+from scenec.backends.surface import lamps
+from scenec.backends.surface.lobes import MIN_ALPHA
 from scenec.schemas.errors import BackendError
 
 SHADERS = Path(__file__).parent / "shaders"
 #: Texture units, by the numbers that the programs name them with.
 UNITS = (
     "ids", "poses", "faces", "vertices", "normals", "weights", "meshes", "layers", "surfaces",
-    "gloss_albedo", "maps", "shadows", "ground_sky", "ground_light", "uvs", "laws",
+    "laws", "maps", "shadows", "ground_sky", "ground_light", "uvs",
 )  # fmt: skip
 #: Share of a shadow map's texel that a surface may lie farther from the sun than itself.
 _BIAS = 0.25
@@ -188,7 +189,6 @@ class Renderer(pyrender.Renderer):
         ):  # fmt: skip
             self._tables[name] = resources.Table()
             self._tables[name].fill(getattr(tables, name))
-        self._pictures["gloss_albedo"] = resources.lookup_texture(gloss_albedo())
         self._pictures["maps"] = resources.map_texture(tables.maps)
         self._defines = {"CASCADES": CASCADES} | dict.fromkeys(tables.features, 1)
         if "WITH_REFLECTANCE" in tables.features:
@@ -239,7 +239,11 @@ class Renderer(pyrender.Renderer):
         )
         # Made before the target is bound: making it binds it.
         shadow_maps = self._shadows().depth
-        defines = self._defines | ({"WITH_LAMPS": 1} if isinstance(sun, Lamp) else {})
+        defines: dict[str, Any] = self._defines | (
+            {"WITH_LAMPS": 1} if isinstance(sun, Lamp) else {}
+        )
+        # pyrender puts what is defined in place of its name.
+        defines[MARK] = surface_functions(frozenset(defines))
         program = self._program("full.vert", "shade.frag", defines)
         self._set_state()
         target.bind()
@@ -248,7 +252,6 @@ class Renderer(pyrender.Renderer):
         for unit, table in self._tables.items():
             _bind(unit, GL.GL_TEXTURE_BUFFER, table.texture)
         _bind("ids", GL.GL_TEXTURE_2D, ids.color)
-        _bind("gloss_albedo", GL.GL_TEXTURE_2D, self._pictures["gloss_albedo"])
         _bind("maps", GL.GL_TEXTURE_2D_ARRAY, self._pictures["maps"])
         _bind("shadows", GL.GL_TEXTURE_2D_ARRAY, shadow_maps)
         if "laws" in self._pictures:
@@ -283,7 +286,7 @@ class Renderer(pyrender.Renderer):
         target.read(GL.GL_RGBA, GL.GL_FLOAT, out)
         return out
 
-    def _program(self, vertex: str, fragment: str, defines: dict[str, int]) -> Any:
+    def _program(self, vertex: str, fragment: str, defines: dict[str, Any]) -> Any:
         program = self._program_cache.get_program(vertex, fragment, defines=defines)
         if not program._in_context():
             program._add_to_context()
@@ -321,14 +324,10 @@ class Renderer(pyrender.Renderer):
 
 
 def _set_lamp(program: Any, lamp: Lamp, origin: NDArray[np.float64]) -> None:
-    inner = lamp.cone * (1.0 - lamp.softness)
-    # No angle is beyond 4: a lamp that shines everywhere has no border.
-    outer = lamp.cone if lamp.cone < np.pi else 4.0
-    ramp = max(lamp.cone * lamp.softness, 1e-6)
     program.set_uniform("lamp_position", np.asarray(lamp.position - origin, np.float64))
     program.set_uniform("lamp_axis", np.asarray(lamp.axis, np.float64))
     program.set_uniform("lamp", np.asarray(lamp.intensity, np.float64))
-    program.set_uniform("lamp_cone", np.array([inner, outer, 1.0 / ramp, lamp.radius_m]))
+    program.set_uniform("lamp_cone", np.array([*lamps.cone(lamp), lamp.radius_m]))
     program.set_uniform("least_alpha", MIN_ALPHA)
 
 

@@ -13,16 +13,18 @@ from numpy.typing import NDArray
 
 from scenec.backends.stage.scene import Maps, RenderScene, Surface
 from scenec.backends.surface import cells
-from scenec.backends.surface.heights import FLAT
-from scenec.backends.surface.maps import map_values
+from scenec.backends.surface.maps import map_mean, map_values
+from scenec.backends.surface.merges import FLAT
+from scenec.backends.surface.pictures import far_factors, has_maps
+from scenec.schemas.cells import SIDE
 
 #: Texels of a block: (1 / side of the lattice or 0, that side in repeats of the picture, first
-#: texel of its table, layer of emission and height after the first or 0), (1 / factor or 0, share,
-#: 0, 0), means of base color and roughness, of emission and height, (mean metallic, 0, 0, 0),
-#: (emission, 0), (where the origin lies in the lattice, and in the larger one), (where it lies in
-#: the larger picture, 0, 0).
-BLOCK = 8
-_EMISSION, _PLACES = 5, 6
+#: texel of its table, layer of emission and height after the first or 0), (gain of the far scale,
+#: 1 / factor or 0), (its rest, 0), means of base color and roughness, of emission and height, (mean
+#: metallic, 0, 0, 0), (emission, 0), (where the origin lies in the lattice, and in the larger one),
+#: (where it lies in the larger picture, 0, 0).
+BLOCK = 9
+_FAR, _MEANS, _EMISSION, _PLACES = 1, 3, 6, 7
 #: Half floats hold no more.
 _BRIGHTEST = 6e4
 
@@ -39,22 +41,23 @@ def tile_features(scene: RenderScene) -> set[str]:
     """What the shading program has to know of surfaces in use."""
     used = [scene.surfaces[i] for mesh in scene.meshes for i in mesh.layers]
     maps = [surface.maps for surface in used if surface.maps is not None]
+    heights = any(any(mesh.height_blends) for mesh in scene.meshes)
     found = {
-        "WITH_TILES": any(described.cells or described.far for described in maps),
+        "WITH_BLOCKS": any(has_block(surface) for surface in used) or heights,
         "WITH_CELLS": any(described.cells for described in maps),
         "WITH_FAR": any(described.far for described in maps),
         "WITH_EMISSION": any(surface.emits for surface in used),
         "WITH_THIRD": any(has_third(surface) for surface in used),
-        "WITH_HEIGHTS": any(any(mesh.height_blends) for mesh in scene.meshes),
+        "WITH_HEIGHTS": heights,
     }
     return {name for name, there in found.items() if there}
 
 
 def has_third(surface: Surface) -> bool:
     """Whether a surface has a map of emission that shows, or one of height."""
-    if surface.emits and cells.has_maps(surface.maps, "emission"):
+    if surface.emits and has_maps(surface.maps, "emission"):
         return True
-    return cells.has_maps(surface.maps, "height")
+    return has_maps(surface.maps, "height")
 
 
 def third_picture(surface: Surface, maps: Maps) -> tuple[NDArray, NDArray] | None:
@@ -85,30 +88,33 @@ def add_blocks(surfaces: Sequence[Surface], rows: NDArray[np.float32]) -> NDArra
     for number, (index, block) in enumerate(zip(with_block, blocks, strict=True)):
         surface = surfaces[index]
         rows[4 * index + 2, 3] = len(rows) + BLOCK * number
-        block[2], block[3] = (1.0, 1.0, 1.0, surface.roughness), (1.0, 1.0, 1.0, FLAT)
-        block[4, 0] = surface.metallic
+        means = block[_MEANS : _MEANS + 3]
+        means[:2] = (1.0, 1.0, 1.0, surface.roughness), (1.0, 1.0, 1.0, FLAT)
+        means[2, 0] = surface.metallic
         block[_EMISSION, :3] = surface.emission
         maps = surface.maps
         if maps is None:
             continue
         if maps.cells is not None:
-            at = first_table + cells.SIDE**2 * seeds.index(maps.cells.seed)
+            at = first_table + SIDE**2 * seeds.index(maps.cells.seed)
             repeats = maps.cells.size_m / maps.size_m
             block[0] = (1.0 / maps.cells.size_m, repeats, at, 0.0)
         if third_picture(surface, maps) is not None:
             block[0, 3] = 2.0
-        if maps.far is not None:
-            block[1, :2] = (1.0 / maps.far[0], maps.far[1])
+        if maps.far is not None and has_maps(maps, "base_color"):
+            gain, rest = far_factors(map_mean(maps, "base_color"), maps.far[1])
+            block[_FAR] = (*gain, 1.0 / maps.far[0])
+            block[_FAR + 1, :3] = rest
         for row, part, kind in (
-            (2, slice(0, 3), "base_color"),
-            (2, slice(3, 4), "roughness"),
-            (3, slice(0, 3), "emission"),
-            (3, slice(3, 4), "height"),
-            (4, slice(0, 1), "metallic"),
+            (0, slice(0, 3), "base_color"),
+            (0, slice(3, 4), "roughness"),
+            (1, slice(0, 3), "emission"),
+            (1, slice(3, 4), "height"),
+            (2, slice(0, 1), "metallic"),
         ):
-            if cells.has_maps(maps, kind):
-                block[row, part] = cells.map_mean(maps, kind)
-    return np.concatenate([rows, blocks.reshape(-1, 4), *map(_corner_table, seeds)])
+            if has_maps(maps, kind):
+                means[row, part] = map_mean(maps, kind)
+    return np.concatenate([rows, blocks.reshape(-1, 4), *map(_corner_rows, seeds)])
 
 
 def place_blocks(
@@ -124,7 +130,7 @@ def place_blocks(
         factor = maps.far[0] if maps.far is not None else 1.0
         if maps.cells is not None:
             scales = maps.cells.size_m * np.array([1.0, 1.0, factor, factor])
-            rows[first] = np.mod(np.tile(lattice, 2) / scales, cells.SIDE)
+            rows[first] = np.mod(np.tile(lattice, 2) / scales, SIDE)
         rows[first + 1, :2] = np.mod(origin[:2] / (maps.size_m * factor), 1.0)
 
 
@@ -139,8 +145,5 @@ def without_glow(surfaces: Sequence[Surface], rows: NDArray[np.float32]) -> NDAr
     return rows
 
 
-def _corner_table(seed: int) -> NDArray[np.float32]:
-    """Shift, cosine and sine of the turn, of each corner, float32 [SIDE**2, 4]."""
-    entry = cells.table(seed).reshape(-1, 3)
-    turn = 2.0 * np.pi * entry[:, 2]
-    return np.stack([entry[:, 0], entry[:, 1], np.cos(turn), np.sin(turn)], 1).astype(np.float32)
+def _corner_rows(seed: int) -> NDArray[np.float32]:
+    return cells.corner_table(seed).reshape(-1, 4).astype(np.float32)

@@ -60,7 +60,7 @@ class Maps:
 
     - "above": along the world's z, u = x / size_m, v = y / size_m.
     - "triplanar": along the world's x, y and z, (u, v) = (y, z), (x, z) and (x, y) / size_m, mixed
-      by the shading normal (``maps.triplanar_weights``).
+      by the shading normal (``projections.plane_shares``).
     - "uv": the mesh's texture coordinates, ``Mesh.uv``.
 
     Attributes:
@@ -122,9 +122,7 @@ class Reflectance:
 class Surface:
     """One material of the shared surface model.
 
-    f = (1-m) * ((1-s) * Lambert(c) + s * GGX(white)) + m * GGX(c), each GGX a single-scatter
-    microfacet reflection with alpha = roughness**2 and height-correlated Smith masking (Heitz
-    2014), without Fresnel, scaled by its color.
+    f = (1-m) * ((1-s) * Lambert(c) + s * GGX(white)) + m * GGX(c); ``surface.lobes`` defines them.
 
     Attributes:
         path: Prim path of the Material, or "" for the default one.

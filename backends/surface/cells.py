@@ -1,7 +1,4 @@
-"""Pictures laid in cells, so that they do not repeat, and colors of two scales: the definition.
-
-This is the reference that renderers are held against: each does the same arithmetic in its own
-language. Both are for maps projected from above.
+"""Pictures laid in cells, so that they do not repeat; for maps projected from above.
 
 Cells stand on the corners of a triangular lattice of side ``Cells.size_m`` over the world's x and
 y, one at the origin, one on the x axis (after Heitz and Neyret 2018, High-Performance By-Example
@@ -24,155 +21,120 @@ the surface mix likewise about a mean of zero, the part across by the shares alo
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.backends.stage.scene import Cells, Maps, Reading
-from scenec.backends.surface.maps import map_file, map_source, map_values, sample
-from scenec.schemas.cells import SIDE, table
+from scenec.backends.surface.algebra import Algebra, Number, Vector
+from scenec.schemas.cells import table
 
 #: From x, y to the lattice's own coordinates in which corners are whole numbers; and back.
 TO_LATTICE = ((1.0, -1.0 / math.sqrt(3.0)), (0.0, 2.0 / math.sqrt(3.0)))
 TO_WORLD = ((1.0, 0.5), (0.0, 0.5 * math.sqrt(3.0)))
 
 
-def corners(cells: Cells, xy: NDArray) -> tuple[NDArray, NDArray, NDArray]:
-    """The three cells at points [..., 2].
+class Lattice(NamedTuple):
+    """Where cells are.
 
-    Returns:
-        Corners in the lattice's coordinates, int64 [..., 3, 2]; shares [..., 3]; and what the
-        points are from the corners, meters [..., 3, 2].
+    Attributes:
+        step: Sides of the lattice in one unit of the renderer's coordinates.
+        start: Where the origin of these lies in the lattice, two numbers in [0, SIDE).
+        repeats: Of the picture along a side.
+        seed: Of the table.
     """
-    at = np.asarray(xy, np.float64) / cells.size_m
-    place = np.stack([at @ np.array(row) for row in TO_LATTICE], axis=-1)
-    low = np.floor(place)
-    x, y = np.moveaxis(place - low, -1, 0)
-    upper = np.where(x + y >= 1.0, 1.0, 0.0)
-    one, zero = np.ones_like(x), np.zeros_like(x)
-    # Two corners are those of both triangles of a rhombus.
-    steps = np.stack(
-        [
-            np.stack([upper, upper], axis=-1),
-            np.stack([one, zero], axis=-1),
-            np.stack([zero, one], axis=-1),
-        ],
-        axis=-2,
-    )
-    near = np.stack(
-        [
-            np.abs(1.0 - x - y),
-            np.where(upper > 0.0, 1.0 - y, x),
-            np.where(upper > 0.0, 1.0 - x, y),
-        ],
-        axis=-1,
-    )
+
+    step: Number
+    start: tuple[Number, Number]
+    repeats: Number
+    seed: int
+
+
+class Corner(NamedTuple):
+    """One of the three cells at a point.
+
+    Attributes:
+        u, v: Where the picture is looked up.
+        share, gain: Of what is mixed by the shares alone, and so that variance stays.
+        cosine, sine: Of its turn.
+    """
+
+    u: Number
+    v: Number
+    share: Number
+    gain: Number
+    cosine: Number
+    sine: Number
+
+
+#: Shift along u and v, cosine and sine of the turn, of a corner in the lattice's coordinates.
+type Entry = Callable[[Number, Number], tuple[Number, Number, Number, Number]]
+
+
+def corners(fn: Algebra, lattice: Lattice, x: Number, y: Number, entry: Entry) -> list[Corner]:
+    """The three cells at a point of the renderer's coordinates."""
+    (_, skew), (_, rise) = TO_LATTICE
+    (_, lean), (_, high) = TO_WORLD
+    s = (x + skew * y) * lattice.step + lattice.start[0]
+    t = rise * y * lattice.step + lattice.start[1]
+    column, row = fn.floor(s), fn.floor(t)
+    x, y = s - column, t - row
+    rest = 1.0 - x - y
+    upper = fn.select(rest, 0.0, 1.0)
+    both = upper * rest
+    near = fn.vector(rest, x + both, y + both)
     squares = near * near
     fourth = squares * squares
-    shares = fourth / fourth.sum(axis=-1, keepdims=True)
-    away = np.stack([x, y], axis=-1)[..., None, :] - steps
-    offsets = np.stack([away @ np.array(row) for row in TO_WORLD], axis=-1) * cells.size_m
-    return (low[..., None, :] + steps).astype(np.int64), shares, offsets
-
-
-def mixed(
-    values: NDArray, shares: NDArray, mean: NDArray | float, upper: float | None
-) -> NDArray[np.float64]:
-    """Values of the three cells [..., 3, c] at their shares [..., 3]; see the module."""
-    spread = np.sqrt((shares * shares).sum(axis=-1))[..., None]
-    total = (shares[..., None] * (values - mean)).sum(axis=-2)
-    found: NDArray[np.float64] = np.clip(mean + total / spread, 0.0, upper)
+    powers = fn.parts(fourth)
+    total = 1.0 / (powers[0] + powers[1] + powers[2])
+    spread = 1.0 / fn.length(fourth)
+    found = []
+    for power, i, j in zip(powers, (upper, 1.0, 0.0), (upper, 0.0, 1.0), strict=True):
+        dx, dy = x - i, (y - j) * lattice.repeats
+        dx, dy = dx * lattice.repeats + lean * dy, high * dy
+        shift_u, shift_v, cosine, sine = entry(column + i, row + j)
+        u = cosine * dx - sine * dy + shift_u
+        v = sine * dx + cosine * dy + shift_v
+        found.append(Corner(u, v, power * total, power * spread, cosine, sine))
     return found
 
 
-def most(kind: str) -> float | None:
-    """The largest value of a kind of map; None: there is none."""
-    return None if kind == "emission" else 1.0
-
-
-def map_mean(described: Maps, kind: str) -> NDArray[np.float64]:
-    """Mean of a map over its picture, [1 or 3]."""
-    return _mean(*map_source(described, kind), described)
-
-
-@lru_cache(maxsize=64)
-def _mean(
-    path: object, kind: str, flip_green: bool, reading: Reading, described: Maps
-) -> NDArray[np.float64]:
-    mean: NDArray[np.float64] = map_values(described, kind).mean(axis=(0, 1), dtype=np.float64)
-    mean.setflags(write=False)
-    return mean
-
-
-def value(described: Maps, kind: str, xy: NDArray) -> NDArray[np.float64]:
-    """A map of numbers or colors projected from above, with its cells and far scale, [..., c].
+def mixed(
+    fn: Algebra, cells: Sequence[Corner], values: Sequence[Number], mean: Number, most: float | None
+) -> Number:
+    """Numbers or vectors of the three cells; see the module.
 
     Args:
-        described: With the projection "above".
-        kind: Any but "normal".
-        xy: World, [..., 2].
+        fn: The algebra.
+        cells: From ``corners``.
+        values: Of each cell.
+        mean: Of the picture.
+        most: The largest value there is, or None.
     """
-    found = _scaled(described, kind, xy, 1.0)
-    if described.far is None or kind != "base_color":
-        return found
-    factor, share = described.far
-    mean = map_mean(described, kind)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        relative = np.where(mean > 0.0, _scaled(described, kind, xy, factor) / mean, 1.0)
-    return np.asarray(found * (1.0 + share * (relative - 1.0)), np.float64)
+    total = mean * (1.0 - (cells[0].gain + cells[1].gain + cells[2].gain))
+    for cell, value in zip(cells, values, strict=True):
+        total = total + value * cell.gain
+    return fn.maximum(total, 0.0) if most is None else fn.clip(total, 0.0, most)
 
 
-def _scaled(described: Maps, kind: str, xy: NDArray, factor: float) -> NDArray[np.float64]:
-    """The picture, and its cells, ``factor`` times as large."""
-    picture = map_values(described, kind)
-    size = described.size_m * factor
-    if described.cells is None:
-        at = np.asarray(xy, np.float64) / size
-        return sample(picture, at[..., 0], at[..., 1])
-    cells = Cells(described.cells.size_m * factor, described.cells.seed)
-    values, shares, _ = _cells(picture, cells, size, xy)
-    return mixed(values, shares, map_mean(described, kind), most(kind))
+def turned_back(fn: Algebra, cells: Sequence[Corner], normals: Sequence[Vector]) -> Vector:
+    """The mixture of mapped normals of the three cells, a unit vector along the world's axes."""
+    x = y = z = 0.0
+    for cell, normal in zip(cells, normals, strict=True):
+        u, v, w = fn.parts(normal)
+        x = x + cell.gain * (cell.cosine * u + cell.sine * v)
+        y = y + cell.gain * (cell.cosine * v - cell.sine * u)
+        z = z + cell.share * w
+    return fn.unit(fn.vector(x, y, z))
 
 
-def _cells(
-    picture: NDArray[np.floating], cells: Cells, size: float, xy: NDArray
-) -> tuple[NDArray, NDArray, NDArray]:
-    """Values of the three cells [..., 3, c], their shares [..., 3], and turns in radians."""
-    corner, shares, offsets = corners(cells, xy)
-    entry = table(cells.seed)[corner[..., 1] % SIDE, corner[..., 0] % SIDE]
+@lru_cache(maxsize=8)
+def corner_table(seed: int) -> NDArray[np.float64]:
+    """``Entry`` of each corner, [SIDE, SIDE, 4], by [j, i] modulo SIDE."""
+    entry = table(seed)
     turn = 2.0 * np.pi * entry[..., 2]
-    cosine, sine = np.cos(turn), np.sin(turn)
-    x, y = offsets[..., 0] / size, offsets[..., 1] / size
-    u = cosine * x - sine * y + entry[..., 0]
-    v = sine * x + cosine * y + entry[..., 1]
-    return sample(picture, u, v), shares, turn
-
-
-def normal(described: Maps, xy: NDArray) -> NDArray[np.float64]:
-    """What a map of normals projected from above holds, unit vectors [..., 3]: x along u = x."""
-    picture = map_values(described, "normal")
-    if described.cells is None:
-        at = np.asarray(xy, np.float64) / described.size_m
-        return sample(picture, at[..., 0], at[..., 1])
-    values, shares, turn = _cells(picture, described.cells, described.size_m, xy)
-    cosine, sine = np.cos(turn), np.sin(turn)
-    x = cosine * values[..., 0] + sine * values[..., 1]
-    y = cosine * values[..., 1] - sine * values[..., 0]
-    spread = np.sqrt((shares * shares).sum(axis=-1))
-    found = np.stack(
-        [
-            (shares * x).sum(axis=-1) / spread,
-            (shares * y).sum(axis=-1) / spread,
-            (shares * values[..., 2]).sum(axis=-1),
-        ],
-        axis=-1,
-    )
-    length = np.sqrt((found * found).sum(axis=-1, keepdims=True))
-    turned: NDArray[np.float64] = found / np.where(length > 0.0, length, 1.0)
-    return turned
-
-
-def has_maps(described: Maps | None, kind: str) -> bool:
-    """Whether there are maps, and one of this kind."""
-    return described is not None and map_file(described, kind) is not None
+    found = np.stack([entry[..., 0], entry[..., 1], np.cos(turn), np.sin(turn)], axis=-1)
+    found.setflags(write=False)
+    return found

@@ -1,13 +1,4 @@
-"""Surface maps for renderers: one loader and one definition, so that all see the same values.
-
-The functions on positions and normals are the reference that renderers are held against: each does
-the same arithmetic in its own language.
-
-Triplanar normals: Golus 2017, Normal Mapping for a Triplanar Shader, the whiteout blend, summed
-over the three planes by the weights of the colors. On a plane its tangent part is added to the
-shading normal's, its z scales the rest; a flat map leaves the shading normal as it is, and bumps
-stay bumps on both sides of the planes, on whose far side the picture is seen mirrored.
-"""
+"""Surface maps for renderers: one loader, so that all see the same values."""
 
 from __future__ import annotations
 
@@ -21,8 +12,6 @@ from scenec.backends.stage.scene import Maps, Mesh, Reading
 from scenec.schemas import maps
 from scenec.schemas.errors import StageError
 
-#: World axes that are u and v on the planes across x, y and z.
-PLANES = ((1, 2), (0, 2), (0, 1))
 _PLAIN = Reading()
 
 
@@ -52,6 +41,14 @@ def map_values(described: Maps, kind: str) -> NDArray[np.float32]:
         StageError: There is no such file, or it is no picture of the kinds that are taken.
     """
     return load_map(*map_source(described, kind))
+
+
+@lru_cache(maxsize=64)
+def map_mean(described: Maps, kind: str) -> NDArray[np.float64]:
+    """Mean of a map over its picture, [1 or 3]."""
+    mean: NDArray[np.float64] = map_values(described, kind).mean(axis=(0, 1), dtype=np.float64)
+    mean.setflags(write=False)
+    return mean
 
 
 def map_key(described: Maps, kind: str) -> tuple[object, ...]:
@@ -131,86 +128,6 @@ def sample(picture: NDArray[np.floating], u: NDArray, v: NDArray) -> NDArray[np.
     bottom = (1.0 - across) * texel(1, 0) + across * texel(1, 1)
     values: NDArray[np.float64] = (1.0 - down) * top + down * bottom
     return values
-
-
-def triplanar_weights(normals: NDArray) -> NDArray[np.float64]:
-    """Share of the planes across x, y and z where the unit shading normals are [..., 3].
-
-    n**4 of each component, over their sum: equal on a vector and its opposite, and smooth.
-    """
-    squares = np.square(np.asarray(normals, np.float64))
-    fourth = squares * squares
-    shares: NDArray[np.float64] = fourth / fourth.sum(axis=-1, keepdims=True)
-    return shares
-
-
-def triplanar(
-    picture: NDArray[np.floating], size_m: float, positions: NDArray, normals: NDArray
-) -> NDArray[np.float64]:
-    """A picture of numbers or colors [h, w, c] on a surface, [..., c].
-
-    Args:
-        picture: From ``map_values``.
-        size_m: Side of one repeat.
-        positions: World, [..., 3].
-        normals: Unit shading normals, [..., 3].
-    """
-    shares = triplanar_weights(normals)
-    at = np.asarray(positions, np.float64) / size_m
-    total = np.zeros((*at.shape[:-1], picture.shape[2]))
-    for axis, (u, v) in enumerate(PLANES):
-        total += shares[..., axis, None] * sample(picture, at[..., u], at[..., v])
-    return total
-
-
-def triplanar_normal(
-    picture: NDArray[np.floating], size_m: float, positions: NDArray, normals: NDArray
-) -> NDArray[np.float64]:
-    """The leaned normals of a map of normals; arguments as of ``triplanar``.
-
-    Unit vectors [..., 3] on the side of ``normals``, which is where those point outward.
-    """
-    shares = triplanar_weights(normals)
-    n = np.asarray(normals, np.float64)
-    at = np.asarray(positions, np.float64) / size_m
-    total = np.zeros(n.shape)
-    for axis, (u, v) in enumerate(PLANES):
-        mapped = sample(picture, at[..., u], at[..., v])
-        part = n.copy()
-        part[..., u] += mapped[..., 0]
-        part[..., v] += mapped[..., 1]
-        part[..., axis] *= mapped[..., 2]
-        total += shares[..., axis, None] * part
-    leaned: NDArray[np.float64] = total / np.sqrt((total * total).sum(axis=-1, keepdims=True))
-    return leaned
-
-
-def uv_normal(
-    mapped: NDArray[np.floating], normals: NDArray, along_u: NDArray, along_v: NDArray
-) -> NDArray[np.float64]:
-    """Normals of a map in the frame of texture coordinates, unit vectors [..., 3].
-
-    The tangent is dP/du of the triangle, less its part along the shading normal; the bitangent is
-    across both, on the side of dP/dv. Unlike MikkTSpace's, they are not averaged over a vertex's
-    triangles: the two agree where coordinates are smooth in space. Where a triangle has no area in
-    the picture, normals stay as they are.
-
-    Args:
-        mapped: Values of the map, [..., 3].
-        normals: Unit shading normals, [..., 3].
-        along_u, along_v: Of ``face_tangents``, in the world, [..., 3].
-    """
-    n = np.asarray(normals, np.float64)
-    lift = (n * along_u).sum(axis=-1, keepdims=True)
-    tangent = along_u - lift * n
-    length = np.sqrt((tangent * tangent).sum(axis=-1, keepdims=True))
-    tangent = tangent / np.where(length > 0.0, length, 1.0)
-    across = np.cross(n, tangent)
-    side = np.sign((across * along_v).sum(axis=-1, keepdims=True))
-    leaned = mapped[..., :1] * tangent + mapped[..., 1:2] * side * across + mapped[..., 2:3] * n
-    size = np.sqrt((leaned * leaned).sum(axis=-1, keepdims=True))
-    found: NDArray[np.float64] = np.where((length > 0.0) & (size > 0.0), leaned / size, n)
-    return found
 
 
 def face_tangents(mesh: Mesh) -> tuple[NDArray[np.float32], NDArray[np.float32]]:

@@ -24,8 +24,7 @@ Equations after Hapke, Theory of Reflectance and Emittance Spectroscopy, 2nd ed.
   branches are each other's mirror image then, and f(i, e) = f(e, i) holds to the last bit. The
   published S holds for all slopes together, so a picture that resolves them should have less.
 
-The law is written once, for whatever can add and multiply: numpy here, Dr.Jit in Mitsuba, shader
-nodes in Cycles. It does not conserve energy: P and B act on single scattering alone, on top of the
+The law does not conserve energy: P and B act on single scattering alone, on top of the
 rest. With measured numbers (b to 0.5, B0 to 2, h to 0.1) smooth ground of r0 = 0.5 reflects 0.86 of
 its light at most, of r0 = 0.8 up to 1.10, of 1 up to 1.34; at the ends of the cfg's ranges (b 0.9,
 c 1, B0 3, h 0.5) it is 0.98 at r0 = 0.2 already. Lunar ground stays below 0.06 for r0 = 0.06.
@@ -36,12 +35,13 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scenec.backends.stage.scene import Reflectance
+from scenec.backends.surface.algebra import FLOAT64, Algebra
 
 #: Cosines and sines below this are taken as this; f times the cosine goes to 0 there anyhow.
 MIN_COSINE = 1e-4
@@ -49,17 +49,6 @@ MIN_COSINE = 1e-4
 LEAST_ROUGHNESS = 1e-4
 #: Nodes of the table of albedos, over r0 and the cosine.
 ALBEDO_NODES = (17, 33)
-
-
-class Functions(Protocol):
-    """What a kind of number needs beside + - * /."""
-
-    def sqrt(self, x: Any) -> Any: ...  # noqa: D102
-    def exp(self, x: Any) -> Any: ...  # noqa: D102
-    def log(self, x: Any) -> Any: ...  # noqa: D102
-    def arccos(self, x: Any) -> Any: ...  # noqa: D102
-    def maximum(self, x: Any, y: Any) -> Any: ...  # noqa: D102
-    def minimum(self, x: Any, y: Any) -> Any: ...  # noqa: D102
 
 
 @dataclass(frozen=True)
@@ -96,24 +85,19 @@ class Terms:
     far: tuple[Any, Any] | None
 
 
-def numbers_of(law: Reflectance) -> Numbers:
-    """A law's numbers as floats."""
+def numbers_of(law: Reflectance, fn: Algebra = FLOAT64) -> Numbers:
+    """A law's numbers, as floats or those of an algebra."""
     rough = law.model == "hapke" and law.roughness >= LEAST_ROUGHNESS
-    return Numbers(
-        law.model == "hapke",
-        law.b,
-        law.c,
-        law.opposition,
-        law.opposition_width,
-        math.tan(law.roughness) if rough else None,
-    )
+    slope = fn.number(math.tan(law.roughness)) if rough else None
+    b, c, opposition, width = map(fn.number, (law.b, law.c, law.opposition, law.opposition_width))
+    return Numbers(law.model == "hapke", b, c, opposition, width, slope)
 
 
-def terms(fn: Functions, law: Numbers, mu0: Any, mu: Any, tan_half_phase: Any) -> Terms:
+def terms(fn: Algebra, law: Numbers, mu0: Any, mu: Any, tan_half_phase: Any) -> Terms:
     """The directions' part of a law.
 
     Args:
-        fn: Functions of the kind of number.
+        fn: Algebra of the kind of number.
         law: The law.
         mu0, mu: Cosines to light and viewer, above 0 where it matters.
         tan_half_phase: tan(g / 2): abs(l - v) / abs(l + v) of unit vectors.
@@ -146,7 +130,7 @@ def value(law: Terms, r0: Any) -> Any:
     return w * total * law.scale
 
 
-def _phase(fn: Functions, law: Numbers, cos_g: Any) -> Any:
+def _phase(fn: Algebra, law: Numbers, cos_g: Any) -> Any:
     square = law.b * law.b
     twice = 2.0 * law.b * cos_g
     back, forth = (1.0 + square) - twice, (1.0 + square) + twice
@@ -154,13 +138,13 @@ def _phase(fn: Functions, law: Numbers, cos_g: Any) -> Any:
     return 0.5 * (1.0 - square) * lobes
 
 
-def _inner(fn: Functions, x: Any) -> tuple[Any, Any]:
+def _inner(fn: Algebra, x: Any) -> tuple[Any, Any]:
     """(p, q) of ``Terms``, for the cosine x."""
     part = x * fn.log(1.0 + 1.0 / x)
     return x * (1.0 - part), 0.5 * part
 
 
-def _rough(fn: Functions, slope: Any, near: Any, far: Any, cos_g: Any) -> tuple[Any, Any, Any]:
+def _rough(fn: Algebra, slope: Any, near: Any, far: Any, cos_g: Any) -> tuple[Any, Any, Any]:
     """Scale, with shadowing; effective cosines of the smaller and the larger angle."""
     chi = 1.0 / fn.sqrt(1.0 + math.pi * slope * slope)
     sines = [fn.sqrt(fn.maximum(1.0 - x * x, MIN_COSINE * MIN_COSINE)) for x in (near, far)]
@@ -189,16 +173,6 @@ def _rough(fn: Functions, slope: Any, near: Any, far: Any, cos_g: Any) -> tuple[
     return scale, chi * near_e, chi * far_e
 
 
-class _Numpy:
-    """Numpy's."""
-
-    sqrt, exp, log = np.sqrt, np.exp, np.log
-    arccos, maximum, minimum = np.arccos, np.maximum, np.minimum
-
-
-NUMPY = _Numpy()
-
-
 def brdf(
     law: Reflectance,
     r0: NDArray[np.float64] | float,
@@ -217,7 +191,7 @@ def brdf(
     mu0, mu = np.asarray(mu0, np.float64), np.asarray(mu, np.float64)
     cos_g = np.clip(np.asarray(cos_g, np.float64), -1.0 + 1e-15, 1.0)
     half = np.sqrt((1.0 - cos_g) / (1.0 + cos_g))
-    found = value(terms(NUMPY, numbers_of(law), mu0, mu, half), np.asarray(r0, np.float64))
+    found = value(terms(FLOAT64, numbers_of(law), mu0, mu, half), np.asarray(r0, np.float64))
     return np.where((mu0 > 0.0) & (mu > 0.0), found, 0.0)
 
 
@@ -249,7 +223,7 @@ def albedo(
     i, e = i[:, :, None], e[:, :, None]
     cos_g = np.cos(i) * np.cos(e) + np.sin(i) * np.sin(e) * np.cos(psi)
     half = np.sqrt(np.maximum(1.0 - cos_g, 0.0) / np.maximum(1.0 + cos_g, 1e-15))
-    found = terms(NUMPY, numbers_of(law), np.cos(i) + 0.0 * psi, np.cos(e) + 0.0 * i * psi, half)
+    found = terms(FLOAT64, numbers_of(law), np.cos(i) + 0.0 * psi, np.cos(e) + 0.0 * i * psi, half)
     out = [(value(found, color) * parts).sum(axis=(1, 2)) for color in np.asarray(r0, np.float64)]
     return np.array(out)
 

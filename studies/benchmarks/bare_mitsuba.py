@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from scenec.backends.mitsuba import Mitsuba
-from scenec.backends.mitsuba.emitter import dome_dict
 from scenec.backends.picture.sky import MIN_SUN_DIAMETER_RAD, combine
 from scenec.backends.stage.scene import RenderScene, Sun
 
@@ -27,6 +26,8 @@ class Bare:
         scene, adapter = self.scene, Mitsuba()
         adapter.load(scene)
         import mitsuba as mi
+
+        from scenec.backends.mitsuba.emitter import dome_dict
 
         camera = scene.cameras[0][0]
         pose = camera.camera_to_world.copy()
@@ -57,7 +58,7 @@ class Bare:
         }
         sky = combine(scene.lighting[0].domes)
         if sky is not None:
-            parts["sky"] = dome_dict(mi, sky)
+            parts["sky"] = dome_dict(sky)
         self._scene = mi.load_dict(parts)
         path = {"type": "path", "max_depth": 6, "rr_depth": 7, "hide_emitters": True}
         self._integrator = mi.load_dict(path)

@@ -1,7 +1,7 @@
 """Ground with maps in cells, of two scales, mixed by heights, and what it must look like anywhere.
 
-The oracle meets triangles in float64 and takes values from the definitions in ``scenec.backends``:
-``cells``, ``heights`` and ``maps``. Light is one sun, or the ground's own.
+The oracle meets triangles in float64 and takes values from ``surface_oracle``. Light is one sun, or
+the ground's own.
 """
 
 from __future__ import annotations
@@ -12,11 +12,11 @@ from pathlib import Path
 import mitsuba_scenes as ms
 import numpy as np
 import projection_scenes as ps
+import surface_oracle as oracle
 from numpy.typing import NDArray
 from PIL import Image
 
 from scenec.backends.stage.scene import Cells, Maps, RenderScene, Surface
-from scenec.backends.surface import cells, heights, maps
 
 IRRADIANCE = 1000.0
 COLOR = (0.9, 0.8, 0.7)
@@ -113,31 +113,31 @@ def _shade(scene: RenderScene, hits: ps.Hits) -> tuple[NDArray[np.float64], NDAr
         described = surface.maps or Maps(1.0)
         albedo = np.broadcast_to(np.array(surface.base_color), hits.position.shape)
         if described.base_color is not None:
-            albedo = np.minimum(albedo * cells.value(described, "base_color", xy), 1.0)
+            albedo = np.minimum(albedo * oracle.value(described, "base_color", xy), 1.0)
         normal = hits.shading
         if described.normal is not None:
-            mapped = cells.normal(described, xy)
+            mapped = oracle.normal(described, xy)
             # dP/du lies in the face, over x alone.
             g = hits.geometric
             along = np.stack([g[..., 2], np.zeros_like(g[..., 0]), -g[..., 0]], axis=-1)
-            normal = maps.uv_normal(mapped, normal, along, np.cross(g, along))
+            normal = oracle.uv_normal(mapped, normal, along, np.cross(g, along))
         cosine = (normal * to_light).sum(-1)
         sound &= (cosine > 0.1) & ((normal * hits.view).sum(-1) > 0.1)
         colors.append(albedo * np.maximum(cosine, 0.0)[..., None] * IRRADIANCE / np.pi)
         glow = np.broadcast_to(np.array(surface.emission), hits.position.shape)
         if described.emission is not None:
-            glow = glow * cells.value(described, "emission", xy)
+            glow = glow * oracle.value(described, "emission", xy)
         glows.append(glow)
         has = described.height is not None
         levels.append(
-            cells.value(described, "height", xy)[..., 0] if has else np.full(xy.shape[:-1], 0.5)
+            oracle.value(described, "height", xy)[..., 0] if has else np.full(xy.shape[:-1], 0.5)
         )
     weights = [
         (hits.share * row.astype(float)[mesh.faces[np.maximum(hits.face, 0)]]).sum(-1)
         for row in mesh.weights
     ]
     light = colors[0] + glows[0]
-    for number, weight in enumerate(heights.heeded_weights(weights, mesh.height_blends, levels)):
+    for number, weight in enumerate(oracle.heeded_weights(weights, mesh.height_blends, levels)):
         own = colors[number + 1] + glows[number + 1]
         light = light + weight[..., None] * (own - light)
     return light, sound

@@ -8,6 +8,7 @@ import mitsuba_scenes as ms
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
+from surface_oracle import brighter
 
 from scenec.backends.stage.scene import Camera, Maps, RenderScene, Surface
 
@@ -105,7 +106,8 @@ def expected_metal(camera: Camera) -> NDArray[np.float64]:
     spread = a2 / (np.pi * (half[..., 2] ** 2 * (a2 - 1) + 1) ** 2)
     g = 1 / (1 + hidden(out[..., 2]) + hidden(np.asarray(light[2])))
     lobe = spread * g / (4 * out[..., 2])
-    return IRRADIANCE * lobe[..., None] * np.array([0.8, 0.5, 0.2])
+    color = np.array([0.8, 0.5, 0.2])
+    return IRRADIANCE * lobe[..., None] * color * brighter(color, 0.6, out[..., 2:])
 
 
 def _scene(

@@ -1,7 +1,7 @@
 """Objects with surface maps by every projection, and what they must look like in any renderer.
 
-The oracle meets triangles in float64 and takes values and normals from the definitions in
-``scenec.backends.surface.maps``; light is one sun, on which nothing else throws a shadow.
+The oracle meets triangles in float64 and takes values and normals from ``surface_oracle``; light is
+one sun, on which nothing else throws a shadow.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from pathlib import Path
 
 import mitsuba_scenes as ms
 import numpy as np
+import surface_oracle as oracle
 from numpy.typing import NDArray
 from PIL import Image
 from scenes import icosphere
@@ -240,7 +241,7 @@ def _shade(
     if described.base_color is not None:
         picture = maps.map_values(described, "base_color")
         if described.projection == "triplanar":
-            values = maps.triplanar(picture, described.size_m, hits.position, hits.shading)
+            values = oracle.triplanar(picture, described.size_m, hits.position, hits.shading)
         else:
             at = hits.uv if described.projection == "uv" else place
             values = maps.sample(picture, at[..., 0], at[..., 1])
@@ -248,10 +249,10 @@ def _shade(
     if described.normal is not None:
         picture = maps.map_values(described, "normal")
         if described.projection == "triplanar":
-            normal = maps.triplanar_normal(picture, described.size_m, hits.position, hits.shading)
+            normal = oracle.triplanar_normal(picture, described.size_m, hits.position, hits.shading)
         else:
             mapped = maps.sample(picture, hits.uv[..., 0], hits.uv[..., 1])
-            normal = maps.uv_normal(mapped, hits.shading, hits.along_u, hits.along_v)
+            normal = oracle.uv_normal(mapped, hits.shading, hits.along_u, hits.along_v)
     behind = (hits.geometric * hits.view).sum(-1) < 0
     height = (normal * hits.shading).sum(-1, keepdims=True)
     # From behind, normals are mirrored in the surface.

@@ -10,6 +10,7 @@ import mitsuba_scenes as ms
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
+from surface_oracle import brighter
 
 from scenec.backends.stage.scene import Camera, Dome, Maps, RenderScene, Sun, Surface
 
@@ -94,7 +95,8 @@ def expected_ramp(scene: RenderScene) -> NDArray[np.float64]:
 
     spread = a2 / (np.pi * (half[..., 2] ** 2 * (a2 - 1) + 1) ** 2)
     masking = 1 / (1 + hidden(out[..., 2]) + hidden(sun.to_light[2]))
-    return sun.irradiance[0] * spread * masking / (4 * out[..., 2])
+    again = brighter(1.0, a2**0.25, out[..., 2])
+    return sun.irradiance[0] * spread * masking / (4 * out[..., 2]) * again
 
 
 def layered() -> tuple[RenderScene, list[RenderScene], NDArray[np.float64]]:

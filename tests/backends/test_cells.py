@@ -12,8 +12,10 @@ from scipy import ndimage
 
 from scenec.backends.stage.scene import Cells, Maps
 from scenec.backends.surface import cells, maps
+from scenec.backends.surface.pictures import Points, values_at
 
 SIZE = 2.0
+UP = np.array([[0.0], [0.0], [1.0]])
 
 
 @pytest.fixture(scope="module")
@@ -43,6 +45,15 @@ def described(tmp_path_factory) -> Maps:
         height=folder / "h.png",
         cells=Cells(2.0, 5),
     )
+
+
+def value(described: Maps, kind: str, xy: np.ndarray) -> np.ndarray:
+    """Of level ground at points [..., 2]: [..., c], a map of normals' unit vectors among them."""
+    flat = np.reshape(xy, (-1, 2)).T
+    at = np.concatenate([flat, np.zeros((1, flat.shape[1]))])
+    up = np.broadcast_to(UP, at.shape)
+    found = np.atleast_2d(values_at(described, (kind,), Points(at, up, up))[kind])
+    return found.T.reshape(*np.shape(xy)[:-1], -1)
 
 
 def grid(step: float, count: int) -> np.ndarray:
@@ -88,7 +99,7 @@ def test_nothing_repeats_and_mean_and_contrast_stay(described, side):
     # 32 samples a repeat.
     xy = grid(SIZE / 32, 32 * 24)
     for kind in ("base_color", "height"):
-        before, after = (cells.value(m, kind, xy) for m in (plain, moved))
+        before, after = (value(m, kind, xy) for m in (plain, moved))
         assert correlation(before[..., 0], 32) > 0.999
         for repeats in (1, 2, 3):
             assert correlation(after[..., 0], 32 * repeats) < 0.1
@@ -103,10 +114,10 @@ def test_values_and_normals_are_continuous_across_all_seams(described):
     for start in ([0.0, 0.0], [0.31, 0.77]):
         for end in ends:
             xy = np.array(start) + t * end
-            steep = np.abs(np.diff(cells.value(described, "base_color", xy), axis=0)).max()
+            steep = np.abs(np.diff(value(described, "base_color", xy), axis=0)).max()
             # A texel's step of 0.3 over a fiftieth of a meter, thrice.
             assert steep < 3.0 * 0.3 * 50.0 * 6.0 * 1e-5
-            lean = np.abs(np.diff(cells.normal(described, xy), axis=0)).max()
+            lean = np.abs(np.diff(value(described, "normal", xy), axis=0)).max()
             assert lean < 3.0 * 0.5 * 50.0 * 6.0 * 1e-5
 
 
@@ -121,7 +132,7 @@ def test_a_cell_s_middle_shows_the_picture_turned_and_shifted(described):
     u = cosine * off[:, 0] - sine * off[:, 1] + shift_u
     v = sine * off[:, 0] + cosine * off[:, 1] + shift_v
     wanted = maps.sample(maps.map_values(described, "base_color"), u, v)
-    got = cells.value(dataclasses.replace(described, cells=moved), "base_color", near)
+    got = value(dataclasses.replace(described, cells=moved), "base_color", near)
     np.testing.assert_allclose(got, wanted, atol=1e-4)
 
 
@@ -136,13 +147,13 @@ def test_normals_are_those_of_the_turned_relief(described, tmp_path):
         turn = 2.0 * np.pi * cells.table(2)[corner[1] % 64, corner[0] % 64, 2]
         # u = x cos - y sin + ...: a height that falls along u falls along (cos, -sin).
         wanted = [0.6 * np.cos(turn), -0.6 * np.sin(turn), 0.8]
-        np.testing.assert_allclose(cells.normal(lone, at), wanted, atol=0.01)
+        np.testing.assert_allclose(value(lone, "normal", at), wanted, atol=0.01)
 
 
 def test_normals_keep_their_lean_and_lose_the_picture_s_direction(described):
     xy = grid(SIZE / 24, 24 * 20)
     plain = dataclasses.replace(described, cells=None)
-    before, after = cells.normal(plain, xy), cells.normal(described, xy)
+    before, after = value(plain, "normal", xy), value(described, "normal", xy)
     np.testing.assert_allclose(np.linalg.norm(after, axis=-1), 1.0, atol=1e-12)
     lean = [np.sqrt((n[..., :2] ** 2).sum(-1).mean()) for n in (before, after)]
     np.testing.assert_allclose(lean[1], lean[0], rtol=0.05)
@@ -152,29 +163,27 @@ def test_normals_keep_their_lean_and_lose_the_picture_s_direction(described):
 def test_the_far_scale_multiplies_by_the_larger_picture_over_its_mean(described):
     plain = dataclasses.replace(described, cells=None)
     xy = grid(0.37, 40)
-    near = cells.value(plain, "base_color", xy)
+    near = value(plain, "base_color", xy)
     larger = dataclasses.replace(plain, size_m=SIZE * 5.0)
-    wide = cells.value(larger, "base_color", xy) / cells.map_mean(plain, "base_color")
+    wide = value(larger, "base_color", xy) / maps.map_mean(plain, "base_color")
     for share in (0.0, 0.4, 1.0):
-        got = cells.value(dataclasses.replace(plain, far=(5.0, share)), "base_color", xy)
+        got = value(dataclasses.replace(plain, far=(5.0, share)), "base_color", xy)
         np.testing.assert_allclose(got, near * (1.0 + share * (wide - 1.0)), atol=1e-12)
     both = dataclasses.replace(described, far=(6.3, 0.5))
     xy = grid(SIZE / 8, 8 * 120)
     np.testing.assert_allclose(
-        cells.value(both, "base_color", xy).mean((0, 1)),
-        cells.map_mean(described, "base_color"), rtol=0.01,
+        value(both, "base_color", xy).mean((0, 1)),
+        maps.map_mean(described, "base_color"), rtol=0.01,
     )  # fmt: skip
     # Heights and the like have no second scale.
-    np.testing.assert_array_equal(
-        cells.value(both, "height", xy[:5]), cells.value(described, "height", xy[:5])
-    )
+    np.testing.assert_array_equal(value(both, "height", xy[:5]), value(described, "height", xy[:5]))
 
 
 def test_a_black_channel_stays_black(tmp_path):
     file = tmp_path / "red.png"
     Image.fromarray(np.array([[[200, 0, 0], [90, 0, 0]]], np.uint8)).save(file)
     described = Maps(1.0, base_color=file, cells=Cells(0.7, 3), far=(4.0, 1.0))
-    got = cells.value(described, "base_color", grid(0.31, 50))
+    got = value(described, "base_color", grid(0.31, 50))
     assert np.isfinite(got).all()
     assert not got[..., 1:].any()
     assert got[..., 0].max() > 0.0

@@ -13,6 +13,7 @@ import scenes
 from cycles_pictures import ABOVE, SUN, draw, lit, picture, reflected
 from numpy.typing import NDArray
 from PIL import Image
+from surface_oracle import brighter
 
 from scenec.backends.stage.scene import Maps, RenderScene, Surface
 
@@ -39,7 +40,8 @@ def test_a_glossy_plane_shows_the_ggx_lobe(elevation_deg, height, metallic):
     scene = ms.scene([ms.mesh(*ms.plane())], [surface], cameras=[view], lights=[sun])
     wo = np.array([0.0, -10.0, height]) / np.hypot(10.0, height)
     f = ggx(sun.to_light, wo, roughness)
-    expected = (1 - metallic) * ((1 - s) * color / np.pi + s * f) + metallic * color * f
+    gloss, tinted = (brighter(c, roughness, wo[2]) * f for c in (1.0, color))
+    expected = (1 - metallic) * ((1 - s) * color / np.pi + s * gloss) + metallic * color * tinted
     got = picture(scene).mean(axis=(0, 1))
     np.testing.assert_allclose(got, 1000.0 * sun.to_light[2] * expected, rtol=2e-3)
 

@@ -5,10 +5,20 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from scenec.backends.surface.heights import heeded, heeded_weights, needed
+from scenec.backends.surface import merges
+from scenec.backends.surface.algebra import FLOAT64
+from scenec.backends.surface.merges import needed
 
 DEPTHS = (1e-9, 1e-3, 0.05, 0.3, 1.0, 40.0)
 HEIGHTS = np.linspace(0.0, 1.0, 11)
+
+
+def heeded(weight, depth, below, above):
+    return heeded_weights([weight], (depth,), [below, above])[0]
+
+
+def heeded_weights(weights, depths, heights):
+    return merges.heeded_weights(FLOAT64, weights, merges.all_slopes(FLOAT64, depths), heights)
 
 
 @pytest.mark.parametrize("depth", DEPTHS)

@@ -100,7 +100,6 @@ def test_a_white_cup_in_a_furnace_returns_it_once_paths_are_long_enough():
 
 @pytest.mark.parametrize("rotation", range(2))
 def test_mitsubas_sky_is_the_shared_lookup_in_every_direction(tmp_path, rotation):
-    from scenec.backends.mitsuba.emitter import dome_dict
     from scenec.backends.mitsuba.variant import load_mitsuba
     from scenec.backends.picture.sky import lookup
     from scenec.backends.stage.scene import Dome
@@ -111,6 +110,8 @@ def test_mitsubas_sky_is_the_shared_lookup_in_every_direction(tmp_path, rotation
     sky = combine((Dome(file, np.array([1.0, 2.0, 0.5]), to_world),))
     assert sky is not None
     mi = load_mitsuba()
+    from scenec.backends.mitsuba.emitter import dome_dict
+
     directions = rng.normal(size=(5000, 3))
     directions /= np.linalg.norm(directions, axis=1)[:, None]
     # Centers of texels too, and the neighborhoods of the poles; at a pole itself longitude, and
@@ -119,7 +120,7 @@ def test_mitsubas_sky_is_the_shared_lookup_in_every_direction(tmp_path, rotation
     poles = np.array([[0.01, 1, 0.02], [-0.02, 1, 0.01], [0.01, -1, -0.02], [-0.01, -1, 0.02]])
     near = poles / np.linalg.norm(poles, axis=1)[:, None]
     directions = np.concatenate([directions, texels @ to_world.T, near @ to_world.T])
-    emitter = mi.load_dict(dome_dict(mi, sky))
+    emitter = mi.load_dict(dome_dict(sky))
     si = mi.SurfaceInteraction3f()
     si.wi = mi.Vector3f(np.ascontiguousarray(-directions.T, np.float32))
     theirs = np.array(emitter.eval(si)).T

@@ -12,13 +12,17 @@ import mitsuba_scenes as ms
 import numpy as np
 import projection_scenes as ps
 import pytest
+import surface_oracle as oracle
 from numpy.typing import NDArray
 from PIL import Image
 
-from scenec.backends.mitsuba import Mitsuba, stack
-from scenec.backends.mitsuba.pictures import Pictures
+from scenec.backends.mitsuba import Mitsuba
 from scenec.backends.stage.scene import Maps, Mesh, Reflectance, RenderScene, Surface
-from scenec.backends.surface import cells, heights, maps, reflectance
+from scenec.backends.surface import maps, reflectance
+from scenec.backends.surface.lobes import MIN_ALPHA
+from scenec.backends.surface.merges import FLAT
+from scenec.backends.surface.pictures import has_maps
+from scenec.backends.surface.projections import GRAZING
 
 HAPKE = Reflectance("hapke", 0.25, 0.2, 1.5, 0.06, math.radians(20.0))
 #: Directions that each point is asked about.
@@ -103,13 +107,13 @@ def unit(vectors: NDArray) -> NDArray:
 def of_maps(surface: Surface, kind: str, p: NDArray, n: NDArray, uv: NDArray) -> NDArray | None:
     """Values of a map that is no map of normals, [n, 1 or 3]."""
     described = surface.maps
-    if described is None or not cells.has_maps(described, kind):
+    if described is None or not has_maps(described, kind):
         return None
     if described.projection == "above":
-        return cells.value(described, kind, p[:, :2])
+        return oracle.value(described, kind, p[:, :2])
     picture = maps.map_values(described, kind)
     if described.projection == "triplanar":
-        return maps.triplanar(picture, described.size_m, p, n)
+        return oracle.triplanar(picture, described.size_m, p, n)
     return maps.sample(picture, uv[:, 0], uv[:, 1])
 
 
@@ -122,8 +126,8 @@ def leaned(surface: Surface, mesh: Mesh, face: NDArray, p: NDArray, uv: NDArray,
     if described.projection == "uv":
         mapped = maps.sample(maps.map_values(described, "normal"), uv[:, 0], uv[:, 1])
         along_u, along_v = (a[face].astype(float) for a in maps.face_tangents(mesh))
-        return maps.uv_normal(mapped, n, along_u, along_v)
-    mapped = cells.normal(described, p[:, :2])
+        return oracle.uv_normal(mapped, n, along_u, along_v)
+    mapped = oracle.normal(described, p[:, :2])
     # Along the face above the world's x, but across the shading normal.
     x = np.stack([np.abs(flat[:, 2]), 0.0 * p[:, 0], -np.sign(flat[:, 2]) * flat[:, 0]], axis=1)
     x = unit(x - n * (n * x).sum(axis=1, keepdims=True))
@@ -163,13 +167,13 @@ def defined(scene: RenderScene, si: Any, center: NDArray, wi: NDArray, wo: NDArr
     levels = []
     for surface in scene.surfaces:
         height = of_maps(surface, "height", p, n, uv)
-        levels.append(np.full(len(p), heights.FLAT) if height is None else height[:, 0])
-    weights = heights.heeded_weights(weights, mesh.height_blends, levels)
+        levels.append(np.full(len(p), FLAT) if height is None else height[:, 0])
+    weights = oracle.heeded_weights(weights, mesh.height_blends, levels)
     # From the side of the face that is seen; what the shading normal leans from is at the horizon.
     behind = (wi * flat).sum(axis=1) * (n * flat).sum(axis=1) < 0.0
     mirror = np.stack([np.ones(len(p)), np.ones(len(p)), np.where(behind, -1.0, 1.0)], axis=1)
     seen, lit = local(frame, wi) * mirror, local(frame, wo) * mirror
-    seen = unit(np.concatenate([seen[:, :2], np.maximum(seen[:, 2:], stack.GRAZING)], axis=1))
+    seen = unit(np.concatenate([seen[:, :2], np.maximum(seen[:, 2:], GRAZING)], axis=1))
     half = unit(seen + lit)
     total, rest = np.zeros((len(p), 3)), np.ones(len(p))
     for index in reversed(range(len(scene.surfaces))):
@@ -201,8 +205,10 @@ def defined(scene: RenderScene, si: Any, center: NDArray, wi: NDArray, wo: NDArr
             dull = reflectance.brdf(
                 surface.reflectance, color, cos_o[:, None], cos_i[:, None], phase
             )
-        gloss = ggx(np.maximum(alpha, stack.MIN_ALPHA), cos_i, cos_o, cos_h)[:, None]
-        tint = white[:, None] + metal[:, None] * color
+        gloss = ggx(np.maximum(alpha, MIN_ALPHA), cos_i, cos_o, cos_h)[:, None]
+        rough = np.sqrt(alpha)[:, None]
+        tint = white[:, None] * oracle.brighter(1.0, rough, cos_i[:, None])
+        tint = tint + metal[:, None] * color * oracle.brighter(color, rough, cos_i[:, None])
         found = (1.0 - white - metal)[:, None] * dull + gloss * tint
         total += np.where(sound[:, None], (share * cos_o)[:, None] * found, 0.0)
     same_side = (wi * flat).sum(axis=1) * (wo * flat).sum(axis=1) > 0.0
@@ -272,10 +278,13 @@ def test_colors_from_three_sides_are_mixed_by_the_normal_that_no_map_leans(tmp_p
 
 
 def test_each_layer_is_looked_up_once_a_bounce(tmp_path, monkeypatch):
+    Mitsuba(device="cpu")
+    from scenec.backends.mitsuba.pictures import Pictures
+
     asked: list[Pictures] = []
     look_up = Pictures.look_up
 
-    def counted(self: Pictures, si: Any, active: Any) -> dict[str, list[Any]]:
+    def counted(self: Pictures, si: Any, active: Any) -> dict[str, Any]:
         asked.append(self)
         return look_up(self, si, active)
 

@@ -1,11 +1,11 @@
-"""How much light the shared model's GGX lobe loses, as docs/stage.md says."""
+"""How much light a GGX lobe that scatters once loses, as docs/stage.md says, and its fit."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from scenec.backends.pyrender.lighting import gloss_albedo
+from scenec.backends.surface import lobes
 
 
 def albedo(roughness: float, mu: float, nodes: int = 300) -> float:
@@ -49,8 +49,7 @@ def test_from_the_front_it_is_less_at_half_and_more_at_full_roughness() -> None:
     assert 1.0 - albedo(0.9, 0.999) == pytest.approx(0.58, abs=0.005)
 
 
-def test_the_table_of_albedos_agrees() -> None:
-    table = gloss_albedo()
-    for row, column in ((8, 31), (16, 20), (24, 10), (31, 25)):
-        roughness, mu = row / 31.0, min(column / 31.0, 0.9999)
-        assert table[row, column] == pytest.approx(albedo(roughness, mu), abs=0.01)
+@pytest.mark.parametrize("roughness", [0.1, 0.25, 0.5, 0.75, 1.0])
+@pytest.mark.parametrize("mu", [0.1, 0.2, 0.35, 0.6, 0.999])
+def test_the_definition_s_albedo_is_that(roughness: float, mu: float) -> None:
+    assert lobes.albedo(roughness**2, mu) == pytest.approx(albedo(roughness, mu, 1200), rel=6e-3)

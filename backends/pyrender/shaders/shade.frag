@@ -15,7 +15,6 @@ layout(binding = 5) uniform samplerBuffer weights;     // Merge by merge, of all
 layout(binding = 6) uniform usamplerBuffer meshes;     // Two texels a mesh, see tables.py.
 layout(binding = 7) uniform usamplerBuffer layers;     // Surfaces of the meshes.
 layout(binding = 8) uniform samplerBuffer surfaces;    // Four texels a surface, see tables.py.
-layout(binding = 9) uniform sampler2D gloss_albedo;    // Albedo of a white GGX lobe over (cosine, roughness).
 layout(binding = 10) uniform sampler2DArray maps;
 layout(binding = 11) uniform sampler2DArrayShadow shadows;
 
@@ -23,7 +22,7 @@ layout(binding = 11) uniform sampler2DArrayShadow shadows;
 layout(binding = 14) uniform samplerBuffer uvs;        // Two texels a face: its corners' coordinates.
 #endif
 #ifdef WITH_REFLECTANCE
-layout(binding = 15) uniform sampler2D laws;          // See laws.py.
+layout(binding = 9) uniform sampler2D laws;          // See laws.py.
 #endif
 #ifdef WITH_GROUND
 layout(binding = 12) uniform sampler2D ground_sky;    // Share of the sky, and of ground above.
@@ -77,6 +76,42 @@ struct Hit {
     vec3 along_v;
 #endif
 };
+
+// What a surface's numbers and its base color's map make of it.
+struct Lobes {
+    vec3 color;
+    float roughness;
+    float dull;     // Weight of Lambert's lobe or of a law in its place.
+    vec3 gloss;     // What a white lobe that scatters once is multiplied with.
+};
+
+// What maps hold at a hit.
+struct Pictured {
+    vec3 base_color;
+    float roughness;
+    vec3 normal;    // Leaned, where it points outward.
+    float metallic;
+    vec3 emission;
+    float height;
+};
+
+// How the maps of a surface lie.
+struct Lie {
+    float step;     // Repeats in a meter,
+    vec3 start;     // and where the camera lies in them.
+    float layer;    // In the maps: color and roughness, then normal and metallic;
+    float third;    // emission and height.
+    float levels[3];  // By the axis that they are seen along.
+    float side;     // Of cells: sides of the lattice in a meter,
+    float repeats;  // repeats along one,
+    vec2 corner;    // where the camera lies,
+    int table;      // and their texels.
+    vec4 means[3];  // Of the layers.
+    vec3 gain;      // Of colors' second scale.
+    vec3 rest;
+};
+
+SURFACE_FUNCTIONS
 
 vec3 placed(int slot, vec3 point)
 {
@@ -214,10 +249,9 @@ void find_lamp(vec3 at)
     vec3 way = lamp_position - at;
     float squared = max(dot(way, way), 1e-20);
     to_sun = way * inversesqrt(squared);
-    float angle = 2.0 * asin(min(0.5 * length(to_sun + lamp_axis), 1.0));
-    float x = clamp((angle - lamp_cone.x) * lamp_cone.z, 0.0, 1.0);
-    bool shines = angle <= lamp_cone.y && squared > lamp_cone.w * lamp_cone.w;
-    sun = shines ? lamp * ((1.0 - x * x * (3.0 - 2.0 * x)) / squared) : vec3(0.0);
+    float share = squared > lamp_cone.w * lamp_cone.w
+        ? lamp_falloff(-to_sun, lamp_axis, lamp_cone.xyz) : 0.0;
+    sun = lamp * (share / squared);
     sun_alpha = max(least_alpha, 0.5 * lamp_cone.w * inversesqrt(squared));
 }
 #endif
@@ -271,31 +305,12 @@ float sunlit(Hit hit)
 #endif
 }
 
-float hidden(float cosine, float alpha2)
-{
-    float c2 = cosine * cosine;
-    return 0.5 * sqrt(1.0 + alpha2 * (1.0 - c2) / c2) - 0.5;
-}
-
-// A white GGX lobe times the cosine, with height-correlated Smith masking (Heitz 2014).
-float gloss(float alpha, vec3 n, vec3 v, vec3 l)
-{
-    float alpha2 = alpha * alpha;
-    vec3 h = normalize(v + l);
-    float nh = dot(n, h);
-    float nv = dot(n, v);
-    float nl = dot(n, l);
-    float base = (alpha2 - 1.0) * nh * nh + 1.0;
-    float density = alpha2 / (PI * base * base);
-    return density / ((1.0 + hidden(nv, alpha2) + hidden(nl, alpha2)) * 4.0 * nv);
-}
-
 // The sky in a lobe: its albedo times what spherical harmonics keep of the sky about the mirrored
 // direction. A lobe of width alpha shrinks band l by exp(-(alpha l)**2) (Ramamoorthi and Hanrahan
 // 2001).
 vec3 sky_gloss(float roughness, vec3 n, vec3 v, Around around)
 {
-    float nv = clamp(dot(n, v), 0.0, 1.0);
+    float nv = max(dot(n, v), 1e-5);
     vec3 r = reflect(-v, n);
     float alpha = roughness * roughness;
     vec3 radiance = max(sky_mirrored[0]
@@ -310,15 +325,13 @@ vec3 sky_gloss(float roughness, vec3 n, vec3 v, Around around)
     float below = clamp(0.5 - r.z / (2.0 * max(alpha, 0.05)), 0.0, 1.0) * clamp(1.0 - n.z, 0.0, 1.0);
     radiance = mix(radiance, around.ground, below);
 #endif
-    vec2 size = vec2(textureSize(gloss_albedo, 0));
-    vec2 node = (vec2(nv, roughness) * (size - 1.0) + 0.5) / size;
-    return radiance * texture(gloss_albedo, node).r;
+    return radiance * gloss_albedo(alpha, nv);
 }
 
 // A surface at a hit, or a mixture of several that share roughness and normal.
 struct Look {
     vec3 dull;   // Albedo of the Lambert lobe,
-    vec3 shine;  // and of the GGX lobe.
+    vec3 shine;  // and of the GGX lobe, by one that is white and scatters once.
     float roughness;
     vec3 normal;  // Towards the camera.
 #ifdef WITH_REFLECTANCE
@@ -335,70 +348,22 @@ struct Look {
 };
 
 #ifdef WITH_REFLECTANCE
-// 1 / H = 1 - w (r0 x + y) for the cosine c.
-vec2 inverse_h(float c)
-{
-    float part = c * log(1.0 + 1.0 / c);
-    return vec2(c * (1.0 - part), 0.5 * part);
-}
-
-#ifdef WITH_ROUGH_LAWS
-// Scale and effective cosines on a surface of mean slope; near is the larger cosine.
-float rough_law(float slope, float cos_g, inout float near, inout float far)
-{
-    float chi = inversesqrt(1.0 + PI * slope * slope);
-    vec2 cosine = vec2(near, far);
-    vec2 sine = sqrt(max(1.0 - cosine * cosine, 1e-8));
-    float cos_psi = clamp((cos_g - near * far) / (sine.x * sine.y), -1.0, 1.0);
-    float turned = 0.5 - 0.5 * cos_psi;
-    float gate = exp(-2.0 * sqrt(turned / max(1.0 - turned, 1e-6)));
-    vec2 cot = cosine / (sine * slope * PI);
-    vec2 first = exp(-2.0 * cot);
-    vec2 second = exp(-PI * cot * cot);
-    vec2 plain = cosine + sine * slope * second / (2.0 - first);
-    float lean = slope / (2.0 - first.y - acos(cos_psi) / PI * first.x);
-    near = max(near + sine.x * lean * (cos_psi * second.y + turned * second.x), 1e-4);
-    far = max(far + sine.y * lean * (second.y - turned * second.x), 1e-4);
-    float shadow = 1.0 - gate + gate * (cosine.x / plain.x);
-    float scale = 0.25 / PI * near * far / (near + far) / (plain.x * plain.y * shadow);
-    near *= chi;
-    far *= chi;
-    return scale;
-}
-#endif
-
-// BRDF of a law; backends/reflectance.py is the same, with its sources.
+// BRDF of a law for the light.
 vec3 law_value(int row, vec3 r0, vec3 n, vec3 v)
 {
-    vec4 numbers = texelFetch(laws, ivec2(0, row), 0);
+    vec4 law = texelFetch(laws, ivec2(0, row), 0);
     vec2 more = texelFetch(laws, ivec2(1, row), 0).xy;
     vec3 apart = v - to_sun;
     vec3 both = v + to_sun;
     // tan(g / 2); a disc blurs it by a third of its radius, which sun_alpha is half of.
     float blur = 2.0 / 3.0 * sun_alpha;
     float t = sqrt(dot(apart, apart) / max(dot(both, both), 1e-6) + blur * blur);
-    float cos_g = (1.0 - t * t) / (1.0 + t * t);
-    float square = 1.0 + numbers.y * numbers.y;
-    float back = square - 2.0 * numbers.y * cos_g;
-    float forth = square + 2.0 * numbers.y * cos_g;
-    float single = 0.5 * (2.0 - square) * ((1.0 + numbers.z) * inversesqrt(back * back * back)
-        + (1.0 - numbers.z) * inversesqrt(forth * forth * forth));
-    single *= 1.0 + numbers.w / (1.0 + t / more.x);
-    float near = max(max(dot(n, v), dot(n, to_sun)), 1e-4);
-    float far = max(min(dot(n, v), dot(n, to_sun)), 1e-4);
-    float scale = 0.25 / PI / (near + far);
-#ifdef WITH_ROUGH_LAWS
-    if (more.y > 0.0)
-        scale = rough_law(more.y, cos_g, near, far);
-#endif
-    vec3 w = 4.0 * r0 / ((1.0 + r0) * (1.0 + r0));
-    vec3 total = vec3(single);
-    if (numbers.x > 0.0) {
-        vec2 one = inverse_h(near);
-        vec2 two = inverse_h(far);
-        total += 1.0 / ((1.0 - w * (r0 * one.x + one.y)) * (1.0 - w * (r0 * two.x + two.y))) - 1.0;
-    }
-    return scale * w * total;
+    float mu0 = dot(n, to_sun);
+    float mu = dot(n, v);
+    if (law.x == 0.0)
+        return law_once(law, more, r0, mu0, mu, t);
+    return more.y > 0.0 ? law_rough(law, more, r0, mu0, mu, t)
+                        : law_smooth(law, more, r0, mu0, mu, t);
 }
 
 // Albedo towards the viewer under even light.
@@ -423,70 +388,6 @@ float level_of(vec2 right, vec2 down)
     return log2(max(min(max(a, b), 4.0 * fine) * float(textureSize(maps, 0).x), 1e-6));
 }
 
-#ifdef WITH_CELLS
-// A cell at a point; backends/cells.py defines them.
-struct Cell {
-    vec2 place;   // In the picture.
-    vec2 turn;    // Cosine and sine.
-    float share;
-    float gain;   // The share over the root of the squares of all.
-};
-
-// The three cells at a place in the lattice.
-Cell[3] cells_at(vec2 at, vec4 numbers)
-{
-    vec2 low = floor(at);
-    vec2 within = at - low;
-    float rest = 1.0 - within.x - within.y;
-    float upper = rest <= 0.0 ? 1.0 : 0.0;
-    vec3 near = vec3(rest, within + upper * rest);
-    near *= near;
-    near *= near;
-    Cell cells[3];
-    for (int k = 0; k < 3; k++) {
-        vec2 corner = k == 0 ? vec2(upper) : k == 1 ? vec2(1.0, 0.0) : vec2(0.0, 1.0);
-        vec2 away = within - corner;
-        away = vec2(away.x + 0.5 * away.y, 0.86602540378 * away.y) * numbers.y;
-        ivec2 entry = ivec2(low + corner) & 63;
-        vec4 own = texelFetch(surfaces, int(numbers.z) + 64 * entry.y + entry.x);
-        cells[k].place = vec2(own.z * away.x - own.w * away.y, own.w * away.x + own.z * away.y)
-            + own.xy;
-        cells[k].turn = own.zw;
-        cells[k].share = near[k] / (near.x + near.y + near.z);
-        cells[k].gain = near[k] * inversesqrt(dot(near, near));
-    }
-    return cells;
-}
-
-vec4 mix_cells(Cell[3] cells, float layer, float level, vec4 mean)
-{
-    vec4 total = mean * (1.0 - cells[0].gain - cells[1].gain - cells[2].gain);
-    for (int k = 0; k < 3; k++)
-        total += cells[k].gain * textureLod(maps, vec3(cells[k].place, layer), level);
-    return max(total, 0.0);
-}
-
-// A normal in the first three components, a number in the last.
-vec4 mix_normals(Cell[3] cells, float layer, float level, float mean)
-{
-    vec4 total = vec4(vec3(0.0), mean * (1.0 - cells[0].gain - cells[1].gain - cells[2].gain));
-    for (int k = 0; k < 3; k++) {
-        vec4 own = textureLod(maps, vec3(cells[k].place, layer), level);
-        vec2 t = cells[k].turn;
-        vec2 back = vec2(t.x * own.x + t.y * own.y, t.x * own.y - t.y * own.x);
-        total += vec4(cells[k].gain * back, cells[k].share * own.z, cells[k].gain * own.a);
-    }
-    total.a = clamp(total.a, 0.0, 1.0);
-    return total;
-}
-
-// From the world's x and y to the lattice's, whose sides are one over a step.
-vec2 in_lattice(vec2 at, float step)
-{
-    return vec2(at.x - 0.57735026919 * at.y, 1.15470053838 * at.y) * step;
-}
-#endif
-
 // The coordinates of a point or a vector on the plane across an axis.
 vec2 on_plane(vec3 point, int axis)
 {
@@ -494,184 +395,129 @@ vec2 on_plane(vec3 point, int axis)
 }
 #endif
 
+#ifdef WITH_MAPS
+// How the maps of a surface lie; block is 0 where it has none.
+Lie lie_of(int index, vec4 third, Hit hit)
+{
+    Lie lie;
+    int block = int(third.w);
+    lie.step = third.z;
+    lie.start = texelFetch(surfaces, 4 * index + 3).xyz;
+    lie.layer = lie.third = third.x;
+    for (int axis = 0; axis < 3; axis++)
+        lie.levels[axis] = level_of(on_plane(hit.right, axis) * third.z,
+                                    on_plane(hit.down, axis) * third.z);
+#ifdef WITH_UV
+    if (third.y == 2.0)
+        lie.levels[2] = level_of(hit.uv_right, hit.uv_down);
+#endif
+    lie.side = 0.0;
+#ifdef WITH_BLOCKS
+    if (block > 0) {
+        vec4 cells = texelFetch(surfaces, block);
+        lie.side = cells.x;
+        lie.repeats = cells.y;
+        lie.table = int(cells.z);
+        // Without a picture of its own it is looked up in another, and not used.
+        lie.third += cells.w;
+        lie.corner = texelFetch(surfaces, block + 7).xy;
+        for (int k = 0; k < 3; k++)
+            lie.means[k] = texelFetch(surfaces, block + 3 + k);
+    }
+#endif
+    return lie;
+}
+
+Pictured pictured(int index, vec4 third, Hit hit)
+{
+    Lie lie = lie_of(index, third, hit);
+    Pictured found;
+#ifdef WITH_TRIPLANAR
+    if (third.y == 1.0)
+        return look_triplanar(hit, lie);
+#endif
+#ifdef WITH_UV
+    if (third.y == 2.0)
+        return look_uv(hit, lie);
+#endif
+#ifdef WITH_ABOVE
+#ifdef WITH_CELLS
+    if (lie.side > 0.0)
+        found = look_cells(hit, lie);
+    else
+#endif
+        found = look_above(hit, lie);
+#ifdef WITH_FAR
+    int block = int(third.w);
+    vec4 gain = block > 0 ? texelFetch(surfaces, block + 1) : vec4(0.0);
+    if (gain.a > 0.0) {
+        vec4 places = texelFetch(surfaces, block + 7);
+        lie.step *= gain.a;
+        lie.side *= gain.a;
+        lie.levels[2] += log2(gain.a);
+        lie.corner = places.zw;
+        lie.start = texelFetch(surfaces, block + 8).xyz;
+        lie.gain = gain.rgb;
+        lie.rest = texelFetch(surfaces, block + 2).rgb;
+#ifdef WITH_CELLS
+        if (lie.side > 0.0)
+            found.base_color *= far_cells(hit, lie);
+        else
+#endif
+            found.base_color *= far_above(hit, lie);
+    }
+#endif
+#endif
+    return found;
+}
+#endif
+
 Look look_of(int index, Hit hit)
 {
     vec4 first = texelFetch(surfaces, 4 * index);
     vec4 second = texelFetch(surfaces, 4 * index + 1);
-    float specular = first.a;
-    float roughness = second.x;
-    float metallic = second.z;
-    vec3 color = max(first.rgb * (1.0 + second.y * hit.variation) * (1.0 + second.y * hit.row), 0.0);
     float side = dot(hit.normal, hit.flat_normal) < 0.0 ? -1.0 : 1.0;
-    vec3 n = side * hit.normal;
+    Look look;
+    look.normal = side * hit.normal;
+    Pictured found;
+    found.base_color = vec3(1.0);
+    found.roughness = second.x;
+    found.metallic = second.z;
 #ifdef WITH_MAPS
     vec4 third = texelFetch(surfaces, 4 * index + 2);
-    int block = int(third.w);
-#ifdef WITH_THIRD
-    vec4 more = vec4(1.0, 1.0, 1.0, 0.5);
-#endif
     if (third.x >= 0.0) {
-        vec3 at = hit.position * third.z + texelFetch(surfaces, 4 * index + 3).xyz;
-        vec4 paint = vec4(1.0);
-        vec4 relief = vec4(0.0);
-#ifdef WITH_THIRD
-        // Without a picture of its own it is looked up in another, and not used.
-        float layer = third.w > 0.0 ? texelFetch(surfaces, block).w : 0.0;
-#endif
-#ifdef WITH_ABOVE
-        if (third.y == 0.0) {
-            float level = level_of(hit.right.xy * third.z, hit.down.xy * third.z);
-#ifdef WITH_TILES
-            vec4 tiles = third.w > 0.0 ? texelFetch(surfaces, block) : vec4(0.0);
-            vec4 far = third.w > 0.0 ? texelFetch(surfaces, block + 1) : vec4(0.0);
-            vec4 mean = texelFetch(surfaces, block + 2);
-            vec4 places = texelFetch(surfaces, block + 6);
-#endif
-#ifdef WITH_CELLS
-            if (tiles.x > 0.0) {
-                Cell cells[3] = cells_at(in_lattice(hit.position.xy, tiles.x) + places.xy, tiles);
-                paint = min(mix_cells(cells, third.x, level, mean), 1.0);
-                float metal = texelFetch(surfaces, block + 4).x;
-                relief = mix_normals(cells, third.x + 1.0, level, metal);
-#ifdef WITH_THIRD
-                if (tiles.w > 0.0)
-                    more = mix_cells(cells, third.x + tiles.w, level,
-                                     texelFetch(surfaces, block + 3));
-#endif
-            } else
-#endif
-            {
-                paint = textureLod(maps, vec3(at.xy, third.x), level);
-                relief = textureLod(maps, vec3(at.xy, third.x + 1.0), level);
-#ifdef WITH_THIRD
-                more = textureLod(maps, vec3(at.xy, third.x + layer), level);
-#endif
-            }
-#ifdef WITH_FAR
-            if (far.x > 0.0) {
-                float coarse = level + log2(far.x);
-                vec4 wide = vec4(0.0);
-#ifdef WITH_CELLS
-                if (tiles.x > 0.0) {
-                    vec2 spot = in_lattice(hit.position.xy, tiles.x * far.x) + places.zw;
-                    wide = min(mix_cells(cells_at(spot, tiles), third.x, coarse, mean), 1.0);
-                } else
-#endif
-                {
-                    vec2 spot = hit.position.xy * (third.z * far.x)
-                        + texelFetch(surfaces, block + 7).xy;
-                    wide = textureLod(maps, vec3(spot, third.x), coarse);
-                }
-                // Where a channel is black everywhere it is so at any scale.
-                vec3 relative = mix(vec3(1.0), wide.rgb / max(mean.rgb, 1e-12),
-                                    greaterThan(mean.rgb, vec3(0.0)));
-                paint.rgb *= 1.0 + far.y * (relative - 1.0);
-            }
-#endif
-            vec3 t = vec3(hit.normal.z, 0.0, -hit.normal.x);
-            t *= inversesqrt(max(dot(t, t), 1e-30));
-            n = normalize(relief.x * t + relief.y * cross(hit.normal, t) + relief.z * n);
-        }
-#endif
-#ifdef WITH_TRIPLANAR
-        if (third.y == 1.0) {
-            vec3 shares = hit.normal * hit.normal;
-            shares *= shares;
-            shares /= shares.x + shares.y + shares.z;
-            vec3 leaned = vec3(0.0);
-            paint = vec4(0.0);
-#ifdef WITH_THIRD
-            vec4 wide_more = vec4(0.0);
-#endif
-            for (int axis = 0; axis < 3; axis++) {
-                vec3 place = vec3(on_plane(at, axis), third.x);
-                float level = level_of(on_plane(hit.right, axis) * third.z,
-                                       on_plane(hit.down, axis) * third.z);
-                paint += shares[axis] * textureLod(maps, place, level);
-                vec4 own = textureLod(maps, place + vec3(0.0, 0.0, 1.0), level);
-                relief.a += shares[axis] * own.a;
-#ifdef WITH_THIRD
-                wide_more += shares[axis]
-                    * textureLod(maps, place + vec3(0.0, 0.0, layer), level);
-#endif
-                // Whiteout blend, Golus 2017.
-                vec3 add = axis == 0 ? vec3(0.0, own.xy) : axis == 1 ? vec3(own.x, 0.0, own.y)
-                                                                     : vec3(own.xy, 0.0);
-                vec3 scale = vec3(1.0);
-                scale[axis] = own.z;
-                leaned += shares[axis] * (hit.normal * scale + add);
-            }
-#ifdef WITH_THIRD
-            more = wide_more;
-#endif
-            leaned = normalize(leaned);
-            // From behind it is mirrored in the surface.
-            n = side < 0.0 ? leaned - 2.0 * dot(leaned, hit.normal) * hit.normal : leaned;
-        }
-#endif
-#ifdef WITH_UV
-        if (third.y == 2.0) {
-            float level = level_of(hit.uv_right, hit.uv_down);
-            paint = textureLod(maps, vec3(hit.uv, third.x), level);
-            relief = textureLod(maps, vec3(hit.uv, third.x + 1.0), level);
-#ifdef WITH_THIRD
-            more = textureLod(maps, vec3(hit.uv, third.x + layer), level);
-#endif
-            vec3 t = hit.along_u - dot(hit.along_u, hit.normal) * hit.normal;
-            if (dot(t, t) > 0.0) {
-                t = normalize(t);
-                vec3 b = cross(hit.normal, t);
-                b *= sign(dot(b, hit.along_v));
-                n = normalize(relief.x * t + relief.y * b + relief.z * n);
-            }
-        }
-#endif
-        color *= paint.rgb;
-        roughness = paint.a;
-        metallic = relief.a;
+        found = pictured(index, third, hit);
+        look.normal = seen(found.normal, hit.normal, look.normal, hit.view);
     }
 #endif
-    color = min(color, 1.0);
-#ifdef WITH_GLOSS
-    roughness *= (1.0 + second.w * hit.variation) * (1.0 + second.w * hit.row);
-    roughness = clamp(roughness, 0.0, 1.0);
-#endif
-    Look look;
-    look.dull = (1.0 - metallic) * (1.0 - specular) * color;
-    look.shine = vec3((1.0 - metallic) * specular) + metallic * color;
-    look.roughness = roughness;
-    look.normal = n;
+    float cosine = max(dot(look.normal, hit.view), 1e-5);
+    Lobes lobes = lobes_of(first, second, found, hit, cosine);
+    look.dull = lobes.dull * lobes.color;
+    look.shine = lobes.gloss;
+    look.roughness = lobes.roughness;
 #ifdef WITH_REFLECTANCE
-    look.color = color;
-    look.share = (1.0 - metallic) * (1.0 - specular);
+    look.color = lobes.color;
+    look.share = lobes.dull;
     look.law = int(texelFetch(surfaces, 4 * index + 3).w) - 1;
 #endif
-#ifdef WITH_THIRD
-    bool own = third.x >= 0.0 && third.w > 0.0 && texelFetch(surfaces, block).w > 0.0;
-    if (!own)
-        more = vec4(1.0, 1.0, 1.0, 0.5);
-#endif
+#ifdef WITH_BLOCKS
+    int block = int(texelFetch(surfaces, 4 * index + 2).w);
 #ifdef WITH_HEIGHTS
     look.height = 0.5;
-#ifdef WITH_THIRD
-    look.height = min(more.a, 1.0);
-#endif
 #endif
 #ifdef WITH_EMISSION
-    int tile = int(texelFetch(surfaces, 4 * index + 2).w);
-    look.glow = tile > 0 ? texelFetch(surfaces, tile + 5).rgb : vec3(0.0);
+    look.glow = block > 0 ? texelFetch(surfaces, block + 6).rgb : vec3(0.0);
+#endif
 #ifdef WITH_THIRD
-    look.glow *= more.rgb;
+    if (block > 0 && texelFetch(surfaces, block).w > 0.0) {
+#ifdef WITH_HEIGHTS
+        look.height = min(found.height, 1.0);
 #endif
+#ifdef WITH_EMISSION
+        look.glow *= found.emission;
 #endif
-#ifdef WITH_MAPS
-    // What points away from the viewer has its tangential part turned round; where the shading
-    // normal itself leans away, the viewer counts as at its horizon.
-    vec3 base = side * hit.normal;
-    float height = dot(n, base);
-    float seen = dot(n, hit.view) + height * max(1e-5 - dot(base, hit.view), 0.0);
-    if (seen < 0.0)
-        look.normal = 2.0 * height * base - n;
+    }
+#endif
 #endif
     return look;
 }
@@ -723,14 +569,10 @@ vec3 shade(uvec2 id, vec3 direction, int number)
                                            texelFetch(weights, at.z).x));
         Look over = look_of(int(texelFetch(layers, int(more.x) + i).x), hit);
 #ifdef WITH_HEIGHTS
-        // backends/heights.py is the same.
         int deep = int(mesh.z) + (int(more.y) - 1) * int(more.z) + i - 1;
         float depth = texelFetch(weights, deep).x;
-        if (depth > 0.0) {
-            depth = max(depth, 1e-3);
-            float above = (2.0 * weight - 1.0) * (1.0 + depth) + over.height - look.height;
-            weight = clamp(0.5 + above / (2.0 * depth), 0.0, 1.0);
-        }
+        if (depth > 0.0)
+            weight = heeded(weight, depth, look.height, over.height);
         look.height = mix(look.height, over.height, weight);
 #endif
 #ifdef WITH_EMISSION
