@@ -73,7 +73,8 @@ def test_a_white_convex_body_vanishes_in_a_white_furnace():
 def test_a_white_cup_in_a_furnace_returns_it_once_paths_are_long_enough():
     # Five white walls and an open top: light is lost to the limit on bounces alone, some 17 % of
     # what is left at each. Samplers whose dimensions depend on each other fail here: at these 16
-    # samples a half Mitsuba's stratified gives 1.058, its ldsampler 0.995.
+    # samples a half Mitsuba's stratified gives 1.058, its ldsampler 0.995. In a constant sky no
+    # light is drawn: all of it is found by directions of bounces.
     square = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
     points = np.concatenate(
         [np.column_stack([square, np.zeros(4)]), np.column_stack([square, np.full(4, 2.0)])]
@@ -205,6 +206,5 @@ def test_sample_counts_split_into_passes_that_fit_and_add_up(spp):
         assert max(parts) == 1 or (max(parts) - 1) * pixels < MAX_WAVEFRONT
 
 
-def test_seeds_of_parts_are_all_different():
-    seeds = {mix(seed, half, part) for seed in range(20) for half in range(2) for part in range(9)}
-    assert len(seeds) == 360
+def test_seeds_of_halves_are_all_different():
+    assert len({mix(seed, half) for seed in range(200) for half in range(2)}) == 400
