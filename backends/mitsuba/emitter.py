@@ -82,7 +82,8 @@ def register(mi: Any) -> Any:
             self.dome: Any = None
             self.guide: Any = None
             self.suns: list[tuple[Any, Any, Any, Any]] = []
-            self.sun_share = 0.0
+            # Of what is drawn, on an average surface; the suns' share of samples, and of those now.
+            self.drawn_irradiance = self.sun_share = 0.0
             self.sun_fraction = mi.Float(0.0)
 
         def set_lighting(self, lighting: Lighting) -> None:
@@ -108,9 +109,12 @@ def register(mi: Any) -> Any:
                 )
                 dr.make_opaque(*values)
                 self.suns.append(values)
+            from_sky = 0.0 if guide is None else np.pi * float(mean_radiance(guide).mean())
+            # A surface turned anyhow towards a sun gets half its irradiance on average.
+            from_suns = 0.5 * float(powers.sum())
+            self.drawn_irradiance = from_suns + from_sky
             self.sun_share = 0.0
-            if self.suns:
-                from_sky, from_suns = average_irradiance(guide, lighting)
+            if from_suns > 0.0:
                 self.sun_share = from_suns / (from_suns + SKY_NOISE * from_sky)
             self.split(1)
 
@@ -211,10 +215,3 @@ def sky_guide(sky: Sky) -> Sky | None:
     seen = Sky(np.asarray(sky.picture.mean(axis=-1) * weight, np.float32)[..., None], sky.to_world)
     above = np.maximum(seen.picture - mean_radiance(seen), 0.0).astype(np.float32)
     return Sky(np.repeat(above, 3, axis=-1), sky.to_world) if np.any(above) else None
-
-
-def average_irradiance(sky: Sky | None, lighting: Lighting) -> tuple[float, float]:
-    """What an average surface gets of sky and of suns, all channels' mean."""
-    from_sky = 0.0 if sky is None else np.pi * float(mean_radiance(sky).mean())
-    # A surface turned anyhow towards a sun gets half its irradiance on average.
-    return from_sky, 0.5 * float(sum(np.mean(sun.irradiance) for sun in lighting.suns))
