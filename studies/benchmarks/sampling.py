@@ -41,7 +41,8 @@ class Independent(Mitsuba):
         def seeded(seed: Any, pixel: Any, index: Any) -> Any:
             sampler = self._mi.load_dict({"type": "independent"})
             # Passes begin at samples of their own.
-            sampler.seed(seed + 0x9E3779B9 * index[0], len(pixel))
+            apart = self._mi.UInt32(0x9E3779B9 * index[0] & 0xFFFFFFFF)
+            sampler.seed(seed + apart, len(pixel))
             return sampler
 
         self._sampler = seeded
