@@ -10,7 +10,8 @@ MARKED := -m "not slow or invariant"
 EXAMPLES := quick
 
 BENCHMARKS := adapters agreement annotation blur coco cold compile estimate \
-  hdf5 imaging incremental lenses memory mesh million mitsuba_ground prune relief scatter tracks
+  hdf5 imaging incremental lenses memory mesh million mitsuba_ground prune relief \
+  sampling scatter tracks
 PAGES := numerics relief placement sky motion extremes converge leaving_out errors
 
 .DEFAULT_GOAL := help

@@ -6,6 +6,10 @@ visibility rays, and bends directions by parallax. Here the suns are cones of di
 the dome, with full multiple importance sampling. Irradiance on a surface that faces a sun is E:
 radiance E / (pi * sin(diameter / 2)**2) over the cone.
 
+Of the sky only what is brighter than its mean is drawn, by a ``guide``: surfaces' own sampling
+finds the rest with less noise (Karlik et al. 2019, "MIS Compensation"). Of a constant sky nothing
+is drawn.
+
 Import it once Mitsuba's variant is set.
 """
 
@@ -18,12 +22,21 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.backends.picture.sky import MIN_SUN_DIAMETER_RAD, Sky, combine
+from scenec.backends.picture.sky import (
+    MIN_SUN_DIAMETER_RAD,
+    Sky,
+    combine,
+    mean_radiance,
+    texel_directions,
+)
 from scenec.backends.stage.scene import Lighting
 
 PLUGIN = "scenec_sky_sun"
-#: Bounds of the fraction of light samples that go to the suns where there is a sky too.
-SUN_FRACTION = (0.2, 0.8)
+#: A sample of the sky's guide is about as noisy as so many times its light from a sun (measured).
+SKY_NOISE = 3.0
+#: Of directions' weight in the guide: what is the same for all, as for surfaces that face
+#: anywhere. The rest is the cosine from the zenith, as for level ground.
+ANYWHERE = 0.25
 #: Meters; farther than anything, so that shadow rays do not stop short.
 FAR = 1e7
 
@@ -65,16 +78,23 @@ class SkySun(mi.Emitter):
         super().__init__(props)
         self.m_flags = mi.EmitterFlags.Infinite | mi.EmitterFlags.SpatiallyVarying
         self.dome: Any = None
+        self.guide: Any = None
         self.suns: list[tuple[Any, Any, Any, Any]] = []
+        # Of what is drawn, on an average surface; the suns' share of samples, and of those now.
+        self.drawn_irradiance = self.sun_share = 0.0
         self.sun_fraction = mi.Float(0.0)
 
     def set_lighting(self, lighting: Lighting) -> None:
         sky = combine(lighting.domes)
-        dark = sky is None or not np.any(sky.picture)
-        self.dome = None if sky is None or dark else mi.load_dict(dome_dict(sky))
+        lit = sky is not None and np.any(sky.picture)
+        self.dome = mi.load_dict(dome_dict(sky)) if sky is not None and lit else None
+        guide = None if sky is None else sky_guide(sky)
+        self.guide = None if guide is None else mi.load_dict(dome_dict(guide))
         self.suns = []
-        lit = [sun for sun in lighting.suns if np.any(sun.irradiance)]
-        for sun in lit:
+        powers = np.array([np.mean(sun.irradiance) for sun in lighting.suns])
+        for sun, power in zip(lighting.suns, powers, strict=True):
+            if power <= 0.0:
+                continue
             half = 0.5 * max(sun.diameter_rad, MIN_SUN_DIAMETER_RAD)
             versine = 2.0 * np.sin(0.5 * half) ** 2
             radiance = np.asarray(sun.irradiance) / (np.pi * np.sin(half) ** 2)
@@ -82,15 +102,30 @@ class SkySun(mi.Emitter):
                 mi.Vector3f(np.asarray(sun.to_light, np.float64).tolist()),
                 mi.Color3f(radiance.tolist()),
                 mi.Float(versine),
-                # Solid angle of the cone is 2 * pi * (1 - cos(half)).
-                mi.Float(1.0 / (2.0 * np.pi * versine)),
+                # How often it is chosen of all suns.
+                mi.Float(power / powers.sum()),
             )
             dr.make_opaque(*values)
             self.suns.append(values)
-        fraction = 0.0
-        if lit:
-            fraction = 1.0 if sky is None or dark else _sun_fraction(sky, lighting)
-        self.sun_fraction = dr.opaque(mi.Float, fraction)
+        from_sky = 0.0 if guide is None else np.pi * float(mean_radiance(guide).mean())
+        # A surface turned anyhow towards a sun gets half its irradiance on average.
+        from_suns = 0.5 * float(powers.sum())
+        self.drawn_irradiance = from_suns + from_sky
+        self.sun_share = 0.0
+        if from_suns > 0.0:
+            self.sun_share = from_suns / (from_suns + SKY_NOISE * from_sky)
+        self.split(1)
+
+    def split(self, samples: int) -> None:
+        """Share samples between suns and sky, for pixels of so many.
+
+        In quarters or halves of them: any other share leaves one sample of a pixel to chance.
+        """
+        parts = 4 if samples % 4 == 0 else 2
+        share = self.sun_share
+        if 0.0 < share < 1.0:
+            share = float(np.clip(round(share * parts), 1, parts - 1)) / parts
+        self.sun_fraction = dr.opaque(mi.Float, share)
 
     def _light(self, w: Any, active: Any, drawn: Any = None) -> tuple[Any, Any]:
         """Radiance from direction ``w`` and the density with which it is sampled."""
@@ -99,16 +134,19 @@ class SkySun(mi.Emitter):
         value, pdf = mi.Color3f(0.0), mi.Float(0.0)
         if self.dome is not None:
             value += self.dome.eval(si, active)
+        if self.guide is not None:
             ds = dr.zeros(mi.DirectionSample3f)
             ds.d = w
-            pdf += (1.0 - self.sun_fraction) * self.dome.pdf_direction(si, ds, active)
-        for i, (axis, radiance, versine, cone_pdf) in enumerate(self.suns):
+            pdf += (1.0 - self.sun_fraction) * self.guide.pdf_direction(si, ds, active)
+        for i, (axis, radiance, versine, chance) in enumerate(self.suns):
             inside = dr.squared_norm(w - axis) <= 2.0 * versine
             if drawn is not None:
                 # A direction drawn from the cone belongs to it, whatever rounding says.
                 inside |= drawn == i
             value += dr.select(inside, radiance, 0.0)
-            pdf += dr.select(inside, cone_pdf * self.sun_fraction / len(self.suns), 0.0)
+            # Solid angle of the cone is 2 * pi * (1 - cos(half)).
+            cone_pdf = self.sun_fraction * chance / (dr.two_pi * versine)
+            pdf += dr.select(inside, cone_pdf, 0.0)
         return value & active, pdf
 
     def eval(self, si: Any, active: Any = True) -> Any:
@@ -122,19 +160,19 @@ class SkySun(mi.Emitter):
         to_sun = sample.x < fraction
         x = dr.select(to_sun, sample.x / fraction, (sample.x - fraction) / (1.0 - fraction))
         w, drawn = mi.Vector3f(0.0, 0.0, 1.0), mi.Int32(-1)
-        if self.dome is not None:
-            w = mi.Vector3f(self.dome.sample_direction(it, mi.Point2f(x, sample.y), active)[0].d)
-        if self.suns:
-            x *= len(self.suns)
-            chosen = dr.minimum(mi.Int32(x), len(self.suns) - 1)
-            x -= mi.Float(chosen)
-            drawn = dr.select(to_sun, chosen, -1)
-            s, c = dr.sincos(dr.two_pi * sample.y)
-            for i, (axis, _, versine, _) in enumerate(self.suns):
-                height = x * versine
-                radius = dr.safe_sqrt(height * (2.0 - height))
-                cone = mi.Vector3f(radius * c, radius * s, 1.0 - height)
-                w = dr.select(drawn == i, mi.Frame3f(axis).to_world(cone), w)
+        if self.guide is not None:
+            w = mi.Vector3f(self.guide.sample_direction(it, mi.Point2f(x, sample.y), active)[0].d)
+        s, c = dr.sincos(dr.two_pi * sample.y)
+        before = mi.Float(0.0)
+        for i, (axis, _, versine, chance) in enumerate(self.suns):
+            # The last takes what rounding leaves.
+            here = to_sun & (x >= before)
+            height = dr.clip((x - before) / chance, 0.0, 1.0) * versine
+            radius = dr.safe_sqrt(height * (2.0 - height))
+            cone = mi.Vector3f(radius * c, radius * s, 1.0 - height)
+            w = dr.select(here, mi.Frame3f(axis).to_world(cone), w)
+            drawn = dr.select(here, i, drawn)
+            before += chance
         value, pdf = self._light(w, active, drawn)
         ds = dr.zeros(mi.DirectionSample3f)
         ds.p = dr.fma(w, FAR, it.p)
@@ -160,18 +198,16 @@ class SkySun(mi.Emitter):
 mi.register_emitter(PLUGIN, SkySun)
 
 
-def average_irradiance(sky: Sky | None, lighting: Lighting) -> tuple[float, float]:
-    """What an average surface gets of sky and of suns, all channels' mean."""
-    from_sky = 0.0
-    if sky is not None:
-        height = len(sky.picture)
-        area = np.sin((np.arange(height) + 0.5) * (np.pi / height))[:, None, None]
-        from_sky = np.pi * float((sky.picture * area).mean() / area.mean())
-    # A surface turned anyhow towards a sun gets half its irradiance on average.
-    return from_sky, 0.5 * float(sum(np.mean(sun.irradiance) for sun in lighting.suns))
+def sky_guide(sky: Sky) -> Sky | None:
+    """Of a sky what is brighter than its mean, as surfaces see it; None of a constant one.
 
-
-def _sun_fraction(sky: Sky, lighting: Lighting) -> float:
-    """Share of the suns in the light that falls on an average surface, within bounds."""
-    from_sky, from_suns = average_irradiance(sky, lighting)
-    return float(np.clip(from_suns / (from_suns + from_sky), *SUN_FRACTION))
+    Both brightness and mean are weighed by how much of a direction's light an average surface gets.
+    """
+    if sky.constant:
+        return None
+    height, width = sky.picture.shape[:2]
+    up = texel_directions(height, width) @ sky.to_world[2]
+    weight = ANYWHERE + (1.0 - ANYWHERE) * np.maximum(up, 0.0)
+    seen = Sky(np.asarray(sky.picture.mean(axis=-1) * weight, np.float32)[..., None], sky.to_world)
+    above = np.maximum(seen.picture - mean_radiance(seen), 0.0).astype(np.float32)
+    return Sky(np.repeat(above, 3, axis=-1), sky.to_world) if np.any(above) else None

@@ -21,8 +21,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.backends.mitsuba.arrays import ARRAYS
-from scenec.backends.mitsuba.emitter import average_irradiance
-from scenec.backends.picture.sky import combine
 from scenec.backends.stage.scene import Lamp, Lighting
 from scenec.backends.surface.lamps import cone, falloff
 
@@ -55,8 +53,7 @@ class Lamps(mi.Emitter):
         self.count = len(lamps)
         if self.around is not None:
             self.around.set_lighting(lighting)
-            weight = sum(average_irradiance(combine(lighting.domes), lighting))
-            self.around_weight = dr.opaque(mi.Float, weight)
+            self.around_weight = dr.opaque(mi.Float, self.around.drawn_irradiance)
         # One that gives nothing, so that arrays are never empty.
         shown = lamps or [Lamp(center, np.array([0.0, 0.0, -1.0]), np.zeros(3), 0.0, 1.0, 0.0)]
 
@@ -95,11 +92,12 @@ class Lamps(mi.Emitter):
         """Of the samples that go to lamps."""
         if self.around is None:
             return mi.Float(1.0)
-        if not weights:
-            # None at all, or too many.
-            return mi.Float(0.5 if self.count else 0.0)
-        total = sum(weights[1:], weights[0])
-        share = dr.clip(total / (total + self.around_weight), *LAMP_FRACTION)
+        if not self.count:
+            return mi.Float(0.0)
+        share = mi.Float(0.5)
+        if weights:
+            total = sum(weights[1:], weights[0])
+            share = dr.clip(total / (total + self.around_weight), *LAMP_FRACTION)
         return dr.select(self.around_weight > 0.0, share, 1.0)
 
     def _choose(self, weights: list[Any], x: Any) -> tuple[Any, Any, Any]:

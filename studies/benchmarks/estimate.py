@@ -1,7 +1,7 @@
 """Is the stated error of a picture true: over drawn scenes, how often is it below its 95 % bound.
 
-    python studies/benchmarks/estimate.py [--scenes 100] [--first 0] [--error 0.15]
-                                          [--keep FOLDER] [--json FILE] [--fast]
+    python studies/benchmarks/estimate.py [--scenes 100] [--first 0] [--error 0.1]
+                                          [--json FILE] [--fast]
 
 Each scene is a cfg drawn from its number (suns from 3 degrees up, skies or none, gloss, metals,
 glowing stones, a planetary law), seen at 48 x 32 by Mitsuba. A scene that shows no lit surface (a
@@ -12,10 +12,7 @@ Against a reference of its own noise, whose variance (from its halves) is subtra
 gives: one picture of 8, 16, 32 or 64 samples per pixel in turn (the calibration asked for: its
 true relative rms error is below the bound in 90 to 99 % of scenes), one picture at each of these
 (how sure that share is), and one picture rendered in rounds to a target error (a bound that is
-looked at after every round errs a little more often). Samples of Mitsuba are independent: a
-picture of 64 is the mean of two of 32, and a round of 40 that of one of 32 and one of 8, so one set
-of small pictures serves all. With ``--keep`` they are kept, a file a scene, and a run that was
-broken off goes on; a changed estimate is judged without rendering again.
+looked at after every round errs a little more often).
 """
 
 from __future__ import annotations
@@ -33,7 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.backends.contract import Radiance
-from scenec.backends.picture.adaptive import Target, collect, round_seed
+from scenec.backends.picture.adaptive import Draw, Target, collect, round_seed
 from scenec.backends.picture.noise import estimate
 from scenec.backends.run.session import Session
 from scenec.compiler.compile import compile_cfg
@@ -43,8 +40,8 @@ from small import small_cfg
 
 #: Samples per pixel of single pictures.
 SPP = (8, 16, 32, 64)
-#: Samples per pixel of a scene's small pictures, and how many there are.
-SMALL, LARGE = (8, 14), (32, 6)
+#: Samples per pixel that rounds end at.
+MOST = 512
 #: Of each of the reference's two halves.
 REFERENCE = 1024
 #: Few kinds of materials, the rest drawn: Mitsuba compiles anew for each kind.
@@ -67,32 +64,18 @@ class Trial:
 
 
 @dataclass
-class Pictures:
-    """One scene's.
+class Truth:
+    """What a scene's pictures are held against.
 
     Attributes:
         reference: Its halves, [2, h, w, 3].
-        small, large: Halves of each picture, [n, 2, h, w, 3].
-        covered: Pixels that surfaces touch in any of them, [h, w].
+        covered: Pixels that surfaces touch in it, [h, w].
     """
 
     reference: NDArray[np.float32]
-    small: NDArray[np.float32]
-    large: NDArray[np.float32]
     covered: NDArray[np.bool_]
 
-    def mean(self, small: Sequence[int], large: Sequence[int]) -> NDArray[np.float64]:
-        """Halves of the mean of some of them."""
-        parts = [(SMALL[0], self.small[i]) for i in small]
-        parts += [(LARGE[0], self.large[i]) for i in large]
-        total = sum(spp for spp, _ in parts)
-        return sum(spp / total * part.astype(np.float64) for spp, part in parts)  # type: ignore[return-value]
-
-    def single(self, spp: int) -> NDArray[np.float64]:
-        """A picture of ``SPP``; no two share samples."""
-        return self.mean(*{8: ([0], []), 16: ([1, 2], []), 32: ([], [0]), 64: ([], [1, 2])}[spp])
-
-    def true_error(self, halves: NDArray[np.float64]) -> float:
+    def error(self, halves: NDArray[np.float64]) -> float:
         """Relative rms error, with the reference's own variance subtracted."""
         reference = self.reference.astype(np.float64)
         mean = 0.5 * (reference[0] + reference[1])
@@ -101,36 +84,25 @@ class Pictures:
         square = float(((picture - mean) ** 2 - variance)[self.covered].mean())
         return math.sqrt(max(square, 0.0)) / float(mean[self.covered].mean())
 
-    def judged(self, spp: int, halves: NDArray[np.float64]) -> Trial:
+    def judged(self, picture: Radiance) -> Trial:
         """True error beside what its halves tell."""
+        halves = picture.halves.astype(np.float64)
         noise = estimate(halves, self.covered)
-        return Trial(
-            spp, self.true_error(halves), noise.relative_rms or 0.0, noise.relative_rms_bound or 0.0
-        )
+        bound = noise.relative_rms_bound or 0.0
+        return Trial(picture.spp, self.error(halves), noise.relative_rms or 0.0, bound)
 
-    def to_target(self, error: float) -> Trial | None:
-        """The picture that rounds end with; None if there are too few samples for it."""
-        small, large = list(range(SMALL[1])), list(range(LARGE[1]))
 
-        def draw(spp: int, _seed: int) -> Radiance:
-            taken: tuple[list[int], list[int]] = [], []
-            left = spp
-            while left > 0 and (small or large):
-                if large and (left >= LARGE[0] or not small):
-                    taken[1].append(large.pop())
-                    left -= LARGE[0]
-                else:
-                    taken[0].append(small.pop())
-                    left -= SMALL[0]
-            halves = self.mean(*taken)
-            drawn = SMALL[0] * len(taken[0]) + LARGE[0] * len(taken[1])
-            return Radiance(halves.astype(np.float32), self.covered.astype(np.float32), drawn)
+@dataclass(frozen=True)
+class Trials:
+    """One scene's.
 
-        most = SMALL[0] * SMALL[1] + LARGE[0] * LARGE[1]
-        picture, rounds = collect(draw, 0, Target(error, None, most))
-        if rounds.stopped != "error":
-            return None
-        return self.judged(picture.spp, picture.halves.astype(np.float64))
+    Attributes:
+        single: A picture of each of ``SPP``.
+        rounds: The picture that rounds end with; None if ``MOST`` samples are too few for it.
+    """
+
+    single: list[Trial]
+    rounds: Trial | None
 
 
 def drawn_cfg(number: int) -> dict[str, Any]:
@@ -182,8 +154,8 @@ def drawn_cfg(number: int) -> dict[str, Any]:
     return cfg
 
 
-def rendered(number: int) -> Pictures | None:
-    """One scene's pictures; None if no lit surface is seen."""
+def rendered(number: int, error: float) -> Trials | None:
+    """One scene's pictures, that in rounds to an error; None if no lit surface is seen."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "cfg.json"
         path.write_text(json.dumps(drawn_cfg(number)), encoding="utf-8")
@@ -192,59 +164,39 @@ def rendered(number: int) -> Pictures | None:
         camera, backend = session.scene.cameras[0][0], session.backend
         backend.load(session.scene)
 
-        def drawn(name: int, spp: int, count: int) -> list[Radiance]:
-            return [
-                backend.radiance(camera, 0, spp, round_seed(number, name + i)) for i in range(count)
-            ]
+        def draw(spp: int, seed: int) -> Radiance:
+            return backend.radiance(camera, 0, spp, seed)
 
-        large = drawn(1000, *LARGE)
-        if not any(one.halves.any() for one in large):
+        truth = draw(2 * REFERENCE, round_seed(number, 3000))
+        if not truth.halves.any():
             return None
-        small, reference = drawn(2000, *SMALL), drawn(3000, REFERENCE, 2)
-        covered = np.any([one.coverage > 0.0 for one in (*small, *large, *reference)], axis=0)
-
-        def halves(made: list[Radiance]) -> NDArray[np.float32]:
-            return np.stack([one.halves for one in made])
-
-        return Pictures(
-            halves(reference).mean(axis=1), halves(small), halves(large), np.asarray(covered)
-        )
+        return judged(Truth(truth.halves, truth.coverage > 0.0), draw, number, error)
 
 
-def pictures(number: int, keep: Path | None) -> Pictures | None:
-    """One scene's pictures, from ``keep`` if they are there."""
-    path = None if keep is None else keep / f"{number:04d}.npz"
-    if path is not None and path.is_file():
-        with np.load(path) as found:
-            return None if "black" in found else Pictures(**found)
-    made = rendered(number)
-    if path is not None:
-        aside = path.with_suffix(".part.npz")
-        np.savez_compressed(aside, **({"black": np.ones(1)} if made is None else vars(made)))
-        aside.rename(path)
-    return made
+def judged(truth: Truth, draw: Draw, number: int, error: float) -> Trials:
+    """What comes of pictures of each of ``SPP``, and of rounds to an error."""
+    single = [truth.judged(draw(spp, round_seed(number, 1000 + spp))) for spp in SPP]
+    picture, rounds = collect(draw, round_seed(number, 2000), Target(error, None, MOST))
+    return Trials(single, truth.judged(picture) if rounds.stopped == "error" else None)
 
 
 def main(study: Study) -> None:
     """Measure and print."""
     options = study.options
     count = 3 if study.fast else options.scenes
-    if options.keep:
-        options.keep.mkdir(parents=True, exist_ok=True)
     found: dict[str, list[Trial]] = {"single": [], "pooled": [], "adaptive": []}
     unmet, dark, number = 0, 0, options.first
     while len(found["single"]) < count:
-        scene = pictures(number, options.keep)
+        scene = rendered(number, options.error)
         number += 1
         if scene is None:
             dark += 1
             continue
-        each = [scene.judged(spp, scene.single(spp)) for spp in SPP]
+        each = scene.single
         found["single"].append(each[len(found["single"]) % len(SPP)])
         found["pooled"] += each
-        to_target = scene.to_target(options.error)
-        unmet += to_target is None
-        found["adaptive"] += [] if to_target is None else [to_target]
+        unmet += scene.rounds is None
+        found["adaptive"] += [] if scene.rounds is None else [scene.rounds]
         pairs = ", ".join(f"{t.true / t.bound:.3f}" for t in each if t.bound > 0.0)
         print(f"scene {number - 1}: true over bound {pairs}", file=sys.stderr, flush=True)
     study.say(f"{count} drawn scenes, 48 x 32, reference {2 * REFERENCE} samples per pixel;")
@@ -258,8 +210,7 @@ def main(study: Study) -> None:
         rows.append(["true error below that target", *share(met), None, None])
     header = ["pictures", "bound holds", "share", "95 % interval", "true/est.", "bound/est."]
     study.table(header, rows)
-    most = SMALL[0] * SMALL[1] + LARGE[0] * LARGE[1]
-    study.say(f"Target not met within {most} spp: {unmet} scenes.")
+    study.say(f"Target not met within {MOST} spp: {unmet} scenes.")
     if options.json:
         lists = {name: [_rounded(t) for t in trials] for name, trials in found.items()}
         about = {"error": options.error, "dark": dark, "unmet": unmet}
@@ -293,4 +244,4 @@ def _row(name: str, found: list[Trial]) -> list[Cell]:
 
 
 if __name__ == "__main__":
-    run(main, scenes=100, first=0, error=0.15, keep=Path, json=Path)
+    run(main, scenes=100, first=0, error=0.1, json=Path)

@@ -261,38 +261,26 @@ def test_mitsuba_meets_a_target_on_a_real_scene(tmp_path):
 
 @pytest.mark.slow
 def test_the_bound_holds_on_drawn_scenes():
-    scenes = [scene for number in range(8) if (scene := drawn_scenes.rendered(number)) is not None]
+    found = [trials for number in range(8) if (trials := drawn_scenes.rendered(number, 0.1))]
     # Numbers 4, 5 and 7 look past the ground's edge.
-    assert len(scenes) == 5
-    found = [scene.judged(spp, scene.single(spp)) for scene in scenes for spp in drawn_scenes.SPP]
+    assert len(found) == 5
+    single = [trial for trials in found for trial in trials.single]
     # The share is near 0.97; two of twenty fewer would be one in some hundred times.
-    assert sum(t.below for t in found) >= 17
-    assert 0.9 < np.median([t.true / t.estimate for t in found]) < 1.1
-    reached = [trial for scene in scenes if (trial := scene.to_target(0.2)) is not None]
+    assert sum(t.below for t in single) >= 17
+    assert 0.9 < np.median([t.true / t.estimate for t in single]) < 1.1
+    reached = [trials.rounds for trials in found if trials.rounds is not None]
     assert len(reached) >= 4
-    assert all(trial.bound <= 0.2 for trial in reached)
-    assert sum(trial.true <= 0.2 for trial in reached) >= len(reached) - 1
+    assert all(trial.bound <= 0.1 for trial in reached)
+    assert sum(trial.true <= 0.1 for trial in reached) >= len(reached) - 1
 
 
-def test_small_pictures_make_up_larger_ones_and_rounds():
-    rng = np.random.default_rng(2)
-
-    def drawn(spp: int, count: int) -> NDArray[np.float32]:
-        noise = rng.standard_normal((count, 2, *SHAPE, 3)) / np.sqrt(spp / 2)
-        return (1.0 + noise).astype(np.float32)
-
-    scene = drawn_scenes.Pictures(
-        drawn(2048, 2).mean(axis=1),
-        drawn(*drawn_scenes.SMALL),
-        drawn(*drawn_scenes.LARGE),
-        np.ones(SHAPE, bool),
-    )
-    for spp in drawn_scenes.SPP:
-        trial = scene.judged(spp, scene.single(spp))
-        assert trial.true == pytest.approx(1.0 / np.sqrt(spp), rel=0.1)
+def test_trials_say_the_true_error_and_the_stated_one():
+    reference = np.stack([halves_of(draw(4096, seed)).mean(axis=0) for seed in (101, 102)])
+    truth = drawn_scenes.Truth(reference.astype(np.float32), np.ones(SHAPE, bool))
+    trials = drawn_scenes.judged(truth, draw, 3, 0.15)
+    assert trials.rounds is not None
+    for trial in (*trials.single, trials.rounds):
+        assert trial.true == pytest.approx(SIGMA / np.sqrt(trial.spp), rel=0.1)
         assert trial.estimate == pytest.approx(trial.true, rel=0.1)
-    trial = scene.to_target(0.15)
-    assert trial.bound <= 0.15
-    assert trial.spp % 8 == 0
-    assert trial.true == pytest.approx(1.0 / np.sqrt(trial.spp), rel=0.1)
-    assert scene.to_target(0.01) is None
+    assert trials.rounds.bound <= 0.15
+    assert drawn_scenes.judged(truth, draw, 3, 0.01).rounds is None
