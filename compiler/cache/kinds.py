@@ -23,8 +23,8 @@ _OF: dict[str, tuple[str, ...]] = {
     "scene.sources": ("Sources",),
     "materials.tile": ("Look",),
     "terrain.condition": (
-        "CurvatureCondition", "FlowCondition", "FreshnessCondition", "HeightCondition",
-        "NoiseCondition", "PathCondition", "PointCondition", "Ragged", "SlopeCondition",
+        "Curvature", "Flow", "Freshness", "FromPath", "FromPoint", "Height", "Interval", "Noise",
+        "Ragged", "Slope",
     ),
     "terrain.detail": ("Spectrum", "Sum", "Weighted"),
     "terrain.grid": ("Grid", "HeightField"),

@@ -9,8 +9,15 @@ from scenec.compiler.cfg.check_files import InputFile
 from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.mesh.cover import MaterialCondition
 from scenec.compiler.mesh.merge import Merge
-from scenec.compiler.terrain.condition import Condition, FreshnessCondition, Interval, Ragged
-from scenec.compiler.terrain.mask import CONDITIONS, Masked
+from scenec.compiler.terrain.condition import (
+    QUANTITIES,
+    Condition,
+    Freshness,
+    Interval,
+    Noise,
+    Ragged,
+)
+from scenec.compiler.terrain.mask import Masked
 from scenec.compiler.terrain.operator import ReliefOperator
 from scenec.compiler.terrain.operators.craters import Craters
 
@@ -61,7 +68,7 @@ def draw_condition(
     files: Mapping[str, InputFile],
     relief: Sequence[ReliefOperator],
 ) -> Interval:
-    """One condition: its keys in the cfg are the fields of its class.
+    """One condition: its bounds, and a quantity whose fields are its other keys.
 
     Args:
         node: The cfg's part, resolved.
@@ -70,18 +77,24 @@ def draw_condition(
         files: Files of the cfg, by path.
         relief: Operators before it, of which the craters leave fresh ground.
     """
-    kind = CONDITIONS[node["type"]]
+    kind = QUANTITIES[node["type"]]
     values = {key: value for key, value in node.items() if key != "type"}
-    if values["ragged"] is not None:
-        values["ragged"] = Ragged(key=streams.key(f"{path}/ragged"), **values["ragged"])
+    # Their names end with the unit.
+    low, high, softness = (
+        values.pop(next(key for key in node if key.partition("_")[0] == name))
+        for name in ("min", "max", "softness")
+    )
+    low, high = (None if bound is None else kind.of_bound(bound) for bound in (low, high))
+    ragged = values.pop("ragged")
+    if ragged is not None:
+        ragged = Ragged(key=streams.key(f"{path}/ragged"), **ragged)
     if "file" in values:
         values["file"] = files[f"{path}/file"].path
-    if "key" in kind.__dataclass_fields__:
+    if kind is Noise:
         values["key"] = streams.key(path)
-    if kind is FreshnessCondition:
+    if kind is Freshness:
         values["craters"] = tuple(laid for operator in relief for laid in craters_of(operator))
-    condition: Interval = kind(**values)
-    return condition
+    return Interval(kind(**values), low, high, softness, ragged)
 
 
 def craters_of(operator: ReliefOperator) -> list[tuple[Craters, tuple[Condition, ...]]]:

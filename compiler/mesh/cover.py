@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 from scenec.compiler.cache.memo import memoized
 from scenec.compiler.mesh.merge import Merge, center_for_coverage, label_index
 from scenec.compiler.mesh.signed_bound import SignedBound, signed_bound
-from scenec.compiler.terrain.condition import Condition
+from scenec.compiler.terrain.condition import QUANTITIES, Condition
 from scenec.compiler.terrain.grid import HeightField
-from scenec.compiler.terrain.mask import CONDITIONS
 from scenec.compiler.terrain.quantities import Quantities, Samples
 from scenec.schemas.errors import SceneError
 
@@ -169,18 +168,19 @@ def _report(laid: Sequence[_Laid]) -> list[dict[str, Any]]:
 
 
 def _of_limit(merge: Merge, laid: SignedBound, value: NDArray[np.float64]) -> dict[str, Any]:
-    low, high, softness = laid.condition.bounds()
-    kind = next(name for name, cls in CONDITIONS.items() if type(laid.condition) is cls)
+    condition = laid.condition
+    kind = next(name for name, cls in QUANTITIES.items() if type(condition.quantity) is cls)
     report: dict[str, Any] = {
         "type": kind,
         "holds": float((laid.t(value) >= merge.level_t()).mean()),
-        "softness_asked": softness,
+        "softness_asked": condition.softness,
     }
-    for bound, width, end in ((low, laid.softness[0], "min"), (high, laid.softness[1], "max")):
+    bounds = (condition.low, laid.softness[0], "min"), (condition.high, laid.softness[1], "max")
+    for bound, width, end in bounds:
         if bound is not None:
             report[f"softness_at_{end}"] = width
-    if hasattr(laid.condition, "over_m"):
-        report["smoothed_over_m"] = laid.quantities.over(laid.condition.over_m)
+    if hasattr(condition.quantity, "over_m"):
+        report["smoothed_over_m"] = laid.quantities.over(condition.quantity.over_m)
     return report
 
 
@@ -206,20 +206,16 @@ class MaterialCondition(Condition):
         field = HeightField(quantities.grid, quantities.height)
         weight, left = np.zeros(field.height.size), np.ones(field.height.size)
         samples = quantities.samples
-        laid = _laid(self.merges, self.coverage, field, False, samples)
-        alphas = [
-            each.noised(lambda merge: merge.noise_on(samples)).weight()
-            if i >= min(self.layers)
-            else None
-            for i, each in enumerate(laid, start=1)
-        ]
+        # What lies below all that count does not matter.
+        lowest = max(min(self.layers), 1)
+        merges, coverage = self.merges[lowest - 1 :], self.coverage[lowest - 1 :]
+        laid = list(_laid(merges, coverage, field, False, samples))
         # From the top down: ``left`` is what shows through.
-        for i in range(len(alphas), 0, -1):
-            alpha = alphas[i - 1]
-            if alpha is not None:
-                if i in self.layers:
-                    weight += left * alpha
-                left *= 1.0 - alpha
+        for i, each in reversed(list(enumerate(laid, start=lowest))):
+            alpha = each.noised(lambda merge: merge.noise_on(samples)).weight()
+            if i in self.layers:
+                weight += left * alpha
+            left *= 1.0 - alpha
         if 0 in self.layers:
             weight += left
         return weight.reshape(field.grid.shape)

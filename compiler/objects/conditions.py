@@ -39,8 +39,8 @@ class OnRelief(PlacementCondition):
 
     def weight(self, lattice: Lattice, around: Surroundings) -> NDArray[np.float64]:
         """The soft interval."""
-        value = self.condition.value_at(around.quantities, *lattice.points())
-        return soft_interval(value, *self.condition.bounds()).reshape(lattice.shape)
+        weight = self.condition.weight_at(around.quantities, *lattice.points())
+        return weight.reshape(lattice.shape)
 
 
 @dataclass(frozen=True)
