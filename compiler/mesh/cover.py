@@ -44,14 +44,20 @@ def lay(
 
 @memoized("cover")
 def lay_and_report(
-    merges: Sequence[Merge], coverage: Sequence[float | None], field: HeightField
+    merges: Sequence[Merge],
+    coverage: Sequence[float | None],
+    field: HeightField,
+    samples: Samples | None = None,
 ) -> tuple[tuple[Merge, ...], list[dict[str, Any]]]:
-    """``lay`` on the finished relief, and ``cover_report`` of what it made."""
+    """``lay`` on the finished relief, and ``cover_report`` of what it made.
+
+    ``samples`` are the relief's, with noises that are known there.
+    """
     every = _counted(field)
     x, y = (a[every] for a in field.grid.points())
     laid = [
         each.thinned(every).noised(lambda merge: merge.noise(x, y))
-        for each in _laid(merges, coverage, field, True, Samples(field.grid))
+        for each in _laid(merges, coverage, field, True, samples or Samples(field.grid))
     ]
     return tuple(each.merge for each in laid), _report(laid)
 

@@ -97,6 +97,11 @@ class Merge:
         values = [limit.value(x, y) for limit in self.limits]
         return self.side_of(values, self.noise(x, y) if self.noisy else None)
 
+    def side_on(self, samples: Samples) -> NDArray[np.float64]:
+        """``side`` at a grid's samples, row-major: float64 [n]."""
+        values = [limit.condition.value_on(limit.quantities, samples) for limit in self.limits]
+        return self.side_of(values, self.noise_on(samples) if self.noisy else None)
+
     def side_of(
         self, values: Sequence[NDArray[np.float64]], noise: NDArray[np.float64] | None
     ) -> NDArray[np.float64]:
@@ -139,9 +144,9 @@ def center_for_coverage(noise: NDArray[np.float64], coverage: float) -> float:
     return 0.5 * (below + above)
 
 
-def label_index(sides: list[NDArray[np.float64]]) -> NDArray[np.int32]:
+def label_index(sides: Sequence[NDArray[np.float64]] | NDArray[np.float64]) -> NDArray[np.int32]:
     """Index of the material that labels each point: the last merge with side >= 0, else 0."""
-    if not sides:
+    if not len(sides):
         raise ValueError("label_index needs at least one merge")
     index = np.zeros(sides[0].shape, np.int32)
     for i, side in enumerate(sides, start=1):

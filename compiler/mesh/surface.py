@@ -18,6 +18,9 @@ from scenec.compiler.terrain.grid import HeightField
 from scenec.schemas.kernels import inlined, kernel
 from scenec.schemas.threads import POINTS, over_threads
 
+#: Of merges at points: float64 [n] each, or [k, n].
+_Sides = Sequence[NDArray[np.float64]] | NDArray[np.float64]
+
 
 @dataclass(frozen=True)
 class Surface:
@@ -48,7 +51,7 @@ class Surface:
         self,
         x: NDArray[np.float64],
         y: NDArray[np.float64],
-        sides: Sequence[NDArray[np.float64]] | None = None,
+        sides: _Sides | None = None,
     ) -> NDArray[np.float64]:
         """Heights, float64 [n], meters; ``sides`` of the merges there, where they are known."""
         if not self.smooth:
@@ -71,7 +74,7 @@ class Surface:
             return np.zeros(x.shape)
         return self.height_at(x, y) - self.field.height_at(x, y)
 
-    def displaced(self, sides: Sequence[NDArray[np.float64]], count: int) -> NDArray[np.float64]:
+    def displaced(self, sides: _Sides, count: int) -> NDArray[np.float64]:
         """Shares of the layers that have a displacement, float64 [count, l], from merges' sides."""
         if not self.smooth or not any(self.displacements):
             return np.zeros((count, 0))
@@ -102,9 +105,7 @@ class Surface:
         spectra = [detail.spectrum() for detail in shown] if self.smooth else []
         return float(joined(spectra).amplitude_m.sum())
 
-    def _shares(
-        self, sides: Sequence[NDArray[np.float64]], x: NDArray[np.float64]
-    ) -> list[NDArray[np.float64]]:
+    def _shares(self, sides: _Sides, x: NDArray[np.float64]) -> list[NDArray[np.float64]]:
         """What each layer contributes where all are merged: adds up to 1."""
         shares = [np.ones(x.shape)]
         for merge, side in zip(self.merges, sides, strict=True):

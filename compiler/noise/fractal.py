@@ -65,8 +65,8 @@ class Fractal:
         if not x.size:
             return np.empty(0)
         box_x, box_y = (np.array([a.min(), a.max()]) / self.scale_m for a in (x, y))
-        places = Places(*map(np.ascontiguousarray, (x, y)), self.scale_m, False)
-        return self._sum(places, box_x, box_y, x.size)
+        x, y = np.ascontiguousarray(x), np.ascontiguousarray(y)
+        return self._sum(Places(x, y, self.scale_m, False), box_x, box_y, x.size)
 
     def on(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
         """On a grid of columns x and rows y, both rising, meters: float64 [ny, nx]."""

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.terrain.grid import Grid, HeightField
+from scenec.schemas.kernels import kernel
 
 
 @dataclass(frozen=True)
@@ -35,9 +36,22 @@ class Spectrum:
         order = np.argsort(self.wavelength_m, kind="stable")
         square = self.amplitude_m[order] * self.amplitude_m[order]
         total = np.concatenate([[0.0], np.cumsum(square)])
-        below = np.searchsorted(self.wavelength_m[order], length_m, side="left")
-        amplitude: NDArray[np.float64] = np.sqrt(total[below])
+        amplitude: NDArray[np.float64] = _look_up(
+            length_m, self.wavelength_m[order], np.sqrt(total)
+        )
         return amplitude
+
+
+@kernel
+def _look_up(length: NDArray, wavelength: NDArray, amplitude: NDArray) -> NDArray:
+    """For each length the amplitude of the wavelengths below it, which ascend."""
+    out = np.empty(length.size)
+    for n in range(length.size):
+        below = 0
+        while below < wavelength.size and wavelength[below] < length[n]:
+            below += 1
+        out[n] = amplitude[below]
+    return out
 
 
 class Detail(Protocol):

@@ -112,6 +112,23 @@ def _heights_at_part(
             out[n] = surface_height(height, x0, y0, dx, dy, x[n - j * x.size], y[j])
 
 
+@kernel
+def gradient(height: NDArray, dx: float, dy: float) -> NDArray:
+    """Slopes in x and y, float64 [2, ny, nx]: central differences, one-sided on the border."""
+    ny, nx = height.shape
+    out = np.empty((2, ny, nx))
+    for j in range(ny):
+        below, above = max(j - 1, 0), min(j + 1, ny - 1)
+        step = (above - below) * dy
+        for i in range(nx):
+            out[1, j, i] = (height[above, i] - height[below, i]) / step
+        out[0, j, 0] = (height[j, 1] - height[j, 0]) / dx
+        out[0, j, nx - 1] = (height[j, nx - 1] - height[j, nx - 2]) / dx
+        for i in range(1, nx - 1):
+            out[0, j, i] = (height[j, i + 1] - height[j, i - 1]) / (2.0 * dx)
+    return out
+
+
 @dataclass(frozen=True)
 class HeightField:
     """A grid with heights, and the triangulated surface between them.
@@ -144,8 +161,6 @@ class HeightField:
 
     def normals(self) -> NDArray[np.float64]:
         """Unit normals at the samples, from central differences: float64 [ny, nx, 3]."""
-        dx, dy = self.grid.spacing_m
-        gx = np.gradient(self.height, dx, axis=1)
-        gy = np.gradient(self.height, dy, axis=0)
+        gx, gy = gradient(self.height, *self.grid.spacing_m)
         length = np.sqrt(gx * gx + gy * gy + 1.0)
         return np.stack([-gx / length, -gy / length, 1.0 / length], axis=-1)

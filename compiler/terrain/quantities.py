@@ -14,17 +14,13 @@ from numpy.typing import NDArray
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.assets.polyline import read_polyline
 from scenec.compiler.terrain.flow import upslope_area
-from scenec.compiler.terrain.grid import Grid, HeightField
+from scenec.compiler.terrain.grid import Grid, HeightField, gradient
 from scenec.compiler.terrain.operators.smooth import diffuse
 from scenec.compiler.terrain.polyline import project
 
 #: Length over which heights are smoothed where none is given, in grid spacings: differences of
 #: single samples are mostly the finest octave of a noise.
 DEFAULT_SPACINGS = 2.0
-
-
-#: Bytes of noises that ``Samples`` keep at most.
-KEPT = 1 << 27
 
 
 class Samples:
@@ -34,7 +30,7 @@ class Samples:
         grid: Whose samples.
     """
 
-    def __init__(self, grid: Grid, kept: int = 0):
+    def __init__(self, grid: Grid, kept: int = 1 << 27):
         """``kept``: bytes of noises that are kept at most."""
         self.grid = grid
         self._left = kept
@@ -96,10 +92,7 @@ class Quantities:
         """Angle of steepest ascent by central differences, degrees."""
 
         def make() -> NDArray[np.float64]:
-            dx, dy = self.grid.spacing_m
-            height = self.smoothed(over_m)
-            gx = np.gradient(height, dx, axis=1)
-            gy = np.gradient(height, dy, axis=0)
+            gx, gy = gradient(self.smoothed(over_m), *self.grid.spacing_m)
             return elementary.atan_array(np.sqrt(gx * gx + gy * gy)) * (180.0 / elementary.PI)
 
         return self.once(("slope", self.over(over_m)), make)
