@@ -36,13 +36,18 @@ def of_keys(
     kind = kinds[node["type"]]
     if "file" in values:
         values["file"] = files[f"{path}/file"].path
-    if values.get("ragged") is not None:
-        values["ragged"] = Ragged(key=streams.key(f"{path}/ragged"), **values["ragged"])
+    if "ragged" in values:
+        values["ragged"] = ragged_of(values["ragged"], streams, path)
     if "key" in kind.__dataclass_fields__:
         values["key"] = streams.key(path)
-    if "craters" in kind.__dataclass_fields__:
+    if "craters" in kind.__dataclass_fields__ and "craters" not in node:
         values["craters"] = tuple(laid for operator in relief for laid in _craters_of(operator))
     return kind(**values)
+
+
+def ragged_of(node: Mapping[str, Any] | None, streams: Streams, path: str) -> Ragged | None:
+    """What is added to the quantity of the condition at a path; None: nothing."""
+    return None if node is None else Ragged(key=streams.key(f"{path}/ragged"), **node)
 
 
 def _craters_of(operator: ReliefOperator) -> list[tuple[Craters, tuple[Condition, ...]]]:

@@ -14,6 +14,7 @@ from scenec.compiler.cfg.check_files import InputFile
 from scenec.compiler.distributions.laws import golombek_rapp_per_m2
 from scenec.compiler.distributions.numbers import Distribution, draw_number
 from scenec.compiler.distributions.streams import Streams
+from scenec.compiler.draw.ground import draw_condition
 from scenec.compiler.draw.of_keys import of_keys
 from scenec.compiler.objects.conditions import (
     FromCameras,
@@ -36,7 +37,6 @@ from scenec.compiler.objects.density import (
 )
 from scenec.compiler.scene.plan import Apart, Count, ModelSource, RockShapes, ScatterPlan
 from scenec.compiler.scene.scene import Labels
-from scenec.compiler.terrain.mask import CONDITIONS
 from scenec.compiler.terrain.operator import ReliefOperator
 from scenec.schemas.errors import SceneError
 
@@ -247,7 +247,7 @@ def _place(
     if node["type"] in _DISTANCES:
         distance: PlacementCondition = of_keys(_DISTANCES, node, streams, path, setting.files)
         return distance
-    return OnRelief(of_keys(CONDITIONS, node, streams, path, setting.files, setting.relief))
+    return OnRelief(draw_condition(node, streams, path, setting.files, setting.relief))
 
 
 def _random_turns(streams: Streams, path: str, n: int) -> NDArray[np.float64]:
