@@ -24,7 +24,7 @@ def of_keys(
     """What a node's ``type`` names, with the node's other keys as its fields.
 
     Args:
-        kinds: Classes by type. A field "key" gets a noise key, "craters" those of the relief.
+        kinds: Classes by type.
         node: The cfg's part, resolved.
         streams: The batch's streams.
         path: Where it stands in the cfg.
@@ -38,9 +38,11 @@ def of_keys(
         values["file"] = files[f"{path}/file"].path
     if "ragged" in values:
         values["ragged"] = ragged_of(values["ragged"], streams, path)
-    if "key" in kind.__dataclass_fields__:
+    # What the cfg does not say: a noise key, and the craters that there are.
+    fields = kind.__dataclass_fields__.keys() - values
+    if "key" in fields:
         values["key"] = streams.key(path)
-    if "craters" in kind.__dataclass_fields__ and "craters" not in node:
+    if "craters" in fields:
         values["craters"] = tuple(laid for operator in relief for laid in _craters_of(operator))
     return kind(**values)
 

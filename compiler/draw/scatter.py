@@ -57,12 +57,14 @@ class Setting:
         relief: The operators that were laid.
         ground: The cfg's ground layers, resolved.
         files: Files of the cfg, by path.
+        label_table: The cfg's labels: per level, name -> id.
     """
 
     size_m: tuple[float, float] = (1.0, 1.0)
     relief: Sequence[ReliefOperator] = ()
     ground: Sequence[Mapping[str, Any]] = ()
     files: Mapping[str, InputFile] = field(default_factory=dict)
+    label_table: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
 
 
 def draw_scattered(
