@@ -47,7 +47,7 @@ from numpy.typing import NDArray
 
 from scenec.schemas.csv_cells import guarded, unguarded
 from scenec.schemas.errors import FrameError
-from scenec.schemas.files import NUMPY_FAULTS, atomic
+from scenec.schemas.files import NUMPY_FAULTS, atomic, frame_stem_of
 
 #: Of all instances of a batch, in its folder of frames.
 BATCH_TABLE = "instances.npz"
@@ -216,8 +216,7 @@ def read_frame_table(path: Path) -> dict[str, NDArray[Any]]:
     """
     path = Path(path)
     if not path.name.endswith(FRAME_SUFFIX):
-        stem = path.with_suffix("") if path.suffix in (".exr", ".json", ".png") else path
-        path = frame_table_path(stem)
+        path = frame_table_path(frame_stem_of(path))
     try:
         with path.open(encoding="utf-8", newline="") as file:
             lines = list(csv.reader(file, strict=True))

@@ -35,7 +35,6 @@ from scenec.schemas.errors import OutputError
 from scenec.schemas.files import write_json
 from scenec.schemas.manifest import LEFT_OUT as LEFT_OUT
 from scenec.schemas.shape import Each, natural, read_shaped
-from scenec.schemas.spelling import nearest
 
 _FORMAT = 2
 #: Classes with fewer objects than one in so many numbers have their ids listed.
@@ -215,35 +214,6 @@ def read_left_out(folder: Path) -> Record | None:
             raise OutputError(f"{path}: is no {what}: /classes/{name}: {error}") from error
     tiles = {name: Reason(reason) for name, reason in value["tiles"].items()}
     return Record(classes, tiles)
-
-
-def reason_of(folder: Path, class_name: str, local_id: int) -> Reason:
-    """Why an instance is in the stage of a batch, or why it is not.
-
-    Args:
-        folder: Of the batch.
-        class_name: As in the cfg's ``objects``.
-        local_id: Number within the class, from 1 (``local_id`` in tables of instances).
-
-    Returns:
-        The reason; ``Reason.ALL`` where nothing is missing from the batch, whatever was asked.
-
-    Raises:
-        OutputError: The record is damaged; no class has that name; the class has no such number.
-    """
-    record = read_left_out(folder)
-    if record is None:
-        return Reason.ALL
-    if class_name not in record.classes:
-        raise OutputError(
-            f"{folder / LEFT_OUT}: no class {class_name!r}{nearest(class_name, record.classes)}"
-        )
-    one = record.classes[class_name]
-    if not 1 <= local_id <= one.drawn:
-        raise OutputError(
-            f"{folder / LEFT_OUT}: {class_name} has the numbers 1 to {one.drawn}, not {local_id}"
-        )
-    return one.of(local_id)
 
 
 def _as_json(one: ClassRecord) -> dict[str, Any]:

@@ -36,9 +36,8 @@ from scenec.schemas.frames import (
 from scenec.schemas.instances import frame_table_path, read_frame_table, write_frame_table
 from scenec.schemas.lens import KANNALA_BRANDT, Lens
 from scenec.schemas.passes import AMODAL, origins
+from scenec.schemas.picture import LUMINANCE
 from scenec.schemas.versions import version_of
-
-_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
 
 def write_frame(
@@ -217,7 +216,7 @@ def sun_facts(lighting: Lighting) -> dict[str, Any] | None:
     if not lighting.suns:
         return None
     # Rec.709 luminance; of equal ones the first.
-    sun = max(lighting.suns, key=lambda s: float((s.irradiance * _LUMINANCE).sum()))
+    sun = max(lighting.suns, key=lambda s: float((s.irradiance * LUMINANCE).sum()))
     x, y, z = sun.to_light.tolist()
     return {
         "elevation_deg": math.degrees(math.atan2(z, math.hypot(x, y))),
@@ -249,7 +248,7 @@ def light_facts(lighting: Lighting) -> dict[str, Any]:
     suns = [
         {
             "prim": sun.path,
-            "irradiance": float((sun.irradiance * _LUMINANCE).sum()),
+            "irradiance": float((sun.irradiance * LUMINANCE).sum()),
             "angle_deg": math.degrees(sun.diameter_rad),
             "normalized": sun.normalized,
         }
@@ -258,8 +257,8 @@ def light_facts(lighting: Lighting) -> dict[str, Any]:
     sky = combine(lighting.domes)
     return {
         "suns": suns,
-        "sky_radiance": 0.0 if sky is None else float((mean_radiance(sky) * _LUMINANCE).sum()),
-        "lamps_w_sr": [float((lamp.intensity * _LUMINANCE).sum()) for lamp in lighting.lamps],
+        "sky_radiance": 0.0 if sky is None else float((mean_radiance(sky) * LUMINANCE).sum()),
+        "lamps_w_sr": [float((lamp.intensity * LUMINANCE).sum()) for lamp in lighting.lamps],
     }
 
 
