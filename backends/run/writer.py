@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -80,26 +80,14 @@ def write_frame(
         shown = taken.picture
     elif "rgb" in passes:
         shown = picture.develop(passes["rgb"], camera.exposure_ev)
-    beside = {} if taken is None else {"clean": taken.clean, "raw": taken.raw}
-    for path, pixels in (
-        (stem.with_suffix(".png"), shown),
-        *((beside_path(stem, kind), beside.get(kind)) for kind in BESIDE),
-    ):
-        if pixels is None:
-            # A picture of an earlier frame does not belong to this one.
-            _unlink(path)
-        else:
-            picture.write_png(path, pixels)
-    listed = frame_table_path(stem)
-    if seen is None:
-        _unlink(listed)
-    else:
-        write_frame_table(listed, seen.table)
-    masks = amodal_path(stem)
-    if seen is None or seen.amodal is None:
-        _unlink(masks)
-    else:
-        write_amodal(masks, seen.amodal)
+    _put(stem.with_suffix(".png"), shown, picture.write_png)
+    beside = {
+        kind: _put(beside_path(stem, kind), getattr(taken, kind, None), picture.write_png)
+        for kind in BESIDE
+    }
+    listed, amodal = (None, None) if seen is None else (seen.table, seen.amodal)
+    table = _put(frame_table_path(stem), listed, write_frame_table)
+    masks = _put(amodal_path(stem), amodal, write_amodal)
     sidecar = {
         "version": FRAME_VERSION,
         "camera": camera.name,
@@ -133,9 +121,9 @@ def write_frame(
         "exr": _vouch(exr),
         "png": "rgb" in passes,
         "picture": picture_facts(passes, shown, surfaces, scene.lighting[sample]),
-        "instance_table": None if seen is None else _vouch(listed),
-        "amodal": None if seen is None or seen.amodal is None else _vouch(masks),
-        **({} if taken is None else {"imaging": taken.facts | _vouch_beside(stem, beside)}),
+        "instance_table": table,
+        "amodal": masks,
+        **({} if taken is None else {"imaging": taken.facts | beside}),
         **details,
     }
     write_json(stem.with_suffix(".json"), plain(sidecar))
@@ -262,11 +250,13 @@ def light_facts(lighting: Lighting) -> dict[str, Any]:
     }
 
 
-def _vouch_beside(stem: Path, beside: Mapping[str, NDArray | None]) -> dict[str, Any]:
-    return {
-        kind: None if pixels is None else _vouch(beside_path(stem, kind))
-        for kind, pixels in beside.items()
-    }
+def _put[T](path: Path, value: T | None, write: Callable[[Path, T], None]) -> dict[str, Any] | None:
+    """Write a file beside a frame, and vouch for it; what is not of this frame is removed."""
+    if value is None:
+        _unlink(path)
+        return None
+    write(path, value)
+    return _vouch(path)
 
 
 def _vouch(path: Path) -> dict[str, Any]:
