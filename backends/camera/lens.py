@@ -8,8 +8,8 @@ Annotation has none of this: its rays are exact (``backends.rays``).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,8 +27,7 @@ _SAMPLES = 48
 _BAND = 1 << 18
 
 
-@dataclass(frozen=True)
-class RayTable:
+class RayTable(NamedTuple):
     """Rays on a lattice over a picture.
 
     Attributes:
@@ -62,26 +61,22 @@ def _table(lens: Lens | None, k: tuple[float, ...], width: int, height: int) -> 
         if error <= TOLERANCE_PX or 4 * points > _MOST_POINTS or per_pixel == _FINEST:
             break
         per_pixel *= 2
+    border = None if lens is None else reach(lens)
+
+    def fill(out: NDArray, offset: float, step: float, which: int) -> None:
+        """Bands of ``local_rays``, so that what is made on the way does not grow with pictures."""
+        columns = offset + step * np.arange(out.shape[1], dtype=np.float64)
+        at_once = max(1, _BAND // out.shape[1])
+        for first in range(0, len(out), at_once):
+            part = out[first : first + at_once]
+            rows = offset + step * np.arange(first, first + len(part), dtype=np.float64)
+            part[:] = local_rays(camera, columns, rows, border)[which]
+
     out = np.empty((camera.height * per_pixel + 1, camera.width * per_pixel + 1, 3), np.float32)
-    columns: NDArray[np.float64] = np.arange(out.shape[1], dtype=np.float64) * (1.0 / per_pixel)
-    border = _border(camera)
-    step = max(1, _BAND // out.shape[1])
-    for first in range(0, out.shape[0], step):
-        last = min(first + step, out.shape[0])
-        rows = np.arange(first, last, dtype=np.float64) * (1.0 / per_pixel)
-        out[first : first + len(rows)] = local_rays(camera, columns, rows, border)[0]
     known = np.empty((camera.height, camera.width), np.bool_)
-    step = max(1, _BAND // camera.width)
-    for first in range(0, camera.height, step):
-        last = min(first + step, camera.height)
-        across = np.arange(camera.width, dtype=np.float64) + 0.5
-        down = np.arange(first, last, dtype=np.float64) + 0.5
-        known[first:last] = local_rays(camera, across, down, border)[1]
+    fill(out, 0.0, 1.0 / per_pixel, 0)
+    fill(known, 0.5, 1.0, 1)
     return RayTable(out, per_pixel, known, error)
-
-
-def _border(camera: Camera) -> float:
-    return 0.0 if camera.lens is None else reach(camera.lens)
 
 
 def local_rays(
@@ -107,7 +102,7 @@ def _error(camera: Camera, per_pixel: int) -> float:
     """The most that the middles of cells are off, of some of all pixels."""
     step = 1.0 / per_pixel
     u, v = (_some(side) for side in (camera.width, camera.height))
-    border = _border(camera)
+    border = None if camera.lens is None else reach(camera.lens)
     corners = [
         [local_rays(camera, u + du, v + dv, border) for du in (0.0, step)] for dv in (0.0, step)
     ]

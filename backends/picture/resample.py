@@ -155,7 +155,7 @@ def draw(
         numbers[i] = k[0, 0], k[0, 2], k[1, 2], view.width, view.height
     table = views.table
     over_threads(
-        _gather, camera.height, _Lattice.of(table), SUBPIXELS,
+        _gather, camera.height, table, SUBPIXELS,
         len(views.faces) == 1 and views.faces[0] == 0, FACES,
         _Rendered(index_of_face, numbers, starts, stacked), picture,
     )  # fmt: skip
@@ -171,18 +171,6 @@ def draw(
         None if channels == 7 else np.ascontiguousarray(picture[..., 7:]),
         all(part.stochastic for part in parts),
     )
-
-
-class _Lattice(NamedTuple):
-    """``RayTable``, as kernels want it."""
-
-    directions: NDArray[np.float32]
-    per_pixel: int
-    known: NDArray[np.bool_]
-
-    @classmethod
-    def of(cls, table: RayTable) -> _Lattice:
-        return cls(table.directions, table.per_pixel, table.known)
 
 
 class _Rendered(NamedTuple):
@@ -209,13 +197,13 @@ def _product(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float
 def _within(table: RayTable, cosine: float) -> bool:
     """Whether all rays lie in a cone around the axis."""
     least = np.ones(len(table.known))
-    over_threads(_least_cosine, len(least), _Lattice.of(table), least)
+    over_threads(_least_cosine, len(least), table, least)
     return bool(least.min() >= cosine)
 
 
 @kernel
 def _least_cosine(first, last, lattice, least):  # type: ignore[no-untyped-def]
-    table, per_pixel, known = lattice
+    table, per_pixel, known, _ = lattice
     width = known.shape[1]
     for y in range(first, last):
         for x in range(width):
@@ -235,7 +223,7 @@ def _windows(
     height = len(table.known)
     low = np.full((height, len(FACES), 2), np.inf)
     high = np.full((height, len(FACES), 2), -np.inf)
-    over_threads(_find_windows, height, _Lattice.of(table), FACES, single, low, high)
+    over_threads(_find_windows, height, table, FACES, single, low, high)
     low, high = low.min(axis=0), high.max(axis=0)
     used = np.isfinite(low).all(axis=1) & np.isfinite(high).all(axis=1)
     if not single:
@@ -252,14 +240,14 @@ def _windows(
 def _neighbors_used(table: RayTable) -> NDArray[np.bool_]:
     """Faces that places within pixels meet."""
     used = np.zeros((len(table.known), len(FACES)), np.bool_)
-    over_threads(_meet_faces, len(used), _Lattice.of(table), SUBPIXELS, used)
+    over_threads(_meet_faces, len(used), table, SUBPIXELS, used)
     return used.any(axis=0)
 
 
 @kernel
 def _find_windows(first, last, lattice, faces, single, low, high):  # type: ignore[no-untyped-def]
     """What lines of pixels take of each face's plane, float64 [h, 6, 2] each."""
-    table, per_pixel, known = lattice
+    table, per_pixel, known, _ = lattice
     width = known.shape[1]
     for y in range(first, last):
         for x in range(width):
@@ -315,7 +303,7 @@ def _between(table, per_pixel, x, y, out):  # type: ignore[no-untyped-def]
 
 @kernel
 def _meet_faces(first, last, lattice, side, used):  # type: ignore[no-untyped-def]
-    table, per_pixel, known = lattice
+    table, per_pixel, known, _ = lattice
     width = known.shape[1]
     for y in range(first, last):
         d = np.empty(3)
@@ -333,14 +321,14 @@ def _gather(first, last, lattice, side, single, faces, views, out):  # type: ign
 
     Args:
         first, last: Which lines.
-        lattice: ``_Lattice``.
+        lattice: ``RayTable``.
         side: Places along a pixel's side.
         single: Whether the first face's view is all there is.
         faces: ``FACES``, float64 [6, 3, 3].
         views: ``_Rendered``.
         out: Receives the means, float32 [h, w, channels].
     """
-    table, per_pixel, known = lattice
+    table, per_pixel, known, _ = lattice
     width, channels = out.shape[1], out.shape[2]
     pixels, share = views.pixels, 1.0 / (side * side)
     for y in range(first, last):
