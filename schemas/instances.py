@@ -192,17 +192,18 @@ def write_frame_table(path: Path, columns: dict[str, NDArray[Any]]) -> None:
     Raises:
         OutputError: It cannot be written.
     """
-    kinds = ["%s" if values.dtype.kind in "UOiub" else "%.9g" for values in columns.values()]
     texts = [
-        [_quoted(guarded(value)) for value in values.tolist()]
+        list(map(guarded, values.tolist()))
         if values.dtype.kind in "UO"
+        else [f"{value:.9g}" for value in values.tolist()]
+        if values.dtype.kind == "f"
         else values.tolist()
         for values in columns.values()
     ]
-    line = ",".join(kinds) + "\n"
     with atomic(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
-        file.write(",".join(map(_quoted, columns)) + "\n")
-        file.writelines(line % values for values in zip(*texts, strict=True))
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(columns)
+        writer.writerows(zip(*texts, strict=True))
 
 
 def read_frame_table(path: Path) -> dict[str, NDArray[Any]]:
@@ -241,9 +242,3 @@ def _column(name: str, values: Sequence[str]) -> NDArray[Any]:
     if not sound.all():
         raise ValueError(f"{name} holds {numbers[~sound][0]:g}, which no instance has")
     return numbers
-
-
-def _quoted(value: str) -> str:
-    if any(mark in value for mark in ',"\r\n'):
-        return '"' + value.replace('"', '""') + '"'
-    return value

@@ -257,18 +257,13 @@ def _from_json(value: dict[str, Any]) -> ClassRecord:
 
 
 def _packed(codes: NDArray[np.uint8], bits: int) -> bytes:
-    places = 8 // bits
-    rows = np.zeros(-(-len(codes) // places) * places, np.uint8)
-    rows[: len(codes)] = codes
-    shifts = np.arange(places, dtype=np.uint8) * np.uint8(bits)
-    packed = np.bitwise_or.reduce(rows.reshape(-1, places) << shifts, axis=1)
-    return packed.astype(np.uint8).tobytes()
+    """The lowest bits of codes, one code after the other."""
+    each = np.unpackbits(codes[:, None], axis=1, count=bits, bitorder="little")
+    return np.packbits(each, bitorder="little").tobytes()
 
 
 def _unpacked(data: bytes, bits: int, count: int) -> NDArray[np.uint8]:
-    places = 8 // bits
-    if len(data) != -(-count // places):
+    if len(data) != -(-count * bits // 8):
         raise ValueError("as many codes as ids were expected")
-    shifts = np.arange(places, dtype=np.uint8) * np.uint8(bits)
-    codes = np.frombuffer(data, np.uint8)[:, None] >> shifts & np.uint8((1 << bits) - 1)
-    return codes.reshape(-1)[:count]
+    each = np.unpackbits(np.frombuffer(data, np.uint8), count=count * bits, bitorder="little")
+    return np.packbits(each.reshape(count, bits), axis=1, bitorder="little")[:, 0]

@@ -39,16 +39,6 @@ class Picture:
     rgb: NDArray[np.float32]
     noise: Noise
 
-    @property
-    def relative_error(self) -> float | None:
-        """Estimated rms error over the mean; None where it is unknown."""
-        return self.noise.relative_rms
-
-    @property
-    def relative_mse(self) -> float | None:
-        """Estimated relMSE, which weighs dark pixels as much as bright ones."""
-        return self.noise.relative_mse
-
 
 def compose(
     radiance: Radiance,
