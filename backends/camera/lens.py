@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.backends.camera.rays import angle_between
 from scenec.backends.stage.scene import Camera
 from scenec.schemas.lens import Lens, directions, reach, to_plane
 
@@ -114,19 +115,13 @@ def _error(camera: Camera, per_pixel: int) -> float:
         return 0.0
     middle = 0.25 * np.sum([rays for row in corners for rays, _ in row], axis=0)
     # A pixel's own size there: the smaller of its sides.
-    right = _angle(corners[0][0][0], corners[0][1][0]) * per_pixel
-    down = _angle(corners[0][0][0], corners[1][0][0]) * per_pixel
+    right = angle_between(corners[0][0][0], corners[0][1][0]) * per_pixel
+    down = angle_between(corners[0][0][0], corners[1][0][0]) * per_pixel
     size = np.maximum(np.maximum(right, down), 1e-300)
-    return float((_angle(middle, exact) / size)[known].max())
+    return float((angle_between(middle, exact) / size)[known].max())
 
 
 def _some(side: int) -> NDArray[np.float64]:
     """Some pixels along a side, the first and the last among them."""
     count = min(side, _SAMPLES)
     return np.unique(np.rint(np.linspace(0.0, side - 1.0, count)))
-
-
-def _angle(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Angles between directions of any length."""
-    cross = np.cross(a, b)
-    return np.arctan2(np.sqrt((cross * cross).sum(axis=-1)), (a * b).sum(axis=-1))
