@@ -8,6 +8,7 @@ Annotation has none of this: its rays are exact (``backends.rays``).
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -45,16 +46,33 @@ class RayTable(NamedTuple):
     error_px: float
 
 
+@dataclass(frozen=True)
+class Projection:
+    """What a camera's rays depend on but for its poses: equal for all cameras that see alike.
+
+    Attributes:
+        key: K, width, height, lens.
+        camera: One of these cameras.
+    """
+
+    key: tuple[bytes, int, int, Lens | None]
+    camera: Camera = field(compare=False)
+
+    @classmethod
+    def of(cls, camera: Camera) -> Projection:
+        """A camera's."""
+        k = np.asarray(camera.intrinsics, np.float64).tobytes()
+        return cls((k, camera.width, camera.height, camera.lens), camera)
+
+
 def ray_table(camera: Camera) -> RayTable:
-    """The table of a camera with a lens; the last ones are kept, whatever their poses."""
-    # Of all that a camera is, what its rays do not depend on is left out.
-    k = tuple(np.asarray(camera.intrinsics, np.float64).ravel().tolist())
-    return _table(camera.lens, k, camera.width, camera.height)
+    """The table of a camera with a lens; the last ones are kept."""
+    return _table(Projection.of(camera))
 
 
 @lru_cache(maxsize=4)
-def _table(lens: Lens | None, k: tuple[float, ...], width: int, height: int) -> RayTable:
-    camera = Camera("", "", width, height, np.array(k).reshape(3, 3), np.eye(4), lens=lens)
+def _table(projection: Projection) -> RayTable:
+    camera, lens = projection.camera, projection.camera.lens
     per_pixel = 1
     while True:
         error = _error(camera, per_pixel)
