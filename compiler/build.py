@@ -42,6 +42,7 @@ from scenec.compiler.scene.scene import (
 )
 from scenec.compiler.terrain.grid import Grid
 from scenec.compiler.terrain.program import Relief, run
+from scenec.compiler.terrain.quantities import Samples
 from scenec.compiler.terrain.sources.mesh_surface import MeshSurface
 from scenec.compiler.views import needed
 from scenec.compiler.views.keep import Keep
@@ -98,8 +99,9 @@ def build(plan: Plan, log: BuildLog, keep: Keep = Keep.SEEN) -> Scene:
     outputs = tuple(dict.fromkeys(name for rig in plan.rigs for name in rig.outputs))
     needs = needs_of_plan(plan, keep)
     color, labels = needs.color, needs.labels
-    relief = build_relief(plan, log)
-    surface = lay_ground(plan, relief, log)
+    samples = samples_of(plan)
+    relief = build_relief(plan, samples, log)
+    surface = lay_ground(plan, relief, samples, log)
     terrain = surface.field
     with log.timed("light"):
         light = build_light(plan.light, plan.samples, color, labels)
@@ -136,7 +138,9 @@ def build(plan: Plan, log: BuildLog, keep: Keep = Keep.SEEN) -> Scene:
             views,
             color=color,
             cut_labels=labels,
+            samples=samples,
         )
+        del samples
         log.facts["ground"] = meshed
         ground = Ground(plan.terrain.layers, tiles)
     _note_left_out(log, *needed.note_outputs(needs, plan, ground, objects))
@@ -232,24 +236,30 @@ def build_surface(plan: Plan, log: BuildLog) -> Surface:
     Raises:
         SceneError: The relief cannot be built, or a layer cannot cover what it shall.
     """
-    return lay_ground(plan, build_relief(plan, log), log)
+    samples = samples_of(plan)
+    return lay_ground(plan, build_relief(plan, samples, log), samples, log)
 
 
-def build_relief(plan: Plan, log: BuildLog) -> Relief:
+def samples_of(plan: Plan) -> Samples:
+    """The samples of the terrain's grid, for noises that the relief and its layers share."""
+    return Samples.of(Grid.with_spacing(plan.terrain.size_m, plan.terrain.spacing_m))
+
+
+def build_relief(plan: Plan, samples: Samples, log: BuildLog) -> Relief:
     """The relief alone."""
     with log.timed("relief"):
         grid = Grid.with_spacing(plan.terrain.size_m, plan.terrain.spacing_m)
-        relief = run(plan.terrain.relief, grid, plan.terrain.meshing.max_triangles)
+        relief = run(plan.terrain.relief, grid, plan.terrain.meshing.max_triangles, samples)
     log.facts["relief"] = relief.steps
     return relief
 
 
-def lay_ground(plan: Plan, relief: Relief, log: BuildLog) -> Surface:
+def lay_ground(plan: Plan, relief: Relief, samples: Samples, log: BuildLog) -> Surface:
     """The layers on a relief."""
     terrain = relief.field
     with log.timed("cover"):
         merges, log.facts["cover"] = lay_and_report(
-            plan.terrain.merges, plan.terrain.coverage, terrain
+            plan.terrain.merges, plan.terrain.coverage, terrain, samples
         )
         return Surface(
             terrain,

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from scenec.schemas import rle
 from scenec.schemas.errors import FrameError
-from scenec.schemas.files import NUMPY_FAULTS, atomic
+from scenec.schemas.files import NUMPY_FAULTS, atomic, frame_stem_of
 from scenec.schemas.passes import AMODAL
 
 SUFFIX = ".amodal.npz"
@@ -122,7 +122,7 @@ def read_amodal(path: Path) -> Amodal:
     """
     path = Path(path)
     if not path.name.endswith(SUFFIX):
-        path = amodal_path(path.with_suffix("") if path.suffix in _FRAME else path)
+        path = amodal_path(frame_stem_of(path))
     try:
         with np.load(path) as arrays:
             if int(arrays["version"]) != VERSION:
@@ -136,9 +136,6 @@ def read_amodal(path: Path) -> Amodal:
     if not _sound(found):
         raise FrameError(f"{path}: amodal masks whose arrays contradict each other")
     return found
-
-
-_FRAME = (".exr", ".json", ".png")
 
 
 def _sound(amodal: Amodal) -> bool:

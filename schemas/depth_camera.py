@@ -7,7 +7,7 @@ such cameras have it. ``depth`` stays exact beside it.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 
 MEASURED = "depth_measured"
 
@@ -58,12 +58,8 @@ class DepthCamera:
     key: int
 
 
-#: Names of the fields of each model, in the order in which a stage lists their numbers.
-FIELDS = {
-    STEREO: ("baseline_m", "noise_px", "step_px", "range_m"),
-    TIME_OF_FLIGHT: ("noise_m", "at_m", "ambiguity_m", "blur_px", "range_m"),
-}
-_CLASSES: dict[str, Callable[..., StereoDepth | TimeOfFlightDepth]] = {
+#: By name. A stage lists the numbers of a model in the order of its fields, the range's two last.
+_MODELS: dict[str, Callable[..., StereoDepth | TimeOfFlightDepth]] = {
     STEREO: StereoDepth,
     TIME_OF_FLIGHT: TimeOfFlightDepth,
 }
@@ -76,8 +72,8 @@ def kind_of(model: StereoDepth | TimeOfFlightDepth) -> str:
 
 def as_numbers(model: StereoDepth | TimeOfFlightDepth) -> list[float]:
     """Its numbers, the two of the range last."""
-    *some, low, high = FIELDS[kind_of(model)][:-1], *model.range_m
-    return [*(float(getattr(model, name)) for name in some[0]), float(low), float(high)]
+    *some, (low, high) = astuple(model)
+    return [float(number) for number in (*some, low, high)]
 
 
 def of_numbers(kind: str, numbers: list[float]) -> StereoDepth | TimeOfFlightDepth:
@@ -86,8 +82,9 @@ def of_numbers(kind: str, numbers: list[float]) -> StereoDepth | TimeOfFlightDep
     Raises:
         ValueError: Not so many, or no such kind.
     """
-    if kind not in FIELDS or len(numbers) != len(FIELDS[kind]) + 1:
-        raise ValueError(f"{kind!r} with {len(numbers)} numbers is no depth camera")
-    *some, low, high = numbers
-    made: StereoDepth | TimeOfFlightDepth = _CLASSES[kind](*some, (low, high))
-    return made
+    try:
+        *some, low, high = numbers
+        return _MODELS[kind](*some, (low, high))
+    except (KeyError, TypeError, ValueError) as error:
+        message = f"{kind!r} with {len(numbers)} numbers is no depth camera"
+        raise ValueError(message) from error

@@ -153,8 +153,12 @@ def write_rgb(path: Path, picture: NDArray[np.float32]) -> None:
         raise OutputError(f"{path}: cannot be written: {error}") from error
 
 
-def read_rgb(path: Path) -> NDArray[np.float32]:
+def read_rgb(path: Path, gray: bool = False) -> NDArray[np.float32]:
     """Channels R, G, B of an OpenEXR picture, float32 [h, w, 3].
+
+    Args:
+        path: The file.
+        gray: Whether one with a channel Y instead is taken, too: [h, w, 1].
 
     Raises:
         ValueError: It is none, or lacks one of them.
@@ -164,7 +168,9 @@ def read_rgb(path: Path) -> NDArray[np.float32]:
     try:
         with OpenEXR.File(str(path), separate_channels=True) as source:
             channels = source.channels()
-            planes = [channels[name].pixels for name in ("R", "G", "B")]
+            names = ("Y",) if gray and "R" not in channels else ("R", "G", "B")
+            planes = [channels[name].pixels for name in names]
+            return np.stack(planes, axis=-1).astype(np.float32)
     except (RuntimeError, OSError, KeyError, TypeError, ValueError) as error:
-        raise ValueError(f"not an OpenEXR picture with channels R, G, B ({error})") from error
-    return np.stack(planes, axis=-1).astype(np.float32)
+        wanted = "R, G, B or Y" if gray else "R, G, B"
+        raise ValueError(f"not an OpenEXR picture with channels {wanted} ({error})") from error

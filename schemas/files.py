@@ -184,6 +184,11 @@ def inside(root: Path, name: str, said_by: object = None) -> Path:
     return path
 
 
+def frame_stem_of(path: Path) -> Path:
+    """Path of a frame without its suffix, from one of its files or the stem itself."""
+    return path.with_suffix("") if path.suffix in (".exr", ".json", ".png") else path
+
+
 def check_writable(*folders: Path) -> None:
     """Tries whether files can be written, before long work whose result they will be.
 

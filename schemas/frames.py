@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from scenec.schemas.amodal import amodal_path
 from scenec.schemas.errors import FrameError
 from scenec.schemas.exr import read_exr
-from scenec.schemas.files import sha256
+from scenec.schemas.files import frame_stem_of, sha256
 from scenec.schemas.instances import frame_table_path
 from scenec.schemas.manifest import FRAMES
 from scenec.schemas.passes import AMODAL, BUILT_IN, origins
@@ -186,8 +186,7 @@ def read_frame(
     Raises:
         FrameError: Something is missing, truncated, changed since, or not a frame.
     """
-    path = Path(path)
-    stem = path.with_suffix("") if path.suffix in (".exr", ".json", ".png") else path
+    stem = frame_stem_of(Path(path))
     json_path, exr_path = stem.with_suffix(".json"), stem.with_suffix(".exr")
     sidecar = read_sidecar(json_path)
     if not exr_path.is_file():

@@ -47,7 +47,7 @@ from numpy.typing import NDArray
 
 from scenec.schemas.csv_cells import guarded, unguarded
 from scenec.schemas.errors import FrameError
-from scenec.schemas.files import NUMPY_FAULTS, atomic
+from scenec.schemas.files import NUMPY_FAULTS, atomic, frame_stem_of
 
 #: Of all instances of a batch, in its folder of frames.
 BATCH_TABLE = "instances.npz"
@@ -192,17 +192,18 @@ def write_frame_table(path: Path, columns: dict[str, NDArray[Any]]) -> None:
     Raises:
         OutputError: It cannot be written.
     """
-    kinds = ["%s" if values.dtype.kind in "UOiub" else "%.9g" for values in columns.values()]
     texts = [
-        [_quoted(guarded(value)) for value in values.tolist()]
+        list(map(guarded, values.tolist()))
         if values.dtype.kind in "UO"
+        else [f"{value:.9g}" for value in values.tolist()]
+        if values.dtype.kind == "f"
         else values.tolist()
         for values in columns.values()
     ]
-    line = ",".join(kinds) + "\n"
     with atomic(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
-        file.write(",".join(map(_quoted, columns)) + "\n")
-        file.writelines(line % values for values in zip(*texts, strict=True))
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(columns)
+        writer.writerows(zip(*texts, strict=True))
 
 
 def read_frame_table(path: Path) -> dict[str, NDArray[Any]]:
@@ -216,8 +217,7 @@ def read_frame_table(path: Path) -> dict[str, NDArray[Any]]:
     """
     path = Path(path)
     if not path.name.endswith(FRAME_SUFFIX):
-        stem = path.with_suffix("") if path.suffix in (".exr", ".json", ".png") else path
-        path = frame_table_path(stem)
+        path = frame_table_path(frame_stem_of(path))
     try:
         with path.open(encoding="utf-8", newline="") as file:
             lines = list(csv.reader(file, strict=True))
@@ -242,9 +242,3 @@ def _column(name: str, values: Sequence[str]) -> NDArray[Any]:
     if not sound.all():
         raise ValueError(f"{name} holds {numbers[~sound][0]:g}, which no instance has")
     return numbers
-
-
-def _quoted(value: str) -> str:
-    if any(mark in value for mark in ',"\r\n'):
-        return '"' + value.replace('"', '""') + '"'
-    return value

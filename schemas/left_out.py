@@ -35,7 +35,6 @@ from scenec.schemas.errors import OutputError
 from scenec.schemas.files import write_json
 from scenec.schemas.manifest import LEFT_OUT as LEFT_OUT
 from scenec.schemas.shape import Each, natural, read_shaped
-from scenec.schemas.spelling import nearest
 
 _FORMAT = 2
 #: Classes with fewer objects than one in so many numbers have their ids listed.
@@ -217,35 +216,6 @@ def read_left_out(folder: Path) -> Record | None:
     return Record(classes, tiles)
 
 
-def reason_of(folder: Path, class_name: str, local_id: int) -> Reason:
-    """Why an instance is in the stage of a batch, or why it is not.
-
-    Args:
-        folder: Of the batch.
-        class_name: As in the cfg's ``objects``.
-        local_id: Number within the class, from 1 (``local_id`` in tables of instances).
-
-    Returns:
-        The reason; ``Reason.ALL`` where nothing is missing from the batch, whatever was asked.
-
-    Raises:
-        OutputError: The record is damaged; no class has that name; the class has no such number.
-    """
-    record = read_left_out(folder)
-    if record is None:
-        return Reason.ALL
-    if class_name not in record.classes:
-        raise OutputError(
-            f"{folder / LEFT_OUT}: no class {class_name!r}{nearest(class_name, record.classes)}"
-        )
-    one = record.classes[class_name]
-    if not 1 <= local_id <= one.drawn:
-        raise OutputError(
-            f"{folder / LEFT_OUT}: {class_name} has the numbers 1 to {one.drawn}, not {local_id}"
-        )
-    return one.of(local_id)
-
-
 def _as_json(one: ClassRecord) -> dict[str, Any]:
     listed = one.drawn > _SPARSE * len(one.ids)
     reasons = one.reasons
@@ -287,18 +257,13 @@ def _from_json(value: dict[str, Any]) -> ClassRecord:
 
 
 def _packed(codes: NDArray[np.uint8], bits: int) -> bytes:
-    places = 8 // bits
-    rows = np.zeros(-(-len(codes) // places) * places, np.uint8)
-    rows[: len(codes)] = codes
-    shifts = np.arange(places, dtype=np.uint8) * np.uint8(bits)
-    packed = np.bitwise_or.reduce(rows.reshape(-1, places) << shifts, axis=1)
-    return packed.astype(np.uint8).tobytes()
+    """The lowest bits of codes, one code after the other."""
+    each = np.unpackbits(codes[:, None], axis=1, count=bits, bitorder="little")
+    return np.packbits(each, bitorder="little").tobytes()
 
 
 def _unpacked(data: bytes, bits: int, count: int) -> NDArray[np.uint8]:
-    places = 8 // bits
-    if len(data) != -(-count // places):
+    if len(data) != -(-count * bits // 8):
         raise ValueError("as many codes as ids were expected")
-    shifts = np.arange(places, dtype=np.uint8) * np.uint8(bits)
-    codes = np.frombuffer(data, np.uint8)[:, None] >> shifts & np.uint8((1 << bits) - 1)
-    return codes.reshape(-1)[:count]
+    each = np.unpackbits(np.frombuffer(data, np.uint8), count=count * bits, bitorder="little")
+    return np.packbits(each.reshape(count, bits), axis=1, bitorder="little")[:, 0]

@@ -417,7 +417,7 @@ def project(
         level = np.sqrt(x * x + y * y)
         if lens.model == KANNALA_BRANDT:
             angle = functions.atan2(level, z)
-            distance = _fisheye_array(np.array(lens.coefficients), angle)
+            distance, _ = _fisheye.py_func(lens.coefficients, angle)
             share = distance / np.where(level > 0.0, level, 1.0)
             out[:, 0], out[:, 1] = x * share, y * share
             far = reach(lens)
@@ -425,11 +425,6 @@ def project(
         out[:, 0] = functions.atan2(x, z)
         out[:, 1] = functions.atan2(y, np.sqrt(x * x + z * z))
         return out, level + np.abs(z) > 0.0
-
-
-def _fisheye_array(c: Array, angle: Array) -> Array:
-    s = angle * angle
-    return np.asarray(angle * (1.0 + s * (c[0] + s * (c[1] + s * (c[2] + s * c[3])))))
 
 
 def radial(lens: Lens, at: float) -> float:

@@ -38,7 +38,13 @@ def read_pixels(path: Path | bytes) -> NDArray:
         ValueError: Not a picture of these kinds, broken, or too large.
     """
     if isinstance(path, Path) and path.suffix.lower() == ".exr":
-        return _read_exr(path)
+        # Imported here: few pictures are.
+        from scenec.schemas.exr import read_rgb
+
+        picture = read_rgb(path, gray=True)
+        if not np.isfinite(picture).all():
+            raise ValueError("holds values that are not finite")
+        return picture
     from PIL import Image, UnidentifiedImageError
 
     try:
@@ -54,22 +60,6 @@ def read_pixels(path: Path | bytes) -> NDArray:
             raise ValueError(f"pixels of the kind {image.mode} are not taken; use PNG or OpenEXR")
     except (UnidentifiedImageError, OSError, SyntaxError, Image.DecompressionBombError) as error:
         raise ValueError(f"not a readable picture: {error}") from error
-
-
-def _read_exr(path: Path) -> NDArray[np.float32]:
-    import OpenEXR
-
-    try:
-        with OpenEXR.File(str(path), separate_channels=True) as source:
-            channels = source.channels()
-            names = ["R", "G", "B"] if "R" in channels else ["Y"]
-            planes = [np.array(channels[name].pixels, np.float32) for name in names]
-    except (RuntimeError, OSError, KeyError, TypeError, ValueError) as error:
-        raise ValueError(f"not an OpenEXR picture with channels R, G, B or Y ({error})") from error
-    picture = np.stack(planes, axis=-1)
-    if not np.isfinite(picture).all():
-        raise ValueError("holds values that are not finite")
-    return picture
 
 
 def decode(pixels: NDArray, kind: str, flip_green: bool = False) -> NDArray[np.float32]:

@@ -20,7 +20,8 @@ _AT_ONCE = 1 << 22
 #: ``BURNT``. Pictures are, if more than these shares of all pixels that show surfaces are.
 BLACK, BURNT = 2, 254
 BLACK_SHARE, BURNT_SHARE = 0.999, 0.5
-_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
+#: Of linear Rec.709.
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
 #: What sidecars say about the pictures beside them.
 DESCRIPTION = (
@@ -81,7 +82,7 @@ def tally(
         and the ``mean_luminance`` of these surfaces, W/(m^2 sr).
     """
     seen = pixels[surfaces]
-    luminance = radiance[surfaces].astype(np.float64) @ _LUMINANCE
+    luminance = radiance[surfaces].astype(np.float64) @ LUMINANCE
     return {
         "surfaces": len(seen),
         "black": int((seen < BLACK).all(axis=1).sum()),

@@ -27,14 +27,11 @@ def encode_ids(
         (counts of all masks one after the other, where each begins with one more at the end
         [n + 1]).
     """
-    picture = np.ascontiguousarray(ids, np.uint32)
-    keys = np.ascontiguousarray(wanted, np.uint32)
-    slots = _slots(picture, keys)
-    sizes = _count_runs(slots, len(keys))
-    starts = np.zeros(len(keys) + 1, np.int64)
-    np.cumsum(sizes, out=starts[1:])
+    found = slots(ids, wanted)
+    starts = np.zeros(len(wanted) + 1, np.int64)
+    np.cumsum(_count_runs(found, len(wanted)), out=starts[1:])
     counts = np.empty(int(starts[-1]), np.uint32)
-    _fill_runs(slots, starts, counts)
+    _fill_runs(found, starts, counts)
     return counts, starts
 
 
@@ -52,7 +49,9 @@ def row_runs(
         ids: Any picture, [h, w]; all ids count, 0 too.
     """
     flat = np.ascontiguousarray(ids, np.uint32).ravel()
-    starts = np.flatnonzero(_changes(flat))
+    begins = np.ones(len(flat), np.bool_)
+    begins[1:] = flat[1:] != flat[:-1]
+    starts = np.flatnonzero(begins)
     return flat[starts], np.diff(starts, append=len(flat)).astype(np.uint32)
 
 
@@ -66,11 +65,6 @@ def decode(counts: NDArray[np.unsignedinteger], height: int, width: int) -> NDAr
         raise ValueError(f"run lengths that do not add up to {height} x {width} pixels")
     ones = np.arange(len(counts)) % 2 == 1
     return np.repeat(ones, counts.astype(np.int64)).reshape(width, height).T.copy()
-
-
-def area(counts: NDArray[np.unsignedinteger]) -> int:
-    """Number of pixels in a mask."""
-    return int(counts[1::2].sum(dtype=np.int64))
 
 
 def compressed(counts: NDArray[np.uint32], starts: NDArray[np.int64]) -> list[str]:
@@ -92,9 +86,7 @@ def only(
     ids: NDArray[np.unsignedinteger], wanted: NDArray[np.unsignedinteger]
 ) -> NDArray[np.uint32]:
     """The picture of ids [h, w] with 0 in place of all that are not wanted (ascending, [n])."""
-    picture = np.ascontiguousarray(ids, np.uint32)
-    slots = _slots(picture, np.ascontiguousarray(wanted, np.uint32))
-    return np.where(slots >= 0, picture, np.uint32(0))
+    return np.where(slots(ids, wanted) >= 0, ids, 0).astype(np.uint32)
 
 
 def slots(
@@ -149,15 +141,6 @@ def _slots(picture, keys):  # type: ignore[no-untyped-def]
                     if low < keys.shape[0] and keys[low] == number:
                         slot = low
             out[y, x] = slot
-    return out
-
-
-@kernel
-def _changes(flat):  # type: ignore[no-untyped-def]
-    """Whether a run begins at each value."""
-    out = np.ones(flat.shape[0], np.bool_)
-    for i in range(1, flat.shape[0]):
-        out[i] = flat[i] != flat[i - 1]
     return out
 
 

@@ -141,7 +141,7 @@ ATTR_LIDAR_DROPOUT = "scenec:lidar:noise:dropout"
 ATTR_LIDAR_KEY = "scenec:lidar:noise:key"
 
 #: On a camera that measures depth. token: "stereo" or "time_of_flight"; double[]: its numbers in
-#: the order of ``schemas.depth_camera.FIELDS``, lengths in meters; uint64: the key of its noise.
+#: the order of ``schemas.depth_camera``'s fields, lengths in meters; uint64: the key of its noise.
 ATTR_DEPTH_MODEL = "scenec:depthCamera:model"
 ATTR_DEPTH_NUMBERS = "scenec:depthCamera:numbers"
 ATTR_DEPTH_KEY = "scenec:depthCamera:noise:key"

@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import json
 import re
-from bisect import bisect_left
 from collections.abc import Iterable, Iterator, Sequence
-from itertools import groupby
+from itertools import groupby, islice
 from pathlib import Path
 
 from scenec.schemas.instances import BATCH_TABLE, table_digest
@@ -133,13 +132,13 @@ def _batch(sidecar: Path) -> str:
 
 
 def _astray(paths: Iterable[Path], firing: Firing, what: str) -> Iterator[Stray]:
-    # Ascending; looked up by position, since there may be as many strays as samples.
-    fires: dict[str, list[int]] = {}
+    # Ascending keys: there may be as many strays as samples.
+    fires: dict[str, dict[int, None]] = {}
     for i, sensors in enumerate(firing):
         for name, on in sensors:
-            at = fires.setdefault(name, [])
+            at = fires.setdefault(name, {})
             if on:
-                at.append(i)
+                at[i] = None
     for path in sorted(paths):
         if not (path.stem.isascii() and path.stem.isdigit()):
             continue
@@ -148,11 +147,6 @@ def _astray(paths: Iterable[Path], firing: Firing, what: str) -> Iterator[Stray]
             yield path, f"the stage has no {what} {sensor!r}"
         elif sample >= len(firing):
             yield path, f"the stage has samples 0 to {len(firing) - 1}"
-        elif not _holds(at := fires[sensor], sample):
-            said = ", ".join(map(str, at[:3])) + (", …" if len(at) > 3 else "")
+        elif sample not in (at := fires[sensor]):
+            said = ", ".join(map(str, islice(at, 3))) + (", …" if len(at) > 3 else "")
             yield path, f"{what} {sensor} is triggered at samples {said or 'beyond the last'}"
-
-
-def _holds(ascending: Sequence[int], value: int) -> bool:
-    place = bisect_left(ascending, value)
-    return place < len(ascending) and ascending[place] == value

@@ -24,9 +24,7 @@ from numpy.typing import NDArray
 
 from scenec.backends.annotation.contract import Picture, built_in
 from scenec.backends.annotation.correspondence import match_picture
-from scenec.backends.annotation.depth import depth
-from scenec.backends.annotation.normal import normal
-from scenec.backends.annotation.range import distance
+from scenec.backends.annotation.passes import depth, distance, normal
 from scenec.backends.camera.shutter import beside
 from scenec.backends.imaging.chance import philox, quantile, unit
 from scenec.backends.stage.scene import Camera

@@ -298,9 +298,9 @@ def _mesh_box(
     """Box around a mesh in a frame that it has a place in; without faces, one that adds nothing."""
     if not len(mesh.faces):
         return np.full(3, np.inf), np.full(3, -np.inf)
-    points = mesh.points[np.unique(mesh.faces)].astype(np.float64)
-    if not np.array_equal(place, _IDENTITY):
-        points = (points[:, None, :] * place[:, :3]).sum(axis=2) + place[:, 3]
+    if np.array_equal(place, _IDENTITY):
+        return mesh.box[0], mesh.box[1]
+    points = (mesh.used_points[:, None, :] * place[:, :3]).sum(axis=2) + place[:, 3]
     return points.min(axis=0), points.max(axis=0)
 
 

@@ -16,9 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.backends.annotation.contract import View
-from scenec.backends.annotation.instance import instance
-from scenec.backends.annotation.label import label
-from scenec.backends.annotation.normal import normal
+from scenec.backends.annotation.passes import instance, label, normal
 from scenec.backends.contract import Rays
 from scenec.backends.exact import ExactCaster
 from scenec.backends.imaging.chance import philox, quantile, unit

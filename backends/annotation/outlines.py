@@ -78,14 +78,7 @@ class Outliner:
         self._firsts = np.append(firsts, len(rows)).astype(np.int64)
         self._slot_of_row = slot_of_row
         mesh = scene.rows.mesh[rows].astype(np.int64)
-        boxes = np.zeros((len(scene.meshes), 2, 3))
-        for each in np.unique(mesh).tolist():
-            one = scene.meshes[each]
-            if len(one.faces):
-                # Stray points are of no triangle.
-                points = one.points[np.unique(one.faces)].astype(np.float64)
-                boxes[each] = points.min(axis=0), points.max(axis=0)
-        self._boxes = boxes[mesh]
+        self._boxes = np.array([m.box for m in scene.meshes]).reshape(-1, 2, 3)[mesh]
         ends = np.cumsum([0, *(len(one.points) for one in scene.meshes)])
         self._bases = np.stack([ends[mesh], ends[mesh + 1]], axis=1)
 

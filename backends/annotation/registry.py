@@ -22,7 +22,7 @@ from scenec.schemas.errors import BackendError, ScenecError
 from scenec.schemas.passes import BUILT_IN, LABEL, entry_points_of, pass_names
 from scenec.schemas.spelling import nearest, shown
 
-#: Modules of ours that are not called as their pass; a pass is its name in capitals.
+#: Modules of ours but ``passes``, where the others are; a pass is its name in capitals.
 _MODULES = {MEASURED: "depth_camera"} | dict.fromkeys((*NEXT, *BEFORE, *PARTNER), "correspondence")
 
 
@@ -73,8 +73,8 @@ def find_pass(name: str) -> Pass:
         listed = ", ".join([*ours, *map(_place, points)])
         raise BackendError(f"several passes have the name {shown(name)}: {listed}; uninstall one")
     if name in BUILT_IN:
-        module = importlib.import_module(f"scenec.backends.annotation.{_MODULES.get(name, name)}")
-        found: Pass = getattr(module, name.upper())
+        module = f"scenec.backends.annotation.{_MODULES.get(name, 'passes')}"
+        found: Pass = getattr(importlib.import_module(module), name.upper())
         return found
     if not points:
         raise BackendError(f"no pass {shown(name)}{nearest(name, pass_names())}")

@@ -8,12 +8,14 @@ Annotation has none of this: its rays are exact (``backends.rays``).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.backends.camera.rays import angle_between
 from scenec.backends.stage.scene import Camera
 from scenec.schemas.lens import Lens, directions, reach, to_plane
 
@@ -27,8 +29,7 @@ _SAMPLES = 48
 _BAND = 1 << 18
 
 
-@dataclass(frozen=True)
-class RayTable:
+class RayTable(NamedTuple):
     """Rays on a lattice over a picture.
 
     Attributes:
@@ -45,16 +46,33 @@ class RayTable:
     error_px: float
 
 
+@dataclass(frozen=True)
+class Projection:
+    """What a camera's rays depend on but for its poses: equal for all cameras that see alike.
+
+    Attributes:
+        key: K, width, height, lens.
+        camera: One of these cameras.
+    """
+
+    key: tuple[bytes, int, int, Lens | None]
+    camera: Camera = field(compare=False)
+
+    @classmethod
+    def of(cls, camera: Camera) -> Projection:
+        """A camera's."""
+        k = np.asarray(camera.intrinsics, np.float64).tobytes()
+        return cls((k, camera.width, camera.height, camera.lens), camera)
+
+
 def ray_table(camera: Camera) -> RayTable:
-    """The table of a camera with a lens; the last ones are kept, whatever their poses."""
-    # Of all that a camera is, what its rays do not depend on is left out.
-    k = tuple(np.asarray(camera.intrinsics, np.float64).ravel().tolist())
-    return _table(camera.lens, k, camera.width, camera.height)
+    """The table of a camera with a lens; the last ones are kept."""
+    return _table(Projection.of(camera))
 
 
 @lru_cache(maxsize=4)
-def _table(lens: Lens | None, k: tuple[float, ...], width: int, height: int) -> RayTable:
-    camera = Camera("", "", width, height, np.array(k).reshape(3, 3), np.eye(4), lens=lens)
+def _table(projection: Projection) -> RayTable:
+    camera, lens = projection.camera, projection.camera.lens
     per_pixel = 1
     while True:
         error = _error(camera, per_pixel)
@@ -62,26 +80,22 @@ def _table(lens: Lens | None, k: tuple[float, ...], width: int, height: int) -> 
         if error <= TOLERANCE_PX or 4 * points > _MOST_POINTS or per_pixel == _FINEST:
             break
         per_pixel *= 2
+    border = None if lens is None else reach(lens)
+
+    def fill(out: NDArray, offset: float, step: float, which: int) -> None:
+        """Bands of ``local_rays``, so that what is made on the way does not grow with pictures."""
+        columns = offset + step * np.arange(out.shape[1], dtype=np.float64)
+        at_once = max(1, _BAND // out.shape[1])
+        for first in range(0, len(out), at_once):
+            part = out[first : first + at_once]
+            rows = offset + step * np.arange(first, first + len(part), dtype=np.float64)
+            part[:] = local_rays(camera, columns, rows, border)[which]
+
     out = np.empty((camera.height * per_pixel + 1, camera.width * per_pixel + 1, 3), np.float32)
-    columns: NDArray[np.float64] = np.arange(out.shape[1], dtype=np.float64) * (1.0 / per_pixel)
-    border = _border(camera)
-    step = max(1, _BAND // out.shape[1])
-    for first in range(0, out.shape[0], step):
-        last = min(first + step, out.shape[0])
-        rows = np.arange(first, last, dtype=np.float64) * (1.0 / per_pixel)
-        out[first : first + len(rows)] = local_rays(camera, columns, rows, border)[0]
     known = np.empty((camera.height, camera.width), np.bool_)
-    step = max(1, _BAND // camera.width)
-    for first in range(0, camera.height, step):
-        last = min(first + step, camera.height)
-        across = np.arange(camera.width, dtype=np.float64) + 0.5
-        down = np.arange(first, last, dtype=np.float64) + 0.5
-        known[first:last] = local_rays(camera, across, down, border)[1]
+    fill(out, 0.0, 1.0 / per_pixel, 0)
+    fill(known, 0.5, 1.0, 1)
     return RayTable(out, per_pixel, known, error)
-
-
-def _border(camera: Camera) -> float:
-    return 0.0 if camera.lens is None else reach(camera.lens)
 
 
 def local_rays(
@@ -107,7 +121,7 @@ def _error(camera: Camera, per_pixel: int) -> float:
     """The most that the middles of cells are off, of some of all pixels."""
     step = 1.0 / per_pixel
     u, v = (_some(side) for side in (camera.width, camera.height))
-    border = _border(camera)
+    border = None if camera.lens is None else reach(camera.lens)
     corners = [
         [local_rays(camera, u + du, v + dv, border) for du in (0.0, step)] for dv in (0.0, step)
     ]
@@ -119,19 +133,13 @@ def _error(camera: Camera, per_pixel: int) -> float:
         return 0.0
     middle = 0.25 * np.sum([rays for row in corners for rays, _ in row], axis=0)
     # A pixel's own size there: the smaller of its sides.
-    right = _angle(corners[0][0][0], corners[0][1][0]) * per_pixel
-    down = _angle(corners[0][0][0], corners[1][0][0]) * per_pixel
+    right = angle_between(corners[0][0][0], corners[0][1][0]) * per_pixel
+    down = angle_between(corners[0][0][0], corners[1][0][0]) * per_pixel
     size = np.maximum(np.maximum(right, down), 1e-300)
-    return float((_angle(middle, exact) / size)[known].max())
+    return float((angle_between(middle, exact) / size)[known].max())
 
 
 def _some(side: int) -> NDArray[np.float64]:
     """Some pixels along a side, the first and the last among them."""
     count = min(side, _SAMPLES)
     return np.unique(np.rint(np.linspace(0.0, side - 1.0, count)))
-
-
-def _angle(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Angles between directions of any length."""
-    cross = np.cross(a, b)
-    return np.arctan2(np.sqrt((cross * cross).sum(axis=-1)), (a * b).sum(axis=-1))

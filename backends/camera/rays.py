@@ -119,3 +119,12 @@ def ray_down(camera: Camera) -> Rays:
     """One ray from the camera straight down, of length 1: a hit's parameter is its height."""
     origin = np.ascontiguousarray(camera.camera_to_world[None, :3, 3])
     return Rays(origin, np.array([[0.0, 0.0, -1.0]]), (1, 1))
+
+
+def angle_between(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Angles between directions of any length, radians, [...] of [..., 3].
+
+    The atan2 of cross and dot product keeps digits where acos has none.
+    """
+    cross = np.cross(a, b)
+    return np.arctan2(np.sqrt((cross * cross).sum(axis=-1)), (a * b).sum(axis=-1))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -156,7 +157,13 @@ def check_exact(out: Path, say: Say = lambda _text: None, allow_missing: bool = 
         ScenecError: A stage or frame cannot be read.
     """
     comparisons: dict[tuple[str, str], Comparison] = {}
-    count = 0
+    compared = 0
+
+    def count(backend: str, channel: str, pixels: int, wrong: int) -> None:
+        entry = comparisons.setdefault((backend, channel), Comparison(channel, backend))
+        entry.pixels += pixels
+        entry.differing += wrong
+
     for batch in find_batches(out):
         scene = read_stage(batch.stage, allow_missing=allow_missing)
         caster, instances = ExactCaster(scene), Instances(scene)
@@ -166,30 +173,23 @@ def check_exact(out: Path, say: Say = lambda _text: None, allow_missing: bool = 
         for sample, cameras in enumerate(scene.cameras):
             for camera in cameras:
                 frames = dict(_current(batch, backends, scene, camera, sample))
-                wanted = [n for n in _union(frames.values()) if n != "rgb"]
+                there = dict.fromkeys(name for frame in frames.values() for name in frame.passes)
+                wanted = [name for name in there if name != "rgb"]
                 if not wanted:
                     continue
-                passes = (*wanted, AMODAL)
-                truth = annotate(scene, caster, camera, passes, sample, instances)
+                truth = annotate(scene, caster, camera, (*wanted, AMODAL), sample, instances)
                 assert truth.seen is not None
+                compared += len(frames)
                 for backend, frame in frames.items():
-                    count += 1
                     for channel in (n for n in wanted if n in frame.passes):
-                        entry = comparisons.setdefault(
-                            (backend, channel), Comparison(channel, backend)
-                        )
                         # As frames store it.
                         own = frame.passes[channel]
                         exact = np.ascontiguousarray(truth.arrays[channel], own.dtype)
-                        entry.pixels += camera.width * camera.height
-                        entry.differing += int(differing(exact, own).sum())
+                        wrong = int(differing(exact, own).sum())
+                        count(backend, channel, camera.width * camera.height, wrong)
                     for channel, pixels, wrong in against(truth.seen, frame):
-                        entry = comparisons.setdefault(
-                            (backend, channel), Comparison(channel, backend)
-                        )
-                        entry.pixels += pixels
-                        entry.differing += wrong
-    return Agreement(tuple(comparisons.values()), (), {}, count)
+                        count(backend, channel, pixels, wrong)
+    return Agreement(tuple(comparisons.values()), (), {}, compared)
 
 
 def _current(
@@ -206,10 +206,6 @@ def _current(
     return found
 
 
-def _union(frames: Collection[Frame]) -> tuple[str, ...]:
-    return tuple(dict.fromkeys(name for frame in frames for name in frame.passes))
-
-
 @dataclass
 class _Run:
     """One comparison under way."""
@@ -223,23 +219,27 @@ class _Run:
     frames: int = 0
 
     def batch(self, batch: Batch, aside: Path) -> None:
+        samples = self.options.samples
         scene = read_stage(batch.stage, allow_missing=self.options.allow_missing)
-        places = self._places(scene)
+        places = [
+            (sample, index, camera)
+            for sample, cameras in enumerate(scene.cameras)
+            for index, camera in enumerate(cameras)
+            if samples is None or sample in samples
+        ]
         self.frames += len(places)
         self._witness(batch, scene, places)
-        colored = any("rgb" in self._wanted(camera) for _, _, camera in places)
-        if len(self.backends) < 2 or not colored:
+        if len(self.backends) < 2 or "rgb" not in self._asked(places):
             return
-        stems = {name: self._ready(batch, name, scene, aside / name) for name in self.backends}
-        floors = self._floor(batch, scene, aside / "floor")
-        for number in range(len(places)):
-            frames = {name: read_frame(of[number]) for name, of in stems.items()}
-            first = frames[self.backends[0]]
-            for name in self.backends[1:]:
-                flip_map = self._radiance(first, frames[name], name, floors, number)
-                sample, _, camera = places[number]
+        stems = [self._ready(batch, name, scene, places, aside / name) for name in self.backends]
+        floors = self._floor(batch, places, aside / "floor") if self.options.floor else None
+        for number, (sample, _, camera) in enumerate(places):
+            first, *others = (read_frame(of[number]) for of in stems)
+            for name, second in zip(self.backends[1:], others, strict=True):
+                floor = None if floors is None else floors[number]
+                flip_map = self._radiance(first, second, name, floor)
                 file = f"{batch.name}_{camera.name}_{sample:06d}_{self.backends[0]}_{name}.png"
-                self._picture(file, name, first, frames[name], flip_map)
+                self._picture(file, name, first, second, flip_map)
 
     def _witness(self, batch: Batch, scene: RenderScene, places: Sequence[Place]) -> None:
         """What each renderer itself sees of each frame."""
@@ -266,63 +266,49 @@ class _Run:
             made.append(path)
 
     def _radiance(
-        self, first: Frame, second: Frame, name: str, floors: list[Path], number: int
+        self, first: Frame, second: Frame, name: str, floor: Path | None
     ) -> np.ndarray | None:
         if "rgb" not in first.passes or "rgb" not in second.passes:
             return None
         entry = self.radiance.setdefault(name, RadianceComparison(self.backends[0], name))
-        if floors and floors[number].with_suffix(".json").is_file():
-            found = flip(first, read_frame(floors[number]))
+        if floor is not None and floor.with_suffix(".json").is_file():
+            found = flip(first, read_frame(floor))
             entry.floor.append(np.nan if found is None else float(found.mean()))
         return entry.add(first, second)
-
-    def _places(self, scene: RenderScene) -> list[Place]:
-        wanted = self.options.samples
-        return [
-            (sample, index, camera)
-            for sample, cameras in enumerate(scene.cameras)
-            for index, camera in enumerate(cameras)
-            if wanted is None or sample in wanted
-        ]
 
     def _wanted(self, camera: Camera) -> tuple[str, ...]:
         """Passes of a camera that backends are compared in."""
         return tuple(self.options.passes or camera.outputs)
 
-    def _ready(self, batch: Batch, backend: str, scene: RenderScene, aside: Path) -> list[Path]:
+    def _asked(self, places: Sequence[Place]) -> tuple[str, ...]:
+        """The same of all."""
+        return tuple(dict.fromkeys(n for _, _, camera in places for n in self._wanted(camera)))
+
+    def _ready(
+        self, batch: Batch, backend: str, scene: RenderScene, places: Sequence[Place], aside: Path
+    ) -> list[Path]:
         """Frames of one backend that can be compared, in order; missing ones are rendered first."""
         missing, unusable = [], []
-        for sample in sorted({sample for sample, _, _ in self._places(scene)}):
+        for sample in sorted({sample for sample, _, _ in places}):
             cameras = scene.cameras[sample]
             stems = [frame_stem(batch.folder, backend, camera.name, sample) for camera in cameras]
             if not any(stem.with_suffix(".json").is_file() for stem in stems):
                 missing.append(sample)
-            elif not all(
-                self._usable(stem, scene, camera)
-                for stem, camera in zip(stems, cameras, strict=True)
-            ):
+            elif not all(map(partial(self._usable, scene), stems, cameras)):
                 unusable.append(sample)
-        cameras_asked = [camera for _, _, camera in self._places(scene)]
-        wanted: tuple[str, ...] | None = None
-        if any(self._wanted(camera) != camera.outputs for camera in cameras_asked):
-            asked = [n for camera in cameras_asked for n in self._wanted(camera)]
-            wanted = tuple(dict.fromkeys(asked))
+        usual = all(self._wanted(camera) == camera.outputs for _, _, camera in places)
         for samples, folder in ((missing, batch.folder), (unusable, aside)):
             if samples:
-                self._render(batch, backend, wanted, samples, folder)
+                passes = None if usual else self._asked(places)
+                self._render(batch, backend, passes, samples, folder)
         return [
             frame_stem(aside if sample in unusable else batch.folder, backend, camera.name, sample)
-            for sample, _, camera in self._places(scene)
+            for sample, _, camera in places
         ]
 
-    def _floor(self, batch: Batch, scene: RenderScene, aside: Path) -> list[Path]:
+    def _floor(self, batch: Batch, places: Sequence[Place], aside: Path) -> list[Path]:
         """The first backend's ``rgb`` once more, with other noise."""
-        first = self.backends[0]
-        places = self._places(scene)
-        asked = {n for _, _, camera in places for n in self._wanted(camera)}
-        if not self.options.floor or "rgb" not in asked:
-            return []
-        samples = sorted({sample for sample, _, _ in places})
+        first, samples = self.backends[0], sorted({sample for sample, _, _ in places})
         self._render(batch, first, ("rgb",), samples, aside, noise_seed=1)
         return [frame_stem(aside, first, camera.name, sample) for sample, _, camera in places]
 
@@ -344,7 +330,7 @@ class _Run:
         if report.failed:
             raise BackendError(report.failed[0])
 
-    def _usable(self, stem: Path, scene: RenderScene, camera: Camera) -> bool:
+    def _usable(self, scene: RenderScene, stem: Path, camera: Camera) -> bool:
         names = self._wanted(camera)
         wanted = [*(["rgb"] if "rgb" in names else []), *select(scene, names)]
         try:

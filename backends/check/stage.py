@@ -349,50 +349,40 @@ def _sky_labels(stage: Usd.Stage, table: LabelTable) -> Iterator[Finding]:
 
 
 def _instance_ids(stage: Usd.Stage) -> Iterator[Finding]:
+    """Single objects of a class have ids of their own, from 1; those of classes do not overlap."""
     try:
-        yield from _id_ranges(stage)
+        ranges = []
+        for prim in stage.TraverseAll():
+            base = prim.GetAttribute(names.ATTR_INSTANCE_ID_BASE)
+            if not base or not base.HasValue():
+                continue
+            path = str(prim.GetPath())
+            if prim.IsA(UsdGeom.PointInstancer):
+                ids = _numbers(UsdGeom.PointInstancer(prim).GetIdsAttr())
+            else:
+                local = [p.GetAttribute(names.ATTR_LOCAL_INSTANCE_ID) for p in Usd.PrimRange(prim)]
+                found = [reading.whole(a, 0) for a in local if a and a.HasAuthoredValue()]
+                ids = np.array(found, np.int64)
+                for message in _repeated_ids(ids):
+                    yield Finding("instance-ids", "error", path, message)
+            if ids.size:
+                start = reading.whole(base, 0)
+                ranges.append((int(start + ids.min()), int(start + ids.max()), path))
+        ranges.sort()
+        for (_, end, path), (start, _, other) in pairwise(ranges):
+            if start <= end:
+                message = f"its frame ids begin at {start}, but those of {path} go up to {end}"
+                yield Finding("instance-ids", "error", other, message)
     except StageError as error:
         yield Finding("instance-ids", "error", "stage", str(error))
 
 
-def _id_ranges(stage: Usd.Stage) -> Iterator[Finding]:
-    """Frame ids of different classes do not overlap."""
-    ranges = []
-    for prim in stage.TraverseAll():
-        base = prim.GetAttribute(names.ATTR_INSTANCE_ID_BASE)
-        if base and base.HasValue():
-            if prim.IsA(UsdGeom.PointInstancer):
-                ids = _numbers(UsdGeom.PointInstancer(prim).GetIdsAttr())
-            else:
-                ids = _local_ids(prim)
-                yield from _repeated_ids(prim, ids)
-            if ids.size:
-                start = reading.whole(base, 0)
-                first, last = int(start + ids.min()), int(start + ids.max())
-                ranges.append((first, last, str(prim.GetPath())))
-    ranges.sort()
-    for (_, end, path), (start, _, other) in pairwise(ranges):
-        if start <= end:
-            message = f"its frame ids begin at {start}, but those of {path} go up to {end}"
-            yield Finding("instance-ids", "error", other, message)
-
-
-def _local_ids(prim: Usd.Prim) -> np.ndarray:
-    """Local ids of the single objects below a class's prim."""
-    attributes = [p.GetAttribute(names.ATTR_LOCAL_INSTANCE_ID) for p in Usd.PrimRange(prim)]
-    found = [reading.whole(a, 0) for a in attributes if a and a.HasAuthoredValue()]
-    return np.array(found, np.int64)
-
-
-def _repeated_ids(prim: Usd.Prim, ids: np.ndarray) -> Iterator[Finding]:
-    """Single objects of a class have ids of their own, from 1."""
+def _repeated_ids(ids: np.ndarray) -> Iterator[str]:
     unique, uses = np.unique(ids, return_counts=True)
     if (uses > 1).any():
-        message = f"local ids {unique[uses > 1][:5].tolist()} stand more than once"
-        yield Finding("instance-ids", "error", str(prim.GetPath()), message)
+        yield f"local ids {unique[uses > 1][:5].tolist()} stand more than once"
     if unique.size and unique[0] < 1:
-        message = f"the lowest local id is {unique[0]}, expected 1 or more"
-        yield Finding("instance-ids", "error", str(prim.GetPath()), message)
+        yield f"the lowest local id is {unique[0]}, expected 1 or more"
 
 
 def _usd_validation(stage: Usd.Stage) -> Iterator[Finding]:

@@ -239,19 +239,13 @@ class Balls(NamedTuple):
 
 def mesh_balls(scene: RenderScene) -> Balls:
     """Bounds of all meshes."""
-    count = len(scene.meshes)
-    balls = Balls(
-        np.zeros((count, 3)), np.zeros((count, 3)), np.zeros(count), np.zeros(count, np.int64)
-    )
+    boxes = np.array([mesh.box for mesh in scene.meshes]).reshape(-1, 2, 3)
+    radius = np.zeros(len(boxes))
     for i, mesh in enumerate(scene.meshes):
-        balls.faces[i] = len(mesh.faces)
-        if len(mesh.faces):
-            # Only vertices that faces use: a stray point would widen every row's box.
-            p = mesh.points[np.unique(mesh.faces)].astype(np.float64)
-            low, high = p.min(axis=0), p.max(axis=0)
-            balls.low[i], balls.high[i] = low, high
-            balls.radius[i] = np.sqrt(((p - 0.5 * (low + high)) ** 2).sum(axis=1).max())
-    return balls
+        away = mesh.used_points - 0.5 * (boxes[i, 0] + boxes[i, 1])
+        radius[i] = np.sqrt((away**2).sum(axis=1).max(initial=0.0))
+    faces = np.array([len(mesh.faces) for mesh in scene.meshes], np.int64)
+    return Balls(boxes[:, 0], boxes[:, 1], radius, faces)
 
 
 class PlacedRows(NamedTuple):

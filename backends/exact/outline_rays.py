@@ -1,8 +1,9 @@
 """Silhouettes for any table of rays: what ``silhouette`` does for pinholes.
 
 The same definition, ray by ray: the tree of a row's mesh is walked for each pixel whose ray enters
-the row's bounding sphere. Where a rolling shutter's rays come from many eyes, spheres count as
-larger by the radius of a ball around these, seen from its middle.
+the row's bounding sphere. Nothing is projected, so no lens has to be known: cones around tiles of
+rays are set against those around the spheres. Where a rolling shutter's rays come from many eyes,
+spheres count as larger by the radius of a ball around these, seen from its middle.
 """
 
 from __future__ import annotations
@@ -16,11 +17,14 @@ from numpy.typing import NDArray
 from scenec.backends.contract import Rays
 from scenec.backends.exact.build import STACK_SIZE
 from scenec.backends.exact.bvh import Geometry
-from scenec.backends.exact.cones import _SLACK, _TILE, _cone, _unit, eye_of
 from scenec.backends.exact.silhouette import LANES, Masks, Members, _meets
 from scenec.schemas.borrowed import borrowed
 from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
+
+_TILE = 16
+#: Rounding of cosines.
+_SLACK = 1e-12
 
 
 class _View(NamedTuple):
@@ -46,9 +50,53 @@ class _View(NamedTuple):
 def _view(geometry: Geometry, rays: Rays) -> _View:
     height, width = rays.shape
     known = np.ones(height * width, np.bool_) if rays.known is None else rays.known
-    middle, spread = eye_of(rays)
-    spheres = _widened(geometry, spread)
+    middle, spread = _eye_of(rays)
+    spheres = geometry.row_spheres.copy()
+    # Still without a surface where they are.
+    spheres[:, 3] += np.where(spheres[:, 3] < 0.0, 0.0, spread)
     return _View(rays.origins, rays.directions, known, width, height, middle, spheres)
+
+
+def _eye_of(rays: Rays) -> tuple[NDArray[np.float64], float]:
+    """Middle and radius of a ball that all origins of rays lie in; of one eye, that and 0."""
+    first = np.ascontiguousarray(rays.origins[0])
+    low, high = rays.origins.min(axis=0), rays.origins.max(axis=0)
+    if (low == high).all():
+        return first, 0.0
+    half = 0.5 * (high - low)
+    # A hair more, for rounding.
+    return low + half, float(np.sqrt((half * half).sum())) * (1.0 + 1e-9)
+
+
+@kernel
+def _cone(unit, width, x0, x1, y0, y1, out):  # type: ignore[no-untyped-def]
+    """Axis, half angle, and the largest angle between neighbors, of a window of pixels."""
+    axis = np.zeros(3)
+    for y in range(y0, y1):
+        for x in range(x0, x1):
+            for i in range(3):
+                axis[i] += unit[y * width + x, i]
+    length = math.sqrt(axis[0] * axis[0] + axis[1] * axis[1] + axis[2] * axis[2])
+    height = unit.shape[0] // width
+    least = 1.0 if length > 0.0 else -1.0
+    step = 0.0
+    for i in range(3):
+        out[i] = axis[i] / length if length > 0.0 else 0.0
+    for y in range(y0, y1):
+        for x in range(x0, x1):
+            k = y * width + x
+            u = unit[k]
+            least = min(least, out[0] * u[0] + out[1] * u[1] + out[2] * u[2])
+            for side in range(4):
+                nx = x + (side == 0) - (side == 1)
+                ny = y + (side == 2) - (side == 3)
+                if 0 <= nx < width and 0 <= ny < height:
+                    v = unit[ny * width + nx]
+                    step = max(step, (u[0] - v[0]) ** 2 + (u[1] - v[1]) ** 2 + (u[2] - v[2]) ** 2)
+    out[3] = math.acos(max(min(least, 1.0), -1.0)) + 1e-7
+    # A picture of one pixel may show anything.
+    single = width == 1 and height == 1
+    out[4] = math.pi if single else 2.0 * math.asin(min(0.5 * math.sqrt(step), 1.0))
 
 
 @kernel
@@ -109,23 +157,13 @@ def frame_rows(geometry: Geometry, rows: NDArray[np.int64], rays: Rays) -> NDArr
         First column, end, first row, end, int64 [n, 4]; empty for rows that cannot be seen.
     """
     height, width = rays.shape
-    unit = np.empty_like(rays.directions)
-    over_threads(_unit, rays.directions.shape[0], rays.directions, unit)
+    with np.errstate(all="ignore"):
+        unit = rays.directions / np.sqrt((rays.directions**2).sum(axis=1, keepdims=True))
     tiles = np.empty((-(-width // _TILE) * -(-height // _TILE), 5))
     over_threads(_tiles, len(tiles), unit, width, height, tiles)
     parts = np.zeros((len(rows), 4), np.int64)
     over_threads(_windows, len(rows), _view(geometry, rays), rows, tiles, parts)
     return parts
-
-
-def _widened(geometry: Geometry, spread: float) -> NDArray[np.float64]:
-    """Spheres around rows, larger by so much; still without a surface where they are."""
-    spheres = geometry.row_spheres
-    if spread == 0.0:
-        return spheres
-    wider = spheres.copy()
-    wider[:, 3] = np.where(spheres[:, 3] < 0.0, spheres[:, 3], spheres[:, 3] + spread)
-    return wider
 
 
 @kernel

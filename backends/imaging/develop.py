@@ -52,42 +52,19 @@ class Look:
     white: float
 
 
-def demosaic(
-    raw: NDArray[np.uint16],
-    mosaic: str,
-    method: str,
-    black: int = 0,
-    balance: tuple[float, float, float] = (1.0, 1.0, 1.0),
-) -> NDArray[np.float32]:
-    """All three colors of each pixel.
+def develop(
+    raw: NDArray[np.uint16], mosaic: str, method: str, black: int, look: Look
+) -> NDArray[np.uint8]:
+    """The 8-bit picture of a sensor's numbers.
 
     White balance comes first: the neighbors of one color that correct another's have to be on the
     same scale. Beyond its borders a picture goes on mirrored at its last pixels, which keeps the
     order of colors.
 
     Args:
-        raw: Numbers, [h, w]; at least 2 by 2.
-        mosaic: A key of ``COLORS``.
-        method: "malvar" or "bilinear".
-        black: Taken off.
-        balance: Factors on red, green, blue.
-
-    Returns:
-        float32 [h, w, 3]; exact where the factors are 1.
-    """
-    out = np.empty((*raw.shape, 3), np.float32)
-    _demosaic(_balanced(raw, mosaic, black, balance), *_tables(mosaic, method), out)
-    return out
-
-
-def develop(
-    raw: NDArray[np.uint16], mosaic: str, method: str, black: int, look: Look
-) -> NDArray[np.uint8]:
-    """The 8-bit picture of a sensor's numbers.
-
-    Args:
-        raw: [h, w, 1] behind a mosaic, [h, w, 3] without.
-        mosaic, method: As in ``demosaic``; not looked at without a mosaic.
+        raw: [h, w, 1] behind a mosaic, at least 2 by 2; [h, w, 3] without.
+        mosaic: A key of ``COLORS``, or "none".
+        method: "malvar" or "bilinear"; not looked at without a mosaic.
         black: Number of no light.
         look: How they shall look.
     """
@@ -230,13 +207,6 @@ def _row_colors(m, y, i, colors, k, out):  # type: ignore[no-untyped-def]
             out[x, own] = itself
             out[x, 1] = quarter * cross + k[0] * itself + k[1] * far
             out[x, 2 - own] = quarter * diagonal + k[6] * itself + k[7] * far
-
-
-@kernel
-def _demosaic(padded, colors, corrections, out):  # type: ignore[no-untyped-def]
-    for y in range(out.shape[0]):
-        for i in range(2):
-            _row_colors(padded, y, i, colors, corrections, out[y])
 
 
 @kernel

@@ -9,13 +9,14 @@ arrives there (a Fourier transform would leave 1e-7 of the sun).
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from decimal import Decimal
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.backends.camera.lens import Projection
 from scenec.backends.camera.rays import camera_rays
 from scenec.backends.stage.scene import Camera
 from scenec.schemas.kernels import kernel
@@ -39,21 +40,12 @@ def vignetting(camera: Camera, power: int, polynomial: tuple[float, ...]) -> Pic
     cos(t)^power (1 + a r^2 + b r^4 + c r^6), t the angle between the pixel's ray and the axis and
     r its distance from the principal point, 1 in the picture's farthest corner; never below 0.
     """
-    # All that it depends on: cameras differ in their poses from sample to sample.
-    view = (camera.intrinsics.tobytes(), camera.width, camera.height, repr(camera.lens))
-    return _vignetting(_Seen(view, camera), power, polynomial)
-
-
-@dataclass(frozen=True)
-class _Seen:
-    """A camera, equal to all that see alike."""
-
-    view: tuple[bytes, int, int, str]
-    camera: Camera = field(compare=False)
+    # Cameras differ in their poses from sample to sample.
+    return _vignetting(Projection.of(camera), power, polynomial)
 
 
 @lru_cache(maxsize=4)
-def _vignetting(seen: _Seen, power: int, polynomial: tuple[float, ...]) -> Picture:
+def _vignetting(seen: Projection, power: int, polynomial: tuple[float, ...]) -> Picture:
     camera = replace(seen.camera, camera_to_world=np.eye(4), shutter=None)
     size = (camera.height, camera.width)
     k = camera.intrinsics

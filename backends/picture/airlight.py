@@ -34,6 +34,7 @@ from numpy.typing import NDArray
 from scenec.backends.picture.sky import MIN_SUN_DIAMETER_RAD, Sky, lookup
 from scenec.backends.stage.scene import Haze, Sun
 from scenec.schemas.kernels import kernel
+from scenec.schemas.picture import LUMINANCE
 from scenec.schemas.threads import POINTS, over_threads
 
 #: Elevation above the horizon, degrees, over which the sky's radiance is what endless haze shows.
@@ -368,7 +369,7 @@ def horizon(sky: Sky) -> NDArray[np.float64]:
     to[..., 1] = np.cos(bearing)[:, None] * np.cos(elevation)
     to[..., 2] = np.sin(elevation)
     radiance = lookup(sky, to.reshape(-1, 3)).astype(np.float64).reshape(to.shape)
-    level = radiance @ np.array([0.2126, 0.7152, 0.0722])
+    level = radiance @ LUMINANCE
     near = _neighbors(level, _NEAR_MEDIAN)
     usual = np.median(near.reshape(_BEARINGS, -1), axis=1)[:, None]
     with np.errstate(invalid="ignore", divide="ignore"):

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.backends.camera.rays import camera_rays, subpixel_directions
+from scenec.backends.camera.rays import angle_between, camera_rays, subpixel_directions
 from scenec.backends.camera.tiles import bands
 from scenec.backends.contract import Radiance
 from scenec.backends.picture.noise import Noise, estimate, estimate_parts, sky_differs
@@ -38,16 +38,6 @@ class Picture:
 
     rgb: NDArray[np.float32]
     noise: Noise
-
-    @property
-    def relative_error(self) -> float | None:
-        """Estimated rms error over the mean; None where it is unknown."""
-        return self.noise.relative_rms
-
-    @property
-    def relative_mse(self) -> float | None:
-        """Estimated relMSE, which weighs dark pixels as much as bright ones."""
-        return self.noise.relative_mse
 
 
 def compose(
@@ -216,20 +206,22 @@ def disc_fraction(
         (which of them, int64 [k]; fractions, float64 [k]).
     """
     half = 0.5 * max(sun.diameter_rad, MIN_SUN_DIAMETER_RAD)
-    away = _angle(directions, sun.to_light)
+    away = angle_between(directions, sun.to_light)
     # Where a lens magnifies least a pixel may be larger than at the axis: its corners say.
     k = camera.intrinsics
     wide = 0.75 / min(k[0, 0], k[1, 1]) * (1.0 + abs(k[0, 1] / k[1, 1]))
     near = np.flatnonzero(away <= half + max(0.1, 8.0 * wide))
     if len(near):
         corners = subpixel_directions(camera, index[near], *_within_pixel(np.array([-0.5, 0.5])))
-        spread = np.stack([_between(corners[:, i], directions[near]) for i in range(4)]).max(axis=0)
+        spread = np.stack([angle_between(corners[:, i], directions[near]) for i in range(4)]).max(
+            axis=0
+        )
         near = near[away[near] <= half + 1.5 * spread]
     places = _within_pixel((np.arange(DISC_SUBPIXELS) + 0.5) / DISC_SUBPIXELS - 0.5)
     fractions = np.empty(len(near))
     for start in range(0, len(near), 1024):
         rays = subpixel_directions(camera, index[near[start : start + 1024]], *places)
-        fractions[start : start + 1024] = (_angle(rays, sun.to_light) <= half).mean(axis=1)
+        fractions[start : start + 1024] = (angle_between(rays, sun.to_light) <= half).mean(axis=1)
     return near, fractions
 
 
@@ -237,15 +229,3 @@ def _within_pixel(steps: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDAr
     """Columns and rows of a square lattice from a pixel's center, float64 [n^2] each."""
     dv, du = np.meshgrid(steps, steps, indexing="ij")
     return du.ravel(), dv.ravel()
-
-
-def _between(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Angles between directions."""
-    cross = np.cross(a, b)
-    return np.arctan2(np.sqrt((cross**2).sum(-1)), (a * b).sum(-1))
-
-
-def _angle(directions: NDArray[np.float64], axis: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Angle to a unit axis; atan2 of cross and dot keeps digits where acos has none."""
-    cross = np.cross(directions, axis)
-    return np.arctan2(np.sqrt((cross**2).sum(-1)), (directions * axis).sum(-1))

@@ -39,9 +39,8 @@ from scenec.backends.surface import lamps, lobes, reflectance
 from scenec.backends.surface.algebra import FLOAT64
 from scenec.backends.surface.maps import map_mean
 from scenec.backends.surface.pictures import Points, has_maps, values_at
+from scenec.schemas.picture import LUMINANCE
 
-#: Rec.709.
-LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 #: Directions to the sky at the first hit; one at later ones.
 _SKY_RAYS = 8
 #: Rows of the lat-long picture that directions to the sky are drawn from, 1.4 degrees each.

@@ -17,12 +17,13 @@ which only averages over regions show (they are as noisy as before, not less).
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.backends.camera.lens import RayTable, local_rays, ray_table
+from scenec.backends.camera.lens import Projection, RayTable, local_rays, ray_table
 from scenec.backends.contract import Backend, Radiance
 from scenec.backends.picture.tiles import radiance
 from scenec.backends.stage.scene import Camera
@@ -55,6 +56,10 @@ FACES = np.array(
 )
 
 
+#: Number of the plane ahead among windows, where it holds all that is seen.
+_AHEAD = len(FACES)
+
+
 @dataclass(frozen=True)
 class Views:
     """Pinhole views that hold a picture.
@@ -85,23 +90,23 @@ class Views:
 def plan_views(camera: Camera) -> Views:
     """The views of a camera with a lens."""
     table = ray_table(camera)
-    low, high, used = _windows(table, single=True)
-    single = bool(used[0]) and _within(table, np.cos(np.radians(WIDEST)))
-    if not single:
-        low, high, used = _windows(table, single=False)
+    low, high, cosine = _windows(Projection.of(camera))
+    used = np.flatnonzero(np.isfinite(low).all(axis=1))
+    single = _AHEAD in used and cosine >= np.cos(np.radians(WIDEST))
     finest = _finest(camera, single)
     cameras, faces, fineness = [], [], []
-    for face in np.flatnonzero(used).tolist():
+    for plane in [_AHEAD] if single else used[used < _AHEAD].tolist():
+        face = plane % _AHEAD
         focal = FINENESS * finest[face]
         # A pixel more on each side: what rounding may add.
-        span = float((high[face] - low[face]).max())
+        span = float((high[plane] - low[plane]).max())
         if span * focal > LARGEST - 4:
             focal = (LARGEST - 4) / span
         fineness.append(float(focal / finest[face]))
-        size = np.ceil((high[face] - low[face]) * focal).astype(int) + 2
+        size = np.ceil((high[plane] - low[plane]) * focal).astype(int) + 2
         k = np.eye(3)
         k[0, 0] = k[1, 1] = focal
-        k[:2, 2] = 1.0 - low[face] * focal
+        k[:2, 2] = 1.0 - low[plane] * focal
         pose = np.array(camera.camera_to_world, np.float64)
         pose[:3, :3] = _product(pose[:3, :3], FACES[face].T)
         cameras.append(
@@ -155,7 +160,7 @@ def draw(
         numbers[i] = k[0, 0], k[0, 2], k[1, 2], view.width, view.height
     table = views.table
     over_threads(
-        _gather, camera.height, _Lattice.of(table), SUBPIXELS,
+        _gather, camera.height, table, SUBPIXELS,
         len(views.faces) == 1 and views.faces[0] == 0, FACES,
         _Rendered(index_of_face, numbers, starts, stacked), picture,
     )  # fmt: skip
@@ -171,18 +176,6 @@ def draw(
         None if channels == 7 else np.ascontiguousarray(picture[..., 7:]),
         all(part.stochastic for part in parts),
     )
-
-
-class _Lattice(NamedTuple):
-    """``RayTable``, as kernels want it."""
-
-    directions: NDArray[np.float32]
-    per_pixel: int
-    known: NDArray[np.bool_]
-
-    @classmethod
-    def of(cls, table: RayTable) -> _Lattice:
-        return cls(table.directions, table.per_pixel, table.known)
 
 
 class _Rendered(NamedTuple):
@@ -206,87 +199,46 @@ def _product(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float
     return total
 
 
-def _within(table: RayTable, cosine: float) -> bool:
-    """Whether all rays lie in a cone around the axis."""
-    least = np.ones(len(table.known))
-    over_threads(_least_cosine, len(least), _Lattice.of(table), least)
-    return bool(least.min() >= cosine)
+@lru_cache(maxsize=4)
+def _windows(projection: Projection) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
+    """What places within pixels take of each face's plane, and the cosine of the widest ray.
 
-
-@kernel
-def _least_cosine(first, last, lattice, least):  # type: ignore[no-untyped-def]
-    table, per_pixel, known = lattice
-    width = known.shape[1]
-    for y in range(first, last):
-        for x in range(width):
-            if not known[y, x]:
-                continue
-            for j in range(per_pixel + 1):
-                for i in range(per_pixel + 1):
-                    d = table[y * per_pixel + j, x * per_pixel + i]
-                    length = np.sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2])
-                    least[y] = min(least[y], d[2] / length)
-
-
-def _windows(
-    table: RayTable, single: bool
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
-    """What the rays take of each face's plane, lowest and highest (x, y), [6, 2], and whether."""
+    Returns:
+        (lowest and highest (x, y), [7, 2] each, not finite where nothing is taken; the last are
+        of all places on the plane ahead).
+    """
+    table = ray_table(projection.camera)
     height = len(table.known)
-    low = np.full((height, len(FACES), 2), np.inf)
-    high = np.full((height, len(FACES), 2), -np.inf)
-    over_threads(_find_windows, height, _Lattice.of(table), FACES, single, low, high)
-    low, high = low.min(axis=0), high.max(axis=0)
-    used = np.isfinite(low).all(axis=1) & np.isfinite(high).all(axis=1)
-    if not single:
-        # A pixel at an edge of the cube has parts on both sides: its places may lie between the
-        # lattice's points.
-        wide = 1.0 / (4.0 * max(table.known.shape))
-        low, high = np.maximum(low - wide, -1.0), np.minimum(high + wide, 1.0)
-        used |= _neighbors_used(table)
-        low[used & ~np.isfinite(low).all(axis=1)] = -1.0
-        high[used & ~np.isfinite(high).all(axis=1)] = 1.0
-    return low, high, used
-
-
-def _neighbors_used(table: RayTable) -> NDArray[np.bool_]:
-    """Faces that places within pixels meet."""
-    used = np.zeros((len(table.known), len(FACES)), np.bool_)
-    over_threads(_meet_faces, len(used), _Lattice.of(table), SUBPIXELS, used)
-    return used.any(axis=0)
+    low = np.full((height, len(FACES) + 1, 2), np.inf)
+    high, cosine = -low, np.ones(height)
+    over_threads(_find_windows, height, table, SUBPIXELS, FACES, low, high, cosine)
+    return low.min(axis=0), high.max(axis=0), float(cosine.min())
 
 
 @kernel
-def _find_windows(first, last, lattice, faces, single, low, high):  # type: ignore[no-untyped-def]
-    """What lines of pixels take of each face's plane, float64 [h, 6, 2] each."""
-    table, per_pixel, known = lattice
-    width = known.shape[1]
+def _find_windows(first, last, lattice, side, faces, low, high, cosine):  # type: ignore[no-untyped-def]
+    """The same of lines of pixels, float64 [h, 7, 2] each, and [h]."""
+    table, per_pixel, known, _ = lattice
     for y in range(first, last):
-        for x in range(width):
+        d = np.empty(3)
+        for x in range(known.shape[1]):
             if not known[y, x]:
                 continue
-            meets = 0
-            for j in range(per_pixel + 1):
-                for i in range(per_pixel + 1):
-                    d = table[y * per_pixel + j, x * per_pixel + i]
-                    meets |= 1 << (0 if single else _face_of(d))
-            for j in range(per_pixel + 1):
-                for i in range(per_pixel + 1):
-                    d = table[y * per_pixel + j, x * per_pixel + i]
-                    for f in range(6):
-                        if meets >> f & 1 == 0:
-                            continue
-                        z = faces[f, 2, 0] * d[0] + faces[f, 2, 1] * d[1] + faces[f, 2, 2] * d[2]
-                        if z <= 0.0:
-                            # Beyond all bounds: a single view cannot hold it, a face ends at 1.
-                            low[y, f] = -1.0
-                            high[y, f] = 1.0
-                            continue
-                        for c in range(2):
-                            axis = faces[f, c]
-                            at = (axis[0] * d[0] + axis[1] * d[1] + axis[2] * d[2]) / z
-                            low[y, f, c] = min(low[y, f, c], at)
-                            high[y, f, c] = max(high[y, f, c], at)
+            for place in range(side * side):
+                v, u = place // side, place % side
+                _between(table, per_pixel, x + (u + 0.5) / side, y + (v + 0.5) / side, d)
+                length = np.sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2])
+                cosine[y] = min(cosine[y], d[2] / length)
+                for plane in (_face_of(d), _AHEAD):
+                    f = 0 if plane == _AHEAD else plane
+                    z = faces[f, 2, 0] * d[0] + faces[f, 2, 1] * d[1] + faces[f, 2, 2] * d[2]
+                    if z <= 0.0:
+                        continue
+                    for c in range(2):
+                        axis = faces[f, c]
+                        at = (axis[0] * d[0] + axis[1] * d[1] + axis[2] * d[2]) / z
+                        low[y, plane, c] = min(low[y, plane, c], at)
+                        high[y, plane, c] = max(high[y, plane, c], at)
 
 
 @kernel
@@ -314,33 +266,19 @@ def _between(table, per_pixel, x, y, out):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _meet_faces(first, last, lattice, side, used):  # type: ignore[no-untyped-def]
-    table, per_pixel, known = lattice
-    width = known.shape[1]
-    for y in range(first, last):
-        d = np.empty(3)
-        for x in range(width):
-            if known[y, x]:
-                for j in range(side):
-                    for i in range(side):
-                        _between(table, per_pixel, x + (i + 0.5) / side, y + (j + 0.5) / side, d)
-                        used[y, _face_of(d)] = True
-
-
-@kernel
 def _gather(first, last, lattice, side, single, faces, views, out):  # type: ignore[no-untyped-def]
     """Means of some lines of pixels, each over side * side places.
 
     Args:
         first, last: Which lines.
-        lattice: ``_Lattice``.
+        lattice: ``RayTable``.
         side: Places along a pixel's side.
         single: Whether the first face's view is all there is.
         faces: ``FACES``, float64 [6, 3, 3].
         views: ``_Rendered``.
         out: Receives the means, float32 [h, w, channels].
     """
-    table, per_pixel, known = lattice
+    table, per_pixel, known, _ = lattice
     width, channels = out.shape[1], out.shape[2]
     pixels, share = views.pixels, 1.0 / (side * side)
     for y in range(first, last):

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import os
-import queue
 import sys
-import threading
 from collections.abc import Generator
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Self
@@ -97,49 +96,28 @@ class Processes:
 
     def work(self, take: Take) -> Generator[tuple[Unit, Outcome]]:
         """See ``Executor``."""
-        ended: queue.SimpleQueue[tuple[Supervisor, Unit, Outcome | BaseException]]
-        ended = queue.SimpleQueue()
-        free, busy = list(self._hands), 0
-        threads: list[threading.Thread] = []
-        try:
-            while True:
-                # Those first that keep something.
-                for hand in sorted(free, key=lambda hand: hand.holds is None):
-                    unit = take(hand.holds)
-                    if unit is not None:
-                        free.remove(hand)
-                        busy += 1
-                        thread = threading.Thread(target=_do, args=(hand, unit, ended), daemon=True)
-                        thread.start()
-                        threads = [t for t in threads if t.is_alive()] + [thread]
-                if not busy:
-                    return
-                hand, unit, outcome = ended.get()
-                free.append(hand)
-                busy -= 1
-                if isinstance(outcome, BaseException):
-                    raise outcome
-                yield unit, outcome
-        finally:
-            # Left amid work: by an error, an interrupt, or who had enough.
-            while any(thread.is_alive() for thread in threads) and busy:
-                for hand in self._hands:
-                    hand.stop()
-                for thread in threads:
-                    thread.join(0.05)
-
-
-def _do(
-    hand: Supervisor,
-    unit: Unit,
-    ended: queue.SimpleQueue[tuple[Supervisor, Unit, Outcome | BaseException]],
-) -> None:
-    outcome: Outcome | BaseException
-    try:
-        outcome = hand.do(unit)
-    except BaseException as error:  # noqa: BLE001 - raised again by who waits
-        outcome = error
-    ended.put((hand, unit, outcome))
+        free, under_way = list(self._hands), dict[Future[Outcome], tuple[Supervisor, Unit]]()
+        with ThreadPoolExecutor(len(self._hands)) as pool:
+            try:
+                while True:
+                    # Those first that keep something.
+                    for hand in sorted(free, key=lambda hand: hand.holds is None):
+                        unit = take(hand.holds)
+                        if unit is not None:
+                            free.remove(hand)
+                            under_way[pool.submit(hand.do, unit)] = hand, unit
+                    if not under_way:
+                        return
+                    future = next(iter(wait(under_way, return_when=FIRST_COMPLETED).done))
+                    hand, unit = under_way.pop(future)
+                    free.append(hand)
+                    yield unit, future.result()
+            finally:
+                # Left amid work: by an error, an interrupt, or who had enough.
+                while not all(future.done() for future in under_way):
+                    for hand in self._hands:
+                        hand.stop()
+                    wait(under_way, timeout=0.05)
 
 
 def make_executor(

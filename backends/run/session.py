@@ -197,7 +197,12 @@ class Session:
         found = ready
         if annotation:
             details["annotation"] = annotation_facts(annotation)
-            found = found or self._annotate(camera, sample, annotation, seconds)
+            if found is None:
+                listing = self.instances if "instance" in annotation else None
+                caster = self.caster(seconds)
+                found = annotate(self.scene, caster, camera, annotation, sample, listing)
+                for step, took in found.seconds.items():
+                    seconds[step] = seconds.get(step, 0.0) + took
             arrays |= {name: found.arrays[name] for name in annotation if name in found.arrays}
             details["height_above_surface_m"] = found.height_m
         if radiance is not None:
@@ -251,7 +256,7 @@ class Session:
         if "rgb" in key.passes:
             with _timed(metering, "exposure"):
                 camera, exposure = self._meter.exposed(
-                    camera, sample, lambda: self._exact(metering)
+                    camera, sample, lambda: self.caster(metering)
                 )
             metering["exposure"] -= metering.get("load", 0.0)
         arrays, details, listed, surfaces = self._render(
@@ -352,7 +357,7 @@ class Session:
         # Imported here: few cameras have either.
         from scenec.backends.picture import subframes
 
-        caster = self._exact(details["seconds"])
+        caster = self.caster(details["seconds"])
         caster.pose(sample)
         with _timed(details["seconds"], "blur"):
             blur = subframes.measure(camera, caster)
@@ -381,7 +386,7 @@ class Session:
         from scenec.backends.picture.haze import air_at, veil
         from scenec.backends.picture.sky import combine
 
-        caster = self._exact(details["seconds"])
+        caster = self.caster(details["seconds"])
         with _timed(details["seconds"], "haze"):
             rays = camera_rays(camera)
             if hits is None:
@@ -421,22 +426,9 @@ class Session:
             details["estimated_error_before_denoising"] = noise
         return picture.rgb
 
-    def _annotate(
-        self, camera: Camera, sample: int, passes: Sequence[str], seconds: dict[str, float]
-    ) -> Annotation:
-        """Every pass but ``rgb``."""
-        instances = self.instances if "instance" in passes else None
-        found = annotate(self.scene, self._exact(seconds), camera, passes, sample, instances)
-        for step, took in found.seconds.items():
-            seconds[step] = seconds.get(step, 0.0) + took
-        return found
-
-    def caster(self) -> ExactCaster:
-        """The exact caster, of the scene as it was posed last."""
-        return self._exact({})
-
-    def _exact(self, seconds: dict[str, float]) -> ExactCaster:
-        with _timed(seconds, "load"):
+    def caster(self, seconds: dict[str, float] | None = None) -> ExactCaster:
+        """The exact caster, of the scene as it was posed last; what building it takes is added."""
+        with _timed({} if seconds is None else seconds, "load"):
             if self._caster is None:
                 self._caster = ExactCaster(self.scene)
         return self._caster

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -36,9 +36,8 @@ from scenec.schemas.frames import (
 from scenec.schemas.instances import frame_table_path, read_frame_table, write_frame_table
 from scenec.schemas.lens import KANNALA_BRANDT, Lens
 from scenec.schemas.passes import AMODAL, origins
+from scenec.schemas.picture import LUMINANCE
 from scenec.schemas.versions import version_of
-
-_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
 
 def write_frame(
@@ -81,26 +80,14 @@ def write_frame(
         shown = taken.picture
     elif "rgb" in passes:
         shown = picture.develop(passes["rgb"], camera.exposure_ev)
-    beside = {} if taken is None else {"clean": taken.clean, "raw": taken.raw}
-    for path, pixels in (
-        (stem.with_suffix(".png"), shown),
-        *((beside_path(stem, kind), beside.get(kind)) for kind in BESIDE),
-    ):
-        if pixels is None:
-            # A picture of an earlier frame does not belong to this one.
-            _unlink(path)
-        else:
-            picture.write_png(path, pixels)
-    listed = frame_table_path(stem)
-    if seen is None:
-        _unlink(listed)
-    else:
-        write_frame_table(listed, seen.table)
-    masks = amodal_path(stem)
-    if seen is None or seen.amodal is None:
-        _unlink(masks)
-    else:
-        write_amodal(masks, seen.amodal)
+    _put(stem.with_suffix(".png"), shown, picture.write_png)
+    beside = {
+        kind: _put(beside_path(stem, kind), getattr(taken, kind, None), picture.write_png)
+        for kind in BESIDE
+    }
+    listed, amodal = (None, None) if seen is None else (seen.table, seen.amodal)
+    table = _put(frame_table_path(stem), listed, write_frame_table)
+    masks = _put(amodal_path(stem), amodal, write_amodal)
     sidecar = {
         "version": FRAME_VERSION,
         "camera": camera.name,
@@ -134,9 +121,9 @@ def write_frame(
         "exr": _vouch(exr),
         "png": "rgb" in passes,
         "picture": picture_facts(passes, shown, surfaces, scene.lighting[sample]),
-        "instance_table": None if seen is None else _vouch(listed),
-        "amodal": None if seen is None or seen.amodal is None else _vouch(masks),
-        **({} if taken is None else {"imaging": taken.facts | _vouch_beside(stem, beside)}),
+        "instance_table": table,
+        "amodal": masks,
+        **({} if taken is None else {"imaging": taken.facts | beside}),
         **details,
     }
     write_json(stem.with_suffix(".json"), plain(sidecar))
@@ -217,7 +204,7 @@ def sun_facts(lighting: Lighting) -> dict[str, Any] | None:
     if not lighting.suns:
         return None
     # Rec.709 luminance; of equal ones the first.
-    sun = max(lighting.suns, key=lambda s: float((s.irradiance * _LUMINANCE).sum()))
+    sun = max(lighting.suns, key=lambda s: float((s.irradiance * LUMINANCE).sum()))
     x, y, z = sun.to_light.tolist()
     return {
         "elevation_deg": math.degrees(math.atan2(z, math.hypot(x, y))),
@@ -249,7 +236,7 @@ def light_facts(lighting: Lighting) -> dict[str, Any]:
     suns = [
         {
             "prim": sun.path,
-            "irradiance": float((sun.irradiance * _LUMINANCE).sum()),
+            "irradiance": float((sun.irradiance * LUMINANCE).sum()),
             "angle_deg": math.degrees(sun.diameter_rad),
             "normalized": sun.normalized,
         }
@@ -258,16 +245,18 @@ def light_facts(lighting: Lighting) -> dict[str, Any]:
     sky = combine(lighting.domes)
     return {
         "suns": suns,
-        "sky_radiance": 0.0 if sky is None else float((mean_radiance(sky) * _LUMINANCE).sum()),
-        "lamps_w_sr": [float((lamp.intensity * _LUMINANCE).sum()) for lamp in lighting.lamps],
+        "sky_radiance": 0.0 if sky is None else float((mean_radiance(sky) * LUMINANCE).sum()),
+        "lamps_w_sr": [float((lamp.intensity * LUMINANCE).sum()) for lamp in lighting.lamps],
     }
 
 
-def _vouch_beside(stem: Path, beside: Mapping[str, NDArray | None]) -> dict[str, Any]:
-    return {
-        kind: None if pixels is None else _vouch(beside_path(stem, kind))
-        for kind, pixels in beside.items()
-    }
+def _put[T](path: Path, value: T | None, write: Callable[[Path, T], None]) -> dict[str, Any] | None:
+    """Write a file beside a frame, and vouch for it; what is not of this frame is removed."""
+    if value is None:
+        _unlink(path)
+        return None
+    write(path, value)
+    return _vouch(path)
 
 
 def _vouch(path: Path) -> dict[str, Any]:

@@ -8,6 +8,7 @@ instance of every mesh), ``face`` indexes the triangles of that row's mesh.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -205,6 +206,19 @@ class Mesh:
     variation: NDArray[np.float32] | None = None
     uv: NDArray[np.float32] | None = None
     height_blends: tuple[float, ...] = ()
+
+    @property
+    def used_points(self) -> NDArray[np.float64]:
+        """Points that faces have, float64 [k, 3]: stray ones are of no triangle."""
+        used = np.zeros(len(self.points), bool)
+        used[self.faces] = True
+        return self.points[used].astype(np.float64)
+
+    @cached_property
+    def box(self) -> NDArray[np.float64]:
+        """Corners of the box around the triangles, float64 [2, 3]; 0 where there are none."""
+        points = self.used_points if len(self.faces) else np.zeros((1, 3))
+        return np.stack([points.min(axis=0), points.max(axis=0)])
 
 
 @dataclass(frozen=True)

@@ -23,8 +23,8 @@ _OF: dict[str, tuple[str, ...]] = {
     "scene.sources": ("Sources",),
     "materials.tile": ("Look",),
     "terrain.condition": (
-        "CurvatureCondition", "FlowCondition", "FreshnessCondition", "HeightCondition",
-        "NoiseCondition", "PathCondition", "PointCondition", "Ragged", "SlopeCondition",
+        "Curvature", "Flow", "Freshness", "FromPath", "FromPoint", "Height", "Interval", "Noise",
+        "Ragged", "Slope",
     ),
     "terrain.detail": ("Spectrum", "Sum", "Weighted"),
     "terrain.grid": ("Grid", "HeightField"),
@@ -49,4 +49,5 @@ KINDS: frozenset[str] = frozenset(
 #: Classes that are no dataclasses: what their constructors take, which they keep by these names.
 PLAIN: dict[str, tuple[str, ...]] = {
     "scenec.compiler.terrain.quantities:Quantities": ("grid", "height"),
+    "scenec.compiler.terrain.quantities:Samples": ("x", "y"),
 }

@@ -253,7 +253,7 @@ def _check_density(file: Path, owner: Node, cfg: Node) -> None:
 
 
 def _check_label_map(file: Path, owner: Node, cfg: Node) -> None:
-    from scenec.compiler.cfg.label_maps import code_of, decode
+    from scenec.compiler.assets.label_maps import code_of, decode
 
     values = owner.at("values").entries
     if values and None not in map(code_of, values):

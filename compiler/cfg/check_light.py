@@ -81,7 +81,7 @@ def label_maps(cfg: Node) -> Iterator[tuple[str, Node]]:
 
 
 def _check_label_maps(cfg: Node, sky: Node) -> Iterator[Finding]:
-    from scenec.compiler.cfg.label_maps import LARGEST_ID, code_of
+    from scenec.compiler.assets.label_maps import LARGEST_ID, code_of
 
     maps, files, labels = sky.at("label_maps"), sky.at("files"), cfg.at("labels")
     if maps and files and len(maps.entries) != len(files.entries):

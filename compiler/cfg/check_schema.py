@@ -58,9 +58,9 @@ def check_value(field: Field) -> Iterator[Finding]:
     """What a value's own keywords find wrong with it."""
     value, keywords = field.value, field.keywords
     for keyword, bound in keywords.items():
-        if keyword not in _RULES:
+        if keyword not in RULES:
             continue
-        rule = _RULES[keyword]
+        rule = RULES[keyword]
         if keyword == "enum" and keywords.get("x-open") == PASSES:
             # With what other packages add.
             bound = pass_names()
@@ -132,7 +132,8 @@ def _count(words: str, one: str, many: str) -> Callable[[Any, Field], str]:
     return lambda bound, _: f"{words} {bound} {one if bound == 1 else many}"
 
 
-_RULES = {
+#: What each keyword asks of a value; what is asked of keys stands above.
+RULES = {
     "type": _Rule(is_of, _types),
     "enum": _Rule(lambda value, choices: value in choices, _choice),
     "const": _Rule(_is_same, lambda value, _: shown(value)),

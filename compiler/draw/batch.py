@@ -41,6 +41,12 @@ _SCATTERED: dict[str, Callable[..., ReliefOperator]] = {
     "barchans": draw_barchans,
     "craters": draw_craters,
 }
+#: How each kind of objects is drawn.
+_CLASSES: dict[str, Callable[..., ScatterPlan | PlacedPlan]] = {
+    "rocks": draw_rocks,
+    "meshes": draw_meshes,
+    "placed": draw_placed,
+}
 
 
 def draw(spec: Spec, seed: int, batch: int, attempt: int = 0) -> Plan:
@@ -63,7 +69,9 @@ def draw(spec: Spec, seed: int, batch: int, attempt: int = 0) -> Plan:
     cfg, samples = spec.cfg, int(spec.cfg["samples"])
     materials = draw_materials(spec, streams)
     terrain = _terrain(spec, streams, materials)
-    setting = _setting(spec, terrain)
+    setting = Setting(
+        terrain.size_m, terrain.relief, cfg["terrain"]["ground"], spec.files, cfg["labels"]
+    )
     return Plan(
         name=cfg["name"],
         batch=batch,
@@ -73,29 +81,13 @@ def draw(spec: Spec, seed: int, batch: int, attempt: int = 0) -> Plan:
         materials=materials,
         terrain=terrain,
         objects=tuple(
-            _objects(name, node, label_ids(cfg, node["labels"]), cfg["labels"], streams, setting)
+            _CLASSES[node["type"]](name, node, label_ids(cfg, node["labels"]), streams, setting)
             for name, node in cfg["objects"].items()
         ),
         object_triangles=cfg["object_detail"]["max_triangles"],
         light=draw_light(spec, streams, samples),
         rigs=tuple(_rig(spec, name, streams) for name in cfg["rigs"]),
     )
-
-
-def _objects(
-    name: str,
-    node: dict[str, Any],
-    labels: Labels,
-    table: dict[str, dict[str, int]],
-    streams: Streams,
-    setting: Setting,
-) -> ScatterPlan | PlacedPlan:
-    """One class of objects."""
-    if node["type"] == "rocks":
-        return draw_rocks(name, node, labels, streams, setting)
-    if node["type"] == "meshes":
-        return draw_meshes(name, node, labels, table, streams, setting)
-    return draw_placed(name, node, labels, table, streams, setting.files)
 
 
 def label_ids(cfg: Cfg, choice: dict[str, str]) -> Labels:
@@ -147,11 +139,6 @@ def _terrain(spec: Spec, streams: Streams, materials: dict[str, Material]) -> Te
             for layer in node["ground"]
         ),
     )
-
-
-def _setting(spec: Spec, terrain: TerrainPlan) -> Setting:
-    """What objects refer to."""
-    return Setting(terrain.size_m, terrain.relief, spec.cfg["terrain"]["ground"], spec.files)
 
 
 def _displacement(

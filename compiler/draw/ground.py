@@ -7,11 +7,10 @@ from typing import Any
 
 from scenec.compiler.cfg.check_files import InputFile
 from scenec.compiler.distributions.streams import Streams
-from scenec.compiler.draw.of_keys import of_keys
+from scenec.compiler.draw.of_keys import of_keys, ragged_of
 from scenec.compiler.mesh.cover import MaterialCondition
 from scenec.compiler.mesh.merge import Merge
-from scenec.compiler.terrain.condition import Condition
-from scenec.compiler.terrain.mask import CONDITIONS
+from scenec.compiler.terrain.condition import QUANTITIES, Condition, Interval
 from scenec.compiler.terrain.operator import ReliefOperator
 
 
@@ -45,13 +44,41 @@ def draw_merges(
                 threshold=0.5 if layer["threshold"] is None else layer["threshold"],
                 noisy=layer["noise"] is not None,
                 where=tuple(
-                    of_keys(CONDITIONS, node, streams, f"{path}/where/{k}", files, relief)
+                    draw_condition(node, streams, f"{path}/where/{k}", files, relief)
                     for k, node in enumerate(layer["where"] or ())
                 ),
             )
         )
         coverage.append(layer["coverage"])
     return tuple(merges), tuple(coverage)
+
+
+def draw_condition(
+    node: Mapping[str, Any],
+    streams: Streams,
+    path: str,
+    files: Mapping[str, InputFile],
+    relief: Sequence[ReliefOperator],
+) -> Interval:
+    """One condition: its bounds, and a quantity whose fields are its other keys.
+
+    Args:
+        node: The cfg's part, resolved.
+        streams: The batch's streams.
+        path: Where it stands in the cfg.
+        files: Files of the cfg, by path.
+        relief: Operators before it, of which the craters leave fresh ground.
+    """
+    kind, rest = QUANTITIES[node["type"]], dict(node)
+    # Their names end with the unit.
+    low, high, softness = (
+        rest.pop(next(key for key in node if key.partition("_")[0] == name))
+        for name in ("min", "max", "softness")
+    )
+    low, high = (None if bound is None else kind.of_bound(bound) for bound in (low, high))
+    ragged = ragged_of(rest.pop("ragged"), streams, path)
+    quantity = of_keys(QUANTITIES, rest, streams, path, files, relief)
+    return Interval(quantity, low, high, softness, ragged)
 
 
 def draw_mask(
@@ -85,5 +112,5 @@ def draw_mask(
         if node["type"] == "slope" and node["over_m"] is None:
             # An operator asks for the slope of the heights as they are.
             node = {**node, "over_m": 0.0}
-        conditions.append(of_keys(CONDITIONS, node, streams, f"{path}/{i}", files, relief))
+        conditions.append(draw_condition(node, streams, f"{path}/{i}", files, relief))
     return tuple(conditions)

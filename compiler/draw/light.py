@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.cfg.label_maps import LabelMapPlan
 from scenec.compiler.cfg.load import Spec
 from scenec.compiler.distributions.resolve import per_sample, resolve
 from scenec.compiler.distributions.streams import Streams
@@ -19,6 +18,7 @@ from scenec.compiler.scene.light_plan import (
     AtmospherePlan,
     ClearSkyPlan,
     ImageSkyPlan,
+    LabelMapPlan,
     LampPlan,
     LightPlan,
     RigMount,

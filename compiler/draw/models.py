@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.assets.pose_table import PoseTable, read_poses
-from scenec.compiler.cfg.check_files import InputFile
 from scenec.compiler.distributions.resolve import resolve
 from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.draw.scatter import Setting, draw_scattered
@@ -25,20 +24,10 @@ def draw_meshes(
     name: str,
     cfg: Mapping[str, Any],
     labels: Labels,
-    table: Mapping[str, Mapping[str, int]],
     streams: Streams,
     setting: Setting,
 ) -> ScatterPlan:
-    """The plan of a class of scattered models.
-
-    Args:
-        name: Of the class.
-        cfg: Its part of the cfg.
-        labels: Its label ids.
-        table: The cfg's labels.
-        streams: The batch's streams.
-        setting: What it refers to.
-    """
+    """The plan of a class of scattered models; arguments as of ``draw_rocks``."""
     path = f"objects/{name}"
     node = resolve(cfg, streams, path)
     return draw_scattered(
@@ -49,8 +38,8 @@ def draw_meshes(
         streams,
         setting,
         source=ModelSource(
-            _models(path, cfg, setting.files),
-            _rules(cfg, table),
+            _models(path, cfg, setting),
+            _rules(cfg, setting),
             float(node["variation"]),
             cfg["seat"] == "touch",
         ),
@@ -64,23 +53,13 @@ def draw_placed(
     name: str,
     cfg: Mapping[str, Any],
     labels: Labels,
-    table: Mapping[str, Mapping[str, int]],
     streams: Streams,
-    files: Mapping[str, InputFile],
+    setting: Setting,
 ) -> PlacedPlan:
-    """The plan of a class of single objects.
-
-    Args:
-        name: Of the class.
-        cfg: Its part of the cfg.
-        labels: Its label ids.
-        table: The cfg's labels.
-        streams: The batch's streams.
-        files: Files of the cfg, by path.
-    """
+    """The plan of a class of single objects; arguments as of ``draw_rocks``."""
     path = f"objects/{name}"
     if cfg["file"] is not None:
-        poses = read_poses(files[f"{path}/file"].path, len(cfg["models"]))
+        poses = read_poses(setting.files[f"{path}/file"].path, len(cfg["models"]))
     else:
         poses = _listed(
             [resolve(node, streams, f"{path}/poses/{i}") for i, node in enumerate(cfg["poses"])]
@@ -92,8 +71,8 @@ def draw_placed(
         material=cfg["material"],
         labels=labels,
         instances=cfg["instances"],
-        models=_models(path, cfg, files),
-        rules=_rules(cfg, table),
+        models=_models(path, cfg, setting),
+        rules=_rules(cfg, setting),
         model=poses.model[first].astype(np.int32),
         ids=ids,
         keys=tuple(
@@ -108,22 +87,21 @@ def draw_placed(
     )
 
 
-def _models(
-    path: str, cfg: Mapping[str, Any], files: Mapping[str, InputFile]
-) -> tuple[ModelPlan, ...]:
+def _models(path: str, cfg: Mapping[str, Any], setting: Setting) -> tuple[ModelPlan, ...]:
+    files = [setting.files[f"{path}/models/{i}/file"].path for i in range(len(cfg["models"]))]
     return tuple(
-        ModelPlan(files[f"{path}/models/{i}/file"].path, node["unit_m"], node["up"], node["part"])
-        for i, node in enumerate(cfg["models"])
+        ModelPlan(file, node["unit_m"], node["up"], node["part"])
+        for file, node in zip(files, cfg["models"], strict=True)
     )
 
 
-def _rules(cfg: Mapping[str, Any], table: Mapping[str, Mapping[str, int]]) -> tuple[PartRule, ...]:
-    """What the cfg says of parts; ``table`` is its labels: per level, name -> id."""
+def _rules(cfg: Mapping[str, Any], setting: Setting) -> tuple[PartRule, ...]:
+    """What the cfg says of parts."""
     return tuple(
         PartRule(
             name,
             node["material"],
-            {level: table[level][chosen] for level, chosen in node["labels"].items()},
+            {level: setting.label_table[level][own] for level, own in node["labels"].items()},
         )
         for name, node in cfg["parts"].items()
     )

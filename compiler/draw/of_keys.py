@@ -24,7 +24,7 @@ def of_keys(
     """What a node's ``type`` names, with the node's other keys as its fields.
 
     Args:
-        kinds: Classes by type. A field "key" gets a noise key, "craters" those of the relief.
+        kinds: Classes by type.
         node: The cfg's part, resolved.
         streams: The batch's streams.
         path: Where it stands in the cfg.
@@ -36,13 +36,20 @@ def of_keys(
     kind = kinds[node["type"]]
     if "file" in values:
         values["file"] = files[f"{path}/file"].path
-    if values.get("ragged") is not None:
-        values["ragged"] = Ragged(key=streams.key(f"{path}/ragged"), **values["ragged"])
-    if "key" in kind.__dataclass_fields__:
+    if "ragged" in values:
+        values["ragged"] = ragged_of(values["ragged"], streams, path)
+    # What the cfg does not say: a noise key, and the craters that there are.
+    fields = kind.__dataclass_fields__.keys() - values
+    if "key" in fields:
         values["key"] = streams.key(path)
-    if "craters" in kind.__dataclass_fields__:
+    if "craters" in fields:
         values["craters"] = tuple(laid for operator in relief for laid in _craters_of(operator))
     return kind(**values)
+
+
+def ragged_of(node: Mapping[str, Any] | None, streams: Streams, path: str) -> Ragged | None:
+    """What is added to the quantity of the condition at a path; None: nothing."""
+    return None if node is None else Ragged(key=streams.key(f"{path}/ragged"), **node)
 
 
 def _craters_of(operator: ReliefOperator) -> list[tuple[Craters, tuple[Condition, ...]]]:

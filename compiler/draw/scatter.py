@@ -14,6 +14,7 @@ from scenec.compiler.cfg.check_files import InputFile
 from scenec.compiler.distributions.laws import golombek_rapp_per_m2
 from scenec.compiler.distributions.numbers import Distribution, draw_number
 from scenec.compiler.distributions.streams import Streams
+from scenec.compiler.draw.ground import draw_condition
 from scenec.compiler.draw.of_keys import of_keys
 from scenec.compiler.objects.conditions import (
     FromCameras,
@@ -36,7 +37,6 @@ from scenec.compiler.objects.density import (
 )
 from scenec.compiler.scene.plan import Apart, Count, ModelSource, RockShapes, ScatterPlan
 from scenec.compiler.scene.scene import Labels
-from scenec.compiler.terrain.mask import CONDITIONS
 from scenec.compiler.terrain.operator import ReliefOperator
 from scenec.schemas.errors import SceneError
 
@@ -57,12 +57,14 @@ class Setting:
         relief: The operators that were laid.
         ground: The cfg's ground layers, resolved.
         files: Files of the cfg, by path.
+        label_table: The cfg's labels: per level, name -> id.
     """
 
     size_m: tuple[float, float] = (1.0, 1.0)
     relief: Sequence[ReliefOperator] = ()
     ground: Sequence[Mapping[str, Any]] = ()
     files: Mapping[str, InputFile] = field(default_factory=dict)
+    label_table: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
 
 
 def draw_scattered(
@@ -247,7 +249,7 @@ def _place(
     if node["type"] in _DISTANCES:
         distance: PlacementCondition = of_keys(_DISTANCES, node, streams, path, setting.files)
         return distance
-    return OnRelief(of_keys(CONDITIONS, node, streams, path, setting.files, setting.relief))
+    return OnRelief(draw_condition(node, streams, path, setting.files, setting.relief))
 
 
 def _random_turns(streams: Streams, path: str, n: int) -> NDArray[np.float64]:

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 class Growing:
     """Rows of an array that others are added to.
 
-    Where there is no room for them the rows move, into half as much again as is needed: views of
-    ``rows`` from before are then of the past.
+    Where there is no room for them the rows move, into three times what is needed, of which the
+    system gives what is written to: views of ``rows`` from before are then of the past.
     """
 
     def __init__(self, rows: NDArray[Any]) -> None:
@@ -28,7 +28,7 @@ class Growing:
         """Adds rows, and returns them to be written."""
         before, self._count = self._count, self._count + count
         if self._count > len(self._buffer):
-            shape = self._count + self._count // 2, *self._buffer.shape[1:]
+            shape = 3 * self._count, *self._buffer.shape[1:]
             wider = np.empty(shape, self._buffer.dtype)
             wider[:before] = self._buffer[:before]
             self._buffer = wider

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
-from scenec.compiler.cfg.label_maps import LabelMapPlan, decode
+from scenec.compiler.assets.label_maps import decode
 from scenec.compiler.light.latlong import horizontal_irradiance, luminance, read_picture
 from scenec.compiler.light.picture_sun import DIAMETER_DEG, PictureSun, extract_sun
-from scenec.compiler.scene.light_plan import ImageSkyPlan
+from scenec.compiler.scene.light_plan import ImageSkyPlan, LabelMapPlan
 from scenec.compiler.scene.scene import SkyLabelMaps, SkyLight, SunLight
 from scenec.compiler.views.illumination import SHARP
 

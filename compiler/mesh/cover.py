@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 from scenec.compiler.cache.memo import memoized
 from scenec.compiler.mesh.merge import Merge, center_for_coverage, label_index
 from scenec.compiler.mesh.signed_bound import SignedBound, signed_bound
-from scenec.compiler.terrain.condition import Condition
+from scenec.compiler.terrain.condition import QUANTITIES, Condition
 from scenec.compiler.terrain.grid import HeightField
-from scenec.compiler.terrain.mask import CONDITIONS
 from scenec.compiler.terrain.quantities import Quantities, Samples
 from scenec.schemas.errors import SceneError
 
@@ -40,19 +39,26 @@ def lay(
     Raises:
         SceneError: A layer cannot cover as much as it shall.
     """
-    return tuple(laid.merge for laid in _laid(merges, coverage, field, strict, Samples(field.grid)))
+    laid = _laid(merges, coverage, field, strict, Samples.of(field.grid))
+    return tuple(each.merge for each in laid)
 
 
 @memoized("cover")
 def lay_and_report(
-    merges: Sequence[Merge], coverage: Sequence[float | None], field: HeightField
+    merges: Sequence[Merge],
+    coverage: Sequence[float | None],
+    field: HeightField,
+    samples: Samples | None = None,
 ) -> tuple[tuple[Merge, ...], list[dict[str, Any]]]:
-    """``lay`` on the finished relief, and ``cover_report`` of what it made."""
+    """``lay`` on the finished relief, and ``cover_report`` of what it made.
+
+    ``samples`` are the relief's, with noises that are known there.
+    """
     every = _counted(field)
     x, y = (a[every] for a in field.grid.points())
     laid = [
         each.thinned(every).noised(lambda merge: merge.noise(x, y))
-        for each in _laid(merges, coverage, field, True, Samples(field.grid))
+        for each in _laid(merges, coverage, field, True, samples or Samples.of(field.grid))
     ]
     return tuple(each.merge for each in laid), _report(laid)
 
@@ -63,8 +69,8 @@ class _Laid:
 
     Attributes:
         merge: That knows where it lies.
-        values: Of its limits, float64 [n] each.
-        noise: float64 [n]; None if it has no say, or is not known yet.
+        values: Of its limits, float64 [...] each.
+        noise: float64 [...]; None if it has no say, or is not known yet.
     """
 
     merge: Merge
@@ -86,8 +92,8 @@ class _Laid:
 
     def thinned(self, every: NDArray[np.int64]) -> _Laid:
         """At some of the points."""
-        noise = None if self.noise is None else self.noise[every]
-        return _Laid(self.merge, [value[every] for value in self.values], noise)
+        noise = None if self.noise is None else self.noise.ravel()[every]
+        return _Laid(self.merge, [value.ravel()[every] for value in self.values], noise)
 
 
 def _laid(
@@ -116,7 +122,7 @@ def _center(laid: _Laid, part: float, name: str, strict: bool) -> float:
     if laid.noise is None:
         raise ValueError(f"{name}: a coverage is met by a noise")
     if not laid.merge.where:
-        return center_for_coverage(laid.noise, part)
+        return center_for_coverage(laid.noise.ravel(), part)
     holds = replace(laid, noise=None).side() >= 0.0
     room = float(holds.mean())
     if part > room and strict:
@@ -169,18 +175,19 @@ def _report(laid: Sequence[_Laid]) -> list[dict[str, Any]]:
 
 
 def _of_limit(merge: Merge, laid: SignedBound, value: NDArray[np.float64]) -> dict[str, Any]:
-    low, high, softness = laid.condition.bounds()
-    kind = next(name for name, cls in CONDITIONS.items() if type(laid.condition) is cls)
+    condition = laid.condition
+    kind = next(name for name, cls in QUANTITIES.items() if type(condition.quantity) is cls)
     report: dict[str, Any] = {
         "type": kind,
         "holds": float((laid.t(value) >= merge.level_t()).mean()),
-        "softness_asked": softness,
+        "softness_asked": condition.softness,
     }
-    for bound, width, end in ((low, laid.softness[0], "min"), (high, laid.softness[1], "max")):
+    bounds = (condition.low, laid.softness[0], "min"), (condition.high, laid.softness[1], "max")
+    for bound, width, end in bounds:
         if bound is not None:
             report[f"softness_at_{end}"] = width
-    if hasattr(laid.condition, "over_m"):
-        report["smoothed_over_m"] = laid.quantities.over(laid.condition.over_m)
+    if hasattr(condition.quantity, "over_m"):
+        report["smoothed_over_m"] = laid.quantities.over(condition.quantity.over_m)
     return report
 
 
@@ -204,22 +211,18 @@ class MaterialCondition(Condition):
     def weight_of(self, quantities: Quantities) -> NDArray[np.float64]:
         """Weights, float64 [ny, nx]."""
         field = HeightField(quantities.grid, quantities.height)
-        weight, left = np.zeros(field.height.size), np.ones(field.height.size)
+        weight, left = np.zeros(field.grid.shape), np.ones(field.grid.shape)
         samples = quantities.samples
-        laid = _laid(self.merges, self.coverage, field, False, samples)
-        alphas = [
-            each.noised(lambda merge: merge.noise_on(samples)).weight()
-            if i >= min(self.layers)
-            else None
-            for i, each in enumerate(laid, start=1)
-        ]
+        # What lies below all that count does not matter.
+        lowest = max(min(self.layers), 1)
+        merges, coverage = self.merges[lowest - 1 :], self.coverage[lowest - 1 :]
+        laid = list(_laid(merges, coverage, field, False, samples))
         # From the top down: ``left`` is what shows through.
-        for i in range(len(alphas), 0, -1):
-            alpha = alphas[i - 1]
-            if alpha is not None:
-                if i in self.layers:
-                    weight += left * alpha
-                left *= 1.0 - alpha
+        for i, each in reversed(list(enumerate(laid, start=lowest))):
+            alpha = each.noised(lambda merge: merge.noise_on(samples)).weight()
+            if i in self.layers:
+                weight += left * alpha
+            left *= 1.0 - alpha
         if 0 in self.layers:
             weight += left
-        return weight.reshape(field.grid.shape)
+        return weight

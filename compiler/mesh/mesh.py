@@ -16,7 +16,7 @@ from scenec.compiler.mesh.cut import CutMesh
 from scenec.compiler.mesh.merge import Merge, label_index
 from scenec.compiler.mesh.refine import Limits, refine
 from scenec.compiler.mesh.surface import Surface
-from scenec.compiler.terrain.grid import HeightField, cuts_main_diagonal
+from scenec.compiler.terrain.grid import HeightField, cuts_main_diagonal, gradient
 from scenec.compiler.views.resolution import Views
 from scenec.schemas.kernels import kernel
 
@@ -52,9 +52,14 @@ class Meshing:
 
 @dataclass(frozen=True)
 class Appearance:
-    """What is laid over the ground, at some points: merges' sides and the albedo variation."""
+    """What is laid over the ground, at points of any shape.
 
-    sides: tuple[NDArray[np.float64], ...]
+    Attributes:
+        sides: Of the merges, float64 [k, ...].
+        variation: Of the albedo, float64 [...].
+    """
+
+    sides: NDArray[np.float64]
     variation: NDArray[np.float64]
 
 
@@ -95,7 +100,7 @@ def adaptive_mesh(
         tolerance, faces = _within_budget(channels, errors, meshing, tolerance)
         mesh, samples = _mesh(field, faces)
         known = Appearance(
-            tuple(side.reshape(-1)[samples] for side in appearance.sides),
+            appearance.sides.reshape(len(surface.merges), -1)[:, samples],
             appearance.variation.reshape(-1)[samples],
         )
         finer = None
@@ -140,25 +145,20 @@ def _channels(
     appearance: Appearance,
     pixels_per_m: NDArray[np.float64],
 ) -> adaptive.Channels:
-    shape = field.grid.shape
-    dx, dy = field.grid.spacing_m
-    count = len(merges)
-    sides = np.empty((count, *shape))
-    shades = np.empty((3 + count, *shape))
+    shape, spacing = field.grid.shape, field.grid.spacing_m
+    shades = np.empty((3 + len(merges), *shape))
     np.divide(appearance.variation.reshape(shape), VARIATION_STEP, out=shades[0])
-    np.divide(np.gradient(field.height, dx, axis=1), SLOPE_STEP, out=shades[1])
-    np.divide(np.gradient(field.height, dy, axis=0), SLOPE_STEP, out=shades[2])
-    for k, (merge, side) in enumerate(zip(merges, appearance.sides, strict=True)):
-        sides[k] = side.reshape(shape)
-        np.divide(merge.weight_of_side(sides[k]), WEIGHT_STEP, out=shades[3 + k])
-    return adaptive.Channels(field.height, sides, shades, (dx, dy), pixels_per_m)
+    np.divide(gradient(field.height, *spacing), SLOPE_STEP, out=shades[1:3])
+    for merge, side, shade in zip(merges, appearance.sides, shades[3:], strict=True):
+        np.divide(merge.weight_of_side(side), WEIGHT_STEP, out=shade)
+    return adaptive.Channels(field.height, appearance.sides, shades, spacing, pixels_per_m)
 
 
 def label_error(
     field: HeightField,
     mesh: CutMesh,
     layer: NDArray[np.int32],
-    sides: Sequence[NDArray[np.float64]],
+    sides: NDArray[np.float64],
     pixels_per_m: NDArray[np.float64],
 ) -> float:
     """How far from the line that it should be beyond the worst wrong label of a sample is, pixels.
@@ -167,11 +167,11 @@ def label_error(
         field: The grid.
         mesh: The cut mesh.
         layer: Label of its faces, int32 [m].
-        sides: Of the merges at the samples, [ny, nx] each.
+        sides: Of the merges at the samples, [k, ny, nx].
         pixels_per_m: See ``views.resolution``.
     """
     right = np.zeros(field.grid.shape, bool)
-    truth = label_index(list(sides))
+    truth = label_index(sides)
     x0, y0, dx, dy = field.frame()
     u, v = (mesh.points[:, 0] - x0) / dx, (mesh.points[:, 1] - y0) / dy
     _mark_right(np.stack([u, v], axis=1), mesh.faces, layer, truth, right)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -72,11 +71,11 @@ class _Work:
 
 def refine(
     mesh: CutMesh,
-    sides: Sequence[NDArray[np.float64]],
+    sides: NDArray[np.float64],
     surface: Surface,
     views: Views,
     limits: Limits,
-) -> tuple[CutMesh, tuple[NDArray[np.float64], ...], dict[str, Any]] | None:
+) -> tuple[CutMesh, NDArray[np.float64], dict[str, Any]] | None:
     """A mesh of a grid's samples, made finer where a view shows that it is too coarse.
 
     A face is halved while the surface above the middle of one of its edges, or the detail finer
@@ -84,7 +83,7 @@ def refine(
 
     Args:
         mesh: Not cut yet; newest vertices first.
-        sides: Of the merges at its vertices, float64 [n] each.
+        sides: Of the merges at its vertices, float64 [k, n].
         surface: What it stands for.
         views: The cameras.
         limits: When to stop.
@@ -98,14 +97,13 @@ def refine(
     while len(work.mesh.faces) <= limits.max_triangles:
         wanted = new[_wanted(work, new, surface, views, limits)]
         if not len(wanted):
-            sides = tuple(np.ascontiguousarray(side) for side in work.sides.rows.T)
             finer, report = _finish(mesh, work, surface, views, limits)
-            return finer, sides, report
+            return finer, np.ascontiguousarray(work.sides.rows.T), report
         new = _halved(work, wanted, surface)
     return None
 
 
-def _start(mesh: CutMesh, sides: Sequence[NDArray[np.float64]], surface: Surface) -> _Work:
+def _start(mesh: CutMesh, sides: NDArray[np.float64], surface: Surface) -> _Work:
     bisection = Bisection(len(mesh.points), mesh.faces)
     x, y = np.ascontiguousarray(mesh.points[:, :2].T)
     height = surface.height_at(x, y, sides)
@@ -113,7 +111,7 @@ def _start(mesh: CutMesh, sides: Sequence[NDArray[np.float64]], surface: Surface
     return _Work(
         bisection,
         Growing(np.stack([x, y, height], axis=1)),
-        Growing(_columns(sides, len(x))),
+        Growing(np.ascontiguousarray(sides.T)),
         Growing(surface.displaced(sides, len(x))),
         Growing(np.full(edges, np.nan)),
         Growing(np.empty((edges, len(sides)))),
@@ -144,16 +142,12 @@ def _doubtful(work: _Work, surface: Surface, views: Views, limits: Limits) -> ND
     )
 
 
-def _columns(sides: Sequence[NDArray[np.float64]], count: int) -> NDArray[np.float64]:
-    return np.stack(sides, axis=1) if sides else np.zeros((count, 0))
-
-
 def _know(work: _Work, surface: Surface, asked: NDArray[np.integer]) -> None:
     """Evaluates the surface above the middles of some edges, int [n], where it was not yet."""
     unknown = _unknown(asked, work.middles.rows)
     height, sides = surface.evaluate(*_halfway(work.points.rows, work.mesh.edges, unknown))
     work.middles.rows[unknown] = height
-    work.middle_sides.rows[unknown] = _columns(sides, len(unknown))
+    work.middle_sides.rows[unknown] = np.reshape(sides, (len(sides), len(unknown))).T
 
 
 def _wanted(
@@ -193,7 +187,7 @@ def _halved(work: _Work, wanted: NDArray[np.integer], surface: Surface) -> NDArr
     work.points.append(np.stack([x, y, work.middles.rows[halved.middle_of]], axis=1))
     sides = work.middle_sides.rows[halved.middle_of]
     work.sides.append(sides)
-    work.shares.append(surface.displaced(list(np.ascontiguousarray(sides.T)), len(sides)))
+    work.shares.append(surface.displaced(np.ascontiguousarray(sides.T), len(sides)))
     edges = len(work.mesh.edges) - len(work.middles.rows)
     work.middles.add(edges)[:] = np.nan
     work.middle_sides.add(edges)

@@ -43,7 +43,7 @@ class SignedBound:
 
     def t(self, value: NDArray[np.float64]) -> NDArray[np.float64]:
         """1/2 at a bound, above within, where there are such values: float64 [n], not clipped."""
-        low, high, _ = self.condition.bounds()
+        low, high = self.condition.low, self.condition.high
         inside = [
             (value - low) / self.softness[0] if low is not None else None,
             (high - value) / self.softness[1] if high is not None else None,
@@ -61,15 +61,10 @@ def signed_bound(
     Args:
         condition: What has to hold.
         quantities: Of the relief.
-        value: What is held against the bounds at the samples, float64 [n].
+        value: What is held against the bounds at the samples, float64 [ny, nx].
     """
-    low, high, softness = condition.bounds()
-    value = value.reshape(quantities.grid.shape)
-    return SignedBound(
-        condition,
-        quantities,
-        (_shown(value, low, softness), _shown(value, high, softness)),
-    )
+    low, high = (_shown(value, at, condition.softness) for at in (condition.low, condition.high))
+    return SignedBound(condition, quantities, (low, high))
 
 
 def _shown(value: NDArray[np.float64], bound: float | None, softness: float) -> float:

@@ -18,6 +18,7 @@ from scenec.compiler.mesh.mesh import Appearance, Meshing, adaptive_mesh, grid_m
 from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.noise.fractal import fbm2_points
 from scenec.compiler.scene.scene import Tile
+from scenec.compiler.terrain.quantities import Samples
 from scenec.compiler.terrain.sources.mesh_surface import MeshSurface
 from scenec.compiler.views.resolution import NO_VIEWS, Views
 from scenec.schemas.errors import SceneError
@@ -44,6 +45,7 @@ def build_tiles(
     *,
     color: bool = True,
     cut_labels: bool = True,
+    samples: Samples | None = None,
 ) -> tuple[tuple[Tile, ...], dict[str, Any]]:
     """The terrain's tiles.
 
@@ -54,6 +56,7 @@ def build_tiles(
         pixels_per_m, views: See ``views.resolution``; taken where the mesh is adaptive.
         color: False where no output shows color: weights and variation are then left out.
         cut_labels: False where no output shows labels: the mesh then stays whole.
+        samples: The grid's, with noises that are known there.
 
     Returns:
         Tiles in row order, and the report: errors of the mesh, of the cuts and of float32.
@@ -63,16 +66,19 @@ def build_tiles(
     """
     report: dict[str, Any] = {}
     field, merges = surface.field, surface.merges
-    x, y = field.grid.points()
-    sides = [merge.side(x, y).reshape(field.grid.shape) for merge in merges]
-    known = Appearance((np.zeros(0),) * len(merges), np.zeros(0))
+    samples = samples or Samples.of(field.grid)
+    sides = np.empty((len(merges), *field.grid.shape))
+    for merge, side in zip(merges, sides, strict=True):
+        side[:] = merge.side_on(samples)
+    known = Appearance(np.zeros((len(merges), 0)), np.zeros(0))
     if isinstance(field, MeshSurface):
         mesh = base_mesh(field)
     elif meshing.tolerance_px is None or pixels_per_m is None:
         mesh = grid_mesh(field)
     else:
         # The same whatever the outputs: what is left out must not move what stays.
-        appearance = Appearance(tuple(sides), _variation(variation_key, x, y))
+        varied = _variation(variation_key, *field.grid.points())
+        appearance = Appearance(sides, varied.reshape(field.grid.shape))
         mesh, known, report["mesh"] = adaptive_mesh(
             surface, appearance, pixels_per_m, views, meshing
         )
@@ -153,17 +159,32 @@ def _side_error_bound(side: NDArray[np.float64]) -> float:
     Args:
         side: Signed field at the grid's samples, float64 [ny, nx].
     """
+    bend, step = _differences(side)
+    return float(bend / 8.0 + SNAP * step)
 
-    def largest(values: NDArray[np.float64]) -> float:
-        return float(np.abs(values).max(initial=0.0))
 
-    along_x, along_y = np.diff(side, axis=1), np.diff(side, axis=0)
-    mixed = np.diff(along_x, axis=0)
-    curvature = largest(np.diff(along_x, axis=1)) + largest(np.diff(along_y, axis=0))
-    diagonal = largest(side[1:, 1:] - side[:-1, :-1]), largest(side[1:, :-1] - side[:-1, 1:])
-    return (curvature + 2.0 * largest(mixed)) / 8.0 + SNAP * max(
-        largest(along_x), largest(along_y), *diagonal
-    )
+@kernel
+def _differences(side: NDArray) -> tuple[float, float]:
+    """Largest second differences h^2 (|g_xx| + |g_yy| + 2 |g_xy|), and the largest first one."""
+    ny, nx = side.shape
+    xx = yy = xy = step = 0.0
+    for j in range(ny):
+        for i in range(nx):
+            here = side[j, i]
+            if i > 1:
+                xx = max(xx, abs((here - side[j, i - 1]) - (side[j, i - 1] - side[j, i - 2])))
+            if j > 1:
+                yy = max(yy, abs((here - side[j - 1, i]) - (side[j - 1, i] - side[j - 2, i])))
+            if i > 0:
+                step = max(step, abs(here - side[j, i - 1]))
+            if j > 0:
+                step = max(step, abs(here - side[j - 1, i]))
+            if i > 0 and j > 0:
+                below = side[j - 1, i] - side[j - 1, i - 1]
+                xy = max(xy, abs((here - side[j, i - 1]) - below))
+                step = max(step, abs(here - side[j - 1, i - 1]))
+                step = max(step, abs(side[j, i - 1] - side[j - 1, i]))
+    return xx + yy + 2.0 * xy, step
 
 
 def _vertex_normals(mesh: CutMesh) -> NDArray[np.float32]:

@@ -46,6 +46,7 @@ class Fractal:
         distortion: Strength of the domain warp.
         warps: Keys of the octaves of the noises that warp in x and in y, uint64 [o] each.
         shown: The sum of so many octaves is taken off.
+        scale_m: Cell of the first octave's lattice, meters.
     """
 
     key: int
@@ -57,17 +58,20 @@ class Fractal:
     distortion: float = 0.0
     warps: tuple[NDArray[np.uint64], NDArray[np.uint64]] | None = None
     shown: int = 0
+    scale_m: float = 1.0
 
     def at(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
-        """At points, in units of the first octave's lattice: float64 [n]."""
+        """At points, meters: float64 [n]."""
         if not x.size:
             return np.empty(0)
-        box_x, box_y = (np.array([a.min(), a.max()]) for a in (x, y))
-        return self._sum(Places(x, y, False), box_x, box_y, x.size)
+        box_x, box_y = (np.array([a.min(), a.max()]) / self.scale_m for a in (x, y))
+        x, y = np.ascontiguousarray(x), np.ascontiguousarray(y)
+        return self._sum(Places(x, y, self.scale_m, False), box_x, box_y, x.size)
 
     def on(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
-        """On a grid of columns x and rows y, both rising, in such units: float64 [ny, nx]."""
-        return self._sum(Places(x, y, True), x, y, x.size * y.size).reshape(y.size, x.size)
+        """On a grid of columns x and rows y, both rising, meters: float64 [ny, nx]."""
+        u, v = x / self.scale_m, y / self.scale_m
+        return self._sum(Places(u, v, 1.0, True), u, v, x.size * y.size).reshape(y.size, x.size)
 
     def _sum(
         self, places: Places, x: NDArray[np.float64], y: NDArray[np.float64], n: int
@@ -78,7 +82,7 @@ class Fractal:
         keys = subkeys(np.uint64(self.key), self.octaves)
         none = np.zeros(0, np.uint64)
         octaves = tabulate(keys, x, y, self.lacunarity, n, margin)
-        warps = [tabulate(k, x, y, WARP_LACUNARITY, n) for k in self.warps or (none, none)]
+        warps = [tabulate(k, x, y, WARP_LACUNARITY, n, 0.0) for k in self.warps or (none, none)]
         variant = _VARIANTS[self.variant]
         form = Form(variant, self.gain, self.lacunarity, self.offset, self.distortion, self.shown)
         out = np.empty(n)
@@ -90,13 +94,15 @@ class Places(NamedTuple):
     """Where a noise is wanted.
 
     Attributes:
-        x, y: Positions in units of the first octave's lattice, float64 [n] each; or those of a
-            grid's columns and rows, float64 [nx], [ny].
+        x, y: Positions, float64 [n] each; or those of a grid's columns and rows in units of the
+            first octave's lattice, float64 [nx], [ny].
+        scale: What positions are divided by, for such units.
         grid: Which of the two.
     """
 
     x: NDArray[np.float64]
     y: NDArray[np.float64]
+    scale: float
     grid: bool
 
 
@@ -117,22 +123,14 @@ def warp_keys(key: int, octaves: int) -> tuple[NDArray[np.uint64], NDArray[np.ui
     return subkeys(x, octaves), subkeys(y, octaves)
 
 
-def fbm2_points(
-    key: np.uint64,
-    x: NDArray[np.float64],
-    y: NDArray[np.float64],
-    scale: float,
-    octaves: int,
-    gain: float,
-    lacunarity: float,
-    distortion: float,
-) -> NDArray[np.float64]:
-    """Distorted fBm at points.
+def fbm2(
+    key: int, scale_m: float, octaves: int, gain: float, lacunarity: float, distortion: float
+) -> Fractal:
+    """Distorted fBm.
 
     Args:
         key: Noise key.
-        x, y: Positions in meters, float64 [n].
-        scale: Size of the largest feature in meters.
+        scale_m: Size of the largest feature, meters.
         octaves: How many; octave o has amplitude gain**o.
         gain: Ratio of successive amplitudes.
         lacunarity: Ratio of successive frequencies.
@@ -140,23 +138,40 @@ def fbm2_points(
             two further octaves of noise.
 
     Returns:
-        float64 [n], zero mean; one octave is in [-1, 1].
+        A noise of zero mean, of which one octave is in [-1, 1].
     """
     warps = None
     if distortion != 0.0:
-        x_key, y_key = (np.array([subkey(key, _WARP + axis)], np.uint64) for axis in range(2))
+        x_key, y_key = (np.array([subkey(np.uint64(key), _WARP + axis)]) for axis in range(2))
         warps = x_key, y_key
-    noise = Fractal(int(key), octaves, gain, lacunarity, distortion=distortion, warps=warps)
-    return noise.at(x / scale, y / scale)
+    return Fractal(
+        key, octaves, gain, lacunarity, distortion=distortion, warps=warps, scale_m=scale_m
+    )
+
+
+def fbm2_points(
+    key: np.uint64,
+    x: NDArray[np.float64],
+    y: NDArray[np.float64],
+    scale_m: float,
+    octaves: int,
+    gain: float,
+    lacunarity: float,
+    distortion: float,
+) -> NDArray[np.float64]:
+    """``fbm2`` at points, meters: float64 [n]."""
+    return fbm2(int(key), scale_m, octaves, gain, lacunarity, distortion).at(x, y)
 
 
 @inlined
 def _take(places: Places, first: int, u: NDArray, v: NDArray) -> None:
     """Positions of the points from a first one on."""
     if not places.grid:
+        # Slices: their indices need no look at their sign, and the loop has lanes.
+        x, y = places.x[first : first + u.size], places.y[first : first + u.size]
         for k in range(u.size):
-            u[k] = places.x[first + k]
-            v[k] = places.y[first + k]
+            u[k] = x[k] / places.scale
+            v[k] = y[k] / places.scale
         return
     columns = places.x.size
     j = first // columns

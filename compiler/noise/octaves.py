@@ -41,19 +41,15 @@ class Octaves(NamedTuple):
     width: NDArray[np.int64]
 
 
+@kernel
 def tabulate(
-    keys: NDArray[np.uint64],
-    x: NDArray[np.float64],
-    y: NDArray[np.float64],
-    lacunarity: float,
-    samples: int,
-    margin: float = 0.0,
+    keys: NDArray, x: NDArray, y: NDArray, lacunarity: float, samples: int, margin: float
 ) -> Octaves:
     """Octaves over a rectangle, in units of the first octave's lattice.
 
     Args:
         keys: Noise key of each octave, uint64 [o].
-        x, y: The first and the last are the rectangle's ends.
+        x, y: The first and the last are the rectangle's ends, float64.
         lacunarity: Ratio of successive frequencies.
         samples: How many points will be asked for: no table has more entries.
         margin: How far points may lie outside of the rectangle, in both axes.
@@ -63,38 +59,33 @@ def tabulate(
     first = np.zeros((octaves, 2))
     size = np.zeros((octaves, 2), np.int64)
     total = 0
-    if samples:
-        u = np.array([x[0] - margin, x[-1] + margin] * 2)
-        v = np.repeat([y[0] - margin, y[-1] + margin], 2)
+    u, v = np.empty(4), np.empty(4)
+    if samples > 0:
+        u[0] = u[2] = x[0] - margin
+        u[1] = u[3] = x[-1] + margin
+        v[0] = v[1] = y[0] - margin
+        v[2] = v[3] = y[-1] + margin
         for octave in range(octaves):
-            low_u, low_v = (float(np.floor(a.min())) - 1.0 for a in (u, v))
-            columns = float(np.floor(u.max())) + 3.0 - low_u
-            rows = float(np.floor(v.max())) + 3.0 - low_v
+            low_u, low_v = np.floor(u.min()) - 1.0, np.floor(v.min()) - 1.0
+            columns = np.floor(u.max()) + 3.0 - low_u
+            rows = np.floor(v.max()) + 3.0 - low_v
             if columns * rows <= samples:
-                start[octave], total = total, total + int(columns * rows)
-                first[octave] = low_u, low_v
-                size[octave] = int(columns), int(rows)
-            u, v = lacunarity * (0.8 * u - 0.6 * v), lacunarity * (0.6 * u + 0.8 * v)
+                start[octave] = total
+                first[octave, 0], first[octave, 1] = low_u, low_v
+                size[octave, 0], size[octave, 1] = int(columns), int(rows)
+                total += size[octave, 0] * size[octave, 1]
+            next_octave(u, v, lacunarity)
     directions = np.empty(total, np.uint8)
-    if total:
-        _fill(keys, directions, start, first, size)
-    return Octaves(keys, directions, start, first, size[:, 0].copy())
-
-
-@kernel
-def _fill(
-    keys: NDArray, directions: NDArray, start: NDArray, first: NDArray, size: NDArray
-) -> None:
-    for octave in range(keys.size):
+    for octave in range(octaves):
         if start[octave] < 0:
             continue
-        i0 = np.int64(first[octave, 0])
-        j0 = np.int64(first[octave, 1])
+        i0, j0 = int(first[octave, 0]), int(first[octave, 1])
         width = size[octave, 0]
         for j in range(size[octave, 1]):
             row = directions[start[octave] + j * width : start[octave] + (j + 1) * width]
             for i in range(width):
                 row[i] = np.uint8(hash2(keys[octave], i0 + i, j0 + j) & DIRECTION_MASK)
+    return Octaves(keys, directions, start, first, size[:, 0].copy())
 
 
 @inlined

@@ -4,15 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.scene.scene import Haze, SunLight
-
-if TYPE_CHECKING:
-    from scenec.compiler.cfg.label_maps import LabelMapPlan
 
 
 @dataclass(frozen=True)
@@ -53,6 +49,19 @@ class AtmospherePlan:
     ozone_density: NDArray[np.float64]
     altitude_m: NDArray[np.float64]
     ground_color: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class LabelMapPlan:
+    """A label map as the cfg has it.
+
+    Attributes:
+        file: The picture.
+        ids: Pixel values, as the cfg writes them, and the label id of each.
+    """
+
+    file: Path
+    ids: tuple[tuple[str, int], ...]
 
 
 @dataclass(frozen=True)

@@ -239,20 +239,16 @@ class Prototype:
 
 
 @dataclass(frozen=True)
-class Scatter:
-    """Many instances of a few prototypes.
+class ObjectClass:
+    """What objects of one class have, scattered or placed.
 
     Attributes:
         name: Class name, as in the cfg.
         material: Name of the material; None where each prototype's parts have theirs.
         labels: Label id per level.
         instances: Whether instance ids are shown (off: they stay reserved).
-        prototypes: What is scattered.
+        prototypes: What there is of them.
         prototype: Which one, int32 [n].
-        positions: float32 [n, 3], meters.
-        orientations: Quaternions (x, y, z, w), float16 [n, 4]: half precision, as USD stores them.
-        scales: float32 [n, 3].
-        variation: Albedo variation, float32 [n].
         ids: Local instance ids, ascending, int64 [n]: gaps where something could not be placed.
         drawn: How many ids are reserved, at least the largest one.
     """
@@ -263,17 +259,30 @@ class Scatter:
     instances: bool
     prototypes: tuple[Prototype, ...]
     prototype: NDArray[np.int32]
-    positions: NDArray[np.float32]
-    orientations: NDArray[np.float16]
-    scales: NDArray[np.float32]
-    variation: NDArray[np.float32]
     ids: NDArray[np.int64]
     drawn: int
 
     @property
     def count(self) -> int:
-        """Number of instances."""
-        return len(self.positions)
+        """Number of objects."""
+        return len(self.ids)
+
+
+@dataclass(frozen=True)
+class Scatter(ObjectClass):
+    """Many instances of a few prototypes.
+
+    Attributes:
+        positions: float32 [n, 3], meters.
+        orientations: Quaternions (x, y, z, w), float16 [n, 4]: half precision, as USD stores them.
+        scales: float32 [n, 3].
+        variation: Albedo variation, float32 [n].
+    """
+
+    positions: NDArray[np.float32]
+    orientations: NDArray[np.float16]
+    scales: NDArray[np.float32]
+    variation: NDArray[np.float32]
 
     def radii(self) -> NDArray[np.float64]:
         """Radius of a ball around each instance's position that holds it, meters, [n]."""
@@ -286,30 +295,15 @@ class Scatter:
 
 
 @dataclass(frozen=True)
-class Placed:
-    """Single objects of one class, each where it is told to be; they may move.
+class Placed(ObjectClass):
+    """Single objects, each where it is told to be; they may move.
 
     Attributes:
-        name, material, labels, instances, prototypes, prototype, drawn: As in ``Scatter``.
         to_world: Local-to-world matrices, column vectors, float64 [n, s, 3, 4]: s is 1 where
             nothing moves, else the number of samples.
-        ids: Local instance ids, ascending, int64 [n].
     """
 
-    name: str
-    material: str | None
-    labels: Labels
-    instances: bool
-    prototypes: tuple[Prototype, ...]
-    prototype: NDArray[np.int32]
     to_world: NDArray[np.float64]
-    ids: NDArray[np.int64]
-    drawn: int
-
-    @property
-    def count(self) -> int:
-        """Number of objects."""
-        return len(self.to_world)
 
     def balls(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Balls that hold the objects at any sample: middles [n * s, 3], radii [n * s], meters."""

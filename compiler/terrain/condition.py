@@ -15,12 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
-from scenec.compiler.noise.fractal import Fractal, fbm2_points
+from scenec.compiler.noise.fractal import Fractal, fbm2
 from scenec.compiler.terrain.freshness import crater_freshness
-from scenec.compiler.terrain.grid import Grid, HeightField
+from scenec.compiler.terrain.grid import Grid
 from scenec.compiler.terrain.operators.craters import Craters
 from scenec.compiler.terrain.operators.multifractal import octaves_shown
 from scenec.compiler.terrain.quantities import Quantities, Samples
+from scenec.schemas.kernels import inlined, kernel
 
 
 @dataclass(frozen=True)
@@ -41,9 +42,16 @@ class Ragged:
 
     def at(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
         """What is added at points, float64 [n]."""
-        noise = fbm2_points(np.uint64(self.key), x, y, self.scale_m, self.octaves, 0.5, 2.0, 0.0)
-        added: NDArray[np.float64] = self.amplitude * noise
+        added: NDArray[np.float64] = self.amplitude * self._noise().at(x, y)
         return added
+
+    def on(self, samples: Samples) -> NDArray[np.float64]:
+        """What is added at the points of a grid, float64 [ny, nx]."""
+        added: NDArray[np.float64] = self.amplitude * samples.noise(self, self._noise())
+        return added
+
+    def _noise(self) -> Fractal:
+        return fbm2(self.key, self.scale_m, self.octaves, 0.5, 2.0, 0.0)
 
 
 class Condition(ABC):
@@ -58,65 +66,133 @@ class Condition(ABC):
         return self.weight_of(Quantities(grid, height))
 
 
-class Interval(Condition):
-    """A quantity between two bounds; ``ragged`` is a field of every subclass."""
-
-    ragged: Ragged | None
+class Quantity(ABC):
+    """What a relief, a noise or a distance is at a place."""
 
     @abstractmethod
-    def bounds(self) -> tuple[float | None, float | None, float]:
-        """Smallest and largest value that holds (None: no bound), and the softness."""
+    def on(self, quantities: Quantities, held: Interval) -> NDArray[np.float64]:
+        """At the samples, where it is held against bounds: float64 [ny, nx]."""
 
-    @abstractmethod
-    def quantity(self, quantities: Quantities) -> NDArray[np.float64]:
-        """The quantity at the samples, without ``ragged``: float64 [ny, nx]."""
-
-    def quantity_at(
-        self, quantities: Quantities, x: NDArray[np.float64], y: NDArray[np.float64]
+    def at(
+        self,
+        quantities: Quantities,
+        held: Interval,
+        x: NDArray[np.float64],
+        y: NDArray[np.float64],
     ) -> NDArray[np.float64]:
-        """The quantity at points, float64 [n]: linear between samples where it lies on them."""
-        return quantities.between(self.quantity(quantities), x, y)
+        """At points, float64 [n]: linear between samples where it lies on them."""
+        return quantities.between(self.on(quantities, held), x, y)
 
-    def quantity_on(self, quantities: Quantities) -> NDArray[np.float64]:
-        """``quantity_at`` the grid's samples, row-major: float64 [n]."""
-        return HeightField(quantities.grid, self.quantity(quantities)).height_on()
+    def over(self, quantities: Quantities, held: Interval, samples: Samples) -> NDArray[np.float64]:
+        """``at`` the points of a grid: float64 [ny, nx]."""
+        return quantities.between_on(self.on(quantities, held), samples)
+
+    @staticmethod
+    def of_bound(bound: float) -> float:
+        """A bound of the cfg, in the quantity's unit."""
+        return bound
+
+
+@dataclass(frozen=True)
+class Interval(Condition):
+    """A quantity between two bounds.
+
+    Attributes:
+        quantity: Which.
+        low, high: Smallest and largest value that holds; None: no bound.
+        softness: Width over which a weight falls about each bound.
+        ragged: What is added to the quantity.
+    """
+
+    quantity: Quantity
+    low: float | None
+    high: float | None
+    softness: float
+    ragged: Ragged | None = None
 
     def value_at(
         self, quantities: Quantities, x: NDArray[np.float64], y: NDArray[np.float64]
     ) -> NDArray[np.float64]:
         """What is held against the bounds at points, float64 [n]."""
-        value = self.quantity_at(quantities, x, y)
+        value = self.quantity.at(quantities, self, x, y)
         return value if self.ragged is None else value + self.ragged.at(x, y)
 
     def value_on(self, quantities: Quantities, samples: Samples) -> NDArray[np.float64]:
-        """``value_at`` the grid's samples, row-major: float64 [n]."""
-        value = self.quantity_on(quantities)
-        return value if self.ragged is None else value + samples.noise(self.ragged, self.ragged.at)
+        """``value_at`` the points of a grid: float64 [ny, nx]."""
+        value = self.quantity.over(quantities, self, samples)
+        return value if self.ragged is None else value + self.ragged.on(samples)
+
+    def weight_on(self, quantities: Quantities, samples: Samples) -> NDArray[np.float64]:
+        """The soft interval of the quantity at the points of a grid: float64 [ny, nx].
+
+        1/2 at a bound, 0 to 1 over the softness about it.
+        """
+        return self._weight(self.quantity.over(quantities, self, samples), samples.x, samples.y)
 
     def weight_of(self, quantities: Quantities) -> NDArray[np.float64]:
-        """The soft interval of the quantity: 1/2 at a bound, 0 to 1 over the softness about it."""
-        value = self.quantity(quantities)
+        """``weight_on`` the samples, of the quantity as it is there."""
+        grid = quantities.grid
+        return self._weight(self.quantity.on(quantities, self), grid.x(), grid.y())
+
+    def _weight(
+        self, value: NDArray[np.float64], x: NDArray[np.float64], y: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Of a quantity at columns x and rows y."""
         if self.ragged is not None:
-            added = quantities.samples.noise(self.ragged, self.ragged.at)
-            value = value + added.reshape(value.shape)
-        return soft_interval(value, *self.bounds())
+            value = value.copy()
+            rows, columns = np.divmod(self._undecided(value.ravel(), self.ragged), x.size)
+            value[rows, columns] += self.ragged.at(x[columns], y[rows])
+        return soft_interval(value, self.low, self.high, self.softness)
+
+    def _undecided(self, value: NDArray[np.float64], ragged: Ragged) -> NDArray[np.int64]:
+        """Which of some values a noise may lift into a bound's softness, or out of it."""
+        bounds = [bound for bound in (self.low, self.high) if bound is not None]
+        # All octaves together are below twice the first one; and a hair, for what rounds.
+        reach = 0.5 * self.softness + 2.0 * abs(ragged.amplitude)
+        reach += 1e-9 * max([reach, *map(abs, bounds)])
+        low, high = (np.nan if bound is None else bound for bound in (self.low, self.high))
+        return _within(value, low, high, reach)
+
+
+@kernel
+def _within(value: NDArray, low: float, high: float, reach: float) -> NDArray:
+    """Indices of values that are no farther than that from a bound."""
+    near = np.empty(value.size, np.int64)
+    count = 0
+    for k in range(value.size):
+        near[count] = k
+        count += abs(value[k] - low) <= reach or abs(value[k] - high) <= reach
+    return near[:count]
 
 
 def soft_interval(
     quantity: NDArray[np.float64], low: float | None, high: float | None, softness: float
 ) -> NDArray[np.float64]:
     """Weights of a quantity, of the same shape; None is no bound."""
-    weight = np.ones_like(quantity)
+    weight = np.ones(quantity.shape)
     for bound, sign in ((low, 1.0), (high, -1.0)):
-        if bound is None:
-            continue
-        inside = sign * (quantity - bound)
-        if softness > 0.0:
-            t = np.clip(inside / softness + 0.5, 0.0, 1.0)
-            weight *= t * t * (3.0 - 2.0 * t)
-        else:
-            weight *= inside >= 0.0
+        if bound is not None:
+            _weigh(np.ascontiguousarray(quantity).ravel(), bound, sign, softness, weight.ravel())
     return weight
+
+
+@inlined
+def smoothstep(t: float) -> float:
+    """Zero below 0, 1 above 1, level at both."""
+    t = 0.0 if t < 0.0 else t
+    t = 1.0 if t > 1.0 else t
+    return t * t * (3.0 - 2.0 * t)
+
+
+@kernel
+def _weigh(quantity: NDArray, bound: float, sign: float, softness: float, weight: NDArray) -> None:
+    """Multiplies weights by those of one bound; ``sign`` points to the side that holds."""
+    for k in range(quantity.size):
+        inside = sign * (quantity[k] - bound)
+        if softness > 0.0:
+            weight[k] *= smoothstep(inside / softness + 0.5)
+        else:
+            weight[k] *= inside >= 0.0
 
 
 def product(conditions: Sequence[Condition], quantities: Quantities) -> NDArray[np.float64]:
@@ -128,102 +204,65 @@ def product(conditions: Sequence[Condition], quantities: Quantities) -> NDArray[
 
 
 @dataclass(frozen=True)
-class HeightCondition(Interval):
-    """Heights from ``min_m`` to ``max_m``."""
+class Height(Quantity):
+    """Height, meters."""
 
-    min_m: float | None
-    max_m: float | None
-    softness_m: float
-    ragged: Ragged | None = None
-
-    def bounds(self) -> tuple[float | None, float | None, float]:
-        """In meters."""
-        return self.min_m, self.max_m, self.softness_m
-
-    def quantity(self, quantities: Quantities) -> NDArray[np.float64]:
+    def on(self, quantities: Quantities, held: Interval) -> NDArray[np.float64]:
         """Heights."""
         return quantities.height
 
 
 @dataclass(frozen=True)
-class SlopeCondition(Interval):
-    """Slopes from ``min_deg`` to ``max_deg``; ``over_m`` as in ``Quantities``."""
+class Slope(Quantity):
+    """Slope, degrees; ``over_m`` as in ``Quantities``."""
 
-    min_deg: float | None
-    max_deg: float | None
-    softness_deg: float
     over_m: float | None = 0.0
-    ragged: Ragged | None = None
 
-    def bounds(self) -> tuple[float | None, float | None, float]:
-        """In degrees."""
-        return self.min_deg, self.max_deg, self.softness_deg
-
-    def quantity(self, quantities: Quantities) -> NDArray[np.float64]:
+    def on(self, quantities: Quantities, held: Interval) -> NDArray[np.float64]:
         """Slopes."""
         return quantities.slope_deg(self.over_m)
 
 
 @dataclass(frozen=True)
-class CurvatureCondition(Interval):
-    """Laplacians of the height from ``min_per_m`` to ``max_per_m``: above 0 in hollows."""
+class Curvature(Quantity):
+    """Laplacian of the height, 1/m: above 0 in hollows."""
 
-    min_per_m: float | None
-    max_per_m: float | None
-    softness_per_m: float
     over_m: float | None = None
-    ragged: Ragged | None = None
 
-    def bounds(self) -> tuple[float | None, float | None, float]:
-        """In 1/m."""
-        return self.min_per_m, self.max_per_m, self.softness_per_m
-
-    def quantity(self, quantities: Quantities) -> NDArray[np.float64]:
+    def on(self, quantities: Quantities, held: Interval) -> NDArray[np.float64]:
         """Laplacians."""
         return quantities.curvature_per_m(self.over_m)
 
 
 @dataclass(frozen=True)
-class FlowCondition(Interval):
-    """Upslope areas from ``min_m2`` to ``max_m2``; the softness is in doublings of the area."""
+class Flow(Quantity):
+    """Upslope area, in doublings of 1 m^2."""
 
-    min_m2: float | None
-    max_m2: float | None
-    softness_doublings: float
     over_m: float | None = None
-    ragged: Ragged | None = None
 
-    def bounds(self) -> tuple[float | None, float | None, float]:
-        """In doublings of 1 m^2."""
-        low, high = (None if a is None else doublings(a) for a in (self.min_m2, self.max_m2))
-        return low, high, self.softness_doublings
-
-    def quantity(self, quantities: Quantities) -> NDArray[np.float64]:
+    def on(self, quantities: Quantities, held: Interval) -> NDArray[np.float64]:
         """Logarithms of areas."""
         return quantities.flow_doublings(self.over_m)
 
+    @staticmethod
+    def of_bound(bound: float) -> float:
+        """Base-2 logarithm of an area above 0 in m^2."""
+        return elementary.log(bound) / elementary.log(2.0)
+
 
 @dataclass(frozen=True)
-class FreshnessCondition(Interval):
-    """Freshness of the craters' ground from ``min`` to ``max``, see ``freshness``.
+class Freshness(Quantity):
+    """Freshness of the craters' ground in [0, 1], see ``freshness``.
 
     Attributes:
         craters: What was laid, in order, each with the conditions of its mask, which are taken on
             the relief that is asked about.
     """
 
-    min: float | None
-    max: float | None
-    softness: float
     craters: tuple[tuple[Craters, tuple[Condition, ...]], ...]
-    ragged: Ragged | None = None
 
-    def bounds(self) -> tuple[float | None, float | None, float]:
-        """Without unit."""
-        return self.min, self.max, self.softness
-
-    def quantity(self, quantities: Quantities) -> NDArray[np.float64]:
-        """Freshness in [0, 1]."""
+    def on(self, quantities: Quantities, held: Interval) -> NDArray[np.float64]:
+        """Freshness."""
 
         def make() -> NDArray[np.float64]:
             return crater_freshness(
@@ -235,105 +274,97 @@ class FreshnessCondition(Interval):
 
 
 @dataclass(frozen=True)
-class NoiseCondition(Interval):
-    """Values of an fBm from ``min`` to ``max``; one octave lies in [-1, 1], its mean is 0."""
+class Noise(Quantity):
+    """An fBm of mean 0, of which one octave lies in [-1, 1]."""
 
     key: int
     scale_m: float
     octaves: int
     lacunarity: float
     gain: float
-    min: float | None
-    max: float | None
-    softness: float
-    ragged: Ragged | None = None
 
-    def bounds(self) -> tuple[float | None, float | None, float]:
-        """In units of the first octave's amplitude."""
-        return self.min, self.max, self.softness
-
-    def quantity(self, quantities: Quantities) -> NDArray[np.float64]:
+    def on(self, quantities: Quantities, held: Interval) -> NDArray[np.float64]:
         """The octaves that the grid shows."""
-        grid = quantities.grid
-        octaves = octaves_shown(self.octaves, self.scale_m, self.lacunarity, max(grid.spacing_m))
-        noise = Fractal(self.key, octaves, self.gain, self.lacunarity)
-        return noise.on(grid.x() / self.scale_m, grid.y() / self.scale_m)
+        spacing = max(quantities.grid.spacing_m)
+        octaves = octaves_shown(self.octaves, self.scale_m, self.lacunarity, spacing)
+        return self._noise(octaves).on(quantities.grid.x(), quantities.grid.y())
 
-    def quantity_at(
-        self, quantities: Quantities, x: NDArray[np.float64], y: NDArray[np.float64]
+    def at(
+        self,
+        quantities: Quantities,
+        held: Interval,
+        x: NDArray[np.float64],
+        y: NDArray[np.float64],
     ) -> NDArray[np.float64]:
-        """All octaves, not interpolated."""
-        noise = Fractal(self.key, self.octaves, self.gain, self.lacunarity)
-        return noise.at(x / self.scale_m, y / self.scale_m)
+        """Not interpolated."""
+        return self._noise(self.octaves).at(x, y)
 
-    def quantity_on(self, quantities: Quantities) -> NDArray[np.float64]:
-        """All octaves."""
-        grid = quantities.grid
-        noise = Fractal(self.key, self.octaves, self.gain, self.lacunarity)
-        return noise.on(grid.x() / self.scale_m, grid.y() / self.scale_m).ravel()
+    def over(self, quantities: Quantities, held: Interval, samples: Samples) -> NDArray[np.float64]:
+        """Not interpolated."""
+        return self._noise(self.octaves).on(samples.x, samples.y)
+
+    def _noise(self, octaves: int) -> Fractal:
+        return Fractal(self.key, octaves, self.gain, self.lacunarity, scale_m=self.scale_m)
 
 
 @dataclass(frozen=True)
-class PointCondition(Interval):
-    """Distances from a point, in plan, from ``min_m`` to ``max_m``."""
+class FromPoint(Quantity):
+    """Distance from a point in plan, meters."""
 
     x_m: float
     y_m: float
-    min_m: float | None
-    max_m: float | None
-    softness_m: float
-    ragged: Ragged | None = None
 
-    def bounds(self) -> tuple[float | None, float | None, float]:
-        """In meters."""
-        return self.min_m, self.max_m, self.softness_m
-
-    def quantity(self, quantities: Quantities) -> NDArray[np.float64]:
+    def on(self, quantities: Quantities, held: Interval) -> NDArray[np.float64]:
         """Distances."""
-        grid = quantities.grid
-        dx, dy = grid.x()[None, :] - self.x_m, grid.y()[:, None] - self.y_m
-        return np.sqrt(dx * dx + dy * dy)
+        return self._away(quantities.grid.x()[None, :], quantities.grid.y()[:, None])
 
-    def quantity_at(
-        self, quantities: Quantities, x: NDArray[np.float64], y: NDArray[np.float64]
+    def at(
+        self,
+        quantities: Quantities,
+        held: Interval,
+        x: NDArray[np.float64],
+        y: NDArray[np.float64],
     ) -> NDArray[np.float64]:
-        """Distances, not interpolated."""
+        """Not interpolated."""
+        return self._away(x, y)
+
+    def over(self, quantities: Quantities, held: Interval, samples: Samples) -> NDArray[np.float64]:
+        """Not interpolated."""
+        return self._away(samples.x[None, :], samples.y[:, None])
+
+    def _away(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
         dx, dy = x - self.x_m, y - self.y_m
         return np.sqrt(dx * dx + dy * dy)
 
-    def quantity_on(self, quantities: Quantities) -> NDArray[np.float64]:
-        """Distances, not interpolated."""
-        return self.quantity(quantities).ravel()
-
 
 @dataclass(frozen=True)
-class PathCondition(Interval):
-    """Distances from a path, in plan, from ``min_m`` to ``max_m``."""
+class FromPath(Quantity):
+    """Distance from a path in plan, meters."""
 
     file: Path
-    min_m: float | None
-    max_m: float | None
-    softness_m: float
-    ragged: Ragged | None = None
 
-    def bounds(self) -> tuple[float | None, float | None, float]:
-        """In meters."""
-        return self.min_m, self.max_m, self.softness_m
-
-    def quantity(self, quantities: Quantities) -> NDArray[np.float64]:
+    def on(self, quantities: Quantities, held: Interval) -> NDArray[np.float64]:
         """Distances; beyond the bounds every one is alike.
 
         Raises:
             SceneError: The file is no path.
         """
-        reach = max(bound for bound in (self.min_m, self.max_m, 0.0) if bound is not None)
+        reach = max(bound for bound in (held.low, held.high, 0.0) if bound is not None)
         # Some cells more: between samples that lie about a bound both must be distances.
-        reach += self.softness_m + 2.0 * sum(quantities.grid.spacing_m)
-        if self.ragged is not None:
-            reach += 2.0 * self.ragged.amplitude
+        reach += held.softness + 2.0 * sum(quantities.grid.spacing_m)
+        if held.ragged is not None:
+            reach += 2.0 * held.ragged.amplitude
         return quantities.distance_to_path_m(self.file, reach)
 
 
-def doublings(area_m2: float) -> float:
-    """Base-2 logarithm of an area above 0 in m^2: the unit of ``Quantities.flow_doublings``."""
-    return elementary.log(area_m2) / elementary.log(2.0)
+#: Cfg ``type`` -> quantity, whose fields are its keys but the bounds'.
+QUANTITIES: dict[str, type[Quantity]] = {
+    "height": Height,
+    "slope": Slope,
+    "curvature": Curvature,
+    "flow": Flow,
+    "crater_freshness": Freshness,
+    "noise": Noise,
+    "point": FromPoint,
+    "path": FromPath,
+}

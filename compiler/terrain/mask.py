@@ -12,33 +12,9 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.terrain.condition import (
-    Condition,
-    CurvatureCondition,
-    FlowCondition,
-    FreshnessCondition,
-    HeightCondition,
-    NoiseCondition,
-    PathCondition,
-    PointCondition,
-    SlopeCondition,
-    product,
-    soft_interval,
-)
+from scenec.compiler.terrain.condition import Condition, product
 from scenec.compiler.terrain.grid import Grid
 from scenec.compiler.terrain.quantities import Quantities, Samples
-
-__all__ = [
-    "CONDITIONS",
-    "Condition",
-    "HeightCondition",
-    "Masked",
-    "NoiseCondition",
-    "PathCondition",
-    "PointCondition",
-    "SlopeCondition",
-    "soft_interval",
-]
 
 
 class _Operator(Protocol):
@@ -86,16 +62,3 @@ class Masked:
     ) -> NDArray[np.float64]:
         """The mask of given heights, in [0, 1]: float64 [ny, nx]."""
         return product(self.conditions, Quantities(grid, height, samples))
-
-
-#: Cfg ``type`` -> condition.
-CONDITIONS: dict[str, type[Any]] = {
-    "height": HeightCondition,
-    "slope": SlopeCondition,
-    "curvature": CurvatureCondition,
-    "flow": FlowCondition,
-    "crater_freshness": FreshnessCondition,
-    "noise": NoiseCondition,
-    "point": PointCondition,
-    "path": PathCondition,
-}

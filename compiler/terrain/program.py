@@ -14,7 +14,7 @@ from scenec.compiler.terrain.detail import Detail, Detailed, Weighted
 from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.compiler.terrain.mask import Masked
 from scenec.compiler.terrain.operator import ReliefOperator, operator_type
-from scenec.compiler.terrain.quantities import KEPT, Samples
+from scenec.compiler.terrain.quantities import Samples
 from scenec.compiler.terrain.sources.mesh_base import DEFAULT_TRIANGLES, MeshBase
 from scenec.compiler.terrain.sources.mesh_surface import MeshSurface
 from scenec.schemas.errors import SceneError
@@ -40,7 +40,10 @@ class Relief:
 
 @memoized("relief")
 def run(
-    operators: Sequence[ReliefOperator], grid: Grid, max_triangles: int = DEFAULT_TRIANGLES
+    operators: Sequence[ReliefOperator],
+    grid: Grid,
+    max_triangles: int = DEFAULT_TRIANGLES,
+    samples: Samples | None = None,
 ) -> Relief:
     """Applies operators in order to level ground.
 
@@ -48,6 +51,7 @@ def run(
         operators: The program.
         grid: Where heights are sampled.
         max_triangles: Budget of a base that is kept as a mesh.
+        samples: The grid's, which take up noises that are evaluated there.
 
     Raises:
         SceneError: An operator cannot do its work, or heights overflow.
@@ -56,7 +60,7 @@ def run(
     base: MeshSurface | None = None
     details: list[Detail] = []
     steps = []
-    samples = Samples(grid, KEPT)
+    samples = samples or Samples.of(grid)
     # Overflow is found once, at the end, and said in the user's words.
     with np.errstate(over="ignore", invalid="ignore"):
         for operator in operators:

@@ -175,7 +175,7 @@ def monte_carlo(page: Page) -> str:
         mean = radiance.halves.astype(np.float64).mean(axis=0)[covered]
         error = np.sqrt(((mean - reference) ** 2).mean()) / reference.mean()
         errors.append(error)
-        estimate = compose(radiance, session.scene, camera, 0).relative_error
+        estimate = compose(radiance, session.scene, camera, 0).noise.relative_rms
         rows.append([str(spp), f"{100 * estimate:.2f}", f"{100 * error:.2f}", f"{seconds:.3f}"])
     slope = np.polyfit(np.log(counts), np.log(errors), 1)[0]
     return (

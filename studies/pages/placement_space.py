@@ -28,7 +28,7 @@ from scenec.compiler.objects.height_candidates import candidates_on
 from scenec.compiler.objects.lattice import Circles
 from scenec.compiler.objects.surroundings import Surroundings
 from scenec.compiler.scene.scene import Scatter
-from scenec.compiler.terrain.condition import SlopeCondition
+from scenec.compiler.terrain.condition import Interval, Slope
 from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.compiler.terrain.operators.craters import Craters
 from scenec.compiler.terrain.operators.multifractal import Multifractal
@@ -101,7 +101,7 @@ def _cases(
     there = Circles(np.array([-10.0, 2.0, 12.0]), np.array([-4.0, 6.0, -7.0]),
                        np.array([3.0, 2.0, 1.0]))  # fmt: skip
     around.objects["boulders"] = there
-    gentle = OnRelief(SlopeCondition(None, 8.0, 4.0))
+    gentle = OnRelief(Interval(Slope(), None, 8.0, 4.0))
     # As coarse as the grid, by the page's own account: at the middles of its cells.
     coarse = [0.4 * (np.arange(round(n / 0.4)) + 0.5) - 0.5 * n for n in SIZE]
     even = np.kron(_gentle(around.surface.field, *np.meshgrid(*coarse)), np.ones((4, 4)))

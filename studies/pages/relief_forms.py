@@ -12,8 +12,9 @@ from PIL import Image, ImageDraw
 from scenec.compiler.distributions.numbers import Distribution
 from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.draw.craters import draw_craters
+from scenec.compiler.terrain.condition import FromPoint, Interval
 from scenec.compiler.terrain.grid import Grid
-from scenec.compiler.terrain.mask import Masked, PointCondition
+from scenec.compiler.terrain.mask import Masked
 from scenec.compiler.terrain.operators.barchans import draw_barchans
 from scenec.compiler.terrain.operators.crater_profile import profile_table
 from scenec.compiler.terrain.operators.drainage import SIDES
@@ -74,7 +75,7 @@ def gallery(page: Page) -> str:
     fresh = draw_craters(
         {**pits, "degradation": 0.1, "density_per_m2": 0.2}, streams, "m", (60.0, 60.0)
     )
-    disk = PointCondition(0.0, 0.0, None, 20.0, 6.0)
+    disk = Interval(FromPoint(0.0, 0.0), None, 20.0, 6.0)
     panels: list[tuple[str, NDArray, Grid]] = [
         ("multifractal fbm", fractal("fbm", 0.7, 9.0), grid),
         ("hetero", fractal("hetero", 0.2, 16.0), grid),

@@ -7,7 +7,7 @@ import pytest
 import scenes
 
 from scenec.backends.annotation.annotate import annotate
-from scenec.backends.annotation.face import NO_FACE
+from scenec.backends.annotation.passes import NO_FACE
 from scenec.backends.annotation.registry import select
 from scenec.backends.camera.rays import camera_rays
 from scenec.backends.exact import ExactCaster

@@ -128,8 +128,8 @@ def test_the_estimated_error_is_the_error_of_the_mean():
     halves = (5.0 + rng.normal(0, 0.4, (2, 150, 200, 3))).astype(np.float32)
     picture = compose(Radiance(halves, np.ones((150, 200), np.float32), 2), scene, camera, 0)
     true = np.sqrt(((halves.mean(axis=0) - 5.0) ** 2).mean()) / 5.0
-    assert picture.relative_error == pytest.approx(true, rel=0.02)
-    assert picture.relative_mse == pytest.approx(true**2 / 1.01, rel=0.1)
+    assert picture.noise.relative_rms == pytest.approx(true, rel=0.02)
+    assert picture.noise.relative_mse == pytest.approx(true**2 / 1.01, rel=0.1)
 
 
 def test_the_error_of_light_that_overflowed_is_unknown_and_not_none_at_all():
@@ -138,8 +138,8 @@ def test_the_error_of_light_that_overflowed_is_unknown_and_not_none_at_all():
     halves = np.ones((2, 1, 4, 3), np.float32)
     halves[0, 0, 0] = np.inf
     picture = compose(Radiance(halves, np.ones((1, 4), np.float32), 2), scene, camera, 0)
-    assert picture.relative_error is None
-    assert picture.relative_mse is None
+    assert picture.noise.relative_rms is None
+    assert picture.noise.relative_mse is None
 
 
 def test_a_denoised_picture_takes_the_place_of_the_mean_before_the_sky_and_keeps_the_estimate():
@@ -152,7 +152,7 @@ def test_a_denoised_picture_takes_the_place_of_the_mean_before_the_sky_and_keeps
     picture = compose(Radiance(halves, coverage, 4, denoised=smooth), scene, camera, 0)
     np.testing.assert_allclose(picture.rgb[0, :, 0], 5.0 + 8.0 * (1 - coverage[0]), rtol=1e-6)
     # |A - B| / 2 over the mean: 1 / 2.
-    assert picture.relative_error == noisy.relative_error == pytest.approx(0.5)
+    assert picture.noise.relative_rms == noisy.noise.relative_rms == pytest.approx(0.5)
 
 
 def test_a_picture_without_noise_has_an_unknown_error_and_not_none_at_all():
@@ -161,9 +161,9 @@ def test_a_picture_without_noise_has_an_unknown_error_and_not_none_at_all():
     halves = np.ones((2, 1, 4, 3), np.float32)
     covered = np.ones((1, 4), np.float32)
     picture = compose(Radiance(halves, covered, 1, stochastic=False), scene, camera, 0)
-    assert picture.relative_error is None
-    assert picture.relative_mse is None
-    assert compose(Radiance(halves, covered, 2), scene, camera, 0).relative_error == 0.0
+    assert picture.noise.relative_rms is None
+    assert picture.noise.relative_mse is None
+    assert compose(Radiance(halves, covered, 2), scene, camera, 0).noise.relative_rms == 0.0
 
 
 def test_a_missing_or_broken_sky_picture_is_said_with_its_name(tmp_path: Path):

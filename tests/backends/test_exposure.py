@@ -28,14 +28,14 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux, Vt
 from scenec.backends.check.frames import check_frames
 from scenec.backends.exact import ExactCaster
 from scenec.backends.picture.exposure import GRAY, Meter, level
-from scenec.backends.picture.metering import LUMINANCE, look
+from scenec.backends.picture.metering import look
 from scenec.backends.run.render import render
 from scenec.backends.stage.read import read_stage
 from scenec.backends.stage.scene import Camera, Lamp, Lighting, RenderScene
 from scenec.schemas.errors import StageError
 from scenec.schemas.imaging import Imaging, shown_per_value
 from scenec.schemas.lens import Lens
-from scenec.schemas.picture import develop, fault, tally
+from scenec.schemas.picture import LUMINANCE, develop, fault, tally
 
 pytestmark = pytest.mark.usefixtures("workers_here")
 

@@ -180,13 +180,13 @@ def test_noise_estimates_shrink_with_what_arrives():
     half = Veil(0.5 * one, 0.0 * one, one, 0.0 * one, 0)
     dark = compose(Radiance(halves, whole, 2), scene, camera, 0, half)
     # Black airlight: the picture and its noise are half as bright.
-    assert dark.relative_error == pytest.approx(clear.relative_error)
+    assert dark.noise.relative_rms == pytest.approx(clear.noise.relative_rms)
     bright = Veil(0.5 * one, 0.5 * one, one, 0.0 * one, 0)
     veiled = compose(Radiance(halves, whole, 2), scene, camera, 0, bright)
     mean = 0.5 * (halves[0] + halves[1]).astype(float)
     level = float((0.5 * mean + 0.5).mean())
-    expected = clear.relative_error * float(mean.mean()) * 0.5 / level
-    assert veiled.relative_error == pytest.approx(expected, rel=1e-5)
+    expected = clear.noise.relative_rms * float(mean.mean()) * 0.5 / level
+    assert veiled.noise.relative_rms == pytest.approx(expected, rel=1e-5)
     smooth = Radiance(halves, whole, 2, denoised=np.ones((8, 8, 3), np.float32))
     np.testing.assert_allclose(compose(smooth, scene, camera, 0, bright).rgb, 1.0, rtol=1e-6)
 

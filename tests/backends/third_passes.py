@@ -22,7 +22,7 @@ SLOPE = re.search(
 PLACE = """
 import numpy as np
 from scenec.backends.annotation.contract import Pass, Picture
-from scenec.backends.annotation.position import position
+from scenec.backends.annotation.passes import position
 from scenec.schemas.lens import shown_at
 
 def place(picture: Picture) -> np.ndarray:

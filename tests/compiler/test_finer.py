@@ -16,9 +16,10 @@ from scenec.compiler.mesh.merge import Merge, label_index
 from scenec.compiler.mesh.mesh import Meshing
 from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.mesh.tiles import build_tiles
+from scenec.compiler.terrain.condition import Height, Interval
 from scenec.compiler.terrain.detail import Sum, Weighted
 from scenec.compiler.terrain.grid import Grid, HeightField
-from scenec.compiler.terrain.mask import HeightCondition, Masked
+from scenec.compiler.terrain.mask import Masked
 from scenec.compiler.terrain.operators.multifractal import Multifractal
 from scenec.compiler.terrain.operators.smooth import Smooth
 from scenec.compiler.terrain.operators.worley import Worley
@@ -84,7 +85,7 @@ def test_detail_lives_until_an_operator_reshapes_the_relief():
 def test_detail_behind_a_mask_has_its_weights():
     grid = Grid((20.0, 20.0), (51, 51))
     plane = Plane(0.0, (1.0, 0.0))
-    masked = Masked(ROUGH, (HeightCondition(0.0, None, 4.0),))
+    masked = Masked(ROUGH, (Interval(Height(), 0.0, None, 4.0),))
     (detail,) = run([plane, masked], grid).details
     assert isinstance(detail, Weighted)
     x = np.array([-5.0, -1.0, 0.0, 1.0, 5.0])

@@ -118,9 +118,9 @@ def square(size: float, repeats: float) -> Prototype:
 
 def scattered(prototype: Prototype, z: float, scale: float) -> Scatter:
     return Scatter(
-        "s", "m", {}, False, (prototype,), np.zeros(1, np.int32),
+        "s", "m", {}, False, (prototype,), np.zeros(1, np.int32), np.ones(1, np.int64), 1,
         np.array([[0.0, 0.0, z]], np.float32), np.array([[0, 0, 0, 1]], np.float16),
-        np.full((1, 3), scale, np.float32), np.zeros(1, np.float32), np.ones(1, np.int64), 1,
+        np.full((1, 3), scale, np.float32), np.zeros(1, np.float32),
     )  # fmt: skip
 
 

@@ -15,7 +15,7 @@ from scenec.compiler.build import BuildLog, build
 from scenec.compiler.cfg.load import load
 from scenec.compiler.draw.batch import draw
 from scenec.compiler.mesh.cover import lay
-from scenec.compiler.terrain.condition import FreshnessCondition, SlopeCondition
+from scenec.compiler.terrain.condition import Freshness, Interval, Slope
 from scenec.compiler.terrain.grid import Grid
 from scenec.compiler.terrain.program import run
 from scenec.schemas.errors import CfgError, SceneError
@@ -60,7 +60,7 @@ def test_a_layer_with_conditions_and_no_noise_lies_wherever_they_hold(tmp_path):
     (bare, _), field = laid(write(tmp_path, {"noise": None, "where": [slope]}))
     assert not bare.noisy
     x, y = field.grid.points()
-    condition = SlopeCondition(10.0, None, 0.0, over_m=None)
+    condition = Interval(Slope(None), 10.0, None, 0.0)
     value = condition.value_at(bare.limits[0].quantities, x, y)
     assert np.array_equal(bare.side(x, y) >= 0.0, value >= 10.0)
     # With a noise it lies where that is, too: less, and not elsewhere.
@@ -99,8 +99,8 @@ def test_freshness_is_of_all_craters_of_the_relief_and_of_their_masks(tmp_path):
         relief=[pits, {"type": "smooth", "length_m": 0.2}, {**pits, "mask": [east]}],
     )
     (condition,) = draw(load(path), 5, 0).terrain.merges[0].where
-    assert isinstance(condition, FreshnessCondition)
-    assert [len(mask) for _, mask in condition.craters] == [0, 1]
+    assert isinstance(condition.quantity, Freshness)
+    assert [len(mask) for _, mask in condition.quantity.craters] == [0, 1]
 
 
 @pytest.mark.parametrize("kind", [node["type"] for node in WHERE])

@@ -5,14 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from scenec.compiler.noise.fractal import Fractal
 from scenec.compiler.terrain.condition import (
-    CurvatureCondition,
-    FlowCondition,
-    FreshnessCondition,
-    HeightCondition,
-    PointCondition,
+    Curvature,
+    Flow,
+    Freshness,
+    FromPoint,
+    Height,
+    Interval,
     Ragged,
     product,
+    soft_interval,
 )
 from scenec.compiler.terrain.flow import upslope_area
 from scenec.compiler.terrain.freshness import cover, crater_freshness
@@ -125,10 +128,11 @@ def test_craters_below_the_grid_or_behind_a_mask_leave_no_fresh_ground():
     tiny = craters([(0.0, 0.0, 0.7, 0.0)])
     assert not crater_freshness(GRID, [(tiny, None)]).any()
     whole = craters([(0.0, 0.0, 4.0, 0.0)])
-    east = PointCondition(10.0, 0.0, None, 10.0, 0.0)
+    east = Interval(FromPoint(10.0, 0.0), None, 10.0, 0.0)
     flat = Quantities(GRID, np.zeros(GRID.shape))
-    seen = FreshnessCondition(0.5, None, 0.1, ((whole, (east,)),)).quantity(flat)
-    bare = FreshnessCondition(0.5, None, 0.1, ((whole, ()),)).quantity(flat)
+    held = Interval(Freshness(()), 0.5, None, 0.1)
+    seen = Freshness(((whole, (east,)),)).on(flat, held)
+    bare = Freshness(((whole, ()),)).on(flat, held)
     assert np.array_equal(seen, bare * product((east,), flat))
     assert 0 < (seen > 0).sum() < (bare > 0).sum()
 
@@ -136,10 +140,27 @@ def test_craters_below_the_grid_or_behind_a_mask_leave_no_fresh_ground():
 def test_a_ragged_bound_moves_by_its_noise():
     height = 0.1 * X
     noise = Ragged(5, 0.4, 3.0, 3)
-    weight = HeightCondition(0.0, None, 0.0, noise).weight(GRID, height)
+    weight = Interval(Height(), 0.0, None, 0.0, noise).weight(GRID, height)
     added = noise.at(*GRID.points()).reshape(GRID.shape)
     assert np.array_equal(weight, (height + added >= 0.0).astype(float))
-    assert 0.02 < (weight != HeightCondition(0.0, None, 0.0).weight(GRID, height)).mean() < 0.5
+    assert 0.02 < (weight != Interval(Height(), 0.0, None, 0.0).weight(GRID, height)).mean() < 0.5
+
+
+@pytest.mark.parametrize("bounds", [(0.0, None), (None, 0.3), (-0.4, 0.2), (0.3, -0.1)])
+@pytest.mark.parametrize("softness", [0.0, 0.2, 3.0])
+@pytest.mark.parametrize("amplitude", [1e-9, 0.1, 0.7])
+def test_a_noise_is_evaluated_only_where_it_decides(bounds, softness, amplitude):
+    height = np.random.default_rng(7).normal(0.0, 0.6, GRID.shape)
+    noise = Ragged(6, amplitude, 2.0, 6)
+    held, quantities = Interval(Height(), *bounds, softness, noise), Quantities(GRID, height)
+    everywhere = height + noise.at(*GRID.points()).reshape(GRID.shape)
+    assert np.array_equal(held.weight_of(quantities), soft_interval(everywhere, *bounds, softness))
+    between = Samples(np.linspace(-7.0, 6.0, 70), np.linspace(-4.0, 3.0, 50))
+    x, y = (a.ravel() for a in np.meshgrid(between.x, between.y))
+    everywhere = held.value_at(quantities, x, y)
+    assert np.array_equal(held.value_on(quantities, between).ravel(), everywhere)
+    weight = soft_interval(everywhere, *bounds, softness)
+    assert np.array_equal(held.weight_on(quantities, between).ravel(), weight)
 
 
 @pytest.mark.parametrize("size", [1e-3, 1.0, 1e3, 1e6])
@@ -171,10 +192,10 @@ def test_the_smallest_grid_has_quantities():
 def test_masks_take_curvature_and_flow():
     bowl = 0.5 * 0.2 * (X * X + Y * Y)
     for low, expected in ((0.39, 1.0), (0.41, 0.0)):
-        weight = CurvatureCondition(low, None, 0.0, over_m=0.0).weight(GRID, bowl)
+        weight = Interval(Curvature(0.0), low, None, 0.0).weight(GRID, bowl)
         assert np.allclose(weight, expected)
     # A bowl holds its water: it gathers in the middle and leaves by one way.
-    flow = FlowCondition(50.0, None, 1.0).weight(GRID, bowl)
+    flow = Interval(Flow(), Flow.of_bound(50.0), None, 1.0).weight(GRID, bowl)
     assert flow[24, 40] == 1.0
     assert flow.mean() < 0.1
 
@@ -183,12 +204,14 @@ def test_masks_take_curvature_and_flow():
 def test_noises_at_samples_are_evaluated_once_as_far_as_they_may_be_kept(room, evaluated):
     calls = []
 
-    def noise(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        calls.append(x.size)
-        return x + y
+    class Counted(Fractal):
+        def on(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+            calls.append(x.size * y.size)
+            return super().on(x, y)
 
-    samples = Samples(GRID, kept=room * 8 * X.size)
+    samples = Samples(GRID.x(), GRID.y(), kept=room * 8 * X.size)
     for _ in range(2):
-        for key in ("a", "b"):
-            assert np.array_equal(samples.noise(key, noise), (X + Y).ravel())
+        for key in (1, 2):
+            noise = Counted(key, 3, 0.5, 2.0)
+            assert np.array_equal(samples.noise(key, noise).ravel(), noise.at(*GRID.points()))
     assert calls == [X.size] * evaluated

@@ -17,14 +17,14 @@ from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.mesh.tiles import build_tiles
 from scenec.compiler.noise.fractal import fbm2_points
 from scenec.compiler.terrain.condition import (
-    CurvatureCondition,
-    FlowCondition,
-    HeightCondition,
+    Curvature,
+    Flow,
+    FromPoint,
+    Height,
     Interval,
-    NoiseCondition,
-    PointCondition,
+    Noise,
     Ragged,
-    SlopeCondition,
+    Slope,
 )
 from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.schemas.errors import SceneError
@@ -69,14 +69,14 @@ def assert_sound(points: np.ndarray, faces: np.ndarray, size: tuple[float, float
 
 def test_a_height_line_on_a_cone_is_a_circle():
     field = HeightField(GRID, 5.0 - 0.5 * np.hypot(X, Y))
-    _, points, faces, layer, _ = built(field, where(HeightCondition(2.0, None, 0.0)))
+    _, points, faces, layer, _ = built(field, where(Interval(Height(), 2.0, None, 0.0)))
     assert plan_area(points, faces)[layer == 1].sum() == pytest.approx(np.pi * 36.0, rel=2e-3)
     assert_sound(points, faces, GRID.size_m)
 
 
 def test_a_slope_line_on_a_paraboloid_is_a_circle():
     field = HeightField(GRID, 0.05 * (X * X + Y * Y))
-    steep = where(SlopeCondition(25.0, 40.0, 3.0))
+    steep = where(Interval(Slope(), 25.0, 40.0, 3.0))
     _, points, faces, layer, _ = built(field, steep)
     r = np.tan(np.radians([25.0, 40.0])) / 0.1
     expected = np.pi * (r[1] ** 2 - r[0] ** 2)
@@ -86,7 +86,7 @@ def test_a_slope_line_on_a_paraboloid_is_a_circle():
 def test_a_curvature_line_on_a_cubic_is_straight_and_in_its_hollow():
     # z = c x^3 / 6 has the Laplacian c x, and second differences give it without error.
     field = HeightField(GRID, 0.03 * X * X * X / 6.0)
-    hollow = where(CurvatureCondition(0.03 * 3.1, None, 0.0, over_m=0.0))
+    hollow = where(Interval(Curvature(0.0), 0.03 * 3.1, None, 0.0))
     _, points, faces, layer, report = built(field, hollow)
     area = plan_area(points, faces)
     # The last two columns of samples share the second difference of the one within.
@@ -100,7 +100,7 @@ def test_a_flow_line_on_a_tilted_plane_is_where_enough_ground_lies_above():
     x = np.broadcast_to(grid.x(), grid.shape)
     field = HeightField(grid, -0.1 * x)
     # A strip of one sample's width, 0.25 m, drains to a place: 2.5 m^2 at 10 m from the crest.
-    laid = lay([where(FlowCondition(2.5, None, 0.0, over_m=0.0))], [None], field)
+    laid = lay([where(Interval(Flow(0.0), Flow.of_bound(2.5), None, 0.0))], [None], field)
     px = np.linspace(-6.0, 6.0, 1001)
     side = laid[0].side(px, np.zeros_like(px))
     line = px[np.argmax(side >= 0.0)]
@@ -112,13 +112,13 @@ def test_a_flow_line_on_a_tilted_plane_is_where_enough_ground_lies_above():
 
 def test_the_color_fades_over_the_softness_about_the_line():
     field = HeightField(GRID, 0.3 * X)
-    (laid,) = lay([where(HeightCondition(0.6, None, 0.9))], [None], field)
+    (laid,) = lay([where(Interval(Height(), 0.6, None, 0.9))], [None], field)
     x = np.linspace(-9.0, 9.0, 2001)
     weight = laid.weight_of_side(laid.side(x, np.zeros_like(x)))
     t = np.clip((0.3 * x - 0.6) / 0.9 + 0.5, 0.0, 1.0)
     assert np.allclose(weight, t * t * (3.0 - 2.0 * t), rtol=0, atol=1e-12)
     # The label is where the weight reaches the threshold, whichever it is.
-    (strict,) = lay([where(HeightCondition(0.6, None, 0.9), threshold=0.8)], [None], field)
+    (strict,) = lay([where(Interval(Height(), 0.6, None, 0.9), threshold=0.8)], [None], field)
     side = strict.side(x, np.zeros_like(x))
     assert np.array_equal(side >= 0.0, strict.weight_of_side(side) >= 0.8)
     assert np.allclose(strict.weight_of_side(side), weight, rtol=0, atol=1e-12)
@@ -126,7 +126,7 @@ def test_the_color_fades_over_the_softness_about_the_line():
 
 def test_a_softness_that_no_spacing_can_show_is_raised_and_reported():
     field = HeightField(GRID, 0.4 * X)
-    merges = lay([where(HeightCondition(0.03, None, 0.0))], [None], field)
+    merges = lay([where(Interval(Height(), 0.03, None, 0.0))], [None], field)
     (layer,) = cover_report(merges, field)
     (condition,) = layer["conditions"]
     assert condition["type"] == "height"
@@ -175,25 +175,26 @@ class Definition:
 
     def value(self, condition: Interval, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """What is held against the bounds."""
-        kind = type(condition)
-        if kind is PointCondition:
-            value = np.hypot(x - condition.x_m, y - condition.y_m)
-        elif kind is NoiseCondition:
+        quantity = condition.quantity
+        kind = type(quantity)
+        if kind is FromPoint:
+            value = np.hypot(x - quantity.x_m, y - quantity.y_m)
+        elif kind is Noise:
             value = fbm2_points(
-                np.uint64(condition.key),
+                np.uint64(quantity.key),
                 x,
                 y,
-                condition.scale_m,
-                condition.octaves,
-                condition.gain,
-                condition.lacunarity,
+                quantity.scale_m,
+                quantity.octaves,
+                quantity.gain,
+                quantity.lacunarity,
                 0.0,
             )
         else:
             grid = {
-                HeightCondition: self.height,
-                SlopeCondition: self.slope,
-                CurvatureCondition: self.curvature,
+                Height: self.height,
+                Slope: self.slope,
+                Curvature: self.curvature,
             }[kind]
             value = self.between(grid, x, y)
         if condition.ragged:
@@ -207,7 +208,7 @@ class Definition:
         """Whether points are the layer's: at threshold 1/2 bounds are bounds, whatever softness."""
         inside = np.ones(x.shape, bool)
         for condition in merge.where:
-            low, high, _ = condition.bounds()
+            low, high = condition.low, condition.high
             value = self.value(condition, x, y)
             inside &= value >= (-np.inf if low is None else low)
             inside &= value <= (np.inf if high is None else high)
@@ -217,13 +218,13 @@ class Definition:
 
 
 def layers() -> tuple[Merge, ...]:
-    noisy = Merge(5, 9.0, 2, 0.5, 2.0, 0.0, 5.0, 0.5, where=(SlopeCondition(None, 18.0, 4.0),))
+    noisy = Merge(5, 9.0, 2, 0.5, 2.0, 0.0, 5.0, 0.5, where=(Interval(Slope(), None, 18.0, 4.0),))
     return (
-        where(SlopeCondition(12.0, None, 4.0), HeightCondition(None, 1.4, 0.2)),
+        where(Interval(Slope(), 12.0, None, 4.0), Interval(Height(), None, 1.4, 0.2)),
         noisy,
-        where(CurvatureCondition(0.1, None, 0.1, over_m=0.0, ragged=Ragged(3, 0.1, 4.0, 2))),
-        where(PointCondition(2.0, -3.0, 4.0, 11.0, 1.0), NoiseCondition(
-            9, 6.0, 2, 2.0, 0.5, -0.1, None, 0.1)),
+        where(Interval(Curvature(0.0), 0.1, None, 0.1, ragged=Ragged(3, 0.1, 4.0, 2))),
+        where(Interval(FromPoint(2.0, -3.0), 4.0, 11.0, 1.0),
+              Interval(Noise(9, 6.0, 2, 2.0, 0.5), -0.1, None, 0.1)),
     )  # fmt: skip
 
 
@@ -251,16 +252,16 @@ def test_labels_are_those_of_the_definition_away_from_the_lines():
 
 
 _CONDITIONS = st.one_of(
-    st.builds(lambda low, span, soft: HeightCondition(low, low + span, soft),
+    st.builds(lambda low, span, soft: Interval(Height(), low, low + span, soft),
               st.floats(-2, 2), st.floats(0, 2), st.sampled_from([0.0, 0.3, 5.0])),
-    st.builds(lambda low, soft, over: SlopeCondition(low, None, soft, over),
+    st.builds(lambda low, soft, over: Interval(Slope(over), low, None, soft),
               st.floats(0, 40), st.sampled_from([0.0, 5.0]), st.sampled_from([0.0, None, 3.0])),
-    st.builds(lambda high, over: CurvatureCondition(None, high, 0.1, over),
+    st.builds(lambda high, over: Interval(Curvature(over), None, high, 0.1),
               st.floats(-1, 1), st.sampled_from([0.0, None])),
-    st.builds(lambda low: FlowCondition(low, None, 1.0), st.floats(0.01, 500)),
-    st.builds(lambda r: PointCondition(1.0, 1.0, r, None, 0.5), st.floats(0, 12)),
-    st.builds(lambda low: NoiseCondition(4, 5.0, 3, 2.0, 0.5, low, None, 0.1), st.floats(-1, 1)),
-    st.builds(lambda amplitude: HeightCondition(0.0, None, 0.0, Ragged(8, amplitude, 3.0, 2)),
+    st.builds(lambda low: Interval(Flow(), Flow.of_bound(low), None, 1.0), st.floats(0.01, 500)),
+    st.builds(lambda r: Interval(FromPoint(1.0, 1.0), r, None, 0.5), st.floats(0, 12)),
+    st.builds(lambda low: Interval(Noise(4, 5.0, 3, 2.0, 0.5), low, None, 0.1), st.floats(-1, 1)),
+    st.builds(lambda amplitude: Interval(Height(), 0.0, None, 0.0, Ragged(8, amplitude, 3.0, 2)),
               st.floats(0, 3)),
 )  # fmt: skip
 _LAYERS = st.lists(
@@ -271,7 +272,7 @@ _LAYERS = st.lists(
 
 
 #: Bounds that no sample is beyond by more than the smallest numbers there are.
-_TINY = [([HeightCondition(0.0, None, 0.0, Ragged(8, 5e-324, 3.0, 2))], False, 0.5)]
+_TINY = [([Interval(Height(), 0.0, None, 0.0, Ragged(8, 5e-324, 3.0, 2))], False, 0.5)]
 
 
 @examples(25)
@@ -314,8 +315,8 @@ def test_any_layers_on_any_ground_make_a_sound_mesh_with_one_label_a_face(drawn,
 def test_twelve_layers_of_conditions_make_a_sound_mesh():
     field = relief(spacing=0.4)
     merges = [
-        where(HeightCondition(-0.6 + 0.1 * i, None, 0.05, Ragged(i, 0.2, 3.0, 3)),
-              PointCondition(0.0, 0.0, None, 19.0 - i, 1.0))
+        where(Interval(Height(), -0.6 + 0.1 * i, None, 0.05, Ragged(i, 0.2, 3.0, 3)),
+              Interval(FromPoint(0.0, 0.0), None, 19.0 - i, 1.0))
         for i in range(12)
     ]  # fmt: skip
     laid, points, faces, layer, _ = built(field, *merges)
@@ -330,7 +331,7 @@ def test_twelve_layers_of_conditions_make_a_sound_mesh():
 def test_a_line_through_samples_is_cut_at_every_extent(scale):
     grid = Grid((scale, scale), (17, 17))
     field = HeightField(grid, np.broadcast_to(grid.x(), grid.shape).copy())
-    half = where(HeightCondition(0.0, None, 0.0))
+    half = where(Interval(Height(), 0.0, None, 0.0))
     _, points, faces, layer, report = built(field, half)
     area = plan_area(points, faces)
     assert area[layer == 1].sum() == pytest.approx(0.5 * scale * scale, rel=1e-6)
@@ -343,7 +344,7 @@ def test_constant_ground_lies_wholly_on_one_side():
     flat = HeightField(Grid((4.0, 4.0), (9, 9)), np.full((9, 9), 2.0))
     for low, label in ((2.0, 1), (1.0, 1), (3.0, 0)):
         for soft in (0.0, 0.1):
-            (laid,), _, faces, layer, _ = built(flat, where(HeightCondition(low, None, soft)))
+            (laid,), _, faces, layer, _ = built(flat, where(Interval(Height(), low, None, soft)))
             assert (layer == label).all()
             assert len(faces) == 128
             if low != 2.0:
@@ -357,7 +358,7 @@ def test_constant_ground_lies_wholly_on_one_side():
 @pytest.mark.parametrize("part", [0.0, 0.05, 0.2])
 def test_a_coverage_within_conditions_is_that_of_the_whole_terrain(part):
     field = relief(spacing=0.25)
-    merge = replace(MERGES[0], where=(SlopeCondition(8.0, None, 2.0),))
+    merge = replace(MERGES[0], where=(Interval(Slope(), 8.0, None, 2.0),))
     laid = lay([merge], [part], field)
     (entry,) = cover_report(laid, field)
     assert entry["covers"] == pytest.approx(part, abs=2e-4)
@@ -369,7 +370,7 @@ def test_a_coverage_within_conditions_is_that_of_the_whole_terrain(part):
 
 def test_a_coverage_beyond_the_conditions_is_refused_with_what_can_be_reached():
     field = HeightField(GRID, 0.3 * X)
-    merge = replace(MERGES[0], where=(HeightCondition(0.01, None, 0.1),))
+    merge = replace(MERGES[0], where=(Interval(Height(), 0.01, None, 0.1),))
     with pytest.raises(SceneError, match=r"terrain/ground/1/coverage: 0\.6 .* 0\.49"):
         lay([merge], [0.6], field)
     (laid,) = lay([merge], [0.6], field, strict=False)
@@ -379,7 +380,7 @@ def test_a_coverage_beyond_the_conditions_is_refused_with_what_can_be_reached():
 
 def test_a_merge_that_is_not_laid_says_so():
     with pytest.raises(ValueError, match="laid"):
-        where(HeightCondition(0.0, None, 1.0)).side(np.zeros(1), np.zeros(1))
+        where(Interval(Height(), 0.0, None, 1.0)).side(np.zeros(1), np.zeros(1))
 
 
 def test_a_merge_without_conditions_is_what_it_was():

@@ -25,7 +25,7 @@ from scenec.backends.exact import ExactCaster
 from scenec.backends.picture.sky import Sky, lookup
 from scenec.backends.stage.read import read_stage
 from scenec.backends.stage.sky_labels import label_of_sky
-from scenec.compiler.cfg.label_maps import code_of, decode
+from scenec.compiler.assets.label_maps import code_of, decode
 from scenec.compiler.cfg.load import load
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.distributions.streams import Streams

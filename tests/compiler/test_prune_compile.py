@@ -12,7 +12,7 @@ from small import small_cfg, write_cfg
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.views.keep import Keep
 from scenec.schemas.errors import OutputError
-from scenec.schemas.left_out import LEFT_OUT, Reason, read_left_out, reason_of
+from scenec.schemas.left_out import LEFT_OUT, Reason, read_left_out
 from scenec.schemas.manifest import read_manifest, stage_digest
 
 
@@ -51,12 +51,13 @@ def test_what_stays_is_as_it_was_and_the_rest_has_a_reason(outputs):
     pruned, whole = (_arrays(outputs / keep / "batch_0000") for keep in ("seen", "unpruned"))
     assert 0 < len(pruned) < len(whole) == 300
     assert all(whole[local] == one for local, one in pruned.items())
+    record = read_left_out(outputs / "seen" / "batch_0000")
+    assert record is not None
     for local in range(1, 301):
-        reason = reason_of(outputs / "seen" / "batch_0000", "rocks", local)
+        reason = record.classes["rocks"].of(local)
         assert reason.kept == (local in pruned)
         assert reason in (Reason.SEEN, Reason.OUT_OF_VIEW, Reason.BEHIND_GROUND)
     assert read_left_out(outputs / "unpruned" / "batch_0000") is None
-    assert reason_of(outputs / "unpruned" / "batch_0000", "rocks", 7) is Reason.ALL
 
 
 def test_the_report_adds_up_and_the_record_is_no_part_of_the_stage(outputs):

@@ -19,7 +19,6 @@ from scenec.schemas.left_out import (
     Record,
     entry,
     read_left_out,
-    reason_of,
     write_left_out,
 )
 
@@ -46,7 +45,6 @@ def test_the_reason_of_every_id_comes_back(tmp_path_factory, reasons, drawn):
     for number in [*range(1, 61), drawn]:
         expected = reasons.get(number, Reason.NOT_PLACED)
         assert back.classes["rocks"].of(number) is expected
-    assert reason_of(folder, "rocks", 60) is reasons.get(60, Reason.NOT_PLACED)
     counts = back.classes["rocks"].counts()
     assert sum(counts.values()) == drawn
     for reason in _PLACED:
@@ -67,16 +65,6 @@ def test_two_reasons_take_one_bit_an_instance(tmp_path):
 
 def test_without_a_record_everything_is_there(tmp_path):
     assert read_left_out(tmp_path) is None
-    assert reason_of(tmp_path, "rocks", 4711) is Reason.ALL
-
-
-def test_unknown_classes_and_numbers_are_named(tmp_path):
-    write_left_out(tmp_path, Record({"rocks": _record({1: Reason.SEEN}, 3)}, {}))
-    with pytest.raises(OutputError, match='did you mean "rocks"'):
-        reason_of(tmp_path, "rock", 1)
-    for number in (0, 4, -1):
-        with pytest.raises(OutputError, match="the numbers 1 to 3"):
-            reason_of(tmp_path, "rocks", number)
 
 
 @pytest.mark.parametrize(

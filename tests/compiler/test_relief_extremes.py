@@ -9,8 +9,9 @@ import pytest
 
 from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.draw.craters import draw_craters
+from scenec.compiler.terrain.condition import Height, Interval, Noise, Slope
 from scenec.compiler.terrain.grid import Grid
-from scenec.compiler.terrain.mask import HeightCondition, Masked, NoiseCondition, SlopeCondition
+from scenec.compiler.terrain.mask import Masked
 from scenec.compiler.terrain.operator import OPERATORS, operator_type
 from scenec.compiler.terrain.operators.barchans import draw_barchans
 from scenec.compiler.terrain.operators.craters import Craters
@@ -110,9 +111,9 @@ SCALE_FREE = ("multifractal", "worley", "dunes", "barchans", "ripples", "terrace
 def test_masks_take_every_ground(size):
     grid = Grid.with_spacing((size, 0.7 * size), size / 40)
     conditions = (
-        HeightCondition(-1e6, 1e6, 0.0),
-        SlopeCondition(0.0, 89.0, 5.0),
-        NoiseCondition(1, 0.3 * size, 24, 2.0, 0.5, -0.5, None, 0.0),
+        Interval(Height(), -1e6, 1e6, 0.0),
+        Interval(Slope(), 0.0, 89.0, 5.0),
+        Interval(Noise(1, 0.3 * size, 24, 2.0, 0.5), -0.5, None, 0.0),
     )
     for ground in grounds(grid).values():
         out, _ = Masked(Thermal(30.0), conditions).apply(grid, ground)

@@ -15,16 +15,17 @@ from scenec.compiler.assets.polyline import read_polyline
 from scenec.compiler.build import BuildLog, build
 from scenec.compiler.cfg.load import load
 from scenec.compiler.draw.batch import draw
-from scenec.compiler.terrain.grid import Grid
-from scenec.compiler.terrain.mask import (
-    HeightCondition,
-    Masked,
-    NoiseCondition,
-    PathCondition,
-    PointCondition,
-    SlopeCondition,
+from scenec.compiler.terrain.condition import (
+    FromPath,
+    FromPoint,
+    Height,
+    Interval,
+    Noise,
+    Slope,
     soft_interval,
 )
+from scenec.compiler.terrain.grid import Grid
+from scenec.compiler.terrain.mask import Masked
 from scenec.compiler.terrain.operator import OPERATORS, operator_type
 from scenec.compiler.terrain.operators.smooth import Smooth
 from scenec.compiler.terrain.operators.tracks import Tracks
@@ -62,7 +63,7 @@ def test_a_soft_interval_is_one_within_zero_outside_and_half_at_its_bounds():
 
 def test_a_masked_operator_is_a_blend_and_says_that_it_conserves_nothing():
     height = bumps()
-    here = PointCondition(0.0, 0.0, None, 3.0, 2.0)
+    here = Interval(FromPoint(0.0, 0.0), None, 3.0, 2.0)
     whole = Smooth(0.5).apply(GRID, height)[0]
     out, report = Masked(Smooth(0.5), (here,)).apply(GRID, height)
     weight = here.weight(GRID, height)
@@ -77,8 +78,8 @@ def test_a_masked_operator_is_a_blend_and_says_that_it_conserves_nothing():
 
 def test_conditions_multiply():
     pair = (
-        PointCondition(2.0, 0.0, None, 3.0, 1.0),
-        HeightCondition(0.0, None, 0.5),
+        Interval(FromPoint(2.0, 0.0), None, 3.0, 1.0),
+        Interval(Height(), 0.0, None, 0.5),
     )
     height = bumps()
     both = Masked(Plane(1.0, (0.0, 0.0)), pair).apply(GRID, height)[0] - height
@@ -88,22 +89,22 @@ def test_conditions_multiply():
 def test_each_condition_is_a_soft_interval_of_its_quantity(tmp_path):
     x, y = GRID.x()[None, :] + 0 * GRID.y()[:, None], GRID.y()[:, None] + 0 * GRID.x()[None, :]
     assert np.array_equal(
-        HeightCondition(-0.2, 0.4, 0.1).weight(GRID, bumps()),
+        Interval(Height(), -0.2, 0.4, 0.1).weight(GRID, bumps()),
         soft_interval(bumps(), -0.2, 0.4, 0.1),
     )
     slope = np.degrees(np.arctan(np.hypot(0.3, 0.4)))
     tilted = 0.3 * x - 0.4 * y
     for low, expected in ((slope - 1.0, 1.0), (slope + 1.0, 0.0), (slope, 0.5)):
-        weight = SlopeCondition(low, None, 0.5).weight(GRID, tilted)
+        weight = Interval(Slope(), low, None, 0.5).weight(GRID, tilted)
         assert np.allclose(weight, expected, rtol=0, atol=1e-9)
     file = write_path(tmp_path, "x_m,y_m\n-4,0\n4,0\n")
     away = np.hypot(x - np.clip(x, -4, 4), y)
     for low, high in ((None, 2.0), (1.0, 2.0), (1.5, None)):
-        got = PathCondition(file, low, high, 0.4).weight(GRID, bumps())
+        got = Interval(FromPath(file), low, high, 0.4).weight(GRID, bumps())
         assert np.allclose(got, soft_interval(away, low, high, 0.4), rtol=0, atol=1e-12)
-    got = PointCondition(1.0, -2.0, 2.0, 3.0, 0.3).weight(GRID, bumps())
+    got = Interval(FromPoint(1.0, -2.0), 2.0, 3.0, 0.3).weight(GRID, bumps())
     assert np.allclose(got, soft_interval(np.hypot(x - 1, y + 2), 2.0, 3.0, 0.3))
-    noise = NoiseCondition(3, 4.0, 3, 2.0, 0.5, 0.0, None, 0.05).weight(GRID, bumps())
+    noise = Interval(Noise(3, 4.0, 3, 2.0, 0.5), 0.0, None, 0.05).weight(GRID, bumps())
     assert noise.mean() == pytest.approx(0.5, abs=0.2)
     assert 0.0 < ((noise > 0) & (noise < 1)).mean() < 0.3
 
@@ -402,7 +403,7 @@ def test_a_mask_s_slope_is_that_of_the_heights_as_they_are_unless_it_says_otherw
             "mask": [{"type": "slope", "min_deg": 9, **change}],
         }
         masked = draw(load(write_program(tmp_path, [node])), 3, 0).terrain.relief[1]
-        return masked.conditions[0].over_m
+        return masked.conditions[0].quantity.over_m
 
     assert slope() == 0.0
     assert slope(over_m=0.7) == 0.7

@@ -111,8 +111,8 @@ def test_noise_of_many_points_has_the_bits_of_one():
 def test_octaves_have_the_same_bits_with_a_table_and_without(far):
     u, v = np.random.default_rng(1).uniform(far, far + 30.0, (2, 1000))
     keys = subkeys(np.uint64(5), 1)
-    with_table = tabulate(keys, np.sort(u), np.sort(v), 2.0, 10_000)
-    without = tabulate(keys, u, v, 2.0, 0)
+    with_table = tabulate(keys, np.sort(u), np.sort(v), 2.0, 10_000, 0.0)
+    without = tabulate(keys, u, v, 2.0, 0, 0.0)
     assert (with_table.start.tolist(), without.start.tolist()) == ([0], [-1])
     plain = [perlin2(keys[0], a, b) for a, b in zip(u, v, strict=True)]
     for octaves in (with_table, without):
@@ -124,7 +124,7 @@ def test_octaves_have_the_same_bits_with_a_table_and_without(far):
 def test_a_table_that_would_be_too_large_is_left_out_without_a_trace():
     # Two rows, ten thousand cells apart: turned, they lie in a box of a hundred million cells.
     x, y = np.linspace(0.0, 10_000.0, 40), np.array([0.0, 10_000.0])
-    assert tabulate(subkeys(np.uint64(5), 2), x, y, 2.0, 80).start.tolist() == [-1, -1]
+    assert tabulate(subkeys(np.uint64(5), 2), x, y, 2.0, 80, 0.0).start.tolist() == [-1, -1]
     plain = [[fbm2(5, u, v, 2, 0.5, 2.0) for u in x] for v in y]
     assert np.array_equal(Fractal(5, 2, 0.5, 2.0).on(x, y), np.array(plain))
 

@@ -60,34 +60,43 @@ def test_hillslopes_are_the_exponential_of_second_differences(sides, shape):
     matrix = second_differences(grid, sides)
     inner = ~outlet_samples(shape, sides).ravel()
     for spread in (1e-7, 0.3, 5.0, 1e3):
-        slopes = Hillslopes(grid, sides, spread)
+        slopes = Hillslopes(grid, sides)
         expected = scipy.linalg.expm(spread * matrix) @ height.ravel()
-        assert np.allclose(slopes.diffused(height).ravel(), expected, rtol=0, atol=1e-12)
+        assert np.allclose(slopes.diffused(height, spread).ravel(), expected, rtol=0, atol=1e-12)
         # With a source: one more unknown, which is 1.
         raised = np.zeros((height.size + 1,) * 2)
         raised[:-1, :-1] = spread * matrix
         raised[:-1, -1] = 0.7 * inner
         expected = scipy.linalg.expm(raised)[:-1, -1]
-        assert np.allclose(slopes.risen(0.7).ravel(), expected, rtol=1e-11, atol=1e-14)
+        assert np.allclose(slopes.risen(0.7, spread).ravel(), expected, rtol=1e-11, atol=1e-14)
 
 
 @pytest.mark.parametrize("spread", [0.0, 1e-300, 1e-10, 1e-5, 1.0, 1e5, 1e10, 1e300])
 @pytest.mark.parametrize("sides", CHOICES)
 def test_hillslopes_make_no_new_extrema_at_any_step(sides, spread):
     grid = Grid((50.0, 40.0), (33, 47))
-    slopes = Hillslopes(grid, sides, spread)
+    slopes = Hillslopes(grid, sides)
     rough = 1e6 * np.random.default_rng(5).normal(size=grid.shape)
-    out = slopes.diffused(rough)
+    out = slopes.diffused(rough, spread)
     hair = 1e-13 * np.abs(rough).max()
     assert rough.min() - hair <= out.min() <= out.max() <= rough.max() + hair
     fixed = outlet_samples(grid.shape, sides)
     assert np.array_equal(out[fixed], rough[fixed])
     plain = np.full(grid.shape, 1e6)
-    assert np.array_equal(slopes.diffused(plain), plain)
-    risen = slopes.risen(1.0)
+    assert np.array_equal(slopes.diffused(plain, spread), plain)
+    risen = slopes.risen(1.0, spread)
     assert (risen[fixed] == 0.0).all()
     assert risen.min() >= -1e-15
     assert risen.max() <= 1.0 + 1e-12
+
+
+def test_hillslopes_kept_for_other_fixed_heights_are_as_new_ones():
+    grid = Grid((8.0, 6.0), (7, 9))
+    first, second = np.random.default_rng(4).normal(size=(2, *grid.shape))
+    kept = Hillslopes(grid, ("west", "north"))
+    for height, spread in ((first, 0.3), (second, 0.3), (second, 5.0), (first, 0.3)):
+        new = Hillslopes(grid, ("west", "north")).diffused(height, spread)
+        assert np.array_equal(kept.diffused(height, spread), new)
 
 
 # Outlets.

@@ -14,7 +14,10 @@ from scenec.backends.check.stage import check_stage
 from scenec.backends.stage.read import read_stage
 from scenec.compiler.cfg.load import load
 from scenec.compiler.compile import compile_cfg
+from scenec.compiler.distributions.resolve import resolve
+from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.draw.batch import draw
+from scenec.compiler.materials.kinds import SURFACES
 from scenec.schemas import stage as names
 from scenec.schemas.errors import CfgError
 
@@ -53,6 +56,20 @@ def folder(tmp_path) -> Path:
         codes = rng.integers(0, 255, shape).astype(np.uint8)
         Image.fromarray(codes).save(tmp_path / f"{name}.png")
     return tmp_path
+
+
+@pytest.mark.parametrize("kind", sorted(SURFACES))
+def test_a_surface_has_the_numbers_that_its_keys_say(tmp_path, kind):
+    cfg = keyed_cfg()
+    cfg["materials"]["sand"]["maps"] = {"procedural": {"type": kind}}
+    cfg["materials"]["gravel"].pop("maps")
+    del cfg["terrain"]["ground"][1]["height_blend"]
+    spec = load(write_cfg(tmp_path, cfg))
+    surface = draw(spec, 1, 0).materials["sand"].maps.procedural
+    assert type(surface) is SURFACES[kind]
+    given = resolve(spec.cfg["materials"]["sand"]["maps"]["procedural"], Streams(1, 0), "x")
+    constant = {k: v for k, v in given.items() if isinstance(v, (int, float, str)) and k != "type"}
+    assert constant == {key: getattr(surface, key) for key in constant}
 
 
 def test_keys_reach_the_renderers(folder):

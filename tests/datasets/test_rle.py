@@ -56,7 +56,7 @@ def test_areas_and_boxes_are_those_of_pycocotools(picture):
 def test_a_mask_comes_back_from_its_run_lengths(mask):
     counts = rle.encode_mask(mask)
     assert (rle.decode(counts, *mask.shape) == mask).all()
-    assert rle.area(counts) == mask.sum()
+    assert counts[1::2].sum() == mask.sum()
 
 
 @given(masks)

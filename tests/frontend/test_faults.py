@@ -101,6 +101,11 @@ _FAULTS = [
         "all weights are 0",
     ),
     (
+        {"/rigs/rover/sensors/front/fov_deg": {"type": "uniform", "min": 10, "max": 400}},
+        "/rigs/rover/sensors/front/fov_deg/max",
+        "less than 180",
+    ),
+    (
         {"/objects/rocks/embed": {"type": "log_uniform", "min": 0, "max": 1}},
         "/objects/rocks/embed/min",
         "more than 0",

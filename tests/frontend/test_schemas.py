@@ -12,7 +12,7 @@ from referencing.jsonschema import DRAFT202012
 from small_cfg import changed, minimal
 
 from scenec.compiler.cfg.check_numbers import check_number
-from scenec.compiler.cfg.check_schema import check_schema
+from scenec.compiler.cfg.check_schema import RULES, check_schema
 from scenec.compiler.cfg.schema import (
     FORMS,
     NUMBER,
@@ -48,6 +48,29 @@ def _subschemas(schema, at=""):
 @pytest.mark.parametrize("name", _NAMES)
 def test_a_schema_is_valid_draft_2020_12(name):
     Draft202012Validator.check_schema(load_schemas()[name])
+
+
+#: Keywords that say where others apply, or nothing of values.
+_OTHERS = {
+    "$defs", "$ref", "$schema", "additionalProperties", "allOf", "default", "description", "else",
+    "if", "items", "prefixItems", "properties", "propertyNames", "required", "then", "title",
+    "unevaluatedProperties",
+}  # fmt: skip
+
+
+def _conditions(schema):
+    yield schema
+    for below in schema.get("properties", {}).values():
+        yield from _conditions(below)
+
+
+@pytest.mark.parametrize("name", _NAMES)
+def test_a_schema_has_no_keyword_that_the_walk_passes_over(name):
+    for at, schema in _subschemas(load_schemas()[name]):
+        unknown = {key for key in schema if not key.startswith("x-")} - {*RULES, *_OTHERS}
+        assert not unknown, at
+        for below in _conditions(schema.get("if", {})):
+            assert set(below) <= {"type", "enum", "const", "properties", "required"}, at
 
 
 @pytest.mark.parametrize("name", _NAMES)

@@ -185,15 +185,19 @@ def frames(
     """
     n = len(bearing)
     pitch = np.broadcast_to(np.asarray(pitch_deg, np.float64), n) * _DEGREE
-    roll = np.broadcast_to(np.asarray(roll_deg, np.float64), n) * _DEGREE
     c, s = elementary.cos_array(pitch), elementary.sin_array(pitch)
+    return rolled(_upright(bearing, c, s), roll_deg)
+
+
+def _upright(
+    bearing: NDArray[np.float64], c: NDArray[np.float64], s: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Axes with a level horizon, [n, 3, 3], of bearings and the cosine and sine of the pitch."""
     east, north = bearing.T
-    zero = np.zeros(n)
-    forward = np.stack([c * east, c * north, s], axis=1)
-    right = np.stack([north, -east, zero], axis=1)
+    right = np.stack([north, -east, np.zeros(len(bearing))], axis=1)
     down = np.stack([s * east, s * north, -c], axis=1)
-    cr, sr = elementary.cos_array(roll)[:, None], elementary.sin_array(roll)[:, None]
-    return np.stack([cr * right + sr * down, cr * down - sr * right, forward], axis=2)
+    forward = np.stack([c * east, c * north, s], axis=1)
+    return np.stack([right, down, forward], axis=2)
 
 
 def toward(way: NDArray[np.float64], top: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -209,11 +213,7 @@ def toward(way: NDArray[np.float64], top: NDArray[np.float64]) -> NDArray[np.flo
     upright = level <= 1e-9 * length
     bearing = np.where(upright[:, None], top, bearing_of(east, north))
     # Of the view itself, whose sine and cosine are at hand.
-    c, s = np.where(upright, 0.0, level / length), up / length
-    forward = np.stack([c * bearing[:, 0], c * bearing[:, 1], s], axis=1)
-    right = np.stack([bearing[:, 1], -bearing[:, 0], np.zeros(len(way))], axis=1)
-    down = np.stack([s * bearing[:, 0], s * bearing[:, 1], -c], axis=1)
-    return np.stack([right, down, forward], axis=2)
+    return _upright(bearing, np.where(upright, 0.0, level / length), up / length)
 
 
 def rolled(axes: NDArray[np.float64], roll_deg: NDArray[np.float64] | float) -> NDArray[np.float64]:

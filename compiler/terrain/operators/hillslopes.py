@@ -92,15 +92,14 @@ class _Axis:
 
 
 class Hillslopes:
-    """A step of diffusion of a fixed size, on a fixed grid.
+    """Steps of diffusion on a fixed grid.
 
     Args:
         grid: The samples.
         sides: Where heights stay, of "west", "east", "south", "north"; at least one.
-        spread_m2: kappa times the step, square meters.
     """
 
-    def __init__(self, grid: Grid, sides: tuple[str, ...], spread_m2: float) -> None:
+    def __init__(self, grid: Grid, sides: tuple[str, ...]) -> None:
         (ny, nx), (dx, dy) = grid.shape, grid.spacing_m
         self._axes = (
             _Axis.of(0, ny, dy, ("south" in sides, "north" in sides)),
@@ -108,50 +107,68 @@ class Hillslopes:
         )
         rows, columns = (axis.eigenvalues for axis in self._axes)
         self._eigenvalues = rows[:, None] + columns[None, :]
-        self._decay = (
-            elementary.exp_array(-spread_m2 * rows)[:, None]
-            * elementary.exp_array(-spread_m2 * columns)[None, :]
-        )
-        self._spread_m2 = spread_m2
+        self._kept: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
 
-    def diffused(self, height: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Heights after the step, float64 [ny, nx]; those along the fixed sides as they were."""
+    def diffused(self, height: NDArray[np.float64], spread_m2: float) -> NDArray[np.float64]:
+        """Heights after a step; those along the fixed sides as they were.
+
+        Args:
+            height: Meters, float64 [ny, nx].
+            spread_m2: kappa times the step, square meters.
+        """
         rows, columns = self._axes
         out = height.copy()
-        if not self._decay.size:
+        if not self._eigenvalues.size:
             return out
-        fixed = [height[at] for at in rows.ends()] + [height[:, at] for at in columns.ends()]
-        # A level apart: a plain keeps every bit whatever the transforms round.
-        level = float(fixed[0].mean())
-        pull = np.zeros(self._decay.shape)
-        for at in rows.ends():
-            pull[at] += (height[at, columns.free] - level) / (rows.spacing * rows.spacing)
-        for at in columns.ends():
-            pull[:, at] += (height[rows.free, at] - level) / (columns.spacing * columns.spacing)
-        membrane = self._modes(pull) / self._eigenvalues
+        level, membrane = self._steady(height)
         modes = self._modes(height[rows.free, columns.free] - level)
-        modes = membrane + self._decay * (modes - membrane)
+        modes = membrane + self._decay(spread_m2) * (modes - membrane)
         out[rows.free, columns.free] = self._field(modes) + level
         return out
 
-    def risen(self, uplift_m: float) -> NDArray[np.float64]:
-        """What an uplift that goes on during the step adds to it: float64 [ny, nx], meters.
+    def risen(self, uplift_m: float, spread_m2: float) -> NDArray[np.float64]:
+        """What an uplift that goes on during a step adds to it: float64 [ny, nx], meters.
 
         Args:
             uplift_m: How far all but the fixed samples would rise without diffusion.
+            spread_m2: kappa times the step, square meters.
         """
         rows, columns = self._axes
         out = np.zeros([len(axis.eigenvalues) + sum(axis.fixed) for axis in self._axes])
-        if not self._decay.size or uplift_m == 0.0:
+        if not self._eigenvalues.size or uplift_m == 0.0:
             return out
         # Mean of the decay over the step, (1 - exp(-x)) / x; where that cancels, its series.
-        x = self._spread_m2 * self._eigenvalues
+        x = spread_m2 * self._eigenvalues
         small = np.minimum(x, _SERIES)
         series = 1.0 - small * (0.5 - small * (1.0 / 6.0 - small * (1.0 / 24.0 - small / 120.0)))
-        mean = np.where(x < _SERIES, series, (1.0 - self._decay) / np.maximum(x, _SERIES))
-        modes = self._modes(np.full(self._decay.shape, uplift_m)) * mean
+        mean = np.where(
+            x < _SERIES, series, (1.0 - self._decay(spread_m2)) / np.maximum(x, _SERIES)
+        )
+        modes = self._modes(np.full(x.shape, uplift_m)) * mean
         out[rows.free, columns.free] = self._field(modes)
         return out
+
+    def _decay(self, spread_m2: float) -> NDArray[np.float64]:
+        """What a step leaves of each mode."""
+        rows, columns = (elementary.exp_array(-spread_m2 * axis.eigenvalues) for axis in self._axes)
+        decay: NDArray[np.float64] = rows[:, None] * columns[None, :]
+        return decay
+
+    def _steady(self, height: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
+        """A level, and the modes of the steady state above it: the same for the same fixed ones."""
+        rows, columns = self._axes
+        sides = [height[at] for at in rows.ends()] + [height[:, at] for at in columns.ends()]
+        fixed = np.concatenate(sides)
+        # A level apart: a plain keeps every bit whatever the transforms round.
+        level = float(sides[0].mean())
+        if self._kept is None or not np.array_equal(self._kept[0], fixed):
+            pull = np.zeros(self._eigenvalues.shape)
+            for at in rows.ends():
+                pull[at] += (height[at, columns.free] - level) / (rows.spacing * rows.spacing)
+            for at in columns.ends():
+                pull[:, at] += (height[rows.free, at] - level) / (columns.spacing * columns.spacing)
+            self._kept = fixed, self._modes(pull) / self._eigenvalues
+        return level, self._kept[1]
 
     def _modes(self, field: NDArray[np.float64]) -> NDArray[np.float64]:
         rows, columns = self._axes

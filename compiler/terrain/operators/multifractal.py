@@ -73,8 +73,7 @@ class Multifractal:
         octaves = octaves_shown(self.octaves, self.scale_m, self.lacunarity, spacing)
         relief = np.zeros(grid.shape)
         if octaves:
-            noise = self.noise(octaves, spacing)
-            relief = noise.on(grid.x() / self.scale_m, grid.y() / self.scale_m)
+            relief = self.noise(octaves, spacing).on(grid.x(), grid.y())
             relief *= self.amplitude_m
         return height + relief, {
             "octaves": octaves,
@@ -108,6 +107,7 @@ class Multifractal:
             self.offset,
             self.distortion,
             warp_keys(self.key, warps) if self.distortion != 0.0 and warps else None,
+            scale_m=self.scale_m,
         )
 
 
@@ -132,8 +132,7 @@ class MultifractalDetail:
             return np.zeros(x.shape)
         # Warped as the grid's octaves are, if there are any: its samples must not move.
         noise = relief.noise(relief.octaves, self.spacing_m if self.shown else 0.0)
-        noise = replace(noise, shown=self.shown)
-        return relief.amplitude_m * noise.at(x / relief.scale_m, y / relief.scale_m)
+        return relief.amplitude_m * replace(noise, shown=self.shown).at(x, y)
 
     def spectrum(self) -> Spectrum:
         """Of the octaves; those of the multifractals as large as they get where they are rough."""

@@ -76,12 +76,14 @@ class StreamPower:
         self, grid: Grid, height: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], dict[str, Any]]:
         """Eroded heights."""
+        slopes = Hillslopes(grid, self.outlets)
         if self.steps is not None and (self.error_m is None or self.steps == 1):
-            out, report = self.run(grid, height, self.steps)
+            out, report = self.run(grid, height, self.steps, slopes)
             other = (self.steps + 1) // 2 if self.steps > 1 else 2
-            error = halving_error(out, self.steps, self.run(grid, height, other)[0], other)
+            coarser = self.run(grid, height, other, slopes)[0]
+            error = halving_error(out, self.steps, coarser, other)
         else:
-            out, report, error = self._aimed(grid, height)
+            out, report, error = self._aimed(grid, height, slopes)
         change = out - height
         return out, {
             **report,
@@ -92,35 +94,37 @@ class StreamPower:
         }
 
     def _aimed(
-        self, grid: Grid, height: NDArray[np.float64]
+        self, grid: Grid, height: NDArray[np.float64], slopes: Hillslopes
     ) -> tuple[NDArray[np.float64], dict[str, Any], dict[str, float]]:
         """A run that meets the aim, or takes the most steps: heights, report, error."""
         most = self.steps or (USUAL_STEPS if self.error_m is None else MOST_STEPS)
         steps = min(_FIRST_STEPS, (most + 1) // 2)
-        out = self.run(grid, height, steps)[0]
+        out = self.run(grid, height, steps, slopes)[0]
         while True:
             coarser, before, steps = out, steps, min(2 * steps, most)
-            out, report = self.run(grid, height, steps)
+            out, report = self.run(grid, height, steps, slopes)
             error = halving_error(out, steps, coarser, before)
             aim = AIM * rms(out - height) if self.error_m is None else self.error_m
             if error["error_rms_m"] <= aim or steps == most:
                 return out, report, error
 
     def run(
-        self, grid: Grid, height: NDArray[np.float64], steps: int
+        self, grid: Grid, height: NDArray[np.float64], steps: int, slopes: Hillslopes | None = None
     ) -> tuple[NDArray[np.float64], dict[str, Any]]:
-        """Eroded heights after a number of equal steps."""
+        """Eroded heights after a number of equal steps; ``slopes`` between the outlets, if kept."""
         dx, dy = grid.spacing_m
         outlets = outlet_samples(grid.shape, self.outlets)
         step = self.duration_a / steps
-        slopes, rise = None, np.where(outlets, 0.0, self.uplift_m_per_a * step)
-        if self.diffusivity_m2_per_a * step > 0.0:
-            slopes = Hillslopes(grid, self.outlets, self.diffusivity_m2_per_a * step)
-            rise = slopes.risen(self.uplift_m_per_a * step)
+        spread_m2 = self.diffusivity_m2_per_a * step
+        if spread_m2 > 0.0:
+            slopes = slopes or Hillslopes(grid, self.outlets)
+            rise = slopes.risen(self.uplift_m_per_a * step, spread_m2)
+        else:
+            slopes, rise = None, np.where(outlets, 0.0, self.uplift_m_per_a * step)
         out = height
         filled_m3 = cut_m3 = number = 0.0
         for _ in range(steps):
-            ground = out if slopes is None else slopes.diffused(out)
+            ground = out if slopes is None else slopes.diffused(out, spread_m2)
             before = ground + rise
             # Uplift that is the same everywhere leaves ways as they are, and steady states then
             # do not depend on the step; the rise of hillslopes changes them.

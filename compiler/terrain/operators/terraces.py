@@ -61,8 +61,8 @@ class Terraces:
     ) -> tuple[NDArray[np.float64], dict[str, Any]]:
         """Terraced heights."""
         octaves = octaves_shown(_OCTAVES, self.bend_scale_m, _LACUNARITY, max(grid.spacing_m))
-        x, y = grid.x() / self.bend_scale_m, grid.y() / self.bend_scale_m
-        bend = self.bend_m * Fractal(self.key, octaves, _GAIN, _LACUNARITY).on(x, y)
+        noise = Fractal(self.key, octaves, _GAIN, _LACUNARITY, scale_m=self.bend_scale_m)
+        bend = self.bend_m * noise.on(grid.x(), grid.y())
         layers = Layers(
             np.uint64(self.key), self.step_m, self.riser, self.tread_slope, self.irregularity
         )

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -23,19 +22,6 @@ LARGEST_ID = 65535
 _LARGEST_SIDE = 16384
 _COLOR = re.compile(r"#[0-9A-Fa-f]{6}")
 _NUMBER = re.compile(r"0|[1-9][0-9]{0,4}")
-
-
-@dataclass(frozen=True)
-class LabelMapPlan:
-    """A label map as the cfg has it.
-
-    Attributes:
-        file: The picture.
-        ids: Pixel values, as the cfg writes them, and the label id of each.
-    """
-
-    file: Path
-    ids: tuple[tuple[str, int], ...]
 
 
 def code_of(value: str) -> int | None:
