@@ -277,15 +277,11 @@ class _Paths:
                 weight = (corners * mesh.weights[layer - 1][vertices]).sum(axis=1)
                 share, left = left * weight, left * (1.0 - weight)
             at, normal = out.at[index], out.normal[index]
-            varied = lobes.factor(surface.variation, (own, self._rows.variation[row]))
-            base = np.array(surface.base_color)[:, None]
-            picture = _map(surface, "base_color", at, normal, uv)
-            color = lobes.color(FLOAT64, base, varied, picture).T
-            (dull, white, tinted), part = (
-                lobes.weights(surface.specular, surface.metallic),
-                share[:, None],
-            )
-            gloss = white + tinted * color
+            picture = {"base_color": _map(surface, "base_color", at, normal, uv)}
+            numbers = lobes.numbers_of(FLOAT64, surface)
+            found = lobes.lobes_of(FLOAT64, numbers, picture, (own, self._rows.variation[row]))
+            color, dull, part = found.color.T, found.dull, share[:, None]
+            gloss = found.white + found.tinted * color
             if surface.reflectance is None:
                 gloss = gloss + dull * color
             else:

@@ -76,15 +76,17 @@ def _lobes() -> str:
     """What a surface's rows in ``Tables.surfaces`` and its maps make of it."""
 
     def body(fn: Glsl) -> Any:
-        base, picture = (fn.given("vec3", name) for name in ("first.rgb", "found.base_color"))
-        names = ("first.a", "second.y", "second.w", "found.roughness", "found.metallic", "cosine")
-        specular, amount, swing, rough, metallic, cosine = (fn.given("float", n) for n in names)
+        names = ("second.y", "second.x", "second.w", "first.a", "second.z")
+        color, *others = fn.given("vec3", "first.rgb"), *(fn.given("float", n) for n in names)
+        pictured = {
+            "base_color": fn.given("vec3", "found.base_color"),
+            "roughness": fn.given("float", "found.roughness"),
+            "metallic": fn.given("float", "found.metallic"),
+        }
         variations = [fn.given("float", f"hit.{name}") for name in ("variation", "row")]
-        color = lobes.color(fn, base, lobes.factor(amount, variations), picture)
-        rough = lobes.roughness(fn, rough, lobes.factor(swing, variations))
-        weights = lobes.weights(specular, metallic)
-        gloss = lobes.gloss_color(weights, color, rough * rough, cosine)
-        return {"color": color, "roughness": rough, "dull": weights.dull, "gloss": gloss}
+        own = lobes.lobes_of(fn, lobes.Numbers(color, *others), pictured, variations)
+        gloss = lobes.gloss_color(own, fn.given("float", "cosine"))
+        return {"color": own.color, "alpha": own.alpha, "dull": own.dull, "gloss": gloss}
 
     signature = "Lobes lobes_of(vec4 first, vec4 second, Pictured found, Hit hit, float cosine)"
     return function(signature, body)
