@@ -223,7 +223,7 @@ class _Look:
         wanted += ["emission"] if surface.emits else []
         found = {} if maps is None else self._pictures.look_up(maps, wanted)
         own = lobes.lobes_of(NODES, lobes.numbers_of(NODES, surface), found, self._variations())
-        normal = found.get("normal", self._pictures.point.facing if self._reach.smooth else None)
+        normal = found.get("normal", self._pictures.facing if self._reach.smooth else None)
         facing = graph.geometry("Normal") if normal is None else normal
         key: tuple[Any, ...] = (None, normal)
         base = Lobe(None, normal, own.color * own.dull)

@@ -40,7 +40,7 @@ from scenec.backends.stage.scene import (
 from scenec.backends.surface import lamps, lobes, reflectance
 from scenec.backends.surface.algebra import FLOAT64
 from scenec.backends.surface.maps import map_mean
-from scenec.backends.surface.pictures import Points, has_maps, values_at
+from scenec.backends.surface.pictures import Point, has_maps, values_at
 
 #: Rec.709.
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
@@ -335,8 +335,8 @@ def _map(
         return np.ones((3, 1))
     if maps.projection == "uv" and uv is None:
         return map_mean(maps, kind)[:, None]
-    points = Points(at.T, normal.T, uv=None if uv is None else uv.T)
-    return values_at(maps, (kind,), points)[kind]
+    point = Point(at.T, normal.T, uv=None if uv is None else uv.T)
+    return values_at(maps, (kind,), point)[kind]
 
 
 def _rays(points: _Points, ways: NDArray[np.float64]) -> Rays:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection
 from functools import lru_cache
-from types import SimpleNamespace
 from typing import Any
 
 from scenec.backends.pyrender.glsl import Glsl, Value, function, parameters
@@ -105,12 +104,12 @@ def gloss(fn: Glsl, alpha: Value, n: Value, v: Value, light: Value) -> Any:
     return lobes.ggx(fn, alpha, cosines, cos_h, fn.dot(beside, beside))[0]
 
 
-def _point(fn: Glsl) -> Any:
+def _point(fn: Glsl) -> pictures.Point:
     """``surface.pictures.Point`` of a ``Hit``."""
     names = ("position", "normal", "along_u", "along_v")
     found = {name: fn.given("vec3", f"hit.{name}") for name in names}
     uv = fn.given("float", "hit.uv.x"), fn.given("float", "hit.uv.y")
-    return SimpleNamespace(**found, flat=fn.given("vec3", "hit.flat_normal"), uv=uv)
+    return pictures.Point(**found, flat=fn.given("vec3", "hit.flat_normal"), uv=uv)
 
 
 def _texels(fn: Glsl, third: bool) -> pictures.Texels:
