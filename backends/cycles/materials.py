@@ -222,41 +222,31 @@ class _Look:
         wanted += ["height"] if heeded else []
         wanted += ["emission"] if surface.emits else []
         found = {} if maps is None else self._pictures.look_up(maps, wanted)
-        color = lobes.color(
-            NODES,
-            np.array(surface.base_color, np.float64),
-            self._factor(surface.variation),
-            found.get("base_color"),
-        )
-        normal = found.get("normal", self._pictures.point.facing if self._reach.smooth else None)
-        rough = lobes.roughness(
-            NODES,
-            found.get("roughness", surface.roughness),
-            self._factor(surface.roughness_variation),
-        )
-        weights = lobes.weights(surface.specular, found.get("metallic", surface.metallic))
-        dull, facing = weights.dull, graph.geometry("Normal") if normal is None else normal
+        own = lobes.lobes_of(NODES, lobes.numbers_of(NODES, surface), found, self._variations())
+        normal = found.get("normal", self._pictures.facing if self._reach.smooth else None)
+        facing = graph.geometry("Normal") if normal is None else normal
         key: tuple[Any, ...] = (None, normal)
-        base = Lobe(None, normal, color * dull)
+        base = Lobe(None, normal, own.color * own.dull)
         if surface.reflectance is not None and self._laws is not None:
             key = ("law", normal)
-            even, lit = self._laws.colors(surface.reflectance, color, facing)
-            base = Lobe(None, normal, even * dull, lit * dull, self._laws.known(facing))
-        shine: Any = _BLACK
-        if not (is_black(weights.white) and is_black(weights.tinted)):
+            even, lit = self._laws.colors(surface.reflectance, own.color, facing)
+            known = self._laws.known(facing)
+            base = Lobe(None, normal, even * own.dull, lit * own.dull, known)
+        gloss = Lobe(NODES.sqrt(own.alpha), normal, _BLACK)
+        if surface.glossy:
             cosine = NODES.maximum(NODES.dot(graph.geometry("Incoming"), facing), GRAZING)
-            shine = np.ones(3) * lobes.gloss_color(weights, color, rough * rough, cosine)
-        gloss = Lobe(rough, normal, shine)
+            gloss.color = np.ones(3) * lobes.gloss_color(own, cosine)
         glow = np.array(surface.emission, np.float64) * found.get("emission", 1.0)
-        return Layer({key: base, (rough, normal): gloss}, glow, found.get("height", merges.FLAT))
+        height = found.get("height", merges.FLAT)
+        return Layer({key: base, (gloss.roughness, normal): gloss}, glow, height)
 
-    def _factor(self, amount: float) -> Any:
-        graph, variations = self._graph, []
-        if amount != 0.0 and self._reach.vertex:
-            variations.append(graph.attribute(VARIATION, "Fac"))
-        if amount != 0.0 and self._reach.row:
-            variations.append(NODES.parts(graph.attribute(ROW, kind="INSTANCER"))[2])
-        return lobes.factor(amount, variations)
+    def _variations(self) -> list[Any]:
+        graph, found = self._graph, []
+        if self._reach.vertex:
+            found.append(graph.attribute(VARIATION, "Fac"))
+        if self._reach.row:
+            found.append(NODES.parts(graph.attribute(ROW, kind="INSTANCER"))[2])
+        return found
 
 
 def make_image(bpy: Any, *source: Any) -> Any:

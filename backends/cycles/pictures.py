@@ -18,72 +18,6 @@ from scenec.schemas.cells import SIDE
 from scenec.schemas.maps import MAP_CHANNELS
 
 
-class Point:
-    """``surface.pictures.Point`` of a material's nodes: made where they are asked for."""
-
-    def __init__(self, graph: Graph) -> None:
-        self._graph = graph
-
-    @property
-    def position(self) -> Value:
-        """In Blender's coordinates."""
-        return self._graph.geometry("Position")
-
-    @property
-    def normal(self) -> Value:
-        """Of shading, as it was before Blender turned it to the viewer."""
-        return self._graph.geometry("Normal") * self._side
-
-    @property
-    def flat(self) -> Value:
-        """Of the face, likewise."""
-        return self._graph.geometry("True Normal") * self._side
-
-    @property
-    def _side(self) -> Any:
-        graph = self._graph
-        behind = graph.number(graph.shared("ShaderNodeNewGeometry").outputs["Backfacing"])
-        return behind * -2.0 + 1.0
-
-    @property
-    def uv(self) -> tuple[Any, Any]:
-        """Texture coordinates."""
-        return NODES.parts(self._graph.attribute(UV))[:2]
-
-    @property
-    def along_u(self) -> Value:
-        """dP/du of the face, in the world."""
-        return self._along(ALONG_U)
-
-    @property
-    def along_v(self) -> Value:
-        """dP/dv."""
-        return self._along(ALONG_V)
-
-    def _along(self, name: str) -> Value:
-        graph, key = self._graph, f"ShaderNodeVectorTransform {name}"
-        return graph.once(key, lambda: self._to_world(graph.attribute(name)))
-
-    def _to_world(self, vector: Value) -> Value:
-        node = self._graph.node("ShaderNodeVectorTransform")
-        node.vector_type, node.convert_from, node.convert_to = "VECTOR", "OBJECT", "WORLD"
-        self._graph.feed(node.inputs[0], vector)
-        return self._graph.triple(node.outputs[0])
-
-    @property
-    def facing(self) -> Value:
-        """The shading normal on the side of its face that is seen.
-
-        Cycles turns it as the face is turned, which leaves those of files on the wrong side that
-        wind their faces one way and point their normals the other. Near silhouettes it may lean
-        away from the viewer, which dims no dull lobe.
-        """
-        graph = self._graph
-        away = graph.geometry("True Normal") * -1.0
-        normal = graph.geometry("Normal")
-        return graph.apply("FACEFORWARD", normal, away, normal)
-
-
 class Pictures:
     """Writes what maps give into a material's nodes.
 
@@ -98,12 +32,49 @@ class Pictures:
         self, graph: Graph, frame: Frame, image: Callable[..., Any], table: Callable[[int], Any]
     ) -> None:
         self._graph, self._frame, self._image, self._table = graph, frame, image, table
-        self.point = Point(graph)
+
+    @property
+    def facing(self) -> Value:
+        """The shading normal on the side of its face that is seen.
+
+        Cycles turns it as the face is turned, which leaves those of files on the wrong side that
+        wind their faces one way and point their normals the other. Near silhouettes it may lean
+        away from the viewer, which dims no dull lobe.
+        """
+        graph = self._graph
+        away = graph.geometry("True Normal") * -1.0
+        normal = graph.geometry("Normal")
+        return graph.apply("FACEFORWARD", normal, away, normal)
+
+    def _point(self, by_uv: bool) -> pictures.Point:
+        graph = self._graph
+        behind = graph.number(graph.shared("ShaderNodeNewGeometry").outputs["Backfacing"])
+        # Blender turned normals to the viewer.
+        side = behind * -2.0 + 1.0
+        position, normal = graph.geometry("Position"), graph.geometry("Normal") * side
+        if not by_uv:
+            return pictures.Point(position, normal, graph.geometry("True Normal") * side)
+        uv = NODES.parts(graph.attribute(UV))[:2]
+        return pictures.Point(
+            position, normal, None, uv, self._along(ALONG_U), self._along(ALONG_V)
+        )
+
+    def _along(self, name: str) -> Value:
+        """A direction that stands on the mesh, in the world."""
+        graph = self._graph
+
+        def make() -> Any:
+            node = graph.node("ShaderNodeVectorTransform")
+            node.vector_type, node.convert_from, node.convert_to = "VECTOR", "OBJECT", "WORLD"
+            graph.feed(node.inputs[0], graph.attribute(name))
+            return node.outputs[0]
+
+        return graph.value(("along", name), make, True)
 
     def look_up(self, maps: Maps, wanted: Sequence[str]) -> dict[str, Any]:
         """Values of the kinds that are wanted and there; "normal" is the one that is seen."""
         kinds = [kind for kind in wanted if pictures.has_maps(maps, kind)]
-        point, graph = self.point, self._graph
+        graph, point = self._graph, self._point(maps.projection == "uv")
         placement = pictures.place(NODES, maps, kinds, self._frame.center, 1.0 / self._frame.scale)
 
         def texels(u: Any, v: Any, axis: int = 2, far: bool = False) -> dict[str, Any]:
@@ -125,7 +96,6 @@ class Pictures:
 
         found = pictures.look_up(NODES, placement, point, texels, entry)
         if "normal" in found:
-            normal, leaned = point.normal, found["normal"]
-            view = graph.geometry("Incoming")
-            found["normal"] = projections.seen(NODES, leaned, normal, point.facing, view)
+            view, leaned = graph.geometry("Incoming"), found["normal"]
+            found["normal"] = projections.seen(NODES, leaned, point.normal, self.facing, view)
         return found

@@ -34,17 +34,6 @@ class _Packed(NamedTuple):
     kinds: tuple[tuple[str, int], ...]
 
 
-class _Point(NamedTuple):
-    """``surface.pictures.Point`` of an interaction."""
-
-    position: Any
-    normal: Any
-    flat: Any
-    uv: Any
-    along_u: Any
-    along_v: Any
-
-
 class Pictures:
     """The maps of one surface."""
 
@@ -65,7 +54,7 @@ class Pictures:
     def look_up(self, si: Any, active: Any) -> dict[str, Any]:
         """Numbers and vectors of each kind at a point; "normal" in the local frame."""
         frame, vector = si.sh_frame, mi.Vector3f
-        point = _Point(
+        point = pictures.Point(
             vector(si.p), vector(frame.n), vector(si.n), si.uv, vector(si.dp_du), vector(si.dp_dv)
         )
 

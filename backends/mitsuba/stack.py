@@ -68,16 +68,8 @@ class Layer:
     """
 
     def __init__(self, surface: Surface, pictures: Pictures | None) -> None:
-        number = ARRAYS.number
-        self.pictures = pictures
-        self.color = ARRAYS.numbers(surface.base_color)
-        self.variation = number(surface.variation) if surface.variation != 0.0 else None
-        self.roughness = number(surface.roughness)
-        swings = surface.glossy and surface.roughness_variation != 0.0
-        self.swing = number(surface.roughness_variation) if swings else None
-        self.specular, self.metallic = number(surface.specular), number(surface.metallic)
-        mapped = pictures is not None and "metallic" in pictures.kinds
-        self.glossy = mapped or surface.specular > 0.0 or surface.metallic > 0.0
+        self.pictures, self.glossy = pictures, surface.glossy
+        self.numbers = lobes.numbers_of(ARRAYS, surface)
         law = surface.reflectance
         self.law: Numbers | None = None if law is None else numbers_of(law, ARRAYS)
 
@@ -88,18 +80,14 @@ class Found:
 
     Attributes:
         share: Of the whole.
-        color: Base color.
+        lobes: What it reflects.
         normal: In the local frame; None: the shading normal.
-        alpha: Of the GGX lobe; None where there is none.
-        weights: Of the lobes.
         height: For merges that heed it.
     """
 
     share: Any
-    color: Any
+    lobes: lobes.Lobes
     normal: Any
-    alpha: Any
-    weights: lobes.Weights
     height: Any
 
 
@@ -184,21 +172,9 @@ class Stack(mi.BSDF):
         pictured: dict[str, Any] = {}
         if layer.pictures is not None and layer.pictures.kinds:
             pictured = _where_needed(layer.pictures, share, si, active)
-        places = [channels[i] for i in (self.mix.own, self.mix.row) if i is not None]
-
-        def factor(amount: Any | None) -> Any:
-            return 1.0 if amount is None else lobes.factor(amount, places)
-
-        color = lobes.color(
-            ARRAYS, layer.color, factor(layer.variation), pictured.get("base_color")
-        )
-        alpha, weights = None, lobes.Weights(1.0, None, None)
-        if layer.glossy:
-            rough = pictured.get("roughness", layer.roughness)
-            alpha = dr.square(lobes.roughness(ARRAYS, rough, factor(layer.swing)))
-            weights = lobes.weights(layer.specular, pictured.get("metallic", layer.metallic))
-        height = pictured.get("height", merges.FLAT)
-        return Found(share, color, pictured.get("normal"), alpha, weights, height)
+        variations = [channels[i] for i in (self.mix.own, self.mix.row) if i is not None]
+        own = lobes.lobes_of(ARRAYS, layer.numbers, pictured, variations)
+        return Found(share, own, pictured.get("normal"), pictured.get("height", merges.FLAT))
 
     def glow(self, shining: Any, si: Any, active: Any) -> Any:
         """Radiance that the layers give off; see ``Glow``."""
@@ -254,25 +230,24 @@ class Stack(mi.BSDF):
         half = both / length
         for layer, at in zip(self.layers, found, strict=True):
             cos_i, cos_o = (w.z if at.normal is None else dr.dot(w, at.normal) for w in (wi, wo))
-            lambert = at.weights.dull * cos_o * dr.inv_pi
-            light, chance = at.color * lambert, lambert
+            own = at.lobes
+            chance = own.dull * cos_o * dr.inv_pi
+            light = own.color * chance
             if layer.law is not None:
                 tangent = dr.norm(wi - wo) / dr.maximum(length, 1e-6)
                 law = terms(ARRAYS, layer.law, cos_o, cos_i, tangent)
-                light = value(law, at.color) * (at.weights.dull * cos_o)
-            if at.alpha is not None:
+                light = value(law, own.color) * (own.dull * cos_o)
+            if layer.glossy:
                 if at.normal is None:
                     cos_h, sine2 = half.z, dr.square(half.x) + dr.square(half.y)
                 else:
                     cos_h = dr.dot(half, at.normal)
                     sine2 = dr.squared_norm(half - at.normal * cos_h)
-                gloss, drawn = lobes.ggx(ARRAYS, at.alpha, (cos_i, cos_o), cos_h, sine2)
+                gloss, drawn = lobes.ggx(ARRAYS, own.alpha, (cos_i, cos_o), cos_h, sine2)
                 seen = cos_i > SEEN
-                facing = dr.maximum(cos_i, projections.GRAZING)
-                tint = lobes.gloss_color(at.weights, at.color, at.alpha, facing)
-                _, white, tinted = at.weights
+                tint = lobes.gloss_color(own, dr.maximum(cos_i, projections.GRAZING))
                 light += dr.select(seen, gloss, 0.0) * tint
-                chance += dr.select(seen, drawn, 0.0) * (white + tinted)
+                chance += dr.select(seen, drawn, 0.0) * (own.white + own.tinted)
             lit = (cos_i > 0.0) & (cos_o > 0.0)
             total += dr.select(lit, at.share * light, 0.0)
             density += dr.select(lit, at.share * chance, 0.0)
@@ -285,12 +260,12 @@ class Stack(mi.BSDF):
         normal, alpha = frame_normal, mi.Float(1.0)
         glossy = mi.Bool(False)
         start = mi.Float(0.0)
-        for at in found:
+        for layer, at in zip(self.layers, found, strict=True):
             here = which >= start
             normal = dr.select(here, frame_normal if at.normal is None else at.normal, normal)
-            if at.alpha is not None:
-                alpha = dr.select(here, at.alpha, alpha)
-                glossy = dr.select(here, which >= start + at.share * at.weights.dull, glossy)
+            if layer.glossy:
+                alpha = dr.select(here, at.lobes.alpha, alpha)
+                glossy = dr.select(here, which >= start + at.share * at.lobes.dull, glossy)
             elif self.glossy:
                 glossy = glossy & ~here
             start = start + at.share
@@ -343,12 +318,6 @@ class Stack(mi.BSDF):
         bs.sampled_component = 0
         sound = active & (density > 0.0) & self._same_side(si, bs.wo)
         return bs, dr.select(sound, light / density, 0.0)
-
-    def eval_diffuse_reflectance(self, si: Any, active: Any = True) -> Any:
-        total = mi.Vector3f(0.0)
-        for at in self._look(si, active):
-            total += at.color * (at.share * at.weights.dull)
-        return mi.Color3f(total)
 
     def to_string(self) -> str:
         return f"Stack[{len(self.layers)}]"

@@ -38,7 +38,7 @@ from scenec.backends.stage.scene import (
 from scenec.backends.surface import lamps, lobes, reflectance
 from scenec.backends.surface.algebra import FLOAT64
 from scenec.backends.surface.maps import map_mean
-from scenec.backends.surface.pictures import Points, has_maps, values_at
+from scenec.backends.surface.pictures import Point, has_maps, values_at
 from scenec.schemas.picture import LUMINANCE
 
 #: Directions to the sky at the first hit; one at later ones.
@@ -272,15 +272,11 @@ class _Paths:
                 weight = (corners * mesh.weights[layer - 1][vertices]).sum(axis=1)
                 share, left = left * weight, left * (1.0 - weight)
             at, normal = out.at[index], out.normal[index]
-            varied = lobes.factor(surface.variation, (own, self._rows.variation[row]))
-            base = np.array(surface.base_color)[:, None]
-            picture = _map(surface, "base_color", at, normal, uv)
-            color = lobes.color(FLOAT64, base, varied, picture).T
-            (dull, white, tinted), part = (
-                lobes.weights(surface.specular, surface.metallic),
-                share[:, None],
-            )
-            gloss = white + tinted * color
+            picture = {"base_color": _map(surface, "base_color", at, normal, uv)}
+            numbers = lobes.numbers_of(FLOAT64, surface)
+            found = lobes.lobes_of(FLOAT64, numbers, picture, (own, self._rows.variation[row]))
+            color, dull, part = found.color.T, found.dull, share[:, None]
+            gloss = found.white + found.tinted * color
             if surface.reflectance is None:
                 gloss = gloss + dull * color
             else:
@@ -327,8 +323,8 @@ def _map(
         return np.ones((3, 1))
     if maps.projection == "uv" and uv is None:
         return map_mean(maps, kind)[:, None]
-    points = Points(at.T, normal.T, uv=None if uv is None else uv.T)
-    return values_at(maps, (kind,), points)[kind]
+    point = Point(at.T, normal.T, uv=None if uv is None else uv.T)
+    return values_at(maps, (kind,), point)[kind]
 
 
 def _rays(points: _Points, ways: NDArray[np.float64]) -> Rays:

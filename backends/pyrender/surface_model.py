@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection
 from functools import lru_cache
-from types import SimpleNamespace
 from typing import Any
 
 from scenec.backends.pyrender.glsl import Glsl, Value, function, parameters
@@ -76,15 +75,17 @@ def _lobes() -> str:
     """What a surface's rows in ``Tables.surfaces`` and its maps make of it."""
 
     def body(fn: Glsl) -> Any:
-        base, picture = (fn.given("vec3", name) for name in ("first.rgb", "found.base_color"))
-        names = ("first.a", "second.y", "second.w", "found.roughness", "found.metallic", "cosine")
-        specular, amount, swing, rough, metallic, cosine = (fn.given("float", n) for n in names)
+        names = ("second.y", "second.x", "second.w", "first.a", "second.z")
+        color, *others = fn.given("vec3", "first.rgb"), *(fn.given("float", n) for n in names)
+        pictured = {
+            "base_color": fn.given("vec3", "found.base_color"),
+            "roughness": fn.given("float", "found.roughness"),
+            "metallic": fn.given("float", "found.metallic"),
+        }
         variations = [fn.given("float", f"hit.{name}") for name in ("variation", "row")]
-        color = lobes.color(fn, base, lobes.factor(amount, variations), picture)
-        rough = lobes.roughness(fn, rough, lobes.factor(swing, variations))
-        weights = lobes.weights(specular, metallic)
-        gloss = lobes.gloss_color(weights, color, rough * rough, cosine)
-        return {"color": color, "roughness": rough, "dull": weights.dull, "gloss": gloss}
+        own = lobes.lobes_of(fn, lobes.Numbers(color, *others), pictured, variations)
+        gloss = lobes.gloss_color(own, fn.given("float", "cosine"))
+        return {"color": own.color, "alpha": own.alpha, "dull": own.dull, "gloss": gloss}
 
     signature = "Lobes lobes_of(vec4 first, vec4 second, Pictured found, Hit hit, float cosine)"
     return function(signature, body)
@@ -103,12 +104,12 @@ def gloss(fn: Glsl, alpha: Value, n: Value, v: Value, light: Value) -> Any:
     return lobes.ggx(fn, alpha, cosines, cos_h, fn.dot(beside, beside))[0]
 
 
-def _point(fn: Glsl) -> Any:
+def _point(fn: Glsl) -> pictures.Point:
     """``surface.pictures.Point`` of a ``Hit``."""
     names = ("position", "normal", "along_u", "along_v")
     found = {name: fn.given("vec3", f"hit.{name}") for name in names}
     uv = fn.given("float", "hit.uv.x"), fn.given("float", "hit.uv.y")
-    return SimpleNamespace(**found, flat=fn.given("vec3", "hit.flat_normal"), uv=uv)
+    return pictures.Point(**found, flat=fn.given("vec3", "hit.flat_normal"), uv=uv)
 
 
 def _texels(fn: Glsl, third: bool) -> pictures.Texels:

@@ -19,9 +19,10 @@ a polynomial in alpha and mu / (mu + alpha), off by 0.5 % at most; A one in alph
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
 
+from scenec.backends.stage.scene import Surface
 from scenec.backends.surface.algebra import Algebra, Number, Vector
 
 #: GGX in float32 loses its digits below this; roughness under 0.032 is drawn as 0.032.
@@ -39,41 +40,70 @@ ALBEDO = (
 MEAN_ALBEDO = (1.0025, -0.1873, -1.5814, 1.8181, -0.6433)
 
 
-class Weights(NamedTuple):
-    """Of lobes: of Lambert's or the law in its place, of white gloss, of gloss of the color."""
+class Numbers(NamedTuple):
+    """Of a surface, in an algebra's kind; ``swing`` is ``Surface.roughness_variation``."""
 
+    color: Vector
+    variation: Number
+    roughness: Number
+    swing: Number
+    specular: Number
+    metallic: Number
+
+
+class Lobes(NamedTuple):
+    """Of a surface at a point.
+
+    Attributes:
+        color: c.
+        alpha: Of gloss.
+        dull, white, tinted: Weights of Lambert's lobe or a law in its place, of white gloss, of
+            gloss of the color.
+    """
+
+    color: Vector
+    alpha: Number
     dull: Number
     white: Number
     tinted: Number
 
 
-def factor(amount: Number, variations: Sequence[Number]) -> Number:
-    """1 + amount * variation, of the vertices' and the rows'."""
-    found: Number = 1.0
-    for variation in variations:
-        found = found * (amount * variation + 1.0)
-    return found
+def numbers_of(fn: Algebra, surface: Surface) -> Numbers:
+    """A surface's."""
+    return Numbers(
+        fn.numbers(surface.base_color),
+        fn.number(surface.variation),
+        fn.number(surface.roughness),
+        fn.number(surface.roughness_variation),
+        fn.number(surface.specular),
+        fn.number(surface.metallic),
+    )
 
 
-def color(fn: Algebra, base: Vector, varied: Number, picture: Vector | None) -> Vector:
-    """C of a base color, its factor, and its map."""
-    found = base * varied
-    if picture is not None:
+def lobes_of(
+    fn: Algebra, own: Numbers, pictured: Mapping[str, Any], variations: Sequence[Number]
+) -> Lobes:
+    """What a surface is at a point.
+
+    Args:
+        fn: The algebra.
+        own: Its numbers.
+        pictured: Values of its maps, by kind.
+        variations: Of the vertices and of the row, those that there are.
+    """
+    varied, swung = (
+        math.prod([amount * variation + 1.0 for variation in variations], start=1.0)
+        for amount in (own.variation, own.swing)
+    )
+    color = own.color * varied
+    if "base_color" in pictured:
         # Above 1 it is clipped, but after the map.
-        found = fn.maximum(found, 0.0) * picture
-    return fn.clip(found, 0.0, 1.0)
-
-
-def roughness(fn: Algebra, rough: Number, varied: Number) -> Number:
-    """Perceptual roughness of a number or its map, and its factor."""
-    return fn.clip(rough * varied, SMOOTHEST, 1.0)
-
-
-def weights(specular: Number, metallic: Number) -> Weights:
-    """Of lobes."""
+        color = fn.maximum(color, 0.0) * pictured["base_color"]
+    rough = fn.clip(pictured.get("roughness", own.roughness) * swung, SMOOTHEST, 1.0)
+    metallic = pictured.get("metallic", own.metallic)
     rest = 1.0 - metallic
-    white = rest * specular
-    return Weights(rest - white, white, metallic)
+    white = rest * own.specular
+    return Lobes(fn.clip(color, 0.0, 1.0), rough * rough, rest - white, white, metallic)
 
 
 def ggx(
@@ -103,10 +133,11 @@ def albedo(alpha: Number, cosine: Number) -> Number:
     return _polynomial([_polynomial(row, alpha) for row in ALBEDO], grazing)
 
 
-def gloss_color(found: Weights, color: Vector, alpha: Number, cosine: Number) -> Vector:
+def gloss_color(found: Lobes, cosine: Number) -> Vector:
     """What a white lobe that scatters once is multiplied with; ``cosine`` is the viewer's."""
-    lost = 1.0 / albedo(alpha, cosine) - 1.0
-    mean = _polynomial(MEAN_ALBEDO, alpha)
+    color = found.color
+    lost = 1.0 / albedo(found.alpha, cosine) - 1.0
+    mean = _polynomial(MEAN_ALBEDO, found.alpha)
     again = color * mean / (1.0 - color * (1.0 - mean))
     return color * found.tinted * (1.0 + again * lost) + found.white * (1.0 + lost)
 

@@ -51,13 +51,6 @@ def map_mean(described: Maps, kind: str) -> NDArray[np.float64]:
     return mean
 
 
-def map_key(described: Maps, kind: str) -> tuple[object, ...]:
-    """What tells the values of a map, and where they lie, from those of others."""
-    place = (described.projection, described.size_m, described.cells)
-    far = described.far if kind == "base_color" else None
-    return (*map_source(described, kind), *place, far)
-
-
 @lru_cache(maxsize=32)
 def load_map(
     path: Path, kind: str, flip_green: bool = False, reading: Reading = _PLAIN

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,38 +24,29 @@ from scenec.schemas.cells import SIDE
 type Values = dict[str, Any]
 
 
-class Point(Protocol):
+#: Looks pictures up: values of all kinds at (u, v), bilinear and repeating. Beside these it takes
+#: ``axis``, which the plane lies across, and ``far``: only colors, of the second scale.
+type Texels = Callable[..., Values]
+
+
+@dataclass(frozen=True)
+class Point:
     """A point of a surface, in an algebra's kind; what is not looked at need not be there.
 
     Attributes:
         position: In the renderer's coordinates.
         normal: Unit shading normal, where it points outward.
-        flat: Unit normal of the face.
+        flat: Unit normal of the face, on either side.
         uv: Texture coordinates, two numbers.
         along_u, along_v: dP/du and dP/dv, of any length.
     """
 
-    @property
-    def position(self) -> Vector: ...  # noqa: D102
-    @property
-    def normal(self) -> Vector: ...  # noqa: D102
-    @property
-    def flat(self) -> Vector: ...  # noqa: D102
-    @property
-    def uv(self) -> tuple[Number, Number]: ...  # noqa: D102
-    @property
-    def along_u(self) -> Vector: ...  # noqa: D102
-    @property
-    def along_v(self) -> Vector: ...  # noqa: D102
-
-
-class Texels(Protocol):
-    """Looks pictures up: the values of all kinds at (u, v), bilinear and repeating.
-
-    ``axis`` is the one that the plane lies across; ``far``: only colors, of the second scale.
-    """
-
-    def __call__(self, u: Number, v: Number, axis: int = 2, far: bool = False) -> Values: ...  # noqa: D102
+    position: Vector
+    normal: Vector = None
+    flat: Vector = None
+    uv: Any = None
+    along_u: Vector = None
+    along_v: Vector = None
 
 
 @dataclass(frozen=True)
@@ -226,20 +217,8 @@ def most(kind: str) -> float | None:
     return None if kind == "emission" else 1.0
 
 
-@dataclass(frozen=True)
-class Points:
-    """``Point`` of many points in the world, float64 [3, n] each."""
-
-    position: NDArray[np.float64]
-    normal: Any = None
-    flat: Any = None
-    uv: Any = None
-    along_u: Any = None
-    along_v: Any = None
-
-
-def values_at(maps: Maps, kinds: Sequence[str], points: Points) -> dict[str, NDArray[np.float64]]:
-    """The definition: values of maps at points of the world, float64 [n] or [3, n] each.
+def values_at(maps: Maps, kinds: Sequence[str], point: Point) -> dict[str, NDArray[np.float64]]:
+    """The definition: values of maps, float64 [n] or [3, n] each, at points of the world [3, n].
 
     Raises:
         StageError: There is no such map, or it cannot be read.
@@ -253,7 +232,7 @@ def values_at(maps: Maps, kinds: Sequence[str], points: Points) -> dict[str, NDA
             found[kind] = values if len(values) == 3 else values[0]
         return found
 
-    return look_up(FLOAT64, placement, points, texels, None if maps.cells is None else _entry(maps))
+    return look_up(FLOAT64, placement, point, texels, None if maps.cells is None else _entry(maps))
 
 
 def _entry(maps: Maps) -> Callable[..., Any]:

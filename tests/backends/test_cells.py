@@ -12,7 +12,7 @@ from scipy import ndimage
 
 from scenec.backends.stage.scene import Cells, Maps
 from scenec.backends.surface import cells, maps
-from scenec.backends.surface.pictures import Points, values_at
+from scenec.backends.surface.pictures import Point, values_at
 
 SIZE = 2.0
 UP = np.array([[0.0], [0.0], [1.0]])
@@ -52,7 +52,7 @@ def value(described: Maps, kind: str, xy: np.ndarray) -> np.ndarray:
     flat = np.reshape(xy, (-1, 2)).T
     at = np.concatenate([flat, np.zeros((1, flat.shape[1]))])
     up = np.broadcast_to(UP, at.shape)
-    found = np.atleast_2d(values_at(described, (kind,), Points(at, up, up))[kind])
+    found = np.atleast_2d(values_at(described, (kind,), Point(at, up, up))[kind])
     return found.T.reshape(*np.shape(xy)[:-1], -1)
 
 

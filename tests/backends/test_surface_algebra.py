@@ -45,11 +45,9 @@ def merged(fn: Algebra, *x: Any) -> Sequence[Any]:
 
 
 def looked(fn: Algebra, *x: Any) -> Sequence[Any]:
-    color = lobes.color(fn, fn.vector(*x[:3]), lobes.factor(0.4, x[3:5]), fn.vector(*x[5:8]))
-    rough = lobes.roughness(fn, x[8], lobes.factor(-0.3, x[3:5]))
-    weights = lobes.weights(x[9], x[10])
-    gloss = lobes.gloss_color(weights, color, rough * rough, 0.05 + 0.95 * x[11])
-    return [*fn.parts(gloss), rough, weights.dull]
+    numbers = lobes.Numbers(fn.vector(*x[:3]), 0.4, x[8], -0.3, x[9], x[10])
+    found = lobes.lobes_of(fn, numbers, {"base_color": fn.vector(*x[5:8])}, x[3:5])
+    return [*fn.parts(lobes.gloss_color(found, 0.05 + 0.95 * x[11])), found.alpha, found.dull]
 
 
 def in_cells(fn: Algebra, *x: Any) -> Sequence[Any]:

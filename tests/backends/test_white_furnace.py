@@ -92,9 +92,9 @@ def test_the_definition_keeps_what_a_white_lobe_has_and_darkens_a_colored_one(ro
     value, _ = lobes.ggx(FLOAT64, alpha, (cosine, wo[2]), half[2], sine2)
     once = value.sum() * solid
     assert once == pytest.approx(lobes.albedo(alpha, cosine), rel=6e-3)
-    metal = lobes.Weights(0.0, 0.0, 1.0)
     shares = np.array([0.02, 0.5, 1.0])
-    seen = once * lobes.gloss_color(metal, shares[:, None], alpha, cosine)[:, 0]
+    metal = lobes.Lobes(shares, alpha, 0.0, 0.0, 1.0)
+    seen = once * lobes.gloss_color(metal, cosine)
     assert seen[2] == pytest.approx(1.0, rel=6e-3)
     # Between what scatters once and what would reach the color itself.
     assert (once * shares[:2] <= seen[:2]).all()

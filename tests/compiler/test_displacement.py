@@ -14,7 +14,7 @@ from small import small_cfg, write_cfg
 
 from scenec.backends.stage.scene import Cells as ShownCells
 from scenec.backends.stage.scene import Maps
-from scenec.backends.surface.pictures import Points, values_at
+from scenec.backends.surface.pictures import Point, values_at
 from scenec.compiler.build import BuildLog, build_surface
 from scenec.compiler.cfg.load import load
 from scenec.compiler.draw.batch import draw
@@ -78,7 +78,7 @@ def test_cells_lay_heights_where_renderers_lay_the_picture(tmp_path):
     rng = np.random.default_rng(4)
     xy = rng.uniform(-80, 80, (4000, 2))
     expected = (
-        values_at(maps, ("height",), Points(np.stack([*xy.T, 0.0 * xy[:, 0]])))["height"]
+        values_at(maps, ("height",), Point(np.stack([*xy.T, 0.0 * xy[:, 0]])))["height"]
         - (codes / 255.0).mean()
     )
     found = made.at(np.ascontiguousarray(xy[:, 0]), np.ascontiguousarray(xy[:, 1]))

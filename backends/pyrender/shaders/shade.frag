@@ -80,7 +80,7 @@ struct Hit {
 // What a surface's numbers and its base color's map make of it.
 struct Lobes {
     vec3 color;
-    float roughness;
+    float alpha;
     float dull;     // Weight of Lambert's lobe or of a law in its place.
     vec3 gloss;     // What a white lobe that scatters once is multiplied with.
 };
@@ -308,11 +308,10 @@ float sunlit(Hit hit)
 // The sky in a lobe: its albedo times what spherical harmonics keep of the sky about the mirrored
 // direction. A lobe of width alpha shrinks band l by exp(-(alpha l)**2) (Ramamoorthi and Hanrahan
 // 2001).
-vec3 sky_gloss(float roughness, vec3 n, vec3 v, Around around)
+vec3 sky_gloss(float alpha, vec3 n, vec3 v, Around around)
 {
     float nv = max(dot(n, v), 1e-5);
     vec3 r = reflect(-v, n);
-    float alpha = roughness * roughness;
     vec3 radiance = max(sky_mirrored[0]
         + exp(-alpha * alpha)
             * (sky_mirrored[1] * r.y + sky_mirrored[2] * r.z + sky_mirrored[3] * r.x)
@@ -332,7 +331,7 @@ vec3 sky_gloss(float roughness, vec3 n, vec3 v, Around around)
 struct Look {
     vec3 dull;   // Albedo of the Lambert lobe,
     vec3 shine;  // and of the GGX lobe, by one that is white and scatters once.
-    float roughness;
+    float alpha;
     vec3 normal;  // Towards the camera.
 #ifdef WITH_REFLECTANCE
     vec3 color;
@@ -494,7 +493,7 @@ Look look_of(int index, Hit hit)
     Lobes lobes = lobes_of(first, second, found, hit, cosine);
     look.dull = lobes.dull * lobes.color;
     look.shine = lobes.gloss;
-    look.roughness = lobes.roughness;
+    look.alpha = lobes.alpha;
 #ifdef WITH_REFLECTANCE
     look.color = lobes.color;
     look.share = lobes.dull;
@@ -537,10 +536,9 @@ vec3 light_of(Look look, vec3 view, float lit, Around around)
     }
 #endif
 #ifdef WITH_GLOSS
-    vec3 bright = sky_gloss(look.roughness, look.normal, view, around);
+    vec3 bright = sky_gloss(look.alpha, look.normal, view, around);
     if (direct > 0.0)
-        bright += lit * sun * gloss(max(look.roughness * look.roughness, sun_alpha), look.normal,
-                                    view, to_sun);
+        bright += lit * sun * gloss(max(look.alpha, sun_alpha), look.normal, view, to_sun);
     // A normal that leans away from the viewer has no gloss, as in path tracers.
     if (dot(look.normal, view) > 0.0)
         result += look.shine * bright;
