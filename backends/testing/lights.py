@@ -135,7 +135,7 @@ FACING = {"+x": (0, 1), "-x": (0, -1), "+y": (1, 1), "-y": (1, -1), "+z": (2, 1)
 def squares_under_sky(folder: Path) -> RenderScene:
     """Far apart, each seen from its front at its own sample; a turned sky with bright spots."""
     values = np.random.default_rng(5).uniform(0.0, 4.0, (8, 16, 3))
-    values[2, 3] = values[5, 12, 1] = 60.0
+    values[2, 3] = values[5, 12, 1] = 20.0
     file = write_latlong(folder / "sky.exr", values)
     turn = np.linalg.qr(np.random.default_rng(2).normal(size=(3, 3)))[0]
     sky = Dome(file, np.array([1.0, 2.0, 0.5]), turn * np.sign(np.linalg.det(turn)))
@@ -171,8 +171,8 @@ def under_sky(made: RenderScene, case: str) -> NDArray[np.float64]:
 # Shadows
 
 
-def shadow_scene() -> RenderScene:
-    """A black square over a plane, and a black wall out of view, in the light of ``SHADOWS``."""
+def shadow_scene(lighting: Mapping[str, Lighting]) -> RenderScene:
+    """A black square over a plane, and a black wall out of view, at each sample in other light."""
     square, faces = plane(0.5)
     wall = np.array([[-8.0, -30, 0], [-8, 30, 0], [-8, 30, 5], [-8, -30, 5]])
     quad = np.array([[0, 1, 2], [0, 2, 3]])
@@ -182,7 +182,7 @@ def shadow_scene() -> RenderScene:
         rows=[(0, affine()), (1, affine(1.0, (0.0, 0.0, 1.5))), (2, affine())],
     )
     view = look_at((0, 0, 10), (0, 0, 0), 48, 32, 25.0)
-    return at_samples(made, list(SHADOWS.values()), [view])
+    return at_samples(made, list(lighting.values()), [view])
 
 
 def edge_scene() -> RenderScene:
@@ -298,12 +298,11 @@ ODD_LAMPS: dict[str, Lighting] = {
         "below": lamp((0.0, 0.0, -3.0)),
     }.items()
 }
-SHADOWS: dict[str, Lighting] = {
-    "sun": Lighting((sun(45.0, 45.0, diameter_deg=0.0),), ()),
+SUN_SHADOWS: dict[str, Lighting] = {
+    "square": Lighting((sun(45.0, 45.0, diameter_deg=0.0),), ()),
     "wall out of view": Lighting((sun(30.0, 180.0, diameter_deg=0.0),), ()),
-    "lamp": only_lamps(lamp()),
-    "cone": only_lamps(lamp(cone_deg=50.0)),
 }
+LAMP_SHADOWS = {"point": only_lamps(lamp()), "cone": only_lamps(lamp(cone_deg=50.0))}
 
 
 def lamp_scene(lamps: Mapping[str, Lighting] = LAMPS) -> RenderScene:

@@ -108,15 +108,39 @@ def boards(looks: Mapping[str, Look]) -> RenderScene:
     return dataclasses.replace(made, cameras=tuple(cameras), lighting=tuple(lighting))
 
 
-def plain() -> dict[str, Look]:
-    """Colors, gloss, metal, layers, variation and normals on flat boards, without maps."""
+def dull() -> dict[str, Look]:
+    """Colors, layers, variation and normals on flat boards, without gloss or maps."""
+    points, faces = plane(6.0)
+    count = len(points)
+    colors = [surface(color) for color in np.random.default_rng(0).uniform(0.0, 1.0, (3, 3))]
+    across = (points[:, 0] + 6.0) / 12.0
+    varying = mesh(points, faces, variation=np.full(count, 0.5))
+    # All but black: a rasterizer may show what such normals would see of the ground.
+    dark = [surface((0.01, 0.01, 0.01))]
+    leaning = mesh(points, faces, normals=np.tile([-0.28, 0.0, 0.96], (count, 1)))
+    wound_down = dataclasses.replace(leaning, faces=leaning.faces[:, ::-1].copy())
+    sheared = np.array([[-1.0, 0.3, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.5]])
+    return {
+        "layers": Look(mesh(points, faces, (0, 1, 2), _two_merges(count)), colors),
+        "blend": Look(
+            mesh(points, faces, (0, 1), across[None]), [surface((0, 0, 0)), surface((1, 1, 1))]
+        ),
+        "variation": Look(varying, [surface((0.4, 0.2, 0.1), variation=0.3)], variation=-0.8),
+        "clipped": Look(varying, [surface((0.4, 0.2, 0.9), variation=0.3)], variation=1.0),
+        "back": Look(mesh(points, faces[:, ::-1]), [surface()]),
+        "mirrored normals": Look(leaning, dark, sun=_high_sun(), linear=sheared),
+        "normals wound down": Look(wound_down, dark, sun=_high_sun(), linear=sheared),
+        "no material": Look(dataclasses.replace(mesh(points, faces), layers=()), []),
+    }
+
+
+def glossy() -> dict[str, Look]:
+    """Gloss, metal, their layers and varied roughness on flat boards, without maps."""
     points, faces = plane(6.0)
     count = len(points)
     flat = mesh(points, faces)
-    across = (points[:, 0] + 6.0) / 12.0
-    rng = np.random.default_rng(0)
-    colors = [surface(color) for color in rng.uniform(0.0, 1.0, (3, 3))]
-    gloss = [
+    copper = Surface("", (0.9, 0.5, 0.1), 0.4, 0.7, 0.0)
+    stacked = [
         Surface("", (0.5, 0.3, 0.2), 0.2, 0.9, 0.0),
         Surface("", (0.1, 0.2, 0.6), 0.5, 0.6, 0.0, 0.3),
         Surface("", (0.7, 0.7, 0.1), 0.1, 0.6, 0.0),
@@ -127,124 +151,100 @@ def plain() -> dict[str, Look]:
         dataclasses.replace(rough, roughness_variation=-0.5),
         dataclasses.replace(rough, base_color=(0.1, 0.2, 0.7), specular=0.1),
     ]
-    two = np.repeat(np.array([[0.4], [0.3]]), count, axis=1)
     ramp = Surface("", (1.0, 1.0, 1.0), 0.0, 0.6, 0.0, 1.0, None, 0.7)
-    copper = Surface("", (0.9, 0.5, 0.1), 0.4, 0.7, 0.0)
-    half_metal = dataclasses.replace(copper, metallic=0.6)
-    # All but black: a rasterizer may show what such normals would see of the ground.
-    leaning = mesh(points, faces, normals=np.tile([-0.28, 0.0, 0.96], (count, 1)))
-    dark = surface((0.01, 0.01, 0.01))
-    sheared = np.array([[-1.0, 0.3, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.5]])
-    wound_down = dataclasses.replace(leaning, faces=leaning.faces[:, ::-1].copy())
-    high = sun(60.0, diameter_deg=0.1)
-    varying = mesh(points, faces, variation=np.full(count, 0.5))
+    low = sun(20.0, 70.0, diameter_deg=0.1)
+    over_all = _two_merges(count)
+
+    def varying(value: NDArray | float) -> Mesh:
+        return mesh(points, faces, variation=np.broadcast_to(value, count))
+
     return {
-        "layers": Look(mesh(points, faces, (0, 1, 2), two), colors),
-        "blend": Look(
-            mesh(points, faces, (0, 1), across[None]), [surface((0, 0, 0)), surface((1, 1, 1))]
+        "steep": Look(flat, [copper], (0.0, -10.0, 10.0), fov_deg=0.5),
+        "grazing": Look(flat, [copper], (0.0, -10.0, 3.0), low, fov_deg=0.5),
+        "half metal": Look(
+            flat, [dataclasses.replace(copper, metallic=0.6)], (0.0, -10.0, 10.0), fov_deg=0.5
         ),
-        "variation": Look(varying, [surface((0.4, 0.2, 0.1), variation=0.3)], variation=-0.8),
-        "clipped": Look(varying, [surface((0.4, 0.2, 0.9), variation=0.3)], variation=1.0),
-        "gloss": Look(flat, [copper], (0.0, -10.0, 10.0), fov_deg=0.5),
-        "grazing gloss": Look(
-            flat, [copper], (0.0, -10.0, 3.0), sun(20.0, 70.0, diameter_deg=0.1), fov_deg=0.5
-        ),
-        "half metal": Look(flat, [half_metal], (0.0, -10.0, 10.0), fov_deg=0.5),
         "metal": Look(
-            flat, [Surface("", (0.8, 0.5, 0.2), 0.3, 0.6, 0.0, 1.0)], (2.0, -1.0, 6.0), high
-        ),
-        "gloss layers": Look(mesh(points, faces, (0, 1, 2), two), gloss),
-        "rough vertices": Look(mesh(points, faces, variation=points[:, 0] / 6.0), [ramp], sun=high),
-        "rough layers": Look(
-            mesh(points, faces, (0, 1, 2), two, np.full(count, 0.6)), varied, variation=0.25
-        ),
-        # Beyond both ends of roughness.
-        "roughest": Look(
-            mesh(points, faces, variation=np.full(count, 0.9)), [rough], variation=0.9
-        ),
-        "smoothest": Look(
-            mesh(points, faces, variation=np.full(count, -1.0)),
-            [dataclasses.replace(rough, roughness_variation=1.0)],
+            flat, [Surface("", (0.8, 0.5, 0.2), 0.3, 0.6, 0.0, 1.0)], (2.0, -1.0, 6.0), _high_sun()
         ),
         # Colors of each vertex, and one weight for all.
         "varied metal": Look(
-            varying, [Surface("", (0.4, 0.2, 0.1), 0.1, 0.9, 0.4, 0.5)], variation=0.5
+            varying(0.5), [Surface("", (0.4, 0.2, 0.1), 0.1, 0.9, 0.4, 0.5)], variation=0.5
         ),
-        "back": Look(mesh(points, faces[:, ::-1]), [surface()]),
-        "mirrored normals": Look(leaning, [dark], sun=high, linear=sheared),
-        "normals wound down": Look(wound_down, [dark], sun=high, linear=sheared),
-        "no material": Look(dataclasses.replace(flat, layers=()), []),
+        "layers": Look(mesh(points, faces, (0, 1, 2), over_all), stacked),
+        "roughness between vertices": Look(varying(points[:, 0] / 6.0), [ramp], sun=_high_sun()),
+        "rough layers": Look(
+            mesh(points, faces, (0, 1, 2), over_all, np.full(count, 0.6)), varied, variation=0.25
+        ),
+        # Beyond both ends of roughness.
+        "roughest": Look(varying(0.9), [rough], variation=0.9),
+        "smoothest": Look(varying(-1.0), [dataclasses.replace(rough, roughness_variation=1.0)]),
     }
 
 
 def mapped(folder: Path) -> dict[str, Look]:
     """Maps from above, in cells, of two scales, mixed by heights; of ``write_pictures``."""
     points, faces = plane(6.0)
-    flat = mesh(points, faces)
-    color, normal = (_picture(folder, kind) for kind in ("base_color", "normal"))
-    described = Maps(SIZE, base_color=color)
+    flat, high = mesh(points, faces), _high_sun()
+    varying = mesh(points, faces, variation=points[:, 0] / 6.0)
     # A slope, so that tangents lie along no axis.
-    slope = points + points[:, :2] @ np.array([0.3, -0.2])[:, None] * [0.0, 0.0, 1.0]
-    leaning = mesh(slope, faces)
-    rough, metal = folder / "rough.png", folder / "metal.png"
-    copper = Surface("", (0.9, 0.5, 0.1), 0.4, 0.1, 0.0, 0.9,
-                     Maps(3.0, roughness=rough, metallic=metal))  # fmt: skip
-    tinted = Surface("", COLOR, 0.3, 0.5, 0.0, 0.3, described, 0.8)
-    high = sun(60.0, 30.0, diameter_deg=0.1)
-
-    def dull(maps: Maps) -> list[Surface]:
-        return [Surface("", COLOR, 0.0, 0.5, 0.0, 0.0, maps)]
-
-    bump, weights = hill()
-    height = _picture(folder, "height")
-    tall = Maps(SIZE, color, height=height, cells=CELLS)
-    above = Surface("", (0.1, 0.2, 0.4), 0.0, 0.5, 0.0, 0.0,
-                    Maps(2.0, height=_picture(folder, "height", 6)))  # fmt: skip
-    stack = [*dull(tall), above, surface((0.6, 0.1, 0.1))]
-    glow = Maps(SIZE, color, emission=_picture(folder, "emission"), cells=CELLS)
-    bright = [
-        dataclasses.replace(dull(glow)[0], emission=(30.0, 300.0, 3000.0)), *stack[1:]
-    ]  # fmt: skip
-    merged = dataclasses.replace(bump, layers=(0, 1, 2), weights=weights)
+    leaning = mesh(points + np.outer(points[:, :2] @ [0.3, -0.2], [0.0, 0.0, 1.0]), faces)
+    color, height, normal = (_picture(folder, kind) for kind in ("base_color", "height", "normal"))
+    colors, normals = Maps(SIZE, base_color=color), Maps(SIZE, normal=normal)
+    numbers = Maps(3.0, roughness=folder / "rough.png", metallic=folder / "metal.png")
+    tinted = Surface("", COLOR, 0.3, 0.5, 0.0, 0.3, colors, 0.8)
+    # Weights that cross triangles show any product taken at vertices.
+    crossing = np.stack([(points[:, 0] + 6.0) / 12.0, np.full(len(points), 0.3)])
+    half = np.full(len(points), 0.5)
+    metals = [
+        surface((0.2, 0.5, 0.1), 0.4, 0.3),
+        Surface("", (0.7, 0.2, 0.1), 0.0, 0.5, 0.0, 0.5),
+    ]
+    mound, weights = hill()
+    merged = dataclasses.replace(mound, layers=(0, 1, 2), weights=weights)
     # A merge that heeds heights, and one above it that does so too, or does not.
-    heeding = dataclasses.replace(merged, height_blends=(0.25, 0.6))
-    first_alone = dataclasses.replace(merged, height_blends=(0.3, 0.0))
-    return {
-        "color": Look(flat, dull(described)),
-        "color on gloss that varies": Look(
-            mesh(points, faces, variation=points[:, 0] / 6.0), [tinted], variation=0.25
+    heeding, first_alone = (
+        dataclasses.replace(merged, height_blends=blends) for blends in ((0.25, 0.6), (0.3, 0.0))
+    )
+    tall = dataclasses.replace(colors, height=height, cells=CELLS)
+    glow = dataclasses.replace(colors, emission=_picture(folder, "emission"), cells=CELLS)
+    upper = [
+        dataclasses.replace(_dull(Maps(2.0, height=_picture(folder, "height", 6))),
+                            base_color=(0.1, 0.2, 0.4)),
+        surface((0.6, 0.1, 0.1)),
+    ]  # fmt: skip
+    bright = dataclasses.replace(_dull(glow), emission=(30.0, 300.0, 3000.0))
+    looks = {
+        "color": Look(flat, [_dull(colors)]),
+        "color on gloss that varies": Look(varying, [tinted], variation=0.25),
+        "roughness and metal": Look(
+            flat, [Surface("", (0.9, 0.5, 0.1), 0.4, 0.1, 0.0, 0.9, numbers)],
+            (0.0, -10.0, 4.0), fov_deg=10.0,
         ),
-        "normals": Look(flat, dull(Maps(SIZE, normal=normal)), sun=high),
-        "normals flipped": Look(
-            flat, dull(Maps(SIZE, normal=normal, flip_green=True)), sun=high
-        ),
-        "normals on a slope": Look(leaning, dull(Maps(SIZE, normal=normal)), sun=high),
-        "normals on a mirrored slope": Look(
-            leaning, dull(Maps(SIZE, normal=normal)), sun=high, linear=np.diag([-1.0, 1.0, 1.0])
-        ),
-        "roughness and metal": Look(flat, [copper], (0.0, -10.0, 4.0), fov_deg=10.0),
-        "cells": Look(bump, dull(dataclasses.replace(described, cells=CELLS))),
-        "far": Look(bump, dull(dataclasses.replace(described, far=FAR))),
-        "cells and far": Look(bump, dull(dataclasses.replace(described, cells=CELLS, far=FAR))),
-        "normals in cells": Look(bump, dull(Maps(SIZE, normal=normal, cells=CELLS)), sun=high),
-        # Weights that cross triangles show any product taken at vertices.
         "map below gloss and metal": Look(
-            mesh(
-                points,
-                faces,
-                (0, 1, 2),
-                np.stack([(points[:, 0] + 6.0) / 12.0, np.full(len(points), 0.3)]),
-                np.full(len(points), 0.5),
-            ),
-            [
-                tinted,
-                surface((0.2, 0.5, 0.1), 0.4, 0.3),
-                Surface("", (0.7, 0.2, 0.1), 0.0, 0.5, 0.0, 0.5),
-            ],
+            mesh(points, faces, (0, 1, 2), crossing, half), [tinted, *metals]
         ),
-        "heights": Look(heeding, stack),
-        "emission": Look(first_alone, bright),
+        "normals": Look(flat, [_dull(normals)], sun=high),
+        "normals flipped": Look(
+            flat, [_dull(dataclasses.replace(normals, flip_green=True))], sun=high
+        ),
+        "normals on a slope": Look(leaning, [_dull(normals)], sun=high),
+        "normals on a mirrored slope": Look(
+            leaning, [_dull(normals)], sun=high, linear=np.diag([-1.0, 1.0, 1.0])
+        ),
+        "normals in cells": Look(
+            mound, [_dull(dataclasses.replace(normals, cells=CELLS))], sun=high
+        ),
+        "heights": Look(heeding, [_dull(tall), *upper]),
+        "emission": Look(first_alone, [bright, *upper]),
     }  # fmt: skip
+    for name, described in {
+        "cells": dataclasses.replace(colors, cells=CELLS),
+        "far": dataclasses.replace(colors, far=FAR),
+        "cells and far": dataclasses.replace(colors, cells=CELLS, far=FAR),
+    }.items():
+        looks[name] = Look(mound, [_dull(described)])
+    return looks
 
 
 def projected(folder: Path) -> dict[str, Look]:
@@ -308,8 +308,7 @@ def planetary() -> dict[str, Look]:
     points, faces = plane(2.0)
     points[:, 2] = -(points[:, :2] @ normal[:2]) / normal[2]
     flat = mesh(points, faces)
-    shares = np.repeat(np.array([[0.4], [0.3]]), len(points), axis=1)
-    several = mesh(points, faces, (0, 1, 2), shares)
+    several = mesh(points, faces, (0, 1, 2), _two_merges(len(points)))
     # A hair of variation, so that colors are looked up and not known beforehand.
     varied = mesh(points, faces, variation=np.full(len(points), 1e-4))
     looks = {}
@@ -454,6 +453,15 @@ def write_picture(folder: Path, kind: str, seed: int = 11, flipped: bool = False
 
 def _picture(folder: Path, kind: str, seed: int = 11, flipped: bool = False) -> Path:
     return folder / f"{kind}_{seed}{'_flipped' if flipped else ''}.png"
+
+
+def _two_merges(count: int) -> NDArray:
+    """Weights of two merges, the same at all vertices."""
+    return np.repeat(np.array([[0.4], [0.3]]), count, axis=1)
+
+
+def _high_sun() -> Sun:
+    return sun(60.0, 30.0, diameter_deg=0.1)
 
 
 def _dull(maps: Maps) -> Surface:

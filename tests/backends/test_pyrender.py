@@ -33,7 +33,7 @@ TOLERANCES = {
     "sky": Tolerance(
         0.05, 0.05, "harmonics of second order; 9 % at most (Ramamoorthi and Hanrahan 2001)"
     ),
-    "shadows[wall out of view]": Tolerance(
+    "sun_shadows[wall out of view]": Tolerance(
         0.02, 0.02, "light that ground throws on ground is an estimate on a coarse height field"
     ),
     "lamps": Tolerance(2e-3, 1e-2, "a pixel is 16 samples on a grid"),
