@@ -10,6 +10,7 @@ import numpy as np
 from scenec.backends.stage.scene import Motion, RenderScene
 from scenec.backends.testing.scenes import (
     affine,
+    at_samples,
     dome,
     icosphere,
     look_at,
@@ -136,13 +137,14 @@ INTRINSICS: dict[str, tuple[int, int, list[list[float]]]] = {
 }
 
 
-def through(made: RenderScene, name: str) -> RenderScene:
-    """A scene seen by a camera of ``INTRINSICS``."""
-    width, height, k = INTRINSICS[name]
-    view = dataclasses.replace(
-        made.cameras[0][0], width=width, height=height, intrinsics=np.array(k)
-    )
-    return dataclasses.replace(made, cameras=((view,),))
+def seen_variously() -> RenderScene:
+    """The field, at each sample by another camera of ``INTRINSICS``."""
+    made = field()
+    cameras = [
+        dataclasses.replace(made.cameras[0][0], width=width, height=height, intrinsics=np.array(k))
+        for width, height, k in INTRINSICS.values()
+    ]
+    return at_samples(made, made.lighting * len(cameras), cameras)
 
 
 def edge(shift: float) -> RenderScene:

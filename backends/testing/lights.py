@@ -11,11 +11,13 @@ from numpy.typing import NDArray
 
 from scenec.backends.contract import BOUNCES
 from scenec.backends.picture.sky import combine, lookup
-from scenec.backends.stage.scene import Camera, Dome, Lamp, Lighting, RenderScene, Sun
+from scenec.backends.stage.scene import Dome, Lamp, Lighting, RenderScene, Sun
 from scenec.backends.testing.scenes import (
     affine,
+    at_samples,
     dome,
     icosphere,
+    lighting_of,
     look_at,
     mesh,
     plane,
@@ -27,21 +29,6 @@ from scenec.backends.testing.scenes import (
 
 ABOVE = look_at((0, 0, 10), (0, 0, 0), 24, 16)
 ALBEDO = 0.5
-
-
-def at_samples(
-    made: RenderScene, lighting: Sequence[Lighting], cameras: Sequence[Camera] = (ABOVE,)
-) -> RenderScene:
-    """A scene with another light, and maybe another camera, at each sample."""
-    count = len(lighting)
-    views = cameras if len(cameras) == count else [cameras[0]] * count
-    return dataclasses.replace(
-        made,
-        samples=count,
-        lighting=tuple(lighting),
-        cameras=tuple((view,) for view in views),
-        times=np.zeros(count),
-    )
 
 
 # A plane under suns and an even sky
@@ -66,7 +53,7 @@ OVER_PLANE: dict[str, Sequence[Sun | Dome]] = {
 def plane_scene() -> RenderScene:
     """A gray plane of several faces, at each sample in another of these lights."""
     made = scene([mesh(*plane(cells=4))], [surface((ALBEDO,) * 3)])
-    return at_samples(made, [_lighting(around) for around in OVER_PLANE.values()])
+    return at_samples(made, [lighting_of(around) for around in OVER_PLANE.values()], ABOVE)
 
 
 def plane_radiance(case: str) -> NDArray[np.float64]:
@@ -151,7 +138,7 @@ def squares_under_sky(folder: Path) -> RenderScene:
         rows.append((0, affine(linear, middle)))
         cameras.append(look_at(middle + 10.0 * normal, middle, 16, 12, 12))
     made = scene([mesh(quad, faces)], [surface((ALBEDO,) * 3)], rows=rows)
-    return at_samples(made, [_lighting([sky])] * len(rows), cameras)
+    return at_samples(made, [lighting_of([sky])] * len(rows), cameras)
 
 
 def under_sky(made: RenderScene, case: str) -> NDArray[np.float64]:
@@ -182,7 +169,7 @@ def shadow_scene(lighting: Mapping[str, Lighting]) -> RenderScene:
         rows=[(0, affine()), (1, affine(1.0, (0.0, 0.0, 1.5))), (2, affine())],
     )
     view = look_at((0, 0, 10), (0, 0, 0), 48, 32, 25.0)
-    return at_samples(made, list(lighting.values()), [view])
+    return at_samples(made, list(lighting.values()), view)
 
 
 def edge_scene() -> RenderScene:
@@ -194,7 +181,7 @@ def edge_scene() -> RenderScene:
         rows=[(0, affine()), (1, affine(1.0, (0.0, 0.0, 1.5)))],
     )
     view = look_at((0.0, 0.0, 1.0), (0, 0, 0), 32, 8, 40.0)
-    return at_samples(made, [only_lamps(lamp(radius_m=0.2))], [view])
+    return at_samples(made, [only_lamps(lamp(radius_m=0.2))], view)
 
 
 def beside_edge() -> NDArray[np.float64]:
@@ -314,6 +301,13 @@ def lamp_scene(lamps: Mapping[str, Lighting] = LAMPS) -> RenderScene:
     return at_samples(made, list(lamps.values()), views)
 
 
+def lamp_in_view() -> RenderScene:
+    """A lamp that is a sphere before the dark, in the upper half of the picture."""
+    view = look_at((0, -5, 1), (0, 0, 1), 8, 8, 20.0)
+    one = only_lamps(lamp((0.0, 0.0, 1.0), radius_m=0.5))
+    return at_samples(scene([mesh(*plane())]), [one], view)
+
+
 # What gives off light
 
 GLOW = np.array([10.0, 20.0, 30.0])
@@ -352,10 +346,3 @@ def panel_radiance(made: RenderScene) -> tuple[NDArray[np.float64], list[NDArray
     radiance = ALBEDO / np.pi * irradiance[..., None] * GLOW
     radiance[panel] = GLOW
     return radiance, [panel, ground]
-
-
-def _lighting(around: Sequence[Sun | Dome]) -> Lighting:
-    return Lighting(
-        tuple(light for light in around if isinstance(light, Sun)),
-        tuple(light for light in around if isinstance(light, Dome)),
-    )

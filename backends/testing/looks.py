@@ -28,6 +28,7 @@ from scenec.backends.stage.scene import (
     Surface,
 )
 from scenec.backends.testing.scenes import (
+    at_samples,
     dome,
     icosphere,
     look_at,
@@ -36,6 +37,7 @@ from scenec.backends.testing.scenes import (
     scene,
     sun,
     surface,
+    with_lights,
 )
 
 #: Meters from one board to the next: a ball of 2 m fills 4e-4 of the sky there.
@@ -96,16 +98,15 @@ def boards(looks: Mapping[str, Look]) -> RenderScene:
         surfaces += look.surfaces
         meshes.append(dataclasses.replace(look.mesh, layers=layers))
         rows.append((number, np.column_stack([look.linear, middle])))
-        cameras.append((look_at(middle + look.eye, middle, *look.size, look.fov_deg),))
+        cameras.append(look_at(middle + look.eye, middle, *look.size, look.fov_deg))
         lighting.append(Lighting((look.sun,), ()))
     made = scene(
         meshes,
         surfaces,
         rows=rows,
         row_variation=[look.variation for look in looks.values()],
-        samples=len(looks),
     )
-    return dataclasses.replace(made, cameras=tuple(cameras), lighting=tuple(lighting))
+    return at_samples(made, lighting, cameras)
 
 
 def dull() -> dict[str, Look]:
@@ -374,8 +375,12 @@ def _under_sky(surfaces: list[Surface], eye: tuple[float, float, float]) -> Rend
         str(number): Look(mesh(points, faces), [own], eye, fov_deg=0.1, size=(16, 16))
         for number, own in enumerate(surfaces)
     }
-    made = boards(found)
-    return dataclasses.replace(made, lighting=(Lighting((), (dome(SKY),)),) * made.samples)
+    return with_lights(boards(found), [dome(SKY)])
+
+
+def cosine(made: RenderScene) -> float:
+    """Between the normal of these planes and the way to their viewers."""
+    return float(-made.cameras[0][0].camera_to_world[2, 2])
 
 
 def hill() -> tuple[Mesh, NDArray[np.float32]]:

@@ -140,10 +140,6 @@ def scene(
             corners += matrix[:, None, :, 3]
             lows.append(corners.min((0, 1)))
             highs.append(corners.max((0, 1)))
-    lighting = Lighting(
-        tuple(light for light in lights if isinstance(light, Sun)),
-        tuple(light for light in lights if isinstance(light, Dome)),
-    )
     return RenderScene(
         source=Path("stage.usda"),
         digest="0" * 64,
@@ -160,19 +156,38 @@ def scene(
         label_names={"class": {1: "sky", 2: "ground"}},
         sky_labels={"class": 1},
         cameras=(tuple(cameras),) * samples,
-        lighting=(lighting,) * samples,
+        lighting=(lighting_of(lights),) * samples,
         bounds=np.array([np.min(lows, 0), np.max(highs, 0)]),
         times=np.zeros(samples),
     )
 
 
-def with_lights(scene: RenderScene, lights: Sequence[Sun | Dome]) -> RenderScene:
-    """The same scene in other light."""
-    lighting = Lighting(
+def lighting_of(lights: Sequence[Sun | Dome]) -> Lighting:
+    """Suns and skies of a sample."""
+    return Lighting(
         tuple(light for light in lights if isinstance(light, Sun)),
         tuple(light for light in lights if isinstance(light, Dome)),
     )
-    return dataclasses.replace(scene, lighting=(lighting,) * scene.samples)
+
+
+def with_lights(scene: RenderScene, lights: Sequence[Sun | Dome]) -> RenderScene:
+    """The same scene in other light."""
+    return dataclasses.replace(scene, lighting=(lighting_of(lights),) * scene.samples)
+
+
+def at_samples(
+    made: RenderScene, lighting: Sequence[Lighting], cameras: Camera | Sequence[Camera]
+) -> RenderScene:
+    """A scene with another light, and maybe another camera, at each sample."""
+    count = len(lighting)
+    views = [cameras] * count if isinstance(cameras, Camera) else cameras
+    return dataclasses.replace(
+        made,
+        samples=count,
+        lighting=tuple(lighting),
+        cameras=tuple((view,) for view in views),
+        times=np.zeros(count),
+    )
 
 
 def affine(

@@ -108,9 +108,9 @@ def test_what_is_not_exact_is_said():
 
 
 def test_a_skew_is_refused_by_name():
-    made = geometry.through(geometry.field(), "skewed")
+    made = geometry.seen_variously()
     backend = loaded(made)
-    view = made.cameras[0][0]
+    view = made.cameras[list(geometry.INTRINSICS).index("skewed")][0]
     assert backend.witness(camera_rays(view), 0, None) is None
     assert backend.witness(camera_rays(view), 0, view) is None
     with pytest.raises(BackendError, match="skew of 6"):

@@ -36,7 +36,7 @@ Here.setup_class()
 check = Here()
 for name in ("field", "one mesh of many faces", "through the camera's plane"):
     check.test_witness(name)
-light = check.draw(check.use("noise", geometry.busy), 0, 9).halves[0].astype(float)
+light = check.draw(geometry.busy(), 0, 9).halves[0].astype(float)
 print(json.dumps([Pyrender().version(), light.tolist()]))
 """
 
