@@ -25,11 +25,11 @@ from scenec.backends.picture.compose import Picture, compose
 from scenec.backends.picture.subframes import Drawing, measure
 from scenec.backends.registry import open_backend
 from scenec.backends.stage.scene import Camera, Focus, RenderScene
+from scenec.backends.testing.scenes import dome, look_at, mesh, plane, scene, sun, surface
 from scenec.schemas.shutter import Shutter
 from scenec.studies.runner import Cell, Study, run, times
 
 from blur_scenes import shaken
-from mitsuba_scenes import dome, look_at, mesh, plane, scene, sun, surface
 from scenes import icosphere
 
 WIDTH, HEIGHT, SPP = 96, 64, 64

@@ -28,11 +28,11 @@ from scenec.backends.exact import ExactCaster
 from scenec.backends.picture import resample
 from scenec.backends.registry import open_backend
 from scenec.backends.stage.scene import Camera, RenderScene
+from scenec.backends.testing.scenes import mesh, scene, surface
 from scenec.schemas.lens import Lens
 from scenec.studies.runner import Cell, Study, run, times
 
 from lens_scenes import BROWN, FISHEYE, PANORAMA, with_lens
-from mitsuba_scenes import mesh, scene, surface
 from scenes import icosphere
 
 WIDTH, HEIGHT, SPP = 160, 120, 64

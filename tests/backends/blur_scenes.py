@@ -10,13 +10,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
-from mitsuba_scenes import mesh, scene, surface
 from numpy.typing import NDArray
 
 from scenec.backends.contract import Radiance, Rays, Visibility
 from scenec.backends.exact import ExactCaster
 from scenec.backends.run.session import Session
 from scenec.backends.stage.scene import Camera, OpenShutter, RenderScene
+from scenec.backends.testing.scenes import mesh, scene, surface
 from scenec.schemas.shutter import Shutter
 
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from mitsuba_scenes import look_at
 from numpy.typing import NDArray
 from scenes import icosphere, mesh, rotation
 
 from scenec.backends.stage.scene import Camera, Mesh
+from scenec.backends.testing.scenes import look_at
 from scenec.schemas.lens import Lens
 
 BROWN = Lens("brown_conrady", (-0.22, 0.05, 1.5e-3, -2e-3, 0.0, 0.0, 0.0, 0.0))

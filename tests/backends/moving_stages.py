@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux, UsdRender, Vt
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdRender, Vt
 from scenes import icosphere
 
 from scenec.schemas import stage as names
@@ -42,7 +42,7 @@ def matrix(offset: np.ndarray, turn_deg: float = 0.0, scale: float = 1.0) -> Gf.
     return made * Gf.Matrix4d(1.0).SetTranslate(Gf.Vec3d(*map(float, offset)))
 
 
-def write_stage(path: Path, moving: bool = True, light: bool = False) -> Path:
+def write_stage(path: Path, moving: bool = True) -> Path:
     """A plane with still pebbles, a class of single objects of which some move, and a camera.
 
     Class "ball" (base 100): 1 the ball, which moves; 2 a ball that stands still; 3 one that is
@@ -67,14 +67,6 @@ def write_stage(path: Path, moving: bool = True, light: bool = False) -> Path:
     _pebbles(stage)
     _balls(stage, moving)
     _camera(stage)
-    if light:
-        sun = UsdLux.DistantLight.Define(stage, "/World/Sun")
-        sun.CreateIntensityAttr(3.0)
-        sun.CreateAngleAttr(0.53)
-        sun.CreateNormalizeAttr(True)
-        UsdGeom.Xformable(sun).AddTransformOp().Set(
-            Gf.Matrix4d(1.0).SetRotate(Gf.Rotation(Gf.Vec3d(1, 0, 0), 30.0))
-        )
     stage.GetRootLayer().Save()
     return path
 

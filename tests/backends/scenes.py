@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.backends.stage.scene import Camera, Lighting, Mesh, RenderScene, Rows
+from scenec.backends.testing.scenes import affine, icosphere, rotation
 
 SKY = 1
 
@@ -30,27 +31,6 @@ def mesh(
         labels={"class": np.broadcast_to(np.uint32(labels), len(faces)).copy()},
         layers=(),
         weights=np.empty((0, 0), np.float32),
-    )
-
-
-def affine(linear: NDArray | float = 1.0, offset: Sequence[float] = (0.0, 0.0, 0.0)) -> NDArray:
-    """A 3x4 matrix from a linear part (a number scales) and an offset."""
-    matrix = np.empty((3, 4))
-    matrix[:, :3] = np.eye(3) * linear if np.ndim(linear) == 0 else linear
-    matrix[:, 3] = offset
-    return matrix
-
-
-def rotation(rng: np.random.Generator) -> NDArray:
-    """A random rotation matrix, uniform over all."""
-    q = rng.normal(size=4)
-    w, x, y, z = q / np.sqrt((q * q).sum())
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
     )
 
 
@@ -116,32 +96,6 @@ def grid(heights: NDArray, spacing: float) -> Mesh:
         [np.stack([a, a + 1, a + nx + 1], 1), np.stack([a, a + nx + 1, a + nx], 1)], axis=1
     )
     return mesh(points, faces)
-
-
-def icosphere(subdivisions: int) -> tuple[NDArray, NDArray]:
-    """Vertices on the unit sphere (float64) and faces, closed, 20 * 4**subdivisions triangles."""
-    g = (1 + 5**0.5) / 2
-    points = [(-1, g, 0), (1, g, 0), (-1, -g, 0), (1, -g, 0), (0, -1, g), (0, 1, g),
-              (0, -1, -g), (0, 1, -g), (g, 0, -1), (g, 0, 1), (-g, 0, -1), (-g, 0, 1)]  # fmt: skip
-    faces = [(0, 11, 5), (0, 5, 1), (0, 1, 7), (0, 7, 10), (0, 10, 11), (1, 5, 9), (5, 11, 4),
-             (11, 10, 2), (10, 7, 6), (7, 1, 8), (3, 9, 4), (3, 4, 2), (3, 2, 6), (3, 6, 8),
-             (3, 8, 9), (4, 9, 5), (2, 4, 11), (6, 2, 10), (8, 6, 7), (9, 8, 1)]  # fmt: skip
-    p = np.array(points, float)
-    f = np.array(faces, np.int32)
-    for _ in range(subdivisions):
-        edges = np.sort(np.concatenate([f[:, [0, 1]], f[:, [1, 2]], f[:, [2, 0]]]), axis=1)
-        unique, inverse = np.unique(edges, axis=0, return_inverse=True)
-        m = len(p) + inverse.reshape(3, -1)
-        p = np.concatenate([p, p[unique].mean(axis=1)])
-        f = np.concatenate(
-            [
-                np.stack([f[:, 0], m[0], m[2]], 1),
-                np.stack([f[:, 1], m[1], m[0]], 1),
-                np.stack([f[:, 2], m[2], m[1]], 1),
-                np.stack([m[0], m[1], m[2]], 1),
-            ]
-        )
-    return p / np.sqrt((p * p).sum(axis=1))[:, None], f.astype(np.int32)
 
 
 def rocky(

@@ -6,7 +6,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import mitsuba_scenes as ms
 import numpy as np
 import pytest
 from examples import examples
@@ -29,6 +28,7 @@ from scenec.backends.picture.airlight import (
 )
 from scenec.backends.picture.sky import Sky, lookup, texel_directions
 from scenec.backends.stage.scene import Haze, Sun
+from scenec.backends.testing import scenes as ms
 
 GRAY = np.array([0.4, 0.5, 0.6])
 FLAT = Sky(GRAY.reshape(1, 1, 3).astype(np.float32), np.eye(3))

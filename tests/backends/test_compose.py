@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import mitsuba_scenes as ms
 import numpy as np
 import pytest
 from hypothesis import given
@@ -17,6 +16,7 @@ from scenec.backends.contract import Radiance
 from scenec.backends.picture.compose import compose, disc_fraction
 from scenec.backends.picture.sky import Sky, combine, load_picture, lookup, texel_directions
 from scenec.backends.stage.scene import Dome, RenderScene
+from scenec.backends.testing import scenes as ms
 from scenec.schemas.errors import StageError
 from scenec.schemas.picture import SHOULDER, develop, srgb_encode, tone_map, write_png
 

@@ -11,17 +11,6 @@ import pytest
 from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
-from mitsuba_scenes import (
-    dome,
-    look_at,
-    mesh,
-    plane,
-    scene,
-    sun,
-    surface,
-    with_lights,
-    write_latlong,
-)
 from PIL import Image
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux, Vt
 
@@ -32,6 +21,17 @@ from scenec.backends.picture.metering import look
 from scenec.backends.run.render import render
 from scenec.backends.stage.read import read_stage
 from scenec.backends.stage.scene import Camera, Lamp, Lighting, RenderScene
+from scenec.backends.testing.scenes import (
+    dome,
+    look_at,
+    mesh,
+    plane,
+    scene,
+    sun,
+    surface,
+    with_lights,
+    write_latlong,
+)
 from scenec.schemas.errors import StageError
 from scenec.schemas.imaging import Imaging, shown_per_value
 from scenec.schemas.lens import Lens

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 from blur_scenes import Flat, ahead, of_plates, picture, plate, session
-from mitsuba_scenes import dome, mesh, scene, surface
 from numpy.typing import NDArray
 
 from scenec.backends.exact import ExactCaster
 from scenec.backends.picture.subframes import measure, moved_eye
 from scenec.backends.run.session import Session
 from scenec.backends.stage.scene import Camera, Focus, Haze, Lighting, RenderScene, Sun
+from scenec.backends.testing.scenes import dome, mesh, scene, surface
 from scenec.schemas.lens import to_pixels
 
 #: A plate whose picture is 4 by 4 pixels, right of the middle: 4 m away, 40 pixels of focal length.

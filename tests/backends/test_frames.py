@@ -6,12 +6,12 @@ import dataclasses
 import json
 from pathlib import Path
 
-import mitsuba_scenes as ms
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from scenec.backends.run.writer import write_frame
+from scenec.backends.testing import scenes as ms
 from scenec.schemas.errors import FrameError, OutputError
 from scenec.schemas.exr import read_exr, write_exr
 from scenec.schemas.frames import FrameKey, frame_stem, is_done, read_frame

@@ -5,11 +5,9 @@ from __future__ import annotations
 import sys
 from dataclasses import replace
 
-import mitsuba_scenes as ms
 import numpy as np
 import pytest
 import scenes
-from mitsuba_scenes import write_latlong
 from numpy.typing import NDArray
 from third_party import LEVEL, Raster
 
@@ -21,6 +19,8 @@ from scenec.backends.picture.haze import Veil, air_at, veil
 from scenec.backends.picture.sky import combine
 from scenec.backends.run.session import Session
 from scenec.backends.stage.scene import Camera, Dome, Haze, Lighting, RenderScene
+from scenec.backends.testing import scenes as ms
+from scenec.backends.testing.scenes import write_latlong
 
 GRAY = np.array([0.4, 0.5, 0.6])
 

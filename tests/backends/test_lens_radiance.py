@@ -9,7 +9,6 @@ import cv2
 import numpy as np
 import pytest
 from lens_scenes import BROWN, CAMERAS, FISHEYE, PANORAMA, with_lens
-from mitsuba_scenes import dome, look_at, mesh, plane, scene, sun, surface
 from numpy.typing import NDArray
 
 from scenec.backends.camera.lens import TOLERANCE_PX, ray_table
@@ -21,6 +20,7 @@ from scenec.backends.picture import resample
 from scenec.backends.picture.compose import compose, disc_fraction
 from scenec.backends.run.session import Session
 from scenec.backends.stage.scene import Camera, RenderScene
+from scenec.backends.testing.scenes import dome, look_at, mesh, plane, scene, sun, surface
 from scenec.schemas.errors import BackendError
 from scenec.schemas.lens import Lens
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import importlib.util
 
-import mitsuba_scenes as ms
 import numpy as np
 import pytest
 import scenes
@@ -17,6 +16,7 @@ from scenec.backends.exact import ExactCaster
 from scenec.backends.mitsuba.adapter import Mitsuba
 from scenec.backends.run.memory import peak, reset_peak
 from scenec.backends.stage.scene import Motion, RenderScene
+from scenec.backends.testing import scenes as ms
 
 pytestmark = pytest.mark.skipif(
     importlib.util.find_spec("mitsuba") is None, reason="Mitsuba is not installed"

@@ -10,7 +10,6 @@ from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
 from lens_scenes import CAMERAS, around
-from mitsuba_scenes import look_at
 from numpy.typing import NDArray
 from scenes import affine, mesh, scene
 from scipy.spatial.transform import Rotation, Slerp
@@ -29,6 +28,7 @@ from scenec.backends.camera.shutter import (
 from scenec.backends.exact import ExactCaster
 from scenec.backends.picture.compose import background
 from scenec.backends.stage.scene import Camera, Lighting, OpenShutter, RenderScene, Sun
+from scenec.backends.testing.scenes import look_at
 from scenec.schemas.correspondence import VISIBLE
 from scenec.schemas.depth_camera import DepthCamera, StereoDepth
 from scenec.schemas.shutter import Shutter, between

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import mitsuba_scenes as ms
 import pytest
 import scenes
 from numpy.typing import NDArray
@@ -10,6 +9,7 @@ from numpy.typing import NDArray
 from scenec.backends.contract import Backend
 from scenec.backends.registry import open_backend
 from scenec.backends.stage.scene import RenderScene
+from scenec.backends.testing import scenes as ms
 
 ALBEDO = 0.5
 

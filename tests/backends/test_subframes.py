@@ -10,7 +10,6 @@ from blur_scenes import Flat, ahead, of_plates, picture, plate, session, shaken
 from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
-from mitsuba_scenes import dome, mesh, scene, surface
 from numpy.typing import NDArray
 
 from scenec.backends.camera.shutter import poses_at
@@ -21,6 +20,7 @@ from scenec.backends.picture.adaptive import Target
 from scenec.backends.picture.subframes import Blur, measure, share_out, sub_frames
 from scenec.backends.run.session import Session
 from scenec.backends.stage.scene import Camera, Focus, Haze, OpenShutter, RenderScene
+from scenec.backends.testing.scenes import dome, mesh, scene, surface
 from scenec.schemas.errors import BackendError
 from scenec.schemas.lens import Lens
 from scenec.schemas.shutter import Shutter

@@ -36,6 +36,7 @@ FLOORS = {
         ("mitsuba", "cycles", "pyrender"),
         ("run",),
         ("check",),
+        ("testing",),
     ),
 }
 #: What stands in no room.

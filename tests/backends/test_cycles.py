@@ -1,0 +1,178 @@
+"""What is special to Cycles, and its conformance."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from scenec.backends.camera.rays import camera_rays
+from scenec.backends.cycles import Cycles, camera, render
+from scenec.backends.picture.sky import combine, lookup
+from scenec.backends.stage.scene import Dome, RenderScene
+from scenec.backends.testing import Conformance, Lacks, geometry, looks
+from scenec.backends.testing import scenes as ms
+from scenec.schemas.errors import BackendError
+
+TOLERANCES = {"intrinsics[skewed]": Lacks("Blender has no cameras with a skew")}
+
+
+class TestCycles(Conformance):
+    """All but skew, within the default tolerance."""
+
+    backend = Cycles
+    tolerances = TOLERANCES
+
+
+def loaded(scene: RenderScene) -> Cycles:
+    backend = Cycles()
+    backend.load(scene)
+    return backend
+
+
+# Light
+
+
+@pytest.mark.parametrize("shape", [(7, 12), (64, 128)])
+def test_the_sky_of_cycles_is_the_shared_lookup_in_every_direction(tmp_path, shape):
+    rng = np.random.default_rng(4)
+    file = ms.write_latlong(tmp_path / "sky.exr", rng.uniform(0.1, 5, (*shape, 3)))
+    for to_world in (ms.DOME_Z_UP, ms.rotation(rng)):
+        dome = Dome(file, np.array([1.0, 2.0, 0.5]), to_world)
+        sky = combine((dome,))
+        assert sky is not None
+        backend = loaded(ms.scene([ms.mesh(*ms.plane(1e-3))], lights=[dome]))
+        built = backend._require_loaded()
+        built.set_light(0)
+        # The sky itself, as no picture of ours shows it.
+        built.scene.render.film_transparent = False
+        for target in ((1, 0, 0), (0.01, 0, 1), (0, 0.01, -1), (-1, 0.3, 0)):
+            eye = np.array([0, 0, 5.0])
+            view = ms.look_at(eye, eye + target, 48, 36, 90)
+            lens = camera.find_lens(view)
+            assert not isinstance(lens, str)
+            camera.place(built.scene, built.camera, view, lens, built.frame)
+            render.for_visibility(built.scene)
+            seen = render.draw(backend._bpy, built.scene, [render.COMBINED])[0][..., :3]
+            expected = lookup(sky, camera_rays(view).directions).reshape(seen.shape)
+            # At a pole itself longitude, and with it the lookup, is undefined.
+            assert np.mean(np.abs(seen - expected) > 2e-3) < 1e-3
+            assert np.median(np.abs(seen - expected)) < 1e-4
+
+
+def test_samples_of_a_pixel_are_counted():
+    # Three samples a half: sixths, and nothing between.
+    made = geometry.edge(0.3)
+    sixths = loaded(made).radiance(made.cameras[0][0], 0, 6, 0)
+    assert sixths.spp == 6
+    assert set(np.unique(np.round(sixths.coverage * 6, 5))) <= set(range(7))
+
+
+@pytest.mark.slow
+def test_denoising_takes_noise_and_leaves_rims():
+    ball, faces = ms.icosphere(3)
+    view = ms.look_at((0, -6, 1.0), (0, 0, 1.2), 96, 72, 50)
+    scene = ms.scene(
+        [ms.mesh(*ms.plane(8.0)), ms.mesh(ball, faces, (1,), normals=ball)],
+        [ms.surface((0.5, 0.4, 0.3)), ms.surface((0.2, 0.3, 0.4), 0.3, 0.4)],
+        rows=[(0, ms.affine()), (1, ms.affine(1.0, (0, 0, 0.8)))],
+        cameras=[view],
+        lights=[ms.sun(40, 20, 500, 3.0), ms.dome(40.0)],
+    )
+    backend = loaded(scene)
+    plain = backend.radiance(view, 0, 8, 1)
+    denoised = backend.radiance(view, 0, 8, 1, denoise=True)
+    clean = denoised.denoised
+    assert clean is not None
+    true = backend.radiance(view, 0, 512, 2).halves.mean(axis=0)
+    noisy = plain.halves.mean(axis=0)
+    inside = plain.coverage == 1.0
+    assert np.mean((clean - true)[inside] ** 2) < 0.7 * np.mean((noisy - true)[inside] ** 2)
+    assert clean[inside].mean() == pytest.approx(true[inside].mean(), rel=0.01)
+    rim = (plain.coverage > 0.0) & ~inside
+    assert rim.sum() > 30
+    np.testing.assert_array_equal(clean[rim], noisy[rim])
+
+
+def test_what_is_not_exact_is_said():
+    assert "aureole" in "".join(Cycles().losses(looks.laws_under_sky()))
+    assert Cycles().losses(looks.metals_under_sky()) == ()
+
+
+# What it is
+
+
+def test_a_skew_is_refused_by_name():
+    made = geometry.seen_variously()
+    backend = loaded(made)
+    view = made.cameras[list(geometry.INTRINSICS).index("skewed")][0]
+    assert backend.witness(camera_rays(view), 0, None) is None
+    assert backend.witness(camera_rays(view), 0, view) is None
+    with pytest.raises(BackendError, match="skew of 6"):
+        backend.radiance(view, 0, 2, 0)
+
+
+def test_broken_faces_are_said_in_one_line():
+    broken = ms.scene([ms.mesh(np.zeros((3, 3)), np.array([[0, 1, 2]]))])
+    mesh = dataclasses.replace(broken.meshes[0], faces=np.array([[0, 1, 3]], np.int32))
+    with pytest.raises(BackendError, match="reach beyond the 3 points"):
+        Cycles().load(dataclasses.replace(broken, meshes=(mesh,)))
+
+
+def test_devices_are_the_cpu_or_gpus_that_are_there():
+    assert Cycles(device="cpu").device == "cpu"
+    chosen = Cycles(device="auto").device
+    assert chosen in Cycles.devices
+    assert f" {chosen} " in Cycles().version()
+    if chosen == "cpu":
+        for gpu in ("cuda", "optix"):
+            with pytest.raises(BackendError, match=f"{gpu}.*--device cpu") as raised:
+                Cycles(device=gpu)
+            assert len(str(raised.value).splitlines()) == 1
+    else:
+        assert Cycles(device=chosen).device == chosen
+
+
+ALONE = """
+import os
+from scenec.backends.testing import scenes as ms
+from scenec.backends.cycles import Cycles
+camera = ms.look_at((0, 0, 10), (0, 0, 0), 8, 8)
+backend = Cycles()
+backend.load(ms.scene([ms.mesh(*ms.plane())], cameras=[camera], lights=[ms.sun(90.0)]))
+light = backend.radiance(camera, 0, 2, 0, denoise=True).halves
+print(round(float(light.mean()), 2), os.environ["OCIO"], flush=True)
+os._exit(0)
+"""
+
+
+def test_nothing_of_a_users_blender_is_read_and_nothing_is_left_or_said(tmp_path: Path):
+    # Start-up scripts and a broken color configuration of the user's; an end as workers have it.
+    scripts, temporary, home = (tmp_path / name for name in ("scripts", "tmp", "home"))
+    (scripts / "startup").mkdir(parents=True)
+    marker = tmp_path / "ran"
+    (scripts / "startup" / "own.py").write_text(f"open({str(marker)!r}, 'w').close()\n")
+    temporary.mkdir()
+    home.mkdir()
+    done = subprocess.run(
+        [sys.executable, "-c", ALONE],
+        env={
+            **os.environ,
+            "BLENDER_USER_SCRIPTS": str(scripts),
+            "OCIO": "/no/such.ocio",
+            "TMPDIR": str(temporary),
+            "HOME": str(home),
+        },
+        check=True,
+        capture_output=True,
+        text=True,
+    )
+    assert done.stdout == f"{1000 * 0.5 / np.pi:.2f} /no/such.ocio\n"
+    assert not marker.exists()
+    assert list(temporary.iterdir()) == []
+    assert [path for path in home.rglob("*") if path.is_file()] == []
