@@ -20,6 +20,7 @@ from scenec.backends.picture import resample
 from scenec.backends.picture.compose import compose, disc_fraction
 from scenec.backends.run.session import Session
 from scenec.backends.stage.scene import Camera, RenderScene
+from scenec.backends.testing.geometry import LENSES, inside_glow
 from scenec.backends.testing.scenes import dome, look_at, mesh, plane, scene, sun, surface
 from scenec.schemas.errors import BackendError
 from scenec.schemas.lens import Lens
@@ -165,19 +166,14 @@ def drawn(backend: Any, camera: Camera, spp: int, way: str) -> Radiance:
     return resample.draw(backend, camera, resample.plan_views(camera), 0, spp, 7, False)
 
 
-@pytest.mark.parametrize("way", ["rays", "resampled"])
-@pytest.mark.parametrize("name", CAMERAS)
-def test_in_even_light_every_pixel_with_a_ray_shows_it(name: str, way: str) -> None:
-    """A box around the camera that glows: 1 wherever there is a ray, 0 where there is none."""
-    camera = CAMERAS[name]
-    eye = camera.camera_to_world[:3, 3]
-    corners = np.array([[x, y, z] for x in (-5, 5) for y in (-5, 5) for z in (-5, 5)]) + eye
-    faces = [[0, 1, 3], [0, 3, 2], [4, 7, 5], [4, 6, 7], [0, 5, 1], [0, 4, 5], [2, 3, 7], [2, 7, 6],
-             [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]]  # fmt: skip
-    glow = dataclasses.replace(surface((0.0, 0.0, 0.0)), emission=(1.0, 1.0, 1.0))
+@pytest.mark.parametrize("name", LENSES)
+def test_in_even_light_every_pixel_with_a_ray_shows_it(name: str) -> None:
+    """In a box that glows: 1 wherever there is a ray, 0 where there is none; of pinhole views."""
+    world = inside_glow(name)
+    camera = world.cameras[0][0]
     backend = Mitsuba(bounces=0)
-    backend.load(scene([mesh(corners, np.array(faces))], [glow]))
-    found = drawn(backend, camera, 4, way)
+    backend.load(world)
+    found = drawn(backend, camera, 4, "resampled")
     known = ray_table(camera).known
     assert np.allclose(found.halves[:, known], 1.0, atol=1e-5)
     assert (found.halves[:, ~known] == 0.0).all()
