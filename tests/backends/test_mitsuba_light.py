@@ -8,11 +8,13 @@ import mitsuba_scenes as ms
 import numpy as np
 import pytest
 import scenes
+from numpy.typing import NDArray
 
 from scenec.backends.contract import Radiance
 from scenec.backends.mitsuba import Mitsuba
 from scenec.backends.mitsuba.adapter import MAX_WAVEFRONT, mix, split_samples
-from scenec.backends.picture.sky import combine, texel_directions
+from scenec.backends.mitsuba.emitter import sky_guide
+from scenec.backends.picture.sky import Sky, combine, texel_directions
 from scenec.backends.stage.scene import RenderScene
 
 #: Standard errors allowed; two-sided odds of a false alarm are 6e-7 a test.
@@ -240,6 +242,52 @@ def test_sample_counts_split_into_passes_that_fit_and_add_up(spp):
         assert sum(parts) == spp
         assert min(parts) >= 1
         assert max(parts) == 1 or (max(parts) - 1) * pixels < MAX_WAVEFRONT
+
+
+def test_only_what_is_bright_of_a_sky_is_drawn():
+    up = texel_directions(16, 32) @ ms.DOME_Z_UP[2]
+    even = np.ones((16, 32, 3), np.float32)
+    bright = even.copy()
+    bright[4, 9] = 50.0
+    below = even.copy()
+    below[12, 9] = 50.0
+
+    def guide(picture: NDArray[np.float32], least: float = 0.0) -> NDArray[np.float32] | None:
+        found = sky_guide(Sky(picture, ms.DOME_Z_UP), least)
+        return None if found is None else found.picture[..., 0]
+
+    assert guide(even[:1, :1]) is None
+    assert guide(0.0 * even) is None
+    above = guide(even)
+    assert above is not None
+    # The sky's picture alone is even; what level ground sees of it is not.
+    assert (above[up < 0.2] == 0.0).all()
+    assert (above[up > 0.8] > 0.0).all()
+    spots = guide(bright), guide(below)
+    assert all(spot is not None and spot.argmax() == p[..., 0].argmax()
+               for spot, p in zip(spots, (bright, below), strict=True))  # fmt: skip
+    assert guide(bright, 1.0) is not None
+    assert guide(bright, 1000.0) is None
+
+
+@pytest.mark.parametrize(
+    ("share", "samples", "expected"),
+    [(0.0, 8, 0.0), (1.0, 8, 1.0), (0.6, 8, 0.5), (0.7, 8, 0.75), (0.7, 2, 0.5), (0.7, 1, 0.5),
+     (0.02, 4, 0.25), (0.99, 12, 0.75), (0.99, 6, 0.5)],
+)  # fmt: skip
+def test_suns_and_sky_share_samples_in_quarters_or_halves(share, samples, expected):
+    backend = Mitsuba()
+    backend.load(over_plane([ms.sun(40), ms.dome(300.0)]))
+    backend._light.sun_share = share
+    backend._light.split(samples)
+    assert float(backend._light.sun_fraction[0]) == expected
+
+
+def test_a_weak_sun_is_chosen_rarely_and_counts_in_full():
+    lights = [ms.sun(50, 0, 990.0), ms.sun(30, 80, 10.0)]
+    lit = render(over_plane(lights), 256)
+    expected = 0.5 / np.pi * (990 * np.sin(np.radians(50)) + 10 * np.sin(np.radians(30)))
+    assert_mean(lit, expected)
 
 
 def test_seeds_of_halves_are_all_different():
