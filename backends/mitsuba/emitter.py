@@ -15,6 +15,7 @@ Import it once Mitsuba's variant is set.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import drjit as dr
@@ -34,6 +35,9 @@ from scenec.backends.stage.scene import Lighting
 PLUGIN = "scenec_sky_sun"
 #: A sample of the sky's guide is about as noisy as so many times its light from a sun (measured).
 SKY_NOISE = 3.0
+#: Of a sky that differs from its mean by less than this share of the suns' light nothing is drawn:
+#: all samples of light go to the suns.
+LEAST_DRAWN = 0.1
 #: Of directions' weight in the guide: what is the same for all, as for surfaces that face
 #: anywhere. The rest is the cosine from the zenith, as for level ground.
 ANYWHERE = 0.25
@@ -88,10 +92,12 @@ class SkySun(mi.Emitter):
         sky = combine(lighting.domes)
         lit = sky is not None and np.any(sky.picture)
         self.dome = mi.load_dict(dome_dict(sky)) if sky is not None and lit else None
-        guide = None if sky is None else sky_guide(sky)
+        powers = np.array([np.mean(sun.irradiance) for sun in lighting.suns])
+        # A surface turned anyhow towards a sun gets half its irradiance on average.
+        from_suns = 0.5 * float(powers.sum())
+        guide = None if sky is None else sky_guide(sky, LEAST_DRAWN * from_suns)
         self.guide = None if guide is None else mi.load_dict(dome_dict(guide))
         self.suns = []
-        powers = np.array([np.mean(sun.irradiance) for sun in lighting.suns])
         for sun, power in zip(lighting.suns, powers, strict=True):
             if power <= 0.0:
                 continue
@@ -108,8 +114,6 @@ class SkySun(mi.Emitter):
             dr.make_opaque(*values)
             self.suns.append(values)
         from_sky = 0.0 if guide is None else np.pi * float(mean_radiance(guide).mean())
-        # A surface turned anyhow towards a sun gets half its irradiance on average.
-        from_suns = 0.5 * float(powers.sum())
         self.drawn_irradiance = from_suns + from_sky
         self.sun_share = 0.0
         if from_suns > 0.0:
@@ -198,16 +202,23 @@ class SkySun(mi.Emitter):
 mi.register_emitter(PLUGIN, SkySun)
 
 
-def sky_guide(sky: Sky) -> Sky | None:
-    """Of a sky what is brighter than its mean, as surfaces see it; None of a constant one.
+def sky_guide(sky: Sky, least: float) -> Sky | None:
+    """Of a sky what is brighter than its mean, as an average surface sees it.
 
-    Both brightness and mean are weighed by how much of a direction's light an average surface gets.
+    Brightness and mean are weighed by how much of a direction's light such a surface gets.
+
+    Args:
+        sky: The sky.
+        least: Irradiance, W/m^2; None is returned of a sky whose guide's root mean square radiance,
+            from all around, gives less.
     """
     if sky.constant:
         return None
     height, width = sky.picture.shape[:2]
     up = texel_directions(height, width) @ sky.to_world[2]
     weight = ANYWHERE + (1.0 - ANYWHERE) * np.maximum(up, 0.0)
-    seen = Sky(np.asarray(sky.picture.mean(axis=-1) * weight, np.float32)[..., None], sky.to_world)
-    above = np.maximum(seen.picture - mean_radiance(seen), 0.0).astype(np.float32)
-    return Sky(np.repeat(above, 3, axis=-1), sky.to_world) if np.any(above) else None
+    seen = sky.picture.mean(axis=-1) * weight
+    mean = mean_radiance(replace(sky, picture=seen[..., None]))
+    guide = replace(sky, picture=np.repeat(np.maximum(seen - mean, 0.0)[..., None], 3, axis=-1))
+    square = mean_radiance(replace(guide, picture=np.square(guide.picture, dtype=np.float64)))
+    return guide if np.pi * float(np.sqrt(square[0])) > least else None

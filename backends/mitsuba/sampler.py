@@ -1,7 +1,7 @@
 """Owen-scrambled Sobol' points as a sampler of Mitsuba. Import it once the variant is set.
 
 Mitsuba's own structured samplers are biased in indirect light, since their dimensions depend on
-each other (docs/noise.md). Here each call gives the first one or two dimensions of the Sobol'
+each other (docs/numbers.md). Here each call gives the first one or two dimensions of the Sobol'
 sequence anew: their order shuffled and each coordinate scrambled, both by nested uniform scrambling
 (Owen 1995), keyed by a hash of seed, pixel and call. So each point alone is uniform, calls do not
 know of each other, and of each call every 2**k samples of a pixel, from a multiple of 2**k on, have

@@ -4,25 +4,24 @@ from __future__ import annotations
 
 import importlib.metadata
 
-import mitsuba_scenes as ms
 import numpy as np
 import pytest
-import scenes
 from test_mitsuba_kept import field, loaded
 
 from scenec.backends.picture import denoise
 from scenec.backends.registry import open_backend
 from scenec.backends.run.plan import RenderPlan
 from scenec.backends.stage.scene import RenderScene
+from scenec.backends.testing import scenes as ms
 from scenec.schemas.errors import BackendError
 
 
 def ball_on_a_plane() -> RenderScene:
-    ball, faces = scenes.icosphere(3)
+    ball, faces = ms.icosphere(3)
     return ms.scene(
         [ms.mesh(*ms.plane(8.0)), ms.mesh(ball, faces, (1,), normals=ball)],
         [ms.surface((0.5, 0.4, 0.3)), ms.surface((0.2, 0.3, 0.4), 0.3, 0.4)],
-        rows=[(0, scenes.affine()), (1, scenes.affine(1.0, (0, 0, 0.8)))],
+        rows=[(0, ms.affine()), (1, ms.affine(1.0, (0, 0, 0.8)))],
         cameras=[ms.look_at((0, -6, 1.0), (0, 0, 1.2), 96, 72, 50)],
         lights=[ms.sun(40, 20, 500, 3.0), ms.dome(40.0)],
     )

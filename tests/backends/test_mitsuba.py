@@ -5,15 +5,16 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from scenec.backends.mitsuba import Mitsuba, variant
 from scenec.backends.mitsuba.adapter import MAX_WAVEFRONT, mix, split_samples
-from scenec.backends.mitsuba.emitter import dome_dict
-from scenec.backends.picture.sky import combine, lookup, texel_directions
-from scenec.backends.stage.scene import Dome
+from scenec.backends.picture.sky import Sky, combine, lookup, texel_directions
+from scenec.backends.stage.scene import Dome, RenderScene
 from scenec.backends.testing import Conformance
 from scenec.backends.testing import scenes as ms
 
@@ -32,6 +33,9 @@ def test_mitsubas_sky_is_the_shared_lookup_in_every_direction(tmp_path, rotation
     sky = combine((Dome(file, np.array([1.0, 2.0, 0.5]), to_world),))
     assert sky is not None
     mi = variant.load_mitsuba()
+    # Once the variant is set.
+    from scenec.backends.mitsuba.emitter import dome_dict
+
     directions = rng.normal(size=(5000, 3))
     directions /= np.linalg.norm(directions, axis=1)[:, None]
     # Centers of texels too, and the neighborhoods of the poles; at a pole itself longitude, and
@@ -40,7 +44,7 @@ def test_mitsubas_sky_is_the_shared_lookup_in_every_direction(tmp_path, rotation
     poles = np.array([[0.01, 1, 0.02], [-0.02, 1, 0.01], [0.01, -1, -0.02], [-0.01, -1, 0.02]])
     near = poles / np.linalg.norm(poles, axis=1)[:, None]
     directions = np.concatenate([directions, texels @ to_world.T, near @ to_world.T])
-    emitter = mi.load_dict(dome_dict(mi, sky))
+    emitter = mi.load_dict(dome_dict(sky))
     si = mi.SurfaceInteraction3f()
     si.wi = mi.Vector3f(np.ascontiguousarray(-directions.T, np.float32))
     theirs = np.array(emitter.eval(si)).T
@@ -56,9 +60,8 @@ def test_sample_counts_split_into_passes_that_fit_and_add_up(spp):
         assert max(parts) == 1 or (max(parts) - 1) * pixels < MAX_WAVEFRONT
 
 
-def test_seeds_of_parts_are_all_different():
-    seeds = {mix(seed, half, part) for seed in range(20) for half in range(2) for part in range(9)}
-    assert len(seeds) == 360
+def test_seeds_of_halves_are_all_different():
+    assert len({mix(seed, half) for seed in range(200) for half in range(2)}) == 400
 
 
 def test_libllvm_is_found_in_the_wheel_without_importing_it():
@@ -93,3 +96,104 @@ def test_an_unusable_variant_is_said_in_one_line(setting, told):
     )
     assert told in done.stdout
     assert len(done.stdout.splitlines()) == 1
+
+
+def cup() -> RenderScene:
+    """A white box without a lid, which a camera looks into from above."""
+    square = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    points = np.concatenate(
+        [np.column_stack([square, np.zeros(4)]), np.column_stack([square, np.full(4, 2.0)])]
+    )
+    quads = [(0, 1, 2, 3), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7)]
+    faces = [t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))]
+    camera = ms.look_at((0, 0, 6), (0, 0, 0), 32, 32, 12)
+    white = ms.surface((1, 1, 1))
+    return ms.scene([ms.mesh(points, faces)], [white], cameras=[camera], lights=[ms.dome(1.0)])
+
+
+def test_four_bounces_in_a_white_cup_are_those_of_independent_samples(tmp_path):
+    # Under a sun and a sky whose bright part is drawn: all of a path's dimensions count.
+    picture = np.ones((8, 16, 3))
+    picture[1, 3] = 30.0
+    sky = ms.write_latlong(tmp_path / "sky.exr", picture)
+    box = ms.with_lights(cup(), [ms.sun(50.0), ms.dome(100.0, sky)])
+    backend = Mitsuba()
+    backend.load(box)
+
+    def means(spp: int, seeds: range) -> tuple[float, float]:
+        found = [backend.radiance(box.cameras[0][0], 0, spp, s).halves.mean() for s in seeds]
+        return float(np.mean(found)), float(np.std(found, ddof=1) / np.sqrt(len(found)))
+
+    ours, our_error = means(8, range(24))
+
+    def independent(seed: Any, pixel: Any, index: Any) -> Any:
+        import mitsuba as mi
+
+        sampler = mi.load_dict({"type": "independent"})
+        sampler.seed(seed, len(pixel))
+        return sampler
+
+    backend._sampler = independent
+    theirs, their_error = means(256, range(8))
+    error = np.hypot(our_error, their_error)
+    assert error < 2e-3 * ours
+    assert abs(ours - theirs) < 6.0 * error
+
+
+def test_only_what_is_bright_of_a_sky_is_drawn():
+    variant.load_mitsuba()
+    # Once the variant is set.
+    from scenec.backends.mitsuba.emitter import sky_guide
+
+    up = texel_directions(16, 32) @ ms.DOME_Z_UP[2]
+    even = np.ones((16, 32, 3), np.float32)
+    bright = even.copy()
+    bright[4, 9] = 50.0
+    below = even.copy()
+    below[12, 9] = 50.0
+
+    def guide(picture: NDArray[np.float32], least: float = 0.0) -> NDArray[np.float32] | None:
+        found = sky_guide(Sky(picture, ms.DOME_Z_UP), least)
+        return None if found is None else found.picture[..., 0]
+
+    assert guide(even[:1, :1]) is None
+    assert guide(0.0 * even) is None
+    above = guide(even)
+    assert above is not None
+    # The sky's picture alone is even; what level ground sees of it is not.
+    assert (above[up < 0.2] == 0.0).all()
+    assert (above[up > 0.8] > 0.0).all()
+    spots = guide(bright), guide(below)
+    assert all(spot is not None and spot.argmax() == p[..., 0].argmax()
+               for spot, p in zip(spots, (bright, below), strict=True))  # fmt: skip
+    assert guide(bright, 1.0) is not None
+    assert guide(bright, 1000.0) is None
+
+
+def over_plane(lights: list, albedo: float = 0.5) -> RenderScene:
+    surface = ms.surface((albedo,) * 3)
+    camera = ms.look_at((0, 0, 10), (0, 0, 0))
+    return ms.scene([ms.mesh(*ms.plane())], [surface], cameras=[camera], lights=lights)
+
+
+@pytest.mark.parametrize(
+    ("share", "samples", "expected"),
+    [(0.0, 8, 0.0), (1.0, 8, 1.0), (0.6, 8, 0.5), (0.7, 8, 0.75), (0.7, 2, 0.5), (0.7, 1, 0.5),
+     (0.02, 4, 0.25), (0.99, 12, 0.75), (0.99, 6, 0.5)],
+)  # fmt: skip
+def test_suns_and_sky_share_samples_in_quarters_or_halves(share, samples, expected):
+    backend = Mitsuba()
+    backend.load(over_plane([ms.sun(40), ms.dome(300.0)]))
+    backend._light.sun_share = share
+    backend._light.split(samples)
+    assert float(backend._light.sun_fraction[0]) == expected
+
+
+def test_a_weak_sun_is_chosen_rarely_and_counts_in_full():
+    lit = over_plane([ms.sun(50, 0, 990.0), ms.sun(30, 80, 10.0)])
+    backend = Mitsuba()
+    backend.load(lit)
+    light = backend.radiance(lit.cameras[0][0], 0, 256, 1).halves.mean(axis=0, dtype=np.float64)
+    expected = 0.5 / np.pi * (990 * np.sin(np.radians(50)) + 10 * np.sin(np.radians(30)))
+    error = light[..., 0].std(ddof=1) / np.sqrt(light[..., 0].size)
+    assert abs(light[..., 0].mean() - expected) <= 5.0 * error + 1e-4 * expected

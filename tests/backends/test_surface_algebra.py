@@ -8,7 +8,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import mitsuba_scenes as ms
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -16,6 +15,7 @@ from numpy.typing import NDArray
 from scenec.backends.stage.scene import Reflectance
 from scenec.backends.surface import cells, lamps, lobes, merges, projections, reflectance
 from scenec.backends.surface.algebra import FLOAT64, Algebra
+from scenec.backends.testing import scenes as ms
 
 POINTS = 64
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import mitsuba_scenes as ms
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -11,6 +10,7 @@ from scenec.backends import registry
 from scenec.backends.stage.scene import RenderScene, Surface
 from scenec.backends.surface import lobes
 from scenec.backends.surface.algebra import FLOAT64
+from scenec.backends.testing import scenes as ms
 
 ROUGHNESS = (0.05, 0.2, 0.35, 0.5, 0.65, 0.8, 0.9, 1.0)
 #: (specular, metallic): metals, white gloss, and both beside a dull lobe.
