@@ -454,8 +454,7 @@ class Conformance:
     def test_metals_under_a_sky(self, case: str) -> None:
         """A metal shows its color times the albedo of its lobe; the smoothest is a mirror."""
         made, sample = self.case("metals_under_a_sky", case, looks.METALS, looks.metals_under_sky)
-        color = np.array(made.surfaces[sample].base_color)
-        shown = reference.metal_albedo(color, looks.METALS[case], looks.cosine(made))
+        shown = reference.metal_albedo(made.surfaces[sample], looks.cosine(made))
         self.hold("metals_under_a_sky", case, made, sample, looks.SKY * shown, 4 * SAMPLES)
 
     # Time

@@ -188,18 +188,11 @@ def lobe_albedo(roughness: float, mu: float, nodes: int = 400) -> float:
     return float(np.where(there, shown, 0.0).mean())
 
 
-def metal_albedo(color: Floats, roughness: float, mu: float) -> Floats:
-    """``lobe_albedo`` of a metal, [3], with what facets reflect to each other (Kulla, Conty 2017).
-
-    With E the share that leaves at once and A its mean over viewers, c (E + F (1 - E)), where
-    F = c A / (1 - c (1 - A)).
-    """
-    nodes, parts = np.polynomial.legendre.leggauss(16)
-    cosines = 0.5 * (nodes + 1.0)
-    shares = np.array([lobe_albedo(roughness, cosine, 200) for cosine in cosines])
-    mean, once = (shares * cosines * parts).sum(), lobe_albedo(roughness, mu)
-    again = color * mean / (1.0 - color * (1.0 - mean))
-    return np.asarray(color * (once + again * (1.0 - once)))
+def metal_albedo(surface: Surface, mu: float) -> Floats:
+    """``lobe_albedo`` of a metal, [3], with what its facets reflect to each other as defined."""
+    found = lobes.lobes_of(FLOAT64, lobes.numbers_of(FLOAT64, surface), {}, ())
+    once = lobe_albedo(surface.roughness, mu)
+    return np.asarray(once * lobes.gloss_color(found, mu)[:, 0])
 
 
 def unit(vectors: NDArray) -> Floats:
