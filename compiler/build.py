@@ -242,14 +242,14 @@ def build_surface(plan: Plan, log: BuildLog) -> Surface:
 
 def samples_of(plan: Plan) -> Samples:
     """The samples of the terrain's grid, for noises that the relief and its layers share."""
-    return Samples(Grid.with_spacing(plan.terrain.size_m, plan.terrain.spacing_m))
+    return Samples.of(Grid.with_spacing(plan.terrain.size_m, plan.terrain.spacing_m))
 
 
 def build_relief(plan: Plan, samples: Samples, log: BuildLog) -> Relief:
     """The relief alone."""
-    terrain = plan.terrain
     with log.timed("relief"):
-        relief = run(terrain.relief, samples.grid, terrain.meshing.max_triangles, samples)
+        grid = Grid.with_spacing(plan.terrain.size_m, plan.terrain.spacing_m)
+        relief = run(plan.terrain.relief, grid, plan.terrain.meshing.max_triangles, samples)
     log.facts["relief"] = relief.steps
     return relief
 

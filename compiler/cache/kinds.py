@@ -49,5 +49,5 @@ KINDS: frozenset[str] = frozenset(
 #: Classes that are no dataclasses: what their constructors take, which they keep by these names.
 PLAIN: dict[str, tuple[str, ...]] = {
     "scenec.compiler.terrain.quantities:Quantities": ("grid", "height"),
-    "scenec.compiler.terrain.quantities:Samples": ("grid",),
+    "scenec.compiler.terrain.quantities:Samples": ("x", "y"),
 }

@@ -39,7 +39,8 @@ def lay(
     Raises:
         SceneError: A layer cannot cover as much as it shall.
     """
-    return tuple(laid.merge for laid in _laid(merges, coverage, field, strict, Samples(field.grid)))
+    laid = _laid(merges, coverage, field, strict, Samples.of(field.grid))
+    return tuple(each.merge for each in laid)
 
 
 @memoized("cover")
@@ -57,7 +58,7 @@ def lay_and_report(
     x, y = (a[every] for a in field.grid.points())
     laid = [
         each.thinned(every).noised(lambda merge: merge.noise(x, y))
-        for each in _laid(merges, coverage, field, True, samples or Samples(field.grid))
+        for each in _laid(merges, coverage, field, True, samples or Samples.of(field.grid))
     ]
     return tuple(each.merge for each in laid), _report(laid)
 
@@ -68,8 +69,8 @@ class _Laid:
 
     Attributes:
         merge: That knows where it lies.
-        values: Of its limits, float64 [n] each.
-        noise: float64 [n]; None if it has no say, or is not known yet.
+        values: Of its limits, float64 [...] each.
+        noise: float64 [...]; None if it has no say, or is not known yet.
     """
 
     merge: Merge
@@ -91,8 +92,8 @@ class _Laid:
 
     def thinned(self, every: NDArray[np.int64]) -> _Laid:
         """At some of the points."""
-        noise = None if self.noise is None else self.noise[every]
-        return _Laid(self.merge, [value[every] for value in self.values], noise)
+        noise = None if self.noise is None else self.noise.ravel()[every]
+        return _Laid(self.merge, [value.ravel()[every] for value in self.values], noise)
 
 
 def _laid(
@@ -121,7 +122,7 @@ def _center(laid: _Laid, part: float, name: str, strict: bool) -> float:
     if laid.noise is None:
         raise ValueError(f"{name}: a coverage is met by a noise")
     if not laid.merge.where:
-        return center_for_coverage(laid.noise, part)
+        return center_for_coverage(laid.noise.ravel(), part)
     holds = replace(laid, noise=None).side() >= 0.0
     room = float(holds.mean())
     if part > room and strict:
@@ -210,7 +211,7 @@ class MaterialCondition(Condition):
     def weight_of(self, quantities: Quantities) -> NDArray[np.float64]:
         """Weights, float64 [ny, nx]."""
         field = HeightField(quantities.grid, quantities.height)
-        weight, left = np.zeros(field.height.size), np.ones(field.height.size)
+        weight, left = np.zeros(field.grid.shape), np.ones(field.grid.shape)
         samples = quantities.samples
         # What lies below all that count does not matter.
         lowest = max(min(self.layers), 1)
@@ -224,4 +225,4 @@ class MaterialCondition(Condition):
             left *= 1.0 - alpha
         if 0 in self.layers:
             weight += left
-        return weight.reshape(field.grid.shape)
+        return weight

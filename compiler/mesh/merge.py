@@ -22,9 +22,10 @@ from numpy.typing import NDArray
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.arithmetic.ranks import ranked
 from scenec.compiler.mesh.signed_bound import SignedBound
-from scenec.compiler.noise.fractal import fbm2_points
-from scenec.compiler.terrain.condition import Interval
+from scenec.compiler.noise.fractal import fbm2
+from scenec.compiler.terrain.condition import Interval, smoothstep
 from scenec.compiler.terrain.quantities import Samples
+from scenec.schemas.kernels import kernel
 
 
 @dataclass(frozen=True)
@@ -58,22 +59,15 @@ class Merge:
 
     def noise(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
         """The noise at points, float64 [n]."""
-        return fbm2_points(
-            np.uint64(self.key),
-            x,
-            y,
-            self.scale_m,
-            self.octaves,
-            self.gain,
-            self.lacunarity,
-            self.distortion,
-        )
+        return fbm2(*self._form()).at(x, y)
 
     def noise_on(self, samples: Samples) -> NDArray[np.float64]:
-        """The noise at a grid's samples, row-major: float64 [n], not to be changed."""
-        warp = self.lacunarity, self.distortion
-        key = "merge", self.key, self.scale_m, self.octaves, self.gain, *warp
-        return samples.noise(key, self.noise)
+        """The noise at the points of a grid: float64 [ny, nx], not to be changed."""
+        return samples.noise(self._form(), fbm2(*self._form()))
+
+    def _form(self) -> tuple[int, float, int, float, float, float]:
+        form = self.key, self.scale_m, self.octaves, self.gain, self.lacunarity, self.distortion
+        return form
 
     def level_t(self) -> float:
         """The t at which the weight is the threshold: the label line's."""
@@ -98,7 +92,7 @@ class Merge:
         return self.side_of(values, self.noise(x, y) if self.noisy else None)
 
     def side_on(self, samples: Samples) -> NDArray[np.float64]:
-        """``side`` at a grid's samples, row-major: float64 [n]."""
+        """``side`` at the points of a grid: float64 [ny, nx]."""
         values = [limit.condition.value_on(limit.quantities, samples) for limit in self.limits]
         return self.side_of(values, self.noise_on(samples) if self.noisy else None)
 
@@ -114,15 +108,26 @@ class Merge:
         least = parts[0]
         for part in parts[1:]:
             np.minimum(least, part, out=least)
-        return least - self.level_t()
+        least -= self.level_t()
+        return least
 
     def weight_of_side(self, side: NDArray[np.float64]) -> NDArray[np.float64]:
         """alpha, from what ``side`` returned."""
-        if self.where:
-            t = np.clip(side + self.level_t(), 0.0, 1.0)
-        else:
-            t = np.clip(0.5 + self.sharpness * (side + self.level() - self.center), 0.0, 1.0)
-        return t * t * (3.0 - 2.0 * t)
+        alpha = np.empty(side.shape)
+        # t is this, plus a factor times the side and a level, less a center.
+        form = (0.5, self.sharpness, self.level(), self.center)
+        form = (0.0, 1.0, self.level_t(), 0.0) if self.where else form
+        _weigh(np.ascontiguousarray(side).ravel(), *form, alpha.ravel())
+        return alpha
+
+
+@kernel
+def _weigh(
+    side: NDArray, least: float, factor: float, level: float, center: float, alpha: NDArray
+) -> None:
+    """Smoothstep of t = least + factor * (side + level - center), clamped to [0, 1]."""
+    for k in range(side.size):
+        alpha[k] = smoothstep(least + factor * (side[k] + level - center))
 
 
 def center_for_coverage(noise: NDArray[np.float64], coverage: float) -> float:

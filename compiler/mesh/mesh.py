@@ -100,7 +100,7 @@ def adaptive_mesh(
         tolerance, faces = _within_budget(channels, errors, meshing, tolerance)
         mesh, samples = _mesh(field, faces)
         known = Appearance(
-            appearance.sides.reshape(len(surface.merges), -1)[:, samples],
+            appearance.sides.reshape(-1, field.height.size)[:, samples],
             appearance.variation.reshape(-1)[samples],
         )
         finer = None

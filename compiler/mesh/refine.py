@@ -147,8 +147,7 @@ def _know(work: _Work, surface: Surface, asked: NDArray[np.integer]) -> None:
     unknown = _unknown(asked, work.middles.rows)
     height, sides = surface.evaluate(*_halfway(work.points.rows, work.mesh.edges, unknown))
     work.middles.rows[unknown] = height
-    for k, side in enumerate(sides):
-        work.middle_sides.rows[unknown, k] = side
+    work.middle_sides.rows[unknown] = np.reshape(sides, (len(sides), len(unknown))).T
 
 
 def _wanted(

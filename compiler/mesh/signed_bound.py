@@ -61,9 +61,8 @@ def signed_bound(
     Args:
         condition: What has to hold.
         quantities: Of the relief.
-        value: What is held against the bounds at the samples, float64 [n].
+        value: What is held against the bounds at the samples, float64 [ny, nx].
     """
-    value = value.reshape(quantities.grid.shape)
     low, high = (_shown(value, at, condition.softness) for at in (condition.low, condition.high))
     return SignedBound(condition, quantities, (low, high))
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.mesh.merge import Merge
-from scenec.compiler.terrain.detail import Detail, joined
+from scenec.compiler.terrain.detail import Detail, finer, finer_than, joined
 from scenec.compiler.terrain.grid import HeightField
 from scenec.schemas.kernels import inlined, kernel
 from scenec.schemas.threads import POINTS, over_threads
@@ -92,12 +92,11 @@ class Surface:
             faces: int32 [m, 3]; the largest at a face's corners counts.
         """
         details = self.details if self.smooth else ()
-        everywhere = joined([detail.spectrum() for detail in details]).finer_than(length_m)
         layers = [layer for layer in self.displacements if layer is not None][: shares.shape[1]]
-        of_layers = np.empty((len(layers), len(length_m)))
-        for own, layer in zip(of_layers, layers, strict=True):
-            own[:] = layer.spectrum().finer_than(length_m)
-        return _largest(faces, shares, everywhere, of_layers)
+        everywhere = joined([detail.spectrum() for detail in details])
+        tables = finer([everywhere, *(layer.spectrum() for layer in layers)])
+        out: NDArray[np.float64] = _largest(faces, shares, length_m, tables)
+        return out
 
     def amplitude_m(self) -> float:
         """About how far the surface gets from the grid's samples, meters."""
@@ -116,14 +115,18 @@ class Surface:
 
 
 @kernel
-def _largest(faces, shares, everywhere, of_layers):  # type: ignore[no-untyped-def]
+def _largest(faces, shares, length, tables):  # type: ignore[no-untyped-def]
     """Of what lies everywhere and of layers by their shares, the most at a face's corners."""
     out = np.zeros(len(faces))
+    of_layers = np.empty(shares.shape[1])
     for f in range(len(faces)):
+        everywhere = finer_than(tables, 0, length[f])
+        for layer in range(len(of_layers)):
+            of_layers[layer] = finer_than(tables, 1 + layer, length[f])
         for k in range(3):
-            total = everywhere[f]
+            total = everywhere
             for layer in range(len(of_layers)):
-                total += shares[faces[f, k], layer] * of_layers[layer, f]
+                total += shares[faces[f, k], layer] * of_layers[layer]
             out[f] = max(out[f], total)
     return out
 

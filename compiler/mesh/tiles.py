@@ -66,10 +66,10 @@ def build_tiles(
     """
     report: dict[str, Any] = {}
     field, merges = surface.field, surface.merges
-    samples = samples or Samples(field.grid)
+    samples = samples or Samples.of(field.grid)
     sides = np.empty((len(merges), *field.grid.shape))
     for merge, side in zip(merges, sides, strict=True):
-        side.ravel()[:] = merge.side_on(samples)
+        side[:] = merge.side_on(samples)
     known = Appearance(np.zeros((len(merges), 0)), np.zeros(0))
     if isinstance(field, MeshSurface):
         mesh = base_mesh(field)
@@ -159,17 +159,32 @@ def _side_error_bound(side: NDArray[np.float64]) -> float:
     Args:
         side: Signed field at the grid's samples, float64 [ny, nx].
     """
+    bend, step = _differences(side)
+    return float(bend / 8.0 + SNAP * step)
 
-    def largest(values: NDArray[np.float64]) -> float:
-        return float(np.abs(values).max(initial=0.0))
 
-    along_x, along_y = np.diff(side, axis=1), np.diff(side, axis=0)
-    mixed = np.diff(along_x, axis=0)
-    curvature = largest(np.diff(along_x, axis=1)) + largest(np.diff(along_y, axis=0))
-    diagonal = largest(side[1:, 1:] - side[:-1, :-1]), largest(side[1:, :-1] - side[:-1, 1:])
-    return (curvature + 2.0 * largest(mixed)) / 8.0 + SNAP * max(
-        largest(along_x), largest(along_y), *diagonal
-    )
+@kernel
+def _differences(side: NDArray) -> tuple[float, float]:
+    """Largest second differences h^2 (|g_xx| + |g_yy| + 2 |g_xy|), and the largest first one."""
+    ny, nx = side.shape
+    xx = yy = xy = step = 0.0
+    for j in range(ny):
+        for i in range(nx):
+            here = side[j, i]
+            if i > 1:
+                xx = max(xx, abs((here - side[j, i - 1]) - (side[j, i - 1] - side[j, i - 2])))
+            if j > 1:
+                yy = max(yy, abs((here - side[j - 1, i]) - (side[j - 1, i] - side[j - 2, i])))
+            if i > 0:
+                step = max(step, abs(here - side[j, i - 1]))
+            if j > 0:
+                step = max(step, abs(here - side[j - 1, i]))
+            if i > 0 and j > 0:
+                below = side[j - 1, i] - side[j - 1, i - 1]
+                xy = max(xy, abs((here - side[j, i - 1]) - below))
+                step = max(step, abs(here - side[j - 1, i - 1]))
+                step = max(step, abs(side[j, i - 1] - side[j - 1, i]))
+    return xx + yy + 2.0 * xy, step
 
 
 def _vertex_normals(mesh: CutMesh) -> NDArray[np.float32]:

@@ -123,22 +123,14 @@ def warp_keys(key: int, octaves: int) -> tuple[NDArray[np.uint64], NDArray[np.ui
     return subkeys(x, octaves), subkeys(y, octaves)
 
 
-def fbm2_points(
-    key: np.uint64,
-    x: NDArray[np.float64],
-    y: NDArray[np.float64],
-    scale: float,
-    octaves: int,
-    gain: float,
-    lacunarity: float,
-    distortion: float,
-) -> NDArray[np.float64]:
-    """Distorted fBm at points.
+def fbm2(
+    key: int, scale_m: float, octaves: int, gain: float, lacunarity: float, distortion: float
+) -> Fractal:
+    """Distorted fBm.
 
     Args:
         key: Noise key.
-        x, y: Positions in meters, float64 [n].
-        scale: Size of the largest feature in meters.
+        scale_m: Size of the largest feature, meters.
         octaves: How many; octave o has amplitude gain**o.
         gain: Ratio of successive amplitudes.
         lacunarity: Ratio of successive frequencies.
@@ -146,24 +138,40 @@ def fbm2_points(
             two further octaves of noise.
 
     Returns:
-        float64 [n], zero mean; one octave is in [-1, 1].
+        A noise of zero mean, of which one octave is in [-1, 1].
     """
     warps = None
     if distortion != 0.0:
-        x_key, y_key = (np.array([subkey(key, _WARP + axis)], np.uint64) for axis in range(2))
+        x_key, y_key = (np.array([subkey(np.uint64(key), _WARP + axis)]) for axis in range(2))
         warps = x_key, y_key
     return Fractal(
-        int(key), octaves, gain, lacunarity, distortion=distortion, warps=warps, scale_m=scale
-    ).at(x, y)
+        key, octaves, gain, lacunarity, distortion=distortion, warps=warps, scale_m=scale_m
+    )
+
+
+def fbm2_points(
+    key: np.uint64,
+    x: NDArray[np.float64],
+    y: NDArray[np.float64],
+    scale_m: float,
+    octaves: int,
+    gain: float,
+    lacunarity: float,
+    distortion: float,
+) -> NDArray[np.float64]:
+    """``fbm2`` at points, meters: float64 [n]."""
+    return fbm2(int(key), scale_m, octaves, gain, lacunarity, distortion).at(x, y)
 
 
 @inlined
 def _take(places: Places, first: int, u: NDArray, v: NDArray) -> None:
     """Positions of the points from a first one on."""
     if not places.grid:
+        # Slices: their indices need no look at their sign, and the loop has lanes.
+        x, y = places.x[first : first + u.size], places.y[first : first + u.size]
         for k in range(u.size):
-            u[k] = places.x[first + k] / places.scale
-            v[k] = places.y[first + k] / places.scale
+            u[k] = x[k] / places.scale
+            v[k] = y[k] / places.scale
         return
     columns = places.x.size
     j = first // columns

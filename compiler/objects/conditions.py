@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scenec.compiler.objects.lattice import Circles, Lattice, nearest
 from scenec.compiler.objects.surroundings import Surroundings
 from scenec.compiler.terrain.condition import Interval, Ragged, soft_interval
+from scenec.compiler.terrain.quantities import Samples
 
 
 class PlacementCondition(ABC):
@@ -39,8 +40,7 @@ class OnRelief(PlacementCondition):
 
     def weight(self, lattice: Lattice, around: Surroundings) -> NDArray[np.float64]:
         """The soft interval."""
-        weight = self.condition.weight_at(around.quantities, *lattice.points())
-        return weight.reshape(lattice.shape)
+        return self.condition.weight_on(around.quantities, Samples(*lattice.axes, kept=0))
 
 
 @dataclass(frozen=True)
@@ -55,19 +55,19 @@ class OnMaterial(PlacementCondition):
 
     def weight(self, lattice: Lattice, around: Surroundings) -> NDArray[np.float64]:
         """The part of the color that is theirs."""
-        x, y = lattice.points()
-        weight, left = np.zeros(x.size), np.ones(x.size)
+        samples = Samples(*lattice.axes, kept=0)
+        weight, left = np.zeros(lattice.shape), np.ones(lattice.shape)
         merges = around.surface.merges
         # From the top down: ``left`` is what shows through.
         for i in range(len(merges), 0, -1):
             if i >= min(self.layers):
-                alpha = merges[i - 1].weight_of_side(merges[i - 1].side(x, y))
+                alpha = merges[i - 1].weight_of_side(merges[i - 1].side_on(samples))
                 if i in self.layers:
                     weight += left * alpha
                 left *= 1.0 - alpha
         if 0 in self.layers:
             weight += left
-        return weight.reshape(lattice.shape)
+        return weight
 
 
 @dataclass(frozen=True)

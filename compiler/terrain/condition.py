@@ -15,13 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
-from scenec.compiler.noise.fractal import Fractal, fbm2_points
+from scenec.compiler.noise.fractal import Fractal, fbm2
 from scenec.compiler.terrain.freshness import crater_freshness
-from scenec.compiler.terrain.grid import Grid, HeightField
+from scenec.compiler.terrain.grid import Grid
 from scenec.compiler.terrain.operators.craters import Craters
 from scenec.compiler.terrain.operators.multifractal import octaves_shown
 from scenec.compiler.terrain.quantities import Quantities, Samples
-from scenec.schemas.kernels import kernel
+from scenec.schemas.kernels import inlined, kernel
 
 
 @dataclass(frozen=True)
@@ -42,9 +42,16 @@ class Ragged:
 
     def at(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
         """What is added at points, float64 [n]."""
-        noise = fbm2_points(np.uint64(self.key), x, y, self.scale_m, self.octaves, 0.5, 2.0, 0.0)
-        added: NDArray[np.float64] = self.amplitude * noise
+        added: NDArray[np.float64] = self.amplitude * self._noise().at(x, y)
         return added
+
+    def on(self, samples: Samples) -> NDArray[np.float64]:
+        """What is added at the points of a grid, float64 [ny, nx]."""
+        added: NDArray[np.float64] = self.amplitude * samples.noise(self, self._noise())
+        return added
+
+    def _noise(self) -> Fractal:
+        return fbm2(self.key, self.scale_m, self.octaves, 0.5, 2.0, 0.0)
 
 
 class Condition(ABC):
@@ -76,9 +83,9 @@ class Quantity(ABC):
         """At points, float64 [n]: linear between samples where it lies on them."""
         return quantities.between(self.on(quantities, held), x, y)
 
-    def at_samples(self, quantities: Quantities, held: Interval) -> NDArray[np.float64]:
-        """``at`` the grid's samples, row-major: float64 [n]."""
-        return HeightField(quantities.grid, self.on(quantities, held)).height_on()
+    def over(self, quantities: Quantities, held: Interval, samples: Samples) -> NDArray[np.float64]:
+        """``at`` the points of a grid: float64 [ny, nx]."""
+        return quantities.between_on(self.on(quantities, held), samples)
 
     @staticmethod
     def of_bound(bound: float) -> float:
@@ -111,31 +118,30 @@ class Interval(Condition):
         return value if self.ragged is None else value + self.ragged.at(x, y)
 
     def value_on(self, quantities: Quantities, samples: Samples) -> NDArray[np.float64]:
-        """``value_at`` the grid's samples, row-major: float64 [n]."""
-        value = self.quantity.at_samples(quantities, self)
-        return value if self.ragged is None else value + samples.noise(self.ragged, self.ragged.at)
+        """``value_at`` the points of a grid: float64 [ny, nx]."""
+        value = self.quantity.over(quantities, self, samples)
+        return value if self.ragged is None else value + self.ragged.on(samples)
 
-    def weight_at(
-        self, quantities: Quantities, x: NDArray[np.float64], y: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
-        """The soft interval of the quantity: 1/2 at a bound, 0 to 1 over the softness about it.
+    def weight_on(self, quantities: Quantities, samples: Samples) -> NDArray[np.float64]:
+        """The soft interval of the quantity at the points of a grid: float64 [ny, nx].
 
-        At points, float64 [n].
+        1/2 at a bound, 0 to 1 over the softness about it.
         """
-        value = self.quantity.at(quantities, self, x, y)
-        if self.ragged is not None:
-            near = self._undecided(value, self.ragged)
-            value[near] += self.ragged.at(x[near], y[near])
-        return soft_interval(value, self.low, self.high, self.softness)
+        return self._weight(self.quantity.over(quantities, self, samples), samples.x, samples.y)
 
     def weight_of(self, quantities: Quantities) -> NDArray[np.float64]:
-        """``weight_at`` the samples, of the quantity as it is there."""
-        value = self.quantity.on(quantities, self)
+        """``weight_on`` the samples, of the quantity as it is there."""
+        grid = quantities.grid
+        return self._weight(self.quantity.on(quantities, self), grid.x(), grid.y())
+
+    def _weight(
+        self, value: NDArray[np.float64], x: NDArray[np.float64], y: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Of a quantity at columns x and rows y."""
         if self.ragged is not None:
-            near = self._undecided(value.ravel(), self.ragged)
-            rows, columns = np.divmod(near, value.shape[1])
-            grid, value = quantities.grid, value.copy()
-            value[rows, columns] += self.ragged.at(grid.x()[columns], grid.y()[rows])
+            value = value.copy()
+            rows, columns = np.divmod(self._undecided(value.ravel(), self.ragged), x.size)
+            value[rows, columns] += self.ragged.at(x[columns], y[rows])
         return soft_interval(value, self.low, self.high, self.softness)
 
     def _undecided(self, value: NDArray[np.float64], ragged: Ragged) -> NDArray[np.int64]:
@@ -170,16 +176,21 @@ def soft_interval(
     return weight
 
 
+@inlined
+def smoothstep(t: float) -> float:
+    """Zero below 0, 1 above 1, level at both."""
+    t = 0.0 if t < 0.0 else t
+    t = 1.0 if t > 1.0 else t
+    return t * t * (3.0 - 2.0 * t)
+
+
 @kernel
 def _weigh(quantity: NDArray, bound: float, sign: float, softness: float, weight: NDArray) -> None:
     """Multiplies weights by those of one bound; ``sign`` points to the side that holds."""
     for k in range(quantity.size):
         inside = sign * (quantity[k] - bound)
         if softness > 0.0:
-            t = inside / softness + 0.5
-            t = 0.0 if t < 0.0 else t
-            t = 1.0 if t > 1.0 else t
-            weight[k] *= t * t * (3.0 - 2.0 * t)
+            weight[k] *= smoothstep(inside / softness + 0.5)
         else:
             weight[k] *= inside >= 0.0
 
@@ -288,10 +299,9 @@ class Noise(Quantity):
         """Not interpolated."""
         return self._noise(self.octaves).at(x, y)
 
-    def at_samples(self, quantities: Quantities, held: Interval) -> NDArray[np.float64]:
-        """All octaves."""
-        grid = quantities.grid
-        return self._noise(self.octaves).on(grid.x(), grid.y()).ravel()
+    def over(self, quantities: Quantities, held: Interval, samples: Samples) -> NDArray[np.float64]:
+        """Not interpolated."""
+        return self._noise(self.octaves).on(samples.x, samples.y)
 
     def _noise(self, octaves: int) -> Fractal:
         return Fractal(self.key, octaves, self.gain, self.lacunarity, scale_m=self.scale_m)
@@ -318,9 +328,9 @@ class FromPoint(Quantity):
         """Not interpolated."""
         return self._away(x, y)
 
-    def at_samples(self, quantities: Quantities, held: Interval) -> NDArray[np.float64]:
+    def over(self, quantities: Quantities, held: Interval, samples: Samples) -> NDArray[np.float64]:
         """Not interpolated."""
-        return self.on(quantities, held).ravel()
+        return self._away(samples.x[None, :], samples.y[:, None])
 
     def _away(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
         dx, dy = x - self.x_m, y - self.y_m

@@ -10,13 +10,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.terrain.grid import Grid, HeightField
-from scenec.schemas.kernels import kernel
+from scenec.schemas.kernels import inlined
 
 
 @dataclass(frozen=True)
@@ -31,27 +31,38 @@ class Spectrum:
     wavelength_m: NDArray[np.float64]
     amplitude_m: NDArray[np.float64]
 
-    def finer_than(self, length_m: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Amplitude of all that is finer than given lengths, meters, like ``length_m``."""
-        order = np.argsort(self.wavelength_m, kind="stable")
-        square = self.amplitude_m[order] * self.amplitude_m[order]
-        total = np.concatenate([[0.0], np.cumsum(square)])
-        amplitude: NDArray[np.float64] = _look_up(
-            length_m, self.wavelength_m[order], np.sqrt(total)
-        )
-        return amplitude
+
+class Finer(NamedTuple):
+    """Amplitudes of all that is finer than a length, of some spectra.
+
+    Attributes:
+        below_m: Up to which lengths, rising in each row, the last infinite; float64 [s, k].
+        amplitude_m: Float64 [s, k].
+    """
+
+    below_m: NDArray[np.float64]
+    amplitude_m: NDArray[np.float64]
 
 
-@kernel
-def _look_up(length: NDArray, wavelength: NDArray, amplitude: NDArray) -> NDArray:
-    """For each length the amplitude of the wavelengths below it, which ascend."""
-    out = np.empty(length.size)
-    for n in range(length.size):
-        below = 0
-        while below < wavelength.size and wavelength[below] < length[n]:
-            below += 1
-        out[n] = amplitude[below]
-    return out
+def finer(spectra: Sequence[Spectrum]) -> Finer:
+    """Tables of some spectra, for ``finer_than``."""
+    size = 1 + max((len(each.wavelength_m) for each in spectra), default=0)
+    tables = Finer(np.full((len(spectra), size), np.inf), np.zeros((len(spectra), size)))
+    for each, below, amplitude in zip(spectra, *tables, strict=True):
+        order = np.argsort(each.wavelength_m, kind="stable")
+        below[: len(order)] = each.wavelength_m[order]
+        square = each.amplitude_m[order] * each.amplitude_m[order]
+        amplitude[1 : 1 + len(order)] = np.sqrt(np.cumsum(square))
+    return tables
+
+
+@inlined
+def finer_than(tables: Finer, spectrum: int, length_m: float) -> float:
+    """Amplitude of all of a spectrum that is finer than a length, meters."""
+    k = 0
+    while tables.below_m[spectrum, k] < length_m:
+        k += 1
+    return tables.amplitude_m[spectrum, k]
 
 
 class Detail(Protocol):

@@ -71,13 +71,22 @@ def surface_height(
         dx, dy: Spacing.
         x, y: Where.
     """
-    ny, nx = height.shape
-    u = min(max((x - x0) / dx, 0.0), nx - 1.0)
-    v = min(max((y - y0) / dy, 0.0), ny - 1.0)
-    i = min(int(u), nx - 2)
-    j = min(int(v), ny - 2)
-    u -= i
-    v -= j
+    i, u = _located(x, x0, dx, height.shape[1])
+    j, v = _located(y, y0, dy, height.shape[0])
+    return _interpolated(height, i, j, u, v)
+
+
+@inlined
+def _located(x: float, x0: float, dx: float, n: int) -> tuple[int, float]:
+    """Cell along an axis of n samples, and where in it a position is, in [0, 1]."""
+    u = min(max((x - x0) / dx, 0.0), n - 1.0)
+    i = min(int(u), n - 2)
+    return i, u - i
+
+
+@inlined
+def _interpolated(height: NDArray, i: int, j: int, u: float, v: float) -> float:
+    """Height of the surface at (u, v) in the cell in column i, row j."""
     h00 = height[j, i]
     h10 = height[j, i + 1]
     h01 = height[j + 1, i]
@@ -101,15 +110,31 @@ def _heights_at_part(
     y: NDArray,
     out: NDArray,
 ) -> None:
-    """At points (x, y), float64 [n] each; where ``out`` has more, at all of a grid of them."""
+    """At points (x, y), float64 [n] each."""
     x0, y0, dx, dy = frame
-    if out.size == x.size:
-        for n in range(first, last):
-            out[n] = surface_height(height, x0, y0, dx, dy, x[n], y[n])
-    else:
-        for n in range(first, last):
-            j = n // x.size
-            out[n] = surface_height(height, x0, y0, dx, dy, x[n - j * x.size], y[j])
+    for n in range(first, last):
+        out[n] = surface_height(height, x0, y0, dx, dy, x[n], y[n])
+
+
+@kernel
+def _heights_on_part(
+    first: int,
+    last: int,
+    height: NDArray,
+    frame: tuple[float, float, float, float],
+    x: NDArray,
+    y: NDArray,
+    out: NDArray,
+) -> None:
+    """At columns x and rows y, float64 [nx], [ny]."""
+    x0, y0, dx, dy = frame
+    column, fraction = np.empty(x.size, np.int64), np.empty(x.size)
+    for i in range(x.size):
+        column[i], fraction[i] = _located(x[i], x0, dx, height.shape[1])
+    for row in range(first, last):
+        j, v = _located(y[row], y0, dy, height.shape[0])
+        for i in range(x.size):
+            out[row, i] = _interpolated(height, column[i], j, fraction[i], v)
 
 
 @kernel
@@ -148,15 +173,15 @@ class HeightField:
 
     def height_at(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
         """Height of the surface at points: float64 [n] from two float64 [n], meters."""
-        return self._heights(np.asarray(x), np.asarray(y), np.empty(x.size))
+        out = np.empty(x.size)
+        ground = self.height, self.frame()
+        over_threads(_heights_at_part, x.size, *ground, x, y, out, least=POINTS)
+        return out
 
-    def height_on(self) -> NDArray[np.float64]:
-        """``height_at`` the samples, row-major, rounded like it: float64 [n], meters."""
-        return self._heights(self.grid.x(), self.grid.y(), np.empty(self.height.size))
-
-    def _heights(self, x: NDArray, y: NDArray, out: NDArray) -> NDArray:
-        frame = self.frame()
-        over_threads(_heights_at_part, out.size, self.height, frame, x, y, out, least=POINTS)
+    def height_on(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+        """``height_at`` columns x and rows y, float64 [nx], [ny]: float64 [ny, nx], meters."""
+        out = np.empty((y.size, x.size))
+        over_threads(_heights_on_part, y.size, self.height, self.frame(), x, y, out)
         return out
 
     def normals(self) -> NDArray[np.float64]:

@@ -60,7 +60,7 @@ def run(
     base: MeshSurface | None = None
     details: list[Detail] = []
     steps = []
-    samples = samples or Samples(grid)
+    samples = samples or Samples.of(grid)
     # Overflow is found once, at the end, and said in the user's words.
     with np.errstate(over="ignore", invalid="ignore"):
         for operator in operators:

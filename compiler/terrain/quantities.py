@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.assets.polyline import read_polyline
+from scenec.compiler.noise.fractal import Fractal
 from scenec.compiler.terrain.flow import upslope_area
 from scenec.compiler.terrain.grid import Grid, HeightField, gradient
 from scenec.compiler.terrain.operators.smooth import diffuse
@@ -24,36 +25,32 @@ DEFAULT_SPACINGS = 2.0
 
 
 class Samples:
-    """A grid's samples as points, and noises there: what all reliefs on one grid share.
+    """Points of a regular grid, and noises there: what all reliefs on one grid share.
 
     Attributes:
-        grid: Whose samples.
+        x, y: Of its columns and rows, meters, float64 [nx], [ny].
     """
 
-    def __init__(self, grid: Grid, kept: int = 1 << 27):
+    def __init__(self, x: NDArray[np.float64], y: NDArray[np.float64], kept: int = 1 << 27):
         """``kept``: bytes of noises that are kept at most."""
-        self.grid = grid
+        self.x, self.y = x, y
         self._left = kept
         self._noises: dict[Hashable, NDArray[np.float64]] = {}
 
-    def noise(
-        self,
-        key: Hashable,
-        at: Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]],
-    ) -> NDArray[np.float64]:
-        """What ``at`` gives for x and y of all samples, row-major: float64 [n], not to be changed.
+    @classmethod
+    def of(cls, grid: Grid) -> Samples:
+        """Of a relief's grid."""
+        return cls(grid.x(), grid.y())
 
-        Args:
-            key: Of the noise.
-            at: From two float64 [n] to another.
-        """
+    def noise(self, key: Hashable, noise: Fractal) -> NDArray[np.float64]:
+        """A noise there, which its key names: float64 [ny, nx], not to be changed."""
         if key in self._noises:
             return self._noises[key]
-        noise = at(*self.grid.points())
-        if noise.nbytes <= self._left:
-            self._left -= noise.nbytes
-            self._noises[key] = noise
-        return noise
+        values = noise.on(self.x, self.y)
+        if values.nbytes <= self._left:
+            self._left -= values.nbytes
+            self._noises[key] = values
+        return values
 
 
 class Quantities:
@@ -68,7 +65,7 @@ class Quantities:
         """Takes heights, float64 [ny, nx], and the samples that other reliefs share."""
         self.grid = grid
         self.height = height
-        self.samples = Samples(grid) if samples is None else samples
+        self.samples = Samples.of(grid) if samples is None else samples
         self._known: dict[object, NDArray[np.float64]] = {}
 
     def once(self, key: object, make: Callable[[], NDArray[np.float64]]) -> NDArray[np.float64]:
@@ -147,6 +144,10 @@ class Quantities:
     ) -> NDArray[np.float64]:
         """A quantity at points: linear over the same triangles as the relief, float64 [n]."""
         return HeightField(self.grid, quantity).height_at(x, y)
+
+    def between_on(self, quantity: NDArray[np.float64], samples: Samples) -> NDArray[np.float64]:
+        """``between`` at the points of a grid, float64 [ny, nx]."""
+        return HeightField(self.grid, quantity).height_on(samples.x, samples.y)
 
 
 def _second_difference(values: NDArray[np.float64], step: float, axis: int) -> NDArray[np.float64]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from scenec.compiler.noise.fractal import Fractal
 from scenec.compiler.terrain.condition import (
     Curvature,
     Flow,
@@ -154,11 +155,12 @@ def test_a_noise_is_evaluated_only_where_it_decides(bounds, softness, amplitude)
     held, quantities = Interval(Height(), *bounds, softness, noise), Quantities(GRID, height)
     everywhere = height + noise.at(*GRID.points()).reshape(GRID.shape)
     assert np.array_equal(held.weight_of(quantities), soft_interval(everywhere, *bounds, softness))
-    x, y = np.random.default_rng(8).uniform(-6.0, 6.0, (2, 1000))
+    between = Samples(np.linspace(-7.0, 6.0, 70), np.linspace(-4.0, 3.0, 50))
+    x, y = (a.ravel() for a in np.meshgrid(between.x, between.y))
     everywhere = held.value_at(quantities, x, y)
-    assert np.array_equal(
-        held.weight_at(quantities, x, y), soft_interval(everywhere, *bounds, softness)
-    )
+    assert np.array_equal(held.value_on(quantities, between).ravel(), everywhere)
+    weight = soft_interval(everywhere, *bounds, softness)
+    assert np.array_equal(held.weight_on(quantities, between).ravel(), weight)
 
 
 @pytest.mark.parametrize("size", [1e-3, 1.0, 1e3, 1e6])
@@ -202,12 +204,14 @@ def test_masks_take_curvature_and_flow():
 def test_noises_at_samples_are_evaluated_once_as_far_as_they_may_be_kept(room, evaluated):
     calls = []
 
-    def noise(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        calls.append(x.size)
-        return x + y
+    class Counted(Fractal):
+        def on(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+            calls.append(x.size * y.size)
+            return super().on(x, y)
 
-    samples = Samples(GRID, kept=room * 8 * X.size)
+    samples = Samples(GRID.x(), GRID.y(), kept=room * 8 * X.size)
     for _ in range(2):
-        for key in ("a", "b"):
-            assert np.array_equal(samples.noise(key, noise), (X + Y).ravel())
+        for key in (1, 2):
+            noise = Counted(key, 3, 0.5, 2.0)
+            assert np.array_equal(samples.noise(key, noise).ravel(), noise.at(*GRID.points()))
     assert calls == [X.size] * evaluated
