@@ -147,7 +147,7 @@ def _know(work: _Work, surface: Surface, asked: NDArray[np.integer]) -> None:
     unknown = _unknown(asked, work.middles.rows)
     height, sides = surface.evaluate(*_halfway(work.points.rows, work.mesh.edges, unknown))
     work.middles.rows[unknown] = height
-    work.middle_sides.rows[unknown] = np.reshape(sides, (len(sides), len(unknown))).T
+    _put(np.reshape(sides, (len(sides), len(unknown))), unknown, work.middle_sides.rows)
 
 
 def _wanted(
@@ -267,6 +267,14 @@ def _known(
     )  # fmt: skip
     room[small] = INSIDE * error + missed(small, leg[small])
     return Known(room, pixels, of.samples, 0.5 * spacing, leg, radius, missed)
+
+
+@kernel
+def _put(columns, at, rows):  # type: ignore[no-untyped-def]
+    """Columns, float64 [k, n], into some rows, [e, k]."""
+    for n in range(len(at)):
+        for k in range(len(columns)):
+            rows[at[n], k] = columns[k, n]
 
 
 @kernel
