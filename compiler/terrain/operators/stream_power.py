@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
-from scenec.compiler.terrain.grid import Grid
+from scenec.compiler.terrain.grid import Applied, Grid
 from scenec.compiler.terrain.operators.drainage import (
     Drainage,
     drain,
@@ -72,9 +72,7 @@ class StreamPower:
     outlets: tuple[str, ...]
     error_m: float | None = None
 
-    def apply(
-        self, grid: Grid, height: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], dict[str, Any]]:
+    def apply(self, grid: Grid, height: NDArray[np.float64]) -> Applied:
         """Eroded heights."""
         slopes = Hillslopes(grid, self.outlets)
         if self.steps is not None and (self.error_m is None or self.steps == 1):
@@ -110,7 +108,7 @@ class StreamPower:
 
     def run(
         self, grid: Grid, height: NDArray[np.float64], steps: int, slopes: Hillslopes | None = None
-    ) -> tuple[NDArray[np.float64], dict[str, Any]]:
+    ) -> Applied:
         """Eroded heights after a number of equal steps; ``slopes`` between the outlets, if kept."""
         dx, dy = grid.spacing_m
         outlets = outlet_samples(grid.shape, self.outlets)

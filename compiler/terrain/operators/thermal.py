@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
-from scenec.compiler.terrain.grid import Grid
+from scenec.compiler.terrain.grid import Applied, Grid
 from scenec.compiler.terrain.operators.halving import halving_error, rms
 from scenec.compiler.terrain.operators.smooth import laplacian_eigenvalues
 from scenec.schemas.kernels import kernel
@@ -41,9 +40,7 @@ class Thermal:
 
     angle_deg: float
 
-    def apply(
-        self, grid: Grid, height: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], dict[str, Any]]:
+    def apply(self, grid: Grid, height: NDArray[np.float64]) -> Applied:
         """Heights after the slides."""
         angle = self.angle_deg * (elementary.PI / 180.0)
         slope = elementary.sin(angle) / elementary.cos(angle)
