@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -209,17 +209,7 @@ def _finish(
     normals = np.zeros((len(points), 3))
     normals[: len(coarse.normals)] = coarse.normals
     _refined_normals(points, faces, refined, normals)
-    vertices = np.arange(len(points), dtype=np.int32)
-    mesh = replace(
-        coarse,
-        points=points,
-        faces=faces,
-        parents=np.stack([vertices, vertices], axis=1),
-        fraction=np.zeros(len(vertices)),
-        cell=work.cell.rows[order],
-        above=np.zeros((0, len(faces)), bool),
-        normals=normals,
-    )
+    mesh = CutMesh.uncut(points, faces, work.cell.rows[order], normals)
     center, radius, leg = _balls(points, faces)
     nearest = min(NEAREST_M, limits.finest_m)
     pixels = pixels_of_balls(views, center, radius, limits.unseen, nearest)
