@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.terrain.grid import Applied, Grid
+from scenec.compiler.terrain.operators.halving import changed
 
 
 @dataclass(frozen=True)
@@ -32,11 +33,7 @@ class Smooth:
         if self.length_m == 0.0:
             return height, {}
         smoothed = diffuse(grid, height, self.length_m)
-        change = smoothed - height
-        return smoothed, {
-            "change_rms_m": float(np.sqrt((change * change).mean())),
-            "change_max_m": float(np.abs(change).max()),
-        }
+        return smoothed, changed(smoothed, height)
 
 
 @dataclass(frozen=True)

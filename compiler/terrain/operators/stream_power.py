@@ -16,7 +16,7 @@ from scenec.compiler.terrain.operators.drainage import (
     drainage_area,
     outlet_samples,
 )
-from scenec.compiler.terrain.operators.halving import halving_error, rms
+from scenec.compiler.terrain.operators.halving import changed, halving_error, rms
 from scenec.compiler.terrain.operators.hillslopes import Hillslopes
 from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import POINTS, over_threads
@@ -82,13 +82,11 @@ class StreamPower:
             error = halving_error(out, self.steps, coarser, other)
         else:
             out, report, error = self._aimed(grid, height, slopes)
-        change = out - height
         return out, {
             **report,
             **error,
             **({} if self.error_m is None else {"error_aim_m": self.error_m}),
-            "change_rms_m": rms(change),
-            "change_max_m": float(np.abs(change).max()),
+            **changed(out, height),
         }
 
     def _aimed(

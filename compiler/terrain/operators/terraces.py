@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scenec.compiler.noise.fractal import Fractal
 from scenec.compiler.noise.lattice import hash2
 from scenec.compiler.terrain.grid import Applied, Grid
+from scenec.compiler.terrain.operators.halving import changed
 from scenec.compiler.terrain.operators.multifractal import octaves_shown
 from scenec.schemas.kernels import inlined, kernel
 from scenec.schemas.threads import over_threads
@@ -66,11 +67,7 @@ class Terraces:
         )
         out = np.empty(height.shape)
         over_threads(_terraced_part, len(height), height, bend, layers, out)
-        change = out - height
-        return out, {
-            "change_rms_m": float(np.sqrt((change * change).mean())),
-            "change_max_m": float(np.abs(change).max()),
-        }
+        return out, changed(out, height)
 
 
 @inlined
