@@ -22,7 +22,7 @@ from scenec.compiler.light.lamps import build_lamps, meter_lamps
 from scenec.compiler.materials.finish import Shown, finish
 from scenec.compiler.materials.footprint import footprints
 from scenec.compiler.materials.mirrors import any_mirror
-from scenec.compiler.mesh.cover import lay_and_report
+from scenec.compiler.mesh.cover import lay
 from scenec.compiler.mesh.precision import REFUSE_PX, precision, refuse, require_resolvable
 from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.mesh.tiles import build_tiles
@@ -258,7 +258,7 @@ def lay_ground(plan: Plan, relief: Relief, samples: Samples, log: BuildLog) -> S
     """The layers on a relief."""
     terrain = relief.field
     with log.timed("cover"):
-        merges, log.facts["cover"] = lay_and_report(
+        merges, log.facts["cover"] = lay(
             plan.terrain.merges, plan.terrain.coverage, terrain, samples
         )
         return Surface(

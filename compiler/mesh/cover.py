@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -21,43 +21,35 @@ from scenec.schemas.errors import SceneError
 _COUNTED = 1 << 18
 
 
-def lay(
-    merges: Sequence[Merge],
-    coverage: Sequence[float | None],
-    field: HeightField,
-    strict: bool = True,
-) -> tuple[Merge, ...]:
-    """Merges that know where they lie.
-
-    Args:
-        merges: As drawn.
-        coverage: For each, the fraction of the terrain it shall cover, or None.
-        field: The finished relief.
-        strict: Whether a coverage that the conditions leave no room for is an error; otherwise the
-            layer covers what it can.
-
-    Raises:
-        SceneError: A layer cannot cover as much as it shall.
-    """
-    laid = _laid(merges, coverage, field, strict, Samples.of(field.grid))
-    return tuple(each.merge for each in laid)
-
-
 @memoized("cover")
-def lay_and_report(
+def lay(
     merges: Sequence[Merge],
     coverage: Sequence[float | None],
     field: HeightField,
     samples: Samples | None = None,
 ) -> tuple[tuple[Merge, ...], list[dict[str, Any]]]:
-    """``lay`` on the finished relief, and ``cover_report`` of what it made.
+    """Merges that know where they lie, and for each what it covers.
 
-    ``samples`` are the relief's, with noises that are known there.
+    Args:
+        merges: As drawn.
+        coverage: For each, the fraction of the terrain it shall cover, or None.
+        field: The finished relief.
+        samples: The relief's, with noises that are known there.
+
+    Returns:
+        The merges; and for the report, how their conditions were taken and shares of samples, every
+        k-th of a large grid in both axes: ``covers`` is where a layer lies, ``shows`` where no
+        later one lies over it.
+
+    Raises:
+        SceneError: A layer cannot cover as much as it shall.
     """
-    every = _counted(field)
-    x, y = (a[every] for a in field.grid.points())
+    every = 1
+    while (field.grid.shape[0] // every) * (field.grid.shape[1] // every) > _COUNTED:
+        every += 1
+    counted = Samples(field.grid.x()[::every], field.grid.y()[::every])
     laid = [
-        each.thinned(every).noised(lambda merge: merge.noise(x, y))
+        each.thinned(every).noised(counted)
         for each in _laid(merges, coverage, field, True, samples or Samples.of(field.grid))
     ]
     return tuple(each.merge for each in laid), _report(laid)
@@ -69,8 +61,8 @@ class _Laid:
 
     Attributes:
         merge: That knows where it lies.
-        values: Of its limits, float64 [...] each.
-        noise: float64 [...]; None if it has no say, or is not known yet.
+        values: Of its limits, float64 [ny, nx] each.
+        noise: float64 [ny, nx]; None if it has no say, or is not known yet.
     """
 
     merge: Merge
@@ -85,15 +77,15 @@ class _Laid:
         """Of the colors, in [0, 1]."""
         return self.merge.weight_of_side(self.side())
 
-    def noised(self, noise: Callable[[Merge], NDArray[np.float64]]) -> _Laid:
-        """With its noise, if that has a say."""
+    def noised(self, samples: Samples) -> _Laid:
+        """With its noise at the points that it is at, if that has a say."""
         known = self.noise is not None or not self.merge.noisy
-        return self if known else replace(self, noise=noise(self.merge))
+        return self if known else replace(self, noise=self.merge.noise_on(samples))
 
-    def thinned(self, every: NDArray[np.int64]) -> _Laid:
+    def thinned(self, every: int) -> _Laid:
         """At some of the points."""
-        noise = None if self.noise is None else self.noise.ravel()[every]
-        return _Laid(self.merge, [value.ravel()[every] for value in self.values], noise)
+        noise = None if self.noise is None else self.noise[::every, ::every]
+        return _Laid(self.merge, [value[::every, ::every] for value in self.values], noise)
 
 
 def _laid(
@@ -111,7 +103,7 @@ def _laid(
         limits = tuple(signed_bound(condition, quantities, value) for condition, value in pairs)
         laid = _Laid(replace(merge, limits=limits), values, None)
         if part is not None:
-            laid = laid.noised(lambda merge: merge.noise_on(samples))
+            laid = laid.noised(samples)
             center = _center(laid, part, f"terrain/ground/{i}", strict)
             laid = replace(laid, merge=replace(laid.merge, center=center))
         yield laid
@@ -133,29 +125,8 @@ def _center(laid: _Laid, part: float, name: str, strict: bool) -> float:
     return center_for_coverage(laid.noise[holds], min(part / room, 1.0)) if holds.any() else 0.0
 
 
-def cover_report(merges: Sequence[Merge], field: HeightField) -> list[dict[str, Any]]:
-    """For each layer after the base, what it covers and how its conditions were taken.
-
-    Shares are of samples, every k-th of a large grid in both axes: ``covers`` is where the layer
-    lies, ``shows`` where no later one lies over it.
-    """
-    every = _counted(field)
-    x, y = (a[every] for a in field.grid.points())
-    laid = [_Laid(merge, [limit.value(x, y) for limit in merge.limits], None) for merge in merges]
-    return _report([each.noised(lambda merge: merge.noise(x, y)) for each in laid])
-
-
-def _counted(field: HeightField) -> NDArray[np.int64]:
-    """Indices of the samples that shares are counted on."""
-    ny, nx = field.grid.shape
-    step = 1
-    while (ny // step) * (nx // step) > _COUNTED:
-        step += 1
-    return np.arange(ny * nx).reshape(ny, nx)[::step, ::step].ravel()
-
-
 def _report(laid: Sequence[_Laid]) -> list[dict[str, Any]]:
-    """``cover_report``, from what there is at the samples that count."""
+    """What layers cover, from what there is at the samples that count."""
     if not laid:
         return []
     sides = [each.side() for each in laid]
@@ -219,7 +190,7 @@ class MaterialCondition(Condition):
         laid = list(_laid(merges, coverage, field, False, samples))
         # From the top down: ``left`` is what shows through.
         for i, each in reversed(list(enumerate(laid, start=lowest))):
-            alpha = each.noised(lambda merge: merge.noise_on(samples)).weight()
+            alpha = each.noised(samples).weight()
             if i in self.layers:
                 weight += left * alpha
             left *= 1.0 - alpha

@@ -50,6 +50,15 @@ class CutMesh:
     above: NDArray[np.bool_]
     normals: NDArray[np.float64]
 
+    @classmethod
+    def uncut(
+        cls, points: NDArray, faces: NDArray, cell: NDArray[np.int32], normals: NDArray
+    ) -> CutMesh:
+        """Of a mesh's own vertices."""
+        vertices = np.arange(len(points), dtype=np.int32)
+        parents, above = np.stack([vertices, vertices], axis=1), np.zeros((0, len(faces)), bool)
+        return cls(points, faces, parents, np.zeros(len(points)), cell, above, normals)
+
 
 @dataclass(frozen=True)
 class CutReport:

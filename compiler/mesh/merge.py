@@ -5,7 +5,7 @@ Merge i lays material i over the result so far with a weight alpha_i(x, y) in [0
     t_i = alpha_i * material_i + (1 - alpha_i) * t_(i-1)
 
 alpha = smoothstep(t), t clamped to [0, 1]. A noise gives t = 1/2 + sharpness * (noise - center),
-conditions on the place give theirs (``ground.limit``), and the smallest counts.
+conditions on the place give theirs (``signed_bound``), and the smallest counts.
 
 Colors blend by alpha. The label at a point is that of the last merge with alpha_i >= threshold_i,
 or of the base: an outcome of the merges in order, not an argmax.

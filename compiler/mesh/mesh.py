@@ -17,6 +17,7 @@ from scenec.compiler.mesh.merge import Merge, label_index
 from scenec.compiler.mesh.refine import Limits, refine
 from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.terrain.grid import HeightField, cuts_main_diagonal, gradient
+from scenec.compiler.terrain.sources.mesh_surface import MeshSurface
 from scenec.compiler.views.resolution import Views
 from scenec.schemas.kernels import kernel
 
@@ -68,6 +69,22 @@ def grid_mesh(field: HeightField) -> CutMesh:
     return _mesh(field, _grid_faces(*field.grid.shape))[0]
 
 
+def base_mesh(surface: MeshSurface) -> CutMesh:
+    """The triangles of a surface that is a mesh, ordered by the cells that their middles lie over.
+
+    What lies beyond the terrain's rectangle counts to the cells at its border.
+    """
+    x0, y0, dx, dy = surface.frame()
+    rows, columns = (n - 1 for n in surface.grid.shape)
+    middle = surface.points[surface.faces, :2].mean(axis=1)
+    # Clipped as floats: far outside they must not overflow an index.
+    column = np.clip((middle[:, 0] - x0) / dx, 0, columns - 1).astype(np.int32)
+    row = np.clip((middle[:, 1] - y0) / dy, 0, rows - 1).astype(np.int32)
+    cell = row * columns + column
+    order = np.argsort(cell, kind="stable")
+    return CutMesh.uncut(surface.points, surface.faces[order], cell[order], surface.vertex_normals)
+
+
 def adaptive_mesh(
     surface: Surface,
     appearance: Appearance,
@@ -100,7 +117,7 @@ def adaptive_mesh(
         tolerance, faces = _within_budget(channels, errors, meshing, tolerance)
         mesh, samples = _mesh(field, faces)
         known = Appearance(
-            appearance.sides.reshape(len(surface.merges), -1)[:, samples],
+            appearance.sides.reshape(-1, field.height.size)[:, samples],
             appearance.variation.reshape(-1)[samples],
         )
         finer = None
@@ -250,17 +267,9 @@ def _mesh(field: HeightField, faces: NDArray[np.int32]) -> tuple[CutMesh, NDArra
     samples = np.flatnonzero(used)
     number = (np.cumsum(used) - 1).astype(np.int32)
     x, y = field.grid.x()[samples % nx], field.grid.y()[samples // nx]
-    vertices = np.arange(len(samples), dtype=np.int32)
-    mesh = CutMesh(
-        points=np.stack([x, y, field.height.ravel()[samples]], axis=1),
-        faces=number[faces],
-        parents=np.stack([vertices, vertices], axis=1),
-        fraction=np.zeros(len(samples)),
-        cell=_cells(faces, nx),
-        above=np.zeros((0, len(faces)), bool),
-        normals=_normals(field.height, *field.grid.spacing_m, samples),
-    )
-    return mesh, samples
+    points = np.stack([x, y, field.height.ravel()[samples]], axis=1)
+    normals = _normals(field.height, *field.grid.spacing_m, samples)
+    return CutMesh.uncut(points, number[faces], _cells(faces, nx), normals), samples
 
 
 @kernel

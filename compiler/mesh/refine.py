@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -147,7 +147,7 @@ def _know(work: _Work, surface: Surface, asked: NDArray[np.integer]) -> None:
     unknown = _unknown(asked, work.middles.rows)
     height, sides = surface.evaluate(*_halfway(work.points.rows, work.mesh.edges, unknown))
     work.middles.rows[unknown] = height
-    work.middle_sides.rows[unknown] = np.reshape(sides, (len(sides), len(unknown))).T
+    _put(np.reshape(sides, (len(sides), len(unknown))), unknown, work.middle_sides.rows)
 
 
 def _wanted(
@@ -209,17 +209,7 @@ def _finish(
     normals = np.zeros((len(points), 3))
     normals[: len(coarse.normals)] = coarse.normals
     _refined_normals(points, faces, refined, normals)
-    vertices = np.arange(len(points), dtype=np.int32)
-    mesh = replace(
-        coarse,
-        points=points,
-        faces=faces,
-        parents=np.stack([vertices, vertices], axis=1),
-        fraction=np.zeros(len(vertices)),
-        cell=work.cell.rows[order],
-        above=np.zeros((0, len(faces)), bool),
-        normals=normals,
-    )
+    mesh = CutMesh.uncut(points, faces, work.cell.rows[order], normals)
     center, radius, leg = _balls(points, faces)
     nearest = min(NEAREST_M, limits.finest_m)
     pixels = pixels_of_balls(views, center, radius, limits.unseen, nearest)
@@ -267,6 +257,14 @@ def _known(
     )  # fmt: skip
     room[small] = INSIDE * error + missed(small, leg[small])
     return Known(room, pixels, of.samples, 0.5 * spacing, leg, radius, missed)
+
+
+@kernel
+def _put(columns, at, rows):  # type: ignore[no-untyped-def]
+    """Columns, float64 [k, n], into some rows, [e, k]."""
+    for n in range(len(at)):
+        for k in range(len(columns)):
+            rows[at[n], k] = columns[k, n]
 
 
 @kernel

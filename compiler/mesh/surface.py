@@ -62,7 +62,7 @@ class Surface:
         if any(self.displacements):
             if sides is None:
                 sides = [merge.side(x, y) for merge in self.merges]
-            for layer, share in zip(self.displacements, self._shares(sides, x), strict=True):
+            for layer, share in zip(self.displacements, self._shares(sides, x.size), strict=True):
                 if layer is not None:
                     there = np.flatnonzero(share)
                     height[there] += share[there] * layer.at(x[there], y[there])
@@ -78,7 +78,7 @@ class Surface:
         """Shares of the layers that have a displacement, float64 [count, l], from merges' sides."""
         if not self.smooth or not any(self.displacements):
             return np.zeros((count, 0))
-        shares = zip(self.displacements, self._shares(sides, np.empty(count)), strict=True)
+        shares = zip(self.displacements, self._shares(sides, count), strict=True)
         return np.stack([share for layer, share in shares if layer is not None], axis=1)
 
     def finer_than(
@@ -104,14 +104,22 @@ class Surface:
         spectra = [detail.spectrum() for detail in shown] if self.smooth else []
         return float(joined(spectra).amplitude_m.sum())
 
-    def _shares(self, sides: _Sides, x: NDArray[np.float64]) -> list[NDArray[np.float64]]:
-        """What each layer contributes where all are merged: adds up to 1."""
-        shares = [np.ones(x.shape)]
-        for merge, side in zip(self.merges, sides, strict=True):
-            alpha = merge.weight_of_side(side)
-            shares = [(1.0 - alpha) * share for share in shares]
-            shares.append(alpha)
+    def _shares(self, sides: _Sides, count: int) -> NDArray[np.float64]:
+        """What each layer contributes where all are merged, float64 [k, n]: adds up to 1."""
+        shares = np.ones((1 + len(self.merges), count))
+        for k, (merge, side) in enumerate(zip(self.merges, sides, strict=True), start=1):
+            shares[k] = merge.weight_of_side(side)
+        _cover(shares)
         return shares
+
+
+@kernel
+def _cover(shares):  # type: ignore[no-untyped-def]
+    """What layers above them leave of layers, float64 [k, n], in place."""
+    for layer in range(1, len(shares)):
+        for below in range(layer):
+            for n in range(shares.shape[1]):
+                shares[below, n] *= 1.0 - shares[layer, n]
 
 
 @kernel

@@ -12,9 +12,15 @@ from numpy.typing import NDArray
 
 from scenec.compiler.cache.memo import memoized
 from scenec.compiler.mesh.adaptive import ROOT_CELLS
-from scenec.compiler.mesh.base_mesh import base_mesh
 from scenec.compiler.mesh.cut import SNAP, CutMesh, Field, cut
-from scenec.compiler.mesh.mesh import Appearance, Meshing, adaptive_mesh, grid_mesh, label_error
+from scenec.compiler.mesh.mesh import (
+    Appearance,
+    Meshing,
+    adaptive_mesh,
+    base_mesh,
+    grid_mesh,
+    label_error,
+)
 from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.noise.fractal import fbm2_points
 from scenec.compiler.scene.scene import Tile

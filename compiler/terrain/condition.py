@@ -1,7 +1,7 @@
 """Evaluates conditions on a place: soft intervals of what its relief, a noise or a distance is.
 
 One vocabulary for the masks of relief operators, where the weights of conditions multiply, and for
-the ground's layers, where a place has to hold them all (``ground.limit``).
+the ground's layers, where a place has to hold them all (``mesh.signed_bound``).
 """
 
 from __future__ import annotations
@@ -70,16 +70,10 @@ class Quantity(ABC):
     """What a relief, a noise or a distance is at a place."""
 
     @abstractmethod
-    def on(self, quantities: Quantities, held: Interval) -> NDArray[np.float64]:
+    def on(self, quantities: Quantities, held: Interval) -> NDArray:
         """At the samples, where it is held against bounds: float64 [ny, nx]."""
 
-    def at(
-        self,
-        quantities: Quantities,
-        held: Interval,
-        x: NDArray[np.float64],
-        y: NDArray[np.float64],
-    ) -> NDArray[np.float64]:
+    def at(self, quantities: Quantities, held: Interval, x: NDArray, y: NDArray) -> NDArray:
         """At points, float64 [n]: linear between samples where it lies on them."""
         return quantities.between(self.on(quantities, held), x, y)
 
@@ -207,7 +201,7 @@ def product(conditions: Sequence[Condition], quantities: Quantities) -> NDArray[
 class Height(Quantity):
     """Height, meters."""
 
-    def on(self, quantities: Quantities, held: Interval) -> NDArray[np.float64]:
+    def on(self, quantities: Quantities, held: Interval) -> NDArray:
         """Heights."""
         return quantities.height
 
@@ -218,7 +212,7 @@ class Slope(Quantity):
 
     over_m: float | None = 0.0
 
-    def on(self, quantities: Quantities, held: Interval) -> NDArray[np.float64]:
+    def on(self, quantities: Quantities, held: Interval) -> NDArray:
         """Slopes."""
         return quantities.slope_deg(self.over_m)
 
@@ -229,7 +223,7 @@ class Curvature(Quantity):
 
     over_m: float | None = None
 
-    def on(self, quantities: Quantities, held: Interval) -> NDArray[np.float64]:
+    def on(self, quantities: Quantities, held: Interval) -> NDArray:
         """Laplacians."""
         return quantities.curvature_per_m(self.over_m)
 
@@ -240,7 +234,7 @@ class Flow(Quantity):
 
     over_m: float | None = None
 
-    def on(self, quantities: Quantities, held: Interval) -> NDArray[np.float64]:
+    def on(self, quantities: Quantities, held: Interval) -> NDArray:
         """Logarithms of areas."""
         return quantities.flow_doublings(self.over_m)
 
@@ -261,7 +255,7 @@ class Freshness(Quantity):
 
     craters: tuple[tuple[Craters, tuple[Condition, ...]], ...]
 
-    def on(self, quantities: Quantities, held: Interval) -> NDArray[np.float64]:
+    def on(self, quantities: Quantities, held: Interval) -> NDArray:
         """Freshness."""
 
         def make() -> NDArray[np.float64]:
@@ -283,19 +277,13 @@ class Noise(Quantity):
     lacunarity: float
     gain: float
 
-    def on(self, quantities: Quantities, held: Interval) -> NDArray[np.float64]:
+    def on(self, quantities: Quantities, held: Interval) -> NDArray:
         """The octaves that the grid shows."""
         spacing = max(quantities.grid.spacing_m)
         octaves = octaves_shown(self.octaves, self.scale_m, self.lacunarity, spacing)
         return self._noise(octaves).on(quantities.grid.x(), quantities.grid.y())
 
-    def at(
-        self,
-        quantities: Quantities,
-        held: Interval,
-        x: NDArray[np.float64],
-        y: NDArray[np.float64],
-    ) -> NDArray[np.float64]:
+    def at(self, quantities: Quantities, held: Interval, x: NDArray, y: NDArray) -> NDArray:
         """Not interpolated."""
         return self._noise(self.octaves).at(x, y)
 
@@ -314,17 +302,11 @@ class FromPoint(Quantity):
     x_m: float
     y_m: float
 
-    def on(self, quantities: Quantities, held: Interval) -> NDArray[np.float64]:
+    def on(self, quantities: Quantities, held: Interval) -> NDArray:
         """Distances."""
         return self._away(quantities.grid.x()[None, :], quantities.grid.y()[:, None])
 
-    def at(
-        self,
-        quantities: Quantities,
-        held: Interval,
-        x: NDArray[np.float64],
-        y: NDArray[np.float64],
-    ) -> NDArray[np.float64]:
+    def at(self, quantities: Quantities, held: Interval, x: NDArray, y: NDArray) -> NDArray:
         """Not interpolated."""
         return self._away(x, y)
 
@@ -343,7 +325,7 @@ class FromPath(Quantity):
 
     file: Path
 
-    def on(self, quantities: Quantities, held: Interval) -> NDArray[np.float64]:
+    def on(self, quantities: Quantities, held: Interval) -> NDArray:
         """Distances; beyond the bounds every one is alike.
 
         Raises:

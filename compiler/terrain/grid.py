@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scenec.schemas.kernels import inlined, kernel
 from scenec.schemas.threads import POINTS, over_threads
+
+#: Heights after a step of the relief program, float64 [ny, nx], and what the step reports.
+Applied = tuple[NDArray[np.float64], dict[str, Any]]
 
 
 @dataclass(frozen=True)
@@ -54,7 +58,7 @@ def cuts_main_diagonal(i: int, j: int) -> bool:
     """Whether the cell in column i, row j is split from (0, 0) to (1, 1).
 
     Diagonals alternate like the squares of a chessboard: the finest level of a hierarchy of right
-    triangles (see ``ground.adaptive``).
+    triangles (see ``mesh.adaptive``).
     """
     return (i + j) % 2 == 0
 

@@ -7,20 +7,22 @@ bound; 1/2 at the bound. Conditions of one operator multiply.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.terrain.condition import Condition, product
-from scenec.compiler.terrain.grid import Grid
+from scenec.compiler.terrain.grid import Applied, Grid
 from scenec.compiler.terrain.quantities import Quantities, Samples
 
 
-class _Operator(Protocol):
-    def apply(
-        self, grid: Grid, height: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], dict[str, Any]]: ...
+class ReliefOperator(Protocol):
+    """One step of the relief program: plain numbers, no randomness."""
+
+    def apply(self, grid: Grid, height: NDArray[np.float64]) -> Applied:
+        """New heights, float64 [ny, nx], and what the step approximated (for report.json)."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -35,18 +37,16 @@ class Masked:
         conditions: Where; their weights are of the heights before it.
     """
 
-    operator: _Operator
+    operator: ReliefOperator
     conditions: tuple[Condition, ...]
 
-    def apply(
-        self, grid: Grid, height: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], dict[str, Any]]:
+    def apply(self, grid: Grid, height: NDArray[np.float64]) -> Applied:
         """Heights, blended."""
         return self.blended(grid, height, self.weight(grid, height))
 
     def blended(
         self, grid: Grid, height: NDArray[np.float64], weight: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], dict[str, Any]]:
+    ) -> Applied:
         """Heights, blended by a mask, float64 [ny, nx] each."""
         out, report = self.operator.apply(grid, height)
         change = np.where(weight > 0.0, weight * (out - height), 0.0)

@@ -1,14 +1,11 @@
-"""Defines what a relief operator is, and finds it by its name in a cfg."""
+"""Names relief operators as a cfg does."""
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from scenec.compiler.terrain.grid import Grid
 from scenec.compiler.terrain.mask import Masked
+from scenec.compiler.terrain.mask import ReliefOperator as ReliefOperator
 from scenec.compiler.terrain.operators.barchans import Barchans
 from scenec.compiler.terrain.operators.craters import Craters
 from scenec.compiler.terrain.operators.dunes import Dunes, Ripples
@@ -22,17 +19,6 @@ from scenec.compiler.terrain.operators.worley import Worley
 from scenec.compiler.terrain.sources.dem import Dem
 from scenec.compiler.terrain.sources.mesh_base import MeshBase
 from scenec.compiler.terrain.sources.plane import Plane
-
-
-class ReliefOperator(Protocol):
-    """One step of the relief program: plain numbers, no randomness."""
-
-    def apply(
-        self, grid: Grid, height: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], dict[str, Any]]:
-        """New heights, float64 [ny, nx], and what the step approximated (for report.json)."""
-        ...
-
 
 #: Cfg ``type`` -> operator.
 OPERATORS: dict[str, type[Any]] = {

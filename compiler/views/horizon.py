@@ -224,19 +224,25 @@ def _find_ceilings(first, last, least, frame, eyes, above, ceiling):  # type: ig
     for v in range(first, last):
         if not above[v]:
             continue
+        passed = np.full((rows + 2, columns + 2), np.inf)
         for k in range(2 * (rows + columns)):
             # Blocks of the border: both sides of each row, then both ends of each column.
             if k < 2 * rows:
                 i, j = (k % 2) * (columns - 1), k // 2
             else:
                 i, j = (k - 2 * rows) // 2, (k % 2) * (rows - 1)
-            _follow(least, frame, eyes[v], i, j, ceiling[v])
+            _follow(least, frame, eyes[v], i, j, passed)
+        # A ray passes beside the blocks next to its own, too.
+        for j in range(rows):
+            for i in range(columns):
+                ceiling[v, j, i] = passed[j : j + 3, i : i + 3].min()
 
 
 @kernel
-def _follow(least, frame, eye, target_i, target_j, ceiling):  # type: ignore[no-untyped-def]
-    """Follows a ray from an eye through a block of the border, and lowers the ceilings beside it.
+def _follow(least, frame, eye, target_i, target_j, passed):  # type: ignore[no-untyped-def]
+    """Follows a ray from an eye through a block of the border.
 
+    The lowest that one passes each block at goes to ``passed``, which is a block wider all around.
     Any ray is within 0.6 blocks of one of these: at the border they are at most a block apart.
     """
     rows, columns = least.shape
@@ -270,9 +276,8 @@ def _follow(least, frame, eye, target_i, target_j, ceiling):  # type: ignore[no-
         height -= 1e-6 * (abs(height) + abs(eye[2]))
         i = int(np.floor((eye[0] + dx * away - x0) / wide))
         j = int(np.floor((eye[1] + dy * away - y0) / tall))
-        for m in range(max(j - 1, 0), min(j + 1, rows - 1) + 1):
-            for n in range(max(i - 1, 0), min(i + 1, columns - 1) + 1):
-                ceiling[m, n] = min(ceiling[m, n], height)
+        if -1 <= i <= columns and -1 <= j <= rows:
+            passed[j + 1, i + 1] = min(passed[j + 1, i + 1], height)
 
 
 @inlined

@@ -94,18 +94,23 @@ def pixels_of_balls(
 def _pixels(views, x, y, z, radius, unseen, nearest):  # type: ignore[no-untyped-def]
     """Pixels a meter of a ball in the view that shows it largest."""
     best = 0.0
+    farthest = np.inf
     for v in range(len(views.eye)):
         px = x - views.eye[v, 0]
         py = y - views.eye[v, 1]
         pz = z - views.eye[v, 2]
-        distance = max(np.sqrt(px * px + py * py + pz * pz) - radius, nearest)
-        value = views.focal[v] / distance
-        # Most views lose here, which spares the rest.
+        square = px * px + py * py + pz * pz
+        # Most views lose here, before a root and a quotient.
+        reach = views.focal[v] * farthest + radius
+        if square > reach * reach * (1.0 + 1e-9):
+            continue
+        value = views.focal[v] / max(np.sqrt(square) - radius, nearest)
         if value <= best:
             continue
         if not in_view(views, v, x, y, z, radius) or is_hidden(views, v, x, y, z, radius):
             value *= unseen
-        best = max(best, value)
+        if value > best:
+            best, farthest = value, 1.0 / value
     return best
 
 

@@ -11,7 +11,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from test_ground import MERGES, relief, welded
 
-from scenec.compiler.mesh.cover import MaterialCondition, cover_report, lay
+from scenec.compiler.mesh.cover import MaterialCondition, _laid, lay
 from scenec.compiler.mesh.merge import Merge, label_index
 from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.mesh.tiles import build_tiles
@@ -27,6 +27,7 @@ from scenec.compiler.terrain.condition import (
     Slope,
 )
 from scenec.compiler.terrain.grid import Grid, HeightField
+from scenec.compiler.terrain.quantities import Samples
 from scenec.schemas.errors import SceneError
 
 GRID = Grid.with_spacing((20.0, 20.0), 0.25)
@@ -39,7 +40,7 @@ def where(*conditions: Interval, threshold: float = 0.5) -> Merge:
 
 
 def built(field: HeightField, *merges: Merge, coverage=None):
-    laid = lay(merges, coverage or [None] * len(merges), field)
+    laid, _ = lay(merges, coverage or [None] * len(merges), field)
     tiles, report = build_tiles(Surface(field, laid, smooth=False), 1)
     points, faces = welded(tiles)
     return laid, points, faces, np.concatenate([t.layer for t in tiles]), report
@@ -100,7 +101,7 @@ def test_a_flow_line_on_a_tilted_plane_is_where_enough_ground_lies_above():
     x = np.broadcast_to(grid.x(), grid.shape)
     field = HeightField(grid, -0.1 * x)
     # A strip of one sample's width, 0.25 m, drains to a place: 2.5 m^2 at 10 m from the crest.
-    laid = lay([where(Interval(Flow(0.0), Flow.of_bound(2.5), None, 0.0))], [None], field)
+    laid, _ = lay([where(Interval(Flow(0.0), Flow.of_bound(2.5), None, 0.0))], [None], field)
     px = np.linspace(-6.0, 6.0, 1001)
     side = laid[0].side(px, np.zeros_like(px))
     line = px[np.argmax(side >= 0.0)]
@@ -112,13 +113,13 @@ def test_a_flow_line_on_a_tilted_plane_is_where_enough_ground_lies_above():
 
 def test_the_color_fades_over_the_softness_about_the_line():
     field = HeightField(GRID, 0.3 * X)
-    (laid,) = lay([where(Interval(Height(), 0.6, None, 0.9))], [None], field)
+    ((laid,), _) = lay([where(Interval(Height(), 0.6, None, 0.9))], [None], field)
     x = np.linspace(-9.0, 9.0, 2001)
     weight = laid.weight_of_side(laid.side(x, np.zeros_like(x)))
     t = np.clip((0.3 * x - 0.6) / 0.9 + 0.5, 0.0, 1.0)
     assert np.allclose(weight, t * t * (3.0 - 2.0 * t), rtol=0, atol=1e-12)
     # The label is where the weight reaches the threshold, whichever it is.
-    (strict,) = lay([where(Interval(Height(), 0.6, None, 0.9), threshold=0.8)], [None], field)
+    ((strict,), _) = lay([where(Interval(Height(), 0.6, None, 0.9), threshold=0.8)], [None], field)
     side = strict.side(x, np.zeros_like(x))
     assert np.array_equal(side >= 0.0, strict.weight_of_side(side) >= 0.8)
     assert np.allclose(strict.weight_of_side(side), weight, rtol=0, atol=1e-12)
@@ -126,8 +127,7 @@ def test_the_color_fades_over_the_softness_about_the_line():
 
 def test_a_softness_that_no_spacing_can_show_is_raised_and_reported():
     field = HeightField(GRID, 0.4 * X)
-    merges = lay([where(Interval(Height(), 0.03, None, 0.0))], [None], field)
-    (layer,) = cover_report(merges, field)
+    _, (layer,) = lay([where(Interval(Height(), 0.03, None, 0.0))], [None], field)
     (condition,) = layer["conditions"]
     assert condition["type"] == "height"
     assert condition["softness_asked"] == 0.0
@@ -319,10 +319,10 @@ def test_twelve_layers_of_conditions_make_a_sound_mesh():
               Interval(FromPoint(0.0, 0.0), None, 19.0 - i, 1.0))
         for i in range(12)
     ]  # fmt: skip
-    laid, points, faces, layer, _ = built(field, *merges)
+    _, points, faces, layer, _ = built(field, *merges)
     assert_sound(points, faces, field.grid.size_m)
     assert len(set(layer)) >= 8
-    report = cover_report(laid, field)
+    report = lay(merges, [None] * len(merges), field)[1]
     assert sum(entry["shows"] for entry in report) <= 1.0
     assert all(entry["shows"] <= entry["covers"] for entry in report)
 
@@ -359,8 +359,7 @@ def test_constant_ground_lies_wholly_on_one_side():
 def test_a_coverage_within_conditions_is_that_of_the_whole_terrain(part):
     field = relief(spacing=0.25)
     merge = replace(MERGES[0], where=(Interval(Slope(), 8.0, None, 2.0),))
-    laid = lay([merge], [part], field)
-    (entry,) = cover_report(laid, field)
+    laid, (entry,) = lay([merge], [part], field)
     assert entry["covers"] == pytest.approx(part, abs=2e-4)
     assert entry["conditions"][0]["holds"] > 0.2
     steep = HeightField(field.grid, Definition(field).slope)
@@ -373,7 +372,7 @@ def test_a_coverage_beyond_the_conditions_is_refused_with_what_can_be_reached():
     merge = replace(MERGES[0], where=(Interval(Height(), 0.01, None, 0.1),))
     with pytest.raises(SceneError, match=r"terrain/ground/1/coverage: 0\.6 .* 0\.49"):
         lay([merge], [0.6], field)
-    (laid,) = lay([merge], [0.6], field, strict=False)
+    (laid,) = (each.merge for each in _laid([merge], [0.6], field, False, Samples.of(GRID)))
     x, y = GRID.points()
     assert (laid.side(x, y) >= 0.0).mean() == pytest.approx(40 / 81)
 
@@ -396,7 +395,7 @@ def test_a_material_mask_is_the_weight_that_shows():
     field = relief(spacing=0.25)
     merges = (MERGES[0], *layers()[:2])
     x, y = field.grid.points()
-    alpha = [m.weight_of_side(m.side(x, y)) for m in lay(merges, [None] * 3, field)]
+    alpha = [m.weight_of_side(m.side(x, y)) for m in lay(merges, [None] * 3, field)[0]]
     shows = [
         (1 - alpha[0]) * (1 - alpha[1]) * (1 - alpha[2]),
         alpha[0] * (1 - alpha[1]) * (1 - alpha[2]),

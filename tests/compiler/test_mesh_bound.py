@@ -20,6 +20,7 @@ from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.compiler.terrain.operators.multifractal import Multifractal
 from scenec.compiler.terrain.operators.worley import Worley
+from scenec.compiler.terrain.quantities import Samples
 from scenec.compiler.views.resolution import Views, pixels_of_balls, pixels_per_meter, views_of
 
 UNSEEN = 0.125
@@ -68,9 +69,9 @@ def meshed(surface: Surface, meshing: Meshing, seed: int) -> tuple[CutMesh, View
     rig = one_rig(surface.field, tuple(eye), tuple(target), rng.uniform(0.5, 3.0))
     views = views_of((rig,))
     near = pixels_per_meter(surface.field, views, meshing.unseen)
-    x, y = surface.field.grid.points()
-    sides = tuple(one.side(x, y).reshape(near.shape) for one in surface.merges)
-    look = Appearance(sides, np.zeros(near.shape))
+    samples = Samples.of(surface.field.grid)
+    sides = [one.side_on(samples) for one in surface.merges]
+    look = Appearance(np.reshape(sides, (len(sides), *near.shape)), np.zeros(near.shape))
     mesh, _, report = adaptive_mesh(surface, look, near, views, meshing)
     return mesh, views, report["finer"]
 

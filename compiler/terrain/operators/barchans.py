@@ -12,7 +12,7 @@ from scenec.compiler.arithmetic import elementary
 from scenec.compiler.distributions.numbers import draw_number
 from scenec.compiler.distributions.resolve import resolve
 from scenec.compiler.distributions.streams import Streams
-from scenec.compiler.terrain.grid import Grid
+from scenec.compiler.terrain.grid import Applied, Grid
 from scenec.schemas.kernels import kernel
 
 #: Dunes of one operator at most.
@@ -55,9 +55,7 @@ class Barchans:
     #: Adds to the heights whatever they are (``program``).
     adds: ClassVar[bool] = True
 
-    def apply(
-        self, grid: Grid, height: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], dict[str, Any]]:
+    def apply(self, grid: Grid, height: NDArray[np.float64]) -> Applied:
         """Heights plus dunes."""
         wind = self.wind_deg * (elementary.PI / 180.0)
         repose = self.repose_deg * (elementary.PI / 180.0)

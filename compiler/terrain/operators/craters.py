@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.noise.lattice import hash2, whole
 from scenec.compiler.noise.perlin import DIRECTION_MASK, perlin2_of_directions
-from scenec.compiler.terrain.grid import Grid
+from scenec.compiler.terrain.grid import Applied, Grid
 from scenec.compiler.terrain.operators.crater_profile import (
     REACH,
     blend_row,
@@ -63,9 +63,7 @@ class Craters:
     outline: NDArray[np.uint64]
     irregularity: float
 
-    def apply(
-        self, grid: Grid, height: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], dict[str, Any]]:
+    def apply(self, grid: Grid, height: NDArray[np.float64]) -> Applied:
         """Heights with craters.
 
         Raises:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.noise.lattice import subkey, subkeys
 from scenec.compiler.noise.octaves import Octaves, octave_at, tabulate
-from scenec.compiler.terrain.grid import Grid
+from scenec.compiler.terrain.grid import Applied, Grid
 from scenec.schemas.errors import SceneError
 from scenec.schemas.kernels import inlined, kernel
 from scenec.schemas.threads import over_threads
@@ -60,9 +60,7 @@ class Dunes:
     #: Adds to the heights whatever they are (``program``).
     adds: ClassVar[bool] = True
 
-    def apply(
-        self, grid: Grid, height: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], dict[str, Any]]:
+    def apply(self, grid: Grid, height: NDArray[np.float64]) -> Applied:
         """Heights plus bedforms.
 
         Raises:

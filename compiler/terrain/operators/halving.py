@@ -1,4 +1,4 @@
-"""Estimates the error of what steps or iterates from half as many steps."""
+"""Measures what operators change, and estimates what steps err from half as many."""
 
 from __future__ import annotations
 
@@ -33,6 +33,12 @@ def halving_error(
         "error_rms_m": factor * rms(difference),
         "error_99_m": factor * most,
     }
+
+
+def changed(after: NDArray[np.float64], before: NDArray[np.float64]) -> dict[str, float]:
+    """For the report: how far heights have moved, meters."""
+    change = after - before
+    return {"change_rms_m": rms(change), "change_max_m": float(np.abs(change).max())}
 
 
 def rms(field: NDArray[np.float64]) -> float:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.noise.fractal import WARP_LACUNARITY, Fractal, warp_keys
 from scenec.compiler.terrain.detail import Spectrum, octave_spectrum
-from scenec.compiler.terrain.grid import Grid
+from scenec.compiler.terrain.grid import Applied, Grid
 
 #: Largest extent that a cfg can give a terrain.
 LARGEST_M = 1e6
@@ -65,9 +65,7 @@ class Multifractal:
     #: Adds to the heights whatever they are (``program``).
     adds: ClassVar[bool] = True
 
-    def apply(
-        self, grid: Grid, height: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], dict[str, Any]]:
+    def apply(self, grid: Grid, height: NDArray[np.float64]) -> Applied:
         """Heights plus relief."""
         spacing = max(grid.spacing_m)
         octaves = octaves_shown(self.octaves, self.scale_m, self.lacunarity, spacing)

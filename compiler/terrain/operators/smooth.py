@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
-from scenec.compiler.terrain.grid import Grid
+from scenec.compiler.terrain.grid import Applied, Grid
+from scenec.compiler.terrain.operators.halving import changed
 
 
 @dataclass(frozen=True)
@@ -28,18 +28,12 @@ class Smooth:
 
     length_m: float
 
-    def apply(
-        self, grid: Grid, height: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], dict[str, Any]]:
+    def apply(self, grid: Grid, height: NDArray[np.float64]) -> Applied:
         """Smoothed heights."""
         if self.length_m == 0.0:
             return height, {}
         smoothed = diffuse(grid, height, self.length_m)
-        change = smoothed - height
-        return smoothed, {
-            "change_rms_m": float(np.sqrt((change * change).mean())),
-            "change_max_m": float(np.abs(change).max()),
-        }
+        return smoothed, changed(smoothed, height)
 
 
 @dataclass(frozen=True)
@@ -56,9 +50,7 @@ class Diffusion:
     diffusivity_m2_per_a: float
     duration_a: float
 
-    def apply(
-        self, grid: Grid, height: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], dict[str, Any]]:
+    def apply(self, grid: Grid, height: NDArray[np.float64]) -> Applied:
         """Diffused heights."""
         length = float(np.sqrt(2.0 * self.diffusivity_m2_per_a * self.duration_a))
         out, report = Smooth(length).apply(grid, height)

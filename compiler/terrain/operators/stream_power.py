@@ -9,14 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
-from scenec.compiler.terrain.grid import Grid
+from scenec.compiler.terrain.grid import Applied, Grid
 from scenec.compiler.terrain.operators.drainage import (
     Drainage,
     drain,
     drainage_area,
     outlet_samples,
 )
-from scenec.compiler.terrain.operators.halving import halving_error, rms
+from scenec.compiler.terrain.operators.halving import changed, halving_error, rms
 from scenec.compiler.terrain.operators.hillslopes import Hillslopes
 from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import POINTS, over_threads
@@ -72,9 +72,7 @@ class StreamPower:
     outlets: tuple[str, ...]
     error_m: float | None = None
 
-    def apply(
-        self, grid: Grid, height: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], dict[str, Any]]:
+    def apply(self, grid: Grid, height: NDArray[np.float64]) -> Applied:
         """Eroded heights."""
         slopes = Hillslopes(grid, self.outlets)
         if self.steps is not None and (self.error_m is None or self.steps == 1):
@@ -84,13 +82,11 @@ class StreamPower:
             error = halving_error(out, self.steps, coarser, other)
         else:
             out, report, error = self._aimed(grid, height, slopes)
-        change = out - height
         return out, {
             **report,
             **error,
             **({} if self.error_m is None else {"error_aim_m": self.error_m}),
-            "change_rms_m": rms(change),
-            "change_max_m": float(np.abs(change).max()),
+            **changed(out, height),
         }
 
     def _aimed(
@@ -110,7 +106,7 @@ class StreamPower:
 
     def run(
         self, grid: Grid, height: NDArray[np.float64], steps: int, slopes: Hillslopes | None = None
-    ) -> tuple[NDArray[np.float64], dict[str, Any]]:
+    ) -> Applied:
         """Eroded heights after a number of equal steps; ``slopes`` between the outlets, if kept."""
         dx, dy = grid.spacing_m
         outlets = outlet_samples(grid.shape, self.outlets)

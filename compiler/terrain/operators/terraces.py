@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.noise.fractal import Fractal
 from scenec.compiler.noise.lattice import hash2
-from scenec.compiler.terrain.grid import Grid
+from scenec.compiler.terrain.grid import Applied, Grid
+from scenec.compiler.terrain.operators.halving import changed
 from scenec.compiler.terrain.operators.multifractal import octaves_shown
 from scenec.schemas.kernels import inlined, kernel
 from scenec.schemas.threads import over_threads
@@ -56,9 +57,7 @@ class Terraces:
     bend_m: float
     bend_scale_m: float
 
-    def apply(
-        self, grid: Grid, height: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], dict[str, Any]]:
+    def apply(self, grid: Grid, height: NDArray[np.float64]) -> Applied:
         """Terraced heights."""
         octaves = octaves_shown(_OCTAVES, self.bend_scale_m, _LACUNARITY, max(grid.spacing_m))
         noise = Fractal(self.key, octaves, _GAIN, _LACUNARITY, scale_m=self.bend_scale_m)
@@ -68,11 +67,7 @@ class Terraces:
         )
         out = np.empty(height.shape)
         over_threads(_terraced_part, len(height), height, bend, layers, out)
-        change = out - height
-        return out, {
-            "change_rms_m": float(np.sqrt((change * change).mean())),
-            "change_max_m": float(np.abs(change).max()),
-        }
+        return out, changed(out, height)
 
 
 @inlined

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
-from scenec.compiler.terrain.grid import Grid
-from scenec.compiler.terrain.operators.halving import halving_error, rms
+from scenec.compiler.terrain.grid import Applied, Grid
+from scenec.compiler.terrain.operators.halving import changed, halving_error
 from scenec.compiler.terrain.operators.smooth import laplacian_eigenvalues
 from scenec.schemas.kernels import kernel
 
@@ -41,9 +40,7 @@ class Thermal:
 
     angle_deg: float
 
-    def apply(
-        self, grid: Grid, height: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], dict[str, Any]]:
+    def apply(self, grid: Grid, height: NDArray[np.float64]) -> Applied:
         """Heights after the slides."""
         angle = self.angle_deg * (elementary.PI / 180.0)
         slope = elementary.sin(angle) / elementary.cos(angle)
@@ -56,7 +53,6 @@ class Thermal:
             error = halving_error(out, _FINE, half, _FINE // 2)
             out += mean - out.mean()
         left, still = _steepness(out, *grid.spacing_m, 1.02 * slope)
-        change = out - height
         cells = (grid.shape[0] - 1) * (grid.shape[1] - 1)
         return out, {
             "slope_max_before_deg": _degrees(steepest),
@@ -65,8 +61,7 @@ class Thermal:
             "steep_fraction_left": still / (2 * cells),
             "last_iteration_m": last_change,
             **error,
-            "change_rms_m": rms(change),
-            "change_max_m": float(np.abs(change).max()),
+            **changed(out, height),
         }
 
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.assets.polyline import read_polyline
-from scenec.compiler.terrain.grid import Grid
+from scenec.compiler.terrain.grid import Applied, Grid
 from scenec.compiler.terrain.operators.smooth import diffuse
 from scenec.compiler.terrain.polyline import project
 from scenec.schemas.kernels import kernel
@@ -73,9 +73,7 @@ class Tracks:
     grouser_depth_m: float
     pattern: Literal["bars", "chevrons"]
 
-    def apply(
-        self, grid: Grid, height: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], dict[str, Any]]:
+    def apply(self, grid: Grid, height: NDArray[np.float64]) -> Applied:
         """Heights with tracks.
 
         Raises:

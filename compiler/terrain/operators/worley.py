@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, Literal, NamedTuple
+from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,7 @@ from scenec.compiler.noise.lattice import subkeys
 from scenec.compiler.noise.octaves import BLOCK, next_octave
 from scenec.compiler.noise.worley import worley2_points
 from scenec.compiler.terrain.detail import Spectrum, octave_spectrum
-from scenec.compiler.terrain.grid import Grid
+from scenec.compiler.terrain.grid import Applied, Grid
 from scenec.compiler.terrain.operators.multifractal import LARGEST_M, octaves_held, octaves_shown
 from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import POINTS, over_threads
@@ -50,9 +50,7 @@ class Worley:
     #: Adds to the heights whatever they are (``program``).
     adds: ClassVar[bool] = True
 
-    def apply(
-        self, grid: Grid, height: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], dict[str, Any]]:
+    def apply(self, grid: Grid, height: NDArray[np.float64]) -> Applied:
         """Heights plus relief."""
         octaves = octaves_shown(self.octaves, self.scale_m, self.lacunarity, max(grid.spacing_m))
         relief = np.zeros(grid.shape)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.assets.dem_file import GeoReference, read_dem
-from scenec.compiler.terrain.grid import Grid
+from scenec.compiler.terrain.grid import Applied, Grid
 from scenec.compiler.terrain.sources.fill_holes import fill_holes
 from scenec.schemas.errors import SceneError
 from scenec.schemas.kernels import inlined, kernel
@@ -56,9 +56,7 @@ class Dem:
     #: Adds to the heights whatever they are (``program``).
     adds: ClassVar[bool] = True
 
-    def apply(
-        self, grid: Grid, height: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], dict[str, Any]]:
+    def apply(self, grid: Grid, height: NDArray[np.float64]) -> Applied:
         """Heights plus the DEM's.
 
         Raises:
@@ -110,9 +108,7 @@ class Dem:
             **report,
         }
 
-    def _filled(
-        self, samples: NDArray, holes: NDArray, u: NDArray, v: NDArray
-    ) -> tuple[NDArray[np.float64], dict[str, Any]]:
+    def _filled(self, samples: NDArray, holes: NDArray, u: NDArray, v: NDArray) -> Applied:
         """Samples without holes under the terrain, and how many were filled."""
         rows, columns = _under(v, holes.shape[0], 0), _under(u, holes.shape[1], 0)
         count = int(holes[rows, columns].sum())

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from scenec.compiler.assets.model import Model, read_model
 from scenec.compiler.geometry import affine
-from scenec.compiler.terrain.grid import Grid, HeightField
+from scenec.compiler.terrain.grid import Applied, Grid, HeightField
 from scenec.compiler.terrain.operators.multifractal import octaves_shown
 from scenec.compiler.terrain.sources.fill_holes import fill_holes
 from scenec.compiler.terrain.sources.mesh_plan import SAME, Above, see
@@ -67,9 +67,7 @@ class MeshBase:
     #: Its own heights come on top of those before it.
     adds: ClassVar[bool] = True
 
-    def apply(
-        self, grid: Grid, height: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], dict[str, Any]]:
+    def apply(self, grid: Grid, height: NDArray[np.float64]) -> Applied:
         """Heights plus those of the topmost surface.
 
         Raises:
@@ -157,7 +155,7 @@ class MeshBase:
             "facing_down_fraction": float(seen.down.sum() / there.sum()),
         }
 
-    def _whole(self, seen: Above) -> tuple[NDArray[np.float64], dict[str, Any]]:
+    def _whole(self, seen: Above) -> Applied:
         """Heights without holes."""
         holes = ~np.isfinite(seen.top)
         count = int(holes.sum())

@@ -113,10 +113,8 @@ def _see(points, faces, frame, above):  # type: ignore[no-untyped-def]
     flat = HAIR * min(dx, dy)
     for f in range(len(faces)):
         a, b, c = faces[f]
-        left = min(points[a, 0], min(points[b, 0], points[c, 0]))
-        right = max(points[a, 0], max(points[b, 0], points[c, 0]))
-        low = min(points[a, 1], min(points[b, 1], points[c, 1]))
-        high = max(points[a, 1], max(points[b, 1], points[c, 1]))
+        left, right = _span(points, a, b, c, 0)
+        low, high = _span(points, a, b, c, 1)
         # As floats: what lies far outside must not overflow an index.
         first_x = max(np.ceil((left - x0) / dx - 1e-6), 0.0)
         last_x = min(np.floor((right - x0) / dx + 1e-6), nx - 1.0)
@@ -164,22 +162,28 @@ class PlanBins(NamedTuple):
         # A long and thin plan must not be cut finer than it has faces.
         size = max(size, float(span.max()) / max(len(faces), 1))
         shape = (int(span[1] / size) + 1, int(span[0] / size) + 1)
-        start = np.zeros(shape[0] * shape[1] + 1, np.int64)
-        x0, y0 = float(low[0]), float(low[1])
-        _count(points, faces, x0, y0, size, shape, start)
+        start, none = np.zeros(shape[0] * shape[1] + 1, np.int64), np.empty(0, np.int32)
+        bins = cls(float(low[0]), float(low[1]), size, shape, start, none)
+        _sort(points, faces, bins, start[1:])
         start = np.cumsum(start)
-        held = np.empty(int(start[-1]), np.int32)
-        _fill(points, faces, x0, y0, size, shape, start[:-1].copy(), held)
-        return cls(x0, y0, size, shape, start, held)
+        bins = bins._replace(start=start, faces=np.empty(int(start[-1]), np.int32))
+        _sort(points, faces, bins, start[:-1].copy())
+        return bins
 
 
 @inlined
-def _squares(points, a, b, c, x0, y0, size, shape):  # type: ignore[no-untyped-def]
+def _span(points, a, b, c, axis):  # type: ignore[no-untyped-def]
+    """Least and most of a triangle along an axis."""
+    p, q, r = points[a, axis], points[b, axis], points[c, axis]
+    return min(p, min(q, r)), max(p, max(q, r))
+
+
+@inlined
+def _squares(points, a, b, c, bins):  # type: ignore[no-untyped-def]
     """(first column, last column, first row, last row) that a triangle may touch."""
-    left = min(points[a, 0], min(points[b, 0], points[c, 0]))
-    right = max(points[a, 0], max(points[b, 0], points[c, 0]))
-    low = min(points[a, 1], min(points[b, 1], points[c, 1]))
-    high = max(points[a, 1], max(points[b, 1], points[c, 1]))
+    x0, y0, size, shape = bins.x0, bins.y0, bins.size, bins.shape
+    left, right = _span(points, a, b, c, 0)
+    low, high = _span(points, a, b, c, 1)
     return (
         min(max(int((left - x0) / size - 1e-6), 0), shape[1] - 1),
         min(max(int((right - x0) / size + 1e-6), 0), shape[1] - 1),
@@ -189,24 +193,17 @@ def _squares(points, a, b, c, x0, y0, size, shape):  # type: ignore[no-untyped-d
 
 
 @kernel
-def _count(points, faces, x0, y0, size, shape, start):  # type: ignore[no-untyped-def]
+def _sort(points, faces, bins, at):  # type: ignore[no-untyped-def]
+    """Counts the faces of each square in ``at``, or puts them there if bins have room for any."""
     for f in range(len(faces)):
         a, b, c = faces[f]
-        i0, i1, j0, j1 = _squares(points, a, b, c, x0, y0, size, shape)
+        i0, i1, j0, j1 = _squares(points, a, b, c, bins)
         for j in range(j0, j1 + 1):
             for i in range(i0, i1 + 1):
-                start[j * shape[1] + i + 1] += 1
-
-
-@kernel
-def _fill(points, faces, x0, y0, size, shape, at, held):  # type: ignore[no-untyped-def]
-    for f in range(len(faces)):
-        a, b, c = faces[f]
-        i0, i1, j0, j1 = _squares(points, a, b, c, x0, y0, size, shape)
-        for j in range(j0, j1 + 1):
-            for i in range(i0, i1 + 1):
-                held[at[j * shape[1] + i]] = f
-                at[j * shape[1] + i] += 1
+                square = j * bins.shape[1] + i
+                if len(bins.faces):
+                    bins.faces[at[square]] = f
+                at[square] += 1
 
 
 @inlined

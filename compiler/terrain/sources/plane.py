@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.terrain.grid import Grid
+from scenec.compiler.terrain.grid import Applied, Grid
 
 
 @dataclass(frozen=True)
@@ -26,9 +26,7 @@ class Plane:
     #: Adds to the heights whatever they are (``program``).
     adds: ClassVar[bool] = True
 
-    def apply(
-        self, grid: Grid, height: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], dict[str, Any]]:
+    def apply(self, grid: Grid, height: NDArray[np.float64]) -> Applied:
         """The plane added to the heights (exact up to rounding)."""
         plane = (
             self.height_m + self.slope[0] * grid.x()[None, :] + self.slope[1] * grid.y()[:, None]
