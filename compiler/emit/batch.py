@@ -8,7 +8,7 @@ from pathlib import Path
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdUtils, Vt
 
 from scenec.compiler.emit.cameras import camera_path, clipping_range, write_cameras
-from scenec.compiler.emit.layer import label_names, new_layer
+from scenec.compiler.emit.layer import TYPES, custom, label_names, new_layer
 from scenec.compiler.emit.lights import write_lights
 from scenec.compiler.emit.looks import write_look
 from scenec.compiler.emit.maps import copy_maps
@@ -128,26 +128,18 @@ def _write_root(path: Path, scene: Scene, sublayers: list[str]) -> None:
         Usd.ModelAPI(world).SetKind("assembly")
         if scene.materials:
             Usd.ColorSpaceAPI.Apply(world).CreateColorSpaceNameAttr("lin_rec709_scene")
-        world.CreateAttribute(
-            names.ATTR_SCHEMA_VERSION, Sdf.ValueTypeNames.String, custom=True
-        ).Set(names.SCHEMA_VERSION)
+        custom(world, names.ATTR_SCHEMA_VERSION, TYPES.String).Set(names.SCHEMA_VERSION)
         for level, table in scene.label_table.items():
-            world.CreateAttribute(
-                names.ATTR_LABEL_NAMES.format(level=level),
-                Sdf.ValueTypeNames.TokenArray,
-                custom=True,
-            ).Set(Vt.TokenArray(list(table)))
-            world.CreateAttribute(
-                names.ATTR_LABEL_IDS.format(level=level),
-                Sdf.ValueTypeNames.UIntArray,
-                custom=True,
-            ).Set(Vt.UIntArray(list(table.values())))
+            custom(world, names.ATTR_LABEL_NAMES.format(level=level), TYPES.TokenArray).Set(
+                Vt.TokenArray(list(table))
+            )
+            custom(world, names.ATTR_LABEL_IDS.format(level=level), TYPES.UIntArray).Set(
+                Vt.UIntArray(list(table.values()))
+            )
         if scene.haze is not None:
             # Of all there was: what was pruned must not move it.
             sky = stage.OverridePrim(names.SKY_PRIM)
-            floor = sky.CreateAttribute(
-                names.ATTR_HAZE_FLOOR, Sdf.ValueTypeNames.Double, custom=True
-            )
+            floor = custom(sky, names.ATTR_HAZE_FLOOR, TYPES.Double)
             floor.Set(float(scene.bounds[0, 2]))
         _write_georeference(world, scene)
         _write_instance_bases(stage, scene)
@@ -166,13 +158,12 @@ def _write_georeference(world: Usd.Prim, scene: Scene) -> None:
     place = scene.georeference
     if place is None:
         return
-    types = Sdf.ValueTypeNames
     for name, kind, value in (
-        (names.ATTR_GEOREFERENCE_CRS, types.String, place.crs),
-        (names.ATTR_GEOREFERENCE_CENTER, types.Double2, Gf.Vec2d(*place.center)),
-        (names.ATTR_GEOREFERENCE_HEIGHT_OFFSET, types.Double, place.height_offset_m),
+        (names.ATTR_GEOREFERENCE_CRS, TYPES.String, place.crs),
+        (names.ATTR_GEOREFERENCE_CENTER, TYPES.Double2, Gf.Vec2d(*place.center)),
+        (names.ATTR_GEOREFERENCE_HEIGHT_OFFSET, TYPES.Double, place.height_offset_m),
     ):
-        world.CreateAttribute(name, kind, custom=True).Set(value)
+        custom(world, name, kind).Set(value)
 
 
 def _write_instance_bases(stage: Usd.Stage, scene: Scene) -> None:
@@ -187,7 +178,5 @@ def _write_instance_bases(stage: Usd.Stage, scene: Scene) -> None:
     for objects in scene.objects:
         if objects.count:
             prim = stage.OverridePrim(class_path(objects.name))
-            prim.CreateAttribute(
-                names.ATTR_INSTANCE_ID_BASE, Sdf.ValueTypeNames.UInt, custom=True
-            ).Set(base)
+            custom(prim, names.ATTR_INSTANCE_ID_BASE, TYPES.UInt).Set(base)
         base += objects.drawn

@@ -7,19 +7,21 @@ two. ``camera_to_world`` of the contract is therefore (prim's local-to-world) * 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdRender
 
-from scenec.compiler.emit.imaging import write_imaging
-from scenec.compiler.emit.layer import author, new_layer
+from scenec.compiler.emit.layer import TYPES, author, custom, matrix, new_layer
 from scenec.compiler.emit.sensors import write_depth_camera, write_lidar, write_trigger
 from scenec.compiler.emit.shutter import write_between, write_shutter
 from scenec.compiler.scene.rig import Rig, Sensor
 from scenec.compiler.scene.scene import Scene
+from scenec.schemas import imaging as formulas
 from scenec.schemas import stage as names
+from scenec.schemas.imaging import Imaging
 from scenec.schemas.lens import KANNALA_BRANDT, Lens
 from scenec.schemas.passes import BUILT_IN
 
@@ -36,14 +38,14 @@ def write_cameras(path: Path, scene: Scene) -> None:
     """Writes ``cameras.usdc``: rigs, cameras, a RenderProduct for each camera, samples' times."""
     with new_layer(path) as stage:
         world = stage.GetDefaultPrim()
-        time = world.CreateAttribute(names.ATTR_TIME, Sdf.ValueTypeNames.Double, custom=True)
+        time = custom(world, names.ATTR_TIME, TYPES.Double)
         author(time, scene.times.tolist())
         UsdGeom.Scope.Define(stage, RIGS)
         products = []
         for rig in scene.rigs:
             xform = UsdGeom.Xform.Define(stage, f"{RIGS}/{rig.name}")
             op = xform.AddTransformOp()
-            author(op.GetAttr(), [_matrix(m) for m in rig.to_world])
+            author(op.GetAttr(), [matrix(m) for m in rig.to_world])
             write_between(op, rig)
             for sensor in rig.sensors:
                 camera = _write_camera(stage, rig, sensor)
@@ -52,11 +54,6 @@ def write_cameras(path: Path, scene: Scene) -> None:
                 write_lidar(stage, f"{RIGS}/{rig.name}/{lidar.name}", lidar)
         settings = UsdRender.Settings.Define(stage, f"{names.RENDER_SCOPE}/Settings")
         settings.CreateProductsRel().SetTargets(products)
-
-
-def _matrix(columns: NDArray[np.float64]) -> Gf.Matrix4d:
-    """Gf's matrices act on row vectors: the transpose of ours."""
-    return Gf.Matrix4d(*columns.T.ravel().tolist())
 
 
 def camera_path(rig: Rig, sensor: Sensor) -> str:
@@ -82,7 +79,7 @@ def clipping_range(rig: Rig, sensor: Sensor, bounds: NDArray[np.float64]) -> Gf.
 
 def _write_camera(stage: Usd.Stage, rig: Rig, sensor: Sensor) -> UsdGeom.Camera:
     camera = UsdGeom.Camera.Define(stage, camera_path(rig, sensor))
-    camera.AddTransformOp().Set(_matrix(sensor.to_rig * HALF_TURN[None, :]))
+    camera.AddTransformOp().Set(matrix(sensor.to_rig * HALF_TURN[None, :]))
     width, height = sensor.resolution
     fx, fy, cx, cy, skew = sensor.intrinsics
     across = _APERTURE
@@ -114,29 +111,32 @@ def _write_camera(stage: Usd.Stage, rig: Rig, sensor: Sensor) -> UsdGeom.Camera:
     if "rgb" in sensor.outputs:
         author(camera.CreateExposureAttr(), sensor.exposure_ev.tolist())
         if sensor.exposure_per is not None:
-            camera.GetPrim().CreateAttribute(
-                names.ATTR_EXPOSURE_PER, Sdf.ValueTypeNames.Token, custom=True
-            ).Set(sensor.exposure_per)
+            custom(camera.GetPrim(), names.ATTR_EXPOSURE_PER, TYPES.Token).Set(sensor.exposure_per)
     if sensor.imaging is not None:
         write_imaging(camera.GetPrim(), sensor.imaging)
-    camera.GetPrim().CreateAttribute(
-        names.ATTR_INTRINSICS, Sdf.ValueTypeNames.DoubleArray, custom=True
-    ).Set([fx, skew, cx, 0.0, fy, cy, 0.0, 0.0, 1.0])
+    custom(camera.GetPrim(), names.ATTR_INTRINSICS, TYPES.DoubleArray).Set(
+        [fx, skew, cx, 0.0, fy, cy, 0.0, 0.0, 1.0]
+    )
     return camera
+
+
+def write_imaging(prim: Usd.Prim, samples: Sequence[Imaging]) -> None:
+    """Writes what differs from the defaults, and the rule, which says that there is imaging."""
+    usual = Imaging()
+    for field, kind in formulas.TYPES.items():
+        values = [getattr(imaging, field) for imaging in samples]
+        if field == "rule" or any(value != getattr(usual, field) for value in values):
+            made = custom(prim, formulas.attribute(field), getattr(TYPES, kind))
+            author(made, [list(v) if isinstance(v, tuple) else v for v in values])
 
 
 def write_lens(prim: Usd.Prim, lens: Lens) -> None:
     """Author a lens; viewers that know none show the pinhole that agrees with it at the axis."""
-    types = Sdf.ValueTypeNames
-    prim.CreateAttribute(names.ATTR_LENS_MODEL, types.Token, custom=True).Set(lens.model)
+    custom(prim, names.ATTR_LENS_MODEL, TYPES.Token).Set(lens.model)
     if lens.coefficients:
-        prim.CreateAttribute(names.ATTR_LENS_COEFFICIENTS, types.DoubleArray, custom=True).Set(
-            list(lens.coefficients)
-        )
+        custom(prim, names.ATTR_LENS_COEFFICIENTS, TYPES.DoubleArray).Set(list(lens.coefficients))
     if lens.model == KANNALA_BRANDT:
-        prim.CreateAttribute(names.ATTR_LENS_MAX_ANGLE, types.Double, custom=True).Set(
-            lens.max_angle
-        )
+        custom(prim, names.ATTR_LENS_MAX_ANGLE, TYPES.Double).Set(lens.max_angle)
 
 
 def _write_product(

@@ -7,10 +7,14 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from pxr import Sdf, Usd, UsdGeom, UsdSemantics
+import numpy as np
+from numpy.typing import NDArray
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdSemantics
 
 from scenec.compiler.scene.scene import Labels
 from scenec.schemas import stage as names
+
+TYPES = Sdf.ValueTypeNames
 
 
 @contextmanager
@@ -40,6 +44,18 @@ def author(attribute: Usd.Attribute, values: Sequence[Any]) -> None:
             attribute.Set(value, float(time_code))
 
 
+def custom(prim: Usd.Prim, name: str, kind: Sdf.ValueTypeName) -> Usd.Attribute:
+    """An attribute that no schema of USD's has."""
+    return prim.CreateAttribute(name, kind, custom=True)
+
+
+def matrix(columns: NDArray[np.float64]) -> Gf.Matrix4d:
+    """A transform [3 or 4, 4] of column vectors; Gf's act on row vectors: the transpose."""
+    rows = np.eye(4)
+    rows[:, : len(columns)] = columns.T
+    return Gf.Matrix4d(*rows.ravel().tolist())
+
+
 def label(prim: Usd.Prim, labels: dict[str, str]) -> None:
     """Standard semantic labels: one taxonomy a level, the label's name as its only entry."""
     for level, name in labels.items():
@@ -60,7 +76,5 @@ def constant_label_ids(prim: Usd.Prim, labels: Labels) -> None:
     """One label id for all faces below a prim, per level, as an inherited primvar."""
     api = UsdGeom.PrimvarsAPI(prim)
     for level, label_id in labels.items():
-        primvar = api.CreatePrimvar(
-            names.label_primvar(level), Sdf.ValueTypeNames.Int, UsdGeom.Tokens.constant
-        )
+        primvar = api.CreatePrimvar(names.label_primvar(level), TYPES.Int, UsdGeom.Tokens.constant)
         primvar.Set(label_id)

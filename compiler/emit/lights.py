@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux
 
 from scenec.compiler.cache.memo import memoized_file
-from scenec.compiler.emit.layer import author, new_layer
+from scenec.compiler.emit.layer import author, matrix, new_layer
 from scenec.compiler.emit.maps import TEXTURES
 from scenec.compiler.geometry.poses import cross
 from scenec.compiler.light.latlong import luminance
@@ -83,8 +83,7 @@ def _write_lamp(stage: Usd.Stage, lamp: Lamp) -> None:
     pi r^2 of it: the stage's intensity is four times that in W/sr, whatever the radius.
     """
     light = UsdLux.SphereLight.Define(stage, f"{LIGHTS}/{lamp.name}")
-    # Gf's matrices act on row vectors.
-    matrices = [Gf.Matrix4d(*m.T.ravel().tolist()) for m in lamp.to_world]
+    matrices = [matrix(m) for m in lamp.to_world]
     author(light.AddTransformOp().GetAttr(), matrices)
     light.CreateNormalizeAttr(True)
     light.CreateExposureAttr(0.0)

@@ -7,7 +7,7 @@ from pathlib import Path
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade
 
 from scenec.compiler.cache.memo import memoized_file
-from scenec.compiler.emit.layer import new_layer
+from scenec.compiler.emit.layer import TYPES, custom, new_layer
 from scenec.compiler.emit.preview import is_encoded, write_preview
 from scenec.compiler.scene.scene import Material, MaterialMaps, Reflectance
 from scenec.schemas import stage as names
@@ -38,24 +38,20 @@ def write_look(path: Path, name: str, material: Material, maps: dict[str, str]) 
         UsdGeom.Scope.Define(stage, LOOKS)
         look = UsdShade.Material.Define(stage, look_path(name))
         prim = look.GetPrim()
-        prim.CreateAttribute(names.ATTR_BASE_COLOR, Sdf.ValueTypeNames.Color3f, custom=True).Set(
-            Gf.Vec3f(*material.base_color)
-        )
+        custom(prim, names.ATTR_BASE_COLOR, TYPES.Color3f).Set(Gf.Vec3f(*material.base_color))
         for attribute, value in (
             (names.ATTR_SPECULAR, material.specular),
             (names.ATTR_ROUGHNESS, material.roughness),
             (names.ATTR_METALLIC, material.metallic),
             (names.ATTR_COLOR_VARIATION, material.variation),
         ):
-            prim.CreateAttribute(attribute, Sdf.ValueTypeNames.Float, custom=True).Set(value)
+            custom(prim, attribute, TYPES.Float).Set(value)
         if material.roughness_variation != 0.0:
-            prim.CreateAttribute(
-                names.ATTR_ROUGHNESS_VARIATION, Sdf.ValueTypeNames.Float, custom=True
-            ).Set(material.roughness_variation)
-        if max(material.emission) > 0.0:
-            prim.CreateAttribute(names.ATTR_EMISSION, Sdf.ValueTypeNames.Color3f, custom=True).Set(
-                Gf.Vec3f(*material.emission)
+            custom(prim, names.ATTR_ROUGHNESS_VARIATION, TYPES.Float).Set(
+                material.roughness_variation
             )
+        if max(material.emission) > 0.0:
+            custom(prim, names.ATTR_EMISSION, TYPES.Color3f).Set(Gf.Vec3f(*material.emission))
         if material.reflectance is not None:
             _write_reflectance(prim, material.reflectance)
         if material.maps is not None:
@@ -65,9 +61,7 @@ def write_look(path: Path, name: str, material: Material, maps: dict[str, str]) 
 
 def _write_reflectance(prim: Usd.Prim, law: Reflectance) -> None:
     """Viewers show Lambert's law: neither preview surfaces nor MaterialX have these."""
-    prim.CreateAttribute(names.ATTR_REFLECTANCE, Sdf.ValueTypeNames.Token, custom=True).Set(
-        law.model
-    )
+    custom(prim, names.ATTR_REFLECTANCE, TYPES.Token).Set(law.model)
     numbers = [
         (names.ATTR_PHASE_B, law.b),
         (names.ATTR_PHASE_C, law.c),
@@ -77,38 +71,30 @@ def _write_reflectance(prim: Usd.Prim, law: Reflectance) -> None:
     if law.model == "hapke":
         numbers.append((names.ATTR_MEAN_SLOPE, law.roughness_deg))
     for attribute, value in numbers:
-        prim.CreateAttribute(attribute, Sdf.ValueTypeNames.Float, custom=True).Set(value)
+        custom(prim, attribute, TYPES.Float).Set(value)
 
 
 def _write_maps(prim: Usd.Prim, maps: MaterialMaps, files: dict[str, str]) -> None:
     for kind, file in files.items():
-        attribute = prim.CreateAttribute(
-            names.ATTR_MAPS[kind], Sdf.ValueTypeNames.Asset, custom=True
-        )
+        attribute = custom(prim, names.ATTR_MAPS[kind], TYPES.Asset)
         attribute.Set(Sdf.AssetPath(f"../{file}"))
         attribute.SetColorSpace(_color_space(kind, file))
     if maps.projection != names.MAP_PROJECTIONS[0]:
-        prim.CreateAttribute(names.ATTR_MAP_PROJECTION, Sdf.ValueTypeNames.Token, custom=True).Set(
-            maps.projection
-        )
+        custom(prim, names.ATTR_MAP_PROJECTION, TYPES.Token).Set(maps.projection)
     if maps.projection != "uv":
-        prim.CreateAttribute(names.ATTR_MAP_SIZE, Sdf.ValueTypeNames.Double, custom=True).Set(
-            maps.size_m
-        )
+        custom(prim, names.ATTR_MAP_SIZE, TYPES.Double).Set(maps.size_m)
     if maps.cells is not None:
         for name, kind, value in (
-            (names.ATTR_MAP_CELL_SIZE, Sdf.ValueTypeNames.Double, maps.cells.size_m),
-            (names.ATTR_MAP_CELL_SEED, Sdf.ValueTypeNames.UInt, maps.cells.seed),
+            (names.ATTR_MAP_CELL_SIZE, TYPES.Double, maps.cells.size_m),
+            (names.ATTR_MAP_CELL_SEED, TYPES.UInt, maps.cells.seed),
         ):
-            prim.CreateAttribute(name, kind, custom=True).Set(value)
+            custom(prim, name, kind).Set(value)
     if maps.far is not None and maps.far.share > 0.0 and "base_color" in files:
-        prim.CreateAttribute(names.ATTR_MAP_FAR, Sdf.ValueTypeNames.Float2, custom=True).Set(
+        custom(prim, names.ATTR_MAP_FAR, TYPES.Float2).Set(
             Gf.Vec2f(maps.far.factor, maps.far.share)
         )
     if "normal" in files:
-        prim.CreateAttribute(
-            names.ATTR_NORMAL_CONVENTION, Sdf.ValueTypeNames.Token, custom=True
-        ).Set(maps.normal_convention)
+        custom(prim, names.ATTR_NORMAL_CONVENTION, TYPES.Token).Set(maps.normal_convention)
 
 
 def _color_space(kind: str, file: str) -> str:

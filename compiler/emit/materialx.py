@@ -19,7 +19,7 @@ from pathlib import Path
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade
 
 from scenec.compiler.cache.memo import memoized_file
-from scenec.compiler.emit.layer import new_layer
+from scenec.compiler.emit.layer import TYPES, new_layer
 from scenec.compiler.emit.looks import LOOKS, look_path
 from scenec.compiler.emit.preview import is_encoded
 from scenec.compiler.scene.scene import Ground, Material
@@ -93,7 +93,7 @@ def write_ground_mix(
             own = max(i for i, layer in enumerate(layers) if layer == name)
             if own > 0:
                 weight = stage.OverridePrim(f"{look_path(name)}/{_weight_node(own)}")
-                UsdShade.Shader(weight).CreateInput("default", Sdf.ValueTypeNames.Float).Set(1.0)
+                UsdShade.Shader(weight).CreateInput("default", TYPES.Float).Set(1.0)
 
 
 def _weight_node(merge: int) -> str:
@@ -123,14 +123,14 @@ class _Network:
         shader.CreateIdAttr(node_id)
         for key, value in inputs.items():
             key = key.rstrip("_")
-            made = shader.CreateInput(key, Sdf.ValueTypeNames.Find(kind.inputs[key]))
+            made = shader.CreateInput(key, TYPES.Find(kind.inputs[key]))
             if isinstance(value, UsdShade.Output):
                 made.ConnectToSource(value)
             else:
                 made.Set(value)
                 if kind.inputs[key] == "color3f":
                     made.GetAttr().SetColorSpace(mtlx.LINEAR)
-        output = shader.CreateOutput(mtlx.OUTPUT, Sdf.ValueTypeNames.Find(kind.output))
+        output = shader.CreateOutput(mtlx.OUTPUT, TYPES.Find(kind.output))
         self._made[name] = output
         return output
 
@@ -155,9 +155,7 @@ class _Network:
         # UsdMtlx's schema, which usd-core lacks. Without it the nodes pass for version 1.38.
         prim = self._material.GetPrim()
         prim.AddAppliedSchema("MaterialXConfigAPI")
-        prim.CreateAttribute("config:mtlx:version", Sdf.ValueTypeNames.String, custom=False).Set(
-            mtlx.VERSION
-        )
+        prim.CreateAttribute("config:mtlx:version", TYPES.String, custom=False).Set(mtlx.VERSION)
 
 
 class _Layer:

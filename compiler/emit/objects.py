@@ -6,15 +6,17 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
-from pxr import Gf, Sdf, Usd, UsdGeom, Vt
+from pxr import Sdf, Usd, UsdGeom, Vt
 
 from scenec.compiler.cache.memo import memoized_file
 from scenec.compiler.emit.layer import (
+    TYPES,
     author,
     constant_label_ids,
+    custom,
     label,
     label_names,
+    matrix,
     new_layer,
 )
 from scenec.compiler.emit.prototypes import write_prototype
@@ -90,19 +92,10 @@ def write_placed(
         for i, local_id in enumerate(placed.ids.tolist()):
             one = UsdGeom.Xform.Define(stage, f"{prim.GetPath()}/instance_{local_id}")
             if placed.instances:
-                one.GetPrim().CreateAttribute(
-                    names.ATTR_LOCAL_INSTANCE_ID, Sdf.ValueTypeNames.UInt, custom=True
-                ).Set(local_id)
-            author(one.AddTransformOp().GetAttr(), [_matrix(m) for m in placed.to_world[i]])
+                custom(one.GetPrim(), names.ATTR_LOCAL_INSTANCE_ID, TYPES.UInt).Set(local_id)
+            author(one.AddTransformOp().GetAttr(), [matrix(m) for m in placed.to_world[i]])
             one.GetPrim().GetReferences().AddInternalReference(targets[placed.prototype[i]])
             one.GetPrim().SetInstanceable(True)
-
-
-def _matrix(to_world: NDArray[np.float64]) -> Gf.Matrix4d:
-    rows = np.eye(4)
-    # USD multiplies row vectors from the left.
-    rows[:, :3] = to_world.T
-    return Gf.Matrix4d(*rows.ravel().tolist())
 
 
 def _write_prototypes(
@@ -134,9 +127,7 @@ def _write_class(
 ) -> None:
     """What all objects of a class have in common."""
     if not objects.instances:
-        prim.CreateAttribute(
-            names.ATTR_INSTANCE_IDS_ENABLED, Sdf.ValueTypeNames.Bool, custom=True
-        ).Set(False)
+        custom(prim, names.ATTR_INSTANCE_IDS_ENABLED, TYPES.Bool).Set(False)
     constant_label_ids(prim, {level: objects.labels[level] for level in table})
     label(prim, label_names(table, objects.labels))
     if materials and objects.material is not None:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from pxr import Gf, Sdf, Usd, UsdShade
 
+from scenec.compiler.emit.layer import TYPES
 from scenec.compiler.emit.maps import average_color
 from scenec.compiler.scene.scene import Material
 from scenec.schemas import stage as names
 from scenec.schemas.maps import COLORS
 
-_TYPES = Sdf.ValueTypeNames
 _PLAIN = (1.0, 1.0, 1.0)
 
 
@@ -36,40 +36,40 @@ def write_preview(look: UsdShade.Material, material: Material, files: dict[str, 
     surface.CreateIdAttr("UsdPreviewSurface")
     by_uv = material.maps is not None and material.maps.projection == "uv"
     pictures = _Pictures(stage, path, material, files if by_uv else {})
-    diffuse = surface.CreateInput("diffuseColor", _TYPES.Color3f)
+    diffuse = surface.CreateInput("diffuseColor", TYPES.Color3f)
     if "base_color" in pictures.files:
         diffuse.ConnectToSource(pictures.output("base_color"))
     else:
         diffuse.ConnectToSource(_display_color(stage, path, material))
     if "metallic" in pictures.files:
-        surface.CreateInput("metallic", _TYPES.Float).ConnectToSource(pictures.output("metallic"))
+        surface.CreateInput("metallic", TYPES.Float).ConnectToSource(pictures.output("metallic"))
     elif material.metallic > 0.0:
-        surface.CreateInput("metallic", _TYPES.Float).Set(material.metallic)
+        surface.CreateInput("metallic", TYPES.Float).Set(material.metallic)
     else:
-        surface.CreateInput("useSpecularWorkflow", _TYPES.Int).Set(1)
-        surface.CreateInput("specularColor", _TYPES.Color3f).Set(Gf.Vec3f(material.specular))
-    roughness = surface.CreateInput("roughness", _TYPES.Float)
+        surface.CreateInput("useSpecularWorkflow", TYPES.Int).Set(1)
+        surface.CreateInput("specularColor", TYPES.Color3f).Set(Gf.Vec3f(material.specular))
+    roughness = surface.CreateInput("roughness", TYPES.Float)
     if "roughness" in pictures.files:
         roughness.ConnectToSource(pictures.output("roughness"))
     else:
         roughness.Set(material.roughness)
     if "normal" in pictures.files:
-        surface.CreateInput("normal", _TYPES.Normal3f).ConnectToSource(pictures.output("normal"))
+        surface.CreateInput("normal", TYPES.Normal3f).ConnectToSource(pictures.output("normal"))
     if max(material.emission) > 0.0:
-        glow = surface.CreateInput("emissiveColor", _TYPES.Color3f)
+        glow = surface.CreateInput("emissiveColor", TYPES.Color3f)
         if "emission" in pictures.files:
             glow.ConnectToSource(pictures.output("emission"))
         else:
             glow.Set(Gf.Vec3f(*material.emission))
-    look.CreateSurfaceOutput().ConnectToSource(surface.CreateOutput("surface", _TYPES.Token))
+    look.CreateSurfaceOutput().ConnectToSource(surface.CreateOutput("surface", TYPES.Token))
 
 
 def _display_color(stage: Usd.Stage, path: Sdf.Path, material: Material) -> UsdShade.Output:
     color = UsdShade.Shader.Define(stage, path.AppendChild("Color"))
     color.CreateIdAttr("UsdPrimvarReader_float3")
-    color.CreateInput("varname", _TYPES.String).Set("displayColor")
-    color.CreateInput("fallback", _TYPES.Float3).Set(Gf.Vec3f(*average_color(material)))
-    return color.CreateOutput("result", _TYPES.Float3)
+    color.CreateInput("varname", TYPES.String).Set("displayColor")
+    color.CreateInput("fallback", TYPES.Float3).Set(Gf.Vec3f(*average_color(material)))
+    return color.CreateOutput("result", TYPES.Float3)
 
 
 class _Pictures:
@@ -87,28 +87,28 @@ class _Pictures:
         texture = UsdShade.Shader.Define(self._stage, self._path.AppendChild(f"{name}Texture"))
         texture.CreateIdAttr("UsdUVTexture")
         file = self.files[kind]
-        texture.CreateInput("file", _TYPES.Asset).Set(Sdf.AssetPath(file))
-        texture.CreateInput("st", _TYPES.Float2).ConnectToSource(self._coordinates())
+        texture.CreateInput("file", TYPES.Asset).Set(Sdf.AssetPath(file))
+        texture.CreateInput("st", TYPES.Float2).ConnectToSource(self._coordinates())
         for side in ("wrapS", "wrapT"):
-            texture.CreateInput(side, _TYPES.Token).Set("repeat")
-        texture.CreateInput("sourceColorSpace", _TYPES.Token).Set(
+            texture.CreateInput(side, TYPES.Token).Set("repeat")
+        texture.CreateInput("sourceColorSpace", TYPES.Token).Set(
             "sRGB" if is_encoded(kind, file) else "raw"
         )
         factors = {"base_color": self._material.base_color, "emission": self._material.emission}
         factor = factors.get(kind, _PLAIN)
         if factor != _PLAIN:
-            texture.CreateInput("scale", _TYPES.Float4).Set(Gf.Vec4f(*factor, 1.0))
+            texture.CreateInput("scale", TYPES.Float4).Set(Gf.Vec4f(*factor, 1.0))
         if kind == "normal":
             assert self._material.maps is not None
             up = -1.0 if self._material.maps.normal_convention == "directx" else 1.0
-            texture.CreateInput("scale", _TYPES.Float4).Set(Gf.Vec4f(2.0, 2.0 * up, 2.0, 1.0))
-            texture.CreateInput("bias", _TYPES.Float4).Set(Gf.Vec4f(-1.0, -up, -1.0, 0.0))
+            texture.CreateInput("scale", TYPES.Float4).Set(Gf.Vec4f(2.0, 2.0 * up, 2.0, 1.0))
+            texture.CreateInput("bias", TYPES.Float4).Set(Gf.Vec4f(-1.0, -up, -1.0, 0.0))
         if kind in ("roughness", "metallic"):
-            return texture.CreateOutput("r", _TYPES.Float)
-        return texture.CreateOutput("rgb", _TYPES.Float3)
+            return texture.CreateOutput("r", TYPES.Float)
+        return texture.CreateOutput("rgb", TYPES.Float3)
 
     def _coordinates(self) -> UsdShade.Output:
         reader = UsdShade.Shader.Define(self._stage, self._path.AppendChild("Coordinates"))
         reader.CreateIdAttr("UsdPrimvarReader_float2")
-        reader.CreateInput("varname", _TYPES.String).Set(names.PRIMVAR_UV)
-        return reader.CreateOutput("result", _TYPES.Float2)
+        reader.CreateInput("varname", TYPES.String).Set(names.PRIMVAR_UV)
+        return reader.CreateOutput("result", TYPES.Float2)

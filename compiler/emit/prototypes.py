@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pxr import Sdf, Usd, UsdGeom, UsdShade, Vt
 
-from scenec.compiler.emit.layer import label, label_names
+from scenec.compiler.emit.layer import TYPES, label, label_names
 from scenec.compiler.emit.terrain import (
     bind,
     varied_color,
@@ -76,7 +76,7 @@ def _write_appearance(
         write_vertex_floats(UsdGeom.PrimvarsAPI(prim), names.PRIMVAR_VARIATION, prototype.variation)
     if prototype.uv is not None and any(materials[name].needs_uv for name in used):
         primvar = UsdGeom.PrimvarsAPI(prim).CreatePrimvar(
-            ST, Sdf.ValueTypeNames.TexCoord2fArray, UsdGeom.Tokens.faceVarying
+            ST, TYPES.TexCoord2fArray, UsdGeom.Tokens.faceVarying
         )
         primvar.Set(Vt.Vec2fArray.FromNumpy(prototype.uv.reshape(-1, 2)))
     if not any(part.material for part in prototype.parts):
@@ -109,7 +109,7 @@ def _write_label_ids(
         for part in own:
             ids[part.faces] = (part.labels or {}).get(level, 0)
         UsdGeom.PrimvarsAPI(prim).CreatePrimvar(
-            names.label_primvar(level), Sdf.ValueTypeNames.IntArray, UsdGeom.Tokens.uniform
+            names.label_primvar(level), TYPES.IntArray, UsdGeom.Tokens.uniform
         ).Set(Vt.IntArray.FromNumpy(ids))
 
 

@@ -12,10 +12,10 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from pxr import Gf, Sdf, Usd, UsdGeom, Vt
+from pxr import Gf, UsdGeom, Vt
 
 from scenec.compiler.cameras.shutters import clock, codes_at
-from scenec.compiler.emit.layer import author
+from scenec.compiler.emit.layer import TYPES, author, custom, matrix
 from scenec.compiler.scene.rig import OpenShutter, Rig
 from scenec.schemas import stage as names
 
@@ -30,16 +30,16 @@ def write_shutter(camera: UsdGeom.Camera, rig: Rig, shutter: OpenShutter) -> Non
         rig: That carries it.
         shutter: Of the camera.
     """
-    prim, types = camera.GetPrim(), Sdf.ValueTypeNames
+    prim = camera.GetPrim()
     exposures = [one.exposure_s for one in shutter.shutters]
-    author(_made(prim, names.ATTR_SHUTTER_EXPOSURE, types.Double), exposures)
+    author(custom(prim, names.ATTR_SHUTTER_EXPOSURE, TYPES.Double), exposures)
     one = shutter.shutters[0]
-    _made(prim, names.ATTR_SHUTTER_READOUT, types.Double).Set(one.readout_s)
+    custom(prim, names.ATTR_SHUTTER_READOUT, TYPES.Double).Set(one.readout_s)
     direction = "up" if one.upward else "down"
-    _made(prim, names.ATTR_SHUTTER_DIRECTION, types.Token).Set(direction)
+    custom(prim, names.ATTR_SHUTTER_DIRECTION, TYPES.Token).Set(direction)
     times = Vt.DoubleArray(shutter.times.tolist())
-    _made(prim, names.ATTR_SHUTTER_TIMES, types.DoubleArray).Set(times)
-    poses = _made(prim, names.ATTR_SHUTTER_POSES, types.Matrix4dArray)
+    custom(prim, names.ATTR_SHUTTER_TIMES, TYPES.DoubleArray).Set(times)
+    poses = custom(prim, names.ATTR_SHUTTER_POSES, TYPES.Matrix4dArray)
     author(poses, [_relative(of_sample, shutter.times) for of_sample in shutter.to_world])
     at = clock(rig)
     half = np.array([one.half_span for one in shutter.shutters])
@@ -55,9 +55,9 @@ def write_between(op: UsdGeom.XformOp, rig: Rig) -> None:
     if not op.GetAttr().GetNumTimeSamples():
         # It stands alike at all samples.
         for sample, pose in enumerate(rig.to_world):
-            op.Set(_matrix(pose), float(sample))
+            op.Set(matrix(pose), float(sample))
     for code, pose in zip(rig.between.codes.tolist(), rig.between.to_world, strict=True):
-        op.Set(_matrix(pose), code)
+        op.Set(matrix(pose), code)
 
 
 def _relative(poses: NDArray[np.float64], times: NDArray[np.float64]) -> list[Gf.Matrix4d]:
@@ -72,12 +72,4 @@ def _relative(poses: NDArray[np.float64], times: NDArray[np.float64]) -> list[Gf
         out[:, :3, 3] += axes[k] * (poses[:, k, 3] - eye[k])[:, None]
     out[middle] = np.eye(4)
     out *= _HALF_TURN[:, None] * _HALF_TURN[None, :]
-    return [_matrix(pose + 0.0) for pose in out]
-
-
-def _matrix(columns: NDArray[np.float64]) -> Gf.Matrix4d:
-    return Gf.Matrix4d(*columns.T.ravel().tolist())
-
-
-def _made(prim: Usd.Prim, name: str, kind: Sdf.ValueTypeName) -> Usd.Attribute:
-    return prim.CreateAttribute(name, kind, custom=True)
+    return [matrix(pose + 0.0) for pose in out]

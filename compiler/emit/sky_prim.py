@@ -8,7 +8,15 @@ import numpy as np
 from pxr import Gf, Sdf, Usd, UsdGeom
 
 from scenec.compiler.assets.pictures import png
-from scenec.compiler.emit.layer import author, constant_label_ids, label, label_names, new_layer
+from scenec.compiler.emit.layer import (
+    TYPES,
+    author,
+    constant_label_ids,
+    custom,
+    label,
+    label_names,
+    new_layer,
+)
 from scenec.compiler.emit.maps import TEXTURES
 from scenec.compiler.scene.scene import Haze, Scene, SkyLabelMaps
 from scenec.schemas import stage as names
@@ -29,14 +37,13 @@ def write_sky_prim(path: Path, scene: Scene) -> None:
 
 
 def _write_label_maps(sky: Usd.Prim, folder: Path, maps: SkyLabelMaps) -> None:
-    types = Sdf.ValueTypeNames
     for level, texture in maps.texture.items():
         # An empty path at samples without a map: the sky's one label.
         files = [Sdf.AssetPath("" if name is None else f"./{TEXTURES}/{name}") for name in texture]
         attribute = names.ATTR_SKY_LABEL_MAP.format(level=level)
-        author(sky.CreateAttribute(attribute, types.Asset, custom=True), files)
+        author(custom(sky, attribute, TYPES.Asset), files)
     if maps.rotation_deg.any():
-        attribute = sky.CreateAttribute(names.ATTR_SKY_ROTATION, types.Double, custom=True)
+        attribute = custom(sky, names.ATTR_SKY_ROTATION, TYPES.Double)
         author(attribute, maps.rotation_deg.tolist())
     for name, ids in maps.pictures.items():
         file = inside(folder, f"{TEXTURES}/{name}")
@@ -45,16 +52,15 @@ def _write_label_maps(sky: Usd.Prim, folder: Path, maps: SkyLabelMaps) -> None:
 
 
 def _write_haze(sky: Usd.Prim, haze: Haze) -> None:
-    types = Sdf.ValueTypeNames
     author(
-        sky.CreateAttribute(names.ATTR_HAZE_EXTINCTION, types.Color3f, custom=True),
+        custom(sky, names.ATTR_HAZE_EXTINCTION, TYPES.Color3f),
         [Gf.Vec3f(*extinction) for extinction in haze.extinction.tolist()],
     )
     if np.isfinite(haze.scale_height_m).all():
-        attribute = sky.CreateAttribute(names.ATTR_HAZE_SCALE_HEIGHT, types.Double, custom=True)
+        attribute = custom(sky, names.ATTR_HAZE_SCALE_HEIGHT, TYPES.Double)
         author(attribute, haze.scale_height_m.tolist())
     if haze.airlight is not None:
         author(
-            sky.CreateAttribute(names.ATTR_HAZE_AIRLIGHT, types.Color3f, custom=True),
+            custom(sky, names.ATTR_HAZE_AIRLIGHT, TYPES.Color3f),
             [Gf.Vec3f(*radiance) for radiance in haze.airlight.tolist()],
         )

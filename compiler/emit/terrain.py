@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade, Vt
 
 from scenec.compiler.cache.memo import memoized_file
-from scenec.compiler.emit.layer import label, new_layer
+from scenec.compiler.emit.layer import TYPES, custom, label, new_layer
 from scenec.compiler.emit.looks import look_path
 from scenec.compiler.emit.maps import average_color
 from scenec.compiler.scene.scene import Ground, Material, Tile
@@ -54,7 +54,7 @@ def _write_tile(
     for level in label_names[0]:
         ids = np.array([layer.labels[level] for layer in ground.layers], np.int32)
         primvars.CreatePrimvar(
-            names.label_primvar(level), Sdf.ValueTypeNames.IntArray, UsdGeom.Tokens.uniform
+            names.label_primvar(level), TYPES.IntArray, UsdGeom.Tokens.uniform
         ).Set(Vt.IntArray.FromNumpy(ids[tile.layer]))
     if materials:
         _write_appearance(prim, tile, ground, materials)
@@ -68,9 +68,7 @@ def _write_appearance(
     prim.CreateRelationship(names.REL_LAYERS, custom=True).SetTargets(targets)
     blends = [layer.height_blend for layer in ground.layers[1:]]
     if any(blends):
-        prim.CreateAttribute(
-            names.ATTR_HEIGHT_BLENDS, Sdf.ValueTypeNames.FloatArray, custom=True
-        ).Set(Vt.FloatArray(blends))
+        custom(prim, names.ATTR_HEIGHT_BLENDS, TYPES.FloatArray).Set(Vt.FloatArray(blends))
     primvars = UsdGeom.PrimvarsAPI(prim)
     for merge, weight in enumerate(tile.weights, start=1):
         write_vertex_floats(primvars, names.weight_primvar(merge), weight)
@@ -105,7 +103,7 @@ def _write_subsets(
     label_names: list[dict[str, str]],
 ) -> None:
     """One subset a material and label in use; a tile of a single one has none."""
-    used = np.unique(tile.layer).tolist()
+    used = np.flatnonzero(np.bincount(tile.layer)).tolist()
     if not materials and not label_names[0]:
         return
     for index in used:
@@ -159,7 +157,7 @@ def write_vertex_floats(
     primvars: UsdGeom.PrimvarsAPI, name: str, values: NDArray[np.float32]
 ) -> None:
     """A float primvar with one value a vertex (on an instancer: an instance)."""
-    primvars.CreatePrimvar(name, Sdf.ValueTypeNames.FloatArray, UsdGeom.Tokens.vertex).Set(
+    primvars.CreatePrimvar(name, TYPES.FloatArray, UsdGeom.Tokens.vertex).Set(
         Vt.FloatArray.FromNumpy(np.ascontiguousarray(values))
     )
 

@@ -64,7 +64,7 @@ def build_light(plan: LightPlan, samples: int, color: bool, labels: bool) -> Lig
         assert sun is not None, "an atmosphere without a sun"
         sky, sun, facts["sky"] = build_atmosphere(plan.sky, sun, samples)
     elif plan.sky is not None:
-        sky, facts["sky"] = build_sky(plan.sky, sun, samples)
+        sky, facts["sky"] = build_sky(plan.sky, sun, samples), {}
     irradiance = sky_irradiance(sky, samples)
     for one in (sun, *plan.more_suns.values()):
         for i in range(samples):

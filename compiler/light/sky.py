@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,18 +14,12 @@ from scenec.compiler.scene.light_plan import ClearSkyPlan
 from scenec.compiler.scene.scene import SkyLight, SunLight
 
 
-def build_sky(
-    plan: ClearSkyPlan, sun: SunLight | None, samples: int
-) -> tuple[SkyLight, dict[str, Any]]:
-    """Pictures, which of them each sample shows, and what was changed about them.
+def build_sky(plan: ClearSkyPlan, sun: SunLight | None, samples: int) -> SkyLight:
+    """Pictures of a clear sky, and which of them each sample shows.
 
-    A clear sky is baked with the sun at its true bearing, so its picture is never turned. Samples
-    with the same picture share one file.
+    They are baked with the sun at its true bearing, so none is ever turned. Samples with the same
+    picture share one file.
     """
-    return _clear_sky(plan, sun, samples), {}
-
-
-def _clear_sky(plan: ClearSkyPlan, sun: SunLight | None, samples: int) -> SkyLight:
     pictures: dict[str, NDArray[np.float32]] = {}
     # By what it is made from, and by what it then is: samples may be many.
     name_of: dict[bytes, str] = {}

@@ -120,8 +120,7 @@ def _finished(
         maps = replace(maps, procedural=None)
         material = replace(material, maps=maps)
     else:
-        made, painted = with_pictures({name: material}, [name] if high else [])
-        material, facts = made[name], painted.get(name, {})
+        material, facts = with_pictures(material, high)
     material, done = baked(material)
     if done:
         facts["made"] = done

@@ -77,19 +77,18 @@ def _of_ground(
     used = tuple(name for name in names if any(name == one.material for one in ground.layers))
     if not used or not ground.tiles:
         return dict.fromkeys(names, (0.0, 0.0))
-    blocks = [(tile, start) for tile in ground.tiles for start in range(0, len(tile.faces), _BLOCK)]
     middles, radii = (np.concatenate(p) for p in zip(*map(_blocks, ground.tiles), strict=True))
     shown = [_shown(tile, ground, used, faint) for tile in ground.tiles]
     largest = {name: [0.0, 0.0] for name in names}
     for part, unseen in enumerate((0.0, 1.0)):
         bounds = pixels_of_balls(views, middles, radii, unseen, NEAREST_M)
         for i, name in enumerate(used):
-            faces = [
-                start + np.flatnonzero(own[i, start : start + _BLOCK])
+            blocks = [
+                (tile, start, own[i, start : start + _BLOCK])
                 for tile, own in zip(ground.tiles, shown, strict=True)
                 for start in range(0, len(tile.faces), _BLOCK)
             ]
-            largest[name][part] = _largest(blocks, faces, bounds, views, unseen)
+            largest[name][part] = _largest(blocks, bounds, views, unseen)
     return {name: (seen, possible) for name, (seen, possible) in largest.items()}
 
 
@@ -110,25 +109,32 @@ def _shown(tile: Tile, ground: Ground, names: tuple[str, ...], faint: float) -> 
 
 
 def _largest(
-    blocks: list[tuple[Tile, int]],
-    faces: list[NDArray[np.int64]],
+    blocks: list[tuple[Tile, int, NDArray[np.bool_]]],
     bounds: NDArray[np.float64],
     views: Views,
     unseen: float,
 ) -> float:
-    """Most pixels per meter of some faces: blocks in the order of what they could have at most."""
+    """Most pixels per meter of some faces: blocks in the order of what they could have at most.
+
+    Args:
+        blocks: The tile, its first face, and which faces from there on count.
+        bounds: What each could have, float64 [blocks].
+        views, unseen: As of ``pixels_of_balls``.
+    """
     best = 0.0
     for block in np.argsort(-bounds, kind="stable").tolist():
         if bounds[block] <= best:
             break
-        if len(faces[block]):
-            centers, radius = _balls(*_corners(blocks[block][0], faces[block]))
+        tile, start, counted = blocks[block]
+        faces = start + np.flatnonzero(counted)
+        if len(faces):
+            centers, radius = _balls(*_corners(tile, faces))
             own = pixels_of_balls(views, centers, radius, unseen, NEAREST_M)
             best = max(best, float(own.max(initial=0.0)))
     return best
 
 
-def _corners(tile: Tile, faces: NDArray[np.int64] | slice) -> tuple[NDArray[np.float64], ...]:
+def _corners(tile: Tile, faces: NDArray[np.int64]) -> tuple[NDArray[np.float64], ...]:
     a, b, c = (
         tile.points[tile.faces[faces, i]].astype(np.float64) + tile.translate for i in range(3)
     )
@@ -146,10 +152,11 @@ def _balls(
 
 def _blocks(tile: Tile) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Balls about blocks of a tile's faces: middles [blocks, 3] and radii [blocks]."""
-    corners = _corners(tile, slice(None))
+    a, b, c = (tile.points[tile.faces[:, i]] for i in range(3))
     starts = np.arange(0, len(tile.faces), _BLOCK)
-    low = np.minimum.reduceat(np.minimum.reduce(corners), starts)
-    high = np.maximum.reduceat(np.maximum.reduce(corners), starts)
+    low = np.minimum.reduceat(np.minimum(np.minimum(a, b), c), starts).astype(np.float64)
+    high = np.maximum.reduceat(np.maximum(np.maximum(a, b), c), starts).astype(np.float64)
+    low, high = low + tile.translate, high + tile.translate
     half = 0.5 * (high - low)
     return low + half, np.sqrt((half * half).sum(axis=1))
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
 from dataclasses import replace
 from typing import Any
 
@@ -10,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic.srgb import linear_codes
-from scenec.compiler.assets.pictures import png
 from scenec.compiler.cache.memo import memoized
 from scenec.compiler.materials.heights import blend_heights, painted_look, relief_m
 from scenec.compiler.materials.periodic import Plane, moments
 from scenec.compiler.materials.tile import Tile
+from scenec.compiler.materials.values import encoded, picture_of
 from scenec.compiler.scene.scene import Material, MaterialMaps, Picture
 from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
@@ -23,28 +22,19 @@ from scenec.schemas.threads import over_threads
 _DARKEST = 0.06
 
 
-def with_pictures(
-    materials: dict[str, Material], heights: Collection[str] = ()
-) -> tuple[dict[str, Material], dict[str, Any]]:
-    """Materials whose procedural surfaces have become pictures, and what there is to tell.
+def with_pictures(material: Material, high: bool = False) -> tuple[Material, dict[str, Any]]:
+    """A material whose procedural surface has become pictures, and what there is to tell.
 
-    A material's numbers stay the means: its ``base_color`` becomes a factor on the picture of
-    colors so that their product has the mean it had, and roughness is the picture's mean.
+    Its numbers stay the means: its ``base_color`` becomes a factor on the picture of colors so that
+    their product has the mean it had, and roughness is the picture's mean.
 
     Args:
-        materials: By name.
-        heights: Names of those that get a picture of their heights, too.
-
-    Returns:
-        The same materials, in the same order; facts by name.
+        material: One without such a surface stays as it is, and there is nothing to tell.
+        high: Whether it gets a picture of its heights, too.
     """
-    made, facts = {}, {}
-    for name, material in materials.items():
-        if material.maps is not None and material.maps.procedural is not None:
-            made[name], facts[name] = _painted(material, material.maps, name in heights)
-        else:
-            made[name] = material
-    return made, facts
+    if material.maps is None or material.maps.procedural is None:
+        return material, {}
+    return _painted(material, material.maps, high)
 
 
 @memoized("pictures")
@@ -59,25 +49,25 @@ def _painted(material: Material, maps: MaterialMaps, high: bool) -> tuple[Materi
     base_color = material.base_color
     if "base_color" not in maps.files and surface.contrast > 0.0:
         codes, base_color = color_codes(look.color, surface.contrast, base_color)
-        pictures["base_color"] = Picture(".png", png(codes))
+        pictures["base_color"] = picture_of(codes)
     # Without a glossy part nothing shows how rough it is.
     glossy = material.specular > 0.0 or material.metallic > 0.0 or "metallic" in maps.files
     if "roughness" not in maps.files and glossy and surface.contrast > 0.0:
         rough = roughness_codes(rougher, surface.contrast, material.roughness)
         if rough is not None:
-            pictures["roughness"] = Picture(".png", png(rough))
+            pictures["roughness"] = picture_of(rough)
     deviation = moments(height)[1]
     relief = relief_m(surface, maps.size_m, deviation)
     slope = 0.0
     if "normal" not in maps.files and relief > 0.0:
         steepness = relief * tile.pixels / (deviation * tile.size_m)
         normals, slope = normal_codes(height, steepness)
-        pictures["normal"] = Picture(".png", png(normals))
+        pictures["normal"] = picture_of(normals)
         maps = replace(maps, normal_convention="opengl")
     share = blend_heights(maps) if high and "height" not in maps.files else None
     if share is not None:
         codes = np.floor(share * np.float32(255.0) + np.float32(0.5)).astype(np.uint8)
-        pictures["height"] = Picture(".png", png(codes[..., None]))
+        pictures["height"] = picture_of(codes[..., None])
     # In the order of the kinds, whichever come from files.
     files = {**pictures, **maps.files}
     left = replace(maps, files=files, procedural=None) if files or maps.sources else None
@@ -185,31 +175,3 @@ def _normals(height, scale):  # type: ignore[no-untyped-def]
     squares = np.empty((n, n), np.float32)
     over_threads(_normals_part, n, height, scale, codes, squares)
     return codes, squares
-
-
-def encoded(plane: Plane, factor: float) -> NDArray[np.uint8]:
-    """Linear values times a factor as 8-bit sRGB, the nearest code of each; clipped to [0, 1]."""
-    linear = linear_codes(255)
-    borders = 0.5 * (linear[1:] + linear[:-1])
-    table = np.searchsorted(borders, np.arange(65536) / 65535.0, side="right").astype(np.uint8)
-    codes: NDArray[np.uint8] = _encode(plane, factor, table, borders)
-    return codes
-
-
-@kernel
-def _encode_part(first, last, plane, factor, table, borders, codes):  # type: ignore[no-untyped-def]
-    for line in range(first, last):
-        row = np.int64(line)
-        for column in range(plane.shape[1]):
-            value = min(max(np.float64(plane[row, column]) * factor, 0.0), 1.0)
-            code = table[np.int64(value * 65535.0)]
-            # The table's steps are finer than codes: at most the next one is nearer.
-            while code < 255 and value > borders[code]:
-                code += np.uint8(1)
-            codes[row, column] = code
-
-
-def _encode(plane, factor, table, borders):  # type: ignore[no-untyped-def]
-    codes = np.empty(plane.shape, np.uint8)
-    over_threads(_encode_part, plane.shape[0], plane, factor, table, borders, codes)
-    return codes

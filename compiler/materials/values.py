@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from functools import lru_cache
 from pathlib import Path
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,6 @@ from scenec.compiler.assets.parts import MeshFileError
 from scenec.compiler.assets.pictures import pixels_of, png
 from scenec.compiler.materials.heights import stamp
 from scenec.compiler.materials.periodic import Plane, moments
-from scenec.compiler.materials.pictures import encoded
 from scenec.compiler.scene.scene import Picture
 from scenec.schemas.errors import SceneError
 from scenec.schemas.kernels import kernel
@@ -25,6 +25,16 @@ from scenec.schemas.threads import over_threads
 type Source = Path | Picture
 #: float32 [h, w, 3].
 type Planes = NDArray[np.float32]
+#: Pixels of pictures made here, for as long as these are there: they need not be decoded.
+_made: WeakKeyDictionary[Picture, NDArray] = WeakKeyDictionary()
+
+
+def picture_of(codes: NDArray) -> Picture:
+    """A picture with pixels as ``stored`` gives them."""
+    picture = Picture(".png", png(codes))
+    codes.setflags(write=False)
+    _made[picture] = codes
+    return picture
 
 
 def stored(source: Source) -> NDArray:
@@ -33,7 +43,10 @@ def stored(source: Source) -> NDArray:
     Raises:
         SceneError: They cannot be read.
     """
-    return _stored(source, stamp(source) if isinstance(source, Path) else None)
+    if isinstance(source, Picture):
+        known = _made.get(source)
+        return _stored(source, None) if known is None else known
+    return _stored(source, stamp(source))
 
 
 @lru_cache(maxsize=4)
@@ -50,6 +63,7 @@ def _stored(source: Source, _stamp: tuple[int, int] | None) -> NDArray:
 def forget_pixels() -> None:
     """Frees what ``stored`` keeps."""
     _stored.cache_clear()
+    _made.clear()
 
 
 def size_of(source: Source) -> int:
@@ -119,6 +133,34 @@ def _unit(vectors):  # type: ignore[no-untyped-def]
     return out
 
 
+def encoded(plane: Plane, factor: float) -> NDArray[np.uint8]:
+    """Linear values times a factor as 8-bit sRGB, the nearest code of each; clipped to [0, 1]."""
+    linear = linear_codes(255)
+    borders = 0.5 * (linear[1:] + linear[:-1])
+    table = np.searchsorted(borders, np.arange(65536) / 65535.0, side="right").astype(np.uint8)
+    codes: NDArray[np.uint8] = _encode(plane, factor, table, borders)
+    return codes
+
+
+@kernel
+def _encode_part(first, last, plane, factor, table, borders, codes):  # type: ignore[no-untyped-def]
+    for line in range(first, last):
+        row = np.int64(line)
+        for column in range(plane.shape[1]):
+            value = min(max(np.float64(plane[row, column]) * factor, 0.0), 1.0)
+            code = table[np.int64(value * 65535.0)]
+            # The table's steps are finer than codes: at most the next one is nearer.
+            while code < 255 and value > borders[code]:
+                code += np.uint8(1)
+            codes[row, column] = code
+
+
+def _encode(plane, factor, table, borders):  # type: ignore[no-untyped-def]
+    codes = np.empty(plane.shape, np.uint8)
+    over_threads(_encode_part, plane.shape[0], plane, factor, table, borders, codes)
+    return codes
+
+
 def color_picture(planes: Planes) -> Picture:
     """Linear colors as sRGB codes; gray where all three are equal."""
     codes = np.stack([encoded(np.ascontiguousarray(planes[..., i]), 1.0) for i in range(3)], -1)
@@ -126,20 +168,20 @@ def color_picture(planes: Planes) -> Picture:
         codes[..., 1], codes[..., 2]
     ):
         codes = codes[..., :1]
-    return Picture(".png", png(codes))
+    return picture_of(codes)
 
 
 def gray_picture(plane: Plane, fine: bool = False) -> Picture:
     """Values in [0, 1] as 8 bits, or 16."""
     largest = 65535 if fine else 255
     codes = np.floor(np.clip(plane.astype(np.float64), 0.0, 1.0) * largest + 0.5)
-    return Picture(".png", png(codes.astype(np.uint16 if fine else np.uint8)[..., None]))
+    return picture_of(codes.astype(np.uint16 if fine else np.uint8)[..., None])
 
 
 def normal_picture(vectors: Planes) -> Picture:
     """Unit vectors as 8 bits."""
     codes = np.floor(127.5 * (vectors.astype(np.float64) + 1.0) + 0.5)
-    return Picture(".png", png(np.clip(codes, 0.0, 255.0).astype(np.uint8)))
+    return picture_of(np.clip(codes, 0.0, 255.0).astype(np.uint8))
 
 
 def is_fine(source: Source) -> bool:

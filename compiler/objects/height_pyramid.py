@@ -12,6 +12,8 @@ from scenec.schemas.kernels import kernel
 
 #: A bound on heights is raised by this part of them: interpolation rounds.
 _HAIR = 1e-12
+#: Cells in a row over which a plane is laid that follows their heights.
+_FEW_CELLS = 4
 
 
 class HeightPyramid(NamedTuple):
@@ -58,7 +60,38 @@ class HeightPyramid(NamedTuple):
 
 
 @kernel
-def upper_bound(pyramid, left, right, front, back):  # type: ignore[no-untyped-def]
+def plane_above(pyramid, left, right, front, back):  # type: ignore[no-untyped-def]
+    """A plane no lower than the surface anywhere from x = left to right, y = front to back.
+
+    Below what lies within few cells it follows the surface, elsewhere it is level.
+
+    Returns:
+        Its height at (left, front), meters, and its slopes in x and y.
+    """
+    x0, y0, dx, dy = pyramid.frame
+    height = pyramid.height
+    ny, nx = height.shape
+    i0, i1 = int(np.floor((left - x0) / dx)), int(np.floor((right - x0) / dx)) + 1
+    j0, j1 = int(np.floor((front - y0) / dy)), int(np.floor((back - y0) / dy)) + 1
+    # Beyond the border the surface goes on level.
+    if i0 < 0 or j0 < 0 or i1 >= nx or j1 >= ny or max(i1 - i0, j1 - j0) > _FEW_CELLS:
+        return _level_above(pyramid, left, right, front, back), 0.0, 0.0
+    corner = height[j0, i0]
+    rise_x = (height[j0, i1] - corner) / (i1 - i0)
+    rise_y = (height[j1, i0] - corner) / (j1 - j0)
+    above = largest = 0.0
+    for j in range(j0, j1 + 1):
+        for i in range(i0, i1 + 1):
+            plane = corner + rise_x * (i - i0) + rise_y * (j - j0)
+            above = max(above, height[j, i] - plane)
+            largest = max(largest, abs(height[j, i]))
+    above += _HAIR * (largest + abs(rise_x) * nx + abs(rise_y) * ny)
+    u, v = (left - x0) / dx - i0, (front - y0) / dy - j0
+    return corner + rise_x * u + rise_y * v + above, rise_x / dx, rise_y / dy
+
+
+@kernel
+def _level_above(pyramid, left, right, front, back):  # type: ignore[no-untyped-def]
     """No less than the surface anywhere from x = left to right, y = front to back."""
     x0, y0, dx, dy = pyramid.frame
     width = max(right - left, back - front) / min(dx, dy)

@@ -163,7 +163,8 @@ def choose_levels(levels: Levels, factor: float | None = None) -> tuple[Scatter,
         The scatter with the levels in use, and what was done, for report.json.
     """
     chosen = levels.chosen(factor)
-    used, prototype = np.unique(chosen, return_inverse=True)
+    in_use = np.bincount(chosen, minlength=len(levels.meshes)) > 0
+    used, prototype = np.flatnonzero(in_use), (np.cumsum(in_use) - 1)[chosen]
     reached = levels.errors[chosen] * levels.size
     near = 0.0 if levels.near is None else levels.near
     facts = {

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from scenec.compiler.objects.candidates import Candidates
 from scenec.compiler.objects.conditions import PlacementCondition
+from scenec.compiler.objects.corners import face_normals
 from scenec.compiler.objects.density import Density, Everywhere
 from scenec.compiler.objects.height_candidates import lattice_of, require_somewhere
 from scenec.compiler.objects.surroundings import Surroundings
@@ -36,10 +37,6 @@ class Spots:
     points: NDArray[np.float64]
     face: NDArray[np.int32]
     normals: NDArray[np.float64]
-
-    def some(self, index: NDArray[np.int64]) -> Spots:
-        """Some of them."""
-        return Spots(self.points[index], self.face[index], self.normals[index])
 
 
 class MeshCandidates:
@@ -72,8 +69,7 @@ class MeshCandidates:
         """
         self._surface = surface
         corners = surface.points[surface.faces]
-        a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
-        normals = _cross(b - a, c - a)
+        normals = face_normals(surface.points, surface.faces)
         length = np.sqrt((normals * normals).sum(axis=1))
         middle = corners.mean(axis=1)
         half = 0.5 * np.array(surface.grid.size_m)
@@ -128,14 +124,3 @@ class MeshCandidates:
             face.astype(np.int32),
             np.where(good, smooth / np.where(good, size, 1.0), own),
         )
-
-
-def _cross(u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.stack(
-        [
-            u[:, 1] * v[:, 2] - u[:, 2] * v[:, 1],
-            u[:, 2] * v[:, 0] - u[:, 0] * v[:, 2],
-            u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0],
-        ],
-        axis=1,
-    )

@@ -130,7 +130,7 @@ def _grow(mesh, n, left, right, front, back):  # type: ignore[no-untyped-def]
                 mesh.patch[g] = n
                 mesh.queue[known] = g
                 known += 1
-    return np.inf
+    return np.inf, 0.0, 0.0
 
 
 @kernel

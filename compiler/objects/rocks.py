@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,11 +52,7 @@ def _chain(shape: Shape, name: str) -> Chain:
             rock.middle,
         )
         # Later levels are no better: a level that is would stand for this one, too.
-        error = max(error, levels[-1].error)
-        levels.append(
-            Prototype(name=coarse.name, points=coarse.points, faces=coarse.faces,
-                      normals=coarse.normals, variation=coarse.variation, error=error)
-        )  # fmt: skip
+        levels.append(replace(coarse, error=max(error, levels[-1].error)))
     return tuple(levels)
 
 

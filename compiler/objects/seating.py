@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.objects.bodies import Bodies, Touching, touching
-from scenec.compiler.objects.height_pyramid import HeightPyramid, upper_bound
+from scenec.compiler.objects.height_pyramid import HeightPyramid, plane_above
 from scenec.compiler.terrain.grid import surface_height
 from scenec.schemas.kernels import inlined
 from scenec.schemas.threads import over_threads
@@ -20,7 +20,7 @@ _AT_ONCE = 20_000
 
 @inlined
 def _bound(pyramid, _n, left, right, front, back):  # type: ignore[no-untyped-def]
-    return upper_bound(pyramid, left, right, front, back)
+    return plane_above(pyramid, left, right, front, back)
 
 
 @inlined

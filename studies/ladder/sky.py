@@ -105,8 +105,7 @@ def _clear(plan: ClearSkyPlan, sun: SunLight | None, rungs: int) -> Ladder:
     level = irradiance(clear_along(plan, sun, many, many), many)
 
     def made(rows: int) -> tuple[SkyLight | None, SunLight | None, dict[str, Any]]:
-        picture, facts = build_sky(replace(plan, resolution=rows), sun, 1)
-        return picture, sun, facts
+        return build_sky(replace(plan, resolution=rows), sun, 1), sun, {}
 
     return Ladder(
         name="sky",

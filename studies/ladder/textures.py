@@ -125,7 +125,7 @@ def _pictures(materials: dict[str, Material], seen: dict[str, Footprint]) -> lis
         maps = material.maps
         if maps is None or seen[name].seen <= 0.0 or (maps.sources and maps.sources.as_is):
             continue
-        made, _ = baked(with_pictures({name: material})[0][name])
+        made, _ = baked(with_pictures(material)[0])
         source = made.maps.files.get("base_color") if made.maps is not None else None
         if source is None:
             continue

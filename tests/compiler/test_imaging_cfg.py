@@ -21,7 +21,7 @@ from scenec.compiler.cameras.tracks import TrackPlan
 from scenec.compiler.cfg.load import load
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.distributions.streams import Streams
-from scenec.compiler.emit.imaging import write_imaging
+from scenec.compiler.emit.cameras import write_imaging
 from scenec.compiler.scene.plan import ImagingPlan, RigPlan, SensorPlan
 from scenec.compiler.scene.rig import Rig, Sensor
 from scenec.schemas import imaging as formulas

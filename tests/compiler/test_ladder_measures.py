@@ -173,7 +173,7 @@ def test_a_clear_sky_by_its_formula_is_the_picture_s_at_texels():
         64, np.array([200.0]), np.array([[0.1, 0.3, 0.9]]), np.array([[0.5, 0.6, 0.9]]),
         np.array([[0.3, 0.3, 0.3]]),
     )  # fmt: skip
-    light, _ = build_sky(plan, sun(40.0), 1)
+    light = build_sky(plan, sun(40.0), 1)
     picture = light.pictures[light.texture[0]][:32].reshape(-1, 3)
     to = directions(64)[:32].reshape(-1, 3)
     found = clear_along(plan, sun(40.0), to, points.upper_half(100_000))

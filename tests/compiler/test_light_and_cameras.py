@@ -152,7 +152,7 @@ def test_samples_under_one_sky_share_a_picture_that_is_made_once(monkeypatch):
     monkeypatch.setattr(skies, "clear_sky", counted)
     irradiance = np.tile([50.0, 80.0], 20)
     colors = (np.tile(color, (40, 1)) for color in ([0.1, 0.3, 0.9], [0.4, 0.6, 0.9], [0.3] * 3))
-    sky, _ = build_sky(ClearSkyPlan(8, irradiance, *colors), None, 40)
+    sky = build_sky(ClearSkyPlan(8, irradiance, *colors), None, 40)
     assert len(made) == 2
     assert list(sky.pictures) == ["sky_0000.exr", "sky_0001.exr"]
     assert sky.texture == ("sky_0000.exr", "sky_0001.exr") * 20

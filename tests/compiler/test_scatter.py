@@ -13,7 +13,7 @@ from scenec.compiler.objects.bodies import Bodies
 from scenec.compiler.objects.density import Density, NoiseDensity, UniformDensity
 from scenec.compiler.objects.families.weathered import Weathered
 from scenec.compiler.objects.height_candidates import candidates_on
-from scenec.compiler.objects.height_pyramid import HeightPyramid
+from scenec.compiler.objects.height_pyramid import HeightPyramid, plane_above
 from scenec.compiler.objects.rocks import build_prototypes
 from scenec.compiler.objects.seating import seat
 from scenec.compiler.objects.surroundings import Surroundings
@@ -195,3 +195,16 @@ def test_seats_on_one_cell_a_border_and_huge_rocks_are_those_of_every_vertex():
             ground = field.height_at(points[:, 0] + x[i], points[:, 1] + y[i])
             wanted = -(points[:, 2] - ground).min() - embed[i] * np.ptp(points[:, 2])
             assert z[i] == pytest.approx(wanted, abs=1e-9)
+
+
+def test_a_plane_above_a_rectangle_is_nowhere_below_the_ground():
+    rng = np.random.default_rng(5)
+    field = HeightField(Grid((30.0, 20.0), (31, 41)), rng.normal(0.0, 3.0, (41, 31)))
+    pyramid = HeightPyramid.of(field)
+    for width in (0.0, 0.1, 1.0, 3.0, 12.0):
+        for left, front in rng.uniform(-17.0, 17.0, (60, 2)):
+            right, back = left + width, front + width * rng.uniform()
+            height, along_x, along_y = plane_above(pyramid, left, right, front, back)
+            x, y = rng.uniform((left, front), (right, back), (200, 2)).T
+            plane = height + along_x * (x - left) + along_y * (y - front)
+            assert (field.height_at(x.copy(), y.copy()) <= plane).all()

@@ -21,9 +21,10 @@ from scenec.compiler.compile import compile_cfg
 from scenec.compiler.emit.maps import average_color
 from scenec.compiler.materials import periodic
 from scenec.compiler.materials.kinds import SURFACES
-from scenec.compiler.materials.pictures import color_codes, encoded, normal_codes, with_pictures
+from scenec.compiler.materials.pictures import color_codes, normal_codes, with_pictures
 from scenec.compiler.materials.surface import Surface
 from scenec.compiler.materials.tile import Tile
+from scenec.compiler.materials.values import encoded, forget_pixels, picture_of, stored
 from scenec.compiler.scene.scene import Material, MaterialMaps, Picture
 from scenec.schemas.errors import CfgError
 from scenec.schemas.maps import decode, read_pixels
@@ -44,8 +45,7 @@ def painted(
     """A material of a kind, and what is told of it."""
     made = surface(kind, **change)
     maps = MaterialMaps(size_m or made.SIZE_M, {}, "opengl", "triplanar", made)
-    materials, facts = with_pictures({"m": Material(base_color, 0.7, 0.03, 0.0, maps=maps)})
-    return materials["m"], facts["m"]
+    return with_pictures(Material(base_color, 0.7, 0.03, 0.0, maps=maps))
 
 
 def pixels(material: Material, kind: str) -> np.ndarray:
@@ -220,6 +220,18 @@ def test_the_nearest_code_is_taken():
     assert codes[0, :4].tolist() == [0, 255, 255, 0]
 
 
+@pytest.mark.parametrize(("kind", "channels"), [(np.uint8, 1), (np.uint8, 3), (np.uint16, 1)])
+def test_pixels_that_are_kept_of_a_picture_are_those_that_its_file_has(kind, channels):
+    codes = np.random.default_rng(2).integers(0, np.iinfo(kind).max, (6, 8, channels)).astype(kind)
+    picture = picture_of(codes)
+    assert stored(picture) is codes
+    forget_pixels()
+    decoded = stored(picture)
+    assert decoded is not codes
+    assert decoded.dtype == kind
+    np.testing.assert_array_equal(decoded, codes)
+
+
 def test_bright_materials_lose_contrast_and_keep_their_mean():
     rng = np.random.default_rng(1)
     planes = [(0.5 + rng.random((64, 64))).astype(np.float32) for _ in range(3)]
@@ -236,12 +248,12 @@ def test_without_gloss_there_is_no_picture_of_roughness_and_a_file_replaces_its_
     Image.fromarray(np.full((4, 4, 3), (128, 128, 255), np.uint8)).save(file)
     maps = MaterialMaps(1.0, {"normal": file}, "directx", "above", made)
     material = Material((0.3, 0.3, 0.3), 0.7, 0.0, 0.0, maps=maps)
-    found = with_pictures({"a": material})[0]["a"].maps
+    found = with_pictures(material)[0].maps
     assert found.files.keys() == {"base_color", "normal"}
     assert found.files["normal"] == file
     assert found.normal_convention == "directx"
     assert found.procedural is None
-    glossy = with_pictures({"a": replace(material, specular=0.1)})[0]["a"].maps
+    glossy = with_pictures(replace(material, specular=0.1))[0].maps
     assert glossy.files.keys() == {"base_color", "roughness", "normal"}
 
 
