@@ -183,14 +183,12 @@ def _moved(
     """Where points on rows are at another sample, and which of them are gone by then."""
     gone = np.zeros(len(points), bool)
     motion = scene.rows.motion
-    if motion is None or sample == other or not len(motion.rows):
+    if motion is None or sample == other:
         return points, gone
-    place = np.searchsorted(motion.rows, row)
-    place[place == len(motion.rows)] = 0
-    moves = np.flatnonzero((row >= 0) & (motion.rows[place] == row))
+    moves, place = motion.among(row)
     points = points.copy()
-    for k in np.unique(place[moves]).tolist():
-        some = moves[place[moves] == k]
+    for k in np.unique(place).tolist():
+        some = moves[place == k]
         now, then = motion.to_world[sample, k], motion.to_world[other, k]
         if not then[:, :3].any():
             gone[some] = True

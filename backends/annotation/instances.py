@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from scenec.backends.annotation.outlines import Outliner
 from scenec.backends.contract import Rays
-from scenec.backends.exact.bvh import Geometry
+from scenec.backends.exact.bvh import Geometry, inverses
 from scenec.backends.stage.scene import Camera, Mesh, RenderScene
 from scenec.schemas.amodal import Amodal
 from scenec.schemas.instances import (
@@ -112,11 +112,8 @@ class Instances:
         matrix = scene.rows.to_world[lead]
         motion = scene.rows.motion
         if motion is not None:
-            at = np.searchsorted(motion.rows, lead)
-            at[at == len(motion.rows)] = 0
-            moves = np.flatnonzero(motion.rows[at] == lead)
-            when = np.broadcast_to(sample, lead.shape)[moves]
-            matrix[moves] = motion.to_world[when, at[moves]]
+            moves, at = motion.among(lead)
+            matrix[moves] = motion.to_world[np.broadcast_to(sample, lead.shape)[moves], at]
         part = self._lead_part[which]
         inner = np.flatnonzero(part > 0)
         matrix[inner] = _composed(matrix[inner], self._inverse[part[inner]])
@@ -128,9 +125,7 @@ class Instances:
         every = np.arange(len(self.ids))
         poses = self.poses(every, 0)
         motion = scene.rows.motion
-        moving = np.zeros(0, np.int64)
-        if motion is not None:
-            moving = np.flatnonzero(np.isin(self._lead, motion.rows))
+        moving = np.zeros(0, np.int64) if motion is None else motion.among(self._lead)[0]
         paths = [self.poses(moving, s) for s in range(scene.samples)] if len(moving) else []
         shape = (scene.samples if len(moving) else 0, len(moving))
         return InstanceTable(
@@ -240,10 +235,8 @@ class Instances:
         motion = self._scene.rows.motion
         if motion is not None:
             there = (motion.to_world[..., :3] != 0.0).any(axis=(2, 3))
-            slots = np.full(len(self._scene.rows.mesh), -1, np.int64)
-            slots[self._lead] = np.arange(len(self.ids))
-            mine = slots[motion.rows]
-            first[mine[mine >= 0]] = np.argmax(there, axis=0)[mine >= 0]
+            moves, at = motion.among(self._lead)
+            first[moves] = np.argmax(there, axis=0)[at]
         return first
 
     def _local_boxes(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -313,14 +306,11 @@ def _composed(parent: NDArray[np.float64], child: NDArray[np.float64]) -> NDArra
 
 def _inverses(matrices: NDArray[np.float64]) -> NDArray[np.float64]:
     """Inverses of affine matrices [n, 3, 4]; the identity for those that have none."""
-    c = [matrices[:, :, k] for k in range(4)]
-    rows = np.stack([np.cross(c[1], c[2]), np.cross(c[2], c[0]), np.cross(c[0], c[1])], axis=1)
-    determinant = (rows[:, 0] * c[0]).sum(axis=1)
-    sound = np.isfinite(determinant) & (determinant != 0.0)
     out = np.empty_like(matrices)
-    out[:, :, :3] = rows / np.where(sound, determinant, 1.0)[:, None, None]
-    out[:, :, 3] = -(out[:, :, :3] * c[3][:, None, :]).sum(axis=2)
-    out[~sound] = _IDENTITY
+    with np.errstate(all="ignore"):
+        out[:, :, :3], determinant = inverses(matrices[:, :, :3])
+        out[:, :, 3] = -(out[:, :, :3] * matrices[:, None, :, 3]).sum(axis=2)
+    out[~np.isfinite(determinant) | (determinant == 0.0)] = _IDENTITY
     return out
 
 

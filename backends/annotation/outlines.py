@@ -112,13 +112,13 @@ class Outliner:
         rows = self._rows[entries]
         parts = np.zeros((len(rows), 4), np.int64)
         whole = np.zeros(len(rows), bool)
-        of_lens, view = None, Pinhole.of(camera)
-        if camera.lens is not None or is_rolling(camera):
-            of_lens = camera_rays(camera) if rays is None else rays
-            parts = outline_rays.frame_rows(geometry, rows, of_lens)
         members = Members(rows, parts, self._bases[entries], firsts)
-        if of_lens is None:
-            boxes = self._boxes[entries]
+        view: Pinhole | outline_rays.View
+        if camera.lens is not None or is_rolling(camera):
+            view = outline_rays.View.of(geometry, rays or camera_rays(camera))
+            outline_rays.frame_rows(view, rows, parts)
+        else:
+            view, boxes = Pinhole.of(camera), self._boxes[entries]
             over_threads(frame_rows, len(rows), geometry, members, boxes, view, whole)
         windows = _union(parts, firsts[:-1], shown)
         pixels = (windows[:, 1] - windows[:, 0]) * (windows[:, 3] - windows[:, 2])
@@ -137,13 +137,11 @@ class Outliner:
             over_threads(mark_shown, camera.height, row, *slots, camera.width, masks_now)
             # The largest first: no thread is left with one at the end.
             order = first + np.argsort(-pixels[first:end], kind="stable")
-            if of_lens is not None:
-                outline_rays.outline(geometry, members, order, masks_now, of_lens, bounded)
+            work = min(LANES, len(order)), geometry, members, order, masks_now, view
+            if isinstance(view, Pinhole):
+                over_threads(outline_all, *work, ray_cost)
             else:
-                lanes = min(LANES, len(order))
-                over_threads(
-                    outline_all, lanes, geometry, members, order, masks_now, view, ray_cost
-                )
+                over_threads(outline_rays.outline_all, *work, bounded)
             if masks:
                 counts.append(_runs(order, masks_now, (camera.height, camera.width), sizes))
         return Silhouettes(

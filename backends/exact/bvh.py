@@ -108,17 +108,16 @@ def _world_points(to_world: NDArray[np.float64], points: NDArray[np.float32]) ->
     )
 
 
-def _invert(to_world: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Inverses of the linear parts by cofactors, and |M^-1 M - 1|, both [r, 3, 3]."""
-    m = to_world[:, :, :3]
+def inverses(m: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Inverses by cofactors, [n, 3, 3], not finite where there is none; determinants, [n].
+
+    No last bit depends on the CPU.
+    """
     c0, c1, c2 = m[:, :, 0], m[:, :, 1], m[:, :, 2]
     cofactors = np.stack([np.cross(c1, c2), np.cross(c2, c0), np.cross(c0, c1)], axis=1)
     with np.errstate(all="ignore"):
         determinant = (cofactors[:, 0] * c0).sum(axis=1)
-        inverse = cofactors / determinant[:, None, None]
-        residual = sum(inverse[:, :, k, None] * m[:, None, k, :] for k in range(3))
-        residual = np.abs(residual - np.eye(3))
-    return inverse, residual
+        return cofactors / determinant[:, None, None], determinant
 
 
 def build_geometry(scene: RenderScene) -> Geometry:
@@ -290,7 +289,11 @@ def place_rows(
 def _place_some(
     to_world: NDArray[np.float64], row_mesh: NDArray[np.int64], balls: Balls
 ) -> PlacedRows:
-    inverse, residual = _invert(to_world)
+    m = to_world[:, :, :3]
+    inverse, _ = inverses(m)
+    with np.errstate(all="ignore"):
+        product = sum(inverse[:, :, k, None] * m[:, None, k, :] for k in range(3))
+        residual = np.abs(product - np.eye(3))
     used = (balls.faces[row_mesh] > 0) & (to_world[:, :, :3] != 0.0).any(axis=(1, 2))
     with np.errstate(invalid="ignore"):
         regular = (residual.sum(axis=(1, 2)) < _SINGULAR) & np.isfinite(inverse).all(axis=(1, 2))

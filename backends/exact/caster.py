@@ -64,9 +64,11 @@ class ExactCaster:
 
     def __init__(self, scene: RenderScene):
         self.geometry: Geometry = build_geometry(scene)
-        self._moving = MovingRows.of(scene, self.geometry)
+        self._moving = None
         self._sample = 0
-        if self._moving is not None:
+        motion = scene.rows.motion
+        if motion is not None and len(motion.rows):
+            self._moving = MovingRows(scene, motion, self.geometry)
             self.geometry = self._moving.pose(self.geometry, 0)
 
     def pose(self, sample: int) -> None:

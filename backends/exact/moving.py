@@ -18,7 +18,7 @@ from scenec.backends.exact.bvh import (
     mesh_balls,
     place_rows,
 )
-from scenec.backends.stage.scene import RenderScene
+from scenec.backends.stage.scene import Motion, RenderScene
 from scenec.schemas.errors import BackendError
 
 #: Widens boxes beyond any ray, yet leaves room below the largest float64.
@@ -26,11 +26,19 @@ _WITHOUT_END = 1e200
 
 
 class MovingRows:
-    """What poses a scene's moving rows; made by ``of``."""
+    """What poses a scene's moving rows.
 
-    def __init__(self, scene: RenderScene, geometry: Geometry) -> None:
-        motion = scene.rows.motion
-        assert motion is not None
+    Args:
+        scene: The scene.
+        motion: Of its rows.
+        geometry: Its own; its tables of nodes and entries are copied, with room for a tree over
+            the rows that move.
+
+    Raises:
+        BackendError: A matrix is not finite.
+    """
+
+    def __init__(self, scene: RenderScene, motion: Motion, geometry: Geometry) -> None:
         finite = np.isfinite(motion.to_world).all(axis=(2, 3))
         if not finite.all():
             sample, at = np.argwhere(~finite)[0].tolist()
@@ -43,27 +51,11 @@ class MovingRows:
         self._mesh = scene.rows.mesh[motion.rows].astype(np.int64)
         self._balls: Balls = mesh_balls(scene)
         self._extent = geometry.extent
-        self._make_room(geometry)
-
-    def _make_room(self, geometry: Geometry) -> None:
-        """Tables of nodes and entries with room for a tree over the rows that move."""
         self._first_node, self._first_entry = len(geometry.row_nodes), len(geometry.row_order)
-        room = forest_room(len(self._rows))
-        self._nodes, self._links = empty_nodes(self._first_node + room)
+        self._nodes, self._links = empty_nodes(self._first_node + forest_room(len(self._rows)))
         self._nodes[: self._first_node] = geometry.row_nodes
         self._entries = np.zeros(self._first_entry + len(self._rows), np.int32)
         self._entries[: self._first_entry] = geometry.row_order
-
-    @classmethod
-    def of(cls, scene: RenderScene, geometry: Geometry) -> MovingRows | None:
-        """For a scene, or None where nothing moves.
-
-        Raises:
-            BackendError: A matrix is not finite.
-        """
-        if scene.rows.motion is None or not len(scene.rows.motion.rows):
-            return None
-        return cls(scene, geometry)
 
     def pose(self, g: Geometry, sample: int) -> Geometry:
         """The geometry as it is at a sample; tables of rows are changed in place.

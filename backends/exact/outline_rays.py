@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scenec.backends.contract import Rays
 from scenec.backends.exact.build import STACK_SIZE
 from scenec.backends.exact.bvh import Geometry
-from scenec.backends.exact.silhouette import LANES, Masks, Members, _meets
+from scenec.backends.exact.silhouette import LANES, _meets
 from scenec.schemas.borrowed import borrowed
 from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
@@ -27,7 +27,7 @@ _TILE = 16
 _SLACK = 1e-12
 
 
-class _View(NamedTuple):
+class View(NamedTuple):
     """A picture's rays.
 
     Attributes:
@@ -46,15 +46,16 @@ class _View(NamedTuple):
     middle: NDArray[np.float64]
     spheres: NDArray[np.float64]
 
-
-def _view(geometry: Geometry, rays: Rays) -> _View:
-    height, width = rays.shape
-    known = np.ones(height * width, np.bool_) if rays.known is None else rays.known
-    middle, spread = _eye_of(rays)
-    spheres = geometry.row_spheres.copy()
-    # Still without a surface where they are.
-    spheres[:, 3] += np.where(spheres[:, 3] < 0.0, 0.0, spread)
-    return _View(rays.origins, rays.directions, known, width, height, middle, spheres)
+    @classmethod
+    def of(cls, geometry: Geometry, rays: Rays) -> View:
+        """That of a picture's rays."""
+        height, width = rays.shape
+        known = np.ones(height * width, np.bool_) if rays.known is None else rays.known
+        middle, spread = _eye_of(rays)
+        spheres = geometry.row_spheres.copy()
+        # Still without a surface where they are.
+        spheres[:, 3] += np.where(spheres[:, 3] < 0.0, 0.0, spread)
+        return cls(rays.origins, rays.directions, known, width, height, middle, spheres)
 
 
 def _eye_of(rays: Rays) -> tuple[NDArray[np.float64], float]:
@@ -145,25 +146,20 @@ def _windows(first, last, view, rows, tiles, parts):  # type: ignore[no-untyped-
             parts[k, 0], parts[k, 1], parts[k, 2], parts[k, 3] = left, right, top, bottom
 
 
-def frame_rows(geometry: Geometry, rows: NDArray[np.int64], rays: Rays) -> NDArray[np.int64]:
+def frame_rows(view: View, rows: NDArray[np.int64], parts: NDArray[np.int64]) -> None:
     """Windows of pixels that hold the silhouettes of rows.
 
     Args:
-        geometry: Of the scene.
+        view: The picture's rays.
         rows: Which, int64 [n].
-        rays: The picture's.
-
-    Returns:
-        First column, end, first row, end, int64 [n, 4]; empty for rows that cannot be seen.
+        parts: Receives first column, end, first row, end, int64 [n, 4]; left as they are for rows
+            that cannot be seen.
     """
-    height, width = rays.shape
     with np.errstate(all="ignore"):
-        unit = rays.directions / np.sqrt((rays.directions**2).sum(axis=1, keepdims=True))
-    tiles = np.empty((-(-width // _TILE) * -(-height // _TILE), 5))
-    over_threads(_tiles, len(tiles), unit, width, height, tiles)
-    parts = np.zeros((len(rows), 4), np.int64)
-    over_threads(_windows, len(rows), _view(geometry, rays), rows, tiles, parts)
-    return parts
+        unit = view.directions / np.sqrt((view.directions**2).sum(axis=1, keepdims=True))
+    tiles = np.empty((-(-view.width // _TILE) * -(-view.height // _TILE), 5))
+    over_threads(_tiles, len(tiles), unit, view.width, view.height, tiles)
+    over_threads(_windows, len(rows), view, rows, tiles, parts)
 
 
 @kernel
@@ -179,7 +175,19 @@ def _at_border(view, x, y):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _outline_part(first, last, scene, members, order, masks, rays, bounded):  # type: ignore[no-untyped-def]
+def outline_all(first, last, scene, members, order, masks, rays, bounded):  # type: ignore[no-untyped-def]
+    """Mark the silhouettes of instances in their windows, and count their pixels.
+
+    Args:
+        first, last: Of ``LANES``; lane i has every ``LANES``-th instance from the i-th on.
+        scene: ``bvh.Geometry``.
+        members: ``Members``; ``bases`` is not looked at.
+        order: Instances to outline, int64 [m].
+        masks: ``Masks``; ``marks`` and ``areas`` (pixels within the picture, twice) in place.
+        rays: ``View``.
+        bounded: Receives whether the balls around an instance's rows keep off the picture's border
+            and from pixels without a ray, bool [n].
+    """
     g, view = borrowed(scene), borrowed(rays)
     stack = np.empty(2 * STACK_SIZE, np.int32)
     axis = np.empty(3)
@@ -216,28 +224,3 @@ def _outline_part(first, last, scene, members, order, masks, rays, bounded):  # 
             masks.areas[n, 0] = inside
             masks.areas[n, 1] = inside
             bounded[n] = whole
-
-
-def outline(
-    geometry: Geometry,
-    members: Members,
-    order: NDArray[np.int64],
-    masks: Masks,
-    rays: Rays,
-    bounded: NDArray[np.bool_],
-) -> None:
-    """Mark the silhouettes of instances in their windows, and count their pixels.
-
-    Args:
-        geometry: Of the scene.
-        members: Rows of the instances; ``bases`` is not looked at.
-        order: Instances to outline, int64 [m].
-        masks: ``marks`` and ``areas`` (pixels within the picture, twice) in place.
-        rays: The picture's.
-        bounded: Receives whether the balls around an instance's rows keep off the picture's border
-            and from pixels without a ray, bool [n].
-    """
-    lanes = min(LANES, len(order))
-    over_threads(
-        _outline_part, lanes, geometry, members, order, masks, _view(geometry, rays), bounded
-    )

@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.backends.exact.build import STACK_SIZE
+from scenec.backends.exact.bvh import inverses
 from scenec.backends.exact.intersect import hit_parameter, ray_frame, row_matrix
 from scenec.backends.exact.trace import _enter, in_row, ready
 from scenec.backends.stage.scene import Camera
@@ -68,7 +69,7 @@ class Pinhole(NamedTuple):
         k = np.ascontiguousarray(camera.intrinsics, np.float64)
         pose = np.ascontiguousarray(camera.camera_to_world, np.float64)
         eye = np.ascontiguousarray(pose[:3, 3])
-        return cls(k, pose, eye, _inverse(pose[:3, :3]), camera.width, camera.height)
+        return cls(k, pose, eye, inverses(pose[None, :3, :3])[0][0], camera.width, camera.height)
 
 
 class Members(NamedTuple):
@@ -102,14 +103,6 @@ class Masks(NamedTuple):
     starts: NDArray[np.int64]
     marks: NDArray[np.uint8]
     areas: NDArray[np.int64]
-
-
-def _inverse(m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Of a camera's axes, by cofactors: no last bit depends on the CPU."""
-    cofactors = np.stack(
-        [np.cross(m[:, 1], m[:, 2]), np.cross(m[:, 2], m[:, 0]), np.cross(m[:, 0], m[:, 1])]
-    )
-    return np.ascontiguousarray(cofactors / (cofactors[0] * m[:, 0]).sum())
 
 
 @kernel

@@ -43,17 +43,17 @@ class StageFrame:
         return self.meters_per_unit * (self.turn @ matrix)
 
     def pose(self, matrices: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Unit axes and origins of local-to-world matrices [..., 3, 4]: float64 [..., 4, 4]."""
+        """Unit axes and origins (meters, Z up) of local-to-world matrices: float64 [..., 4, 4].
+
+        Args:
+            matrices: Float64 [..., 3, 4], in stage units.
+        """
         poses = np.zeros((*matrices.shape[:-2], 4, 4))
         axes = self.turn @ matrices[..., :3]
         poses[..., :3, :3] = axes / np.sqrt((axes * axes).sum(axis=-2, keepdims=True))
-        poses[..., :3, 3] = self.points(matrices)
+        poses[..., :3, 3] = self.meters_per_unit * (self.turn @ matrices[..., 3:])[..., 0]
         poses[..., 3, 3] = 1.0
         return poses
-
-    def points(self, matrices: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Origins of local-to-world matrices [..., 3, 4], in meters, Z up: [..., 3]."""
-        return self.meters_per_unit * (self.turn @ matrices[..., 3:])[..., 0]
 
 
 def composed(parent: NDArray[np.float64], child: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -218,18 +218,17 @@ class Expander:
             self._walk(child, place, parts)
 
     def _shown(self, prim: Usd.Prim) -> NDArray[np.bool_]:
-        """When a prim (and what is below it) is rendered, bool [samples].
+        """Whether a prim (and what is below it) is rendered: visible, purpose default or render.
 
-        It is where it is visible and its purpose is default or render.
+        Bool [samples], or [1] where that never changes.
         """
-        always = np.ones(len(self._times), bool)
         imageable = UsdGeom.Imageable(prim)
         if not imageable:
-            return always
+            return np.ones(1, bool)
         # USD takes a purpose that is no token for none.
         values.word(imageable.GetPurposeAttr(), "")
         if imageable.ComputePurpose() not in (UsdGeom.Tokens.default_, UsdGeom.Tokens.render):
-            return ~always
+            return np.zeros(1, bool)
         return values.visible(prim, self._times)
 
     def _where_shown(

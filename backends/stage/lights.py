@@ -85,16 +85,16 @@ def _over_time(
         return _dome(prim, time, strength, sources)
 
     read = values.kept(values.own(prim), light)
-    for i, matrix, pose in zip(samples, matrices, poses, strict=True):
-        # Scaled to nothing: there is no direction that it shines in.
-        if prim.GetTypeName() == "SphereLight" or not _flat(matrix):
-            found[i] = read(times[i])(matrix, pose)
+    # Scaled to nothing: there is no direction that it shines in.
+    dark = _flat(matrices) & (prim.GetTypeName() != "SphereLight")
+    for k in np.flatnonzero(~dark).tolist():
+        found[samples[k]] = read(times[samples[k]])(matrices[k], poses[k])
     return found
 
 
-def _flat(matrix: NDArray[np.float64]) -> bool:
-    """Whether an axis of a matrix [3, 4] has no direction."""
-    return not bool(((matrix[:, :3] ** 2).sum(axis=0) > 0.0).all())
+def _flat(matrices: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Whether an axis of a matrix has no direction, of matrices [..., 3, 4]."""
+    return ~((matrices[..., :3] ** 2).sum(axis=-2) > 0.0).all(axis=-1)
 
 
 def _sun(light: UsdLux.DistantLight, time: Usd.TimeCode, strength: _Strength) -> _Placed:
@@ -131,7 +131,7 @@ def _lamp(
     as_point = values.flag(light.GetTreatAsPointAttr(), False, time)
 
     def placed(matrix: NDArray[np.float64], pose: NDArray[np.float64]) -> Lamp | None:
-        flat = _flat(matrix)
+        flat = bool(_flat(matrix))
         if flat and cone < np.pi:
             return None
         stretch = float(np.cbrt(np.abs(np.linalg.det(matrix[:, :3]))))

@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -233,6 +234,12 @@ class Motion:
 
     rows: NDArray[np.int32]
     to_world: NDArray[np.float64]
+
+    def among(self, rows: NDArray[Any]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Which of some rows move, and where those are in ``self.rows``; both int64 [m]."""
+        at = np.searchsorted(self.rows, rows)
+        moves = np.flatnonzero(np.append(self.rows, -2)[at] == rows)
+        return moves, at[moves]
 
 
 @dataclass(frozen=True)

@@ -36,19 +36,19 @@ class Sources:
 
     Args:
         path: Root layer.
-        allow_missing: Whether ``require_whole`` lets a stage pass that lacks files.
+        allow_missing: Whether a stage that lacks files is read all the same.
     """
 
     def __init__(self, path: Path, allow_missing: bool = False) -> None:
         self._path = path
-        self._folder = Path(os.path.abspath(path)).parent
+        self._folder = os.path.dirname(os.path.abspath(path))
         self._allowed = allow_missing
         self._lines: dict[str, None] = {}
         self._warnings: dict[str, None] = {}
-        self._digests: dict[Path, str] = {}
+        self._digests: dict[str, str] = {}
         self._pictures: dict[str, Path] = {}
         # Pictures and value clips, which are no layers that USD would name.
-        self._beside: set[Path] = set()
+        self._beside: set[str] = set()
         self._listed = False
 
     @property
@@ -60,31 +60,33 @@ class Sources:
         """Notes that something is missing."""
         self._lines[line] = None
 
-    def require_whole(self) -> None:
-        """Ends the reading of a stage that lacks something, unless that is allowed.
+    @contextmanager
+    def reading(self) -> Iterator[Usd.Stage]:
+        """The composed stage, for the block that reads its values.
+
+        Its files are held against the manifest before USD reads any.
 
         Raises:
-            StageError: Something is missing; names all of it.
+            StageError: No file, not USD, not whole, or USD gives up on a value.
         """
-        lines = list(self._lines)
-        if not lines or self._allowed:
-            return
-        more = f"; and {len(lines) - _MOST_LINES} more" if len(lines) > _MOST_LINES else ""
-        raise StageError(
-            f"{self._path}: is not whole: {'; '.join(lines[:_MOST_LINES])}{more}. Compile it again "
-            "or put back what is missing; --allow-missing reads what is there"
-        )
+        with native_reading(self._path):
+            stage = self._open()
+            with Tf.DiagnosticTrap() as trap:
+                try:
+                    yield stage
+                except (Tf.ErrorException, UnicodeDecodeError) as error:
+                    why = said(error) if isinstance(error, Tf.ErrorException) else error
+                    raise StageError(f"{self._path}: cannot be read: {why}") from error
+                finally:
+                    for warning in trap.GetWarnings():
+                        self._warnings[f"USD: {_plain(warning.commentary)}"] = None
+                    trap.Clear()
 
-    def open(self) -> Usd.Stage:
-        """The composed stage. Its files are held against the manifest before USD reads any.
-
-        Raises:
-            StageError: No file, not USD, or not whole.
-        """
+    def _open(self) -> Usd.Stage:
         if not self._path.is_file():
             raise StageError(f"{self._path}: no such file")
         self._hold_against_manifest()
-        self.require_whole()
+        self._require_whole()
         # Warnings about composition come again, as errors that can be told apart.
         with Tf.DiagnosticTrap() as trap:
             try:
@@ -96,28 +98,19 @@ class Sources:
             self._compose(stage)
             self._open_clips(stage)
             trap.Clear()
-        self.require_whole()
+        self._require_whole()
         return stage
 
-    @contextmanager
-    def reading(self) -> Iterator[Usd.Stage]:
-        """The stage as ``open`` returns it, for the block that reads its values.
-
-        Raises:
-            StageError: As ``open`` does, or where USD gives up on a value.
-        """
-        with native_reading(self._path):
-            stage = self.open()
-            with Tf.DiagnosticTrap() as trap:
-                try:
-                    yield stage
-                except (Tf.ErrorException, UnicodeDecodeError) as error:
-                    why = said(error) if isinstance(error, Tf.ErrorException) else error
-                    raise StageError(f"{self._path}: cannot be read: {why}") from error
-                finally:
-                    for warning in trap.GetWarnings():
-                        self._warnings[f"USD: {_plain(warning.commentary)}"] = None
-                    trap.Clear()
+    def _require_whole(self) -> None:
+        """Ends the reading of a stage that lacks something, unless that is allowed."""
+        lines = list(self._lines)
+        if not lines or self._allowed:
+            return
+        more = f"; and {len(lines) - _MOST_LINES} more" if len(lines) > _MOST_LINES else ""
+        raise StageError(
+            f"{self._path}: is not whole: {'; '.join(lines[:_MOST_LINES])}{more}. Compile it again "
+            "or put back what is missing; --allow-missing reads what is there"
+        )
 
     def picture(self, attribute: Usd.Attribute, time: Usd.TimeCode = values.DEFAULT) -> Path | None:
         """The file that an asset attribute names; None where it names none, or is missing.
@@ -161,7 +154,7 @@ class Sources:
             self._digests[file] = _hash(file)
             if self._listed:
                 self.miss(f"{self._named(file)}: is read, and is not in the {MANIFEST}")
-        self.require_whole()
+        self._require_whole()
         pairs = [(self._named(file), digest) for file, digest in self._digests.items()]
         return digest_of_files([*pairs, *((_MISSING, line) for line in self._lines)])
 
@@ -170,19 +163,19 @@ class Sources:
         self._listed = listed is not None
         for name, expected in (listed or {}).items():
             # Links may lead elsewhere, to the same bytes; names may not.
-            file = Path(os.path.normpath(self._folder / name))
-            if not file.is_relative_to(self._folder):
+            file = os.path.normpath(os.path.join(self._folder, name))
+            if not file.startswith(os.path.join(self._folder, "")):
                 self.miss(f"{name}: the {MANIFEST} lists it, and it is not in the stage's folder")
-            elif not file.is_file():
+            elif not os.path.isfile(file):
                 self.miss(f"{name}: is in the {MANIFEST} and not on disk")
             else:
                 self._digests[file] = _hash(file)
                 if self._digests[file] != expected:
                     self.miss(f"{name}: its bytes are not those of the {MANIFEST}")
 
-    def _named(self, file: str | Path) -> str:
+    def _named(self, file: str) -> str:
         """A file in messages and digests: relative to the stage's folder."""
-        return Path(os.path.relpath(_package(str(file)), self._folder)).as_posix()
+        return os.path.relpath(_package(file), self._folder).replace(os.sep, "/")
 
     def _compose(self, stage: Usd.Stage) -> None:
         """Notes each file and prim that composition looked for in vain, however many look."""
@@ -248,9 +241,9 @@ def _unreadable(path: Path, error: Tf.ErrorException) -> StageError:
     )
 
 
-def _hash(file: Path) -> str:
+def _hash(file: str) -> str:
     try:
-        return sha256(file)
+        return sha256(Path(file))
     except OSError as error:
         raise StageError(f"{file}: cannot be read: {error.strerror}") from error
 
@@ -262,8 +255,7 @@ def _plain(text: str) -> str:
 
 def _state(file: str, reason: str | None) -> str:
     """Why a file that is named was not read."""
-    path = _package(file)
-    if path.is_file():
+    if os.path.isfile(_package(file)):
         return f"cannot be read: {_located(reason or 'it is no USD')}"
     return "does not exist"
 
@@ -274,7 +266,6 @@ def _located(reason: str) -> str:
     return next((part for part in parts if re.search(r":\d+:\d+: ", part)), parts[0])
 
 
-def _package(file: str) -> Path:
+def _package(file: str) -> str:
     """The file that a layer lies in: itself, or the package around it."""
-    outer = Ar.SplitPackageRelativePathOuter(file)[0]
-    return Path(os.path.abspath(outer))
+    return os.path.abspath(Ar.SplitPackageRelativePathOuter(file)[0])

@@ -188,7 +188,7 @@ def _maps(prim: Usd.Prim, sources: Sources) -> Maps | None:
     projection = values.word(prim.GetAttribute(names.ATTR_MAP_PROJECTION), lie[0], known=lie)
     convention = values.word(prim.GetAttribute(names.ATTR_NORMAL_CONVENTION), "")
     return Maps(
-        size_m=1.0 if projection == "uv" else _map_size(prim),
+        size_m=1.0 if projection == "uv" else _length(prim, names.ATTR_MAP_SIZE),
         flip_green=convention == "directx",
         projection=projection,
         cells=_cells_of(prim, projection),
@@ -197,12 +197,12 @@ def _maps(prim: Usd.Prim, sources: Sources) -> Maps | None:
     )
 
 
-def _map_size(prim: Usd.Prim) -> float:
+def _length(prim: Usd.Prim, name: str) -> float:
     meters = UsdGeom.GetStageMetersPerUnit(prim.GetStage())
-    size_m = meters * values.number(prim.GetAttribute(names.ATTR_MAP_SIZE), 0.0)
-    if not 0.0 < size_m < math.inf:
-        raise StageError(f"{prim.GetPath()}: {names.ATTR_MAP_SIZE} must be above 0")
-    return size_m
+    length_m = meters * values.number(prim.GetAttribute(name), 0.0)
+    if not 0.0 < length_m < math.inf:
+        raise StageError(f"{prim.GetPath()}: {name} must be above 0")
+    return length_m
 
 
 def _normal_reflectance(shader: UsdShade.Shader) -> float:
@@ -264,12 +264,9 @@ def _cells_of(prim: Usd.Prim, projection: str) -> Cells | None:
     Raises:
         StageError: A size that is not above 0, or another projection than from above.
     """
-    attribute = prim.GetAttribute(names.ATTR_MAP_CELL_SIZE)
-    if values.value_of(attribute) is None:
+    if values.value_of(prim.GetAttribute(names.ATTR_MAP_CELL_SIZE)) is None:
         return None
-    size_m = values.number(attribute, 0.0) * UsdGeom.GetStageMetersPerUnit(prim.GetStage())
-    if not 0.0 < size_m < math.inf:
-        raise StageError(f"{prim.GetPath()}: {names.ATTR_MAP_CELL_SIZE} must be above 0")
+    size_m = _length(prim, names.ATTR_MAP_CELL_SIZE)
     _require_above(prim, names.ATTR_MAP_CELL_SIZE, projection)
     seed = values.whole(prim.GetAttribute(names.ATTR_MAP_CELL_SEED), 0)
     if not 0 <= seed < 2**32:

@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
-from pxr import Sdf, Tf, Usd, UsdGeom, Vt
+from pxr import Gf, Sdf, Tf, Usd, UsdGeom, Vt
 
 from scenec.schemas.errors import StageError
 from scenec.schemas.spelling import nearest, shown
@@ -50,12 +50,10 @@ def number(
     Raises:
         StageError: It is none, or not finite where it has to be.
     """
-    value = value_of(attribute, time)
+    expected = "a finite number" if finite else "a number"
+    value = _typed(attribute, time, int | float, expected)
     if value is None:
         return default
-    expected = "a finite number" if finite else "a number"
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise _mistyped(attribute, value, expected)
     found = float(value)
     if math.isnan(found) or (finite and math.isinf(found)):
         raise StageError(f"{attribute.GetPath()}: is {found:g}, expected {expected}")
@@ -68,12 +66,8 @@ def whole(attribute: Usd.Attribute, default: int, time: Usd.TimeCode = DEFAULT) 
     Raises:
         StageError: It is none.
     """
-    value = value_of(attribute, time)
-    if value is None:
-        return default
-    if isinstance(value, bool) or not isinstance(value, int):
-        raise _mistyped(attribute, value, "a whole number")
-    return value
+    value = _typed(attribute, time, int, "a whole number")
+    return default if value is None else int(value)
 
 
 def flag(attribute: Usd.Attribute, default: bool, time: Usd.TimeCode = DEFAULT) -> bool:
@@ -82,34 +76,27 @@ def flag(attribute: Usd.Attribute, default: bool, time: Usd.TimeCode = DEFAULT) 
     Raises:
         StageError: Neither.
     """
-    value = value_of(attribute, time)
-    if value is None:
-        return default
-    if not isinstance(value, bool):
-        raise _mistyped(attribute, value, "a bool")
-    return value
+    value = _typed(attribute, time, bool, "a bool")
+    return default if value is None else bool(value)
 
 
 def word(
     attribute: Usd.Attribute,
     default: str,
     time: Usd.TimeCode = DEFAULT,
-    known: Iterable[str] = (),
+    known: Collection[str] = (),
 ) -> str:
     """A token or a string; the default where it is empty.
 
     Raises:
         StageError: It is none, or none of those known.
     """
-    value = value_of(attribute, time)
-    if value is None or value == "":
+    value = _typed(attribute, time, str, "a token")
+    if not value:
         return default
-    if not isinstance(value, str):
-        raise _mistyped(attribute, value, "a token")
-    choices = list(known)
-    if choices and value not in choices:
-        raise StageError(f"{attribute.GetPath()}: is {shown(value)}{nearest(value, choices)}")
-    return value
+    if known and value not in known:
+        raise StageError(f"{attribute.GetPath()}: is {shown(value)}{nearest(value, known)}")
+    return str(value)
 
 
 def words(attribute: Usd.Attribute, time: Usd.TimeCode = DEFAULT) -> list[str]:
@@ -118,12 +105,16 @@ def words(attribute: Usd.Attribute, time: Usd.TimeCode = DEFAULT) -> list[str]:
     Raises:
         StageError: They are none.
     """
+    value = _typed(attribute, time, Vt.TokenArray | Vt.StringArray, "an array of tokens")
+    return [str(each) for each in value or ()]
+
+
+def _typed(attribute: Usd.Attribute, time: Usd.TimeCode, kind: Any, expected: str) -> Any:
+    """A value of some type, where a bool is no number; None where there is none."""
     value = value_of(attribute, time)
-    if value is None:
-        return []
-    if not isinstance(value, Vt.TokenArray | Vt.StringArray):
-        raise _mistyped(attribute, value, "an array of tokens")
-    return [str(each) for each in value]
+    if value is None or (isinstance(value, kind) and (kind is bool or not isinstance(value, bool))):
+        return value
+    raise _mistyped(attribute, value, expected)
 
 
 def vector(
@@ -275,12 +266,8 @@ def asset(attribute: Usd.Attribute, time: Usd.TimeCode = DEFAULT) -> Sdf.AssetPa
     Raises:
         StageError: It is no asset.
     """
-    value = value_of(attribute, time)
-    if value is None or (isinstance(value, Sdf.AssetPath) and not value.path):
-        return None
-    if not isinstance(value, Sdf.AssetPath):
-        raise _mistyped(attribute, value, "an asset")
-    return value
+    value = _typed(attribute, time, Sdf.AssetPath, "an asset")
+    return value if value is not None and value.path else None
 
 
 def own(prim: Usd.Prim, *others: str) -> list[Usd.Attribute]:
@@ -306,14 +293,14 @@ def kept[T](
 
 
 def visible(prim: Usd.Prim, times: Sequence[Usd.TimeCode]) -> NDArray[np.bool_]:
-    """At which times a prim is not itself invisible, bool [times].
+    """At which times a prim is not itself invisible, bool [times], or [1] where that never changes.
 
     Raises:
         StageError: Its visibility is no token.
     """
     attribute = UsdGeom.Imageable(prim).GetVisibilityAttr()
-    read = kept([attribute], lambda time: word(attribute, "", time) != UsdGeom.Tokens.invisible)
-    return np.fromiter((read(time) for time in times), bool, len(times))
+    some = times if attribute.ValueMightBeTimeVarying() else times[:1]
+    return np.array([word(attribute, "", t) != UsdGeom.Tokens.invisible for t in some])
 
 
 def matrices(
@@ -340,15 +327,13 @@ def matrices(
             words(xformable.GetXformOpOrderAttr())
             moves |= xformable.TransformMightBeTimeVarying()
         above = above.GetParent() if of_world else None
-    cache, found = UsdGeom.XformCache(), []
+    some = times if moves else times[:1]
     try:
-        for time in times if moves else times[:1]:
-            cache.SetTime(time)
-            found.append(
-                cache.GetLocalToWorldTransform(prim)
-                if of_world
-                else cache.GetLocalTransformation(prim)[0]
-            )
+        if of_world:
+            found = _world_transforms(prim, some)
+        else:
+            own_ops = UsdGeom.Xformable(prim)
+            found = [own_ops.GetLocalTransformation(time) for time in some]
     except Tf.ErrorException as error:
         raise StageError(
             f"{prim.GetPath()}: its transform cannot be read: {said(error)}"
@@ -358,7 +343,15 @@ def matrices(
         raise StageError(f"{prim.GetPath()}: its transform holds NaN or infinity")
     if of_world:
         return affine if moves else np.repeat(affine, len(times), axis=0)
-    return affine[0] if (affine == affine[0]).all() else affine
+    return affine if moves and (affine != affine[0]).any() else affine[0]
+
+
+def _world_transforms(prim: Usd.Prim, times: Sequence[Usd.TimeCode]) -> list[Gf.Matrix4d]:
+    cache, found = UsdGeom.XformCache(), []
+    for time in times:
+        cache.SetTime(time)
+        found.append(cache.GetLocalToWorldTransform(prim))
+    return found
 
 
 def said(error: Tf.ErrorException) -> str:

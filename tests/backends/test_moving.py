@@ -104,6 +104,53 @@ def test_time_samples_that_never_differ_are_no_motion(tmp_path):
     assert scene.rows.to_world[0, :, 3].tolist() == [1.0, 2.0, 3.0]
 
 
+def camera(scene: RenderScene, sample: int):
+    return scene.cameras[sample][0]
+
+
+#: By type and attribute: two values of it, and what of a scene they decide at a sample.
+VARYING = {
+    ("Camera", "focalLength"): (20.0, 40.0, lambda s, i: camera(s, i).intrinsics[0, 0]),
+    ("Camera", "exposure"): (1.0, 2.0, lambda s, i: camera(s, i).exposure_ev),
+    ("Camera", "exposure:time"): (1.0, 2.0, lambda s, i: camera(s, i).exposure_ev),
+    ("Camera", "fStop"): (2.0, 4.0, lambda s, i: camera(s, i).focus.aperture_radius_m),
+    ("Camera", names.ATTR_SHUTTER_EXPOSURE): (
+        *(0.1, 0.2),
+        lambda s, i: camera(s, i).shutter.shutter.exposure_s,
+    ),
+    ("DistantLight", "inputs:intensity"): (
+        *(1.0, 2.0),
+        lambda s, i: s.lighting[i].suns[0].irradiance[0],
+    ),
+    ("DistantLight", "inputs:angle"): (1.0, 2.0, lambda s, i: s.lighting[i].suns[0].diameter_rad),
+    ("SphereLight", "inputs:radius"): (1.0, 2.0, lambda s, i: s.lighting[i].lamps[0].radius_m),
+    ("DomeLight", "visibility"): ("invisible", "inherited", lambda s, i: len(s.lighting[i].domes)),
+    ("Scope", names.ATTR_HAZE_SCALE_HEIGHT): (10.0, 20.0, lambda s, i: s.haze[i].scale_height_m),
+    ("Scope", names.ATTR_TIME): (10.0, 20.0, lambda s, i: s.times[i]),
+}
+
+
+@pytest.mark.parametrize("which", VARYING, ids="-".join)
+def test_what_alone_varies_is_read_at_every_sample(tmp_path, which):
+    (kind, name), (first, second, seen) = which, VARYING[which]
+
+    def build(stage):
+        at = "/World" if name == names.ATTR_TIME else names.SKY_PRIM
+        prim = stage.GetPrimAtPath(at) if name == names.ATTR_TIME else stage.DefinePrim(at, kind)
+        if kind == "Camera":
+            prim.GetAttribute("focusDistance").Set(3.0)
+        if kind == "Scope":
+            haze = prim.CreateAttribute(names.ATTR_HAZE_EXTINCTION, Sdf.ValueTypeNames.Color3d)
+            haze.Set(Gf.Vec3d(0.1))
+        attribute = prim.GetAttribute(name) or prim.CreateAttribute(name, Sdf.ValueTypeNames.Double)
+        for sample, value in enumerate((first, second, first)):
+            attribute.Set(value, sample)
+
+    scene = written(tmp_path, build)
+    found = [seen(scene, sample) for sample in range(3)]
+    assert found[0] == found[2] != found[1]
+
+
 def test_a_box_that_moves_over_a_plane_has_the_depths_of_slabs_and_plane(tmp_path):
     half = np.array([0.7, 0.4, 0.3])
     path = np.array([[5.0, -2.0, 1.0], [6.0, 0.0, 0.6], [8.0, 2.0, 2.5]])
