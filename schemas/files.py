@@ -147,12 +147,6 @@ def tree(folder: Path) -> list[Path]:
     return sorted(path.relative_to(folder) for path in folder.rglob("*") if path.is_file())
 
 
-def same_tree(a: Path, b: Path) -> bool:
-    """Whether two folders hold the same files with the same bytes."""
-    files = tree(a)
-    return files == tree(b) and all(sha256(a / path) == sha256(b / path) for path in files)
-
-
 def inside(root: Path, name: str, said_by: object = None) -> Path:
     """The path of something in a folder, by a name that was read from a file.
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.schemas.exr import write_exr
-from scenec.schemas.files import sha256
+from scenec.schemas.files import sha256, tree
 from scenec.schemas.frames import CONVENTIONS, FRAME_VERSION, frame_stem
 from scenec.schemas.instances import (
     AMODAL_COLUMNS,
@@ -189,3 +189,9 @@ def _write(
         "png": "rgb" in passes,
     }
     stem.with_suffix(".json").write_text(json.dumps(sidecar, indent=1), encoding="utf-8")
+
+
+def same_tree(a: Path, b: Path) -> bool:
+    """Whether two folders hold the same files with the same bytes."""
+    files = tree(a)
+    return files == tree(b) and all(sha256(a / path) == sha256(b / path) for path in files)

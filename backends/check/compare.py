@@ -14,7 +14,7 @@ from scenec.backends.annotation.annotate import annotate
 from scenec.backends.annotation.instances import Instances
 from scenec.backends.annotation.registry import select
 from scenec.backends.camera.rays import camera_rays
-from scenec.backends.check.amodal import against
+from scenec.backends.check.instances import against
 from scenec.backends.check.radiance import (
     RadianceComparison,
     differing,

@@ -1,15 +1,17 @@
-"""Checks of the tables of instances, and of amodal masks, against the frames they stand beside."""
+"""Tables of instances, and amodal masks: against the frames beside them, and the definition."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from scenec.backends.check.finding import Finding
 from scenec.schemas import rle
-from scenec.schemas.amodal import amodal_path, read_amodal
+from scenec.schemas.amodal import Amodal, amodal_path, read_amodal
 from scenec.schemas.errors import FrameError
 from scenec.schemas.files import sha256
 from scenec.schemas.frames import Frame
@@ -22,6 +24,16 @@ from scenec.schemas.instances import (
     read_frame_table,
     read_table,
 )
+from scenec.schemas.passes import AMODAL
+
+if TYPE_CHECKING:
+    from scenec.backends.annotation.instances import Seen
+
+#: Channel of the areas in tables of instances.
+AREAS = "amodal areas"
+
+#: Channel, pixels compared, pixels that differ.
+Found = tuple[str, int, int]
 
 #: Tables hold 9 digits, frames float32.
 _RELATIVE = 1e-6
@@ -69,9 +81,7 @@ def table_faults(frame: Frame) -> Iterator[str]:
         return
     path = frame_table_path(frame.path.with_suffix(""))
     try:
-        if path.is_file() and sha256(path) != entry.get("sha256"):
-            yield f"{path.name} is truncated, damaged or changed since it was written"
-            return
+        _require_whole(path, entry)
         table = read_frame_table(path)
     except FrameError as error:
         yield str(error)
@@ -99,6 +109,11 @@ def table_faults(frame: Frame) -> Iterator[str]:
         yield f"{path.name}: poses in the camera's frame are not those in the world"
 
 
+def _require_whole(path: Path, entry: dict[str, str]) -> None:
+    if path.is_file() and sha256(path) != entry.get("sha256"):
+        raise FrameError(f"{path.name} is truncated, damaged or changed since it was written")
+
+
 def _mask_faults(frame: Frame, table: dict[str, np.ndarray]) -> Iterator[str]:
     """What amodal masks say against the table, and the pixels that show instances."""
     entry = frame.sidecar.get("amodal")
@@ -106,9 +121,7 @@ def _mask_faults(frame: Frame, table: dict[str, np.ndarray]) -> Iterator[str]:
         return
     path = amodal_path(frame.path.with_suffix(""))
     try:
-        if path.is_file() and sha256(path) != entry.get("sha256"):
-            yield f"{path.name} is truncated, damaged or changed since it was written"
-            return
+        _require_whole(path, entry)
         amodal = read_amodal(path)
     except FrameError as error:
         yield str(error)
@@ -154,3 +167,52 @@ def _against_pixels(frame: Frame, table: dict[str, np.ndarray]) -> Iterator[str]
     for name, of_depth in (("depth_min", least), ("depth_mean", mean), ("depth_max", most)):
         if not np.allclose(table[name], of_depth, rtol=_RELATIVE, atol=0.0):
             yield f"its table of instances has other values of {name} than its pass depth"
+
+
+def against(truth: Seen, frame: Frame) -> Iterator[Found]:
+    """Compare a frame's amodal areas and masks with the exact ones, as far as it has them.
+
+    Raises:
+        FrameError: They cannot be read.
+    """
+    if frame.sidecar.get("instance_table"):
+        table = read_frame_table(frame.path)
+        pixels = int(truth.table["amodal_full"].sum())
+        wrong = sum(
+            _apart(truth.table["id"], truth.table[name], table["id"], table[name])
+            for name in ("amodal", "amodal_full")
+        )
+        yield AREAS, pixels, wrong
+    if frame.sidecar.get(AMODAL) and truth.amodal is not None:
+        own = read_amodal(frame.path)
+        yield AMODAL, int(truth.amodal.areas().sum()), _differing_masks(truth.amodal, own)
+
+
+def _apart(
+    ids: NDArray[np.integer],
+    values: NDArray[np.integer],
+    other_ids: NDArray[np.integer],
+    others: NDArray[np.integer],
+) -> int:
+    """Sum of how far the values of two tables are from each other; one without a line has 0."""
+    every = np.union1d(ids, other_ids)
+    both = np.zeros((2, len(every)), np.int64)
+    both[0, np.searchsorted(every, ids)] = values
+    both[1, np.searchsorted(every, other_ids)] = others
+    return int(np.abs(both[0] - both[1]).sum())
+
+
+def _differing_masks(first: Amodal, second: Amodal) -> int:
+    """Pixels of masks that differ, summed; the masks of ids that only one has count whole."""
+    if first.size != second.size:
+        return int(first.areas().sum() + second.areas().sum())
+    total = 0
+    places = {number: index for index, number in enumerate(second.ids.tolist())}
+    areas = second.areas()
+    for index, number in enumerate(first.ids.tolist()):
+        other = places.pop(number, None)
+        if other is None:
+            total += int(first.areas()[index])
+        elif not np.array_equal(first.runs(index), second.runs(other)):
+            total += int((first.mask(index) != second.mask(other)).sum())
+    return total + sum(int(areas[index]) for index in places.values())

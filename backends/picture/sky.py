@@ -19,6 +19,7 @@ from scenec.backends.stage.scene import Dome
 from scenec.schemas.errors import StageError
 from scenec.schemas.exr import read_rgb
 from scenec.schemas.kernels import kernel
+from scenec.schemas.maps import decode
 from scenec.schemas.threads import over_threads
 
 #: Suns narrower than this are drawn this wide (irradiance unchanged), in radians: float32
@@ -127,15 +128,13 @@ def _load_srgb(path: Path) -> NDArray[np.float32]:
 
     try:
         with Image.open(path) as image:
-            encoded = np.asarray(image.convert("RGB"), np.float64) / 255.0
+            return decode(np.asarray(image.convert("RGB")), "emission")
     except FileNotFoundError as error:
         raise StageError(f"{path}: the sky's texture is missing") from error
     except (UnidentifiedImageError, OSError) as error:
         raise StageError(
             f"{path}: cannot read the sky's texture; use OpenEXR (linear) or PNG (sRGB)"
         ) from error
-    linear = np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
-    return linear.astype(np.float32)
 
 
 def _scaled(dome: Dome) -> NDArray[np.float32]:

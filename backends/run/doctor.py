@@ -120,9 +120,7 @@ def tiny_scene() -> RenderScene:
     """Gray ground to the horizon under a sun in the zenith (E = 1) and a sky of radiance 1."""
     size = 1000.0
     points = np.array([[-size, -size, 0], [size, -size, 0], [size, size, 0], [-size, size, 0]])
-    pose = np.eye(4)
-    pose[:3, 0], pose[:3, 1], pose[:3, 2] = [1, 0, 0], [0, 0, -1], [0, 1, 0]
-    pose[:3, 3] = [0, 0, 2]
+    pose = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 2], [0, 0, 0, 1]])
     k = np.array([[8.0, 0, 8.0], [0, 8.0, 8.0], [0, 0, 1]])
     mesh = Mesh(
         path="/World/Ground",

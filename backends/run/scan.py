@@ -15,7 +15,7 @@ from scenec.backends.annotation.lidar import scan
 from scenec.backends.run.executors import make_executor
 from scenec.backends.run.frames import require_samples
 from scenec.backends.run.units import OfSession, Opening
-from scenec.backends.run.writer import plain
+from scenec.backends.run.writer import label_facts, plain, time_of
 from scenec.backends.stage.scene import Lidar, RenderScene
 from scenec.schemas.errors import StageError
 from scenec.schemas.files import check_writable, inside, sweep
@@ -208,7 +208,7 @@ def _sidecar(scene: RenderScene, lidar: Lidar, sample: int, key: str) -> dict[st
         "lidar": lidar.name,
         "lidar_prim": lidar.path,
         "sample": sample,
-        "time_s": float(scene.times[sample]) if sample < len(scene.times) else None,
+        "time_s": time_of(scene, sample),
         "lidar_to_world": lidar.to_world,
         "range_m": lidar.range_m,
         "noise": {
@@ -218,10 +218,7 @@ def _sidecar(scene: RenderScene, lidar: Lidar, sample: int, key: str) -> dict[st
             "dropout": lidar.dropout,
             "key": lidar.key,
         },
-        "labels": {
-            level: {str(i): name for i, name in sorted(scene.label_names.get(level, {}).items())}
-            for level in scene.levels
-        },
+        "labels": label_facts(scene),
         "instances": scene.instance_paths,
         "losses": scene.losses,
         "stage_digest": scene.digest,

@@ -94,7 +94,7 @@ def write_frame(
         "camera_prim": camera.path,
         **({} if camera.partner is None else {"partner": partner_name(scene, camera)}),
         "sample": sample,
-        "time_s": float(scene.times[sample]) if sample < len(scene.times) else None,
+        "time_s": time_of(scene, sample),
         "resolution": [camera.width, camera.height],
         "intrinsics": camera.intrinsics.tolist(),
         **({} if camera.lens is None else {"lens": lens_facts(camera.lens)}),
@@ -105,10 +105,7 @@ def write_frame(
         "tone_curve": picture.DESCRIPTION if taken is None else TONE_CURVE,
         "passes": list(passes),
         "conventions": CONVENTIONS | {name: one.convention for name, one in others.items()},
-        "labels": {
-            level: {str(i): name for i, name in sorted(scene.label_names.get(level, {}).items())}
-            for level in scene.levels
-        },
+        "labels": label_facts(scene),
         "sky_labels": scene.sky_labels,
         "sun": sun_facts(scene.lighting[sample]),
         "instances": scene.instance_paths,
@@ -162,6 +159,19 @@ def annotated(stem: Path, digest: str, passes: Sequence[str]) -> Annotation | No
 def annotation_facts(passes: Sequence[str]) -> dict[str, str]:
     """What made the annotation, for sidecars; passes of other packages by name."""
     return {"scenec": version_of(), **origins(passes)}
+
+
+def label_facts(scene: RenderScene) -> dict[str, dict[str, str]]:
+    """Ids and names of each level as sidecars state them."""
+    return {
+        level: {str(i): name for i, name in sorted(scene.label_names.get(level, {}).items())}
+        for level in scene.levels
+    }
+
+
+def time_of(scene: RenderScene, sample: int) -> float | None:
+    """Seconds of a sample; None where the stage does not say."""
+    return float(scene.times[sample]) if sample < len(scene.times) else None
 
 
 def partner_name(scene: RenderScene, camera: Camera) -> str | None:

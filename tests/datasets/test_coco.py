@@ -18,7 +18,7 @@ from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
-from made_output import LABELS, make_output, some_passes
+from made_output import LABELS, make_output, same_tree, some_passes
 from PIL import Image
 from processes import until
 from pycocotools import mask as coco_mask
@@ -34,7 +34,7 @@ from scenec.datasets.source import Source
 from scenec.datasets.splits import parse_splits
 from scenec.schemas.amodal import Amodal, write_amodal
 from scenec.schemas.errors import FrameError, OutputError
-from scenec.schemas.files import same_tree, sha256, tree
+from scenec.schemas.files import sha256, tree
 from scenec.schemas.rle import encode_ids
 
 pytestmark = pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")
