@@ -15,7 +15,7 @@ BENCHMARKS := adapters agreement annotation blur coco cold compile estimate \
 PAGES := numerics relief placement sky motion extremes converge leaving_out errors
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test thorough lint types unit browser format bench docs pictures lock wheel clean distclean
+.PHONY: help setup demo test thorough lint types unit browser format bench docs pictures lock gpu wheel clean distclean
 
 help:  ## List the targets.
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  make \1\t\2/p' Makefile | expand -t 20
@@ -85,6 +85,15 @@ lock: setup  ## Resolve pyproject.toml again into requirements.lock.
 	  --all-groups --no-emit-project --no-header --format requirements-txt \
 	  --output-file requirements.lock; \
 	cp requirements.lock "$$root/requirements.lock"
+
+#: Devices that make gpu tries: backend:device.
+GPUS = mitsuba:cuda cycles:cuda cycles:optix pyrender:cuda
+
+gpu: setup  ## On a machine with a GPU: doctor, the conformance suite there, a table of frames.
+	@.venv/bin/scenec doctor || true
+	@set -e; for of in $(GPUS); do echo "== Conformance of $${of%:*} on $${of#*:}"; \
+	  SCENEC_TEST_DEVICE=$${of#*:} .venv/bin/pytest -q tests/backends/test_$${of%:*}.py; done
+	@.venv/bin/python studies/benchmarks/gpu.py -o out/gpu.md
 
 wheel: setup  ## Build the wheel into dist/, with compiled kernels for this Python and kind of CPU.
 	@echo "== Compiling the kernels of all cfgs that ship"

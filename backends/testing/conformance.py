@@ -8,6 +8,7 @@ its own table says.
 from __future__ import annotations
 
 import dataclasses
+import os
 import tempfile
 from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
@@ -55,12 +56,12 @@ class Conformance:
     """What every backend keeps; see the package.
 
     Attributes:
-        backend: The class, or what else makes a backend without arguments.
+        backend: The class, or what else makes a backend; takes ``device`` if SCENEC_TEST_DEVICE is set.
         tolerances: By check ("lambert") or case ("lambert[low sun]").
         effort: What samples a pixel are multiplied with.
     """
 
-    backend: ClassVar[Callable[[], Backend]]
+    backend: ClassVar[Callable[..., Backend]]
     tolerances: ClassVar[Table] = {}
     effort: ClassVar[float] = 1.0
 
@@ -80,7 +81,13 @@ class Conformance:
         cls._folder = tempfile.TemporaryDirectory()
         looks.write_pictures(cls.folder())
         cls._scenes, cls._loaded = {}, None
-        cls._renderer = cls.backend()
+        cls._renderer = cls.start()
+
+    @classmethod
+    def start(cls) -> Any:
+        """A backend, on the device that the environment names, or its own choice."""
+        device = os.environ.get("SCENEC_TEST_DEVICE")
+        return cls.backend(device=device) if device else cls.backend()
 
     @classmethod
     def teardown_class(cls) -> None:
@@ -242,7 +249,7 @@ class Conformance:
 
     def test_without_a_scene_it_says_so(self) -> None:
         """In one line, whatever is asked first."""
-        fresh: Any = type(self).backend()
+        fresh: Any = self.start()
         with pytest.raises(BackendError) as raised:
             fresh.radiance(lights.ABOVE, 0, 2, SEED)
         assert "\n" not in str(raised.value), str(raised.value)
@@ -281,7 +288,7 @@ class Conformance:
         before = self.witness(made)
         assert before is not None
         self.draw(made, 0, 4)
-        other: Any = type(self).backend()
+        other: Any = self.start()
         other.load(lights.white_ball())
         after = self.witness(made)
         other.load(made)
