@@ -15,7 +15,6 @@ from scenec.backends.stage.labels import LabelTable, face_labels, prim_labels
 from scenec.backends.stage.scene import Maps, Mesh, Surface
 from scenec.backends.stage.sources import Sources
 from scenec.backends.stage.surfaces import (
-    SurfaceTable,
     bound_material,
     bound_surface,
     display_color,
@@ -29,14 +28,14 @@ from scenec.schemas.errors import StageError
 
 
 class MeshTable:
-    """Meshes in the order in which they were first met; one that is met again is shared."""
+    """Meshes and surfaces in the order in which they were first met; met again, they are shared."""
 
     def __init__(
         self, labels: LabelTable, time: Usd.TimeCode, unread: Unread, sources: Sources
     ) -> None:
         self.labels = labels
         self.unread = unread
-        self.surfaces = SurfaceTable()
+        self.surfaces: dict[Surface, int] = {}
         self._sources = sources
         self.meshes: list[Mesh] = []
         self._time = time
@@ -73,14 +72,17 @@ class MeshTable:
             self.meshes.extend(parts)
         return self._known[key]
 
+    def _index(self, surface: Surface) -> int:
+        return self.surfaces.setdefault(surface, len(self.surfaces))
+
     def _implicit(self, prim: Usd.Prim, inherited: dict[str, int]) -> int:
         """Index of an implicit shape's mesh: equal shapes that look alike share one."""
         shape = dimensions(prim, self._time)
-        surface = self.surfaces.add(bound_surface(prim, self._sources))
+        bound = bound_surface(prim, self._sources)
+        surface = self._index(bound)
         labels = {**dict.fromkeys(self.labels.levels, 0), **inherited}
         labels |= prim_labels(prim, self.labels)
-        maps = self.surfaces.surfaces()[surface].maps
-        textured = maps is not None and maps.projection == "uv"
+        textured = bound.maps is not None and bound.maps.projection == "uv"
         if textured:
             self.unread.add("a texture on a shape without texture coordinates is flat", prim)
         key = (*shape, surface, *labels.values())
@@ -121,9 +123,9 @@ class MeshTable:
         layers = read_layers(mesh, len(points), self._sources)
         surfaces, weights = layers or ([], np.zeros((0, len(points)), np.float32))
         if layers is not None:
-            indices_of_layers = tuple(self.surfaces.add(surface) for surface in surfaces)
+            indices_of_layers = tuple(self._index(surface) for surface in surfaces)
         else:
-            indices_of_layers = (self.surfaces.add(bound_surface(prim, self._sources)),)
+            indices_of_layers = (self._index(bound_surface(prim, self._sources)),)
 
         coordinates = _Coordinates(
             mesh, corners, faces, authored, (len(points), len(indices), len(counts)), time
@@ -160,11 +162,11 @@ class MeshTable:
             chosen = values.array(subset.GetIndicesAttr(), np.int64, self._time)
             chosen = chosen[(chosen >= 0) & (chosen < count)]
             bound = bound_surface(subset.GetPrim(), self._sources)
-            surface[chosen] = self.surfaces.add(bound)
+            surface[chosen] = self._index(bound)
             self.unread.material(bound_material(subset.GetPrim()))
         of_triangle = surface[authored]
         used = np.unique(of_triangle)
-        known = self.surfaces.surfaces()
+        known = list(self.surfaces)
         uv = {s: coordinates.of([known[s]]) for s in used.tolist()}
         if len(used) <= 1:
             return [replace(whole, layers=(s,), uv=uv[s]) for s in uv] or [whole]

@@ -73,7 +73,7 @@ def _read(stage: Usd.Stage, path: Path, sources: Sources) -> RenderScene:
         samples=len(times),
         meshes=tuple(meshes.meshes),
         rows=rows,
-        surfaces=meshes.surfaces.surfaces(),
+        surfaces=tuple(meshes.surfaces),
         levels=table.levels,
         label_names={
             level: {number: name for name, number in ids.items()}

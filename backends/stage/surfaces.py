@@ -29,21 +29,6 @@ _RANGES = {
 }
 
 
-class SurfaceTable:
-    """Surfaces in the order in which they were first met."""
-
-    def __init__(self) -> None:
-        self._index: dict[Surface, int] = {}
-
-    def add(self, surface: Surface) -> int:
-        """Index of a surface."""
-        return self._index.setdefault(surface, len(self._index))
-
-    def surfaces(self) -> tuple[Surface, ...]:
-        """All of them."""
-        return tuple(self._index)
-
-
 def read_layers(
     mesh: UsdGeom.Mesh, point_count: int, sources: Sources
 ) -> tuple[list[Surface], NDArray[np.float32]] | None:
