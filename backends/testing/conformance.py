@@ -56,7 +56,8 @@ class Conformance:
     """What every backend keeps; see the package.
 
     Attributes:
-        backend: The class, or what else makes a backend; takes ``device`` if SCENEC_TEST_DEVICE is set.
+        backend: The class, or what else makes a backend; it is given ``device`` where
+            SCENEC_TEST_DEVICE names one.
         tolerances: By check ("lambert") or case ("lambert[low sun]").
         effort: What samples a pixel are multiplied with.
     """

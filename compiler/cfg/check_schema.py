@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import operator
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import Any, NamedTuple
+from typing import Any
+
+from jsonschema import Draft202012Validator
 
 from scenec.compiler.cfg.faults import Finding
-from scenec.compiler.cfg.schema import Field, inside, is_of, walk
+from scenec.compiler.cfg.schema import Field, inside, walk
 from scenec.schemas.passes import GROUP as PASSES
 from scenec.schemas.passes import pass_names
 from scenec.schemas.spelling import closest, nearest, shown
@@ -23,20 +24,6 @@ _TYPES = {
     "string": "a string",
 }
 _NAME = "a name of letters, digits and underscores, with no digit first"
-
-
-class _Rule(NamedTuple):
-    """What a keyword asks for.
-
-    Attributes:
-        holds: Whether a value is as the keyword's own value asks for.
-        expected: What is, in words: of the keyword's value and the place.
-        of: Type of the values that it speaks of; None: all.
-    """
-
-    holds: Callable[[Any, Any], bool]
-    expected: Callable[[Any, Field], str]
-    of: str | None = None
 
 
 def check_schema(fields: Iterable[Field]) -> list[Finding]:
@@ -58,14 +45,14 @@ def check_value(field: Field) -> Iterator[Finding]:
     """What a value's own keywords find wrong with it."""
     value, keywords = field.value, field.keywords
     for keyword, bound in keywords.items():
-        if keyword not in RULES:
+        if keyword not in EXPECTED:
             continue
-        rule = RULES[keyword]
         if keyword == "enum" and keywords.get("x-open") == PASSES:
             # With what other packages add.
             bound = pass_names()
-        if (rule.of is None or is_of(value, rule.of)) and not rule.holds(value, bound):
-            yield Finding(field.path, f"{shown(value)}: expected {rule.expected(bound, field)}")
+        errors = _JUDGE.VALIDATORS[keyword](_JUDGE, bound, value, keywords)
+        if next(iter(errors or ()), None) is not None:
+            yield Finding(field.path, f"{shown(value)}: expected {EXPECTED[keyword](bound, field)}")
     if isinstance(value, dict):
         yield from _check_keys(field)
 
@@ -99,15 +86,6 @@ def _check_keys(field: Field) -> Iterator[Finding]:
         yield Finding((*field.path, key), message, at_key=True)
 
 
-def _is_same(value: Any, other: Any) -> bool:
-    """Whether two values of JSON are equal: true is not 1."""
-    return value == other and isinstance(value, bool) == isinstance(other, bool)
-
-
-def _is_distinct(values: list[Any], asked: bool) -> bool:
-    return not any(_is_same(a, b) for i, a in enumerate(values) for b in values[:i])
-
-
 def _types(types: str | list[str], field: Field) -> str:
     names = [types] if isinstance(types, str) else types
     words = []
@@ -132,21 +110,21 @@ def _count(words: str, one: str, many: str) -> Callable[[Any, Field], str]:
     return lambda bound, _: f"{words} {bound} {one if bound == 1 else many}"
 
 
-#: What each keyword asks of a value; what is asked of keys stands above.
-RULES = {
-    "type": _Rule(is_of, _types),
-    "enum": _Rule(lambda value, choices: value in choices, _choice),
-    "const": _Rule(_is_same, lambda value, _: shown(value)),
-    "minimum": _Rule(operator.ge, _bound("at least"), "number"),
-    "maximum": _Rule(operator.le, _bound("at most"), "number"),
-    "exclusiveMinimum": _Rule(operator.gt, _bound("more than"), "number"),
-    "exclusiveMaximum": _Rule(operator.lt, _bound("less than"), "number"),
-    "minItems": _Rule(lambda v, n: len(v) >= n, _count("at least", "item", "items"), "array"),
-    "maxItems": _Rule(lambda v, n: len(v) <= n, _count("at most", "item", "items"), "array"),
-    "uniqueItems": _Rule(_is_distinct, lambda *_: "each item once", "array"),
-    "minProperties": _Rule(
-        lambda v, n: len(v) >= n, _count("at least", "entry", "entries"), "object"
-    ),
-    "minLength": _Rule(lambda v, n: len(v) >= n, lambda *_: "a string that is not empty", "string"),
-    "pattern": _Rule(lambda v, p: bool(re.search(p, v)), lambda *_: _NAME, "string"),
+#: Of JSON Schema's keywords; what they are asked of is described by ``schema``.
+_JUDGE = Draft202012Validator({})
+#: What each keyword asks of a value, in words; what is asked of keys stands above.
+EXPECTED: dict[str, Callable[[Any, Field], str]] = {
+    "type": _types,
+    "enum": _choice,
+    "const": lambda value, _: shown(value),
+    "minimum": _bound("at least"),
+    "maximum": _bound("at most"),
+    "exclusiveMinimum": _bound("more than"),
+    "exclusiveMaximum": _bound("less than"),
+    "minItems": _count("at least", "item", "items"),
+    "maxItems": _count("at most", "item", "items"),
+    "uniqueItems": lambda *_: "each item once",
+    "minProperties": _count("at least", "entry", "entries"),
+    "minLength": lambda *_: "a string that is not empty",
+    "pattern": lambda *_: _NAME,
 }

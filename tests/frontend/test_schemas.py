@@ -12,7 +12,7 @@ from referencing.jsonschema import DRAFT202012
 from small_cfg import changed, minimal
 
 from scenec.compiler.cfg.check_numbers import check_number
-from scenec.compiler.cfg.check_schema import RULES, check_schema
+from scenec.compiler.cfg.check_schema import EXPECTED, check_schema
 from scenec.compiler.cfg.schema import (
     FORMS,
     NUMBER,
@@ -67,7 +67,7 @@ def _conditions(schema):
 @pytest.mark.parametrize("name", _NAMES)
 def test_a_schema_has_no_keyword_that_the_walk_passes_over(name):
     for at, schema in _subschemas(load_schemas()[name]):
-        unknown = {key for key in schema if not key.startswith("x-")} - {*RULES, *_OTHERS}
+        unknown = {key for key in schema if not key.startswith("x-")} - {*EXPECTED, *_OTHERS}
         assert not unknown, at
         for below in _conditions(schema.get("if", {})):
             assert set(below) <= {"type", "enum", "const", "properties", "required"}, at
