@@ -2,7 +2,8 @@
 
 Each round is a picture of its own noise. Their halves are summed, so memory does not grow with
 rounds, and no backend knows of it. Rounds double until the estimate can be trusted; then the law
-of independent samples, error ~ 1 / sqrt(samples), says how many are left to draw.
+of independent samples, error ~ 1 / sqrt(samples), says how many are left to draw: rather too many,
+as those of a round are better spread than that.
 """
 
 from __future__ import annotations
