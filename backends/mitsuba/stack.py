@@ -319,6 +319,14 @@ class Stack(mi.BSDF):
         sound = active & (density > 0.0) & self._same_side(si, bs.wo)
         return bs, dr.select(sound, light / density, 0.0)
 
+    def eval_diffuse_reflectance(self, si: Any, active: Any = True) -> Any:
+        # Of gloss, too: it is what a denoiser goes by.
+        total = mi.Vector3f(0.0)
+        for at in self._look(si, active):
+            own = at.lobes
+            total += (own.color * (own.dull + own.tinted) + own.white) * at.share
+        return mi.Color3f(total)
+
     def to_string(self) -> str:
         return f"Stack[{len(self.layers)}]"
 

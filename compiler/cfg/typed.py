@@ -1,6 +1,6 @@
 """The types of a cfg in full, as ``fill`` makes it and ``draw`` reads it.
 
-The schemas are the source: ``tests/frontend/test_typed.py`` holds these types against them. What is
+The schemas are the source: ``tests/cfg/test_typed.py`` holds these types against them. What is
 of one of several kinds by its ``type`` (operators, objects, poses …) is a plain dict.
 """
 

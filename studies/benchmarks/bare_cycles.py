@@ -174,7 +174,7 @@ class Bare:
             diffuse, glossy, both = (
                 new(f"ShaderNode{kind}") for kind in ("BsdfDiffuse", "BsdfGlossy", "MixShader")
             )
-            glossy.distribution = "GGX"
+            glossy.distribution = "MULTI_GGX"
             glossy.inputs["Color"].default_value = (1.0, 1.0, 1.0, 1.0)
             glossy.inputs["Roughness"].default_value = surface.roughness
             link(scale.outputs[0], diffuse.inputs["Color"])

@@ -25,7 +25,7 @@ How true sizes, places, distances, seats and levels of detail are ([objects.md](
 [keys](cfg.md#objects-scattered)), and what they cost. Seconds are single readings on {cores} cores
 ({versions});
 all else does not depend on the machine. Tests hold the same facts
-(`tests/compiler/test_scatter*.py`, `test_objects_*.py`, `tests/frontend/test_laws.py`); this page
+(`tests/compiler/test_scatter*.py`, `test_objects_*.py`, `tests/cfg/test_laws.py`); this page
 makes them readable.
 """
 
