@@ -10,6 +10,10 @@ The hair is 1/64 of a pixel, or what float32 can do wrong where that is more: ``
 coordinates involved (vertices and origin are rounded once, the intersection takes a handful of
 operations). Faces that are smaller than a ring's step are met by no ray of it: there it is enough
 that the renderer's face lies within the radius, at a depth between those of the ring on its row.
+
+Renderers that are not watertight (Embree's fast traversal, in Mitsuba) let a ray slip between two
+faces now and then, and see what lies behind: that is as far off as the nearest edge of the face
+that is missed.
 """
 
 from __future__ import annotations
@@ -148,6 +152,7 @@ def _explain(
     on_row = (hits.row[index] == row) & ~none
     low = np.where(on_row, hits.t[index], np.inf)
     high = np.where(on_row, hits.t[index], -np.inf)
+    edge = np.full(len(index), np.inf)
     for ring in RADII:
         left = np.flatnonzero(np.isinf(radius))
         if not len(left):
@@ -160,6 +165,9 @@ def _explain(
                 depth=None, known=None,
             )  # fmt: skip
             row_there, face_there, t_there = caster.cast(around)
+            own = index[left]
+            other = left[(row_there != hits.row[own]) | (face_there != hits.face[own])]
+            edge[other] = np.minimum(edge[other], ring * scale[other])
             same = row_there == row[left]
             found = same & (none[left] | (face_there == face[left]))
             radius[left[found]] = np.minimum(radius[left[found]], ring * scale[left[found]])
@@ -169,6 +177,16 @@ def _explain(
         slack = (high - low) + float32 / length
         within = (t >= low - slack) & (t <= high + slack) & (reach <= ring * scale * pixel)
         radius[within] = np.minimum(radius[within], (ring * scale)[within])
+    left = np.flatnonzero((radius > edge) & (hits.row[index] != NO_ROW))
+    if len(left):
+        beyond = (hits.t[index] + float32 / length)[left, None] * directions[left]
+        behind = replace(
+            rays, origins=origins[left] + beyond, directions=directions[left],
+            shape=(1, len(left)), depth=None, known=None,
+        )  # fmt: skip
+        row_there, face_there, _ = caster.cast(behind)
+        slipped = left[(row_there == row[left]) & (none[left] | (face_there == face[left]))]
+        radius[slipped] = edge[slipped]
     return radius, HAIR_PIXELS * scale
 
 

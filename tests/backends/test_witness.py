@@ -133,6 +133,21 @@ def test_a_witness_of_another_size_is_an_error(rocks):
         held(caster, rays, Visibility(hits.row[1:], hits.face[1:]))
 
 
+def test_a_ray_that_slips_between_faces_passes_and_one_through_a_face_does_not(rocks):
+    _scene, caster, rays, hits = rocks
+    there = np.where(hits.row != NO_ROW, hits.t, 1.0)[:, None] * (1.0 + 3e-6)
+    behind = caster.hits(dataclasses.replace(rays, origins=rays.origins + there * rays.directions))
+    beside = caster.hits(turned(rays, 0.5 * HAIR_PIXELS))
+    edge = (hits.row != NO_ROW) & (hits.row == beside.row) & (hits.face != beside.face)
+    for where, beyond in ((np.flatnonzero(edge), False), (np.flatnonzero(~edge)[::97], True)):
+        row, face = hits.row.copy(), hits.face.copy()
+        row[where], face[where] = behind.row[where], behind.face[where]
+        witness = held(caster, rays, Visibility(row, face))
+        assert witness.differing > 20
+        assert (witness.beyond > 0.5 * witness.differing) == beyond
+        assert beyond or witness.beyond == 0
+
+
 def test_the_far_side_of_a_stone_is_no_fair_answer():
     """What a renderer shows that culls the faces in front."""
     ball, faces = scenes.icosphere(3)
