@@ -276,21 +276,25 @@ def _command(
 
 
 class _Parser(argparse.ArgumentParser):
-    """Names the nearest command or option to one that there is not."""
+    """Names the nearest command, value or option to one that there is not."""
 
     def error(self, message: str) -> NoReturn:
         """As of the base class, with a question after it."""
-        word = re.search(r"(?:invalid choice: '|unrecognized arguments: )([^\s']+)", message)
-        near = None if word is None else closest(word[1].partition("=")[0], self._words())
+        if choice := re.search(r"invalid choice: '(.*?)' \(choose from (.*)\)", message):
+            near = closest(choice[1], re.findall(r"[\w.-]+", choice[2]))
+        elif option := re.search(r"unrecognized arguments: (-[^\s=]+)", message):
+            near = closest(option[1], self._options())
+        else:
+            near = None
         super().error(message if near is None else f"{message}; did you mean {near}?")
 
-    def _words(self) -> set[str]:
-        """Commands, and what this parser and those of its commands take."""
-        words = {option for action in self._actions for option in action.option_strings}
+    def _options(self) -> set[str]:
+        """What this parser and those of its commands take."""
+        found = {option for action in self._actions for option in action.option_strings}
         for action in self._actions:
             if isinstance(action, argparse._SubParsersAction):
-                words.update(action.choices, *(of._words() for of in action.choices.values()))
-        return words
+                found.update(*(of._options() for of in action.choices.values()))
+        return found
 
 
 class _Version(argparse.Action):

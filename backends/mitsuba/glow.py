@@ -134,9 +134,6 @@ class Glow(mi.Emitter):
     def pdf_direction(self, it: Any, ds: Any, active: Any = True) -> Any:
         return dr.select(active, self._density(ds), 0.0)
 
-    def eval_direction(self, it: Any, ds: Any, active: Any = True) -> Any:
-        raise NotImplementedError("only the path integrator is used, which does not ask")
-
     def to_string(self) -> str:
         return "Glow[]"
 

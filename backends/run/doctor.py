@@ -34,6 +34,7 @@ LIBRARIES = (
     "trimesh",
     "mitsuba",
     "llvm-nanobind",
+    "pyoidn",
     "bpy",
     "pyrender-maintained",
     "PyOpenGL",

@@ -118,15 +118,15 @@ class Algebra(ABC):
         return v * (1.0 / self.sqrt(self.maximum(self.dot(v, v), _NO_LENGTH)))
 
 
-class Traced:
+class Traced(ABC):
     """A value whose arithmetic is written down: each operation is ``_binary`` of its operands."""
 
     # Arrays leave arithmetic with values to the values.
     __array_ufunc__ = None
 
+    @abstractmethod
     def _binary(self, operator: str, a: Any, b: Any) -> Any:
         """A + b, a - b, a * b or a / b, of which one is this."""
-        raise NotImplementedError
 
     def __neg__(self) -> Any:
         return self._binary("*", self, -1.0)

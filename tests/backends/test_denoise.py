@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.metadata
+import sys
 
 import numpy as np
 import pytest
@@ -51,6 +52,23 @@ def test_denoising_leaves_the_halves_alone_and_the_sky_dark(name, most):
     rim = (plain.coverage > 0.0) & ~inside
     assert rim.sum() > 30
     np.testing.assert_array_equal(clean[rim], noisy[rim])
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (3, 70), (48, 64)])
+def test_an_even_picture_comes_back_up_to_its_borders(shape):
+    even = np.full((2, *shape, 3), 3.0, np.float32)
+    up = np.zeros((*shape, 3), np.float32)
+    up[..., 2] = 1.0
+    clean = denoise.denoise(even, np.ones(shape, np.float32), 0.1 * even[0], up)
+    np.testing.assert_allclose(clean, even[0], rtol=5e-3)
+
+
+def test_a_library_that_cannot_be_loaded_is_one_line(monkeypatch):
+    monkeypatch.setitem(sys.modules, "pyoidn", None)
+    even = np.ones((2, 4, 4, 3), np.float32)
+    with pytest.raises(BackendError, match="OpenImageDenoise does not work here") as raised:
+        denoise.denoise(even, even[0, ..., 0], even[0], even[0])
+    assert "\n" not in str(raised.value)
 
 
 def test_guides_are_the_surfaces_own_colors_and_normals():

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from glb import Look, Model, Part
@@ -29,32 +30,57 @@ LOOKS = {
 }
 
 
+class Foliage(NamedTuple):
+    """How leaves stand on twigs.
+
+    Attributes:
+        per_meter, least: How many, along a twig and at least on one.
+        length: Shortest and longest, meters.
+        width: Over the longest.
+        hang: How far their tips turn down.
+        bare: Share of a twig without any, at its foot.
+        spread: From the twig, degrees.
+        rounded: Whether their outline is.
+    """
+
+    per_meter: float
+    least: int
+    length: tuple[float, float]
+    width: float
+    hang: float
+    bare: float = 0.15
+    spread: float = 55.0
+    rounded: bool = False
+
+
 def _leafed(
-    surface: Surface, chance: Chance, twigs: list[Stem], center: Callable[[Floats], Floats], *,
-    per_meter: float, least: int, length: tuple[float, float], width: float, hang: float,
-    bare: float = 0.15, spread: float = 55.0, rounded: bool = False,
-) -> None:  # fmt: skip
+    surface: Surface,
+    chance: Chance,
+    twigs: list[Stem],
+    center: Callable[[Floats], Floats],
+    look: Foliage,
+) -> None:
     """Leaves along twigs: alternate, turned to the light and outward, their tips hanging."""
     for twig in twigs:
-        count = max(least, round(twig.length * per_meter))
+        count = max(look.least, round(twig.length * look.per_meter))
         angle = chance.between(0.0, 360.0)
         for k in range(count):
-            t = bare + (1.0 - bare) * (k + 0.7) / count
+            t = look.bare + (1.0 - look.bare) * (k + 0.7) / count
             base, along, _ = twig.at(t)
             angle += chance.about(180.0, 35.0)
             around = turned(across(along, UP), along, angle)
             # The last leaf ends the twig.
-            ahead = unit(along + around * math.tan(math.radians(spread)) * (k < count - 1))
-            ahead = unit(ahead + hang * chance.about(1.0, 0.5) * -UP)
+            ahead = unit(along + around * math.tan(math.radians(look.spread)) * (k < count - 1))
+            ahead = unit(ahead + look.hang * chance.about(1.0, 0.5) * -UP)
             outward = unit(base - center(base))
             light = unit(UP + 0.6 * outward + 0.55 * chance.direction())
             upward = light - ahead * float(light @ ahead)
             if float(upward @ upward) < 1e-4:
                 continue
             surface.leaf(
-                base, ahead, unit(upward), chance.between(*length),
-                width * chance.about(1.0, 0.12) * length[1], outward,
-                rounded=rounded,
+                base, ahead, unit(upward), chance.between(*look.length),
+                look.width * chance.about(1.0, 0.12) * look.length[1], outward,
+                rounded=look.rounded,
             )  # fmt: skip
 
 
@@ -84,9 +110,12 @@ def oak() -> Model:
     meshed(stems, habit, {0: trunk, 1: trunk, 2: branches, 3: branches})
     heart = np.array([0.0, 0.0, 3.4])
     _leafed(
-        leaves, chance, [s for s in stems if s.level >= 2], lambda p: heart, per_meter=17.2,
-        least=4, length=(0.145, 0.205), width=0.62, hang=0.25,
-    )  # fmt: skip
+        leaves,
+        chance,
+        [s for s in stems if s.level >= 2],
+        lambda p: heart,
+        Foliage(per_meter=17.2, least=4, length=(0.145, 0.205), width=0.62, hang=0.25),
+    )
     return Model(
         {
             "trunk": trunk.part("oak_bark"),
@@ -129,10 +158,12 @@ def birch() -> Model:
     fine = [stems[0].at(t) for t in rings / stems[0].length]
     trunk.tube(np.array([at for at, _, _ in fine]), [r for _, _, r in fine], 10)
     _leafed(
-        leaves, chance, [s for s in stems if s.level >= 2],
-        lambda p: np.array([0.0, 0.0, min(p[2] - 0.3, 5.5)]), per_meter=19.0, least=4,
-        length=(0.085, 0.120), width=0.78, hang=0.55,
-    )  # fmt: skip
+        leaves,
+        chance,
+        [s for s in stems if s.level >= 2],
+        lambda p: np.array([0.0, 0.0, min(p[2] - 0.3, 5.5)]),
+        Foliage(per_meter=19.0, least=4, length=(0.085, 0.120), width=0.78, hang=0.55),
+    )
     white = trunk.part("birch_bark")
     marks = _fissures(chance, 10, rings)
     return Model(
@@ -193,10 +224,14 @@ def hazel() -> Model:
         stems = grown(habit, chance, base, ahead)
         meshed(stems, habit, {0: wood, 1: wood, 2: wood})
         _leafed(
-            leaves, chance, [s for s in stems if s.level >= 1],
-            lambda p: np.array([0.0, 0.0, 0.9]), per_meter=7.6, least=3, length=(0.085, 0.120),
-            width=0.82, hang=0.4, rounded=True,
-        )  # fmt: skip
+            leaves,
+            chance,
+            [s for s in stems if s.level >= 1],
+            lambda p: np.array([0.0, 0.0, 0.9]),
+            Foliage(
+                per_meter=7.6, least=3, length=(0.085, 0.120), width=0.82, hang=0.4, rounded=True
+            ),
+        )
     return Model({"wood": wood.part("hazel_bark"), "leaves": leaves.part("hazel_leaf")}, LOOKS)
 
 
