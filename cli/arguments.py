@@ -30,6 +30,19 @@ def add_seed(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_settings(parser: argparse.ArgumentParser) -> None:
+    """``--set``."""
+    parser.add_argument(
+        "--set",
+        dest="settings",
+        action="append",
+        default=[],
+        metavar="PATH=VALUE",
+        help="put a value, JSON or a bare word, at a place of the cfg: terrain.spacing_m=0.2, "
+        "'terrain.relief[0].amplitude_m=3', objects.rocks=null to take a key away (repeatable)",
+    )
+
+
 def span(text: str) -> range:
     """``A:B`` as the range A to B - 1; ``A`` alone is A:A+1."""
     first, colon, last = text.partition(":")

@@ -29,7 +29,7 @@ def compile_now(options: argparse.Namespace) -> CompileReport:
     # told before the rest is imported.
     from scenec.compiler.cfg.load import load
 
-    spec = load(options.cfg)
+    spec = load(options.cfg, options.settings)
     from scenec.compiler.compile import compile_cfg
     from scenec.compiler.views.keep import Keep
 

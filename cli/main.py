@@ -22,6 +22,7 @@ from scenec.cli.arguments import (
     add_render_options,
     add_replace,
     add_seed,
+    add_settings,
     add_settle_options,
     passes,
     positive,
@@ -133,7 +134,8 @@ def parser() -> argparse.ArgumentParser:
     commands = top.add_subparsers(metavar="COMMAND", required=True)
 
     run = _command(commands, "run", "compile a cfg and render it: the main job")
-    run.add_argument("cfg", metavar="CFG", help="the cfg, a JSON file")
+    run.add_argument("cfg", metavar="CFG", help="the cfg, a file of JSON or YAML")
+    add_settings(run)
     add_seed(run)
     run.add_argument("-o", "--out", metavar="OUT", required=True, help="output folder")
     add_render_options(run)
@@ -144,7 +146,8 @@ def parser() -> argparse.ArgumentParser:
     add_json(run)
 
     compile_ = _command(commands, "compile", "compile a cfg into USD stages, one per batch")
-    compile_.add_argument("cfg", metavar="CFG", help="the cfg, a JSON file")
+    compile_.add_argument("cfg", metavar="CFG", help="the cfg, a file of JSON or YAML")
+    add_settings(compile_)
     add_seed(compile_)
     compile_.add_argument("-o", "--out", metavar="OUT", required=True, help="output folder")
     add_keep(compile_)
@@ -155,11 +158,12 @@ def parser() -> argparse.ArgumentParser:
     add_json(compile_)
 
     validate = _command(commands, "validate", "is a cfg without faults; compiles nothing")
-    validate.add_argument("cfg", metavar="CFG", help="the cfg, a JSON file")
+    validate.add_argument("cfg", metavar="CFG", help="the cfg, a file of JSON or YAML")
+    add_settings(validate)
     add_json(validate)
 
     settle = _command(commands, "settle", "drop chosen objects by physics, into a table of poses")
-    settle.add_argument("cfg", metavar="CFG", help="the cfg, a JSON file")
+    settle.add_argument("cfg", metavar="CFG", help="the cfg, a file of JSON or YAML")
     add_seed(settle)
     settle.add_argument("-o", "--out", metavar="CSV", required=True, help="table of poses")
     add_settle_options(settle)

@@ -60,7 +60,7 @@ def _refuse_early(options: argparse.Namespace) -> bool:
     from scenec.compiler.cfg.load import load
 
     wanted = options.passes
-    rigs = load(options.cfg).cfg["rigs"]
+    rigs = load(options.cfg, options.settings).cfg["rigs"]
     sensors = {f"{rig}_{name}": s for rig in rigs for name, s in rigs[rig]["sensors"].items()}
     drawn = [n for n, s in sensors.items() if "rgb" in (wanted or s["outputs"])]
     if wanted is None:

@@ -16,7 +16,7 @@ def run(options: argparse.Namespace) -> int:
     # Here: NumPy takes a tenth of a second, and ``--help`` needs none.
     from scenec.compiler.cfg.load import load
 
-    cfg = load(options.cfg).cfg
+    cfg = load(options.cfg, options.settings).cfg
     sensors = sum(len(rig.get("sensors", {})) for rig in cfg["rigs"].values())
     counts = {
         "batches": cfg["batches"],

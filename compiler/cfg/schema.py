@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
-from scenec.compiler.cfg.json_positions import Path
+from scenec.compiler.cfg.document import Path
 
 ROOT = "cfg.schema.json"
 NUMBER = "number.schema.json"
