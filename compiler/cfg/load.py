@@ -22,10 +22,11 @@ from scenec.compiler.cfg.check_terrain import check_terrain
 from scenec.compiler.cfg.faults import Finding, locate
 from scenec.compiler.cfg.fill import fill
 from scenec.compiler.cfg.node import Node, Tree
+from scenec.compiler.cfg.slips import improbable
 from scenec.compiler.cfg.sources import read
 from scenec.compiler.cfg.typed import Cfg
 from scenec.compiler.distributions.numbers import Distribution
-from scenec.schemas.errors import CfgError
+from scenec.schemas.errors import CfgError, Fault
 from scenec.schemas.spelling import shown
 
 #: What must hold between keys, beside what is checked of names and files.
@@ -47,6 +48,7 @@ class Spec:
         text: The cfg as JSON, with all that it extends and its settings.
         is_verbatim: Whether that is the file's own bytes.
         settings: What was set over it.
+        warnings: Values that can be and are probably a slip.
     """
 
     cfg: Cfg
@@ -56,6 +58,7 @@ class Spec:
     text: bytes
     is_verbatim: bool = True
     settings: tuple[str, ...] = ()
+    warnings: tuple[Fault, ...] = ()
 
 
 def load(path: FilePath | str, settings: Sequence[str] = ()) -> Spec:
@@ -97,7 +100,9 @@ def load(path: FilePath | str, settings: Sequence[str] = ()) -> Spec:
         raise CfgError(faults)
     filled = fill(document.value)
     digest = digest_of(filled, files)
-    return Spec(filled, path, files, digest, source.text, source.is_verbatim, tuple(settings))
+    text, is_verbatim = source.text, source.is_verbatim
+    warnings = tuple(sorted(locate(improbable(fields), document)))
+    return Spec(filled, path, files, digest, text, is_verbatim, tuple(settings), warnings)
 
 
 def digest_of(cfg: Mapping[str, Any], files: Mapping[str, InputFile]) -> str:
