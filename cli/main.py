@@ -24,6 +24,7 @@ from scenec.cli.arguments import (
     add_seed,
     add_settings,
     add_settle_options,
+    add_sweep_options,
     passes,
     positive,
     span,
@@ -161,6 +162,39 @@ def parser() -> argparse.ArgumentParser:
     validate.add_argument("cfg", metavar="CFG", help="the cfg, a file of JSON or YAML")
     add_settings(validate)
     add_json(validate)
+
+    init = _command(commands, "init", "write a small cfg to begin with")
+    init.epilog = "Without TEMPLATE it lists them. Example: scenec init mars -o mine.jsonc"
+    init.add_argument("template", metavar="TEMPLATE", nargs="?", help="forest, mars, moon …")
+    init.add_argument(
+        "-o", "--output", metavar="FILE", help="- for standard output (default: TEMPLATE.jsonc)"
+    )
+    add_json(init)
+
+    schema = _command(commands, "schema", "the cfg's JSON Schema in one piece, for editors")
+    schema.epilog = "Example: scenec schema -o scenec.schema.json (docs/writing.md)"
+    schema.add_argument("-o", "--output", metavar="FILE", help="default: standard output")
+    schema.add_argument(
+        "--partial", action="store_true", help="for cfgs that extend others: no key is required"
+    )
+
+    sweep = _command(commands, "sweep", "run a cfg with many values and seeds")
+    sweep.add_argument("cfg", metavar="CFG", help="the cfg, a file of JSON or YAML")
+    add_sweep_options(sweep)
+    sweep.add_argument("-o", "--out", metavar="OUT", required=True, help="a folder of outputs")
+    add_render_options(sweep)
+    sweep.epilog = (
+        "Each combination has a folder of OUT, named for what differs; OUT/sweep.csv and "
+        "OUT/sweep.json list them. What is there already is not made again. Example: scenec sweep "
+        "cfg.json --set light.sun.elevation_deg=10,30,60 --set terrain.spacing_m=0.1,0.2 --seeds "
+        "0:5 -o OUT. Exit status: 0 all is there; 1 some points could not be made; 2 a fault, "
+        "and nothing was made."
+    )
+    add_keep(sweep)
+    add_cache(sweep)
+    add_replace(sweep)
+    add_batches(sweep)
+    add_json(sweep)
 
     settle = _command(commands, "settle", "drop chosen objects by physics, into a table of poses")
     settle.add_argument("cfg", metavar="CFG", help="the cfg, a file of JSON or YAML")

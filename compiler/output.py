@@ -281,6 +281,18 @@ def _head(spec: Spec, seed: int, keep: Keep) -> dict[str, Any]:
     }
 
 
+def held(out: Path, spec: Spec, seed: int, keep: Keep) -> tuple[set[int], str | None]:
+    """Which batches an output has with all of their files, and what else they are of.
+
+    Raises:
+        OutputError: It is no output.
+    """
+    old = read_manifest(out)
+    lost = {path.partition("/")[0] for path in old["files"] if not (out / path).is_file()}
+    batches = {b["index"] for b in old["batches"] if b["path"] not in lost}
+    return batches, _difference(old, _head(spec, seed, keep)) if old["batches"] else None
+
+
 def _old_manifest(out: Path) -> dict[str, Any]:
     """The manifest that is there; one without batches where there is nothing.
 

@@ -29,6 +29,8 @@ MANIFEST = "manifest.json"
 TIMINGS = "timings.json"
 #: The cfg, whole and as JSON; paths in it are relative to the folder that it lay in.
 CFG = "cfg.json"
+#: Endings of a cfg's name.
+CFG_SUFFIXES = (".json", ".jsonc", ".yaml", ".yml")
 #: Root layer of a batch.
 STAGE = "stage.usda"
 #: In each batch's folder.
@@ -72,7 +74,7 @@ def read_manifest(out: Path) -> dict[str, Any]:
         OutputError: There is none, it is none, or it names a path outside of the folder.
     """
     if out.is_file():
-        mend = f"; compile it: scenec compile {out} -o OUT" if out.suffix == ".json" else ""
+        mend = f"; compile it: scenec compile {out} -o OUT" if out.suffix in CFG_SUFFIXES else ""
         raise OutputError(
             f"{out}: is a file; expected the output folder of a compile, or a USD file{mend}"
         )

@@ -87,6 +87,11 @@ def _find_in_package(reference: str, what: str, fits: Callable[[Path], bool]) ->
     )
 
 
+def own_files(folder: str, pattern: str) -> list[Path]:
+    """Files that come with scenec, of one of its folders ``OWN``, sorted."""
+    return [path for root in _package_folders(folder) for path in sorted(root.glob(pattern))]
+
+
 def own_reference(file: Path) -> str | None:
     """How a cfg names a file that comes with scenec; None of any other."""
     for name in OWN:
