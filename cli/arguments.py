@@ -23,6 +23,13 @@ def seed(text: str) -> int:
     return value
 
 
+def add_cfg(parser: argparse.ArgumentParser) -> None:
+    """The cfg."""
+    parser.add_argument(
+        "cfg", metavar="CFG", help="a file of JSON or YAML, or package:configs/NAME of ours"
+    )
+
+
 def add_seed(parser: argparse.ArgumentParser) -> None:
     """``--seed``."""
     parser.add_argument(

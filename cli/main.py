@@ -16,6 +16,7 @@ from scenec.cli.arguments import (
     add_allow_missing,
     add_batches,
     add_cache,
+    add_cfg,
     add_executor,
     add_json,
     add_keep,
@@ -135,7 +136,7 @@ def parser() -> argparse.ArgumentParser:
     commands = top.add_subparsers(metavar="COMMAND", required=True)
 
     run = _command(commands, "run", "compile a cfg and render it: the main job")
-    run.add_argument("cfg", metavar="CFG", help="the cfg, a file of JSON or YAML")
+    add_cfg(run)
     add_settings(run)
     add_seed(run)
     run.add_argument("-o", "--out", metavar="OUT", required=True, help="output folder")
@@ -147,7 +148,7 @@ def parser() -> argparse.ArgumentParser:
     add_json(run)
 
     compile_ = _command(commands, "compile", "compile a cfg into USD stages, one per batch")
-    compile_.add_argument("cfg", metavar="CFG", help="the cfg, a file of JSON or YAML")
+    add_cfg(compile_)
     add_settings(compile_)
     add_seed(compile_)
     compile_.add_argument("-o", "--out", metavar="OUT", required=True, help="output folder")
@@ -159,7 +160,7 @@ def parser() -> argparse.ArgumentParser:
     add_json(compile_)
 
     validate = _command(commands, "validate", "is a cfg without faults; compiles nothing")
-    validate.add_argument("cfg", metavar="CFG", help="the cfg, a file of JSON or YAML")
+    add_cfg(validate)
     add_settings(validate)
     add_json(validate)
 
@@ -179,7 +180,7 @@ def parser() -> argparse.ArgumentParser:
     )
 
     sweep = _command(commands, "sweep", "run a cfg with many values and seeds")
-    sweep.add_argument("cfg", metavar="CFG", help="the cfg, a file of JSON or YAML")
+    add_cfg(sweep)
     add_sweep_options(sweep)
     sweep.add_argument("-o", "--out", metavar="OUT", required=True, help="a folder of outputs")
     add_render_options(sweep)
@@ -197,7 +198,7 @@ def parser() -> argparse.ArgumentParser:
     add_json(sweep)
 
     settle = _command(commands, "settle", "drop chosen objects by physics, into a table of poses")
-    settle.add_argument("cfg", metavar="CFG", help="the cfg, a file of JSON or YAML")
+    add_cfg(settle)
     add_seed(settle)
     settle.add_argument("-o", "--out", metavar="CSV", required=True, help="table of poses")
     add_settle_options(settle)

@@ -104,7 +104,7 @@ def _to_compile(
     out, cache = Path(options.out), cache_of(options)
     units = [
         CompilePoint(
-            cfg=Path(options.cfg).absolute(),
+            cfg=spec.path.absolute(),
             point=point,
             out=(out / point.name).absolute(),
             keep=Keep(options.keep),
@@ -113,7 +113,7 @@ def _to_compile(
             replace=options.replace,
             faults=options.faults,
         )
-        for point in swept
+        for point, spec in zip(swept, specs, strict=True)
     ]
     return [(unit, unit.is_done(spec)) for unit, spec in zip(units, specs, strict=True)]
 

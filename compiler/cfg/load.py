@@ -23,7 +23,7 @@ from scenec.compiler.cfg.faults import Finding, locate
 from scenec.compiler.cfg.fill import fill
 from scenec.compiler.cfg.node import Node, Tree
 from scenec.compiler.cfg.slips import improbable
-from scenec.compiler.cfg.sources import read
+from scenec.compiler.cfg.sources import located, read
 from scenec.compiler.cfg.typed import Cfg
 from scenec.compiler.distributions.numbers import Distribution
 from scenec.schemas.errors import CfgError, Fault
@@ -65,14 +65,14 @@ def load(path: FilePath | str, settings: Sequence[str] = ()) -> Spec:
     """Reads and validates a cfg.
 
     Args:
-        path: The file; see ``sources.read``.
+        path: The file, or ``package:configs/NAME``; see ``sources.read``.
         settings: What is set over it, each ``path=value``.
 
     Raises:
         CfgError: With every fault of the file, in its order; of a text that cannot be read, the
             first.
     """
-    path = FilePath(path)
+    path = located(FilePath(path))
     source = read(path, settings)
     document = source.document
     duplicates = [

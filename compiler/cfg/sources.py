@@ -51,7 +51,7 @@ def read(path: FilePath, settings: Sequence[str] = ()) -> Source:
     """Reads a cfg, what it extends, and settings over it.
 
     Args:
-        path: The file: YAML by its suffix, else JSON.
+        path: The file, see ``located``: YAML by its suffix, else JSON.
         settings: Each ``path=value``, as in ``terrain.relief[0].amplitude_m=2``.
 
     Raises:
@@ -87,6 +87,27 @@ def _fault(position: Position, at: Path, message: str) -> CfgError:
     return CfgError([Fault(position.file, position.line, position.column, pointer(at), message)])
 
 
+def located(path: FilePath) -> FilePath:
+    """The file of a cfg, which may be one that comes with scenec: ``package:configs/NAME``.
+
+    Raises:
+        CfgError: There is no such one.
+    """
+    name = str(path)
+    if not name.startswith(PREFIX):
+        return path
+    return _cfg_file(name, FilePath(), Position(1, 1, name), ())
+
+
+def _cfg_file(reference: str, folder: FilePath, position: Position, at: Path) -> FilePath:
+    if reference.startswith(PREFIX) and not FilePath(reference).suffix:
+        reference += ".json"
+    try:
+        return find_file(reference, folder)
+    except ResourceError as error:
+        raise _fault(position, at, str(error)) from error
+
+
 def _read_file(path: FilePath, named_at: Position, at: Path = ()) -> tuple[bytes, Document]:
     try:
         data = path.read_bytes()
@@ -117,12 +138,7 @@ def _extended(
     position = document.values[at]
     if not isinstance(reference, str):
         raise _fault(position, at, f"{shown(reference)}: expected a string, the path of a cfg")
-    if reference.startswith(PREFIX) and not FilePath(reference).suffix:
-        reference += ".json"
-    try:
-        base = find_file(reference, path.parent)
-    except ResourceError as error:
-        raise _fault(position, at, str(error)) from error
+    base = _cfg_file(reference, path.parent, position, at)
     if base.resolve() in chain:
         names = [file.name for file in (*chain, base)]
         raise _fault(position, at, f"a cfg cannot extend itself: {' extends '.join(names)}")

@@ -15,6 +15,7 @@ from scenec.compiler.compile import compile_cfg
 from scenec.schemas.errors import CfgError
 from scenec.schemas.files import tree
 
+ROOT = Path(__file__).resolve().parents[2]
 TRACK = "x_m,y_m\n-4,0\n4,0\n"
 
 
@@ -158,6 +159,10 @@ def test_what_ships_can_be_extended_from_anywhere(tmp_path):
     references = {file.reference for file in spec.files.values()}
     assert "package:assets/mars_yard_track.csv" in references
     assert all(reference.startswith("package:") for reference in references)
+    shipped = load("package:configs/mars_yard")
+    assert shipped.digest == load(ROOT / "configs" / "mars_yard.json").digest
+    with pytest.raises(CfgError, match="no file"):
+        load("package:configs/mars_yrd")
 
 
 SETTINGS = {
