@@ -20,6 +20,9 @@ HEAD = """\
 
 # The cfg
 
+All keys. How a cfg is written, extended and varied, and how editors know these keys:
+[writing.md](writing.md).
+
 Keys that scenec does not know, names that nothing uses, and numbers out of bounds are errors; all
 of them are reported at once, with line and column. Other packages add kinds of relief, conditions,
 densities, rocks, surfaces, poses, passes and effects: [plugins.md](plugins.md).
