@@ -157,9 +157,11 @@ def parser() -> argparse.ArgumentParser:
     add_replace(compile_)
     add_batches(compile_)
     add_executor(compile_, "0")
+    compile_.epilog = "Example: scenec compile cfg.json --set terrain.spacing_m=0.2 --seed 3 -o OUT"
     add_json(compile_)
 
     validate = _command(commands, "validate", "is a cfg without faults; compiles nothing")
+    validate.epilog = "Example: scenec validate cfg.yaml --set light.sun.elevation_deg=10"
     add_cfg(validate)
     add_settings(validate)
     add_json(validate)
