@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path as FilePath
 from typing import Any
 
@@ -49,6 +49,7 @@ class Spec:
         is_verbatim: Whether that is the file's own bytes.
         settings: What was set over it.
         warnings: Values that can be and are probably a slip.
+        plugins: Packages of the kinds that are not scenec's own (``schema.origins``).
     """
 
     cfg: Cfg
@@ -59,6 +60,7 @@ class Spec:
     is_verbatim: bool = True
     settings: tuple[str, ...] = ()
     warnings: tuple[Fault, ...] = ()
+    plugins: Mapping[str, str] = field(default_factory=dict)
 
 
 def load(path: FilePath | str, settings: Sequence[str] = ()) -> Spec:
@@ -99,15 +101,21 @@ def load(path: FilePath | str, settings: Sequence[str] = ()) -> Spec:
     if faults:
         raise CfgError(faults)
     filled = fill(document.value)
-    digest = digest_of(filled, files)
+    plugins = schema.origins(fields)
+    digest = digest_of(filled, files, plugins)
     text, is_verbatim = source.text, source.is_verbatim
     warnings = tuple(sorted(locate(improbable(fields), document)))
-    return Spec(filled, path, files, digest, text, is_verbatim, tuple(settings), warnings)
+    given = tuple(settings)
+    return Spec(filled, path, files, digest, text, is_verbatim, given, warnings, plugins)
 
 
-def digest_of(cfg: Mapping[str, Any], files: Mapping[str, InputFile]) -> str:
-    """sha256 over a cfg, or a part of one, and the hashes of its files; see ``Spec``."""
+def digest_of(
+    cfg: Mapping[str, Any], files: Mapping[str, InputFile], plugins: Mapping[str, str]
+) -> str:
+    """sha256 over a cfg, or a part of one, the hashes of its files, and packages; see ``Spec``."""
     content = {"cfg": cfg, "files": {name: file.sha256 for name, file in files.items()}}
+    if plugins:
+        content["plugins"] = plugins
     # Keys are not sorted: the order of objects decides their instance ids.
     text = json.dumps(
         content,
