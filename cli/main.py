@@ -201,6 +201,7 @@ def parser() -> argparse.ArgumentParser:
 
     settle = _command(commands, "settle", "drop chosen objects by physics, into a table of poses")
     add_cfg(settle)
+    add_settings(settle)
     add_seed(settle)
     settle.add_argument("-o", "--out", metavar="CSV", required=True, help="table of poses")
     add_settle_options(settle)
