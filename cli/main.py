@@ -25,7 +25,6 @@ from scenec.cli.arguments import (
     add_seed,
     add_settings,
     add_settle_options,
-    add_sweep_options,
     passes,
     positive,
     span,
@@ -35,6 +34,7 @@ from scenec.cli.explain_arguments import add_explain_options
 from scenec.cli.export_arguments import add_export_options
 from scenec.cli.output import clear_bar
 from scenec.cli.supervise import supervised
+from scenec.cli.sweep_arguments import add_sweep_options
 from scenec.cli.view_arguments import add_view_options
 from scenec.schemas.errors import CfgError, ScenecError
 from scenec.schemas.spelling import closest
@@ -181,23 +181,7 @@ def parser() -> argparse.ArgumentParser:
         "--partial", action="store_true", help="for cfgs that extend others: no key is required"
     )
 
-    sweep = _command(commands, "sweep", "run a cfg with many values and seeds")
-    add_cfg(sweep)
-    add_sweep_options(sweep)
-    sweep.add_argument("-o", "--out", metavar="OUT", required=True, help="a folder of outputs")
-    add_render_options(sweep)
-    sweep.epilog = (
-        "Each combination has a folder of OUT, named for what differs; OUT/sweep.csv and "
-        "OUT/sweep.json list them. What is there already is not made again. Example: scenec sweep "
-        "cfg.json --set light.sun.elevation_deg=10,30,60 --set terrain.spacing_m=0.1,0.2 --seeds "
-        "0:5 -o OUT. Exit status: 0 all is there; 1 some points could not be made; 2 a fault, "
-        "and nothing was made."
-    )
-    add_keep(sweep)
-    add_cache(sweep)
-    add_replace(sweep)
-    add_batches(sweep)
-    add_json(sweep)
+    add_sweep_options(_command(commands, "sweep", "run a cfg with many values and seeds"))
 
     settle = _command(commands, "settle", "drop chosen objects by physics, into a table of poses")
     add_cfg(settle)
