@@ -37,30 +37,6 @@ def add_seed(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def add_sweep_options(parser: argparse.ArgumentParser) -> None:
-    """What ``sweep`` varies."""
-    parser.add_argument(
-        "--set",
-        dest="lists",
-        action="append",
-        default=[],
-        metavar="PATH=VALUE,…",
-        help="values of a place of the cfg, as of run --set; several are all combined (repeatable)",
-    )
-    parser.add_argument(
-        "--zip",
-        dest="in_step",
-        action="store_true",
-        help="the first values of all lists together, then the second ones …, not each with each",
-    )
-    parser.add_argument(
-        "--seeds", type=span, default=range(1), metavar="A:B", help="seeds A to B-1 (default: 0:1)"
-    )
-    parser.add_argument(
-        "--compile-only", action="store_true", help="make the stages alone: render and scan nothing"
-    )
-
-
 def add_preview_options(parser: argparse.ArgumentParser) -> None:
     """What ``preview`` shows, and where."""
     parser.add_argument(

@@ -26,7 +26,6 @@ from scenec.cli.arguments import (
     add_seed,
     add_settings,
     add_settle_options,
-    add_sweep_options,
     passes,
     positive,
     span,
@@ -36,6 +35,7 @@ from scenec.cli.explain_arguments import add_explain_options
 from scenec.cli.export_arguments import add_export_options
 from scenec.cli.output import clear_bar
 from scenec.cli.supervise import supervised
+from scenec.cli.sweep_arguments import add_sweep_options
 from scenec.cli.view_arguments import add_view_options
 from scenec.schemas.errors import CfgError, ScenecError
 from scenec.schemas.spelling import closest
@@ -158,9 +158,11 @@ def parser() -> argparse.ArgumentParser:
     add_replace(compile_)
     add_batches(compile_)
     add_executor(compile_, "0")
+    compile_.epilog = "Example: scenec compile cfg.json --set terrain.spacing_m=0.2 --seed 3 -o OUT"
     add_json(compile_)
 
     validate = _command(commands, "validate", "is a cfg without faults; compiles nothing")
+    validate.epilog = "Example: scenec validate cfg.yaml --set light.sun.elevation_deg=10"
     add_cfg(validate)
     add_settings(validate)
     add_json(validate)
@@ -187,26 +189,11 @@ def parser() -> argparse.ArgumentParser:
         "--partial", action="store_true", help="for cfgs that extend others: no key is required"
     )
 
-    sweep = _command(commands, "sweep", "run a cfg with many values and seeds")
-    add_cfg(sweep)
-    add_sweep_options(sweep)
-    sweep.add_argument("-o", "--out", metavar="OUT", required=True, help="a folder of outputs")
-    add_render_options(sweep)
-    sweep.epilog = (
-        "Each combination has a folder of OUT, named for what differs; OUT/sweep.csv and "
-        "OUT/sweep.json list them. What is there already is not made again. Example: scenec sweep "
-        "cfg.json --set light.sun.elevation_deg=10,30,60 --set terrain.spacing_m=0.1,0.2 --seeds "
-        "0:5 -o OUT. Exit status: 0 all is there; 1 some points could not be made; 2 a fault, "
-        "and nothing was made."
-    )
-    add_keep(sweep)
-    add_cache(sweep)
-    add_replace(sweep)
-    add_batches(sweep)
-    add_json(sweep)
+    add_sweep_options(_command(commands, "sweep", "run a cfg with many values and seeds"))
 
     settle = _command(commands, "settle", "drop chosen objects by physics, into a table of poses")
     add_cfg(settle)
+    add_settings(settle)
     add_seed(settle)
     settle.add_argument("-o", "--out", metavar="CSV", required=True, help="table of poses")
     add_settle_options(settle)

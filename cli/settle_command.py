@@ -5,7 +5,8 @@ from __future__ import annotations
 import argparse
 from dataclasses import asdict
 
-from scenec.cli.output import print_json, say
+from scenec.cli.output import print_json, say, warn
+from scenec.compiler.cfg.load import load
 from scenec.settle.settle import SettleReport, settle
 from scenec.settle.world import Options
 
@@ -13,7 +14,7 @@ from scenec.settle.world import Options
 def run(options: argparse.Namespace) -> int:
     """Settles, and says what came of it."""
     report = settle(
-        options.cfg,
+        warn(load(options.cfg, options.settings)),
         seed=options.seed,
         objects=options.objects,
         out=options.out,

@@ -78,7 +78,7 @@ def compile_cfg(
     are their frames.
 
     Args:
-        cfg: The cfg's JSON file, or what ``load`` read of it.
+        cfg: The cfg's file, or what ``load`` read of it.
         seed: 0 <= seed < 2**64; 0 is a seed like any other.
         out: Output folder; made if it is not there.
         batches: Which batches; None compiles all.

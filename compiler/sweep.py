@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import itertools
+import json
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from scenec.compiler.cfg.load import Spec, load
 from scenec.compiler.compile import compile_cfg
@@ -36,10 +38,10 @@ class Point:
     seed: int
 
     @property
-    def values(self) -> dict[str, str]:
-        """Value by path."""
+    def values(self) -> dict[str, Any]:
+        """Value by path; a word that is no JSON stands for itself."""
         pairs = (setting.partition("=") for setting in self.settings)
-        return {path: value for path, _, value in pairs}
+        return {path: _typed(value) for path, _, value in pairs}
 
 
 def points(lists: Sequence[str], seeds: Sequence[int], *, in_step: bool = False) -> list[Point]:
@@ -83,6 +85,13 @@ def points(lists: Sequence[str], seeds: Sequence[int], *, in_step: bool = False)
             own = [*parts, f"seed={seed}"] if len(seeds) > 1 or not parts else parts
             found.append(Point(_short("_".join(own)), settings, seed))
     return found
+
+
+def _typed(value: str) -> Any:
+    try:
+        return json.loads(value)
+    except ValueError:
+        return value
 
 
 def split(text: str) -> list[str]:

@@ -72,7 +72,7 @@ class SettleReport:
 
 
 def settle(
-    cfg: Path | str,
+    cfg: Path | str | Spec,
     *,
     seed: int,
     objects: Sequence[str],
@@ -93,7 +93,7 @@ def settle(
     these are many (``shapes.MOST_PIECES``); density is the same for all.
 
     Args:
-        cfg: The cfg's JSON file.
+        cfg: The cfg's file, or what ``load`` read of it.
         seed: As of ``compile_cfg``.
         objects: Names of the classes to drop, of type ``placed`` (that do not move) or ``meshes``.
         out: The CSV file; with several classes ``STEM_CLASS.csv`` for each.
@@ -111,7 +111,7 @@ def settle(
     say = progress or (lambda _text: None)
     options = options or Options()
     _require_sane(options)
-    spec = load(Path(cfg))
+    spec = cfg if isinstance(cfg, Spec) else load(cfg)
     chosen = _chosen(spec, objects)
     solid = _among(spec, chosen, among)
     if not 0 <= batch < spec.cfg["batches"]:

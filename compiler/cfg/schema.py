@@ -21,7 +21,7 @@ from typing import Any
 
 from scenec.compiler.cfg.document import Path
 from scenec.schemas.errors import ScenecError
-from scenec.schemas.plugins import KINDS, entry_points_of, load_kind, origin
+from scenec.schemas.plugins import KINDS, entry_points_of, load_kind, names_of, origin
 
 ROOT = "cfg.schema.json"
 NUMBER = "number.schema.json"
@@ -58,7 +58,7 @@ def _with_forms(schema: Any, forms: Mapping[str, Any]) -> Any:
 
 
 def bundled(*, partial: bool = False) -> dict[str, Any]:
-    """One JSON Schema with all that the others say, for editors.
+    """One JSON Schema with all that the others say, for editors; with kinds of other packages.
 
     Args:
         partial: Whether keys may be missing that are required, as in a cfg that extends another.
@@ -90,6 +90,8 @@ def _bundled(schema: Any, file: str, partial: bool) -> Any:
     }
     if isinstance(found.get("$ref"), str):
         found["$ref"] = _reference(found["$ref"], file)
+    if "enum" in found and isinstance(found.get("x-open"), str):
+        found["enum"] = list(dict.fromkeys([*found["enum"], *names_of(found["x-open"])]))
     return found
 
 

@@ -38,13 +38,16 @@ _DECIMALS, _ROUND_DEG = 3, 5.0
 
 
 def meant_key(key: str, value: Any, properties: Mapping[str, Any]) -> str:
-    """A key in the unit that the schema has, with the value in it, as a question; or ""."""
+    """The key that has the unit of the schema, and the value in it, as a question; or ""."""
     if _FOCAL.fullmatch(key) and "fov_deg" in properties and _is_number(value) and value > 0:
         half = elementary.atan(0.5 * _FULL_FRAME_MM / value)
         return (
             f'; did you mean "fov_deg": {2 * half * _DEGREES:.6g}? (so wide it is on a sensor '
             f"{_FULL_FRAME_MM:g} mm wide; else say intrinsics)"
         )
+    in_degrees = f"{key}_deg"
+    if in_degrees in properties and _is_number(value) and _may_be_radians(value):
+        return f"; did you mean {shown(in_degrees)}: {_rounded(value * _DEGREES)}?"
     stem, _, unit = key.rpartition("_")
     for units in _UNITS:
         stems = {
@@ -66,6 +69,10 @@ def _scaled(value: Any, factor: float) -> Any:
     if isinstance(value, list):
         return [_scaled(entry, factor) for entry in value]
     return _rounded(value * factor) if _is_number(value) else value
+
+
+def _may_be_radians(value: float) -> bool:
+    return 0.0 < abs(value) <= 2.0 * math.pi and not float(value).is_integer()
 
 
 def _rounded(value: float) -> float | int:
@@ -96,7 +103,11 @@ def meant_color(field: Field) -> str:
     else:
         return ""
     linear = [_rounded(round(float(linear_codes(255)[code]), 4)) for code in codes]
-    return f"{shown(value)}: expected linear values from 0 to 1; did you mean {shown(linear)}?"
+    parts = [_rounded(round(code / 255, 4)) for code in codes]
+    why = "as of sRGB" if isinstance(value, str) else f"as of sRGB; {shown(parts)} if it is linear"
+    return (
+        f"{shown(value)}: expected linear values from 0 to 1; did you mean {shown(linear)}? ({why})"
+    )
 
 
 def _is_code(value: Any) -> bool:

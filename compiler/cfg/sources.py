@@ -16,7 +16,7 @@ from pathlib import Path as FilePath
 from typing import Any
 
 from scenec.compiler.cfg import json_positions, schema
-from scenec.compiler.cfg.document import CfgSyntaxError, Document, Path, Position
+from scenec.compiler.cfg.document import CfgSyntaxError, Document, Path, Position, has_half_pair
 from scenec.compiler.cfg.faults import pointer
 from scenec.compiler.cfg.resources import PREFIX, ResourceError, find_file, own_reference
 from scenec.schemas.errors import CfgError, Fault
@@ -212,6 +212,10 @@ def _set(document: Document, text: str) -> None:
     position = Position(0, 0, f"--set {text}")
     if not equals or not _SETTING.fullmatch(name):
         raise _fault(position, (), "expected path=value, as in terrain.relief[0].amplitude_m=2")
+    if name == EXTENDS:
+        raise _fault(position, (EXTENDS,), "what a cfg extends stands in its file")
+    if has_half_pair(given):
+        raise _fault(position, (), "a string with half a surrogate pair")
     *parents, last = re.findall(r"[^.\[\]]+", name)
     owner, field, at = document.value, schema.root(document.value), Path()
     for word in parents:

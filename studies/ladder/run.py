@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from scenec.compiler.cfg.load import Spec, load
 from scenec.compiler.views.keep import Keep
@@ -65,10 +66,10 @@ def climb(
     out = Path(out)
     manifest = read_manifest(out)
     index = find_batches(out, None if batch is None else [batch])[0].index
-    digest = manifest.get("cfg", {}).get("sha256")
-    if digest is None or "seed" not in manifest:
+    said = manifest.get("cfg", {})
+    if "sha256" not in said or "seed" not in manifest:
         raise OutputError(f"{out / MANIFEST}: does not say what it was compiled from")
-    spec = _load(out, digest, None if cfg is None else Path(cfg))
+    spec = _load(out, said, None if cfg is None else Path(cfg))
     attempt = next(b.get("attempt", 0) for b in manifest["batches"] if b["index"] == index)
     keep = _keep(out, manifest.get("keep", Keep.SEEN))
     base = Base(spec, int(manifest["seed"]), index, keep, attempt)
@@ -114,14 +115,20 @@ def _keep(out: Path, word: object) -> Keep:
         ) from error
 
 
-def _load(out: Path, digest: str, cfg: Path | None) -> Spec:
+def _load(out: Path, said: Mapping[str, Any], cfg: Path | None) -> Spec:
     """The cfg of an output folder; one that is given instead must be the same.
+
+    Args:
+        out: The folder.
+        said: What its manifest says of the cfg.
+        cfg: Given instead.
 
     Raises:
         OutputError: It is another, or files that it names are not found.
     """
+    digest = said["sha256"]
     if cfg is not None:
-        spec = load(cfg)
+        spec = load(cfg, said.get("settings", ()))
         if spec.digest != digest:
             raise OutputError(
                 f"{cfg}: is not the cfg that {out} was compiled from, or a file that it names or "

@@ -39,6 +39,11 @@ _COLOR = "/materials/sand/base_color"
         ),
         ({_FOV: DELETE, f"{_SENSOR}/fov": 60}, f"{_SENSOR}/fov", 'did you mean "fov_deg"?'),
         (
+            {_FOV: DELETE, f"{_SENSOR}/fov": 1.5708},
+            f"{_SENSOR}/fov",
+            'did you mean "fov_deg": 90.0002?',
+        ),
+        (
             {_FOV: DELETE, f"{_SENSOR}/focal_mm": 18},
             f"{_SENSOR}/focal_mm",
             'did you mean "fov_deg": 90? (so wide it is on a sensor 36 mm wide',
@@ -51,7 +56,11 @@ _COLOR = "/materials/sand/base_color"
         ({"/terrain/size_ft": [30, 15]}, "/terrain/size_ft", '"size_m": [9.144, 4.572]?'),
         ({_COLOR: "#ff8000"}, _COLOR, "did you mean [1, 0.2159, 0]?"),
         ({_COLOR: "#fff"}, _COLOR, '"#fff": expected linear values from 0 to 1'),
-        ({_COLOR: [255, 128, 0]}, _COLOR, "did you mean [1, 0.2159, 0]?"),
+        (
+            {_COLOR: [255, 128, 0]},
+            _COLOR,
+            "did you mean [1, 0.2159, 0]? (as of sRGB; [1, 0.502, 0] if it is linear)",
+        ),
         ({_COLOR: "red"}, _COLOR, '"red": expected a list'),
         ({f"{_COLOR}/0": 1.5}, f"{_COLOR}/0", "1.5: expected at most 1"),
     ],

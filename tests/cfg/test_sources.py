@@ -8,15 +8,23 @@ from pathlib import Path
 
 import pytest
 import yaml
+from hypothesis import given
+from hypothesis import strategies as st
 from small_cfg import DELETE, changed, minimal
 
 from scenec.compiler.cfg.load import load
+from scenec.compiler.cfg.sources import read
 from scenec.compiler.compile import compile_cfg
-from scenec.schemas.errors import CfgError
+from scenec.schemas.errors import CfgError, Fault
 from scenec.schemas.files import tree
 
 ROOT = Path(__file__).resolve().parents[2]
 TRACK = "x_m,y_m\n-4,0\n4,0\n"
+
+
+@pytest.fixture(scope="module")
+def small_file(tmp_path_factory):
+    return write(tmp_path_factory.mktemp("small") / "cfg.json", minimal())
 
 
 def write(file: Path, value: object) -> Path:
@@ -125,8 +133,8 @@ def test_a_base_that_cannot_be_had_is_a_fault_where_it_is_named(tmp_path):
         "3": "expected a string",
         '"."': "is a folder",
     }
-    for given, part in cases.items():
-        (fault,) = told(write(tmp_path / "c_.json", f'{{"extends": {given}}}'))
+    for reference, part in cases.items():
+        (fault,) = told(write(tmp_path / "c_.json", f'{{"extends": {reference}}}'))
         assert fault.startswith("c_.json:1:13: /extends: "), fault
         assert part in fault
     write(tmp_path / "list.json", "[1]")
@@ -216,6 +224,7 @@ def test_a_setting_is_as_the_edited_file(tmp_path, setting):
         ("samples=many", "/samples", '"many": expected a whole number'),
         ("samples=[1,", "/", "expected a value"),
         ("samples", "/", "expected path=value"),
+        ("extends=x.json", "/extends", "stands in its file"),
         ("=3", "/", "expected path=value"),
         ("a..b=3", "/", "expected path=value"),
         ("rigs.rover.pose={}", "/rigs/rover/pose", '"type" is missing'),
@@ -225,6 +234,81 @@ def test_a_faulty_setting_is_told_as_it_was_given(tmp_path, setting, where, part
     (fault,) = told(write(tmp_path / "cfg.json", minimal()), setting)
     assert fault.startswith(f"--set {setting}: {where}: ")
     assert part in fault
+
+
+_WORDS = st.sampled_from(
+    [
+        "terrain",
+        "spacing_m",
+        "relief",
+        "0",
+        "ground",
+        "labels",
+        "objects",
+        "rocks",
+        "size_m",
+        "light",
+        "sun",
+        "sky",
+        "type",
+        "x",
+    ]
+)
+_PATHS = st.lists(_WORDS, min_size=1, max_size=5).map(".".join) | st.text(".[]0ax=", max_size=6)
+_VALUES = st.sampled_from(
+    ["null", "1", "x", "{}", "[]", "[1", '{"type": "none"}', "true", "1e400", "", "\ud800", "//"]
+)
+
+
+@given(st.lists(st.tuples(_PATHS, _VALUES).map("=".join), min_size=1, max_size=4))
+def test_whatever_is_set_is_read_or_told(small_file, settings):
+    faults: tuple[Fault, ...] = ()
+    try:
+        source = read(small_file, settings)
+    except CfgError as error:
+        faults = error.faults
+    else:
+        assert json.loads(source.text) == source.document.value
+    assert all("\n" not in str(fault) for fault in faults)
+
+
+_TREES = st.recursive(
+    st.sampled_from([None, 1, "x"]),
+    lambda below: st.dictionaries(st.sampled_from(["type", "a", "light", "sun"]), below),
+    max_leaves=8,
+)
+
+
+def merged(base, over):
+    """JSON Merge Patch (RFC 7396), but that another type replaces."""
+    if not isinstance(over, dict):
+        return over
+    result = dict(base) if isinstance(base, dict) else {}
+    if result.get("type", over.get("type")) != over.get("type", result.get("type")):
+        result = {}
+    for key, value in over.items():
+        if value is None:
+            result.pop(key, None)
+        else:
+            result[key] = merged(result.get(key), value)
+    return result
+
+
+def without_null(value):
+    if not isinstance(value, dict):
+        return value
+    return {key: without_null(entry) for key, entry in value.items() if entry is not None}
+
+
+@given(st.dictionaries(st.sampled_from(["a", "b"]), _TREES), _TREES)
+def test_extending_is_merging_as_json_merge_patch_does(small_file, base, over):
+    base = without_null(base)
+    file = small_file.with_name("over.json")
+    write(small_file.with_name("under.json"), base)
+    write(file, {"extends": "under.json", "a": over})
+    # Null that takes nothing away stays, to be told; and so does an object of nulls.
+    got = without_null(read(file).document.value)
+    assert got == without_null(merged(base, {"a": over}))
 
 
 def test_settings_are_in_the_manifest_and_the_cfg_of_the_output(tmp_path):

@@ -9,7 +9,7 @@ import pytest
 from jsonschema import Draft202012Validator
 
 from scenec.cli.main import main
-from scenec.compiler.cfg import json_positions
+from scenec.compiler.cfg import json_positions, schema
 from scenec.compiler.cfg.load import load
 from scenec.compiler.compile import compile_cfg
 
@@ -82,6 +82,15 @@ def test_the_schema_in_one_piece_takes_what_ships(path, capsys):
     assert not judge.is_valid(cfg)
     cfg["terrain"]["spacing_m"] = -1
     assert not judge.is_valid(cfg)
+
+
+def test_the_schema_in_one_piece_knows_kinds_of_other_packages(capsys, monkeypatch):
+    cfg = json_positions.parse(TEMPLATES[0].read_bytes()).value
+    cfg["terrain"]["relief"].append({"type": "farmland", "furrow_m": 1})
+    assert not schema_of(capsys).is_valid(cfg)
+    offered = {"scenec.relief": ("farmland",)}
+    monkeypatch.setattr(schema, "names_of", lambda group: offered.get(group, ()))
+    assert schema_of(capsys).is_valid(cfg)
 
 
 def test_the_schema_of_cfgs_that_extend_requires_nothing_and_knows_all_keys(capsys, tmp_path):

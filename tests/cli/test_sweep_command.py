@@ -79,6 +79,7 @@ def test_every_point_is_what_compiling_it_alone_makes_and_is_made_once(tmp_path,
     said = json.loads(capsys.readouterr().out)
     assert said == json.loads((out / "sweep.json").read_text())
     assert {point["state"] for point in said["points"]} == {"compiled"}
+    assert [point["terrain.spacing_m"] for point in said["points"]] == [0.5, 0.5, 0.8, 0.8]
     rows = list(csv.DictReader((out / "sweep.csv").open(encoding="utf-8")))
     assert [(row["folder"], row["terrain.spacing_m"], row["seed"]) for row in rows] == [
         (f"spacing_m={spacing}_seed={seed}", spacing, str(seed))

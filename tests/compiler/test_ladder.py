@@ -245,7 +245,9 @@ def test_a_cfg_whose_files_lie_elsewhere_is_asked_for(tmp_path, output):
         {"type": "smooth", "length_m": 0.3},
     ]
     path = write_cfg(tmp_path, cfg)
-    out = compile_cfg(path, seed=1, out=tmp_path / "deep" / "out").out
+    # With a setting, which the manifest knows.
+    spec = load(path, ["terrain.spacing_m=0.3"])
+    out = compile_cfg(spec, seed=1, out=tmp_path / "deep" / "out").out
     with pytest.raises(OutputError, match="--cfg") as error:
         climb(out, only=["lod"])
     assert "hill.npy" in str(error.value)
