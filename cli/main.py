@@ -294,6 +294,10 @@ def parser() -> argparse.ArgumentParser:
         _command(commands, "explain", "what each pass cost and erred, what was left out, and why")
     )
 
+    assets = _command(commands, "assets", "models that come with scenec, and the lines for a cfg")
+    assets.add_argument("name", nargs="?", metavar="NAME", help="one of them; left out, all")
+    add_json(assets)
+
     doctor = _command(commands, "doctor", "which backends work here, and what to install if not")
     add_json(doctor)
     return top

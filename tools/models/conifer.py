@@ -1,15 +1,21 @@
-"""A spruce: whorls of branches whose twigs are combs of needle tufts."""
+"""Conifers: a spruce in whorls, a pine and a juniper whose twigs end in tufts of needles."""
 
 from __future__ import annotations
 
 import numpy as np
 from glb import Look, Model
+from stems import Habit, Level, grown, meshed
 from surfaces import UP, Chance, Floats, Surface, across, azimuth, cross, turned, unit
 
 LOOKS = {
     "spruce_bark": Look((0.125, 0.080, 0.058), 0.90),
     "spruce_needle": Look((0.040, 0.090, 0.032), 0.60),
     "spruce_shoot": Look((0.072, 0.130, 0.040), 0.60),
+    "pine_bark": Look((0.115, 0.085, 0.068), 0.92),
+    "pine_upper_bark": Look((0.330, 0.150, 0.070), 0.85),
+    "pine_needle": Look((0.062, 0.112, 0.052), 0.60),
+    "juniper_bark": Look((0.140, 0.090, 0.065), 0.90),
+    "juniper_needle": Look((0.060, 0.105, 0.065), 0.60),
 }
 
 HEIGHT_M = 7.8
@@ -118,3 +124,101 @@ def _twig(
             points.append(point + 1.4 * step * ahead + wide * out)
             normals.append(0.6 * out + 0.7 * upward)
         surface.add(np.array(points), [(0, 1, 2), (0, 1, 3), (0, 1, 4)], np.array(normals))
+
+
+def pine() -> Model:
+    """A Scots pine: bare trunk, orange bark above, an open flat crown of tufted limbs."""
+    habit = Habit(
+        height=9.2,
+        radius=0.150,
+        shape=(0.75, 1.0, 1.0, 0.95, 0.75, 0.45),
+        ratio_power=1.35,
+        levels=(
+            Level((1.0, 0.0), 14, 12, wander=5.0, children=24, bare=0.44, taper=0.12),
+            Level(
+                (0.29, 0.05), 6, 5, curve=(-18, 16), wander=14.0, children=12, down=(66, 10),
+                down_low=18, bare=0.28, attraction=0.25,
+            ),
+            Level(
+                (0.42, 0.10), 2, 3, curve=(-10, 20), wander=14.0, children=3, down=(50, 12),
+                bare=0.25, attraction=0.35,
+            ),
+            Level((0.45, 0.12), 1, 1, down=(42, 14), attraction=0.4),
+        ),
+    )  # fmt: skip
+    chance = Chance("pine")
+    stems = grown(habit, chance, np.zeros(3), unit(np.array([0.03, 0.02, 1.0])))
+    trunk, upper, branches, needles = Surface(), Surface(), Surface(), Surface()
+    path, radii = stems[0].path, stems[0].radii
+    turn = int(np.searchsorted(path[:, 2], 4.3))
+    trunk.tube(path[: turn + 1], radii[: turn + 1], 12)
+    upper.tube(path[turn:], [*radii[turn:-1], 0.0], 12)
+    meshed(stems[1:], habit, {1: upper, 2: branches, 3: branches})
+    for stem in stems[1:]:
+        if stem.level >= 2:
+            tip, ahead, _ = stem.at(1.0)
+            _tuft(chance, needles, tip, unit(ahead + 0.5 * UP), 0.27, 6)
+        if stem.level == 2:
+            middle, ahead, _ = stem.at(0.62)
+            _tuft(chance, needles, middle, unit(ahead + 0.5 * UP), 0.25, 5)
+        if stem.level == 1:
+            tip, ahead, _ = stem.at(1.0)
+            _tuft(chance, needles, tip, unit(ahead + 0.8 * UP), 0.27, 8)
+    return Model(
+        {
+            "trunk": trunk.part("pine_bark"),
+            "limbs": upper.part("pine_upper_bark"),
+            "branches": branches.part("pine_bark"),
+            "needles": needles.part("pine_needle"),
+        },
+        LOOKS,
+    )
+
+
+def juniper() -> Model:
+    """A common juniper: a dense column of upright stems."""
+    chance = Chance("juniper")
+    wood, needles = Surface(), Surface()
+    for k in range(11):
+        habit = Habit(
+            height=chance.between(1.3, 2.3) - 0.05 * k,
+            radius=chance.between(0.014, 0.024),
+            shape=(0.9, 1.0, 0.9, 0.5),
+            ratio_power=1.1,
+            flare=0.2,
+            levels=(
+                Level((1.0, 0.0), 7, 4, curve=(-6, 8), wander=5.0, children=20, bare=0.03),
+                Level(
+                    (0.24, 0.06), 1, 0, curve=(-20, 15), wander=8.0, children=3, down=(40, 12),
+                    bare=0.2, attraction=0.6,
+                ),
+                Level((0.5, 0.1), 1, 0, down=(34, 12), attraction=0.5),
+            ),
+        )  # fmt: skip
+        base = azimuth(98.0 * k + chance.about(0, 20)) * (0.02 + 0.020 * k)
+        stems = grown(habit, chance, base, unit(unit(base) * chance.between(0.0, 0.10) + UP))
+        meshed(stems, habit, {0: wood, 1: wood, 2: wood})
+        for stem in stems[1:]:
+            tip, ahead, _ = stem.at(1.0 if stem.level == 2 else 0.7)
+            _tuft(chance, needles, tip, unit(ahead + 0.4 * UP), 0.17, 6)
+    return Model(
+        {"wood": wood.part("juniper_bark"), "needles": needles.part("juniper_needle")}, LOOKS
+    )
+
+
+def _tuft(
+    chance: Chance, surface: Surface, base: Floats, ahead: Floats, length: float, count: int
+) -> None:
+    """Needles in a brush about the end of a twig: slender triangles that point ahead and out."""
+    side = across(ahead)
+    points, normals, faces = [], [], []
+    for k in range(count):
+        out = turned(side, ahead, 137.5 * k + chance.about(0.0, 25.0))
+        start = base - ahead * length * 0.75 * (k / count)
+        needle = unit(ahead * chance.between(0.35, 1.1) + out)
+        wide = cross(needle, out) * 0.13 * length
+        tip = start + needle * length * chance.between(0.75, 1.1)
+        faces.append((3 * k, 3 * k + 1, 3 * k + 2))
+        points += [start + wide, start - wide, tip]
+        normals += [0.5 * out + 0.8 * UP] * 3
+    surface.add(np.array(points), faces, np.array(normals))

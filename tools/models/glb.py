@@ -17,10 +17,14 @@ from PIL import Image
 
 #: Decimals that coordinates are rounded to, so that the last bit of a sine reaches no byte.
 _DECIMALS = {"POSITION": 5, "TEXCOORD_0": 4}
-_FLOAT, _USHORT, _BYTE = 5126, 5123, 5120
-_STORED = {_FLOAT: "<f4", _USHORT: "<u2", _BYTE: "i1"}
-_BYTES = "KHR_mesh_quantization"
+_FLOAT, _USHORT, _SHORT, _BYTE = 5126, 5123, 5122, 5120
+_STORED = {_FLOAT: "<f4", _USHORT: "<u2", _SHORT: "<i2", _BYTE: "i1"}
+_BYTES, _SPECULAR = "KHR_mesh_quantization", "KHR_materials_specular"
+#: Whose materials are smoother than this mirrors: coarse normals would show in it.
+_MIRROR = 0.1
 _ARRAY, _ELEMENTS = 34962, 34963
+#: By how much values of two machines may differ: integers that stand for normals.
+_ROUNDING = {"|i1": 1.0, "<i2": 8.0}
 
 
 @dataclass(frozen=True)
@@ -32,12 +36,14 @@ class Look:
         roughness: As glTF has it: GGX's alpha is its square.
         metallic: From 0 to 1.
         picture: PNG that multiplies the color, or None.
+        specular: Factor on what a dielectric reflects (KHR_materials_specular): 0 is diffuse alone.
     """
 
     color: tuple[float, float, float]
     roughness: float
     metallic: float = 0.0
     picture: bytes | None = None
+    specular: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -65,6 +71,21 @@ class Model:
 
     parts: dict[str, Part]
     looks: dict[str, Look]
+
+
+@dataclass(frozen=True)
+class Card:
+    """What a file says of itself.
+
+    Attributes:
+        about: What it is, one sentence.
+        label: Suggested label of the whole on the level ``class``.
+        license: SPDX identifier.
+    """
+
+    about: str
+    label: str
+    license: str = "CC0-1.0"
 
 
 def triangles(model: Model) -> int:
@@ -101,15 +122,19 @@ class _Buffer:
         self.accessors.append(entry)
         return len(self.accessors) - 1
 
-    def directions(self, normals: NDArray[np.float64]) -> int:
-        """Normals as signed bytes (KHR_mesh_quantization): to a quarter of a degree or so."""
-        rows = np.zeros((len(normals), 4), np.int8)
-        rows[:, :3] = np.round(127.0 * normals)
+    def directions(self, normals: NDArray[np.float64], fine: bool) -> int:
+        """Normals as signed integers (KHR_mesh_quantization).
+
+        Of eight bits, to a quarter of a degree or so; ``fine`` ones, for mirrors, of sixteen.
+        """
+        kind, most, stored = (_SHORT, 32767.0, "<i2") if fine else (_BYTE, 127.0, "i1")
+        rows = np.zeros((len(normals), 4), stored)
+        rows[:, :3] = np.round(most * normals)
         view = self.view(rows.tobytes(), _ARRAY)
         # Each vertex begins at a multiple of four bytes.
-        self.views[view]["byteStride"] = 4
+        self.views[view]["byteStride"] = 4 * rows.itemsize
         entry = {
-            "bufferView": view, "componentType": _BYTE, "normalized": True, "count": len(rows),
+            "bufferView": view, "componentType": kind, "normalized": True, "count": len(rows),
             "type": "VEC3",
         }  # fmt: skip
         self.accessors.append(entry)
@@ -126,11 +151,16 @@ class _Buffer:
         return len(self.accessors) - 1
 
 
-def encode(model: Model) -> bytes:
+def encode(model: Model, card: Card) -> bytes:
     """The file of a model: one node, one mesh and one primitive a part, all of the part's name."""
     buffer = _Buffer()
     document: dict[str, Any] = {
-        "asset": {"version": "2.0", "generator": "scenec tools/models"},
+        "asset": {
+            "version": "2.0",
+            "generator": "scenec tools/models",
+            "copyright": f"The scenec authors, {card.license}",
+            "extras": {"about": card.about, "label": card.label, "license": card.license},
+        },
         "extensionsUsed": [_BYTES],
         "extensionsRequired": [_BYTES],
         "scene": 0,
@@ -143,7 +173,9 @@ def encode(model: Model) -> bytes:
     for name, part in model.parts.items():
         attributes = {
             "POSITION": buffer.floats("POSITION", _y_up(part.points)),
-            "NORMAL": buffer.directions(_y_up(part.normals)),
+            "NORMAL": buffer.directions(
+                _y_up(part.normals), model.looks[part.material].roughness < _MIRROR
+            ),
         }
         if part.uv is not None:
             attributes["TEXCOORD_0"] = buffer.floats("TEXCOORD_0", part.uv)
@@ -165,9 +197,11 @@ def encode(model: Model) -> bytes:
             document["images"] = [{"bufferView": view, "mimeType": "image/png", "name": name}]
             document["textures"] = [{"source": 0}]
             surface["baseColorTexture"] = {"index": 0}
-        document["materials"].append(
-            {"name": name, "pbrMetallicRoughness": surface, "doubleSided": True}
-        )
+        material = {"name": name, "pbrMetallicRoughness": surface, "doubleSided": True}
+        if look.specular != 1.0:
+            material["extensions"] = {_SPECULAR: {"specularFactor": look.specular}}
+            document["extensionsUsed"] = [_BYTES, _SPECULAR]
+        document["materials"].append(material)
     document["accessors"] = buffer.accessors
     document["bufferViews"] = buffer.views
     binary = bytes(buffer.data) + b"\0" * (-len(buffer.data) % 4)
@@ -215,7 +249,7 @@ def same(one: bytes, other: bytes) -> bool:
         _structure(a) == _structure(b)
         and all(
             x.shape == y.shape
-            and np.abs(x.astype(np.float64) - y).max() <= (1.0 if x.dtype == np.int8 else 2e-4)
+            and np.abs(x.astype(np.float64) - y).max() <= _ROUNDING.get(x.dtype.str, 2e-4)
             for x, y in zip(a_values, b_values, strict=True)
         )
         and all(np.array_equal(x, y) for x, y in zip(a_pictures, b_pictures, strict=True))

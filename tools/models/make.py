@@ -2,9 +2,9 @@
 
     .venv/bin/python tools/models/make.py [--check | --table] [NAME ...]
 
-Plants and props of scenec's own: nothing is read, every model is made from the numbers in this
-folder. Files are the same bytes each time; across machines ``--check`` allows for rounding.
-``--table`` prints the rows of assets/models/README.md.
+Plants, stones and things of scenec's own: nothing is read, every model is made from the numbers in
+this folder, stones by the compiler. Files are the same bytes each time; across machines ``--check``
+allows for rounding. ``--table`` prints the rows of assets/models/README.md.
 """
 
 from __future__ import annotations
@@ -14,31 +14,74 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
+import boards
 import conifer
+import farm
 import grasses
 import numpy as np
+import person
 import props
+import stones
+import street
+import vehicles
 import woody
-from glb import Model, encode, same, triangles
+from glb import Card, Model, encode, same, triangles
 
 FOLDER = Path(__file__).resolve().parents[2] / "assets" / "models"
 
-MODELS: dict[str, Callable[[], Model]] = {
-    "grass_short": grasses.grass_short,
-    "grass_tall": grasses.grass_tall,
-    "grass_seeding": grasses.grass_seeding,
-    "clover": grasses.clover,
-    "daisy": grasses.daisy,
-    "poppy": grasses.poppy,
-    "hazel": woody.hazel,
-    "rose": woody.rose,
-    "oak": woody.oak,
-    "birch": woody.birch,
-    "spruce": conifer.spruce,
-    "log": woody.log,
-    "calibration_board": props.calibration_board,
-    "lander": props.lander,
+#: What makes each model, and its suggested label on the level ``class``.
+MODELS: dict[str, tuple[Callable[[], Model], str]] = {
+    "grass_short": (grasses.grass_short, "grass"),
+    "grass_tall": (grasses.grass_tall, "grass"),
+    "grass_seeding": (grasses.grass_seeding, "grass"),
+    "clover": (grasses.clover, "flower"),
+    "daisy": (grasses.daisy, "flower"),
+    "poppy": (grasses.poppy, "flower"),
+    "hazel": (woody.hazel, "shrub"),
+    "rose": (woody.rose, "shrub"),
+    "juniper": (conifer.juniper, "shrub"),
+    "oak": (woody.oak, "tree"),
+    "birch": (woody.birch, "tree"),
+    "spruce": (conifer.spruce, "tree"),
+    "pine": (conifer.pine, "tree"),
+    "snag": (woody.snag, "tree"),
+    "log": (woody.log, "dead_wood"),
+    "stone_weathered": (stones.stone_weathered, "stone"),
+    "stone_angular": (stones.stone_angular, "stone"),
+    "stone_rounded": (stones.stone_rounded, "stone"),
+    "stone_slab": (stones.stone_slab, "stone"),
+    "stone_vesicular": (stones.stone_vesicular, "stone"),
+    "boulder_wall": (farm.boulder_wall, "wall"),
+    "fence_panel": (farm.fence_panel, "fence"),
+    "fence_post": (farm.fence_post, "fence"),
+    "gate": (farm.gate, "fence"),
+    "hay_bale": (farm.hay_bale, "bale"),
+    "shed": (farm.shed, "building"),
+    "bench": (farm.bench, "bench"),
+    "pallet": (street.pallet, "pallet"),
+    "oil_drum": (street.oil_drum, "drum"),
+    "traffic_cone": (street.traffic_cone, "cone"),
+    "delineator": (street.delineator, "pole"),
+    "street_lamp": (street.street_lamp, "pole"),
+    "sign_stop": (street.sign_stop, "sign"),
+    "sign_give_way": (street.sign_give_way, "sign"),
+    "sign_speed_limit": (street.sign_speed_limit, "sign"),
+    "car": (vehicles.car, "car"),
+    "tractor": (vehicles.tractor, "tractor"),
+    "person": (person.person, "person"),
+    "rover": (vehicles.rover, "rover"),
+    "lander": (props.lander, "lander"),
+    "calibration_board": (props.calibration_board, "target"),
+    "apriltag_board": (boards.apriltag_board, "target"),
+    "sphere_gray": (boards.sphere_gray, "target"),
+    "sphere_mirror": (boards.sphere_mirror, "target"),
 }
+
+
+def made(name: str) -> tuple[Model, Card]:
+    """A model and what its file says of itself: the first line of its maker's docstring."""
+    maker, label = MODELS[name]
+    return maker(), Card((maker.__doc__ or "").splitlines()[0].rstrip("."), label)
 
 
 def main(arguments: list[str]) -> int:
@@ -56,11 +99,11 @@ def main(arguments: list[str]) -> int:
     stale = 0
     for name in options.names or MODELS:
         file = FOLDER / f"{name}.glb"
-        model = MODELS[name]()
+        model, card = made(name)
         if options.table:
-            print(_row(name, model))
+            print(_row(name, model, card))
             continue
-        data = encode(model)
+        data = encode(model, card)
         if options.check:
             fresh = file.is_file() and same(file.read_bytes(), data)
             stale += not fresh
@@ -72,13 +115,12 @@ def main(arguments: list[str]) -> int:
     return 1 if stale else 0
 
 
-def _row(name: str, model: Model) -> str:
+def _row(name: str, model: Model, card: Card) -> str:
     """What the page says of a model."""
     points = np.concatenate([part.points for part in model.parts.values()])
     size = " × ".join(f"{extent:.2f}" for extent in np.ptp(points, axis=0))
     parts = ", ".join(f"`{key}` ({part.material})" for key, part in model.parts.items())
-    what = (MODELS[name].__doc__ or "").splitlines()[0].rstrip(".")
-    return f"| `{name}.glb` | {what} | {size} | {parts} | {triangles(model):,} |"
+    return f"| `{name}.glb` | {card.about} | {size} | {parts} | {triangles(model):,} |"
 
 
 if __name__ == "__main__":

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from glb import Look, Model, Part
 from numpy.typing import NDArray
+from solids import loft, shaded
 from stems import Habit, Level, Stem, grown, meshed
 from surfaces import UP, Chance, Floats, Surface, across, azimuth, turned, unit
 
@@ -27,6 +28,7 @@ LOOKS = {
     "rose_petal": Look((0.720, 0.360, 0.400), 0.60),
     "dead_bark": Look((0.140, 0.110, 0.085), 0.95),
     "dead_wood": Look((0.360, 0.290, 0.205), 0.90),
+    "bleached_wood": Look((0.330, 0.310, 0.280), 0.90),
 }
 
 
@@ -355,3 +357,47 @@ def log() -> Model:
         part.points[:, 2] -= low
         parts[name] = part
     return Model(parts, LOOKS)
+
+
+def snag() -> Model:
+    """A dead tree: bleached trunk, snapped off, with bare crooked limbs."""
+    habit = Habit(
+        height=6.4,
+        radius=0.20,
+        shape=(0.8, 1.0, 0.9, 0.7),
+        ratio_power=1.15,
+        levels=(
+            Level((1.0, 0.0), 22, 16, wander=4.0, children=14, bare=0.28, taper=0.42),
+            Level(
+                (0.30, 0.12), 7, 7, curve=(-20, 30), wander=26.0, children=5, down=(62, 14),
+                bare=0.25, attraction=0.2,
+            ),
+            Level((0.45, 0.15), 4, 5, wander=26.0, children=3, down=(55, 15), bare=0.3),
+            Level((0.5, 0.15), 3, 4, wander=22.0, down=(50, 15)),
+        ),
+    )  # fmt: skip
+    chance = Chance("snag")
+    stems = grown(habit, chance, np.zeros(3), unit(np.array([0.05, 0.03, 1.0])))
+    wood, breaks = Surface(), Surface()
+    path, radii = stems[0].path, stems[0].radii
+    sides = 24
+    angles = 2.0 * math.pi * np.arange(sides) / sides
+    waves = [(chance.between(0.2, 1.0), chance.between(0, 6.3), n) for n in (3, 5, 8, 11)]
+    sections = []
+    for k, (at, radius) in enumerate(zip(path, radii, strict=True)):
+        # Spiral grain; roots buttress the foot.
+        ridge = sum(w * np.sin(n * angles + p + 0.22 * k) for w, p, n in waves) * 0.045
+        foot = 0.55 * math.exp(-3.0 * k) * np.maximum(0.0, np.sin(4 * angles + waves[0][1]))
+        ring = radius * (1.0 + ridge + foot)
+        circle = np.column_stack([np.cos(angles), np.sin(angles), np.zeros(sides)])
+        sections.append(at + circle * ring[:, None])
+    # Splinters of the break are of unequal height.
+    sections[-1][:, 2] += [chance.between(-0.05, 0.5) ** 2 * 1.6 for _ in range(sides)]
+    trunk = loft(np.array(sections))
+    cap = len(trunk.points) - 1
+    trunk.points[cap, 2] = path[-1, 2] - 0.12
+    hollow = (trunk.faces == cap).any(axis=1)
+    shaded(wood, trunk._replace(faces=trunk.faces[~hollow]), crease=50)
+    shaded(breaks, trunk._replace(faces=trunk.faces[hollow]), crease=30)
+    meshed(stems[1:], habit, {1: wood, 2: wood, 3: wood})
+    return Model({"wood": wood.part("bleached_wood"), "breaks": breaks.part("dead_wood")}, LOOKS)
