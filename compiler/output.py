@@ -268,7 +268,7 @@ def _head(spec: Spec, seed: int, keep: Keep) -> dict[str, Any]:
         "name": spec.cfg["name"],
         "cfg": {
             "sha256": spec.digest,
-            "batch_sha256": digest_of(alone, spec.files),
+            "batch_sha256": digest_of(alone, spec.files, spec.plugins),
             "inputs": {pointer: file.sha256 for pointer, file in spec.files.items()},
             "licenses": {pointer: licenses.as_json(file) for pointer, file in spec.files.items()},
         },
@@ -276,6 +276,7 @@ def _head(spec: Spec, seed: int, keep: Keep) -> dict[str, Any]:
         "keep": str(keep),
         "scenec": version_of(),
         "libraries": {name: version_of(name) for name in _LIBRARIES},
+        **({"plugins": dict(spec.plugins)} if spec.plugins else {}),
     }
 
 

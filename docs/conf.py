@@ -19,6 +19,7 @@ version = release = installed_version("scenec")
 
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
 source_suffix = {".md": "markdown"}
+exclude_patterns = ["example_plugins"]
 html_theme = "furo"
 html_title = f"scenec {version}"
 html_show_sourcelink = False

@@ -10,8 +10,7 @@ from jsonschema import Draft202012Validator
 
 from scenec.compiler.cfg.faults import Finding
 from scenec.compiler.cfg.schema import Field, inside, walk
-from scenec.schemas.passes import GROUP as PASSES
-from scenec.schemas.passes import pass_names
+from scenec.schemas.plugins import names_of
 from scenec.schemas.spelling import closest, nearest, shown
 
 _TYPES = {
@@ -44,12 +43,14 @@ def check_schema(fields: Iterable[Field]) -> list[Finding]:
 def check_value(field: Field) -> Iterator[Finding]:
     """What a value's own keywords find wrong with it."""
     value, keywords = field.value, field.keywords
+    if "x-fault" in keywords:
+        yield Finding(field.path, keywords["x-fault"])
     for keyword, bound in keywords.items():
         if keyword not in EXPECTED:
             continue
-        if keyword == "enum" and keywords.get("x-open") == PASSES:
+        if keyword == "enum" and "x-open" in keywords and value not in bound:
             # With what other packages add.
-            bound = pass_names()
+            bound = [*bound, *(n for n in names_of(keywords["x-open"]) if n not in bound)]
         errors = _JUDGE.VALIDATORS[keyword](_JUDGE, bound, value, keywords)
         if next(iter(errors or ()), None) is not None:
             yield Finding(field.path, f"{shown(value)}: expected {EXPECTED[keyword](bound, field)}")
@@ -97,6 +98,8 @@ def _types(types: str | list[str], field: Field) -> str:
 
 def _choice(choices: Sequence[Any], field: Field) -> str:
     values = [str(value) for value in choices]
+    if not values:
+        return "a name that an installed package offers, and none does"
     expected = "one of " + ", ".join(values) if len(values) > 1 else values[0]
     guess = isinstance(field.value, str) and closest(field.value, values)
     return expected + (f"; did you mean {shown(guess)}?" if guess else "")

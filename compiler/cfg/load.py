@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path as FilePath
 from typing import Any
 
@@ -45,6 +45,7 @@ class Spec:
             depend on layout, comments or where the files lie, but on the order of named things,
             which decides instance ids.
         text: The file's bytes.
+        plugins: Packages of the kinds that are not scenec's own (``schema.origins``).
     """
 
     cfg: Cfg
@@ -52,6 +53,7 @@ class Spec:
     files: Mapping[str, InputFile]
     digest: str
     text: bytes
+    plugins: Mapping[str, str] = field(default_factory=dict)
 
 
 def load(path: FilePath | str) -> Spec:
@@ -87,7 +89,9 @@ def load(path: FilePath | str) -> Spec:
     if faults:
         raise CfgError(faults)
     filled = fill(document.value)
-    return Spec(filled, path, files, digest_of(filled, files), text)
+    plugins = schema.origins(fields)
+    digest = digest_of(filled, files, plugins)
+    return Spec(filled, path, files, digest, text, plugins)
 
 
 def _read(path: FilePath, name: str) -> tuple[bytes, Document]:
@@ -105,9 +109,13 @@ def _read(path: FilePath, name: str) -> tuple[bytes, Document]:
         raise CfgError([Fault(name, line, column, "", error.message)]) from error
 
 
-def digest_of(cfg: Mapping[str, Any], files: Mapping[str, InputFile]) -> str:
-    """sha256 over a cfg, or a part of one, and the hashes of its files; see ``Spec``."""
+def digest_of(
+    cfg: Mapping[str, Any], files: Mapping[str, InputFile], plugins: Mapping[str, str]
+) -> str:
+    """sha256 over a cfg, or a part of one, the hashes of its files, and packages; see ``Spec``."""
     content = {"cfg": cfg, "files": {name: file.sha256 for name, file in files.items()}}
+    if plugins:
+        content["plugins"] = plugins
     # Keys are not sorted: the order of objects decides their instance ids.
     text = json.dumps(
         content,

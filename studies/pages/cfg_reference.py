@@ -26,7 +26,8 @@ Every key of a cfg, with its type, unit, bounds and default, and an example of e
 start from a cfg that runs, see the [tutorial](tutorial.md) and the [recipes](recipes.md).
 
 A key that scenec does not know, a name that nothing uses and a number out of bounds are errors.
-scenec reports all of them at once, with line and column.
+scenec reports all of them at once, with line and column. Packages may add
+kinds of relief, densities, rocks, surfaces, poses and more: see [plug-ins](plugins.md).
 
 In the tables, *default* is the value of a key that you leave out: "required" means that you must
 give it, "none" that it has no value then. *Drawn* says how often a distribution is drawn that does
@@ -42,7 +43,7 @@ def make() -> str:
 
 def _outputs() -> str:
     """What each of the outputs is."""
-    lines = ["## Outputs", "", "Packages may add more ([backends.md](backends.md)).", ""]
+    lines = ["## Outputs", "", "Packages may add more ([plugins.md](plugins.md)).", ""]
     lines += ["| output | channels of the EXR | type | what it is |", "|---|---|---|---|"]
     for one in BUILT_IN.values():
         channels = ", ".join(f"`{name}`" for name in one.channel_names) or "none"

@@ -155,8 +155,9 @@ def annotation(drawn: Drawn) -> str:
         "The terrain is the plane z = x/16 − y/32, 512 m × 512 m, with 3,000 stones on it. It "
         f"took {drawn.compile_s:.1f} s to compile with one rig for each case. *Footprint* counts "
         "the pixels where a ray by the lens's formula in 80-bit arithmetic meets the plane and the "
-        "frame shows nothing, or the other way round. *Depth* is the largest relative error against "
-        "the closed form on ground, in float64 (frames on disk hold float32: 6e-8). For each "
+        "frame shows nothing, or the other way round. *Depth* is the largest relative error "
+        "against the closed form on ground, in float64 (frames on disk hold float32: 6e-8). For "
+        "each "
         "renderer the table has the pixels where its own first hit is another face or object "
         "than the exact one → the values of all passes of its frame that differ from the "
         "annotation; *-* means that it cannot follow such rays.\n\n"
@@ -298,8 +299,9 @@ def near_and_far(page: Page) -> str:
         "is 10,000 km behind it. The scene is a USD file without a cfg. A usual depth buffer "
         "between 1 cm and 10,000 km keeps no digit of what is far, so `pyrender` draws "
         "reversed float32 depth with its far plane at infinity, and depth itself comes from the "
-        "exact caster. `mitsuba` has float32 coordinates around the scene's middle, here 5,000 km away, whose step is half a meter, "
-        "so its picture would lose the near sheet. Annotation does not. Avoid scenes that are "
+        "exact caster. `mitsuba` has float32 coordinates around the scene's middle, here 5,000 km "
+        "away, whose step is half a meter, so its picture would lose the near sheet. Annotation "
+        "does not. Avoid scenes that are "
         "10⁷ times as large as the distance to what their pictures show.\n\n"
         + table(["backend", "pixels at 1 cm", "at 10,000 km", "ratio", "wrong values"], rows)
     )

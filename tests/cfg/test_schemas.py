@@ -166,7 +166,7 @@ def _examples():
         if name == NUMBER:
             for kind, definition in schema["$defs"].items():
                 yield f"{name}#/$defs/{kind}", definition.get("examples", [None])[0]
-        elif name != ROOT and "allOf" not in schema:
+        elif name != ROOT and not {"allOf", "x-kinds"} & set(schema):
             yield name, schema.get("examples", [None])[0]
 
 

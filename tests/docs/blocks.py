@@ -10,6 +10,7 @@ Other blocks are run if they are ``sh`` or ``python``, in the page's order and i
 
 from __future__ import annotations
 
+import itertools
 import os
 import re
 import subprocess
@@ -70,20 +71,26 @@ def sections(page: str) -> dict[str, str]:
 
 
 def run_all(found: Iterable[Block], folder: Path) -> None:
-    """Write the files and run the rest, all in one folder; the first that fails is the error."""
+    """Write the files and run the rest, all in one folder; the first that fails is the error.
+
+    Python blocks with nothing else between them are one program, as in a notebook.
+    """
     tools = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
     commands = {"sh": ["bash", "-euo", "pipefail", "-c"], "python": [sys.executable, "-c"]}
-    for block in found:
-        if block.file:
-            (folder / block.file).parent.mkdir(parents=True, exist_ok=True)
-            (folder / block.file).write_text(block.text, encoding="utf-8")
-        elif block.language in commands and not block.why_not:
-            done = subprocess.run(
-                [*commands[block.language], block.text],
-                cwd=folder,
-                env={**os.environ, "PATH": tools},
-                capture_output=True,
-                text=True,
-                check=False,
-            )
-            assert done.returncode == 0, f"{block.place}\n{block.text}\n{done.stdout}{done.stderr}"
+    kept = [one for one in found if one.file or (one.language in commands and not one.why_not)]
+    for (language, file), group in itertools.groupby(kept, lambda one: (one.language, one.file)):
+        members = list(group)
+        text = "\n".join(one.text for one in members)
+        if file:
+            (folder / file).parent.mkdir(parents=True, exist_ok=True)
+            (folder / file).write_text(text, encoding="utf-8")
+            continue
+        done = subprocess.run(
+            [*commands[language], text],
+            cwd=folder,
+            env={**os.environ, "PATH": tools},
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert done.returncode == 0, f"{members[0].place}\n{text}\n{done.stdout}{done.stderr}"

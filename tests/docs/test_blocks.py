@@ -8,7 +8,7 @@ import pytest
 from blocks import ROOT, blocks, run_all, sections
 
 TUTORIAL, RECIPES = "docs/tutorial.md", "docs/recipes.md"
-OTHERS = ("docs/api.md", "docs/concepts.md", "docs/commands.md")
+OTHERS = ("docs/python.md", "docs/concepts.md", "docs/commands.md")
 PAGES = ("README.md", TUTORIAL, RECIPES, *OTHERS)
 
 ENVIRONMENT = "it makes the environment that the tests run in"

@@ -29,6 +29,9 @@ import scenec.backends.contract, scenec.compiler.scene.scene
 print(errors.__file__)
 """
 
+#: Types of what is made when it is asked for.
+STUB = "compiler/cfg/builder.pyi"
+
 #: A kernel's answer, and whether it was read.
 KERNEL = """
 from scenec.schemas import kernels
@@ -69,6 +72,8 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
     compiled = run(sys.executable, "-c", KERNEL, cwd=copy, NUMBA_CACHE_DIR=str(copy / "kept"))
     assert compiled.endswith("False\n")
     (copy / "kept" / "scenec").rename(copy / "schemas" / "compiled")
+    # As `make wheel` writes it.
+    (copy / STUB).write_text("def read(path: str) -> object: ...\n")
     run(sys.executable, "-m", "build", "--no-isolation", "--wheel", "--sdist", cwd=copy)
     return copy / "dist"
 
@@ -91,7 +96,7 @@ def test_the_wheel_holds_every_module_and_schema_and_nothing_else(built: Path) -
         names = {name for name in archive.namelist() if ".dist-info/" not in name}
         metadata = {name.partition(".dist-info/")[2] for name in archive.namelist()}
     compiled = {name for name in names if "/compiled/" in name}
-    assert names - compiled == modules()
+    assert names - compiled == modules() | {f"scenec/{STUB}"}
     assert len(compiled) == 1
     assert "scenec/schemas/cfg/cfg.schema.json" in names
     assert {"METADATA", "entry_points.txt", "licenses/LICENSE"} <= metadata
