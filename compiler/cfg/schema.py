@@ -19,15 +19,14 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
-from jsonschema import Draft202012Validator, SchemaError
-
-from scenec.compiler.cfg.json_positions import Path
+from scenec.compiler.cfg.document import Path
 from scenec.schemas.errors import ScenecError
 from scenec.schemas.plugins import KINDS, entry_points_of, load_kind, origin
 
 ROOT = "cfg.schema.json"
 NUMBER = "number.schema.json"
 FORMS = "forms.schema.json"
+_SUFFIX = ".schema.json"
 
 
 def read_schemas() -> dict[str, dict[str, Any]]:
@@ -56,6 +55,48 @@ def _with_forms(schema: Any, forms: Mapping[str, Any]) -> Any:
         own = {key: entry for key, entry in schema.items() if key != "$ref"}
         return _with_forms({**forms[name], **own}, forms)
     return {key: _with_forms(entry, forms) for key, entry in schema.items()}
+
+
+def bundled(*, partial: bool = False) -> dict[str, Any]:
+    """One JSON Schema with all that the others say, for editors.
+
+    Args:
+        partial: Whether keys may be missing that are required, as in a cfg that extends another.
+    """
+    schemas = load_schemas()
+    return {
+        "$schema": schemas[ROOT]["$schema"],
+        "title": "scenec cfg",
+        "description": schemas[ROOT]["description"],
+        "$ref": _reference(ROOT, ROOT),
+        "$defs": {
+            name.removesuffix(_SUFFIX): _bundled(schema, name, partial)
+            for name, schema in schemas.items()
+        },
+    }
+
+
+def _bundled(schema: Any, file: str, partial: bool) -> Any:
+    if isinstance(schema, list):
+        return [_bundled(entry, file, partial) for entry in schema]
+    if not isinstance(schema, dict):
+        return schema
+    found = {
+        key: entry if key == "if" else _bundled(entry, file, partial)
+        for key, entry in schema.items()
+        # A key of the cfg may be called so: what it says is no list, and no string.
+        if not (key == "required" and partial and isinstance(entry, list))
+        and not (key == "$schema" and isinstance(entry, str))
+    }
+    if isinstance(found.get("$ref"), str):
+        found["$ref"] = _reference(found["$ref"], file)
+    return found
+
+
+def _reference(reference: str, here: str) -> str:
+    """What a reference that stands in a file is inside of the bundle."""
+    file, _, rest = reference.partition("#")
+    return f"#/$defs/{(file or here).removesuffix(_SUFFIX)}{rest}"
 
 
 @dataclass(frozen=True)
@@ -151,6 +192,9 @@ def own_schema(group: str, name: str) -> Mapping[str, Any]:
     Raises:
         ScenecError: It cannot be loaded, or its ``SCHEMA`` is none.
     """
+    # Imported here: few cfgs have any.
+    from jsonschema import Draft202012Validator, SchemaError
+
     kind = load_kind(group, name)
     keys = {**kind.SCHEMA.get("properties", {}), **_shared(group, kind)}
     whole = {**kind.SCHEMA, "properties": keys, "additionalProperties": False}

@@ -23,11 +23,12 @@ HEAD = """\
 # The cfg
 
 Every key of a cfg, with its type, unit, bounds and default, and an example of every object. To
-start from a cfg that runs, see the [tutorial](tutorial.md) and the [recipes](recipes.md).
+start from a cfg that runs, see the [tutorial](tutorial.md) and the [recipes](recipes.md); how a
+cfg is written, extended and varied: [writing cfgs](writing.md).
 
 A key that scenec does not know, a name that nothing uses and a number out of bounds are errors.
-scenec reports all of them at once, with line and column. Packages may add
-kinds of relief, densities, rocks, surfaces, poses and more: see [plug-ins](plugins.md).
+scenec reports all of them at once, with line and column. Packages may add kinds of relief,
+densities, rocks, surfaces, poses and more: see [plug-ins](plugins.md).
 
 In the tables, *default* is the value of a key that you leave out: "required" means that you must
 give it, "none" that it has no value then. *Drawn* says how often a distribution is drawn that does

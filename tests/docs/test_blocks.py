@@ -49,13 +49,11 @@ def test_the_cfg_of_the_readme_runs_as_the_readme_says(tmp_path):
 
 
 def test_the_tutorial_runs_from_its_first_block_to_its_last(tmp_path):
-    pytest.importorskip("scenec.compiler.cfg.sources", reason="cfgs cannot extend others yet")
     run_all(blocks(TUTORIAL), tmp_path)
 
 
 @pytest.mark.parametrize("recipe", sections(RECIPES))
 def test_each_recipe_runs_in_a_folder_of_its_own(recipe, tmp_path):
-    pytest.importorskip("scenec.compiler.cfg.sources", reason="cfgs cannot extend others yet")
     run_all([*first_cfg(), *blocks(RECIPES, sections(RECIPES)[recipe])], tmp_path)
 
 

@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from blocks import ROOT
+from blocks import ROOT, blocks
 
 from scenec.compiler.cfg.load import load
 from scenec.compiler.compile import compile_cfg
@@ -55,21 +55,19 @@ def test_the_website_builds_without_a_warning(tmp_path):
     "coarse", [pytest.param(False, id="as it is", marks=pytest.mark.slow), True]
 )
 def test_the_cfg_that_is_explained_line_by_line_is_valid(coarse, tmp_path):
-    page = (ROOT / "docs" / "cfg_tour.md").read_text(encoding="utf-8")
-    (block,) = re.findall(r"```jsonc\n(.*?)```", page, re.DOTALL)
-    # As if it stood in the checkout: it names models there.
-    (tmp_path / "assets").symlink_to(ROOT / "assets")
+    (block,) = blocks("docs/cfg_tour.md")
     path = tmp_path / "first.json"
-    cfg = json.loads(re.sub(r"\s+//.*", "", block))
-    path.write_text(json.dumps(cfg), encoding="utf-8")
-    assert load(path).cfg["name"] == "first"
+    path.write_text(block.text, encoding="utf-8")
+    spec = load(path)
+    assert spec.cfg["name"] == "first"
     if coarse:
+        cfg = json.loads(spec.text)
         cfg["terrain"]["spacing_m"] *= 4
         cfg["objects"]["rocks"]["count"] //= 16
         cfg["light"]["sky"]["resolution"] = 32
         for name in ("sand", "basalt"):
             cfg["materials"][name]["maps"]["procedural"]["resolution"] = 256
-    path.write_text(json.dumps(cfg), encoding="utf-8")
+        path.write_text(json.dumps(cfg), encoding="utf-8")
     assert compile_cfg(path, seed=1, out=tmp_path / "out", batches=range(1)).batches == (0,)
 
 
