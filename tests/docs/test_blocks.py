@@ -8,7 +8,7 @@ import pytest
 from blocks import ROOT, blocks, run_all, sections
 
 TUTORIAL, RECIPES = "docs/tutorial.md", "docs/recipes.md"
-OTHERS = ("docs/python.md", "docs/concepts.md", "docs/commands.md")
+OTHERS = ("docs/writing.md", "docs/python.md", "docs/concepts.md", "docs/commands.md")
 PAGES = ("README.md", TUTORIAL, RECIPES, *OTHERS)
 
 ENVIRONMENT = "it makes the environment that the tests run in"
@@ -16,6 +16,8 @@ ENVIRONMENT = "it makes the environment that the tests run in"
 NOT_RUN = {
     "make demo": ENVIRONMENT,
     "git clone YOUR-COPY-OF-SCENEC scenec && cd scenec": ENVIRONMENT,
+    "scenec sweep mine.jsonc --set light.sun.elevation_deg=10,30,60 "
+    "--set terrain.spacing_m=0.1,0.2 --seeds 0:5 -o OUT": "thirty outputs; a recipe runs a sweep of four",
     "import torch": "PyTorch takes gigabytes and is not among what scenec installs",
 }
 
