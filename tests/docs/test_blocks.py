@@ -11,13 +11,13 @@ TUTORIAL, RECIPES = "docs/tutorial.md", "docs/recipes.md"
 OTHERS = ("docs/writing.md", "docs/python.md", "docs/concepts.md", "docs/commands.md")
 PAGES = ("README.md", TUTORIAL, RECIPES, *OTHERS)
 
+SWEEP = "scenec sweep mine.jsonc --set light.sun.elevation_deg=10,30,60"
 ENVIRONMENT = "it makes the environment that the tests run in"
 #: Every block of these pages that is not run, by what it begins with, and why.
 NOT_RUN = {
     "make demo": ENVIRONMENT,
     "git clone YOUR-COPY-OF-SCENEC scenec && cd scenec": ENVIRONMENT,
-    "scenec sweep mine.jsonc --set light.sun.elevation_deg=10,30,60 "
-    "--set terrain.spacing_m=0.1,0.2 --seeds 0:5 -o OUT": "thirty outputs; a recipe runs a sweep of four",
+    f"{SWEEP} --set terrain.spacing_m=0.1,0.2 --seeds 0:5 -o OUT": "a recipe runs a smaller sweep",
     "import torch": "PyTorch takes gigabytes and is not among what scenec installs",
 }
 
