@@ -19,10 +19,12 @@ version = release = installed_version("scenec")
 
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
 source_suffix = {".md": "markdown"}
-exclude_patterns = ["example_plugins"]
+exclude_patterns = ["example_plugins", "site"]
 html_theme = "furo"
 html_title = f"scenec {version}"
 html_show_sourcelink = False
+html_static_path = ["site"]
+html_css_files = ["wide.css"]
 
 # Links to headings are those that a forge makes of the same files.
 myst_heading_anchors = 4
