@@ -32,7 +32,7 @@ _REFERENCE = (
 _CLAIM = (
     "ground.mesh of report.json: surface_error_bound_px, the largest error that a search of the "
     "worst faces could not exclude; surface_error_found_px is the error at the worst of the points "
-    "that it examined."
+    "that it examined"
 )
 
 
