@@ -15,7 +15,7 @@ BENCHMARKS := adapters agreement annotation blur coco cold compile estimate \
 PAGES := numerics relief placement sky motion extremes converge leaving_out errors
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test thorough lint types unit browser format bench docs pictures lock gpu wheel clean distclean
+.PHONY: help setup demo test thorough lint types unit browser format bench docs site pictures lock gpu wheel clean distclean
 
 help:  ## List the targets.
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  make \1\t\2/p' Makefile | expand -t 20
@@ -69,7 +69,12 @@ docs: setup  ## Generate docs/cfg.md from the schemas; the pages of errors and r
 	  echo "== Making docs: $$name"; .venv/bin/python studies/pages/$$name.py; \
 	done
 
-pictures: setup  ## Render the README's table of shipped cfgs, docs/rocks.md and docs/lights.md.
+site: setup  ## Build the website of docs/ into build/site (Sphinx; a warning is an error).
+	@echo "== Building the site"
+	@.venv/bin/sphinx-build --quiet --fail-on-warning --keep-going --jobs auto docs build/site
+	@echo "== Open build/site/index.html"
+
+pictures: setup  ## Render the README's picture, docs/gallery.md, docs/rocks.md and docs/lights.md.
 	@set -e; for name in gallery rocks lights; do \
 	  echo "== Rendering: $$name"; .venv/bin/python studies/pages/$$name.py; \
 	done

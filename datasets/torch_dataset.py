@@ -80,10 +80,12 @@ class FrameDataset:
     ===================  =======================================================================
     ``rgb``              float32 [3, h, w]: linear radiance, or with ``rgb="srgb"`` the frame's
                          picture in [0, 1]: what its sensor took, else radiance developed
-    ``depth``, ``range`` float32 [h, w], meters; +inf without a hit
+    ``depth``            float32 [h, w], meters; +inf without a hit
+    ``range``            likewise
     ``label.<level>``    int64 [h, w]
     ``instance``         int64 [h, w], frame ids; ``face`` likewise
-    ``normal``, ``position``  float32 [3, h, w]
+    ``normal``           float32 [3, h, w]
+    ``position``         float32 [3, h, w], meters
     ``K``                float64 [3, 3], pixels
     ``camera_to_world``  float64 [4, 4], camera axes as OpenCV has them
     ``time_s``           float64 []

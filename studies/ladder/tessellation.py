@@ -30,8 +30,9 @@ _REFERENCE = (
     "points over the terrain and at points that pixels show, by their distance up or down"
 )
 _CLAIM = (
-    "ground.mesh of report.json: surface_error_bound_px, the room that a search of the faces with "
-    "most of it left; surface_error_found_px is the worst of the points that it looked at"
+    "ground.mesh of report.json: surface_error_bound_px, the largest error that a search of the "
+    "worst faces could not exclude; surface_error_found_px is the error at the worst of the points "
+    "that it examined"
 )
 
 

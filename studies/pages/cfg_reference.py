@@ -13,6 +13,8 @@ from typing import Any
 from scenec.compiler.cfg.schema import NUMBER, ROOT, load_schemas
 from scenec.schemas.passes import BUILT_IN
 
+#: An example that is longer gets several lines.
+_LINE = 90
 TARGET = Path(__file__).resolve().parents[2] / "docs" / "cfg.md"
 
 HEAD = """\
@@ -20,16 +22,17 @@ HEAD = """\
 
 # The cfg
 
-All keys. How a cfg is written, extended and varied, and how editors know these keys:
-[writing.md](writing.md).
+Every key of a cfg, with its type, unit, bounds and default, and an example of every object. To
+start from a cfg that runs, see the [tutorial](tutorial.md) and the [recipes](recipes.md); how a
+cfg is written, extended and varied: [writing cfgs](writing.md).
 
-Keys that scenec does not know, names that nothing uses, and numbers out of bounds are errors; all
-of them are reported at once, with line and column. Other packages add kinds of relief, conditions,
-densities, rocks, surfaces, poses, passes and effects: [plugins.md](plugins.md).
+A key that scenec does not know, a name that nothing uses and a number out of bounds are errors.
+scenec reports all of them at once, with line and column. Packages may add kinds of relief,
+densities, rocks, surfaces, poses and more: see [plug-ins](plugins.md).
 
-In the tables, *default* says what a key that is left out stands for: "required" means that it must
-be given, "none" that nothing stands in its place. *Drawn* says when a number is drawn whose
-distribution does not say `per` itself, and in brackets what else it may say.
+In the tables, *default* is the value of a key that you leave out: "required" means that you must
+give it, "none" that it has no value then. *Drawn* says how often a distribution is drawn that does
+not say `per` itself; in brackets stands what else `per` may be.
 """
 
 
@@ -77,10 +80,11 @@ def _references(schema: Any) -> Iterator[str]:
 
 def _section(name: str) -> str:
     schema = load_schemas()[name]
-    lines = [f"## {schema['title']}", "", schema["description"], ""]
+    lines = [f"## {schema['title']}", "", schema["description"], "", *_example(schema)]
     if name == NUMBER:
         for kind, definition in schema["$defs"].items():
-            lines += [f"### {kind}", "", definition["description"], "", *_table(definition)]
+            lines += [f"### {kind}", "", definition["description"], ""]
+            lines += [*_example(definition), *_table(definition)]
     elif "allOf" in schema:
         lines += [f"{schema['properties']['type']['description'].rstrip('.')}, by `type`:", ""]
         for branch in schema["allOf"]:
@@ -102,6 +106,18 @@ def _section(name: str) -> str:
             "",
         ]
     return "\n".join(lines)
+
+
+def _example(schema: Mapping[str, Any]) -> list[str]:
+    """The schema's example: on one line where that is short, else a line a key."""
+    lines = []
+    for example in schema.get("examples", []):
+        text = json.dumps(example, ensure_ascii=False)
+        if len(text) > _LINE:
+            keys = (f"  {json.dumps(key)}: {json.dumps(example[key])}" for key in example)
+            text = "{\n" + ",\n".join(keys) + "\n}"
+        lines += ["```json", text, "```", ""]
+    return lines
 
 
 def _table(schema: Mapping[str, Any]) -> list[str]:
@@ -194,7 +210,7 @@ def _bounds(entry: Mapping[str, Any]) -> str:
 
 
 def _anchor(title: str) -> str:
-    kept = [c for c in title.lower() if c.isalnum() or c in " -"]
+    kept = [c for c in title.lower() if c.isalnum() or c in " -_"]
     return "".join(kept).replace(" ", "-")
 
 

@@ -46,8 +46,9 @@ seconds are those of that machine, errors follow from the code and the seeds.
 
     scenec converge OUT --backends mitsuba,cycles,pyrender --denoise
 
-renders a ladder of qualities per backend against a reference of many samples, whose own noise is
-subtracted, and writes tables (CSV, JSON), plots and pictures of differences into `OUT/converge/`.
+renders each backend at several qualities and compares with a reference of many samples, whose own
+noise is subtracted. It writes tables (CSV, JSON), plots and pictures of differences into
+`OUT/converge/`.
 """
 
 

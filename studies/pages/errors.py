@@ -28,27 +28,28 @@ SCENES = {
 }
 _RUNGS, _FAST = 4, 2
 
-HEAD = """# What the compiler's approximations err, and what less would cost
+HEAD = """# Error against cost of the compiler's approximations
 
-Approximations of three cfgs that ship (seed 1, batch 0), each varied alone around the cfg's value,
-which is **bold**. `scenec explain OUT --ladder` measures the same for any output.
+The compiler approximates: meshes, levels of detail, skies, smoothing, pictures. This page varies
+each approximation alone, in three cfgs that ship (seed 1, batch 0), around the cfg's value, which
+is **bold**. `scenec explain OUT --ladder` measures the same for any output.
 
 - **worst** and **rms** are measured against a reference that does not depend on the rung: the
   surface itself, the finest meshes, the atmosphere evaluated ray by ray. It stands below each
   table. A worst case over points is a lower bound of the worst there is.
 - **claimed** is what the compiler itself states for that value (`report.json`), and **holds**
-  says whether that bounds what was measured; "-" where it states nothing.
-- **CPU s** is the processor's time to make and write what the approximation shapes, all threads
-  together, on {cores} cores ({versions}): a single reading where it is long, and where it is below
-  a second the mean of repetitions that take 0.3 s together, after a first call that only warms.
-  **bytes** is what it really takes in the stage, written to a temporary folder, before anything is
-  left out that no camera sees.
+  says whether that bounds the measured error; "-" where it states nothing.
+- **CPU s** is the processor time, over all threads, to make and write what the approximation
+  shapes, on {cores} cores ({versions}): a single reading if it is long; below a second, the mean of
+  repetitions that take 0.3 s together, after a first call. **bytes** is its size in the stage,
+  before leaving out what no camera sees.
 - Slopes are of the rms error, fitted through logarithms over all rungs: where error ~ cost^-a, half
-  the error costs 2^(1/a) times as much. For triangles of a smooth surface theory has a = 1 (linear
-  interpolation errs with the square of an edge); detail down to the finest legs, and a tolerance in
-  pixels, which lets far ground be coarse, make it another.
+  the error costs 2^(1/a) times as much. For triangles of a smooth surface theory gives a = 1 (the
+  error of linear interpolation grows with the square of an edge). Fine detail, and a tolerance in
+  pixels, which lets far ground be coarse, change it.
 
-In the plots the filled marks are measured, the open ones claimed, the squares the cfg's values.
+In the plots filled marks are measured errors, open marks are claims, and squares are the cfg's
+values.
 """
 
 

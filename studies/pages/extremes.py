@@ -55,10 +55,10 @@ SPP = 16
 
 HEAD = """# Cameras at their limits
 
-Each case goes the whole way: cfg, `scenec compile`, `scenec render` with every backend, `scenec
-check --exact`. {cores} cores, shared with other work ({versions}): seconds are
-single readings and no more than an order of magnitude. `tests/backends/test_extremes.py` holds the
-same facts.
+This page tries cameras at the ends of every range. Each case goes the whole way: cfg, `scenec
+compile`, `scenec render` with every backend, `scenec check --exact`. {cores} cores, shared with
+other work ({versions}): seconds are single readings and tell the order of magnitude only.
+`tests/backends/test_extremes.py` tests the same facts.
 """
 
 
@@ -152,13 +152,15 @@ def annotation(drawn: Drawn) -> str:
     values = sum(one.pixels for one in agreement.comparisons)
     return (
         "## Annotation\n\n"
-        "The terrain, 512 m × 512 m, is the plane z = x/16 − y/32 with 3,000 stones on it; it took "
-        f"{drawn.compile_s:.1f} s to compile with a rig a case. *Footprint*: pixels where a ray by "
-        "the lens's formula in 80-bit arithmetic meets the plane and the frame shows nothing, or "
-        "the other way round. *Depth*: the most that it is off the closed form on ground, "
-        "relative, in float64 (frames on disk hold float32: 6e-8). Of each renderer: pixels with "
-        "another face or object than exact, as it sees them itself → values of all passes "
-        "of its frame that are not the annotation; *-*: it cannot follow such rays.\n\n"
+        "The terrain is the plane z = x/16 − y/32, 512 m × 512 m, with 3,000 stones on it. It "
+        f"took {drawn.compile_s:.1f} s to compile with one rig for each case. *Footprint* counts "
+        "the pixels where a ray by the lens's formula in 80-bit arithmetic meets the plane and the "
+        "frame shows nothing, or the other way round. *Depth* is the largest relative error "
+        "against the closed form on ground, in float64 (frames on disk hold float32: 6e-8). For "
+        "each "
+        "renderer the table has the pixels where its own first hit is another face or object "
+        "than the exact one → the values of all passes of its frame that differ from the "
+        "annotation; *-* means that it cannot follow such rays.\n\n"
         + table(["case", "pixels", "ground seen", "footprint wrong", "depth", *DRAWING], rows)
         + "\nMost cameras stand over an edge of the mesh: 1 × 1 pixel and half of 20,000 × 1 "
         "pixels look straight at it, where two faces are equally near and the lowest counts.\n"
@@ -207,16 +209,17 @@ def light(drawn: Drawn, folder: Path) -> str:
         rows.append(row)
     lines = [
         f"- `{backend}`, {next(c.what for c in CASES if c.name == name)}: `{line}` "
-        "Annotation of it there is (`--passes label,depth`); `mitsuba` and `pyrender` draw it."
+        "Its annotation can be made (`--passes label,depth`); `mitsuba` and `pyrender` draw it."
         for (backend, name), line in drawn.refusals.items()
     ]
     return (
         "## Light\n\n"
-        f"{SPP} samples a pixel. *Covered*: by {FINE} × {FINE} exact rays a pixel. Of each "
-        "renderer: mean radiance of the pixels that surfaces fill, over Mitsuba's · mean coverage "
-        "· pixels that are full or empty and yet not covered wholly or not at all. All radiance is "
-        "finite unless it says so. `cycles` and `pyrender` draw lenses as pinhole views that are "
-        "resampled: a rim of the image circle is a pixel wide there.\n\n"
+        f"{SPP} samples a pixel. *Covered*: by {FINE} × {FINE} exact rays a pixel. For each "
+        "renderer the table has: the mean radiance of the pixels that surfaces fill, over "
+        "Mitsuba's · the mean coverage · the full or empty pixels whose coverage is neither 1 "
+        "nor 0. All radiance is finite unless the table says otherwise. `cycles` and `pyrender` "
+        "draw lenses as pinhole views that are resampled, so the rim of an image circle is a "
+        "pixel wide there.\n\n"
         + table(["case", "covered", *DRAWING], rows)
         + "\nWhat cannot be drawn, in one line each:\n\n"
         + "\n".join(lines)
@@ -271,8 +274,8 @@ def costs(drawn: Drawn) -> str:
         rows.append(row)
     return (
         "## What a frame cost\n\n"
-        "All passes and writing, without loading the scene; the most that the worker held.\n\n"
-        + table(["case", *BACKENDS], rows)
+        "Time for all passes and for writing, without loading the scene, and the worker's peak "
+        "memory.\n\n" + table(["case", *BACKENDS], rows)
     )
 
 
@@ -292,14 +295,14 @@ def near_and_far(page: Page) -> str:
                      str(after)])  # fmt: skip
     return (
         "## Near and far in one picture\n\n"
-        "A sheet 1 cm before the camera that hides its left half, another one 10,000 km away "
-        "behind it: a USD file without a cfg. A usual depth buffer between 1 cm and 10,000 km "
-        "keeps no digit of what is far; `pyrender` draws reversed float32 depth with its far plane "
-        "at infinity, and depth itself comes from the exact caster. `mitsuba` has float32 "
-        "coordinates around the scene's middle, here 5,000 km away, whose step is half a meter: it "
-        "loses the near sheet, and so would its picture. Annotation does not. A scene should not "
-        "be 10⁷ "
-        "times as large as the distance of what its pictures show.\n\n"
+        "One sheet, 1 cm in front of the camera, hides the left half of the picture; another one "
+        "is 10,000 km behind it. The scene is a USD file without a cfg. A usual depth buffer "
+        "between 1 cm and 10,000 km keeps no digit of what is far, so `pyrender` draws "
+        "reversed float32 depth with its far plane at infinity, and depth itself comes from the "
+        "exact caster. `mitsuba` has float32 coordinates around the scene's middle, here 5,000 km "
+        "away, whose step is half a meter, so its picture would lose the near sheet. Annotation "
+        "does not. Avoid scenes that are "
+        "10⁷ times as large as the distance to what their pictures show.\n\n"
         + table(["backend", "pixels at 1 cm", "at 10,000 km", "ratio", "wrong values"], rows)
     )
 
@@ -324,9 +327,9 @@ def poses(page: Page) -> str:
         f"A track of {count:,} poses, each a sample: compiled in {compiled:.1f} s, "
         f"{size / 1e6:.1f} MB of stage; the first, the middle and the last frame rendered in "
         f"{rendered:.1f} s with starting and reading the stage. The last pose in its sidecar is "
-        f"off the track's by {off:.0e} m. A track all of whose poses are one (length 0), sampled "
-        "at any times, gives that pose (`tests/backends/test_extremes.py`). Beyond 256 views "
-        "the horizons that pruning looks at are coarser, so that memory hardly grows.\n"
+        f"off the track's by {off:.0e} m. A track of length 0, sampled at any time, gives its one "
+        "pose (`tests/backends/test_extremes.py`). Beyond 256 views pruning uses coarser "
+        "horizons, so memory hardly grows.\n"
     )
 
 
@@ -355,9 +358,9 @@ def sizes(page: Page) -> str:
 SIZES = """## Large pictures
 
 Above 2048 × 2048 pixels annotation goes band by band, radiance by tiles of 4 million pixels at most
-(`backends/camera/tiles.py`). Annotation is the same to the bit as in one piece: the page's script
-compares digests. The noise of radiance is that of other seeds. Passes `label` (two levels),
-`instance`, `depth`; the peak is that of the process with interpreter, renderer and scene.
+(`backends/camera/tiles.py`). Annotation is the same to the bit as in one piece: the script
+compares digests. Radiance has the noise of other seeds. Passes `label` (two levels), `instance`,
+`depth`; the peak is that of the process with interpreter, renderer and scene.
 
 """
 

@@ -39,36 +39,41 @@ SHIPPED = ("jacksboro", "landing_site", "lunar_mare", "mars_yard", "meadow_edge"
 
 HEAD = """# Leaving out what a scene does not need
 
-A stage holds what the outputs asked for need, and what a camera or lidar of the batch can see the
-effect of. An object or a tile of the terrain stays if
+A stage holds only what its outputs need and what a camera or lidar of the batch can see the effect
+of. So stages are smaller and load faster, and annotation stays the same to the bit. This page says
+what stays and measures what that changes.
 
-1. it is seen: its ball meets the volume of a view, and is not behind the ground; or, with `rgb`,
-2. its shadow, swept away from each sun and lamp, meets what is seen; or
-3. it is near enough and large enough: from the nearest place seen it fills {least} of a
-   hemisphere or more, a stone of 10 cm within {near} m. It stays, too, if it shines itself.
+An object or a tile of the terrain stays if
 
-The first two are conservative: what they cannot be sure of stays. The third neglects light; what
-that changes is measured below. With `rgb` the whole terrain stays, and all objects do where a
-mirror may show them (a lobe of {sharp} times the dull part, such as metal of roughness below
-0.22), or where a picture of the sky holds a sun or lamps that were not taken out.
-Approximations (levels of detail, tessellation) come first and are the same with and without.
+1. it is visible: its bounding ball meets the volume of a view and is not behind the ground; or,
+   with the output `rgb`,
+2. its shadow, swept away from each sun and lamp, meets something visible; or
+3. it is near and large enough: seen from the nearest visible place it fills {least} of a
+   hemisphere or more, as a stone of 10 cm does within {near} m. An object that shines stays, too.
 
-- `scenec explain OUT` lists what was left out, most effective first; `scenec explain OUT --why
-  rocks/4711` says why one object is there, or is not. `left_out.json` beside the stage has it for
-  every instance.
-- `--no-prune` keeps what no camera can see; `--keep all` also keeps what no output asks for, as
-  fine as it gets, for walking around in a viewer.
-- Annotation (`face` apart, which numbers the stage's own faces) is the same to the bit.
+The first two rules are conservative: if in doubt, the object stays. The third neglects some light;
+the tables below measure how much. With `rgb` the whole terrain stays. All objects stay if a mirror
+may show them (a lobe of {sharp} times the diffuse part, such as metal of roughness below 0.22), or
+if a picture of the sky holds a sun or lamps that were not taken out. Approximations (levels of
+detail, tessellation) are chosen before and are the same with and without leaving out.
+
+- `scenec explain OUT` lists what was left out, most effective first. `scenec explain OUT --why
+  rocks/4711` says why one object is in the stage, or is not. `left_out.json` beside the stage says
+  it for every instance.
+- `--no-prune` keeps what no camera can see. `--keep all` also keeps what no output needs, as fine
+  as it gets, for walking around in a viewer.
+- Annotation is the same to the bit, except `face`, which numbers the stage's own faces.
 
 {cores} cores, {versions}.
 """
 #: What the columns of light and cost say.
 COLUMNS = (
-    "- **light off**, what it got wrong: root of the mean square difference of 8 × 8 blocks of all "
-    "pictures, Mitsuba, equal noise seeds, in parts of the mean; **noise**: of such a block's "
-    "difference with other seeds. Where a path meets something that was left out, the rest of it "
-    "is another, whose noise counts as a difference here.\n"
-    "- **bytes**: of the stage, whole to pruned; **s**, what it cost: of pruning.\n\n"
+    "- **light off** is the error of the light: the root mean square difference of 8 × 8 blocks "
+    "of all pictures in Mitsuba with equal noise seeds, relative to the mean. **noise** is the "
+    "same difference with other seeds. A path that would have met something left out goes on "
+    "differently, and its noise counts as a difference here.\n"
+    "- **bytes** is the size of the whole stage over that of the pruned one; **s** is the time of "
+    "pruning.\n\n"
 )
 #: Samples a pixel for cfgs that ship, whose pictures are large.
 SHIPPED_SPP = 8
@@ -137,10 +142,10 @@ def extremes(page: Page) -> str:
         "of one camera of 96 × 72 pixels, 60° wide and 1.5 m high; sun 35° high; rgb, labels and "
         "ids. Each row changes one thing. `tests/backends/test_pruned_extremes.py` holds the same "
         "facts.\n\n"
-        "- **kept**: instances that are seen; besides for their shadow; besides for the light "
-        "that they take or send.\n"
-        "- **pixels**: of all passes of annotation, by the exact caster, those that differ from "
-        "the whole stage's.\n"
+        "- **kept** counts instances that are visible, that stay for their shadow, and that stay "
+        "for the light that they take or send.\n"
+        "- **pixels** counts the values of all passes of annotation that differ from the whole "
+        "stage's.\n"
         + COLUMNS + table(["", "kept of all", "seen + shadow + light", "pixels", "light off",
                            "noise", "bytes", "s"], rows)
     )  # fmt: skip
@@ -160,8 +165,8 @@ def shipped(page: Page) -> str:
                 batches.append(out / "batch_0000")
             rows.append([f"`{name}`", *_compared(*batches, 1 if page.fast else SHIPPED_SPP)])
     return (
-        f"## Cfgs that ship\n\nAs they are, seed 1; {SHIPPED_SPP} samples a pixel. Most of their "
-        "bytes are terrain and pictures.\n\n" + COLUMNS
+        f"## Cfgs that ship\n\nUnchanged, with seed 1; {SHIPPED_SPP} samples a pixel. Most of "
+        "their bytes are terrain and pictures.\n\n" + COLUMNS
         + table(["", "kept of all", "seen + shadow + light", "light off", "noise", "bytes", "s"],
                 rows)
     )  # fmt: skip

@@ -250,16 +250,16 @@ def row(case: Case, found: dict[str, Frame]) -> list[str]:
 HEAD = """# Six lights, three renderers
 
 Shipped cfgs under other lights, 16 samples a pixel, \
-384 × 256 pixels, seed 1, on {cores} cores ({versions}). One stage a light; each backend \
-renders it, and all pictures of a row are shown with one exposure.
+384 × 256 pixels, seed 1, on {cores} cores ({versions}). There is one stage for each \
+light. Each backend renders it, and all pictures of a row have one exposure.
 """
 
 NOTES = """
 Radiance is that of surfaces, W/(m² sr), red, green, blue; FLIP is LDR-FLIP's mean over all pixels \
-against Cycles (0 is equal, noise of both included), and beside it how far the mean radiance of \
-surfaces is from Cycles'. Seconds are those of the radiance alone, without loading and compiling \
-the scene; Mitsuba's hold the compilation of its kernel, 20 to 40 s for each stage. They are \
-single readings, with whatever else the machine did beside them.
+against Cycles (0 is equal; the noise of both counts), and beside it how far the mean radiance \
+of surfaces is from Cycles'. Seconds are those of the radiance alone, without loading and \
+compiling the scene; Mitsuba's include the compilation of its kernel, 20 to 40 s for each stage. \
+They are single readings on a machine that had other work.
 """
 
 

@@ -80,8 +80,8 @@ def made(page: Page) -> str:
         f"## Made motions\n\nOver one terrain, {samples} samples each; all of them took "
         f"{seconds:.2f} s, with what they ask of the objects.\n\n"
         + page.save(figure, "made", 60) + "\n" + table(header, rows)
-        + "\nAccelerations of lawn mowers and rovers are those of their turns; they start at full "
-        "speed.\n"
+        + "\nThe accelerations of lawn mowers and rovers are those of their turns, because they "
+        "start at full speed.\n"
     )  # fmt: skip
 
 
@@ -108,8 +108,8 @@ def tracks(page: Page) -> str:
         axis.set_title(f"largest error of {what}")
         axis.legend()
     return (
-        "## Tracks between their keys\n\nA camera that is swung at up to 5 rad/s, its track "
-        "sampled at a rate and interpolated: largest error.\n\n"
+        "## Tracks between their keys\n\nA camera swings at up to 5 rad/s. Its track is sampled "
+        "at a rate and interpolated; the table shows the largest error.\n\n"
         + page.save(figure, "error", 60) + "\n"
         + table(["method", "rate, Hz", "position, mm", "turn, degrees"], rows)
     )  # fmt: skip

@@ -30,10 +30,10 @@ from small import small_cfg, write_cfg
 
 HEAD = """# Error against run time, and stability over extreme values
 
-Every approximation, what it got wrong, and what it cost. Seconds are single readings on {cores}
+The error of each elementary approximation, beside its cost. Seconds are single readings on {cores}
 cores ({versions});
-errors do not depend on the machine. Tests hold the same facts; this page makes them readable. What
-the operators of the relief err, over extents, origins and steps, stands in [relief.md](relief.md).
+errors do not depend on the machine. Tests check the same facts; this page makes them readable.
+The errors of the relief operators, over extents, origins and steps, are in [relief.md](relief.md).
 """
 
 
@@ -94,9 +94,10 @@ def label_lines(page: Page) -> str:
         )
     return (
         "## Labels as geometry: the cut along label lines\n\n"
-        "40 m × 40 m, a 9 m noise of three octaves. Wrong area is where a face's label is not the "
-        "merge function's, by 10⁶ random points; near saddles and for islands that cross no edge "
-        "the line's distance is not small, only the area is.\n\n"
+        "40 m × 40 m, a 9 m noise of three octaves. *Wrong area* is the share of the area where a "
+        "face's label differs from the merge function's, by 10⁶ random points. Near saddles, and "
+        "for islands that cross no edge, the line's distance is large although the area is "
+        "small.\n\n"
         + table(
             [
                 "spacing, m",
@@ -180,8 +181,8 @@ def monte_carlo(page: Page) -> str:
     slope = np.polyfit(np.log(counts), np.log(errors), 1)[0]
     return (
         "## Noise of the picture\n\n"
-        "Mitsuba, 160 × 120, RMSE over the mean, where surfaces are, against 16,384 samples; the "
-        "estimate (what sidecars state) comes from the two half renders alone. Slope of the error "
+        "Mitsuba, 160 × 120, RMSE over the mean on surfaces, against 16,384 samples. The "
+        "estimate, which sidecars state, comes from the two half renders alone. Slope of the error "
         f"over samples: {slope:.2f} (independent samples: −0.5).\n\n"
         + table(["samples per pixel", "estimated, %", "true, %", "seconds"], rows)
     )

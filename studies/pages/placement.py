@@ -21,10 +21,10 @@ from scenec.studies.runner import Page, apart, run, table
 
 HEAD = """# Placement of objects: errors beside run times, and the ends of all ranges
 
-How true sizes, places, distances, seats and levels of detail are ([objects.md](objects.md),
+How accurate sizes, places, distances, seats and levels of detail are ([objects.md](objects.md),
 [keys](cfg.md#objects-scattered)), and what they cost. Seconds are single readings on {cores} cores
 ({versions});
-all else does not depend on the machine. Tests hold the same facts
+everything else does not depend on the machine. Tests check the same facts
 (`tests/compiler/test_scatter*.py`, `test_objects_*.py`, `tests/cfg/test_laws.py`); this page
 makes them readable.
 """
@@ -50,9 +50,9 @@ def growth(page: Page) -> str:
     return (
         "## Growth: seconds and memory over the number of objects\n\n"
         "400 m × 400 m, relief every 0.4 m, a power law of sizes; each row is a process of its "
-        "own (`python studies/benchmarks/scatter.py`). Memory is what drawing, placing and seating "
-        "take beside the terrain and the compiled code. Exponents of seconds and of memory between "
-        f"the last two rows of each: {'; '.join(slopes)}.\n\n"
+        "own (`python studies/benchmarks/scatter.py`). Memory is what drawing, placing and "
+        "seating take on top of the terrain and the compiled code. Exponents of seconds and of "
+        f"memory between the last two rows of each: {'; '.join(slopes)}.\n\n"
         + table(
             ["case", "objects", "draw, s", "place and seat, s", "µs an object", "memory, MiB",
              "peak of the process, MiB"], rows,

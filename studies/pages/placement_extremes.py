@@ -144,22 +144,22 @@ def extremes(page: Page) -> str:
     return (
         "## At the ends of every range\n\n"
         f"Rocks on {SIZE[0]:g} m × {SIZE[1]:g} m of hills, relief every 0.4 m, 0.05 m to 0.5 m "
-        "large where nothing else is said, at their finest level; everything goes through the "
-        "checks of the cfg, as `scenec compile` does it. The error is how far the deepest vertex "
-        "is from the depth asked for, held against the ground with all its detail, measured anew "
-        "on the stage's numbers with all vertices of up to 500 rocks; beside it in percent of the "
-        "largest rock. Where no view would show half a pixel of it, detail is followed only at a "
-        "rock's middle, and most of the error is that: the last column is what it is in pixels of "
-        "the view that shows it largest, by the report. A message stands for what is refused; "
-        "nothing is written then.\n\n"
+        "large unless the row says otherwise, at their finest level. Everything goes through the "
+        "checks of the cfg, as in `scenec compile`. The error is the distance of the deepest "
+        "vertex from its requested depth, against the ground with all its detail, measured from "
+        "the stage's numbers with all vertices of up to 500 rocks; the next column has it in "
+        "percent of the largest rock. Where no view would show half a pixel of it, detail is "
+        "followed only at a rock's middle, which causes most of the error; the last column is "
+        "the report's error in pixels of the view that shows it largest. If a case is refused, "
+        "the table has the message, and nothing is written.\n\n"
         + table(
             ["case", "asked", "placed, or the message", "s", "largest error, m",
              "% of the largest", "px"], _rows(page),
         )
-        + "\nWhere it is large: at heights of 1e7 m positions, which the stage has in float32, are "
-        "off by up to half a meter (give heights near 0; a DEM's offset is recorded instead). "
-        "Hills of 100 m that are 2 m wide have detail between the samples far taller than a rock, "
-        "which its 32 lowest vertices do not find: rocks sink.\n"
+        + "\nTwo errors are large. At heights of 1e7 m, positions, which the stage holds in "
+        "float32, are off by up to half a meter (use heights near 0; a DEM's offset is recorded "
+        "instead). Hills of 100 m that are 2 m wide have detail between the samples that is far "
+        "taller than a rock. A rock's 32 lowest vertices do not find it, so rocks sink.\n"
         + "\n" + _single(page)
     )  # fmt: skip
 
@@ -206,10 +206,10 @@ def _single(page: Page) -> str:
                                                        "orientation" in change)])  # fmt: skip
     return (
         "### Single objects\n\n"
-        "A box at given poses on the same hills. The error of its place is against the surface "
-        "below it, and that of its turn and scale the largest difference of its matrix, over the "
-        "scale, from the rotations asked for (about x, then y, then z); along the normal it is "
-        "that of the upright axis' length.\n\n"
+        "A box at given poses on the same hills. The error of its place is measured against the "
+        "surface below it. The error of its turn and scale is the largest difference of its "
+        "matrix, over the scale, from the requested rotations (about x, then y, then z); along "
+        "the normal it is that of the upright axis' length.\n\n"
         + table(
             ["case", "asked", "placed, or the message", "s", "error of place, m",
              "error of turn and scale"], rows,

@@ -120,11 +120,11 @@ def kolmogorov(page: Page) -> str:
     return (
         "## Sizes: each law against its distribution function\n\n"
         f"Diameters from {_LOW:g} m to {_HIGH:g} m. The Kolmogorov-Smirnov statistic is the "
-        f"largest difference between the share of {n:,} drawn sizes below a size and the share "
-        "there should be, by closed forms (SciPy's normal distribution and exponential integral "
+        f"largest difference between the share of {n:,} drawn sizes below a size and the "
+        "expected share, by closed forms (SciPy's normal distribution and exponential integral "
         f"E₂). One sound law in a hundred lies above the 1 % critical value {critical:.5f} by "
-        "chance. The error of the law alone, without chance, is the same difference where the "
-        "uniform numbers are even: (i + ½)/n. The number behind a name is its shape: exponent, "
+        "chance. The error of the law alone, without chance, is the same difference for evenly "
+        "spaced uniform numbers: (i + ½)/n. The number behind a name is its shape: exponent, "
         f"scale in m, median and sigma, k (cfgs take 0.001 and more). Seconds are for {many:,} "
         "sizes.\n\n"
         + table(["law", "error of the law", "statistic", "below critical", "median, m", "s"], rows)
@@ -170,11 +170,11 @@ def _numbers_of_rocks(page: Page) -> str:
     for low in ("0.1", "0.5"):
         header += [f"N(>{low} m) a m², table", "integral", "ours off, %", "drawn", "off, %"]
     return (
-        "### How many rocks Golombek and Rapp (1997) say\n\n"
+        "### The number of rocks by Golombek and Rapp (1997)\n\n"
         "N(>D) = ∫ 4kq exp(−qD) / (πD²) dD, q = 1.79 + 0.152/k, up to 50 m; without a `count` that "
-        f"many are drawn, here on {side:g} m × {side:g} m. The table is that of another program; "
-        "the integral is SciPy's adaptive quadrature, beside which our Simpson's rule is off as "
-        "stated. Above 0.1 m the number is that asked for, rounded to a whole one; above 0.5 m it "
-        "is a sample, with the standard deviation behind ±. As k falls to 0 so does the number of "
-        "rocks: no overflow, no error, no rocks.\n\n" + table(header, rows)
+        f"many are drawn, here on {side:g} m × {side:g} m. The columns *table* come from another "
+        "program. The integral is SciPy's adaptive quadrature, and *ours off* is the error of "
+        "our Simpson's rule against it. Above 0.1 m the number is the expected one, rounded; "
+        "above 0.5 m it is a sample, with its standard deviation after ±. As k falls to 0 so "
+        "does the number of rocks, without overflow or error.\n\n" + table(header, rows)
     )

@@ -83,11 +83,11 @@ def seats(page: Page) -> str:
         "## Seats: error against cost\n\n"
         f"{count:,} rocks of 0.1 m to 1.5 m, {vertices} vertices each, on relief every 0.5 m with "
         f"detail down to {10 / 2**10:.2g} m (about {surface.amplitude_m():.2f} m high in all). "
-        "Each way of letting them down is held against the surface with all its detail at all "
-        "vertices: how far the deepest vertex is above the depth asked for (float) or below it "
-        "(sink), in meters, and the median in percent of a rock's size. `scenec compile` takes the "
-        "second way where no view shows the difference larger than half a pixel, and the 32 lowest "
-        "vertices elsewhere.\n\n"
+        "Each way of lowering them is compared with the surface with all its detail, at all "
+        "vertices. *Float* and *sink* are how far the deepest vertex is above or below the "
+        "requested depth, in meters; the median is in percent of a rock's size. `scenec compile` "
+        "takes the second way where no view shows the difference larger than half a pixel, and "
+        "the 32 lowest vertices elsewhere.\n\n"
         + table(
             ["vertices held against it", "float, m", "sink, m", "rms, m", "median, % of size", "s"],
             rows,
@@ -142,9 +142,10 @@ def levels(page: Page) -> str:
     return (
         "## Levels of detail, and a budget\n\n"
         f"{count:,} rocks of 0.05 m to 1 m on 120 m × 96 m, one camera of 640 × 480; eight shapes "
-        f"with all levels took {shapes:.2f} s. The worst error is that of the coarsest rock in the "
-        "view that shows it largest. Seconds are to look and to choose.\n\n"
+        f"with all levels took {shapes:.2f} s. The worst error is that of the coarsest rock in "
+        "the view that shows it largest. Seconds are those of choosing the levels.\n\n"
         + table(["`lod_px`", "triangles", "% of the finest", "worst, px", "s"], rows)
-        + "\n`lod_px` 0.5 and `max_triangles`: by which factor errors are larger than asked.\n\n"
+        + "\nWith `lod_px` 0.5 and `max_triangles`: the factor by which errors exceed the "
+        "request.\n\n"
         + table(["`max_triangles`", "triangles", "factor", "worst, px", "s"], spent)
     )  # fmt: skip

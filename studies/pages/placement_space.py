@@ -185,16 +185,17 @@ def densities(page: Page) -> str:
         "## Places: each law of density against its formula\n\n"
         f"{SIZE[0]:g} m × {SIZE[1]:g} m, relief every 0.4 m; {shown:,} objects of each law, from "
         "above, north up.\n\n" + picture + "\n"
-        f"{n:,} objects counted in squares of 2 m, beside the numbers that the formula says: "
-        f"integrated over squares of {_FINE:g} m (the noises' own values there). Chi-square per "
-        "degree of freedom is about 1 for a sound law; the next column says by how many standard "
-        "deviations it is off. Cells are those over which the density is taken as constant: this "
-        "is the approximation made. Seconds are for the cells and all places.\n\n"
-        "What the relief says (slope, height, curvature) is known at its samples and taken at the "
-        "middles of cells, so the last row is held against that: on these hills, whose slopes "
+        f"{n:,} objects counted in squares of 2 m, beside the numbers by the formula, "
+        f"integrated over squares of {_FINE:g} m (from the noises' own values there). Chi-square "
+        "per degree of freedom is about 1 for a sound law; the next column says by how many "
+        "standard deviations it is off. The density is taken as constant over each cell, which is "
+        "the "
+        "only approximation. Seconds are for the cells and all places.\n\n"
+        "Slope, height and curvature are known at the relief's samples and evaluated at the "
+        "middles of cells, and the last row is compared with that. On these hills, whose slopes "
         f"change from sample to sample, {astray:.0f} % of the objects lie where the slope between "
-        "the samples is beyond the bound and its softness. `over_m` asks for smoother slopes, a "
-        "smaller `spacing_m` for finer ones.\n\n"
+        "the samples is beyond the bound and its softness. `over_m` gives smoother slopes, a "
+        "smaller `spacing_m` finer ones.\n\n"
         + table(
             [
                 "density",
@@ -256,14 +257,14 @@ def apart(page: Page) -> str:
                 f"{max(worst, 0.0):.1e}", f"{max(-worst, 0.0):.1e}",
             ])  # fmt: skip
     return (
-        "## Overlap-free: from few to as many as fit\n\n"
+        "## Without overlap: from few to as many as fit\n\n"
         f"Circles on {SIZE[0]:g} m × {SIZE[1]:g} m, dart throwing with up to 512 tries each, the "
         "largest first, `\"shortfall\": \"fewer\"`: equal ones of 0.3 m, and diameters of a power "
         "law of exponent 2.5 from 0.1 m to 2 m. Coverage is the sum of the circles over the area. "
-        "Random sequential adsorption of equal discs jams at 0.547 (Feder 1980), and comes near it "
-        "only after endless tries. A law of sizes, the largest first, gets farther. The worst "
-        "overlap and the least gap are measured by brute force over all pairs, on the stage's "
-        "numbers, between the balls around the finished rocks.\n\n"
+        "Random sequential adsorption of equal discs jams at 0.547 (Feder 1980), and approaches "
+        "that only after endless tries. A law of sizes, the largest first, gets farther. The "
+        "worst overlap and the least gap are measured by brute force over all pairs, from the "
+        "stage's numbers, between the balls around the finished rocks.\n\n"
         + table(
             ["sizes", "coverage asked", "got", "asked", "placed", "most tries", "s",
              "worst overlap, m", "least gap, m"], rows,

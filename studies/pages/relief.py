@@ -20,10 +20,11 @@ from scenec.studies.runner import Page, run, table
 
 HEAD = """# Relief: what it looks like, and how sound it is
 
-Every operator of `terrain.relief` ([keys](cfg.md#relief-operator)), and what each promises over
-ranges far wider than sensible ones. Seconds are best readings on {cores} cores ({versions}); all
-else does not depend on the machine. Tests hold the same facts (`tests/compiler/test_relief*.py`,
-`test_extents.py`, `test_georeference.py`, `test_fastscapelib.py`); this page makes them readable.
+Every operator of `terrain.relief` ([keys](cfg.md#relief-operator)), what it looks like, and what
+it keeps to over ranges far wider than sensible ones. Seconds are best readings on {cores} cores
+({versions}); everything else does not depend on the machine. Tests check the same facts
+(`tests/compiler/test_relief*.py`, `test_extents.py`, `test_georeference.py`,
+`test_fastscapelib.py`); this page makes them readable.
 """
 
 

@@ -97,10 +97,11 @@ def steps(page: Page) -> str:
         "## Diffusion: any step, no new extrema, the mean kept\n\n"
         "`smooth` and `diffusion` are one exact step of the "
         f"semi-discrete equation (DCT-II with the discrete eigenvalues). {n}², κΔt/Δx² from 1e-6 "
-        "to 1e6; explicit Euler is unstable above 1/4, so it needs many steps (its time is that of "
-        "one step times their number). Columns: relative drift of the mean, and overshoot over the "
-        "range of heights; 2.2e-16 is the last bit. Behind a mask an operator is a blend of before "
-        "and after and conserves nothing; its report says so (`mask_conserves`).\n\n"
+        "to 1e6; Explicit Euler is unstable above 1/4, so it needs many steps (its time is that "
+        "of one step times their number). The columns show the relative drift of the mean and "
+        "the overshoot over the range of heights; 2.2e-16 is the last bit. With a mask an "
+        "operator blends the heights before and after and conserves nothing; its report says so "
+        "(`mask_conserves`).\n\n"
         + table(
             [
                 "κΔt/Δx²", "spikes: drift", "overshoot", "cliff of 10⁶ m: drift", "overshoot",
@@ -143,12 +144,12 @@ def schemes(page: Page) -> str:
         axes.grid(alpha=0.3)
     left.legend(fontsize=7, loc="upper left")
     return (
-        "### The schemes that were not taken\n\n"
-        "One step of each on the spikes (64²): overshoot over the range of heights, relative drift "
-        "of the mean, and what is left of the finest mode (1 is undamped). Crank-Nicolson keeps "
-        "what is finest at large steps; the continuous eigenvalues overshoot at small ones; "
-        "backward Euler has no new extrema, and an error of first order in time that ours has "
-        "not.\n\n"
+        "### Beside other schemes\n\n"
+        "One step of each on the spikes (64²). The cells hold the overshoot over the range of "
+        "heights, the relative drift of the mean, and the remaining share of the finest mode (1 "
+        "is undamped). Crank-Nicolson does not damp the finest mode at large steps. Continuous "
+        "eigenvalues overshoot at small steps. Backward Euler makes no new extrema, but has an "
+        "error of first order in time.\n\n"
         + table(["scheme", *(f"κΔt/Δx² = {k}" for k in ("0.01", "0.5", "100", "10⁶"))], rows)
         + "\n" + page.save(figure, "schemes")
     )  # fmt: skip
@@ -196,10 +197,11 @@ def convergence(page: Page) -> str:
     axes.legend()
     return (
         "### Against the analytic decay of a cosine mode\n\n"
-        "cos 3πx · cos 2πy on the unit square, until it has fallen to two thirds; largest error "
-        "against continuous diffusion, each scheme in one step but explicit Euler. Ours converges "
-        "with order 2 in space. A single implicit step stays at its error in time; the continuous "
-        "eigenvalues are exact here, where nothing is sharp, and overshoot elsewhere.\n\n"
+        "cos 3πx · cos 2πy on the unit square, until it has fallen to two thirds. The table shows "
+        "the largest error against continuous diffusion; each scheme takes one step, except "
+        "explicit Euler. Ours converges with order 2 in space. A single implicit step keeps its "
+        "error in time. Continuous eigenvalues are exact here, where nothing is sharp, and "
+        "overshoot elsewhere.\n\n"
         + table(
             ["grid", "error", "order", "seconds", *others, "continuous eigenvalues",
              "Euler's steps", "Euler's error", "Euler, s"],

@@ -64,10 +64,11 @@ def rivers(page: Page) -> str:
         each.legend(fontsize=8)
     return (
         "## Stream power: the slope-area law at any step\n\n"
-        "61 × 81 samples of 50 m, K = 1e-5, uplift 1 mm a year. Forty steps from the steady state "
-        "of much longer ones, the step as a multiple of the explicit limit Δx/(K·A^m); largest "
-        "deviation of slopes from S = (U/(K·A^m))^(1/n). Then three steps on noise of 50 m without "
-        "uplift: pits that are left, NaN, and the mean depth of what was filled.\n\n"
+        "61 × 81 samples of 50 m, K = 1e-5, uplift 1 mm a year. Forty steps start from the steady "
+        "state of much longer ones; the step is a multiple of the explicit limit Δx/(K·A^m). The "
+        "deviation is the largest of any slope from S = (U/(K·A^m))^(1/n). The right half shows "
+        "three steps on noise of 50 m without uplift: remaining pits, NaN, and the mean depth of "
+        "what was filled.\n\n"
         + table(
             ["m, n", "step / explicit limit", "largest deviation from the law, %", "pits",
              "pits (noise)", "NaN (noise)", "filled (noise), m"],
@@ -110,9 +111,10 @@ def slides(page: Page) -> str:
         ])  # fmt: skip
     return (
         "## Thermal erosion: slides to the angle of repose\n\n"
-        "200², 33°, spacing 1 m. A cliff must become a straight ramp about its middle (largest "
-        "difference from it: the two ends, within a sample). White noise is the other extreme. The "
-        "mean is kept; what the iteration leaves too steep (by more than 2 %) is counted.\n\n"
+        "200², 33°, spacing 1 m. A cliff must become a straight ramp about its middle; the "
+        "largest difference is at the ramp's two ends, within a sample. White noise is the other "
+        "extreme. The mean is kept. The table counts what the iteration leaves too steep (by "
+        "more than 2 %).\n\n"
         + table(
             ["drop, m", "cliff: off the ramp, m", "steepest, °", "drift of the mean",
              "noise: steepest before, °", "after, °", "too steep, %", "drift of the mean", "s"],

@@ -112,8 +112,8 @@ def gallery(page: Page) -> str:
     sheet.save(page.picture("gallery"), optimize=True)
     return (
         "## The operators\n\n"
-        "Hillshades, sun in the north-west 30° high; the width of each square stands beside its "
-        "name.\n\n![Hillshades of every operator](pictures/relief_gallery.png)\n"
+        "Hillshades with the sun in the north-west, 30° high. The width of each square is beside "
+        "its name.\n\n![Hillshades of every operator](pictures/relief_gallery.png)\n"
     )
 
 

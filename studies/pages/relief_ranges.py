@@ -152,11 +152,11 @@ def extents(page: Page) -> str:
         axes.legend(fontsize=8)
     return (
         "## Extents: from a millimeter to a thousand kilometers\n\n"
-        "One scene with every length multiplied, compiled to a stage and seen by `reference`. "
-        "Vertices are float32 in tiles; what is promised is 6e-8 of the extent, in meters and in "
-        "pixels where the ground is seen largest (`compile` and `explain` print it, and `compile` "
-        "warns above 0.05 pixels). Depth is held against the relief in float64: largest error over "
-        "the depth. Scaled by powers of two all annotation is equal to the last bit "
+        "One scene, with every length multiplied, is compiled to a stage and annotated by "
+        "`reference`. Vertices are float32 in tiles, so the promise is 6e-8 of the extent; the "
+        "table has it in meters, and in pixels where the ground is largest (`compile` and "
+        "`explain` print it, and `compile` warns above 0.05 pixels). Depth is compared with the "
+        "relief in float64. Scaled by powers of two, all annotation is equal to the last bit "
         "(`tests/compiler/test_extents.py`).\n\n"
         + table(
             ["extent, m", "promised, m", "promised, px", "error, m", "error, px", "sky",
@@ -198,11 +198,12 @@ def origins(page: Page) -> str:
         ])  # fmt: skip
     return (
         "## Origins: up to 10⁷ m off\n\n"
-        "A DEM's georeference is recorded, on the stage and in the report, and never enters the "
-        "arithmetic: noise and meshes live in local coordinates. A scene on a GeoTIFF (with noise, "
-        "label lines and rocks on it) at different places, seen by `reference`; values of "
-        f"{', '.join(PASSES)} that differ from the first row's. The plot above shows what a step "
-        "of float32 would be if it did enter.\n\n"
+        "A DEM's georeference is recorded on the stage and in the report, and never enters the "
+        "arithmetic: noise and meshes use local coordinates. The table moves a scene on a "
+        "GeoTIFF (with noise, label lines and rocks) to different places, and counts the values "
+        "of "
+        f"{', '.join(PASSES)} that differ from the first row's. The plot above shows the step of "
+        "float32 if the georeference did enter.\n\n"
         + table(["corner of the DEM, m", "recorded center, m", "bytes of the terrain", "differ"],
                 rows)
     )  # fmt: skip
@@ -256,9 +257,9 @@ def dems(page: Page) -> str:
         axes.set_axis_off()
     return (
         "## DEMs with holes, thin ones\n\n"
-        "Holes (NaN, the file's nodata, the cfg's) are an error, or filled by a membrane: "
-        "Laplace's equation over the hole's pixels, so that nothing rises above or falls below its "
-        "rim.\n\n"
+        "Holes (NaN, or the nodata value of the file or the cfg) are an error, or are filled by a "
+        "membrane: Laplace's equation over the hole's pixels, so nothing rises above or falls "
+        "below the rim.\n\n"
         + table(["DEM", "", ""], rows)
         + "\n" + page.save(figure, "holes")
     )  # fmt: skip

@@ -93,9 +93,9 @@ def inventory(page: Page) -> str:
     del page
     return (
         "## What steps or iterates\n\n"
-        "Everything in the compiler that does not end with one formula: what holds at its borders, "
-        "what ends it, and what report.json (or an error) says of it. What is marked * is measured "
-        "above.\n\n" + table(["what", "at borders", "ends", "states"], _INVENTORY)
+        "Everything in the compiler that is not one formula: its boundary condition, what ends "
+        "it, and the error that report.json states. Rows marked * are measured above.\n\n"
+        + table(["what", "at borders", "ends", "states"], _INVENTORY)
     )
 
 
@@ -153,15 +153,15 @@ def river_steps(page: Page) -> str:
             f"{seconds[number] / len(drawn):.3f}",
         ])  # fmt: skip
     return (
-        "## Stream power: what the steps err, and what is said of it\n\n"
+        "## Stream power: the error of its steps, and the stated error\n\n"
         f"{len(drawn)} drawn terrains of 49², 30 m to 30 km wide, with and without uplift, "
         "diffusion, channel heads, closed sides; Courant numbers of the whole time from 0.1 to "
-        f"300, n of 0.7, 1 and 1.5; against {8 * numbers[-1]:,} steps. Where water runs changes by "
-        "leaps, so the error falls with an order between 1/2 and 1, and under uplift that lasts "
-        "whole catchments may go to one river or another however short the steps are: the largest "
-        "errors are there. What is said is the difference from half as many steps times "
-        "1/(√2 − 1), which is right for order 1/2; it is an estimate, no bound. Seconds of the "
-        "processor are those of both runs.\n\n"
+        f"300, n of 0.7, 1 and 1.5; against {8 * numbers[-1]:,} steps. The course of water "
+        "changes in leaps, so the error falls with an order between 1/2 and 1. Under lasting "
+        "uplift, whole catchments may join one river or another however short the steps are; the "
+        "largest errors are there. The stated error is the difference from half as many steps "
+        "times 1/(√2 − 1), which is right for order 1/2. It is an estimate and no bound. CPU "
+        "seconds are those of both runs.\n\n"
         + table(
             ["steps", "error, % of the change: median", "nine of ten within",
              "error / said: median", "held, %", "within twice, %", "at most",
@@ -204,11 +204,11 @@ def iterations(page: Page) -> str:
     for name, height in _steep().items():
         rows += _slides(page, name, height)
     text = (
-        "## Slides and holes: what their iterations err\n\n"
-        "Thermal erosion at 33° on 129², against 3,200 iterations on the finest grid (50 are "
-        "made), meters; what is said is 1/(√2 − 1) times the difference from half as many. It is "
-        "too little on ground that is too steep all over, which comes to rest from its borders "
-        "inward.\n\n"
+        "## Slides and holes: the error of their iterations\n\n"
+        "Thermal erosion at 33° on 129², against 3,200 iterations on the finest grid (the "
+        "operator makes 50), in meters. The stated error is 1/(√2 − 1) times the difference from "
+        "half as many. It is too small for ground that is too steep everywhere, which comes to "
+        "rest from its borders inward.\n\n"
         + table(["ground", "iterations", "error rms", "said", "error of 99 %", "said", "s"], rows)
     )
     holes = []

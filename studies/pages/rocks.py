@@ -23,7 +23,7 @@ from scenec.schemas.frames import read_frame
 from scenec.schemas.picture import develop
 from scenec.studies.runner import Page, run, table
 
-HEAD = """# Rocks: what they look like, and what their levels of detail cost
+HEAD = """# Rocks
 
 The families of `objects` of type `rocks` ([keys](cfg.md#objects-rocks)). Every rock is a radius
 over the directions from a point inside of it, on a subdivided icosahedron: its mesh is closed,
@@ -160,8 +160,8 @@ def levels(page: Page) -> str:
         speed.append(f"{family} {page.timed(partial(build_chains, plan.source.shapes)):.2f}")
     header = ["family", *(f"{20 * 4**s:,}" for s in range(subdivisions - 1, -1, -1))]
     return (
-        "## Levels\n\nDistance of each level from the finest (5,120 triangles), in percent of the "
-        "rock's size, mean of eight shapes; the shapes' mean axis ratios.\n\n"
+        "## Levels\n\nThe distance of each level from the finest (5,120 triangles) in percent of "
+        "the rock's size, as the mean of eight shapes, and the shapes' mean axis ratios.\n\n"
         + table([*header, "b/a", "c/a"], rows)
         + f"\nSeconds to make eight shapes with all levels: {', '.join(speed)}.\n"
     )

@@ -58,9 +58,10 @@ HEAD = f"""# Skies by scattering
 
 `light.sky.type = "atmosphere"` bakes the sky of Earth or Mars: sunlight scattered once by gas and
 aerosol on a sphere (Nishita et al. 1993), at {atmosphere.WAVELENGTHS} wavelengths, in W/(m² sr).
-What the air leaves of the sun goes into the stage's DistantLight; the picture has no disc. Seconds
-are single readings on {{cores}} cores ({{versions}}), with other work beside them; errors do not
-depend on the machine.
+The sunlight that the air lets through goes into the stage's DistantLight; the picture has no
+disc. This page shows such skies, compares them with Blender's, and measures their error and cost.
+Seconds are single readings on {{cores}} cores ({{versions}}), with other work beside them; errors
+do not depend on the machine.
 """
 
 
@@ -108,15 +109,13 @@ def pictures(page: Page) -> str:
     axis.set(xlabel="bearing off the sun's, degrees", ylabel="red / blue")
     plot = page.save(figure, "aureole")
     return (
-        "## What they look like\n\nThe sun is in the middle of each; each picture is exposed for "
-        'itself. On the left `scattering: "single"`, on the right `"multiple"`. '
+        "## What they look like\n\nThe sun is in the middle of each picture, and each picture has "
+        'its own exposure. On the left `scattering: "single"`, on the right `"multiple"`. '
         "The number is the zenith's luminance under sunlight of 1 W/m² above the air.\n\n"
         + text
-        + "\nDust on Mars absorbs blue and diffracts it into a narrower cone than red. At the "
-        "height "
-        f"of a sun 6° up, red over blue is {ratio[0]:.2f} at the sun and {ratio[180]:.2f} at a "
-        "right "
-        "angle to it:\n\n" + plot
+        + "\nDust on Mars absorbs blue light, and diffracts it into a narrower cone than red "
+        f"light. At the height of a sun 6° up, red over blue is {ratio[0]:.2f} at the sun and "
+        f"{ratio[180]:.2f} at a right angle to it:\n\n" + plot
     )
 
 
@@ -251,11 +250,9 @@ def left_out(page: Page) -> str:
     return (
         "## What single scattering leaves out\n\n"
         "Blender's `MULTIPLE_SCATTERING` is another model (other aerosol, other ozone, ground of "
-        "albedo 0.3, a fit for all light scattered twice or more), so this is a measure, not an "
-        "error: "
-        "its skylight on level ground over single scattering's, the same of the lowest 20°, and "
-        "blue "
-        "over red in either.\n\n"
+        "albedo 0.3, a fit for all light scattered twice or more), so the table shows a "
+        "difference, not an error: its skylight on level ground over that of single scattering, "
+        "the same for the lowest 20°, and blue over red in either.\n\n"
         + table(
             [
                 "sun, altitude, air/dust/ozone",
@@ -267,9 +264,9 @@ def left_out(page: Page) -> str:
             ],
             rows,
         )
-        + "\nSo skylight is too weak, most so in hazy air and near the horizon; under much dust, "
-        "on Mars "
-        "at a low sun above all, the horizon away from the sun is too dark.\n"
+        + "\nSo single scattering makes skylight too weak, most of all in hazy air and near the "
+        "horizon. Under much dust, as on Mars with a low sun, the horizon away from the sun is "
+        "too dark.\n"
     )
 
 
@@ -293,7 +290,7 @@ def several(page: Page) -> str:
         for both in (False, True)
     ]
     return (
-        '## What `scattering: "multiple"` gives of it\n\nAll further orders, approximated '
+        '## What `scattering: "multiple"` adds\n\nAll further orders, approximated '
         "(`compiler/light/atmosphere_multiple.py`: Hillaire 2020, with the forward lobe taken out "
         "first). Skylight on level black ground under a slab of gray dust of some optical depth "
         f"and albedo, against {photons.PHOTONS:,} photons followed one by one (noise 0.3 %), over "
@@ -303,8 +300,8 @@ def several(page: Page) -> str:
             rows,
         )
         + f"\nAt 128 rows a sky takes {times[0]:.2f} s with single scattering, {times[1]:.2f} s "
-        "with multiple. What it gets wrong beside that: light scattered several times has no "
-        "lobe but the forward one, and ground lights the air once.\n"
+        "with multiple. It makes two further errors: light that was scattered several times has "
+        "no lobe but the forward one, and the ground illuminates the air only once.\n"
     )
 
 
@@ -375,10 +372,11 @@ def curves(page: Page) -> str:
         + table(["setting", *names, "s"], rows)
         + "\n"
         + plot
-        + "\nThe defaults leave below 1 %. Half of the bearings would do but for the few texels at "
-        "the edge of the planet's shadow. What a reader errs who goes straight between texels "
-        "(`resolution_error` in report.json), relative to the sky's mean, over the picture's "
-        "rows:\n\n" + table(["rows", *names, "s"], sizes)
+        + "\nThe defaults leave an error below 1 %. Half of the bearings would suffice, except "
+        "for the few texels at the edge of the planet's shadow. The next table shows the error "
+        "of linear interpolation between texels (`resolution_error` in report.json), relative to "
+        "the sky's mean, for different heights of the picture:\n\n"
+        + table(["rows", *names, "s"], sizes)
     )
 
 

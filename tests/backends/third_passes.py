@@ -11,10 +11,10 @@ from pathlib import Path
 
 import pytest
 
-#: The pass of docs/backends.md, as it stands there.
+#: The pass of docs/recipes.md, as it stands there.
 SLOPE = re.search(
-    r"`scenec_slope.py`:\n\n```python\n(.*?)```",
-    (Path(__file__).resolve().parents[2] / "docs" / "backends.md").read_text(encoding="utf-8"),
+    r"<!-- file: slope/scenec_slope.py -->\n```python\n(.*?)```",
+    (Path(__file__).resolve().parents[2] / "docs" / "recipes.md").read_text(encoding="utf-8"),
     re.DOTALL,
 )[1]
 

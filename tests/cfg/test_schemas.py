@@ -53,8 +53,8 @@ def test_a_schema_is_valid_draft_2020_12(name):
 #: Keywords that say where others apply, or nothing of values.
 _OTHERS = {
     "$defs", "$ref", "$schema", "additionalProperties", "allOf", "default", "description", "else",
-    "if", "items", "prefixItems", "properties", "propertyNames", "required", "then", "title",
-    "unevaluatedProperties",
+    "examples", "if", "items", "prefixItems", "properties", "propertyNames", "required", "then",
+    "title", "unevaluatedProperties",
 }  # fmt: skip
 
 
@@ -160,6 +160,23 @@ def test_an_editor_that_follows_the_files_as_they_stand_finds_the_same(changes, 
     assert editor.is_valid(cfg) == (not check_schema(walk(root(cfg)))) == sound
 
 
+def _examples():
+    """Place and example of every object of a cfg; unions have those of their kinds."""
+    for name, schema in load_schemas().items():
+        if name == NUMBER:
+            for kind, definition in schema["$defs"].items():
+                yield f"{name}#/$defs/{kind}", definition.get("examples", [None])[0]
+        elif name != ROOT and not {"allOf", "x-kinds"} & set(schema):
+            yield name, schema.get("examples", [None])[0]
+
+
+@pytest.mark.parametrize(("place", "example"), list(_examples()), ids=lambda value: str(value)[:40])
+def test_every_object_has_an_example_that_is_valid(place, example):
+    assert example is not None
+    validator = Draft202012Validator({"$ref": place}, registry=_REGISTRY)
+    assert not [error.message for error in validator.iter_errors(example)]
+
+
 def test_the_reference_page_is_up_to_date():
     page = (_DOCS / "cfg.md").read_text(encoding="utf-8")
     assert page == cfg_reference.make(), "run: python studies/pages/cfg_reference.py"
@@ -168,7 +185,7 @@ def test_the_reference_page_is_up_to_date():
 def test_the_reference_page_links_to_its_own_sections_only():
     page = cfg_reference.make()
     titles = re.findall(r"^## (.*)$", page, re.MULTILINE)
-    anchors = {re.sub(r"[^a-z0-9 -]", "", title.lower()).replace(" ", "-") for title in titles}
+    anchors = {re.sub(r"[^a-z0-9 _-]", "", title.lower()).replace(" ", "-") for title in titles}
     assert set(re.findall(r"\]\(#([^)]*)\)", page)) <= anchors
     assert titles[-1] == "Outputs"
     assert len(titles) == len(_NAMES) + 1

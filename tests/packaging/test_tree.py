@@ -73,6 +73,8 @@ def test_no_lock_file_with_addresses_is_in_the_repository() -> None:
 
 #: Extras that are in neither the lock nor the extra "all".
 TOO_LARGE = ("torch", "rerun")
+#: The extra that builds the pages: in the lock, and of no use to who makes pictures.
+FOR_DEVELOPERS = ("docs",)
 
 
 def locked() -> dict[str, str]:
@@ -107,10 +109,10 @@ def test_the_lock_holds_every_declared_dependency_at_an_allowed_version() -> Non
         assert requirement.specifier.contains(version), (requirement, version)
 
 
-def test_the_extra_all_is_all_extras_but_what_is_too_large() -> None:
+def test_the_extra_all_is_all_extras_that_users_want_but_what_is_too_large() -> None:
     table = tomllib.loads((ROOT / "pyproject.toml").read_text())
     extras = table["project"]["optional-dependencies"]
-    inside = [name for name in extras if name not in ("all", *TOO_LARGE)]
+    inside = [name for name in extras if name not in ("all", *TOO_LARGE, *FOR_DEVELOPERS)]
     assert extras["all"] == [f"scenec[{','.join(inside)}]"]
 
 
