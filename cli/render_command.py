@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from contextlib import ExitStack
 from dataclasses import fields
 
 from scenec.backends.run.executors import make_executor
@@ -11,6 +12,7 @@ from scenec.backends.run.plan import RenderPlan
 from scenec.backends.run.render import RenderReport, render
 from scenec.cli.output import Progress, print_json, say
 from scenec.schemas.memory import GB
+from scenec.schemas.units import Executor
 
 
 def run(options: argparse.Namespace) -> int:
@@ -21,13 +23,18 @@ def run(options: argparse.Namespace) -> int:
     return 1 if report.failed else 0
 
 
-def render_now(options: argparse.Namespace) -> RenderReport:
-    """Renders, and says what came of it."""
-    with make_executor(options.workers, options.cluster, limits_of(options)) as executor:
+def render_now(options: argparse.Namespace, executor: Executor | None = None) -> RenderReport:
+    """Renders, and says what came of it.
+
+    Args:
+        options: Of the command line.
+        executor: Who renders; None: as the options say.
+    """
+    with ExitStack() as stack:
         report = render(
             options.out,
             plan_of(options),
-            executor=executor,
+            executor=executor or stack.enter_context(executor_of(options)),
             progress=Progress("frame"),
             warn=lambda line: say(f"warning: {line}"),
             say=say,
@@ -42,6 +49,11 @@ def render_now(options: argparse.Namespace) -> RenderReport:
     where = "" if made is None else f": {made.parent}/"
     say(f"{report.rendered} frames rendered in {seconds:.1f} s{there}{where}")
     return report
+
+
+def executor_of(options: argparse.Namespace) -> Executor:
+    """Who renders, as a command line has it."""
+    return make_executor(options.workers, options.cluster, limits_of(options))
 
 
 def plan_of(options: argparse.Namespace) -> RenderPlan:

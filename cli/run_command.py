@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import argparse
+from contextlib import ExitStack
+from typing import TYPE_CHECKING
 
 from scenec.cli import compile_command
 from scenec.cli.output import print_json, status
 from scenec.schemas.errors import SceneError
+
+if TYPE_CHECKING:
+    from scenec.schemas.units import Executor
 
 
 def run(options: argparse.Namespace) -> int:
@@ -16,9 +21,20 @@ def run(options: argparse.Namespace) -> int:
         SceneError: A batch cannot be built; those before it are rendered.
     """
     status(f"reading {options.cfg}")
+    with ExitStack() as stack:
+        executor = None
+        if options.cluster is None:
+            # Its worker starts the renderer now, and has it once there is a stage.
+            from scenec.cli.render_command import executor_of
+
+            executor = stack.enter_context(executor_of(options))
+        return _run(options, executor)
+
+
+def _run(options: argparse.Namespace, executor: Executor | None) -> int:
     from scenec.cli import render_command
 
-    lidars = _refuse_early(options)
+    lidars = _refuse_early(options, executor)
     made: dict[str, object] = {}
     stopped: SceneError | None = None
     failed = False
@@ -36,7 +52,7 @@ def run(options: argparse.Namespace) -> int:
 
         # First: where no camera is triggered rendering ends in an error.
         made["scan"] = scan_command.as_json(scan_command.scan_now(options))
-    rendered = render_command.render_now(options)
+    rendered = render_command.render_now(options, executor)
     made["render"] = render_command.as_json(rendered)
     if options.json:
         print_json(made)
@@ -45,7 +61,7 @@ def run(options: argparse.Namespace) -> int:
     return 1 if failed or rendered.failed else 0
 
 
-def _refuse_early(options: argparse.Namespace) -> bool:
+def _refuse_early(options: argparse.Namespace, executor: Executor | None = None) -> bool:
     """What no renderer here can do should not cost a compilation.
 
     Returns:
@@ -66,5 +82,5 @@ def _refuse_early(options: argparse.Namespace) -> bool:
     if wanted is None:
         wanted = [name for s in sensors.values() for name in s["outputs"]]
     apertures = [name for name in drawn if "focus" in sensors[name]]
-    check_backend(plan_of(options), rgb="rgb" in wanted, apertures=apertures)
+    check_backend(plan_of(options), rgb="rgb" in wanted, apertures=apertures, executor=executor)
     return any("lidars" in rig for rig in rigs.values())

