@@ -143,6 +143,12 @@ class Backend(Protocol):
     #: this attribute is missing): what draws many pictures for one must know before the first.
     stochastic: bool
 
+    #: Whether ``radiance`` takes one more argument, ``first``: how many samples per pixel of the
+    #: same seed were drawn before, which it goes on from. Pictures drawn so, weighed by their
+    #: samples, have the error of one picture, which where samples are spread well is less than that
+    #: of as many of seeds of their own. May be missing: it does not.
+    continues: bool
+
     #: Bytes that loading takes, by what is in the scene: what cannot fit is refused before. May be
     #: missing.
     load_cost: LoadCost

@@ -46,6 +46,7 @@ class Mitsuba:
     denoiser = oidn.installed()
     denoiser_extra = "denoise"
     follows_lenses = True
+    continues = True
     load_cost = _LoadCost(row=900.0, triangle=250.0, written=140.0, most_written=2e9)
 
     def __init__(self, bounces: int = BOUNCES, device: str = "auto") -> None:
@@ -173,12 +174,18 @@ class Mitsuba:
         return Visibility(row, face)
 
     def radiance(
-        self, camera: Camera, sample: int, spp: int, seed: int, denoise: bool = False
+        self,
+        camera: Camera,
+        sample: int,
+        spp: int,
+        seed: int,
+        denoise: bool = False,
+        first: int = 0,
     ) -> Radiance:
         """Surface light in two independent halves of ceil(spp / 2) samples a pixel each.
 
-        Each half is a set of well-spread samples of its own (``mitsuba.sampler``): what the halves
-        differ by tells the error of their mean.
+        Each half is a sequence of well-spread samples of its own (``mitsuba.sampler``): what the
+        halves differ by tells the error of their mean.
 
         Box filter: the plain mean of samples placed anywhere in the pixel. The camera may have any
         K, skew included, and a lens, between whose rays on a lattice (``camera.lens``) samples are
@@ -194,10 +201,11 @@ class Mitsuba:
             self._set_light(scene.lighting[sample])
             self._lit_sample = sample
         if self._light is not None:
-            self._light.split(each)
+            # What goes on shares samples as what went before did.
+            self._light.split(each if first == 0 else 4)
         self._dropped = 0
         for half in range(2):
-            halves[half], alpha = self._half(camera, each, seed, half)
+            halves[half], alpha = self._half(camera, first // 2, each, mix(seed, half))
             coverage += 0.5 * alpha
         covered = np.minimum(coverage, 1.0).astype(np.float32)
         if self._table is not None:
@@ -210,14 +218,13 @@ class Mitsuba:
         return Radiance(halves, covered, 2 * each, dropped, clean)
 
     def _half(
-        self, camera: Camera, spp: int, seed: int, half: int
+        self, camera: Camera, first: int, spp: int, seed: int
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         light = np.zeros((camera.height, camera.width, 3))
         alpha = np.zeros((camera.height, camera.width))
         most = MAX_WAVEFRONT if self._kept is None else MAX_KEPT
-        first = 0
         for count in split_samples(spp, camera.width * camera.height, most):
-            light_sum, alpha_sum = self._pass(camera, first, count, mix(seed, half))
+            light_sum, alpha_sum = self._pass(camera, first, count, seed)
             light += light_sum
             alpha += alpha_sum
             first += count

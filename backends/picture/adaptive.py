@@ -1,9 +1,10 @@
 """Rendering until the noise is small enough, or the time is used: rounds of independent halves.
 
-Each round is a picture of its own noise. Their halves are summed, so memory does not grow with
-rounds, and no backend knows of it. Rounds double until the estimate can be trusted; then the law
-of independent samples, error ~ 1 / sqrt(samples), says how many are left to draw: rather too many,
-as those of a round are better spread than that.
+A round goes on where the one before it ended in each half's sequence of samples, if the backend can
+(``Backend.continues``): together they are as well spread as those of one picture. Else it is a
+picture of its own noise. Halves are summed, so memory does not grow with rounds. Rounds double
+until the estimate can be trusted; then the law of independent samples, error ~ 1 / sqrt(samples),
+says how many are left to draw: rather too many, as samples are better spread than that.
 """
 
 from __future__ import annotations
@@ -34,8 +35,9 @@ _MOST_GROWTH = 8
 #: A round that adds less than a part in this many of what is there is not worth its start.
 _LEAST_PART = 8
 
-#: ``draw(spp, seed)``: a picture of its own noise.
-Draw = Callable[[int, int], Radiance]
+#: ``draw(spp, seed)``: a picture of its own noise. ``draw(spp, seed, first)``: one that goes on
+#: after so many samples per pixel of the same seed.
+Draw = Callable[..., Radiance]
 Clock = Callable[[], float]
 
 
@@ -71,12 +73,14 @@ class Rounds:
 
     Attributes:
         target: What they were to reach.
+        continued: Whether each goes on where the one before it ended, with one seed.
         made: In order.
         stopped: Why there are no more: "error" (met), "seconds" (used), "spp" (the most there may
             be), or "unknown" (no noise to estimate: more samples would not be known to help).
     """
 
     target: Target
+    continued: bool = False
     made: list[Round] = field(default_factory=list)
     stopped: str = ""
 
@@ -110,7 +114,11 @@ class Rounds:
 
 
 def collect(
-    draw: Draw, seed: int, target: Target, clock: Clock = time.perf_counter
+    draw: Draw,
+    seed: int,
+    target: Target,
+    clock: Clock = time.perf_counter,
+    continues: bool = False,
 ) -> tuple[Radiance, Rounds]:
     """Draw rounds until the target is met, and sum them up.
 
@@ -122,14 +130,15 @@ def collect(
         seed: Of the frame; that of each round is derived from it and the round's number.
         target: What to reach.
         clock: Seconds from anywhere.
+        continues: Whether ``draw`` can go on; all rounds then have the seed of the first.
     """
     total = _Sum()
-    rounds = Rounds(target)
+    rounds = Rounds(target, continues)
     spp = min(FIRST_SPP, target.most)
     while True:
-        name = round_seed(seed, len(rounds.made))
+        name = round_seed(seed, 0 if continues else len(rounds.made))
         start = clock()
-        total.add(draw(spp, name))
+        total.add(draw(spp, name, rounds.spp) if continues else draw(spp, name))
         noise = total.noise()
         rounds.made.append(
             Round(spp, name, clock() - start, noise.relative_rms, noise.relative_rms_bound)
@@ -155,15 +164,17 @@ def plan(rounds: Rounds, noise: Noise) -> tuple[int, str]:
     if target.error is not None and enough and bound <= TRUSTED_RATIO * noise.relative_rms:
         needed = total * (bound / target.error) ** 2 - total
         wanted = round(min(max(needed, total / _LEAST_PART), (_MOST_GROWTH - 1) * total))
-    # Few sizes: a renderer may compile anew for each.
-    wanted = min(grid(wanted), left - left % 2)
+    # Few sizes: a renderer may compile anew for each. Sequences are spread best where they end at
+    # multiples of large powers of two.
+    wanted = grid(total + wanted) - total if rounds.continued else grid(wanted)
+    wanted = min(wanted, left - left % 2)
     if target.seconds is not None:
         last = rounds.made[-1]
         fits = (target.seconds - rounds.seconds) * last.spp / max(last.seconds, 1e-9)
         if fits < max(2.0, total / _LEAST_PART):
             return 0, "seconds"
         if fits < wanted:
-            wanted = grid(int(fits), up=False)
+            wanted = int(fits) // 2 * 2 if rounds.continued else grid(int(fits), up=False)
     return wanted, ""
 
 

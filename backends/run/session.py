@@ -325,18 +325,19 @@ class Session:
                 views = resample.plan_views(camera)
                 details["lens_radiance"] = {"way": "resampled", **views.as_json()}
 
-        def draw(count: int, noise: int) -> Radiance:
+        def draw(count: int, noise: int, first: int = 0) -> Radiance:
             if views is not None:
                 return resample.draw(backend, camera, views, sample, count, noise, denoise)
-            return tiles.radiance(backend, camera, sample, count, noise, denoise)
+            return tiles.radiance(backend, camera, sample, count, noise, denoise, first)
 
         blurred = self._blurred(camera, sample, denoise, details)
+        goes_on = getattr(backend, "continues", False) and views is None and blurred is None
         rounds = None
         with _timed(seconds, "radiance"):
             if target is None:
                 radiance = (blurred or draw)(spp, seed)
             else:
-                radiance, rounds = collect(blurred or draw, seed, target)
+                radiance, rounds = collect(blurred or draw, seed, target, continues=goes_on)
         if denoise and radiance.denoised is None:
             raise BackendError(f"backend {backend.name} was asked to denoise, and did not")
         return radiance, rounds

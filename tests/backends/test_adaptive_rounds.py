@@ -145,6 +145,31 @@ def test_every_round_has_noise_of_its_own_and_the_same_the_next_time():
     assert a.halves.tobytes() == b.halves.tobytes()
 
 
+def test_rounds_that_can_go_on_are_one_picture_of_one_seed():
+    begun = []
+
+    def stratified(spp: int, seed: int, first: int) -> Radiance:
+        begun.append(first)
+        # Each half's samples: a noise of the pixels' own that alternates, so that pairs cancel.
+        rng = np.random.default_rng(seed)
+        noise = rng.standard_normal((2, *SHAPE, 3))
+        signs = (-1.0) ** np.arange(first // 2, (first + spp) // 2)
+        rest = rng.standard_normal((2, *SHAPE, 3)) / np.sqrt(first + spp)
+        halves = 1.0 + noise * signs.mean() + 0.1 * rest
+        return Radiance(halves.astype(np.float32), np.ones(SHAPE, np.float32), spp)
+
+    picture, made = collect(stratified, 5, target(0.01), continues=True)
+    assert {one.seed for one in made.made} == {round_seed(5, 0)}
+    spp = [one.spp for one in made.made]
+    assert begun == [sum(spp[:number]) for number in range(len(spp))]
+    assert len(spp) > 2
+    assert (picture.spp, made.stopped) == (sum(spp), "error")
+    # Sequences end where they are spread best.
+    assert all(total == grid(total) for total in np.cumsum(spp).tolist())
+    limited = collect(stratified, 5, target(1e-9, most=30), continues=True)[1]
+    assert (limited.spp, limited.stopped) == (30, "spp")
+
+
 def test_the_most_samples_there_may_be_end_it():
     for most in (1, 2, 3, 8, 100):
         picture, made = collect(draw, 0, target(1e-4, most=most))
