@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scenec.backends.camera.lens import RayTable, ray_table
 from scenec.backends.contract import BOUNCES, NO_ROW, LoadCost, Radiance, Rays, Visibility
 from scenec.backends.mitsuba import geometry, variant
+from scenec.backends.mitsuba.aligned import aligned
 from scenec.backends.mitsuba.corners import split_corners
 from scenec.backends.mitsuba.kept import KeptScene
 from scenec.backends.picture import denoise as oidn
@@ -390,7 +391,7 @@ class Mitsuba:
         if flat.normals is not None:
             params["vertex_normals"] = flat.normals.ravel()
         if flat.texcoords is not None:
-            params["vertex_texcoords"] = flat.texcoords.ravel()
+            params["vertex_texcoords"] = aligned(flat.texcoords).ravel()
         params.update()
         for name, values in look.attributes.items():
             mesh.add_attribute(name, values.shape[1], np.ascontiguousarray(values).ravel())
@@ -417,7 +418,7 @@ class Mitsuba:
             if flat.normals is not None:
                 params[f"mesh{index}.vertex_normals"] = flat.normals.ravel()
             if flat.texcoords is not None:
-                params[f"mesh{index}.vertex_texcoords"] = flat.texcoords.ravel()
+                params[f"mesh{index}.vertex_texcoords"] = aligned(flat.texcoords).ravel()
             if index in self._glows:
                 self._glows[index].place(self._meshes[index], flat)
         params.update()
