@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import importlib
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -69,6 +70,8 @@ class Mitsuba:
         self._integrator: Any = None
         self._dropped = 0
         self._table: RayTable | None = None
+        #: Camera, sample, seed, and the denoiser's guides.
+        self._guided: tuple[Camera, int, int, Any] | None = None
         self._uploaded: tuple[RayTable, list[Any]] | None = None
 
     @property
@@ -102,7 +105,7 @@ class Mitsuba:
         self._groups = geometry.make_groups(scene)
         self._lit_sample = None
         self._glows = {}
-        self._kept, self._meshes = None, []
+        self._kept, self._meshes, self._guided = None, [], None
         if self.load_cost.keeps(scene):
             self._emitters(scene)
             self._kept = KeptScene(mi, scene, self._groups, self._center, self._bounces)
@@ -212,11 +215,22 @@ class Mitsuba:
         if self._table is not None:
             halves[:, ~self._table.known] = 0.0
             covered[~self._table.known] = 0.0
-        dropped, clean = self._dropped, None
-        if denoise:
-            guides = self._guides(camera, mix(seed, 2))
-            clean = oidn.denoise(halves, covered, *guides)
-        return Radiance(halves, covered, 2 * each, dropped, clean)
+        made = Radiance(halves, covered, 2 * each, self._dropped)
+        return self.denoise(camera, sample, made, seed) if denoise else made
+
+    def denoise(self, camera: Camera, sample: int, radiance: Radiance, seed: int) -> Radiance:
+        """A picture, each of its halves denoised apart, guided by what its pixels see."""
+        if (
+            self._guided is None
+            or self._guided[0] is not camera
+            or self._guided[1:3] != (sample, seed)
+        ):
+            self._pose(self._loaded(), sample)
+            self._table = None if camera.lens is None else ray_table(camera)
+            self._guided = (camera, sample, seed, self._guides(camera, mix(seed, 2)))
+        halves = oidn.denoise(radiance.halves, radiance.coverage, *self._guided[3])
+        mean = halves.mean(axis=0, dtype=np.float32)
+        return replace(radiance, denoised=mean, denoised_halves=halves)
 
     def _half(
         self, camera: Camera, first: int, spp: int, seed: int

@@ -20,7 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.backends.contract import Radiance
-from scenec.backends.picture.noise import UNKNOWN, Noise, estimate, sky_differs
+from scenec.backends.picture.compose import denoised_noise, noisy_pixels, through
+from scenec.backends.picture.noise import UNKNOWN, Noise, estimate
 
 #: Most samples per pixel, where a user does not say.
 MOST_SPP = 4096
@@ -38,6 +39,8 @@ _LEAST_PART = 8
 #: ``draw(spp, seed)``: a picture of its own noise. ``draw(spp, seed, first)``: one that goes on
 #: after so many samples per pixel of the same seed.
 Draw = Callable[..., Radiance]
+#: ``denoise(radiance, seed)``: the mean of all rounds so far, denoised.
+Denoise = Callable[[Radiance, int], Radiance]
 Clock = Callable[[], float]
 
 
@@ -74,6 +77,7 @@ class Rounds:
     Attributes:
         target: What they were to reach.
         continued: Whether each goes on where the one before it ended, with one seed.
+        denoised: Whether the error is that after denoising, which falls more slowly.
         made: In order.
         stopped: Why there are no more: "error" (met), "seconds" (used), "spp" (the most there may
             be), or "unknown" (no noise to estimate: more samples would not be known to help).
@@ -81,6 +85,7 @@ class Rounds:
 
     target: Target
     continued: bool = False
+    denoised: bool = False
     made: list[Round] = field(default_factory=list)
     stopped: str = ""
 
@@ -98,7 +103,8 @@ class Rounds:
         """As sidecars hold it.
 
         Args:
-            bound: Of the finished picture, before denoising; haze comes after the rounds.
+            bound: Of the finished picture, after denoising where that is known; haze comes after
+                the rounds.
         """
         goal = self.target.error
         return {
@@ -119,6 +125,7 @@ def collect(
     target: Target,
     clock: Clock = time.perf_counter,
     continues: bool = False,
+    denoise: Denoise | None = None,
 ) -> tuple[Radiance, Rounds]:
     """Draw rounds until the target is met, and sum them up.
 
@@ -131,21 +138,25 @@ def collect(
         target: What to reach.
         clock: Seconds from anywhere.
         continues: Whether ``draw`` can go on; all rounds then have the seed of the first.
+        denoise: Denoises what ``draw`` does not, after each round; its error then counts.
     """
     total = _Sum()
-    rounds = Rounds(target, continues)
+    rounds = Rounds(target, continues, denoise is not None)
     spp = min(FIRST_SPP, target.most)
     while True:
         name = round_seed(seed, 0 if continues else len(rounds.made))
         start = clock()
         total.add(draw(spp, name, rounds.spp) if continues else draw(spp, name))
-        noise = total.noise()
+        picture = total.radiance()
+        if denoise is not None:
+            picture = denoise(picture, round_seed(seed, 0))
+        noise = _noise_of(picture)
         rounds.made.append(
             Round(spp, name, clock() - start, noise.relative_rms, noise.relative_rms_bound)
         )
         spp, rounds.stopped = plan(rounds, noise)
         if rounds.stopped:
-            return total.radiance(), rounds
+            return picture, rounds
 
 
 def plan(rounds: Rounds, noise: Noise) -> tuple[int, str]:
@@ -163,7 +174,8 @@ def plan(rounds: Rounds, noise: Noise) -> tuple[int, str]:
     wanted = total
     if target.error is not None and enough and bound <= TRUSTED_RATIO * noise.relative_rms:
         needed = total * (bound / target.error) ** 2 - total
-        wanted = round(min(max(needed, total / _LEAST_PART), (_MOST_GROWTH - 1) * total))
+        least = total if rounds.denoised else total / _LEAST_PART
+        wanted = round(min(max(needed, least), (_MOST_GROWTH - 1) * total))
     # Few sizes: a renderer may compile anew for each. Sequences are spread best where they end at
     # multiples of large powers of two.
     wanted = grid(total + wanted) - total if rounds.continued else grid(wanted)
@@ -190,6 +202,15 @@ def round_seed(seed: int, number: int) -> int:
     """Seed of one round, 32 bits, unrelated to any other's."""
     digest = hashlib.blake2b(f"{seed}/round/{number}".encode(), digest_size=4).digest()
     return int.from_bytes(digest, "little")
+
+
+def _noise_of(picture: Radiance) -> Noise:
+    """Error of a picture; of a denoised one that after denoising, where it is known."""
+    if not picture.stochastic:
+        return UNKNOWN
+    if picture.denoised_halves is not None:
+        return denoised_noise([(picture, None)])
+    return estimate(through(picture, None), noisy_pixels(picture))
 
 
 class _Sum:
@@ -222,15 +243,6 @@ class _Sum:
         self._spp += one.spp
         self._dropped += one.dropped
         self._stochastic &= one.stochastic
-
-    def noise(self) -> Noise:
-        """Of the mean so far."""
-        if not self._stochastic:
-            return UNKNOWN
-        if self._background is None:
-            return estimate(self._halves / self._spp, self._coverage > 0.0)
-        halves = (self._halves + self._background) / self._spp
-        return estimate(halves, (self._coverage > 0.0) | sky_differs(self._background))
 
     def radiance(self) -> Radiance:
         """The mean of all rounds."""

@@ -16,6 +16,10 @@ CONFIDENCE = 0.95
 #: happen to agree, the estimate and the width of its bound are both too small. This quantile makes
 #: up for either, and leaves single pictures' share below 99 %.
 QUANTILE = 0.98
+#: The same of the normal distribution.
+_NORMAL_QUANTILE = 2.0537
+#: Pixels a side that a denoised picture's errors are summed over.
+BLOCK = 8
 
 
 @dataclass(frozen=True)
@@ -128,6 +132,44 @@ def estimate_parts(
     rms = float(np.sqrt(squares / count))
     factor = _factor(squares, squared)
     return Noise(rms, rms * float(np.sqrt(factor)), relative / count)
+
+
+def estimate_denoised(
+    parts: Iterable[tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]],
+) -> Noise:
+    """Error of the mean of two halves A and B that were denoised, each apart, to C and D.
+
+    With m = (C + D) / 2 and t what an endless picture would show, (m - A) (m - B) + (C - D) (A - B)
+    / 2 = m**2 - C B - D A + A B has the mean E[(m - t)**2], the denoiser's bias included: A and B
+    are unbiased, and each is independent of the other and of what the other was denoised to (a
+    cross-validation). ``relative_rms`` is the root of its mean over all covered pixels and
+    channels, over their mean radiance.
+
+    The bound: that mean is Gaussian, with the standard error that blocks of ``BLOCK`` pixels a side
+    have, within which pixels depend on each other.
+
+    Args:
+        parts: Of the picture: denoised halves and halves, [2, h, w, 3], and pixels that count,
+            [h, w]. None at all: it is unknown.
+    """
+    level, count = 0.0, 0
+    blocks: list[NDArray[np.float64]] = []
+    for (c, d), (a, b), covered in parts:
+        mean = 0.5 * (c + d)
+        squares = ((mean - a) * (mean - b) + 0.5 * (c - d) * (a - b)).sum(axis=-1) * covered
+        level += float((0.5 * (a + b))[covered].sum())
+        count += 3 * int(np.count_nonzero(covered))
+        edges = [np.arange(0, length, BLOCK) for length in covered.shape]
+        blocks.append(np.add.reduceat(np.add.reduceat(squares, edges[0], 0), edges[1], 1).ravel())
+    if not blocks or not np.isfinite(level):
+        return UNKNOWN
+    level = level / max(count, 1)
+    if level <= 0.0:
+        return NONE
+    sums = np.concatenate(blocks) / (level**2 * count)
+    square = max(float(sums.sum()), 0.0)
+    margin = _NORMAL_QUANTILE * float(np.sqrt(len(sums)) * sums.std())
+    return Noise(float(np.sqrt(square)), float(np.sqrt(square + margin)), None)
 
 
 def bound_factor(squares: NDArray[np.float64]) -> float:
