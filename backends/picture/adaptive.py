@@ -77,7 +77,7 @@ class Rounds:
     Attributes:
         target: What they were to reach.
         continued: Whether each goes on where the one before it ended, with one seed.
-        denoised: Whether the error is that after denoising, which falls more slowly.
+        denoised: Whether the picture was denoised last; its error then falls more slowly.
         made: In order.
         stopped: Why there are no more: "error" (met), "seconds" (used), "spp" (the most there may
             be), or "unknown" (no noise to estimate: more samples would not be known to help).
@@ -138,19 +138,27 @@ def collect(
         target: What to reach.
         clock: Seconds from anywhere.
         continues: Whether ``draw`` can go on; all rounds then have the seed of the first.
-        denoise: Denoises what ``draw`` does not, after each round; its error then counts.
+        denoise: Denoises what ``draw`` does not, after each round, until the picture as it is has
+            the lower bound; of two pictures the better one counts, and is returned.
     """
     total = _Sum()
-    rounds = Rounds(target, continues, denoise is not None)
+    rounds = Rounds(target, continues)
     spp = min(FIRST_SPP, target.most)
     while True:
         name = round_seed(seed, 0 if continues else len(rounds.made))
         start = clock()
         total.add(draw(spp, name, rounds.spp) if continues else draw(spp, name))
         picture = total.radiance()
-        if denoise is not None:
-            picture = denoise(picture, round_seed(seed, 0))
         noise = _noise_of(picture)
+        if denoise is not None:
+            clean = denoise(picture, round_seed(seed, 0))
+            after = _noise_of(clean)
+            rounds.denoised = _below(after, noise)
+            if rounds.denoised:
+                picture, noise = clean, after
+            else:
+                # More samples only add to the lead of the picture as it is.
+                denoise = None
         rounds.made.append(
             Round(spp, name, clock() - start, noise.relative_rms, noise.relative_rms_bound)
         )
@@ -211,6 +219,12 @@ def _noise_of(picture: Radiance) -> Noise:
     if picture.denoised_halves is not None:
         return denoised_noise([(picture, None)])
     return estimate(through(picture, None), noisy_pixels(picture))
+
+
+def _below(one: Noise, other: Noise) -> bool:
+    """Whether an error has the lower bound."""
+    a, b = one.relative_rms_bound, other.relative_rms_bound
+    return a is not None and b is not None and a < b
 
 
 class _Sum:

@@ -344,7 +344,7 @@ class Session:
                 radiance, rounds = collect(
                     blurred or draw, seed, target, continues=goes_on, denoise=later
                 )
-        if denoise and radiance.denoised is None:
+        if denoise and radiance.denoised is None and later is None:
             raise BackendError(f"backend {backend.name} was asked to denoise, and did not")
         return radiance, rounds
 

@@ -128,6 +128,9 @@ def test_rounds_are_denoised_together_and_their_error_after_it_counts():
     np.testing.assert_allclose(picture.denoised, once.denoised, rtol=2e-3, atol=2e-3)
     plain = collect(draw, 7, Target(0.025, None, 256), continues=True)[1]
     assert rounds.spp < plain.spp
+    # Where denoising does harm, the picture as it is counts.
+    picture, rounds = collect(draw, 7, Target(0.004, None, 4096), **options)
+    assert (rounds.stopped, rounds.denoised, picture.denoised) == ("error", False, None)
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (3, 70), (48, 64)])
