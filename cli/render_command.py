@@ -28,13 +28,14 @@ def render_now(options: argparse.Namespace, executor: Executor | None = None) ->
 
     Args:
         options: Of the command line.
-        executor: Who renders; None: as the options say.
+        executor: Who works; None: who the options say.
     """
     with ExitStack() as stack:
+        executor = executor or stack.enter_context(executor_of(options))
         report = render(
             options.out,
             plan_of(options),
-            executor=executor or stack.enter_context(executor_of(options)),
+            executor=executor,
             progress=Progress("frame"),
             warn=lambda line: say(f"warning: {line}"),
             say=say,

@@ -11,6 +11,7 @@ from scenec.cli.output import print_json, status
 from scenec.schemas.errors import SceneError
 
 if TYPE_CHECKING:
+    from scenec.compiler.cfg.typed import Cfg
     from scenec.schemas.units import Executor
 
 
@@ -21,20 +22,22 @@ def run(options: argparse.Namespace) -> int:
         SceneError: A batch cannot be built; those before it are rendered.
     """
     status(f"reading {options.cfg}")
+    from scenec.cli.render_command import executor_of
+    from scenec.compiler.cfg.load import load
+
+    cfg = load(options.cfg, options.settings).cfg
     with ExitStack() as stack:
         executor = None
         if options.cluster is None:
             # Its worker starts the renderer now, and has it once there is a stage.
-            from scenec.cli.render_command import executor_of
-
             executor = stack.enter_context(executor_of(options))
-        return _run(options, executor)
+        return _run(options, cfg, executor)
 
 
-def _run(options: argparse.Namespace, executor: Executor | None) -> int:
+def _run(options: argparse.Namespace, cfg: Cfg, executor: Executor | None) -> int:
     from scenec.cli import render_command
 
-    lidars = _refuse_early(options, executor)
+    lidars = refuse_early(options, cfg, executor)
     made: dict[str, object] = {}
     stopped: SceneError | None = None
     failed = False
@@ -61,22 +64,25 @@ def _run(options: argparse.Namespace, executor: Executor | None) -> int:
     return 1 if failed or rendered.failed else 0
 
 
-def _refuse_early(options: argparse.Namespace, executor: Executor | None = None) -> bool:
+def refuse_early(options: argparse.Namespace, cfg: Cfg, executor: Executor | None = None) -> bool:
     """What no renderer here can do should not cost a compilation.
+
+    Args:
+        options: Of the command line.
+        cfg: What will be compiled.
+        executor: Who starts the renderer, and has it then; None: a process of its own.
 
     Returns:
         Whether there are lidars.
 
     Raises:
-        CfgError: The cfg has faults.
         BackendError: The backend cannot render what is asked for.
     """
     from scenec.backends.run.auto import check_backend
     from scenec.cli.render_command import plan_of
-    from scenec.compiler.cfg.load import load
 
     wanted = options.passes
-    rigs = load(options.cfg).cfg["rigs"]
+    rigs = cfg["rigs"]
     sensors = {f"{rig}_{name}": s for rig in rigs for name, s in rigs[rig]["sensors"].items()}
     drawn = [n for n, s in sensors.items() if "rgb" in (wanted or s["outputs"])]
     if wanted is None:
