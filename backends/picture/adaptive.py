@@ -4,7 +4,7 @@ A round goes on where the one before it ended in each half's sequence of samples
 (``Backend.continues``): together they are as well spread as those of one picture. Else it is a
 picture of its own noise. Halves are summed, so memory does not grow with rounds. Rounds double
 until the estimate can be trusted; then the law of independent samples, error ~ 1 / sqrt(samples),
-says how many are left to draw: rather too many, as samples are better spread than that.
+says how many are left to draw, or of a sequence the slope that the last rounds had.
 """
 
 from __future__ import annotations
@@ -31,6 +31,8 @@ FIRST_SPP = 8
 LEAST_TRUSTED = 16
 #: A bound farther above its estimate comes from few pixels; the estimate says little then.
 TRUSTED_RATIO = 1.5
+#: Steepest slope of error over samples that is counted on: smooth pictures have it.
+STEEPEST = 0.75
 #: No prediction makes the picture more than this many times as costly in one go.
 _MOST_GROWTH = 8
 #: A round that adds less than a part in this many of what is there is not worth its start.
@@ -181,7 +183,7 @@ def plan(rounds: Rounds, noise: Noise) -> tuple[int, str]:
         return 0, "spp"
     wanted = total
     if target.error is not None and enough and bound <= TRUSTED_RATIO * noise.relative_rms:
-        needed = total * (bound / target.error) ** 2 - total
+        needed = total * (bound / target.error) ** (1.0 / _slope(rounds)) - total
         least = total if rounds.denoised else total / _LEAST_PART
         wanted = round(min(max(needed, least), (_MOST_GROWTH - 1) * total))
     # Few sizes: a renderer may compile anew for each. Sequences are spread best where they end at
@@ -196,6 +198,17 @@ def plan(rounds: Rounds, noise: Noise) -> tuple[int, str]:
         if fits < wanted:
             wanted = int(fits) // 2 * 2 if rounds.continued else grid(int(fits), up=False)
     return wanted, ""
+
+
+def _slope(rounds: Rounds) -> float:
+    """What s is in error ~ samples**-s: 1/2 of independent samples, of a sequence as it was found."""
+    if not rounds.continued or rounds.denoised or len(rounds.made) < 2:
+        return 0.5
+    before, last = rounds.made[-2:]
+    if not before.relative_rms or not last.relative_rms:
+        return 0.5
+    fell = math.log(before.relative_rms / last.relative_rms)
+    return min(max(0.5, fell / math.log(rounds.spp / (rounds.spp - last.spp))), STEEPEST)
 
 
 def grid(spp: int, up: bool = True) -> int:

@@ -16,7 +16,7 @@ from third_party import LEVEL, NOISE, install, square_stage
 from scenec.backends.contract import Radiance
 from scenec.backends.picture import adaptive as rounds
 from scenec.backends.picture.adaptive import Target, collect, grid, round_seed
-from scenec.backends.picture.noise import QUANTILE, bound_factor, estimate
+from scenec.backends.picture.noise import QUANTILE, Noise, bound_factor, estimate
 from scenec.backends.run.plan import RenderPlan
 from scenec.backends.run.render import render
 from scenec.cli.main import main
@@ -168,6 +168,20 @@ def test_rounds_that_can_go_on_are_one_picture_of_one_seed():
     assert all(total == grid(total) for total in np.cumsum(spp).tolist())
     limited = collect(stratified, 5, target(1e-9, most=30), continues=True)[1]
     assert (limited.spp, limited.stopped) == (30, "spp")
+
+
+@pytest.mark.parametrize(("fell", "slope"), [(0.3, 0.5), (0.6, 0.6), (2.0, rounds.STEEPEST)])
+def test_a_sequence_is_drawn_as_far_as_its_own_slope_tells(fell, slope):
+    def made(continued: bool) -> rounds.Rounds:
+        errors = [0.1, 0.1 * 2.0**-fell]
+        both = [rounds.Round(32, 1, 1.0, error, 1.02 * error) for error in errors]
+        return rounds.Rounds(target(0.2 * errors[1]), continued, made=both)
+
+    noise = Noise(0.1 * 2.0**-fell, 0.102 * 2.0**-fell, None)
+    needed = 64 * 5.1 ** (1.0 / slope)
+    spp, _ = rounds.plan(made(continued=True), noise)
+    assert 64 + spp == min(grid(round(needed)), 512)
+    assert rounds.plan(made(continued=False), noise)[0] == 448
 
 
 def test_the_most_samples_there_may_be_end_it():
