@@ -201,7 +201,7 @@ def plan(rounds: Rounds, noise: Noise) -> tuple[int, str]:
 
 
 def _slope(rounds: Rounds) -> float:
-    """What s is in error ~ samples**-s: 1/2 of independent samples, of a sequence as it was found."""
+    """The s of error ~ samples**-s: 1/2 of independent samples, of a sequence as it was found."""
     if not rounds.continued or rounds.denoised or len(rounds.made) < 2:
         return 0.5
     before, last = rounds.made[-2:]
