@@ -9,6 +9,7 @@ each pixel's center? ``scenec check --backends`` holds it against the annotation
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -64,6 +65,9 @@ class Radiance:
         spp: Samples per pixel in both halves together.
         dropped: Samples whose light was negative or not finite (float32 slivers), counted as black.
         denoised: The mean of the halves after denoising, float32 [h, w, 3]; None unless asked for.
+        denoised_halves: What it is the mean of, where each half was denoised apart, float32
+            [2, h, w, 3]: they tell its error (``picture.noise.estimate_denoised``). None where they
+            were not: its error is unknown.
         stochastic: Whether the halves' difference estimates the error. A rasterizer has no noise to
             estimate: its halves are equal, and its error is unknown.
         background: Sky and suns behind each half's surfaces, premultiplied, and both as haze lets
@@ -79,6 +83,7 @@ class Radiance:
     denoised: NDArray[np.float32] | None = None
     stochastic: bool = True
     background: NDArray[np.float32] | None = None
+    denoised_halves: NDArray[np.float32] | None = None
 
 
 @dataclass(frozen=True)
@@ -142,6 +147,16 @@ class Backend(Protocol):
     #: Whether its radiance is a Monte Carlo estimate, ``Radiance.stochastic`` (which it is where
     #: this attribute is missing): what draws many pictures for one must know before the first.
     stochastic: bool
+
+    #: ``denoise(camera, sample, radiance, seed)`` gives a picture that it has drawn, or the mean of
+    #: several, with ``denoised`` and ``denoised_halves``. May be missing: each is denoised as it is
+    #: drawn.
+    denoise: Callable[[Camera, int, Radiance, int], Radiance]
+    #: Whether ``radiance`` takes one more argument, ``first``: how many samples per pixel of the
+    #: same seed were drawn before, which it goes on from. Pictures drawn so, weighed by their
+    #: samples, have the error of one picture, which where samples are spread well is less than that
+    #: of as many of seeds of their own. May be missing: it does not.
+    continues: bool
 
     #: Bytes that loading takes, by what is in the scene: what cannot fit is refused before. May be
     #: missing.

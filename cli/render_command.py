@@ -31,9 +31,7 @@ def render_now(options: argparse.Namespace, executor: Executor | None = None) ->
         executor: Who works; None: who the options say.
     """
     with ExitStack() as stack:
-        executor = executor or stack.enter_context(
-            make_executor(options.workers, options.cluster, limits_of(options))
-        )
+        executor = executor or stack.enter_context(executor_of(options))
         report = render(
             options.out,
             plan_of(options),
@@ -52,6 +50,11 @@ def render_now(options: argparse.Namespace, executor: Executor | None = None) ->
     where = "" if made is None else f": {made.parent}/"
     say(f"{report.rendered} frames rendered in {seconds:.1f} s{there}{where}")
     return report
+
+
+def executor_of(options: argparse.Namespace) -> Executor:
+    """Who renders, as a command line has it."""
+    return make_executor(options.workers, options.cluster, limits_of(options))
 
 
 def plan_of(options: argparse.Namespace) -> RenderPlan:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from contextlib import ExitStack
 from typing import TYPE_CHECKING
 
 from scenec.cli import compile_command
@@ -11,6 +12,7 @@ from scenec.schemas.errors import SceneError
 
 if TYPE_CHECKING:
     from scenec.compiler.cfg.typed import Cfg
+    from scenec.schemas.units import Executor
 
 
 def run(options: argparse.Namespace) -> int:
@@ -20,10 +22,22 @@ def run(options: argparse.Namespace) -> int:
         SceneError: A batch cannot be built; those before it are rendered.
     """
     status(f"reading {options.cfg}")
-    from scenec.cli import render_command
+    from scenec.cli.render_command import executor_of
     from scenec.compiler.cfg.load import load
 
-    lidars = refuse_early(options, load(options.cfg, options.settings).cfg)
+    cfg = load(options.cfg, options.settings).cfg
+    with ExitStack() as stack:
+        executor = None
+        if options.cluster is None:
+            # Its worker starts the renderer now, and has it once there is a stage.
+            executor = stack.enter_context(executor_of(options))
+        return _run(options, cfg, executor)
+
+
+def _run(options: argparse.Namespace, cfg: Cfg, executor: Executor | None) -> int:
+    from scenec.cli import render_command
+
+    lidars = refuse_early(options, cfg, executor)
     made: dict[str, object] = {}
     stopped: SceneError | None = None
     failed = False
@@ -41,7 +55,7 @@ def run(options: argparse.Namespace) -> int:
 
         # First: where no camera is triggered rendering ends in an error.
         made["scan"] = scan_command.as_json(scan_command.scan_now(options))
-    rendered = render_command.render_now(options)
+    rendered = render_command.render_now(options, executor)
     made["render"] = render_command.as_json(rendered)
     if options.json:
         print_json(made)
@@ -50,8 +64,13 @@ def run(options: argparse.Namespace) -> int:
     return 1 if failed or rendered.failed else 0
 
 
-def refuse_early(options: argparse.Namespace, cfg: Cfg) -> bool:
+def refuse_early(options: argparse.Namespace, cfg: Cfg, executor: Executor | None = None) -> bool:
     """What no renderer here can do should not cost a compilation.
+
+    Args:
+        options: Of the command line.
+        cfg: What will be compiled.
+        executor: Who starts the renderer, and has it then; None: a process of its own.
 
     Returns:
         Whether there are lidars.
@@ -69,5 +88,5 @@ def refuse_early(options: argparse.Namespace, cfg: Cfg) -> bool:
     if wanted is None:
         wanted = [name for s in sensors.values() for name in s["outputs"]]
     apertures = [name for name in drawn if "focus" in sensors[name]]
-    check_backend(plan_of(options), rgb="rgb" in wanted, apertures=apertures)
+    check_backend(plan_of(options), rgb="rgb" in wanted, apertures=apertures, executor=executor)
     return any("lidars" in rig for rig in rigs.values())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import importlib
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 from scenec.backends.camera.lens import RayTable, ray_table
 from scenec.backends.contract import BOUNCES, NO_ROW, LoadCost, Radiance, Rays, Visibility
 from scenec.backends.mitsuba import geometry, variant
+from scenec.backends.mitsuba.aligned import aligned
 from scenec.backends.mitsuba.corners import split_corners
 from scenec.backends.mitsuba.kept import KeptScene
 from scenec.backends.picture import denoise as oidn
@@ -46,6 +48,7 @@ class Mitsuba:
     denoiser = oidn.installed()
     denoiser_extra = "denoise"
     follows_lenses = True
+    continues = True
     load_cost = _LoadCost(row=900.0, triangle=250.0, written=140.0, most_written=2e9)
 
     def __init__(self, bounces: int = BOUNCES, device: str = "auto") -> None:
@@ -67,6 +70,8 @@ class Mitsuba:
         self._integrator: Any = None
         self._dropped = 0
         self._table: RayTable | None = None
+        #: Camera, sample, seed, and the denoiser's guides.
+        self._guided: tuple[Camera, int, int, Any] | None = None
         self._uploaded: tuple[RayTable, list[Any]] | None = None
 
     @property
@@ -100,7 +105,7 @@ class Mitsuba:
         self._groups = geometry.make_groups(scene)
         self._lit_sample = None
         self._glows = {}
-        self._kept, self._meshes = None, []
+        self._kept, self._meshes, self._guided = None, [], None
         if self.load_cost.keeps(scene):
             self._emitters(scene)
             self._kept = KeptScene(mi, scene, self._groups, self._center, self._bounces)
@@ -173,12 +178,18 @@ class Mitsuba:
         return Visibility(row, face)
 
     def radiance(
-        self, camera: Camera, sample: int, spp: int, seed: int, denoise: bool = False
+        self,
+        camera: Camera,
+        sample: int,
+        spp: int,
+        seed: int,
+        denoise: bool = False,
+        first: int = 0,
     ) -> Radiance:
         """Surface light in two independent halves of ceil(spp / 2) samples a pixel each.
 
-        Each half is a set of well-spread samples of its own (``mitsuba.sampler``): what the halves
-        differ by tells the error of their mean.
+        Each half is a sequence of well-spread samples of its own (``mitsuba.sampler``): what the
+        halves differ by tells the error of their mean.
 
         Box filter: the plain mean of samples placed anywhere in the pixel. The camera may have any
         K, skew included, and a lens, between whose rays on a lattice (``camera.lens``) samples are
@@ -194,30 +205,41 @@ class Mitsuba:
             self._set_light(scene.lighting[sample])
             self._lit_sample = sample
         if self._light is not None:
-            self._light.split(each)
+            # What goes on shares samples as what went before did.
+            self._light.split(each if first == 0 else 4)
         self._dropped = 0
         for half in range(2):
-            halves[half], alpha = self._half(camera, each, seed, half)
+            halves[half], alpha = self._half(camera, first // 2, each, mix(seed, half))
             coverage += 0.5 * alpha
         covered = np.minimum(coverage, 1.0).astype(np.float32)
         if self._table is not None:
             halves[:, ~self._table.known] = 0.0
             covered[~self._table.known] = 0.0
-        dropped, clean = self._dropped, None
-        if denoise:
-            guides = self._guides(camera, mix(seed, 2))
-            clean = oidn.denoise(halves, covered, *guides)
-        return Radiance(halves, covered, 2 * each, dropped, clean)
+        made = Radiance(halves, covered, 2 * each, self._dropped)
+        return self.denoise(camera, sample, made, seed) if denoise else made
+
+    def denoise(self, camera: Camera, sample: int, radiance: Radiance, seed: int) -> Radiance:
+        """A picture, each of its halves denoised apart, guided by what its pixels see."""
+        if (
+            self._guided is None
+            or self._guided[0] is not camera
+            or self._guided[1:3] != (sample, seed)
+        ):
+            self._pose(self._loaded(), sample)
+            self._table = None if camera.lens is None else ray_table(camera)
+            self._guided = (camera, sample, seed, self._guides(camera, mix(seed, 2)))
+        halves = oidn.denoise(radiance.halves, radiance.coverage, *self._guided[3])
+        mean = halves.mean(axis=0, dtype=np.float32)
+        return replace(radiance, denoised=mean, denoised_halves=halves)
 
     def _half(
-        self, camera: Camera, spp: int, seed: int, half: int
+        self, camera: Camera, first: int, spp: int, seed: int
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         light = np.zeros((camera.height, camera.width, 3))
         alpha = np.zeros((camera.height, camera.width))
         most = MAX_WAVEFRONT if self._kept is None else MAX_KEPT
-        first = 0
         for count in split_samples(spp, camera.width * camera.height, most):
-            light_sum, alpha_sum = self._pass(camera, first, count, mix(seed, half))
+            light_sum, alpha_sum = self._pass(camera, first, count, seed)
             light += light_sum
             alpha += alpha_sum
             first += count
@@ -383,7 +405,7 @@ class Mitsuba:
         if flat.normals is not None:
             params["vertex_normals"] = flat.normals.ravel()
         if flat.texcoords is not None:
-            params["vertex_texcoords"] = flat.texcoords.ravel()
+            params["vertex_texcoords"] = aligned(flat.texcoords).ravel()
         params.update()
         for name, values in look.attributes.items():
             mesh.add_attribute(name, values.shape[1], np.ascontiguousarray(values).ravel())
@@ -410,7 +432,7 @@ class Mitsuba:
             if flat.normals is not None:
                 params[f"mesh{index}.vertex_normals"] = flat.normals.ravel()
             if flat.texcoords is not None:
-                params[f"mesh{index}.vertex_texcoords"] = flat.texcoords.ravel()
+                params[f"mesh{index}.vertex_texcoords"] = aligned(flat.texcoords).ravel()
             if index in self._glows:
                 self._glows[index].place(self._meshes[index], flat)
         params.update()

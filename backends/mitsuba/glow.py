@@ -16,6 +16,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.backends.mitsuba.aligned import aligned
 from scenec.backends.mitsuba.geometry import FlatMesh
 from scenec.backends.mitsuba.stack import Glow as Radiance
 from scenec.backends.stage.scene import RenderScene, Surface
@@ -78,7 +79,9 @@ class Glow(mi.Emitter):
         self.corners = mi.UInt32(flat.faces.ravel())
         self.points = mi.Float(flat.points.ravel())
         self.normals = None if flat.normals is None else mi.Float(flat.normals.ravel())
-        self.coordinates = None if flat.texcoords is None else mi.Float(flat.texcoords.ravel())
+        self.coordinates = (
+            None if flat.texcoords is None else mi.Float(aligned(flat.texcoords).ravel())
+        )
         # Its number: the mesh itself would hold this, and this it, for ever.
         pointer = dr.reinterpret_array(mi.UInt32, mi.ShapePtr(mesh))
         self.shape = dr.opaque(mi.UInt32, int(np.array(pointer)[0]))

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from scenec.backends.contract import NO_ROW, Rays, Visibility
 from scenec.backends.exact.caster import ExactCaster
 from scenec.backends.exact.trace import Beams, Found, trace_all
+from scenec.backends.mitsuba.aligned import aligned_columns
 from scenec.backends.mitsuba.corners import vertex_uv
 from scenec.backends.mitsuba.geometry import Group, cofactors, group_surfaces, unplaced
 from scenec.backends.stage.scene import RenderScene
@@ -228,7 +229,7 @@ class KeptScene:
         si.t = 1.0
         si.prim_index = dr.arange(mi.UInt32, count)
         self._lanes.channels = columns[20:]
-        (which,) = _aligned([self._looks[self._look_of_row[hit.row]]], np.uint32)
+        (which,) = aligned_columns([self._looks[self._look_of_row[hit.row]]], np.uint32)
         bsdf: Any = dr.reinterpret_array(mi.BSDFPtr, mi.UInt32(which))
         return si, bsdf
 
@@ -239,7 +240,7 @@ class KeptScene:
         mi = self._mi
         count = len(hit.row)
         si, bsdf = self._interaction(hit)
-        numbers = [mi.Float(values) for values in _aligned(drawn)]
+        numbers = [mi.Float(values) for values in aligned_columns(drawn)]
 
         ds, value = light.sample_direction(si, mi.Point2f(*numbers[:2]), mi.Bool(True))
         reflected, density, bs, weight = bsdf.eval_pdf_sample(
@@ -319,7 +320,7 @@ class _Hits(NamedTuple):
     ) -> _Hits:
         tables = kept._tables
         places, lifts = np.empty((2, len(lanes), 3))
-        columns = _aligned(np.empty((21 + tables.values.shape[1], len(lanes)), np.float32))
+        columns = aligned_columns(np.empty((21 + tables.values.shape[1], len(lanes)), np.float32))
         over_threads(
             _interact, len(lanes), kept._caster.geometry, tables,
             Beams(rays.origins, rays.directions), (lanes, row, face), kept._center,
@@ -337,17 +338,6 @@ def _number(mi: Any, bsdf: Any) -> int:
     import drjit as dr
 
     return int(np.array(dr.reinterpret_array(mi.UInt32, mi.BSDFPtr(bsdf)))[0])
-
-
-def _aligned(columns: Any, kind: Any = np.float32) -> NDArray[Any]:
-    """Columns as Dr.Jit likes them: where they begin decides the kernel, which is compiled anew."""
-    count, length = len(columns), len(columns[0])
-    width = -(-length // 16) * 16
-    room = np.empty(count * width + 16, kind)
-    first = -room.ctypes.data % 64 // room.itemsize
-    found = room[first : first + count * width].reshape(count, width)[:, :length]
-    found[:] = columns
-    return found
 
 
 def _balance(a: Any, b: Any) -> Any:

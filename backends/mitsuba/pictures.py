@@ -15,6 +15,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.backends.mitsuba.aligned import aligned
 from scenec.backends.mitsuba.arrays import ARRAYS
 from scenec.backends.stage.scene import Maps
 from scenec.backends.surface import cells, pictures
@@ -93,7 +94,7 @@ def _pack(maps: Maps, kinds: Sequence[str], apart: bool) -> list[_Packed]:
     for own_size in by_size.values():
         # Rows from v = 0 up.
         texels = np.concatenate(list(own_size.values()), axis=2)[::-1]
-        tensor = mi.TensorXf(np.ascontiguousarray(texels, np.float32))
+        tensor = mi.TensorXf(aligned(texels))
         texture = mi.Texture2f(tensor, wrap_mode=dr.WrapMode.Repeat)
         kinds_of = tuple((kind, values.shape[2]) for kind, values in own_size.items())
         found.append(_Packed(texture, kinds_of))
@@ -102,4 +103,4 @@ def _pack(maps: Maps, kinds: Sequence[str], apart: bool) -> list[_Packed]:
 
 @lru_cache(maxsize=8)
 def _corner_table(seed: int) -> Any:
-    return mi.Float(cells.corner_table(seed).astype(np.float32).ravel())
+    return mi.Float(aligned(cells.corner_table(seed)).ravel())

@@ -1,9 +1,10 @@
 """Rendering until the noise is small enough, or the time is used: rounds of independent halves.
 
-Each round is a picture of its own noise. Their halves are summed, so memory does not grow with
-rounds, and no backend knows of it. Rounds double until the estimate can be trusted; then the law
-of independent samples, error ~ 1 / sqrt(samples), says how many are left to draw: rather too many,
-as those of a round are better spread than that.
+A round goes on where the one before it ended in each half's sequence of samples, if the backend can
+(``Backend.continues``): together they are as well spread as those of one picture. Else it is a
+picture of its own noise. Halves are summed, so memory does not grow with rounds. Rounds double
+until the estimate can be trusted; then the law of independent samples, error ~ 1 / sqrt(samples),
+says how many are left to draw, or of a sequence the slope that the last rounds had.
 """
 
 from __future__ import annotations
@@ -19,7 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.backends.contract import Radiance
-from scenec.backends.picture.noise import UNKNOWN, Noise, estimate, sky_differs
+from scenec.backends.picture.compose import denoised_noise, noisy_pixels, through
+from scenec.backends.picture.noise import UNKNOWN, Noise, estimate
 
 #: Most samples per pixel, where a user does not say.
 MOST_SPP = 4096
@@ -29,13 +31,18 @@ FIRST_SPP = 8
 LEAST_TRUSTED = 16
 #: A bound farther above its estimate comes from few pixels; the estimate says little then.
 TRUSTED_RATIO = 1.5
+#: Steepest slope of error over samples that is counted on: smooth pictures have it.
+STEEPEST = 0.75
 #: No prediction makes the picture more than this many times as costly in one go.
 _MOST_GROWTH = 8
 #: A round that adds less than a part in this many of what is there is not worth its start.
 _LEAST_PART = 8
 
-#: ``draw(spp, seed)``: a picture of its own noise.
-Draw = Callable[[int, int], Radiance]
+#: ``draw(spp, seed)``: a picture of its own noise. ``draw(spp, seed, first)``: one that goes on
+#: after so many samples per pixel of the same seed.
+Draw = Callable[..., Radiance]
+#: ``denoise(radiance, seed)``: the mean of all rounds so far, denoised.
+Denoise = Callable[[Radiance, int], Radiance]
 Clock = Callable[[], float]
 
 
@@ -71,12 +78,16 @@ class Rounds:
 
     Attributes:
         target: What they were to reach.
+        continued: Whether each goes on where the one before it ended, with one seed.
+        denoised: Whether the picture was denoised last; its error then falls more slowly.
         made: In order.
         stopped: Why there are no more: "error" (met), "seconds" (used), "spp" (the most there may
             be), or "unknown" (no noise to estimate: more samples would not be known to help).
     """
 
     target: Target
+    continued: bool = False
+    denoised: bool = False
     made: list[Round] = field(default_factory=list)
     stopped: str = ""
 
@@ -94,7 +105,8 @@ class Rounds:
         """As sidecars hold it.
 
         Args:
-            bound: Of the finished picture, before denoising; haze comes after the rounds.
+            bound: Of the finished picture, after denoising where that is known; haze comes after
+                the rounds.
         """
         goal = self.target.error
         return {
@@ -110,7 +122,12 @@ class Rounds:
 
 
 def collect(
-    draw: Draw, seed: int, target: Target, clock: Clock = time.perf_counter
+    draw: Draw,
+    seed: int,
+    target: Target,
+    clock: Clock = time.perf_counter,
+    continues: bool = False,
+    denoise: Denoise | None = None,
 ) -> tuple[Radiance, Rounds]:
     """Draw rounds until the target is met, and sum them up.
 
@@ -122,21 +139,34 @@ def collect(
         seed: Of the frame; that of each round is derived from it and the round's number.
         target: What to reach.
         clock: Seconds from anywhere.
+        continues: Whether ``draw`` can go on; all rounds then have the seed of the first.
+        denoise: Denoises what ``draw`` does not, after each round, until the picture as it is has
+            the lower bound; of two pictures the better one counts, and is returned.
     """
     total = _Sum()
-    rounds = Rounds(target)
+    rounds = Rounds(target, continues)
     spp = min(FIRST_SPP, target.most)
     while True:
-        name = round_seed(seed, len(rounds.made))
+        name = round_seed(seed, 0 if continues else len(rounds.made))
         start = clock()
-        total.add(draw(spp, name))
-        noise = total.noise()
+        total.add(draw(spp, name, rounds.spp) if continues else draw(spp, name))
+        picture = total.radiance()
+        noise = _noise_of(picture)
+        if denoise is not None:
+            clean = denoise(picture, round_seed(seed, 0))
+            after = _noise_of(clean)
+            rounds.denoised = _below(after, noise)
+            if rounds.denoised:
+                picture, noise = clean, after
+            else:
+                # More samples only add to the lead of the picture as it is.
+                denoise = None
         rounds.made.append(
             Round(spp, name, clock() - start, noise.relative_rms, noise.relative_rms_bound)
         )
         spp, rounds.stopped = plan(rounds, noise)
         if rounds.stopped:
-            return total.radiance(), rounds
+            return picture, rounds
 
 
 def plan(rounds: Rounds, noise: Noise) -> tuple[int, str]:
@@ -153,18 +183,32 @@ def plan(rounds: Rounds, noise: Noise) -> tuple[int, str]:
         return 0, "spp"
     wanted = total
     if target.error is not None and enough and bound <= TRUSTED_RATIO * noise.relative_rms:
-        needed = total * (bound / target.error) ** 2 - total
-        wanted = round(min(max(needed, total / _LEAST_PART), (_MOST_GROWTH - 1) * total))
-    # Few sizes: a renderer may compile anew for each.
-    wanted = min(grid(wanted), left - left % 2)
+        needed = total * (bound / target.error) ** (1.0 / _slope(rounds)) - total
+        least = total if rounds.denoised else total / _LEAST_PART
+        wanted = round(min(max(needed, least), (_MOST_GROWTH - 1) * total))
+    # Few sizes: a renderer may compile anew for each. Sequences are spread best where they end at
+    # multiples of large powers of two.
+    wanted = grid(total + wanted) - total if rounds.continued else grid(wanted)
+    wanted = min(wanted, left - left % 2)
     if target.seconds is not None:
         last = rounds.made[-1]
         fits = (target.seconds - rounds.seconds) * last.spp / max(last.seconds, 1e-9)
         if fits < max(2.0, total / _LEAST_PART):
             return 0, "seconds"
         if fits < wanted:
-            wanted = grid(int(fits), up=False)
+            wanted = int(fits) // 2 * 2 if rounds.continued else grid(int(fits), up=False)
     return wanted, ""
+
+
+def _slope(rounds: Rounds) -> float:
+    """The s of error ~ samples**-s: 1/2 of independent samples, of a sequence as it was found."""
+    if not rounds.continued or rounds.denoised or len(rounds.made) < 2:
+        return 0.5
+    before, last = rounds.made[-2:]
+    if not before.relative_rms or not last.relative_rms:
+        return 0.5
+    fell = math.log(before.relative_rms / last.relative_rms)
+    return min(max(0.5, fell / math.log(rounds.spp / (rounds.spp - last.spp))), STEEPEST)
 
 
 def grid(spp: int, up: bool = True) -> int:
@@ -179,6 +223,21 @@ def round_seed(seed: int, number: int) -> int:
     """Seed of one round, 32 bits, unrelated to any other's."""
     digest = hashlib.blake2b(f"{seed}/round/{number}".encode(), digest_size=4).digest()
     return int.from_bytes(digest, "little")
+
+
+def _noise_of(picture: Radiance) -> Noise:
+    """Error of a picture; of a denoised one that after denoising, where it is known."""
+    if not picture.stochastic:
+        return UNKNOWN
+    if picture.denoised_halves is not None:
+        return denoised_noise([(picture, None)])
+    return estimate(through(picture, None), noisy_pixels(picture))
+
+
+def _below(one: Noise, other: Noise) -> bool:
+    """Whether an error has the lower bound."""
+    a, b = one.relative_rms_bound, other.relative_rms_bound
+    return a is not None and b is not None and a < b
 
 
 class _Sum:
@@ -211,15 +270,6 @@ class _Sum:
         self._spp += one.spp
         self._dropped += one.dropped
         self._stochastic &= one.stochastic
-
-    def noise(self) -> Noise:
-        """Of the mean so far."""
-        if not self._stochastic:
-            return UNKNOWN
-        if self._background is None:
-            return estimate(self._halves / self._spp, self._coverage > 0.0)
-        halves = (self._halves + self._background) / self._spp
-        return estimate(halves, (self._coverage > 0.0) | sky_differs(self._background))
 
     def radiance(self) -> Radiance:
         """The mean of all rounds."""

@@ -5,7 +5,7 @@ No renderer shows the sky or a sun's disc, so none differs in them and none coun
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -15,7 +15,13 @@ from numpy.typing import NDArray
 from scenec.backends.camera.rays import angle_between, camera_rays, subpixel_directions
 from scenec.backends.camera.tiles import bands
 from scenec.backends.contract import Radiance
-from scenec.backends.picture.noise import Noise, estimate, estimate_parts, sky_differs
+from scenec.backends.picture.noise import (
+    Noise,
+    estimate,
+    estimate_denoised,
+    estimate_parts,
+    sky_differs,
+)
 from scenec.backends.picture.sky import MIN_SUN_DIAMETER_RAD, Sky, combine, lookup
 from scenec.backends.stage.scene import Camera, RenderScene, Sun
 
@@ -34,10 +40,13 @@ class Picture:
         rgb: Linear Rec.709 radiance, float32 [h, w, 3].
         noise: Its error, over all pixels that surfaces cover, from the two halves
             (``noise.estimate``). Of a denoised picture it is the error before denoising.
+        denoised: Of a denoised picture its error (``noise.estimate_denoised``), or that it is
+            unknown; None of any other.
     """
 
     rgb: NDArray[np.float32]
     noise: Noise
+    denoised: Noise | None = None
 
 
 def compose(
@@ -62,10 +71,13 @@ def compose(
         veil: Haze before it, if there is any.
     """
     parts = bands(camera)
+    after = None
+    if radiance.denoised is not None:
+        after = denoised_noise(_of_rows(radiance, veil, rows) for rows in parts)
     if len(parts) == 1:
         rgb = paint(radiance, scene, camera, sample, veil)
         halves, noisy = through(radiance, veil), noisy_pixels(radiance)
-        return Picture(rgb, estimate(halves, noisy, radiance.stochastic))
+        return Picture(rgb, estimate(halves, noisy, radiance.stochastic), after)
     rgb = np.empty((camera.height, camera.width, 3), np.float32)
     for rows in parts:
         own, veiled = _of_rows(radiance, veil, rows)
@@ -76,7 +88,20 @@ def compose(
             own, veiled = _of_rows(radiance, veil, rows)
             yield through(own, veiled), noisy_pixels(own)
 
-    return Picture(rgb, estimate_parts(each, radiance.stochastic))
+    return Picture(rgb, estimate_parts(each, radiance.stochastic), after)
+
+
+def denoised_noise(parts: Iterable[tuple[Radiance, Veil | None]]) -> Noise:
+    """Error of a denoised picture, by parts; unknown unless its halves were denoised apart."""
+
+    def each() -> Iterator[tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]]:
+        for radiance, veil in parts:
+            if radiance.denoised_halves is None:
+                return
+            clean = replace(radiance, halves=radiance.denoised_halves)
+            yield through(clean, veil), through(radiance, veil), noisy_pixels(radiance)
+
+    return estimate_denoised(each())
 
 
 def _of_rows(radiance: Radiance, veil: Veil | None, rows: range) -> tuple[Radiance, Veil | None]:
@@ -87,6 +112,9 @@ def _of_rows(radiance: Radiance, veil: Veil | None, rows: range) -> tuple[Radian
         halves=radiance.halves[:, part],
         coverage=radiance.coverage[part],
         denoised=None if radiance.denoised is None else radiance.denoised[part],
+        denoised_halves=(
+            None if radiance.denoised_halves is None else radiance.denoised_halves[:, part]
+        ),
         background=None if radiance.background is None else radiance.background[:, part],
     )
     if veil is None:

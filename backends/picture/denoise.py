@@ -32,7 +32,7 @@ def denoise(
     albedo: NDArray[np.float32],
     normal: NDArray[np.float32],
 ) -> NDArray[np.float32]:
-    """The mean of two halves, each denoised apart.
+    """Two halves, each denoised apart.
 
     Args:
         halves: Linear light, float32 [2, h, w, 3].
@@ -42,7 +42,7 @@ def denoise(
         normal: Mean of the surfaces' unit normals, in any one frame, float32 [h, w, 3].
 
     Returns:
-        float32 [h, w, 3].
+        float32 [2, h, w, 3].
 
     Raises:
         BackendError: The library cannot be loaded, or fails.
@@ -69,7 +69,8 @@ def denoise(
             f"{NAME} does not work here ({error}); render without denoising, or mend it with: "
             "pip install --force-reinstall pyoidn"
         ) from error
-    return keep_rim(np.mean(clear, axis=0, dtype=np.float32), halves, coverage)
+    rimmed = [keep_rim(one, half[None], coverage) for one, half in zip(clear, halves, strict=True)]
+    return np.stack(rimmed)
 
 
 def _wider(picture: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -16,6 +16,10 @@ CONFIDENCE = 0.95
 #: happen to agree, the estimate and the width of its bound are both too small. This quantile makes
 #: up for either, and leaves single pictures' share below 99 %.
 QUANTILE = 0.98
+#: The same of the normal distribution.
+_NORMAL_QUANTILE = 2.0537
+#: Pixels a side that a denoised picture's errors are summed over.
+BLOCK = 8
 
 
 @dataclass(frozen=True)
@@ -130,6 +134,44 @@ def estimate_parts(
     return Noise(rms, rms * float(np.sqrt(factor)), relative / count)
 
 
+def estimate_denoised(
+    parts: Iterable[tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]],
+) -> Noise:
+    """Error of the mean of two halves A and B that were denoised, each apart, to C and D.
+
+    With m = (C + D) / 2 and t what an endless picture would show, (m - A) (m - B) + (C - D) (A - B)
+    / 2 = m**2 - C B - D A + A B has the mean E[(m - t)**2], the denoiser's bias included: A and B
+    are unbiased, and each is independent of the other and of what the other was denoised to (a
+    cross-validation). ``relative_rms`` is the root of its mean over all covered pixels and
+    channels, over their mean radiance.
+
+    The bound: that mean is Gaussian, with the standard error that blocks of ``BLOCK`` pixels a side
+    have, within which pixels depend on each other.
+
+    Args:
+        parts: Of the picture: denoised halves and halves, [2, h, w, 3], and pixels that count,
+            [h, w]. None at all: it is unknown.
+    """
+    level, count = 0.0, 0
+    blocks: list[NDArray[np.float64]] = []
+    for (c, d), (a, b), covered in parts:
+        mean = 0.5 * (c + d)
+        squares = ((mean - a) * (mean - b) + 0.5 * (c - d) * (a - b)).sum(axis=-1) * covered
+        level += float((0.5 * (a + b))[covered].sum())
+        count += 3 * int(np.count_nonzero(covered))
+        edges = [np.arange(0, length, BLOCK) for length in covered.shape]
+        blocks.append(np.add.reduceat(np.add.reduceat(squares, edges[0], 0), edges[1], 1).ravel())
+    if not blocks or not np.isfinite(level):
+        return UNKNOWN
+    level = level / max(count, 1)
+    if level <= 0.0:
+        return NONE
+    sums = np.concatenate(blocks) / (level**2 * count)
+    square = max(float(sums.sum()), 0.0)
+    margin = _NORMAL_QUANTILE * float(np.sqrt(len(sums)) * sums.std())
+    return Noise(float(np.sqrt(square)), float(np.sqrt(square + margin)), None)
+
+
 def bound_factor(squares: NDArray[np.float64]) -> float:
     """What true over estimated squared error is below, given each pixel's estimate.
 
@@ -146,10 +188,23 @@ def bound_factor(squares: NDArray[np.float64]) -> float:
 
 def _factor(total: float, squared: float) -> float:
     """By the sums of the pixels' estimates and of their squares."""
-    # Imported here: a picture at a time needs it, and no command that only asks for help.
-    from scipy.special import fdtri
-
     if squared == 0.0:
         return 1.0
-    freedom = max(1.0, 3.0 * total**2 / squared - 2.0)
-    return float(fdtri(freedom, freedom, QUANTILE))
+    return _f_quantile(max(1.0, 3.0 * total**2 / squared - 2.0))
+
+
+def _f_quantile(freedom: float) -> float:
+    """QUANTILE of Snedecor's F with as many degrees of freedom above as below, within 4e-5 of it.
+
+    Half of its logarithm is distributed as sech(z)**freedom, which is even (Fisher's z). It is
+    integrated here, as importing what would know it takes longer than a small picture (0.2 s).
+    """
+    # Beyond, less than e**-18 of it is left: its tail is exponential where there are few degrees,
+    # Gaussian where there are many.
+    z = np.linspace(0.0, 20.0 / freedom + 6.0 / np.sqrt(freedom), 4097)
+    density = np.cosh(z) ** -freedom
+    # Simpson's rule, up to each second place.
+    steps = density[:-2:2] + 4.0 * density[1:-1:2] + density[2::2]
+    below = np.concatenate([[0.0], np.cumsum(steps)])
+    half = np.interp((2.0 * QUANTILE - 1.0) * below[-1], below, z[::2])
+    return float(np.exp(2.0 * half))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from scenec.backends.camera import tiles
@@ -11,26 +13,34 @@ from scenec.backends.stage.scene import Camera
 
 
 def radiance(
-    backend: Backend, camera: Camera, sample: int, spp: int, seed: int, denoise: bool = False
+    backend: Backend,
+    camera: Camera,
+    sample: int,
+    spp: int,
+    seed: int,
+    denoise: bool = False,
+    first: int = 0,
 ) -> Radiance:
     """As ``Backend.radiance``; a large picture by tiles, each with noise of its own.
 
-    A denoised one is drawn in one go: tiles would show.
+    A denoised one is drawn in one go: tiles would show. What has a ``first`` is for backends that
+    go on from there (``Backend.continues``).
 
     Raises:
         BackendError: The renderer failed.
     """
     width, height = camera.width, camera.height
+    more: dict[str, Any] = {"first": first} if first else {}
     small = width * height <= tiles.PIXELS and width <= tiles.WIDEST and height <= tiles.TALLEST
     if denoise or small:
-        return backend.radiance(camera, sample, spp, seed, denoise)
+        return backend.radiance(camera, sample, spp, seed, denoise, **more)
     halves = np.empty((2, height, width, 3), np.float32)
     coverage = np.empty((height, width), np.float32)
     dropped, stochastic, drawn = 0, True, spp
     for number, (rows, columns) in enumerate(tiles.tiles(camera)):
         # By an odd number near 2**32 over the golden ratio: none comes twice.
         noise = (seed + 0x9E3779B1 * number) & 0xFFFFFFFF
-        part = backend.radiance(crop(camera, rows, columns), sample, spp, noise)
+        part = backend.radiance(crop(camera, rows, columns), sample, spp, noise, **more)
         place = slice(rows.start, rows.stop), slice(columns.start, columns.stop)
         halves[:, *place] = part.halves
         coverage[place] = part.coverage

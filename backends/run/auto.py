@@ -17,6 +17,7 @@ from scenec.backends.run.executors import ask
 from scenec.backends.run.plan import RenderPlan
 from scenec.backends.run.units import OfBackend
 from scenec.schemas.errors import BackendError
+from scenec.schemas.units import Executor
 
 #: What ``scenec converge`` measured, in the output folder.
 MEASURED = Path("converge", "converge.json")
@@ -91,15 +92,22 @@ def _costs(file: Path) -> dict[str, float]:
         return {}
 
 
-def check_backend(plan: RenderPlan, *, rgb: bool, apertures: Sequence[str] = ()) -> None:
+def check_backend(
+    plan: RenderPlan,
+    *,
+    rgb: bool,
+    apertures: Sequence[str] = (),
+    executor: Executor | None = None,
+) -> None:
     """Refuse what ``render`` would refuse, before there is a stage.
 
-    Starts each renderer that is asked for, in a process of its own.
+    Starts each renderer that is asked for.
 
     Args:
         plan: What will be asked.
         rgb: Whether ``rgb`` will be among the passes.
         apertures: Cameras, by name, that ``rgb`` is asked of and that have an aperture.
+        executor: Who starts a renderer that is named, and then has it; None: a process of its own.
 
     Raises:
         BackendError: A backend is not there, does not start, or cannot do what is asked.
@@ -116,4 +124,4 @@ def check_backend(plan: RenderPlan, *, rgb: bool, apertures: Sequence[str] = ())
     if plan.backend == AUTO:
         choose(None, plan)
         return
-    ask(OfBackend(plan.backend, partial(start, plan.device)))
+    ask(OfBackend(plan.backend, partial(start, plan.device)), executor)

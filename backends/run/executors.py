@@ -147,12 +147,18 @@ def make_executor(
     return Processes(workers, limits) if workers else Here()
 
 
-def ask(unit: Unit) -> Any:
-    """Run one unit, by a worker of its own; returns what it returns.
+def ask(unit: Unit, executor: Executor | None = None) -> Any:
+    """Run one unit; returns what it returns.
+
+    Args:
+        unit: The unit.
+        executor: Who runs it; None: a worker of its own.
 
     Raises:
         ScenecError: What it raises, or that workers died over it.
     """
-    with make_executor(None if os.environ.get(WORKERS) == "0" else 1) as executor:
-        ((_, outcome),) = run_all(executor, [unit])
-        return outcome.result()
+    if executor is None:
+        with make_executor(None if os.environ.get(WORKERS) == "0" else 1) as own:
+            return ask(unit, own)
+    ((_, outcome),) = run_all(executor, [unit])
+    return outcome.result()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -325,19 +325,26 @@ class Session:
                 views = resample.plan_views(camera)
                 details["lens_radiance"] = {"way": "resampled", **views.as_json()}
 
-        def draw(count: int, noise: int) -> Radiance:
+        def draw(count: int, noise: int, first: int = 0) -> Radiance:
             if views is not None:
                 return resample.draw(backend, camera, views, sample, count, noise, denoise)
-            return tiles.radiance(backend, camera, sample, count, noise, denoise)
+            return tiles.radiance(backend, camera, sample, count, noise, draws_clean, first)
 
         blurred = self._blurred(camera, sample, denoise, details)
+        # What can denoise a mean of rounds does so, and no round.
+        clean = getattr(backend, "denoise", None) if denoise and views is None else None
+        later = None if clean is None or target is None else partial(clean, camera, sample)
+        draws_clean = denoise and later is None
+        goes_on = getattr(backend, "continues", False) and views is None and blurred is None
         rounds = None
         with _timed(seconds, "radiance"):
             if target is None:
                 radiance = (blurred or draw)(spp, seed)
             else:
-                radiance, rounds = collect(blurred or draw, seed, target)
-        if denoise and radiance.denoised is None:
+                radiance, rounds = collect(
+                    blurred or draw, seed, target, continues=goes_on, denoise=later
+                )
+        if denoise and radiance.denoised is None and later is None:
             raise BackendError(f"backend {backend.name} was asked to denoise, and did not")
         return radiance, rounds
 
@@ -412,18 +419,20 @@ class Session:
         with _timed(details["seconds"], "compose"):
             picture = compose(radiance, self.scene, camera, sample, veil)
         noise = picture.noise.as_json()
-        if rounds is not None:
-            details["rounds"] = rounds.as_json(picture.noise.relative_rms_bound)
         details["losses"] = self.losses
         details["samples_per_pixel"] = radiance.spp
         details["samples_dropped"] = radiance.dropped
         if radiance.denoised is None:
             details["estimated_error"] = noise
         else:
-            # Denoising trades noise for bias, which the difference of two halves does not show.
             details["denoised"] = self.facts()["denoiser"]
-            details["estimated_error"] = dict.fromkeys(noise)
+            assert picture.denoised is not None
+            details["estimated_error"] = picture.denoised.as_json()
             details["estimated_error_before_denoising"] = noise
+        if rounds is not None:
+            after = details["estimated_error"]["relative_rms_bound_95"]
+            bound = picture.noise.relative_rms_bound if after is None else after
+            details["rounds"] = rounds.as_json(bound)
         return picture.rgb
 
     def caster(self, seconds: dict[str, float] | None = None) -> ExactCaster:

@@ -47,7 +47,7 @@ class Supervisor:
 
     A worker that crashes, hangs, takes too long or grows too large is ended and replaced, and its
     unit tried again; one that would grow too large is replaced before its next unit, and one that
-    is to hold something else (another stage) is, too: memory goes back, whatever a renderer keeps.
+    holds something else (another stage) is, too: memory goes back, whatever a renderer keeps.
 
     Args:
         limits: What the worker may take; its memory, where it is not said, is all there is for
@@ -103,7 +103,9 @@ class Supervisor:
 
     def _do(self, unit: Unit, outcome: Outcome) -> Any:
         if self._process is not None and unit.holds != self._holds:
-            self.close()
+            if self._holds is not None:
+                self.close()
+            self._done = 0
         self._replace_if_grown(outcome)
         for attempt in range(RETRIES + 1):
             try:

@@ -164,19 +164,21 @@ def rendered(number: int, error: float) -> Trials | None:
         camera, backend = session.scene.cameras[0][0], session.backend
         backend.load(session.scene)
 
-        def draw(spp: int, seed: int) -> Radiance:
-            return backend.radiance(camera, 0, spp, seed)
+        def draw(spp: int, seed: int, first: int = 0) -> Radiance:
+            return backend.radiance(camera, 0, spp, seed, first=first)
 
         truth = draw(2 * REFERENCE, round_seed(number, 3000))
         if not truth.halves.any():
             return None
-        return judged(Truth(truth.halves, truth.coverage > 0.0), draw, number, error)
+        made = Truth(truth.halves, truth.coverage > 0.0)
+        return judged(made, draw, number, error, continues=True)
 
 
-def judged(truth: Truth, draw: Draw, number: int, error: float) -> Trials:
+def judged(truth: Truth, draw: Draw, number: int, error: float, continues: bool = False) -> Trials:
     """What comes of pictures of each of ``SPP``, and of rounds to an error."""
     single = [truth.judged(draw(spp, round_seed(number, 1000 + spp))) for spp in SPP]
-    picture, rounds = collect(draw, round_seed(number, 2000), Target(error, None, MOST))
+    seed, target = round_seed(number, 2000), Target(error, None, MOST)
+    picture, rounds = collect(draw, seed, target, continues=continues)
     return Trials(single, truth.judged(picture) if rounds.stopped == "error" else None)
 
 

@@ -7,9 +7,15 @@ import sys
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter
 from test_mitsuba_kept import field, loaded
 
+from scenec.backends.contract import Radiance
 from scenec.backends.picture import denoise
+from scenec.backends.picture.adaptive import Target, collect, round_seed
+from scenec.backends.picture.compose import denoised_noise
+from scenec.backends.picture.noise import estimate, estimate_denoised
 from scenec.backends.registry import open_backend
 from scenec.backends.run.plan import RenderPlan
 from scenec.backends.stage.scene import RenderScene
@@ -54,13 +60,86 @@ def test_denoising_leaves_the_halves_alone_and_the_sky_dark(name, most):
     np.testing.assert_array_equal(clean[rim], noisy[rim])
 
 
+def blurred(halves: NDArray) -> NDArray:
+    """A denoiser that anyone can follow: the mean of 5 x 5 pixels."""
+    return uniform_filter(halves, (0, 5, 5, 0))
+
+
+@pytest.mark.parametrize("deviation", [0.05, 0.3, 1.5])
+def test_the_error_after_denoising_is_stated_with_its_bias(deviation):
+    rng = np.random.default_rng(5)
+    # Edges that the mean blurs, and noise of unequal pixels.
+    true = np.where(np.add.outer(np.arange(72) // 12, np.arange(96) // 12) % 2, 3.0, 1.0)
+    true = true[..., None] * [1.0, 0.7, 0.4]
+    each = deviation * np.exp(rng.normal(0.0, 0.5, (72, 96, 1)))
+    covered = np.ones((72, 96), bool)
+    covered[:20, :30] = False
+    level, held, ratios = true[covered].mean(), 0, []
+    for _ in range(60):
+        halves = true + each * rng.standard_normal((2, 72, 96, 1)) * [1.0, 0.8, 0.5]
+        clean = blurred(halves)
+        error = np.sqrt(((clean.mean(axis=0) - true)[covered] ** 2).mean()) / level
+        whole = estimate_denoised([(clean, halves, covered)])
+        ratios.append((whole.relative_rms / error) ** 2)
+        held += error <= whole.relative_rms_bound
+        rows = [np.s_[:, :40], np.s_[:, 40:]]
+        parts = [(clean[own], halves[own], covered[own[1]]) for own in rows]
+        assert estimate_denoised(parts).relative_rms == pytest.approx(whole.relative_rms)
+    assert np.mean(ratios) == pytest.approx(1.0, abs=0.05)
+    assert held >= 54
+
+
+def test_what_was_not_denoised_has_the_error_that_its_halves_tell():
+    halves = np.random.default_rng(6).normal(10.0, 1.0, (2, 24, 32, 3))
+    covered = np.ones((24, 32), bool)
+    found = estimate_denoised([(halves, halves, covered)])
+    assert found.relative_rms == pytest.approx(estimate(halves, covered).relative_rms)
+    assert estimate_denoised([(0.0 * halves, 0.0 * halves, covered)]).relative_rms == 0.0
+    assert estimate_denoised([]).relative_rms is None
+
+
+def test_mitsuba_states_the_error_of_a_denoised_picture():
+    scene = ball_on_a_plane()
+    view, backend = scene.cameras[0][0], open_backend("mitsuba", "cpu")
+    backend.load(scene)
+    best = backend.radiance(view, 0, 1024, 2)
+    true, covered = best.halves.mean(axis=0, dtype=float), best.coverage > 0.0
+    for spp in (4, 16):
+        picture = backend.radiance(view, 0, spp, 1, denoise=True)
+        error = np.sqrt(((picture.denoised - true)[covered] ** 2).mean()) / true[covered].mean()
+        assert denoised_noise([(picture, None)]).relative_rms == pytest.approx(error, rel=0.25)
+
+
+def test_rounds_are_denoised_together_and_their_error_after_it_counts():
+    scene = ball_on_a_plane()
+    view, backend = scene.cameras[0][0], open_backend("mitsuba", "cpu")
+    backend.load(scene)
+
+    def draw(spp: int, seed: int, first: int) -> Radiance:
+        return backend.radiance(view, 0, spp, seed, first=first)
+
+    def clean(picture: Radiance, seed: int) -> Radiance:
+        return backend.denoise(view, 0, picture, seed)
+
+    options = {"continues": True, "denoise": clean}
+    picture, rounds = collect(draw, 7, Target(0.025, None, 256), **options)
+    assert rounds.stopped == "error"
+    once = backend.radiance(view, 0, rounds.spp, round_seed(7, 0), denoise=True)
+    np.testing.assert_allclose(picture.denoised, once.denoised, rtol=2e-3, atol=2e-3)
+    plain = collect(draw, 7, Target(0.025, None, 256), continues=True)[1]
+    assert rounds.spp < plain.spp
+    # Where denoising does harm, the picture as it is counts.
+    picture, rounds = collect(draw, 7, Target(0.004, None, 4096), **options)
+    assert (rounds.stopped, rounds.denoised, picture.denoised) == ("error", False, None)
+
+
 @pytest.mark.parametrize("shape", [(1, 1), (3, 70), (48, 64)])
 def test_an_even_picture_comes_back_up_to_its_borders(shape):
     even = np.full((2, *shape, 3), 3.0, np.float32)
     up = np.zeros((*shape, 3), np.float32)
     up[..., 2] = 1.0
     clean = denoise.denoise(even, np.ones(shape, np.float32), 0.1 * even[0], up)
-    np.testing.assert_allclose(clean, even[0], rtol=5e-3)
+    np.testing.assert_allclose(clean, even, rtol=5e-3)
 
 
 def test_a_library_that_cannot_be_loaded_is_one_line(monkeypatch):

@@ -140,6 +140,18 @@ def test_four_bounces_in_a_white_cup_are_those_of_independent_samples(tmp_path):
     assert abs(ours - theirs) < 6.0 * error
 
 
+def test_pictures_that_go_on_are_one_picture():
+    scene = cup()
+    camera, renderer = scene.cameras[0][0], Mitsuba()
+    renderer.load(scene)
+    parts = [renderer.radiance(camera, 0, spp, 3, first=at) for spp, at in ((8, 0), (16, 8))]
+    own = renderer.radiance(camera, 0, 16, 3).halves
+    together = sum(part.spp * part.halves.astype(float) for part in parts) / 24.0
+    whole = renderer.radiance(camera, 0, 24, 3)
+    np.testing.assert_allclose(together, whole.halves, rtol=1e-4, atol=1e-6)
+    assert np.abs(parts[1].halves - own).max() > 0.01
+
+
 def test_only_what_is_bright_of_a_sky_is_drawn():
     variant.load_mitsuba()
     # Once the variant is set.

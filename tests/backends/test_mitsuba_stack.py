@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from scenec.backends.mitsuba import Mitsuba
+from scenec.backends.mitsuba.aligned import aligned, aligned_columns
 from scenec.backends.stage.scene import Maps, Mesh, Reflectance, RenderScene, Surface
 from scenec.backends.surface import maps, reflectance
 from scenec.backends.surface.lobes import MIN_ALPHA
@@ -324,3 +325,36 @@ def test_one_kernel_serves_pictures_of_any_size_and_number_of_samples(tmp_path):
             history = [k for k in dr.kernel_history() if "hash" in k]
             kernels.add(max(history, key=lambda k: k["operation_count"])["hash"])
     assert len(kernels) == 1
+
+
+def test_one_kernel_serves_a_scene_wherever_memory_is_free(tmp_path):
+    scene = everything(tmp_path)
+    import drjit as dr
+
+    kernels, held = set(), []
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        for turn in range(5):
+            backend = Mitsuba(device="cpu")
+            from scenec.backends.mitsuba.pictures import _corner_table
+
+            _corner_table.cache_clear()
+            # Moves what comes after by 16 bytes or more.
+            held += [np.empty(2 * (100 + 7 * turn + n)) for n in range(40)]
+            backend.load(scene)
+            dr.kernel_history_clear()
+            backend.radiance(scene.cameras[0][0], 0, 2, 1)
+            history = [k for k in dr.kernel_history() if "hash" in k]
+            kernels.add(max(history, key=lambda k: k["operation_count"])["hash"])
+    assert len(kernels) == 1
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.uint32, np.float64])
+def test_memory_for_dr_jit_begins_at_64_bytes(kind):
+    for count in range(1, 40):
+        values = np.arange(3 * count).reshape(count, 3)
+        columns = aligned_columns(values.T, kind)
+        for found in (aligned(values, kind), *columns):
+            assert found.ctypes.data % 64 == 0
+        np.testing.assert_array_equal(aligned(values, kind), values)
+        np.testing.assert_array_equal(columns, values.T)
+        assert columns.dtype == kind

@@ -16,6 +16,7 @@ from scenec.backends.run.plan import RenderPlan
 from scenec.backends.run.render import RenderReport, render
 from scenec.cli import run_command
 from scenec.cli.main import main, parser
+from scenec.compiler.cfg.load import load
 from scenec.schemas.errors import BackendError
 from scenec.schemas.frames import Frame, read_frame
 from scenec.schemas.versions import version_of
@@ -268,15 +269,12 @@ def test_run_refuses_before_it_compiles(words, tmp_path, monkeypatch, capsys):
 
 @pytest.mark.usefixtures("worker_here")
 def test_run_asks_for_light_only_where_a_sensor_does(tmp_path):
-    cfg = small_cfg(outputs=["depth"])
-    words = ["run", str(write_cfg(tmp_path, cfg)), "--seed", "1", "-o", "OUT"]
-    options = parser().parse_args([*words, "--backend", "reference"])
-    run_command._refuse_early(options)
+    cfg = load(write_cfg(tmp_path, small_cfg(outputs=["depth"]))).cfg
+    words = ["run", "CFG", "--seed", "1", "-o", "OUT", "--backend", "reference"]
+    options = parser().parse_args(words)
+    run_command.refuse_early(options, cfg)
     cfg["rigs"]["rover"]["sensors"]["front"]["outputs"] = ["rgb"]
-    write_cfg(tmp_path, cfg)
     with pytest.raises(BackendError, match="has no rgb"):
-        run_command._refuse_early(options)
+        run_command.refuse_early(options, cfg)
     # What is asked for on the command line goes before the cfg.
-    run_command._refuse_early(
-        parser().parse_args([*words, "--backend", "reference", "--passes", "depth"])
-    )
+    run_command.refuse_early(parser().parse_args([*words, "--passes", "depth"]), cfg)
