@@ -98,7 +98,6 @@ class GltfFile:
         """An accessor's values, [n, width]; normalized integers as fractions.
 
         Args:
-            index: Of the accessor.
             kinds: Types that are right, such as "VEC3".
         """
         accessor = self.document["accessors"][natural(index)]

@@ -41,9 +41,7 @@ def companion(file: Path, reference: str, what: str, *, escaped: bool = False) -
     r"""The file that a model refers to.
 
     Args:
-        file: Which refers to it.
         reference: As it stands there: relative to its folder, ``/`` or ``\`` between names.
-        what: Of what kind it is, for messages.
         escaped: Whether it is a URI, with ``%20`` for a space.
 
     Raises:

@@ -95,7 +95,6 @@ def placed(shell: Shell, matrix: NDArray[np.float64], *, turned: bool | None = N
     """A shell under a map; what turns right into left turns the faces, too.
 
     Args:
-        shell: The part.
         matrix: float64 [4, 4], for columns.
         turned: Whether to turn the faces; None: where the map mirrors.
     """

@@ -65,7 +65,6 @@ def read_rows(file: Path, *, blanks: bool = False) -> list[Row]:
     """Rows of a text file in UTF-8, without empty lines and those that begin with #.
 
     Args:
-        file: The file.
         blanks: Whether blanks separate its columns, not commas.
 
     Raises:
@@ -92,11 +91,8 @@ def read_table(
     """Numbers of rows.
 
     Args:
-        file: Where they stand.
         rows: Without a header.
         columns: Where each one that is wanted stands, by name.
-        width: Cells that each row must have.
-        hint: What they are, for messages.
 
     Raises:
         SceneError: A row has more cells or fewer, or a value is not a finite number.

@@ -103,7 +103,6 @@ def recognize(names: Iterable[str], given: frozenset[str] = frozenset()) -> Text
     are passed over.
 
     Args:
-        names: Of files.
         given: Kinds that come from elsewhere: none is taken from here.
 
     Raises:

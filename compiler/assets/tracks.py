@@ -107,7 +107,6 @@ def read_stamped(
     same pose (then they are one), not with another, and may not fall.
 
     Args:
-        file: The file.
         form: One of ``FORMATS``.
         quaternion: Order of a file without a header: one of ``ORDERS``; None: the format's usual.
         frame_rate_hz: Frames a second, for the format that counts them.

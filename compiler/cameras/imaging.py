@@ -24,12 +24,6 @@ def draw_imaging(
 ) -> ImagingPlan | None:
     """Draw a sensor's ``imaging``.
 
-    Args:
-        cfg: It, filled in; None without.
-        streams: The batch's.
-        path: Where it stands.
-        samples: Number of samples.
-
     Raises:
         SceneError: Drawn numbers do not go together.
     """
@@ -53,12 +47,7 @@ def draw_imaging(
 
 
 def expose(rigs: tuple[Rig, ...], plans: Sequence[RigPlan]) -> tuple[Rig, ...]:
-    """The rigs, with imaging of sensors that make pictures; exposures say what those show.
-
-    Args:
-        rigs: Their exposures are what metered sensors follow.
-        plans: Theirs.
-    """
+    """The rigs, with imaging of sensors that make pictures; exposures say what those show."""
     out = []
     for rig, plan in zip(rigs, plans, strict=True):
         sensors = tuple(

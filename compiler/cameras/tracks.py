@@ -37,8 +37,6 @@ class Sampling:
         """Times of the samples after the motion's beginning, float64 [samples].
 
         Args:
-            duration_s: How long the motion is.
-            samples: How many.
             what: Who asks, for messages: "rigs/rover/pose: track.csv".
 
         Raises:
@@ -148,7 +146,6 @@ def resampled(
     """Rig-to-world matrices with OpenCV axes at given times after the first stamp, [s, 4, 4].
 
     Args:
-        track: The poses.
         at_s: Float64 [s].
         method: One of ``se3.METHODS``.
         gaps: What to do where stamps are missing.

@@ -45,8 +45,6 @@ def check_files(
 
     Args:
         fields: All places of the cfg; the keyword "x-file" says of a string what it must name.
-        cfg: The cfg.
-        folder: The cfg's folder.
 
     Returns:
         Those that nothing is wrong with, by their path in the cfg, and the findings on the others.

@@ -123,7 +123,6 @@ def check_parts(cfg: Node, files: Mapping[str, InputFile]) -> Iterator[Finding]:
     """Findings on parts that no model has.
 
     Args:
-        cfg: The cfg.
         files: Its files that nothing is wrong with, by path.
     """
     for thing in cfg.each("objects", "*"):

@@ -27,11 +27,6 @@ def find_file(reference: str, folder: Path, what: str = "file") -> Path:
     package NAME, which is found without importing it; in the path, ``*`` stands for any part of a
     file's or folder's name, and exactly one file must match.
 
-    Args:
-        reference: The string in the cfg.
-        folder: The cfg's folder.
-        what: A "file", or a "folder".
-
     Raises:
         ResourceError: There is no such file, or no such package, or more than one match.
     """

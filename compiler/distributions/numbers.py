@@ -87,7 +87,6 @@ def draw_number(
 
     Args:
         number: A constant, which is returned as it is, or a distribution.
-        streams: The batch's streams.
         path: What it is drawn for, such as "objects/rocks/size_m".
         n: How many; None for one.
         sample: Index of the sample, or None for what is drawn once a batch.

@@ -54,7 +54,6 @@ class Streams:
 
         Args:
             path: What it is drawn for, such as "objects/rocks/size_m".
-            n: How many.
             sample: Index of the sample, or None for what is drawn once a batch.
 
         Returns:

@@ -56,10 +56,7 @@ def draw(spec: Spec, seed: int, batch: int, attempt: int = 0) -> Plan:
     drawn for every other as it was.
 
     Args:
-        spec: A validated cfg.
         seed: 0 <= seed < 2**64.
-        batch: Index of the batch.
-        attempt: How often it was drawn before, and could not be built.
 
     Raises:
         ScenecError: The seed is out of range.

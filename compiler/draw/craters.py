@@ -35,12 +35,6 @@ def draw_craters(
 
     Ages are uniform between now and when the surface was new; the oldest are the most worn.
 
-    Args:
-        cfg: The operator's part of the cfg.
-        streams: The batch's streams.
-        path: Where it stands in the cfg.
-        size_m: Extent of the terrain.
-
     Raises:
         SceneError: There would be too many, or the diameters exclude each other.
     """

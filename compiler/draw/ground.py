@@ -20,14 +20,7 @@ def draw_merges(
     files: Mapping[str, InputFile],
     relief: Sequence[ReliefOperator],
 ) -> tuple[tuple[Merge, ...], tuple[float | None, ...]]:
-    """One merge for each layer after the base, and the part of the terrain each shall cover.
-
-    Args:
-        ground: The cfg's layers, resolved.
-        streams: The batch's streams.
-        files: Files of the cfg, by path.
-        relief: The operators that the ground is laid on.
-    """
+    """One merge for each layer after the base, and the part of the terrain each shall cover."""
     merges, coverage = [], []
     for i, layer in enumerate(ground[1:], start=1):
         path = f"terrain/ground/{i}"
@@ -63,10 +56,6 @@ def draw_condition(
     """One condition: its bounds, and a quantity whose fields are its other keys.
 
     Args:
-        node: The cfg's part, resolved.
-        streams: The batch's streams.
-        path: Where it stands in the cfg.
-        files: Files of the cfg, by path.
         relief: Operators before it, of which the craters leave fresh ground.
     """
     kind, rest = QUANTITIES[node["type"]], dict(node)
@@ -89,16 +78,7 @@ def draw_mask(
     relief: Sequence[ReliefOperator],
     ground: Sequence[Mapping[str, Any]],
 ) -> tuple[Condition, ...]:
-    """The mask of an operator.
-
-    Args:
-        mask: The cfg's part, resolved.
-        streams: The batch's streams.
-        path: Where it stands in the cfg.
-        files: Files of the cfg, by path.
-        relief: Operators before it.
-        ground: The cfg's layers, resolved.
-    """
+    """The mask of an operator."""
     conditions: list[Condition] = []
     for i, node in enumerate(mask):
         if node["type"] == "material":

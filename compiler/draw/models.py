@@ -27,7 +27,7 @@ def draw_meshes(
     streams: Streams,
     setting: Setting,
 ) -> ScatterPlan:
-    """The plan of a class of scattered models; arguments as of ``draw_rocks``."""
+    """The plan of a class of scattered models."""
     path = f"objects/{name}"
     node = resolve(cfg, streams, path)
     return draw_scattered(
@@ -56,7 +56,7 @@ def draw_placed(
     streams: Streams,
     setting: Setting,
 ) -> PlacedPlan:
-    """The plan of a class of single objects; arguments as of ``draw_rocks``."""
+    """The plan of a class of single objects."""
     path = f"objects/{name}"
     if cfg["file"] is not None:
         poses = read_poses(setting.files[f"{path}/file"].path, len(cfg["models"]))

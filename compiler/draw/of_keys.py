@@ -21,16 +21,7 @@ def of_keys(
     files: Mapping[str, InputFile],
     relief: Sequence[ReliefOperator] = (),
 ) -> Any:
-    """What a node's ``type`` names, with the node's other keys as its fields.
-
-    Args:
-        kinds: Classes by type.
-        node: The cfg's part, resolved.
-        streams: The batch's streams.
-        path: Where it stands in the cfg.
-        files: Files of the cfg, by path.
-        relief: Operators before it.
-    """
+    """What a node's ``type`` names, with the node's other keys as its fields."""
     values: dict[str, Any] = {key: value for key, value in node.items() if key != "type"}
     values = {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}
     kind = kinds[node["type"]]

@@ -54,15 +54,7 @@ _FLATNESS = 0.35
 def draw_rocks(
     name: str, cfg: dict[str, Any], labels: Labels, streams: Streams, setting: Setting | None = None
 ) -> ScatterPlan:
-    """The plan of one class.
-
-    Args:
-        name: Of the class.
-        cfg: Its part of the cfg.
-        labels: Its label ids.
-        streams: The batch's streams.
-        setting: What it refers to beyond its own part.
-    """
+    """The plan of one class."""
     path = f"objects/{name}"
     node = resolve(cfg, streams, path)
     prototypes = int(node["prototypes"])

@@ -83,14 +83,7 @@ def draw_scattered(
     """The plan of one class.
 
     Args:
-        name: Of the class.
         cfg: Its part of the cfg; the keys of ``objects_scattered.schema.json`` are read.
-        node: The same, resolved.
-        labels: Its label ids.
-        streams: The batch's streams.
-        setting: What it refers to.
-        source: What its prototypes are made of.
-        weights: How often each of its prototypes is taken.
         orientation: Where the cfg gives none.
         size_key: The key of the cfg that gives each instance's scale.
 

@@ -27,12 +27,6 @@ def write_look(path: Path, name: str, material: Material, maps: dict[str, str]) 
 
     The numbers of the shared surface model stand as ``scenec:surface:*``, which backends read. The
     UsdPreviewSurface is derived from them (``write_preview``).
-
-    Args:
-        path: The layer, in a folder of the batch's folder.
-        name: Of the material.
-        material: What to write.
-        maps: Its maps by kind, relative to the batch's folder.
     """
     with new_layer(path) as stage:
         UsdGeom.Scope.Define(stage, LOOKS)

@@ -42,8 +42,6 @@ def write_scatter(
     """Writes the layer of a class of scattered objects.
 
     Args:
-        path: ``objects/<class>.usdc``.
-        scatter: What to write.
         materials: By name; empty where no color is asked for.
         table: Per level, label name -> id; empty where no labels are asked for.
     """
@@ -75,13 +73,7 @@ def write_placed(
     materials: Mapping[str, Material],
     table: Mapping[str, Mapping[str, int]],
 ) -> None:
-    """Writes the layer of a class of single objects: native instances of its prototypes.
-
-    Args:
-        path: ``objects/<class>.usdc``.
-        placed: What to write.
-        materials, table: As for ``write_scatter``.
-    """
+    """Writes the layer of a class of single objects: native instances of its prototypes."""
     with new_layer(path) as stage:
         UsdGeom.Xform.Define(stage, OBJECTS)
         prim = UsdGeom.Xform.Define(stage, class_path(placed.name)).GetPrim()

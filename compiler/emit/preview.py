@@ -27,8 +27,6 @@ def write_preview(look: UsdShade.Material, material: Material, files: dict[str, 
     them. Maps in the world are left out, and of what glows in pictures there the number is shown.
 
     Args:
-        look: The Material.
-        material: What to write.
         files: Its maps by kind, relative to the layer.
     """
     stage, path = look.GetPrim().GetStage(), look.GetPath()

@@ -35,12 +35,7 @@ def write_prototype(
     """Writes a mesh; what its parts have of their own stands on subsets, or on it if all have it.
 
     Args:
-        stage: Receives the prim.
-        path: Of the prim.
-        prototype: What to write.
         materials: By name; empty where no color is asked for.
-        material: Of the class.
-        labels: Of the class.
         table: Per level, label name -> id; empty where no labels are asked for.
     """
     mesh = UsdGeom.Mesh.Define(stage, path)

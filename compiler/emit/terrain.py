@@ -28,8 +28,6 @@ def write_terrain(
     """Writes the layer.
 
     Args:
-        path: ``terrain.usdc``.
-        ground: What to write.
         materials: By name; empty where no color is asked for.
         label_names: For each ground layer, label name per level; empty where none are asked for.
     """

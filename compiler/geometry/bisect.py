@@ -242,7 +242,6 @@ def _split(mesh, vertices, before, order, done):  # type: ignore[no-untyped-def]
     Args:
         mesh: ``_Arrays`` with room for what is added: halves of edges in twos, then edges across
             faces. Edges are marked; of a face with any, its first.
-        vertices: How many there are.
         before: The faces in order, int32 [m].
         order: Receives the new order, int32 [m'].
         done: ``Halved``, of which the faces are received.

@@ -67,8 +67,6 @@ def lens_intrinsics(
     """Intrinsics of square pixels around a field of view; of the whole sphere without one.
 
     Args:
-        lens: The lens.
-        resolution: Width and height.
         fov_deg: Horizontal field of view; None with equirectangular only.
 
     Returns:
@@ -168,7 +166,6 @@ def sight_of(sensor: Sensor, margin: float) -> tuple[tuple[float, float], tuple[
     """A cone around the axis that holds all rays of a sensor with a lens, and its scale.
 
     Args:
-        sensor: With a lens.
         margin: How far the picture is continued on each side, in parts of its size.
 
     Returns:

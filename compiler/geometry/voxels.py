@@ -49,7 +49,6 @@ def voxels_of(prototype: Prototype, side: float, most: int) -> Voxels:
 
     Args:
         prototype: With one triangle or more.
-        side: Wanted.
         most: Cubes along the longest axis at most: the side is longer where it has to be.
     """
     points = prototype.points.astype(np.float64)

@@ -79,7 +79,6 @@ def bake(
     air before it. It lies at height 0, or 100 m below an observer who is lower than that.
 
     Args:
-        medium: The atmosphere.
         weights: Of its wavelengths (``atmosphere_spectra.weights``), [wavelengths, 3].
         altitude_m: Of the observer, at least 0 and below the atmosphere's top.
         sun_elevation: Radians; the sun's bearing is 180 degrees.
@@ -158,14 +157,7 @@ def _disc_above(center: float, radius: float) -> float:
 
 
 def zenith_depth(medium: Medium, altitude_m: float, nm: float, nodes: NDArray) -> dict[str, float]:
-    """Optical depth straight up from the observer, by what makes it.
-
-    Args:
-        medium: The atmosphere.
-        altitude_m: Of the observer.
-        nm: Wavelength.
-        nodes: The medium's wavelengths.
-    """
+    """Optical depth at a wavelength straight up from the observer, by what makes it."""
     sizes = medium.planet.sizes()
     gas, aerosol, layer = columns(sizes[0] + altitude_m, 1.0, sizes)
     parts = {"air": medium.gas * gas, "dust": medium.aerosol_loss * aerosol}

@@ -69,7 +69,6 @@ def reduced(spectra: NDArray[np.float64], g: NDArray[np.float64]) -> NDArray[np.
 
     Args:
         spectra: Gas, aerosol, loss by the aerosol, absorption, [4, wavelengths].
-        g: Mean cosine of the aerosol.
     """
     gas, aerosol, loss, layer = spectra
     return np.stack([gas, aerosol * (1.0 - g), loss - aerosol * g, layer])
@@ -148,8 +147,6 @@ def make_table(
     """Light scattered twice or more, mean over all directions, by height and the sun's elevation.
 
     Args:
-        sizes: ``Planet.sizes``.
-        spectra: Of the reduced medium.
         albedo: Of the ground, [wavelengths].
 
     Returns:
@@ -220,12 +217,7 @@ def add_again(
     """Adds what a prepared ray of the reduced medium sends of the table's light, [wavelengths].
 
     Args:
-        count: Steps of the ray.
-        sight: The ray.
-        sizes: ``Planet.sizes``.
-        table: Of ``make_table``.
         steps: Of ``prepare`` in the reduced medium.
-        total: Receives it.
     """
     r0, sine, toward, sun_sine = sight
     middle, scattered = steps.middle, steps.scattered
@@ -263,7 +255,6 @@ def bake_again(
     """What the picture of ``atmosphere.bake`` lacks, of the same shape and unit.
 
     Args:
-        medium, weights, altitude_m, sun_elevation, ground_color, height, steps: As there.
         ground: Radius of the ground that is seen.
     """
     sizes = medium.planet.sizes()
@@ -289,12 +280,8 @@ def _again(
     """What a ray's single scattering lacks, [wavelengths], into ``total``.
 
     Args:
-        count: Steps of the ray.
-        sight: The ray.
-        air: The atmosphere.
         full, less: The ray, prepared in the medium and in the reduced one.
         part: Room for two spectra.
-        total: Receives it.
     """
     gather(count, sight, air.sizes, air.even, less, part[0], part[1])
     for w in range(total.size):
@@ -311,9 +298,6 @@ def _forward_again(count: int, sight: Sight, air: Air, full: Steps, out: NDArray
     """Light scattered forward twice or more, over the phase function and sunlight.
 
     Args:
-        count: Steps of the ray.
-        sight: The ray.
-        air: The atmosphere.
         full: The ray, prepared.
         out: Receives it, [wavelengths].
     """

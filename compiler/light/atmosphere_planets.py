@@ -99,12 +99,7 @@ _DUST_FORWARD, _DUST_WIDE, _DUST_LOBES_NM = 0.889, 0.094, 650.0
 
 
 def earth(count: int, air: float, dust: float, ozone: float) -> Medium:
-    """Earth's atmosphere at so many wavelengths.
-
-    Args:
-        count: Number of wavelengths.
-        air, dust, ozone: Factors on the densities.
-    """
+    """Earth's atmosphere at so many wavelengths."""
     nm = wavelengths(count)
     ones = np.ones(count)
     return Medium(

@@ -2,7 +2,7 @@
 
 A ray is cut into steps whose ends have exact columns behind them (``atmosphere_columns``). Within a
 step only the sunlight's own loss is taken to be even, so that what scatters is exact however thick
-or thin the medium is, and never more than what arrives.
+or thin the medium is, and never more than what arrives. ``sizes`` are ``Planet.sizes``.
 """
 
 from __future__ import annotations
@@ -79,9 +79,6 @@ def aerosol_phase(cosine: float, phase: NDArray, k: int, sharpest: float) -> flo
     """The aerosol's phase function at wavelength ``k``, 1/sr.
 
     Args:
-        cosine: Of the scattering angle.
-        phase: ``Medium.phase``.
-        k: Index of the wavelength.
         sharpest: g is taken to be at most this; 1 for as it is.
     """
     share, g = phase[0, k], min(phase[1, k], sharpest)
@@ -147,9 +144,7 @@ def prepare(
         r0: The observer's distance from the planet's center.
         sine, cosine: Of the ray's elevation.
         ground: Radius of the ground that ends a ray.
-        sizes: ``Planet.sizes``.
         spectra: Gas, aerosol, loss by the aerosol, absorption, [4, wavelengths].
-        out: Receives it.
 
     Returns:
         Number of steps, and whether the ray ends on the ground.
@@ -207,12 +202,7 @@ def prepare(
 
 @kernel
 def shadow(sight: Sight, radius: float) -> tuple[float, float]:
-    """Distances between which a ray is in the planet's shadow; the first above the second if never.
-
-    Args:
-        sight: The ray.
-        radius: The planet's.
-    """
+    """Distances between which a ray is in the planet's shadow; if never, the first is larger."""
     r0, sine, toward, sun_sine = sight
     # The shadow is a half cylinder: square distance from its axis below that of the planet.
     a = (1.0 - toward) * (1.0 + toward)
@@ -249,9 +239,6 @@ def gather(
     """Sums what a prepared ray's steps send to the observer under the sun.
 
     Args:
-        count: Steps of the ray.
-        sight: The ray.
-        sizes, spectra, steps: Of ``prepare``.
         of_gas, of_aerosol: Receive radiance over phase function and sunlight, [wavelengths].
     """
     r0, sine, toward, sun_sine = sight

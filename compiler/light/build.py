@@ -41,8 +41,6 @@ def build_light(plan: LightPlan, samples: int, color: bool, labels: bool) -> Lig
     """The light of a batch.
 
     Args:
-        plan: What was drawn.
-        samples: Number of samples.
         color: Whether an output shows it; without, there is none.
         labels: Whether an output shows labels; without, a panorama's are left out.
 

@@ -35,11 +35,6 @@ def build_lamps(
 ) -> tuple[Lamp, ...]:
     """All lamps, in the plan's order.
 
-    Args:
-        plans: What was drawn.
-        rigs: Those that carry some of them.
-        surface: The ground that others stand on.
-
     Raises:
         SceneError: A lamp is so far away that float64 does not hold it.
     """
@@ -127,10 +122,6 @@ def meter_lamps(
     a rover gets its light at a grazing angle, but rocks do not.
 
     Args:
-        rigs: With exposures for suns and sky.
-        plans: Theirs.
-        lamps: At least one.
-        surface: The ground.
         irradiance: Of suns and sky, on level ground, [s].
     """
     out = []

@@ -127,7 +127,6 @@ def _spots(level: NDArray[np.float64], height: int) -> list[_Spot]:
 
     Args:
         level: Luminance of the rows above the horizon.
-        height: Rows of the whole picture.
     """
     width = level.shape[1]
     open_to = level.copy()

@@ -55,11 +55,8 @@ def build_objects(
     """The objects, in the plans' order; each class sees those before it.
 
     Args:
-        plans: What was drawn.
         around: Ground and cameras; receives what is laid.
-        views: The cameras.
         unseen: Part that a pixel counts where no view shows an instance.
-        times: Of the samples, seconds.
         looks: Receives the materials of models; None where no color is asked for.
         max_triangles: Most triangles of all objects together, or None.
         timed: Measures how long a class takes, in a ``with`` block.

@@ -24,7 +24,6 @@ def along_creases(
     turn it over: the triangles go on covering the sphere once.
 
     Args:
-        subdivisions: Of the icosphere.
         normals, distances: Of the planes, float64 [p, 3] and [p].
 
     Returns:

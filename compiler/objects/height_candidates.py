@@ -24,13 +24,6 @@ def candidates_on(
 ) -> Candidates:
     """Where objects of a density lie on heights: it is taken as constant over each cell.
 
-    Args:
-        field: The terrain.
-        density: Relative density.
-        where: What it is multiplied with.
-        around: What it may depend on.
-        name: Object class, for messages.
-
     Raises:
         SceneError: It is zero everywhere.
     """

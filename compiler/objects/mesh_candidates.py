@@ -57,13 +57,6 @@ class MeshCandidates:
     ):
         """Weighs the faces.
 
-        Args:
-            surface: The terrain.
-            density: Relative density.
-            where: What it is multiplied with.
-            around: What it may depend on.
-            name: Object class, for messages.
-
         Raises:
             SceneError: The density is zero everywhere, or no face can carry anything.
         """

@@ -20,12 +20,6 @@ def place_objects(
 ) -> Placed:
     """The objects at every sample.
 
-    Args:
-        plan: What was drawn.
-        prototypes: One for each of the plan's models.
-        surface: What they stand on.
-        times: Of the samples, seconds.
-
     Raises:
         SceneError: An object on the ground leaves the terrain.
     """
@@ -65,8 +59,6 @@ def _frames(
     """The frames in which turns are given: moved, and tilted with the ground: [n, 4, 4].
 
     Args:
-        plan: The class.
-        surface: The ground; asked for all at once.
         at, radius: Where objects are, and the balls around them, [n, 3] and [n].
         numbers: Their ids, for messages.
     """

@@ -41,14 +41,7 @@ class Placement:
         around: Surroundings,
         mesh: MeshCandidates | None,
     ):
-        """No instance is placed yet.
-
-        Args:
-            plan: The class.
-            prototypes: What is seated.
-            around: The ground.
-            mesh: The places, where the ground is a mesh.
-        """
+        """No instance is placed yet."""
         self._plan, self._prototypes, self._mesh = plan, prototypes, mesh
         self._around = around
         self._radius = np.array([p.radius for p in prototypes], np.float64)
@@ -183,10 +176,7 @@ def seating_report(
     triangles, whose finer detail they follow only as a whole.
 
     Args:
-        scatter: The instances.
         embed: What was asked for, float64 [n].
-        placement: As which they were put.
-        which: The instances there.
     """
     n = scatter.count
     surface = placement.surface

@@ -100,12 +100,8 @@ def build_prototype(
     """A model as a prototype, in meters, about the file's origin.
 
     Args:
-        owner: Name of the class.
-        name: Prim name.
-        model: The model.
         rules: For its parts; of several that fit, the last counts.
         material: The cfg's material for all that no rule gives one; None: the file's own.
-        labels: Of the class.
         variation: How much the file's own materials vary from instance to instance.
         looks: Receives the file's materials that are used; None where no color is asked for.
 

@@ -37,7 +37,6 @@ def scatter(
     density, so what is kept shows in it only where something is in the way.
 
     Args:
-        plan: The class.
         chains: The levels of each prototype; seated is the finest, so that none moves with another.
         around: Ground, cameras, and the classes placed before.
         facts: Receives what was done, for report.json.

@@ -76,7 +76,6 @@ class Disks:
         """Puts each of some objects at the first of its places where it keeps apart.
 
         Args:
-            candidates: Candidates.
             u, key: As in ``candidates.numbers``.
             order: Which objects, in the order in which they are put, int64 [m].
             radius: Of every object's circle, half of the gap included, float64 [n].

@@ -24,11 +24,6 @@ def without_idle(
 
     A test that errs one way only: geometry counts as the balls around tiles and instances, at all
     samples; a lamp as the ball it is.
-
-    Args:
-        lamps: The lamps.
-        ground: The terrain.
-        objects: What stands on it.
     """
     if not lamps:
         return (), []

@@ -59,9 +59,7 @@ def needs_of(outputs: Iterable[str], keep: Keep = Keep.SEEN, levels: bool = True
     """What a batch's outputs need.
 
     Args:
-        outputs: Those of all its sensors.
         keep: ``Keep.ALL`` needs everything that the cfg has: someone will walk around in the stage.
-        levels: Whether the cfg has label levels.
     """
     asked = set(outputs)
     if keep is Keep.ALL:
@@ -116,9 +114,6 @@ def without_unused(
 
     Args:
         materials: By name; empty where no color is asked for.
-        ground: The terrain.
-        objects: What stands on it.
-        needs: What the outputs show.
     """
     left_out: list[dict[str, Any]] = []
     kept = [_without_unused_prototypes(one, left_out) for one in objects]
@@ -146,12 +141,7 @@ def materials_of(objects: Scatter | Placed) -> set[str]:
 
 
 def without_ids(objects: Sequence[Scatter | Placed], needs: Needs) -> tuple[Scatter | Placed, ...]:
-    """The classes; none has ids where no output shows them.
-
-    Args:
-        objects: What stands on the ground.
-        needs: What the outputs show.
-    """
+    """The classes; none has ids where no output shows them."""
     if needs.ids:
         return tuple(objects)
     return tuple(replace(one, instances=False) for one in objects)
@@ -225,13 +215,7 @@ def _without_hidden_layers(ground: Ground, left_out: list[dict[str, Any]]) -> Gr
 def note_outputs(
     needs: Needs, plan: Plan, ground: Ground, objects: Sequence[Scatter | Placed]
 ) -> list[dict[str, Any]]:
-    """Entries about what no output shows, with the bytes of the arrays that it would take.
-
-    Args:
-        needs: What the outputs show.
-        plan: What the cfg has.
-        ground, objects: What stays.
-    """
+    """Entries about what no output shows, with the bytes of the arrays that it would take."""
     meshes: list[Tile | Prototype] = [
         *ground.tiles,
         *(mesh for one in objects for mesh in one.prototypes),

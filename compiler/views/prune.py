@@ -118,8 +118,6 @@ def prune(
     """Leaves out what no camera can see the effect of.
 
     Args:
-        scene: What was built; only read.
-        needs: What the outputs show.
         keep: Anything but ``SEEN`` leaves all as it is.
         hills: Whether the terrain is a height field, so that it hides what is behind it.
         everywhere: Whether with color anything may show, wherever it stands: there is a mirror, or

@@ -181,7 +181,6 @@ def frames(
     Args:
         bearing: Level unit vectors, float64 [n, 2].
         pitch_deg: Of the view above the horizon: -90 looks straight down.
-        roll_deg: About the view, clockwise as the camera sees itself.
     """
     n = len(bearing)
     pitch = np.broadcast_to(np.asarray(pitch_deg, np.float64), n) * _DEGREE

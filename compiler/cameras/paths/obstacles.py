@@ -94,7 +94,6 @@ def obstacles_of(
     """What is to be driven around.
 
     Args:
-        bodies: Objects by class.
         largest_m: Those whose ball has a larger radius are driven around.
         cell_m: Of the cells that are driven in.
     """
@@ -125,10 +124,7 @@ def nearest(
     """The nearest object in the way of a vehicle at a point [2], by the distance of cubes in plan.
 
     Args:
-        obstacles: Candidates.
-        band: Of the vehicle.
         cell: Row and column of the point's.
-        xy: The point.
     """
     best: Nearest | None = None
     for one in obstacles:

@@ -27,7 +27,6 @@ def hits(
 
     Args:
         field: The terrain; beyond it there is nothing.
-        span: Of its heights.
         eye: float64 [3].
         way: Unit directions, float64 [n, 3].
     """

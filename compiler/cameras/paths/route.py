@@ -104,11 +104,9 @@ def passable(
     a slope it leans, by its height times the slope's sine.
 
     Args:
-        around: Ground and objects.
         max_slope_deg: Steeper cells are not free.
         width_m, base_m: Between its wheels, across and along. Slopes are taken over ``base_m``.
         top_m: Height of the vehicle above the plane through its wheels.
-        largest_m: Objects whose ball has a larger radius are driven around.
     """
     size = around.surface.field.grid.size_m
     cell = max(base_m, max(size) / _CELLS)
@@ -163,8 +161,6 @@ def driven_over(
 
     Args:
         xy: The way, densely, float64 [n, 2].
-        width_m: Of the strip.
-        bodies: One class.
         margin_m: Of how far points of the way are from each other, half.
     """
     touched = _touched(xy, bodies.middle, bodies.radius + 0.5 * width_m + margin_m)

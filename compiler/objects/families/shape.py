@@ -91,7 +91,6 @@ def octaves(frequency: float, spacing: float, most: int) -> int:
     Args:
         frequency: Of the first, in waves a radius.
         spacing: Step of the mesh in radians.
-        most: Not more than these.
     """
     count = 0
     while count < most and 2.0 * frequency * spacing <= 1.0:
@@ -127,8 +126,6 @@ def block(
     """Inverse radius of a convex block with worn edges, in the direction (x, y, z).
 
     Args:
-        normals, distances: Of its planes.
-        x, y, z: Unit vector.
         width: How far the wear of an edge reaches, in inverse radii.
 
     Returns:
