@@ -45,8 +45,8 @@ from scenec.compiler.terrain.program import Relief, run
 from scenec.compiler.terrain.quantities import Samples
 from scenec.compiler.terrain.sources.mesh_surface import MeshSurface
 from scenec.compiler.views import needed
-from scenec.compiler.views.keep import Keep
 from scenec.compiler.views.lamps import without_idle
+from scenec.compiler.views.needed import Keep
 from scenec.compiler.views.prune import Pruned, prune
 from scenec.compiler.views.resolution import Views, pixels_per_meter, views_of
 from scenec.schemas.errors import SceneError

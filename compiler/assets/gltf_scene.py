@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from scenec.compiler.assets.parts import MeshFileError
 from scenec.compiler.geometry import affine
+from scenec.compiler.geometry.poses import compose
 
 #: Required extensions that leave geometry as it is, by how their names begin.
 _HARMLESS = ("KHR_materials_", "KHR_texture_", "KHR_lights_", "EXT_texture_", "KHR_mesh_quantiz")
@@ -63,7 +64,7 @@ def placed_meshes(document: dict[str, Any]) -> Iterator[tuple[str, int, NDArray[
         node = nodes[natural(index)]
         if "EXT_mesh_gpu_instancing" in node.get("extensions", {}):
             raise MeshFileError("holds GPU instances: export them as meshes")
-        matrix = affine.composed(parent, _local(node))
+        matrix = compose(parent, _local(node))
         own = natural(node["mesh"]) if "mesh" in node else None
         name = node.get("name")
         if own is not None:
@@ -113,7 +114,7 @@ def _local(node: dict[str, Any]) -> NDArray[np.float64]:
         x, y, z, w = map(float, node["rotation"])
         if x == y == z == w == 0.0:
             raise MeshFileError("a broken glTF file: a rotation is 0 0 0 0, expected a quaternion")
-        out = affine.composed(out, affine.of_quaternion(x, y, z, w))
+        out = compose(out, affine.of_quaternion(x, y, z, w))
     scale = np.eye(4)
     scale[[0, 1, 2], [0, 1, 2]] = node.get("scale", (1.0, 1.0, 1.0))
-    return affine.composed(out, scale)
+    return compose(out, scale)

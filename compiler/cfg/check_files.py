@@ -158,7 +158,7 @@ def _check_mesh(file: Path, owner: Node, cfg: Node) -> Iterator[Finding]:
 
 
 def _check_model(file: Path, owner: Node, cfg: Node) -> Iterator[Finding]:
-    from scenec.compiler.assets.cache import cached_model, parsed_model
+    from scenec.compiler.assets.model import cached_model, parsed_model
 
     missing = _missing(file, owner, parsed_model(file))
     yield from missing
@@ -186,7 +186,7 @@ def _digest_of_mesh(file: Path, owner: Node, digest: str) -> str:
 
 def _digest_of_model(file: Path, owner: Node, digest: str) -> str:
     """With those of the files that belong to it, in its order."""
-    from scenec.compiler.assets.cache import parsed_model
+    from scenec.compiler.assets.model import parsed_model
 
     return _sha256(file, *parsed_model(file).companions)
 

@@ -150,7 +150,7 @@ def check_parts(cfg: Node, files: Mapping[str, InputFile]) -> Iterator[Finding]:
 
 def _part_names(file: Path, node: Node) -> list[str]:
     """Paths of a model's parts and names of its materials."""
-    from scenec.compiler.assets.cache import cached_model
+    from scenec.compiler.assets.model import cached_model
 
     try:
         model = cached_model(file, node["unit_m"], node["up"], node["part"])

@@ -9,10 +9,9 @@ from scenec.compiler.assets.texture_set import TextureSet, read_texture_set
 from scenec.compiler.cfg.load import Spec
 from scenec.compiler.distributions.resolve import resolve
 from scenec.compiler.distributions.streams import Streams
-from scenec.compiler.draw.of_keys import of_keys
+from scenec.compiler.draw.of_keys import Setting, of_keys
 from scenec.compiler.materials.kinds import SURFACES
-from scenec.compiler.scene.scene import Cells, Far, Material, MaterialMaps, Reflectance
-from scenec.compiler.scene.sources import Sources
+from scenec.compiler.scene.scene import Cells, Far, Material, MaterialMaps, Reflectance, Sources
 from scenec.schemas.maps import MAP_CHANNELS
 
 #: Further kinds of pictures that a cfg or a folder can name.
@@ -101,7 +100,8 @@ def _maps(
             del given["emission"]
     surface = None
     if node["procedural"] is not None:
-        surface = of_keys(SURFACES, node["procedural"], streams, f"{at}/procedural", spec.files)
+        setting = Setting(streams, files=spec.files)
+        surface = of_keys(SURFACES, node["procedural"], f"{at}/procedural", setting)
     size_m = node["size_m"] or (surface.SIZE_M if surface else 1.0)
     cells = far = None
     if node["cells"] is not None:

@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
-from scenec.compiler.cfg.check_files import InputFile
 from scenec.compiler.distributions.laws import golombek_rapp_per_m2
 from scenec.compiler.distributions.numbers import Distribution, draw_number
 from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.draw.ground import draw_condition
-from scenec.compiler.draw.of_keys import of_keys
+from scenec.compiler.draw.of_keys import Setting, of_keys
 from scenec.compiler.objects.conditions import (
     FromCameras,
     FromObjects,
@@ -37,7 +35,6 @@ from scenec.compiler.objects.density import (
 )
 from scenec.compiler.scene.plan import Apart, Count, ModelSource, RockShapes, ScatterPlan
 from scenec.compiler.scene.scene import Labels
-from scenec.compiler.terrain.operator import ReliefOperator
 from scenec.schemas.errors import SceneError
 
 #: Objects of one class at most.
@@ -48,31 +45,11 @@ _MOST_PARENTS = 4_000_000
 Orientation = Literal["random", "upright", "normal"]
 
 
-@dataclass(frozen=True)
-class Setting:
-    """What a class of objects refers to beyond its own part of the cfg.
-
-    Attributes:
-        size_m: Extent of the terrain.
-        relief: The operators that were laid.
-        ground: The cfg's ground layers, resolved.
-        files: Files of the cfg, by path.
-        label_table: The cfg's labels: per level, name -> id.
-    """
-
-    size_m: tuple[float, float] = (1.0, 1.0)
-    relief: Sequence[ReliefOperator] = ()
-    ground: Sequence[Mapping[str, Any]] = ()
-    files: Mapping[str, InputFile] = field(default_factory=dict)
-    label_table: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
-
-
 def draw_scattered(
     name: str,
     cfg: Mapping[str, Any],
     node: Mapping[str, Any],
     labels: Labels,
-    streams: Streams,
     setting: Setting,
     *,
     source: RockShapes | ModelSource,
@@ -90,8 +67,8 @@ def draw_scattered(
     Raises:
         SceneError: There would be too many objects.
     """
-    path = f"objects/{name}"
-    count = _count(path, cfg, node, streams, setting, size_key)
+    path, streams = f"objects/{name}", setting.streams
+    count = _count(path, cfg, node, streams, size_key)
     n = _most(path, count, setting)
     turned = cfg["orientation"] or orientation
     orientations = (
@@ -108,9 +85,9 @@ def draw_scattered(
         instances=cfg["instances"],
         source=source,
         count=count,
-        density=_density(node["density"], streams, f"{path}/density", setting),
+        density=_density(node["density"], f"{path}/density", setting),
         where=tuple(
-            _place(condition, streams, f"{path}/where/{i}", setting)
+            _place(condition, f"{path}/where/{i}", setting)
             for i, condition in enumerate(node["where"])
         ),
         apart=None
@@ -144,12 +121,7 @@ def uniforms(streams: Streams, path: str, n: int, columns: int) -> NDArray[np.fl
 
 
 def _count(
-    path: str,
-    cfg: Mapping[str, Any],
-    node: Mapping[str, Any],
-    streams: Streams,
-    setting: Setting,
-    size_key: str,
+    path: str, cfg: Mapping[str, Any], node: Mapping[str, Any], streams: Streams, size_key: str
 ) -> Count:
     if node["count"] is not None:
         return Count(int(node["count"]), None, 0.0)
@@ -190,17 +162,16 @@ _DENSITIES: dict[str, type[Density]] = {
 _DISTANCES: dict[str, type[PlacementCondition]] = {"camera": FromCameras, "object": FromObjects}
 
 
-def _density(node: Mapping[str, Any], streams: Streams, path: str, setting: Setting) -> Density:
+def _density(node: Mapping[str, Any], path: str, setting: Setting) -> Density:
     if node["type"] == "clusters":
-        return _clusters(node, streams, path, setting)
-    density: Density = of_keys(_DENSITIES, node, streams, path, setting.files, setting.relief)
+        return _clusters(node, path, setting)
+    density: Density = of_keys(_DENSITIES, node, path, setting)
     return density
 
 
-def _clusters(
-    cfg: Mapping[str, Any], streams: Streams, path: str, setting: Setting
-) -> ClusterDensity:
+def _clusters(cfg: Mapping[str, Any], path: str, setting: Setting) -> ClusterDensity:
     """Parents, over the terrain and as far around it as their clusters reach."""
+    streams = setting.streams
     margin = 2.0 * CLUSTER_REACH * cfg["sigma_m"]
     width, depth = setting.size_m[0] + margin, setting.size_m[1] + margin
     area = setting.size_m[0] * setting.size_m[1]
@@ -231,18 +202,13 @@ def _poisson(streams: Streams, path: str, mean: float) -> int:
         n *= 2
 
 
-def _place(
-    node: Mapping[str, Any], streams: Streams, path: str, setting: Setting
-) -> PlacementCondition:
+def _place(node: Mapping[str, Any], path: str, setting: Setting) -> PlacementCondition:
     if node["type"] == "material":
-        layers = tuple(
-            i for i, layer in enumerate(setting.ground) if layer["material"] == node["material"]
-        )
-        return OnMaterial(layers if node["layer"] is None else (node["layer"],))
+        return OnMaterial(setting.layers_of(node))
     if node["type"] in _DISTANCES:
-        distance: PlacementCondition = of_keys(_DISTANCES, node, streams, path, setting.files)
+        distance: PlacementCondition = of_keys(_DISTANCES, node, path, setting)
         return distance
-    return OnRelief(draw_condition(node, streams, path, setting.files, setting.relief))
+    return OnRelief(draw_condition(node, path, setting))
 
 
 def _random_turns(streams: Streams, path: str, n: int) -> NDArray[np.float64]:

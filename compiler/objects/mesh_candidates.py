@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.compiler.geometry.normals import face_normals
 from scenec.compiler.objects.candidates import Candidates
 from scenec.compiler.objects.conditions import PlacementCondition
-from scenec.compiler.objects.corners import face_normals
 from scenec.compiler.objects.density import Density, Everywhere
 from scenec.compiler.objects.height_candidates import lattice_of, require_somewhere
 from scenec.compiler.objects.surroundings import Surroundings

@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.assets.cache import cached_model
 from scenec.compiler.assets.looks import ModelMaterial
-from scenec.compiler.assets.model import Model
+from scenec.compiler.assets.model import Model, cached_model
 from scenec.compiler.assets.parts import is_of
 from scenec.compiler.objects.corners import corner_normals, split
 from scenec.compiler.scene.scene import Labels, Material, MaterialMaps, MeshPart, Prototype

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.scene.rig import Rig
-from scenec.compiler.scene.sources import Sources
 
 if TYPE_CHECKING:
     from scenec.compiler.materials.surface import Surface
@@ -61,6 +60,35 @@ class Far:
 
     factor: float
     share: float
+
+
+@dataclass(frozen=True)
+class Sources:
+    """Further files that a cfg names for a material, which its pictures are made of.
+
+    Attributes:
+        gloss: Roughness is 1 less it; None: there is none.
+        occlusion: Ambient occlusion, which the albedo is multiplied with.
+        occlusion_strength: albedo * (1 - strength * (1 - occlusion)).
+        packed: Occlusion, roughness and metallic part as red, green and blue.
+        unpacked: Kinds that ``packed`` is used for.
+        heights: Of the relief, as a picture.
+        heights_m: White above black in it; None: it stays flat.
+        as_is: Whether files keep their resolution, whoever sees them.
+        unused: Files of a folder whose names are understood, and which nothing is made of.
+        unknown: Files of a folder whose names are not understood.
+    """
+
+    gloss: Path | None = None
+    occlusion: Path | None = None
+    occlusion_strength: float = 1.0
+    packed: Path | None = None
+    unpacked: tuple[str, ...] = ()
+    heights: Path | None = None
+    heights_m: float | None = None
+    as_is: bool = False
+    unused: tuple[str, ...] = ()
+    unknown: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

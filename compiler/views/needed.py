@@ -20,6 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from enum import StrEnum
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -28,7 +29,6 @@ import numpy as np
 from scenec.compiler.scene.plan import Plan
 from scenec.compiler.scene.rig import Rig
 from scenec.compiler.scene.scene import Ground, Material, Placed, Prototype, Scatter, Tile
-from scenec.compiler.views.keep import Keep
 from scenec.schemas.left_out import entry
 from scenec.schemas.passes import BUILT_IN
 
@@ -39,6 +39,21 @@ _NO_LABELS = "no sensor asks for labels"
 _NO_IDS = "no sensor asks for instances"
 #: Bytes a vertex of what only pictures show: a normal and a color; and of a number.
 _SHADING, _NUMBER = 24, 4
+
+
+class Keep(StrEnum):
+    """How much of a scene stays in the stage.
+
+    ``SEEN``: what the cameras of the batch can see the effect of (the default).
+    ``UNPRUNED``: everything, as coarse where no camera sees it as ``SEEN`` would have it: meshes
+    and levels of detail are the same, so annotation is, too (``--no-prune``).
+    ``ALL``: everything, as fine out of view as in view, for walking around the stage in a viewer
+    (``--keep all``).
+    """
+
+    SEEN = "seen"
+    UNPRUNED = "unpruned"
+    ALL = "all"
 
 
 class Needs(NamedTuple):

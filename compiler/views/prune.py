@@ -33,8 +33,7 @@ from scenec.compiler.views.illumination import (
     shadows_seen,
     view_factors,
 )
-from scenec.compiler.views.keep import Keep
-from scenec.compiler.views.needed import Needs, materials_of, without_unused
+from scenec.compiler.views.needed import Keep, Needs, materials_of, without_unused
 from scenec.compiler.views.visible import BEHIND, OUTSIDE, SHOWN, visible
 from scenec.schemas.left_out import ORDER, ClassRecord, Reason, Record, entry
 

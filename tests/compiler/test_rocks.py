@@ -14,6 +14,7 @@ from small import small_cfg
 
 from scenec.compiler.cfg.fill import fill
 from scenec.compiler.distributions.streams import Streams
+from scenec.compiler.draw.of_keys import Setting
 from scenec.compiler.draw.rocks import draw_rocks
 from scenec.compiler.geometry.icosphere import EDGE, face_neighbors, icosphere, vertex_faces
 from scenec.compiler.objects.creases import along_creases
@@ -32,7 +33,7 @@ FAMILIES = ("weathered", "angular", "rounded", "slab", "vesicular")
 def plan(seed: int = 1, **change) -> ScatterPlan:
     cfg = small_cfg()
     cfg["objects"]["rocks"] |= {"prototypes": 6, "subdivisions": 3, "count": 40} | change
-    return draw_rocks("rocks", fill(cfg)["objects"]["rocks"], {}, Streams(seed, 0))
+    return draw_rocks("rocks", fill(cfg)["objects"]["rocks"], {}, Setting(Streams(seed, 0)))
 
 
 def shapes(family: str, seed: int = 1, **change) -> tuple[Shape, ...]:
