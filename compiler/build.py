@@ -16,8 +16,7 @@ from scenec.compiler.cache.memo import memoized
 from scenec.compiler.cameras.imaging import expose
 from scenec.compiler.cameras.paths.motion import Bodies, bodies_of
 from scenec.compiler.cameras.rigs import build_rigs, memoized_rigs
-from scenec.compiler.light.build import build_light
-from scenec.compiler.light.dark import without_dark
+from scenec.compiler.light.build import build_light, without_dark
 from scenec.compiler.light.lamps import build_lamps, meter_lamps
 from scenec.compiler.materials.finish import Shown, finish
 from scenec.compiler.materials.footprint import footprints

@@ -44,14 +44,7 @@ class Sampling:
         """
         stop = duration_s if self.stop_s is None else self.stop_s
         if self.times_s is not None:
-            if len(self.times_s) != samples:
-                raise SceneError(
-                    f"{what}: times_s has {len(self.times_s)} times for {samples} samples: "
-                    "expected one for each"
-                )
             at = np.array(self.times_s, np.float64)
-            if not (at[1:] > at[:-1]).all():
-                raise SceneError(f"{what}: times_s does not rise")
         elif self.rate_hz is not None:
             at = self.start_s + np.arange(samples) / self.rate_hz
         else:

@@ -112,7 +112,7 @@ def at_uniforms(number: Number, u: NDArray[np.float64]) -> NDArray[np.float64]:
 def _from_uniforms(number: Distribution, u: NDArray[np.float64]) -> NDArray[np.float64]:
     low, high = number.min, number.max
     if number.type == "choice":
-        return _choose(number, u)
+        return np.array(number.values)[laws.pick(u, number.weights)]
     if number.type == "uniform" and number.integer:
         # low and high are whole: each of high - low + 1 numbers gets an equal part of [0, 1).
         return np.minimum(low + np.floor(u * (high - low + 1.0)), high)
@@ -138,10 +138,3 @@ def _from_uniforms(number: Distribution, u: NDArray[np.float64]) -> NDArray[np.f
     if number.integer:
         values, low, high = np.floor(values + 0.5), np.ceil(low), np.floor(high)
     return np.minimum(np.maximum(values, low), high)
-
-
-def _choose(number: Distribution, u: NDArray[np.float64]) -> NDArray[np.float64]:
-    cumulative = np.cumsum(np.array(number.weights))
-    last = int(np.flatnonzero(np.array(number.weights))[-1])
-    chosen = np.searchsorted(cumulative, u * cumulative[-1], side="right")
-    return np.array(number.values)[np.minimum(chosen, last)]

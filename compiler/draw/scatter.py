@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
-from scenec.compiler.distributions.laws import golombek_rapp_per_m2
+from scenec.compiler.distributions.laws import arrivals, golombek_rapp_per_m2, pick
 from scenec.compiler.distributions.numbers import Distribution, draw_number
 from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.draw.ground import draw_condition
@@ -97,7 +97,7 @@ def draw_scattered(
         clearance_m=cfg["clearance_m"],
         place_key=streams.key(f"{path}/place"),
         position_u=uniforms(streams, f"{path}/position", n, 3),
-        prototype=_chosen(streams.uniforms(f"{path}/prototype", n), weights),
+        prototype=pick(streams.uniforms(f"{path}/prototype", n), weights).astype(np.int32),
         orientations=orientations,
         align=turned == "normal",
         scale=draw_number(cfg[size_key], streams, f"{path}/{size_key}", n).astype(np.float64),
@@ -105,14 +105,6 @@ def draw_scattered(
         variation=2.0 * streams.uniforms(f"{path}/variation", n) - 1.0,
         lod_px=cfg["lod_px"],
     )
-
-
-def _chosen(u: NDArray[np.float64], weights: Sequence[float]) -> NDArray[np.int32]:
-    """Indices in proportion to weights, one or more of them above 0."""
-    cumulative = np.cumsum(np.array(weights, np.float64))
-    last = int(np.flatnonzero(np.array(weights))[-1])
-    found = np.searchsorted(cumulative, u * cumulative[-1], side="right")
-    return np.minimum(found, last).astype(np.int32)
 
 
 def uniforms(streams: Streams, path: str, n: int, columns: int) -> NDArray[np.float64]:
@@ -187,19 +179,9 @@ def _clusters(cfg: Mapping[str, Any], path: str, setting: Setting) -> ClusterDen
     if cfg["parents"] is not None:
         n = max(1, int(mean + 0.5))
     else:
-        n = _poisson(streams, f"{path}/parents", mean)
+        n = int(np.searchsorted(arrivals(streams, f"{path}/parents", mean), mean))
     u = uniforms(streams, f"{path}/position", n, 2) - 0.5
     return ClusterDensity(u[:, 0] * width, u[:, 1] * depth, cfg["sigma_m"], cfg["background"])
-
-
-def _poisson(streams: Streams, path: str, mean: float) -> int:
-    """A Poisson number: how many gaps of mean 1 fit."""
-    n = int(mean + 8.0 * np.sqrt(mean)) + 16
-    while True:
-        sums = np.cumsum(-elementary.log_array(1.0 - streams.uniforms(path, n)))
-        if sums[-1] > mean:
-            return int(np.searchsorted(sums, mean))
-        n *= 2
 
 
 def _place(node: Mapping[str, Any], path: str, setting: Setting) -> PlacementCondition:

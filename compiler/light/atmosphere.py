@@ -15,13 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
-from scenec.compiler.light.atmosphere_bearings import angle_to_sun, cubic
 from scenec.compiler.light.atmosphere_columns import columns
 from scenec.compiler.light.atmosphere_multiple import FarGround, Look, bake_again, far_suns
 from scenec.compiler.light.atmosphere_planets import Medium
 from scenec.compiler.light.atmosphere_rays import (
     Sight,
     aerosol_phase,
+    angle_to_sun,
+    cubic,
     gas_phase,
     gather,
     prepare,
@@ -93,7 +94,7 @@ def bake(
         atmosphere has the luminance 1. Never negative: colors outside of Rec.709 are clipped.
     """
     sizes = medium.planet.sizes()
-    spectra = np.stack([medium.gas, medium.aerosol, medium.aerosol_loss, medium.layer])
+    spectra = medium.spectra()
     r0 = sizes[0] + altitude_m
     ground = min(sizes[0], r0 - _EYE_M)
     sun = np.array([elementary.cos(sun_elevation), elementary.sin(sun_elevation)])
@@ -107,9 +108,7 @@ def bake(
     over_threads(_rows, height, look, bearings, air, far, half)
     picture = np.concatenate([half, half[:, ::-1]], axis=1)
     if multiple:
-        picture += bake_again(
-            medium, weights, altitude_m, sun_elevation, ground_color, height, steps, ground
-        )
+        picture += bake_again(medium, look, ground_color, height)
     return picture
 
 

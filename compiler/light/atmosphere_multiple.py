@@ -22,12 +22,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
-from scenec.compiler.light.atmosphere_bearings import angle_to_sun, cubic
 from scenec.compiler.light.atmosphere_columns import columns
 from scenec.compiler.light.atmosphere_planets import Medium
 from scenec.compiler.light.atmosphere_rays import (
     Sight,
     Steps,
+    angle_to_sun,
+    cubic,
     gather,
     lobe,
     prepare,
@@ -243,27 +244,12 @@ def add_again(
 
 
 def bake_again(
-    medium: Medium,
-    weights: NDArray[np.float64],
-    altitude_m: float,
-    sun_elevation: float,
-    ground_color: NDArray[np.float64],
-    height: int,
-    steps: int,
-    ground: float,
+    medium: Medium, look: Look, ground_color: NDArray[np.float64], height: int
 ) -> NDArray[np.float64]:
-    """What the picture of ``atmosphere.bake`` lacks, of the same shape and unit.
-
-    Args:
-        ground: Radius of the ground that is seen.
-    """
-    sizes = medium.planet.sizes()
-    spectra = np.stack([medium.gas, medium.aerosol, medium.aerosol_loss, medium.layer])
-    g = mean_cosine(medium.phase)
+    """What the picture of ``atmosphere.bake`` lacks, of the same shape and unit."""
+    sizes, spectra, g = medium.planet.sizes(), medium.spectra(), mean_cosine(medium.phase)
     even = reduced(spectra, g)
     albedo = spectral_albedo(wavelengths(len(medium.gas)), ground_color)
-    sun = np.array([elementary.cos(sun_elevation), elementary.sin(sun_elevation)])
-    look = Look(sizes[0] + altitude_m, ground, sun, steps, weights)
     air = Air(sizes, spectra, even, g, medium.phase, make_table(sizes, even, albedo))
     low, high = far_suns(look)
     light = np.zeros((_GROUND_SUNS, len(g)))

@@ -59,6 +59,10 @@ class Medium:
     layer: NDArray[np.float64]
     phase: NDArray[np.float64]
 
+    def spectra(self) -> NDArray[np.float64]:
+        """Gas, aerosol, loss by the aerosol, absorption, as kernels take them, [4, wavelengths]."""
+        return np.stack([self.gas, self.aerosol, self.aerosol_loss, self.layer])
+
 
 #: Top: 1e-5 of the ground's density is left.
 EARTH = Planet(radius_m=6_360_000.0, top_m=95_000.0, gas_m=8_000.0, aerosol_m=1_200.0)

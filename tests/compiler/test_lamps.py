@@ -14,8 +14,7 @@ from scenec.backends.check.stage import check_stage
 from scenec.backends.stage.read import read_stage
 from scenec.compiler.cameras.paths.random_target import RandomTarget
 from scenec.compiler.compile import CompileReport, compile_cfg
-from scenec.compiler.light.build import Light
-from scenec.compiler.light.dark import without_dark
+from scenec.compiler.light.build import Light, without_dark
 from scenec.compiler.light.earthshine import earthshine_irradiance
 from scenec.compiler.light.lamps import build_lamps, lamp_irradiance, meter_lamps
 from scenec.compiler.mesh.surface import Surface

@@ -46,11 +46,6 @@ class Descent:
     def built(self, around: Around) -> Built:
         """The poses; see ``Motion``."""
         down = self.entry_height_m - self.touchdown_height_m
-        if down < 0.0:
-            raise SceneError(
-                f"{around.what}: entry_height_m is {self.entry_height_m:g} m, below "
-                f"touchdown_height_m ({self.touchdown_height_m:g} m): expected it above"
-            )
         v0, v1 = self.entry_speed_m_s, self.touchdown_speed_m_s
         duration = 2.0 * down / (v0 + v1)
         brake = (v0 - v1) / duration if duration > 0.0 else 0.0
