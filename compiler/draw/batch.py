@@ -21,7 +21,7 @@ from scenec.compiler.draw.rocks import draw_rocks
 from scenec.compiler.draw.sensors import draw_lidar, draw_sensor
 from scenec.compiler.materials.displacement import displacement_of
 from scenec.compiler.mesh.mesh import Meshing
-from scenec.compiler.objects.poses import PlacedPlan
+from scenec.compiler.objects.placed import PlacedPlan
 from scenec.compiler.scene.plan import Plan, RigPlan, ScatterPlan, TerrainPlan
 from scenec.compiler.scene.scene import GroundLayer, Labels, Material, MaterialMaps
 from scenec.compiler.terrain.detail import Detail, Sum

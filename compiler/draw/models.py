@@ -14,7 +14,7 @@ from scenec.compiler.assets.pose_table import PoseTable, read_poses
 from scenec.compiler.distributions.resolve import resolve
 from scenec.compiler.draw.of_keys import Setting
 from scenec.compiler.draw.scatter import draw_scattered
-from scenec.compiler.objects.poses import PlacedPlan, PoseKeys
+from scenec.compiler.objects.placed import PlacedPlan, PoseKeys
 from scenec.compiler.objects.prototypes import ModelPlan, PartRule
 from scenec.compiler.scene.plan import ModelSource, ScatterPlan
 from scenec.compiler.scene.scene import Labels

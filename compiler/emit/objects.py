@@ -104,9 +104,7 @@ def _write_prototypes(
             # An instance's root is an Xform of its own: the mesh stands below it.
             stage.DefinePrim(target, "Xform")
             target = target.AppendChild("Mesh")
-        write_prototype(
-            stage, target, prototype, materials, objects.material, objects.labels, table
-        )
+        write_prototype(stage, target, prototype, objects, materials, table)
         targets.append(target.GetParentPath() if isinstance(objects, Placed) else target)
     return targets
 

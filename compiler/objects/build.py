@@ -11,11 +11,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.compiler.assets.model import cached_model
 from scenec.compiler.cache.memo import memoized
 from scenec.compiler.objects.lod import Levels, budget_factor, choose_levels, finest, see_levels
-from scenec.compiler.objects.placed import place_objects
-from scenec.compiler.objects.poses import PlacedPlan
-from scenec.compiler.objects.prototypes import Looks, ModelPlan, build_prototype, load_model
+from scenec.compiler.objects.placed import PlacedPlan, place_objects
+from scenec.compiler.objects.prototypes import Looks, ModelPlan, build_prototype
 from scenec.compiler.objects.rocks import Chain, build_chains
 from scenec.compiler.objects.scatter import scatter
 from scenec.compiler.objects.surroundings import Surroundings, footprints
@@ -166,20 +166,9 @@ def _prototypes(
     found = []
     notes: list[str] = []
     for index, model in enumerate(source.models):
-        loaded = load_model(model)
+        loaded = cached_model(model.file, model.unit_m, model.up, model.part)
         notes.extend(f"{model.file.name}: {note}" for note in loaded.notes)
-        found.append(
-            build_prototype(
-                plan.name,
-                _prim_name(index, model),
-                loaded,
-                source.rules,
-                plan.material,
-                plan.labels,
-                source.variation,
-                looks,
-            )
-        )
+        found.append(build_prototype(plan, source, _prim_name(index, model), loaded, looks))
     if notes:
         facts["left_out"] = list(dict.fromkeys(notes))
     return tuple(found)

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from scenec.compiler.objects.conditions import PlacementCondition
     from scenec.compiler.objects.density import Density
     from scenec.compiler.objects.families.shape import Shape
-    from scenec.compiler.objects.poses import PlacedPlan
+    from scenec.compiler.objects.placed import PlacedPlan
     from scenec.compiler.objects.prototypes import ModelPlan, PartRule
     from scenec.compiler.scene.light_plan import LightPlan
     from scenec.compiler.terrain.detail import Detail
