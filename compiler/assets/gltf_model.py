@@ -51,7 +51,6 @@ class GltfFile:
     """A glTF document with its buffers.
 
     Attributes:
-        document: Its JSON.
         companions: Files beside it that were read.
     """
 

@@ -171,5 +171,4 @@ def read_gray(file: Path) -> NDArray[np.float64]:
         raise SceneError(f"{file.name}: holds {gray.min():g}; a density is nowhere below 0")
     if not gray.max() > 0.0:
         raise SceneError(f"{file.name}: black everywhere; a density is above 0 somewhere")
-    scaled: NDArray[np.float64] = gray / gray.max()
-    return scaled
+    return gray / gray.max()

@@ -71,7 +71,6 @@ class ParsedModel:
 
     Attributes:
         parts: In the file's order; names may repeat.
-        looks: Its materials.
         unit_m: Meters per unit, where the format or the file says so.
         up: Upward axis, where the format or the file says so.
         companions: Files beside it that belong to it, in the order in which they are named.

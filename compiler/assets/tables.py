@@ -28,7 +28,6 @@ class Table:
     """Numbers of a file.
 
     Attributes:
-        file: The file.
         lines: The line of each row.
         columns: float64 [rows] by name.
     """
@@ -57,8 +56,7 @@ class Table:
         if off.size:
             row = int(off[0])
             raise self.fault(row, f"the quaternion has the length {length[row]:.6g}, expected 1")
-        unit: NDArray[np.float64] = quaternion / length[:, None]
-        return unit
+        return quaternion / length[:, None]
 
 
 def read_rows(file: Path, *, blanks: bool = False) -> list[Row]:

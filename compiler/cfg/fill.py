@@ -47,8 +47,7 @@ def fill(document: Any) -> Cfg:
             layer["threshold"] = None
         if layer["where"] is not None and "noise" not in own:
             layer["noise"] = None
-    filled: Cfg = cfg
-    return filled
+    return cfg
 
 
 def _fill(field: Field) -> Any:

@@ -24,13 +24,11 @@ class Distribution:
     """What a number of the cfg is drawn from, validated, with every default filled in.
 
     Attributes:
-        type: Which.
         per: Once a batch, once a sample, or once for each instance.
         integer: Whether the drawn numbers are whole.
         min: Lower bound of what is drawn, inclusive; -inf for a normal without one.
         max: Upper bound of what is drawn, inclusive; inf for a normal without one.
-        mean: Mean of a normal before truncation.
-        std: Standard deviation of a normal before truncation.
+        mean, std: Of a normal before truncation.
         values: What ``choice`` chooses from, or the edges of a ``histogram``.
         weights: How likely each of the values, or of the intervals, is; empty for the other types.
         shape: What else shapes it: median and sigma of log_normal's become ``mean`` and ``std`` of

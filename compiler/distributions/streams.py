@@ -27,7 +27,6 @@ class Streams:
 
     Attributes:
         seed: 0 <= seed < 2**64; 0 is a seed like any other.
-        batch: Index of the batch, from 0.
         attempt: How often the batch was drawn before.
     """
 

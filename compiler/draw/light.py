@@ -73,8 +73,7 @@ def _sun(node: dict[str, Any], streams: Streams, path: str, samples: int) -> Sun
 def _of_luminance_one(color: NDArray[np.float64]) -> NDArray[np.float64]:
     """Colors [s, 3] scaled to luminance 1; black stays black."""
     level = luminance(color)
-    scaled: NDArray[np.float64] = color / np.where(level > 0.0, level, 1.0)[:, None]
-    return scaled
+    return color / np.where(level > 0.0, level, 1.0)[:, None]
 
 
 def _sky(

@@ -20,8 +20,6 @@ class Setting:
 
     Attributes:
         streams: The batch's.
-        size_m: Extent of the terrain.
-        files: Files of the cfg, by path.
         ground: The cfg's ground layers, resolved.
         relief: Operators before the part.
         label_table: The cfg's labels: per level, name -> id.

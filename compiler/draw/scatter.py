@@ -157,8 +157,7 @@ _DISTANCES: dict[str, type[PlacementCondition]] = {"camera": FromCameras, "objec
 def _density(node: Mapping[str, Any], path: str, setting: Setting) -> Density:
     if node["type"] == "clusters":
         return _clusters(node, path, setting)
-    density: Density = of_keys(_DENSITIES, node, path, setting)
-    return density
+    return of_keys(_DENSITIES, node, path, setting)
 
 
 def _clusters(cfg: Mapping[str, Any], path: str, setting: Setting) -> ClusterDensity:
@@ -188,8 +187,7 @@ def _place(node: Mapping[str, Any], path: str, setting: Setting) -> PlacementCon
     if node["type"] == "material":
         return OnMaterial(setting.layers_of(node))
     if node["type"] in _DISTANCES:
-        distance: PlacementCondition = of_keys(_DISTANCES, node, path, setting)
-        return distance
+        return of_keys(_DISTANCES, node, path, setting)
     return OnRelief(draw_condition(node, path, setting))
 
 

@@ -53,7 +53,6 @@ class Bisection:
     its place, the other parts follow; a halved edge stays, with a vertex in its middle.
 
     Attributes:
-        vertices: Number of vertices.
         order: The faces in the order that they would have if all parts stood where the face stood
             that was halved, int32 [m].
     """

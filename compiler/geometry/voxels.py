@@ -40,8 +40,7 @@ class Voxels:
 
     def middles(self) -> NDArray[np.float64]:
         """Of the full cubes, float64 [n, 3]."""
-        middles: NDArray[np.float64] = self.corner + self.side * (np.argwhere(self.full) + 0.5)
-        return middles
+        return self.corner + self.side * (np.argwhere(self.full) + 0.5)
 
 
 def voxels_of(prototype: Prototype, side: float, most: int) -> Voxels:
@@ -121,8 +120,7 @@ def _with_hollows(touched: NDArray[np.bool_]) -> NDArray[np.bool_]:
         covered &= np.logical_or.accumulate(touched, axis=axis)
         back = np.flip(np.logical_or.accumulate(np.flip(touched, axis), axis=axis), axis)
         covered &= back
-    full: NDArray[np.bool_] = np.ascontiguousarray(covered | touched)
-    return full
+    return np.ascontiguousarray(covered | touched)
 
 
 class Cubes:

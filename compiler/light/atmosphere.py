@@ -140,8 +140,7 @@ def direct(
     gas, aerosol, layer = columns(r0, elementary.sin(max(sun_elevation, -dip)), sizes)
     depth = medium.gas * gas + medium.aerosol_loss * aerosol + medium.layer * layer
     rgb = (weights * elementary.exp_array(-depth)[:, None]).sum(axis=0)
-    clipped: NDArray[np.float64] = np.maximum(rgb, 0.0) * seen
-    return clipped
+    return np.maximum(rgb, 0.0) * seen
 
 
 def _disc_above(center: float, radius: float) -> float:

@@ -44,7 +44,6 @@ class Medium:
     """Coefficients at the ground (of the absorber: in its densest height), by wavelength.
 
     Attributes:
-        planet: Its sizes.
         gas, aerosol: Scattering, 1/m, [wavelengths].
         aerosol_loss: Scattering and absorption of the aerosol.
         layer: Absorption of the layer.

@@ -25,7 +25,6 @@ class Light:
     Attributes:
         sun, sky, more_suns, haze, sky_label_maps: As in ``Scene``.
         irradiance: On level ground, from suns and sky, luminance, [samples], W/m^2.
-        facts: For report.json.
     """
 
     sun: SunLight | None

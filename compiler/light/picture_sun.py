@@ -216,8 +216,7 @@ def _window(
 
 
 def _direction(height: int, width: int, row: int, column: int) -> NDArray[np.float64]:
-    direction: NDArray[np.float64] = directions_of_rows(height, width, row, row + 1)[0, column]
-    return direction
+    return directions_of_rows(height, width, row, row + 1)[0, column]
 
 
 def _quantiles(

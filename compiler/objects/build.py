@@ -30,7 +30,6 @@ class Built(NamedTuple):
     """The objects of a batch, in the plans' order.
 
     Attributes:
-        objects: Where they are.
         facts: For report.json: of each class, and of the budget, if there is one.
     """
 

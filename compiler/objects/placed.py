@@ -62,8 +62,7 @@ def slerp(a: NDArray[np.float64], b: NDArray[np.float64], part: float) -> NDArra
     else:
         angle = float(elementary.atan2(sine, cosine))
         mixed = (elementary.sin((1.0 - part) * angle) * a + elementary.sin(part * angle) * b) / sine
-    unit: NDArray[np.float64] = mixed / np.sqrt((mixed * mixed).sum())
-    return unit
+    return mixed / np.sqrt((mixed * mixed).sum())
 
 
 @dataclass(frozen=True)
@@ -72,11 +71,8 @@ class PlacedPlan:
 
     Attributes:
         name, material, labels, instances: As in ``Placed``.
-        models: What there is.
-        rules: For the models' parts.
         model: Index of each object's, int32 [n].
         ids: Local instance ids, ascending, int64 [n].
-        keys: Poses of each object.
         on_ground: Whether heights are over the ground below the object's origin.
         along_normal: Whether objects stand along the ground's normal under them.
         variation: How much the models' own materials vary.
@@ -180,8 +176,7 @@ def _normals_under(
     gx = (z[:, 0] - z[:, 1]) / (rim_x[:, 0] - rim_x[:, 1])
     gy = (z[:, 2] - z[:, 3]) / (rim_y[:, 2] - rim_y[:, 3])
     normal = np.stack([-gx, -gy, np.ones(len(x))], axis=1)
-    unit: NDArray[np.float64] = normal / np.sqrt((normal * normal).sum(axis=1))[:, None]
-    return unit
+    return normal / np.sqrt((normal * normal).sum(axis=1))[:, None]
 
 
 def upright_to(normal: NDArray[np.float64]) -> NDArray[np.float64]:

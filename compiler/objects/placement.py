@@ -139,8 +139,7 @@ class Placement:
 
     def _radii(self, which: NDArray[np.int64]) -> NDArray[np.float64]:
         size = self._plan.scale[which].astype(np.float32).astype(np.float64)
-        found: NDArray[np.float64] = self._radius[self._plan.prototype[which]] * size
-        return found
+        return self._radius[self._plan.prototype[which]] * size
 
     def positions(self, which: NDArray[np.int64]) -> NDArray[np.float32]:
         """Of some instances, float32 [m, 3]."""
@@ -221,5 +220,4 @@ def _gaps(surface: Surface, bodies: Bodies, origin_z: NDArray[np.float64]) -> ND
     z += np.repeat(origin_z, np.diff(starts, append=len(z)))
     above = np.minimum.reduceat(z - surface.height_at(x, y), starts)
     tall = np.maximum.reduceat(z, starts) - np.minimum.reduceat(z, starts)
-    gaps: NDArray[np.float64] = above + bodies.embed * tall
-    return gaps
+    return above + bodies.embed * tall

@@ -45,7 +45,6 @@ class ModelPlan:
     """One model of a class.
 
     Attributes:
-        file: The file.
         unit_m, up, part: See ``assets.model.read_model``.
     """
 
@@ -57,11 +56,7 @@ class ModelPlan:
 
 @dataclass
 class Looks:
-    """Materials of the scene: those of the cfg, and those that come with models.
-
-    Attributes:
-        materials: By name.
-    """
+    """Materials of the scene: those of the cfg, and those that come with models."""
 
     materials: dict[str, Material]
     _made: list[tuple[str, str]] = field(default_factory=list)

@@ -22,7 +22,6 @@ class Surroundings:
     """What a class of objects is placed among.
 
     Attributes:
-        surface: The ground.
         cameras: Where any camera is at any sample, float64 [c, 3], meters.
         views: What these see, for what of the ground's detail shows.
         unseen: Part that a pixel counts where no view shows an object.

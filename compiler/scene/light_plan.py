@@ -56,7 +56,6 @@ class LabelMapPlan:
     """A label map as the cfg has it.
 
     Attributes:
-        file: The picture.
         ids: Pixel values, as the cfg writes them, and the label id of each.
     """
 
@@ -96,7 +95,6 @@ class WorldMount:
 
     Attributes:
         position: [s, 3]; z is the height over the ground or over 0.
-        on_ground: Which of the two.
         bearing_deg, elevation_deg: Where it shines without a target, [s].
         target: Where it shines to, as ``position``, or None.
     """
@@ -110,11 +108,7 @@ class WorldMount:
 
 @dataclass(frozen=True)
 class LampPlan:
-    """A spot light; the rest as in ``Lamp``.
-
-    Attributes:
-        mount: Where it is.
-    """
+    """A spot light; the rest as in ``Lamp``."""
 
     name: str
     mount: RigMount | WorldMount
@@ -132,8 +126,6 @@ class LightPlan:
         sun: The sun; None for none. Above an atmosphere its color is a factor on that of sunlight.
         sky: What surrounds the scene; None for black.
         more_suns: Further distant discs, by prim name.
-        haze: Between cameras and the scene.
-        lamps: Spot lights.
     """
 
     sun: SunLight | None

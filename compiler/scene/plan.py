@@ -38,12 +38,9 @@ class TerrainPlan:
 
     Attributes:
         size_m, spacing_m: Of the grid.
-        relief: Operators in order.
         layers: Ground layers from the base up.
-        merges: One for each layer after the base.
         coverage: For each merge, the fraction it shall cover, or None (its center is given).
         variation_key: Noise key of the albedo variation.
-        meshing: How fine the mesh is.
         displacements: Of each layer's material, or None.
     """
 
@@ -77,7 +74,6 @@ class ModelSource:
 
     Attributes:
         models: One for each prototype.
-        rules: For their parts.
         variation: How much the files' own materials vary from instance to instance.
         touch: Whether they are let down until a vertex touches the ground, or stand on it with
             their origin.

@@ -29,7 +29,6 @@ class Picture:
 
     Attributes:
         suffix: Of a file that holds these bytes: ".png", ".jpg".
-        data: The encoded picture.
     """
 
     suffix: str
@@ -54,7 +53,6 @@ class Far:
     """The picture of colors once more, larger, so that it varies over several scales.
 
     Attributes:
-        factor: How much larger.
         share: c * (1 + share * (c_far / mean - 1)).
     """
 
@@ -180,8 +178,6 @@ class GroundLayer:
     """One ground material and what it is called.
 
     Attributes:
-        material: Its name.
-        labels: Label id per level.
         height_blend: Depth over which it and what is below it cover each other by their height
             maps, as a share of the maps' range; 0 blends by the weight alone. Labels never heed it.
     """
@@ -196,7 +192,6 @@ class Tile:
     """A piece of terrain.
 
     Attributes:
-        name: Prim name.
         translate: World position of the local origin, float64 [3].
         points: Local, float32 [n, 3]; translate + points is exact in float64, and equal for a
             vertex that two tiles share.
@@ -271,11 +266,8 @@ class ObjectClass:
     """What objects of one class have, scattered or placed.
 
     Attributes:
-        name: Class name, as in the cfg.
         material: Name of the material; None where each prototype's parts have theirs.
-        labels: Label id per level.
         instances: Whether instance ids are shown (off: they stay reserved).
-        prototypes: What there is of them.
         prototype: Which one, int32 [n].
         ids: Local instance ids, ascending, int64 [n]: gaps where something could not be placed.
         drawn: How many ids are reserved, at least the largest one.
@@ -426,7 +418,6 @@ class Lamp:
     """A spot light at every sample: a sphere that shines into a cone.
 
     Attributes:
-        name: Prim name.
         to_world: Matrices, column vectors, [s, 4, 4]: it stands at the origin and shines along -z.
         intensity: On the axis, far away, linear Rec.709, W/sr, [s, 3].
         radius_m: Of the sphere, [s].
@@ -462,20 +453,14 @@ class Scene:
     """One batch.
 
     Attributes:
-        name: The cfg's name.
-        samples: Number of samples.
         times: Real time of each sample, seconds, [samples].
         label_table: Per level, name -> id.
         sky_labels: Label id of the sky per level.
         materials: By name; only those in use.
-        ground: The terrain.
         objects: Object classes in the cfg's order.
         sun, sky: Light; None where there is none.
         more_suns: Further distant discs by prim name: earthshine, a second sun.
-        lamps: Spot lights.
-        haze: Between camera and scene, or None.
         sky_label_maps: Labels of a panorama, or None.
-        rigs: Cameras.
         outputs: Union of all sensors' outputs.
         bounds: World bounds of the geometry, float64 [2, 3].
         georeference: Of the first DEM that has one; None without.

@@ -61,8 +61,6 @@ class Needs(NamedTuple):
 
     Attributes:
         color: Materials, shading and light.
-        labels: Label ids.
-        ids: Instance ids.
     """
 
     color: bool
@@ -107,7 +105,6 @@ class Used:
 
     Attributes:
         materials, ground, objects: As in ``Scene``.
-        left_out: Entries for report.json.
     """
 
     materials: dict[str, Material]

@@ -61,9 +61,7 @@ class Pruned:
 
     Attributes:
         scene: What is left; ``bounds`` are those of all.
-        left_out: Entries for report.json.
         record: Why each instance is where it is; None where nothing is missing.
-        facts: For report.json.
     """
 
     scene: Scene

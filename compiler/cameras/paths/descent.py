@@ -27,7 +27,6 @@ class Descent:
         drift_deg: Compass bearing of the drift.
         heading_deg: Compass bearing of the picture's top, looking down.
         pitch_deg: Of the view above the horizon.
-        sampling: When.
     """
 
     x_m: float

@@ -32,10 +32,8 @@ class LawnMower:
         height_m: Of the flight.
         above: "ground" (below each point), "mean" (of the ground along the way: a level flight) or
             "world" (z itself).
-        speed_m_s: Even.
         turn_radius_m: Of every turn. Wider than half of the spacing, turns swing out first.
         pitch_deg: Of the view above the horizon, along the line.
-        sampling: When.
     """
 
     x_m: float

@@ -35,7 +35,6 @@ class Mav:
         pitch_deg: Of the view above the horizon (of the body's level, with tilt).
         tilt: Whether the body tilts with the acceleration, as one with fixed rotors must.
         gravity_m_s2: What the rotors hold it against.
-        sampling: When.
     """
 
     waypoints: NDArray[np.float64]

@@ -70,12 +70,8 @@ class Around:
 
     Attributes:
         what: Who asks, for messages: "rigs/rover/pose".
-        samples: How many poses.
-        surface: The ground.
-        sensors: Those that the rig carries.
         bodies: Objects by class; without those of motions that do not ask for them.
         exposing: Whether the poses are those of times between the samples, while a shutter is open.
-        lidars: Those that the rig carries.
     """
 
     what: str
@@ -130,7 +126,6 @@ class Built:
     Attributes:
         to_world: Rig-to-world, OpenCV axes, float64 [s, 4, 4].
         times: Of the samples, seconds, [s]; None: they have none of their own.
-        facts: For report.json.
         way: How it moves between the samples; None: as it does with samples at other times.
     """
 

@@ -80,11 +80,9 @@ class RandomPose:
     Attributes:
         polygon: The region's corners in order, or two opposite ones of a box, float64 [n, 2].
         above_ground: Whether ``height_m`` is over the ground, or of the world.
-        look: At what.
         numbers: What is drawn each try, by name: "height_m", "roll_deg", and by the look
             "bearing_deg" and "pitch_deg", or "x_m", "y_m" and "target_height_m".
         keys: Of the hash that each is drawn with, and of "place" (twice) and "object".
-        limits: What a pose must keep.
         tries: For each sample at most.
     """
 

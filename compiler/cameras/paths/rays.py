@@ -45,8 +45,7 @@ def normal_at(field: HeightField, x: float, y: float) -> NDArray[np.float64]:
     north = surface_height(field.height, *frame, x, y + dy)
     south = surface_height(field.height, *frame, x, y - dy)
     normal = np.array([(west - east) / (2.0 * dx), (south - north) / (2.0 * dy), 1.0])
-    unit: NDArray[np.float64] = normal / np.sqrt((normal * normal).sum())
-    return unit
+    return normal / np.sqrt((normal * normal).sum())
 
 
 @kernel

@@ -33,7 +33,6 @@ class Passable:
         slope_deg: Of the ground within a vehicle's reach of each cell, float64 [ny, nx].
         free: bool [ny, nx].
         band: Where the vehicle is when its middle is in a cell.
-        obstacles: What is in its way.
     """
 
     corner: tuple[float, float]

@@ -36,7 +36,6 @@ class Rover:
         max_object_m: Objects whose ball has a larger radius are driven around, where any of them is
             at the height of the vehicle.
         pitch_deg: Of the view above the body's level.
-        sampling: When.
     """
 
     waypoints: NDArray[np.float64]

@@ -34,7 +34,6 @@ class Shape(ABC):
     The surface is ``radius(d) * d`` for every direction d, stretched along x, y, z.
 
     Attributes:
-        key: Noise key.
         bumpiness: Height of its roughness, in radii.
         axes: Extents along x, y, z, the largest being 1.
         subdivisions: Of the icosphere, in the finest mesh.
