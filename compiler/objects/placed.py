@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.geometry.poses import compose, from_quaternion
+from scenec.compiler.geometry.rotations import upright_to
 from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.objects.prototypes import ModelPlan, PartRule
 from scenec.compiler.scene.scene import Labels, Placed, Prototype
@@ -159,8 +160,7 @@ def _frames(
     if plan.on_ground:
         out[:, 2, 3] += surface.height_at(x, y)
     if plan.along_normal:
-        for i, normal in enumerate(_normals_under(surface, x, y, radius)):
-            out[i, :3, :3] = upright_to(normal)
+        out[:, :3, :3] = upright_to(_normals_under(surface, x, y, radius))
     return out
 
 
@@ -177,16 +177,3 @@ def _normals_under(
     gy = (z[:, 2] - z[:, 3]) / (rim_y[:, 2] - rim_y[:, 3])
     normal = np.stack([-gx, -gy, np.ones(len(x))], axis=1)
     return normal / np.sqrt((normal * normal).sum(axis=1))[:, None]
-
-
-def upright_to(normal: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The shortest turn from +z to a unit vector with z > -1, as a matrix: [3, 3]."""
-    x, y, z = normal
-    f = 1.0 / (1.0 + z)
-    return np.array(
-        [
-            [1.0 - f * x * x, -f * x * y, x],
-            [-f * x * y, 1.0 - f * y * y, y],
-            [-x, -y, z],
-        ]
-    )

@@ -13,6 +13,8 @@ from scenec.compiler.cameras.paths.legs import Legs, rounded
 from scenec.compiler.cameras.paths.motion import Around, Built, frames, poses
 from scenec.compiler.cameras.paths.route import Passable, driven_over, passable
 from scenec.compiler.cameras.tracks import Sampling
+from scenec.compiler.geometry.normals import cross_products
+from scenec.compiler.geometry.rotations import products
 from scenec.schemas.errors import SceneError
 
 _DEGREES = 180.0 / elementary.PI
@@ -175,22 +177,11 @@ class Rover:
         normal -= aside[:, None] * np.column_stack([right, np.zeros(len(xy))])
         normal[:, 2] += 1.0
         normal /= steep[:, None]
-        side = np.stack(
-            [
-                x[:, 1] * normal[:, 2] - x[:, 2] * normal[:, 1],
-                x[:, 2] * normal[:, 0] - x[:, 0] * normal[:, 2],
-                x[:, 0] * normal[:, 1] - x[:, 1] * normal[:, 0],
-            ],
-            axis=1,
-        )
         # The view of a level body, in the body's own directions: right, ahead, up.
         view = frames(np.tile([0.0, 1.0], (len(xy), 1)), self.pitch_deg)
-        body = np.stack([side, x, normal], axis=2)
-        axes = np.zeros(view.shape)
-        for k in range(3):
-            axes += body[:, :, k, None] * view[:, None, k, :]
+        body = np.stack([cross_products(x, normal), x, normal], axis=2)
         slope = elementary.atan_array(np.sqrt(ahead * ahead + aside * aside)) * _DEGREES
-        return middle + self.height_m * normal, axes, slope
+        return middle + self.height_m * normal, products(body, view), slope
 
     def _facts(self, legs: Legs, points: NDArray[np.float64], around: Around) -> dict[str, Any]:
         duration, length = legs.duration_s, float(legs.length.sum())
