@@ -149,7 +149,6 @@ def check_parts(cfg: Node, files: Mapping[str, InputFile]) -> Iterator[Finding]:
 
 
 def _part_names(file: Path, node: Node) -> list[str]:
-    """Paths of a model's parts and names of its materials."""
     from scenec.compiler.assets.model import cached_model
 
     try:

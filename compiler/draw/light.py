@@ -124,7 +124,6 @@ def _haze(cfg: dict[str, Any] | None, streams: Streams, samples: int) -> Haze | 
 
 
 def _pick(cfg: dict[str, Any], streams: Streams, sample: int, samples: int) -> int:
-    """Which of the pictures a sample has."""
     count, path = len(cfg["files"]), "light/sky/pick"
     number = streams.batch * samples + sample
     if cfg["pick"] == "in_turn":
@@ -139,7 +138,6 @@ def _pick(cfg: dict[str, Any], streams: Streams, sample: int, samples: int) -> i
 def _label_maps(
     spec: Spec, cfg: dict[str, Any], picked: list[int]
 ) -> dict[str, tuple[LabelMapPlan | None, ...]]:
-    """The label maps of the pictures that were picked, by level."""
     maps: dict[str, tuple[LabelMapPlan | None, ...]] = {}
     for level, table in spec.cfg["labels"].items():
         of_level: list[LabelMapPlan | None] = []

@@ -81,7 +81,6 @@ def _models(path: str, cfg: Mapping[str, Any], setting: Setting) -> tuple[ModelP
 
 
 def _rules(cfg: Mapping[str, Any], setting: Setting) -> tuple[PartRule, ...]:
-    """What the cfg says of parts."""
     return tuple(
         PartRule(
             name,

@@ -13,12 +13,7 @@ from scenec.compiler.emit.lights import write_lights
 from scenec.compiler.emit.looks import write_look
 from scenec.compiler.emit.maps import copy_maps
 from scenec.compiler.emit.materialx import mixed_materials, write_ground_mix, write_material
-from scenec.compiler.emit.objects import (
-    class_path,
-    materials_of,
-    write_placed,
-    write_scatter,
-)
+from scenec.compiler.emit.objects import class_path, write_placed, write_scatter
 from scenec.compiler.emit.sky_prim import write_sky_prim
 from scenec.compiler.emit.terrain import write_terrain
 from scenec.compiler.scene.scene import Material, Placed, Scene
@@ -60,7 +55,7 @@ def write_batch(folder: Path, scene: Scene) -> None:
             # Its ids stay reserved; that is all.
             continue
         classes.append(f"objects/{objects.name}.usdc")
-        shown = _only(scene.materials, materials_of(objects))
+        shown = _only(scene.materials, objects.materials)
         if isinstance(objects, Placed):
             write_placed(folder / classes[-1], objects, shown, table)
         else:

@@ -92,7 +92,6 @@ def _write_maps(prim: Usd.Prim, maps: MaterialMaps, files: dict[str, str]) -> No
 
 
 def _color_space(kind: str, file: str) -> str:
-    """Name of UsdColorSpace for a map's values."""
     if kind not in COLORS:
         return "raw"
     return "srgb_rec709_scene" if is_encoded(kind, file) else "lin_rec709_scene"

@@ -133,7 +133,6 @@ class _Network:
         return self.node(name, "ND_mix_bsdf", bg=below, fg=above, mix=amount)
 
     def weight(self, merge: int) -> UsdShade.Output:
-        """Weight of a merge on the ground's vertices."""
         return self.node(
             _weight_node(merge), "ND_geompropvalue_float", geomprop=names.weight_primvar(merge)
         )

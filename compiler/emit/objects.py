@@ -60,7 +60,7 @@ def write_scatter(
             instancer.CreateIdsAttr(Vt.Int64Array.FromNumpy(scatter.ids))
         instancer.CreateExtentAttr(Vt.Vec3fArray.FromNumpy(_extent(scatter)))
         _write_class(prim, scatter, materials, table)
-        if any(materials[name].varies for name in materials_of(scatter) if materials):
+        if any(materials[name].varies for name in scatter.materials if materials):
             write_vertex_floats(
                 UsdGeom.PrimvarsAPI(prim), names.PRIMVAR_VARIATION, scatter.variation
             )
@@ -115,7 +115,6 @@ def _write_class(
     materials: Mapping[str, Material],
     table: Mapping[str, Mapping[str, int]],
 ) -> None:
-    """What all objects of a class have in common."""
     if not objects.instances:
         custom(prim, names.ATTR_INSTANCE_IDS_ENABLED, TYPES.Bool).Set(False)
     constant_label_ids(prim, {level: objects.labels[level] for level in table})
@@ -124,14 +123,7 @@ def _write_class(
         bind(prim, objects.material)
 
 
-def materials_of(objects: Scatter | Placed) -> set[str]:
-    """Names of the materials of a class and of its models' parts."""
-    own = {part.material for mesh in objects.prototypes for part in mesh.parts}
-    return {name for name in (objects.material, *own) if name is not None}
-
-
 def _extent(scatter: Scatter) -> np.ndarray:
-    """Bounds of all instances' balls."""
     if not scatter.count:
         return np.zeros((2, 3), np.float32)
     middles, radii = scatter.balls()

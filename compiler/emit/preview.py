@@ -80,7 +80,6 @@ class _Pictures:
         self._stage, self._path, self._material = stage, path, material
 
     def output(self, kind: str) -> UsdShade.Output:
-        """What a picture gives."""
         name = "".join(part.capitalize() for part in kind.split("_"))
         texture = UsdShade.Shader.Define(self._stage, self._path.AppendChild(f"{name}Texture"))
         texture.CreateIdAttr("UsdUVTexture")

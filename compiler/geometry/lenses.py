@@ -118,7 +118,6 @@ def find_fault(
 
 
 def _ends(lens: Lens, border: float) -> str:
-    """Where a lens is no longer one-to-one."""
     if lens.model == KANNALA_BRANDT:
         at = f"{border / _RADIANS:.4g} degrees from the axis"
     elif border == math.inf:

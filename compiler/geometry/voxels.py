@@ -127,7 +127,6 @@ class Cubes:
     """The cubes of some prototypes, each made when it is first asked for."""
 
     def __init__(self, prototypes: Sequence[Prototype]):
-        """Nothing is made yet."""
         self._prototypes = prototypes
         self._made: dict[int, Voxels] = {}
 

@@ -17,7 +17,7 @@ from scenec.compiler.scene.exposure import incident_exposure
 from scenec.compiler.scene.light_plan import LampPlan, RigMount, WorldMount
 from scenec.compiler.scene.plan import RigPlan
 from scenec.compiler.scene.rig import Rig, Sensor
-from scenec.compiler.scene.scene import Lamp
+from scenec.compiler.scene.scene import Lamp, SpotLight
 from scenec.schemas import stage as names
 from scenec.schemas.errors import SceneError
 
@@ -51,14 +51,8 @@ def _lamp(plan: LampPlan, rigs: tuple[Rig, ...], surface: Surface) -> Lamp:
     to_world = np.stack([compose(pose, _HALF_TURN) for pose in poses])
     if not np.isfinite(to_world).all():
         raise SceneError(f"light/lamps/{plan.name}: its poses overflow; use smaller numbers")
-    return Lamp(
-        name=plan.name,
-        to_world=to_world,
-        intensity=plan.intensity,
-        radius_m=plan.radius_m,
-        cone_deg=plan.cone_deg,
-        softness=plan.softness,
-    )
+    own = {field.name: getattr(plan, field.name) for field in dataclasses.fields(SpotLight)}
+    return Lamp(**own, to_world=to_world)
 
 
 def _standing(mount: WorldMount, surface: Surface) -> list[NDArray[np.float64]]:

@@ -181,7 +181,6 @@ def _spot(level: NDArray[np.float64], height: int, row: int, column: int) -> _Sp
 
 
 def _wider(bright: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """With the texels beside them; columns go around."""
     across = bright | np.roll(bright, 1, axis=1) | np.roll(bright, -1, axis=1)
     wider = across.copy()
     wider[1:] |= across[:-1]
@@ -222,7 +221,6 @@ def _direction(height: int, width: int, row: int, column: int) -> NDArray[np.flo
 def _quantiles(
     values: NDArray[np.float64], weight: NDArray[np.float64], at: tuple[float, ...]
 ) -> list[float]:
-    """Quantiles of weighted values."""
     order = np.argsort(values, kind="stable")
     below = np.cumsum(weight[order])
     return [

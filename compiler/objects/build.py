@@ -148,7 +148,6 @@ def _named(plan: ScatterPlan) -> set[str]:
 
 
 def _chains(plan: ScatterPlan, looks: Looks | None, facts: dict[str, Any]) -> tuple[Chain, ...]:
-    """The levels of each of a class's prototypes."""
     if isinstance(plan.source, ModelSource):
         return tuple((model,) for model in _prototypes(plan, plan.source, looks, facts))
     # A tolerance of 0 asks for the finest level only.
@@ -179,7 +178,6 @@ def _prim_name(index: int, model: ModelPlan) -> str:
 
 
 def _report(placed: Placed) -> dict[str, Any]:
-    """Of single objects, for report.json."""
     triangles = np.array([len(p.faces) for p in placed.prototypes], np.int64)
     return {
         "count": placed.count,

@@ -41,7 +41,6 @@ class Placement:
         around: Surroundings,
         mesh: MeshCandidates | None,
     ):
-        """No instance is placed yet."""
         self._plan, self._prototypes, self._mesh = plan, prototypes, mesh
         self._around = around
         self._radius = np.array([p.radius for p in prototypes], np.float64)

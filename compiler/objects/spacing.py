@@ -36,7 +36,6 @@ class Disks:
     """Disks in plan that keep apart."""
 
     def __init__(self, most: int):
-        """Makes room for a number of circles."""
         self._at = np.zeros((most, 3))
         self._next = np.full(most, -1, np.int64)
         self._head = np.full(1 << max(4, (2 * most).bit_length()), -1, np.int64)

@@ -35,7 +35,6 @@ class Surroundings:
     objects: dict[str, Circles] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Prepares what is computed once for all classes."""
         #: Of the relief.
         self.quantities = Quantities(self.surface.field.grid, self.surface.field.height)
         self._pyramids: list[HeightPyramid] = []

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.scene.scene import Haze, SunLight
+from scenec.compiler.scene.scene import Haze, SpotLight, SunLight
 
 
 @dataclass(frozen=True)
@@ -106,16 +106,11 @@ class WorldMount:
     target: NDArray[np.float64] | None
 
 
-@dataclass(frozen=True)
-class LampPlan:
-    """A spot light; the rest as in ``Lamp``."""
+@dataclass(frozen=True, kw_only=True)
+class LampPlan(SpotLight):
+    """A spot light, and what carries it."""
 
-    name: str
     mount: RigMount | WorldMount
-    intensity: NDArray[np.float64]
-    radius_m: NDArray[np.float64]
-    cone_deg: NDArray[np.float64]
-    softness: NDArray[np.float64]
 
 
 @dataclass(frozen=True)

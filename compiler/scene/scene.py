@@ -287,6 +287,14 @@ class ObjectClass:
         """Number of objects."""
         return len(self.ids)
 
+    @property
+    def materials(self) -> set[str]:
+        """Names of the materials that it shows: none where there is no prototype."""
+        if not self.prototypes:
+            return set()
+        own = {part.material for mesh in self.prototypes for part in mesh.parts}
+        return {name for name in (self.material, *own) if name is not None}
+
 
 @dataclass(frozen=True)
 class Scatter(ObjectClass):
@@ -413,12 +421,12 @@ class Haze:
     airlight: NDArray[np.float64] | None
 
 
-@dataclass(frozen=True)
-class Lamp:
-    """A spot light at every sample: a sphere that shines into a cone.
+@dataclass(frozen=True, kw_only=True)
+class SpotLight:
+    """A sphere that shines into a cone, at every sample.
 
     Attributes:
-        to_world: Matrices, column vectors, [s, 4, 4]: it stands at the origin and shines along -z.
+        name: Prim name.
         intensity: On the axis, far away, linear Rec.709, W/sr, [s, 3].
         radius_m: Of the sphere, [s].
         cone_deg: Half the cone's opening angle, [s].
@@ -426,11 +434,21 @@ class Lamp:
     """
 
     name: str
-    to_world: NDArray[np.float64]
     intensity: NDArray[np.float64]
     radius_m: NDArray[np.float64]
     cone_deg: NDArray[np.float64]
     softness: NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lamp(SpotLight):
+    """A spot light at its place.
+
+    Attributes:
+        to_world: Matrices, column vectors, [s, 4, 4]: it stands at the origin and shines along -z.
+    """
+
+    to_world: NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -132,8 +132,7 @@ def without_unused(
     if needs.color:
         ground = _without_hidden_layers(ground, left_out)
     used = {layer.material for layer in ground.layers}
-    for one in kept:
-        used |= materials_of(one)
+    used = used.union(*(one.materials for one in kept))
     why = "nothing in the stage is made of it"
     left_out += [entry(PASS, f"materials/{name}", why) for name in materials if name not in used]
     return Used(
@@ -142,14 +141,6 @@ def without_unused(
         tuple(kept),
         left_out,
     )
-
-
-def materials_of(objects: Scatter | Placed) -> set[str]:
-    """Names of the materials that a class shows: none where there is no instance."""
-    if not objects.prototypes:
-        return set()
-    own = {part.material for mesh in objects.prototypes for part in mesh.parts}
-    return {name for name in (objects.material, *own) if name is not None}
 
 
 def without_ids(objects: Sequence[Scatter | Placed], needs: Needs) -> tuple[Scatter | Placed, ...]:
@@ -268,7 +259,6 @@ def note_outputs(
 
 
 def _file_bytes(material: Material) -> int:
-    """Of a material's pictures that are files."""
     files = material.maps.files.values() if material.maps is not None else ()
     return sum(file.stat().st_size if isinstance(file, Path) else len(file.data) for file in files)
 

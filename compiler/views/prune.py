@@ -33,7 +33,7 @@ from scenec.compiler.views.illumination import (
     shadows_seen,
     view_factors,
 )
-from scenec.compiler.views.needed import Keep, Needs, materials_of, without_unused
+from scenec.compiler.views.needed import Keep, Needs, without_unused
 from scenec.compiler.views.visible import BEHIND, OUTSIDE, SHOWN, visible
 from scenec.schemas.left_out import ORDER, ClassRecord, Reason, Record, entry
 
@@ -94,7 +94,6 @@ class _Balls:
         return ~kept[self.reason]
 
     def of(self, which: NDArray[np.bool_]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """The balls of some instances."""
         balls = np.repeat(which, self._samples)
         return self.middles[balls], self.radii[balls]
 
@@ -194,7 +193,7 @@ def _mark_lit(
 
 
 def _shines(one: Scatter | Placed, scene: Scene) -> bool:
-    found = (scene.materials.get(name) for name in materials_of(one))
+    found = (scene.materials.get(name) for name in one.materials)
     return any(material is not None and max(material.emission) > 0.0 for material in found)
 
 

@@ -72,7 +72,7 @@ def world_lamp(**change: Any) -> LampPlan:
         "cone_deg": np.full(1, 40.0),
         "softness": np.full(1, 0.5),
     }
-    return LampPlan("a", WorldMount(**{k: change.pop(k, v) for k, v in mount.items()}),
+    return LampPlan(name="a", mount=WorldMount(**{k: change.pop(k, v) for k, v in mount.items()}),
                     **{k: change.pop(k, v) for k, v in numbers.items()})  # fmt: skip
 
 

@@ -74,7 +74,6 @@ class Rover:
         return Built(poses(position, axes), times, self._facts(legs, points, around))
 
     def _along(self, cells: Passable, around: Around) -> NDArray[np.float64]:
-        """The way through the waypoints."""
         around.require_on_terrain(self.waypoints, "a waypoint")
         for n, point in enumerate(self.waypoints):
             if not cells.is_free(point):
@@ -105,7 +104,6 @@ class Rover:
         return self.height_m + max([0.0, *above])
 
     def _why_blocked(self, cells: Passable, point: NDArray[np.float64], around: Around) -> str:
-        """Why a cell is not free, and what would help."""
         slope = cells.slope_at(point)
         if slope > self.max_slope_deg:
             return (
@@ -127,7 +125,6 @@ class Rover:
     def _drawn(
         self, cells: Passable, around: Around
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Drawn goals, and the way through them."""
         size = np.array(around.surface.field.grid.size_m)
         room = size - self.track_width_m
         goals: list[NDArray[np.float64]] = []
