@@ -33,7 +33,7 @@ from scenec.compiler.objects.density import (
     UniformDensity,
     WorleyDensity,
 )
-from scenec.compiler.scene.plan import Apart, Count, ModelSource, RockShapes, ScatterPlan
+from scenec.compiler.scene.plan import Count, ModelSource, RockShapes, ScatterPlan, Spacing
 from scenec.compiler.scene.scene import Labels
 from scenec.schemas.errors import SceneError
 
@@ -90,9 +90,7 @@ def draw_scattered(
             _place(condition, f"{path}/where/{i}", setting)
             for i, condition in enumerate(node["where"])
         ),
-        apart=None
-        if apart is None
-        else Apart(apart["gap_m"], apart["radius"], tuple(apart["of"] or (name,))),
+        spacing=apart and Spacing(apart["gap_m"], apart["radius"], tuple(apart["of"] or (name,))),
         fewer=cfg["shortfall"] == "fewer",
         clearance_m=cfg["clearance_m"],
         place_key=streams.key(f"{path}/place"),

@@ -8,7 +8,7 @@ from pathlib import Path
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdUtils, Vt
 
 from scenec.compiler.emit.cameras import camera_path, clipping_range, write_cameras
-from scenec.compiler.emit.layer import TYPES, custom, label_names, new_layer
+from scenec.compiler.emit.layer import TYPES, Appearance, custom, label_names, new_layer
 from scenec.compiler.emit.lights import write_lights
 from scenec.compiler.emit.looks import write_look
 from scenec.compiler.emit.maps import copy_maps
@@ -55,11 +55,11 @@ def write_batch(folder: Path, scene: Scene) -> None:
             # Its ids stay reserved; that is all.
             continue
         classes.append(f"objects/{objects.name}.usdc")
-        shown = _only(scene.materials, objects.materials)
+        own = Appearance(_only(scene.materials, objects.materials), table)
         if isinstance(objects, Placed):
-            write_placed(folder / classes[-1], objects, shown, table)
+            write_placed(folder / classes[-1], objects, own)
         else:
-            write_scatter(folder / classes[-1], objects, shown, table)
+            write_scatter(folder / classes[-1], objects, own)
     sublayers = ["terrain.usdc", *_joined(folder, classes, "objects.usdc")]
     sublayers.extend(_write_looks(folder, scene))
     # Binary, whatever is in them: samples of many time codes are large and slow as text.

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pxr import Sdf, Usd, UsdGeom, Vt
 
-from scenec.compiler.emit.layer import TYPES, label, label_names
+from scenec.compiler.emit.layer import TYPES, Appearance, label, label_names
 from scenec.compiler.emit.terrain import (
     bind,
     face_subset,
@@ -29,15 +29,10 @@ def write_prototype(
     path: Sdf.Path,
     prototype: Prototype,
     objects: ObjectClass,
-    materials: Mapping[str, Material],
-    table: Mapping[str, Mapping[str, int]],
+    shown: Appearance,
 ) -> None:
-    """Writes a mesh; what its parts have of their own stands on subsets, or on it if all have it.
-
-    Args:
-        materials: By name; empty where no color is asked for.
-        table: Per level, label name -> id; empty where no labels are asked for.
-    """
+    """Writes a mesh; what parts have of their own stands on subsets, or on it if all have it."""
+    materials, table = shown
     mesh = UsdGeom.Mesh.Define(stage, path)
     prim = mesh.GetPrim()
     write_triangles(

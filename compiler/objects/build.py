@@ -133,7 +133,7 @@ def _bare(plan: ScatterPlan) -> ScatterPlan:
 def _named(plan: ScatterPlan) -> set[str]:
     """All strings in what a plan says of its surroundings: names of classes are among them."""
     found: set[str] = set()
-    left: list[Any] = [plan.density, plan.where, plan.apart]
+    left: list[Any] = [plan.density, plan.where, plan.spacing]
     while left:
         part = left.pop()
         if isinstance(part, str):

@@ -19,7 +19,7 @@ from scenec.compiler.objects.placement import Placement, seating_report
 from scenec.compiler.objects.rocks import Chain
 from scenec.compiler.objects.spacing import MOST_TRIES, Disks
 from scenec.compiler.objects.surroundings import Surroundings
-from scenec.compiler.scene.plan import Apart, Count, ScatterPlan
+from scenec.compiler.scene.plan import Count, ScatterPlan, Spacing
 from scenec.compiler.scene.scene import Prototype, Scatter
 from scenec.compiler.terrain.sources.mesh_surface import MeshSurface
 from scenec.schemas.errors import SceneError
@@ -32,9 +32,9 @@ def scatter(
 ) -> Scatter:
     """The instances of one class, all at their finest level.
 
-    Each takes the first of its candidate places that keeps what the plan asks: the distances in
-    plan (``apart``), then the clearance of cameras once it is seated. Candidates are distributed by
-    density, so what is kept shows in it only where something is in the way.
+    Each takes the first of its candidate places that keeps what the plan asks: the ``spacing`` in
+    plan, then the clearance of cameras once it is seated. Candidates are distributed by density, so
+    what is kept shows in it only where something is in the way.
 
     Args:
         chains: The levels of each prototype; seated is the finest, so that none moves with another.
@@ -53,25 +53,25 @@ def scatter(
     seated = prototypes if plan.source.touch else tuple(stem(p) for p in prototypes)
     placement = Placement(plan, seated, around, mesh)
     tries = np.zeros(n, np.int64)
-    spacing = None
-    if plan.apart is not None and candidates is not None:
-        spacing = _Spacing(plan, plan.apart, radius, candidates, u, around)
-        tries = spacing.tries(tries)
-    reach = radius if spacing is None else spacing.reach
+    packing = None
+    if plan.spacing is not None and candidates is not None:
+        packing = _Packing(plan, plan.spacing, radius, candidates, u, around)
+        tries = packing.tries(tries)
+    reach = radius if packing is None else packing.reach
     placed = np.flatnonzero(tries >= 0)
     if candidates is not None:
         at = _numbers_of(plan, u, placed, tries[placed])
         placement.place(placed, at, *candidates.at(at)[:2])
     _require_all(plan, n, len(placed), "keep apart from each other", reach, candidates, around)
-    apart_lost = n - len(placed)
+    without_room = n - len(placed)
     moved = np.zeros(0, np.int64)
     if candidates is not None and len(around.cameras):
         moved, tries = _clear(
-            plan, prototypes, placement, spacing, radius, candidates, u, tries, around.cameras
+            plan, prototypes, placement, packing, radius, candidates, u, tries, around.cameras
         )
     kept = np.flatnonzero(tries >= 0)
     _require_all(
-        plan, n, len(kept) + apart_lost, _clear_of(plan.clearance_m),
+        plan, n, len(kept) + without_room, _clear_of(plan.clearance_m),
         reach, candidates, around,
     )  # fmt: skip
     facts.update(
@@ -80,7 +80,7 @@ def scatter(
             "float32_error_max_m": placement.rounding_m(kept),
             **({"asked_for": n} if len(kept) < n else {}),
             **({"moved_off_cameras": len(moved)} if len(moved) else {}),
-            **({"tries_max": int(tries.max()) + 1} if spacing is not None and n else {}),
+            **({"tries_max": int(tries.max()) + 1} if packing is not None and n else {}),
         }
     )
     instances = Scatter(
@@ -144,31 +144,31 @@ def _numbers_of(
     return numbers(u, plan.place_key, which, tries)
 
 
-class _Spacing:
+class _Packing:
     """Puts a class' disks among those that are there before."""
 
     def __init__(
         self,
         plan: ScatterPlan,
-        apart: Apart,
+        distances: Spacing,
         radius: NDArray[np.float64],
         candidates: Candidates,
         u: NDArray[np.float64],
         around: Surroundings,
     ):
         """Takes the plan's distances; ``radius`` is that of the balls, float64 [n]."""
-        self._plan, self._apart, self._candidates, self._u = plan, apart, candidates, u
-        self._others = list(around.among(apart.of))
+        self._plan, self._distances, self._candidates, self._u = plan, distances, candidates, u
+        self._others = list(around.among(distances.of))
         #: Radius of each circle, half of the gap included, float64 [n].
-        self.reach: NDArray[np.float64] = apart.radius * radius + 0.5 * apart.gap_m
+        self.reach: NDArray[np.float64] = distances.radius * radius + 0.5 * distances.gap_m
         self._order = np.argsort(-self.reach, kind="stable")
 
     def tries(self, first: NDArray[np.int64]) -> NDArray[np.int64]:
         """The try that each takes, none before its first; -1 where there is no place."""
-        apart = self._apart
+        distances = self._distances
         disks = Disks(len(first) + sum(len(other.x) for other in self._others))
         for other in self._others:
-            disks.add(other.x, other.y, apart.radius * other.radius + 0.5 * apart.gap_m)
+            disks.add(other.x, other.y, distances.radius * other.radius + 0.5 * distances.gap_m)
         tries = np.empty(len(first), np.int64)
         tries[self._order] = disks.scatter(
             self._candidates,
@@ -177,7 +177,7 @@ class _Spacing:
             self._order,
             self.reach,
             first,
-            self._plan.name in apart.of,
+            self._plan.name in distances.of,
         )
         return tries
 
@@ -200,7 +200,7 @@ def _require_all(
     covered = f" (side by side their circles would cover {100 * part:.3g} % of {where})"
     raise SceneError(
         f"objects/{plan.name}: only {found:,} of {n:,} found a place where they {what}, in at "
-        f"most {MOST_TRIES} tries each{covered if plan.apart else ''}; ask for fewer or smaller "
+        f"most {MOST_TRIES} tries each{covered if plan.spacing else ''}; ask for fewer or smaller "
         'ones, allow them more room, or say "shortfall": "fewer"'
     )
 
@@ -215,7 +215,7 @@ def _clear(
     plan: ScatterPlan,
     prototypes: tuple[Prototype, ...],
     placement: Placement,
-    spacing: _Spacing | None,
+    packing: _Packing | None,
     radius: NDArray[np.float64],
     candidates: Candidates,
     u: NDArray[np.float64],
@@ -256,8 +256,8 @@ def _clear(
         moved.append(near)
         first[near] = tries[near] + 1
         before = tries
-        if spacing is not None:
-            tries = spacing.tries(np.minimum(first, MOST_TRIES))
+        if packing is not None:
+            tries = packing.tries(np.minimum(first, MOST_TRIES))
         else:
             tries = tries.copy()
             tries[near] += 1

@@ -101,8 +101,8 @@ class Count:
 
 
 @dataclass(frozen=True)
-class Apart:
-    """Distances that are kept in plan.
+class Spacing:
+    """Poisson-disk spacing: distances that are kept in plan.
 
     Attributes:
         gap_m: Between circles.
@@ -125,7 +125,7 @@ class ScatterPlan:
         count: How many there are.
         density: How many lie in one place compared with another.
         where: Conditions that the density is multiplied with.
-        apart: What is kept between objects, or None.
+        spacing: What is kept between objects, or None.
         fewer: Whether those that find no place are left out; else they are an error.
         clearance_m: Between cameras and balls around objects; below 0, how far inside they may be.
         place_key: Of the hash that gives an instance its further candidate places.
@@ -147,7 +147,7 @@ class ScatterPlan:
     count: Count
     density: Density
     where: tuple[PlacementCondition, ...]
-    apart: Apart | None
+    spacing: Spacing | None
     fewer: bool
     clearance_m: float
     place_key: int
