@@ -51,30 +51,21 @@ def _material(
     maps = None
     if node["maps"] is not None:
         maps = _maps(spec, path, node["maps"], worn, max(emission) > 0.0, streams)
+    numbers = ("roughness", "specular", "variation", "metallic", "roughness_variation")
     return Material(
-        (red, green, blue),
-        node["roughness"],
-        node["specular"],
-        node["variation"],
-        node["metallic"],
-        maps,
-        node["roughness_variation"],
-        _reflectance(node["reflectance"]),
-        emission,
+        base_color=(red, green, blue),
+        maps=maps,
+        reflectance=_reflectance(node["reflectance"]),
+        emission=emission,
+        **{key: node[key] for key in numbers},
     )
 
 
 def _reflectance(node: dict[str, Any] | None) -> Reflectance | None:
     if node is None or node["type"] == "lambert":
         return None
-    return Reflectance(
-        node["type"],
-        node["b"],
-        node["c"],
-        node["opposition"],
-        node["opposition_width"],
-        node.get("roughness_deg", 0.0),
-    )
+    numbers = {key: value for key, value in node.items() if key != "type"}
+    return Reflectance(model=node["type"], **{"roughness_deg": 0.0, **numbers})
 
 
 def _maps(
