@@ -75,7 +75,7 @@ def lens_intrinsics(
     width, height = resolution
     middle = 0.5 * width, 0.5 * height
     if fov_deg is None:
-        return (*_panorama(width, height), *middle, 0.0)
+        return width / (2.0 * elementary.PI), height / elementary.PI, *middle, 0.0
     half = 0.5 * fov_deg * _RADIANS
     if lens.model == EQUIRECTANGULAR:
         return (middle[0] / half, middle[0] / half, *middle, 0.0)
@@ -91,10 +91,6 @@ def lens_intrinsics(
         )
     focal = middle[0] / radial(lens, min(at, border))
     return focal, focal, *middle, 0.0
-
-
-def _panorama(width: int, height: int) -> tuple[float, float]:
-    return width / (2.0 * elementary.PI), height / elementary.PI
 
 
 def find_fault(

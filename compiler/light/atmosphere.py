@@ -249,16 +249,7 @@ def _rows(
 
 
 @kernel
-def _ground(
-    sun_sine: float,
-    low: float,
-    high: float,
-    skylight: NDArray,
-    arriving: NDArray,
-    sizes: NDArray,
-    spectra: NDArray,
-    weights: NDArray,
-) -> NDArray[np.float64]:
+def _ground(sun_sine, low, high, skylight, arriving, sizes, spectra, weights):  # type: ignore[no-untyped-def]
     """Radiance of white ground as it arrives, linear Rec.709.
 
     Args:

@@ -99,16 +99,7 @@ def _mean_transmission(depth: float) -> float:
 
 
 @kernel
-def _climb(
-    steps: Steps,
-    first: int,
-    count: int,
-    closest: float,
-    low: float,
-    high: float,
-    shift: float,
-    down: bool,
-) -> None:
+def _climb(steps, first, count, closest, low, high, shift, down):  # type: ignore[no-untyped-def]
     """Step ends and middles of a piece of a ray between two heights, along which it only climbs.
 
     Fills ``t[first : first + count + 1]`` and ``middle[first : first + count]`` with distances from
@@ -129,15 +120,7 @@ def _climb(
 
 
 @kernel
-def prepare(
-    r0: float,
-    sine: float,
-    cosine: float,
-    ground: float,
-    sizes: NDArray,
-    spectra: NDArray,
-    out: Steps,
-) -> tuple[int, bool]:
+def prepare(r0, sine, cosine, ground, sizes, spectra, out):  # type: ignore[no-untyped-def]
     """What a ray's steps hold, whatever the direction of the sun.
 
     Args:
@@ -227,15 +210,7 @@ def shadow(sight: Sight, radius: float) -> tuple[float, float]:
 
 
 @kernel
-def gather(
-    count: int,
-    sight: Sight,
-    sizes: NDArray,
-    spectra: NDArray,
-    steps: Steps,
-    of_gas: NDArray,
-    of_aerosol: NDArray,
-) -> None:
+def gather(count, sight, sizes, spectra, steps, of_gas, of_aerosol):  # type: ignore[no-untyped-def]
     """Sums what a prepared ray's steps send to the observer under the sun.
 
     Args:

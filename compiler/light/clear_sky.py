@@ -101,15 +101,7 @@ def clear_sky(
 
 
 @kernel
-def _distribution_part(
-    first: int,
-    last: int,
-    to: NDArray,
-    sun: NDArray,
-    zenith: NDArray,
-    horizon: NDArray,
-    out: NDArray,
-) -> None:
+def _distribution_part(first, last, to, sun, zenith, horizon, out):  # type: ignore[no-untyped-def]
     a, b, c, d, e = -1.0, -0.32, 10.0, -3.0, 0.45
     _h, w, _ = to.shape
     at_right_angle = elementary.exp(d * elementary.PI / 2.0)
