@@ -96,10 +96,7 @@ def read_track(file: Path) -> Track:
 
 
 def read_stamped(
-    file: Path,
-    form: str = "csv",
-    quaternion: str | None = None,
-    frame_rate_hz: float | None = None,
+    file: Path, form: str = "csv", quaternion: str | None = None, frame_rate_hz: float | None = None
 ) -> Stamped:
     """Reads a track of any of ``FORMATS``.
 

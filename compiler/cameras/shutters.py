@@ -128,11 +128,7 @@ def _opened(
             if error <= ERROR_PX:
                 break
     to_world = composed(on_rig.reshape(-1, 4, 4), sensor.to_rig).reshape(on_rig.shape)
-    facts = {
-        "poses": len(times),
-        "error_px": error,
-        "no_nearer_than_m": float(away.min()),
-    }
+    facts = {"poses": len(times), "error_px": error, "no_nearer_than_m": float(away.min())}
     return OpenShutter(shutters, times, to_world), on_rig, facts
 
 

@@ -25,11 +25,7 @@ ST = "st"
 
 
 def write_prototype(
-    stage: Usd.Stage,
-    path: Sdf.Path,
-    prototype: Prototype,
-    objects: ObjectClass,
-    shown: Appearance,
+    stage: Usd.Stage, path: Sdf.Path, prototype: Prototype, objects: ObjectClass, shown: Appearance
 ) -> None:
     """Writes a mesh; what parts have of their own stands on subsets, or on it if all have it."""
     materials, table = shown
@@ -56,10 +52,7 @@ def write_prototype(
 
 
 def _write_appearance(
-    prim: Usd.Prim,
-    prototype: Prototype,
-    materials: Mapping[str, Material],
-    material: str | None,
+    prim: Usd.Prim, prototype: Prototype, materials: Mapping[str, Material], material: str | None
 ) -> None:
     used = {part.material for part in prototype.parts if part.material is not None}
     used |= {material} if material is not None else set()
@@ -86,10 +79,7 @@ def _write_appearance(
 
 
 def _write_label_ids(
-    prim: Usd.Prim,
-    prototype: Prototype,
-    labels: Labels,
-    table: Mapping[str, Mapping[str, int]],
+    prim: Usd.Prim, prototype: Prototype, labels: Labels, table: Mapping[str, Mapping[str, int]]
 ) -> None:
     """One id a face, on the levels where a part's differs from the class's."""
     for level in table:

@@ -20,10 +20,7 @@ TERRAIN = f"{names.ROOT}/Terrain"
 
 @memoized_file("emit")
 def write_terrain(
-    path: Path,
-    ground: Ground,
-    materials: dict[str, Material],
-    label_names: list[dict[str, str]],
+    path: Path, ground: Ground, materials: dict[str, Material], label_names: list[dict[str, str]]
 ) -> None:
     """Writes the layer.
 

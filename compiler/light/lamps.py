@@ -47,7 +47,7 @@ def _lamp(plan: LampPlan, rigs: tuple[Rig, ...], surface: Surface) -> Lamp:
         carrier = next(rig for rig in rigs if rig.name == mount.rig)
         poses = [compose(pose, mount.to_rig) for pose in carrier.to_world]
     else:
-        poses = _standing(plan.mount, surface)
+        poses = _world_poses(plan.mount, surface)
     to_world = np.stack([compose(pose, _HALF_TURN) for pose in poses])
     if not np.isfinite(to_world).all():
         raise SceneError(f"light/lamps/{plan.name}: its poses overflow; use smaller numbers")
@@ -55,11 +55,11 @@ def _lamp(plan: LampPlan, rigs: tuple[Rig, ...], surface: Surface) -> Lamp:
     return Lamp(**own, to_world=to_world)
 
 
-def _standing(mount: WorldMount, surface: Surface) -> list[NDArray[np.float64]]:
+def _world_poses(mount: WorldMount, surface: Surface) -> list[NDArray[np.float64]]:
     """Poses of a lamp that stands in the world; it looks along +z."""
-    position = _placed(mount.position, mount.on_ground, surface)
+    position = _world_points(mount.position, mount.on_ground, surface)
     if mount.target is not None:
-        target = _placed(mount.target, mount.on_ground, surface)
+        target = _world_points(mount.target, mount.on_ground, surface)
     else:
         angle = mount.elevation_deg * (elementary.PI / 180.0)
         level, up = elementary.cos_array(angle), elementary.sin_array(angle)
@@ -74,7 +74,9 @@ def _standing(mount: WorldMount, surface: Surface) -> list[NDArray[np.float64]]:
     return [look_at(a, b, 0.0) for a, b in zip(position, target, strict=True)]
 
 
-def _placed(at: NDArray[np.float64], on_ground: bool, surface: Surface) -> NDArray[np.float64]:
+def _world_points(
+    at: NDArray[np.float64], on_ground: bool, surface: Surface
+) -> NDArray[np.float64]:
     out = at.copy()
     if on_ground:
         x, y = (np.ascontiguousarray(at[:, axis]) for axis in (0, 1))
@@ -149,7 +151,7 @@ def _on_ground(
                 way = pose[:3, 2] + (height * part - cy) / fy * pose[:3, 1]
             else:
                 way = (rays[row] * pose[:3, :3]).sum(axis=1)
-            point = _meets(pose[:3, 3], way, surface)
+            point = _ground_hit(pose[:3, 3], way, surface)
             if point is not None:
                 out[i] = sum(lamp_irradiance(lamp, i, point) for lamp in lamps)
             if out[i] > 0.0:
@@ -157,7 +159,7 @@ def _on_ground(
     return out
 
 
-def _meets(
+def _ground_hit(
     origin: NDArray[np.float64], direction: NDArray[np.float64], surface: Surface
 ) -> NDArray[np.float64] | None:
     """Where a ray goes into the ground, but for what is finer than its grid; None: nowhere."""

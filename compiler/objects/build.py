@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from scenec.compiler.assets.model import cached_model
 from scenec.compiler.cache.memo import memoized
-from scenec.compiler.objects.lod import Levels, budget_factor, choose_levels, finest, see_levels
+from scenec.compiler.objects.lod import Levels, budget_factor, choose_levels, see_levels
 from scenec.compiler.objects.placed import PlacedPlan, place_objects
 from scenec.compiler.objects.prototypes import Looks, ModelPlan, build_prototype
 from scenec.compiler.objects.rocks import Chain, build_chains
@@ -78,8 +78,8 @@ def build_objects(
             else:
                 chains = _chains(plan, looks, own)
                 # All that a class can see of others is what its plan names.
-                near = around.only(_named(plan))
-                levels, facts_of_it = _stood(_bare(plan), chains, near, views, unseen)
+                near = around.only(_strings_in(plan))
+                levels, facts_of_it = _scattered(_without_files(plan), chains, near, views, unseen)
                 own |= facts_of_it
                 found.append(levels)
                 around.objects[plan.name] = footprints(levels.scatter)
@@ -101,19 +101,18 @@ def build_objects(
     return Built(tuple(objects), told)
 
 
-def _stood(
+def _scattered(
     plan: ScatterPlan, chains: tuple[Chain, ...], around: Surroundings, views: Views, unseen: float
 ) -> tuple[Levels, dict[str, Any]]:
     """A class where it stands, and what is told of it."""
-    levels, facts = _laid(plan, chains, around, views, unseen)
+    levels, facts = _scattered_bare(plan, chains, around, views, unseen)
     meshes = tuple(mesh for chain in chains for mesh in chain)
-    return replace(
-        levels, scatter=replace(levels.scatter, prototypes=finest(chains)), meshes=meshes
-    ), facts
+    finest = tuple(chain[0] for chain in chains)
+    return replace(levels, scatter=replace(levels.scatter, prototypes=finest), meshes=meshes), facts
 
 
 @memoized("objects", lambda plan, **_: plan.name)
-def _laid(
+def _scattered_bare(
     plan: ScatterPlan, chains: tuple[Chain, ...], around: Surroundings, views: Views, unseen: float
 ) -> tuple[Levels, dict[str, Any]]:
     """The same without its meshes, which the chains hold."""
@@ -123,14 +122,14 @@ def _laid(
     return replace(levels, scatter=replace(laid, prototypes=()), meshes=()), facts
 
 
-def _bare(plan: ScatterPlan) -> ScatterPlan:
+def _without_files(plan: ScatterPlan) -> ScatterPlan:
     """A plan without the files of its models, which are read by now."""
     if not isinstance(plan.source, ModelSource):
         return plan
     return replace(plan, source=replace(plan.source, models=(), rules=()))
 
 
-def _named(plan: ScatterPlan) -> set[str]:
+def _strings_in(plan: ScatterPlan) -> set[str]:
     """All strings in what a plan says of its surroundings: names of classes are among them."""
     found: set[str] = set()
     left: list[Any] = [plan.density, plan.where, plan.spacing]

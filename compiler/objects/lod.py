@@ -185,8 +185,3 @@ def choose_levels(levels: Levels, factor: float | None = None) -> tuple[Scatter,
         ),
         facts,
     )
-
-
-def finest(chains: Sequence[Chain]) -> tuple[Prototype, ...]:
-    """The finest level of each chain."""
-    return tuple(chain[0] for chain in chains)

@@ -13,7 +13,6 @@ from scenec.compiler.geometry.rotations import turned
 from scenec.compiler.geometry.voxels import Cubes
 from scenec.compiler.objects.candidates import Candidates, numbers
 from scenec.compiler.objects.height_candidates import candidates_on
-from scenec.compiler.objects.lod import finest
 from scenec.compiler.objects.mesh_candidates import MeshCandidates
 from scenec.compiler.objects.placement import Placement, seating_report
 from scenec.compiler.objects.rocks import Chain
@@ -44,9 +43,9 @@ def scatter(
     Raises:
         SceneError: The density is zero everywhere, or there is no place for all.
     """
-    work = _Scattering(plan, finest(chains), around)
+    work = _Scattering(plan, tuple(chain[0] for chain in chains), around)
     n, placement = work.n, work.placement
-    work.lay()
+    work.place_all()
     without_room = int((work.tries < 0).sum())
     work.require_all(n - without_room, "keep apart from each other")
     moved = work.clear_cameras()
@@ -144,7 +143,7 @@ class _Scattering:
         if self.spacing is not None:
             self._reach = self.spacing.radius * self._radius + 0.5 * self.spacing.gap_m
 
-    def lay(self) -> None:
+    def place_all(self) -> None:
         """Gives each the first candidate that keeps its distance in plan."""
         if self.spacing is not None:
             self.tries = self._packed(self.spacing, self.tries)
@@ -161,7 +160,8 @@ class _Scattering:
     def _packed(self, spacing: Spacing, first: NDArray[np.int64]) -> NDArray[np.int64]:
         """The try that each takes, none before its first; -1 where there is no place."""
         assert self._candidates is not None
-        others = list(self._around.among(spacing.of))
+        laid = self._around.objects
+        others = [laid[name] for name in spacing.of if name in laid]
         disks = Disks(len(first) + sum(len(other.x) for other in others))
         for other in others:
             disks.add(other.x, other.y, spacing.radius * other.radius + 0.5 * spacing.gap_m)

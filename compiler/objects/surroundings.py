@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterator
+from collections.abc import Container
 from copy import copy
 from dataclasses import dataclass, field
 
@@ -50,10 +50,6 @@ class Surroundings:
         own = copy(self)
         own.objects = {name: self.objects[name] for name in self.objects if name in names}
         return own
-
-    def among(self, names: tuple[str, ...]) -> Iterator[Circles]:
-        """The objects of some classes, those that are laid already."""
-        return (self.objects[name] for name in names if name in self.objects)
 
 
 def footprints(laid: Scatter | Placed) -> Circles:

@@ -86,6 +86,15 @@ class Around:
         """One of the poses, for messages: a sample by its number, others by their time."""
         return f"the exposure at {time_s:.6g} s" if self.exposing else f"sample {k}"
 
+    def below_ground(
+        self, k: int, time_s: float, xy: NDArray[np.float64], depth_m: float, expected: str
+    ) -> SceneError:
+        """What is wrong with a pose at a point [2] that lies so far below the ground."""
+        place = f"{self.named(k, time_s)}, at ({xy[0]:.6g}, {xy[1]:.6g}) m,"
+        return SceneError(
+            f"{self.what}: {place} is {depth_m:.4g} m below the ground: expected {expected}"
+        )
+
     def ground(self, xy: NDArray[np.float64]) -> NDArray[np.float64]:
         """Heights of the ground at points [n, 2], float64 [n]."""
         x, y = (np.ascontiguousarray(xy[:, k]) for k in (0, 1))

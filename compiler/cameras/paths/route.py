@@ -10,13 +10,7 @@ from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.cameras.paths.motion import Around, Bodies
-from scenec.compiler.cameras.paths.obstacles import (
-    Band,
-    Nearest,
-    Obstacles,
-    nearest,
-    obstacles_of,
-)
+from scenec.compiler.cameras.paths.obstacles import Band, Nearest, Obstacles, nearest, obstacles_of
 from scenec.schemas.kernels import kernel
 
 #: Cells along the longer side at most.

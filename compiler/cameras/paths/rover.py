@@ -70,7 +70,7 @@ class Rover:
         legs = rounded(way, self.speed_m_s, self.turn_rate_deg_s / _DEGREES)
         times = self.sampling.times(legs.duration_s, around.samples, around.what)
         xy, heading = legs.at(times)
-        position, axes, _ = self._stand(xy, heading, around)
+        position, axes, _ = self._on_wheels(xy, heading, around)
         return Built(poses(position, axes), times, self._facts(legs, points, around))
 
     def _along(self, cells: Passable, around: Around) -> NDArray[np.float64]:
@@ -152,7 +152,7 @@ class Rover:
                 )
         return np.stack(goals), np.concatenate(way)
 
-    def _stand(
+    def _on_wheels(
         self, xy: NDArray[np.float64], heading: NDArray[np.float64], around: Around
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
         """Where the rig is on the wheels: positions, axes, and the body's slope in degrees.
@@ -184,7 +184,7 @@ class Rover:
         duration, length = legs.duration_s, float(legs.length.sum())
         looks = min(max(int(length / (0.25 * self.wheel_base_m)), 1), _LOOKS)
         xy, heading = legs.at(duration * np.arange(looks + 1) / looks)
-        slope = self._stand(xy, heading, around)[2]
+        slope = self._on_wheels(xy, heading, around)[2]
         margin = 0.5 * length / looks
         over = {
             name: driven_over(
