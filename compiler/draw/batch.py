@@ -74,7 +74,7 @@ def draw(spec: Spec, seed: int, batch: int, attempt: int = 0) -> Plan:
         ),
         object_triangles=cfg["object_detail"]["max_triangles"],
         light=draw_light(spec, streams, samples),
-        rigs=tuple(_rig(spec, name, streams) for name in cfg["rigs"]),
+        rigs=tuple(_rig(spec, name, setting) for name in cfg["rigs"]),
     )
 
 
@@ -168,8 +168,8 @@ def _relief(spec: Spec, index: int, setting: Setting) -> ReliefOperator:
     return Masked(operator, draw_mask(resolve(mask, streams, path), path, setting))
 
 
-def _rig(spec: Spec, name: str, streams: Streams) -> RigPlan:
-    cfg = spec.cfg["rigs"][name]
+def _rig(spec: Spec, name: str, setting: Setting) -> RigPlan:
+    cfg, streams = spec.cfg["rigs"][name], setting.streams
     samples = int(spec.cfg["samples"])
     path = f"rigs/{name}/pose"
     pose: Motion
@@ -179,7 +179,7 @@ def _rig(spec: Spec, name: str, streams: Streams) -> RigPlan:
     elif cfg["pose"]["type"] == "random_target":
         pose = draw_random_target(cfg["pose"], path, streams, samples)
     else:
-        pose = draw_motion(cfg["pose"], path, streams)
+        pose = draw_motion(cfg["pose"], path, setting)
     sensors = tuple(
         draw_sensor(sensor, node, f"rigs/{name}/sensors/{sensor}", streams, samples)
         for sensor, node in cfg["sensors"].items()

@@ -20,13 +20,17 @@ from scenec.compiler.cameras.tracks import Gaps, Sampling, TrackPlan, TrackWay, 
 from scenec.compiler.cfg.load import Spec
 from scenec.compiler.distributions.resolve import per_sample, resolve
 from scenec.compiler.distributions.streams import Streams
+from scenec.compiler.draw.of_keys import Setting, of_keys
 from scenec.compiler.draw.scatter import uniforms
 from scenec.compiler.geometry.poses import compose, from_quaternion
 from scenec.compiler.geometry.se3 import matrices
 from scenec.schemas import stage as names
+from scenec.schemas.plugins import Kinds
 
 #: Candidates of each goal of a drive.
 _GOAL_TRIES = 64
+_OURS = ("random", "orbit", "lawn_mower", "descent", "rover", "mav")
+_OTHERS = Kinds[type[Any]]("scenec.poses", {})
 _HALF_TURN = np.diag([*names.HALF_TURN, 1.0])
 
 
@@ -91,9 +95,14 @@ def draw_random_target(
     )
 
 
-def draw_motion(cfg: dict[str, Any], path: str, streams: Streams) -> Motion:
+def draw_motion(cfg: dict[str, Any], path: str, setting: Setting) -> Motion:
     """A made motion: numbers of the batch are drawn, those of each try get a key."""
+    streams = setting.streams
     node = resolve(cfg, streams, path)
+    if node["type"] not in _OURS:
+        node["sampling"] = _sampling(node["sampling"])
+        made: Motion = of_keys(_OTHERS, node, path, setting)
+        return made
     kind = node.pop("type")
     if kind == "random":
         return _random(node, path, streams)
