@@ -271,7 +271,7 @@ def add_settle_options(parser: argparse.ArgumentParser) -> None:
 
 
 def add_keep(parser: argparse.ArgumentParser) -> None:
-    """How much stays in the stages; values as in ``scenec.compiler.views.keep``."""
+    """How much stays in the stages; values as in ``scenec.compiler.views.needed``."""
     group = parser.add_mutually_exclusive_group()
     group.add_argument(
         "--keep",

@@ -31,7 +31,7 @@ def compile_now(options: argparse.Namespace) -> CompileReport:
 
     spec = warn(load(options.cfg, options.settings))
     from scenec.compiler.compile import compile_cfg
-    from scenec.compiler.views.keep import Keep
+    from scenec.compiler.views.needed import Keep
 
     cache = cache_of(options)
     bar = Progress("compiled", unit="batch", units="batches")

@@ -16,7 +16,7 @@ from scenec.cli.run_command import refuse_early
 from scenec.cli.scan_command import scan_now
 from scenec.compiler.cfg.load import Spec
 from scenec.compiler.sweep import CompilePoint, Point, points, read_all
-from scenec.compiler.views.keep import Keep
+from scenec.compiler.views.needed import Keep
 from scenec.schemas.errors import OutputError, ScenecError
 from scenec.schemas.files import atomic, check_writable, write_json
 from scenec.schemas.manifest import MANIFEST

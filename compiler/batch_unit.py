@@ -13,7 +13,7 @@ from scenec.compiler.cache.memo import Memo, memoizing
 from scenec.compiler.cache.store import Store
 from scenec.compiler.cfg.load import Spec, load
 from scenec.compiler.output import batch_name
-from scenec.compiler.views.keep import Keep
+from scenec.compiler.views.needed import Keep
 from scenec.schemas.errors import CfgError, Fault, OutputError, SceneError
 from scenec.schemas.files import tree, write_json
 from scenec.schemas.left_out import write_left_out

@@ -16,8 +16,7 @@ from scenec.compiler.cache.memo import memoized
 from scenec.compiler.cameras.imaging import expose
 from scenec.compiler.cameras.paths.motion import Bodies, bodies_of
 from scenec.compiler.cameras.rigs import build_rigs, memoized_rigs
-from scenec.compiler.light.build import build_light
-from scenec.compiler.light.dark import without_dark
+from scenec.compiler.light.build import build_light, without_dark
 from scenec.compiler.light.lamps import build_lamps, meter_lamps
 from scenec.compiler.materials.finish import Shown, finish
 from scenec.compiler.materials.footprint import footprints
@@ -45,8 +44,8 @@ from scenec.compiler.terrain.program import Relief, run
 from scenec.compiler.terrain.quantities import Samples
 from scenec.compiler.terrain.sources.mesh_surface import MeshSurface
 from scenec.compiler.views import needed
-from scenec.compiler.views.keep import Keep
 from scenec.compiler.views.lamps import without_idle
+from scenec.compiler.views.needed import Keep
 from scenec.compiler.views.prune import Pruned, prune
 from scenec.compiler.views.resolution import Views, pixels_per_meter, views_of
 from scenec.schemas.errors import SceneError

@@ -16,7 +16,7 @@ from scenec.compiler.cache.store import Store
 from scenec.compiler.cfg.load import Spec, load
 from scenec.compiler.estimate import needs_of, require_memory, told_time
 from scenec.compiler.output import Output, locked
-from scenec.compiler.views.keep import Keep
+from scenec.compiler.views.needed import Keep
 from scenec.schemas.errors import ScenecError, SceneError
 from scenec.schemas.files import temporary_folder
 from scenec.schemas.strays import cut_short, stray_scans, strays, told

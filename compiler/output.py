@@ -16,7 +16,7 @@ from typing import Any
 
 from scenec.compiler.cfg import licenses
 from scenec.compiler.cfg.load import Spec, digest_of
-from scenec.compiler.views.keep import Keep
+from scenec.compiler.views.needed import Keep
 from scenec.schemas.errors import OutputError
 from scenec.schemas.files import (
     as_json,

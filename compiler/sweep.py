@@ -14,7 +14,7 @@ from typing import Any
 from scenec.compiler.cfg.load import Spec, load
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.output import held
-from scenec.compiler.views.keep import Keep
+from scenec.compiler.views.needed import Keep
 from scenec.schemas.errors import CfgError, Fault, OutputError, ScenecError
 from scenec.schemas.manifest import MANIFEST
 from scenec.schemas.units import Keeper

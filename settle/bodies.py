@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.geometry.poses import from_quaternion
-from scenec.compiler.objects.poses import PlacedPlan
+from scenec.compiler.objects.placed import PlacedPlan
 from scenec.compiler.scene.plan import ScatterPlan
 from scenec.compiler.scene.scene import Placed, Scatter
 from scenec.settle.shapes import Shape, shape_of

@@ -19,7 +19,7 @@ from scenec.backends.registry import open_backend
 from scenec.backends.run.session import Session
 from scenec.backends.stage.read import read_stage
 from scenec.compiler.compile import compile_cfg
-from scenec.compiler.views.keep import Keep
+from scenec.compiler.views.needed import Keep
 
 PASSES = ("label", "instance", "depth", "normal", "position")
 

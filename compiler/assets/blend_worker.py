@@ -61,7 +61,6 @@ class _Reader:
         self.document: dict[str, Any] = {"shells": [], "looks": [], "notes": []}
 
     def fault(self) -> str:
-        """What keeps the file from being read."""
         libraries = sorted(library.filepath for library in self._bpy.data.libraries)
         if libraries:
             name = libraries[0].replace("\\", "/").rpartition("/")[2]
@@ -69,7 +68,6 @@ class _Reader:
         return ""
 
     def read(self) -> None:
-        """Take all that is shown in the file's scene."""
         scene = self._bpy.context.scene
         self.document["unit_m"] = scene.unit_settings.scale_length
         graph = self._bpy.context.evaluated_depsgraph_get()

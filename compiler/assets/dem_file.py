@@ -227,7 +227,6 @@ def _read_picture(file: Path) -> NDArray[Any]:
 
 
 def _gray(file: Path, image: Any) -> NDArray[Any]:
-    """Gray values of an open picture: uint8 or uint16 [ny, nx]."""
     if image.mode.startswith("I;16"):
         return np.asarray(image).astype(np.uint16)
     if image.mode == "I":

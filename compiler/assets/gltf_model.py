@@ -1,10 +1,16 @@
-"""glTF files as models: attributes of their primitives, beside or inside of the file."""
+"""glTF 2.0 files (Khronos) as models: what of their meshes is seen, and where nodes put it.
+
+The format's unit is the meter and its upward axis y. What moves (skins, morph targets, animations)
+is left at rest.
+"""
 
 from __future__ import annotations
 
 import base64
 import binascii
 import json
+import struct
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,25 +18,27 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.assets.gltf_looks import GltfLooks
-from scenec.compiler.assets.gltf_scene import chunks, natural, placed_meshes, required_version
+from scenec.compiler.assets.gltf_looks import GltfLooks, natural
 from scenec.compiler.assets.parts import MeshFileError
 from scenec.compiler.assets.pictures import companion
 from scenec.compiler.assets.shells import ParsedModel, Shell, placed
 from scenec.compiler.assets.trimesh_file import sound
+from scenec.compiler.geometry import affine
+from scenec.compiler.geometry.poses import compose
 
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 _KINDS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 #: Items that all reads of accessors together may take, in terms of the buffers' bytes.
 _MOST_SHARED = 32
+#: Required extensions that leave geometry as it is, by how their names begin.
+_HARMLESS = ("KHR_materials_", "KHR_texture_", "KHR_lights_", "EXT_texture_", "KHR_mesh_quantiz")
 
 
 def read_gltf(file: Path, looks: bool) -> ParsedModel:
     """Reads a ``.glb`` or ``.gltf`` file with its buffers and, with its looks, its pictures.
 
-    A part's path is the names of the nodes down to it. Skins, morph targets and animations are left
-    at rest.
+    A part's path is the names of the nodes down to it.
 
     Raises:
         MeshFileError: It is not sound, needs what is not known, or a file is missing.
@@ -43,7 +51,6 @@ class GltfFile:
     """A glTF document with its buffers.
 
     Attributes:
-        document: Its JSON.
         companions: Files beside it that were read.
     """
 
@@ -53,10 +60,10 @@ class GltfFile:
         binary: bytes | None = None
         text: bytes = data
         if file.suffix.lower() == ".glb":
-            text, rest = chunks(data)
+            text, rest = _chunks(data)
             if len(rest) >= 8 and rest[4:8] == b"BIN\0":
                 binary = rest[8 : 8 + int.from_bytes(rest[:4], "little")]
-        self.document = required_version(json.loads(text))
+        self.document = _required_version(json.loads(text))
         self.companions: list[Path] = []
         self._buffers = [
             binary
@@ -98,7 +105,6 @@ class GltfFile:
         """An accessor's values, [n, width]; normalized integers as fractions.
 
         Args:
-            index: Of the accessor.
             kinds: Types that are right, such as "VEC3".
         """
         accessor = self.document["accessors"][natural(index)]
@@ -136,7 +142,7 @@ class GltfFile:
         looks = GltfLooks(self) if with_looks else None
         shells: dict[int, list[Shell]] = {}
         parts: list[Shell] = []
-        for path, own, matrix in placed_meshes(document):
+        for path, own, matrix in _placed_meshes(document):
             if own not in shells:
                 mesh = document["meshes"][own]
                 shells[own] = [s for p in mesh["primitives"] for s in self._shell(p, looks, notes)]
@@ -198,3 +204,91 @@ def _triangles(corners: NDArray[np.int64], mode: int) -> NDArray[np.int64]:
         # Every other one is turned (glTF 2.0, 3.7.2.1).
         return np.stack([corners[i], corners[i + 1 + i % 2], corners[i + 2 - i % 2]], axis=1)
     return np.stack([corners[i + 1], corners[i + 2], corners[0 * i]], axis=1)
+
+
+def _required_version(document: Any) -> dict[str, Any]:
+    """A glTF document of version 2 that needs no extension which is not known here.
+
+    Raises:
+        MeshFileError: It is another.
+    """
+    if not isinstance(document, dict):
+        raise MeshFileError("not a glTF file: its JSON is no object")
+    version = str(document.get("asset", {}).get("version", ""))
+    if not version.startswith("2"):
+        raise MeshFileError(f"glTF of version {version or 'unknown'}: expected version 2")
+    for extension in document.get("extensionsRequired", []):
+        if not str(extension).startswith(_HARMLESS):
+            raise MeshFileError(f"needs the extension {extension}: export it without")
+    return document
+
+
+def _placed_meshes(document: dict[str, Any]) -> Iterator[tuple[str, int, NDArray[np.float64]]]:
+    """The meshes of the default scene, in the order of its nodes.
+
+    Yields:
+        Names of the nodes down to it, joined by ``/``; its index; where it stands, [4, 4].
+
+    Raises:
+        MeshFileError: The nodes are no tree, or hold instances.
+    """
+    nodes = document.get("nodes", [])
+    scenes = document.get("scenes")
+    if scenes:
+        roots = scenes[document.get("scene", 0)].get("nodes", [])
+    else:
+        children = {c for node in nodes for c in node.get("children", [])}
+        roots = [i for i in range(len(nodes)) if i not in children]
+    seen: set[int] = set()
+    waiting = [(root, np.eye(4), "") for root in reversed(roots)]
+    while waiting:
+        index, parent, path = waiting.pop()
+        if index in seen:
+            raise MeshFileError(f"a broken glTF file: node {index} is in two places")
+        seen.add(index)
+        node = nodes[natural(index)]
+        if "EXT_mesh_gpu_instancing" in node.get("extensions", {}):
+            raise MeshFileError("holds GPU instances: export them as meshes")
+        matrix = compose(parent, _local(node))
+        own = natural(node["mesh"]) if "mesh" in node else None
+        name = node.get("name")
+        if own is not None:
+            name = name or document["meshes"][own].get("name")
+        path = f"{path}/{name or f'node_{index}'}"
+        if own is not None:
+            yield path, own, matrix
+        waiting += [(child, matrix, path) for child in reversed(node.get("children", []))]
+
+
+def _chunks(data: bytes) -> tuple[bytes, bytes]:
+    """The JSON of a ``.glb``, and what comes after it.
+
+    Raises:
+        MeshFileError: It is none, or cut short.
+    """
+    if data[:4] != b"glTF" or len(data) < 20:
+        raise MeshFileError("not a binary glTF file: it does not begin with 'glTF'")
+    version, length, chunk, kind = struct.unpack_from("<III4s", data, 4)
+    if version != 2:
+        raise MeshFileError(f"glTF of version {version}: expected version 2")
+    if length > len(data) or 20 + chunk > len(data):
+        raise MeshFileError(f"cut short: its header promises {length} bytes, it has {len(data)}")
+    if kind != b"JSON":
+        raise MeshFileError("a broken glTF file: it does not begin with its JSON")
+    return data[20 : 20 + chunk], data[20 + chunk : length]
+
+
+def _local(node: dict[str, Any]) -> NDArray[np.float64]:
+    if "matrix" in node:
+        # Stored column by column.
+        return np.array(node["matrix"], np.float64).reshape(4, 4).T
+    out = np.eye(4)
+    out[:3, 3] = node.get("translation", (0.0, 0.0, 0.0))
+    if "rotation" in node:
+        x, y, z, w = map(float, node["rotation"])
+        if x == y == z == w == 0.0:
+            raise MeshFileError("a broken glTF file: a rotation is 0 0 0 0, expected a quaternion")
+        out = compose(out, affine.of_quaternion(x, y, z, w))
+    scale = np.eye(4)
+    scale[[0, 1, 2], [0, 1, 2]] = node.get("scale", (1.0, 1.0, 1.0))
+    return compose(out, scale)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scenec.compiler.assets.parts import MeshFileError, is_of
 from scenec.compiler.assets.shells import Shell
 from scenec.compiler.geometry import affine
+from scenec.compiler.geometry.normals import face_normals
 
 #: Largest coordinate, meters: beyond it squares of areas leave float64's range too easily.
 _LARGEST_M = 1e9
@@ -96,7 +97,7 @@ def join(parts: Sequence[Shell], unit_m: float, up: str) -> Joined:
     owner = np.repeat(np.arange(len(parts), dtype=np.int32), [len(part.faces) for part in parts])
     first_of, total = weld(points), len(points)
     points, faces = points[first_of == np.arange(total)], _number_first(first_of)[faces]
-    n = normals_of(points, faces).T
+    n = face_normals(points, faces).T
     sound = np.sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2]) > 0.0
     if not sound.any():
         raise MeshFileError(f"none of its {len(faces)} faces has an area")
@@ -132,12 +133,3 @@ def weld(points: NDArray[np.float64]) -> NDArray[np.int64]:
     first = np.empty(len(points), np.int64)
     first[order] = order[np.flatnonzero(new)][np.cumsum(new) - 1]
     return first
-
-
-def normals_of(points: NDArray[np.float64], faces: NDArray[np.integer]) -> NDArray[np.float64]:
-    """Normals of triangles, as long as twice their areas, [m, 3]."""
-    a, b, c = (points[faces[:, k]] for k in range(3))
-    u, v = b - a, c - a
-    return np.stack(
-        [u[:, i] * v[:, j] - u[:, j] * v[:, i] for i, j in ((1, 2), (2, 0), (0, 1))], axis=1
-    )

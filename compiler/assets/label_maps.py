@@ -68,11 +68,7 @@ def read_codes(file: Path) -> tuple[NDArray[np.int32], bool]:
 
 
 def decode(file: Path, ids: Mapping[str, int]) -> NDArray[np.uint16]:
-    """Label ids of a picture's pixels, uint16 [h, w].
-
-    Args:
-        file: The picture.
-        ids: Label id of each pixel value, as the cfg writes them.
+    """Label ids of a picture's pixels, uint16 [h, w], by their values as the cfg writes them.
 
     Raises:
         SceneError: It cannot be read, has a value that is not among them, or they are of the other

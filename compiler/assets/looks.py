@@ -54,7 +54,6 @@ class Slot:
     """A picture as a material uses it.
 
     Attributes:
-        source: The picture.
         label: What messages call it.
         channel: Of roughness and metallic: which one, from 0.
         scale, offset: Of roughness and metallic: value = channel * scale + offset.

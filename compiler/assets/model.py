@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.assets.joining import chosen_parts, join, normals_of
+from scenec.compiler.assets.joining import chosen_parts, join
 from scenec.compiler.assets.looks import Look, ModelMaterial, finished_look
 from scenec.compiler.assets.parse import faults_of, parse_model
 from scenec.compiler.assets.parts import MeshFileError
 from scenec.compiler.assets.shells import ParsedModel, Shell
 from scenec.compiler.geometry import affine
+from scenec.compiler.geometry.normals import face_normals
 from scenec.schemas.errors import SceneError
 
+#: Files that are kept once they are read: for checking, hashing and all batches.
+_MOST = 64
+_parsed: dict[Path, tuple[list[tuple[int, int]], ParsedModel]] = {}
 _MEANING = {"unit_m": "how long its unit is", "up": "which axis points upward"}
 
 
@@ -103,6 +108,52 @@ def finish_model(
         return _finished(
             chosen_parts(parsed.parts, part), parsed, 1.0 if unit is None else unit, axis
         )
+
+
+def parsed_model(file: Path) -> ParsedModel:
+    """``parse_model``, once as long as the file and those that belong to it stay as they are.
+
+    Raises:
+        SceneError: As ``parse_model``.
+    """
+    if file in _parsed:
+        state, parsed = _parsed[file]
+        if state == _state(file, parsed):
+            return parsed
+        del _parsed[file]
+    parsed = parse_model(file)
+    if len(_parsed) >= _MOST:
+        del _parsed[next(iter(_parsed))]
+    _parsed[file] = (_state(file, parsed), parsed)
+    return parsed
+
+
+def _state(file: Path, parsed: ParsedModel) -> list[tuple[int, int]]:
+    """When a model's files were changed, and how large they are."""
+    found = []
+    for path in (file, *parsed.companions):
+        try:
+            stat = path.stat()
+        except OSError:
+            return []
+        found.append((stat.st_mtime_ns, stat.st_size))
+    return found
+
+
+def cached_model(file: Path, unit_m: float | None, up: str | None, part: str | None) -> Model:
+    """``read_model``, once for the same arguments and files.
+
+    Raises:
+        SceneError: As ``read_model``.
+    """
+    return _finished_once(file, parsed_model(file), unit_m, up, part)
+
+
+@lru_cache(maxsize=_MOST)
+def _finished_once(
+    file: Path, parsed: ParsedModel, unit_m: float | None, up: str | None, part: str | None
+) -> Model:
+    return finish_model(file, parsed, unit_m=unit_m, up=up, part=part)
 
 
 def _finished(shells: list[Shell], parsed: ParsedModel, unit_m: float, up: str) -> Model:
@@ -230,7 +281,7 @@ def _normals(
     turn = np.eye(4)
     turn[:3, :3] = affine.TO_Z_UP[up]
     given = affine.applied(turn, given.reshape(-1, 3)).reshape(-1, 3, 3)
-    flat = normals_of(points, faces)
+    flat = face_normals(points, faces)
     given = np.where(np.isfinite(given).all(axis=2, keepdims=True), given, 0.0)
     # Largest first, so that squares neither vanish nor overflow.
     largest = np.abs(given).max(axis=2, keepdims=True)

@@ -36,10 +36,6 @@ _LEFT_OUT = {
 def read_mtl(file: Path, found: Callable[[Path], None]) -> dict[str, Look]:
     """The materials of a library, by name.
 
-    Args:
-        file: The library.
-        found: Called with each picture that is used.
-
     Raises:
         MeshFileError: A number is none, or a picture is missing; the message names the library.
     """

@@ -97,7 +97,6 @@ class _Reader:
         return "/".join(out)
 
     def model(self) -> ParsedModel:
-        """The parts and materials."""
         points, tints = self._points()
         counts = np.array([len(face.split()) for face in self._faces], np.int64)
         triangles, polygon = fan_corners(counts)

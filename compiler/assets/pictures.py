@@ -41,9 +41,7 @@ def companion(file: Path, reference: str, what: str, *, escaped: bool = False) -
     r"""The file that a model refers to.
 
     Args:
-        file: Which refers to it.
         reference: As it stands there: relative to its folder, ``/`` or ``\`` between names.
-        what: Of what kind it is, for messages.
         escaped: Whether it is a URI, with ``%20`` for a space.
 
     Raises:
@@ -173,5 +171,4 @@ def read_gray(file: Path) -> NDArray[np.float64]:
         raise SceneError(f"{file.name}: holds {gray.min():g}; a density is nowhere below 0")
     if not gray.max() > 0.0:
         raise SceneError(f"{file.name}: black everywhere; a density is above 0 somewhere")
-    scaled: NDArray[np.float64] = gray / gray.max()
-    return scaled
+    return gray / gray.max()

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.assets.tables import read_rows
+from scenec.compiler.assets.tables import is_number, read_rows
 from scenec.schemas.errors import SceneError
 from scenec.schemas.spelling import shown
 
@@ -29,7 +29,7 @@ def read_polyline(file: Path) -> NDArray[np.float64]:
     """
     rows = read_rows(file)
     columns = [0, 1]
-    if rows and not all(_is_number(cell) for cell in rows[0][1][:2]):
+    if rows and not all(map(is_number, rows[0][1][:2])):
         line, header = rows.pop(0)
         missing = [name for name in COLUMNS if name not in header]
         if missing:
@@ -47,15 +47,8 @@ def read_polyline(file: Path) -> NDArray[np.float64]:
     return path
 
 
-def _is_number(cell: str) -> bool:
-    try:
-        return bool(np.isfinite(float(cell)))
-    except ValueError:
-        return False
-
-
 def _coordinate(file: Path, line: int, cells: list[str], column: int) -> float:
     cell = cells[column] if column < len(cells) else ""
-    if not _is_number(cell):
+    if not (is_number(cell) and np.isfinite(float(cell))):
         raise SceneError(f"{file.name}:{line}: expected a number, got {shown(cell)}")
     return float(cell)

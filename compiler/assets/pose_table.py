@@ -48,10 +48,6 @@ def read_poses(file: Path, models: int = 1) -> PoseTable:
     ``time_s`` are one object, rows without are copies. Empty lines and lines that begin with # are
     passed over.
 
-    Args:
-        file: The file.
-        models: How many models there are to choose from.
-
     Raises:
         SceneError: The file cannot be read, a column is missing or unknown, a value is not what it
             must be, or two rows put one object at one time.

@@ -71,7 +71,6 @@ class ParsedModel:
 
     Attributes:
         parts: In the file's order; names may repeat.
-        looks: Its materials.
         unit_m: Meters per unit, where the format or the file says so.
         up: Upward axis, where the format or the file says so.
         companions: Files beside it that belong to it, in the order in which they are named.
@@ -95,7 +94,6 @@ def placed(shell: Shell, matrix: NDArray[np.float64], *, turned: bool | None = N
     """A shell under a map; what turns right into left turns the faces, too.
 
     Args:
-        shell: The part.
         matrix: float64 [4, 4], for columns.
         turned: Whether to turn the faces; None: where the map mirrors.
     """

@@ -28,7 +28,6 @@ class Table:
     """Numbers of a file.
 
     Attributes:
-        file: The file.
         lines: The line of each row.
         columns: float64 [rows] by name.
     """
@@ -57,15 +56,13 @@ class Table:
         if off.size:
             row = int(off[0])
             raise self.fault(row, f"the quaternion has the length {length[row]:.6g}, expected 1")
-        unit: NDArray[np.float64] = quaternion / length[:, None]
-        return unit
+        return quaternion / length[:, None]
 
 
 def read_rows(file: Path, *, blanks: bool = False) -> list[Row]:
     """Rows of a text file in UTF-8, without empty lines and those that begin with #.
 
     Args:
-        file: The file.
         blanks: Whether blanks separate its columns, not commas.
 
     Raises:
@@ -92,11 +89,8 @@ def read_table(
     """Numbers of rows.
 
     Args:
-        file: Where they stand.
         rows: Without a header.
         columns: Where each one that is wanted stands, by name.
-        width: Cells that each row must have.
-        hint: What they are, for messages.
 
     Raises:
         SceneError: A row has more cells or fewer, or a value is not a finite number.

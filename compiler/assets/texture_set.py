@@ -15,6 +15,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
+from itertools import takewhile
 from pathlib import Path
 
 #: Kinds of pictures by the words that name them; several words stand in this order.
@@ -103,7 +104,6 @@ def recognize(names: Iterable[str], given: frozenset[str] = frozenset()) -> Text
     are passed over.
 
     Args:
-        names: Of files.
         given: Kinds that come from elsewhere: none is taken from here.
 
     Raises:
@@ -170,15 +170,9 @@ def _words(name: str) -> list[str]:
 
 
 def _shared(many: list[list[str]]) -> int:
-    """How many words all lists begin with."""
-    if len(many) < 2:
-        return 0
-    count = 0
-    for column in zip(*many, strict=False):
-        if len(set(column)) > 1:
-            break
-        count += 1
-    return count
+    """How many words all of several lists begin with."""
+    columns = zip(*many, strict=False) if len(many) > 1 else ()
+    return sum(1 for _ in takewhile(lambda words: len(set(words)) == 1, columns))
 
 
 def _kind(words: list[str]) -> str | None:

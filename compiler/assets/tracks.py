@@ -96,10 +96,7 @@ def read_track(file: Path) -> Track:
 
 
 def read_stamped(
-    file: Path,
-    form: str = "csv",
-    quaternion: str | None = None,
-    frame_rate_hz: float | None = None,
+    file: Path, form: str = "csv", quaternion: str | None = None, frame_rate_hz: float | None = None
 ) -> Stamped:
     """Reads a track of any of ``FORMATS``.
 
@@ -107,7 +104,6 @@ def read_stamped(
     same pose (then they are one), not with another, and may not fall.
 
     Args:
-        file: The file.
         form: One of ``FORMATS``.
         quaternion: Order of a file without a header: one of ``ORDERS``; None: the format's usual.
         frame_rate_hz: Frames a second, for the format that counts them.

@@ -18,6 +18,7 @@ from pxr import Sdf, Tf, Usd, UsdGeom
 
 from scenec.compiler.assets.parts import MeshFileError
 from scenec.compiler.geometry import affine
+from scenec.compiler.geometry.poses import compose
 from scenec.schemas.native import native_reading
 
 #: Purposes of geometry that stands in for other geometry, or helps to edit it.
@@ -160,8 +161,8 @@ def _local_to_world(prim: Usd.Prim) -> NDArray[np.float64]:
         if xformable:
             local = np.eye(4)
             for op in xformable.GetOrderedXformOps():
-                local = affine.composed(local, _op(op))
-            out = affine.composed(local, out)
+                local = compose(local, _op(op))
+            out = compose(local, out)
             if xformable.GetResetXformStack():
                 break
         prim = prim.GetParent()
@@ -184,6 +185,6 @@ def _op(op: UsdGeom.XformOp) -> NDArray[np.float64]:
     out = np.eye(4)
     # The first axis turns first.
     for axis in axes:
-        out = affine.composed(affine.about_axis("XYZ".index(axis), degrees.get(axis, 0.0)), out)
+        out = compose(affine.about_axis("XYZ".index(axis), degrees.get(axis, 0.0)), out)
     # What turns back is the transpose.
     return out.T if op.IsInverseOp() else out

@@ -70,11 +70,9 @@ class UsdLooks:
                     slots[kind] = slot
             else:
                 values[key] = producer.Get(TIME)
-        ior = _number(shader, "ior", 1.5)
-        specular = reflectance(ior)
-        if _number(shader, "useSpecularWorkflow", 0) == 1:
-            producer = _producer(shader.GetInput("specularColor"))
-            color = producer.Get(TIME) if producer and _is_value(producer) else None
+        specular = reflectance(float(_value(shader, "ior", 1.5)))
+        if _value(shader, "useSpecularWorkflow", 0) == 1:
+            color = _value(shader, "specularColor")
             specular = sum(map(float, color)) / 3.0 if color is not None else 0.0
             values["metallic"] = 0.0
             slots.pop("metallic", None)
@@ -84,7 +82,9 @@ class UsdLooks:
             ("clearcoat", "its coat is left out", 0.0),
             ("displacement", "its displacement is left out", 0.0),
         ):
-            if _is_textured(shader, key) or _number(shader, key, default) != default:
+            producer = _producer(shader.GetInput(key))
+            textured = producer is not None and not _is_value(producer)
+            if textured or float(_value(shader, key, default)) != default:
                 notes.append(what)
         glow = _producer(shader.GetInput("emissiveColor"))
         if glow is not None and (not _is_value(glow) or any(glow.Get(TIME) or ())):
@@ -116,8 +116,7 @@ class UsdLooks:
         if shader != "UsdUVTexture":
             notes.append(f"what gives its {kind} ({shader or 'a node'}) is not known")
             return None
-        producer = _producer(texture.GetInput("file"))
-        asset = producer.Get(TIME) if producer is not None and _is_value(producer) else None
+        asset = _value(texture, "file")
         if not isinstance(asset, Sdf.AssetPath) or not asset.path:
             raise MeshFileError(f"material {name!r}: its {kind} picture has no file")
         if "<UDIM>" in asset.path:
@@ -127,9 +126,9 @@ class UsdLooks:
         if channel == 3:
             notes.append(f"its {kind}, which is the alpha of {asset.path}, is left out")
             return None
-        scale = [float(x) for x in _tuple(texture, "scale", (1.0,) * 4)]
-        bias = [float(x) for x in _tuple(texture, "bias", (0.0,) * 4)]
-        space = _token(texture, "sourceColorSpace", "auto")
+        scale = [float(x) for x in _value(texture, "scale", (1.0,) * 4)]
+        bias = [float(x) for x in _value(texture, "bias", (0.0,) * 4)]
+        space = _value(texture, "sourceColorSpace", "auto")
         if kind == "base_color":
             values["diffuseColor"] = tuple(scale[:3])
             if any(bias[:3]):
@@ -144,7 +143,7 @@ class UsdLooks:
         elif space == "sRGB":
             notes.append(f"its {kind} picture {asset.path} is taken as raw, not as sRGB")
         clamps += [
-            _token(texture, key, "useMetadata") in ("clamp", "black", "mirror")
+            _value(texture, key, "useMetadata") in ("clamp", "black", "mirror")
             for key in ("wrapS", "wrapT")
         ]
         uv_set, uv_map = _coordinates(texture, notes)
@@ -183,29 +182,10 @@ def _is_value(producer: Any) -> bool:
     return not isinstance(producer, UsdShade.Output)
 
 
-def _is_textured(shader: UsdShade.Shader, key: str) -> bool:
+def _value(shader: UsdShade.Shader, key: str, default: Any = None) -> Any:
+    """A constant input; the default where it is left out, or comes from another node."""
     producer = _producer(shader.GetInput(key))
-    return producer is not None and not _is_value(producer)
-
-
-def _value(shader: UsdShade.Shader, key: str) -> Any:
-    producer = _producer(shader.GetInput(key))
-    return producer.Get(TIME) if producer is not None and _is_value(producer) else None
-
-
-def _number(shader: UsdShade.Shader, key: str, default: float) -> float:
-    value = _value(shader, key)
-    return default if value is None else float(value)
-
-
-def _token(shader: UsdShade.Shader, key: str, default: str) -> str:
-    value = _value(shader, key)
-    return default if value is None else str(value)
-
-
-def _tuple(shader: UsdShade.Shader, key: str, default: tuple[float, ...]) -> tuple[float, ...]:
-    value = _value(shader, key)
-    return default if value is None else tuple(float(x) for x in value)
+    return producer.Get(TIME) if producer is not None and _is_value(producer) else default
 
 
 def _coordinates(texture: UsdShade.Shader, notes: list[str]) -> tuple[str, UvMap]:
@@ -217,9 +197,9 @@ def _coordinates(texture: UsdShade.Shader, notes: list[str]) -> tuple[str, UvMap
     node = UsdShade.Shader(producer.GetPrim())
     if str(node.GetIdAttr().Get()) == "UsdTransform2d":
         # First scale, then rotation, then translation, as its specification says.
-        s, c = affine.sin_cos(_number(node, "rotation", 0.0))
-        wide, high = _tuple(node, "scale", (1.0, 1.0))
-        x, y = _tuple(node, "translation", (0.0, 0.0))
+        s, c = affine.sin_cos(float(_value(node, "rotation", 0.0)))
+        wide, high = map(float, _value(node, "scale", (1.0, 1.0)))
+        x, y = map(float, _value(node, "translation", (0.0, 0.0)))
         uv_map = (c * wide, -s * high, x, s * wide, c * high, y)
         producer = _producer(node.GetInput("in"))
         if producer is None or _is_value(producer):
@@ -228,4 +208,4 @@ def _coordinates(texture: UsdShade.Shader, notes: list[str]) -> tuple[str, UvMap
     if str(node.GetIdAttr().Get()) != "UsdPrimvarReader_float2":
         notes.append("its texture coordinates come from what is not known: st is taken")
         return "st", uv_map
-    return _token(node, "varname", "st"), uv_map
+    return str(_value(node, "varname", "st")), uv_map

@@ -15,12 +15,11 @@ _OF: dict[str, tuple[str, ...]] = {
         "Cells", "Far", "Georeference", "Ground", "GroundLayer", "Haze", "Lamp",
         "Material", "MaterialMaps", "MeshPart", "Picture",
         "Placed", "Prototype", "Reflectance", "Scatter", "Scene", "SkyLabelMaps",
-        "SkyLight", "SunLight", "Tile",
+        "SkyLight", "Sources", "SunLight", "Tile",
     ),
     "materials.finish": ("Finished",),
     "materials.footprint": ("Footprint",),
     "materials.reduce": ("Reduced",),
-    "scene.sources": ("Sources",),
     "materials.tile": ("Look",),
     "terrain.condition": (
         "Curvature", "Flow", "Freshness", "FromPath", "FromPoint", "Height", "Interval", "Noise",

@@ -18,17 +18,17 @@ from scenec.schemas import imaging as formulas
 from scenec.schemas.errors import SceneError
 from scenec.schemas.imaging import Imaging
 
+#: Keys of a cfg's imaging that are fields.
+_AS_GIVEN = (
+    "f_number", "pixel_um", "full_well_e", "bits", "black_level", "shot_noise", "read_noise_e",
+    "prnu", "dsnu_e", "mosaic", "demosaic", "clean", "raw",
+)  # fmt: skip
+
 
 def draw_imaging(
     cfg: dict[str, Any] | None, streams: Streams, path: str, samples: int
 ) -> ImagingPlan | None:
     """Draw a sensor's ``imaging``.
-
-    Args:
-        cfg: It, filled in; None without.
-        streams: The batch's.
-        path: Where it stands.
-        samples: Number of samples.
 
     Raises:
         SceneError: Drawn numbers do not go together.
@@ -53,12 +53,7 @@ def draw_imaging(
 
 
 def expose(rigs: tuple[Rig, ...], plans: Sequence[RigPlan]) -> tuple[Rig, ...]:
-    """The rigs, with imaging of sensors that make pictures; exposures say what those show.
-
-    Args:
-        rigs: Their exposures are what metered sensors follow.
-        plans: Theirs.
-    """
+    """The rigs, with imaging of sensors that make pictures; exposures say what those show."""
     out = []
     for rig, plan in zip(rigs, plans, strict=True):
         sensors = tuple(
@@ -81,37 +76,25 @@ def _at_sample(cfg: dict[str, Any], pattern: int, noise: int) -> Imaging:
     jpeg = cfg["jpeg"] or {"quality": 0, "subsampling": Imaging.jpeg_subsampling}
     matrix = cfg["color_matrix"]
     imaging = Imaging(
+        **{key: cfg[key] for key in _AS_GIVEN},
         pattern_seed=pattern,
         noise_seed=noise,
-        f_number=cfg["f_number"],
         headroom=cfg["headroom_stops"],
-        pixel_um=cfg["pixel_um"],
         quantum_efficiency=_three(cfg["quantum_efficiency"]),
         color_matrix=(
             Imaging.color_matrix if matrix is None else tuple(k for row in matrix for k in row)
         ),
         white_balance=_three(cfg["white_balance"]),
-        full_well_e=cfg["full_well_e"],
-        bits=cfg["bits"],
-        black_level=cfg["black_level"],
-        shot_noise=cfg["shot_noise"],
-        read_noise_e=cfg["read_noise_e"],
         dark_current_e_s=min(dark["rate_e_s"] * heat, 1e11),
-        prnu=cfg["prnu"],
-        dsnu_e=cfg["dsnu_e"],
         hot=defects["hot"],
         hot_rate_e_s=min(defects["hot_rate_e_s"] * heat, 1e11),
         dead=defects["dead"],
-        mosaic=cfg["mosaic"],
-        demosaic=cfg["demosaic"],
         vignetting_power=vignetting["power"],
         vignetting_polynomial=_three(vignetting["polynomial"]),
         bloom=bloom["share"],
         bloom_sigma_px=bloom["radius_px"],
         jpeg_quality=jpeg["quality"],
         jpeg_subsampling=jpeg["subsampling"],
-        clean=cfg["clean"],
-        raw=cfg["raw"],
     )
     if exposure["type"] == "manual":
         iso = exposure["iso"]

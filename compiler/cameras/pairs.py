@@ -18,10 +18,6 @@ def require_rectified(rig: str, sensors: tuple[Sensor, ...]) -> None:
     Both look the same way, stand beside each other along the picture's rows, and see alike: then a
     point at depth Z has disparity fx * b / Z, plus the difference of the principal points.
 
-    Args:
-        rig: Pointer to the rig, for messages.
-        sensors: Of one rig; partners are there.
-
     Raises:
         SceneError: A pair that is not rectified.
     """

@@ -28,10 +28,7 @@ def build_rigs(
     """All rigs, and what is to be said of motions that were made, by rig.
 
     Args:
-        plans: What was drawn.
-        surface: The terrain they stand on.
         irradiance: On level ground at every sample, for metered exposures; None without pictures.
-        bodies: Objects by class, for motions that depend on them.
 
     Raises:
         SceneError: A motion cannot be as it is asked for.

@@ -47,10 +47,7 @@ def open_shutters(
     """A rig whose sensors know where they are while their shutters are open.
 
     Args:
-        rig: Without that.
-        plans: Of its sensors.
         way: How it moves; None: it stands still around each sample.
-        around: For the ground below, and messages.
 
     Returns:
         The rig; and by sensor, for report.json, how many poses there are and what they err by.
@@ -131,11 +128,7 @@ def _opened(
             if error <= ERROR_PX:
                 break
     to_world = composed(on_rig.reshape(-1, 4, 4), sensor.to_rig).reshape(on_rig.shape)
-    facts = {
-        "poses": len(times),
-        "error_px": error,
-        "no_nearer_than_m": float(away.min()),
-    }
+    facts = {"poses": len(times), "error_px": error, "no_nearer_than_m": float(away.min())}
     return OpenShutter(shutters, times, to_world), on_rig, facts
 
 
@@ -145,7 +138,6 @@ def _error_px(
     """What interpolation between some of the poses errs by at all of them, pixels.
 
     Args:
-        sensor: For its scale.
         poses: Camera-to-world, [s, n + 1, 4, 4].
         steps: Between the poses that are kept: a divisor of n.
         away: Distance of what is seen, [s].
@@ -214,7 +206,6 @@ def codes_at(times: NDArray[np.float64], at: NDArray[np.float64]) -> NDArray[np.
 
     Args:
         times: Of the samples, rising, [s]; of a single one, a second is a code.
-        at: Times.
     """
     if len(times) == 1:
         return at - times[0]

@@ -37,8 +37,6 @@ class Sampling:
         """Times of the samples after the motion's beginning, float64 [samples].
 
         Args:
-            duration_s: How long the motion is.
-            samples: How many.
             what: Who asks, for messages: "rigs/rover/pose: track.csv".
 
         Raises:
@@ -46,14 +44,7 @@ class Sampling:
         """
         stop = duration_s if self.stop_s is None else self.stop_s
         if self.times_s is not None:
-            if len(self.times_s) != samples:
-                raise SceneError(
-                    f"{what}: times_s has {len(self.times_s)} times for {samples} samples: "
-                    "expected one for each"
-                )
             at = np.array(self.times_s, np.float64)
-            if not (at[1:] > at[:-1]).all():
-                raise SceneError(f"{what}: times_s does not rise")
         elif self.rate_hz is not None:
             at = self.start_s + np.arange(samples) / self.rate_hz
         else:
@@ -148,7 +139,6 @@ def resampled(
     """Rig-to-world matrices with OpenCV axes at given times after the first stamp, [s, 4, 4].
 
     Args:
-        track: The poses.
         at_s: Float64 [s].
         method: One of ``se3.METHODS``.
         gaps: What to do where stamps are missing.

@@ -45,8 +45,6 @@ def check_files(
 
     Args:
         fields: All places of the cfg; the keyword "x-file" says of a string what it must name.
-        cfg: The cfg.
-        folder: The cfg's folder.
 
     Returns:
         Those that nothing is wrong with, by their path in the cfg, and the findings on the others.
@@ -160,7 +158,7 @@ def _check_mesh(file: Path, owner: Node, cfg: Node) -> Iterator[Finding]:
 
 
 def _check_model(file: Path, owner: Node, cfg: Node) -> Iterator[Finding]:
-    from scenec.compiler.assets.cache import cached_model, parsed_model
+    from scenec.compiler.assets.model import cached_model, parsed_model
 
     missing = _missing(file, owner, parsed_model(file))
     yield from missing
@@ -188,7 +186,7 @@ def _digest_of_mesh(file: Path, owner: Node, digest: str) -> str:
 
 def _digest_of_model(file: Path, owner: Node, digest: str) -> str:
     """With those of the files that belong to it, in its order."""
-    from scenec.compiler.assets.cache import parsed_model
+    from scenec.compiler.assets.model import parsed_model
 
     return _sha256(file, *parsed_model(file).companions)
 

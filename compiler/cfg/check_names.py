@@ -16,7 +16,6 @@ def check_names(cfg: Node, sound: bool) -> Iterator[Finding]:
     """Findings on label and material names.
 
     Args:
-        cfg: The cfg.
         sound: Whether the schemas found no fault. Where they did, a name counts as used as soon as
             it stands anywhere: its user may have been misspelled.
     """

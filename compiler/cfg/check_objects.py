@@ -126,7 +126,6 @@ def check_parts(cfg: Node, files: Mapping[str, InputFile]) -> Iterator[Finding]:
     """Findings on parts that no model has.
 
     Args:
-        cfg: The cfg.
         files: Its files that nothing is wrong with, by path.
     """
     for thing in cfg.each("objects", "*"):
@@ -153,8 +152,7 @@ def check_parts(cfg: Node, files: Mapping[str, InputFile]) -> Iterator[Finding]:
 
 
 def _part_names(file: Path, node: Node) -> list[str]:
-    """Paths of a model's parts and names of its materials."""
-    from scenec.compiler.assets.cache import cached_model
+    from scenec.compiler.assets.model import cached_model
 
     try:
         model = cached_model(file, node["unit_m"], node["up"], node["part"])

@@ -78,10 +78,7 @@ def _check_keys(field: Field) -> Iterator[Finding]:
             yield Finding(
                 field.path, f"the key {shown(key)} is missing" + (f" ({about})" if about else "")
             )
-    closed = False in (
-        keywords.get("additionalProperties"),
-        keywords.get("unevaluatedProperties"),
-    )
+    closed = False in (keywords.get("additionalProperties"), keywords.get("unevaluatedProperties"))
     known = [name for name, entry in properties.items() if not entry.get("x-ignored")]
     unused = [name for name in known if name not in value]
     for key in value:

@@ -29,9 +29,6 @@ def fill(document: Any) -> Cfg:
       is the planet's, and a color that was left out is None.
     - A sensor without outputs has the cfg's; a ground layer with a coverage has threshold None, one
       with conditions and without a noise has noise None.
-
-    Args:
-        document: A cfg without faults.
     """
     cfg: Any = _fill(schema.root(document))
     for rig in cfg["rigs"].values():
@@ -50,8 +47,7 @@ def fill(document: Any) -> Cfg:
             layer["threshold"] = None
         if layer["where"] is not None and "noise" not in own:
             layer["noise"] = None
-    filled: Cfg = cfg
-    return filled
+    return cfg
 
 
 def _fill(field: Field) -> Any:

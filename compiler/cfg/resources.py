@@ -30,11 +30,6 @@ def find_file(reference: str, folder: Path, what: str = "file") -> Path:
     file's or folder's name, and exactly one file must match. ``package:assets/path`` and
     ``package:configs/path`` are scenec's own.
 
-    Args:
-        reference: The string in the cfg.
-        folder: The cfg's folder.
-        what: A "file", or a "folder".
-
     Raises:
         ResourceError: There is no such file, or no such package, or more than one match.
     """

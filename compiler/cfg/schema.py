@@ -107,7 +107,6 @@ class Field:
 
     Attributes:
         path: Keys and indices from the root.
-        value: What stands there.
         keywords: The schema's keywords that apply, with references followed: a key that stands
             beside a ``$ref`` goes before the same key of what is referred to.
         is_number: Whether it is a constant or a distribution.

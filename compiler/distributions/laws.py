@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.distributions import normal
+from scenec.compiler.distributions.streams import Streams
 
 # Golombek and Rapp 1997, J. Geophys. Res. 102 (E2): q = _Q0 + _Q1 / k, 1/m.
 _Q0, _Q1 = 1.79, 0.152
@@ -102,16 +103,30 @@ def log_normal(
     return elementary.exp_array(mean + std * normal.truncated(u, below, above))
 
 
+def pick(u: NDArray[np.float64], weights: Sequence[float]) -> NDArray[np.int64]:
+    """Indices in proportion to weights, one or more of them above 0."""
+    cumulative = np.cumsum(np.array(weights, np.float64))
+    last = int(np.flatnonzero(np.array(weights))[-1])
+    return np.minimum(np.searchsorted(cumulative, u * cumulative[-1], side="right"), last)
+
+
+def arrivals(streams: Streams, path: str, mean: float) -> NDArray[np.float64]:
+    """Arrivals of a Poisson process of rate 1, rising: all up to ``mean``, and some after it."""
+    n = int(mean + 8.0 * np.sqrt(mean)) + 16
+    while True:
+        at = np.cumsum(-elementary.log_array(1.0 - streams.uniforms(path, n)))
+        if at[-1] > mean:
+            return at
+        n *= 2
+
+
 def histogram(
     u: NDArray[np.float64], edges: tuple[float, ...], weights: tuple[float, ...]
 ) -> NDArray[np.float64]:
     """Numbers that fall into intervals in proportion to weights, evenly within each."""
-    cumulative = np.cumsum(np.array(weights))
-    last = int(np.flatnonzero(np.array(weights))[-1])
-    at = u * cumulative[-1]
-    cell = np.minimum(np.searchsorted(cumulative, at, side="right"), last)
+    cumulative, cell = np.cumsum(np.array(weights)), pick(u, weights)
     before = np.concatenate([[0.0], cumulative])[cell]
-    part = np.clip((at - before) / np.array(weights)[cell], 0.0, 1.0)
+    part = np.clip((u * cumulative[-1] - before) / np.array(weights)[cell], 0.0, 1.0)
     bounds = np.array(edges)
     return bounds[cell] * (1.0 - part) + bounds[cell + 1] * part
 

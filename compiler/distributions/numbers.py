@@ -24,13 +24,11 @@ class Distribution:
     """What a number of the cfg is drawn from, validated, with every default filled in.
 
     Attributes:
-        type: Which.
         per: Once a batch, once a sample, or once for each instance.
         integer: Whether the drawn numbers are whole.
         min: Lower bound of what is drawn, inclusive; -inf for a normal without one.
         max: Upper bound of what is drawn, inclusive; inf for a normal without one.
-        mean: Mean of a normal before truncation.
-        std: Standard deviation of a normal before truncation.
+        mean, std: Of a normal before truncation.
         values: What ``choice`` chooses from, or the edges of a ``histogram``.
         weights: How likely each of the values, or of the intervals, is; empty for the other types.
         shape: What else shapes it: median and sigma of log_normal's become ``mean`` and ``std`` of
@@ -87,7 +85,6 @@ def draw_number(
 
     Args:
         number: A constant, which is returned as it is, or a distribution.
-        streams: The batch's streams.
         path: What it is drawn for, such as "objects/rocks/size_m".
         n: How many; None for one.
         sample: Index of the sample, or None for what is drawn once a batch.
@@ -113,7 +110,7 @@ def at_uniforms(number: Number, u: NDArray[np.float64]) -> NDArray[np.float64]:
 def _from_uniforms(number: Distribution, u: NDArray[np.float64]) -> NDArray[np.float64]:
     low, high = number.min, number.max
     if number.type == "choice":
-        return _choose(number, u)
+        return np.array(number.values)[laws.pick(u, number.weights)]
     if number.type == "uniform" and number.integer:
         # low and high are whole: each of high - low + 1 numbers gets an equal part of [0, 1).
         return np.minimum(low + np.floor(u * (high - low + 1.0)), high)
@@ -139,10 +136,3 @@ def _from_uniforms(number: Distribution, u: NDArray[np.float64]) -> NDArray[np.f
     if number.integer:
         values, low, high = np.floor(values + 0.5), np.ceil(low), np.floor(high)
     return np.minimum(np.maximum(values, low), high)
-
-
-def _choose(number: Distribution, u: NDArray[np.float64]) -> NDArray[np.float64]:
-    cumulative = np.cumsum(np.array(number.weights))
-    last = int(np.flatnonzero(np.array(number.weights))[-1])
-    chosen = np.searchsorted(cumulative, u * cumulative[-1], side="right")
-    return np.array(number.values)[np.minimum(chosen, last)]

@@ -21,9 +21,7 @@ def resolve(node: Any, streams: Streams, path: str, sample: int | None = None) -
 
     Args:
         node: Part of ``Spec.cfg``: a dict, list or number.
-        streams: The batch's streams.
         path: Where the part stands in the cfg, such as "light/sun": keys and list indices.
-        sample: Index of the sample.
 
     Returns:
         A copy of the part.

@@ -27,7 +27,6 @@ class Streams:
 
     Attributes:
         seed: 0 <= seed < 2**64; 0 is a seed like any other.
-        batch: Index of the batch, from 0.
         attempt: How often the batch was drawn before.
     """
 
@@ -54,7 +53,6 @@ class Streams:
 
         Args:
             path: What it is drawn for, such as "objects/rocks/size_m".
-            n: How many.
             sample: Index of the sample, or None for what is drawn once a batch.
 
         Returns:

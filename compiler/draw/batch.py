@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Callable
+from dataclasses import replace
 
 from scenec.compiler.cameras.paths.motion import Motion
 from scenec.compiler.cfg.load import Spec
@@ -15,20 +15,14 @@ from scenec.compiler.draw.ground import draw_mask, draw_merges
 from scenec.compiler.draw.light import draw_light
 from scenec.compiler.draw.materials import draw_materials
 from scenec.compiler.draw.models import draw_meshes, draw_placed
-from scenec.compiler.draw.of_keys import of_keys
+from scenec.compiler.draw.of_keys import Setting, of_keys
 from scenec.compiler.draw.paths import draw_motion, draw_random_target, draw_track
 from scenec.compiler.draw.rocks import draw_rocks
-from scenec.compiler.draw.scatter import Setting
 from scenec.compiler.draw.sensors import draw_lidar, draw_sensor
 from scenec.compiler.materials.displacement import displacement_of
 from scenec.compiler.mesh.mesh import Meshing
-from scenec.compiler.objects.poses import PlacedPlan
-from scenec.compiler.scene.plan import (
-    Plan,
-    RigPlan,
-    ScatterPlan,
-    TerrainPlan,
-)
+from scenec.compiler.objects.placed import PlacedPlan
+from scenec.compiler.scene.plan import Plan, RigPlan, ScatterPlan, TerrainPlan
 from scenec.compiler.scene.scene import GroundLayer, Labels, Material, MaterialMaps
 from scenec.compiler.terrain.detail import Detail, Sum
 from scenec.compiler.terrain.mask import Masked
@@ -56,10 +50,7 @@ def draw(spec: Spec, seed: int, batch: int, attempt: int = 0) -> Plan:
     drawn for every other as it was.
 
     Args:
-        spec: A validated cfg.
         seed: 0 <= seed < 2**64.
-        batch: Index of the batch.
-        attempt: How often it was drawn before, and could not be built.
 
     Raises:
         ScenecError: The seed is out of range.
@@ -68,25 +59,22 @@ def draw(spec: Spec, seed: int, batch: int, attempt: int = 0) -> Plan:
     streams = Streams(seed, batch, attempt)
     cfg, samples = spec.cfg, int(spec.cfg["samples"])
     materials = draw_materials(spec, streams)
-    terrain = _terrain(spec, streams, materials)
-    setting = Setting(
-        terrain.size_m, terrain.relief, cfg["terrain"]["ground"], spec.files, cfg["labels"]
-    )
+    terrain, setting = _terrain(spec, streams, materials)
     return Plan(
         name=cfg["name"],
         batch=batch,
         samples=samples,
         label_table=cfg["labels"],
-        sky_labels=_sky_labels(cfg),
+        sky_labels=label_ids(cfg, (cfg["light"]["sky"] or {}).get("labels") or {}),
         materials=materials,
         terrain=terrain,
         objects=tuple(
-            _CLASSES[node["type"]](name, node, label_ids(cfg, node["labels"]), streams, setting)
+            _CLASSES[node["type"]](name, node, label_ids(cfg, node["labels"]), setting)
             for name, node in cfg["objects"].items()
         ),
         object_triangles=cfg["object_detail"]["max_triangles"],
         light=draw_light(spec, streams, samples),
-        rigs=tuple(_rig(spec, name, streams) for name in cfg["rigs"]),
+        rigs=tuple(_rig(spec, name, setting) for name in cfg["rigs"]),
     )
 
 
@@ -98,12 +86,10 @@ def label_ids(cfg: Cfg, choice: dict[str, str]) -> Labels:
     }
 
 
-def _sky_labels(cfg: Cfg) -> Labels:
-    sky = cfg["light"]["sky"]
-    return label_ids(cfg, (sky or {}).get("labels") or {})
-
-
-def _terrain(spec: Spec, streams: Streams, materials: dict[str, Material]) -> TerrainPlan:
+def _terrain(
+    spec: Spec, streams: Streams, materials: dict[str, Material]
+) -> tuple[TerrainPlan, Setting]:
+    """Relief and ground, and the setting of what stands on them."""
     cfg = spec.cfg["terrain"]
     node = resolve({key: cfg[key] for key in ("size_m", "spacing_m", "ground")}, streams, "terrain")
     layers = tuple(
@@ -115,14 +101,17 @@ def _terrain(spec: Spec, streams: Streams, materials: dict[str, Material]) -> Te
         )
         for layer in node["ground"]
     )
-    relief: list[ReliefOperator] = []
+    size_m = (node["size_m"][0], node["size_m"][1])
+    setting = Setting(streams, size_m, spec.files, node["ground"], (), spec.cfg["labels"])
+    relief: tuple[ReliefOperator, ...] = ()
     for i in range(len(cfg["relief"])):
-        relief.append(_relief(spec, i, streams, relief, node))
-    merges, coverage = draw_merges(node["ground"], streams, spec.files, relief)
-    return TerrainPlan(
-        size_m=(node["size_m"][0], node["size_m"][1]),
+        relief = (*relief, _relief(spec, i, setting))
+        setting = replace(setting, relief=relief)
+    merges, coverage = draw_merges(setting)
+    plan = TerrainPlan(
+        size_m=size_m,
         spacing_m=node["spacing_m"],
-        relief=tuple(relief),
+        relief=relief,
         layers=layers,
         merges=merges,
         coverage=coverage,
@@ -135,43 +124,36 @@ def _terrain(spec: Spec, streams: Streams, materials: dict[str, Material]) -> Te
             finest_m=cfg["mesh"]["finest_m"],
         ),
         displacements=tuple(
-            _displacement(spec, layer["material"], materials[layer["material"]].maps, streams)
+            _displacement(spec, layer["material"], materials[layer["material"]].maps, setting)
             for layer in node["ground"]
         ),
     )
+    return plan, setting
 
 
 def _displacement(
-    spec: Spec, material: str, maps: MaterialMaps | None, streams: Streams
+    spec: Spec, material: str, maps: MaterialMaps | None, setting: Setting
 ) -> Detail | None:
     """What a ground material adds to the relief, at any fineness."""
     path = f"materials/{material}/displacement"
-    nodes = spec.cfg["materials"][material]["displacement"] or []
     parts: list[Detail] = []
-    for i, node in enumerate(nodes):
-        drawn = resolve(node, streams, f"{path}/{i}")
-        parts.append(of_keys(OPERATORS, drawn, streams, f"{path}/{i}", spec.files).everywhere())
+    for i, node in enumerate(spec.cfg["materials"][material]["displacement"] or []):
+        drawn = resolve(node, setting.streams, f"{path}/{i}")
+        parts.append(of_keys(OPERATORS, drawn, f"{path}/{i}", setting).everywhere())
     pictured = displacement_of(maps)
     if pictured is not None:
         parts.append(pictured)
     return Sum(tuple(parts)) if parts else None
 
 
-def _relief(
-    spec: Spec,
-    index: int,
-    streams: Streams,
-    before: Sequence[ReliefOperator],
-    terrain: dict[str, Any],
-) -> ReliefOperator:
+def _relief(spec: Spec, index: int, setting: Setting) -> ReliefOperator:
     """One operator: its keys in the cfg are the fields of its class, but for scattered ones."""
-    size_m = (terrain["size_m"][0], terrain["size_m"][1])
-    path = f"terrain/relief/{index}"
+    streams, path = setting.streams, f"terrain/relief/{index}"
     cfg = dict(spec.cfg["terrain"]["relief"][index])
     mask = cfg.pop("mask")
     operator: ReliefOperator
     if cfg["type"] in _SCATTERED:
-        operator = _SCATTERED[cfg["type"]](cfg, streams, path, size_m)
+        operator = _SCATTERED[cfg["type"]](cfg, streams, path, setting.size_m)
     else:
         node = resolve(cfg, streams, path)
         if isinstance(node.get("pixel_m"), float):
@@ -179,16 +161,15 @@ def _relief(
             node["pixel_m"] = [node["pixel_m"]] * 2
         if isinstance(node.get("roughness"), dict):
             node["roughness"] = Roughness(streams.key(f"{path}/roughness"), **node["roughness"])
-        operator = of_keys(OPERATORS, node, streams, path, spec.files)
+        operator = of_keys(OPERATORS, node, path, setting)
     if mask is None:
         return operator
     path = f"{path}/mask"
-    nodes = resolve(mask, streams, path)
-    return Masked(operator, draw_mask(nodes, streams, path, spec.files, before, terrain["ground"]))
+    return Masked(operator, draw_mask(resolve(mask, streams, path), path, setting))
 
 
-def _rig(spec: Spec, name: str, streams: Streams) -> RigPlan:
-    cfg = spec.cfg["rigs"][name]
+def _rig(spec: Spec, name: str, setting: Setting) -> RigPlan:
+    cfg, streams = spec.cfg["rigs"][name], setting.streams
     samples = int(spec.cfg["samples"])
     path = f"rigs/{name}/pose"
     pose: Motion
@@ -198,7 +179,7 @@ def _rig(spec: Spec, name: str, streams: Streams) -> RigPlan:
     elif cfg["pose"]["type"] == "random_target":
         pose = draw_random_target(cfg["pose"], path, streams, samples)
     else:
-        pose = draw_motion(cfg["pose"], path, streams, spec.files)
+        pose = draw_motion(cfg["pose"], path, setting)
     sensors = tuple(
         draw_sensor(sensor, node, f"rigs/{name}/sensors/{sensor}", streams, samples)
         for sensor, node in cfg["sensors"].items()

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
+from scenec.compiler.distributions.laws import arrivals
 from scenec.compiler.distributions.numbers import draw_number
 from scenec.compiler.distributions.resolve import resolve
 from scenec.compiler.distributions.streams import Streams
@@ -35,19 +36,11 @@ def draw_craters(
 
     Ages are uniform between now and when the surface was new; the oldest are the most worn.
 
-    Args:
-        cfg: The operator's part of the cfg.
-        streams: The batch's streams.
-        path: Where it stands in the cfg.
-        size_m: Extent of the terrain.
-
     Raises:
-        SceneError: There would be too many, or the diameters exclude each other.
+        SceneError: There would be too many.
     """
     node = resolve(cfg, streams, path)
     low, high = node["min_diameter_m"], node["max_diameter_m"]
-    if low > high:
-        raise SceneError(f"{path}: min_diameter_m {low:g} is above max_diameter_m {high:g}")
     law = _Law(node["density_per_m2"], node["reference_diameter_m"], node["exponent"])
     first = math.frexp(low)[1] - 1
     octaves = range(first, max(math.frexp(math.nextafter(high, 0.0))[1], first + 1))
@@ -141,14 +134,7 @@ def _poisson(
 ) -> NDArray[np.float64]:
     """Diameters of one octave down to ``low``, falling: a Poisson process in N(>D) * area."""
     start, end = law.above(2.0 ** (octave + 1)), law.above(low)
-    mean = area * (end - start)
-    n = int(mean + 8.0 * np.sqrt(mean)) + 16
-    while True:
-        gaps = -elementary.log_array(1.0 - streams.uniforms(path, n))
-        above = start + np.cumsum(gaps) / area
-        if above[-1] > end:
-            break
-        n *= 2
+    above = start + arrivals(streams, path, area * (end - start)) / area
     diameter = law.diameters(above[above <= end])
     # Rounding must not carry one over the octave's border.
     return np.clip(diameter, low, np.nextafter(2.0 ** (octave + 1), 0.0))

@@ -5,31 +5,16 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from scenec.compiler.cfg.check_files import InputFile
-from scenec.compiler.distributions.streams import Streams
-from scenec.compiler.draw.of_keys import of_keys, ragged_of
+from scenec.compiler.draw.of_keys import Setting, of_keys, ragged_of
 from scenec.compiler.mesh.cover import MaterialCondition
 from scenec.compiler.mesh.merge import Merge
 from scenec.compiler.terrain.condition import QUANTITIES, Condition, Interval
-from scenec.compiler.terrain.operator import ReliefOperator
 
 
-def draw_merges(
-    ground: Sequence[Mapping[str, Any]],
-    streams: Streams,
-    files: Mapping[str, InputFile],
-    relief: Sequence[ReliefOperator],
-) -> tuple[tuple[Merge, ...], tuple[float | None, ...]]:
-    """One merge for each layer after the base, and the part of the terrain each shall cover.
-
-    Args:
-        ground: The cfg's layers, resolved.
-        streams: The batch's streams.
-        files: Files of the cfg, by path.
-        relief: The operators that the ground is laid on.
-    """
+def draw_merges(setting: Setting) -> tuple[tuple[Merge, ...], tuple[float | None, ...]]:
+    """One merge for each layer after the base, and the part of the terrain each shall cover."""
     merges, coverage = [], []
-    for i, layer in enumerate(ground[1:], start=1):
+    for i, layer in enumerate(setting.ground[1:], start=1):
         path = f"terrain/ground/{i}"
         # Without a noise its numbers mean nothing.
         noise = layer["noise"] or {
@@ -37,14 +22,14 @@ def draw_merges(
         }  # fmt: skip
         merges.append(
             Merge(
-                key=streams.key(f"{path}/noise"),
+                key=setting.streams.key(f"{path}/noise"),
                 **noise,
                 sharpness=layer["sharpness"],
                 # Coverage is met at weight 1/2; the cfg gives one of the two.
                 threshold=0.5 if layer["threshold"] is None else layer["threshold"],
                 noisy=layer["noise"] is not None,
                 where=tuple(
-                    draw_condition(node, streams, f"{path}/where/{k}", files, relief)
+                    draw_condition(node, f"{path}/where/{k}", setting)
                     for k, node in enumerate(layer["where"] or ())
                 ),
             )
@@ -53,22 +38,8 @@ def draw_merges(
     return tuple(merges), tuple(coverage)
 
 
-def draw_condition(
-    node: Mapping[str, Any],
-    streams: Streams,
-    path: str,
-    files: Mapping[str, InputFile],
-    relief: Sequence[ReliefOperator],
-) -> Interval:
-    """One condition: its bounds, and a quantity whose fields are its other keys.
-
-    Args:
-        node: The cfg's part, resolved.
-        streams: The batch's streams.
-        path: Where it stands in the cfg.
-        files: Files of the cfg, by path.
-        relief: Operators before it, of which the craters leave fresh ground.
-    """
+def draw_condition(node: Mapping[str, Any], path: str, setting: Setting) -> Interval:
+    """One condition: its bounds, and a quantity whose fields are its other keys."""
     kind, rest = QUANTITIES[node["type"]], dict(node)
     # Their names end with the unit.
     low, high, softness = (
@@ -76,41 +47,21 @@ def draw_condition(
         for name in ("min", "max", "softness")
     )
     low, high = (None if bound is None else kind.of_bound(bound) for bound in (low, high))
-    ragged = ragged_of(rest.pop("ragged"), streams, path)
-    quantity = of_keys(QUANTITIES, rest, streams, path, files, relief)
-    return Interval(quantity, low, high, softness, ragged)
+    ragged = ragged_of(rest.pop("ragged"), setting.streams, path)
+    return Interval(of_keys(QUANTITIES, rest, path, setting), low, high, softness, ragged)
 
 
 def draw_mask(
-    mask: Sequence[Mapping[str, Any]],
-    streams: Streams,
-    path: str,
-    files: Mapping[str, InputFile],
-    relief: Sequence[ReliefOperator],
-    ground: Sequence[Mapping[str, Any]],
+    mask: Sequence[Mapping[str, Any]], path: str, setting: Setting
 ) -> tuple[Condition, ...]:
-    """The mask of an operator.
-
-    Args:
-        mask: The cfg's part, resolved.
-        streams: The batch's streams.
-        path: Where it stands in the cfg.
-        files: Files of the cfg, by path.
-        relief: Operators before it.
-        ground: The cfg's layers, resolved.
-    """
+    """The mask of an operator."""
     conditions: list[Condition] = []
     for i, node in enumerate(mask):
         if node["type"] == "material":
-            layers = [n for n, layer in enumerate(ground) if layer["material"] == node["material"]]
-            one = node["layer"]
-            merges, coverage = draw_merges(ground, streams, files, relief)
-            conditions.append(
-                MaterialCondition(tuple(layers) if one is None else (one,), merges, coverage)
-            )
+            conditions.append(MaterialCondition(setting.layers_of(node), *draw_merges(setting)))
             continue
         if node["type"] == "slope" and node["over_m"] is None:
             # An operator asks for the slope of the heights as they are.
             node = {**node, "over_m": 0.0}
-        conditions.append(draw_condition(node, streams, f"{path}/{i}", files, relief))
+        conditions.append(draw_condition(node, f"{path}/{i}", setting))
     return tuple(conditions)

@@ -73,8 +73,7 @@ def _sun(node: dict[str, Any], streams: Streams, path: str, samples: int) -> Sun
 def _of_luminance_one(color: NDArray[np.float64]) -> NDArray[np.float64]:
     """Colors [s, 3] scaled to luminance 1; black stays black."""
     level = luminance(color)
-    scaled: NDArray[np.float64] = color / np.where(level > 0.0, level, 1.0)[:, None]
-    return scaled
+    return color / np.where(level > 0.0, level, 1.0)[:, None]
 
 
 def _sky(
@@ -125,7 +124,6 @@ def _haze(cfg: dict[str, Any] | None, streams: Streams, samples: int) -> Haze | 
 
 
 def _pick(cfg: dict[str, Any], streams: Streams, sample: int, samples: int) -> int:
-    """Which of the pictures a sample has."""
     count, path = len(cfg["files"]), "light/sky/pick"
     number = streams.batch * samples + sample
     if cfg["pick"] == "in_turn":
@@ -140,7 +138,6 @@ def _pick(cfg: dict[str, Any], streams: Streams, sample: int, samples: int) -> i
 def _label_maps(
     spec: Spec, cfg: dict[str, Any], picked: list[int]
 ) -> dict[str, tuple[LabelMapPlan | None, ...]]:
-    """The label maps of the pictures that were picked, by level."""
     maps: dict[str, tuple[LabelMapPlan | None, ...]] = {}
     for level, table in spec.cfg["labels"].items():
         of_level: list[LabelMapPlan | None] = []

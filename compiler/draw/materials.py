@@ -9,10 +9,9 @@ from scenec.compiler.assets.texture_set import TextureSet, read_texture_set
 from scenec.compiler.cfg.load import Spec
 from scenec.compiler.distributions.resolve import resolve
 from scenec.compiler.distributions.streams import Streams
-from scenec.compiler.draw.of_keys import of_keys
+from scenec.compiler.draw.of_keys import Setting, of_keys
 from scenec.compiler.materials.kinds import SURFACES
-from scenec.compiler.scene.scene import Cells, Far, Material, MaterialMaps, Reflectance
-from scenec.compiler.scene.sources import Sources
+from scenec.compiler.scene.scene import Cells, Far, Material, MaterialMaps, Reflectance, Sources
 from scenec.schemas.maps import MAP_CHANNELS
 
 #: Further kinds of pictures that a cfg or a folder can name.
@@ -52,30 +51,21 @@ def _material(
     maps = None
     if node["maps"] is not None:
         maps = _maps(spec, path, node["maps"], worn, max(emission) > 0.0, streams)
+    numbers = ("roughness", "specular", "variation", "metallic", "roughness_variation")
     return Material(
-        (red, green, blue),
-        node["roughness"],
-        node["specular"],
-        node["variation"],
-        node["metallic"],
-        maps,
-        node["roughness_variation"],
-        _reflectance(node["reflectance"]),
-        emission,
+        base_color=(red, green, blue),
+        maps=maps,
+        reflectance=_reflectance(node["reflectance"]),
+        emission=emission,
+        **{key: node[key] for key in numbers},
     )
 
 
 def _reflectance(node: dict[str, Any] | None) -> Reflectance | None:
     if node is None or node["type"] == "lambert":
         return None
-    return Reflectance(
-        node["type"],
-        node["b"],
-        node["c"],
-        node["opposition"],
-        node["opposition_width"],
-        node.get("roughness_deg", 0.0),
-    )
+    numbers = {key: value for key, value in node.items() if key != "type"}
+    return Reflectance(model=node["type"], **{"roughness_deg": 0.0, **numbers})
 
 
 def _maps(
@@ -101,7 +91,8 @@ def _maps(
             del given["emission"]
     surface = None
     if node["procedural"] is not None:
-        surface = of_keys(SURFACES, node["procedural"], streams, f"{at}/procedural", spec.files)
+        setting = Setting(streams, files=spec.files)
+        surface = of_keys(SURFACES, node["procedural"], f"{at}/procedural", setting)
     size_m = node["size_m"] or (surface.SIZE_M if surface else 1.0)
     cells = far = None
     if node["cells"] is not None:

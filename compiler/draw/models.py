@@ -12,30 +12,23 @@ from numpy.typing import NDArray
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.assets.pose_table import PoseTable, read_poses
 from scenec.compiler.distributions.resolve import resolve
-from scenec.compiler.distributions.streams import Streams
-from scenec.compiler.draw.scatter import Setting, draw_scattered
-from scenec.compiler.objects.poses import PlacedPlan, PoseKeys
+from scenec.compiler.draw.of_keys import Setting
+from scenec.compiler.draw.scatter import draw_scattered
+from scenec.compiler.objects.placed import PlacedPlan, PoseKeys
 from scenec.compiler.objects.prototypes import ModelPlan, PartRule
 from scenec.compiler.scene.plan import ModelSource, ScatterPlan
 from scenec.compiler.scene.scene import Labels
 
 
-def draw_meshes(
-    name: str,
-    cfg: Mapping[str, Any],
-    labels: Labels,
-    streams: Streams,
-    setting: Setting,
-) -> ScatterPlan:
-    """The plan of a class of scattered models; arguments as of ``draw_rocks``."""
+def draw_meshes(name: str, cfg: Mapping[str, Any], labels: Labels, setting: Setting) -> ScatterPlan:
+    """The plan of a class of scattered models."""
     path = f"objects/{name}"
-    node = resolve(cfg, streams, path)
+    node = resolve(cfg, setting.streams, path)
     return draw_scattered(
         name,
         cfg,
         node,
         labels,
-        streams,
         setting,
         source=ModelSource(
             _models(path, cfg, setting),
@@ -49,21 +42,13 @@ def draw_meshes(
     )
 
 
-def draw_placed(
-    name: str,
-    cfg: Mapping[str, Any],
-    labels: Labels,
-    streams: Streams,
-    setting: Setting,
-) -> PlacedPlan:
-    """The plan of a class of single objects; arguments as of ``draw_rocks``."""
+def draw_placed(name: str, cfg: Mapping[str, Any], labels: Labels, setting: Setting) -> PlacedPlan:
+    """The plan of a class of single objects."""
     path = f"objects/{name}"
     if cfg["file"] is not None:
         poses = read_poses(setting.files[f"{path}/file"].path, len(cfg["models"]))
     else:
-        poses = _listed(
-            [resolve(node, streams, f"{path}/poses/{i}") for i, node in enumerate(cfg["poses"])]
-        )
+        poses = _listed(resolve(cfg["poses"], setting.streams, f"{path}/poses"))
     ids, first = np.unique(poses.id, return_index=True)
     bounds = [*first.tolist(), len(poses.id)]
     return PlacedPlan(
@@ -96,7 +81,6 @@ def _models(path: str, cfg: Mapping[str, Any], setting: Setting) -> tuple[ModelP
 
 
 def _rules(cfg: Mapping[str, Any], setting: Setting) -> tuple[PartRule, ...]:
-    """What the cfg says of parts."""
     return tuple(
         PartRule(
             name,

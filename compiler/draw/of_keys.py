@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 from scenec.compiler.cfg.check_files import InputFile
@@ -13,37 +14,48 @@ from scenec.compiler.terrain.operator import ReliefOperator
 from scenec.compiler.terrain.operators.craters import Craters
 
 
-def of_keys(
-    kinds: Mapping[str, type[Any]],
-    node: Mapping[str, Any],
-    streams: Streams,
-    path: str,
-    files: Mapping[str, InputFile],
-    relief: Sequence[ReliefOperator] = (),
-) -> Any:
-    """What a node's ``type`` names, with the node's other keys as its fields.
+@dataclass(frozen=True)
+class Setting:
+    """What a part of the cfg is drawn from, and what it refers to beyond itself.
 
-    Args:
-        kinds: Classes by type.
-        node: The cfg's part, resolved.
-        streams: The batch's streams.
-        path: Where it stands in the cfg.
-        files: Files of the cfg, by path.
-        relief: Operators before it.
+    Attributes:
+        streams: The batch's.
+        ground: The cfg's ground layers, resolved.
+        relief: Operators before the part.
+        label_table: The cfg's labels: per level, name -> id.
     """
+
+    streams: Streams
+    size_m: tuple[float, float] = (1.0, 1.0)
+    files: Mapping[str, InputFile] = field(default_factory=dict)
+    ground: Sequence[Mapping[str, Any]] = ()
+    relief: Sequence[ReliefOperator] = ()
+    label_table: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
+
+    def layers_of(self, node: Mapping[str, Any]) -> tuple[int, ...]:
+        """Ground layers that a condition by material names: one, or all of its material."""
+        if node["layer"] is not None:
+            return (node["layer"],)
+        return tuple(i for i, own in enumerate(self.ground) if own["material"] == node["material"])
+
+
+def of_keys(
+    kinds: Mapping[str, type[Any]], node: Mapping[str, Any], path: str, setting: Setting
+) -> Any:
+    """What a node's ``type`` names, with the node's other keys as its fields."""
     values: dict[str, Any] = {key: value for key, value in node.items() if key != "type"}
     values = {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}
     kind = kinds[node["type"]]
     if "file" in values:
-        values["file"] = files[f"{path}/file"].path
+        values["file"] = setting.files[f"{path}/file"].path
     if "ragged" in values:
-        values["ragged"] = ragged_of(values["ragged"], streams, path)
+        values["ragged"] = ragged_of(values["ragged"], setting.streams, path)
     # What the cfg does not say: a noise key, and the craters that there are.
     fields = kind.__dataclass_fields__.keys() - values
     if "key" in fields:
-        values["key"] = streams.key(path)
+        values["key"] = setting.streams.key(path)
     if "craters" in fields:
-        values["craters"] = tuple(laid for operator in relief for laid in _craters_of(operator))
+        values["craters"] = tuple(laid for one in setting.relief for laid in _craters_of(one))
     return kind(**values)
 
 

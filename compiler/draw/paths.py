@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -18,15 +17,14 @@ from scenec.compiler.cameras.paths.random_pose import Limits, Look, RandomPose
 from scenec.compiler.cameras.paths.random_target import RandomTarget
 from scenec.compiler.cameras.paths.rover import Rover
 from scenec.compiler.cameras.tracks import Gaps, Sampling, TrackPlan, TrackWay, resampled
-from scenec.compiler.cfg.check_files import InputFile
 from scenec.compiler.cfg.load import Spec
 from scenec.compiler.distributions.resolve import per_sample, resolve
 from scenec.compiler.distributions.streams import Streams
-from scenec.compiler.draw.of_keys import of_keys
+from scenec.compiler.draw.of_keys import Setting, of_keys
+from scenec.compiler.draw.scatter import uniforms
 from scenec.compiler.geometry.poses import compose, from_quaternion
 from scenec.compiler.geometry.se3 import matrices
 from scenec.schemas import stage as names
-from scenec.schemas.errors import SceneError
 from scenec.schemas.plugins import Kinds
 
 #: Candidates of each goal of a drive.
@@ -47,42 +45,33 @@ def draw_track(
     """Poses from a file; ``between``: whether they are asked for between the samples, too.
 
     Raises:
-        SceneError: The file is none, has too few poses, or does not reach as far as is asked for.
+        SceneError: The file is none, or does not reach as far as is asked for.
     """
     file = spec.files[f"{path}/file"].path
-    usd = cfg["convention"] == "usd"
+    what, usd = f"{path}: {file.name}", cfg["convention"] == "usd"
     sampling = resolve(cfg.get("sampling"), streams, f"{path}/sampling")
     form = cfg.get("format", "csv")
+    gaps = Gaps(cfg.get("max_gap_s"), cfg.get("gaps") == "hold")
+    method = cfg.get("interpolation", "linear")
     if sampling is None and form == "csv" and "quaternion" not in cfg:
         track = read_track(file)
         rows = [from_quaternion(track.position_m[i], track.quaternion[i]) for i in range(samples)]
-        if usd:
-            rows = [compose(m, _HALF_TURN) for m in rows]
-        way = None
-        if between:
-            begin = float(track.time_s[0])
-            stamped = Stamped(track.time_s - begin, begin, track.position_m, track.quaternion, ())
-            at, what = stamped.time_s[:samples], f"{path}: {file.name}"
-            way = TrackWay(at, stamped, "linear", Gaps(), what, usd)
-        return TrackPlan(np.stack(rows), track.time_s[:samples], way)
-    stamped = read_stamped(file, form, cfg.get("quaternion"), cfg.get("frame_rate_hz"))
-    what = f"{path}: {file.name}"
-    if sampling is None:
-        if len(stamped.time_s) < samples:
-            raise SceneError(
-                f"{what}: {len(stamped.time_s)} poses for {samples} samples: expected one for each"
-            )
-        to_world = matrices(stamped.position_m[:samples], stamped.quaternion[:samples])
-        to_world = to_world * np.diag(_HALF_TURN) if usd else to_world
-        at = stamped.time_s[:samples]
-        way = TrackWay(at, stamped, "linear", Gaps(), what, usd) if between else None
-        return TrackPlan(to_world, stamped.begin_s + stamped.time_s[:samples], way)
-    at = _sampling(sampling).times(float(stamped.time_s[-1]), samples, what)
-    gaps = Gaps(cfg.get("max_gap_s"), cfg.get("gaps") == "hold")
-    method = cfg.get("interpolation", "linear")
-    to_world = resampled(stamped, at, method, gaps, what, usd)
+        to_world = np.stack([compose(m, _HALF_TURN) for m in rows] if usd else rows)
+        begin = float(track.time_s[0])
+        stamped = Stamped(track.time_s - begin, begin, track.position_m, track.quaternion, ())
+        at, times = stamped.time_s[:samples], track.time_s[:samples]
+    else:
+        stamped = read_stamped(file, form, cfg.get("quaternion"), cfg.get("frame_rate_hz"))
+        if sampling is None:
+            at = stamped.time_s[:samples]
+            to_world = matrices(stamped.position_m[:samples], stamped.quaternion[:samples])
+            to_world = to_world * np.diag(_HALF_TURN) if usd else to_world
+        else:
+            at = _sampling(sampling).times(float(stamped.time_s[-1]), samples, what)
+            to_world = resampled(stamped, at, method, gaps, what, usd)
+        times = stamped.begin_s + at
     way = TrackWay(at, stamped, method, gaps, what, usd) if between else None
-    return TrackPlan(to_world, stamped.begin_s + at, way)
+    return TrackPlan(to_world, times, way)
 
 
 def draw_random_target(
@@ -106,14 +95,13 @@ def draw_random_target(
     )
 
 
-def draw_motion(
-    cfg: dict[str, Any], path: str, streams: Streams, files: Mapping[str, InputFile]
-) -> Motion:
+def draw_motion(cfg: dict[str, Any], path: str, setting: Setting) -> Motion:
     """A made motion: numbers of the batch are drawn, those of each try get a key."""
+    streams = setting.streams
     node = resolve(cfg, streams, path)
     if node["type"] not in _OURS:
         node["sampling"] = _sampling(node["sampling"])
-        made: Motion = of_keys(_OTHERS, node, streams, path, files)
+        made: Motion = of_keys(_OTHERS, node, path, setting)
         return made
     kind = node.pop("type")
     if kind == "random":
@@ -129,11 +117,11 @@ def draw_motion(
     waypoints = np.array(given, np.float64) if given is not None else np.empty((0, 2))
     if kind == "rover":
         count = 0 if len(waypoints) else goals
-        u = _numbers(streams, f"{path}/goals", count * _GOAL_TRIES)
+        u = uniforms(streams, f"{path}/goals", count * _GOAL_TRIES, 2)
         return Rover(waypoints, u.reshape(count, _GOAL_TRIES, 2), **node, sampling=sampling)
     margin = node.pop("margin")
     if not len(waypoints):
-        u = _numbers(streams, f"{path}/goals", goals)
+        u = uniforms(streams, f"{path}/goals", goals, 2)
         return Mav(waypoints, (u - 0.5) * (1.0 - 2.0 * margin), **node, sampling=sampling)
     return Mav(waypoints, np.empty((0, 2)), **node, sampling=sampling)
 
@@ -143,11 +131,6 @@ def _sampling(node: dict[str, Any]) -> Sampling:
     return Sampling(
         node["start_s"], node["stop_s"], node["rate_hz"], None if times is None else tuple(times)
     )
-
-
-def _numbers(streams: Streams, path: str, n: int) -> NDArray[np.float64]:
-    """Pairs of uniform numbers, float64 [n, 2]; more of them begin with the same ones."""
-    return streams.uniforms(path, 2 * n).reshape(n, 2)
 
 
 def _aim(node: dict[str, Any], path: str, streams: Streams) -> PointAim | ObjectAim:

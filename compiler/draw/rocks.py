@@ -7,7 +7,8 @@ from typing import Any, NamedTuple
 
 from scenec.compiler.distributions.resolve import resolve
 from scenec.compiler.distributions.streams import Streams
-from scenec.compiler.draw.scatter import Setting, draw_scattered, uniforms
+from scenec.compiler.draw.of_keys import Setting
+from scenec.compiler.draw.scatter import draw_scattered, uniforms
 from scenec.compiler.objects.families.angular import draw_angular
 from scenec.compiler.objects.families.rounded import draw_rounded
 from scenec.compiler.objects.families.shape import Common, Shape, unit_vectors
@@ -56,19 +57,9 @@ _USUAL = {
 _FLATNESS = 0.35
 
 
-def draw_rocks(
-    name: str, cfg: dict[str, Any], labels: Labels, streams: Streams, setting: Setting | None = None
-) -> ScatterPlan:
-    """The plan of one class.
-
-    Args:
-        name: Of the class.
-        cfg: Its part of the cfg.
-        labels: Its label ids.
-        streams: The batch's streams.
-        setting: What it refers to beyond its own part.
-    """
-    path = f"objects/{name}"
+def draw_rocks(name: str, cfg: dict[str, Any], labels: Labels, setting: Setting) -> ScatterPlan:
+    """The plan of a class of procedural rocks."""
+    path, streams = f"objects/{name}", setting.streams
     node = resolve(cfg, streams, path)
     prototypes = int(node["prototypes"])
     return draw_scattered(
@@ -76,8 +67,7 @@ def draw_rocks(
         cfg,
         node,
         labels,
-        streams,
-        setting or Setting(),
+        setting,
         source=RockShapes(
             tuple(_shape(f"{path}/prototypes/{i}", node, streams) for i in range(prototypes))
         ),

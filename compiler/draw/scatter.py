@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
-from scenec.compiler.cfg.check_files import InputFile
-from scenec.compiler.distributions.laws import golombek_rapp_per_m2
+from scenec.compiler.distributions.laws import arrivals, golombek_rapp_per_m2, pick
 from scenec.compiler.distributions.numbers import Distribution, draw_number
 from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.draw.ground import draw_condition
-from scenec.compiler.draw.of_keys import of_keys
+from scenec.compiler.draw.of_keys import Setting, of_keys
 from scenec.compiler.objects.conditions import (
     FromCameras,
     FromObjects,
@@ -35,9 +33,8 @@ from scenec.compiler.objects.density import (
     UniformDensity,
     WorleyDensity,
 )
-from scenec.compiler.scene.plan import Apart, Count, ModelSource, RockShapes, ScatterPlan
+from scenec.compiler.scene.plan import Count, ModelSource, RockShapes, ScatterPlan, Spacing
 from scenec.compiler.scene.scene import Labels
-from scenec.compiler.terrain.operator import ReliefOperator
 from scenec.schemas.errors import SceneError
 from scenec.schemas.plugins import Kinds
 
@@ -49,31 +46,11 @@ _MOST_PARENTS = 4_000_000
 Orientation = Literal["random", "upright", "normal"]
 
 
-@dataclass(frozen=True)
-class Setting:
-    """What a class of objects refers to beyond its own part of the cfg.
-
-    Attributes:
-        size_m: Extent of the terrain.
-        relief: The operators that were laid.
-        ground: The cfg's ground layers, resolved.
-        files: Files of the cfg, by path.
-        label_table: The cfg's labels: per level, name -> id.
-    """
-
-    size_m: tuple[float, float] = (1.0, 1.0)
-    relief: Sequence[ReliefOperator] = ()
-    ground: Sequence[Mapping[str, Any]] = ()
-    files: Mapping[str, InputFile] = field(default_factory=dict)
-    label_table: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
-
-
 def draw_scattered(
     name: str,
     cfg: Mapping[str, Any],
     node: Mapping[str, Any],
     labels: Labels,
-    streams: Streams,
     setting: Setting,
     *,
     source: RockShapes | ModelSource,
@@ -84,22 +61,15 @@ def draw_scattered(
     """The plan of one class.
 
     Args:
-        name: Of the class.
         cfg: Its part of the cfg; the keys of ``objects_scattered.schema.json`` are read.
-        node: The same, resolved.
-        labels: Its label ids.
-        streams: The batch's streams.
-        setting: What it refers to.
-        source: What its prototypes are made of.
-        weights: How often each of its prototypes is taken.
         orientation: Where the cfg gives none.
         size_key: The key of the cfg that gives each instance's scale.
 
     Raises:
         SceneError: There would be too many objects.
     """
-    path = f"objects/{name}"
-    count = _count(path, cfg, node, streams, setting, size_key)
+    path, streams = f"objects/{name}", setting.streams
+    count = _count(path, cfg, node, streams, size_key)
     n = _most(path, count, setting)
     turned = cfg["orientation"] or orientation
     orientations = (
@@ -116,19 +86,17 @@ def draw_scattered(
         instances=cfg["instances"],
         source=source,
         count=count,
-        density=_density(node["density"], streams, f"{path}/density", setting),
+        density=_density(node["density"], f"{path}/density", setting),
         where=tuple(
-            _place(condition, streams, f"{path}/where/{i}", setting)
+            _place(condition, f"{path}/where/{i}", setting)
             for i, condition in enumerate(node["where"])
         ),
-        apart=None
-        if apart is None
-        else Apart(apart["gap_m"], apart["radius"], tuple(apart["of"] or (name,))),
+        spacing=apart and Spacing(apart["gap_m"], apart["radius"], tuple(apart["of"] or (name,))),
         fewer=cfg["shortfall"] == "fewer",
         clearance_m=cfg["clearance_m"],
         place_key=streams.key(f"{path}/place"),
         position_u=uniforms(streams, f"{path}/position", n, 3),
-        prototype=_chosen(streams.uniforms(f"{path}/prototype", n), weights),
+        prototype=pick(streams.uniforms(f"{path}/prototype", n), weights).astype(np.int32),
         orientations=orientations,
         align=turned == "normal",
         scale=draw_number(cfg[size_key], streams, f"{path}/{size_key}", n).astype(np.float64),
@@ -138,26 +106,13 @@ def draw_scattered(
     )
 
 
-def _chosen(u: NDArray[np.float64], weights: Sequence[float]) -> NDArray[np.int32]:
-    """Indices in proportion to weights, one or more of them above 0."""
-    cumulative = np.cumsum(np.array(weights, np.float64))
-    last = int(np.flatnonzero(np.array(weights))[-1])
-    found = np.searchsorted(cumulative, u * cumulative[-1], side="right")
-    return np.minimum(found, last).astype(np.int32)
-
-
 def uniforms(streams: Streams, path: str, n: int, columns: int) -> NDArray[np.float64]:
     """[n, columns]; a larger n leaves the first rows as they are."""
     return streams.uniforms(path, n * columns).reshape(n, columns)
 
 
 def _count(
-    path: str,
-    cfg: Mapping[str, Any],
-    node: Mapping[str, Any],
-    streams: Streams,
-    setting: Setting,
-    size_key: str,
+    path: str, cfg: Mapping[str, Any], node: Mapping[str, Any], streams: Streams, size_key: str
 ) -> Count:
     if node["count"] is not None:
         return Count(int(node["count"]), None, 0.0)
@@ -201,17 +156,15 @@ _DENSITIES: Kinds[type[Density]] = Kinds(
 _DISTANCES: dict[str, type[PlacementCondition]] = {"camera": FromCameras, "object": FromObjects}
 
 
-def _density(node: Mapping[str, Any], streams: Streams, path: str, setting: Setting) -> Density:
+def _density(node: Mapping[str, Any], path: str, setting: Setting) -> Density:
     if node["type"] == "clusters":
-        return _clusters(node, streams, path, setting)
-    density: Density = of_keys(_DENSITIES, node, streams, path, setting.files, setting.relief)
-    return density
+        return _clusters(node, path, setting)
+    return of_keys(_DENSITIES, node, path, setting)
 
 
-def _clusters(
-    cfg: Mapping[str, Any], streams: Streams, path: str, setting: Setting
-) -> ClusterDensity:
+def _clusters(cfg: Mapping[str, Any], path: str, setting: Setting) -> ClusterDensity:
     """Parents, over the terrain and as far around it as their clusters reach."""
+    streams = setting.streams
     margin = 2.0 * CLUSTER_REACH * cfg["sigma_m"]
     width, depth = setting.size_m[0] + margin, setting.size_m[1] + margin
     area = setting.size_m[0] * setting.size_m[1]
@@ -227,33 +180,17 @@ def _clusters(
     if cfg["parents"] is not None:
         n = max(1, int(mean + 0.5))
     else:
-        n = _poisson(streams, f"{path}/parents", mean)
+        n = int(np.searchsorted(arrivals(streams, f"{path}/parents", mean), mean))
     u = uniforms(streams, f"{path}/position", n, 2) - 0.5
     return ClusterDensity(u[:, 0] * width, u[:, 1] * depth, cfg["sigma_m"], cfg["background"])
 
 
-def _poisson(streams: Streams, path: str, mean: float) -> int:
-    """A Poisson number: how many gaps of mean 1 fit."""
-    n = int(mean + 8.0 * np.sqrt(mean)) + 16
-    while True:
-        sums = np.cumsum(-elementary.log_array(1.0 - streams.uniforms(path, n)))
-        if sums[-1] > mean:
-            return int(np.searchsorted(sums, mean))
-        n *= 2
-
-
-def _place(
-    node: Mapping[str, Any], streams: Streams, path: str, setting: Setting
-) -> PlacementCondition:
+def _place(node: Mapping[str, Any], path: str, setting: Setting) -> PlacementCondition:
     if node["type"] == "material":
-        layers = tuple(
-            i for i, layer in enumerate(setting.ground) if layer["material"] == node["material"]
-        )
-        return OnMaterial(layers if node["layer"] is None else (node["layer"],))
+        return OnMaterial(setting.layers_of(node))
     if node["type"] in _DISTANCES:
-        distance: PlacementCondition = of_keys(_DISTANCES, node, streams, path, setting.files)
-        return distance
-    return OnRelief(draw_condition(node, streams, path, setting.files, setting.relief))
+        return of_keys(_DISTANCES, node, path, setting)
+    return OnRelief(draw_condition(node, path, setting))
 
 
 def _random_turns(streams: Streams, path: str, n: int) -> NDArray[np.float64]:

@@ -29,13 +29,6 @@ def draw_sensor(
 ) -> SensorPlan:
     """A camera, every number drawn.
 
-    Args:
-        name: In the cfg.
-        cfg: Its part of the cfg, filled in.
-        path: To it, for streams.
-        streams: Of the batch.
-        samples: Number of samples.
-
     Raises:
         SceneError: Its lens is not one-to-one, its imaging is none, or it is to focus nearer than
             its focal length.
@@ -166,14 +159,7 @@ def _shutter(
 
 
 def draw_lidar(name: str, cfg: Mapping[str, Any], path: str, streams: Streams) -> Lidar:
-    """A lidar of a cfg, every number drawn.
-
-    Args:
-        name: In the cfg.
-        cfg: Its part of the cfg, filled in.
-        path: To it, for streams.
-        streams: Of the batch.
-    """
+    """A lidar of a cfg, every number drawn."""
     mount = resolve(cfg["mount"], streams, f"{path}/mount")
     if cfg["elevations_deg"] is not None:
         elevations = np.array(cfg["elevations_deg"], np.float64)

@@ -8,17 +8,12 @@ from pathlib import Path
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdUtils, Vt
 
 from scenec.compiler.emit.cameras import camera_path, clipping_range, write_cameras
-from scenec.compiler.emit.layer import TYPES, custom, label_names, new_layer
+from scenec.compiler.emit.layer import TYPES, Appearance, custom, label_names, new_layer
 from scenec.compiler.emit.lights import write_lights
 from scenec.compiler.emit.looks import write_look
 from scenec.compiler.emit.maps import copy_maps
 from scenec.compiler.emit.materialx import mixed_materials, write_ground_mix, write_material
-from scenec.compiler.emit.objects import (
-    class_path,
-    materials_of,
-    write_placed,
-    write_scatter,
-)
+from scenec.compiler.emit.objects import class_path, write_placed, write_scatter
 from scenec.compiler.emit.sky_prim import write_sky_prim
 from scenec.compiler.emit.terrain import write_terrain
 from scenec.compiler.scene.scene import Material, Placed, Scene
@@ -60,11 +55,11 @@ def write_batch(folder: Path, scene: Scene) -> None:
             # Its ids stay reserved; that is all.
             continue
         classes.append(f"objects/{objects.name}.usdc")
-        shown = _only(scene.materials, materials_of(objects))
+        own = Appearance(_only(scene.materials, objects.materials), table)
         if isinstance(objects, Placed):
-            write_placed(folder / classes[-1], objects, shown, table)
+            write_placed(folder / classes[-1], objects, own)
         else:
-            write_scatter(folder / classes[-1], objects, shown, table)
+            write_scatter(folder / classes[-1], objects, own)
     sublayers = ["terrain.usdc", *_joined(folder, classes, "objects.usdc")]
     sublayers.extend(_write_looks(folder, scene))
     # Binary, whatever is in them: samples of many time codes are large and slow as text.

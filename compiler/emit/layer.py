@@ -5,16 +5,28 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdSemantics
 
-from scenec.compiler.scene.scene import Labels
+from scenec.compiler.scene.scene import Labels, Material
 from scenec.schemas import stage as names
 
 TYPES = Sdf.ValueTypeNames
+
+
+class Appearance(NamedTuple):
+    """What the outputs show of things.
+
+    Attributes:
+        materials: By name; empty where no color is asked for.
+        label_table: Per level, label name -> id; empty where no labels are asked for.
+    """
+
+    materials: Mapping[str, Material]
+    label_table: Mapping[str, Mapping[str, int]]
 
 
 @contextmanager

@@ -27,12 +27,6 @@ def write_look(path: Path, name: str, material: Material, maps: dict[str, str]) 
 
     The numbers of the shared surface model stand as ``scenec:surface:*``, which backends read. The
     UsdPreviewSurface is derived from them (``write_preview``).
-
-    Args:
-        path: The layer, in a folder of the batch's folder.
-        name: Of the material.
-        material: What to write.
-        maps: Its maps by kind, relative to the batch's folder.
     """
     with new_layer(path) as stage:
         UsdGeom.Scope.Define(stage, LOOKS)
@@ -98,7 +92,6 @@ def _write_maps(prim: Usd.Prim, maps: MaterialMaps, files: dict[str, str]) -> No
 
 
 def _color_space(kind: str, file: str) -> str:
-    """Name of UsdColorSpace for a map's values."""
     if kind not in COLORS:
         return "raw"
     return "srgb_rec709_scene" if is_encoded(kind, file) else "lin_rec709_scene"

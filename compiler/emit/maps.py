@@ -20,11 +20,6 @@ TEXTURES = "textures"
 def copy_maps(folder: Path, name: str, material: Material) -> dict[str, str]:
     """Copies a material's maps into ``textures/``, under names that say what they are.
 
-    Args:
-        folder: Of the batch.
-        name: Of the material.
-        material: Its maps are copied as they are.
-
     Returns:
         Paths relative to the batch's folder, by kind.
     """

@@ -44,14 +44,7 @@ def mixed_materials(ground: Ground) -> tuple[str, ...]:
 
 @memoized_file("emit")
 def write_material(path: Path, name: str, material: Material, maps: dict[str, str]) -> None:
-    """Writes ``looks/<material>.mtlx.usda``: the network of one material.
-
-    Args:
-        path: The layer, in a folder of the batch's folder.
-        name: Of the material.
-        material: What to write.
-        maps: Its maps by kind, relative to the batch's folder.
-    """
+    """Writes ``looks/<material>.mtlx.usda``: the network of one material."""
     with new_layer(path) as stage:
         UsdGeom.Scope.Define(stage, LOOKS)
         network = _Network(stage, UsdShade.Material.Define(stage, look_path(name)))
@@ -69,9 +62,7 @@ def write_ground_mix(
     """Writes ``terrain.mtlx.usda``: the mix of the ground's layers, for all its materials.
 
     Args:
-        path: The layer, in the batch's folder.
         layers: Materials from the base up, two or more.
-        materials: By name.
         maps: Of each material, its maps by kind, relative to the batch's folder.
     """
     with new_layer(path) as stage:
@@ -112,7 +103,6 @@ class _Network:
         """The output of a node; of that which has the name already, if there is one.
 
         Args:
-            name: Of the prim.
             node_id: Key of ``schemas.materialx.NODES``.
             inputs: Constants, or outputs to connect; ``in_`` stands for the input "in".
         """
@@ -143,7 +133,6 @@ class _Network:
         return self.node(name, "ND_mix_bsdf", bg=below, fg=above, mix=amount)
 
     def weight(self, merge: int) -> UsdShade.Output:
-        """Weight of a merge on the ground's vertices."""
         return self.node(
             _weight_node(merge), "ND_geompropvalue_float", geomprop=names.weight_primvar(merge)
         )

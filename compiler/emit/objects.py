@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +10,7 @@ from pxr import Sdf, Usd, UsdGeom, Vt
 from scenec.compiler.cache.memo import memoized_file
 from scenec.compiler.emit.layer import (
     TYPES,
+    Appearance,
     author,
     constant_label_ids,
     custom,
@@ -21,7 +21,7 @@ from scenec.compiler.emit.layer import (
 )
 from scenec.compiler.emit.prototypes import write_prototype
 from scenec.compiler.emit.terrain import bind, write_vertex_floats
-from scenec.compiler.scene.scene import Material, Placed, Scatter
+from scenec.compiler.scene.scene import Placed, Scatter
 from scenec.schemas import stage as names
 
 OBJECTS = f"{names.ROOT}/Objects"
@@ -33,26 +33,14 @@ def class_path(name: str) -> str:
 
 
 @memoized_file("emit")
-def write_scatter(
-    path: Path,
-    scatter: Scatter,
-    materials: Mapping[str, Material],
-    table: Mapping[str, Mapping[str, int]],
-) -> None:
-    """Writes the layer of a class of scattered objects.
-
-    Args:
-        path: ``objects/<class>.usdc``.
-        scatter: What to write.
-        materials: By name; empty where no color is asked for.
-        table: Per level, label name -> id; empty where no labels are asked for.
-    """
+def write_scatter(path: Path, scatter: Scatter, shown: Appearance) -> None:
+    """Writes the layer of a class of scattered objects."""
     with new_layer(path) as stage:
         UsdGeom.Xform.Define(stage, OBJECTS)
         instancer = UsdGeom.PointInstancer.Define(stage, class_path(scatter.name))
         prim = instancer.GetPrim()
         holder = UsdGeom.Scope.Define(stage, f"{prim.GetPath()}/Prototypes")
-        targets = _write_prototypes(stage, holder.GetPath(), scatter, materials, table)
+        targets = _write_prototypes(stage, holder.GetPath(), scatter, shown)
         instancer.CreatePrototypesRel().SetTargets(targets)
         instancer.CreateProtoIndicesAttr(Vt.IntArray.FromNumpy(scatter.prototype))
         instancer.CreatePositionsAttr(Vt.Vec3fArray.FromNumpy(scatter.positions))
@@ -61,34 +49,24 @@ def write_scatter(
         if scatter.instances:
             instancer.CreateIdsAttr(Vt.Int64Array.FromNumpy(scatter.ids))
         instancer.CreateExtentAttr(Vt.Vec3fArray.FromNumpy(_extent(scatter)))
-        _write_class(prim, scatter, materials, table)
-        if any(materials[name].varies for name in materials_of(scatter) if materials):
+        _write_class(prim, scatter, shown)
+        materials = shown.materials
+        if any(materials[name].varies for name in scatter.materials if materials):
             write_vertex_floats(
                 UsdGeom.PrimvarsAPI(prim), names.PRIMVAR_VARIATION, scatter.variation
             )
 
 
 @memoized_file("emit")
-def write_placed(
-    path: Path,
-    placed: Placed,
-    materials: Mapping[str, Material],
-    table: Mapping[str, Mapping[str, int]],
-) -> None:
-    """Writes the layer of a class of single objects: native instances of its prototypes.
-
-    Args:
-        path: ``objects/<class>.usdc``.
-        placed: What to write.
-        materials, table: As for ``write_scatter``.
-    """
+def write_placed(path: Path, placed: Placed, shown: Appearance) -> None:
+    """Writes the layer of a class of single objects: native instances of its prototypes."""
     with new_layer(path) as stage:
         UsdGeom.Xform.Define(stage, OBJECTS)
         prim = UsdGeom.Xform.Define(stage, class_path(placed.name)).GetPrim()
         # A class: nothing of it is drawn but where it is instanced.
         holder = stage.CreateClassPrim(f"{prim.GetPath()}/Prototypes")
-        targets = _write_prototypes(stage, holder.GetPath(), placed, materials, table)
-        _write_class(prim, placed, materials, table)
+        targets = _write_prototypes(stage, holder.GetPath(), placed, shown)
+        _write_class(prim, placed, shown)
         for i, local_id in enumerate(placed.ids.tolist()):
             one = UsdGeom.Xform.Define(stage, f"{prim.GetPath()}/instance_{local_id}")
             if placed.instances:
@@ -99,11 +77,7 @@ def write_placed(
 
 
 def _write_prototypes(
-    stage: Usd.Stage,
-    holder: Sdf.Path,
-    objects: Scatter | Placed,
-    materials: Mapping[str, Material],
-    table: Mapping[str, Mapping[str, int]],
+    stage: Usd.Stage, holder: Sdf.Path, objects: Scatter | Placed, shown: Appearance
 ) -> list[Sdf.Path]:
     targets = []
     for prototype in objects.prototypes:
@@ -112,36 +86,22 @@ def _write_prototypes(
             # An instance's root is an Xform of its own: the mesh stands below it.
             stage.DefinePrim(target, "Xform")
             target = target.AppendChild("Mesh")
-        write_prototype(
-            stage, target, prototype, materials, objects.material, objects.labels, table
-        )
+        write_prototype(stage, target, prototype, objects, shown)
         targets.append(target.GetParentPath() if isinstance(objects, Placed) else target)
     return targets
 
 
-def _write_class(
-    prim: Usd.Prim,
-    objects: Scatter | Placed,
-    materials: Mapping[str, Material],
-    table: Mapping[str, Mapping[str, int]],
-) -> None:
-    """What all objects of a class have in common."""
+def _write_class(prim: Usd.Prim, objects: Scatter | Placed, shown: Appearance) -> None:
+    table = shown.label_table
     if not objects.instances:
         custom(prim, names.ATTR_INSTANCE_IDS_ENABLED, TYPES.Bool).Set(False)
     constant_label_ids(prim, {level: objects.labels[level] for level in table})
     label(prim, label_names(table, objects.labels))
-    if materials and objects.material is not None:
+    if shown.materials and objects.material is not None:
         bind(prim, objects.material)
 
 
-def materials_of(objects: Scatter | Placed) -> set[str]:
-    """Names of the materials of a class and of its models' parts."""
-    own = {part.material for mesh in objects.prototypes for part in mesh.parts}
-    return {name for name in (objects.material, *own) if name is not None}
-
-
 def _extent(scatter: Scatter) -> np.ndarray:
-    """Bounds of all instances' balls."""
     if not scatter.count:
         return np.zeros((2, 3), np.float32)
     middles, radii = scatter.balls()

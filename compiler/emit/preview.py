@@ -27,8 +27,6 @@ def write_preview(look: UsdShade.Material, material: Material, files: dict[str, 
     them. Maps in the world are left out, and of what glows in pictures there the number is shown.
 
     Args:
-        look: The Material.
-        material: What to write.
         files: Its maps by kind, relative to the layer.
     """
     stage, path = look.GetPrim().GetStage(), look.GetPath()
@@ -82,7 +80,6 @@ class _Pictures:
         self._stage, self._path, self._material = stage, path, material
 
     def output(self, kind: str) -> UsdShade.Output:
-        """What a picture gives."""
         name = "".join(part.capitalize() for part in kind.split("_"))
         texture = UsdShade.Shader.Define(self._stage, self._path.AppendChild(f"{name}Texture"))
         texture.CreateIdAttr("UsdUVTexture")

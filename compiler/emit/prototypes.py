@@ -6,17 +6,18 @@ from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
-from pxr import Sdf, Usd, UsdGeom, UsdShade, Vt
+from pxr import Sdf, Usd, UsdGeom, Vt
 
-from scenec.compiler.emit.layer import TYPES, label, label_names
+from scenec.compiler.emit.layer import TYPES, Appearance, label, label_names
 from scenec.compiler.emit.terrain import (
     bind,
+    face_subset,
     varied_color,
     write_display_color,
     write_triangles,
     write_vertex_floats,
 )
-from scenec.compiler.scene.scene import Labels, Material, Prototype
+from scenec.compiler.scene.scene import Labels, Material, ObjectClass, Prototype
 from scenec.schemas import stage as names
 
 #: Primvar of texture coordinates, USD's customary name.
@@ -24,51 +25,34 @@ ST = "st"
 
 
 def write_prototype(
-    stage: Usd.Stage,
-    path: Sdf.Path,
-    prototype: Prototype,
-    materials: Mapping[str, Material],
-    material: str | None,
-    labels: Labels,
-    table: Mapping[str, Mapping[str, int]],
-) -> Usd.Prim:
-    """Writes a mesh; what its parts have of their own stands on subsets, or on it if all have it.
-
-    Args:
-        stage: Receives the prim.
-        path: Of the prim.
-        prototype: What to write.
-        materials: By name; empty where no color is asked for.
-        material: Of the class.
-        labels: Of the class.
-        table: Per level, label name -> id; empty where no labels are asked for.
-    """
+    stage: Usd.Stage, path: Sdf.Path, prototype: Prototype, objects: ObjectClass, shown: Appearance
+) -> None:
+    """Writes a mesh; what parts have of their own stands on subsets, or on it if all have it."""
+    materials, table = shown
     mesh = UsdGeom.Mesh.Define(stage, path)
     prim = mesh.GetPrim()
     write_triangles(
         mesh, prototype.points, prototype.faces, prototype.normals if materials else None
     )
     if materials:
-        _write_appearance(prim, prototype, materials, material)
-    _write_label_ids(prim, prototype, labels, table)
+        _write_appearance(prim, prototype, materials, objects.material)
+    _write_label_ids(prim, prototype, objects.labels, table)
     whole = len(prototype.parts) == 1 and len(prototype.parts[0].faces) == len(prototype.faces)
     for part in prototype.parts:
         material_shows = bool(materials) and part.material is not None
         names_shown = label_names(table, part.labels or {})
         if not material_shows and not names_shown:
             continue
-        own = prim if whole else _subset(mesh, part.name, part.faces)
+        own = prim
+        if not whole:
+            own = face_subset(mesh, part.name, part.faces, UsdGeom.Tokens.nonOverlapping)
         if material_shows and part.material is not None:
             bind(own, part.material)
         label(own, names_shown)
-    return prim
 
 
 def _write_appearance(
-    prim: Usd.Prim,
-    prototype: Prototype,
-    materials: Mapping[str, Material],
-    material: str | None,
+    prim: Usd.Prim, prototype: Prototype, materials: Mapping[str, Material], material: str | None
 ) -> None:
     used = {part.material for part in prototype.parts if part.material is not None}
     used |= {material} if material is not None else set()
@@ -95,10 +79,7 @@ def _write_appearance(
 
 
 def _write_label_ids(
-    prim: Usd.Prim,
-    prototype: Prototype,
-    labels: Labels,
-    table: Mapping[str, Mapping[str, int]],
+    prim: Usd.Prim, prototype: Prototype, labels: Labels, table: Mapping[str, Mapping[str, int]]
 ) -> None:
     """One id a face, on the levels where a part's differs from the class's."""
     for level in table:
@@ -111,14 +92,3 @@ def _write_label_ids(
         UsdGeom.PrimvarsAPI(prim).CreatePrimvar(
             names.label_primvar(level), TYPES.IntArray, UsdGeom.Tokens.uniform
         ).Set(Vt.IntArray.FromNumpy(ids))
-
-
-def _subset(mesh: UsdGeom.Mesh, name: str, faces: NDArray[np.int32]) -> Usd.Prim:
-    return UsdGeom.Subset.CreateGeomSubset(
-        mesh,
-        name,
-        UsdGeom.Tokens.face,
-        Vt.IntArray.FromNumpy(faces),
-        UsdShade.Tokens.materialBind,
-        UsdGeom.Tokens.nonOverlapping,
-    ).GetPrim()

@@ -23,13 +23,7 @@ _HALF_TURN = np.array([*names.HALF_TURN, 1.0])
 
 
 def write_shutter(camera: UsdGeom.Camera, rig: Rig, shutter: OpenShutter) -> None:
-    """Author a shutter.
-
-    Args:
-        camera: The camera.
-        rig: That carries it.
-        shutter: Of the camera.
-    """
+    """Author a shutter."""
     prim = camera.GetPrim()
     exposures = [one.exposure_s for one in shutter.shutters]
     author(custom(prim, names.ATTR_SHUTTER_EXPOSURE, TYPES.Double), exposures)

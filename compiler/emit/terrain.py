@@ -20,16 +20,11 @@ TERRAIN = f"{names.ROOT}/Terrain"
 
 @memoized_file("emit")
 def write_terrain(
-    path: Path,
-    ground: Ground,
-    materials: dict[str, Material],
-    label_names: list[dict[str, str]],
+    path: Path, ground: Ground, materials: dict[str, Material], label_names: list[dict[str, str]]
 ) -> None:
     """Writes the layer.
 
     Args:
-        path: ``terrain.usdc``.
-        ground: What to write.
         materials: By name; empty where no color is asked for.
         label_names: For each ground layer, label name per level; empty where none are asked for.
     """
@@ -112,18 +107,17 @@ def _write_subsets(
             prim = mesh.GetPrim()
         else:
             faces = np.flatnonzero(tile.layer == index).astype(np.int32)
-            subset = UsdGeom.Subset.CreateGeomSubset(
-                mesh,
-                f"layer_{index}_{name}",
-                UsdGeom.Tokens.face,
-                Vt.IntArray.FromNumpy(faces),
-                UsdShade.Tokens.materialBind,
-                UsdGeom.Tokens.partition,
-            )
-            prim = subset.GetPrim()
+            prim = face_subset(mesh, f"layer_{index}_{name}", faces, UsdGeom.Tokens.partition)
         if materials:
             bind(prim, name)
         label(prim, label_names[index])
+
+
+def face_subset(mesh: UsdGeom.Mesh, name: str, faces: NDArray[np.int32], family: str) -> Usd.Prim:
+    """A subset of faces to bind materials to; ``family``: how those of a mesh go together."""
+    kind, bound = UsdGeom.Tokens.face, UsdShade.Tokens.materialBind
+    indices = Vt.IntArray.FromNumpy(faces)
+    return UsdGeom.Subset.CreateGeomSubset(mesh, name, kind, indices, bound, family).GetPrim()
 
 
 def bind(prim: Usd.Prim, material: str) -> None:

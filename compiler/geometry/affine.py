@@ -49,14 +49,6 @@ def of_quaternion(x: float, y: float, z: float, w: float) -> NDArray[np.float64]
     return out
 
 
-def composed(outer: NDArray[np.float64], inner: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The map that does ``inner`` first; both [4, 4], for columns."""
-    out = np.zeros((4, 4))
-    for k in range(4):
-        out += outer[:, k, None] * inner[None, k, :]
-    return out
-
-
 def applied(matrix: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Points under a map: float64 [n, 3]."""
     x, y, z = points[:, 0], points[:, 1], points[:, 2]

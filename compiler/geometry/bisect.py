@@ -53,7 +53,6 @@ class Bisection:
     its place, the other parts follow; a halved edge stays, with a vertex in its middle.
 
     Attributes:
-        vertices: Number of vertices.
         order: The faces in the order that they would have if all parts stood where the face stood
             that was halved, int32 [m].
     """
@@ -242,7 +241,6 @@ def _split(mesh, vertices, before, order, done):  # type: ignore[no-untyped-def]
     Args:
         mesh: ``_Arrays`` with room for what is added: halves of edges in twos, then edges across
             faces. Edges are marked; of a face with any, its first.
-        vertices: How many there are.
         before: The faces in order, int32 [m].
         order: Receives the new order, int32 [m'].
         done: ``Halved``, of which the faces are received.

@@ -16,7 +16,6 @@ class Growing:
     """
 
     def __init__(self, rows: NDArray[Any]) -> None:
-        """Of some rows, which are not copied."""
         self._buffer, self._count = rows, len(rows)
 
     @property

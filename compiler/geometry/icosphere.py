@@ -71,17 +71,5 @@ def face_neighbors(subdivisions: int) -> NDArray[np.int32]:
     return out
 
 
-@cache
-def vertex_faces(subdivisions: int) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
-    """The faces around each vertex: vertex v has those from start[v] to start[v + 1]."""
-    _, faces = icosphere(subdivisions)
-    corners = faces.ravel()
-    order = np.argsort(corners, kind="stable")
-    start = np.searchsorted(corners[order], np.arange(int(faces.max()) + 2))
-    around = (order // 3).astype(np.int32)
-    start.flags.writeable = around.flags.writeable = False
-    return start, around
-
-
 def _unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
     return vectors / np.sqrt((vectors * vectors).sum(axis=1))[:, None]

@@ -67,8 +67,6 @@ def lens_intrinsics(
     """Intrinsics of square pixels around a field of view; of the whole sphere without one.
 
     Args:
-        lens: The lens.
-        resolution: Width and height.
         fov_deg: Horizontal field of view; None with equirectangular only.
 
     Returns:
@@ -77,7 +75,7 @@ def lens_intrinsics(
     width, height = resolution
     middle = 0.5 * width, 0.5 * height
     if fov_deg is None:
-        return (*_panorama(width, height), *middle, 0.0)
+        return width / (2.0 * elementary.PI), height / elementary.PI, *middle, 0.0
     half = 0.5 * fov_deg * _RADIANS
     if lens.model == EQUIRECTANGULAR:
         return (middle[0] / half, middle[0] / half, *middle, 0.0)
@@ -93,10 +91,6 @@ def lens_intrinsics(
         )
     focal = middle[0] / radial(lens, min(at, border))
     return focal, focal, *middle, 0.0
-
-
-def _panorama(width: int, height: int) -> tuple[float, float]:
-    return width / (2.0 * elementary.PI), height / elementary.PI
 
 
 def find_fault(
@@ -120,7 +114,6 @@ def find_fault(
 
 
 def _ends(lens: Lens, border: float) -> str:
-    """Where a lens is no longer one-to-one."""
     if lens.model == KANNALA_BRANDT:
         at = f"{border / _RADIANS:.4g} degrees from the axis"
     elif border == math.inf:
@@ -168,7 +161,6 @@ def sight_of(sensor: Sensor, margin: float) -> tuple[tuple[float, float], tuple[
     """A cone around the axis that holds all rays of a sensor with a lens, and its scale.
 
     Args:
-        sensor: With a lens.
         margin: How far the picture is continued on each side, in parts of its size.
 
     Returns:

@@ -1,4 +1,4 @@
-"""Computes shading normals of triangle meshes, and finds the faces around their vertices."""
+"""Computes normals of triangle meshes, and finds the faces around their vertices."""
 
 from __future__ import annotations
 
@@ -6,6 +6,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.schemas.kernels import kernel
+
+
+def face_normals(points: NDArray[np.float64], faces: NDArray[np.integer]) -> NDArray[np.float64]:
+    """Normals of triangles, as long as twice their areas, [m, 3]."""
+    a, b, c = (points[faces[:, k]] for k in range(3))
+    return cross_products(b - a, c - a)
+
+
+def cross_products(u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Of vectors [n, 3], written out: [n, 3]."""
+    return np.stack(
+        [u[:, i] * v[:, j] - u[:, j] * v[:, i] for i, j in ((1, 2), (2, 0), (0, 1))], axis=1
+    )
 
 
 @kernel

@@ -33,6 +33,26 @@ def align_to_normals(
     )
 
 
+def upright_to(normals: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The shortest turns from +z to unit vectors [n, 3], as matrices [n, 3, 3]; to -z, about x."""
+    x, y, z = normals.T
+    f = 1.0 / np.maximum(1.0 + z, 1e-12)
+    out = np.empty((len(x), 3, 3))
+    out[:, :, 0] = np.stack([1.0 - f * x * x, -f * x * y, -x], axis=1)
+    out[:, :, 1] = np.stack([-f * x * y, 1.0 - f * y * y, -y], axis=1)
+    out[:, :, 2] = normals
+    out[z < -1.0 + 1e-12] = np.diag([1.0, -1.0, -1.0])
+    return out
+
+
+def products(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Matrix products of stacks [n, 3, 3], without BLAS."""
+    out = np.zeros(a.shape)
+    for k in range(3):
+        out += a[:, :, k, None] * b[:, None, k, :]
+    return out
+
+
 @kernel
 def rotation_rows(q: NDArray) -> tuple[float, ...]:
     """The nine entries, row by row, of the rotation of a quaternion (x, y, z, w) of any length."""

@@ -40,8 +40,7 @@ class Voxels:
 
     def middles(self) -> NDArray[np.float64]:
         """Of the full cubes, float64 [n, 3]."""
-        middles: NDArray[np.float64] = self.corner + self.side * (np.argwhere(self.full) + 0.5)
-        return middles
+        return self.corner + self.side * (np.argwhere(self.full) + 0.5)
 
 
 def voxels_of(prototype: Prototype, side: float, most: int) -> Voxels:
@@ -49,7 +48,6 @@ def voxels_of(prototype: Prototype, side: float, most: int) -> Voxels:
 
     Args:
         prototype: With one triangle or more.
-        side: Wanted.
         most: Cubes along the longest axis at most: the side is longer where it has to be.
     """
     points = prototype.points.astype(np.float64)
@@ -122,15 +120,13 @@ def _with_hollows(touched: NDArray[np.bool_]) -> NDArray[np.bool_]:
         covered &= np.logical_or.accumulate(touched, axis=axis)
         back = np.flip(np.logical_or.accumulate(np.flip(touched, axis), axis=axis), axis)
         covered &= back
-    full: NDArray[np.bool_] = np.ascontiguousarray(covered | touched)
-    return full
+    return np.ascontiguousarray(covered | touched)
 
 
 class Cubes:
     """The cubes of some prototypes, each made when it is first asked for."""
 
     def __init__(self, prototypes: Sequence[Prototype]):
-        """Nothing is made yet."""
         self._prototypes = prototypes
         self._made: dict[int, Voxels] = {}
 

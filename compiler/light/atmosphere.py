@@ -15,13 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
-from scenec.compiler.light.atmosphere_bearings import angle_to_sun, cubic
 from scenec.compiler.light.atmosphere_columns import columns
 from scenec.compiler.light.atmosphere_multiple import FarGround, Look, bake_again, far_suns
 from scenec.compiler.light.atmosphere_planets import Medium
 from scenec.compiler.light.atmosphere_rays import (
     Sight,
     aerosol_phase,
+    angle_to_sun,
+    cubic,
     gas_phase,
     gather,
     prepare,
@@ -79,7 +80,6 @@ def bake(
     air before it. It lies at height 0, or 100 m below an observer who is lower than that.
 
     Args:
-        medium: The atmosphere.
         weights: Of its wavelengths (``atmosphere_spectra.weights``), [wavelengths, 3].
         altitude_m: Of the observer, at least 0 and below the atmosphere's top.
         sun_elevation: Radians; the sun's bearing is 180 degrees.
@@ -94,7 +94,7 @@ def bake(
         atmosphere has the luminance 1. Never negative: colors outside of Rec.709 are clipped.
     """
     sizes = medium.planet.sizes()
-    spectra = np.stack([medium.gas, medium.aerosol, medium.aerosol_loss, medium.layer])
+    spectra = medium.spectra()
     r0 = sizes[0] + altitude_m
     ground = min(sizes[0], r0 - _EYE_M)
     sun = np.array([elementary.cos(sun_elevation), elementary.sin(sun_elevation)])
@@ -108,9 +108,7 @@ def bake(
     over_threads(_rows, height, look, bearings, air, far, half)
     picture = np.concatenate([half, half[:, ::-1]], axis=1)
     if multiple:
-        picture += bake_again(
-            medium, weights, altitude_m, sun_elevation, ground_color, height, steps, ground
-        )
+        picture += bake_again(medium, look, ground_color, height)
     return picture
 
 
@@ -142,8 +140,7 @@ def direct(
     gas, aerosol, layer = columns(r0, elementary.sin(max(sun_elevation, -dip)), sizes)
     depth = medium.gas * gas + medium.aerosol_loss * aerosol + medium.layer * layer
     rgb = (weights * elementary.exp_array(-depth)[:, None]).sum(axis=0)
-    clipped: NDArray[np.float64] = np.maximum(rgb, 0.0) * seen
-    return clipped
+    return np.maximum(rgb, 0.0) * seen
 
 
 def _disc_above(center: float, radius: float) -> float:
@@ -158,14 +155,7 @@ def _disc_above(center: float, radius: float) -> float:
 
 
 def zenith_depth(medium: Medium, altitude_m: float, nm: float, nodes: NDArray) -> dict[str, float]:
-    """Optical depth straight up from the observer, by what makes it.
-
-    Args:
-        medium: The atmosphere.
-        altitude_m: Of the observer.
-        nm: Wavelength.
-        nodes: The medium's wavelengths.
-    """
+    """Optical depth at a wavelength straight up from the observer, by what makes it."""
     sizes = medium.planet.sizes()
     gas, aerosol, layer = columns(sizes[0] + altitude_m, 1.0, sizes)
     parts = {"air": medium.gas * gas, "dust": medium.aerosol_loss * aerosol}
@@ -259,16 +249,7 @@ def _rows(
 
 
 @kernel
-def _ground(
-    sun_sine: float,
-    low: float,
-    high: float,
-    skylight: NDArray,
-    arriving: NDArray,
-    sizes: NDArray,
-    spectra: NDArray,
-    weights: NDArray,
-) -> NDArray[np.float64]:
+def _ground(sun_sine, low, high, skylight, arriving, sizes, spectra, weights):  # type: ignore[no-untyped-def]
     """Radiance of white ground as it arrives, linear Rec.709.
 
     Args:

@@ -1,7 +1,7 @@
 """Integrates how much of an atmosphere a ray meets: spherical layers in closed form.
 
 A column is the integral of a relative density along a ray, in meters at the density of 1; times a
-coefficient it is an optical depth.
+coefficient it is an optical depth. ``sizes`` are ``Planet.sizes`` throughout.
 """
 
 from __future__ import annotations
@@ -57,9 +57,7 @@ def _layer_up(start: float, closest: float, sizes: NDArray) -> float:
     """Column of the absorber from a distance from the center upwards.
 
     Args:
-        start: Distance from the center.
         closest: That of the ray's straight line, at most ``start``.
-        sizes: ``Planet.sizes``.
     """
     middle, half = sizes[0] + sizes[4], sizes[5]
     square = closest * closest
@@ -88,7 +86,6 @@ def columns_up(
         start: The point's distance from the center.
         closest: That of the ray's straight line.
         cosine: Of the ray's angle from the zenith, 0 to 1.
-        sizes: ``Planet.sizes``.
     """
     height = start - sizes[0]
     gas = elementary.exp(-height / sizes[2]) * sizes[2] * chapman(start / sizes[2], cosine)
@@ -105,7 +102,6 @@ def columns(start: float, cosine: float, sizes: NDArray) -> tuple[float, float, 
     Args:
         start: The point's distance from the center.
         cosine: Of the ray's angle from the zenith, -1 to 1.
-        sizes: ``Planet.sizes``.
     """
     sine = np.sqrt(max((1.0 - cosine) * (1.0 + cosine), 0.0))
     closest = min(start * sine, start)

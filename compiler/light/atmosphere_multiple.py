@@ -22,12 +22,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
-from scenec.compiler.light.atmosphere_bearings import angle_to_sun, cubic
 from scenec.compiler.light.atmosphere_columns import columns
 from scenec.compiler.light.atmosphere_planets import Medium
 from scenec.compiler.light.atmosphere_rays import (
     Sight,
     Steps,
+    angle_to_sun,
+    cubic,
     gather,
     lobe,
     prepare,
@@ -69,7 +70,6 @@ def reduced(spectra: NDArray[np.float64], g: NDArray[np.float64]) -> NDArray[np.
 
     Args:
         spectra: Gas, aerosol, loss by the aerosol, absorption, [4, wavelengths].
-        g: Mean cosine of the aerosol.
     """
     gas, aerosol, loss, layer = spectra
     return np.stack([gas, aerosol * (1.0 - g), loss - aerosol * g, layer])
@@ -148,8 +148,6 @@ def make_table(
     """Light scattered twice or more, mean over all directions, by height and the sun's elevation.
 
     Args:
-        sizes: ``Planet.sizes``.
-        spectra: Of the reduced medium.
         albedo: Of the ground, [wavelengths].
 
     Returns:
@@ -220,12 +218,7 @@ def add_again(
     """Adds what a prepared ray of the reduced medium sends of the table's light, [wavelengths].
 
     Args:
-        count: Steps of the ray.
-        sight: The ray.
-        sizes: ``Planet.sizes``.
-        table: Of ``make_table``.
         steps: Of ``prepare`` in the reduced medium.
-        total: Receives it.
     """
     r0, sine, toward, sun_sine = sight
     middle, scattered = steps.middle, steps.scattered
@@ -251,28 +244,12 @@ def add_again(
 
 
 def bake_again(
-    medium: Medium,
-    weights: NDArray[np.float64],
-    altitude_m: float,
-    sun_elevation: float,
-    ground_color: NDArray[np.float64],
-    height: int,
-    steps: int,
-    ground: float,
+    medium: Medium, look: Look, ground_color: NDArray[np.float64], height: int
 ) -> NDArray[np.float64]:
-    """What the picture of ``atmosphere.bake`` lacks, of the same shape and unit.
-
-    Args:
-        medium, weights, altitude_m, sun_elevation, ground_color, height, steps: As there.
-        ground: Radius of the ground that is seen.
-    """
-    sizes = medium.planet.sizes()
-    spectra = np.stack([medium.gas, medium.aerosol, medium.aerosol_loss, medium.layer])
-    g = mean_cosine(medium.phase)
+    """What the picture of ``atmosphere.bake`` lacks, of the same shape and unit."""
+    sizes, spectra, g = medium.planet.sizes(), medium.spectra(), mean_cosine(medium.phase)
     even = reduced(spectra, g)
     albedo = spectral_albedo(wavelengths(len(medium.gas)), ground_color)
-    sun = np.array([elementary.cos(sun_elevation), elementary.sin(sun_elevation)])
-    look = Look(sizes[0] + altitude_m, ground, sun, steps, weights)
     air = Air(sizes, spectra, even, g, medium.phase, make_table(sizes, even, albedo))
     low, high = far_suns(look)
     light = np.zeros((_GROUND_SUNS, len(g)))
@@ -289,12 +266,8 @@ def _again(
     """What a ray's single scattering lacks, [wavelengths], into ``total``.
 
     Args:
-        count: Steps of the ray.
-        sight: The ray.
-        air: The atmosphere.
         full, less: The ray, prepared in the medium and in the reduced one.
         part: Room for two spectra.
-        total: Receives it.
     """
     gather(count, sight, air.sizes, air.even, less, part[0], part[1])
     for w in range(total.size):
@@ -311,9 +284,6 @@ def _forward_again(count: int, sight: Sight, air: Air, full: Steps, out: NDArray
     """Light scattered forward twice or more, over the phase function and sunlight.
 
     Args:
-        count: Steps of the ray.
-        sight: The ray.
-        air: The atmosphere.
         full: The ray, prepared.
         out: Receives it, [wavelengths].
     """

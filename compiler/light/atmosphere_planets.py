@@ -44,7 +44,6 @@ class Medium:
     """Coefficients at the ground (of the absorber: in its densest height), by wavelength.
 
     Attributes:
-        planet: Its sizes.
         gas, aerosol: Scattering, 1/m, [wavelengths].
         aerosol_loss: Scattering and absorption of the aerosol.
         layer: Absorption of the layer.
@@ -58,6 +57,10 @@ class Medium:
     aerosol_loss: NDArray[np.float64]
     layer: NDArray[np.float64]
     phase: NDArray[np.float64]
+
+    def spectra(self) -> NDArray[np.float64]:
+        """Gas, aerosol, loss by the aerosol, absorption, as kernels take them, [4, wavelengths]."""
+        return np.stack([self.gas, self.aerosol, self.aerosol_loss, self.layer])
 
 
 #: Top: 1e-5 of the ground's density is left.
@@ -99,12 +102,7 @@ _DUST_FORWARD, _DUST_WIDE, _DUST_LOBES_NM = 0.889, 0.094, 650.0
 
 
 def earth(count: int, air: float, dust: float, ozone: float) -> Medium:
-    """Earth's atmosphere at so many wavelengths.
-
-    Args:
-        count: Number of wavelengths.
-        air, dust, ozone: Factors on the densities.
-    """
+    """Earth's atmosphere at so many wavelengths."""
     nm = wavelengths(count)
     ones = np.ones(count)
     return Medium(

@@ -2,7 +2,7 @@
 
 A ray is cut into steps whose ends have exact columns behind them (``atmosphere_columns``). Within a
 step only the sunlight's own loss is taken to be even, so that what scatters is exact however thick
-or thin the medium is, and never more than what arrives.
+or thin the medium is, and never more than what arrives. ``sizes`` are ``Planet.sizes``.
 """
 
 from __future__ import annotations
@@ -79,9 +79,6 @@ def aerosol_phase(cosine: float, phase: NDArray, k: int, sharpest: float) -> flo
     """The aerosol's phase function at wavelength ``k``, 1/sr.
 
     Args:
-        cosine: Of the scattering angle.
-        phase: ``Medium.phase``.
-        k: Index of the wavelength.
         sharpest: g is taken to be at most this; 1 for as it is.
     """
     share, g = phase[0, k], min(phase[1, k], sharpest)
@@ -102,16 +99,7 @@ def _mean_transmission(depth: float) -> float:
 
 
 @kernel
-def _climb(
-    steps: Steps,
-    first: int,
-    count: int,
-    closest: float,
-    low: float,
-    high: float,
-    shift: float,
-    down: bool,
-) -> None:
+def _climb(steps, first, count, closest, low, high, shift, down):  # type: ignore[no-untyped-def]
     """Step ends and middles of a piece of a ray between two heights, along which it only climbs.
 
     Fills ``t[first : first + count + 1]`` and ``middle[first : first + count]`` with distances from
@@ -132,24 +120,14 @@ def _climb(
 
 
 @kernel
-def prepare(
-    r0: float,
-    sine: float,
-    cosine: float,
-    ground: float,
-    sizes: NDArray,
-    spectra: NDArray,
-    out: Steps,
-) -> tuple[int, bool]:
+def prepare(r0, sine, cosine, ground, sizes, spectra, out):  # type: ignore[no-untyped-def]
     """What a ray's steps hold, whatever the direction of the sun.
 
     Args:
         r0: The observer's distance from the planet's center.
         sine, cosine: Of the ray's elevation.
         ground: Radius of the ground that ends a ray.
-        sizes: ``Planet.sizes``.
         spectra: Gas, aerosol, loss by the aerosol, absorption, [4, wavelengths].
-        out: Receives it.
 
     Returns:
         Number of steps, and whether the ray ends on the ground.
@@ -207,12 +185,7 @@ def prepare(
 
 @kernel
 def shadow(sight: Sight, radius: float) -> tuple[float, float]:
-    """Distances between which a ray is in the planet's shadow; the first above the second if never.
-
-    Args:
-        sight: The ray.
-        radius: The planet's.
-    """
+    """Distances between which a ray is in the planet's shadow; if never, the first is larger."""
     r0, sine, toward, sun_sine = sight
     # The shadow is a half cylinder: square distance from its axis below that of the planet.
     a = (1.0 - toward) * (1.0 + toward)
@@ -237,21 +210,10 @@ def shadow(sight: Sight, radius: float) -> tuple[float, float]:
 
 
 @kernel
-def gather(
-    count: int,
-    sight: Sight,
-    sizes: NDArray,
-    spectra: NDArray,
-    steps: Steps,
-    of_gas: NDArray,
-    of_aerosol: NDArray,
-) -> None:
+def gather(count, sight, sizes, spectra, steps, of_gas, of_aerosol):  # type: ignore[no-untyped-def]
     """Sums what a prepared ray's steps send to the observer under the sun.
 
     Args:
-        count: Steps of the ray.
-        sight: The ray.
-        sizes, spectra, steps: Of ``prepare``.
         of_gas, of_aerosol: Receive radiance over phase function and sunlight, [wavelengths].
     """
     r0, sine, toward, sun_sine = sight
@@ -280,3 +242,28 @@ def gather(
             sunlight = lit * elementary.exp(-depth)
             of_gas[w] += sunlight * scattered[0, k, w]
             of_aerosol[w] += sunlight * scattered[1, k, w]
+
+
+@kernel
+def angle_to_sun(sine: float, cosine: float, bearing: float, sun: NDArray) -> float:
+    """Cosine of the angle to the sun.
+
+    Args:
+        sine, cosine: Of the direction's elevation.
+        bearing: From the sun's, in half turns.
+        sun: Cosine and sine of its elevation.
+    """
+    toward = cosine * sun[0] * elementary.cos(elementary.PI * bearing) + sine * sun[1]
+    return min(max(toward, -1.0), 1.0)
+
+
+@kernel
+def cubic(x: float) -> tuple[float, float, float, float]:
+    """Weights of four values at -1, 0, 1, 2 for the point x in [0, 1], after Catmull and Rom."""
+    y = 1.0 - x
+    return (
+        -0.5 * x * y * y,
+        1.0 + x * x * (1.5 * x - 2.5),
+        1.0 + y * y * (1.5 * y - 2.5),
+        -0.5 * y * x * x,
+    )

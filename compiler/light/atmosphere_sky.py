@@ -29,9 +29,7 @@ def build_atmosphere(
     Samples that differ in the sun's bearing alone share a picture and turn it.
 
     Args:
-        plan: What was drawn for the sky.
         sun: Above the atmosphere; its color is a factor on that of sunlight.
-        samples: Number of samples.
     """
     count = atmosphere.WAVELENGTHS
     of_nodes = weights(count)

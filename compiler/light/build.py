@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,11 +11,11 @@ from numpy.typing import NDArray
 
 from scenec.compiler.cache.memo import memoized
 from scenec.compiler.light.atmosphere_sky import build_atmosphere
-from scenec.compiler.light.latlong import luminance
+from scenec.compiler.light.clear_sky import build_sky, level_sun_irradiance
+from scenec.compiler.light.latlong import horizontal_irradiance, luminance, read_picture
 from scenec.compiler.light.panorama import build_label_maps, build_panorama
-from scenec.compiler.light.sky import build_sky, level_sun_irradiance, sky_irradiance
 from scenec.compiler.scene.light_plan import AtmospherePlan, ImageSkyPlan, LightPlan
-from scenec.compiler.scene.scene import Haze, SkyLabelMaps, SkyLight, SunLight
+from scenec.compiler.scene.scene import Haze, Lamp, SkyLabelMaps, SkyLight, SunLight
 
 
 @dataclass(frozen=True)
@@ -24,7 +25,6 @@ class Light:
     Attributes:
         sun, sky, more_suns, haze, sky_label_maps: As in ``Scene``.
         irradiance: On level ground, from suns and sky, luminance, [samples], W/m^2.
-        facts: For report.json.
     """
 
     sun: SunLight | None
@@ -41,8 +41,6 @@ def build_light(plan: LightPlan, samples: int, color: bool, labels: bool) -> Lig
     """The light of a batch.
 
     Args:
-        plan: What was drawn.
-        samples: Number of samples.
         color: Whether an output shows it; without, there is none.
         labels: Whether an output shows labels; without, a panorama's are left out.
 
@@ -65,9 +63,69 @@ def build_light(plan: LightPlan, samples: int, color: bool, labels: bool) -> Lig
         sky, sun, facts["sky"] = build_atmosphere(plan.sky, sun, samples)
     elif plan.sky is not None:
         sky, facts["sky"] = build_sky(plan.sky, sun, samples), {}
-    irradiance = sky_irradiance(sky, samples)
+    irradiance = _sky_irradiance(sky, samples)
     for one in (sun, *plan.more_suns.values()):
         for i in range(samples):
             irradiance[i] += luminance(level_sun_irradiance(one, i))
     haze = plan.haze if plan.haze is not None and plan.haze.extinction.any() else None
     return Light(sun, sky, plan.more_suns, haze, label_maps, irradiance, facts)
+
+
+def _sky_irradiance(sky: SkyLight | None, samples: int) -> NDArray[np.float64]:
+    """Luminance of the sky's irradiance on level ground at every sample, [samples]."""
+    if sky is None:
+        return np.zeros(samples)
+    of_picture = {
+        name: float(luminance(horizontal_irradiance(read_picture(p) if isinstance(p, Path) else p)))
+        for name, p in sky.pictures.items()
+    }
+    return np.array([of_picture[name] for name in sky.texture]) * sky.intensity
+
+
+def without_dark(
+    light: Light, lamps: tuple[Lamp, ...]
+) -> tuple[Light, tuple[Lamp, ...], list[tuple[str, str]]]:
+    """What shines at one sample at least.
+
+    A disc that is below the horizon has no light there: nothing in a scene stands for the planet
+    that hides it, and it would shine on the edges of the terrain from below.
+
+    Returns:
+        Light and lamps, and what was left out: (what, why).
+    """
+    left_out: list[tuple[str, str]] = []
+    suns: dict[str, SunLight] = {}
+    sun = None
+    for name, disc in (("sun", light.sun), *light.more_suns.items()):
+        if disc is None:
+            continue
+        path = "light/sun" if disc is light.sun else f"light/more/{name}"
+        up = disc.elevation_deg + 0.5 * disc.diameter_deg > 0.0
+        irradiance = np.where(up, disc.irradiance, 0.0)
+        if not irradiance.any():
+            why = "below the horizon" if not up.any() else "no light"
+            left_out.append((path, f"{why} at every sample"))
+            continue
+        kept = disc if up.all() else replace(disc, irradiance=irradiance)
+        if disc is light.sun:
+            sun = kept
+        else:
+            suns[name] = kept
+    sky = light.sky
+    if sky is not None and _black(sky):
+        left_out.append(("light/sky", "black at every sample"))
+        sky = None
+    bright = []
+    for lamp in lamps:
+        if lamp.intensity.any():
+            bright.append(lamp)
+        else:
+            left_out.append((f"light/lamps/{lamp.name}", "no light at every sample"))
+    return replace(light, sun=sun, sky=sky, more_suns=suns), tuple(bright), left_out
+
+
+def _black(sky: SkyLight) -> bool:
+    """Whether it is; a picture that is copied as it is counts as bright."""
+    if not sky.intensity.any():
+        return True
+    return not any(isinstance(p, Path) or np.any(p) for p in sky.pictures.values())

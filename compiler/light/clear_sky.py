@@ -2,16 +2,54 @@
 
 from __future__ import annotations
 
+import hashlib
+
 import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.light.latlong import directions, horizontal_irradiance, luminance
+from scenec.compiler.scene.light_plan import ClearSkyPlan
+from scenec.compiler.scene.scene import SkyLight, SunLight
 from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
 
 #: Angle below the horizon over which far ground fades by 1/e into the horizon's haze.
 _HAZE_RAD = 2.0 * elementary.PI / 180.0
+
+
+def build_sky(plan: ClearSkyPlan, sun: SunLight | None, samples: int) -> SkyLight:
+    """Pictures of a clear sky, and which of them each sample shows.
+
+    They are baked with the sun at its true bearing, so none is ever turned. Samples with the same
+    picture share one file.
+    """
+    pictures: dict[str, NDArray[np.float32]] = {}
+    # By what it is made from, and by what it then is: samples may be many.
+    name_of: dict[bytes, str] = {}
+    same: dict[bytes, str] = {}
+    texture = []
+    for i in range(samples):
+        toward = sun.direction(i) if sun else (0.0, 0.0, 1.0)
+        level = level_sun_irradiance(sun, i)
+        colors = plan.zenith_color[i], plan.horizon_color[i], plan.ground_color[i]
+        numbers = (toward, [plan.irradiance[i]], *colors, level)
+        key = np.concatenate([np.asarray(one, np.float64) for one in numbers]).tobytes()
+        if key not in name_of:
+            picture = clear_sky(plan.resolution, toward, float(plan.irradiance[i]), *colors, level)
+            digest = hashlib.sha256(picture.tobytes()).digest()
+            name_of[key] = same.setdefault(digest, f"sky_{i:04d}.exr")
+            pictures[name_of[key]] = picture
+        texture.append(name_of[key])
+    return SkyLight({**pictures}, tuple(texture), np.ones(samples), np.zeros(samples))
+
+
+def level_sun_irradiance(sun: SunLight | None, sample: int) -> NDArray[np.float64]:
+    """Irradiance of the sun on level ground, linear Rec.709, W/m^2, float64 [3]."""
+    if sun is None:
+        return np.zeros(3)
+    height = max(sun.direction(sample)[2], 0.0)
+    return sun.color[sample] * (sun.irradiance[sample] * height)
 
 
 def clear_sky(
@@ -46,7 +84,8 @@ def clear_sky(
     """
     sun = np.array([to_sun[0], to_sun[1], max(to_sun[2], 0.0)])
     sun /= np.sqrt((sun * sun).sum())
-    picture = _distribution(directions(height), sun, zenith_color, horizon_color)
+    to, picture = directions(height), np.zeros((height, 2 * height, 3))
+    over_threads(_distribution_part, height // 2, to, sun, zenith_color, horizon_color, picture)
     of_sky = horizontal_irradiance(picture)
     level = float(luminance(of_sky))
     scale = irradiance / level if level > 0.0 else 0.0
@@ -62,15 +101,7 @@ def clear_sky(
 
 
 @kernel
-def _distribution_part(
-    first: int,
-    last: int,
-    to: NDArray,
-    sun: NDArray,
-    zenith: NDArray,
-    horizon: NDArray,
-    out: NDArray,
-) -> None:
+def _distribution_part(first, last, to, sun, zenith, horizon, out):  # type: ignore[no-untyped-def]
     a, b, c, d, e = -1.0, -0.32, 10.0, -3.0, 0.45
     _h, w, _ = to.shape
     at_right_angle = elementary.exp(d * elementary.PI / 2.0)
@@ -88,10 +119,3 @@ def _distribution_part(
             for k in range(3):
                 color = horizon[k] + mix * (zenith[k] - horizon[k])
                 out[j, i, k] = gradation * indicatrix * color
-
-
-def _distribution(to: NDArray, sun: NDArray, zenith: NDArray, horizon: NDArray) -> NDArray:
-    h, w, _ = to.shape
-    out = np.zeros((h, w, 3))
-    over_threads(_distribution_part, h // 2, to, sun, zenith, horizon, out)
-    return out

@@ -29,7 +29,6 @@ def earthshine_irradiance(
     Args:
         phase_deg: Between Sun and Moon, seen from the Earth: 0 is a full Earth.
         solar_irradiance: Of the Sun at the Earth, W/m^2.
-        geometric_albedo: Of the Earth.
     """
     angle = phase_deg * (elementary.PI / 180.0)
     law = elementary.sin_array(angle) + (elementary.PI - angle) * elementary.cos_array(angle)

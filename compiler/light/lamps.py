@@ -17,7 +17,7 @@ from scenec.compiler.scene.exposure import incident_exposure
 from scenec.compiler.scene.light_plan import LampPlan, RigMount, WorldMount
 from scenec.compiler.scene.plan import RigPlan
 from scenec.compiler.scene.rig import Rig, Sensor
-from scenec.compiler.scene.scene import Lamp
+from scenec.compiler.scene.scene import Lamp, SpotLight
 from scenec.schemas import stage as names
 from scenec.schemas.errors import SceneError
 
@@ -35,11 +35,6 @@ def build_lamps(
 ) -> tuple[Lamp, ...]:
     """All lamps, in the plan's order.
 
-    Args:
-        plans: What was drawn.
-        rigs: Those that carry some of them.
-        surface: The ground that others stand on.
-
     Raises:
         SceneError: A lamp is so far away that float64 does not hold it.
     """
@@ -52,25 +47,19 @@ def _lamp(plan: LampPlan, rigs: tuple[Rig, ...], surface: Surface) -> Lamp:
         carrier = next(rig for rig in rigs if rig.name == mount.rig)
         poses = [compose(pose, mount.to_rig) for pose in carrier.to_world]
     else:
-        poses = _standing(plan.mount, surface)
+        poses = _world_poses(plan.mount, surface)
     to_world = np.stack([compose(pose, _HALF_TURN) for pose in poses])
     if not np.isfinite(to_world).all():
         raise SceneError(f"light/lamps/{plan.name}: its poses overflow; use smaller numbers")
-    return Lamp(
-        name=plan.name,
-        to_world=to_world,
-        intensity=plan.intensity,
-        radius_m=plan.radius_m,
-        cone_deg=plan.cone_deg,
-        softness=plan.softness,
-    )
+    own = {field.name: getattr(plan, field.name) for field in dataclasses.fields(SpotLight)}
+    return Lamp(**own, to_world=to_world)
 
 
-def _standing(mount: WorldMount, surface: Surface) -> list[NDArray[np.float64]]:
+def _world_poses(mount: WorldMount, surface: Surface) -> list[NDArray[np.float64]]:
     """Poses of a lamp that stands in the world; it looks along +z."""
-    position = _placed(mount.position, mount.on_ground, surface)
+    position = _world_points(mount.position, mount.on_ground, surface)
     if mount.target is not None:
-        target = _placed(mount.target, mount.on_ground, surface)
+        target = _world_points(mount.target, mount.on_ground, surface)
     else:
         angle = mount.elevation_deg * (elementary.PI / 180.0)
         level, up = elementary.cos_array(angle), elementary.sin_array(angle)
@@ -85,7 +74,9 @@ def _standing(mount: WorldMount, surface: Surface) -> list[NDArray[np.float64]]:
     return [look_at(a, b, 0.0) for a, b in zip(position, target, strict=True)]
 
 
-def _placed(at: NDArray[np.float64], on_ground: bool, surface: Surface) -> NDArray[np.float64]:
+def _world_points(
+    at: NDArray[np.float64], on_ground: bool, surface: Surface
+) -> NDArray[np.float64]:
     out = at.copy()
     if on_ground:
         x, y = (np.ascontiguousarray(at[:, axis]) for axis in (0, 1))
@@ -127,10 +118,6 @@ def meter_lamps(
     a rover gets its light at a grazing angle, but rocks do not.
 
     Args:
-        rigs: With exposures for suns and sky.
-        plans: Theirs.
-        lamps: At least one.
-        surface: The ground.
         irradiance: Of suns and sky, on level ground, [s].
     """
     out = []
@@ -164,7 +151,7 @@ def _on_ground(
                 way = pose[:3, 2] + (height * part - cy) / fy * pose[:3, 1]
             else:
                 way = (rays[row] * pose[:3, :3]).sum(axis=1)
-            point = _meets(pose[:3, 3], way, surface)
+            point = _ground_hit(pose[:3, 3], way, surface)
             if point is not None:
                 out[i] = sum(lamp_irradiance(lamp, i, point) for lamp in lamps)
             if out[i] > 0.0:
@@ -172,7 +159,7 @@ def _on_ground(
     return out
 
 
-def _meets(
+def _ground_hit(
     origin: NDArray[np.float64], direction: NDArray[np.float64], surface: Surface
 ) -> NDArray[np.float64] | None:
     """Where a ray goes into the ground, but for what is finer than its grid; None: nowhere."""

@@ -127,7 +127,6 @@ def _spots(level: NDArray[np.float64], height: int) -> list[_Spot]:
 
     Args:
         level: Luminance of the rows above the horizon.
-        height: Rows of the whole picture.
     """
     width = level.shape[1]
     open_to = level.copy()
@@ -182,7 +181,6 @@ def _spot(level: NDArray[np.float64], height: int, row: int, column: int) -> _Sp
 
 
 def _wider(bright: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """With the texels beside them; columns go around."""
     across = bright | np.roll(bright, 1, axis=1) | np.roll(bright, -1, axis=1)
     wider = across.copy()
     wider[1:] |= across[:-1]
@@ -217,14 +215,12 @@ def _window(
 
 
 def _direction(height: int, width: int, row: int, column: int) -> NDArray[np.float64]:
-    direction: NDArray[np.float64] = directions_of_rows(height, width, row, row + 1)[0, column]
-    return direction
+    return directions_of_rows(height, width, row, row + 1)[0, column]
 
 
 def _quantiles(
     values: NDArray[np.float64], weight: NDArray[np.float64], at: tuple[float, ...]
 ) -> list[float]:
-    """Quantiles of weighted values."""
     order = np.argsort(values, kind="stable")
     below = np.cumsum(weight[order])
     return [
@@ -246,12 +242,11 @@ def _filled(
     height, width = picture.shape[:2]
     left = picture.copy()
     flat = left.reshape(-1, 3)
-    filling = _interpolated(
-        _of_texels(height, width, spot.index),
-        _of_texels(height, width, spot.rim),
-        flat[spot.rim].astype(np.float64),
-        _solid_angles(height, width)[spot.rim // width],
-    )
+    at, rim = (_of_texels(height, width, index) for index in (spot.index, spot.rim))
+    values, weight = flat[spot.rim].astype(np.float64), _solid_angles(height, width)
+    filling = np.zeros((len(at), 3))
+    weight = weight[spot.rim // width]
+    over_threads(_interpolated_part, len(at), at, rim, values, weight, filling)
     before = flat[spot.index].astype(np.float64)
     # A channel that the surroundings have more of is theirs: nothing negative is taken out.
     flat[spot.index] = np.minimum(filling, before).astype(np.float32)
@@ -275,15 +270,8 @@ def _of_texels(height: int, width: int, index: NDArray[np.int64]) -> NDArray[np.
 
 
 @kernel
-def _interpolated_part(
-    first: int,
-    last: int,
-    at: NDArray,
-    points: NDArray,
-    values: NDArray,
-    weight: NDArray,
-    out: NDArray,
-) -> None:
+def _interpolated_part(first, last, at, points, values, weight, out):  # type: ignore[no-untyped-def]
+    """Means of values at points, by weight / distance^2, at other points."""
     for i in range(first, last):
         total = 0.0
         for j in range(len(points)):
@@ -296,13 +284,6 @@ def _interpolated_part(
                 out[i, k] += share * values[j, k]
         for k in range(3):
             out[i, k] /= total
-
-
-def _interpolated(at: NDArray, points: NDArray, values: NDArray, weight: NDArray) -> NDArray:
-    """Mean of values at points, by weight / distance^2, at other points."""
-    out = np.zeros((len(at), 3))
-    over_threads(_interpolated_part, len(at), at, points, values, weight, out)
-    return out
 
 
 def _sun(

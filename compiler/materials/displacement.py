@@ -20,8 +20,7 @@ from scenec.compiler.materials.heights import relief_of, stamp
 from scenec.compiler.materials.periodic import Plane, moments
 from scenec.compiler.materials.resample import box
 from scenec.compiler.materials.surface import Surface
-from scenec.compiler.scene.scene import Cells, MaterialMaps
-from scenec.compiler.scene.sources import Sources
+from scenec.compiler.scene.scene import Cells, MaterialMaps, Sources
 from scenec.compiler.terrain.detail import Spectrum
 from scenec.schemas.cells import SIDE, STEPS, table
 from scenec.schemas.kernels import inlined, kernel

@@ -62,14 +62,7 @@ class Bodies(NamedTuple):
 
     def some(self, which: NDArray[np.int64] | slice) -> Bodies:
         """Some of them."""
-        return self._replace(
-            prototype=self.prototype[which],
-            x=self.x[which],
-            y=self.y[which],
-            orientations=self.orientations[which],
-            size=self.size[which],
-            embed=self.embed[which],
-        )
+        return Bodies._make([self.points, self.offsets, *(each[which] for each in self[2:])])
 
 
 class Touching(NamedTuple):

@@ -11,11 +11,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.compiler.assets.model import cached_model
 from scenec.compiler.cache.memo import memoized
-from scenec.compiler.objects.lod import Levels, budget_factor, choose_levels, finest, see_levels
-from scenec.compiler.objects.placed import place_objects
-from scenec.compiler.objects.poses import PlacedPlan
-from scenec.compiler.objects.prototypes import Looks, ModelPlan, build_prototype, load_model
+from scenec.compiler.objects.lod import Levels, budget_factor, choose_levels, see_levels
+from scenec.compiler.objects.placed import PlacedPlan, place_objects
+from scenec.compiler.objects.prototypes import Looks, ModelPlan, build_prototype
 from scenec.compiler.objects.rocks import Chain, build_chains
 from scenec.compiler.objects.scatter import scatter
 from scenec.compiler.objects.surroundings import Surroundings, footprints
@@ -30,7 +30,6 @@ class Built(NamedTuple):
     """The objects of a batch, in the plans' order.
 
     Attributes:
-        objects: Where they are.
         facts: For report.json: of each class, and of the budget, if there is one.
     """
 
@@ -55,11 +54,8 @@ def build_objects(
     """The objects, in the plans' order; each class sees those before it.
 
     Args:
-        plans: What was drawn.
         around: Ground and cameras; receives what is laid.
-        views: The cameras.
         unseen: Part that a pixel counts where no view shows an instance.
-        times: Of the samples, seconds.
         looks: Receives the materials of models; None where no color is asked for.
         max_triangles: Most triangles of all objects together, or None.
         timed: Measures how long a class takes, in a ``with`` block.
@@ -82,8 +78,8 @@ def build_objects(
             else:
                 chains = _chains(plan, looks, own)
                 # All that a class can see of others is what its plan names.
-                near = around.only(_named(plan))
-                levels, facts_of_it = _stood(_bare(plan), chains, near, views, unseen)
+                near = around.only(_strings_in(plan))
+                levels, facts_of_it = _scattered(_without_files(plan), chains, near, views, unseen)
                 own |= facts_of_it
                 found.append(levels)
                 around.objects[plan.name] = footprints(levels.scatter)
@@ -105,19 +101,18 @@ def build_objects(
     return Built(tuple(objects), told)
 
 
-def _stood(
+def _scattered(
     plan: ScatterPlan, chains: tuple[Chain, ...], around: Surroundings, views: Views, unseen: float
 ) -> tuple[Levels, dict[str, Any]]:
     """A class where it stands, and what is told of it."""
-    levels, facts = _laid(plan, chains, around, views, unseen)
+    levels, facts = _scattered_bare(plan, chains, around, views, unseen)
     meshes = tuple(mesh for chain in chains for mesh in chain)
-    return replace(
-        levels, scatter=replace(levels.scatter, prototypes=finest(chains)), meshes=meshes
-    ), facts
+    finest = tuple(chain[0] for chain in chains)
+    return replace(levels, scatter=replace(levels.scatter, prototypes=finest), meshes=meshes), facts
 
 
 @memoized("objects", lambda plan, **_: plan.name)
-def _laid(
+def _scattered_bare(
     plan: ScatterPlan, chains: tuple[Chain, ...], around: Surroundings, views: Views, unseen: float
 ) -> tuple[Levels, dict[str, Any]]:
     """The same without its meshes, which the chains hold."""
@@ -127,17 +122,17 @@ def _laid(
     return replace(levels, scatter=replace(laid, prototypes=()), meshes=()), facts
 
 
-def _bare(plan: ScatterPlan) -> ScatterPlan:
+def _without_files(plan: ScatterPlan) -> ScatterPlan:
     """A plan without the files of its models, which are read by now."""
     if not isinstance(plan.source, ModelSource):
         return plan
     return replace(plan, source=replace(plan.source, models=(), rules=()))
 
 
-def _named(plan: ScatterPlan) -> set[str]:
+def _strings_in(plan: ScatterPlan) -> set[str]:
     """All strings in what a plan says of its surroundings: names of classes are among them."""
     found: set[str] = set()
-    left: list[Any] = [plan.density, plan.where, plan.apart]
+    left: list[Any] = [plan.density, plan.where, plan.spacing]
     while left:
         part = left.pop()
         if isinstance(part, str):
@@ -152,7 +147,6 @@ def _named(plan: ScatterPlan) -> set[str]:
 
 
 def _chains(plan: ScatterPlan, looks: Looks | None, facts: dict[str, Any]) -> tuple[Chain, ...]:
-    """The levels of each of a class's prototypes."""
     if isinstance(plan.source, ModelSource):
         return tuple((model,) for model in _prototypes(plan, plan.source, looks, facts))
     # A tolerance of 0 asks for the finest level only.
@@ -169,20 +163,9 @@ def _prototypes(
     found = []
     notes: list[str] = []
     for index, model in enumerate(source.models):
-        loaded = load_model(model)
+        loaded = cached_model(model.file, model.unit_m, model.up, model.part)
         notes.extend(f"{model.file.name}: {note}" for note in loaded.notes)
-        found.append(
-            build_prototype(
-                plan.name,
-                _prim_name(index, model),
-                loaded,
-                source.rules,
-                plan.material,
-                plan.labels,
-                source.variation,
-                looks,
-            )
-        )
+        found.append(build_prototype(plan, source, _prim_name(index, model), loaded, looks))
     if notes:
         facts["left_out"] = list(dict.fromkeys(notes))
     return tuple(found)
@@ -194,7 +177,6 @@ def _prim_name(index: int, model: ModelPlan) -> str:
 
 
 def _report(placed: Placed) -> dict[str, Any]:
-    """Of single objects, for report.json."""
     triangles = np.array([len(p.faces) for p in placed.prototypes], np.int64)
     return {
         "count": placed.count,

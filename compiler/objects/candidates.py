@@ -131,7 +131,6 @@ def numbers(
 
     Args:
         u: What was drawn, float64 [n, 3].
-        key: Of the hash.
         instances, attempts: Which, int64 [m].
     """
     return _numbers(u, subkeys(np.uint64(key), 3), instances, attempts)

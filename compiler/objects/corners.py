@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
-from scenec.compiler.geometry.normals import faces_of_vertices
+from scenec.compiler.geometry.normals import face_normals, faces_of_vertices
 from scenec.schemas.kernels import kernel
 
 
@@ -31,20 +31,6 @@ def corner_normals(
     limit = elementary.cos(min(max(crease_deg, 0.0), 180.0) * elementary.PI / 180.0)
     # Flat faces' normals agree up to rounding.
     return _corner_normals(normals, faces, start, around, limit - 1e-6)
-
-
-def face_normals(points: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.float64]:
-    """Normals of faces, twice their areas long: float64 [m, 3]."""
-    a, b, c = (points[faces[:, k]] for k in range(3))
-    u, v = b - a, c - a
-    return np.stack(
-        [
-            u[:, 1] * v[:, 2] - u[:, 2] * v[:, 1],
-            u[:, 2] * v[:, 0] - u[:, 0] * v[:, 2],
-            u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0],
-        ],
-        axis=1,
-    )
 
 
 def split(

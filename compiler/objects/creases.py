@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.geometry.icosphere import EDGE, icosphere, vertex_faces
+from scenec.compiler.geometry.icosphere import EDGE, icosphere
+from scenec.compiler.geometry.normals import faces_of_vertices
 from scenec.schemas.kernels import kernel
 
 #: Directions this near to a crease are moved, in steps of the mesh.
@@ -24,7 +25,6 @@ def along_creases(
     turn it over: the triangles go on covering the sphere once.
 
     Args:
-        subdivisions: Of the icosphere.
         normals, distances: Of the planes, float64 [p, 3] and [p].
 
     Returns:
@@ -34,14 +34,8 @@ def along_creases(
     if not len(distances):
         return directions
     moved = directions.copy()
-    _move(
-        moved,
-        faces,
-        *vertex_faces(subdivisions),
-        normals,
-        distances,
-        _REACH * EDGE / 2**subdivisions,
-    )
+    around = faces_of_vertices(len(directions), faces)
+    _move(moved, faces, *around, normals, distances, _REACH * EDGE / 2**subdivisions)
     return moved
 
 

@@ -69,9 +69,7 @@ class NoiseDensity(Everywhere):
     """Clusters: density = max(0, 1 + contrast * fBm)^2.
 
     Attributes:
-        key: Noise key.
         scale_m: Size of the clusters, meters.
-        octaves: Of the noise.
         contrast: 0 is uniform; from about 1 on there are empty places.
     """
 
@@ -92,10 +90,7 @@ class WorleyDensity(Everywhere):
     """Heaps about points, (1 - F1)^sharpness, or lines between cells, (1 - (F2 - F1))^sharpness.
 
     Attributes:
-        key: Noise key.
         scale_m: Width of a cell, meters.
-        distance: Which of the two.
-        sharpness: Exponent.
         jitter: How far the points are from a square lattice, 0 to 1.
     """
 
@@ -295,7 +290,6 @@ class AroundDensity(Density):
     """Around other objects: 1 beside each, falling to 0 at the reach, (1 - s / reach)^2.
 
     Attributes:
-        of: Their class.
         reach: In radii of the object, from the circle around it.
         inside: Where it begins, in radii from the middle.
         min_size_m: Objects of a smaller diameter have none.

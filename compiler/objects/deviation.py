@@ -41,7 +41,6 @@ def deviation(
 
     Args:
         fine, coarse: Vertices, float64 [n, 3], of icospheres' meshes.
-        fine_subdivisions, coarse_subdivisions: Of these.
         middle: What both are star-shaped about, [3].
     """
     a, b = (

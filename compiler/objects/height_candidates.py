@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from scenec.compiler.objects.candidates import Candidates
 from scenec.compiler.objects.conditions import PlacementCondition
@@ -24,26 +25,14 @@ def candidates_on(
 ) -> Candidates:
     """Where objects of a density lie on heights: it is taken as constant over each cell.
 
-    Args:
-        field: The terrain.
-        density: Relative density.
-        where: What it is multiplied with.
-        around: What it may depend on.
-        name: Object class, for messages.
-
     Raises:
         SceneError: It is zero everywhere.
     """
     if isinstance(density, UniformDensity) and not where:
         return Candidates(Lattice.over(field.grid), np.zeros(0), np.zeros((0, 3, 2)), 1.0)
     lattice = lattice_of(field, density, where, around)
-    dense = density.on(lattice, around)
-    whole = float(dense.sum())
-    for place in where:
-        dense = dense * place.weight(lattice, around)
-    cumulative = np.cumsum(dense.ravel())
-    require_somewhere(whole, float(cumulative[-1]), name)
-    share = 1.0 if not where else float(dense.sum()) / whole
+    weights = (place.weight(lattice, around) for place in where)
+    cumulative, share = weighed(density.on(lattice, around), weights, name)
     return Candidates(lattice, cumulative, np.zeros((0, 3, 2)), share)
 
 
@@ -55,21 +44,28 @@ def lattice_of(
     return Lattice.over(field.grid, min((f for f in finest if f is not None), default=None))
 
 
-def require_somewhere(whole: float, left: float, name: str) -> None:
-    """Refuses a density that is zero everywhere.
+def weighed(
+    dense: NDArray[np.float64], weights: Iterable[NDArray[np.float64]], name: str
+) -> tuple[NDArray[np.float64], float]:
+    """Running sum of densities times weights, and the share that the weights leave of all.
 
     Raises:
-        SceneError: It is.
+        SceneError: They are zero everywhere, or overflow.
     """
+    whole, left = float(dense.sum()), dense
+    for weight in weights:
+        left = left * weight
+    cumulative = np.cumsum(left.ravel())
     if not whole > 0.0:
         raise SceneError(
             f"objects/{name}: its density is zero everywhere; lower its contrast, widen it, "
             "or give it a background"
         )
-    if not np.isfinite(left):
+    if not np.isfinite(cumulative[-1]):
         raise SceneError(f"objects/{name}: its density overflows; use smaller numbers")
-    if not left > 0.0:
+    if not cumulative[-1] > 0.0:
         raise SceneError(
             f"objects/{name}: nowhere on the terrain do density and where both allow anything; "
             "widen the bounds"
         )
+    return cumulative, 1.0 if left is dense else float(left.sum()) / whole

@@ -54,7 +54,6 @@ class Lattice:
         """The grid's cells, each split evenly where something finer than them is to be shown.
 
         Args:
-            grid: Of the relief.
             finest_m: The width that a cell should have at most; there are ``MOST_CELLS``, though.
         """
         ny, nx = grid.shape[0] - 1, grid.shape[1] - 1
@@ -114,11 +113,9 @@ def splat(
     """The sum of weight * f(distance / radius) over centers: float64 [ny, nx].
 
     Args:
-        lattice: Where.
         centers: Where, and what distances are divided by.
         weight: Of each, float64 [n].
         values: f at ``table(reach)``, 0 beyond; linear in between.
-        reach: Where f ends.
     """
     out = np.zeros(lattice.shape)
     strips = -(-lattice.y.size // _ROWS)
@@ -165,8 +162,6 @@ def nearest(lattice: Lattice, circles: Circles, reach_m: float) -> NDArray[np.fl
     Below 0 within a circle, by how far it is to its border; ``reach_m`` where it is farther.
 
     Args:
-        lattice: Where.
-        circles: From which.
         reach_m: Distances beyond it are not told apart.
     """
     out = np.full(lattice.shape, reach_m)

@@ -76,10 +76,8 @@ def see_levels(
 
     Args:
         scatter: Instances of the finest levels.
-        chains: The levels of each of its prototypes.
         views: The cameras; what hides behind the ground counts as seen, for a rock stands over it.
         unseen: Part that a pixel counts where no view shows the instance.
-        tolerance_px: Largest error asked for; 0 keeps the finest level everywhere.
     """
     lengths = np.array([len(chain) for chain in chains], np.int64)
     first = np.cumsum(lengths) - lengths
@@ -112,7 +110,6 @@ def budget_factor(classes: Sequence[Levels], max_triangles: int, others: int = 0
     Args:
         classes: All that counts; those whose tolerance is 0 keep their finest levels.
         max_triangles: Most triangles of all instances together, each counted.
-        others: Triangles beside them that have no levels.
 
     Returns:
         The least factor; None where nothing has to be coarser than asked.
@@ -155,10 +152,6 @@ def choose_levels(levels: Levels, factor: float | None = None) -> tuple[Scatter,
     Only the shape changes: places, ids and all else stay, and so does the order of instances.
     Meshes that no instance has are dropped.
 
-    Args:
-        levels: Of one class.
-        factor: See ``budget_factor``.
-
     Returns:
         The scatter with the levels in use, and what was done, for report.json.
     """
@@ -192,8 +185,3 @@ def choose_levels(levels: Levels, factor: float | None = None) -> tuple[Scatter,
         ),
         facts,
     )
-
-
-def finest(chains: Sequence[Chain]) -> tuple[Prototype, ...]:
-    """The finest level of each chain."""
-    return tuple(chain[0] for chain in chains)

@@ -11,11 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.compiler.geometry.normals import face_normals
 from scenec.compiler.objects.candidates import Candidates
 from scenec.compiler.objects.conditions import PlacementCondition
-from scenec.compiler.objects.corners import face_normals
 from scenec.compiler.objects.density import Density, Everywhere
-from scenec.compiler.objects.height_candidates import lattice_of, require_somewhere
+from scenec.compiler.objects.height_candidates import lattice_of, weighed
 from scenec.compiler.objects.surroundings import Surroundings
 from scenec.compiler.terrain.sources.mesh_surface import MeshSurface
 from scenec.schemas.errors import SceneError
@@ -57,13 +57,6 @@ class MeshCandidates:
     ):
         """Weighs the faces.
 
-        Args:
-            surface: The terrain.
-            density: Relative density.
-            where: What it is multiplied with.
-            around: What it may depend on.
-            name: Object class, for messages.
-
         Raises:
             SceneError: The density is zero everywhere, or no face can carry anything.
         """
@@ -90,12 +83,8 @@ class MeshCandidates:
             dense = dense * density.at(x, y)
         else:
             dense = dense * density.on(lattice, around).ravel()[cells]
-        whole = float(dense.sum())
-        for place in where:
-            dense = dense * place.weight(lattice, around).ravel()[cells]
-        cumulative = np.cumsum(dense)
-        require_somewhere(whole, float(cumulative[-1]), name)
-        share = 1.0 if not where else float(dense.sum()) / whole
+        weights = (place.weight(lattice, around).ravel()[cells] for place in where)
+        cumulative, share = weighed(dense, weights, name)
         #: As points in plan.
         self.candidates: Candidates = Candidates(
             lattice, cumulative, np.ascontiguousarray(corners[faces, :, :2]), share

@@ -59,8 +59,6 @@ def seat_on_mesh(surface: MeshSurface, spots: Spots, bodies: Bodies) -> NDArray[
     nearest to the spot's height counts.
 
     Args:
-        surface: The terrain.
-        spots: As placed.
         bodies: What is seated there; their places are as the stage has them.
 
     Returns:

@@ -41,14 +41,6 @@ class Placement:
         around: Surroundings,
         mesh: MeshCandidates | None,
     ):
-        """No instance is placed yet.
-
-        Args:
-            plan: The class.
-            prototypes: What is seated.
-            around: The ground.
-            mesh: The places, where the ground is a mesh.
-        """
         self._plan, self._prototypes, self._mesh = plan, prototypes, mesh
         self._around = around
         self._radius = np.array([p.radius for p in prototypes], np.float64)
@@ -146,8 +138,7 @@ class Placement:
 
     def _radii(self, which: NDArray[np.int64]) -> NDArray[np.float64]:
         size = self._plan.scale[which].astype(np.float32).astype(np.float64)
-        found: NDArray[np.float64] = self._radius[self._plan.prototype[which]] * size
-        return found
+        return self._radius[self._plan.prototype[which]] * size
 
     def positions(self, which: NDArray[np.int64]) -> NDArray[np.float32]:
         """Of some instances, float32 [m, 3]."""
@@ -183,10 +174,7 @@ def seating_report(
     triangles, whose finer detail they follow only as a whole.
 
     Args:
-        scatter: The instances.
         embed: What was asked for, float64 [n].
-        placement: As which they were put.
-        which: The instances there.
     """
     n = scatter.count
     surface = placement.surface
@@ -231,5 +219,4 @@ def _gaps(surface: Surface, bodies: Bodies, origin_z: NDArray[np.float64]) -> ND
     z += np.repeat(origin_z, np.diff(starts, append=len(z)))
     above = np.minimum.reduceat(z - surface.height_at(x, y), starts)
     tall = np.maximum.reduceat(z, starts) - np.minimum.reduceat(z, starts)
-    gaps: NDArray[np.float64] = above + bodies.embed * tall
-    return gaps
+    return above + bodies.embed * tall

@@ -5,18 +5,21 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.assets.cache import cached_model
 from scenec.compiler.assets.looks import ModelMaterial
 from scenec.compiler.assets.model import Model
 from scenec.compiler.assets.parts import is_of
 from scenec.compiler.objects.corners import corner_normals, split
 from scenec.compiler.scene.scene import Labels, Material, MaterialMaps, MeshPart, Prototype
 from scenec.schemas.errors import SceneError
+
+if TYPE_CHECKING:
+    from scenec.compiler.objects.placed import PlacedPlan
+    from scenec.compiler.scene.plan import ModelSource, ScatterPlan
 
 #: Faces that meet at a larger angle have an edge between them, where a file gives no normals.
 CREASE_DEG = 40.0
@@ -42,7 +45,6 @@ class ModelPlan:
     """One model of a class.
 
     Attributes:
-        file: The file.
         unit_m, up, part: See ``assets.model.read_model``.
     """
 
@@ -54,11 +56,7 @@ class ModelPlan:
 
 @dataclass
 class Looks:
-    """Materials of the scene: those of the cfg, and those that come with models.
-
-    Attributes:
-        materials: By name.
-    """
+    """Materials of the scene: those of the cfg, and those that come with models."""
 
     materials: dict[str, Material]
     _made: list[tuple[str, str]] = field(default_factory=list)
@@ -78,41 +76,26 @@ class Looks:
         return name
 
 
-def load_model(plan: ModelPlan) -> Model:
-    """The model of a plan; read once for all batches.
-
-    Raises:
-        SceneError: It cannot be read.
-    """
-    return cached_model(plan.file, plan.unit_m, plan.up, plan.part)
-
-
 def build_prototype(
-    owner: str,
+    plan: ScatterPlan | PlacedPlan,
+    source: ModelSource | PlacedPlan,
     name: str,
     model: Model,
-    rules: tuple[PartRule, ...],
-    material: str | None,
-    labels: Labels,
-    variation: float,
     looks: Looks | None,
 ) -> Prototype:
     """A model as a prototype, in meters, about the file's origin.
 
     Args:
-        owner: Name of the class.
-        name: Prim name.
-        model: The model.
-        rules: For its parts; of several that fit, the last counts.
-        material: The cfg's material for all that no rule gives one; None: the file's own.
-        labels: Of the class.
-        variation: How much the file's own materials vary from instance to instance.
+        plan: Of the class; its material is that of all that no rule gives one, None the file's own.
+        source: Rules for parts, of which the last that fits counts; how materials vary.
+        name: Of the prim.
+        model: What is made into one.
         looks: Receives the file's materials that are used; None where no color is asked for.
 
     Raises:
         SceneError: It cannot be held in float32.
     """
-    rule_of_face = _rules_of_faces(model, rules)
+    rule_of_face = _rules_of_faces(model, source.rules)
     corners = model.normals
     if corners is None:
         corners = corner_normals(model.points, model.faces, CREASE_DEG).astype(np.float32)
@@ -121,7 +104,7 @@ def build_prototype(
     squares = (points.astype(np.float64) * points).sum(axis=1)
     radius = float(np.sqrt(squares.max()))
     if not np.isfinite(radius):
-        raise SceneError(f"objects/{owner}: {name} is too large for float32")
+        raise SceneError(f"objects/{plan.name}: {name} is too large for float32")
     return Prototype(
         name=name,
         points=points,
@@ -131,7 +114,7 @@ def build_prototype(
         # Of the numbers' rounding, too.
         radius=radius * (1.0 + 1e-6),
         uv=model.uv if looks is not None else None,
-        parts=_parts(owner, model, rule_of_face, rules, material, labels, variation, looks),
+        parts=_parts(plan, source, model, rule_of_face, looks),
     )
 
 
@@ -146,31 +129,31 @@ def _rules_of_faces(model: Model, rules: tuple[PartRule, ...]) -> NDArray[np.int
 
 
 def _parts(
-    owner: str,
+    plan: ScatterPlan | PlacedPlan,
+    source: ModelSource | PlacedPlan,
     model: Model,
     rule_of_face: NDArray[np.int64],
-    rules: tuple[PartRule, ...],
-    material: str | None,
-    labels: Labels,
-    variation: float,
     looks: Looks | None,
 ) -> tuple[MeshPart, ...]:
     """Runs of faces of the same material and labels, in order of their first faces."""
-    own_material = np.full(len(model.faces), -1) if material is not None else model.material_of_face
+    own_material = model.material_of_face
+    if plan.material is not None:
+        own_material = np.full(len(model.faces), -1, np.int32)
     key = (rule_of_face + 1) * (len(model.materials) + 1) + own_material + 1
     _, first, of_face = np.unique(key, return_index=True, return_inverse=True)
     found: dict[tuple[str | None, tuple[tuple[str, int], ...] | None], list[NDArray[np.int64]]] = {}
     wanted: dict[tuple[str | None, Any], str] = {}
     for index in np.argsort(first, kind="stable"):
         face = int(first[index])
-        rule = rules[rule_of_face[face]] if rule_of_face[face] >= 0 else None
+        rule = source.rules[rule_of_face[face]] if rule_of_face[face] >= 0 else None
         look = rule.material if rule is not None and looks is not None else None
         title = rule.name if rule is not None else ""
         if look is None and looks is not None and own_material[face] >= 0:
             made = model.materials[own_material[face]]
-            look = looks.add(owner, made.name, as_material(made, variation, model.uv is not None))
+            material = as_material(made, source.variation, model.uv is not None)
+            look = looks.add(plan.name, made.name, material)
             title = title or made.name
-        own = {**labels, **rule.labels} if rule is not None and rule.labels else None
+        own = {**plan.labels, **rule.labels} if rule is not None and rule.labels else None
         part = (look, None if own is None else tuple(sorted(own.items())))
         found.setdefault(part, []).append(np.flatnonzero(of_face == index))
         wanted.setdefault(part, title)

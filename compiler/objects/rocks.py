@@ -80,7 +80,6 @@ class _Rock:
         return directions * radius[:, None], variation
 
     def finest(self, name: str) -> Prototype:
-        """Its finest mesh."""
         return _mesh(name, self._shape.subdivisions, self._finest, self._variation)
 
     def level(self, subdivisions: int, name: str) -> Prototype:

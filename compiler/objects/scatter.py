@@ -13,13 +13,12 @@ from scenec.compiler.geometry.rotations import turned
 from scenec.compiler.geometry.voxels import Cubes
 from scenec.compiler.objects.candidates import Candidates, numbers
 from scenec.compiler.objects.height_candidates import candidates_on
-from scenec.compiler.objects.lod import finest
 from scenec.compiler.objects.mesh_candidates import MeshCandidates
 from scenec.compiler.objects.placement import Placement, seating_report
 from scenec.compiler.objects.rocks import Chain
 from scenec.compiler.objects.spacing import MOST_TRIES, Disks
 from scenec.compiler.objects.surroundings import Surroundings
-from scenec.compiler.scene.plan import Apart, Count, ScatterPlan
+from scenec.compiler.scene.plan import Count, ScatterPlan, Spacing
 from scenec.compiler.scene.scene import Prototype, Scatter
 from scenec.compiler.terrain.sources.mesh_surface import MeshSurface
 from scenec.schemas.errors import SceneError
@@ -32,12 +31,11 @@ def scatter(
 ) -> Scatter:
     """The instances of one class, all at their finest level.
 
-    Each takes the first of its candidate places that keeps what the plan asks: the distances in
-    plan (``apart``), then the clearance of cameras once it is seated. Candidates are distributed by
-    density, so what is kept shows in it only where something is in the way.
+    Each takes the first of its candidate places that keeps what the plan asks: the ``spacing`` in
+    plan, then the clearance of cameras once it is seated. Candidates are distributed by density, so
+    what is kept shows in it only where something is in the way.
 
     Args:
-        plan: The class.
         chains: The levels of each prototype; seated is the finest, so that none moves with another.
         around: Ground, cameras, and the classes placed before.
         facts: Receives what was done, for report.json.
@@ -45,43 +43,23 @@ def scatter(
     Raises:
         SceneError: The density is zero everywhere, or there is no place for all.
     """
-    prototypes = finest(chains)
-    candidates, mesh = _candidates(plan, around)
-    n = _count(plan.count, candidates, around)
-    u = plan.position_u[:n]
-    radius = np.array([p.radius for p in prototypes], np.float64)[plan.prototype[:n]]
-    radius = radius * plan.scale[:n].astype(np.float32).astype(np.float64)
-    seated = prototypes if plan.source.touch else tuple(stem(p) for p in prototypes)
-    placement = Placement(plan, seated, around, mesh)
-    tries = np.zeros(n, np.int64)
-    spacing = None
-    if plan.apart is not None and candidates is not None:
-        spacing = _Spacing(plan, plan.apart, radius, candidates, u, around)
-        tries = spacing.tries(tries)
-    reach = radius if spacing is None else spacing.reach
-    placed = np.flatnonzero(tries >= 0)
-    if candidates is not None:
-        at = _numbers_of(plan, u, placed, tries[placed])
-        placement.place(placed, at, *candidates.at(at)[:2])
-    _require_all(plan, n, len(placed), "keep apart from each other", reach, candidates, around)
-    apart_lost = n - len(placed)
-    moved = np.zeros(0, np.int64)
-    if candidates is not None and len(around.cameras):
-        moved, tries = _clear(
-            plan, prototypes, placement, spacing, radius, candidates, u, tries, around.cameras
-        )
-    kept = np.flatnonzero(tries >= 0)
-    _require_all(
-        plan, n, len(kept) + apart_lost, _clear_of(plan.clearance_m),
-        reach, candidates, around,
-    )  # fmt: skip
+    work = _Scattering(plan, tuple(chain[0] for chain in chains), around)
+    n, placement = work.n, work.placement
+    work.place_all()
+    without_room = int((work.tries < 0).sum())
+    work.require_all(n - without_room, "keep apart from each other")
+    moved = work.clear_cameras()
+    kept = np.flatnonzero(work.tries >= 0)
+    clearance = f"keep {plan.clearance_m:g} m from every camera"
+    inside = "have no camera inside of them"
+    work.require_all(len(kept) + without_room, clearance if plan.clearance_m > 0.0 else inside)
     facts.update(
         {
             "count": len(kept),
             "float32_error_max_m": placement.rounding_m(kept),
             **({"asked_for": n} if len(kept) < n else {}),
             **({"moved_off_cameras": len(moved)} if len(moved) else {}),
-            **({"tries_max": int(tries.max()) + 1} if spacing is not None and n else {}),
+            **({"tries_max": int(work.tries.max()) + 1} if work.spacing is not None and n else {}),
         }
     )
     instances = Scatter(
@@ -89,7 +67,7 @@ def scatter(
         material=plan.material,
         labels=plan.labels,
         instances=plan.instances,
-        prototypes=prototypes,
+        prototypes=work.prototypes,
         prototype=plan.prototype[kept],
         positions=placement.positions(kept),
         orientations=placement.orientations[kept],
@@ -98,12 +76,12 @@ def scatter(
         ids=kept + 1,
         drawn=n,
     )
-    as_seated = replace(instances, prototypes=seated)
+    as_seated = replace(instances, prototypes=work.seated)
     facts.update(seating_report(as_seated, plan.embed[kept], placement, kept))
     return instances
 
 
-def stem(prototype: Prototype) -> Prototype:
+def _stem(prototype: Prototype) -> Prototype:
     """What stands on the ground where the origin does: that point, and how high the model is."""
     height = max(float(prototype.points[:, 2].max()), 0.0)
     points = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, height]], np.float32)
@@ -137,140 +115,135 @@ def _count(count: Count, candidates: Candidates | None, around: Surroundings) ->
     return int(count.per_m2 * size[0] * size[1] * min(candidates.share, 1.0) + count.rounding_u)
 
 
-def _numbers_of(
-    plan: ScatterPlan, u: NDArray[np.float64], which: NDArray[np.int64], tries: NDArray[np.int64]
-) -> NDArray[np.float64]:
-    if not tries.any() and len(which) == len(u):
-        return u
-    return numbers(u, plan.place_key, which, tries)
+class _Scattering:
+    """The instances of a class on their way to their places.
 
-
-class _Spacing:
-    """Puts a class' disks among those that are there before."""
+    Attributes:
+        n: How many are asked for.
+        seated: What of each prototype is held against the ground.
+        spacing: What is kept in plan, or None.
+        tries: The candidate that each takes, -1 where there is no place, int64 [n].
+    """
 
     def __init__(
-        self,
-        plan: ScatterPlan,
-        apart: Apart,
-        radius: NDArray[np.float64],
-        candidates: Candidates,
-        u: NDArray[np.float64],
-        around: Surroundings,
-    ):
-        """Takes the plan's distances; ``radius`` is that of the balls, float64 [n]."""
-        self._plan, self._apart, self._candidates, self._u = plan, apart, candidates, u
-        self._others = list(around.among(apart.of))
-        #: Radius of each circle, half of the gap included, float64 [n].
-        self.reach: NDArray[np.float64] = apart.radius * radius + 0.5 * apart.gap_m
-        self._order = np.argsort(-self.reach, kind="stable")
+        self, plan: ScatterPlan, prototypes: tuple[Prototype, ...], around: Surroundings
+    ) -> None:
+        self.plan, self.prototypes, self._around = plan, prototypes, around
+        self._candidates, mesh = _candidates(plan, around)
+        self.n = n = _count(plan.count, self._candidates, around)
+        self._u = plan.position_u[:n]
+        radius = np.array([p.radius for p in prototypes], np.float64)[plan.prototype[:n]]
+        self._radius = radius * plan.scale[:n].astype(np.float32).astype(np.float64)
+        self.seated = prototypes if plan.source.touch else tuple(map(_stem, prototypes))
+        self.placement = Placement(plan, self.seated, around, mesh)
+        self.tries: NDArray[np.int64] = np.zeros(n, np.int64)
+        #: Radius of each circle in plan, half of the gap included, float64 [n].
+        self._reach = self._radius
+        self.spacing = None if self._candidates is None else plan.spacing
+        if self.spacing is not None:
+            self._reach = self.spacing.radius * self._radius + 0.5 * self.spacing.gap_m
 
-    def tries(self, first: NDArray[np.int64]) -> NDArray[np.int64]:
+    def place_all(self) -> None:
+        """Gives each the first candidate that keeps its distance in plan."""
+        if self.spacing is not None:
+            self.tries = self._packed(self.spacing, self.tries)
+        self._place(np.flatnonzero(self.tries >= 0))
+
+    def _place(self, which: NDArray[np.int64]) -> None:
+        if self._candidates is None:
+            return
+        at, tries = self._u, self.tries[which]
+        if tries.any() or len(which) < len(at):
+            at = numbers(at, self.plan.place_key, which, tries)
+        self.placement.place(which, at, *self._candidates.at(at)[:2])
+
+    def _packed(self, spacing: Spacing, first: NDArray[np.int64]) -> NDArray[np.int64]:
         """The try that each takes, none before its first; -1 where there is no place."""
-        apart = self._apart
-        disks = Disks(len(first) + sum(len(other.x) for other in self._others))
-        for other in self._others:
-            disks.add(other.x, other.y, apart.radius * other.radius + 0.5 * apart.gap_m)
+        assert self._candidates is not None
+        laid = self._around.objects
+        others = [laid[name] for name in spacing.of if name in laid]
+        disks = Disks(len(first) + sum(len(other.x) for other in others))
+        for other in others:
+            disks.add(other.x, other.y, spacing.radius * other.radius + 0.5 * spacing.gap_m)
+        order = np.argsort(-self._reach, kind="stable")
+        own, key = self.plan.name in spacing.of, self.plan.place_key
         tries = np.empty(len(first), np.int64)
-        tries[self._order] = disks.scatter(
-            self._candidates,
-            self._u,
-            self._plan.place_key,
-            self._order,
-            self.reach,
-            first,
-            self._plan.name in apart.of,
-        )
+        tries[order] = disks.scatter(self._candidates, self._u, key, order, self._reach, first, own)
         return tries
 
+    def clear_cameras(self) -> NDArray[np.int64]:
+        """Moves what is too near to a camera to its next candidates until nothing is; which.
 
-def _require_all(
-    plan: ScatterPlan,
-    n: int,
-    found: int,
-    what: str,
-    reach: NDArray[np.float64],
-    candidates: Candidates | None,
-    around: Surroundings,
-) -> None:
-    if found == n or plan.fewer:
-        return
-    size = around.surface.field.grid.size_m
-    allowed = 1.0 if candidates is None else candidates.allowed()
-    part = np.pi * float((reach * reach).sum()) / (size[0] * size[1] * allowed)
-    where = "the terrain" if allowed == 1.0 else f"the {100 * allowed:.3g} % of it they may be on"
-    covered = f" (side by side their circles would cover {100 * part:.3g} % of {where})"
-    raise SceneError(
-        f"objects/{plan.name}: only {found:,} of {n:,} found a place where they {what}, in at "
-        f"most {MOST_TRIES} tries each{covered if plan.apart else ''}; ask for fewer or smaller "
-        'ones, allow them more room, or say "shortfall": "fewer"'
-    )
+        Where disks keep apart, all are put anew, the largest first: what was moved does not have to
+        do with the room that smaller ones left.
+        """
+        cameras = self._around.cameras
+        cameras = np.ascontiguousarray(cameras[np.argsort(cameras[:, 0], kind="stable")])
+        first = np.zeros(self.n, np.int64)
+        looked_at = np.flatnonzero(self.tries >= 0) if len(cameras) else first[:0]
+        cubes = Cubes(self.prototypes)
+        moved = [first[:0]]
+        while len(looked_at):
+            near = self._near(looked_at, cameras, cubes)
+            if not len(near):
+                break
+            moved.append(near)
+            before = self.tries
+            first[near] = before[near] + 1
+            if self.spacing is not None:
+                self.tries = self._packed(self.spacing, np.minimum(first, MOST_TRIES))
+            else:
+                self.tries = before.copy()
+                self.tries[near] += 1
+            self.tries[first >= MOST_TRIES] = -1
+            looked_at = np.flatnonzero((self.tries != before) & (self.tries >= 0))
+            self._place(looked_at)
+        return np.unique(np.concatenate(moved))
 
-
-def _clear_of(clearance_m: float) -> str:
-    if clearance_m > 0.0:
-        return f"keep {clearance_m:g} m from every camera"
-    return "have no camera inside of them"
-
-
-def _clear(
-    plan: ScatterPlan,
-    prototypes: tuple[Prototype, ...],
-    placement: Placement,
-    spacing: _Spacing | None,
-    radius: NDArray[np.float64],
-    candidates: Candidates,
-    u: NDArray[np.float64],
-    tries: NDArray[np.int64],
-    cameras: NDArray[np.float64],
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Moves what is too near to a camera to its next candidates until nothing is.
-
-    Where disks keep apart, all are put anew, the largest first: what was moved does not have to
-    do with the room that smaller ones left.
-
-    Args:
-        tries: Of each instance; -1 where there is no place.
-
-    Returns:
-        Which instances were moved off a camera, and the tries of all.
-    """
-    sorted_cameras = np.ascontiguousarray(cameras[np.argsort(cameras[:, 0], kind="stable")])
-    first = np.zeros(len(tries), np.int64)
-    looked_at = np.flatnonzero(tries >= 0)
-    cubes = Cubes(prototypes)
-    moved = []
-    while len(looked_at):
-        at = placement.positions(looked_at).astype(np.float64)
-        reach = np.maximum(radius[looked_at] + plan.clearance_m, 0.0)
+    def _near(
+        self, which: NDArray[np.int64], cameras: NDArray[np.float64], cubes: Cubes
+    ) -> NDArray[np.int64]:
+        """Of some instances, those that a camera is in, or nearer to than the clearance."""
+        plan, clearance = self.plan, self.plan.clearance_m
+        at = self.placement.positions(which).astype(np.float64)
+        reach = np.maximum(self._radius[which] + clearance, 0.0)
+        too_near = np.zeros(len(at), np.bool_)
+        over_threads(_too_near_part, len(at), at, reach, cameras, too_near, least=POINTS)
         # Of those whose ball a camera is in, the ones that have geometry there.
-        some = np.flatnonzero(_too_near(at, reach, sorted_cameras))
-        near = looked_at[some]
-        near = near[
+        some = np.flatnonzero(too_near)
+        near = which[some]
+        turns = turned(self.placement.orientations[near], _scales(plan, near))
+        return near[
             cubes.near(
-                plan.prototype[near], at[some],
-                turned(placement.orientations[near], _scales(plan, near)), reach[some],
-                max(plan.clearance_m, 0.0), sorted_cameras,
+                plan.prototype[near], at[some], turns, reach[some], max(clearance, 0.0), cameras
             )
-        ]  # fmt: skip
-        if not len(near):
-            break
-        moved.append(near)
-        first[near] = tries[near] + 1
-        before = tries
-        if spacing is not None:
-            tries = spacing.tries(np.minimum(first, MOST_TRIES))
-        else:
-            tries = tries.copy()
-            tries[near] += 1
-        tries[first >= MOST_TRIES] = -1
-        looked_at = np.flatnonzero((tries != before) & (tries >= 0))
-        numbers_at = numbers(u, plan.place_key, looked_at, tries[looked_at])
-        placement.place(looked_at, numbers_at, *candidates.at(numbers_at)[:2])
-    return np.unique(np.concatenate(moved)) if moved else np.zeros(0, np.int64), tries
+        ]
+
+    def require_all(self, found: int, what: str) -> None:
+        """Refuses instances that found no place, unless the plan lets fewer be.
+
+        Raises:
+            SceneError: There are some.
+        """
+        if found == self.n or self.plan.fewer:
+            return
+        size, reach = self._around.surface.field.grid.size_m, self._reach
+        allowed = 1.0 if self._candidates is None else self._candidates.allowed()
+        part = np.pi * float((reach * reach).sum()) / (size[0] * size[1] * allowed)
+        where = "the terrain"
+        if allowed != 1.0:
+            where = f"the {100 * allowed:.3g} % of it they may be on"
+        covered = f" (side by side their circles would cover {100 * part:.3g} % of {where})"
+        raise SceneError(
+            f"objects/{self.plan.name}: only {found:,} of {self.n:,} found a place where they "
+            f"{what}, in at most {MOST_TRIES} tries each{covered if self.plan.spacing else ''}; "
+            'ask for fewer or smaller ones, allow them more room, or say "shortfall": "fewer"'
+        )
 
 
 @kernel
 def _too_near_part(first, last, at, reach, cameras, out):  # type: ignore[no-untyped-def]
+    """Whether a camera is nearer than its reach to each point; cameras are sorted by x."""
     for n in range(first, last):
         x, y, z = at[n]
         k = np.searchsorted(cameras[:, 0], x - reach[n])
@@ -280,10 +253,3 @@ def _too_near_part(first, last, at, reach, cameras, out):  # type: ignore[no-unt
                 out[n] = True
                 break
             k += 1
-
-
-def _too_near(at, reach, cameras):  # type: ignore[no-untyped-def]
-    """Whether a camera is nearer than its reach to each point; cameras are sorted by x."""
-    out = np.zeros(len(at), np.bool_)
-    over_threads(_too_near_part, len(at), at, reach, cameras, out, least=POINTS)
-    return out

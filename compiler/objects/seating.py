@@ -39,10 +39,6 @@ def seat(ground: HeightPyramid, bodies: Bodies) -> NDArray[np.float64]:
     that lie too high to be the deepest wherever the ground is; the object is let down until the
     deepest of them is ``embed`` times the object's height under the ground.
 
-    Args:
-        ground: The relief.
-        bodies: What is seated.
-
     Returns:
         z of each object's origin, float64 [n].
     """
@@ -57,11 +53,6 @@ def seat_on_detail(surface: Surface, ground: HeightPyramid, bodies: Bodies) -> N
     Only the ``LOWEST`` vertices over the grid's triangles are held against the surface, each of
     which costs all its noises: where detail is large beside an object, another may be deeper, by
     what ``placement.seating_report`` measures.
-
-    Args:
-        surface: The ground.
-        ground: Its relief.
-        bodies: What is seated.
 
     Returns:
         z of each object's origin, float64 [n].

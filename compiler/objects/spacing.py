@@ -36,7 +36,6 @@ class Disks:
     """Disks in plan that keep apart."""
 
     def __init__(self, most: int):
-        """Makes room for a number of circles."""
         self._at = np.zeros((most, 3))
         self._next = np.full(most, -1, np.int64)
         self._head = np.full(1 << max(4, (2 * most).bit_length()), -1, np.int64)
@@ -76,7 +75,6 @@ class Disks:
         """Puts each of some objects at the first of its places where it keeps apart.
 
         Args:
-            candidates: Candidates.
             u, key: As in ``candidates.numbers``.
             order: Which objects, in the order in which they are put, int64 [m].
             radius: Of every object's circle, half of the gap included, float64 [n].

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterator
+from collections.abc import Container
 from copy import copy
 from dataclasses import dataclass, field
 
@@ -22,7 +22,6 @@ class Surroundings:
     """What a class of objects is placed among.
 
     Attributes:
-        surface: The ground.
         cameras: Where any camera is at any sample, float64 [c, 3], meters.
         views: What these see, for what of the ground's detail shows.
         unseen: Part that a pixel counts where no view shows an object.
@@ -36,7 +35,6 @@ class Surroundings:
     objects: dict[str, Circles] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Prepares what is computed once for all classes."""
         #: Of the relief.
         self.quantities = Quantities(self.surface.field.grid, self.surface.field.height)
         self._pyramids: list[HeightPyramid] = []
@@ -52,10 +50,6 @@ class Surroundings:
         own = copy(self)
         own.objects = {name: self.objects[name] for name in self.objects if name in names}
         return own
-
-    def among(self, names: tuple[str, ...]) -> Iterator[Circles]:
-        """The objects of some classes, those that are laid already."""
-        return (self.objects[name] for name in names if name in self.objects)
 
 
 def footprints(laid: Scatter | Placed) -> Circles:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.scene.scene import Haze, SunLight
+from scenec.compiler.scene.scene import Haze, SpotLight, SunLight
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,6 @@ class LabelMapPlan:
     """A label map as the cfg has it.
 
     Attributes:
-        file: The picture.
         ids: Pixel values, as the cfg writes them, and the label id of each.
     """
 
@@ -96,7 +95,6 @@ class WorldMount:
 
     Attributes:
         position: [s, 3]; z is the height over the ground or over 0.
-        on_ground: Which of the two.
         bearing_deg, elevation_deg: Where it shines without a target, [s].
         target: Where it shines to, as ``position``, or None.
     """
@@ -108,20 +106,11 @@ class WorldMount:
     target: NDArray[np.float64] | None
 
 
-@dataclass(frozen=True)
-class LampPlan:
-    """A spot light; the rest as in ``Lamp``.
+@dataclass(frozen=True, kw_only=True)
+class LampPlan(SpotLight):
+    """A spot light, and what carries it."""
 
-    Attributes:
-        mount: Where it is.
-    """
-
-    name: str
     mount: RigMount | WorldMount
-    intensity: NDArray[np.float64]
-    radius_m: NDArray[np.float64]
-    cone_deg: NDArray[np.float64]
-    softness: NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -132,8 +121,6 @@ class LightPlan:
         sun: The sun; None for none. Above an atmosphere its color is a factor on that of sunlight.
         sky: What surrounds the scene; None for black.
         more_suns: Further distant discs, by prim name.
-        haze: Between cameras and the scene.
-        lamps: Spot lights.
     """
 
     sun: SunLight | None

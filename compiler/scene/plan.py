@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from scenec.compiler.objects.conditions import PlacementCondition
     from scenec.compiler.objects.density import Density
     from scenec.compiler.objects.families.shape import Shape
-    from scenec.compiler.objects.poses import PlacedPlan
+    from scenec.compiler.objects.placed import PlacedPlan
     from scenec.compiler.objects.prototypes import ModelPlan, PartRule
     from scenec.compiler.scene.light_plan import LightPlan
     from scenec.compiler.terrain.detail import Detail
@@ -38,12 +38,9 @@ class TerrainPlan:
 
     Attributes:
         size_m, spacing_m: Of the grid.
-        relief: Operators in order.
         layers: Ground layers from the base up.
-        merges: One for each layer after the base.
         coverage: For each merge, the fraction it shall cover, or None (its center is given).
         variation_key: Noise key of the albedo variation.
-        meshing: How fine the mesh is.
         displacements: Of each layer's material, or None.
     """
 
@@ -77,7 +74,6 @@ class ModelSource:
 
     Attributes:
         models: One for each prototype.
-        rules: For their parts.
         variation: How much the files' own materials vary from instance to instance.
         touch: Whether they are let down until a vertex touches the ground, or stand on it with
             their origin.
@@ -105,8 +101,8 @@ class Count:
 
 
 @dataclass(frozen=True)
-class Apart:
-    """Distances that are kept in plan.
+class Spacing:
+    """Poisson-disk spacing: distances that are kept in plan.
 
     Attributes:
         gap_m: Between circles.
@@ -129,7 +125,7 @@ class ScatterPlan:
         count: How many there are.
         density: How many lie in one place compared with another.
         where: Conditions that the density is multiplied with.
-        apart: What is kept between objects, or None.
+        spacing: What is kept between objects, or None.
         fewer: Whether those that find no place are left out; else they are an error.
         clearance_m: Between cameras and balls around objects; below 0, how far inside they may be.
         place_key: Of the hash that gives an instance its further candidate places.
@@ -151,7 +147,7 @@ class ScatterPlan:
     count: Count
     density: Density
     where: tuple[PlacementCondition, ...]
-    apart: Apart | None
+    spacing: Spacing | None
     fewer: bool
     clearance_m: float
     place_key: int

@@ -20,7 +20,6 @@ class Focus:
     Attributes:
         distance_m: Of the plane that is sharp, along the optical axis, [s].
         f_number: Focal length over the aperture's diameter, [s].
-        focal_length_m: Of the lens.
     """
 
     distance_m: NDArray[np.float64]
@@ -37,7 +36,6 @@ class OpenShutter:
     """A sensor's shutter, and where the sensor is meanwhile.
 
     Attributes:
-        shutters: At each sample.
         times: Seconds from the sample's time, rising, 0 among them, [k]; they enclose all
             exposures.
         to_world: Camera-to-world matrices then, OpenCV axes, [s, k, 4, 4]; between them
@@ -67,13 +65,11 @@ class Sensor:
     """A camera on a rig.
 
     Attributes:
-        name: Prim name.
         resolution: (width, height), pixels.
         intrinsics: (fx, fy, cx, cy, skew), pixels.
         to_rig: Sensor-to-rig matrix, OpenCV axes on both sides, float64 [4, 4].
         exposure_ev: Pictures show radiance * 2**ev, [s]; those of viewers alone where ...
         exposure_per: ... renderers find one exposure for the "batch" or each "sample"; or None.
-        outputs: Passes asked for.
         partner: Name of the rig's sensor that disparity goes to, or None.
         depth_camera: How it measures depth, or None.
         trigger: Of the samples it is triggered at, how many come from one to the next, and the
@@ -124,13 +120,11 @@ class Lidar:
     """A scanner on a rig, whose frame is x ahead, y left, z up.
 
     Attributes:
-        name: Prim name.
         to_rig: As a camera's: OpenCV axes on both sides, float64 [4, 4].
         elevations_deg: Of each beam, [b].
         azimuths: Rays of each beam in a scan.
         azimuth_deg: The first, and where the next scan begins; counterclockwise from above.
         range_m: Nearest and farthest that is answered.
-        noise: What is wrong with the answers.
         noise_key: Of the numbers drawn for that, below 2**64.
         trigger: As in ``Sensor``.
     """
@@ -151,9 +145,7 @@ class Rig:
     """Sensors that move together.
 
     Attributes:
-        name: Prim name.
         to_world: Rig-to-world matrices, OpenCV axes (x right, y down, z forward), [s, 4, 4].
-        sensors: What it carries.
         times: Of the samples, seconds, [s]; None: its motion has none.
         lidars: What it carries beside cameras.
         between: Poses while its cameras' shutters are open, or None.

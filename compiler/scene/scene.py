@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.scene.rig import Rig
-from scenec.compiler.scene.sources import Sources
 
 if TYPE_CHECKING:
     from scenec.compiler.materials.surface import Surface
@@ -30,7 +29,6 @@ class Picture:
 
     Attributes:
         suffix: Of a file that holds these bytes: ".png", ".jpg".
-        data: The encoded picture.
     """
 
     suffix: str
@@ -55,12 +53,40 @@ class Far:
     """The picture of colors once more, larger, so that it varies over several scales.
 
     Attributes:
-        factor: How much larger.
         share: c * (1 + share * (c_far / mean - 1)).
     """
 
     factor: float
     share: float
+
+
+@dataclass(frozen=True)
+class Sources:
+    """Further files that a cfg names for a material, which its pictures are made of.
+
+    Attributes:
+        gloss: Roughness is 1 less it; None: there is none.
+        occlusion: Ambient occlusion, which the albedo is multiplied with.
+        occlusion_strength: albedo * (1 - strength * (1 - occlusion)).
+        packed: Occlusion, roughness and metallic part as red, green and blue.
+        unpacked: Kinds that ``packed`` is used for.
+        heights: Of the relief, as a picture.
+        heights_m: White above black in it; None: it stays flat.
+        as_is: Whether files keep their resolution, whoever sees them.
+        unused: Files of a folder whose names are understood, and which nothing is made of.
+        unknown: Files of a folder whose names are not understood.
+    """
+
+    gloss: Path | None = None
+    occlusion: Path | None = None
+    occlusion_strength: float = 1.0
+    packed: Path | None = None
+    unpacked: tuple[str, ...] = ()
+    heights: Path | None = None
+    heights_m: float | None = None
+    as_is: bool = False
+    unused: tuple[str, ...] = ()
+    unknown: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -152,8 +178,6 @@ class GroundLayer:
     """One ground material and what it is called.
 
     Attributes:
-        material: Its name.
-        labels: Label id per level.
         height_blend: Depth over which it and what is below it cover each other by their height
             maps, as a share of the maps' range; 0 blends by the weight alone. Labels never heed it.
     """
@@ -168,7 +192,6 @@ class Tile:
     """A piece of terrain.
 
     Attributes:
-        name: Prim name.
         translate: World position of the local origin, float64 [3].
         points: Local, float32 [n, 3]; translate + points is exact in float64, and equal for a
             vertex that two tiles share.
@@ -243,11 +266,8 @@ class ObjectClass:
     """What objects of one class have, scattered or placed.
 
     Attributes:
-        name: Class name, as in the cfg.
         material: Name of the material; None where each prototype's parts have theirs.
-        labels: Label id per level.
         instances: Whether instance ids are shown (off: they stay reserved).
-        prototypes: What there is of them.
         prototype: Which one, int32 [n].
         ids: Local instance ids, ascending, int64 [n]: gaps where something could not be placed.
         drawn: How many ids are reserved, at least the largest one.
@@ -266,6 +286,14 @@ class ObjectClass:
     def count(self) -> int:
         """Number of objects."""
         return len(self.ids)
+
+    @property
+    def materials(self) -> set[str]:
+        """Names of the materials that it shows: none where there is no prototype."""
+        if not self.prototypes:
+            return set()
+        own = {part.material for mesh in self.prototypes for part in mesh.parts}
+        return {name for name in (self.material, *own) if name is not None}
 
 
 @dataclass(frozen=True)
@@ -393,13 +421,12 @@ class Haze:
     airlight: NDArray[np.float64] | None
 
 
-@dataclass(frozen=True)
-class Lamp:
-    """A spot light at every sample: a sphere that shines into a cone.
+@dataclass(frozen=True, kw_only=True)
+class SpotLight:
+    """A sphere that shines into a cone, at every sample.
 
     Attributes:
         name: Prim name.
-        to_world: Matrices, column vectors, [s, 4, 4]: it stands at the origin and shines along -z.
         intensity: On the axis, far away, linear Rec.709, W/sr, [s, 3].
         radius_m: Of the sphere, [s].
         cone_deg: Half the cone's opening angle, [s].
@@ -407,11 +434,21 @@ class Lamp:
     """
 
     name: str
-    to_world: NDArray[np.float64]
     intensity: NDArray[np.float64]
     radius_m: NDArray[np.float64]
     cone_deg: NDArray[np.float64]
     softness: NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lamp(SpotLight):
+    """A spot light at its place.
+
+    Attributes:
+        to_world: Matrices, column vectors, [s, 4, 4]: it stands at the origin and shines along -z.
+    """
+
+    to_world: NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -434,20 +471,14 @@ class Scene:
     """One batch.
 
     Attributes:
-        name: The cfg's name.
-        samples: Number of samples.
         times: Real time of each sample, seconds, [samples].
         label_table: Per level, name -> id.
         sky_labels: Label id of the sky per level.
         materials: By name; only those in use.
-        ground: The terrain.
         objects: Object classes in the cfg's order.
         sun, sky: Light; None where there is none.
         more_suns: Further distant discs by prim name: earthshine, a second sun.
-        lamps: Spot lights.
-        haze: Between camera and scene, or None.
         sky_label_maps: Labels of a panorama, or None.
-        rigs: Cameras.
         outputs: Union of all sensors' outputs.
         bounds: World bounds of the geometry, float64 [2, 3].
         georeference: Of the first DEM that has one; None without.

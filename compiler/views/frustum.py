@@ -144,11 +144,7 @@ def rays_a_radian(lidar: Lidar) -> float:
 
 
 def views_at_samples(rigs: tuple[Rig, ...]) -> Views:
-    """The views of all rigs' sensors and lidars at every sample, and some while shutters are open.
-
-    Args:
-        rigs: The cameras.
-    """
+    """The views of all sensors and lidars at every sample, and some while shutters are open."""
 
     def rows() -> Iterator[_Row]:
         for rig in rigs:
@@ -165,11 +161,7 @@ def views_at_samples(rigs: tuple[Rig, ...]) -> Views:
 
 
 def views_of_all(rigs: tuple[Rig, ...]) -> Views:
-    """Views that hold every ray of the batch: of second eyes, apertures and open shutters, too.
-
-    Args:
-        rigs: The cameras.
-    """
+    """Views that hold every ray of the batch: of second eyes, apertures and open shutters, too."""
 
     def rows() -> Iterator[_Row]:
         for rig in rigs:

@@ -53,8 +53,6 @@ def with_hidden_ground(views: Views, field: HeightField, margin_m: float) -> Vie
     """Views that know which blocks of a terrain hide from them as a whole, before it is meshed.
 
     Args:
-        views: The views.
-        field: The terrain.
         margin_m: How far the ground may lie above or below that.
     """
     ceiling, frame = _hidden_ground(field, views, margin_m)
@@ -74,12 +72,7 @@ def _hidden_ground(
 
 
 def with_horizon(views: Views, relief: Relief) -> Views:
-    """Views that know what a mesh hides from them; nothing from an eye that is not surely above it.
-
-    Args:
-        views: The views.
-        relief: Of the mesh.
-    """
+    """Views that know what a mesh hides from them: nothing unless the eye is surely above it."""
     rows, columns = relief.low.shape
     at = np.floor((views.eye[:, :2] - relief.frame[:2]) / relief.frame[2:])
     above = ((at >= 0) & (at < (columns, rows))).all(axis=1)
@@ -91,12 +84,7 @@ def with_horizon(views: Views, relief: Relief) -> Views:
 
 
 def relief_of_field(field: HeightField, views: int) -> Relief:
-    """Bounds of a height field's heights, in blocks of whole cells.
-
-    Args:
-        field: The heights.
-        views: How many will look.
-    """
+    """Bounds of a height field's heights, in blocks of whole cells."""
     ny, nx = field.grid.shape
     cells = _CELLS
     while True:
@@ -116,9 +104,7 @@ def relief_of_tiles(tiles: Sequence[Tile], bounds: NDArray[np.float64], views: i
     """Bounds of the heights of a terrain's tiles, which cover a rectangle.
 
     Args:
-        tiles: The mesh.
         bounds: x, y and z of all there is, which the blocks cover, float64 [2, 3].
-        views: How many will look.
     """
     size = bounds[1, :2] - bounds[0, :2]
     along = _BLOCKS

@@ -113,8 +113,6 @@ def shadows_seen(
     """Whose shadow may fall on what is seen, under the light of any sample.
 
     Args:
-        seen: Where that stands.
-        scene: With its lights.
         middles, radii: The balls, float64 [n, 3] and [n].
     """
     out = np.zeros(len(middles), np.bool_)

@@ -22,13 +22,8 @@ def without_idle(
 ) -> tuple[tuple[Lamp, ...], list[dict[str, Any]]]:
     """The lamps that light something at one sample at least; entries about the others.
 
-    A test that errs one way only: geometry counts as the balls around tiles and instances, at all
-    samples; a lamp as the ball it is.
-
-    Args:
-        lamps: The lamps.
-        ground: The terrain.
-        objects: What stands on it.
+    Conservative: geometry counts as the balls around tiles and instances, at all samples; a lamp as
+    the ball it is.
     """
     if not lamps:
         return (), []

@@ -20,6 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from enum import StrEnum
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -28,7 +29,6 @@ import numpy as np
 from scenec.compiler.scene.plan import Plan
 from scenec.compiler.scene.rig import Rig
 from scenec.compiler.scene.scene import Ground, Material, Placed, Prototype, Scatter, Tile
-from scenec.compiler.views.keep import Keep
 from scenec.schemas.left_out import entry
 from scenec.schemas.passes import BUILT_IN
 
@@ -41,13 +41,26 @@ _NO_IDS = "no sensor asks for instances"
 _SHADING, _NUMBER = 24, 4
 
 
+class Keep(StrEnum):
+    """How much of a scene stays in the stage.
+
+    ``SEEN``: what the cameras of the batch can see the effect of (the default).
+    ``UNPRUNED``: everything, as coarse where no camera sees it as ``SEEN`` would have it: meshes
+    and levels of detail are the same, so annotation is, too (``--no-prune``).
+    ``ALL``: everything, as fine out of view as in view, for walking around the stage in a viewer
+    (``--keep all``).
+    """
+
+    SEEN = "seen"
+    UNPRUNED = "unpruned"
+    ALL = "all"
+
+
 class Needs(NamedTuple):
     """What the outputs show.
 
     Attributes:
         color: Materials, shading and light.
-        labels: Label ids.
-        ids: Instance ids.
     """
 
     color: bool
@@ -59,9 +72,7 @@ def needs_of(outputs: Iterable[str], keep: Keep = Keep.SEEN, levels: bool = True
     """What a batch's outputs need.
 
     Args:
-        outputs: Those of all its sensors.
         keep: ``Keep.ALL`` needs everything that the cfg has: someone will walk around in the stage.
-        levels: Whether the cfg has label levels.
     """
     asked = set(outputs)
     if keep is Keep.ALL:
@@ -94,7 +105,6 @@ class Used:
 
     Attributes:
         materials, ground, objects: As in ``Scene``.
-        left_out: Entries for report.json.
     """
 
     materials: dict[str, Material]
@@ -116,17 +126,13 @@ def without_unused(
 
     Args:
         materials: By name; empty where no color is asked for.
-        ground: The terrain.
-        objects: What stands on it.
-        needs: What the outputs show.
     """
     left_out: list[dict[str, Any]] = []
     kept = [_without_unused_prototypes(one, left_out) for one in objects]
     if needs.color:
         ground = _without_hidden_layers(ground, left_out)
     used = {layer.material for layer in ground.layers}
-    for one in kept:
-        used |= materials_of(one)
+    used = used.union(*(one.materials for one in kept))
     why = "nothing in the stage is made of it"
     left_out += [entry(PASS, f"materials/{name}", why) for name in materials if name not in used]
     return Used(
@@ -137,21 +143,8 @@ def without_unused(
     )
 
 
-def materials_of(objects: Scatter | Placed) -> set[str]:
-    """Names of the materials that a class shows: none where there is no instance."""
-    if not objects.prototypes:
-        return set()
-    own = {part.material for mesh in objects.prototypes for part in mesh.parts}
-    return {name for name in (objects.material, *own) if name is not None}
-
-
 def without_ids(objects: Sequence[Scatter | Placed], needs: Needs) -> tuple[Scatter | Placed, ...]:
-    """The classes; none has ids where no output shows them.
-
-    Args:
-        objects: What stands on the ground.
-        needs: What the outputs show.
-    """
+    """The classes; none has ids where no output shows them."""
     if needs.ids:
         return tuple(objects)
     return tuple(replace(one, instances=False) for one in objects)
@@ -225,13 +218,7 @@ def _without_hidden_layers(ground: Ground, left_out: list[dict[str, Any]]) -> Gr
 def note_outputs(
     needs: Needs, plan: Plan, ground: Ground, objects: Sequence[Scatter | Placed]
 ) -> list[dict[str, Any]]:
-    """Entries about what no output shows, with the bytes of the arrays that it would take.
-
-    Args:
-        needs: What the outputs show.
-        plan: What the cfg has.
-        ground, objects: What stays.
-    """
+    """Entries about what no output shows, with the bytes of the arrays that it would take."""
     meshes: list[Tile | Prototype] = [
         *ground.tiles,
         *(mesh for one in objects for mesh in one.prototypes),
@@ -272,7 +259,6 @@ def note_outputs(
 
 
 def _file_bytes(material: Material) -> int:
-    """Of a material's pictures that are files."""
     files = material.maps.files.values() if material.maps is not None else ()
     return sum(file.stat().st_size if isinstance(file, Path) else len(file.data) for file in files)
 

@@ -33,8 +33,7 @@ from scenec.compiler.views.illumination import (
     shadows_seen,
     view_factors,
 )
-from scenec.compiler.views.keep import Keep
-from scenec.compiler.views.needed import Needs, materials_of, without_unused
+from scenec.compiler.views.needed import Keep, Needs, without_unused
 from scenec.compiler.views.visible import BEHIND, OUTSIDE, SHOWN, visible
 from scenec.schemas.left_out import ORDER, ClassRecord, Reason, Record, entry
 
@@ -62,9 +61,7 @@ class Pruned:
 
     Attributes:
         scene: What is left; ``bounds`` are those of all.
-        left_out: Entries for report.json.
         record: Why each instance is where it is; None where nothing is missing.
-        facts: For report.json.
     """
 
     scene: Scene
@@ -97,7 +94,6 @@ class _Balls:
         return ~kept[self.reason]
 
     def of(self, which: NDArray[np.bool_]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """The balls of some instances."""
         balls = np.repeat(which, self._samples)
         return self.middles[balls], self.radii[balls]
 
@@ -118,8 +114,6 @@ def prune(
     """Leaves out what no camera can see the effect of.
 
     Args:
-        scene: What was built; only read.
-        needs: What the outputs show.
         keep: Anything but ``SEEN`` leaves all as it is.
         hills: Whether the terrain is a height field, so that it hides what is behind it.
         everywhere: Whether with color anything may show, wherever it stands: there is a mirror, or
@@ -199,7 +193,7 @@ def _mark_lit(
 
 
 def _shines(one: Scatter | Placed, scene: Scene) -> bool:
-    found = (scene.materials.get(name) for name in materials_of(one))
+    found = (scene.materials.get(name) for name in one.materials)
     return any(material is not None and max(material.emission) > 0.0 for material in found)
 
 

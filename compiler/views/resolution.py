@@ -26,7 +26,6 @@ def views_of(
     """The views of all rigs' sensors at every sample.
 
     Args:
-        rigs: The cameras.
         field: The terrain, for what hides behind it; None: nothing does.
         margin_m: How far the ground may lie above or below that.
     """
@@ -44,7 +43,6 @@ def pixels_per_meter(field: HeightField, views: Views, unseen: float) -> NDArray
     the light it sends on may still be seen.
 
     Args:
-        field: The terrain.
         views: Cameras at every sample; none: 0 everywhere.
         unseen: The fraction, in [0, 1].
 
@@ -75,7 +73,6 @@ def pixels_of_balls(
     """Pixels that a meter takes at most anywhere in balls, in the view that shows it largest.
 
     Args:
-        views: The cameras.
         points, radius: The balls, float64 [n, 3] and [n].
         unseen: As in ``pixels_per_meter``.
         nearest_m: No point counts as nearer than this.

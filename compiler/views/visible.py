@@ -25,7 +25,6 @@ def visible(
     What is straight above or below an eye counts as shown: sidecars tell how high a camera is.
 
     Args:
-        views: The views, with their horizon.
         middles, radii: The balls, float64 [n, 3] and [n].
     """
     out = np.full(len(middles), OUTSIDE, np.int8)

@@ -27,7 +27,7 @@ from scenec.backends.exact import ExactCaster
 from scenec.backends.run.session import Session
 from scenec.backends.stage.read import read_stage
 from scenec.backends.stage.scene import Camera, Lidar, RenderScene
-from scenec.compiler.views.keep import Keep
+from scenec.compiler.views.needed import Keep
 from scenec.studies.runner import DEMO, Cell, Study, run, times
 
 import scenes

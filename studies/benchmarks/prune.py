@@ -29,7 +29,7 @@ import numpy as np
 
 from scenec.backends.run.session import Session
 from scenec.backends.stage.read import read_stage
-from scenec.compiler.views.keep import Keep
+from scenec.compiler.views.needed import Keep
 from scenec.schemas.errors import ScenecError
 from scenec.studies.benchmarks.cfgs import rocks_on_hills
 from scenec.studies.runner import Cell, Study, apart, run

@@ -24,8 +24,7 @@ from scenec.compiler.scene.plan import Plan, ScatterPlan
 from scenec.compiler.scene.rig import Rig
 from scenec.compiler.scene.scene import Placed, Scatter, Tile
 from scenec.compiler.terrain.sources.mesh_surface import MeshSurface
-from scenec.compiler.views.keep import Keep
-from scenec.compiler.views.needed import with_color
+from scenec.compiler.views.needed import Keep, with_color
 from scenec.compiler.views.resolution import Views, pixels_of_balls, pixels_per_meter, views_of
 from scenec.studies.ladder.eyes import Eye, eyes_of
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.compiler.emit.layer import Appearance
 from scenec.compiler.emit.objects import write_scatter
 from scenec.compiler.objects.lod import Levels, budget_factor, choose_levels, see_levels
 from scenec.compiler.objects.rocks import Chain, build_chains
@@ -175,7 +176,7 @@ def _measure(
 
     def write(folder: Path) -> None:
         for n, (scatter, _) in enumerate(chosen):
-            write_scatter(folder / f"objects_{n}.usdc", scatter, looks, table)
+            write_scatter(folder / f"objects_{n}.usdc", scatter, Appearance(looks, table))
 
     size = clock.mean(lambda: written(write))
     worst_px = worst_m = squares = 0.0

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from scenec.compiler.cfg.load import Spec, load
-from scenec.compiler.views.keep import Keep
+from scenec.compiler.views.needed import Keep
 from scenec.schemas.errors import CfgError, OutputError, ScenecError
 from scenec.schemas.manifest import CFG, MANIFEST, find_batches, read_manifest
 from scenec.schemas.spelling import closest, shown

@@ -17,8 +17,8 @@ from scenec.compiler.light import atmosphere
 from scenec.compiler.light.atmosphere_planets import MEDIA
 from scenec.compiler.light.atmosphere_sky import build_atmosphere
 from scenec.compiler.light.atmosphere_spectra import weights
+from scenec.compiler.light.clear_sky import build_sky
 from scenec.compiler.light.latlong import directions, horizontal_irradiance, luminance
-from scenec.compiler.light.sky import build_sky
 from scenec.compiler.scene.light_plan import AtmospherePlan, ClearSkyPlan
 from scenec.compiler.scene.scene import Ground, Scene, SkyLight, SunLight
 from scenec.schemas.exr import write_rgb

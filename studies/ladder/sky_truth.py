@@ -86,7 +86,7 @@ def atmosphere_along(
     factors = (plan.air_density[0], plan.dust_density[0], plan.ozone_density[0])
     medium = MEDIA[plan.planet](count, *map(float, factors))
     nodes = weights(count)
-    spectra = np.stack([medium.gas, medium.aerosol, medium.aerosol_loss, medium.layer])
+    spectra = medium.spectra()
     g = mean_cosine(medium.phase)
     even = reduced(spectra, g)
     sizes = medium.planet.sizes()

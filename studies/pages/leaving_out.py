@@ -17,7 +17,7 @@ from pxr import Usd
 
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.views.illumination import MIN_VIEW_FACTOR, SHARP
-from scenec.compiler.views.keep import Keep
+from scenec.compiler.views.needed import Keep
 from scenec.schemas.errors import ScenecError
 from scenec.studies.runner import ROOT, Page, run, table
 

@@ -13,7 +13,7 @@ from small import write_cfg
 from scenec.backends.check.files import check_files
 from scenec.backends.check.stage import check_stage
 from scenec.compiler.compile import compile_cfg
-from scenec.compiler.views.keep import Keep
+from scenec.compiler.views.needed import Keep
 from scenec.schemas.errors import OutputError
 from scenec.schemas.manifest import read_manifest
 

@@ -29,7 +29,7 @@ from scenec.backends.run.units import OfBackend, OfSession, Opening, open_stage
 from scenec.compiler.batch_unit import CompileBatch
 from scenec.compiler.cfg.load import load
 from scenec.compiler.compile import compile_cfg
-from scenec.compiler.views.keep import Keep
+from scenec.compiler.views.needed import Keep
 from scenec.datasets.export import export
 from scenec.schemas.budget import THREADS, thread_budget
 from scenec.schemas.errors import OutputError, SceneError

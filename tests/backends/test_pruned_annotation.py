@@ -7,7 +7,7 @@ import pytest
 from pruned_scenes import annotation, compiled, difference, drawn_cfg, everything, odd_cfg
 
 from scenec.backends.stage.read import read_stage
-from scenec.compiler.views.keep import Keep
+from scenec.compiler.views.needed import Keep
 from scenec.schemas.left_out import read_left_out
 
 

@@ -10,7 +10,7 @@ import pytest
 from pruned_extremes import CASES, pruned_cfg
 from pruned_scenes import annotation, compiled, difference
 
-from scenec.compiler.views.keep import Keep
+from scenec.compiler.views.needed import Keep
 
 #: Those where a view, the ground or lengths are at an end: light hardly matters.
 HARDEST = ("all_round", "far_above", "low", "narrow", "steep", "wide", "wide_land")

@@ -45,6 +45,17 @@ _FAULTS = [
     ({"/terrain/relief/0/type": "plain"}, "/terrain/relief/0/type", 'did you mean "plane"?'),
     ({"/objects/rocks/orientation": "Upright"}, "/objects/rocks/orientation", '"upright"'),
     ({"/outputs": ["rgb", "rgb"]}, "/outputs", "each item once"),
+    (
+        {
+            "/terrain/relief/1": {
+                "type": "craters",
+                "min_diameter_m": {"type": "uniform", "min": 1, "max": 5},
+                "max_diameter_m": 4,
+            }
+        },
+        "/terrain/relief/1/min_diameter_m",
+        "5 m can be above max_diameter_m (4 m)",
+    ),
     # names
     ({"/name": "a b"}, "/name", "letters, digits and underscores"),
     ({"/name": "plain\n"}, "/name", "letters, digits and underscores"),

@@ -17,7 +17,7 @@ from scenec.cli.explain_sight import nearest_camera
 from scenec.cli.explain_why import why
 from scenec.cli.main import main
 from scenec.compiler.compile import compile_cfg
-from scenec.compiler.views.keep import Keep
+from scenec.compiler.views.needed import Keep
 from scenec.schemas.errors import OutputError, StageError
 from scenec.schemas.left_out import Reason, read_left_out
 

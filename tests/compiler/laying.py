@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import copy
 import json
+from collections.abc import Mapping
 from functools import cache
 from typing import Any
 
 import numpy as np
 from small import small_cfg
 
+from scenec.compiler.cfg.check_files import InputFile
 from scenec.compiler.cfg.fill import fill
 from scenec.compiler.distributions.streams import Streams
+from scenec.compiler.draw.of_keys import Setting
 from scenec.compiler.draw.rocks import draw_rocks
-from scenec.compiler.draw.scatter import Setting
 from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.objects.rocks import build_chains
 from scenec.compiler.objects.scatter import scatter
@@ -46,11 +48,11 @@ def surroundings(
 
 
 def plan(
-    name: str = "rocks", seed: int = 1, setting: Setting | None = None, **change: Any
+    name: str = "rocks", seed: int = 1, files: Mapping[str, InputFile] | None = None, **change: Any
 ) -> ScatterPlan:
     """What is drawn for one class of rocks."""
     filled = copy.deepcopy(_filled(name, json.dumps(change)))
-    return draw_rocks(name, filled, {}, Streams(seed, 0), setting or Setting(SIZE))
+    return draw_rocks(name, filled, {}, Setting(Streams(seed, 0), SIZE, files or {}))
 
 
 @cache

@@ -19,7 +19,7 @@ from usd_validator import independent_findings
 from scenec.backends.check.files import check_files
 from scenec.backends.check.stage import check_stage
 from scenec.compiler.compile import compile_cfg
-from scenec.compiler.views.keep import Keep
+from scenec.compiler.views.needed import Keep
 from scenec.schemas.errors import CfgError, OutputError, ScenecError, SceneError
 from scenec.schemas.manifest import read_manifest
 

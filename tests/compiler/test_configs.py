@@ -17,7 +17,7 @@ from scenec.compiler.cfg.load import load
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.draw.batch import draw
 from scenec.compiler.scene.scene import Scene
-from scenec.compiler.views.keep import Keep
+from scenec.compiler.views.needed import Keep
 
 _ROOT = Path(__file__).parents[2]
 _CFGS = sorted((_ROOT / "configs").glob("*.json"))

@@ -23,8 +23,7 @@ from scenec.compiler.materials.finer import finer_normals
 from scenec.compiler.materials.heights import relief_of
 from scenec.compiler.materials.kinds import SURFACES
 from scenec.compiler.materials.values import normal_picture, normals, unit
-from scenec.compiler.scene.scene import Cells, MaterialMaps
-from scenec.compiler.scene.sources import Sources
+from scenec.compiler.scene.scene import Cells, MaterialMaps, Sources
 
 
 def picture(folder: Path, codes: np.ndarray, size_m: float, high_m: float, **more) -> Displacement:
@@ -180,7 +179,7 @@ import numpy as np
 from pathlib import Path
 from scenec.compiler.scene.scene import Cells, MaterialMaps
 from scenec.compiler.materials.displacement import displacement_of
-from scenec.compiler.scene.sources import Sources
+from scenec.compiler.scene.scene import Sources
 from scenec.compiler.materials.kinds import SURFACES
 digest = hashlib.sha256()
 x = np.linspace(-30.0, 40.0, 20001)

@@ -29,9 +29,9 @@ from scenec.compiler.scene.scene import (
     Picture,
     Prototype,
     Scatter,
+    Sources,
     Tile,
 )
-from scenec.compiler.scene.sources import Sources
 from scenec.compiler.views.resolution import Views, views_of
 from scenec.schemas.maps import decode, read_pixels
 

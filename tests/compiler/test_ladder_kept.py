@@ -14,7 +14,7 @@ from scenec.compiler.cfg.load import load
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.draw.batch import draw
 from scenec.compiler.materials.values import stored
-from scenec.compiler.views.keep import Keep
+from scenec.compiler.views.needed import Keep
 from scenec.schemas.errors import OutputError
 from scenec.schemas.manifest import MANIFEST
 from scenec.studies.ladder import Ladder, Rung, climb, cost

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.geometry.icosphere import icosphere
 from scenec.compiler.light.atmosphere_sky import build_atmosphere
+from scenec.compiler.light.clear_sky import build_sky
 from scenec.compiler.light.latlong import directions, luminance
-from scenec.compiler.light.sky import build_sky
 from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.mesh.tiles import build_tiles
 from scenec.compiler.scene.light_plan import AtmospherePlan, ClearSkyPlan

@@ -14,8 +14,7 @@ from scenec.backends.check.stage import check_stage
 from scenec.backends.stage.read import read_stage
 from scenec.compiler.cameras.paths.random_target import RandomTarget
 from scenec.compiler.compile import CompileReport, compile_cfg
-from scenec.compiler.light.build import Light
-from scenec.compiler.light.dark import without_dark
+from scenec.compiler.light.build import Light, without_dark
 from scenec.compiler.light.earthshine import earthshine_irradiance
 from scenec.compiler.light.lamps import build_lamps, lamp_irradiance, meter_lamps
 from scenec.compiler.mesh.surface import Surface
@@ -73,7 +72,7 @@ def world_lamp(**change: Any) -> LampPlan:
         "cone_deg": np.full(1, 40.0),
         "softness": np.full(1, 0.5),
     }
-    return LampPlan("a", WorldMount(**{k: change.pop(k, v) for k, v in mount.items()}),
+    return LampPlan(name="a", mount=WorldMount(**{k: change.pop(k, v) for k, v in mount.items()}),
                     **{k: change.pop(k, v) for k, v in numbers.items()})  # fmt: skip
 
 

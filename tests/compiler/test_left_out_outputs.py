@@ -17,8 +17,7 @@ from scenec.backends.check.stage import check_stage
 from scenec.backends.run.session import Session
 from scenec.backends.stage.read import read_stage
 from scenec.compiler.compile import compile_cfg
-from scenec.compiler.views.keep import Keep
-from scenec.compiler.views.needed import Needs, needs_of
+from scenec.compiler.views.needed import Keep, Needs, needs_of
 from scenec.schemas.passes import PASSES
 
 COLOR, LABELS, IDS = {"rgb"}, {"label"}, {"instance", "amodal"}

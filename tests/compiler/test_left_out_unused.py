@@ -102,7 +102,10 @@ def lamp(direction: np.ndarray, at: np.ndarray, cone_deg: float, radius: float) 
     matrix[:3, :3] = np.stack([x, np.cross(z, x), z], axis=1)
     matrix[:3, 3] = at
     one = np.ones(1)
-    return Lamp("spot", matrix[None], np.ones((1, 3)), radius * one, cone_deg * one, 0.0 * one)
+    return Lamp(
+        name="spot", to_world=matrix[None], intensity=np.ones((1, 3)), radius_m=radius * one,
+        cone_deg=cone_deg * one, softness=0.0 * one,
+    )  # fmt: skip
 
 
 coordinate = st.floats(-4, 4)

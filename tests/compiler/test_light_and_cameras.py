@@ -9,10 +9,9 @@ from pxr import Gf, Usd, UsdGeom
 from scenec.compiler.emit.cameras import HALF_TURN
 from scenec.compiler.emit.lights import _pointing_from
 from scenec.compiler.geometry.poses import compose, from_euler, from_quaternion, look_at
-from scenec.compiler.light import sky as skies
-from scenec.compiler.light.clear_sky import clear_sky
+from scenec.compiler.light import clear_sky as skies
+from scenec.compiler.light.clear_sky import build_sky, clear_sky
 from scenec.compiler.light.latlong import directions, horizontal_irradiance, luminance
-from scenec.compiler.light.sky import build_sky
 from scenec.compiler.scene.exposure import incident_exposure
 from scenec.compiler.scene.light_plan import ClearSkyPlan
 from scenec.compiler.scene.scene import SunLight

@@ -17,8 +17,8 @@ from small import small_cfg, write_cfg
 from scenec.backends.stage.read import read_stage
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.draw.models import quaternion_of
-from scenec.compiler.objects.placed import upright_to
-from scenec.compiler.objects.poses import PoseKeys, slerp
+from scenec.compiler.geometry.rotations import upright_to
+from scenec.compiler.objects.placed import PoseKeys, slerp
 from scenec.schemas.errors import CfgError, SceneError
 
 #: A table: a top of 1 m by 1 m at 0.8 m, and a leg; meters, Z up.
@@ -320,7 +320,7 @@ def test_poses_hold_before_and_after_their_times():
 def test_standing_along_a_normal_is_a_rotation_that_takes_up_to_it(z, bearing):
     level = np.sqrt(1 - z * z)
     normal = np.array([level * np.cos(bearing), level * np.sin(bearing), z])
-    matrix = upright_to(normal)
+    matrix = upright_to(normal[None])[0]
     assert matrix @ matrix.T == pytest.approx(np.eye(3), abs=1e-9)
     assert np.linalg.det(matrix) == pytest.approx(1.0, abs=1e-9)
     assert matrix[:, 2] == pytest.approx(normal, abs=1e-12)

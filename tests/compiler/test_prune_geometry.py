@@ -238,8 +238,9 @@ def test_a_lamps_shadow_that_falls_on_a_point_in_view_is_found():
     to_world = np.eye(4)
     to_world[:3, 3] = at
     lamp = Lamp(
-        "lamp", to_world[None], np.ones((1, 3)), np.array([0.05]), np.array([180.0]), np.zeros(1)
-    )
+        name="lamp", to_world=to_world[None], intensity=np.ones((1, 3)),
+        radius_m=np.array([0.05]), cone_deg=np.array([180.0]), softness=np.zeros(1),
+    )  # fmt: skip
     scene = _scene(ground, None, (lamp,))
     points = _shown_points(eye, pose, triangles, rng, 200)
     # Balls that touch the line from the lamp's sphere to a point.

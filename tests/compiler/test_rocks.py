@@ -14,8 +14,10 @@ from small import small_cfg
 
 from scenec.compiler.cfg.fill import fill
 from scenec.compiler.distributions.streams import Streams
+from scenec.compiler.draw.of_keys import Setting
 from scenec.compiler.draw.rocks import draw_rocks
-from scenec.compiler.geometry.icosphere import EDGE, face_neighbors, icosphere, vertex_faces
+from scenec.compiler.geometry.icosphere import EDGE, face_neighbors, icosphere
+from scenec.compiler.geometry.normals import faces_of_vertices
 from scenec.compiler.objects.creases import along_creases
 from scenec.compiler.objects.families.shape import Shape
 from scenec.compiler.objects.lod import budget_factor, choose_levels, see_levels
@@ -32,7 +34,7 @@ FAMILIES = ("weathered", "angular", "rounded", "slab", "vesicular")
 def plan(seed: int = 1, **change) -> ScatterPlan:
     cfg = small_cfg()
     cfg["objects"]["rocks"] |= {"prototypes": 6, "subdivisions": 3, "count": 40} | change
-    return draw_rocks("rocks", fill(cfg)["objects"]["rocks"], {}, Streams(seed, 0))
+    return draw_rocks("rocks", fill(cfg)["objects"]["rocks"], {}, Setting(Streams(seed, 0)))
 
 
 def shapes(family: str, seed: int = 1, **change) -> tuple[Shape, ...]:
@@ -279,7 +281,7 @@ def test_neighbors_share_the_edge_they_are_listed_for():
                 edge = {faces[f, k], faces[f, (k + 1) % 3]}
                 assert other != f
                 assert edge <= set(faces[other])
-        start, around = vertex_faces(subdivisions)
+        start, around = faces_of_vertices(faces.max() + 1, faces)
         for v in range(start.size - 1):
             assert set(around[start[v] : start[v + 1]]) == set(np.flatnonzero((faces == v).any(1)))
 

@@ -6,13 +6,12 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from laying import SIZE, laid, plan, surroundings
+from laying import laid, plan, surroundings
 from PIL import Image
 from scipy.spatial import cKDTree
 
 from scenec.compiler.cfg.check_files import InputFile
 from scenec.compiler.distributions.streams import Streams
-from scenec.compiler.draw.scatter import Setting
 from scenec.compiler.objects.density import (
     AroundDensity,
     ClusterDensity,
@@ -185,11 +184,10 @@ def test_skirts_lie_around_the_objects_they_are_asked_for():
 
 def test_pairs_in_thomas_clusters_are_as_close_as_the_process_says():
     sigma, parents, x, y = 0.6, 60, [], []
-    setting = Setting(SIZE)
     density = {"type": "clusters", "sigma_m": sigma, "parents_per_m2": parents / 1280.0}
     close, expected = 0.0, 0.0
     for seed in range(40):
-        drawn = plan(count=600, density=density, seed=seed, setting=setting)
+        drawn = plan(count=600, density=density, seed=seed)
         around = surroundings()
         places = candidates_on(around.surface.field, drawn.density, (), around, "rocks")
         x, y, _ = places.at(drawn.position_u)
@@ -254,6 +252,6 @@ def test_too_many_parents_are_refused_with_their_number():
 def test_files_of_densities_come_from_the_cfg(tmp_path):
     files = {"objects/rocks/density/file": InputFile(path_file(tmp_path), "")}
     density = {"type": "path", "file": "path.csv", "width_m": 1}
-    drawn = plan(count=1, density=density, setting=Setting(SIZE, files=files))
+    drawn = plan(count=1, density=density, files=files)
     assert drawn.density == PathDensity(tmp_path / "path.csv", "gaussian", 1.0, 0.0, 0.0)
     assert Streams(1, 0).key("objects/rocks/density") != 0

@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 import trimesh
 from elsewhere import digest_elsewhere
-from laying import SIZE, laid, plan, surroundings
+from laying import laid, plan, surroundings
 from scipy import stats
 from scipy.spatial import cKDTree
 
 from scenec.compiler.distributions.laws import golombek_rapp_per_m2
-from scenec.compiler.draw.scatter import Setting
 from scenec.compiler.geometry.rotations import rotation_rows
 from scenec.schemas.errors import SceneError
 
@@ -278,7 +277,7 @@ def test_nowhere_to_lie_and_too_many_are_refused():
         laid(around, count=5, where=[{"type": "height", "min_m": 500}])
     assert laid(around, count=0, where=[{"type": "height", "min_m": 500}]).count == 0
     with pytest.raises(SceneError, match=r"objects/rocks: 1e\+06 per m\^2 .* at most 100,000,000"):
-        plan(per_m2=1e6, setting=Setting(SIZE))
+        plan(per_m2=1e6)
 
 
 def test_upright_objects_lean_by_the_angle_given_toward_every_side():

@@ -33,7 +33,7 @@ from scenec.compiler.scene.plan import RigPlan, SensorPlan
 from scenec.compiler.scene.rig import OpenShutter, Rig, Sensor
 from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.compiler.views.frustum import MOVING, in_view, views_of_all
-from scenec.compiler.views.keep import Keep
+from scenec.compiler.views.needed import Keep
 from scenec.schemas.errors import CfgError, SceneError
 from scenec.schemas.left_out import read_left_out
 from scenec.schemas.lens import directions, to_plane

@@ -17,8 +17,7 @@ from scenec.compiler.cfg.load import load
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.materials.bake import baked
 from scenec.compiler.materials.values import colors, raw
-from scenec.compiler.scene.scene import Material, MaterialMaps
-from scenec.compiler.scene.sources import Sources
+from scenec.compiler.scene.scene import Material, MaterialMaps, Sources
 from scenec.schemas.errors import CfgError
 from scenec.schemas.maps import decode, read_pixels
 

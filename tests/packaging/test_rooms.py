@@ -145,7 +145,7 @@ def test_no_files_import_in_a_ring(layer: str) -> None:
         ("backends", "run", "from scenec.backends.exact import ExactCaster", False),
         ("backends", "registry", "from scenec.backends.contract import Backend", False),
         ("compiler", "mesh", "from scenec.compiler.materials import tile", True),
-        ("compiler", "draw", "from scenec.compiler.light import sky", False),
+        ("compiler", "draw", "from scenec.compiler.light import latlong", False),
     ],
 )
 def test_a_wrong_import_is_seen(layer: str, of: str, line: str, wrong: bool) -> None:

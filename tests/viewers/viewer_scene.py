@@ -17,7 +17,7 @@ from scenec.backends.contract import Visibility
 from scenec.backends.exact import ExactCaster
 from scenec.backends.stage.scene import Camera, RenderScene
 from scenec.compiler.compile import compile_cfg
-from scenec.compiler.views.keep import Keep
+from scenec.compiler.views.needed import Keep
 
 SKY, GROUND, ROCK = 0, 1, 2
 

@@ -8,7 +8,6 @@ import numpy as np
 
 from scenec.compiler.cameras.paths.motion import Around, Built, frames, level_bearing, poses
 from scenec.compiler.cameras.tracks import Sampling
-from scenec.schemas.errors import SceneError
 
 
 @dataclass(frozen=True)
@@ -27,7 +26,6 @@ class Descent:
         drift_deg: Compass bearing of the drift.
         heading_deg: Compass bearing of the picture's top, looking down.
         pitch_deg: Of the view above the horizon.
-        sampling: When.
     """
 
     x_m: float
@@ -46,11 +44,6 @@ class Descent:
     def built(self, around: Around) -> Built:
         """The poses; see ``Motion``."""
         down = self.entry_height_m - self.touchdown_height_m
-        if down < 0.0:
-            raise SceneError(
-                f"{around.what}: entry_height_m is {self.entry_height_m:g} m, below "
-                f"touchdown_height_m ({self.touchdown_height_m:g} m): expected it above"
-            )
         v0, v1 = self.entry_speed_m_s, self.touchdown_speed_m_s
         duration = 2.0 * down / (v0 + v1)
         brake = (v0 - v1) / duration if duration > 0.0 else 0.0
@@ -67,11 +60,8 @@ class Descent:
         clearance = z - around.ground(xy)
         if not (clearance > 0.0).all():
             k = int(np.flatnonzero(~(clearance > 0.0))[0])
-            place = f"{around.named(k, times[k])}, at ({xy[k, 0]:.6g}, {xy[k, 1]:.6g}) m,"
-            raise SceneError(
-                f"{around.what}: {place} is {-clearance[k]:.4g} m below the ground: "
-                "expected less drift, or another point"
-            )
+            expected = "less drift, or another point"
+            raise around.below_ground(k, times[k], xy[k], -clearance[k], expected)
         bearing = np.tile(level_bearing(self.heading_deg), (len(times), 1))
         facts = {"duration_s": duration, "deceleration_m_s2": brake,
                  "lowest_m": float(clearance.min())}  # fmt: skip

@@ -32,10 +32,8 @@ class LawnMower:
         height_m: Of the flight.
         above: "ground" (below each point), "mean" (of the ground along the way: a level flight) or
             "world" (z itself).
-        speed_m_s: Even.
         turn_radius_m: Of every turn. Wider than half of the spacing, turns swing out first.
         pitch_deg: Of the view above the horizon, along the line.
-        sampling: When.
     """
 
     x_m: float
@@ -73,11 +71,8 @@ class LawnMower:
         lowest = float((z - ground).min())
         if lowest <= 0.0:
             k = int((z - ground).argmin())
-            place = f"{around.named(k, times[k])}, at ({xy[k, 0]:.6g}, {xy[k, 1]:.6g}) m,"
-            raise SceneError(
-                f"{around.what}: {place} is {-lowest:.4g} m below the ground: expected a "
-                f"larger height_m than {self.height_m:g}"
-            )
+            expected = f"a larger height_m than {self.height_m:g}"
+            raise around.below_ground(k, times[k], xy[k], -lowest, expected)
         facts = {"lines": lines, "spacing_m": spacing, "length_m": float(legs.length.sum()),
                  "duration_s": duration, "lowest_m": lowest}  # fmt: skip
         position = np.column_stack([xy, z])

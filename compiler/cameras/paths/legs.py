@@ -63,7 +63,6 @@ class Pen:
         """A pen at a point.
 
         Args:
-            x, y: Where.
             heading: Radians from +x, counter-clockwise.
             speed: Of all legs, m/s; less in arcs that would turn faster than allowed.
             turn_rate: At most, rad/s.

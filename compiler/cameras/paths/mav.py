@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scenec.compiler.cameras.paths.motion import Around, Built, bearing_of, frames, poses
 from scenec.compiler.cameras.paths.spline import Spline, largest, within
 from scenec.compiler.cameras.tracks import Sampling
+from scenec.compiler.geometry.rotations import products, upright_to
 from scenec.schemas.errors import SceneError
 
 #: Points along the way at which its height above the ground is looked after, at most.
@@ -35,7 +36,6 @@ class Mav:
         pitch_deg: Of the view above the horizon (of the body's level, with tilt).
         tilt: Whether the body tilts with the acceleration, as one with fixed rotors must.
         gravity_m_s2: What the rotors hold it against.
-        sampling: When.
     """
 
     waypoints: NDArray[np.float64]
@@ -143,21 +143,5 @@ class Mav:
         # Without thrust, in free fall, nothing tilts it.
         floats = length <= 1e-9 * self.gravity_m_s2
         unit = thrust / np.where(floats, 1.0, length)[:, None]
-        x, y, z = np.where(floats[:, None], [0.0, 0.0, 1.0], unit).T
-        # Rodrigues' formula for the turn from (0, 0, 1) to (x, y, z); upside down, about east.
-        k = 1.0 / np.maximum(1.0 + z, 1e-12)
-        turn = np.empty((len(x), 3, 3))
-        for i, row in enumerate(
-            (
-                (1.0 - k * x * x, -k * x * y, x),
-                (-k * x * y, 1.0 - k * y * y, y),
-                (-x, -y, z),
-            )
-        ):
-            for j, values in enumerate(row):
-                turn[:, i, j] = values
-        turn[z < -1.0 + 1e-12] = np.diag([1.0, -1.0, -1.0])
-        out = np.zeros(axes.shape)
-        for k3 in range(3):
-            out += turn[:, :, k3, None] * axes[:, None, k3, :]
-        return out
+        upward = np.where(floats[:, None], [0.0, 0.0, 1.0], unit)
+        return products(upright_to(upward), axes)

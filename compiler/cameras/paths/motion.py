@@ -70,12 +70,8 @@ class Around:
 
     Attributes:
         what: Who asks, for messages: "rigs/rover/pose".
-        samples: How many poses.
-        surface: The ground.
-        sensors: Those that the rig carries.
         bodies: Objects by class; without those of motions that do not ask for them.
         exposing: Whether the poses are those of times between the samples, while a shutter is open.
-        lidars: Those that the rig carries.
     """
 
     what: str
@@ -89,6 +85,15 @@ class Around:
     def named(self, k: int, time_s: float) -> str:
         """One of the poses, for messages: a sample by its number, others by their time."""
         return f"the exposure at {time_s:.6g} s" if self.exposing else f"sample {k}"
+
+    def below_ground(
+        self, k: int, time_s: float, xy: NDArray[np.float64], depth_m: float, expected: str
+    ) -> SceneError:
+        """What is wrong with a pose at a point [2] that lies so far below the ground."""
+        place = f"{self.named(k, time_s)}, at ({xy[0]:.6g}, {xy[1]:.6g}) m,"
+        return SceneError(
+            f"{self.what}: {place} is {depth_m:.4g} m below the ground: expected {expected}"
+        )
 
     def ground(self, xy: NDArray[np.float64]) -> NDArray[np.float64]:
         """Heights of the ground at points [n, 2], float64 [n]."""
@@ -130,7 +135,6 @@ class Built:
     Attributes:
         to_world: Rig-to-world, OpenCV axes, float64 [s, 4, 4].
         times: Of the samples, seconds, [s]; None: they have none of their own.
-        facts: For report.json.
         way: How it moves between the samples; None: as it does with samples at other times.
     """
 
@@ -181,7 +185,6 @@ def frames(
     Args:
         bearing: Level unit vectors, float64 [n, 2].
         pitch_deg: Of the view above the horizon: -90 looks straight down.
-        roll_deg: About the view, clockwise as the camera sees itself.
     """
     n = len(bearing)
     pitch = np.broadcast_to(np.asarray(pitch_deg, np.float64), n) * _DEGREE

@@ -58,8 +58,6 @@ class Obstacles:
     """Those objects of one class that are not driven over.
 
     Attributes:
-        name: Of the class.
-        bodies: The objects.
         points: Middles of the cubes of all prototypes, float64 [m, 3].
         first: Of each prototype's first, and where the last ends, int64 [p + 1].
         half: From a cube's middle to its corners, of each prototype, float64 [p].
@@ -94,7 +92,6 @@ def obstacles_of(
     """What is to be driven around.
 
     Args:
-        bodies: Objects by class.
         largest_m: Those whose ball has a larger radius are driven around.
         cell_m: Of the cells that are driven in.
     """
@@ -125,10 +122,7 @@ def nearest(
     """The nearest object in the way of a vehicle at a point [2], by the distance of cubes in plan.
 
     Args:
-        obstacles: Candidates.
-        band: Of the vehicle.
         cell: Row and column of the point's.
-        xy: The point.
     """
     best: Nearest | None = None
     for one in obstacles:
@@ -143,8 +137,7 @@ def nearest(
 def _sizes(turn: NDArray[np.float32]) -> NDArray[np.float64]:
     """Largest factor of each of some rotations with a scale [n, 3, 3]."""
     wide = turn.astype(np.float64)
-    sizes: NDArray[np.float64] = np.sqrt((wide * wide).sum(axis=1)).max(axis=1, initial=0.0)
-    return sizes
+    return np.sqrt((wide * wide).sum(axis=1)).max(axis=1, initial=0.0)
 
 
 @inlined

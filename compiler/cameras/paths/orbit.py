@@ -54,10 +54,7 @@ def aim_at(aim: PointAim | ObjectAim, around: Around) -> NDArray[np.float64]:
     """Where an aim is, float64 [3]."""
     if isinstance(aim, ObjectAim):
         bodies = around.bodies[aim.name]
-        middle: NDArray[np.float64] = bodies.middle[
-            picked(bodies, aim.id, aim.pick_u, around.what, aim.name)
-        ]
-        return middle
+        return bodies.middle[picked(bodies, aim.id, aim.pick_u, around.what, aim.name)]
     xy = np.array([[aim.x_m, aim.y_m]])
     around.require_on_terrain(xy, "center")
     return np.array([aim.x_m, aim.y_m, float(around.ground(xy)[0]) + aim.height_m])
@@ -75,7 +72,6 @@ class Orbit:
         sweep_deg: How far it goes, clockwise from above; below 0 the other way.
         period_s: Of a whole turn.
         clearance_m: It rises where it would be nearer to the ground below it.
-        sampling: When.
     """
 
     center: PointAim | ObjectAim

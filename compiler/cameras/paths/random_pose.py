@@ -80,11 +80,9 @@ class RandomPose:
     Attributes:
         polygon: The region's corners in order, or two opposite ones of a box, float64 [n, 2].
         above_ground: Whether ``height_m`` is over the ground, or of the world.
-        look: At what.
         numbers: What is drawn each try, by name: "height_m", "roll_deg", and by the look
             "bearing_deg" and "pitch_deg", or "x_m", "y_m" and "target_height_m".
         keys: Of the hash that each is drawn with, and of "place" (twice) and "object".
-        limits: What a pose must keep.
         tries: For each sample at most.
     """
 
@@ -176,7 +174,7 @@ class RandomPose:
             axes = frames(bearing.reshape(-1, 2), number("pitch_deg"), roll)
             return _Drawn(eye, ground, axes, axes[:, :, 2], own)
         if self.look.kind == "object":
-            bodies = around.bodies.get(self.look.name, _NONE)
+            bodies = around.bodies[self.look.name]
             u = _uniforms(np.uint64(self.keys["object"]), samples, k)
             name, number_of = self.look.name, self.look.id
             one = [picked(bodies, number_of, pick, around.what, name) for pick in u.tolist()]
@@ -275,16 +273,6 @@ class _Drawn:
     axes: NDArray[np.float64]
     way: NDArray[np.float64]
     own: NDArray[np.float64]
-
-
-_NONE = Bodies(
-    np.empty(0, np.int64),
-    np.empty((0, 3)),
-    np.empty(0),
-    np.empty((0, 3, 3), np.float32),
-    np.empty(0, np.int32),
-    (),
-)
 
 
 @kernel

@@ -27,7 +27,6 @@ def hits(
 
     Args:
         field: The terrain; beyond it there is nothing.
-        span: Of its heights.
         eye: float64 [3].
         way: Unit directions, float64 [n, 3].
     """
@@ -46,8 +45,7 @@ def normal_at(field: HeightField, x: float, y: float) -> NDArray[np.float64]:
     north = surface_height(field.height, *frame, x, y + dy)
     south = surface_height(field.height, *frame, x, y - dy)
     normal = np.array([(west - east) / (2.0 * dx), (south - north) / (2.0 * dy), 1.0])
-    unit: NDArray[np.float64] = normal / np.sqrt((normal * normal).sum())
-    return unit
+    return normal / np.sqrt((normal * normal).sum())
 
 
 @kernel

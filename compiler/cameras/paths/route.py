@@ -10,13 +10,7 @@ from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.cameras.paths.motion import Around, Bodies
-from scenec.compiler.cameras.paths.obstacles import (
-    Band,
-    Nearest,
-    Obstacles,
-    nearest,
-    obstacles_of,
-)
+from scenec.compiler.cameras.paths.obstacles import Band, Nearest, Obstacles, nearest, obstacles_of
 from scenec.schemas.kernels import kernel
 
 #: Cells along the longer side at most.
@@ -33,7 +27,6 @@ class Passable:
         slope_deg: Of the ground within a vehicle's reach of each cell, float64 [ny, nx].
         free: bool [ny, nx].
         band: Where the vehicle is when its middle is in a cell.
-        obstacles: What is in its way.
     """
 
     corner: tuple[float, float]
@@ -104,11 +97,9 @@ def passable(
     a slope it leans, by its height times the slope's sine.
 
     Args:
-        around: Ground and objects.
         max_slope_deg: Steeper cells are not free.
         width_m, base_m: Between its wheels, across and along. Slopes are taken over ``base_m``.
         top_m: Height of the vehicle above the plane through its wheels.
-        largest_m: Objects whose ball has a larger radius are driven around.
     """
     size = around.surface.field.grid.size_m
     cell = max(base_m, max(size) / _CELLS)
@@ -163,8 +154,6 @@ def driven_over(
 
     Args:
         xy: The way, densely, float64 [n, 2].
-        width_m: Of the strip.
-        bodies: One class.
         margin_m: Of how far points of the way are from each other, half.
     """
     touched = _touched(xy, bodies.middle, bodies.radius + 0.5 * width_m + margin_m)

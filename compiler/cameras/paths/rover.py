@@ -13,6 +13,8 @@ from scenec.compiler.cameras.paths.legs import Legs, rounded
 from scenec.compiler.cameras.paths.motion import Around, Built, frames, poses
 from scenec.compiler.cameras.paths.route import Passable, driven_over, passable
 from scenec.compiler.cameras.tracks import Sampling
+from scenec.compiler.geometry.normals import cross_products
+from scenec.compiler.geometry.rotations import products
 from scenec.schemas.errors import SceneError
 
 _DEGREES = 180.0 / elementary.PI
@@ -36,7 +38,6 @@ class Rover:
         max_object_m: Objects whose ball has a larger radius are driven around, where any of them is
             at the height of the vehicle.
         pitch_deg: Of the view above the body's level.
-        sampling: When.
     """
 
     waypoints: NDArray[np.float64]
@@ -69,11 +70,10 @@ class Rover:
         legs = rounded(way, self.speed_m_s, self.turn_rate_deg_s / _DEGREES)
         times = self.sampling.times(legs.duration_s, around.samples, around.what)
         xy, heading = legs.at(times)
-        position, axes, _ = self._stand(xy, heading, around)
+        position, axes, _ = self._on_wheels(xy, heading, around)
         return Built(poses(position, axes), times, self._facts(legs, points, around))
 
     def _along(self, cells: Passable, around: Around) -> NDArray[np.float64]:
-        """The way through the waypoints."""
         around.require_on_terrain(self.waypoints, "a waypoint")
         for n, point in enumerate(self.waypoints):
             if not cells.is_free(point):
@@ -104,7 +104,6 @@ class Rover:
         return self.height_m + max([0.0, *above])
 
     def _why_blocked(self, cells: Passable, point: NDArray[np.float64], around: Around) -> str:
-        """Why a cell is not free, and what would help."""
         slope = cells.slope_at(point)
         if slope > self.max_slope_deg:
             return (
@@ -126,7 +125,6 @@ class Rover:
     def _drawn(
         self, cells: Passable, around: Around
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Drawn goals, and the way through them."""
         size = np.array(around.surface.field.grid.size_m)
         room = size - self.track_width_m
         goals: list[NDArray[np.float64]] = []
@@ -154,7 +152,7 @@ class Rover:
                 )
         return np.stack(goals), np.concatenate(way)
 
-    def _stand(
+    def _on_wheels(
         self, xy: NDArray[np.float64], heading: NDArray[np.float64], around: Around
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
         """Where the rig is on the wheels: positions, axes, and the body's slope in degrees.
@@ -176,28 +174,17 @@ class Rover:
         normal -= aside[:, None] * np.column_stack([right, np.zeros(len(xy))])
         normal[:, 2] += 1.0
         normal /= steep[:, None]
-        side = np.stack(
-            [
-                x[:, 1] * normal[:, 2] - x[:, 2] * normal[:, 1],
-                x[:, 2] * normal[:, 0] - x[:, 0] * normal[:, 2],
-                x[:, 0] * normal[:, 1] - x[:, 1] * normal[:, 0],
-            ],
-            axis=1,
-        )
         # The view of a level body, in the body's own directions: right, ahead, up.
         view = frames(np.tile([0.0, 1.0], (len(xy), 1)), self.pitch_deg)
-        body = np.stack([side, x, normal], axis=2)
-        axes = np.zeros(view.shape)
-        for k in range(3):
-            axes += body[:, :, k, None] * view[:, None, k, :]
+        body = np.stack([cross_products(x, normal), x, normal], axis=2)
         slope = elementary.atan_array(np.sqrt(ahead * ahead + aside * aside)) * _DEGREES
-        return middle + self.height_m * normal, axes, slope
+        return middle + self.height_m * normal, products(body, view), slope
 
     def _facts(self, legs: Legs, points: NDArray[np.float64], around: Around) -> dict[str, Any]:
         duration, length = legs.duration_s, float(legs.length.sum())
         looks = min(max(int(length / (0.25 * self.wheel_base_m)), 1), _LOOKS)
         xy, heading = legs.at(duration * np.arange(looks + 1) / looks)
-        slope = self._stand(xy, heading, around)[2]
+        slope = self._on_wheels(xy, heading, around)[2]
         margin = 0.5 * length / looks
         over = {
             name: driven_over(

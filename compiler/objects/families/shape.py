@@ -34,7 +34,6 @@ class Shape(ABC):
     The surface is ``radius(d) * d`` for every direction d, stretched along x, y, z.
 
     Attributes:
-        key: Noise key.
         bumpiness: Height of its roughness, in radii.
         axes: Extents along x, y, z, the largest being 1.
         subdivisions: Of the icosphere, in the finest mesh.
@@ -91,7 +90,6 @@ def octaves(frequency: float, spacing: float, most: int) -> int:
     Args:
         frequency: Of the first, in waves a radius.
         spacing: Step of the mesh in radians.
-        most: Not more than these.
     """
     count = 0
     while count < most and 2.0 * frequency * spacing <= 1.0:
@@ -127,8 +125,6 @@ def block(
     """Inverse radius of a convex block with worn edges, in the direction (x, y, z).
 
     Args:
-        normals, distances: Of its planes.
-        x, y, z: Unit vector.
         width: How far the wear of an edge reaches, in inverse radii.
 
     Returns:
