@@ -8,7 +8,7 @@ import textwrap
 from dataclasses import asdict
 
 from scenec.backends.run.executors import make_executor
-from scenec.cli.output import Progress, print_json, say
+from scenec.cli.output import Progress, print_json, say, say_next
 from scenec.datasets.export import Choice, ExportReport, export
 from scenec.datasets.filters import make_filters
 from scenec.datasets.formats.registry import find_format, format_names
@@ -83,6 +83,7 @@ def _tell(report: ExportReport) -> None:
     if report.faults:
         say(f"{len(report.faults)} frames were left out, see {report.folder}/export.json")
     say(f"dataset: {report.folder}/ (what it is: {report.folder}/README.md)")
+    say_next(("check", report.folder))
 
 
 def as_json(report: ExportReport) -> dict[str, object]:

@@ -1,3 +1,4 @@
+# PYTHON_ARGCOMPLETE_OK
 """The ``scenec`` command. Heavy packages are imported by the commands that need them."""
 
 from __future__ import annotations
@@ -23,10 +24,12 @@ from scenec.cli.arguments import (
     add_replace,
     add_seed,
     add_settle_options,
+    add_verbose,
     passes,
     positive,
     span,
 )
+from scenec.cli.completion import complete
 from scenec.cli.converge_arguments import add_converge_options
 from scenec.cli.explain_arguments import add_explain_options
 from scenec.cli.export_arguments import add_export_options
@@ -53,6 +56,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     if arguments is None:
         _speak_utf8()
+        complete(parser())
     for word in sys.argv[1:] if arguments is None else arguments:
         fault = _fault_of(word)
         if fault:
@@ -141,6 +145,7 @@ def parser() -> argparse.ArgumentParser:
     add_cache(run)
     add_replace(run)
     add_batches(run)
+    add_verbose(run)
     add_json(run)
 
     compile_ = _command(commands, "compile", "compile a cfg into USD stages, one per batch")
@@ -152,6 +157,7 @@ def parser() -> argparse.ArgumentParser:
     add_replace(compile_)
     add_batches(compile_)
     add_executor(compile_, "0")
+    add_verbose(compile_)
     add_json(compile_)
 
     validate = _command(commands, "validate", "is a cfg without faults; compiles nothing")
@@ -170,6 +176,7 @@ def parser() -> argparse.ArgumentParser:
     add_render_options(render)
     add_allow_missing(render)
     add_batches(render)
+    add_verbose(render)
     add_json(render)
 
     scan = _command(commands, "scan", "scan with the lidars of an output; needs no renderer")
@@ -185,6 +192,7 @@ def parser() -> argparse.ArgumentParser:
     add_executor(scan)
     add_allow_missing(scan)
     add_batches(scan)
+    add_verbose(scan)
     add_json(scan)
 
     check = _command(commands, "check", "is the output sound, and do backends agree on it")

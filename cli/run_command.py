@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 
 from scenec.cli import compile_command
-from scenec.cli.output import print_json, status
+from scenec.cli.output import print_json, say_next, status
 from scenec.schemas.errors import SceneError
 
 
@@ -42,6 +42,7 @@ def run(options: argparse.Namespace) -> int:
         print_json(made)
     if stopped is not None:
         raise stopped
+    say_next(("view", options.out), ("export --format coco", options.out))
     return 1 if failed or rendered.failed else 0
 
 
