@@ -4,16 +4,26 @@ from __future__ import annotations
 
 import argparse
 import os
+from functools import partial
 from pathlib import Path
 
 from scenec.cli.output import Progress, print_json, say
 from scenec.datasets.view.ground import Ground
 from scenec.datasets.view.page import ViewReport, write_view
+from scenec.datasets.view.space import three
 from scenec.schemas.errors import OutputError, ScenecError
-from scenec.schemas.manifest import Batch
+from scenec.schemas.manifest import Batch, find_batches
 
 #: Cells along the longer side of a batch's ground; the page keeps fewer where many batches are.
 _CELLS = 512
+#: Bytes of all batches in three dimensions at most, and the part of the page's budget.
+_SPACE_BYTES = 8_000_000
+_SPACE_PART = 0.3
+#: Of these the library takes so many, and a batch is not worth showing with fewer.
+_LIBRARY_BYTES = 650_000
+_LEAST_SPACE_BYTES = 150_000
+#: Stored bytes of a triangle of the ground, of one of a prototype, of an instance.
+_GROUND_BYTES, _OBJECT_BYTES, _INSTANCE_BYTES = 18, 12, 36
 
 
 def run(options: argparse.Namespace) -> int:
@@ -32,7 +42,7 @@ def run(options: argparse.Namespace) -> int:
         budget_mb=options.budget_mb,
         workers=options.workers or os.process_cpu_count() or 1,
         faults=options.faults,
-        ground=None if options.no_ground else ground_of,
+        ground=None if options.no_ground else partial(ground_of, room=_room(out, options)),
         progress=Progress("frame"),
         warn=lambda line: say(f"warning: {line}"),
     )
@@ -44,17 +54,48 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def ground_of(batch: Batch) -> Ground | None:
-    """The ground of a batch from above; None where its stage cannot be read."""
+def _room(out: Path, options: argparse.Namespace) -> int:
+    """Bytes that each batch may take in three dimensions; 0: there is no such view."""
+    if three() is None:
+        say("no 3D view: three.js comes with trimesh (pip install 'scenec[meshes]')")
+        return 0
+    room = min(_SPACE_BYTES, _SPACE_PART * 1e6 * options.budget_mb) - _LIBRARY_BYTES
+    each = int(room / max(1, len(find_batches(out))))
+    if each < _LEAST_SPACE_BYTES:
+        say("no 3D view: too many batches for the page's size; a higher --budget-mb, or an output "
+            "of fewer batches has one")  # fmt: skip
+        return 0
+    return each
+
+
+def ground_of(batch: Batch, room: int = 0) -> Ground | None:
+    """A batch from above, and in three dimensions; None where its stage cannot be read.
+
+    Args:
+        batch: Of an output.
+        room: Bytes that three dimensions may take; 0: without them.
+    """
     # Reading stages costs USD and numba: only where it is done.
-    from scenec.backends.stage.ground import read_relief
+    from scenec.backends.model.collect import coarse_model
+    from scenec.backends.stage.ground import relief_of
+    from scenec.backends.stage.read import read_stage
 
     try:
-        relief = read_relief(batch.stage, _CELLS)
+        scene = read_stage(batch.stage)
+        relief = relief_of(scene, _CELLS)
+        model = None
+        if room:
+            model = coarse_model(
+                scene,
+                batch.name,
+                ground_faces=int(0.4 * room / _GROUND_BYTES),
+                object_faces=int(0.2 * room / _OBJECT_BYTES),
+                instances=int(0.4 * room / _INSTANCE_BYTES),
+            )
     except ScenecError as error:
         say(f"warning: no map of {batch.name}: {error}")
         return None
-    return Ground(relief.corner, relief.step, relief.heights, relief.suns)
+    return Ground(relief.corner, relief.step, relief.heights, relief.suns, model)
 
 
 def _lines(report: ViewReport) -> list[str]:

@@ -17,12 +17,14 @@ from scenec.datasets.view.ground import Ground, ground_text, objects_text
 from scenec.datasets.view.jobs import Fault, Pool, Task
 from scenec.datasets.view.layers import NORMAL_ERROR_DEG, WIDEST, Fineness
 from scenec.datasets.view.record import EDGES, Record, Tally, plain_json, short
+from scenec.datasets.view.space import space_text, three
 from scenec.schemas.errors import FrameError
 from scenec.schemas.files import atomic, check_output
 from scenec.schemas.manifest import FRAMES, Batch, find_batches
 from scenec.schemas.versions import version_of
 
-_SCRIPTS = ("base", "decode", "paint", "motion", "grid", "frame", "map", "plots", "keys", "main")
+_SCRIPTS = ("base", "decode", "paint", "motion", "grid", "frame", "map", "space",
+            "plots", "keys", "main")  # fmt: skip
 #: Part of the budget for batches from above, half of it for objects: the most that are kept, and
 #: bytes of each; most and least cells along the ground's side.
 _GROUND_PART = 0.1
@@ -177,6 +179,7 @@ class _Book:
         self._rows: list[dict[str, Any]] = []
         self._labels: dict[str, dict[int, str]] = {}
         self._suns: dict[int, list[list[float] | None]] = {}
+        self._spaces = 0
 
     def write(
         self, file: BinaryIO, pool: Pool, ground: Callable[[Batch], Ground | None] | None
@@ -200,6 +203,8 @@ class _Book:
         self._element(file, "index", plain_json(self._index()))
         # One scope a page: the files share their names and hide them from the page.
         code = b"\n".join(_asset(f"{name}.js") for name in _SCRIPTS)
+        library = b"<script>" + (three() or b"") + b"</script>" if self._spaces else b""
+        body = body.replace(b"<!-- library -->", library)
         file.write(body.replace(b"/* script */", b'(() => {\n"use strict";\n' + code + b"\n})();"))
         self.report.bytes = file.tell()
         self._check()
@@ -262,6 +267,9 @@ class _Book:
         for place, found in enumerate(pool.over(ground, chosen)):
             if found is not None:
                 self._element(file, f"g{place}", ground_text(found, side))
+                if found.model is not None:
+                    self._element(file, f"m{place}", space_text(found.model))
+                    self._spaces += 1
                 self._suns[place] = [
                     None if sun is None else [round(v, 2) for v in sun] for sun in found.suns
                 ]

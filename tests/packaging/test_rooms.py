@@ -29,6 +29,7 @@ FLOORS = {
         ("contract", "registry"),
         ("camera",),
         ("surface",),
+        ("model",),
         ("exact",),
         ("imaging",),
         ("annotation",),
