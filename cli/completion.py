@@ -48,8 +48,9 @@ def _backends(**_: object) -> list[str]:
 
 def _formats(**_: object) -> list[str]:
     from scenec.datasets.formats.registry import format_names
+    from scenec.datasets.models import MODEL_FORMATS
 
-    return format_names()
+    return sorted([*format_names(), *MODEL_FORMATS])
 
 
 def _passes(**_: object) -> Iterable[str]:

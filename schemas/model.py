@@ -123,3 +123,14 @@ class Model:
     times: NDArray[np.float64]
     label_names: dict[str, dict[int, str]]
     losses: tuple[str, ...]
+
+    @property
+    def triangles(self) -> int:
+        """How many are drawn, with those of each instance."""
+        faces = [len(part.faces) for part in self.parts]
+        return sum(len(p.ids) * sum(faces[i] for i in p.parts) for p in self.placements)
+
+    @property
+    def instances(self) -> int:
+        """How many instances of objects there are."""
+        return sum(len(p.ids) for p in self.placements if p.owner)
