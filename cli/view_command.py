@@ -4,18 +4,23 @@ from __future__ import annotations
 
 import argparse
 import os
+import time
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
-from scenec.cli.output import Progress, print_json, say
+from scenec.cli.output import Progress, print_json, say, say_next
 from scenec.datasets.view.ground import Ground
 from scenec.datasets.view.page import ViewReport, write_view
 from scenec.datasets.view.space import three
+from scenec.datasets.view.watching import sign_of, state_of, write_sign
 from scenec.schemas.errors import OutputError, ScenecError
 from scenec.schemas.manifest import Batch, find_batches
 
 #: Cells along the longer side of a batch's ground; the page keeps fewer where many batches are.
 _CELLS = 512
+#: Seconds between two looks at a watched output.
+_LOOK_S = 1.0
 #: Bytes of all batches in three dimensions at most, and the part of the page's budget.
 _SPACE_BYTES = 8_000_000
 _SPACE_PART = 0.3
@@ -35,7 +40,24 @@ def run(options: argparse.Namespace) -> int:
     output = Path(options.output) if options.output else folder / "view.html"
     if output.suffix.lower() not in (".html", ".htm"):
         raise OutputError(f"{output}: the view is an HTML page; end its name in .html")
-    report = write_view(
+    if options.watch:
+        _watch(options, out, output)
+        return 0
+    report = _page(options, out, output)
+    if options.json:
+        print_json(_as_json(report))
+    else:
+        for line in _lines(report):
+            print(line)
+    if options.open:
+        _open(output)
+    else:
+        say_next(("view --open", out), ("export --format coco", out))
+    return 0
+
+
+def _page(options: argparse.Namespace, out: Path, output: Path, watched: str = "") -> ViewReport:
+    return write_view(
         out,
         output,
         backends=options.backend,
@@ -43,15 +65,50 @@ def run(options: argparse.Namespace) -> int:
         workers=options.workers or os.process_cpu_count() or 1,
         faults=options.faults,
         ground=None if options.no_ground else partial(ground_of, room=_room(out, options)),
+        watched=watched,
         progress=Progress("frame"),
         warn=lambda line: say(f"warning: {line}"),
     )
-    if options.json:
-        print_json(_as_json(report))
-        return 0
-    for line in _lines(report):
-        print(line)
-    return 0
+
+
+def _open(page: Path) -> None:
+    import webbrowser
+
+    if not webbrowser.open(page.resolve().as_uri()):
+        say(f"no browser here that can be started; open {page} in one")
+
+
+def _watch(
+    options: argparse.Namespace,
+    out: Path,
+    output: Path,
+    sleep: Callable[[float], None] = time.sleep,
+) -> None:
+    """Writes the page whenever the output has changed and is at rest, until it is interrupted."""
+    shown, before, opened = "", "", False
+    try:
+        while True:
+            state = state_of(out)
+            # Changed since the page, and no more since the last look.
+            if state != shown and state == before:
+                shown = state
+                try:
+                    report = _page(options, out, output, state)
+                except ScenecError as error:
+                    say(f"waiting: {error}")
+                else:
+                    write_sign(output, state)
+                    say(f"{_lines(report)[0]}, {report.frames} frames; watching, Ctrl-C ends")
+                    if options.open and not opened:
+                        _open(output)
+                        opened = True
+            before = state
+            sleep(_LOOK_S)
+    except KeyboardInterrupt:
+        # A wish, not a failure.
+        return
+    finally:
+        sign_of(output).unlink(missing_ok=True)
 
 
 def _room(out: Path, options: argparse.Namespace) -> int:

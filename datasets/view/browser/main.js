@@ -134,5 +134,6 @@ startFrame();
 startMap();
 startSpace();
 startKeys();
+startWatch();
 restore();
 document.body.dataset.ready = "1";
