@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 
@@ -24,9 +24,9 @@ _LOOK_S = 1.0
 #: Bytes of all batches in three dimensions at most, and the part of the page's budget.
 _SPACE_BYTES = 8_000_000
 _SPACE_PART = 0.3
-#: Of these the library takes so many, and a batch is not worth showing with fewer.
+#: Of these the library takes so many; a batch with fewer is not worth looking at.
 _LIBRARY_BYTES = 650_000
-_LEAST_SPACE_BYTES = 150_000
+_LEAST_SPACE_BYTES = 400_000
 #: Stored bytes of a triangle of the ground, of one of a prototype, of an instance.
 _GROUND_BYTES, _OBJECT_BYTES, _INSTANCE_BYTES = 18, 12, 36
 
@@ -57,6 +57,9 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _page(options: argparse.Namespace, out: Path, output: Path, watched: str = "") -> ViewReport:
+    ground = None
+    if not options.no_ground:
+        ground = partial(ground_of, rooms=_rooms(out, options.budget_mb))
     return write_view(
         out,
         output,
@@ -64,7 +67,7 @@ def _page(options: argparse.Namespace, out: Path, output: Path, watched: str = "
         budget_mb=options.budget_mb,
         workers=options.workers or os.process_cpu_count() or 1,
         faults=options.faults,
-        ground=None if options.no_ground else partial(ground_of, room=_room(out, options)),
+        ground=ground,
         watched=watched,
         progress=Progress("frame"),
         warn=lambda line: say(f"warning: {line}"),
@@ -111,26 +114,25 @@ def _watch(
         sign_of(output).unlink(missing_ok=True)
 
 
-def _room(out: Path, options: argparse.Namespace) -> int:
-    """Bytes that each batch may take in three dimensions; 0: there is no such view."""
+def _rooms(out: Path, budget_mb: float) -> dict[int, int]:
+    """Bytes that batches may take in three dimensions, by their index; without the others."""
     if three() is None:
         say("no 3D view: three.js comes with trimesh (pip install 'scenec[meshes]')")
-        return 0
-    room = min(_SPACE_BYTES, _SPACE_PART * 1e6 * options.budget_mb) - _LIBRARY_BYTES
-    each = int(room / max(1, len(find_batches(out))))
-    if each < _LEAST_SPACE_BYTES:
-        say("no 3D view: too many batches for the page's size; a higher --budget-mb, or an output "
-            "of fewer batches has one")  # fmt: skip
-        return 0
-    return each
+        return {}
+    batches = [batch.index for batch in find_batches(out)]
+    room = min(_SPACE_BYTES, _SPACE_PART * 1e6 * budget_mb) - _LIBRARY_BYTES
+    shown = batches[: max(0, int(room / _LEAST_SPACE_BYTES))]
+    if len(shown) < len(batches):
+        say(f"3D view: of the first {len(shown)} of {len(batches)} batches, which fill its room")
+    return {index: int(room / len(shown)) for index in shown}
 
 
-def ground_of(batch: Batch, room: int = 0) -> Ground | None:
+def ground_of(batch: Batch, rooms: Mapping[int, int]) -> Ground | None:
     """A batch from above, and in three dimensions; None where its stage cannot be read.
 
     Args:
         batch: Of an output.
-        room: Bytes that three dimensions may take; 0: without them.
+        rooms: Bytes that three dimensions may take, by the batch's index; others are without.
     """
     # Reading stages costs USD and numba: only where it is done.
     from scenec.backends.model.collect import coarse_model
@@ -141,7 +143,7 @@ def ground_of(batch: Batch, room: int = 0) -> Ground | None:
         scene = read_stage(batch.stage)
         relief = relief_of(scene, _CELLS)
         model = None
-        if room:
+        if room := rooms.get(batch.index):
             model = coarse_model(
                 scene,
                 batch.name,

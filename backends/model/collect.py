@@ -92,7 +92,7 @@ def whole_model(scene: RenderScene, name: str, *, texels: int) -> Model:
     parts: list[Part] = []
     placements: list[Placement] = []
     looks = [_look(surface, f"look_{i:03d}") for i, surface in enumerate(scene.surfaces)]
-    rows = np.flatnonzero(scene.rows.instance_id == 0)
+    rows = np.flatnonzero(_ground(scene))
     baked = bake(scene, rows, texels)
     for row, (mesh, uv, picture) in zip(rows.tolist(), baked, strict=True):
         matrix = scene.rows.to_world[row] - np.column_stack([np.zeros((3, 3)), origin])
@@ -181,13 +181,21 @@ def _still(owner: str, parts: tuple[int, ...]) -> Placement:
     )
 
 
+def _ground(scene: RenderScene) -> NDArray[np.bool_]:
+    """Which rows are ground: no instances, nor of classes that have no ids, nor placed often."""
+    classes = tuple(f"{path}/" for path in scene.instance_paths)
+    objects = [f"{mesh.path}/".startswith(classes) for mesh in scene.meshes]
+    often = np.bincount(scene.rows.mesh, minlength=len(scene.meshes)) > 1
+    return (scene.rows.instance_id == 0) & ~(np.array(objects, bool) | often)[scene.rows.mesh]
+
+
 def _joined_ground(
     scene: RenderScene, origin: NDArray[np.float64]
 ) -> tuple[Part, NDArray[np.float64]] | None:
     """All that is no instance as one part, and its vertices in float64."""
     points, faces, colors, count = [], [], [], 0
     labels: dict[str, list[NDArray[np.uint32]]] = {level: [] for level in scene.levels}
-    for row in np.flatnonzero(scene.rows.instance_id == 0).tolist():
+    for row in np.flatnonzero(_ground(scene)).tolist():
         mesh = scene.meshes[scene.rows.mesh[row]]
         matrix = scene.rows.to_world[row]
         # No BLAS: threads of its own in each of several processes would only be in the way.
@@ -213,7 +221,7 @@ def _groups(
 ) -> list[tuple[Placement, tuple[int, ...]]]:
     """Instances: where meshes stand, those that always stand together as one."""
     rows = scene.rows
-    chosen = np.flatnonzero(rows.instance_id != 0)
+    chosen = np.flatnonzero(~_ground(scene))
     order = chosen[np.argsort(rows.mesh[chosen], kind="stable")]
     meshes, first = np.unique(rows.mesh[order], return_index=True)
     shares = np.split(order, first[1:]) if len(meshes) else []
@@ -225,15 +233,13 @@ def _groups(
         key = (rows.to_world[of].tobytes(), rows.instance_id[of].tobytes())
         together.setdefault(key, []).append(mesh)
         places.setdefault(key, of)
-    bases = sorted(scene.instance_paths.items(), key=lambda item: item[1])
-    starts = np.array([base for _, base in bases])
     found = []
     for key, members in together.items():
         of = places[key]
         to_world = rows.to_world[of].copy()
         to_world[:, :, 3] -= origin
-        at = int(np.searchsorted(starts, rows.instance_id[of[0]])) - 1
-        owner = bases[at][0] if at >= 0 else ""
+        path = scene.meshes[members[0]].path
+        owner = next((p for p in scene.instance_paths if f"{path}/".startswith(f"{p}/")), path)
         placement = Placement(owner, (), to_world, rows.instance_id[of], rows.variation[of])
         found.append((placement, tuple(members)))
     return found

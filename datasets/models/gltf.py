@@ -273,18 +273,19 @@ class _File:
             "SCALE": self._floats(scale),
             "_FEATURE_ID_0": self._floats(ids & ((1 << _ID_BITS) - 1)),
         }
-        features = [{"featureCount": len(np.unique(ids)), "attribute": 0, "label": "instance"}]
         if (ids >> _ID_BITS).any():
             attributes["_FEATURE_ID_1"] = self._floats(ids >> _ID_BITS)
         self._uses("EXT_mesh_gpu_instancing")
         # Who does not know it would show one instance at the origin.
         self.json["extensionsRequired"] = ["EXT_mesh_gpu_instancing"]
-        self._uses("EXT_instance_features")
         node["extras"] = {"owner": placement.owner}
-        node["extensions"] = {
-            "EXT_mesh_gpu_instancing": {"attributes": attributes},
-            "EXT_instance_features": {"featureIds": features},
-        }
+        node["extensions"] = {"EXT_mesh_gpu_instancing": {"attributes": attributes}}
+        if count := len(np.unique(ids[ids > 0])):
+            self._uses("EXT_instance_features")
+            feature = {"attribute": 0, "featureCount": count, "nullFeatureId": 0}
+            node["extensions"]["EXT_instance_features"] = {
+                "featureIds": [{**feature, "label": "instance"}]
+            }
         self.json["nodes"].append(node)
 
     # Suns and cameras.

@@ -184,3 +184,16 @@ def test_a_model_of_a_stage_without_cameras_and_objects(tmp_path: Path):
     model = coarse_model(plain, "b", ground_faces=10, object_faces=10, instances=10)
     assert [len(part.faces) for part in model.parts] == [1]
     assert np.allclose(model.parts[0].points + model.origin, [(0, 0, 0), (8, 0, 0), (0, 8, 0)])
+
+
+def test_objects_without_ids_are_instances_all_the_same(tmp_path: Path):
+    out = tmp_path / "out"
+    cfg = write_cfg(tmp_path, small_cfg(outputs=["depth"]))
+    assert main(["compile", str(cfg), "-o", str(out), "--no-cache"]) == 0
+    plain = read_stage(out / "batch_0000" / "stage.usda")
+    assert not plain.rows.instance_id.any()
+    model = coarse_model(plain, "b", ground_faces=10**6, object_faces=10**6, instances=10**6)
+    tiles = [m for m in plain.meshes if m.path.startswith("/World/Terrain/")]
+    assert len(model.parts[0].faces) == sum(len(mesh.faces) for mesh in tiles)
+    assert {place.owner for place in model.placements} == {"", "/World/Objects/rocks"}
+    assert model.instances == len(plain.rows.mesh) - len(tiles)

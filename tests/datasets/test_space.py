@@ -5,10 +5,16 @@ from __future__ import annotations
 import base64
 import json
 import zlib
+from pathlib import Path
 
 import numpy as np
+import pytest
+from small import small_cfg, write_cfg
 
+from scenec.cli.main import main
+from scenec.cli.view_command import _rooms, ground_of
 from scenec.datasets.view.space import space_text, three
+from scenec.schemas.manifest import find_batches
 from scenec.schemas.model import Look, Model, Part, Placement, View
 
 
@@ -85,3 +91,34 @@ def test_the_library_goes_along_with_its_license_and_alone():
     assert b"InstancedMesh" in code
     assert b"GLTFLoader" not in code
     assert b"</script" not in code
+
+
+@pytest.fixture(scope="module")
+def out(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("space")
+    cfg = write_cfg(folder, small_cfg(samples=1, outputs=["depth"]) | {"batches": 2})
+    assert main(["compile", str(cfg), "-o", str(folder / "out"), "--no-cache"]) == 0
+    return folder / "out"
+
+
+def test_the_budget_of_a_page_goes_to_as_many_batches_as_are_worth_it(out, capsys):
+    assert _rooms(out, 200.0) == dict.fromkeys((0, 1), (8_000_000 - 650_000) // 2)
+    assert list(_rooms(out, 4.0)) == [0]
+    assert "the first 1 of 2 batches" in capsys.readouterr().err
+    assert _rooms(out, 1.0) == {}
+
+
+def test_what_is_stored_of_a_stage_fits_its_room(out):
+    batch = find_batches(out)[1]
+    for room in (60_000, 200_000):
+        ground = ground_of(batch, {1: room})
+        assert ground is not None
+        assert ground.model is not None
+        text = space_text(ground.model)
+        assert len(text) < room
+        facts, _ = opened(text)
+        assert facts["name"] == "batch_0001"
+        assert {place["owner"] for place in facts["placements"]} > {""}
+    above_alone = ground_of(batch, {0: room})
+    assert above_alone is not None
+    assert above_alone.model is None
