@@ -132,5 +132,7 @@ class Model:
 
     @property
     def instances(self) -> int:
-        """How many instances of objects there are."""
-        return sum(len(p.ids) for p in self.placements if p.owner)
+        """How many instances of objects there are; of those without ids each part counts."""
+        ids = [p.ids for p in self.placements if p.owner]
+        found = np.concatenate(ids) if ids else np.zeros(0, np.uint32)
+        return len(np.unique(found[found > 0])) + int((found == 0).sum())

@@ -14,12 +14,14 @@ from numpy.typing import NDArray
 from scenec.backends.model.bake import bake, box_uv
 from scenec.backends.model.colors import mean_color, surfaces_of, vertex_colors
 from scenec.backends.model.simplify import simplify
-from scenec.backends.stage.scene import Mesh, RenderScene, Surface
+from scenec.backends.stage.scene import Mesh, Reading, RenderScene, Surface
 from scenec.backends.surface.pictures import has_maps
 from scenec.schemas.model import Look, Model, Part, Placement, View
 
 #: Triangles that a prototype keeps however little room there is.
 _LEAST_FACES = 24
+#: Endings of pictures that other formats take as they are.
+_PICTURES = (".png", ".jpg", ".jpeg")
 
 
 def coarse_model(
@@ -317,19 +319,22 @@ def _largest(
 
 
 def _look(surface: Surface, name: str) -> Look:
-    """As plain as other formats have it; a picture only where it has one color space."""
-    picture = None
+    """As plain as other formats have it: a picture only in sRGB, which a color multiplies."""
+    picture, color = None, np.array(surface.base_color)
     if surface.maps is not None and has_maps(surface.maps, "base_color"):
-        readings = dict(surface.maps.readings)
-        picture = surface.maps.base_color if "base_color" not in readings else None
-        if picture is None or picture.suffix.lower() not in (".png", ".jpg", ".jpeg"):
-            red, green, blue = mean_color(surface).tolist()
-            return replace(_look(replace(surface, maps=None), name), base_color=(red, green, blue))
+        reading = dict(surface.maps.readings).get("base_color", Reading())
+        picture = surface.maps.base_color
+        plain = reading.srgb is not False and not any(reading.bias)
+        if picture is not None and plain and picture.suffix.lower() in _PICTURES:
+            color = color * reading.scale
+        else:
+            picture, color = None, mean_color(surface)
     if surface.path:
         name = surface.path.rpartition("/")[2]
+    red, green, blue = color.tolist()
     return Look(
         name,
-        surface.base_color,
+        (red, green, blue),
         surface.roughness,
         surface.metallic,
         surface.emission,

@@ -96,7 +96,7 @@ class _Looks:
                 if path in ground:
                     self._losses.append(f"{path}: is no plain mesh; its looks stay unbaked")
                 if part.uv is not None:
-                    if whole:
+                    if whole and not prim.HasAttribute("primvars:st"):
                         _author_corners(prim, part.uv)
                     pictured[part.look] = whole and pictured.get(part.look, True)
         names = {look.name: i for i, look in enumerate(self._model.looks)}
@@ -106,6 +106,9 @@ class _Looks:
                 continue
             number = names.get(prim.GetName(), -1)
             self._strip(prim)
+            if _has_picture(prim):
+                # Of an object with texture coordinates of its own.
+                continue
             if pictured.get(number):
                 self._texture(prim, self._model.looks[number])
             elif number in pictured:
@@ -184,6 +187,11 @@ class _Looks:
         diffuse = surface.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f)
         diffuse.ClearSources()
         diffuse.ConnectToSource(color)
+
+
+def _has_picture(material: Usd.Prim) -> bool:
+    shaders = map(UsdShade.Shader, material.GetChildren())
+    return any(bool(s) and s.GetIdAttr().Get() == "UsdUVTexture" for s in shaders)
 
 
 def _of_materialx(prim: Usd.Prim) -> bool:

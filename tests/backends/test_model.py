@@ -6,14 +6,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 from small import small_cfg, write_cfg
 
 from scenec.backends.model.bake import box_uv
-from scenec.backends.model.collect import coarse_model, whole_model
+from scenec.backends.model.collect import _look, coarse_model, whole_model
 from scenec.backends.model.colors import colors_at, vertex_colors
 from scenec.backends.model.simplify import simplify
 from scenec.backends.stage.read import read_stage
-from scenec.backends.stage.scene import RenderScene
+from scenec.backends.stage.scene import Maps, Reading, RenderScene, Surface
 from scenec.cli.main import main
 from scenec.schemas.model import Model
 from scenec.schemas.picture import srgb_bytes
@@ -197,3 +198,26 @@ def test_objects_without_ids_are_instances_all_the_same(tmp_path: Path):
     assert len(model.parts[0].faces) == sum(len(mesh.faces) for mesh in tiles)
     assert {place.owner for place in model.placements} == {"", "/World/Objects/rocks"}
     assert model.instances == len(plain.rows.mesh) - len(tiles)
+
+
+@pytest.mark.parametrize(
+    ("reading", "kept", "color"),
+    [
+        (Reading(), True, (0.5, 0.25, 1.0)),
+        (Reading(srgb=True, scale=(0.5, 1.0, 0.5)), True, (0.25, 0.25, 0.5)),
+        (Reading(srgb=False), False, None),
+        (Reading(bias=(0.1, 0.0, 0.0)), False, None),
+    ],
+)
+def test_a_picture_stays_one_where_a_color_can_multiply_it(tmp_path, reading, kept, color):
+    file = tmp_path / "red.png"
+    Image.new("RGB", (4, 4), (255, 0, 0)).save(file)
+    maps = Maps(1.0, base_color=file, projection="uv", readings=(("base_color", reading),))
+    look = _look(Surface("/World/Looks/red", (0.5, 0.25, 1.0), 0.0, 0.5, 0.0, maps=maps), "x")
+    assert look.name == "red"
+    assert (look.picture == file) is kept
+    if kept:
+        assert look.base_color == color
+    else:
+        assert look.base_color[0] == pytest.approx(0.5 * min(1.0, 1.0 + reading.bias[0]), rel=0.11)
+        assert look.base_color[1] == 0.0
