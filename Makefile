@@ -20,7 +20,7 @@ PAGES := numerics relief placement sky motion extremes converge leaving_out erro
 help:  ## List the targets.
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  make \1\t\2/p' Makefile | expand -t 20
 
-setup:  ## Make .venv from requirements.lock.
+setup:  ## Make .venv from requirements.lock and requirements-nodeps.lock.
 	@tools/bootstrap.sh
 
 demo: setup  ## Compile and render configs/jacksboro.json, end with a contact sheet.
@@ -79,8 +79,12 @@ pictures: setup  ## Render the README's picture, docs/gallery.md, docs/rocks.md 
 	  echo "== Rendering: $$name"; .venv/bin/python studies/pages/$$name.py; \
 	done
 
+#: Packages whose own lists of what they need are overridden in pyproject.toml: locked apart, since
+#: pip would miss in requirements.lock what the override takes away.
+OVERRIDDEN := cityscapesscripts|lavavu-osmesa
+
 # uv resolves in a folder of its own: uv.lock names hosts and must not come near the repository.
-lock: setup  ## Resolve pyproject.toml again into requirements.lock.
+lock: setup  ## Resolve pyproject.toml again into requirements.lock and requirements-nodeps.lock.
 	@echo "== Resolving requirements.lock"
 	@set -e; folder=$$(mktemp -d); trap 'rm -rf "$$folder"' EXIT; \
 	cp pyproject.toml README.md LICENSE "$$folder"; mkdir -p "$$folder/src/scenec"; \
@@ -88,8 +92,10 @@ lock: setup  ## Resolve pyproject.toml again into requirements.lock.
 	"$$root/.venv/bin/uv" lock --quiet --python "$$root/.venv/bin/python"; \
 	"$$root/.venv/bin/uv" export --quiet --frozen --all-extras --no-extra torch --no-extra rerun \
 	  --all-groups --no-emit-project --no-header --format requirements-txt \
-	  --output-file requirements.lock; \
-	cp requirements.lock "$$root/requirements.lock"
+	  --output-file all.lock; \
+	awk -v overridden='^($(OVERRIDDEN))==' '/^[a-z]/ { file = $$0 ~ overridden ? \
+	  "requirements-nodeps.lock" : "requirements.lock" } { print >file }' all.lock; \
+	cp requirements.lock requirements-nodeps.lock "$$root"
 
 #: Devices that make gpu tries: backend:device.
 GPUS = mitsuba:cuda cycles:cuda cycles:optix pyrender:cuda

@@ -330,6 +330,11 @@ def add_replace(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_verbose(parser: argparse.ArgumentParser) -> None:
+    """How much is said."""
+    parser.add_argument("-v", "--verbose", action="store_true", help="say what took how long, too")
+
+
 def add_json(parser: argparse.ArgumentParser) -> None:
     """Machine-readable output."""
     parser.add_argument(

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from scenec.cli.output import print_json, table
-from scenec.compiler.assets.gltf_scene import chunks
+from scenec.compiler.assets.gltf_model import chunks
 from scenec.schemas.errors import ScenecError
 from scenec.schemas.spelling import nearest
 

@@ -8,10 +8,13 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from scenec.cli.output import Progress, print_json, say, status, warn
+from scenec.cli.output import Progress, print_json, say, say_next, status, warn
 
 if TYPE_CHECKING:
     from scenec.compiler.compile import CompileReport
+
+#: Steps of a batch that are named with ``--verbose``.
+_SLOWEST = 5
 
 
 def run(options: argparse.Namespace) -> int:
@@ -20,6 +23,7 @@ def run(options: argparse.Namespace) -> int:
     report = compile_now(options)
     if options.json:
         print_json(as_json(report))
+    say_next(("render", report.out), ("explain", report.out))
     return 1 if report.failed else 0
 
 
@@ -70,9 +74,15 @@ def compile_now(options: argparse.Namespace) -> CompileReport:
         less = f" ({spared:,} left out)" if spared else ""
         say(
             f"{name}: {facts['ground']['faces']:,} terrain faces, {objects:,} objects{less}, "
-            f"{facts['bytes'] / 2**20:.1f} MiB in {sum(seconds.values()):.1f} s; "
-            f"positions in float32: {precision_text(facts['precision'])}"
+            f"{facts['bytes'] / 2**20:.1f} MiB"
         )
+        if options.verbose:
+            slowest = sorted(seconds.items(), key=lambda item: -item[1])[:_SLOWEST]
+            steps = ", ".join(f"{step} {spent:.2g} s" for step, spent in slowest)
+            say(
+                f"{name}: {sum(seconds.values()):.1f} s ({steps}); positions in float32: "
+                f"{precision_text(facts['precision'])}"
+            )
         off = facts["precision"]["float32_error_max_px"]
         if off is not None and off > WARN_PX:
             say(
@@ -105,7 +115,7 @@ def compile_now(options: argparse.Namespace) -> CompileReport:
     )
     if taken:
         say(f"{taken} of {made + taken} steps were taken from the cache, {cache}")
-    say(f"stages: {report.out}/batch_*/stage.usda; list of files: {report.out}/manifest.json")
+    say(f"stages: {report.out}/batch_*/stage.usda")
     return report
 
 

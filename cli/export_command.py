@@ -8,13 +8,21 @@ import textwrap
 from dataclasses import asdict
 
 from scenec.backends.run.executors import make_executor
-from scenec.cli.output import Progress, print_json, say
+from scenec.cli.output import Progress, print_json, say, say_next
 from scenec.datasets.export import Choice, ExportReport, export
 from scenec.datasets.filters import make_filters
 from scenec.datasets.formats.registry import find_format, format_names
+from scenec.datasets.models import MODEL_FORMATS, TEXELS
 from scenec.datasets.remap import Remap, read_remap
 from scenec.datasets.splits import parse_splits
 from scenec.schemas.errors import OutputError
+
+#: Of the formats that hold stages.
+_TEXELS_OPTION = {
+    "default": str(TEXELS),
+    "choices": [],
+    "help": "of all pictures of the ground of a batch together",
+}
 
 
 def run(options: argparse.Namespace) -> int:
@@ -26,8 +34,13 @@ def run(options: argparse.Namespace) -> int:
         raise OutputError("say what to export: scenec export OUT --format NAME")
     if options.format is None:
         raise OutputError(
-            f"say to which format: --format {'|'.join(format_names())} (scenec export --list)"
+            f"say to which format: --format {'|'.join([*format_names(), *MODEL_FORMATS])} "
+            "(scenec export --list)"
         )
+    if options.format in MODEL_FORMATS:
+        from scenec.cli import export_models
+
+        return export_models.run(options)
     workers = options.workers if options.workers is not None else os.process_cpu_count()
     with make_executor(workers, options.cluster) as executor:
         report = export(
@@ -83,6 +96,7 @@ def _tell(report: ExportReport) -> None:
     if report.faults:
         say(f"{len(report.faults)} frames were left out, see {report.folder}/export.json")
     say(f"dataset: {report.folder}/ (what it is: {report.folder}/README.md)")
+    say_next(("check", report.folder))
 
 
 def as_json(report: ExportReport) -> dict[str, object]:
@@ -123,6 +137,10 @@ def _list(as_json: bool) -> None:
                 }
                 for kind in formats
             }
+            | {
+                name: {"summary": summary, "needs": [], "options": {"texels": _TEXELS_OPTION}}
+                for name, summary in MODEL_FORMATS.items()
+            }
         )
         return
     for kind in formats:
@@ -133,3 +151,7 @@ def _list(as_json: bool) -> None:
             head = f"    --set {name}={value}"
             print(head)
             print(textwrap.indent(textwrap.fill(option.help + default, 88), " " * 12))
+    for name, summary in MODEL_FORMATS.items():
+        print(f"{name:<12}{summary}")
+        print("    --set texels=VALUE")
+        print(f"            {_TEXELS_OPTION['help']} (default: {TEXELS})")

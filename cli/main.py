@@ -1,3 +1,4 @@
+# PYTHON_ARGCOMPLETE_OK
 """The ``scenec`` command. Heavy packages are imported by the commands that need them."""
 
 from __future__ import annotations
@@ -26,10 +27,12 @@ from scenec.cli.arguments import (
     add_seed,
     add_settings,
     add_settle_options,
+    add_verbose,
     passes,
     positive,
     span,
 )
+from scenec.cli.completion import complete
 from scenec.cli.converge_arguments import add_converge_options
 from scenec.cli.explain_arguments import add_explain_options
 from scenec.cli.export_arguments import add_export_options
@@ -57,6 +60,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     if arguments is None:
         _speak_utf8()
+        complete(parser())
     for word in sys.argv[1:] if arguments is None else arguments:
         fault = _fault_of(word)
         if fault:
@@ -146,6 +150,7 @@ def parser() -> argparse.ArgumentParser:
     add_cache(run)
     add_replace(run)
     add_batches(run)
+    add_verbose(run)
     add_json(run)
 
     compile_ = _command(commands, "compile", "compile a cfg into USD stages, one per batch")
@@ -159,6 +164,7 @@ def parser() -> argparse.ArgumentParser:
     add_batches(compile_)
     add_executor(compile_, "0")
     compile_.epilog = "Example: scenec compile cfg.json --set terrain.spacing_m=0.2 --seed 3 -o OUT"
+    add_verbose(compile_)
     add_json(compile_)
 
     validate = _command(commands, "validate", "is a cfg without faults; compiles nothing")
@@ -204,6 +210,7 @@ def parser() -> argparse.ArgumentParser:
     add_render_options(render)
     add_allow_missing(render)
     add_batches(render)
+    add_verbose(render)
     add_json(render)
 
     scan = _command(commands, "scan", "scan with the lidars of an output; needs no renderer")
@@ -219,6 +226,7 @@ def parser() -> argparse.ArgumentParser:
     add_executor(scan)
     add_allow_missing(scan)
     add_batches(scan)
+    add_verbose(scan)
     add_json(scan)
 
     check = _command(commands, "check", "is the output sound, and do backends agree on it")

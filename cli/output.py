@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import shlex
 import shutil
 import sys
 import time
@@ -27,6 +28,16 @@ def say(text: str) -> None:
     stop_if_pending()
     clear_bar()
     print(text, file=sys.stderr, flush=True)
+
+
+def say_next(*commands: tuple[str, Any]) -> None:
+    """The last line of a command: what one may do with what it made.
+
+    Args:
+        commands: (words of the command, the path that ends it).
+    """
+    texts = [f"scenec {words} {shlex.quote(str(path))}" for words, path in commands]
+    say("next: " + "  or  ".join(texts))
 
 
 def status(text: str) -> None:

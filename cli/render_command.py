@@ -10,7 +10,7 @@ from scenec.backends.run.executors import make_executor
 from scenec.backends.run.limits import Limits
 from scenec.backends.run.plan import RenderPlan
 from scenec.backends.run.render import RenderReport, render
-from scenec.cli.output import Progress, print_json, say
+from scenec.cli.output import Progress, print_json, say, say_next
 from scenec.schemas.memory import GB
 from scenec.schemas.units import Executor
 
@@ -20,6 +20,7 @@ def run(options: argparse.Namespace) -> int:
     report = render_now(options)
     if options.json:
         print_json(as_json(report))
+    say_next(("view", options.out), ("export --format coco", options.out))
     return 1 if report.failed else 0
 
 
@@ -48,7 +49,8 @@ def render_now(options: argparse.Namespace, executor: Executor | None = None) ->
         say(f"{lost} frames were given up; run again to try them again")
     made = next((stem for stem in report.frames if stem.with_suffix(".exr").exists()), None)
     where = "" if made is None else f": {made.parent}/"
-    say(f"{report.rendered} frames rendered in {seconds:.1f} s{there}{where}")
+    spent = f" in {seconds:.1f} s" if options.verbose else ""
+    say(f"{report.rendered} frames rendered{spent}{there}{where}")
     return report
 
 

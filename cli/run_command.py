@@ -7,7 +7,7 @@ from contextlib import ExitStack
 from typing import TYPE_CHECKING
 
 from scenec.cli import compile_command
-from scenec.cli.output import print_json, status
+from scenec.cli.output import print_json, say_next, status
 from scenec.schemas.errors import SceneError
 
 if TYPE_CHECKING:
@@ -61,6 +61,7 @@ def _run(options: argparse.Namespace, cfg: Cfg, executor: Executor | None) -> in
         print_json(made)
     if stopped is not None:
         raise stopped
+    say_next(("view", options.out), ("export --format coco", options.out))
     return 1 if failed or rendered.failed else 0
 
 

@@ -7,7 +7,7 @@ from contextlib import ExitStack
 
 from scenec.backends.run.executors import make_executor
 from scenec.backends.run.scan import ScanReport, scan_output
-from scenec.cli.output import Progress, print_json, say
+from scenec.cli.output import Progress, print_json, say, say_next
 from scenec.schemas.units import Executor
 
 
@@ -16,6 +16,7 @@ def run(options: argparse.Namespace) -> int:
     report = scan_now(options, lidars=options.lidars, ply=options.ply)
     if options.json:
         print_json(as_json(report))
+    say_next(("check", options.out))
     return 0
 
 
@@ -50,7 +51,8 @@ def scan_now(
     there = len(report.scans) - report.made
     rest = f", {there} were there already" if there else ""
     where = f": {report.scans[0].parent}/" if report.scans else ""
-    say(f"{report.made} scans made in {sum(report.seconds.values()):.1f} s{rest}{where}")
+    spent = f" in {sum(report.seconds.values()):.1f} s" if options.verbose else ""
+    say(f"{report.made} scans made{spent}{rest}{where}")
     return report
 
 

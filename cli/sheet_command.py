@@ -8,7 +8,7 @@ import shutil
 import sys
 from pathlib import Path
 
-from scenec.cli.output import say
+from scenec.cli.output import say, say_next
 from scenec.datasets.sheet import write_sheet
 from scenec.schemas.errors import OutputError
 
@@ -24,10 +24,9 @@ def run(options: argparse.Namespace) -> int:
     for line in sheet.left_out:
         say(f"not shown: {line}")
     say(f"frames (EXR with all passes, PNG picture, JSON sidecar): {sheet.folder}/")
-    stages = f"{out}/batch_*/stage.usda" if out.is_dir() else str(out)
-    say(f"stages for any USD viewer: {stages}")
     print(f"contact sheet: {sheet.path}")
     _show(sheet.path, options.terminal)
+    say_next(("view", out))
     return 0
 
 

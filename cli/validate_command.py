@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from scenec.cli.output import print_json, warn
+from scenec.cli.output import print_json, say_next, warn
 
 
 def run(options: argparse.Namespace) -> int:
@@ -31,4 +31,5 @@ def run(options: argparse.Namespace) -> int:
     else:
         parts = ", ".join(f"{what} {count:,}" for what, count in counts.items())
         print(f"{options.cfg}: {cfg['name']}: no fault found ({parts})")
+        say_next(("run -o OUT", options.cfg))
     return 0

@@ -44,6 +44,15 @@ def add_view_options(parser: argparse.ArgumentParser) -> None:
         "--workers", type=positive, metavar="N", help="processes (default: one a core)"
     )
     parser.add_argument(
+        "--open", action="store_true", help="show the page in this machine's browser"
+    )
+    parser.add_argument(
+        "--watch",
+        action="store_true",
+        help="write the page anew whenever the output has changed, until Ctrl-C; pages that are "
+        "open load themselves again",
+    )
+    parser.add_argument(
         "--rerun",
         action="store_true",
         help="no page: log the frames to the Rerun viewer (needs the extra 'rerun')",

@@ -55,6 +55,14 @@ def srgb_encode(linear: NDArray[np.floating]) -> NDArray[np.float64]:
     return np.where(linear <= 0.0031308, 12.92 * linear, power)
 
 
+def srgb_bytes(linear: NDArray[np.floating]) -> NDArray[np.uint8]:
+    """Colors in [0, 1] (others are clipped) as sRGB in 8 bits, the same shape."""
+    coded: NDArray[np.uint8] = np.rint(255.0 * srgb_encode(np.clip(linear, 0.0, 1.0))).astype(
+        np.uint8
+    )
+    return coded
+
+
 def develop(radiance: NDArray[np.floating], exposure_ev: float = 0.0) -> NDArray[np.uint8]:
     """An 8-bit sRGB picture of linear radiance, the same shape."""
     out = np.empty(np.shape(radiance), np.uint8)

@@ -1,6 +1,7 @@
 #!/bin/sh
-# Makes .venv: finds Python 3.13, installs requirements.lock by hash, installs scenec editable.
-# Does nothing when .venv already answers to the same lock file, pyproject.toml and place.
+# Makes .venv: finds Python 3.13, installs requirements.lock and requirements-nodeps.lock by hash,
+# installs scenec editable. Does nothing when .venv already answers to the same lock files,
+# pyproject.toml and place.
 set -eu
 cd "$(dirname "$0")/.."
 
@@ -29,7 +30,7 @@ find_python() {
   return 1
 }
 
-wanted="$(pwd) $(cat requirements.lock pyproject.toml | cksum)"
+wanted="$(pwd) $(cat requirements.lock requirements-nodeps.lock pyproject.toml | cksum)"
 stamp=.venv/scenec.stamp
 if [ -f "$stamp" ] && [ "$(cat "$stamp")" = "$wanted" ] && is_313 .venv/bin/python; then
   exit 0
@@ -73,7 +74,8 @@ MESSAGE
 fi
 
 # Wheels only: building an sdist would fetch build tools that the lock does not pin. No dependencies
-# beyond the lock: it is complete, and leaves out on purpose what pyproject.toml overrides.
+# beyond the locks: requirements.lock is complete, and requirements-nodeps.lock has the packages of
+# whose dependencies pyproject.toml overrides some (Jupyter's server for a libOSMesa).
 install() {
   if command -v uv >/dev/null 2>&1; then
     uv pip install --python .venv/bin/python --require-hashes --no-deps --only-binary :all: -r "$1"
@@ -95,6 +97,7 @@ say "Compiling the kernels beside the other downloads"
 warming=$!
 trap 'kill $warming 2>/dev/null || true' EXIT
 install requirements.lock
+install requirements-nodeps.lock
 .venv/bin/python -m tools.cfg_stub >/dev/null
 say "Waiting for the kernels"
 wait $warming || true

@@ -41,7 +41,11 @@ def read_relief(stage: Path, cells: int) -> Relief:
     Raises:
         StageError: It cannot be read.
     """
-    scene = read_stage(stage)
+    return relief_of(read_stage(stage), cells)
+
+
+def relief_of(scene: RenderScene, cells: int) -> Relief:
+    """As ``read_relief``, of a stage that is read."""
     suns = tuple(
         _angles(lighting.suns[0].to_light) if lighting.suns else None for lighting in scene.lighting
     )
@@ -72,7 +76,7 @@ def relief(
     step = extent / count
     heights = np.full((count[1], count[0]), -np.inf)
     for world, faces in placed:
-        _rasterize(world, faces, low, step, heights)
+        rasterize(world, faces, low, step, heights, np.empty(heights.shape, np.int32))
     heights[np.isinf(heights)] = np.nan
     corner = low + 0.5 * step
     return (
@@ -83,14 +87,24 @@ def relief(
 
 
 @kernel
-def _rasterize(
+def rasterize(
     points: NDArray[np.float64],
     faces: NDArray[np.int32],
     low: NDArray[np.float64],
     step: NDArray[np.float64],
     heights: NDArray[np.float64],
+    owner: NDArray[np.int32],
 ) -> None:
-    """Raises ``heights`` to the triangles over the middles of cells."""
+    """Raises ``heights`` to the triangles over the middles of cells, ``owner`` to their numbers.
+
+    Args:
+        points: [n, 3].
+        faces: [m, 3].
+        low: x and y of the grid's corner.
+        step: Width of a cell along x and y.
+        heights: [ny, nx].
+        owner: [ny, nx].
+    """
     ny, nx = heights.shape
     for f in range(len(faces)):
         a, b, c = points[faces[f, 0]], points[faces[f, 1]], points[faces[f, 2]]
@@ -112,7 +126,9 @@ def _rasterize(
                 w = 1.0 - u - v
                 if u >= -1e-12 and v >= -1e-12 and w >= -1e-12:
                     z = u * a[2] + v * b[2] + w * c[2]
-                    heights[j, i] = max(heights[j, i], z)
+                    if z > heights[j, i]:
+                        heights[j, i] = z
+                        owner[j, i] = f
 
 
 def _angles(to_light: NDArray[np.float64]) -> tuple[float, float]:

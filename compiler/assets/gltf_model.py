@@ -60,7 +60,7 @@ class GltfFile:
         binary: bytes | None = None
         text: bytes = data
         if file.suffix.lower() == ".glb":
-            text, rest = _chunks(data)
+            text, rest = chunks(data)
             if len(rest) >= 8 and rest[4:8] == b"BIN\0":
                 binary = rest[8 : 8 + int.from_bytes(rest[:4], "little")]
         self.document = _required_version(json.loads(text))
@@ -260,7 +260,7 @@ def _placed_meshes(document: dict[str, Any]) -> Iterator[tuple[str, int, NDArray
         waiting += [(child, matrix, path) for child in reversed(node.get("children", []))]
 
 
-def _chunks(data: bytes) -> tuple[bytes, bytes]:
+def chunks(data: bytes) -> tuple[bytes, bytes]:
     """The JSON of a ``.glb``, and what comes after it.
 
     Raises:

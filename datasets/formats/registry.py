@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import importlib
 from importlib.metadata import entry_points
+from typing import TYPE_CHECKING
 
-from scenec.datasets.formats.contract import Format
 from scenec.schemas.errors import OutputError
 from scenec.schemas.spelling import nearest
+
+if TYPE_CHECKING:
+    # The names alone are wanted without NumPy, by the shell's completion.
+    from scenec.datasets.formats.contract import Format
 
 #: Entry points of other packages: name -> a ``Format``.
 GROUP = "scenec.exporters"
@@ -44,6 +48,8 @@ def find_format(name: str) -> type[Format]:
         module, _, attribute = _OURS[name].partition(":")
         found: type[Format] = getattr(importlib.import_module(module), attribute)
         return found
+    from scenec.datasets.formats import contract
+
     for entry in entry_points(group=GROUP, name=name):
         try:
             loaded = entry.load()
@@ -51,7 +57,7 @@ def find_format(name: str) -> type[Format]:
             raise OutputError(
                 f"format {name!r}: {entry.value} cannot be loaded: {error}"
             ) from error
-        if isinstance(loaded, type) and issubclass(loaded, Format):
+        if isinstance(loaded, type) and issubclass(loaded, contract.Format):
             return loaded
         raise OutputError(f"format {name!r}: {entry.value} is no scenec.datasets format")
     raise OutputError(f"no format {name!r}{nearest(name, format_names())}")

@@ -14,6 +14,7 @@ from scenec.datasets.view.record import short
 from scenec.schemas.errors import FrameError
 from scenec.schemas.instances import read_table
 from scenec.schemas.manifest import FRAMES, Batch
+from scenec.schemas.model import Model
 
 
 @dataclass(frozen=True)
@@ -27,12 +28,14 @@ class Ground:
             row 0 at the least y: float [ny, nx].
         suns: Elevation and azimuth (clockwise from +y), degrees, of the first sun at each sample;
             None where it has none.
+        model: The batch in three dimensions; None where the page shall have none of it.
     """
 
     corner: tuple[float, float]
     step: tuple[float, float]
     heights: NDArray[np.floating]
     suns: tuple[tuple[float, float] | None, ...] = ()
+    model: Model | None = None
 
 
 def ground_text(ground: Ground, side: int) -> bytes:

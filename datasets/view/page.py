@@ -17,12 +17,14 @@ from scenec.datasets.view.ground import Ground, ground_text, objects_text
 from scenec.datasets.view.jobs import Fault, Pool, Task
 from scenec.datasets.view.layers import NORMAL_ERROR_DEG, WIDEST, Fineness
 from scenec.datasets.view.record import EDGES, Record, Tally, plain_json, short
+from scenec.datasets.view.space import space_text, three
 from scenec.schemas.errors import FrameError
 from scenec.schemas.files import atomic, check_output
 from scenec.schemas.manifest import FRAMES, Batch, find_batches
 from scenec.schemas.versions import version_of
 
-_SCRIPTS = ("base", "decode", "paint", "motion", "grid", "frame", "map", "plots", "keys", "main")
+_SCRIPTS = ("base", "decode", "paint", "motion", "grid", "frame", "map", "space",
+            "plots", "keys", "watch", "main")  # fmt: skip
 #: Part of the budget for batches from above, half of it for objects: the most that are kept, and
 #: bytes of each; most and least cells along the ground's side.
 _GROUND_PART = 0.1
@@ -76,6 +78,7 @@ def write_view(
     workers: int = 1,
     faults: str = "skip",
     ground: Callable[[Batch], Ground | None] | None = None,
+    watched: str = "",
     progress: Callable[[int, int, str], None] = lambda done, total, text: None,
     warn: Callable[[str], None] = lambda line: None,
 ) -> ViewReport:
@@ -89,6 +92,7 @@ def write_view(
         workers: Processes.
         faults: ``skip`` names frames that cannot be read and goes on, ``stop`` stops at the first.
         ground: The ground of a batch from above, called in the processes; None where there is none.
+        watched: State that the page loads itself again after (``watching``); "": it never does.
         progress: Called with done, total, and what was done.
         warn: Called with a line a fault.
 
@@ -110,7 +114,7 @@ def write_view(
         longest, raw = _sizes(sources)
         ladder = fit(pool, tasks, longest, raw, budget)
         for fineness in ladder:
-            book = _Book(out, sources, tasks, fineness, budget, faults, progress, warn)
+            book = _Book(out, sources, tasks, fineness, budget, faults, watched, progress, warn)
             try:
                 with atomic(output) as temporary, temporary.open("wb") as file:
                     book.write(file, pool, ground)
@@ -162,6 +166,7 @@ class _Book:
         fineness: Fineness,
         budget: int,
         faults: str,
+        watched: str,
         progress: Callable[[int, int, str], None],
         warn: Callable[[str], None],
     ) -> None:
@@ -170,6 +175,7 @@ class _Book:
         self._out, self._sources, self._budget = out, sources, budget
         self._tasks = [replace(task, fineness=fineness) for task in tasks]
         self._faults, self._progress, self._warn = faults, progress, warn
+        self._watched = watched
         self._cameras = sorted({task.ref.camera for task in tasks})
         self._backends = [source.backend for source in sources]
         self._batches = sorted({(task.ref.batch, task.ref.batch_name) for task in tasks})
@@ -177,6 +183,7 @@ class _Book:
         self._rows: list[dict[str, Any]] = []
         self._labels: dict[str, dict[int, str]] = {}
         self._suns: dict[int, list[list[float] | None]] = {}
+        self._spaces = 0
 
     def write(
         self, file: BinaryIO, pool: Pool, ground: Callable[[Batch], Ground | None] | None
@@ -187,6 +194,9 @@ class _Book:
             .replace(b"%TITLE%", _escaped(self._title()))
             .split(b"<!-- frames -->")
         )
+        if self._watched:
+            # The script beside the page says when it is written anew.
+            head = head.replace(b"script-src ", b"script-src file: ")
         file.write(head.replace(b"/* style */", _asset("page.css")))
         total = len(self._tasks)
         for number, made in enumerate(pool.records(self._tasks)):
@@ -200,6 +210,8 @@ class _Book:
         self._element(file, "index", plain_json(self._index()))
         # One scope a page: the files share their names and hide them from the page.
         code = b"\n".join(_asset(f"{name}.js") for name in _SCRIPTS)
+        library = b"<script>" + (three() or b"") + b"</script>" if self._spaces else b""
+        body = body.replace(b"<!-- library -->", library)
         file.write(body.replace(b"/* script */", b'(() => {\n"use strict";\n' + code + b"\n})();"))
         self.report.bytes = file.tell()
         self._check()
@@ -262,6 +274,9 @@ class _Book:
         for place, found in enumerate(pool.over(ground, chosen)):
             if found is not None:
                 self._element(file, f"g{place}", ground_text(found, side))
+                if found.model is not None:
+                    self._element(file, f"m{place}", space_text(found.model))
+                    self._spaces += 1
                 self._suns[place] = [
                     None if sun is None else [round(v, 2) for v in sun] for sun in found.suns
                 ]
@@ -285,6 +300,7 @@ class _Book:
         return {
             "title": self._title(),
             "scenec": version_of(),
+            "watched": self._watched,
             "cameras": self._cameras,
             "backends": self._backends,
             "batches": [name for _, name in self._batches],

@@ -30,6 +30,7 @@ FLOORS = {
         ("contract", "registry"),
         ("camera",),
         ("surface",),
+        ("model",),
         ("exact",),
         ("imaging",),
         ("annotation",),

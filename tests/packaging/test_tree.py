@@ -1,10 +1,12 @@
-"""What the repository's files must not hold, and what its lock file must."""
+"""What the repository's files must not hold, and what its lock files must."""
 
 from __future__ import annotations
 
 import re
 import subprocess
 import tomllib
+from collections.abc import Iterable, Iterator, Mapping
+from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
 
 import pytest
@@ -64,11 +66,15 @@ def test_no_file_names_a_registry_host() -> None:
     assert not found
 
 
+#: What is installed as pip does it, and what with ``--no-deps``.
+LOCK, NODEPS = "requirements.lock", "requirements-nodeps.lock"
+
+
 def test_no_lock_file_with_addresses_is_in_the_repository() -> None:
     names = [name for name, _ in texts()]
-    assert "requirements.lock" in names
+    assert {LOCK, NODEPS} <= set(names)
     assert not [name for name in names if LOCKS_WITH_ADDRESSES.search(name)]
-    assert not ADDRESS.search((ROOT / "requirements.lock").read_text())
+    assert not any(ADDRESS.search((ROOT / name).read_text()) for name in (LOCK, NODEPS))
 
 
 #: Extras that are in neither the lock nor the extra "all".
@@ -77,9 +83,10 @@ TOO_LARGE = ("torch", "rerun")
 FOR_DEVELOPERS = ("docs",)
 
 
-def locked() -> dict[str, str]:
+def locked(*files: str) -> dict[str, str]:
     """Normalized name to the entry (version, marker, hashes) of each locked package."""
-    text = (ROOT / "requirements.lock").read_text().replace("\\\n", " ")
+    text = "".join((ROOT / name).read_text() for name in files or (LOCK, NODEPS))
+    text = text.replace("\\\n", " ")
     entries = [line for line in text.splitlines() if line and not line.lstrip().startswith("#")]
     return {re.split(r"[=\s]", entry)[0]: entry for entry in entries}
 
@@ -107,6 +114,63 @@ def test_the_lock_holds_every_declared_dependency_at_an_allowed_version() -> Non
             continue
         version = entries[canonicalize_name(requirement.name)].split("==")[1].split()[0]
         assert requirement.specifier.contains(version), (requirement, version)
+
+
+def unmet(wanted: Mapping[str, Iterable[str]], held: Mapping[str, str]) -> Iterator[str]:
+    """What locked packages need here that is not locked, or at a version that they do not take.
+
+    Args:
+        wanted: Package to the extras asked of it.
+        held: Package to its locked version.
+    """
+    from packaging.requirements import Requirement
+    from packaging.utils import canonicalize_name
+
+    waiting = [(name, extra) for name, extras in wanted.items() for extra in ("", *extras)]
+    done = set()
+    while waiting:
+        name, extra = waiting.pop()
+        if (name, extra) in done:
+            continue
+        done.add((name, extra))
+        try:
+            texts = distribution(name).requires or []
+        except PackageNotFoundError:
+            # Of another platform: its marker says so, or setup would have installed it.
+            assert ";" in locked()[name], name
+            continue
+        for requirement in map(Requirement, texts):
+            if requirement.marker and not requirement.marker.evaluate({"extra": extra}):
+                continue
+            needed = canonicalize_name(requirement.name)
+            if needed not in held or not requirement.specifier.contains(held[needed], True):
+                yield f"{name} needs {requirement}"
+            else:
+                waiting += [(needed, also) for also in ("", *requirement.extras)]
+
+
+def versions(*files: str) -> dict[str, str]:
+    return {name: entry.split("==")[1].split()[0] for name, entry in locked(*files).items()}
+
+
+def test_pip_finds_all_that_locked_packages_need_in_the_lock() -> None:
+    held = versions(LOCK)
+    assert not list(unmet(dict.fromkeys(held, ()), held))
+
+
+def test_only_overridden_needs_of_the_packages_without_dependencies_are_not_locked() -> None:
+    table = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    overridden = {text.split(";")[0] for text in table["tool"]["uv"]["override-dependencies"]}
+    held = versions()
+    apart = versions(NODEPS)
+    missing = {text.split(" needs ")[1] for text in unmet(dict.fromkeys(apart, ()), held)}
+    assert {name.replace("_", "-") for name in missing} == overridden
+
+
+def test_a_package_taken_out_of_the_lock_is_missed() -> None:
+    held = versions(LOCK)
+    del held["llvmlite"]
+    assert [text.split()[0] for text in unmet({"numba": ()}, held)] == ["numba"]
 
 
 def test_the_extra_all_is_all_extras_that_users_want_but_what_is_too_large() -> None:

@@ -42,7 +42,13 @@ def open_browser() -> Iterator:
     with sync_api.sync_playwright() as play:
         browser = play.chromium.launch(
             executable_path=path,
-            args=["--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage"],
+            # WebGL is drawn by the CPU.
+            args=[
+                "--no-sandbox",
+                "--disable-dev-shm-usage",
+                "--use-angle=swiftshader",
+                "--enable-unsafe-swiftshader",
+            ],
             env={**os.environ, **environment},
         )
         try:

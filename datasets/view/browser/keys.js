@@ -4,7 +4,7 @@ const HELP = [
   ["← → ↑ ↓", "move between frames"], ["Home, End, PgUp, PgDn", "further"], ["Enter", "open the frame"],
   ["Esc", "close"], ["1 … 9", "layers, in their order: toggle; in a frame: show"],
   ["r i d n", "RGB, instances, depth, normals"], ["l", "next label level"],
-  ["+ −", "larger, smaller tiles"], ["f m s", "frames, map, statistics"],
+  ["+ −", "larger, smaller tiles"], ["f m t s", "frames, map, three dimensions, statistics"],
   ["x", "no highlight"], ["?", "this help"],
 ];
 
@@ -42,7 +42,7 @@ const letters = {
   d: () => usePass(allPasses.find((name) => name === "depth")),
   n: () => usePass(allPasses.find((name) => name === "normal")),
   l: nextLevel,
-  f: () => showTab("frames"), m: () => showTab("map"), s: () => showTab("stats"),
+  f: () => showTab("frames"), m: () => showTab("map"), t: () => { if (!$("tab-space").hidden) showTab("space"); }, s: () => showTab("stats"),
   x: () => setHighlight(null), "?": showHelp,
   "+": () => resizeTiles(1.25), "=": () => resizeTiles(1.25), "-": () => resizeTiles(0.8),
 };

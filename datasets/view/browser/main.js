@@ -93,12 +93,12 @@ function counts() {
 
 function showTab(name) {
   state.tab = name;
-  for (const tab of ["frames", "map", "stats"]) {
+  for (const tab of ["frames", "map", "space", "stats"]) {
     $(tab).hidden = tab !== name;
     $(`tab-${tab}`).setAttribute("aria-selected", String(tab === name));
     $(`tab-${tab}`).tabIndex = tab === name ? 0 : -1;
   }
-  $("layers").hidden = name === "stats";
+  $("layers").hidden = name === "stats" || name === "space";
   if (name === "stats") showStats();
   tell("tab", name);
   remember();
@@ -110,7 +110,7 @@ function restore() {
   const number = Number(asked.get("frame"));
   if (frames[number]) state.selected = number;
   const tab = asked.get("tab");
-  showTab(["map", "stats"].includes(tab) ? tab : "frames");
+  showTab(["map", "space", "stats"].includes(tab) && !$(`tab-${tab}`).hidden ? tab : "frames");
   if (frames.length && state.tab === "frames") select(state.selected);
   if (asked.has("open") && frames[number]) {
     state.layer = asked.get("layer");
@@ -123,7 +123,7 @@ function legend() { $("legend").replaceChildren(...legendPanels()); }
 on("layers", layerChips);
 on("list", () => { counts(); legend(); if (state.tab === "stats") showStats(); });
 on("highlight", () => { legend(); filterBar(); });
-for (const tab of ["frames", "map", "stats"]) $(`tab-${tab}`).addEventListener("click", () => showTab(tab));
+for (const tab of ["frames", "map", "space", "stats"]) $(`tab-${tab}`).addEventListener("click", () => showTab(tab));
 $("help-button").addEventListener("click", showHelp);
 layerChips();
 filterBar();
@@ -132,6 +132,8 @@ counts();
 startGrid();
 startFrame();
 startMap();
+startSpace();
 startKeys();
+startWatch();
 restore();
 document.body.dataset.ready = "1";

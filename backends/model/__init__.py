@@ -1,0 +1,1 @@
+"""Stages as models for viewers and for other formats."""

@@ -1,0 +1,486 @@
+"""glTF 2.0: one binary file a batch.
+
+Instances by EXT_mesh_gpu_instancing, the first sample's suns by KHR_lights_punctual. Ids stand in
+custom attributes, as EXT_instance_features and EXT_mesh_features have them: ``_FEATURE_ID_0`` of an
+instance is the lowest 24 bits of its frame id (what float32 holds), ``_FEATURE_ID_1`` the others
+where there are any; ``_FEATURE_ID_i`` of a vertex is its label of level i (in alphabetical order).
+Vertices are split where labels or texture coordinates change. The root node turns z up into y up.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+import struct
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from scenec.schemas.errors import OutputError
+from scenec.schemas.files import atomic
+from scenec.schemas.model import Look, Model, Part, Placement, View
+from scenec.schemas.versions import version_of
+
+_MAGIC, _JSON, _BINARY = 0x46546C67, 0x4E4F534A, 0x004E4942
+_FLOAT, _UINT, _USHORT = 5126, 5125, 5123
+_ARRAY, _INDICES = 34962, 34963
+_REPEAT, _CLAMP = 10497, 33071
+#: Bits of an id that float32 holds.
+_ID_BITS = 24
+#: Cosine between axes of a matrix above which it is no rotation and scale.
+_SHEAR = 1e-4
+#: Pixels that a principal point may be off the middle without being said.
+_OFF_CENTER = 0.5
+#: A quarter turn about x: z up becomes y up.
+_Y_UP = [-math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5)]
+
+
+class Written(NamedTuple):
+    """What a file holds.
+
+    Attributes:
+        triangles: Drawn, with those of each instance.
+        instances: Of objects.
+        losses: A line for each thing of the stage that it does not hold.
+    """
+
+    triangles: int
+    instances: int
+    losses: tuple[str, ...]
+
+
+def write_gltf(model: Model, path: Path) -> Written:
+    """Writes ``path``, a .glb.
+
+    Raises:
+        OutputError: The file cannot be written, or would be larger than 4 GiB.
+    """
+    file = _File(model)
+    file.build()
+    text = json.dumps(file.json, separators=(",", ":"), allow_nan=False).encode()
+    text += b" " * (-len(text) % 4)
+    file.bytes += bytes(-len(file.bytes) % 4)
+    size = 12 + 8 + len(text) + 8 + len(file.bytes)
+    if size >= 1 << 32:
+        raise OutputError(f"{path}: {size / 1e9:.1f} GB; a glTF file holds 4.3 at most")
+    with atomic(path) as temporary, temporary.open("wb") as out:
+        out.write(struct.pack("<III", _MAGIC, 2, size))
+        out.write(struct.pack("<II", len(text), _JSON) + text)
+        out.write(struct.pack("<II", len(file.bytes), _BINARY))
+        out.write(file.bytes)
+    return Written(model.triangles, model.instances, (*model.losses, *file.losses))
+
+
+class _File:
+    """A file in the making."""
+
+    def __init__(self, model: Model) -> None:
+        self._model = model
+        self._levels = sorted(model.label_names)
+        self.bytes = bytearray()
+        self.losses: list[str] = []
+        self.json: dict[str, Any] = {
+            "asset": {"version": "2.0", "generator": f"scenec {version_of()}"},
+            "scene": 0,
+            "scenes": [{"nodes": [0]}],
+            "nodes": [],
+            "meshes": [],
+            "accessors": [],
+            "bufferViews": [],
+            "materials": [],
+        }
+
+    def build(self) -> None:
+        """Fills ``json`` and ``bytes``."""
+        model = self._model
+        origin = model.origin.tolist()
+        extras: dict[str, Any] = {
+            "taxonomies": {
+                level: {str(i): text for i, text in sorted(model.label_names[level].items())}
+                for level in self._levels
+            },
+        }
+        root: dict[str, Any] = {
+            "name": model.name,
+            "rotation": _Y_UP,
+            "translation": [origin[0], origin[2], -origin[1]],
+            "extras": extras,
+        }
+        self.json["nodes"].append(root)
+        self._materials()
+        primitives = [self._primitive(part) for part in model.parts]
+        for placement in model.placements:
+            self._placement(placement, primitives)
+        self._suns()
+        self._cameras()
+        extras["losses"] = [*model.losses, *self.losses]
+        root["children"] = list(range(1, len(self.json["nodes"])))
+        self.json["buffers"] = [{"byteLength": len(self.bytes) + -len(self.bytes) % 4}]
+        self.json = {name: value for name, value in self.json.items() if value != []}
+
+    def _uses(self, extension: str) -> None:
+        used = self.json.setdefault("extensionsUsed", [])
+        if extension not in used:
+            used.append(extension)
+            used.sort()
+
+    def _view(self, data: bytes, target: int | None = None) -> int:
+        self.bytes += bytes(-len(self.bytes) % 4)
+        view = {"buffer": 0, "byteOffset": len(self.bytes), "byteLength": len(data)}
+        if target is not None:
+            view["target"] = target
+        self.bytes += data
+        self.json["bufferViews"].append(view)
+        return len(self.json["bufferViews"]) - 1
+
+    def _accessor(
+        self, values: NDArray[Any], target: int | None = None, bounds: bool = False
+    ) -> int:
+        """An accessor of float32 [n] or [n, c], or of indices [n]."""
+        floating = values.dtype.kind == "f"
+        kind = _FLOAT if floating else _USHORT if values.dtype.itemsize == 2 else _UINT
+        stored = np.ascontiguousarray(values, values.dtype.newbyteorder("<"))
+        shape = 1 if values.ndim == 1 else values.shape[1]
+        accessor: dict[str, Any] = {
+            "bufferView": self._view(stored.tobytes(), target),
+            "componentType": kind,
+            "count": len(values),
+            "type": {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}[shape],
+        }
+        if bounds:
+            rows = values.reshape(len(values), -1)
+            accessor["min"] = rows.min(axis=0).tolist()
+            accessor["max"] = rows.max(axis=0).tolist()
+        self.json["accessors"].append(accessor)
+        return len(self.json["accessors"]) - 1
+
+    def _floats(self, values: NDArray[Any], target: int | None = None) -> int:
+        return self._accessor(np.asarray(values, np.float32), target)
+
+    # Looks.
+
+    def _materials(self) -> None:
+        for look in self._model.looks:
+            rough: dict[str, Any] = {
+                "baseColorFactor": [*np.clip(look.base_color, 0, 1).tolist(), 1.0],
+                "metallicFactor": _unit(look.metallic),
+                "roughnessFactor": _unit(look.roughness),
+            }
+            if look.picture is not None:
+                rough["baseColorTexture"] = {"index": self._texture(look)}
+            material = {
+                "name": look.name,
+                "pbrMetallicRoughness": rough,
+                "doubleSided": True,
+            }
+            strength = max(look.emission)
+            if strength > 0.0:
+                material["emissiveFactor"] = [v / max(strength, 1.0) for v in look.emission]
+            if strength > 1.0:
+                self._uses("KHR_materials_emissive_strength")
+                material["extensions"] = {
+                    "KHR_materials_emissive_strength": {"emissiveStrength": strength}
+                }
+            self.json["materials"].append(material)
+
+    def _texture(self, look: Look) -> int:
+        wrap = _REPEAT
+        if isinstance(look.picture, Path):
+            data, kind = _picture_file(look.picture)
+        else:
+            assert look.picture is not None
+            data, kind = _png(Image.fromarray(look.picture)), "image/png"
+            wrap = _CLAMP
+        samplers = self.json.setdefault("samplers", [])
+        sampler = {"magFilter": 9729, "minFilter": 9987, "wrapS": wrap, "wrapT": wrap}
+        if sampler not in samplers:
+            samplers.append(sampler)
+        images = self.json.setdefault("images", [])
+        images.append({"name": look.name, "bufferView": self._view(data), "mimeType": kind})
+        textures = self.json.setdefault("textures", [])
+        textures.append({"sampler": samplers.index(sampler), "source": len(images) - 1})
+        return len(textures) - 1
+
+    # Geometry.
+
+    def _primitive(self, part: Part) -> dict[str, Any] | None:
+        """A part as a primitive; None where it has no triangles."""
+        if not len(part.faces):
+            return None
+        vertex, corner, faces = split(part, self._levels)
+        narrow = np.uint16 if len(vertex) < 65535 else np.uint32
+        attributes = {
+            "POSITION": self._accessor(part.points[vertex].astype(np.float32), _ARRAY, bounds=True)
+        }
+        if part.normals is not None:
+            normals = part.normals[vertex].astype(np.float64)
+            length = np.sqrt((normals * normals).sum(axis=1, keepdims=True))
+            if (length > 0.0).all():
+                attributes["NORMAL"] = self._floats(normals / length, _ARRAY)
+        if part.uv is not None:
+            # glTF's v runs down.
+            uv = part.uv.reshape(-1, 2)[corner]
+            uv = np.column_stack([uv[:, 0], 1.0 - uv[:, 1]])
+            attributes["TEXCOORD_0"] = self._floats(uv, _ARRAY)
+        if part.colors is not None:
+            attributes["COLOR_0"] = self._floats(np.clip(part.colors[vertex], 0, 1), _ARRAY)
+        sets = []
+        for number, level in enumerate(self._levels):
+            if level in part.labels:
+                ids = part.labels[level][corner // 3]
+                attributes[f"_FEATURE_ID_{number}"] = self._floats(ids, _ARRAY)
+                count = int(ids.max()) + 1
+                sets.append({"featureCount": count, "attribute": number, "label": level})
+        primitive: dict[str, Any] = {
+            "attributes": attributes,
+            "indices": self._accessor(faces.ravel().astype(narrow), _INDICES),
+            "material": part.look,
+        }
+        if sets:
+            self._uses("EXT_mesh_features")
+            primitive["extensions"] = {"EXT_mesh_features": {"featureIds": sets}}
+        return primitive
+
+    def _placement(self, placement: Placement, primitives: list[dict[str, Any] | None]) -> None:
+        own = [primitives[part] for part in placement.parts if primitives[part] is not None]
+        if not own:
+            return
+        path = self._model.parts[placement.parts[0]].path
+        self.json["meshes"].append({"name": path, "primitives": own})
+        node: dict[str, Any] = {"name": path, "mesh": len(self.json["meshes"]) - 1}
+        position, turn, scale, sheared = decomposed(placement.to_world)
+        if sheared:
+            self.losses.append(
+                f"{path}: {sheared:,} of its places are sheared: the nearest turn and scale stand "
+                "for them"
+            )
+        if not placement.owner:
+            node |= {
+                "translation": position[0].tolist(),
+                "rotation": turn[0].tolist(),
+                "scale": scale[0].tolist(),
+            }
+            self.json["nodes"].append(node)
+            return
+        ids = placement.ids.astype(np.uint32)
+        attributes = {
+            "TRANSLATION": self._floats(position),
+            "ROTATION": self._floats(turn),
+            "SCALE": self._floats(scale),
+            "_FEATURE_ID_0": self._floats(ids & ((1 << _ID_BITS) - 1)),
+        }
+        if (ids >> _ID_BITS).any():
+            attributes["_FEATURE_ID_1"] = self._floats(ids >> _ID_BITS)
+        self._uses("EXT_mesh_gpu_instancing")
+        # Who does not know it would show one instance at the origin.
+        self.json["extensionsRequired"] = ["EXT_mesh_gpu_instancing"]
+        node["extras"] = {"owner": placement.owner}
+        node["extensions"] = {"EXT_mesh_gpu_instancing": {"attributes": attributes}}
+        if count := len(np.unique(ids[ids > 0])):
+            self._uses("EXT_instance_features")
+            feature = {"attribute": 0, "featureCount": count, "nullFeatureId": 0}
+            node["extensions"]["EXT_instance_features"] = {
+                "featureIds": [{**feature, "label": "instance"}]
+            }
+        self.json["nodes"].append(node)
+
+    # Suns and cameras.
+
+    def _suns(self) -> None:
+        suns = self._model.suns[0] if self._model.suns else ()
+        if not suns:
+            return
+        if any(
+            len(others) != len(suns)
+            or any(not np.array_equal(a, b) for (a, _), (b, _) in zip(others, suns, strict=True))
+            for others in self._model.suns
+        ):
+            self.losses.append("light: suns stand where they are at the first sample")
+        lights = []
+        total = sum(float(_LUMINANCE @ irradiance) for _, irradiance in suns)
+        for number, (to_light, irradiance) in enumerate(suns):
+            most = float(irradiance.max())
+            own = float(_LUMINANCE @ irradiance)
+            color = irradiance / most if most > 0.0 else np.ones(3)
+            shown = own / total * math.pi / float(_LUMINANCE @ color) if total > 0.0 else 0.0
+            lights.append({"type": "directional", "color": color.tolist(), "intensity": shown})
+            self.json["nodes"].append(
+                {
+                    "name": f"sun_{number}",
+                    "rotation": _toward(to_light).tolist(),
+                    "extensions": {"KHR_lights_punctual": {"light": number}},
+                    "extras": {"irradiance": irradiance.tolist()},
+                }
+            )
+        self._uses("KHR_lights_punctual")
+        self.json["extensions"] = {"KHR_lights_punctual": {"lights": lights}}
+        self.losses.append(
+            f"light: suns together are scaled from {total:.4g} to pi, so that what is white and "
+            "faces them shows 1; their true irradiance is in extras"
+        )
+
+    def _cameras(self) -> None:
+        off = [view.name for view in self._model.views if _off_center(view) > _OFF_CENTER]
+        if off:
+            self.losses.append(
+                f"cameras: principal points off the middle are in extras alone ({', '.join(off)})"
+            )
+        channels: list[dict[str, Any]] = []
+        samplers: list[dict[str, Any]] = []
+        moving = any(len(view.poses) > 1 for view in self._model.views)
+        times = self._accessor(self._times(), bounds=True) if moving else -1
+        for view in self._model.views:
+            k = view.intrinsics
+            cameras = self.json.setdefault("cameras", [])
+            cameras.append(
+                {
+                    "name": view.name,
+                    "type": "perspective",
+                    "perspective": {
+                        "yfov": 2.0 * math.atan(view.height / (2.0 * k[1, 1])),
+                        "aspectRatio": view.width * k[1, 1] / (view.height * k[0, 0]),
+                        "znear": 0.01,
+                    },
+                    "extras": {"resolution": [view.width, view.height], "K": k.tolist()},
+                }
+            )
+            # glTF's cameras look along -z with y up, ours along z with y down.
+            poses = view.poses[:, :3] * np.array([1.0, -1.0, -1.0, 1.0])
+            position, turn, _, _ = decomposed(poses)
+            node = len(self.json["nodes"])
+            self.json["nodes"].append(
+                {
+                    "name": view.name,
+                    "camera": len(cameras) - 1,
+                    "translation": position[0].tolist(),
+                    "rotation": turn[0].tolist(),
+                }
+            )
+            if len(poses) < 2:
+                continue
+            for name, values in (("translation", position), ("rotation", turn)):
+                target = {"node": node, "path": name}
+                channels.append({"sampler": len(samplers), "target": target})
+                samplers.append(
+                    {"input": times, "output": self._floats(values), "interpolation": "STEP"}
+                )
+        if channels:
+            self.json["animations"] = [
+                {"name": "samples", "channels": channels, "samplers": samplers}
+            ]
+
+    def _times(self) -> NDArray[np.float32]:
+        """Seconds from the first sample; numbers of samples where float32 does not tell them."""
+        times = (self._model.times - self._model.times[:1]).astype(np.float32)
+        if (np.diff(times) > 0.0).all():
+            return times
+        self.losses.append("cameras: the animation's seconds are numbers of samples")
+        return np.arange(len(times), dtype=np.float32)
+
+
+_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
+
+
+def _unit(value: float) -> float:
+    return min(1.0, max(0.0, value))
+
+
+def _off_center(view: View) -> float:
+    k = view.intrinsics
+    return max(abs(float(k[0, 2]) - view.width / 2), abs(float(k[1, 2]) - view.height / 2))
+
+
+def split(
+    part: Part, levels: list[str]
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """Vertices apart where labels or texture coordinates differ.
+
+    Returns:
+        Of each new vertex the old one and one of its corners (3 * face + corner), [k]; the faces
+        with new vertices, [m, 3].
+    """
+    key = part.faces.ravel().astype(np.int64)
+    beside: list[NDArray[Any]]
+    beside = [np.repeat(part.labels[level], 3) for level in levels if level in part.labels]
+    if part.uv is not None:
+        beside.append(np.ascontiguousarray(part.uv.reshape(-1, 2)).view(np.int64).ravel())
+    for values in beside:
+        if (values == values[0]).all():
+            continue
+        _, number = np.unique(values, return_inverse=True)
+        _, key = np.unique(key * (int(number.max()) + 1) + number, return_inverse=True)
+    _, corner, faces = np.unique(key, return_index=True, return_inverse=True)
+    return part.faces.ravel()[corner].astype(np.int64), corner, faces.reshape(-1, 3)
+
+
+def decomposed(
+    matrices: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], int]:
+    """Positions [n, 3], unit quaternions (x, y, z, w) [n, 4] and scales [n, 3] of [n, 3, 4].
+
+    A mirrored matrix has a negative first scale. The last value counts matrices that are sheared,
+    of which this is not all.
+    """
+    linear = matrices[:, :, :3]
+    scale = np.sqrt((linear * linear).sum(axis=1))
+    axes = np.where(scale[:, None, :] > 0.0, linear / np.where(scale, scale, 1.0)[:, None, :], 0.0)
+    flat = (scale == 0.0).any(axis=1)
+    axes[flat] = np.eye(3)
+    cosines = [
+        np.abs((axes[:, :, i] * axes[:, :, j]).sum(axis=1)) for i, j in ((0, 1), (0, 2), (1, 2))
+    ]
+    sheared = np.max(cosines, axis=0) > _SHEAR
+    if sheared.any():
+        # The nearest rotation.
+        u, _, vt = np.linalg.svd(axes[sheared])
+        axes[sheared] = u @ vt
+    mirrored = (np.cross(axes[:, :, 0], axes[:, :, 1]) * axes[:, :, 2]).sum(axis=1) < 0.0
+    axes[mirrored, :, 0] *= -1.0
+    scale = np.where(mirrored[:, None] & (np.arange(3) == 0), -scale, scale)
+    return matrices[:, :, 3], quaternions(axes), scale, int(sheared.sum())
+
+
+def quaternions(rotations: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Unit quaternions (x, y, z, w), w >= 0, of rotation matrices [n, 3, 3] (Shepperd 1978)."""
+    r = rotations
+    trace = r[:, 0, 0] + r[:, 1, 1] + r[:, 2, 2]
+    # 4 q q^T, whose row of the largest diagonal entry is q up to its length.
+    outer = np.empty((len(r), 4, 4))
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        outer[:, i, i] = 1.0 + 2.0 * r[:, i, i] - trace
+        outer[:, i, 3] = outer[:, 3, i] = r[:, k, j] - r[:, j, k]
+        outer[:, i, j] = outer[:, j, i] = r[:, j, i] + r[:, i, j]
+    outer[:, 3, 3] = 1.0 + trace
+    best = np.diagonal(outer, axis1=1, axis2=2).argmax(axis=1)
+    q = outer[np.arange(len(r)), best]
+    q /= np.sqrt((q * q).sum(axis=1, keepdims=True))
+    return np.where(q[:, 3:] < 0.0, -q, q)
+
+
+def _toward(to_light: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The turn that brings +z to a direction: lights shine along -z."""
+    z = to_light / np.linalg.norm(to_light)
+    aside = np.array([1.0, 0.0, 0.0]) if abs(z[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
+    x = np.cross(aside, z)
+    x /= np.linalg.norm(x)
+    return quaternions(np.stack([x, np.cross(z, x), z], axis=1)[None])[0]
+
+
+def _png(picture: Image.Image) -> bytes:
+    held = io.BytesIO()
+    picture.save(held, "PNG")
+    return held.getvalue()
+
+
+def _picture_file(path: Path) -> tuple[bytes, str]:
+    """A file as it is, where it is what glTF takes: PNG or JPEG of 8 bits."""
+    with Image.open(path) as picture:
+        if picture.mode in ("L", "RGB", "RGBA") and picture.format in ("PNG", "JPEG"):
+            kind = "image/png" if picture.format == "PNG" else "image/jpeg"
+            return path.read_bytes(), kind
+        return _png(picture.convert("RGB")), "image/png"
