@@ -37,6 +37,22 @@ def add_seed(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_preview_options(parser: argparse.ArgumentParser) -> None:
+    """What ``preview`` shows, and where."""
+    parser.add_argument(
+        "--backend", default="pyrender", help="who draws (default: pyrender, the quickest)"
+    )
+    parser.add_argument("--spp", type=positive, default=8, help="samples a pixel (default: 8)")
+    parser.add_argument(
+        "--width", type=positive, default=480, metavar="PX", help="of pictures (default: 480)"
+    )
+    parser.add_argument(
+        "--port", type=int, default=0, metavar="N", help="of the page (default: a free one)"
+    )
+    parser.add_argument("--no-browser", action="store_true", help="only print the address")
+    parser.add_argument("--once", metavar="HTML", help="write the page to a file, and end")
+
+
 def add_settings(parser: argparse.ArgumentParser) -> None:
     """``--set``."""
     parser.add_argument(

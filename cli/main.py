@@ -20,6 +20,7 @@ from scenec.cli.arguments import (
     add_executor,
     add_json,
     add_keep,
+    add_preview_options,
     add_render_options,
     add_replace,
     add_seed,
@@ -165,6 +166,13 @@ def parser() -> argparse.ArgumentParser:
     add_cfg(validate)
     add_settings(validate)
     add_json(validate)
+
+    preview = _command(commands, "preview", "show what a cfg makes in the browser, as it is edited")
+    add_cfg(preview)
+    add_settings(preview)
+    add_seed(preview)
+    add_preview_options(preview)
+    add_cache(preview)
 
     init = _command(commands, "init", "write a small cfg to begin with")
     init.epilog = "Without TEMPLATE it lists them. Example: scenec init mars -o mine.jsonc"
