@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from bisect import bisect_right
 from dataclasses import dataclass
 from typing import Any
@@ -78,7 +79,7 @@ class Text:
 
     def _take(self, text: str) -> None:
         self.text = text
-        self._line_starts = [0, *(i + 1 for i, letter in enumerate(text) if letter == "\n")]
+        self._line_starts = [0, *(match.end() for match in re.finditer("\n", text))]
 
     def position(self, offset: int) -> Position:
         """Of a character."""
