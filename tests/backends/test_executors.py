@@ -22,6 +22,7 @@ from processes import until, until_gone
 from small import small_cfg, write_cfg
 from third_party import install, plan_fault, square_stage
 
+from scenec.backends.run.doctor import start
 from scenec.backends.run.executors import Processes, make_executor
 from scenec.backends.run.render import render
 from scenec.backends.run.scan import scan_output
@@ -257,6 +258,23 @@ def test_a_worker_opens_a_stage_once_and_keeps_to_it(out, tmp_path, monkeypatch,
     assert {batch for _, _, batch in loads} == {batch.name for batch in find_batches(out)}
     # Two workers: two batches at once, then both at the third.
     assert len(loads) <= 4
+
+
+def test_a_worker_that_started_a_renderer_takes_a_stage_and_no_second_one(tmp_path, monkeypatch):
+    install(tmp_path, monkeypatch)
+    first, second = (square_stage(tmp_path / f"{name}.usda", width=8) for name in "ab")
+    units = [
+        OfBackend("plain", partial(start, "auto")),
+        *(open_stage(Opening(str(path), "plain")) for path in (first, first, second)),
+    ]
+    pids = []
+    with Processes(1) as executor:
+        for unit, outcome in run_all(executor, units):
+            outcome.result()
+            pids.append(executor._hands[0].pid)
+            assert executor._hands[0].holds == unit.holds
+    assert len(set(pids[:3])) == 1
+    assert pids[3] != pids[0]
 
 
 def test_each_of_several_workers_has_its_share_of_the_cores(monkeypatch):
