@@ -14,8 +14,8 @@ import pytest
 from small import small_cfg
 
 from scenec.backends.run.render import render
-from scenec.cli.assets_command import shipped, snippet
 from scenec.cli.main import main
+from scenec.compiler.assets.library import shipped, snippet
 from scenec.compiler.assets.model import read_model
 from scenec.compiler.compile import compile_cfg
 from scenec.schemas.frames import read_frame
