@@ -60,7 +60,7 @@ GROUPS = {
 }
 _TILE, _COLUMNS, _FOV_DEG, _SPACING_M = (236, 216), 4, 30.0, 60.0
 _INK, _PAPER = (34, 34, 34), (255, 255, 255)
-#: Turns that show more than the default of 30 degrees, and views from nearer.
+#: Turns about z that show more than 30 degrees do.
 _YAW = {
     "sphere_gray": 0, "sphere_mirror": 0, "apriltag_board": 18, "calibration_board": 18,
     "sign_stop": 14, "sign_give_way": -14, "sign_speed_limit": 14, "street_lamp": 60, "car": 38,
