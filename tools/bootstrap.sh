@@ -95,6 +95,7 @@ say "Compiling the kernels beside the other downloads"
 warming=$!
 trap 'kill $warming 2>/dev/null || true' EXIT
 install requirements.lock
+.venv/bin/python -m tools.cfg_stub >/dev/null
 say "Waiting for the kernels"
 wait $warming || true
 trap - EXIT
