@@ -15,7 +15,7 @@ from typing import Any
 from PIL import Image, ImageDraw, ImageFont
 
 from scenec.backends.run.render import render
-from scenec.compiler.assets.library import FOLDER, Asset, shipped, snippet
+from scenec.compiler.assets.library import Asset, shipped, snippet
 from scenec.datasets.colors import label_colors, paint_labels
 from scenec.schemas.frames import read_frame
 from scenec.schemas.picture import develop
@@ -119,7 +119,7 @@ def tiles(page: Page, assets: dict[str, Asset], spp: int) -> dict[str, Image.Ima
         yaw = _YAW.get(asset.name, 30)
         objects[asset.name] = {
             "type": "placed",
-            "models": [{"file": str(FOLDER / f"{asset.name}.glb")}],
+            "models": [{"file": f"package:assets/models/{asset.name}.glb"}],
             "poses": [{"x_m": x, "y_m": 0, "rotation_deg": [0, 0, yaw]}],
         }
         a, (width, depth, height) = math.radians(yaw), asset.size_m
@@ -246,7 +246,6 @@ def yard(page: Page, assets: dict[str, Asset], spp: int) -> None:
         labels["class"] |= lines["labels"]["class"]
         entry = lines["objects"][name]
         del entry["parts"]
-        entry["models"] = [{"file": str(FOLDER / f"{name}.glb")}]
         if name in YARD:
             for key in ("count", "embed"):
                 entry.pop(key, None)

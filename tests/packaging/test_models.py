@@ -235,15 +235,14 @@ def test_assets_lists_all_and_shows_one(capsys: pytest.CaptureFixture[str]) -> N
 @pytest.mark.slow
 def test_a_cfg_with_all_of_them_compiles_and_every_label_is_annotated(tmp_path: Path) -> None:
     cfg = small_cfg(samples=1)
-    labels: dict[str, dict[str, int]] = {"class": {"sky": 1, "ground": 2}, "part": {"other": 1}}
+    labels: dict[str, dict[str, int]] = {"class": {"sky": 1, "ground": 2}, "part": {}}
     cfg["objects"], across = {}, 7
     for number, card in enumerate(CARDS.values()):
         lines = snippet(card, CARDS)
         for level, names in lines["labels"].items():
             labels[level] |= names
         (entry,) = lines["objects"].values()
-        entry |= {"type": "placed", "models": [{"file": str(FOLDER / f"{card.name}.glb")}]}
-        entry["labels"]["part"] = "other"
+        entry["type"] = "placed"
         entry.pop("count", None)
         entry.pop("embed", None)
         row, column = divmod(number, across)
@@ -253,11 +252,9 @@ def test_a_cfg_with_all_of_them_compiles_and_every_label_is_annotated(tmp_path: 
         cfg["objects"][card.name] = entry
     cfg["labels"] = labels
     cfg["terrain"] |= {"size_m": [100, 100], "spacing_m": 2, "relief": [{"type": "plane"}]}
-    cfg["terrain"]["ground"] = [
-        {"material": "sand", "labels": {"class": "ground", "part": "other"}}
-    ]
+    cfg["terrain"]["ground"] = [{"material": "sand", "labels": {"class": "ground"}}]
     cfg["materials"] = {"sand": cfg["materials"]["sand"]}
-    cfg["light"]["sky"]["labels"] = {"class": "sky", "part": "other"}
+    cfg["light"]["sky"]["labels"] = {"class": "sky"}
     cfg["rigs"] = {
         f"row_{row}": {
             "pose": {
