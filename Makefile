@@ -69,8 +69,8 @@ docs: setup  ## Generate docs/cfg.md from the schemas; the pages of errors and r
 	  echo "== Making docs: $$name"; .venv/bin/python studies/pages/$$name.py; \
 	done
 
-pictures: setup  ## Render the README's table of shipped cfgs, docs/rocks.md and docs/lights.md.
-	@set -e; for name in gallery rocks lights; do \
+pictures: setup  ## Render the README's table of shipped cfgs, docs/rocks.md, lights.md and assets.md.
+	@set -e; for name in gallery rocks lights assets; do \
 	  echo "== Rendering: $$name"; .venv/bin/python studies/pages/$$name.py; \
 	done
 
