@@ -74,8 +74,8 @@ site: setup  ## Build the website of docs/ into build/site (Sphinx; a warning is
 	@.venv/bin/sphinx-build --quiet --fail-on-warning --keep-going --jobs auto docs build/site
 	@echo "== Open build/site/index.html"
 
-pictures: setup  ## Render the README's picture, docs/gallery.md, docs/rocks.md and docs/lights.md.
-	@set -e; for name in gallery rocks lights; do \
+pictures: setup  ## Render the README's picture, docs/gallery.md, docs/rocks.md, lights.md and assets.md.
+	@set -e; for name in gallery rocks lights assets; do \
 	  echo "== Rendering: $$name"; .venv/bin/python studies/pages/$$name.py; \
 	done
 

@@ -139,7 +139,8 @@ def test_no_path_of_a_machine_goes_into_the_manifest(tmp_path: Path) -> None:
 def test_every_file_of_ours_says_its_terms(path: Path) -> None:
     if path.suffix in (".md", ".toml"):
         return
-    assert terms_of(path) == Terms("Apache-2.0", ("The scenec authors",), "REUSE.toml")
+    license_ = "CC0-1.0" if path.suffix == ".glb" else "Apache-2.0"
+    assert terms_of(path) == Terms(license_, ("The scenec authors",), "REUSE.toml")
 
 
 def test_the_manifest_holds_terms_and_the_cfg_s_own_bytes(tmp_path: Path) -> None:
@@ -158,7 +159,8 @@ def test_the_manifest_holds_terms_and_the_cfg_s_own_bytes(tmp_path: Path) -> Non
     before = read_manifest(tmp_path / "out")
     pointer = "objects/birds/models/0/file"
     assert before["cfg"]["licenses"][pointer] == {
-        "file": "bird.glb", "license": None, "copyright": [], "source": ""
+        "file": "bird.glb", "license": None, "copyright": ["The scenec authors, CC0-1.0"],
+        "source": "asset.copyright in the file",
     }  # fmt: skip
     assert set(before["cfg"]["inputs"]) == set(before["cfg"]["licenses"])
     assert (tmp_path / "out/cfg.json").read_bytes() == path.read_bytes()

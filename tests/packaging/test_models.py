@@ -14,8 +14,8 @@ import pytest
 from small import small_cfg
 
 from scenec.backends.run.render import render
-from scenec.cli.assets_command import shipped, snippet
 from scenec.cli.main import main
+from scenec.compiler.assets.library import shipped, snippet
 from scenec.compiler.assets.model import read_model
 from scenec.compiler.compile import compile_cfg
 from scenec.schemas.frames import read_frame
@@ -73,7 +73,7 @@ def rows() -> dict[str, tuple[Any, ...]]:
 def test_each_file_has_a_row_and_a_maker_and_all_together_stay_small(tools: Any) -> None:
     make, _ = tools
     assert sorted(make.MODELS) == sorted(rows()) == NAMES
-    assert sum(card.bytes for card in CARDS.values()) < 6_100_000
+    assert sum(card.bytes for card in CARDS.values()) < 6_000_000
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -235,15 +235,14 @@ def test_assets_lists_all_and_shows_one(capsys: pytest.CaptureFixture[str]) -> N
 @pytest.mark.slow
 def test_a_cfg_with_all_of_them_compiles_and_every_label_is_annotated(tmp_path: Path) -> None:
     cfg = small_cfg(samples=1)
-    labels: dict[str, dict[str, int]] = {"class": {"sky": 1, "ground": 2}, "part": {"other": 1}}
+    labels: dict[str, dict[str, int]] = {"class": {"sky": 1, "ground": 2}, "part": {}}
     cfg["objects"], across = {}, 7
     for number, card in enumerate(CARDS.values()):
         lines = snippet(card, CARDS)
         for level, names in lines["labels"].items():
             labels[level] |= names
         (entry,) = lines["objects"].values()
-        entry |= {"type": "placed", "models": [{"file": str(FOLDER / f"{card.name}.glb")}]}
-        entry["labels"]["part"] = "other"
+        entry["type"] = "placed"
         entry.pop("count", None)
         entry.pop("embed", None)
         row, column = divmod(number, across)
@@ -253,11 +252,9 @@ def test_a_cfg_with_all_of_them_compiles_and_every_label_is_annotated(tmp_path: 
         cfg["objects"][card.name] = entry
     cfg["labels"] = labels
     cfg["terrain"] |= {"size_m": [100, 100], "spacing_m": 2, "relief": [{"type": "plane"}]}
-    cfg["terrain"]["ground"] = [
-        {"material": "sand", "labels": {"class": "ground", "part": "other"}}
-    ]
+    cfg["terrain"]["ground"] = [{"material": "sand", "labels": {"class": "ground"}}]
     cfg["materials"] = {"sand": cfg["materials"]["sand"]}
-    cfg["light"]["sky"]["labels"] = {"class": "sky", "part": "other"}
+    cfg["light"]["sky"]["labels"] = {"class": "sky"}
     cfg["rigs"] = {
         f"row_{row}": {
             "pose": {

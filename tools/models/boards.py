@@ -86,10 +86,10 @@ def apriltag_board() -> Model:
 def _sphere(name: str, material: str) -> Model:
     """A sphere of 0.30 m whose middle is 1.20 m above the ground, on a tripod."""
     parts = Assembly(LOOKS)
-    steps = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 41)
+    steps = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 33)
     profile = np.column_stack([0.15 * np.cos(steps), 0.15 * np.sin(steps)])
     profile[[0, -1], 0] = 0.0
-    shaded(parts.part(name, material), turned_shape(profile, 80, UP, (0, 0, 1.2)), crease=80)
+    shaded(parts.part(name, material), turned_shape(profile, 64, UP, (0, 0, 1.2)), crease=80)
     stand = parts.part("stand", "plastic_black")
     shaded(
         stand,

@@ -433,7 +433,7 @@ def hay_bale() -> Model:
     shaded(parts.part("bale", "straw"), outward(points, body.faces), crease=70)
     stalks = {name: parts.part(name, name) for name in ("straw_pale", "straw_shade")}
     axis = np.array([1.0, 0.0, 0.0])
-    for k in range(2500):
+    for k in range(2200):
         surface = stalks["straw_shade" if k % 5 < 2 else "straw_pale"]
         on_end = k % 3 == 0
         angle = chance.between(0.0, 360.0)
