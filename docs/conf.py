@@ -6,6 +6,7 @@ not well formed) fails the build.
 
 from __future__ import annotations
 
+import re
 from importlib.metadata import version as installed_version
 
 from docutils import nodes
@@ -60,7 +61,13 @@ class CommandHelp(SphinxDirective):
         return sections
 
 
+def name_what_is_outside(_app: Sphinx, _page: str, source: list[str]) -> None:
+    """Links to Markdown outside of docs/, which is no page of the site, become its path."""
+    source[0] = re.sub(r"\[([^\]]+)\]\(\.\./([^)#]+\.md)\)", r"\1 (`\2`)", source[0])
+
+
 def setup(app: Sphinx) -> None:
     """Name the directive, and how cfgs with comments are colored; Sphinx calls this."""
+    app.connect("source-read", name_what_is_outside)
     app.add_lexer("jsonc", JsonLexer)
     app.add_directive("command-help", CommandHelp)
