@@ -13,9 +13,6 @@ from scenec.backends.picture.sky import combine
 from scenec.backends.stage.posing import posable, pose
 from scenec.backends.stage.scene import Lamp, RenderScene, Sun
 
-#: What materials write for visibility.
-PASSES = (materials.ROW_PASS, materials.FACE_PASS)
-
 
 class Built:
     """Blender's scene for a RenderScene; leaves Blender's data as it was when it goes.
@@ -50,7 +47,7 @@ class Built:
         self.shares: Shares | None = None
         with self._made:
             self.scene = bpy.data.scenes.new("scenec")
-            render.set_up(self.scene, device, bounces, PASSES)
+            render.set_up(self.scene, device, bounces)
             self.camera = bpy.data.objects.new("scenec_camera", bpy.data.cameras.new("scenec"))
             self.scene.collection.objects.link(self.camera)
             self.scene.camera = self.camera
