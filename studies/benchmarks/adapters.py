@@ -174,13 +174,16 @@ def shipped(study: Study, backend: str, name: str, stage: Path) -> list[Cell]:
     width = 64 if study.fast else study.options.width
     with held() as textured, held() as plain, held() as bare:
         three = [textured, plain, bare]
+        samples = 1
         for one in three:
-            # Blender's script draws the plain scene, Mitsuba's the whole one.
+            # Blender's script draws the plain scene, Mitsuba's the whole one, and sample 0 alone.
             simple = one is plain or (one is bare and backend == "cycles")
-            one(hold, backend, stage, one is bare, True, simple, width)
+            found = one(hold, backend, stage, one is bare, True, simple, width).value
+            samples = found if backend == "cycles" else 1
         loads = [one(ask, "load").cpu_s for one in three]
         turns = [
-            [one(ask, "radiance", 0, spp, turn) for one in three] for turn in range(rounds + 1)
+            [one(ask, "radiance", turn % samples, spp, turn) for one in three]
+            for turn in range(rounds + 1)
         ]
         error = textured(ask, "stated").value
     frames = [[cost.cpu_s for cost in turn] for turn in turns]
