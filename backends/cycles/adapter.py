@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from scenec.backends.camera.tiles import by_columns
 from scenec.backends.contract import BOUNCES, LoadCost, Radiance, Rays, Visibility
 from scenec.backends.cycles import blender, render
-from scenec.backends.cycles.built import PASSES, Built
+from scenec.backends.cycles.built import Built
 from scenec.backends.cycles.camera import Lens, find_lens, place
+from scenec.backends.cycles.materials import FACE_PASS, ROW_PASS
 from scenec.backends.cycles.planetary import has_laws
 from scenec.backends.picture.denoise import NAME, keep_rim
 from scenec.backends.stage.scene import Camera, RenderScene
@@ -25,6 +26,8 @@ LAW_LOSS = (
     "where a sun shines alone, by up to 5 % under a sky with a bright aureole"
 )
 
+#: What materials write for visibility.
+PASSES = (ROW_PASS, FACE_PASS)
 #: Pixels of a side that Cycles draws in one piece. Of larger pictures it keeps parts in a file,
 #: which fails in Blender as a module ("Error writing tile to file").
 LARGEST = 8192
@@ -85,7 +88,7 @@ class Cycles:
         loaded, lens = self._require_loaded(), find_lens(camera)
         assert isinstance(lens, Lens)
         place(loaded.scene, loaded.camera, camera, lens, loaded.frame)
-        render.for_visibility(loaded.scene)
+        render.for_visibility(loaded.scene, PASSES)
         row, face = (
             _whole(picture[: camera.height, : camera.width])
             for picture in render.draw(self._bpy, loaded.scene, PASSES)
@@ -140,7 +143,7 @@ class Cycles:
     def _works(self, device: str) -> bool:
         """Whether a device renders an empty picture."""
         nothing = Built(self._bpy, None, device, 0)
-        render.for_visibility(nothing.scene)
+        render.for_visibility(nothing.scene, PASSES)
         try:
             render.draw(self._bpy, nothing.scene, PASSES)
         except BackendError:

@@ -140,11 +140,7 @@ class _Look:
         self._pictures, self._laws = pictures, laws
 
     def write(self, surfaces: tuple[Surface, ...], depths: tuple[float, ...]) -> None:
-        """The merge of the layers, base first, and the passes for visibility.
-
-        The model is linear in its lobes: those of one roughness and normal are one closure with a
-        mixed color, so that n layers without maps take two closures instead of 3 n.
-        """
+        """The merge of the layers, base first, and the passes for visibility."""
         graph = self._graph
         heeded = merges.needed(depths)
         layers = [self._layer(surface, k < heeded) for k, surface in enumerate(surfaces)]
@@ -154,45 +150,36 @@ class _Look:
             merges.all_slopes(NODES, depths),
             [layer.height for layer in layers],
         )
-        kinds = {key: lobe for layer in layers for key, lobe in layer.lobes.items()}
-        none = Lobe(None, None, _BLACK, _BLACK)
-        merged, glow = [], layers[0].glow
-        for key, kind in kinds.items():
-            own = [layer.lobes.get(key, none) for layer in layers]
-            color, lit = own[0].color, own[0].lit
-            for lobe, weight in zip(own[1:], weights, strict=True):
-                color = NODES.mix(color, lobe.color, weight)
-                if kind.known is not None:
-                    lit = NODES.mix(lit, lobe.lit, weight)
-            merged.append(dataclasses.replace(kind, color=color, lit=lit))
-        for layer, weight in zip(layers[1:], weights, strict=True):
-            glow = NODES.mix(glow, layer.glow, weight)
-        self._close(merged, glow)
+        if any(surface.maps is not None for surface in surfaces):
+            # Cycles skips a shader of weight 0 with all that it alone needs: maps are looked up
+            # where their layer shows.
+            total = self._close(layers[0])
+            for layer, weight in zip(layers[1:], weights, strict=True):
+                total = self._mixed(total, self._close(layer), weight)
+        else:
+            total = self._close(_merged(layers, weights))
+        graph.feed(graph.node("ShaderNodeOutputMaterial").inputs["Surface"], total)
         for name, attribute, of in ((ROW_PASS, ROW, "INSTANCER"), (FACE_PASS, FACE, "GEOMETRY")):
             out = graph.node("ShaderNodeOutputAOV")
             out.aov_name = name
             graph.feed(out.inputs["Color"], graph.attribute(attribute, kind=of))
 
-    def _close(self, found: list[Lobe], glow: Any) -> None:
-        """Closures, added up; one at least, or rays would pass through."""
-        graph = self._graph
+    def _close(self, layer: Layer) -> Any:
+        """A layer's closures, added up; one at least, or rays would pass through."""
+        graph, found = self._graph, list(layer.lobes.values())
         total: Any = None
         for lobe in [lobe for lobe in found if not is_black(lobe.color)] or found[:1]:
             closure = self._closure(lobe, lobe.color)
             if lobe.known is not None:
-                either = graph.node("ShaderNodeMixShader")
-                graph.feed(either.inputs[0], lobe.known)
-                graph.feed(either.inputs[1], closure)
-                graph.feed(either.inputs[2], self._closure(lobe, lobe.lit))
-                closure = either.outputs[0]
+                closure = self._mixed(closure, self._closure(lobe, lobe.lit), lobe.known)
             total = self._added(total, closure)
-        if not is_black(glow):
+        if not is_black(layer.glow):
             emission = graph.node("ShaderNodeEmission")
-            graph.feed(emission.inputs["Color"], glow)
+            graph.feed(emission.inputs["Color"], layer.glow)
             if self._laws is not None:
                 graph.feed(emission.inputs["Strength"], self._laws.glow())
             total = self._added(total, emission.outputs[0])
-        graph.feed(graph.node("ShaderNodeOutputMaterial").inputs["Surface"], total)
+        return total
 
     def _closure(self, lobe: Lobe, color: Any) -> Any:
         graph = self._graph
@@ -213,6 +200,12 @@ class _Look:
         self._graph.feed(both.inputs[0], total)
         self._graph.feed(both.inputs[1], closure)
         return both.outputs[0]
+
+    def _mixed(self, below: Any, above: Any, weight: Any) -> Any:
+        either = self._graph.node("ShaderNodeMixShader")
+        for target, value in zip(either.inputs, (weight, below, above), strict=True):
+            self._graph.feed(target, value)
+        return either.outputs[0]
 
     def _layer(self, surface: Surface, heeded: bool) -> Layer:
         """A surface where its maps and variations are looked up."""
@@ -247,6 +240,28 @@ class _Look:
         if self._reach.row:
             found.append(NODES.parts(graph.attribute(ROW, kind="INSTANCER"))[2])
         return found
+
+
+def _merged(layers: list[Layer], weights: list[Any]) -> Layer:
+    """Layers without maps as one.
+
+    The model is linear in its lobes: those of one roughness and normal are one closure with a mixed
+    color, so that n layers take two closures instead of 3 n.
+    """
+    kinds = {key: lobe for layer in layers for key, lobe in layer.lobes.items()}
+    none = Lobe(None, None, _BLACK, _BLACK)
+    found, glow = {}, layers[0].glow
+    for key, kind in kinds.items():
+        own = [layer.lobes.get(key, none) for layer in layers]
+        color, lit = own[0].color, own[0].lit
+        for lobe, weight in zip(own[1:], weights, strict=True):
+            color = NODES.mix(color, lobe.color, weight)
+            if kind.known is not None:
+                lit = NODES.mix(lit, lobe.lit, weight)
+        found[key] = dataclasses.replace(kind, color=color, lit=lit)
+    for layer, weight in zip(layers[1:], weights, strict=True):
+        glow = NODES.mix(glow, layer.glow, weight)
+    return Layer(found, glow, None)
 
 
 def make_image(bpy: Any, *source: Any) -> Any:

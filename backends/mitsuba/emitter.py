@@ -15,7 +15,6 @@ Import it once Mitsuba's variant is set.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import drjit as dr
@@ -23,12 +22,12 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.backends.picture.guide import sky_guide
 from scenec.backends.picture.sky import (
     MIN_SUN_DIAMETER_RAD,
     Sky,
     combine,
     mean_radiance,
-    texel_directions,
 )
 from scenec.backends.stage.scene import Lighting
 
@@ -38,9 +37,6 @@ SKY_NOISE = 3.0
 #: Of a sky that differs from its mean by less than this share of the suns' light nothing is drawn:
 #: all samples of light go to the suns.
 LEAST_DRAWN = 0.1
-#: Of directions' weight in the guide: what is the same for all, as for surfaces that face
-#: anywhere. The rest is the cosine from the zenith, as for level ground.
-ANYWHERE = 0.25
 #: Meters; farther than anything, so that shadow rays do not stop short.
 FAR = 1e7
 
@@ -200,25 +196,3 @@ class SkySun(mi.Emitter):
 
 
 mi.register_emitter(PLUGIN, SkySun)
-
-
-def sky_guide(sky: Sky, least: float) -> Sky | None:
-    """Of a sky what is brighter than its mean, as an average surface sees it.
-
-    Brightness and mean are weighed by how much of a direction's light such a surface gets.
-
-    Args:
-        sky: The sky.
-        least: Irradiance, W/m^2; None is returned of a sky whose guide's root mean square radiance,
-            from all around, gives less.
-    """
-    if sky.constant:
-        return None
-    height, width = sky.picture.shape[:2]
-    up = texel_directions(height, width) @ sky.to_world[2]
-    weight = ANYWHERE + (1.0 - ANYWHERE) * np.maximum(up, 0.0)
-    seen = sky.picture.mean(axis=-1) * weight
-    mean = mean_radiance(replace(sky, picture=seen[..., None]))
-    guide = replace(sky, picture=np.repeat(np.maximum(seen - mean, 0.0)[..., None], 3, axis=-1))
-    square = mean_radiance(replace(guide, picture=np.square(guide.picture, dtype=np.float64)))
-    return guide if np.pi * float(np.sqrt(square[0])) > least else None

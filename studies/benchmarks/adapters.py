@@ -2,6 +2,8 @@
 
     python studies/benchmarks/adapters.py [--backends A,B] [--cfg FILE | --stage FILE] [--spp N]
                                           [--rounds N] [--fast]
+    python studies/benchmarks/adapters.py --shipped [NAME,NAME] [--backends A,B] [--spp N]
+                                          [--width N] [--rounds N] [--fast]
 
 Two processes hold the same stage's arrays: one the adapter, one a script as the renderer's
 documentation would have one write (``bare_*.py`` here). They are asked in turns, so that a busy
@@ -10,6 +12,10 @@ what the renderer sees, row and face of each pixel: pyrender's also without cull
 same work as the script's. Radiance has new light for each picture; where the mean of what the two
 draw differs by more than 2 %, the table compares different pictures, and the status is 2. Blender's
 script knows no maps, no metals, no haze, no lamps, nothing that moves: there both draw without.
+
+With ``--shipped`` the cfgs that ship, CPU seconds: of the first frame (loading and drawing) and of
+each further one, their ratio to the bare script and to the same scene in plain colors, and the
+error that the halves state. Of Cycles it is the plain scene that is beside the script.
 """
 
 from __future__ import annotations
@@ -18,16 +24,21 @@ import importlib
 import os
 import statistics
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from scenec.backends.camera.rays import camera_rays
+from scenec.backends.contract import Radiance
+from scenec.backends.picture.noise import estimate
 from scenec.backends.pyrender import Pyrender
 from scenec.backends.registry import open_backend
 from scenec.backends.stage.read import read_stage
-from scenec.backends.stage.scene import RenderScene
+from scenec.backends.stage.scene import Camera, RenderScene
 from scenec.schemas.errors import ScenecError
-from scenec.studies.runner import DEMO, Cell, Cost, Study, held, peak_mib, run
+from scenec.studies.runner import CONFIGS, DEMO, Cell, Cost, Study, held, names, peak_mib, run
 
 
 class Adapter:
@@ -35,6 +46,7 @@ class Adapter:
 
     def __init__(self, scene: RenderScene, backend: str, culling: bool) -> None:
         self.scene: RenderScene = scene
+        self.drawn: Radiance | None = None
         self.backend: Any = open_backend(backend) if culling else Pyrender(culling=False)
 
     def load(self) -> None:
@@ -49,24 +61,61 @@ class Adapter:
     def radiance(self, sample: int, spp: int, seed: int) -> float:
         """One picture; its mean."""
         camera = self.scene.cameras[sample][0]
-        return float(self.backend.radiance(camera, sample, spp, seed).halves.mean())
+        self.drawn = self.backend.radiance(camera, sample, spp, seed)
+        return float(self.drawn.halves.mean())
+
+    def stated(self) -> float:
+        """The last picture's error, as its halves state it."""
+        assert self.drawn is not None
+        halves = self.drawn.halves.astype(np.float64)
+        return estimate(halves, self.drawn.coverage > 0.0).relative_rms or 0.0
 
 
 #: Of a process that was told to ``hold``.
 _made: Any = None
 
 
-def hold(backend: str, stage: Path, bare: bool, culling: bool = True) -> int:
-    """Make the adapter or the bare script of a stage; how many samples there are."""
+def hold(
+    backend: str,
+    stage: Path,
+    bare: bool,
+    culling: bool = True,
+    plain: bool = False,
+    width: int | None = None,
+) -> int:
+    """Make the adapter or the bare script of a stage; how many samples there are.
+
+    Args:
+        backend: Name.
+        stage: File.
+        bare: Whether it is the script.
+        culling: Of pyrender.
+        plain: Whether to leave maps out; Cycles without a width draws what its script knows anyway.
+        width: Of pictures, pixels, if not as the stage says.
+    """
     global _made
     # Blender talks on standard output.
     os.dup2(2, 1)
     script = importlib.import_module(f"scenec.studies.benchmarks.bare_{backend}")
     scene = read_stage(stage)
-    if backend == "cycles":
+    if width is not None:
+        cameras = tuple(tuple(narrowed(camera, width) for camera in each) for each in scene.cameras)
+        scene = replace(scene, cameras=cameras)
+    if backend == "cycles" and (plain or width is None):
         scene = script.plain(scene)
+    elif plain:
+        surfaces = tuple(replace(surface, maps=None) for surface in scene.surfaces)
+        scene = replace(scene, surfaces=surfaces)
     _made = script.Bare(scene) if bare else Adapter(scene, backend, culling)
     return len(scene.cameras)
+
+
+def narrowed(camera: Camera, width: int) -> Camera:
+    """A camera of the same view with fewer pixels."""
+    scale = width / camera.width
+    intrinsics = camera.intrinsics * np.array([[scale], [scale], [1.0]])
+    height = round(camera.height * scale)
+    return replace(camera, width=width, height=height, intrinsics=intrinsics)
 
 
 def ask(method: str, *arguments: int) -> float | None:
@@ -119,8 +168,48 @@ def rows(study: Study, backend: str, stage: Path) -> Iterator[list[Cell]]:
         yield [backend, "peak, MiB", *peaks, peaks[0] / peaks[1], None, None, None]
 
 
+def shipped(study: Study, backend: str, name: str, stage: Path) -> list[Cell]:
+    """The row of one cfg and one renderer."""
+    rounds, spp = (1, 4) if study.fast else (study.options.rounds, study.options.spp)
+    width = 64 if study.fast else study.options.width
+    with held() as textured, held() as plain, held() as bare:
+        three = [textured, plain, bare]
+        samples = 1
+        for one in three:
+            # Blender's script draws the plain scene, Mitsuba's the whole one, and sample 0 alone.
+            simple = one is plain or (one is bare and backend == "cycles")
+            found = one(hold, backend, stage, one is bare, True, simple, width).value
+            samples = found if backend == "cycles" else 1
+        loads = [one(ask, "load").cpu_s for one in three]
+        turns = [
+            [one(ask, "radiance", turn % samples, spp, turn) for one in three]
+            for turn in range(rounds + 1)
+        ]
+        error = textured(ask, "stated").value
+    frames = [[cost.cpu_s for cost in turn] for turn in turns]
+    means = np.mean([[cost.value for cost in turn] for turn in turns], axis=0)
+    beside = 1 if backend == "cycles" else 0
+    if abs(means[beside] - means[2]) > 0.02 * means[2]:
+        raise ScenecError(f"{backend}, {name}: the pictures differ: mean radiance {means}")
+    steady = statistics.median(each[0] for each in frames[1:])
+    over_bare = statistics.median(each[beside] / each[2] for each in frames[1:])
+    over_plain = statistics.median(each[0] / each[1] for each in frames[1:])
+    first = loads[0] + frames[0][0]
+    return [name, backend, spp, first, steady, over_bare, over_plain, f"{100.0 * error:.2f} %"]
+
+
 def main(study: Study) -> None:
     """Prints the table."""
+    if study.options.shipped:
+        header = ["cfg", "renderer", "samples", "first frame, CPU s", "further ones"]
+        header += ["adapter / bare", "textured / plain", "error"]
+        stages = (
+            (name, study.batch(CONFIGS / f"{name}.json") / "stage.usda")
+            for name in study.options.shipped[: 1 if study.fast else None]
+        )
+        backends = [name for name in study.options.backends if name != "pyrender"]
+        study.table(header, (shipped(study, b, *stage) for stage in stages for b in backends))
+        return
     stage = study.options.stage or study.batch(study.options.cfg) / "stage.usda"
     header = ["renderer", "what", "adapter, s", "bare, s", "adapter / bare", "of CPU"]
     header += ["mean radiance, adapter", "bare"]
@@ -131,4 +220,4 @@ def main(study: Study) -> None:
 
 if __name__ == "__main__":
     backends = ("mitsuba", "cycles", "pyrender")
-    run(main, backends=backends, cfg=DEMO, stage=Path, spp=32, rounds=5)
+    run(main, backends=backends, cfg=DEMO, stage=Path, spp=32, rounds=5, shipped=names, width=640)

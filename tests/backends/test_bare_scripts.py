@@ -1,4 +1,4 @@
-"""The benchmark of Cycles beside bare Blender compares the same pictures."""
+"""Benchmarks of adapters beside bare scripts compare the same pictures."""
 
 from __future__ import annotations
 
@@ -29,3 +29,14 @@ def test_adapter_and_bare_script_draw_one_picture_whatever_the_number_of_samples
     done = subprocess.run(command, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     assert "mean radiance" in done.stdout
+
+
+@pytest.mark.slow
+def test_a_shipped_cfg_is_held_against_its_plain_self_and_the_bare_script():
+    pytest.importorskip("bpy")
+    command = [sys.executable, str(BENCH), "--shipped", "jacksboro", "--fast"]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    rows = [line.split(" | ") for line in done.stdout.splitlines() if "| jacksboro" in line]
+    assert {row[1] for row in rows} == {"mitsuba", "cycles"}
+    assert all(float(cell.rstrip(" |%")) > 0.0 for row in rows for cell in row[3:])

@@ -10,14 +10,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from scenec.backends.camera.rays import camera_rays
-from scenec.backends.cycles import Cycles, camera, render
-from scenec.backends.picture.sky import combine, lookup
-from scenec.backends.stage.scene import Dome, RenderScene
+from scenec.backends.cycles import Cycles, camera, light, render
+from scenec.backends.picture.sky import combine, lookup, texel_directions
+from scenec.backends.stage.scene import Dome, Maps, RenderScene, Sun
 from scenec.backends.testing import Conformance, Lacks, geometry, looks
 from scenec.backends.testing import scenes as ms
 from scenec.schemas.errors import BackendError
+from scenec.schemas.maps import decode
 
 TOLERANCES = {"intrinsics[skewed]": Lacks("Blender has no cameras with a skew")}
 
@@ -63,6 +65,70 @@ def test_the_sky_of_cycles_is_the_shared_lookup_in_every_direction(tmp_path, sha
             # At a pole itself longitude, and with it the lookup, is undefined.
             assert np.mean(np.abs(seen - expected) > 2e-3) < 1e-3
             assert np.median(np.abs(seen - expected)) < 1e-4
+
+
+@pytest.mark.parametrize("suns", [0, 1])
+def test_a_sky_is_drawn_where_it_is_bright_and_its_light_is_all_there(tmp_path, monkeypatch, suns):
+    height, width = 64, 128
+    picture = np.ones((height, width, 3))
+    picture[14:18, 30:34] = 400.0
+    file = ms.write_latlong(tmp_path / "sky.exr", picture)
+    view = ms.look_at((0, 0, 10), (0, 0, 0), 24, 18)
+    lights = [Dome(file, np.ones(3), ms.DOME_Z_UP), *[ms.sun(50.0, 200.0, 10.0)] * suns]
+    made = ms.scene(
+        [ms.mesh(*ms.plane())], [ms.surface((0.5, 0.5, 0.5))], cameras=[view], lights=lights
+    )
+    sky = combine(made.lighting[0].domes)
+    assert sky is not None
+    fine = texel_directions(10 * height, 10 * width) @ sky.to_world.T
+    solid = (2.0 * np.pi**2 / fine[..., 0].size) * np.sin(
+        (np.arange(10 * height) + 0.5)[:, None] * np.pi / (10 * height)
+    )
+    seen = lookup(sky, fine.reshape(-1, 3)).reshape(fine.shape)[..., 0]
+    expected = float((seen * np.maximum(fine[..., 2], 0.0) * solid).sum())
+    expected += suns * 10.0 * np.sin(np.radians(50.0))
+
+    def draw(spp: int) -> tuple[float, float]:
+        halves = loaded(made).radiance(view, 0, spp, 1).halves.astype(float)
+        return float(halves.mean()), float(np.std(halves[0] - halves[1]))
+
+    level, noise = draw(256)
+    assert level == pytest.approx(0.5 * expected / np.pi, rel=5e-3)
+    monkeypatch.setattr(light, "LEAST_DRAWN", np.inf)
+    if suns:
+        # Left to chance, the patch is what all noise comes from.
+        assert draw(256)[1] > 4.0 * noise
+
+
+def test_only_what_there_is_to_choose_from_takes_a_tree_of_lights():
+    def tree(*lights: Sun | Dome) -> bool:
+        made = ms.scene([ms.mesh(*ms.plane())], lights=list(lights))
+        built = loaded(made)._require_loaded()
+        built.set_light(0)
+        return bool(built.scene.cycles.use_light_tree)
+
+    assert not tree(ms.dome(1.0), ms.sun(40.0))
+    assert tree(ms.sun(40.0), ms.sun(50.0))
+
+
+def test_layers_that_do_not_show_are_not_looked_up(tmp_path):
+    # A shader of weight 0 or 1 leaves the other one out, and mixes light as colors would.
+    file = tmp_path / "gray.png"
+    Image.fromarray(np.full((4, 4, 3), 188, np.uint8)).save(file)
+    points, faces = ms.plane(half=5.0, cells=2)
+    base = dataclasses.replace(
+        ms.surface((1.0, 1.0, 1.0)), maps=Maps(base_color=file, projection="above", size_m=1.0)
+    )
+    top, layers = ms.surface((0.2, 0.2, 0.2)), (0, 1)
+    view = ms.look_at((0, 0, 10), (0, 0, 0), 8, 8, 20)
+    gray = decode(np.full((1, 1, 3), 188, np.uint8), "base_color", False)[0, 0, 0]
+    for weight in (0.0, 0.25, 1.0):
+        ground = dataclasses.replace(
+            ms.mesh(points, faces, layers), weights=(np.full(len(points), weight, np.float32),)
+        )
+        made = ms.scene([ground], [base, top], cameras=[view], lights=[ms.sun(90.0, 0.0, np.pi)])
+        found = loaded(made).radiance(view, 0, 16, 0).halves.mean()
+        assert found == pytest.approx((1 - weight) * gray + weight * 0.2, rel=2e-3)
 
 
 def test_samples_of_a_pixel_are_counted():

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from scenec.backends.mitsuba import Mitsuba, variant
 from scenec.backends.mitsuba.adapter import MAX_WAVEFRONT, mix, split_samples
+from scenec.backends.picture.guide import sky_guide
 from scenec.backends.picture.sky import Sky, combine, lookup, texel_directions
 from scenec.backends.stage.scene import Dome, RenderScene
 from scenec.backends.testing import Conformance
@@ -153,10 +154,6 @@ def test_pictures_that_go_on_are_one_picture():
 
 
 def test_only_what_is_bright_of_a_sky_is_drawn():
-    variant.load_mitsuba()
-    # Once the variant is set.
-    from scenec.backends.mitsuba.emitter import sky_guide
-
     up = texel_directions(16, 32) @ ms.DOME_Z_UP[2]
     even = np.ones((16, 32, 3), np.float32)
     bright = even.copy()
