@@ -105,6 +105,7 @@ wheel: setup  ## Build the wheel into dist/, with compiled kernels for this Pyth
 	@echo "== Compiling the kernels of all cfgs that ship"
 	@rm -rf schemas/compiled; NUMBA_CACHE_DIR=build/kernels SCENEC_CACHE= .venv/bin/python tools/warm_kernels.py --all
 	@mv build/kernels/scenec schemas/compiled
+	@.venv/bin/python -m tools.cfg_stub
 	@echo "== Building the wheel"
 	@.venv/bin/python -m build --wheel --no-isolation; rm -rf schemas/compiled
 

@@ -23,10 +23,70 @@ def seed(text: str) -> int:
     return value
 
 
+def add_cfg(parser: argparse.ArgumentParser) -> None:
+    """The cfg."""
+    parser.add_argument(
+        "cfg", metavar="CFG", help="a file of JSON or YAML, or package:configs/NAME of ours"
+    )
+
+
 def add_seed(parser: argparse.ArgumentParser) -> None:
     """``--seed``."""
     parser.add_argument(
         "--seed", type=seed, default=0, help="whole number from 0 to 2^64 - 1 (default: 0)"
+    )
+
+
+def add_sweep_options(parser: argparse.ArgumentParser) -> None:
+    """What ``sweep`` varies."""
+    parser.add_argument(
+        "--set",
+        dest="lists",
+        action="append",
+        default=[],
+        metavar="PATH=VALUE,…",
+        help="values of a place of the cfg, as of run --set; several are all combined (repeatable)",
+    )
+    parser.add_argument(
+        "--zip",
+        dest="in_step",
+        action="store_true",
+        help="the first values of all lists together, then the second ones …, not each with each",
+    )
+    parser.add_argument(
+        "--seeds", type=span, default=range(1), metavar="A:B", help="seeds A to B-1 (default: 0:1)"
+    )
+    parser.add_argument(
+        "--compile-only", action="store_true", help="make the stages alone: render and scan nothing"
+    )
+
+
+def add_preview_options(parser: argparse.ArgumentParser) -> None:
+    """What ``preview`` shows, and where."""
+    parser.add_argument(
+        "--backend", default="pyrender", help="who draws (default: pyrender, the quickest)"
+    )
+    parser.add_argument("--spp", type=positive, default=8, help="samples a pixel (default: 8)")
+    parser.add_argument(
+        "--width", type=positive, default=480, metavar="PX", help="of pictures (default: 480)"
+    )
+    parser.add_argument(
+        "--port", type=int, default=0, metavar="N", help="of the page (default: a free one)"
+    )
+    parser.add_argument("--no-browser", action="store_true", help="only print the address")
+    parser.add_argument("--once", metavar="HTML", help="write the page to a file, and end")
+
+
+def add_settings(parser: argparse.ArgumentParser) -> None:
+    """``--set``."""
+    parser.add_argument(
+        "--set",
+        dest="settings",
+        action="append",
+        default=[],
+        metavar="PATH=VALUE",
+        help="put a value, JSON or a bare word, at a place of the cfg: terrain.spacing_m=0.2, "
+        "'terrain.relief[0].amplitude_m=3', objects.rocks=null to take a key away (repeatable)",
     )
 
 

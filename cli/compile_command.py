@@ -8,7 +8,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from scenec.cli.output import Progress, print_json, say, say_next, status
+from scenec.cli.output import Progress, print_json, say, say_next, status, warn
 
 if TYPE_CHECKING:
     from scenec.compiler.compile import CompileReport
@@ -33,7 +33,7 @@ def compile_now(options: argparse.Namespace) -> CompileReport:
     # told before the rest is imported.
     from scenec.compiler.cfg.load import load
 
-    spec = load(options.cfg)
+    spec = warn(load(options.cfg, options.settings))
     from scenec.compiler.compile import compile_cfg
     from scenec.compiler.views.keep import Keep
 

@@ -17,13 +17,17 @@ from scenec.cli.arguments import (
     add_allow_missing,
     add_batches,
     add_cache,
+    add_cfg,
     add_executor,
     add_json,
     add_keep,
+    add_preview_options,
     add_render_options,
     add_replace,
     add_seed,
+    add_settings,
     add_settle_options,
+    add_sweep_options,
     add_verbose,
     passes,
     positive,
@@ -137,7 +141,8 @@ def parser() -> argparse.ArgumentParser:
     commands = top.add_subparsers(metavar="COMMAND", required=True)
 
     run = _command(commands, "run", "compile a cfg and render it: the main job")
-    run.add_argument("cfg", metavar="CFG", help="the cfg, a JSON file")
+    add_cfg(run)
+    add_settings(run)
     add_seed(run)
     run.add_argument("-o", "--out", metavar="OUT", required=True, help="output folder")
     add_render_options(run)
@@ -149,7 +154,8 @@ def parser() -> argparse.ArgumentParser:
     add_json(run)
 
     compile_ = _command(commands, "compile", "compile a cfg into USD stages, one per batch")
-    compile_.add_argument("cfg", metavar="CFG", help="the cfg, a JSON file")
+    add_cfg(compile_)
+    add_settings(compile_)
     add_seed(compile_)
     compile_.add_argument("-o", "--out", metavar="OUT", required=True, help="output folder")
     add_keep(compile_)
@@ -161,11 +167,53 @@ def parser() -> argparse.ArgumentParser:
     add_json(compile_)
 
     validate = _command(commands, "validate", "is a cfg without faults; compiles nothing")
-    validate.add_argument("cfg", metavar="CFG", help="the cfg, a JSON file")
+    add_cfg(validate)
+    add_settings(validate)
     add_json(validate)
 
+    preview = _command(commands, "preview", "show what a cfg makes in the browser, as it is edited")
+    add_cfg(preview)
+    add_settings(preview)
+    add_seed(preview)
+    add_preview_options(preview)
+    add_cache(preview)
+
+    init = _command(commands, "init", "write a small cfg to begin with")
+    init.epilog = "Without TEMPLATE it lists them. Example: scenec init mars -o mine.jsonc"
+    init.add_argument("template", metavar="TEMPLATE", nargs="?", help="forest, mars, moon …")
+    init.add_argument(
+        "-o", "--output", metavar="FILE", help="- for standard output (default: TEMPLATE.jsonc)"
+    )
+    add_json(init)
+
+    schema = _command(commands, "schema", "the cfg's JSON Schema in one piece, for editors")
+    schema.epilog = "Example: scenec schema -o scenec.schema.json (docs/writing.md)"
+    schema.add_argument("-o", "--output", metavar="FILE", help="default: standard output")
+    schema.add_argument(
+        "--partial", action="store_true", help="for cfgs that extend others: no key is required"
+    )
+
+    sweep = _command(commands, "sweep", "run a cfg with many values and seeds")
+    add_cfg(sweep)
+    add_sweep_options(sweep)
+    sweep.add_argument("-o", "--out", metavar="OUT", required=True, help="a folder of outputs")
+    add_render_options(sweep)
+    sweep.epilog = (
+        "Each combination has a folder of OUT, named for what differs; OUT/sweep.csv and "
+        "OUT/sweep.json list them. What is there already is not made again. Example: scenec sweep "
+        "cfg.json --set light.sun.elevation_deg=10,30,60 --set terrain.spacing_m=0.1,0.2 --seeds "
+        "0:5 -o OUT. Exit status: 0 all is there; 1 some points could not be made; 2 a fault, "
+        "and nothing was made."
+    )
+    add_verbose(sweep)
+    add_keep(sweep)
+    add_cache(sweep)
+    add_replace(sweep)
+    add_batches(sweep)
+    add_json(sweep)
+
     settle = _command(commands, "settle", "drop chosen objects by physics, into a table of poses")
-    settle.add_argument("cfg", metavar="CFG", help="the cfg, a JSON file")
+    add_cfg(settle)
     add_seed(settle)
     settle.add_argument("-o", "--out", metavar="CSV", required=True, help="table of poses")
     add_settle_options(settle)

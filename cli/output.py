@@ -9,9 +9,12 @@ import shutil
 import sys
 import time
 from collections import deque
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from scenec.cli.interrupt import stop_if_pending
+
+if TYPE_CHECKING:
+    from scenec.compiler.cfg.load import Spec
 
 
 def print_json(value: Any) -> None:
@@ -62,6 +65,13 @@ def clear_bar() -> None:
         _Bar.open = False
         # Carriage return, erase the line (ECMA-48 EL).
         sys.stderr.write("\r\x1b[K")
+
+
+def warn(spec: Spec) -> Spec:
+    """Says what is improbable in a cfg, which it returns."""
+    for warning in spec.warnings:
+        say(f"warning: {warning}")
+    return spec
 
 
 class Progress:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from contextlib import ExitStack
 from dataclasses import fields
 
 from scenec.backends.run.executors import make_executor
@@ -11,6 +12,7 @@ from scenec.backends.run.plan import RenderPlan
 from scenec.backends.run.render import RenderReport, render
 from scenec.cli.output import Progress, print_json, say, say_next
 from scenec.schemas.memory import GB
+from scenec.schemas.units import Executor
 
 
 def run(options: argparse.Namespace) -> int:
@@ -22,9 +24,17 @@ def run(options: argparse.Namespace) -> int:
     return 1 if report.failed else 0
 
 
-def render_now(options: argparse.Namespace) -> RenderReport:
-    """Renders, and says what came of it."""
-    with make_executor(options.workers, options.cluster, limits_of(options)) as executor:
+def render_now(options: argparse.Namespace, executor: Executor | None = None) -> RenderReport:
+    """Renders, and says what came of it.
+
+    Args:
+        options: Of the command line.
+        executor: Who works; None: who the options say.
+    """
+    with ExitStack() as stack:
+        executor = executor or stack.enter_context(
+            make_executor(options.workers, options.cluster, limits_of(options))
+        )
         report = render(
             options.out,
             plan_of(options),

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import argparse
+from typing import TYPE_CHECKING
 
 from scenec.cli import compile_command
 from scenec.cli.output import print_json, say_next, status
 from scenec.schemas.errors import SceneError
+
+if TYPE_CHECKING:
+    from scenec.compiler.cfg.typed import Cfg
 
 
 def run(options: argparse.Namespace) -> int:
@@ -17,8 +21,9 @@ def run(options: argparse.Namespace) -> int:
     """
     status(f"reading {options.cfg}")
     from scenec.cli import render_command
+    from scenec.compiler.cfg.load import load
 
-    lidars = _refuse_early(options)
+    lidars = refuse_early(options, load(options.cfg, options.settings).cfg)
     made: dict[str, object] = {}
     stopped: SceneError | None = None
     failed = False
@@ -46,22 +51,20 @@ def run(options: argparse.Namespace) -> int:
     return 1 if failed or rendered.failed else 0
 
 
-def _refuse_early(options: argparse.Namespace) -> bool:
+def refuse_early(options: argparse.Namespace, cfg: Cfg) -> bool:
     """What no renderer here can do should not cost a compilation.
 
     Returns:
         Whether there are lidars.
 
     Raises:
-        CfgError: The cfg has faults.
         BackendError: The backend cannot render what is asked for.
     """
     from scenec.backends.run.auto import check_backend
     from scenec.cli.render_command import plan_of
-    from scenec.compiler.cfg.load import load
 
     wanted = options.passes
-    rigs = load(options.cfg).cfg["rigs"]
+    rigs = cfg["rigs"]
     sensors = {f"{rig}_{name}": s for rig in rigs for name, s in rigs[rig]["sensors"].items()}
     drawn = [n for n, s in sensors.items() if "rgb" in (wanted or s["outputs"])]
     if wanted is None:

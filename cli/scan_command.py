@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import argparse
+from contextlib import ExitStack
 
 from scenec.backends.run.executors import make_executor
 from scenec.backends.run.scan import ScanReport, scan_output
 from scenec.cli.output import Progress, print_json, say, say_next
+from scenec.schemas.units import Executor
 
 
 def run(options: argparse.Namespace) -> int:
@@ -19,10 +21,20 @@ def run(options: argparse.Namespace) -> int:
 
 
 def scan_now(
-    options: argparse.Namespace, lidars: list[str] | None = None, ply: bool = False
+    options: argparse.Namespace,
+    lidars: list[str] | None = None,
+    ply: bool = False,
+    executor: Executor | None = None,
 ) -> ScanReport:
-    """Scans, and says what came of it."""
-    with make_executor(options.workers, options.cluster) as executor:
+    """Scans, and says what came of it.
+
+    Args:
+        options: Of the command line.
+        lidars, ply: As of ``scan_output``.
+        executor: Who works; None: who the options say.
+    """
+    with ExitStack() as stack:
+        executor = executor or stack.enter_context(make_executor(options.workers, options.cluster))
         report = scan_output(
             options.out,
             samples=options.samples,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from scenec.cli.output import print_json, say_next
+from scenec.cli.output import print_json, say_next, warn
 
 
 def run(options: argparse.Namespace) -> int:
@@ -16,7 +16,8 @@ def run(options: argparse.Namespace) -> int:
     # Here: NumPy takes a tenth of a second, and ``--help`` needs none.
     from scenec.compiler.cfg.load import load
 
-    cfg = load(options.cfg).cfg
+    spec = warn(load(options.cfg, options.settings))
+    cfg = spec.cfg
     sensors = sum(len(rig.get("sensors", {})) for rig in cfg["rigs"].values())
     counts = {
         "batches": cfg["batches"],
@@ -25,7 +26,8 @@ def run(options: argparse.Namespace) -> int:
         "lidars": sum(len(rig.get("lidars", {})) for rig in cfg["rigs"].values()),
     }
     if options.json:
-        print_json({"cfg": options.cfg, "name": cfg["name"], **counts})
+        warnings = [str(warning) for warning in spec.warnings]
+        print_json({"cfg": options.cfg, "name": cfg["name"], **counts, "warnings": warnings})
     else:
         parts = ", ".join(f"{what} {count:,}" for what, count in counts.items())
         print(f"{options.cfg}: {cfg['name']}: no fault found ({parts})")

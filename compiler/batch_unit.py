@@ -63,7 +63,7 @@ class CompileBatch:
     """Compile a batch into a folder; returns ``Compiled``.
 
     Attributes:
-        cfg: Absolute path of the cfg.
+        cfg, settings: Absolute path of the cfg, and what is set over it.
         digest: Of its ``Spec``: what is compiled is what was checked.
         seed, batch, keep: As of ``compile_cfg``.
         first: The attempt to begin with.
@@ -74,6 +74,7 @@ class CompileBatch:
     """
 
     cfg: Path
+    settings: tuple[str, ...]
     digest: str
     seed: int
     batch: int
@@ -102,7 +103,8 @@ class CompileBatch:
             OutputError: A file cannot be written.
         """
         lines: list[str] = []
-        made = self.make(keeper.keep(self.holds, lambda: load(self.cfg)), lines.append)
+        spec = keeper.keep(self.holds, lambda: load(self.cfg, self.settings))
+        made = self.make(spec, lines.append)
         made.lines = lines
         return made
 

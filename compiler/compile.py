@@ -120,6 +120,7 @@ def compile_cfg(
         units = [
             CompileBatch(
                 cfg=spec.path.absolute(),
+                settings=spec.settings,
                 digest=spec.digest,
                 seed=seed,
                 batch=batch,

@@ -109,6 +109,7 @@ class Output:
     ) -> None:
         self._out = out
         self._cfg = spec.text
+        self._cfg_role = "the cfg, " + ("as it was given" if spec.is_verbatim else "in one piece")
         self._replace = replace
         head = _head(spec, seed, keep)
         old = _old_manifest(out)
@@ -201,8 +202,8 @@ class Output:
 
     def _commit(self, folder: Path, gone: set[str]) -> None:
         digest = hashlib.sha256(self._cfg).hexdigest()
-        what = "the cfg, as it was given"
-        self._manifest["files"][CFG] = {"what": what, "bytes": len(self._cfg), "sha256": digest}
+        entry = {"what": self._cfg_role, "bytes": len(self._cfg), "sha256": digest}
+        self._manifest["files"][CFG] = entry
         self._manifest["files"] = dict(sorted(self._manifest["files"].items()))
         for path, data in ((CFG, self._cfg), (MANIFEST, as_json(self._manifest).encode())):
             place = self._out / path
@@ -268,15 +269,29 @@ def _head(spec: Spec, seed: int, keep: Keep) -> dict[str, Any]:
         "name": spec.cfg["name"],
         "cfg": {
             "sha256": spec.digest,
-            "batch_sha256": digest_of(alone, spec.files),
+            "batch_sha256": digest_of(alone, spec.files, spec.plugins),
             "inputs": {pointer: file.sha256 for pointer, file in spec.files.items()},
             "licenses": {pointer: licenses.as_json(file) for pointer, file in spec.files.items()},
+            **({"settings": list(spec.settings)} if spec.settings else {}),
         },
         "seed": seed,
         "keep": str(keep),
         "scenec": version_of(),
         "libraries": {name: version_of(name) for name in _LIBRARIES},
+        **({"plugins": dict(spec.plugins)} if spec.plugins else {}),
     }
+
+
+def held(out: Path, spec: Spec, seed: int, keep: Keep) -> tuple[set[int], str | None]:
+    """Which batches an output has with all of their files, and what else they are of.
+
+    Raises:
+        OutputError: It is no output.
+    """
+    old = read_manifest(out)
+    lost = {path.partition("/")[0] for path in old["files"] if not (out / path).is_file()}
+    batches = {b["index"] for b in old["batches"] if b["path"] not in lost}
+    return batches, _difference(old, _head(spec, seed, keep)) if old["batches"] else None
 
 
 def _old_manifest(out: Path) -> dict[str, Any]:

@@ -176,7 +176,7 @@ class Plan:
         manifest = self.source.manifest
         if manifest is None:
             return {"stage": self.out.name}
-        keys = ("name", "cfg", "seed", "scenec", "libraries")
+        keys = ("name", "cfg", "seed", "scenec", "libraries", "plugins")
         batches = {"batches": len(manifest["batches"])}
         return {key: manifest[key] for key in keys if key in manifest} | batches
 

@@ -20,8 +20,8 @@ class Fault:
     """One thing wrong in a cfg.
 
     Attributes:
-        file: The cfg's path as the user gave it.
-        line: Line, from 1.
+        file: The cfg's path as the user gave it, or that of a file it extends.
+        line: Line, from 1; 0 where the value stands in no file, but in the option ``file``.
         column: Column, from 1, in characters.
         pointer: JSON pointer (RFC 6901) of the value; "" is the whole document.
         message: What is wrong with which value, what was expected, and the nearest valid spelling.
@@ -34,7 +34,8 @@ class Fault:
     message: str
 
     def __str__(self) -> str:
-        return f"{self.file}:{self.line}:{self.column}: {self.pointer or '/'}: {self.message}"
+        place = f":{self.line}:{self.column}" if self.line else ""
+        return f"{self.file}{place}: {self.pointer or '/'}: {self.message}"
 
 
 class CfgError(ScenecError):

@@ -3,8 +3,10 @@
 ``cfg``: ``sha256`` of the cfg in full (defaults filled in, with its files' hashes), ``inputs``
 (JSON pointer without its first slash -> sha256 of the file named there) and ``licenses`` (the same
 pointers -> ``file`` as the cfg has it, ``license``, ``copyright`` and the ``source`` that says so).
-``cfg`` also has ``batch_sha256``, of all of that but the number of batches: what decides each one.
-``files`` holds every file of the batches and ``cfg.json``, the cfg's own bytes. ``failed`` lists
+``cfg`` also has ``batch_sha256``, of all of that but the number of batches: what decides each one;
+and ``settings``, the words after ``--set``, if there were any. ``files`` holds every file of the
+batches and ``cfg.json``: the cfg's own bytes, or where these are no JSON or not all of it, the cfg
+with what it extends and its settings, which makes the same stages alone. ``failed`` lists
 the batches that could not be built and were passed over, if there are any, each with its
 ``reason``; a batch has an ``attempt`` where it was drawn again.
 """
@@ -25,8 +27,10 @@ from scenec.schemas.update import finish_update
 
 MANIFEST = "manifest.json"
 TIMINGS = "timings.json"
-#: The cfg as it was given; paths in it are relative to the folder that it lay in.
+#: The cfg, whole and as JSON; paths in it are relative to the folder that it lay in.
 CFG = "cfg.json"
+#: Endings of a cfg's name.
+CFG_SUFFIXES = (".json", ".jsonc", ".yaml", ".yml")
 #: Root layer of a batch.
 STAGE = "stage.usda"
 #: In each batch's folder.
@@ -57,7 +61,8 @@ _SHAPE = {
     "seed?": natural,
     "keep?": str,
     "scenec?": str,
-    "cfg?": {"sha256?": str, "batch_sha256?": str, "inputs?": Each(str), "licenses?": Each(dict)},
+    "cfg?": {"sha256?": str, "batch_sha256?": str, "inputs?": Each(str), "licenses?": Each(dict),
+             "settings?": [str]},
     "libraries?": Each(str),
 }  # fmt: skip
 
@@ -69,7 +74,7 @@ def read_manifest(out: Path) -> dict[str, Any]:
         OutputError: There is none, it is none, or it names a path outside of the folder.
     """
     if out.is_file():
-        mend = f"; compile it: scenec compile {out} -o OUT" if out.suffix == ".json" else ""
+        mend = f"; compile it: scenec compile {out} -o OUT" if out.suffix in CFG_SUFFIXES else ""
         raise OutputError(
             f"{out}: is a file; expected the output folder of a compile, or a USD file{mend}"
         )

@@ -6,16 +6,12 @@ value a ``scenec.backends.annotation.contract.Pass``. Nothing is imported to kno
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from functools import cache
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
+from scenec.schemas import plugins
 from scenec.schemas.depth_camera import MEASURED
-
-if TYPE_CHECKING:
-    from importlib.metadata import EntryPoint
 
 #: Entry points of other packages.
 GROUP = "scenec.passes"
@@ -125,37 +121,16 @@ def built_in(name: str) -> PassFormat | None:
     return BUILT_IN.get(name)
 
 
-def entry_points_of(name: str) -> tuple[EntryPoint, ...]:
-    """What other packages offer under a name."""
-    return tuple(point for point in _offered(tuple(sys.path)) if point.name == name)
-
-
 def pass_names() -> tuple[str, ...]:
     """Names of all passes that could be asked for; ours first."""
-    others = {point.name for point in _offered(tuple(sys.path))} - BUILT_IN.keys()
-    return (*PASSES, *sorted(others))
+    return (*PASSES, *(name for name in plugins.names_of(GROUP) if name not in BUILT_IN))
 
 
 def is_pass(name: str) -> bool:
     """Whether there is such a pass, as it is asked for: ours, or another package's."""
-    return name in BUILT_IN or bool(entry_points_of(name))
+    return name in BUILT_IN or bool(plugins.entry_points_of(GROUP, name))
 
 
 def origins(names: Iterable[str]) -> dict[str, str]:
     """Package and version that passes of others come from, by name; ours have none."""
-    found = {}
-    for name in names:
-        if built_in(name) is None:
-            for point in entry_points_of(name):
-                found[name] = (
-                    f"{point.dist.name} {point.dist.version}" if point.dist else point.value
-                )
-    return found
-
-
-@cache
-def _offered(_path: tuple[str, ...]) -> tuple[EntryPoint, ...]:
-    """All entry points of the group; searching other packages' metadata takes milliseconds."""
-    from importlib.metadata import entry_points
-
-    return tuple(entry_points(group=GROUP))
+    return plugins.origins(GROUP, (name for name in names if built_in(name) is None))

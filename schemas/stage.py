@@ -149,6 +149,7 @@ ATTR_DEPTH_KEY = "scenec:depthCamera:noise:key"
 #: On a camera. token: renderers find its exposure, one for the "batch" or each "sample", and what
 #: UsdGeomCamera's attributes of exposure say is for viewers; not authored: they are followed, and
 #: where none of them is authored either it is "batch".
+ATTR_EFFECTS = "scenec:effects"
 ATTR_EXPOSURE_PER = "scenec:exposure:per"
 EXPOSURES_PER = ("batch", "sample")
 

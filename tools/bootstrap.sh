@@ -98,6 +98,7 @@ warming=$!
 trap 'kill $warming 2>/dev/null || true' EXIT
 install requirements.lock
 install requirements-nodeps.lock
+.venv/bin/python -m tools.cfg_stub >/dev/null
 say "Waiting for the kernels"
 wait $warming || true
 trap - EXIT

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import importlib
-import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
-from importlib.metadata import EntryPoint
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,7 +16,8 @@ from scenec.backends.stage.scene import RenderScene
 from scenec.schemas.correspondence import BEFORE, NEXT, PARTNER
 from scenec.schemas.depth_camera import MEASURED
 from scenec.schemas.errors import BackendError, ScenecError
-from scenec.schemas.passes import BUILT_IN, LABEL, entry_points_of, pass_names
+from scenec.schemas.passes import BUILT_IN, GROUP, LABEL, pass_names
+from scenec.schemas.plugins import entry_points_of, place, told
 from scenec.schemas.spelling import nearest, shown
 
 #: Modules of ours but ``passes``, where the others are; a pass is its name in capitals.
@@ -67,10 +65,10 @@ def find_pass(name: str) -> Pass:
     Raises:
         BackendError: There is none of this name, or several; or it is not what it should be.
     """
-    points = entry_points_of(name)
+    points = entry_points_of(GROUP, name)
     if len(points) + (name in BUILT_IN) > 1:
         ours = ["scenec"] if name in BUILT_IN else []
-        listed = ", ".join([*ours, *map(_place, points)])
+        listed = ", ".join([*ours, *map(place, points)])
         raise BackendError(f"several passes have the name {shown(name)}: {listed}; uninstall one")
     if name in BUILT_IN:
         module = f"scenec.backends.annotation.{_MODULES.get(name, 'passes')}"
@@ -78,25 +76,15 @@ def find_pass(name: str) -> Pass:
         return found
     if not points:
         raise BackendError(f"no pass {shown(name)}{nearest(name, pass_names())}")
-    who = f"pass {shown(name)} ({_place(points[0])})"
+    who = f"pass {shown(name)} ({place(points[0])})"
     try:
         made = points[0].load()
     except Exception as error:
-        raise BackendError(f"{who}: cannot be imported: {_told(error)}") from error
+        raise BackendError(f"{who}: cannot be imported: {told(error)}") from error
     fault = _fault(made, name)
     if fault is not None:
         raise BackendError(f"{who}: {fault}")
     return replace(made, compute=_guarded(made, who))
-
-
-def _place(point: EntryPoint) -> str:
-    return point.value + (f" of {point.dist.name}" if point.dist else "")
-
-
-def _told(error: Exception) -> str:
-    """An error of another package's code, and where it was raised, in a line."""
-    at = traceback.extract_tb(error.__traceback__)[-1]
-    return f"{type(error).__name__}: {error} ({Path(at.filename).name}, line {at.lineno})"
 
 
 def _fault(made: Any, name: str) -> str | None:
@@ -123,7 +111,7 @@ def _guarded(one: Pass, who: str) -> Callable[[View], NDArray[Any]]:
         except ScenecError:
             raise
         except Exception as error:
-            raise BackendError(f"{who}: {_told(error)}") from error
+            raise BackendError(f"{who}: {told(error)}") from error
         count = len(one.channels)
         shape = (len(view.hits.row), count)[: 1 + (count > 1)]
         types = ("uint32",) if one.dtype == "uint32" else ("float32", "float64")

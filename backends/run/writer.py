@@ -80,6 +80,11 @@ def write_frame(
         shown = taken.picture
     elif "rgb" in passes:
         shown = picture.develop(passes["rgb"], camera.exposure_ev)
+    if camera.effects and shown is not None:
+        # Imported here: few cameras have any.
+        from scenec.backends.imaging.effects import apply
+
+        shown = apply(shown, camera.effects, sample)
     _put(stem.with_suffix(".png"), shown, picture.write_png)
     beside = {
         kind: _put(beside_path(stem, kind), getattr(taken, kind, None), picture.write_png)
@@ -121,6 +126,7 @@ def write_frame(
         "instance_table": table,
         "amodal": masks,
         **({} if taken is None else {"imaging": taken.facts | beside}),
+        **({"effects": [json.loads(one) for one in camera.effects]} if camera.effects else {}),
         **details,
     }
     write_json(stem.with_suffix(".json"), plain(sidecar))

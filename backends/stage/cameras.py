@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -155,6 +156,7 @@ def _camera(request: _Request, frame: StageFrame, time: Usd.TimeCode) -> Camera:
         lens=_lens(prim),
         imaging=read_imaging(prim, time),
         focus=_focus(prim, frame, time),
+        effects=_effects(prim),
     )
 
 
@@ -213,6 +215,24 @@ def _focus(prim: Usd.Prim, frame: StageFrame, time: Usd.TimeCode) -> Focus | Non
             "drawn of cameras without a lens of the schema's: set fStop to 0"
         )
     return Focus(distance, radius)
+
+
+def _effects(prim: Usd.Prim) -> tuple[str, ...]:
+    """What other packages do to its pictures, each as JSON."""
+    found = tuple(values.words(prim.GetAttribute(names.ATTR_EFFECTS)))
+    for text in found:
+        try:
+            keys = json.loads(text)
+            fine = {"type": str, "from": str, "key": int}.items()
+            sound = isinstance(keys, dict) and all(isinstance(keys.get(k), t) for k, t in fine)
+        except (ValueError, RecursionError):
+            sound = False
+        if not sound:
+            raise StageError(
+                f"{prim.GetPath()}: {names.ATTR_EFFECTS}: {shown(text)}: expected a JSON object "
+                "with a type, a package (from) and a key"
+            )
+    return found
 
 
 def _lens(prim: Usd.Prim) -> Lens | None:

@@ -318,6 +318,7 @@ class Camera:
             is in the middle of the middle row's exposure.
         focus: What is sharp; None: everything.
         exposure_per: What ``backends.exposure`` finds one for, "batch" or "sample"; None: given.
+        effects: What other packages do to its pictures (``scenec.backends.imaging.effects``).
     """
 
     name: str
@@ -342,6 +343,7 @@ class Camera:
     shutter: OpenShutter | None = None
     focus: Focus | None = None
     exposure_per: str | None = None
+    effects: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

@@ -91,7 +91,7 @@ class Describer:
             case Path():
                 return self._file(value)
             case type():
-                return ["k", name_of(value)]
+                return ["k", _own(value)]
             case dict():
                 return ["d", *([self.describe(k), self.describe(v)] for k, v in value.items())]
             case list():
@@ -102,7 +102,7 @@ class Describer:
         if names is not None:
             return [
                 "c",
-                name_of(type(value)),
+                _own(type(value)),
                 *(self.describe(getattr(value, name)) for name in names),
             ]
         if type(value) is tuple:
@@ -250,6 +250,13 @@ def number_type(name: str) -> np.dtype[Any]:
 def name_of(kind: type) -> str:
     """``module:class``."""
     return f"{kind.__module__}:{kind.__qualname__}"
+
+
+def _own(kind: type) -> str:
+    """``name_of`` a class of this package: what another's does, no key could tell."""
+    if not kind.__module__.startswith("scenec."):
+        raise NotPlainError(f"{name_of(kind)} is of another package")
+    return name_of(kind)
 
 
 def name_of_function(function: Any) -> str:

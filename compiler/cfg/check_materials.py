@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from scenec.compiler.cfg.document import Path
 from scenec.compiler.cfg.faults import Finding
-from scenec.compiler.cfg.json_positions import Path
 from scenec.compiler.cfg.node import Node
 from scenec.schemas.spelling import shown
 

@@ -6,8 +6,8 @@ from collections.abc import Iterator
 from typing import Any
 
 from scenec.compiler.cfg.check_light import label_maps
+from scenec.compiler.cfg.document import Path
 from scenec.compiler.cfg.faults import Finding
-from scenec.compiler.cfg.json_positions import Path
 from scenec.compiler.cfg.node import Node, unknown
 from scenec.schemas.spelling import closest, shown
 
@@ -31,8 +31,6 @@ def check_names(cfg: Node, sound: bool) -> Iterator[Finding]:
     if levels or "labels" not in cfg:
         for node in (*users, cfg.at("light", "sky")):
             yield from _check_choice(levels, node.at("labels"))
-        for user in whole:
-            yield from _check_levels(levels, user)
         if not levels.entries:
             yield from _check_label_outputs(cfg)
     for level in levels.each("*"):
@@ -48,18 +46,6 @@ def _check_choice(levels: Node, chosen: Node) -> Iterator[Finding]:
         elif name is not None and names and name not in names:
             where = f" on the level {shown(level)}"
             yield chosen.fault(unknown("label", name, names.entries, where), level)
-
-
-def _check_levels(levels: Node, user: Node) -> Iterator[Finding]:
-    chosen = user.at("labels")
-    if "labels" in user and not chosen:
-        return
-    guesses = {closest(name, levels.entries) for name in chosen.entries if name not in levels}
-    for level in levels.entries:
-        # A misspelled level is told once, as the unknown key that it is.
-        if level not in chosen and level not in guesses:
-            at = ("labels",) if "labels" in user else ()
-            yield user.fault(f"no label on the level {shown(level)}: give one", *at)
 
 
 def _check_label_outputs(cfg: Node) -> Iterator[Finding]:

@@ -15,8 +15,8 @@ from typing import Any
 
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.cfg.check_schema import check_value
+from scenec.compiler.cfg.document import Path
 from scenec.compiler.cfg.faults import Finding
-from scenec.compiler.cfg.json_positions import Path
 from scenec.compiler.cfg.schema import Field
 from scenec.compiler.distributions.normal import MAX_SIGMAS
 from scenec.compiler.distributions.numbers import Distribution, Number

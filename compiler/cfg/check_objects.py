@@ -11,6 +11,9 @@ from scenec.compiler.cfg.node import Node, unknown
 from scenec.schemas.errors import SceneError
 from scenec.schemas.spelling import nearest, shown
 
+#: Families of rocks that this package has; others say themselves which keys they read.
+FAMILIES = ("weathered", "angular", "rounded", "slab", "vesicular")
+
 
 def check_objects(cfg: Node) -> Iterator[Finding]:
     """Findings on objects."""
@@ -33,7 +36,7 @@ def _check_rocks(thing: Node) -> Iterator[Finding]:
     """Keys that only some families or orientations read."""
     family = thing["family"]
     key, other = ("wear", "angularity") if family == "weathered" else ("angularity", "wear")
-    if family is not None and key in thing:
+    if family in FAMILIES and key in thing:
         yield thing.key_fault(
             f"rocks of the family {shown(family)} have no {key}: expected {other}", key
         )

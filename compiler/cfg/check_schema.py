@@ -8,10 +8,11 @@ from typing import Any
 
 from jsonschema import Draft202012Validator
 
+from scenec.compiler.cfg.document import Path
 from scenec.compiler.cfg.faults import Finding
 from scenec.compiler.cfg.schema import Field, inside, walk
-from scenec.schemas.passes import GROUP as PASSES
-from scenec.schemas.passes import pass_names
+from scenec.compiler.cfg.slips import in_radians, meant_color, meant_key
+from scenec.schemas.plugins import names_of
 from scenec.schemas.spelling import closest, nearest, shown
 
 _TYPES = {
@@ -33,7 +34,14 @@ def check_schema(fields: Iterable[Field]) -> list[Finding]:
         fields: All places of a cfg, see ``schema.walk``.
     """
     findings: list[Finding] = []
+    told: set[Path] = set()
     for field in fields:
+        if field.path[:-1] in told:
+            continue
+        if color := meant_color(field):
+            findings.append(Finding(field.path, color))
+            told.add(field.path)
+            continue
         findings += check_value(field)
         if field.is_number:
             for below in walk(inside(field)):
@@ -44,15 +52,19 @@ def check_schema(fields: Iterable[Field]) -> list[Finding]:
 def check_value(field: Field) -> Iterator[Finding]:
     """What a value's own keywords find wrong with it."""
     value, keywords = field.value, field.keywords
+    if "x-fault" in keywords:
+        yield Finding(field.path, keywords["x-fault"])
     for keyword, bound in keywords.items():
         if keyword not in EXPECTED:
             continue
-        if keyword == "enum" and keywords.get("x-open") == PASSES:
+        if keyword == "enum" and "x-open" in keywords and value not in bound:
             # With what other packages add.
-            bound = pass_names()
+            bound = [*bound, *(n for n in names_of(keywords["x-open"]) if n not in bound)]
         errors = _JUDGE.VALIDATORS[keyword](_JUDGE, bound, value, keywords)
         if next(iter(errors or ()), None) is not None:
-            yield Finding(field.path, f"{shown(value)}: expected {EXPECTED[keyword](bound, field)}")
+            meant = in_radians(value, field) if "inimum" in keyword else ""
+            expected = EXPECTED[keyword](bound, field)
+            yield Finding(field.path, f"{shown(value)}: expected {expected}{meant}")
     if isinstance(value, dict):
         yield from _check_keys(field)
 
@@ -82,7 +94,8 @@ def _check_keys(field: Field) -> Iterator[Finding]:
         else:
             # A key that is missing is a likelier meaning than one that is there already.
             likely = unused if closest(key, unused) else known
-            message = f"unknown key {shown(key)}{nearest(key, likely)}"
+            meant = meant_key(key, value[key], {name: properties[name] for name in known})
+            message = f"unknown key {shown(key)}{meant or nearest(key, likely)}"
         yield Finding((*field.path, key), message, at_key=True)
 
 
@@ -97,6 +110,8 @@ def _types(types: str | list[str], field: Field) -> str:
 
 def _choice(choices: Sequence[Any], field: Field) -> str:
     values = [str(value) for value in choices]
+    if not values:
+        return "a name that an installed package offers, and none does"
     expected = "one of " + ", ".join(values) if len(values) > 1 else values[0]
     guess = isinstance(field.value, str) and closest(field.value, values)
     return expected + (f"; did you mean {shown(guess)}?" if guess else "")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from scenec.compiler.cfg.json_positions import Document, Path, Position
+from scenec.compiler.cfg.document import Document, Path, Position
 from scenec.schemas.errors import Fault
 
 
@@ -26,15 +26,14 @@ class Finding:
     position: Position | None = None
 
 
-def locate(findings: Iterable[Finding], document: Document, file: str) -> list[Fault]:
+def locate(findings: Iterable[Finding], document: Document) -> list[Fault]:
     """Findings with file, line, column and pointer, each once."""
     faults = []
     for finding in findings:
         where = document.keys if finding.at_key else document.values
         position = finding.position or where.get(finding.path) or document.values[finding.path]
-        faults.append(
-            Fault(file, position.line, position.column, pointer(finding.path), finding.message)
-        )
+        at = pointer(finding.path)
+        faults.append(Fault(position.file, position.line, position.column, at, finding.message))
     return list(dict.fromkeys(faults))
 
 

@@ -1,104 +1,57 @@
-"""Strict JSON (RFC 8259) with the line and column of every value and key.
+"""JSON (RFC 8259) with comments and trailing commas, and the place of every value and key.
 
-The standard library's parser accepts NaN and duplicate keys and forgets where things stood; the
-faults of a cfg need both.
+The standard library's parser accepts NaN and duplicate keys, no comments, and forgets where things
+stood; the faults of a cfg need both.
 """
 
 from __future__ import annotations
 
 import json
-import math
 import re
-from bisect import bisect_right
 from dataclasses import dataclass, field
 from typing import Any
 
-#: Deeper nesting than this is refused; a cfg needs about eight levels.
-MAX_DEPTH = 64
+from scenec.compiler.cfg.document import (
+    MAX_DEPTH,
+    CfgSyntaxError,
+    Document,
+    Path,
+    Position,
+    Text,
+    as_number,
+    has_half_pair,
+)
 
-_SPACE = re.compile(r"[ \t\n\r]*")
+_SPACE = re.compile(r"(?:[ \t\n\r]+|//[^\n]*|/\*.*?\*/)*", re.DOTALL)
 _STRING = re.compile(r'"(?:[^"\\\x00-\x1f]|\\(?:["\\/bfnrt]|u[0-9a-fA-F]{4}))*"')
 _NUMBER = re.compile(r"-?(?:0|[1-9][0-9]*)(\.[0-9]+)?([eE][+-]?[0-9]+)?")
 _WORD = re.compile(r"[A-Za-z_][A-Za-z_0-9]*")
 _LITERALS = {"true": True, "false": False, "null": None}
-# Longer runs of digits overflow a double; int() of them would cost quadratic time or raise.
-_MAX_INT_DIGITS = 310
-
-#: Keys and list indices from the root to a value.
-Path = tuple[str | int, ...]
 
 
-@dataclass(frozen=True)
-class Position:
-    """Line and column, both from 1, the column in characters."""
-
-    line: int
-    column: int
-
-
-@dataclass(frozen=True)
-class Document:
-    """A parsed JSON text.
-
-    Attributes:
-        value: The root value, in Python's types.
-        values: Where each value starts, by its path; ``()`` is the root.
-        keys: Where each key of an object stands, by the path of its value.
-        duplicates: Path and position of each key that its object had already.
-    """
-
-    value: Any
-    values: dict[Path, Position]
-    keys: dict[Path, Position]
-    duplicates: tuple[tuple[Path, Position], ...] = ()
-
-
-class JsonError(Exception):
-    """A text that is not JSON: message and position of the first fault."""
-
-    def __init__(self, message: str, position: Position):
-        super().__init__(message)
-        self.message = message
-        self.position = position
-
-
-def parse(data: bytes) -> Document:
+def parse(data: bytes, file: str = "") -> Document:
     """Parses a JSON text in UTF-8 (a byte order mark is skipped).
 
+    Args:
+        data: The text.
+        file: Its name, for positions.
+
     Raises:
-        JsonError: It is not UTF-8, not JSON, nested deeper than ``MAX_DEPTH``, or holds a number
-            that is too large for a double or a string with half a surrogate pair.
+        CfgSyntaxError: It is not UTF-8, not JSON, nested deeper than ``MAX_DEPTH``, or holds a
+            number that is too large for a double or a string with half a surrogate pair.
     """
-    try:
-        text = data.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        good = data[: error.start].decode("utf-8-sig", errors="replace")
-        raise JsonError(
-            f"byte 0x{data[error.start]:02x} is not UTF-8: save the file as UTF-8",
-            _position(_line_starts(good), len(good)),
-        ) from error
-    return _Parser(text).document()
-
-
-def _line_starts(text: str) -> list[int]:
-    return [0, *(match.end() for match in re.finditer("\n", text))]
-
-
-def _position(line_starts: list[int], offset: int) -> Position:
-    line = bisect_right(line_starts, offset)
-    return Position(line, offset - line_starts[line - 1] + 1)
+    source = Text(data, file)
+    return _Parser(source, source.text).document()
 
 
 @dataclass
 class _Parser:
+    source: Text
     text: str
     offset: int = 0
     values: dict[Path, Position] = field(default_factory=dict)
     keys: dict[Path, Position] = field(default_factory=dict)
     duplicates: list[tuple[Path, Position]] = field(default_factory=list)
-
-    def __post_init__(self) -> None:
-        self._line_starts = _line_starts(self.text)
 
     def document(self) -> Document:
         self._skip_space()
@@ -109,11 +62,11 @@ class _Parser:
         return Document(value, self.values, self.keys, tuple(self.duplicates))
 
     def _here(self) -> Position:
-        return _position(self._line_starts, self.offset)
+        return self.source.position(self.offset)
 
-    def _error(self, message: str, offset: int | None = None) -> JsonError:
+    def _error(self, message: str, offset: int | None = None) -> CfgSyntaxError:
         at = self.offset if offset is None else offset
-        return JsonError(message, _position(self._line_starts, at))
+        return CfgSyntaxError(message, self.source.position(at))
 
     def _found(self) -> str:
         if self.offset >= len(self.text):
@@ -125,6 +78,8 @@ class _Parser:
         match = _SPACE.match(self.text, self.offset)
         assert match is not None
         self.offset = match.end()
+        if self.text.startswith("/*", self.offset):
+            raise self._error("a comment that is not closed")
 
     def _take(self, character: str) -> bool:
         if self.text.startswith(character, self.offset):
@@ -200,25 +155,22 @@ class _Parser:
         self._skip_space()
         if self._take(closer):
             return False
-        comma = self.offset
         if not self._take(","):
             raise self._error(f"expected ',' or '{closer}' in {what}, found {self._found()}")
         self._skip_space()
-        if self.text.startswith(closer, self.offset):
-            raise self._error(f"a ',' before the '{closer}' of {what}: take it away", comma)
-        return True
+        return not self._take(closer)
 
     def _string(self) -> str:
         match = _STRING.match(self.text, self.offset)
         if not match:
             raise self._bad_string()
         value = str(json.loads(match.group()))
-        if any("\ud800" <= character <= "\udfff" for character in value):
+        if has_half_pair(value):
             raise self._error("a string with half a surrogate pair")
         self.offset = match.end()
         return value
 
-    def _bad_string(self) -> JsonError:
+    def _bad_string(self) -> CfgSyntaxError:
         at = self.offset + 1
         while at < len(self.text) and self.text[at] != '"':
             if self.text[at] < " ":
@@ -243,14 +195,8 @@ class _Parser:
         following = self.text[match.end() : match.end() + 1]
         if following and (following.isalnum() or following in "._+-"):
             raise self._error(f"{(token + following)!r} does not begin a JSON number")
-        whole = match.group(1) is None and match.group(2) is None
-        if whole and len(token) < _MAX_INT_DIGITS:
-            value: int | float = int(token)
-            too_large = abs(value) >= 2**1023
-        else:
-            value = float(token)
-            too_large = math.isinf(value)
-        if too_large:
+        value = as_number(token, whole=match.group(1) is None and match.group(2) is None)
+        if value is None:
             raise self._error(f"the number {token[:24]} is too large")
         self.offset = match.end()
         return value

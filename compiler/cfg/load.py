@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path as FilePath
 from typing import Any
 
@@ -21,8 +21,9 @@ from scenec.compiler.cfg.check_schema import check_schema
 from scenec.compiler.cfg.check_terrain import check_terrain
 from scenec.compiler.cfg.faults import Finding, locate
 from scenec.compiler.cfg.fill import fill
-from scenec.compiler.cfg.json_positions import Document, JsonError, parse
 from scenec.compiler.cfg.node import Node, Tree
+from scenec.compiler.cfg.slips import improbable
+from scenec.compiler.cfg.sources import located, read
 from scenec.compiler.cfg.typed import Cfg
 from scenec.compiler.distributions.numbers import Distribution
 from scenec.schemas.errors import CfgError, Fault
@@ -42,9 +43,13 @@ class Spec:
         path: The cfg file.
         files: The files that it names, by the path of the string: "terrain/relief/0/file".
         digest: sha256 over the cfg in full and the hashes of its files, in hexadecimal. It does not
-            depend on layout, comments or where the files lie, but on the order of named things,
-            which decides instance ids.
-        text: The file's bytes.
+            depend on syntax, layout, comments or where the files lie, but on the order of named
+            things, which decides instance ids.
+        text: The cfg as JSON, with all that it extends and its settings.
+        is_verbatim: Whether that is the file's own bytes.
+        settings: What was set over it.
+        warnings: Values that can be and are probably a slip.
+        plugins: Packages of the kinds that are not scenec's own (``schema.origins``).
     """
 
     cfg: Cfg
@@ -52,17 +57,26 @@ class Spec:
     files: Mapping[str, InputFile]
     digest: str
     text: bytes
+    is_verbatim: bool = True
+    settings: tuple[str, ...] = ()
+    warnings: tuple[Fault, ...] = ()
+    plugins: Mapping[str, str] = field(default_factory=dict)
 
 
-def load(path: FilePath | str) -> Spec:
+def load(path: FilePath | str, settings: Sequence[str] = ()) -> Spec:
     """Reads and validates a cfg.
 
+    Args:
+        path: The file, or ``package:configs/NAME``; see ``sources.read``.
+        settings: What is set over it, each ``path=value``.
+
     Raises:
-        CfgError: With every fault of the file, in its order; of a text that is not JSON, the first.
+        CfgError: With every fault of the file, in its order; of a text that cannot be read, the
+            first.
     """
-    path = FilePath(path)
-    name = str(path)
-    text, document = _read(path, name)
+    path = located(FilePath(path))
+    source = read(path, settings)
+    document = source.document
     duplicates = [
         Finding(at, f"the key {shown(at[-1])} stands twice in its object", position=position)
         for at, position in document.duplicates
@@ -83,31 +97,25 @@ def load(path: FilePath | str) -> Spec:
         findings += check(cfg)
     files, file_findings = check_files(fields, cfg, path.parent)
     findings += [*file_findings, *check_parts(cfg, files)]
-    faults = locate(findings, document, name)
+    faults = locate(findings, document)
     if faults:
         raise CfgError(faults)
     filled = fill(document.value)
-    return Spec(filled, path, files, digest_of(filled, files), text)
+    plugins = schema.origins(fields)
+    digest = digest_of(filled, files, plugins)
+    text, is_verbatim = source.text, source.is_verbatim
+    warnings = tuple(sorted(locate(improbable(fields), document)))
+    given = tuple(settings)
+    return Spec(filled, path, files, digest, text, is_verbatim, given, warnings, plugins)
 
 
-def _read(path: FilePath, name: str) -> tuple[bytes, Document]:
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise CfgError([Fault(name, 1, 1, "", error.strerror or str(error))]) from error
-    except ValueError as error:
-        # A zero character in the name.
-        raise CfgError([Fault(name, 1, 1, "", f"not a file name: {error}")]) from error
-    try:
-        return data, parse(data)
-    except JsonError as error:
-        line, column = error.position.line, error.position.column
-        raise CfgError([Fault(name, line, column, "", error.message)]) from error
-
-
-def digest_of(cfg: Mapping[str, Any], files: Mapping[str, InputFile]) -> str:
-    """sha256 over a cfg, or a part of one, and the hashes of its files; see ``Spec``."""
+def digest_of(
+    cfg: Mapping[str, Any], files: Mapping[str, InputFile], plugins: Mapping[str, str]
+) -> str:
+    """sha256 over a cfg, or a part of one, the hashes of its files, and packages; see ``Spec``."""
     content = {"cfg": cfg, "files": {name: file.sha256 for name, file in files.items()}}
+    if plugins:
+        content["plugins"] = plugins
     # Keys are not sorted: the order of objects decides their instance ids.
     text = json.dumps(
         content,

@@ -6,8 +6,8 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 from scenec.compiler.cfg.check_numbers import support
+from scenec.compiler.cfg.document import Path
 from scenec.compiler.cfg.faults import Finding
-from scenec.compiler.cfg.json_positions import Path
 from scenec.compiler.cfg.schema import Field
 from scenec.schemas.spelling import nearest, shown
 

@@ -11,6 +11,8 @@ from pathlib import Path
 from scenec.schemas.spelling import closest, shown
 
 PREFIX = "package:"
+#: Folders of scenec's own that cfgs can name as if they were packages.
+OWN = ("assets", "configs")
 
 # Where the name that is imported is not the one that is installed.
 _DISTRIBUTIONS = {"warp": "warp-lang"}
@@ -25,7 +27,8 @@ def find_file(reference: str, folder: Path, what: str = "file") -> Path:
 
     A plain path is relative to the cfg's folder. ``package:NAME/path`` is a file of the installed
     package NAME, which is found without importing it; in the path, ``*`` stands for any part of a
-    file's or folder's name, and exactly one file must match.
+    file's or folder's name, and exactly one file must match. ``package:assets/path`` and
+    ``package:configs/path`` are scenec's own.
 
     Args:
         reference: The string in the cfg.
@@ -84,7 +87,24 @@ def _find_in_package(reference: str, what: str, fits: Callable[[Path], bool]) ->
     )
 
 
+def own_files(folder: str, pattern: str) -> list[Path]:
+    """Files that come with scenec, of one of its folders ``OWN``, sorted."""
+    return [path for root in _package_folders(folder) for path in sorted(root.glob(pattern))]
+
+
+def own_reference(file: Path) -> str | None:
+    """How a cfg names a file that comes with scenec; None of any other."""
+    for name in OWN:
+        for folder in _package_folders(name):
+            if file.resolve().is_relative_to(folder.resolve()):
+                inside = file.resolve().relative_to(folder.resolve())
+                return f"{PREFIX}{name}/{inside.as_posix()}"
+    return None
+
+
 def _package_folders(name: str) -> list[Path]:
+    if name in OWN:
+        return [folder / name for folder in _package_folders("scenec")]
     # For a name without a dot, find_spec looks at files only and runs nothing of the package.
     try:
         spec = importlib.util.find_spec(name)

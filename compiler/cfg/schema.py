@@ -6,23 +6,27 @@ another file, ``properties``, ``additionalProperties``, ``unevaluatedProperties`
 ``then``, ``else`` (alone or in ``allOf``). So defaults, the reference page and the drawing of
 numbers come from the same files as the validation (``check_schema``). Forms that many keys share (a
 length drawn once a batch, a color, a name) stand in ``forms.schema.json`` and are taken in when
-they are loaded.
+they are loaded. Where a schema says "x-kinds", the key of that name can hold a name that another
+package offers (``scenec.schemas.plugins``), which brings a schema of its own.
 """
 
 from __future__ import annotations
 
 import importlib.resources
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
-from scenec.compiler.cfg.json_positions import Path
+from scenec.compiler.cfg.document import Path
+from scenec.schemas.errors import ScenecError
+from scenec.schemas.plugins import KINDS, entry_points_of, load_kind, origin
 
 ROOT = "cfg.schema.json"
 NUMBER = "number.schema.json"
 FORMS = "forms.schema.json"
+_SUFFIX = ".schema.json"
 
 
 def read_schemas() -> dict[str, dict[str, Any]]:
@@ -51,6 +55,48 @@ def _with_forms(schema: Any, forms: Mapping[str, Any]) -> Any:
         own = {key: entry for key, entry in schema.items() if key != "$ref"}
         return _with_forms({**forms[name], **own}, forms)
     return {key: _with_forms(entry, forms) for key, entry in schema.items()}
+
+
+def bundled(*, partial: bool = False) -> dict[str, Any]:
+    """One JSON Schema with all that the others say, for editors.
+
+    Args:
+        partial: Whether keys may be missing that are required, as in a cfg that extends another.
+    """
+    schemas = load_schemas()
+    return {
+        "$schema": schemas[ROOT]["$schema"],
+        "title": "scenec cfg",
+        "description": schemas[ROOT]["description"],
+        "$ref": _reference(ROOT, ROOT),
+        "$defs": {
+            name.removesuffix(_SUFFIX): _bundled(schema, name, partial)
+            for name, schema in schemas.items()
+        },
+    }
+
+
+def _bundled(schema: Any, file: str, partial: bool) -> Any:
+    if isinstance(schema, list):
+        return [_bundled(entry, file, partial) for entry in schema]
+    if not isinstance(schema, dict):
+        return schema
+    found = {
+        key: entry if key == "if" else _bundled(entry, file, partial)
+        for key, entry in schema.items()
+        # A key of the cfg may be called so: what it says is no list, and no string.
+        if not (key == "required" and partial and isinstance(entry, list))
+        and not (key == "$schema" and isinstance(entry, str))
+    }
+    if isinstance(found.get("$ref"), str):
+        found["$ref"] = _reference(found["$ref"], file)
+    return found
+
+
+def _reference(reference: str, here: str) -> str:
+    """What a reference that stands in a file is inside of the bundle."""
+    file, _, rest = reference.partition("#")
+    return f"#/$defs/{(file or here).removesuffix(_SUFFIX)}{rest}"
 
 
 @dataclass(frozen=True)
@@ -91,6 +137,9 @@ def _flatten(schema: Mapping[str, Any], value: Any) -> tuple[dict[str, Any], boo
             keywords, number = _flatten(branch.get(taken, {}), value)
             _merge(merged, keywords)
             is_number = is_number or number
+    if "x-kinds" in schema and isinstance(value, dict):
+        key = schema["x-kinds"]
+        _merge(merged, _offered(schema["properties"][key], value.get(key)))
     _merge(merged, {key: entry for key, entry in schema.items() if key not in _APPLICATORS})
     if schema.get("$ref") == NUMBER:
         is_number = True
@@ -103,6 +152,96 @@ def _flatten(schema: Mapping[str, Any], value: Any) -> tuple[dict[str, Any], boo
         )
         is_number = is_number or number
     return merged, is_number
+
+
+def _offered(key: Mapping[str, Any], name: Any) -> dict[str, Any]:
+    """What another package's kind adds to an object; ``key`` is the schema of what names it."""
+    group = key["x-open"]
+    if not isinstance(name, str) or name in key["enum"] or not entry_points_of(group, name):
+        return {}
+    try:
+        return dict(own_schema(group, name))
+    except ScenecError as error:
+        return {"x-fault": str(error)}
+
+
+def origins(fields: Iterable[Field]) -> dict[str, str]:
+    """Packages and versions of the kinds that a cfg names and other packages offer.
+
+    Args:
+        fields: All places of the cfg, see ``walk``.
+
+    Returns:
+        By group and name: "scenec.relief steps": "scenec-steps 1.0".
+    """
+    found = {}
+    for field in fields:
+        if "x-kinds" not in field.keywords or not isinstance(field.value, dict):
+            continue
+        name = field.value.get(field.keywords["x-kinds"])
+        entry = field.keywords["properties"][field.keywords["x-kinds"]]
+        if isinstance(name, str) and name not in entry["enum"]:
+            found[f"{entry['x-open']} {name}"] = origin(entry["x-open"], name)
+    return dict(sorted(found.items()))
+
+
+@cache
+def own_schema(group: str, name: str) -> Mapping[str, Any]:
+    """The keys of another package's kind.
+
+    Raises:
+        ScenecError: It cannot be loaded, or its ``SCHEMA`` is none.
+    """
+    # Imported here: few cfgs have any.
+    from jsonschema import Draft202012Validator, SchemaError
+
+    kind = load_kind(group, name)
+    keys = {**kind.SCHEMA.get("properties", {}), **_shared(group, kind)}
+    whole = {**kind.SCHEMA, "properties": keys, "additionalProperties": False}
+    try:
+        Draft202012Validator.check_schema(whole)
+        found: Mapping[str, Any] = _with_forms(whole, read_schemas()[FORMS]["$defs"])
+        for keywords in found["properties"].values():
+            _flatten(keywords, None)
+    except (SchemaError, KeyError) as error:
+        why = error.message if isinstance(error, SchemaError) else f"there is no {error}"
+        who = f"{KINDS[group]} {name} ({kind.__module__}.{kind.__qualname__})"
+        raise ScenecError(f"{who}: SCHEMA: {why}") from error
+    return found
+
+
+def _shared(group: str, kind: type[Any]) -> dict[str, Any]:
+    """Keys that all kinds of a group have, beside their own."""
+
+    def form(name: str, **own: Any) -> dict[str, Any]:
+        return {"$ref": f"{FORMS}#/$defs/{name}", **own}
+
+    if group == "scenec.relief":
+        return {"mask": form("mask")}
+    if group == "scenec.conditions":
+        unit = getattr(kind, "UNIT", "")
+        end, own = (f"_{unit}", {"x-unit": unit}) if unit else ("", {})
+        return {
+            f"min{end}": form("per_batch", description="Smallest; left out, no bound.", **own),
+            f"max{end}": form("per_batch", description="Largest; left out, no bound.", **own),
+            f"softness{end}": form(
+                "per_batch",
+                description="Width over which it fades about a bound.",
+                **own, minimum=0, default=0,
+            ),
+            "ragged": form("ragged"),
+        }  # fmt: skip
+    if group == "scenec.surfaces":
+        ends = ("relief_m", "contrast", "resolution", "displacement")
+        return {end: form(f"surface_{end}") for end in ends}
+    if group == "scenec.poses":
+        sampling = "At which times of the motion the samples are."
+        return {
+            "sampling": {
+                "description": sampling, "$ref": "pose_sampling.schema.json", "default": {}
+            }
+        }  # fmt: skip
+    return {}
 
 
 def _referred(reference: str) -> Mapping[str, Any]:

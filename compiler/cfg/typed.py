@@ -53,6 +53,7 @@ class Sensor(TypedDict):
     mount: Kind
     exposure: Kind
     imaging: NotRequired[Kind]
+    effects: NotRequired[list[Kind]]
     focus: NotRequired[Kind]
     shutter: NotRequired[Kind]
     trigger: NotRequired[Kind]

@@ -198,7 +198,7 @@ def _rig(spec: Spec, name: str, streams: Streams) -> RigPlan:
     elif cfg["pose"]["type"] == "random_target":
         pose = draw_random_target(cfg["pose"], path, streams, samples)
     else:
-        pose = draw_motion(cfg["pose"], path, streams)
+        pose = draw_motion(cfg["pose"], path, streams, spec.files)
     sensors = tuple(
         draw_sensor(sensor, node, f"rigs/{name}/sensors/{sensor}", streams, samples)
         for sensor, node in cfg["sensors"].items()

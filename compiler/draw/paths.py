@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -17,16 +18,21 @@ from scenec.compiler.cameras.paths.random_pose import Limits, Look, RandomPose
 from scenec.compiler.cameras.paths.random_target import RandomTarget
 from scenec.compiler.cameras.paths.rover import Rover
 from scenec.compiler.cameras.tracks import Gaps, Sampling, TrackPlan, TrackWay, resampled
+from scenec.compiler.cfg.check_files import InputFile
 from scenec.compiler.cfg.load import Spec
 from scenec.compiler.distributions.resolve import per_sample, resolve
 from scenec.compiler.distributions.streams import Streams
+from scenec.compiler.draw.of_keys import of_keys
 from scenec.compiler.geometry.poses import compose, from_quaternion
 from scenec.compiler.geometry.se3 import matrices
 from scenec.schemas import stage as names
 from scenec.schemas.errors import SceneError
+from scenec.schemas.plugins import Kinds
 
 #: Candidates of each goal of a drive.
 _GOAL_TRIES = 64
+_OURS = ("random", "orbit", "lawn_mower", "descent", "rover", "mav")
+_OTHERS = Kinds[type[Any]]("scenec.poses", {})
 _HALF_TURN = np.diag([*names.HALF_TURN, 1.0])
 
 
@@ -100,9 +106,15 @@ def draw_random_target(
     )
 
 
-def draw_motion(cfg: dict[str, Any], path: str, streams: Streams) -> Motion:
+def draw_motion(
+    cfg: dict[str, Any], path: str, streams: Streams, files: Mapping[str, InputFile]
+) -> Motion:
     """A made motion: numbers of the batch are drawn, those of each try get a key."""
     node = resolve(cfg, streams, path)
+    if node["type"] not in _OURS:
+        node["sampling"] = _sampling(node["sampling"])
+        made: Motion = of_keys(_OTHERS, node, streams, path, files)
+        return made
     kind = node.pop("type")
     if kind == "random":
         return _random(node, path, streams)

@@ -16,6 +16,7 @@ from scenec.compiler.objects.families.vesicular import draw_vesicular
 from scenec.compiler.objects.families.weathered import Weathered
 from scenec.compiler.scene.plan import RockShapes, ScatterPlan
 from scenec.compiler.scene.scene import Labels
+from scenec.schemas.plugins import Kinds
 
 _PLANES = 14
 _NEAREST_PLANE = 0.55
@@ -26,6 +27,10 @@ _FAMILIES: dict[str, Callable[..., Shape]] = {
     "slab": draw_slab,
     "vesicular": draw_vesicular,
 }
+
+
+#: Families of other packages.
+_OTHERS = Kinds[type[Any]]("scenec.rocks", {})
 
 
 class _Usual(NamedTuple):
@@ -86,7 +91,9 @@ def draw_rocks(
 def _shape(path: str, cfg: dict[str, Any], streams: Streams) -> Shape:
     if cfg["family"] == "weathered":
         return _weathered(path, cfg, streams)
-    usual = _USUAL[cfg["family"]]
+    family = cfg["family"]
+    other = None if family in _FAMILIES else _OTHERS[family]
+    usual = _USUAL[family] if other is None else getattr(other, "USUAL", _Usual(0.25, 0.4, 0.3))
     elongation, flatness, wear = (
         own if cfg[key] is None else cfg[key]
         for key, own in zip(_Usual._fields, usual, strict=True)
@@ -95,17 +102,15 @@ def _shape(path: str, cfg: dict[str, Any], streams: Streams) -> Shape:
     u = streams.uniforms(f"{path}/axes", 2)
     middle = 1.0 - min(elongation * (0.4 + 1.2 * u[0]), 0.95)
     low = 1.0 - flatness * (0.75 + 0.5 * u[1])
-    return _FAMILIES[cfg["family"]](
-        path,
-        streams,
-        wear,
-        Common(
-            streams.key(path),
-            cfg["bumpiness"],
-            (1.0, middle, min(max(low, 0.05), middle)),
-            int(cfg["subdivisions"]),
-        ),
+    common = Common(
+        streams.key(path),
+        cfg["bumpiness"],
+        (1.0, middle, min(max(low, 0.05), middle)),
+        int(cfg["subdivisions"]),
     )
+    if other is None:
+        return _FAMILIES[family](path, streams, wear, common)
+    return other(*common, **{key: cfg[key] for key in other.SCHEMA["properties"]})
 
 
 def _weathered(path: str, cfg: dict[str, Any], streams: Streams) -> Weathered:

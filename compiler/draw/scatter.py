@@ -39,6 +39,7 @@ from scenec.compiler.scene.plan import Apart, Count, ModelSource, RockShapes, Sc
 from scenec.compiler.scene.scene import Labels
 from scenec.compiler.terrain.operator import ReliefOperator
 from scenec.schemas.errors import SceneError
+from scenec.schemas.plugins import Kinds
 
 #: Objects of one class at most.
 MOST_OBJECTS = 100_000_000
@@ -185,15 +186,18 @@ def _most(path: str, count: Count, setting: Setting) -> int:
     return most
 
 
-_DENSITIES: dict[str, type[Density]] = {
-    "uniform": UniformDensity,
-    "noise": NoiseDensity,
-    "worley": WorleyDensity,
-    "image": ImageDensity,
-    "path": PathDensity,
-    "rings": RingDensity,
-    "around": AroundDensity,
-}
+_DENSITIES: Kinds[type[Density]] = Kinds(
+    "scenec.densities",
+    {
+        "uniform": UniformDensity,
+        "noise": NoiseDensity,
+        "worley": WorleyDensity,
+        "image": ImageDensity,
+        "path": PathDensity,
+        "rings": RingDensity,
+        "around": AroundDensity,
+    },
+)
 _DISTANCES: dict[str, type[PlacementCondition]] = {"camera": FromCameras, "object": FromObjects}
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from typing import Any
 
@@ -19,6 +20,7 @@ from scenec.compiler.scene.rig import Focus, Lidar, LidarNoise, Sensor
 from scenec.schemas.depth_camera import DepthCamera, StereoDepth, TimeOfFlightDepth
 from scenec.schemas.errors import SceneError
 from scenec.schemas.lens import Lens
+from scenec.schemas.plugins import origin
 from scenec.schemas.shutter import Shutter
 
 
@@ -68,9 +70,23 @@ def draw_sensor(
         lens=lens,
         # Light alone is blurred.
         focus=focus if "rgb" in cfg["outputs"] else None,
+        effects=_effects(cfg.get("effects", []), streams, f"{path}/effects"),
     )
     shutter = _shutter(cfg.get("shutter"), imaging, streams, f"{path}/shutter", samples)
     return SensorPlan(sensor, exposure["type"] != "fixed", imaging, shutter)
+
+
+def _effects(cfg: list[dict[str, Any]], streams: Streams, path: str) -> tuple[str, ...]:
+    """See ``Sensor.effects``."""
+    made = []
+    for i, node in enumerate(resolve(cfg, streams, path)):
+        made.append({
+            "type": node.pop("type"),
+            "from": origin("scenec.effects", cfg[i]["type"]),
+            "key": streams.key(f"{path}/{i}"),
+            **node,
+        })  # fmt: skip
+    return tuple(json.dumps(effect) for effect in made)
 
 
 def _intrinsics(

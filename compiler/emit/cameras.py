@@ -114,6 +114,8 @@ def _write_camera(stage: Usd.Stage, rig: Rig, sensor: Sensor) -> UsdGeom.Camera:
             custom(camera.GetPrim(), names.ATTR_EXPOSURE_PER, TYPES.Token).Set(sensor.exposure_per)
     if sensor.imaging is not None:
         write_imaging(camera.GetPrim(), sensor.imaging)
+    if sensor.effects:
+        custom(camera.GetPrim(), names.ATTR_EFFECTS, TYPES.StringArray).Set(list(sensor.effects))
     custom(camera.GetPrim(), names.ATTR_INTRINSICS, TYPES.DoubleArray).Set(
         [fx, skew, cx, 0.0, fy, cy, 0.0, 0.0, 1.0]
     )

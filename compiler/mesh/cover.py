@@ -147,7 +147,7 @@ def _report(laid: Sequence[_Laid]) -> list[dict[str, Any]]:
 
 def _of_limit(merge: Merge, laid: SignedBound, value: NDArray[np.float64]) -> dict[str, Any]:
     condition = laid.condition
-    kind = next(name for name, cls in QUANTITIES.items() if type(condition.quantity) is cls)
+    kind = QUANTITIES.name_of(type(condition.quantity))
     report: dict[str, Any] = {
         "type": kind,
         "holds": float((laid.t(value) >= merge.level_t()).mean()),

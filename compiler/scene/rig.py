@@ -82,6 +82,8 @@ class Sensor:
         imaging: What it makes of light at each sample, or None: shows it as it is.
         shutter: Where it is while a picture is exposed, or None: that takes no time.
         focus: What is sharp at each sample, or None: everything.
+        effects: What other packages do to its pictures, in order: JSON of the type, the package, a
+            key of chance and the rest of the cfg's keys.
     """
 
     name: str
@@ -98,6 +100,7 @@ class Sensor:
     imaging: tuple[Imaging, ...] | None = None
     shutter: OpenShutter | None = None
     focus: Focus | None = None
+    effects: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

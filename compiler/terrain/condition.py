@@ -22,6 +22,7 @@ from scenec.compiler.terrain.operators.craters import Craters
 from scenec.compiler.terrain.operators.multifractal import octaves_shown
 from scenec.compiler.terrain.quantities import Quantities, Samples
 from scenec.schemas.kernels import inlined, kernel
+from scenec.schemas.plugins import Kinds
 
 
 @dataclass(frozen=True)
@@ -340,13 +341,16 @@ class FromPath(Quantity):
 
 
 #: Cfg ``type`` -> quantity, whose fields are its keys but the bounds'.
-QUANTITIES: dict[str, type[Quantity]] = {
-    "height": Height,
-    "slope": Slope,
-    "curvature": Curvature,
-    "flow": Flow,
-    "crater_freshness": Freshness,
-    "noise": Noise,
-    "point": FromPoint,
-    "path": FromPath,
-}
+QUANTITIES: Kinds[type[Quantity]] = Kinds(
+    "scenec.conditions",
+    {
+        "height": Height,
+        "slope": Slope,
+        "curvature": Curvature,
+        "flow": Flow,
+        "crater_freshness": Freshness,
+        "noise": Noise,
+        "point": FromPoint,
+        "path": FromPath,
+    },
+)

@@ -19,29 +19,33 @@ from scenec.compiler.terrain.operators.worley import Worley
 from scenec.compiler.terrain.sources.dem import Dem
 from scenec.compiler.terrain.sources.mesh_base import MeshBase
 from scenec.compiler.terrain.sources.plane import Plane
+from scenec.schemas.plugins import Kinds
 
 #: Cfg ``type`` -> operator.
-OPERATORS: dict[str, type[Any]] = {
-    "plane": Plane,
-    "dem": Dem,
-    "mesh": MeshBase,
-    "multifractal": Multifractal,
-    "worley": Worley,
-    "craters": Craters,
-    "dunes": Dunes,
-    "barchans": Barchans,
-    "ripples": Ripples,
-    "terraces": Terraces,
-    "stream_power": StreamPower,
-    "thermal": Thermal,
-    "diffusion": Diffusion,
-    "smooth": Smooth,
-    "tracks": Tracks,
-}
+OPERATORS: Kinds[type[Any]] = Kinds(
+    "scenec.relief",
+    {
+        "plane": Plane,
+        "dem": Dem,
+        "mesh": MeshBase,
+        "multifractal": Multifractal,
+        "worley": Worley,
+        "craters": Craters,
+        "dunes": Dunes,
+        "barchans": Barchans,
+        "ripples": Ripples,
+        "terraces": Terraces,
+        "stream_power": StreamPower,
+        "thermal": Thermal,
+        "diffusion": Diffusion,
+        "smooth": Smooth,
+        "tracks": Tracks,
+    },
+)
 
 
 def operator_type(operator: ReliefOperator) -> str:
     """The cfg's ``type`` of an operator, behind a mask or not."""
     if isinstance(operator, Masked):
         return operator_type(operator.operator)
-    return next(name for name, kind in OPERATORS.items() if type(operator) is kind)
+    return OPERATORS.name_of(type(operator))

@@ -20,8 +20,12 @@ HEAD = """\
 
 # The cfg
 
+All keys. How a cfg is written, extended and varied, and how editors know these keys:
+[writing.md](writing.md).
+
 Keys that scenec does not know, names that nothing uses, and numbers out of bounds are errors; all
-of them are reported at once, with line and column.
+of them are reported at once, with line and column. Other packages add kinds of relief, conditions,
+densities, rocks, surfaces, poses, passes and effects: [plugins.md](plugins.md).
 
 In the tables, *default* says what a key that is left out stands for: "required" means that it must
 be given, "none" that nothing stands in its place. *Drawn* says when a number is drawn whose
@@ -37,7 +41,7 @@ def make() -> str:
 
 def _outputs() -> str:
     """What each of the outputs is."""
-    lines = ["## Outputs", "", "Packages may add more ([backends.md](backends.md)).", ""]
+    lines = ["## Outputs", "", "Packages may add more ([plugins.md](plugins.md)).", ""]
     lines += ["| output | channels of the EXR | type | what it is |", "|---|---|---|---|"]
     for one in BUILT_IN.values():
         channels = ", ".join(f"`{name}`" for name in one.channel_names) or "none"

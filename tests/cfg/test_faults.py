@@ -10,6 +10,7 @@ import pytest
 from small_cfg import DELETE, changed, faults_of, load_cfg, minimal
 
 from scenec.compiler.cfg.load import load
+from scenec.compiler.draw.batch import draw
 from scenec.schemas.errors import CfgError
 
 _UNIFORM = {"type": "uniform", "min": 0.1, "max": 0.2}
@@ -155,16 +156,6 @@ _FAULTS = [
     ({"/materials/clay": {"base_color": [0, 0, 0]}}, "/materials/clay", "is not used"),
     ({"/labels/class/mud": 9}, "/labels/class/mud", 'label "mud" is not used'),
     ({"/labels/class/rock": 1}, "/labels/class/rock", 'the id 1 is that of "ground"'),
-    (
-        {"/objects/rocks/labels": {}, "/labels/class/rock": DELETE},
-        "/objects/rocks/labels",
-        'no label on the level "class"',
-    ),
-    (
-        {"/objects/rocks/labels": DELETE, "/labels/class/rock": DELETE},
-        "/objects/rocks",
-        'no label on the level "class"',
-    ),
     ({"/objects/rocks/labels/class": "rok"}, "/objects/rocks/labels/class", 'mean "rock"?'),
     ({"/light/sky/labels/clas": "sky"}, "/light/sky/labels/clas", 'mean "class"?'),
     ({"/objects/rocks/labels/clas": "x"}, "/objects/rocks/labels/clas", 'mean "class"?'),
@@ -302,6 +293,12 @@ def test_a_key_that_stands_twice_is_told_at_its_second_place(tmp_path):
     (fault,) = caught.value.faults
     assert (fault.line, fault.column, fault.pointer) == (text.count("\n") + 1, 3, "/name")
     assert "stands twice" in fault.message
+
+
+@pytest.mark.parametrize("labels", [{}, DELETE])
+def test_a_label_that_is_left_out_is_0(tmp_path, labels):
+    cfg = changed({"/objects/rocks/labels": labels, "/labels/class/rock": DELETE})
+    assert draw(load_cfg(cfg, tmp_path), 0, 0).objects[0].labels == {"class": 0}
 
 
 def test_without_label_levels_the_label_output_is_a_fault(tmp_path):

@@ -1,14 +1,16 @@
-"""Strict JSON with positions."""
+"""JSON with comments, trailing commas and positions."""
 
 from __future__ import annotations
 
 import json
+import re
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from scenec.compiler.cfg.json_positions import MAX_DEPTH, JsonError, Position, parse
+from scenec.compiler.cfg.document import MAX_DEPTH, CfgSyntaxError, Position
+from scenec.compiler.cfg.json_positions import parse
 
 _TEXT = st.text(st.characters(exclude_categories=["Cs"]))
 _JSON = st.recursive(
@@ -16,6 +18,14 @@ _JSON = st.recursive(
     lambda below: st.lists(below, max_size=4) | st.dictionaries(_TEXT, below, max_size=4),
     max_leaves=20,
 )
+_BESIDE_STRINGS = r'("(?:[^"\\]|\\.)*")|'
+
+
+def plain(text: str) -> str:
+    """A text without what JSON does not know: comments, and commas before a closing bracket."""
+    for what in (r"//[^\n]*|/\*.*?\*/", r",(?=[ \t\r\n]*[\]}])"):
+        text = re.sub(_BESIDE_STRINGS + what, lambda found: found[1] or " ", text, flags=re.DOTALL)
+    return text
 
 
 @given(_JSON, st.sampled_from([None, 1, "\t"]), st.booleans())
@@ -30,14 +40,16 @@ def test_what_the_standard_library_writes_is_read_back(value, indent, ascii_only
 
 
 @given(
-    st.binary(max_size=60) | st.text('{}[]",:0123e-+.\\u tfnrals\n', max_size=40).map(str.encode)
+    st.binary(max_size=60)
+    | st.text('{}[]",:0123e-+.\\u tfnrals\n', max_size=40).map(str.encode)
+    | st.text('{}[],1/* \n"', max_size=30).map(str.encode)
 )
 def test_any_bytes_are_read_as_by_the_standard_library_or_refused(data):
     try:
         ours = parse(data).value
-    except JsonError:
+    except CfgSyntaxError:
         return
-    assert json.dumps(json.loads(data.decode("utf-8-sig"))) == json.dumps(ours)
+    assert json.dumps(json.loads(plain(data.decode("utf-8-sig")))) == json.dumps(ours)
 
 
 @given(_JSON, st.integers(0, 200), st.sampled_from('{}[]",:0e-.\\x \n'))
@@ -48,15 +60,19 @@ def test_what_the_standard_library_reads_is_not_refused_without_reason(value, at
         return
     text = text[:at] + character + text[at + 1 :]
     try:
-        json.loads(text, parse_constant=lambda name: pytest.fail(name))
+        json.loads(plain(text), parse_constant=lambda name: pytest.fail(name))
     except ValueError:
-        with pytest.raises(JsonError):
+        with pytest.raises(CfgSyntaxError):
             parse(text.encode("utf-8"))
         return
     reason = ""
     try:
+        # A comma alone is no trailing one.
+        json.loads(text)
         parse(text.encode("utf-8"))
-    except JsonError as error:
+    except ValueError:
+        return
+    except CfgSyntaxError as error:
         reason = error.message
     assert not reason or "too large" in reason or "surrogate" in reason
 
@@ -100,7 +116,12 @@ def test_a_duplicate_key_is_told_at_its_second_place_and_the_first_value_stays()
         (b'{"a": 01}', 1, 7, "01"),
         (b'{"a": +1}', 1, 7, "expected a value"),
         (b'{"a": True}', 1, 7, "'true'"),
-        (b'{"a": 1,}', 1, 8, "take it away"),
+        (b'{"a": 1,,}', 1, 9, "double quotes"),
+        (b"[,]", 1, 2, "expected a value"),
+        (b"{,}", 1, 2, "double quotes"),
+        (b"[1 /* 2]", 1, 4, "a comment that is not closed"),
+        (b"[1 / 2]", 1, 4, "expected ','"),
+        (b"# no\n{}", 1, 1, "expected a value"),
         (b"[1,\n 2\n 3]", 3, 2, "expected ','"),
         (b'{"a" 1}', 1, 6, "expected ':'"),
         (b"{a: 1}", 1, 2, "double quotes"),
@@ -114,7 +135,7 @@ def test_a_duplicate_key_is_told_at_its_second_place_and_the_first_value_stays()
     ],
 )
 def test_a_text_that_is_not_json_is_refused_where_it_goes_wrong(text, line, column, part):
-    with pytest.raises(JsonError) as caught:
+    with pytest.raises(CfgSyntaxError) as caught:
         parse(text)
     assert part in caught.value.message
     assert caught.value.position == Position(line, column)
@@ -122,3 +143,10 @@ def test_a_text_that_is_not_json_is_refused_where_it_goes_wrong(text, line, colu
 
 def test_a_byte_order_mark_is_skipped_and_not_counted():
     assert parse(b'\xef\xbb\xbf{"a": 1}').keys == {("a",): Position(1, 2)}
+
+
+def test_comments_and_trailing_commas_are_passed_over_and_counted():
+    text = '// a cfg\n{ /* two\nlines */ "a": [1, 2,], // "b": 3\n "c": "// no /* comment",\n}\n//'
+    document = parse(text.encode())
+    assert document.value == {"a": [1, 2], "c": "// no /* comment"}
+    assert document.keys == {("a",): Position(3, 10), ("c",): Position(4, 2)}

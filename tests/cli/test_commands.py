@@ -221,8 +221,12 @@ def test_validate_says_all_faults_and_writes_nothing(tmp_path, capsys):
     assert main(["validate", str(path), "--json"]) == 0
     said = json.loads(capsys.readouterr().out)
     assert said == {
-        "cfg": str(path), "name": cfg["name"], "batches": 1, "samples": 2, "cameras": 1, "lidars": 0
+        "cfg": str(path), "name": cfg["name"], "batches": 1, "samples": 2, "cameras": 1,
+        "lidars": 0, "warnings": [],
     }  # fmt: skip
+    assert main(["validate", str(path), "--set", "light.sun.elevation_deg=0.785"]) == 0
+    said = capsys.readouterr()
+    assert "warning: --set light.sun.elevation_deg=0.785: /light/sun/elevation_deg: " in said.err
     cfg["terrain"]["spacing"] = 0.2
     cfg["objects"]["rocks"]["material"] = "ston"
     write_cfg(tmp_path, cfg)

@@ -27,6 +27,7 @@ from scenec.compiler.cache.structure import (
     restored,
     text_of,
 )
+from scenec.compiler.cameras.tracks import Sampling
 from scenec.compiler.scene.scene import Picture, Prototype
 from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.compiler.terrain.quantities import Quantities
@@ -180,11 +181,14 @@ class _Foreign:
 
 
 def test_entries_hold_classes_of_the_list_only(tmp_path):
-    for value in (_Foreign(1), [_Color.RED], {"a": int}):
+    for value in (Sampling(), [_Color.RED], {"a": Sampling}):
         structure = Describer(Known(), {}).describe(value)
         assert foreign_class(structure) is not None
         with pytest.raises((ValueError, KeyError)):
             restored(structure, lambda _: np.zeros(0, np.uint8), {}, Known())
+    for value in (_Foreign(1), {"a": int}):
+        with pytest.raises(NotPlainError, match="of another package"):
+            Describer(Known(), {}).describe(value)
     for name in ("os:system", "builtins:eval", "pathlib:Path"):
         with pytest.raises(ValueError, match=name):
             restored(["c", name, "x"], lambda _: np.zeros(0, np.uint8), {}, Known())

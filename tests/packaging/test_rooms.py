@@ -23,6 +23,7 @@ FLOORS = {
         ("build", "output", "estimate"),
         ("batch_unit",),
         ("compile",),
+        ("sweep",),
     ),
     "backends": (
         ("stage",),
@@ -42,7 +43,7 @@ FLOORS = {
 }
 #: What stands in no room.
 LOOSE = {
-    "compiler": {"build", "output", "estimate", "batch_unit", "compile"},
+    "compiler": {"build", "output", "estimate", "batch_unit", "compile", "sweep"},
     "backends": {"contract", "registry"},
 }
 #: Backends that are registered are imported by name, when they are asked for; this one by its text.

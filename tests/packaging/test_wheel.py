@@ -15,10 +15,12 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 LAYERS = ("schemas", "compiler", "backends", "datasets", "studies", "settle", "cli")
+#: Folders that come whole.
+DATA = ("assets", "configs")
 #: Scripts of the checkout, which read its tests and write its pages.
 SCRIPTS = ("studies/benchmarks/", "studies/pages/")
 #: What the source distribution and the build need of the checkout.
-SOURCES = (*LAYERS, "src", "pyproject.toml", "README.md", "LICENSE")
+SOURCES = (*LAYERS, *DATA, "src", "pyproject.toml", "README.md", "LICENSE")
 PROGRAM = """
 import json, sys
 from importlib.resources import files
@@ -26,8 +28,15 @@ import scenec.schemas.errors as errors
 schema = json.loads((files("scenec.schemas") / "cfg" / "cfg.schema.json").read_text())
 assert schema["$schema"].endswith("2020-12/schema"), schema["$schema"]
 import scenec.backends.contract, scenec.compiler.scene.scene
+from scenec.compiler.cfg.load import load
+from scenec.compiler.cfg.resources import find_file
+assert load(find_file("package:configs/mars_yard.json", None)).files
+assert find_file("package:assets/models/oak.glb", None).is_file()
 print(errors.__file__)
 """
+
+#: Types of what is made when it is asked for.
+STUB = "compiler/cfg/builder.pyi"
 
 #: A kernel's answer, and whether it was read.
 KERNEL = """
@@ -69,6 +78,8 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
     compiled = run(sys.executable, "-c", KERNEL, cwd=copy, NUMBA_CACHE_DIR=str(copy / "kept"))
     assert compiled.endswith("False\n")
     (copy / "kept" / "scenec").rename(copy / "schemas" / "compiled")
+    # As `make wheel` writes it.
+    (copy / STUB).write_text("def read(path: str) -> object: ...\n")
     run(sys.executable, "-m", "build", "--no-isolation", "--wheel", "--sdist", cwd=copy)
     return copy / "dist"
 
@@ -82,7 +93,8 @@ def modules() -> set[str]:
             name = str(path.relative_to(ROOT))
             if shipped and "__pycache__" not in path.parts and not name.startswith(SCRIPTS):
                 names.add(f"scenec/{name}")
-    return names
+    data = (path for folder in DATA for path in (ROOT / folder).rglob("*") if path.is_file())
+    return names | {f"scenec/{path.relative_to(ROOT)}" for path in data}
 
 
 def test_the_wheel_holds_every_module_and_schema_and_nothing_else(built: Path) -> None:
@@ -91,7 +103,7 @@ def test_the_wheel_holds_every_module_and_schema_and_nothing_else(built: Path) -
         names = {name for name in archive.namelist() if ".dist-info/" not in name}
         metadata = {name.partition(".dist-info/")[2] for name in archive.namelist()}
     compiled = {name for name in names if "/compiled/" in name}
-    assert names - compiled == modules()
+    assert names - compiled == modules() | {f"scenec/{STUB}"}
     assert len(compiled) == 1
     assert "scenec/schemas/cfg/cfg.schema.json" in names
     assert {"METADATA", "entry_points.txt", "licenses/LICENSE"} <= metadata

@@ -1,0 +1,321 @@
+"""``scenec preview``: a page that shows what a cfg makes, and follows the file."""
+
+from __future__ import annotations
+
+import argparse
+import base64
+import contextlib
+import io
+import json
+import os
+import shutil
+import tempfile
+import threading
+import time
+import webbrowser
+from collections.abc import Iterator, Sequence
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from importlib import resources
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenec.cli.output import say
+from scenec.schemas.errors import CfgError, ScenecError
+from scenec.schemas.files import atomic, check_output
+
+if TYPE_CHECKING:
+    from scenec.compiler.cfg.load import Spec
+    from scenec.schemas.units import Executor
+
+#: Seconds between two looks at the files, and that a browser's question may wait.
+_LOOK_S, _WAIT_S = 0.25, 20.0
+#: Samples of each camera that are drawn, first the first one.
+_SAMPLES = 4
+#: Cells of the map along its longer side.
+_CELLS = 360
+
+
+def run(options: argparse.Namespace) -> int:
+    """Shows the cfg until it is interrupted; with ``--once`` writes the page and ends.
+
+    Raises:
+        CfgError, ScenecError: With ``--once``, what is wrong; else the page says it.
+    """
+    from scenec.backends.run.executors import make_executor
+
+    if options.once:
+        check_output(Path(options.once))
+    state = State()
+    with tempfile.TemporaryDirectory(prefix="scenec-preview-") as folder, make_executor(1) as hands:
+        preview = _Preview(options, state, Path(folder), hands)
+        if options.once:
+            preview.make(preview.load())
+            with atomic(Path(options.once)) as temporary:
+                temporary.write_bytes(page(state.facts(), live=False))
+            print(f"preview: {options.once}")
+            return 0
+        with _served(state, options.port) as address:
+            say(f"preview of {options.cfg}: {address} (Ctrl-C ends it)")
+            if not options.no_browser:
+                webbrowser.open(address)
+            preview.follow()
+    return 0
+
+
+class State:
+    """What the page shows; changed by one thread, read by many."""
+
+    def __init__(self) -> None:
+        self._facts: dict[str, Any] = {"version": 0, "doing": "", "faults": [], "pictures": []}
+        self._changed = threading.Condition()
+
+    def set(self, **facts: Any) -> None:
+        """Change some of it."""
+        with self._changed:
+            self._facts = {**self._facts, **facts, "version": self._facts["version"] + 1}
+            self._changed.notify_all()
+
+    def facts(self) -> dict[str, Any]:
+        """All of it."""
+        return self._facts
+
+    def after(self, version: int) -> dict[str, Any]:
+        """All of it, once it is another version, or after some time."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._facts["version"] != version, _WAIT_S)
+            return self._facts
+
+
+class _Preview:
+    """Compiles coarsely and draws, again and again."""
+
+    def __init__(
+        self, options: argparse.Namespace, state: State, folder: Path, executor: Executor
+    ) -> None:
+        self._options, self._state = options, state
+        self._folder, self._executor = folder, executor
+        self._made, self._out = 0, folder / "0"
+        self._files: tuple[str, ...] = (options.cfg,)
+
+    def follow(self) -> None:
+        """Make it, and make it again whenever a file has changed."""
+        while True:
+            seen = self._stamps()
+            try:
+                spec = self.load()
+                seen = self._stamps()
+                self.make(spec, lambda seen=seen: self._stamps() != seen)
+            except CfgError as error:
+                lines = [str(fault) for fault in error.faults]
+                self._state.set(faults=lines, doing="")
+                say("\n".join(lines))
+            except ScenecError as error:
+                self._state.set(faults=[str(error)], doing="")
+                say(str(error))
+            self._wait(seen)
+
+    def load(self) -> Spec:
+        """The cfg, with smaller pictures: meshes and levels of detail follow these.
+
+        Raises:
+            CfgError: It has faults.
+        """
+        from scenec.compiler.cfg import sources
+        from scenec.compiler.cfg.load import load
+
+        options = self._options
+        self._state.set(doing=f"reading {options.cfg}")
+        with contextlib.suppress(CfgError):
+            read = sources.read(sources.located(Path(options.cfg)), options.settings)
+            places = read.document.values.values()
+            self._files = tuple(dict.fromkeys(p.file for p in places if p.line)) or self._files
+        spec = load(options.cfg, options.settings)
+        self._files += tuple(str(file.path) for file in spec.files.values())
+        return load(options.cfg, [*options.settings, *coarse(spec, options.width)])
+
+    def make(self, spec: Spec, stale: Any = lambda: False) -> None:
+        """Compile the first batch, sketch it, draw it.
+
+        Args:
+            spec: The cfg.
+            stale: Whether what is being made is out of date.
+
+        Raises:
+            ScenecError: It cannot be made.
+        """
+        from scenec.backends.stage.ground import relief
+        from scenec.cli.compile_command import cache_of
+        from scenec.cli.notebook import Stage
+        from scenec.compiler.compile import compile_cfg
+        from scenec.schemas.manifest import find_batches
+
+        say_ = self._state.set
+        # Workers may still hold what lay in the last one.
+        shutil.rmtree(self._out, ignore_errors=True)
+        self._made += 1
+        self._out = self._folder / str(self._made)
+        say_(doing="compiling", faults=[str(fault) for fault in spec.warnings])
+        started = time.perf_counter()
+        compile_cfg(
+            spec,
+            seed=self._options.seed,
+            out=self._out,
+            cache=cache_of(self._options),
+            replace=True,
+            progress=lambda text, place: say_(doing=text) if place else None,
+        )
+        took = f"compiled in {time.perf_counter() - started:.1f} s"
+        stage = Stage(find_batches(self._out, [0])[0])
+        _, _, heights = relief(stage.scene, _CELLS)
+        facts = {"map": _png(shaded(heights)), "made": took}
+        cameras = [camera.name for camera in stage.cameras]
+        sketches = [
+            {"name": name, "sample": 0, "sketch": True, "png": _png(stage.sketch(i))}
+            for i, name in enumerate(cameras)
+        ]
+        say_(pictures=sketches, doing=f"drawing with {self._options.backend}", **facts)
+        drawn: list[dict[str, Any]] = []
+        for sample in _spread(len(stage.scene.cameras)):
+            if stale():
+                return
+            drawn += self._drawn(sample)
+            done = {picture["name"] for picture in drawn}
+            say_(pictures=[*drawn, *(one for one in sketches if one["name"] not in done)])
+        say_(doing="", made=f"{took}, all drawn in {time.perf_counter() - started:.1f} s")
+
+    def _drawn(self, sample: int) -> list[dict[str, Any]]:
+        """Pictures of all cameras at a sample."""
+        from scenec.backends.run.render import render
+
+        options = self._options
+        report = render(
+            self._out, options.backend, samples=[sample], spp=options.spp, passes=("rgb",),
+            executor=self._executor,
+        )  # fmt: skip
+        if report.failed:
+            raise ScenecError("; ".join(report.failed))
+        return [
+            {
+                "name": stem.parent.name,
+                "sample": sample,
+                "png": base64.b64encode(stem.with_suffix(".png").read_bytes()).decode(),
+            }
+            for stem in report.frames
+            if stem.name == f"{sample:06d}"
+        ]
+
+    def _wait(self, seen: list[tuple[int, int] | None]) -> None:
+        """Wait until files change, and rest: some editors empty one before they write it."""
+        now = last = seen
+        while now == seen or now != last:
+            time.sleep(_LOOK_S)
+            now, last = self._stamps(), now
+
+    def _stamps(self) -> list[tuple[int, int] | None]:
+        """What tells whether files have changed; None of one that is away."""
+        stamps: list[tuple[int, int] | None] = []
+        for name in self._files:
+            try:
+                stat = os.stat(name)
+                stamps.append((stat.st_mtime_ns, stat.st_size))
+            except OSError:
+                stamps.append(None)
+        return stamps
+
+
+def coarse(spec: Spec, width: int) -> list[str]:
+    """Settings that make a cfg quick: one batch, pictures of at most this width.
+
+    Cameras whose intrinsics are given keep their size.
+    """
+    settings = ["batches=1"]
+    for rig, node in spec.cfg["rigs"].items():
+        for name, sensor in node["sensors"].items():
+            across, down = sensor["resolution"]
+            if across > width and sensor["intrinsics"] is None:
+                size = [width, max(1, round(down * width / across))]
+                settings.append(f"rigs.{rig}.sensors.{name}.resolution={json.dumps(size)}")
+    return settings
+
+
+def shaded(heights: NDArray[np.floating]) -> NDArray[np.uint8]:
+    """A map of heights, lit from the northwest, north up: uint8 [h, w, 3]."""
+    filled = np.nan_to_num(heights, nan=float(np.nanmean(heights)))
+    north, east = np.gradient(filled)
+    steep = 2.0 / max(1e-12, float(np.percentile(np.hypot(north, east), 95)))
+    light = (0.7 + steep * (east - north) * 0.3) / np.sqrt(
+        1.0 + (steep * np.hypot(north, east)) ** 2
+    )
+    low, high = filled.min(), filled.max()
+    tone = (filled - low) / max(high - low, 1e-12)
+    color = np.stack([0.55 + 0.35 * tone, 0.5 + 0.35 * tone, 0.42 + 0.3 * tone], axis=-1)
+    picture = np.clip(color * (0.35 + 0.75 * light[..., None]), 0.0, 1.0)
+    return np.round(255.0 * picture[::-1]).astype(np.uint8)
+
+
+def page(facts: dict[str, Any], *, live: bool) -> bytes:
+    """The page, with what it shows first.
+
+    Args:
+        facts: Of ``State``.
+        live: Whether it goes on asking.
+    """
+    text = (resources.files("scenec.cli") / "preview.html").read_text(encoding="utf-8")
+    first = json.dumps({**facts, "live": live}).replace("<", "\\u003c")
+    return text.replace("%FIRST%", first).encode()
+
+
+@contextlib.contextmanager
+def _served(state: State, port: int) -> Iterator[str]:
+    """Serve the page to this machine alone; gives its address."""
+
+    class Handler(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            path, _, query = self.path.partition("?")
+            if path == "/":
+                self._answer("text/html; charset=utf-8", page(state.facts(), live=True))
+            elif path == "/state" and query.isdecimal():
+                facts = json.dumps(state.after(int(query))).encode()
+                self._answer("application/json", facts)
+            else:
+                self.send_error(404)
+
+        def _answer(self, kind: str, content: bytes) -> None:
+            self.send_response(200)
+            self.send_header("Content-Type", kind)
+            self.send_header("Content-Length", str(len(content)))
+            self.send_header("Cache-Control", "no-store")
+            self.end_headers()
+            with contextlib.suppress(BrokenPipeError, ConnectionResetError):
+                self.wfile.write(content)
+
+        def log_message(self, format: str, *args: Any) -> None:
+            """Nothing: the terminal is for the cfg."""
+
+    try:
+        server = ThreadingHTTPServer(("127.0.0.1", port), Handler)
+    except OSError as error:
+        raise ScenecError(f"--port {port}: {error.strerror}; take another one") from error
+    server.daemon_threads = True
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    try:
+        yield f"http://127.0.0.1:{server.server_port}/"
+    finally:
+        server.shutdown()
+
+
+def _spread(samples: int) -> Sequence[int]:
+    """Some samples, evenly spread, the first one first."""
+    count = min(samples, _SAMPLES)
+    return [i * samples // count for i in range(count)]
+
+
+def _png(pixels: NDArray[np.uint8]) -> str:
+    from PIL import Image
+
+    data = io.BytesIO()
+    Image.fromarray(pixels).save(data, "PNG")
+    return base64.b64encode(data.getvalue()).decode()

@@ -1,0 +1,175 @@
+"""``scenec sweep``: a cfg with many values and seeds, each point an output of its own."""
+
+from __future__ import annotations
+
+import argparse
+import csv
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from scenec.backends.run.executors import make_executor
+from scenec.cli.compile_command import cache_of
+from scenec.cli.output import Progress, print_json, say, status
+from scenec.cli.render_command import limits_of, render_now
+from scenec.cli.run_command import refuse_early
+from scenec.cli.scan_command import scan_now
+from scenec.compiler.cfg.load import Spec
+from scenec.compiler.sweep import CompilePoint, Point, points, read_all
+from scenec.compiler.views.keep import Keep
+from scenec.schemas.errors import OutputError, ScenecError
+from scenec.schemas.files import atomic, check_writable, write_json
+from scenec.schemas.manifest import MANIFEST
+from scenec.schemas.units import Executor, run_all
+
+TABLE = "sweep"
+
+
+def run(options: argparse.Namespace) -> int:
+    """Compiles all points side by side, then renders and scans them, one after the other.
+
+    Raises:
+        CfgError: The cfg of a point has faults; nothing is made.
+        ScenecError: What is asked for cannot be done; nothing is made.
+    """
+    status(f"reading {options.cfg}")
+    swept = points(options.lists, options.seeds, in_step=options.in_step)
+    specs = read_all(options.cfg, swept)
+    for line in dict.fromkeys(str(line) for spec in specs for line in spec.warnings):
+        say(f"warning: {line}")
+    table = _Table(Path(options.out), swept, specs)
+    work = _to_compile(options, swept, specs)
+    scanned = _refuse_early(options, specs)
+    check_writable(table.out)
+    with make_executor(options.workers, options.cluster, limits_of(options)) as executor:
+        _compile(executor, work, table)
+        for point, lidars in zip(swept, scanned, strict=True):
+            if not options.compile_only and not table.failed(point):
+                _render(options, executor, point, lidars, table)
+    if options.json:
+        print_json(table.content())
+    say(f"{len(swept)} points in {table.out}/, listed in {table.out / TABLE}.csv")
+    return 1 if any(map(table.failed, swept)) else 0
+
+
+class _Table:
+    """What each point of an output is, and what came of it: ``sweep.csv``, ``sweep.json``."""
+
+    def __init__(self, out: Path, swept: Sequence[Point], specs: Sequence[Spec]) -> None:
+        if (out / MANIFEST).exists():
+            raise OutputError(f"{out}: holds one compilation, no sweep; choose another folder")
+        self.out = out
+        self._name = specs[0].cfg["name"]
+        self._rows: dict[str, dict[str, Any]] = {
+            point.name: {
+                "folder": point.name,
+                "seed": point.seed,
+                **point.values,
+                "cfg_sha256": spec.digest,
+                "state": "not made",
+            }
+            for point, spec in zip(swept, specs, strict=True)
+        }
+
+    def note(self, point: Point, state: str) -> None:
+        """Writes what came of a point."""
+        self._rows[point.name]["state"] = state
+        rows = list(self._rows.values())
+        write_json(self.out / f"{TABLE}.json", self.content())
+        with (
+            atomic(self.out / f"{TABLE}.csv") as temporary,
+            temporary.open("w", encoding="utf-8", newline="") as file,
+        ):
+            writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
+            writer.writeheader()
+            writer.writerows(rows)
+
+    def content(self) -> dict[str, Any]:
+        """For scripts."""
+        return {"name": self._name, "points": list(self._rows.values())}
+
+    def failed(self, point: Point) -> bool:
+        """Whether it could not be made."""
+        return str(self._rows[point.name]["state"]).startswith("failed")
+
+
+def _to_compile(
+    options: argparse.Namespace, swept: Sequence[Point], specs: Sequence[Spec]
+) -> list[tuple[CompilePoint, bool]]:
+    """What to compile, and whether it is there already.
+
+    Raises:
+        OutputError: A folder holds something else.
+    """
+    out, cache = Path(options.out), cache_of(options)
+    units = [
+        CompilePoint(
+            cfg=spec.path.absolute(),
+            point=point,
+            out=(out / point.name).absolute(),
+            keep=Keep(options.keep),
+            batches=options.batches,
+            cache=None if cache is None else cache.absolute(),
+            replace=options.replace,
+            faults=options.faults,
+        )
+        for point, spec in zip(swept, specs, strict=True)
+    ]
+    return [(unit, unit.is_done(spec)) for unit, spec in zip(units, specs, strict=True)]
+
+
+def _refuse_early(options: argparse.Namespace, specs: Sequence[Spec]) -> list[bool]:
+    """Whether each point has lidars.
+
+    Raises:
+        BackendError: The backend cannot render what is asked for.
+    """
+    if options.compile_only:
+        return [False] * len(specs)
+    known: list[tuple[Any, bool]] = []
+    found = []
+    for spec in specs:
+        # Most points have the same cameras.
+        lidars = next((answer for rigs, answer in known if rigs == spec.cfg["rigs"]), None)
+        if lidars is None:
+            lidars = refuse_early(options, spec.cfg)
+            known.append((spec.cfg["rigs"], lidars))
+        found.append(lidars)
+    return found
+
+
+def _compile(executor: Executor, work: Sequence[tuple[CompilePoint, bool]], table: _Table) -> None:
+    for unit, is_done in work:
+        table.note(unit.point, "compiled" if is_done else "not made")
+    units = [unit for unit, is_done in work if not is_done]
+    if len(units) < len(work):
+        say(f"{len(work) - len(units)} of {len(work)} points are compiled already")
+    if not units:
+        return
+    executor.prepare(table.out)
+    bar = Progress("compiled", unit="point")
+    for done, (each, outcome) in enumerate(run_all(executor, units), 1):
+        for line in outcome.warnings:
+            say(f"warning: {line}")
+        assert isinstance(each, CompilePoint)
+        if outcome.error is not None:
+            say(f"warning: {each.what}: {outcome.error}")
+        table.note(each.point, f"failed: {outcome.error}" if outcome.error else "compiled")
+        bar(done, len(units), each.what)
+
+
+def _render(
+    options: argparse.Namespace, executor: Executor, point: Point, lidars: bool, table: _Table
+) -> None:
+    own = argparse.Namespace(**{**vars(options), "out": str(table.out / point.name)})
+    say(f"{point.name}:")
+    try:
+        if lidars:
+            # First: where no camera is triggered rendering ends in an error.
+            scan_now(own, executor=executor)
+        failed = len(render_now(own, executor).failed)
+    except ScenecError as error:
+        say(f"warning: {point.name}: {error}")
+        table.note(point, f"failed: {error}")
+        return
+    table.note(point, f"failed: {failed} frames were given up" if failed else "rendered")

@@ -1,0 +1,100 @@
+"""What is read of a cfg, whatever syntax it is written in: values, and where each stands."""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_right
+from dataclasses import dataclass
+from typing import Any
+
+#: Deeper nesting than this is refused; a cfg needs about eight levels.
+MAX_DEPTH = 64
+# Longer runs of digits overflow a double; int() of them would cost quadratic time or raise.
+_MAX_INT_DIGITS = 310
+
+#: Keys and list indices from the root to a value.
+Path = tuple[str | int, ...]
+
+
+@dataclass(frozen=True)
+class Position:
+    """Line and column of a file, both from 1, the column in characters.
+
+    Line 0 is that of a value that stands in no file: ``file`` is then the option that gave it.
+    """
+
+    line: int
+    column: int
+    file: str = ""
+
+
+@dataclass(frozen=True)
+class Document:
+    """A value and its places.
+
+    Attributes:
+        value: The root value, in Python's types.
+        values: Where each value starts, by its path; ``()`` is the root.
+        keys: Where each key of an object stands, by the path of its value.
+        duplicates: Path and position of each key that its object had already.
+    """
+
+    value: Any
+    values: dict[Path, Position]
+    keys: dict[Path, Position]
+    duplicates: tuple[tuple[Path, Position], ...] = ()
+
+
+class CfgSyntaxError(Exception):
+    """A text that cannot be read: message and position of the first fault."""
+
+    def __init__(self, message: str, position: Position):
+        super().__init__(message)
+        self.message = message
+        self.position = position
+
+
+class Text:
+    """A text in UTF-8 (a byte order mark is skipped), and the lines of its characters.
+
+    Attributes:
+        text: Its characters.
+        file: Its name, for positions.
+
+    Raises:
+        CfgSyntaxError: It is not UTF-8.
+    """
+
+    def __init__(self, data: bytes, file: str) -> None:
+        self.file = file
+        try:
+            self._take(data.decode("utf-8-sig"))
+        except UnicodeDecodeError as error:
+            self._take(data[: error.start].decode("utf-8-sig", errors="replace"))
+            raise CfgSyntaxError(
+                f"byte 0x{data[error.start]:02x} is not UTF-8: save the file as UTF-8",
+                self.position(len(self.text)),
+            ) from error
+
+    def _take(self, text: str) -> None:
+        self.text = text
+        self._line_starts = [0, *(i + 1 for i, letter in enumerate(text) if letter == "\n")]
+
+    def position(self, offset: int) -> Position:
+        """Of a character."""
+        line = bisect_right(self._line_starts, offset)
+        return Position(line, offset - self._line_starts[line - 1] + 1, self.file)
+
+
+def as_number(token: str, whole: bool) -> int | float | None:
+    """The number that decimal digits stand for; None where it is too large for a double."""
+    if whole and len(token) < _MAX_INT_DIGITS:
+        value = int(token)
+        return None if abs(value) >= 2**1023 else value
+    number = float(token)
+    return None if math.isinf(number) else number
+
+
+def has_half_pair(text: str) -> bool:
+    """Whether half a surrogate pair, which no file can hold, is in a string."""
+    return any("\ud800" <= character <= "\udfff" for character in text)

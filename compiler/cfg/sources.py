@@ -1,0 +1,306 @@
+"""What a cfg says in all: its file, those that it extends, and settings of the command line.
+
+Everything ends in one document whose places still name the file, or the setting, that each value
+came from. What is behind it makes no difference to a stage: only the document's value counts.
+"""
+
+from __future__ import annotations
+
+import copy
+import json
+import os
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path as FilePath
+from typing import Any
+
+from scenec.compiler.cfg import json_positions, schema
+from scenec.compiler.cfg.document import CfgSyntaxError, Document, Path, Position
+from scenec.compiler.cfg.faults import pointer
+from scenec.compiler.cfg.resources import PREFIX, ResourceError, find_file, own_reference
+from scenec.schemas.errors import CfgError, Fault
+from scenec.schemas.files import as_json
+from scenec.schemas.spelling import closest, nearest, shown
+
+EXTENDS = "extends"
+#: Keys that say something of the file they stand in alone.
+_OF_THE_FILE = (EXTENDS, "$schema")
+_YAML = (".yaml", ".yml")
+_SETTING = re.compile(r"[^.\[\]=\s]+(?:\.[^.\[\]=\s]+|\[\d+\])*")
+#: What an item of a list can be called by, where no other has the same.
+_NAMES = ("name", "type", "material")
+
+
+@dataclass(frozen=True)
+class Source:
+    """A cfg that was read, and not checked.
+
+    Attributes:
+        document: All of it.
+        text: The same as JSON: the file's own bytes, where they are that and all.
+        is_verbatim: Whether ``text`` is the file's bytes.
+    """
+
+    document: Document
+    text: bytes
+    is_verbatim: bool
+
+
+def read(path: FilePath, settings: Sequence[str] = ()) -> Source:
+    """Reads a cfg, what it extends, and settings over it.
+
+    Args:
+        path: The file, see ``located``: YAML by its suffix, else JSON.
+        settings: Each ``path=value``, as in ``terrain.relief[0].amplitude_m=2``.
+
+    Raises:
+        CfgError: One of the files cannot be read, or a setting has no place.
+    """
+    data, document = _read_file(path, Position(1, 1, str(path)))
+    nulls: list[Path] = []
+    extends = isinstance(document.value, dict) and EXTENDS in document.value
+    if extends:
+        document = _extended(path, document, (path.resolve(),), nulls)
+        _take_away(document, nulls)
+    for text in settings:
+        _set(document, text)
+    if not (extends or settings) and _is_json(data):
+        return Source(document, data, True)
+    if extends:
+        _rebase_files(document, path.parent)
+    if isinstance(document.value, dict):
+        for key in _OF_THE_FILE:
+            document.value.pop(key, None)
+    return Source(document, as_json(document.value).encode(), False)
+
+
+def _is_json(data: bytes) -> bool:
+    try:
+        json.loads(data)
+    except ValueError:
+        return False
+    return True
+
+
+def _fault(position: Position, at: Path, message: str) -> CfgError:
+    return CfgError([Fault(position.file, position.line, position.column, pointer(at), message)])
+
+
+def located(path: FilePath) -> FilePath:
+    """The file of a cfg, which may be one that comes with scenec: ``package:configs/NAME``.
+
+    Raises:
+        CfgError: There is no such one.
+    """
+    name = str(path)
+    if not name.startswith(PREFIX):
+        return path
+    return _cfg_file(name, FilePath(), Position(1, 1, name), ())
+
+
+def _cfg_file(reference: str, folder: FilePath, position: Position, at: Path) -> FilePath:
+    if reference.startswith(PREFIX) and not FilePath(reference).suffix:
+        reference += ".json"
+    try:
+        return find_file(reference, folder)
+    except ResourceError as error:
+        raise _fault(position, at, str(error)) from error
+
+
+def _read_file(path: FilePath, named_at: Position, at: Path = ()) -> tuple[bytes, Document]:
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise _fault(named_at, at, error.strerror or str(error)) from error
+    except ValueError as error:
+        # A zero character in the name.
+        raise _fault(named_at, at, f"not a file name: {error}") from error
+    try:
+        if path.suffix.lower() in _YAML:
+            # Here: it takes a twentieth of a second, and most cfgs are JSON.
+            from scenec.compiler.cfg import yaml_positions
+
+            return data, yaml_positions.parse(data, str(path))
+        return data, json_positions.parse(data, str(path))
+    except CfgSyntaxError as error:
+        raise _fault(error.position, (), error.message) from error
+
+
+def _extended(
+    path: FilePath, document: Document, chain: tuple[FilePath, ...], nulls: list[Path]
+) -> Document:
+    """A file's document over that of the file which it extends, if it does."""
+    reference = document.value.get(EXTENDS) if isinstance(document.value, dict) else None
+    if reference is None:
+        return document
+    at: Path = (EXTENDS,)
+    position = document.values[at]
+    if not isinstance(reference, str):
+        raise _fault(position, at, f"{shown(reference)}: expected a string, the path of a cfg")
+    base = _cfg_file(reference, path.parent, position, at)
+    if base.resolve() in chain:
+        names = [file.name for file in (*chain, base)]
+        raise _fault(position, at, f"a cfg cannot extend itself: {' extends '.join(names)}")
+    _, below = _read_file(base, position, at)
+    below = _extended(base, below, (*chain, base.resolve()), nulls)
+    if not isinstance(below.value, dict):
+        raise _fault(below.values[()], (), f"{shown(below.value)}: expected an object")
+    value = {key: entry for key, entry in below.value.items() if key not in _OF_THE_FILE}
+    return Document(
+        _merged(value, document.value, (), nulls),
+        {**below.values, **document.values},
+        {**below.keys, **document.keys},
+        (*below.duplicates, *document.duplicates),
+    )
+
+
+def _merged(base: dict[str, Any], over: dict[str, Any], at: Path, nulls: list[Path]) -> Any:
+    """Objects merge key by key, the base's first; anything else replaces what was there."""
+    result = dict(base)
+    for key, value in over.items():
+        was = base.get(key)
+        if isinstance(was, dict) and isinstance(value, dict) and _is_of_kind(value, was):
+            result[key] = _merged(was, value, (*at, key), nulls)
+            continue
+        if value is None and key in base:
+            nulls.append((*at, key))
+        result[key] = value
+    return result
+
+
+def _is_of_kind(value: dict[str, Any], base: dict[str, Any]) -> bool:
+    """Keys of one type mean nothing to another: an object of another type is another object."""
+    return "type" not in value or "type" not in base or value["type"] == base["type"]
+
+
+def _take_away(document: Document, nulls: Iterable[Path]) -> None:
+    """Takes away what null was put over, where null is no value of the key."""
+    for path in nulls:
+        owner: Any = document.value
+        field: schema.Field | None = schema.root(owner)
+        for key in path[:-1]:
+            # What stood above it may be gone, too.
+            owner = owner.get(key) if isinstance(owner, dict) else None
+            field = None if field is None else schema.child(field, key, owner)
+        is_null = isinstance(owner, dict) and owner.get(path[-1], ...) is None
+        if is_null and not (field and _takes_null(field, path[-1])):
+            del owner[path[-1]]
+
+
+def _rebase_files(document: Document, folder: FilePath) -> None:
+    """Makes the paths that other files give relative to the cfg's folder, as all of them are."""
+    fields = list(schema.walk(schema.root(document.value)))
+    for field in fields:
+        position = document.values[field.path]
+        origin = FilePath(position.file).parent
+        if "x-file" not in field.keywords or not isinstance(field.value, str) or not position.line:
+            continue
+        if origin == folder or field.value.startswith(PREFIX) or os.path.isabs(field.value):
+            continue
+        owner: Any = document.value
+        for key in field.path[:-1]:
+            owner = owner[key]
+        file = origin / field.value
+        relative = FilePath(os.path.relpath(file, folder)).as_posix()
+        owner[field.path[-1]] = own_reference(file) or relative
+
+
+def _set(document: Document, text: str) -> None:
+    """Puts the value of a setting into its place."""
+    name, equals, given = text.partition("=")
+    position = Position(0, 0, f"--set {text}")
+    if not equals or not _SETTING.fullmatch(name):
+        raise _fault(position, (), "expected path=value, as in terrain.relief[0].amplitude_m=2")
+    *parents, last = re.findall(r"[^.\[\]]+", name)
+    owner, field, at = document.value, schema.root(document.value), Path()
+    for word in parents:
+        key = _key(owner, word, field, at, position)
+        at = (*at, key)
+        if isinstance(owner, dict) and key not in owner:
+            default = field.keywords["properties"][key].get("default")
+            owner[key] = copy.deepcopy(default) if isinstance(default, dict) else {}
+            document.keys[at] = position
+            _place(document, at, Document(owner[key], {}, {}), position)
+        owner = owner[key]
+        field = schema.child(field, key, owner) or replace(field, keywords={}, value=owner)
+    key = _key(owner, last, field, at, position, new=True)
+    at = (*at, key)
+    value = _value(given, position)
+    described = schema.child(field, key, given)
+    if described is not None and described.keywords.get("type") == "string" and given != "null":
+        value = value if isinstance(value.value, str) else replace(value, value=given)
+    if value.value is None:
+        if isinstance(owner, dict) and key not in owner and not _takes_null(field, key):
+            raise _fault(position, at, f"no key {shown(key)} to take away{nearest(last, owner)}")
+        if isinstance(owner, dict) and not _takes_null(field, key):
+            del owner[key]
+            return
+    owner[key] = value.value
+    document.keys[at] = position
+    _place(document, at, value, position)
+
+
+def _takes_null(field: schema.Field, key: str | int) -> bool:
+    """Whether null is a value of the key below a field, and no word for leaving it out."""
+    below = schema.child(field, key, None)
+    return below is not None and schema.is_of(None, below.keywords.get("type", ()))
+
+
+def _place(document: Document, at: Path, value: Document, position: Position) -> None:
+    """Says of a value, and of all below it, that it came by a setting."""
+    for path in value.values or {(): position}:
+        document.values[(*at, *path)] = position
+    for path in value.keys:
+        document.keys[(*at, *path)] = position
+
+
+def _value(given: str, position: Position) -> Document:
+    """JSON, or else the word itself."""
+    try:
+        return json_positions.parse(given.encode(errors="surrogateescape"), position.file)
+    except CfgSyntaxError as error:
+        if given[:1] in ("[", "{", '"'):
+            raise _fault(position, (), error.message) from error
+        return Document(given, {(): position}, {})
+
+
+def _key(
+    owner: Any, word: str, field: schema.Field, at: Path, position: Position, new: bool = False
+) -> str | int:
+    """The key or index that a word of a setting stands for.
+
+    Args:
+        owner: What it is looked for in.
+        word: The word.
+        field: What the schemas say of the owner.
+        at: Where the owner stands.
+        position: Of the setting.
+        new: Whether a key need not be there: the schemas judge it with its value.
+    """
+    if isinstance(owner, list):
+        return _index(owner, word, at, position)
+    if not isinstance(owner, dict):
+        expected = "expected an object or a list to set something in"
+        raise _fault(position, at, f"{shown(owner)}: {expected}")
+    known = [k for k, e in field.keywords.get("properties", {}).items() if not e.get("x-ignored")]
+    if word in owner or word in known or new:
+        return word
+    names = [*owner, *(name for name in known if name not in owner)]
+    raise _fault(position, (*at, word), f"no key {shown(word)}{nearest(word, names)}")
+
+
+def _index(owner: list[Any], word: str, at: Path, position: Position) -> int:
+    """The index that a word is, or that of the one item which is called so."""
+    if word.isdecimal() and int(word) < len(owner):
+        return int(word)
+    items = [item if isinstance(item, dict) else {} for item in owner]
+    found = [i for i, item in enumerate(items) if word in map(item.get, _NAMES)]
+    if len(found) == 1:
+        return found[0]
+    names = [str(item[key]) for item in items for key in _NAMES if key in item]
+    guess = closest(word, names)
+    why = f"{len(found)} items are called so" if found else f"no item {shown(word)}"
+    hint = f"; did you mean {shown(guess)}?" if guess and not found else ""
+    indices = f"an index from 0 to {len(owner) - 1}" if owner else "a list that is not empty"
+    raise _fault(position, (*at, word), f"{why}: expected {indices}{hint}")

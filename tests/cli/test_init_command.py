@@ -1,0 +1,92 @@
+"""What `scenec init` and `scenec schema` write can be used as it is."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from jsonschema import Draft202012Validator
+
+from scenec.cli.main import main
+from scenec.compiler.cfg import json_positions
+from scenec.compiler.cfg.load import load
+from scenec.compiler.compile import compile_cfg
+
+ROOT = Path(__file__).resolve().parents[2]
+TEMPLATES = sorted((ROOT / "configs" / "templates").glob("*.jsonc"))
+CFGS = [*TEMPLATES, *sorted((ROOT / "configs").glob("*.json"))]
+
+
+@pytest.mark.parametrize("template", TEMPLATES, ids=lambda path: path.stem)
+def test_a_template_is_short_says_what_it_is_and_compiles_anywhere(template, tmp_path, capsys):
+    file = tmp_path / "mine.jsonc"
+    assert main(["init", template.stem, "-o", str(file)]) == 0
+    assert f"scenec run {file}" in capsys.readouterr().out
+    text = file.read_text()
+    assert text == template.read_text()
+    assert text.startswith("// ")
+    assert text.count("\n") <= 45
+    coarse = {
+        "samples": 1,
+        "terrain.size_m": [20, 20],
+        "terrain.spacing_m": 1,
+        **{f"objects.{name}.count": 5 for name in load(file).cfg["objects"]},
+    }
+    spec = load(file, [f"{path}={json.dumps(value)}" for path, value in coarse.items()])
+    assert spec.cfg["name"] == template.stem
+    assert spec.warnings == ()
+    # Models that it names come with scenec, wherever that is.
+    assert all(f.reference.startswith("package:assets/") for f in spec.files.values())
+    compile_cfg(spec, seed=1, out=tmp_path / "out")
+    assert (tmp_path / "out" / "batch_0000" / "stage.usda").is_file()
+
+
+def test_templates_are_listed_and_misspelled_ones_told(capsys):
+    assert main(["init", "--json"]) == 0
+    about = json.loads(capsys.readouterr().out)
+    assert {"forest", "meadow", "mars", "moon", "desert"} <= set(about)
+    assert main(["init"]) == 0
+    assert capsys.readouterr().out.count("\n") == len(about)
+    assert main(["init", "forrest"]) == 2
+    assert 'did you mean "forest"?' in capsys.readouterr().err
+
+
+def test_init_replaces_nothing_and_writes_to_standard_output(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(["init", "moon"]) == 0
+    (tmp_path / "moon.jsonc").write_text("mine")
+    assert main(["init", "moon"]) == 2
+    assert "moon.jsonc: is there already" in capsys.readouterr().err
+    assert (tmp_path / "moon.jsonc").read_text() == "mine"
+    assert main(["init", "moon", "-o", "-"]) == 0
+    assert capsys.readouterr().out.startswith("// The Moon")
+
+
+def schema_of(capsys, *words: str) -> Draft202012Validator:
+    assert main(["schema", *words]) == 0
+    schema = json.loads(capsys.readouterr().out)
+    Draft202012Validator.check_schema(schema)
+    # Self-contained: a reference leads nowhere else.
+    text = json.dumps(schema)
+    assert text.count('"$ref": "') == text.count('"$ref": "#/$defs/')
+    return Draft202012Validator(schema)
+
+
+@pytest.mark.parametrize("path", CFGS, ids=lambda path: path.stem)
+def test_the_schema_in_one_piece_takes_what_ships(path, capsys):
+    judge = schema_of(capsys)
+    cfg = json_positions.parse(path.read_bytes()).value
+    assert judge.is_valid(cfg)
+    del cfg["terrain"]["spacing_m"]
+    assert not judge.is_valid(cfg)
+    cfg["terrain"]["spacing_m"] = -1
+    assert not judge.is_valid(cfg)
+
+
+def test_the_schema_of_cfgs_that_extend_requires_nothing_and_knows_all_keys(capsys, tmp_path):
+    judge = schema_of(capsys, "--partial")
+    assert judge.is_valid({"extends": "base.json", "terrain": {"spacing_m": 0.1}})
+    assert not judge.is_valid({"extends": "base.json", "terrain": {"spacin_m": 0.1}})
+    assert main(["schema", "-o", str(tmp_path / "s.json")]) == 0
+    assert json.loads((tmp_path / "s.json").read_text())["$ref"] == "#/$defs/cfg"

@@ -1,0 +1,114 @@
+"""``scenec preview``: the page, and that it follows the file."""
+
+from __future__ import annotations
+
+import base64
+import contextlib
+import io
+import json
+import re
+import signal
+import subprocess
+import sys
+import urllib.request
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+from small import small_cfg, write_cfg
+
+from scenec.cli.main import main
+from scenec.cli.preview_command import coarse, shaded
+from scenec.compiler.cfg.load import load
+
+
+def facts_in(page: str) -> dict[str, Any]:
+    """What a page shows first."""
+    return json.loads(re.search(r"^let facts = (.*);$", page, re.MULTILINE)[1])
+
+
+def size_of(png: str) -> tuple[int, int]:
+    return Image.open(io.BytesIO(base64.b64decode(png))).size
+
+
+@pytest.mark.usefixtures("workers_here")
+def test_once_writes_a_page_that_asks_nobody(tmp_path: Path) -> None:
+    cfg = small_cfg(samples=6)
+    cfg["rigs"]["rover"]["sensors"]["front"]["resolution"] = [96, 64]
+    path = write_cfg(tmp_path, cfg)
+    page = tmp_path / "page.html"
+    words = ["preview", path, "--once", page, "--width", "48", "--spp", "1", "--no-cache"]
+    assert main([str(word) for word in words]) == 0
+    facts = facts_in(page.read_text())
+    assert not facts["live"]
+    assert facts["faults"] == []
+    assert [p["sample"] for p in facts["pictures"]] == [0, 1, 3, 4]
+    assert {size_of(p["png"]) for p in facts["pictures"]} == {(48, 32)}
+    assert size_of(facts["map"])[0] > 100
+    assert "%FIRST%" not in page.read_text()
+
+
+def test_large_pictures_alone_become_smaller(tmp_path: Path) -> None:
+    cfg = small_cfg(batches=3)
+    sensors = cfg["rigs"]["rover"]["sensors"]
+    sensors["wide"] = {"resolution": [1000, 500], "fov_deg": 90}
+    given = {"fx": 900, "fy": 900, "cx": 500, "cy": 250}
+    sensors["given"] = {"resolution": [1000, 500], "intrinsics": given}
+    path = write_cfg(tmp_path, cfg)
+    settings = coarse(load(path), 480)
+    assert settings == ["batches=1", "rigs.rover.sensors.wide.resolution=[480, 240]"]
+    made = load(path, settings).cfg
+    assert made["batches"] == 1
+    assert made["rigs"]["rover"]["sensors"]["wide"]["resolution"] == [480, 240]
+
+
+def test_a_map_is_lit_from_the_northwest_with_north_up() -> None:
+    y, x = np.mgrid[0:40, 0:60]
+    hill = np.maximum(0.0, 10.0 - np.hypot(x - 30, y - 20))
+    light = shaded(hill).sum(axis=-1).astype(float)
+    assert light.shape == (40, 60)
+    # Rows begin in the north.
+    assert light[14, 24] > light[26, 36]
+    assert not np.isnan(shaded(np.where(hill > 5, np.nan, hill)).astype(float)).any()
+
+
+@pytest.mark.slow
+def test_the_page_follows_the_file(tmp_path: Path) -> None:
+    path = write_cfg(tmp_path, small_cfg(samples=1))
+    words = ["preview", str(path), "--no-browser", "--spp", "1", "--no-cache"]
+    command = [sys.executable, "-m", "scenec.cli.main", *words]
+    with (
+        subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as server,
+        contextlib.ExitStack() as stack,
+    ):
+        # Before what waits for its end.
+        stack.callback(server.kill)
+        assert server.stderr is not None
+        address = re.search(r"http://127\.0\.0\.1:\d+/", server.stderr.readline())[0]
+
+        def until(fits: Any) -> dict[str, Any]:
+            facts = facts_in(urllib.request.urlopen(address).read().decode())
+            while not fits(facts):
+                asked = urllib.request.urlopen(f"{address}state?{facts['version']}")
+                facts = json.loads(asked.read())
+            return facts
+
+        def drawn(facts: dict[str, Any]) -> bool:
+            pictures = facts["pictures"]
+            return bool(pictures) and not facts["doing"] and "sketch" not in pictures[0]
+
+        first = until(drawn)
+        text = path.read_text()
+        path.write_text(text.replace('"count"', '"cuont"'))
+        wrong = until(lambda facts: facts["faults"])
+        assert any("did you mean" in line for line in wrong["faults"])
+        assert wrong["pictures"] == first["pictures"]
+        path.write_text(text.replace("300", "900"))
+        again = until(lambda facts: not facts["faults"] and drawn(facts))
+        assert again["pictures"] != first["pictures"]
+        with pytest.raises(urllib.error.HTTPError, match="404"):
+            urllib.request.urlopen(f"{address}etc/passwd")
+        server.send_signal(signal.SIGINT)
+        assert server.wait() == 130

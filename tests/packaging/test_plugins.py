@@ -1,0 +1,233 @@
+"""Packages that add to scenec: the example of docs/plugins.md, installed, and broken ones."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from scenec.backends.imaging.effects import apply
+from scenec.compiler.cfg.load import load
+from scenec.schemas import plugins
+from scenec.schemas.errors import BackendError, CfgError
+from scenec.schemas.frames import read_frame
+
+EXAMPLE = Path(__file__).resolve().parents[2] / "docs" / "example_plugins"
+
+RELIEF = [
+    {"type": "plane"},
+    {
+        "type": "furrows",
+        "depth_m": {"type": "uniform", "min": 0.1, "max": 0.2},
+        "spacing_m": 1.0,
+        "mask": [{"type": "point", "x_m": 0, "y_m": 0, "max_m": 5}],
+    },
+]
+
+
+def cfg() -> dict[str, Any]:
+    """A small scene with all that the package adds."""
+    bare = {"type": "aspect", "bearing_deg": 90, "max_deg": 60}
+    return {
+        "version": 1,
+        "name": "farm",
+        "samples": 2,
+        "outputs": ["rgb", "label", "steepness"],
+        "labels": {"class": {"soil": 1, "clod": 2}},
+        "terrain": {
+            "size_m": [16, 16],
+            "spacing_m": 0.1,
+            "relief": RELIEF,
+            "ground": [
+                {"material": "soil", "labels": {"class": "soil"}},
+                {"material": "stubble", "labels": {"class": "soil"}, "where": [bare]},
+            ],
+        },
+        "materials": {
+            "soil": {"base_color": [0.2, 0.15, 0.1]},
+            "stubble": {
+                "base_color": [0.3, 0.25, 0.12],
+                "maps": {"procedural": {"type": "stubble", "resolution": 64}},
+            },
+        },
+        "objects": {
+            "clods": {
+                "type": "rocks",
+                "family": "clod",
+                "crumble": 0.5,
+                "subdivisions": 2,
+                "count": 50,
+                "size_m": 0.3,
+                "material": "soil",
+                "labels": {"class": "clod"},
+                "density": {"type": "rows", "spacing_m": 2, "width_m": 0.2},
+            }
+        },
+        "light": {"sun": {"elevation_deg": 30, "azimuth_deg": 90}, "sky": {"type": "none"}},
+        "rigs": {
+            "drone": {
+                "pose": {"type": "spiral", "radius_m": 6},
+                "sensors": {
+                    "eye": {
+                        "resolution": [32, 24],
+                        "fov_deg": 60,
+                        "effects": [{"type": "banding", "strength": 20}],
+                    }
+                },
+            }
+        },
+    }
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The package, installed by pip."""
+    folder = tmp_path_factory.mktemp("site")
+    source = shutil.copytree(EXAMPLE, folder / "source")
+    command = [sys.executable, "-m", "pip", "install", "-q", "--no-deps", "--no-build-isolation"]
+    command += ["--no-index", "--disable-pip-version-check", "--target", folder / "at", source]
+    subprocess.run(command, check=True)
+    return folder / "at"
+
+
+@pytest.fixture
+def there(site: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The package, importable here."""
+    monkeypatch.syspath_prepend(str(site))
+    return site
+
+
+def scenec(site: Path | None, *arguments: str | Path) -> subprocess.CompletedProcess[str]:
+    """The command line, with or without the package."""
+    env = os.environ | ({"PYTHONPATH": str(site)} if site else {})
+    command = [sys.executable, "-m", "scenec.cli.main", *map(str, arguments)]
+    return subprocess.run(command, env=env, capture_output=True, text=True)
+
+
+def faults(path: Path, document: dict[str, Any]) -> list[tuple[str, str]]:
+    """What is wrong with a cfg: pointer and message."""
+    path.write_text(json.dumps(document))
+    with pytest.raises(CfgError) as info:
+        load(path)
+    return [(fault.pointer, fault.message) for fault in info.value.faults]
+
+
+def test_a_scene_of_all_kinds_compiles_renders_and_repeats(site: Path, tmp_path: Path) -> None:
+    path = tmp_path / "farm.json"
+    path.write_text(json.dumps(cfg()))
+    outs = [tmp_path / "a", tmp_path / "b"]
+    for out in outs:
+        done = scenec(site, "compile", path, "--seed", "3", "-o", out)
+        assert done.returncode == 0, done.stderr
+    made = [json.loads((out / "manifest.json").read_text()) for out in outs]
+    assert made[0]["files"] == made[1]["files"]
+    assert len(made[0]["plugins"]) == 7
+    assert set(made[0]["plugins"].values()) == {"scenec-farmland 1.0"}
+    done = scenec(site, "render", outs[0], "--backend", "pyrender", "--spp", "4")
+    assert done.returncode == 0, done.stderr
+    stem = outs[0] / "batch_0000/frames/pyrender/drone_eye/000001"
+    frame = read_frame(stem.with_suffix(".json"), ["rgb", "label.class", "steepness"])
+    steep = frame.passes["steepness"]
+    # Furrows of 0.1 to 0.2 m every meter rise at 17 to 32 degrees; clods stand on some.
+    ground = frame.passes["label.class"] == 1
+    assert 10.0 < np.nanmax(steep[ground]) < 40.0
+    assert (frame.passes["label.class"] == 2).any()
+    sidecar = json.loads(stem.with_suffix(".json").read_text())
+    assert sidecar["effects"][0]["from"] == "scenec-farmland 1.0"
+
+
+def test_effects_repeat_and_are_of_the_version_that_was_compiled(there: Path) -> None:
+    effect = {"type": "banding", "from": "scenec-farmland 1.0", "key": 5, "strength": 20.0}
+    picture = np.full((8, 4, 3), 100, np.uint8)
+    one, again, other = (apply(picture, [json.dumps(effect)], sample) for sample in (0, 0, 1))
+    assert (one == again).all()
+    assert (one != other).any()
+    # Rows as a whole, by some 20 codes; what came in stays as it was.
+    assert (one == one[:, :1, :1]).all()
+    assert 5.0 < one[:, 0, 0].std() < 50.0
+    assert (picture == 100).all()
+    older = json.dumps(effect | {"from": "scenec-farmland 0.9"})
+    with pytest.raises(BackendError, match=r"of scenec-farmland 0\.9, and scenec-farmland 1\.0 is"):
+        apply(picture, [older], 0)
+
+
+def test_masks_and_distributions_reach_another_packages_operator(
+    there: Path, tmp_path: Path
+) -> None:
+    from scenec.compiler.draw.batch import draw
+    from scenec.compiler.terrain.grid import Grid
+
+    path = tmp_path / "farm.json"
+    path.write_text(json.dumps(cfg()))
+    masked = draw(load(path), 3, 0).terrain.relief[1]
+    grid = Grid.with_spacing((16.0, 16.0), 0.1)
+    height, _ = masked.apply(grid, np.zeros(grid.shape))
+    x, y = grid.points()
+    away = np.hypot(x, y).reshape(grid.shape)
+    assert (height[away > 5.01] == 0.0).all()
+    depth = masked.operator.depth_m
+    assert 0.1 <= depth <= 0.2
+    assert np.abs(height).max() == pytest.approx(0.5 * depth, rel=1e-3)
+
+
+def test_keys_of_another_package_are_checked_like_our_own(there: Path, tmp_path: Path) -> None:
+    document = cfg()
+    document["terrain"]["relief"][1] = {"type": "furrows", "deph_m": 0.1, "spacing_m": -1}
+    document["rigs"]["drone"]["pose"]["type"] = "spirale"
+    found = dict(faults(tmp_path / "farm.json", document))
+    assert 'the key "depth_m" is missing (From crest to bottom)' in found["/terrain/relief/1"]
+    assert 'did you mean "depth_m"' in found["/terrain/relief/1/deph_m"]
+    assert "expected more than 0 m" in found["/terrain/relief/1/spacing_m"]
+    assert 'did you mean "spiral"?' in found["/rigs/drone/pose/type"]
+
+
+def test_without_the_package_its_names_are_told(tmp_path: Path) -> None:
+    found = dict(faults(tmp_path / "farm.json", cfg()))
+    assert "expected one of plane, dem" in found["/terrain/relief/1/type"]
+    effect = "/rigs/drone/sensors/eye/effects/0/type"
+    assert found[effect].endswith("expected a name that an installed package offers, and none does")
+
+
+@pytest.mark.parametrize(
+    ("source", "told"),
+    [
+        ("1 / 0", "cannot be imported: ZeroDivisionError: division by zero (odd.py, line 1)"),
+        ("Odd = 3", "expected a dataclass with a SCHEMA, a JSON Schema of its keys"),
+        ("class Odd:\n  SCHEMA = {}", "expected a dataclass with a SCHEMA"),
+        ("SCHEMA = []", "expected a dataclass with a SCHEMA"),
+        ("SCHEMA = {'properties': {'b': {}}}", 'the class has no field "b"'),
+        ("SCHEMA = {'properties': {'a': {'type': 'nmber'}}}", "SCHEMA: 'nmber' is not valid"),
+        (
+            "SCHEMA = {'properties': {'a': {'$ref': 'forms.schema.json#/$defs/lenght'}}}",
+            "SCHEMA: there is no 'lenght'",
+        ),
+    ],
+)
+def test_a_broken_package_is_named_at_its_place_in_the_cfg(
+    source: str, told: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    info = tmp_path / "site" / "odd-1.0.dist-info"
+    info.mkdir(parents=True)
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: odd\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text("[scenec.relief]\nodd = odd:Odd\n")
+    if source.startswith("SCHEMA"):
+        source = (
+            "from dataclasses import dataclass\nfrom typing import ClassVar\n@dataclass\n"
+            f"class Odd:\n  a: int\n  SCHEMA: ClassVar = {source.partition(' = ')[2]}\n"
+        )
+    (tmp_path / "site" / "odd.py").write_text(source)
+    monkeypatch.syspath_prepend(str(tmp_path / "site"))
+    monkeypatch.delitem(sys.modules, "odd", raising=False)
+    plugins.load_kind.cache_clear()
+    document = cfg()
+    document["terrain"]["relief"] = [{"type": "plane"}, {"type": "odd"}]
+    found = dict(faults(tmp_path / "farm.json", document))
+    assert told in found["/terrain/relief/1"]
+    assert found["/terrain/relief/1"].startswith("relief operator")
