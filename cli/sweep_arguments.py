@@ -12,6 +12,7 @@ from scenec.cli.arguments import (
     add_keep,
     add_render_options,
     add_replace,
+    add_verbose,
     span,
 )
 
@@ -41,6 +42,7 @@ def add_sweep_options(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("-o", "--out", metavar="OUT", required=True, help="a folder of outputs")
     add_render_options(parser)
+    add_verbose(parser)
     add_keep(parser)
     add_cache(parser)
     add_replace(parser)
