@@ -35,6 +35,8 @@ from typing import Any
 #: Compiled kernels that came with the package.
 SHIPPED = Path(__file__).resolve().parent / "compiled"
 _FEATURES_OF_V3 = ("avx2", "bmi", "bmi2", "f16c", "fma", "lzcnt", "movbe")
+#: Changes with what a file of a kernel holds.
+_FORMAT = 2
 _OPTIONS = {"error_model": "numpy", "nogil": True, "no_cfunc_wrapper": True}
 _making = RLock()
 
@@ -316,10 +318,13 @@ class _Kept:
             result.codegen.set_env(environment.env_name, environment)
         if result.library.has_dynamic_globals:
             return  # Such code holds addresses of this process.
-        (name, kind, (code, _)), *others = result._reduce()
+        (name, kind, (code, _)), *others, referenced = result._reduce()
         # In place of what a kernel that calls this one would need of it: none does, and to read it
-        # takes longer than all the rest.
-        data = dumps(((name, kind, (code, binding.parse_assembly("").as_bitcode())), *others))
+        # takes longer than all the rest. The code of its parts takes nothing but constants of their
+        # environments: to read those without would import their modules, SciPy's algebra with one.
+        code = name, kind, (code, binding.parse_assembly("").as_bitcode())
+        needed = tuple(each for each in referenced if each.consts or each is result.environment)
+        data = dumps((code, *others, needed))
         folder = user_folder()
         try:
             folder.mkdir(parents=True, exist_ok=True)
@@ -347,4 +352,5 @@ def _versions() -> tuple[object, ...]:
     import numpy as np
 
     numba = _numba()
-    return sys.implementation.cache_tag, np.__version__, numba.__version__, llvmlite.__version__
+    tag = sys.implementation.cache_tag
+    return _FORMAT, tag, np.__version__, numba.__version__, llvmlite.__version__

@@ -57,6 +57,7 @@ class _Work:
         middle_sides: Of the merges there, float64 [e, k].
         refined: Faces that were halved, bool [m].
         cell: Grid cell of each face, int32 [m].
+        pixels: That a meter of each face takes at most, float64 [m]; NaN where none was asked for.
     """
 
     mesh: Bisection
@@ -67,6 +68,7 @@ class _Work:
     middle_sides: Growing
     refined: Growing
     cell: Growing
+    pixels: Growing
 
 
 def refine(
@@ -117,6 +119,7 @@ def _start(mesh: CutMesh, sides: NDArray[np.float64], surface: Surface) -> _Work
         Growing(np.empty((edges, len(sides)))),
         Growing(np.zeros(len(mesh.faces), bool)),
         Growing(mesh.cell),
+        Growing(np.full(len(mesh.faces), np.nan)),
     )
 
 
@@ -128,7 +131,7 @@ def _doubtful(work: _Work, surface: Surface, views: Views, limits: Limits) -> ND
     """
     points, faces = work.points.rows, work.mesh.faces
     center, radius, leg = _balls(points, faces)
-    pixels = pixels_of_balls(views, center, radius, limits.unseen, min(NEAREST_M, limits.finest_m))
+    pixels = _pixels(work, np.arange(len(faces)), center, radius, views, limits)
     field = surface.field
     bend = _bends(field.height, points, faces, *field.frame())
     detail = surface.finer_than(np.full(len(leg), np.inf), work.shares.rows, faces)
@@ -140,6 +143,29 @@ def _doubtful(work: _Work, surface: Surface, views: Views, limits: Limits) -> ND
     return np.flatnonzero(
         (np.where(crossed, leg, off) * pixels > limits.tolerance_px) & (leg > limits.finest_m)
     )
+
+
+def _pixels(
+    work: _Work,
+    asked: NDArray[np.integer],
+    center: NDArray[np.float64],
+    radius: NDArray[np.float64],
+    views: Views,
+    limits: Limits,
+) -> NDArray[np.float64]:
+    """Pixels that a meter of some faces takes, float64 [n]: evaluated once for each face."""
+    pixels = work.pixels.rows[asked]
+    new = np.flatnonzero(np.isnan(pixels))
+    pixels[new] = pixels_of_balls(
+        views, center[new], radius[new], limits.unseen, _nearest_m(limits)
+    )
+    work.pixels.rows[asked[new]] = pixels[new]
+    return pixels
+
+
+def _nearest_m(limits: Limits) -> float:
+    """No point of a face counts as nearer to a camera than this."""
+    return min(NEAREST_M, limits.finest_m)
 
 
 def _know(work: _Work, surface: Surface, asked: NDArray[np.integer]) -> None:
@@ -172,9 +198,7 @@ def _wanted(
     error[leg <= limits.finest_m] = 0.0
     out = np.zeros(len(asked), bool)
     some = np.flatnonzero(error > 0.0)
-    pixels = pixels_of_balls(
-        views, center[some], radius[some], limits.unseen, min(NEAREST_M, limits.finest_m)
-    )
+    pixels = _pixels(work, asked[some], center[some], radius[some], views, limits)
     out[some] = error[some] * pixels > _SLACK * limits.tolerance_px
     return out
 
@@ -194,6 +218,8 @@ def _halved(work: _Work, wanted: NDArray[np.integer], surface: Surface) -> NDArr
     work.refined.add(len(halved.origin))
     work.refined.rows[halved.parts] = True
     work.cell.append(work.cell.rows[halved.origin])
+    work.pixels.add(len(halved.origin))
+    work.pixels.rows[halved.parts] = np.nan
     return halved.parts
 
 
@@ -211,10 +237,9 @@ def _finish(
     _refined_normals(points, faces, refined, normals)
     mesh = CutMesh.uncut(points, faces, work.cell.rows[order], normals)
     center, radius, leg = _balls(points, faces)
-    nearest = min(NEAREST_M, limits.finest_m)
-    pixels = pixels_of_balls(views, center, radius, limits.unseen, nearest)
+    pixels = _pixels(work, order, center, radius, views, limits)
     known = _known(work, surface, faces, (radius, leg, pixels))
-    sampled = Sampled(points, faces, surface, views, limits.unseen, nearest)
+    sampled = Sampled(points, faces, surface, views, limits.unseen, _nearest_m(limits))
     return mesh, {
         "triangles": len(faces),
         "triangles_refined": int(refined.sum()),

@@ -206,3 +206,23 @@ def test_errors_of_what_is_part_of_others_reach_the_caller() -> None:
     for _ in ("compiled", "kept"):
         with pytest.raises(ValueError, match="below 0"):
             made(PARTS)["sums"](-1.0)
+
+
+def test_a_kept_kernel_imports_nothing_that_its_parts_were_compiled_from(tmp_path: Path) -> None:
+    # The extent of positions is numba's ``array.max``: of a module that imports SciPy's algebra.
+    program = """
+import sys
+import numpy as np
+from scenec.compiler.noise.fractal import fbm2
+print(fbm2(7, 3.0, 4, 0.5, 2.0, 0.0).at(np.arange(9.0), np.arange(9.0)).sum().hex())
+print(*{"numba.np.arraymath", "scipy.linalg"} & {*sys.modules})
+"""
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
+    compiled, loaded = (
+        subprocess.run(
+            [sys.executable, "-c", program], env=environment, capture_output=True, check=True
+        ).stdout.split()
+        for _ in range(2)
+    )
+    assert len(compiled) == 3
+    assert loaded == compiled[:1]

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.arithmetic import elementary
+from scenec.compiler.arithmetic import cosines, elementary
 from scenec.compiler.terrain.grid import Grid
 
 # Below it, 1 - exp(-x) is better known from its series, which is good to 3e-16 there.
@@ -56,32 +56,28 @@ class _Axis:
 
     def modes(self, field: NDArray[np.float64]) -> NDArray[np.float64]:
         """Modes of the samples between the fixed ones."""
-        import scipy.fft
-
         if not any(self.fixed):
-            return np.asarray(scipy.fft.dct(field, type=2, axis=self.number))
+            return cosines.dct(field, self.number)
         if all(self.fixed):
-            return np.asarray(scipy.fft.dst(field, type=1, axis=self.number))
+            return cosines.dst(field, self.number)
         back = np.flip(field, self.number)
         both = (back, field) if self.fixed[1] else (field, back)
-        odd = scipy.fft.dst(np.concatenate(both, self.number), type=1, axis=self.number)
-        return np.asarray(odd[self._along(slice(None, None, 2))])
+        odd = cosines.dst(np.concatenate(both, self.number), self.number)
+        return odd[self._along(slice(None, None, 2))]
 
     def field(self, modes: NDArray[np.float64]) -> NDArray[np.float64]:
         """What ``modes`` takes apart."""
-        import scipy.fft
-
         if not any(self.fixed):
-            return np.asarray(scipy.fft.idct(modes, type=2, axis=self.number))
+            return cosines.idct(modes, self.number)
         if all(self.fixed):
-            return np.asarray(scipy.fft.idst(modes, type=1, axis=self.number))
+            return cosines.idst(modes, self.number)
         n = modes.shape[self.number]
         shape = list(modes.shape)
         shape[self.number] = 2 * n
         odd = np.zeros(shape)
         odd[self._along(slice(None, None, 2))] = modes
-        both = scipy.fft.idst(odd, type=1, axis=self.number)
-        return np.asarray(both[self._along(slice(n, None) if self.fixed[1] else slice(n))])
+        both = cosines.idst(odd, self.number)
+        return both[self._along(slice(n, None) if self.fixed[1] else slice(n))]
 
     def ends(self) -> list[int]:
         """Index of each fixed end, and of the sample beside it among the free ones."""

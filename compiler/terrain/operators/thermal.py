@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.arithmetic import elementary
+from scenec.compiler.arithmetic import cosines, elementary
 from scenec.compiler.terrain.grid import Applied, Grid
 from scenec.compiler.terrain.operators.halving import changed, halving_error
 from scenec.compiler.terrain.operators.smooth import laplacian_eigenvalues
-from scenec.schemas.kernels import kernel
+from scenec.schemas.kernels import inlined, kernel
 
 # Iterations on coarser grids, where they are cheap, and on the grid itself.
 _COARSE = 50
@@ -125,8 +125,6 @@ def _iterate(
     iterations: int,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
     """Alternates between the two problems, on a state in place: see ``_slide``."""
-    import scipy.fft
-
     eigenvalues = (
         laplacian_eigenvalues(height.shape[0], dy)[:, None]
         + (laplacian_eigenvalues(height.shape[1], dx)[None, :])
@@ -136,9 +134,9 @@ def _iterate(
     for number in range(iterations):
         before = out
         half = out if number == iterations // 2 else half
-        modes = scipy.fft.dctn(_pushed(height, *state, dx, dy, penalty), type=2)
+        modes = cosines.dct(_pushed(height, *state, dx, dy, penalty), over=True)
         modes /= divisor
-        out = scipy.fft.idctn(modes, type=2, overwrite_x=True)
+        out = cosines.idct(modes, over=True)
         _pull(out, *state, dx, dy, slope)
     return out, half, float(np.abs(out - before).max())
 
@@ -157,23 +155,29 @@ def _pull(height: NDArray, q: NDArray, held: NDArray, dx: float, dy: float, slop
     """Gradients of the heights plus what was cut off q."""
     ny, nx = height.shape
     for j in range(ny):
-        for i in range(nx):
-            here = height[j, i]
-            for side in range(2):
-                a = i + 1 - 2 * side
-                b = j + 1 - 2 * side
-                sign = 1.0 - 2.0 * side
-                cut = 1.0 - held[side, j, i]
-                x = cut * q[2 * side, j, i]
-                y = cut * q[2 * side + 1, j, i]
-                if 0 <= a < nx:
-                    x += sign * (height[j, a] - here) / dx
-                if 0 <= b < ny:
-                    y += sign * (height[b, i] - here) / dy
-                length = np.sqrt(x * x + y * y)
-                q[2 * side, j, i] = x
-                q[2 * side + 1, j, i] = y
-                held[side, j, i] = slope / length if length > slope else 1.0
+        for side in range(2):
+            x, y, factor = q[2 * side, j], q[2 * side + 1, j], held[side, j]
+            for i in range(nx):
+                cut = 1.0 - factor[i]
+                x[i] *= cut
+                y[i] *= cut
+            west, east = height[j, : nx - 1], height[j, 1:]
+            if side == 0:
+                _add_rise(west, east, dx, x[: nx - 1])
+            else:
+                _add_rise(west, east, dx, x[1:])
+            if 0 <= j - side < ny - 1:
+                _add_rise(height[j - side], height[j - side + 1], dy, y)
+            for i in range(nx):
+                length = np.sqrt(x[i] * x[i] + y[i] * y[i])
+                factor[i] = slope / length if length > slope else 1.0
+
+
+@inlined
+def _add_rise(before: NDArray, after: NDArray, step: float, out: NDArray) -> None:
+    """Adds the slope between samples, [n] each. A loop of its own over rows has lanes."""
+    for i in range(out.size):
+        out[i] += (after[i] - before[i]) / step
 
 
 @kernel
