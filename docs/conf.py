@@ -20,8 +20,6 @@ version = release = installed_version("scenec")
 
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
 source_suffix = {".md": "markdown"}
-# Pages that other branches bring have their place already (docs/index.md).
-suppress_warnings = ["toc.not_readable"]
 exclude_patterns = ["example_plugins", "site"]
 html_theme = "furo"
 html_title = f"scenec {version}"
