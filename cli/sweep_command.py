@@ -17,6 +17,7 @@ from scenec.cli.scan_command import scan_now
 from scenec.compiler.cfg.load import Spec
 from scenec.compiler.sweep import CompilePoint, Point, points, read_all
 from scenec.compiler.views.needed import Keep
+from scenec.schemas.csv_cells import guarded_line
 from scenec.schemas.errors import OutputError, ScenecError
 from scenec.schemas.files import atomic, check_writable, write_json
 from scenec.schemas.manifest import MANIFEST
@@ -80,9 +81,8 @@ class _Table:
             atomic(self.out / f"{TABLE}.csv") as temporary,
             temporary.open("w", encoding="utf-8", newline="") as file,
         ):
-            writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
-            writer.writeheader()
-            writer.writerows(rows)
+            lines = csv.writer(file, lineterminator="\n")
+            lines.writerows(map(guarded_line, [list(rows[0]), *(row.values() for row in rows)]))
 
     def content(self) -> dict[str, Any]:
         """For scripts."""

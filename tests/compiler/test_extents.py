@@ -111,11 +111,11 @@ def test_a_camera_too_near_for_float32_is_warned_of(tmp_path, capsys):
     assert "warning: float32 moves vertices by up to" in capsys.readouterr().err
     cfg["terrain"] |= {"size_m": [100, 100], "spacing_m": 1}
     path = write_cfg(tmp_path, cfg)
-    assert main(["compile", str(path), "--seed", "1", "-o", str(tmp_path / "near")]) == 0
+    assert main(["compile", str(path), "--seed", "1", "-o", str(tmp_path / "near"), "-v"]) == 0
     said = capsys.readouterr().err
     assert "warning" not in said
     assert "positions in float32: promised 6e-06 m" in said
-    assert main(["explain", str(tmp_path / "near")]) == 0
+    assert main(["explain", str(tmp_path / "near"), "-v"]) == 0
     assert "positions in float32" in capsys.readouterr().out
 
 
