@@ -333,7 +333,10 @@ class _Parser(argparse.ArgumentParser):
         if choice := re.search(r"invalid choice: '(.*?)' \(choose from (.*)\)", message):
             near = closest(choice[1], re.findall(r"[\w.-]+", choice[2]))
         elif option := re.search(r"unrecognized arguments: (-[^\s=]+)", message):
-            near = closest(option[1], self._options())
+            known = self._options()
+            if option[1] in known:
+                message = f"{message}, of other commands"
+            near = None if option[1] in known else closest(option[1], known)
         else:
             near = None
         super().error(message if near is None else f"{message}; did you mean {near}?")
