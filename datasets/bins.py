@@ -163,6 +163,10 @@ _STARTS = np.searchsorted(
 ).astype(np.int64)
 
 
+#: Minus infinity is in no bin.
+_LEAST = np.finfo(np.float32).min
+
+
 # Both kernels count runs: adding 1 to the same place in memory, pixel after pixel, waits each time.
 @kernel
 def _lengths(values, edges, starts):  # type: ignore[no-untyped-def]
@@ -194,7 +198,7 @@ def _lengths(values, edges, starts):  # type: ignore[no-untyped-def]
             number = starts[exponent] if 0 < exponent < 255 else 0
             while number < len(edges) and value >= edges[number]:
                 number += 1
-            floor = edges[number - 1] if number > 0 else np.float32(-np.inf)
+            floor = edges[number - 1] if number > 0 else _LEAST
             ceiling = edges[number] if number < len(edges) else np.float32(np.inf)
     counts[number] += run
     return counts, infinite, low, high

@@ -153,6 +153,11 @@ def test_lengths_of_a_picture_fall_in_the_bins_that_comparing_puts_them_in(pictu
         assert found.low > found.high
 
 
+def test_minus_infinity_is_in_no_bin() -> None:
+    found = bins.length_counts(np.array([[0.0, -np.inf, 0.0]], np.float32))
+    assert (found.counts, found.infinite, found.low) == ({"0": 2}, 0, 0.0)
+
+
 def test_a_value_on_an_edge_is_in_the_bin_above_it_in_float32_too() -> None:
     for number, edge in enumerate(bins.LENGTH.edges, 1):
         at = np.float32(edge)
