@@ -81,6 +81,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except ScenecError as error:
         text = str(error)
         clear_bar()
+        if interrupt.happened():
+            # Amid a step that was left: what it lacks is no fault of the user's.
+            print("scenec: interrupted", file=sys.stderr)
+            return EXIT_INTERRUPTED
         print(text if isinstance(error, CfgError) else f"scenec: {text}", file=sys.stderr)
         return EXIT_BAD_INPUT
     except MemoryError as error:
