@@ -23,13 +23,14 @@ import hashlib
 import os
 import pickle
 import platform
+import signal
 import sys
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from opcode import opmap
 from pathlib import Path
-from threading import RLock, get_ident
-from types import CodeType, FunctionType, ModuleType
+from threading import RLock, current_thread, get_ident, main_thread
+from types import CodeType, FrameType, FunctionType, ModuleType
 from typing import Any
 
 #: Compiled kernels that came with the package.
@@ -279,6 +280,27 @@ def _of_value(value: Any) -> str | None:
     return f"{module}.{value.__name__}" if known else None
 
 
+@contextmanager
+def _uninterrupted() -> Iterator[None]:
+    """Puts Ctrl-C off until the end.
+
+    LLVM asks for kept code by a callback. An interrupt that Python raises in there is printed and
+    forgotten, and what follows is a kernel without code, at address 0.
+    """
+    before = signal.getsignal(signal.SIGINT)
+    if current_thread() is not main_thread() or not callable(before):
+        yield
+        return
+    came: list[tuple[int, FrameType | None]] = []
+    signal.signal(signal.SIGINT, lambda number, frame: came.append((number, frame)))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+        if came:
+            before(*came[0])
+
+
 class _Kept:
     """Compiled kernels in files: what numba's dispatchers take for their cache."""
 
@@ -287,6 +309,7 @@ class _Kept:
     def __init__(self, of: Kernel) -> None:
         self._of = of
 
+    @_uninterrupted()
     def load_overload(self, signature: Any, context: Any) -> Any:
         """What was compiled for these types, or None: numba then compiles it."""
         from numba.core.compiler import CompileResult

@@ -146,6 +146,41 @@ def test_kernels_are_kept_and_damaged_ones_compiled_again(tmp_path: Path) -> Non
     assert run(tmp_path) == f"{e} [True]"
 
 
+INTERRUPTED = """
+import signal
+from pathlib import Path
+from scenec.schemas import kernels
+kernels.SHIPPED = Path("/dev/null/nowhere")
+from numba.core.codegen import CPUCodeLibrary
+from scenec.compiler.arithmetic.elementary import exp
+asked = CPUCodeLibrary._object_getbuffer_hook.__func__
+signals = [signal.SIGINT]
+def interrupted(library, module):
+    while signals:
+        signal.raise_signal(signals.pop())
+    return asked(library, module)
+CPUCodeLibrary._object_getbuffer_hook = classmethod(interrupted)
+for _ in range(2):
+    try:
+        print(float(exp(1.0)).hex())
+    except KeyboardInterrupt:
+        print("interrupted")
+"""
+
+
+def test_an_interrupt_while_code_is_fetched_waits_until_it_is_there(tmp_path: Path) -> None:
+    e, _ = run(tmp_path).split()
+    done = subprocess.run(
+        [sys.executable, "-c", INTERRUPTED],
+        env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stdout.split() == ["interrupted", e]
+    assert done.stderr == ""
+
+
 def test_where_nothing_can_be_written_kernels_compile_all_the_same(tmp_path: Path) -> None:
     (tmp_path / "scenec").write_text("not a folder")
     assert run(tmp_path).endswith(" [False]")
