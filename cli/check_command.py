@@ -24,7 +24,7 @@ from scenec.backends.check.stage import NOT_WHOLE, check_stage
 from scenec.backends.check.witness import HAIR_PIXELS
 from scenec.backends.registry import require_name
 from scenec.backends.stage.read import read_stage
-from scenec.cli.output import print_json, say, table
+from scenec.cli.output import print_json, say, say_next, table
 from scenec.schemas.errors import ScenecError, StageError
 from scenec.schemas.frames import ANNOTATION_NAMES
 from scenec.schemas.manifest import find_batches, read_manifest
@@ -72,6 +72,8 @@ def run(options: argparse.Namespace) -> int:
         for found in (agreement, exact):
             if found:
                 print_agreement(found)
+        if not bad:
+            say_next(("view", out), ("export --format coco", out))
     wrong = sum(found.differing for found in (agreement, exact) if found)
     return 1 if bad or wrong else 0
 

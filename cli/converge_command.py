@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from scenec.cli.output import print_json, say, table
+from scenec.cli.output import print_json, say, say_next, table
 from scenec.studies.converge import ConvergeReport, Ladder, converge
 from scenec.studies.converge.series import FLOOR_HEADER, STEP_HEADER, floor_cells, step_cells
 
@@ -31,6 +31,7 @@ def run(options: argparse.Namespace) -> int:
         print_json({**found.as_json(), "files": [path.as_posix() for path in found.files]})
     else:
         print_report(found)
+        say_next(("render --error 0.05", options.out))
     return 0
 
 

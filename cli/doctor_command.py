@@ -6,7 +6,7 @@ import argparse
 from dataclasses import asdict
 
 from scenec.backends.run.doctor import diagnose, library_versions
-from scenec.cli.output import print_json, table
+from scenec.cli.output import print_json, say_next, table
 
 
 def run(options: argparse.Namespace) -> int:
@@ -25,4 +25,5 @@ def run(options: argparse.Namespace) -> int:
             if d.message:
                 print(f"{d.name}: {d.message}")
         print("libraries: " + ", ".join(f"{name} {v}" for name, v in libraries.items()))
+        say_next(("init", "mars"))
     return 0 if all(d.works for d in found) else 1

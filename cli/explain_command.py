@@ -11,7 +11,7 @@ from scenec.cli.explain_data import BatchData, read_batches
 from scenec.cli.explain_left_out import as_json, kept_of, left_out_of, left_out_text, rates_of
 from scenec.cli.explain_passes import frames_text, passes_text, rows_of
 from scenec.cli.explain_stage import read_contents
-from scenec.cli.output import print_json
+from scenec.cli.output import print_json, say_next
 
 #: Columns of what is printed, where a terminal does not say otherwise.
 _WIDTH, _NARROWEST = 100, 80
@@ -44,6 +44,7 @@ def run(options: argparse.Namespace) -> int:
         return 0
     width = max(min(shutil.get_terminal_size((_WIDTH, 24)).columns, _WIDTH), _NARROWEST)
     print("\n\n".join(explained(batch, width) for batch in batches))
+    say_next(("explain --why CLASS/NUMBER", options.out))
     return 0
 
 

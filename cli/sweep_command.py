@@ -10,7 +10,7 @@ from typing import Any
 
 from scenec.backends.run.executors import make_executor
 from scenec.cli.compile_command import cache_of
-from scenec.cli.output import Progress, print_json, say, status
+from scenec.cli.output import Progress, print_json, say, say_next, status
 from scenec.cli.render_command import limits_of, render_now
 from scenec.cli.run_command import refuse_early
 from scenec.cli.scan_command import scan_now
@@ -50,6 +50,9 @@ def run(options: argparse.Namespace) -> int:
     if options.json:
         print_json(table.content())
     say(f"{len(swept)} points in {table.out}/, listed in {table.out / TABLE}.csv")
+    made = [point.name for point in swept if not table.failed(point)]
+    if made:
+        say_next(("explain" if options.compile_only else "view", table.out / made[0]))
     return 1 if any(map(table.failed, swept)) else 0
 
 

@@ -53,11 +53,16 @@ def apply(picture: NDArray[np.uint8], effects: Sequence[str], sample: int) -> ND
         who = f"the effect {shown(name)} of {wanted}"
         try:
             made: Effect = load_kind(GROUP, name)(**keys)
-            picture = made.apply(picture.copy(), np.random.default_rng([key, sample]))
+            changed = made.apply(picture.copy(), np.random.default_rng([key, sample]))
         except ScenecError:
             raise
         except Exception as error:
             raise BackendError(f"{who}: {told(error)}") from error
-        if not isinstance(picture, np.ndarray) or picture.dtype != np.uint8 or picture.ndim != 3:
-            raise BackendError(f"{who}: returned no uint8 picture [h, w, 3]")
+        if (
+            not isinstance(changed, np.ndarray)
+            or changed.dtype != np.uint8
+            or changed.shape != picture.shape
+        ):
+            raise BackendError(f"{who}: returned no uint8 picture {list(picture.shape)}")
+        picture = changed
     return picture
