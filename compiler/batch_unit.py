@@ -18,6 +18,7 @@ from scenec.schemas.errors import CfgError, Fault, OutputError, SceneError
 from scenec.schemas.files import tree, write_json
 from scenec.schemas.left_out import write_left_out
 from scenec.schemas.manifest import REPORT
+from scenec.schemas.native import commentary
 from scenec.schemas.strays import Firing
 from scenec.schemas.units import Keeper
 
@@ -191,7 +192,7 @@ def _write(folder: Path, scene: Scene) -> None:
         write_batch(folder, scene)
     except Tf.ErrorException as error:
         # A full disk reaches us as USD's own exception.
-        text = next((e.commentary for e in error.args), "USD gives no reason").splitlines()[0]
+        text = next((commentary(e) for e in error.args), "USD gives no reason").splitlines()[0]
         raise OutputError(f"{folder}: cannot be written: {text}") from error
 
 

@@ -11,6 +11,7 @@ import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 #: Signals of native code at its end: what follows from its input, and would again.
 CRASHES = frozenset((signal.SIGSEGV, signal.SIGBUS, signal.SIGABRT, signal.SIGFPE, signal.SIGILL))
@@ -55,6 +56,14 @@ def native_reading(path: Path) -> Iterator[None]:
         yield
     finally:
         note.write(before)
+
+
+def commentary(diagnostic: Any) -> str:
+    """What OpenUSD says of something, which may quote bytes of a file that are no text."""
+    try:
+        return str(diagnostic.commentary)
+    except UnicodeDecodeError as error:
+        return error.object.decode("utf-8", "replace")
 
 
 def read_note() -> str:

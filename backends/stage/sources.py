@@ -15,7 +15,7 @@ from scenec.backends.stage.values import said
 from scenec.schemas.errors import StageError
 from scenec.schemas.files import sha256
 from scenec.schemas.manifest import MANIFEST, digest_of_files, files_of_stage
-from scenec.schemas.native import native_reading
+from scenec.schemas.native import commentary, native_reading
 
 #: Lines of one error.
 _MOST_LINES = 8
@@ -77,9 +77,13 @@ class Sources:
                 except (Tf.ErrorException, UnicodeDecodeError) as error:
                     why = said(error) if isinstance(error, Tf.ErrorException) else error
                     raise StageError(f"{self._path}: cannot be read: {why}") from error
+                except StageError as error:
+                    if str(self._path) in str(error):
+                        raise
+                    raise StageError(f"{self._path}: {error}") from error
                 finally:
                     for warning in trap.GetWarnings():
-                        self._warnings[f"USD: {_plain(warning.commentary)}"] = None
+                        self._warnings[f"USD: {_plain(commentary(warning))}"] = None
                     trap.Clear()
 
     def _open(self) -> Usd.Stage:

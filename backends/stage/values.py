@@ -17,6 +17,7 @@ from numpy.typing import DTypeLike, NDArray
 from pxr import Gf, Sdf, Tf, Usd, UsdGeom, Vt
 
 from scenec.schemas.errors import StageError
+from scenec.schemas.native import commentary
 from scenec.schemas.spelling import nearest, shown
 
 DEFAULT = Usd.TimeCode.Default()
@@ -356,7 +357,7 @@ def _world_transforms(prim: Usd.Prim, times: Sequence[Usd.TimeCode]) -> list[Gf.
 
 def said(error: Tf.ErrorException) -> str:
     """What USD says, in one line: first of what names a place in a file."""
-    lines = [" ".join(str(each.commentary).split()) for each in error.args]
+    lines = [" ".join(commentary(each).split()) for each in error.args]
     located = [line for line in lines if re.search(r":\d+:\d+: ", line)]
     return next((line for line in (*located, *lines) if line), "USD gives no reason")
 

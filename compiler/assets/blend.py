@@ -86,7 +86,13 @@ def _run(file: Path, out: Path, folder: Path) -> None:
             stdout=log,
             stderr=log,
             cwd=folder,
-            env={**kept, "BLENDER_USER_RESOURCES": str(folder / "user")},
+            env={
+                **kept,
+                "BLENDER_USER_RESOURCES": str(folder / "user"),
+                # Thumbnails of what failed, and what it leaves open when it ends.
+                "XDG_CACHE_HOME": str(folder / "user"),
+                "TMPDIR": str(folder),
+            },
         )
         try:
             code = _watched(process)

@@ -19,7 +19,7 @@ from pxr import Sdf, Tf, Usd, UsdGeom
 from scenec.compiler.assets.parts import MeshFileError
 from scenec.compiler.geometry import affine
 from scenec.compiler.geometry.poses import compose
-from scenec.schemas.native import native_reading
+from scenec.schemas.native import commentary, native_reading
 
 #: Purposes of geometry that stands in for other geometry, or helps to edit it.
 _NOT_RENDERED = (UsdGeom.Tokens.proxy, UsdGeom.Tokens.guide)
@@ -49,11 +49,7 @@ def sound_stage(file: Path) -> Iterator[Usd.Stage]:
 
 
 def _reason(error: Tf.ErrorException) -> str:
-    try:
-        lines = next((e.commentary for e in error.args), "").splitlines()
-    except UnicodeDecodeError:
-        # USD quotes what it cannot read.
-        lines = []
+    lines = next((commentary(each) for each in error.args), "").splitlines()
     return lines[0] if lines else "USD gives no reason"
 
 

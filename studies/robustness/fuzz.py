@@ -1,0 +1,394 @@
+"""Reads files with faults of every kind: each ends in what it holds, or in one error naming it.
+
+    python studies/robustness/fuzz.py [--mutants N] [--kinds A,B,...] [--seed S] [--keep FOLDER]
+                                      [--fast] [-o FILE]
+
+Of each kind of file that scenec reads, a sound one is made, and mutants of it: bits and bytes
+changed, cut, doubled, words and numbers in each other's places. Each is read in a process of its
+own. It is a fault if that ends in a traceback, dies (but of native code, where it is known over
+which file), takes 20 s or 2 GiB, writes anything, raises an error that does not name the file, or
+takes bytes that a digest vouches for and that have changed.
+"""
+
+from __future__ import annotations
+
+import gc
+import json
+import os
+import tempfile
+import traceback
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from scenec.schemas.errors import OutputError, ScenecError
+from scenec.schemas.files import sha256, tree
+from scenec.studies.robustness.mutants import Outcome, mutant, tried
+from scenec.studies.runner import Study, names, run
+
+# Behind ``runner``, which says where these are.
+import models
+from made_output import make_output
+from small import small_cfg, write_cfg
+
+#: Mutants of kinds of which each takes seconds: one in so many.
+SLOW = 50
+#: Faults that are shown.
+SHOWN = 10
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of file.
+
+    Attributes:
+        write: Writes a sound file, and what belongs to it, into a folder.
+        file: Which it is: a pattern of paths below the folder.
+        read: Takes the path of a mutant.
+        text: Whether it is made of words.
+        vouched: Whether a digest elsewhere says what its bytes are.
+        slow: Whether reading takes seconds.
+        said_of: What an error names, where that is not the file.
+    """
+
+    write: Callable[[Path], object]
+    file: str
+    read: Callable[[Path], object]
+    text: bool = False
+    vouched: bool = False
+    slow: bool = False
+    said_of: str | None = None
+
+
+def _kinds() -> dict[str, Kind]:
+    return {**_cfgs(), **_stages(), **_models(), **_pictures(), **_tables(), **_outputs()}
+
+
+def _cfgs() -> dict[str, Kind]:
+    from scenec.compiler.cfg.load import load
+
+    def as_yaml() -> str:
+        from ruamel.yaml import YAML
+        from ruamel.yaml.compat import StringIO
+
+        stream = StringIO()
+        YAML(typ="safe").dump(small_cfg(), stream)
+        return str(stream.getvalue())
+
+    texts: dict[str, Callable[[], str]] = {
+        "json": lambda: json.dumps(small_cfg(), indent=1),
+        "jsonc": lambda: "// A remark.\n" + json.dumps(small_cfg(), indent=1),
+        "yaml": as_yaml,
+    }
+    return {
+        f"cfg {suffix}": Kind(_text(f"scene.{suffix}", text), "scene.*", load, text=True)
+        for suffix, text in texts.items()
+    }
+
+
+def _text(name: str, text: Callable[[], str]) -> Callable[[Path], object]:
+    return lambda folder: (folder / name).write_text(text(), encoding="utf-8")
+
+
+def _stages() -> dict[str, Kind]:
+    def read(path: Path) -> None:
+        from scenec.backends.annotation.annotate import annotate
+        from scenec.backends.exact import ExactCaster
+        from scenec.backends.stage.read import read_stage
+
+        scene = read_stage(path)
+        if scene.cameras and scene.cameras[0]:
+            annotate(scene, ExactCaster(scene), scene.cameras[0][0], ["depth", "instance"], 0)
+
+    def writer(suffix: str) -> Callable[[Path], object]:
+        return lambda folder: _stage(folder, suffix)
+
+    return {
+        f"stage {suffix}": Kind(writer(suffix), f"**/scene.{suffix}", read, text=suffix == "usda")
+        for suffix in ("usda", "usdc", "usdz")
+    }
+
+
+def _tiny_cfg() -> dict[str, Any]:
+    cfg = small_cfg()
+    cfg["terrain"]["spacing_m"] = 1.0
+    cfg["objects"]["rocks"] |= {"count": 30, "prototypes": 2, "subdivisions": 1}
+    cfg["rigs"]["rover"]["sensors"]["front"]["resolution"] = [16, 12]
+    return cfg
+
+
+def _stage(folder: Path, suffix: str) -> None:
+    from pxr import Sdf, Usd, UsdUtils
+
+    from scenec.compiler.compile import compile_cfg
+
+    compile_cfg(write_cfg(folder, _tiny_cfg()), seed=1, out=folder / "out")
+    flat = Usd.Stage.Open(str(folder / "out" / "batch_0000" / "stage.usda")).Flatten()
+    if suffix != "usdz":
+        flat.Export(str(folder / "out" / "batch_0000" / f"scene.{suffix}"))
+        return
+    # No pictures are read out of packages.
+    opened = Usd.Stage.Open(flat)
+    opened.RemovePrim("/World/Lights/Dome")
+    flat.Export(str(folder / "inside.usdc"))
+    inside = Sdf.AssetPath(str(folder / "inside.usdc"))
+    UsdUtils.CreateNewUsdzPackage(inside, str(folder / "scene.usdz"))
+
+
+def _models() -> dict[str, Kind]:
+    from scenec.compiler.assets.model import read_model
+
+    def read(path: Path) -> None:
+        read_model(path, unit_m=1.0, up="z")
+
+    def read_obj(path: Path) -> None:
+        read(path.with_name("box.obj"))
+
+    def by_trimesh(suffix: str) -> Callable[[Path], object]:
+        import trimesh
+
+        return lambda folder: trimesh.creation.icosphere(2).export(folder / f"box.{suffix}")
+
+    def own(suffix: str) -> Callable[[Path], object]:
+        return lambda folder: models.write(folder / f"box.{suffix}")
+
+    found = {
+        f"model {suffix}": Kind(
+            own(suffix), f"box.{suffix}", read, suffix in ("obj", "gltf", "usda")
+        )
+        for suffix in models.MODELS
+    }
+    found |= {
+        f"model {suffix}": Kind(by_trimesh(suffix), f"box.{suffix}", read, suffix == "off")
+        for suffix in ("ply", "stl", "off")
+    }
+    found["model mtl"] = Kind(own("obj"), "box.mtl", read_obj, text=True, said_of="box")
+    found["model blend"] = Kind(_blend, "box.blend", read, slow=True)
+    return found
+
+
+def _blend(folder: Path) -> None:
+    import bpy
+
+    bpy.ops.wm.save_as_mainfile(filepath=str(folder / "box.blend"), compress=False)
+
+
+def _pictures() -> dict[str, Kind]:
+    from scenec.backends.picture.sky import load_picture
+    from scenec.compiler.assets.dem_file import read_dem
+    from scenec.compiler.light.latlong import read_picture
+    from scenec.schemas.exr import write_exr
+
+    rng = np.random.default_rng(1)
+    pixels = rng.integers(0, 256, (24, 32, 3), np.uint8)
+    heights = rng.normal(size=(20, 30))
+
+    def saved(suffix: str, picture: np.ndarray) -> Callable[[Path], object]:
+        from PIL import Image
+
+        return lambda folder: Image.fromarray(picture).save(folder / f"picture.{suffix}")
+
+    def as_heights(path: Path) -> None:
+        read_dem(path, height_range_m=(0.0, 1.0))
+
+    deep = (heights * 1000 + 9000).astype(np.uint16)
+    made: dict[str, tuple[str, Callable[[Path], object], Callable[[Path], object]]] = {
+        "heights png": ("png", saved("png", deep), as_heights),
+        "heights jpg": ("jpg", saved("jpg", pixels[..., 0]), as_heights),
+        "heights tif": ("tif", saved("tif", heights.astype(np.float32)), read_dem),
+        "heights npy": ("npy", lambda folder: np.save(folder / "picture.npy", heights), read_dem),
+        "heights npz": (
+            "npz",
+            lambda folder: np.savez_compressed(folder / "picture.npz", heights=heights),
+            read_dem,
+        ),
+        "texture png": ("png", saved("png", pixels), _as_texture),
+        "texture jpg": ("jpg", saved("jpg", pixels), _as_texture),
+        "sky exr": (
+            "exr",
+            lambda folder: write_exr(folder / "picture.exr", {"rgb": pixels.astype(np.float32)}),
+            read_picture,
+        ),
+        "sky png": ("png", saved("png", pixels), load_picture),
+    }
+    return {
+        name: Kind(write, f"picture.{suffix}", read) for name, (suffix, write, read) in made.items()
+    }
+
+
+def _as_texture(path: Path) -> None:
+    from scenec.compiler.assets.parts import MeshFileError
+    from scenec.compiler.assets.pictures import pixels_of
+    from scenec.schemas.errors import SceneError
+
+    # Callers name the model that refers to it.
+    try:
+        pixels_of(path, path.name)
+    except MeshFileError as error:
+        raise SceneError(str(error)) from error
+
+
+def _tables() -> dict[str, Kind]:
+    from scenec.compiler.assets.polyline import read_polyline
+    from scenec.compiler.assets.pose_table import read_poses
+    from scenec.compiler.assets.tracks import read_stamped, read_track
+
+    poses = [[0.1 * i, i, 2.0, 0.5 * i, 1, 0, 0, 0] for i in range(20)]
+    comma = "\n".join(",".join(map(str, row)) for row in poses)
+    blank = "\n".join(" ".join(map(str, [*row[:4], 0, 0, 0, 1])) for row in poses)
+    line = "\n".join(f"{i},{i * i}" for i in range(20))
+    made: dict[str, tuple[str, Callable[[Path], object]]] = {
+        "track csv": ("time_s,x_m,y_m,z_m,qw,qx,qy,qz\n" + comma, read_track),
+        "track tum": ("# time x y z q\n" + blank, lambda path: read_stamped(path, "tum")),
+        "poses csv": ("time_s,x_m,y_m,z_m,qw,qx,qy,qz\n" + comma, read_poses),
+        "line csv": ("x_m,y_m\n" + line, read_polyline),
+    }
+    return {
+        name: Kind(_text("table.csv", lambda text=text: text + "\n"), "table.csv", read, text=True)  # type: ignore[misc]
+        for name, (text, read) in made.items()
+    }
+
+
+def _outputs() -> dict[str, Kind]:
+    from scenec.backends.check.files import check_files
+    from scenec.schemas.frames import read_frame
+    from scenec.schemas.instances import read_frame_table
+    from scenec.schemas.manifest import find_batches, read_manifest
+
+    def write(folder: Path) -> None:
+        make_output(folder / "out", batches=1, samples=1)
+
+    def manifest(path: Path) -> None:
+        find_batches(path.parent)
+        list(check_files(path.parent, read_manifest(path.parent)))
+
+    def listed(path: Path) -> None:
+        out = path.parents[1]
+        if any(found.severity == "error" for found in check_files(out, read_manifest(out))):
+            raise OutputError(f"{path}: is not what the manifest says")
+
+    return {
+        "manifest": Kind(write, "out/manifest.json", manifest, text=True),
+        "sidecar": Kind(write, "out/**/0*.json", read_frame, text=True),
+        "frame exr": Kind(write, "out/**/0*.exr", read_frame, vouched=True),
+        "frame table": Kind(write, "out/**/*.instances.csv", read_frame_table, text=True),
+        "stage file": Kind(write, "out/**/stage.usda", listed, text=True, vouched=True),
+        "cache entry": Kind(_cached, "entry/*/*.step", _recompiled, slow=True),
+    }
+
+
+def _compiled(folder: Path) -> dict[str, str]:
+    """Digests of the layers of a stage."""
+    from scenec.compiler.compile import compile_cfg
+
+    with tempfile.TemporaryDirectory(dir=folder) as out:
+        cache = folder / "steps"
+        compile_cfg(folder / "small.json", seed=1, out=Path(out) / "out", cache=cache)
+        batch = Path(out) / "out" / "batch_0000"
+        layers = [path for path in tree(batch) if path.suffix in (".usda", ".usdc")]
+        return {str(path): sha256(batch / path) for path in layers}
+
+
+def _cached(folder: Path) -> None:
+    """One of the steps that a compilation keeps is to be damaged."""
+    write_cfg(folder, _tiny_cfg())
+    (folder / "whole.json").write_text(json.dumps(_compiled(folder)), encoding="utf-8")
+    entries = sorted((folder / "steps").rglob("*.step"), key=lambda path: path.stat().st_size)
+    chosen = entries[len(entries) // 2]
+    copy = folder / "entry" / chosen.parent.name / chosen.name
+    copy.parent.mkdir(parents=True)
+    copy.write_bytes(chosen.read_bytes())
+
+
+def _recompiled(path: Path) -> None:
+    folder = path.parents[2]
+    (entry,) = (folder / "steps").rglob(path.name)
+    entry.write_bytes(path.read_bytes())
+    if _compiled(folder) != json.loads((folder / "whole.json").read_text(encoding="utf-8")):
+        raise AssertionError(f"{path}: other bytes")
+
+
+def written(kind: Kind, folder: Path) -> Path:
+    """Path of a sound file, made in a process of its own: OpenUSD's threads outlive no fork."""
+    folder.mkdir()
+    if not (child := os.fork()):
+        try:
+            kind.write(folder)
+            os._exit(0)
+        finally:
+            traceback.print_exc()
+            os._exit(1)
+    if os.waitpid(child, 0)[1]:
+        raise ScenecError(f"{folder.name}: no sound file could be made")
+    return next(iter(sorted(folder.glob(kind.file))))
+
+
+def outcomes(
+    kind: Kind, file: Path, count: int, seed: int, jail: Path, kept: Path | None
+) -> Iterator[Outcome]:
+    """What mutants come to; the first is the sound file itself.
+
+    Args:
+        kind: Of file.
+        file: The sound one; damaged ones stand in its place.
+        count: Of mutants.
+        seed: Other ones.
+        jail: Does not exist; for what reading might write.
+        kept: Folder for mutants that end in a fault.
+    """
+    sound = file.read_bytes()
+    rng = np.random.default_rng(seed)
+    said_of = kind.said_of or file.name
+    yield tried(lambda: kind.read(file), said_of, jail)
+    for number in range(count):
+        data = sound
+        while data == sound:
+            data = mutant(sound, kind.text, rng)
+        file.write_bytes(data)
+        found = tried(lambda: kind.read(file), said_of, jail)
+        if kind.vouched and found.kind == "taken":
+            found = Outcome("unnoticed", "", found.seconds, found.peak)
+        if found.fault and kept is not None:
+            kept.mkdir(parents=True, exist_ok=True)
+            (kept / f"{found.kind}_{number}{file.suffix}").write_bytes(data)
+        yield found
+    file.write_bytes(sound)
+
+
+def main(study: Study) -> None:
+    """Prints a row a kind, and the faults."""
+    kept = study.options.keep
+    count = 20 if study.fast else study.options.mutants
+    wanted = study.options.kinds
+    rows, faults, total = [], [], Counter[str]()
+    header = ["kind", "mutants", "taken", "refused", "crash told", "faults", "s at most", "MiB"]
+    for name, kind in _kinds().items():
+        if wanted is not None and name not in wanted:
+            continue
+        file = written(kind, study.scratch / name.replace(" ", "_"))
+        gc.collect()
+        gc.freeze()
+        some = -(-count // SLOW) if kind.slow else count
+        sound, *found = outcomes(kind, file, some, study.options.seed, study.scratch / "jail", kept)
+        if sound.kind != "taken":
+            faults.append(f"{name}: the sound file: {sound.kind}: {sound.text}")
+        of = Counter(each.kind for each in found)
+        total += of
+        bad = [each for each in found if each.fault]
+        faults += [f"{name}: {each.kind}: {each.text.strip()[:300]}" for each in bad]
+        cells = [of["taken"], of["refused"], of["crash told"], len(bad)]
+        slowest = max(each.seconds for each in found)
+        rows.append([name, some, *cells, slowest, max(each.peak for each in found) / 2**20])
+        print(" ".join(map(str, rows[-1])), flush=True)
+    study.table(header, rows)
+    study.say(f"{sum(total.values()):,} mutants: {dict(total)}")
+    for fault, times in Counter(faults).most_common(SHOWN * len(rows)):
+        study.say(f"- {times} x {fault}")
+
+
+if __name__ == "__main__":
+    run(main, mutants=1000, kinds=names, seed=0, keep=Path)
