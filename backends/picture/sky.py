@@ -131,7 +131,7 @@ def _load_srgb(path: Path) -> NDArray[np.float32]:
             return decode(np.asarray(image.convert("RGB")), "emission")
     except FileNotFoundError as error:
         raise StageError(f"{path}: the sky's texture is missing") from error
-    except (UnidentifiedImageError, OSError) as error:
+    except (UnidentifiedImageError, OSError, SyntaxError, Image.DecompressionBombError) as error:
         raise StageError(
             f"{path}: cannot read the sky's texture; use OpenEXR (linear) or PNG (sRGB)"
         ) from error
