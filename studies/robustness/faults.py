@@ -1,0 +1,382 @@
+"""Disturbs commands in every way there is, at random moments, and looks at what is left.
+
+    python studies/robustness/faults.py [--runs N] [--seed S] [--commands A,B,...] [--only A,B,...]
+
+Each run takes a command (compile, render, scan, export, view, sweep) and a fault: signals, a full
+disk, a folder that becomes read-only, one that the user may not write to, a clock that goes back,
+a folder for temporary files that goes away, no shared memory, few file descriptors, little memory.
+Then the fault is gone, and the same command is given until it succeeds. It is an error if a command
+that ends by itself says nothing, or shows a traceback; if one leaves a process; if it does not
+succeed once nothing disturbs it; if the files then differ from undisturbed ones; or if anything
+temporary is left. Faults that need to mount something are left out where that is not allowed.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import random
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import psutil
+
+from scenec.studies.runner import SCENEC, Study, names, run
+from scenec.studies.runner import command as run_command
+
+# Behind ``runner``, which says where these are.
+from small import small_cfg, write_cfg
+
+#: Bytes of a disk that is full before anything is finished.
+SMALL_DISK = 300_000
+#: Seconds that no command takes.
+LONGEST_S = 300.0
+#: In the environment of all processes of a run.
+MARK = "SCENEC_FAULTS_RUN"
+#: Nobody's user and group.
+NOBODY = 65534
+
+
+@dataclass
+class Disturbed:
+    """A command about to be run in a folder.
+
+    Attributes:
+        folder: Of its output, which is below.
+        words: What to run before the command's own words.
+        environment: On top of this process's.
+        before: Called in the new process.
+        moment: Called with the process while it works.
+    """
+
+    folder: Path
+    words: list[str] = field(default_factory=list)
+    environment: dict[str, str] = field(default_factory=dict)
+    before: Callable[[], None] | None = None
+    moment: Callable[[subprocess.Popen[str]], None] = lambda process: None
+
+
+def _signalled(number: signal.Signals) -> Callable[[Disturbed, float], Iterator[None]]:
+    def fault(on: Disturbed, after_s: float) -> Iterator[None]:
+        def moment(process: subprocess.Popen[str]) -> None:
+            _sleep(process, after_s)
+            with suppress(ProcessLookupError):
+                process.send_signal(number)
+
+        on.moment = moment
+        yield
+
+    return fault
+
+
+def _stopped(on: Disturbed, after_s: float) -> Iterator[None]:
+    def moment(process: subprocess.Popen[str]) -> None:
+        _sleep(process, after_s)
+        of = [psutil.Process(process.pid), *psutil.Process(process.pid).children(recursive=True)]
+        for number in (signal.SIGSTOP, signal.SIGCONT):
+            for each in of:
+                with suppress(psutil.Error):
+                    each.send_signal(number)
+            time.sleep(0.5)
+
+    on.moment = moment
+    yield
+
+
+def _full(on: Disturbed, after_s: float) -> Iterator[None]:
+    used = sum(path.stat().st_size for path in on.folder.rglob("*") if path.is_file())
+    with _mounted(on.folder, int(used * 1.05) + int(SMALL_DISK * after_s)):
+        yield
+
+
+def _read_only(on: Disturbed, after_s: float) -> Iterator[None]:
+    with _mounted(on.folder, 1 << 30):
+
+        def moment(process: subprocess.Popen[str]) -> None:
+            _sleep(process, after_s)
+            subprocess.run(
+                ["mount", "-o", "remount,ro,force", on.folder], check=False, capture_output=True
+            )
+
+        on.moment = moment
+        yield
+        subprocess.run(["mount", "-o", "remount,rw", on.folder], check=True)
+
+
+def _not_permitted(on: Disturbed, _after_s: float) -> Iterator[None]:
+    # Somebody else's; and a root who may no more than others.
+    every = [on.folder, *on.folder.rglob("*")]
+    for path in every:
+        os.chown(path, NOBODY, NOBODY)
+    on.words = ["setpriv", "--bounding-set=-dac_override,-dac_read_search,-fowner"]
+    yield
+    for path in every:
+        if path.exists():
+            os.chown(path, os.getuid(), os.getgid())
+
+
+def _clock_back(on: Disturbed, _after_s: float) -> Iterator[None]:
+    # As all that is there looks to a clock that has gone back by ten days.
+    later = time.time() + 864_000
+    for path in on.folder.rglob("*"):
+        os.utime(path, (later, later))
+    yield
+
+
+def _no_temporary(on: Disturbed, after_s: float) -> Iterator[None]:
+    gone = on.folder.parent / "temporary"
+    gone.mkdir()
+    on.environment["TMPDIR"] = str(gone)
+
+    def moment(process: subprocess.Popen[str]) -> None:
+        _sleep(process, after_s)
+        shutil.rmtree(gone, ignore_errors=True)
+
+    on.moment = moment
+    yield
+
+
+def _no_shared_memory(on: Disturbed, _after_s: float) -> Iterator[None]:
+    on.words = ["unshare", "-m", "sh", "-c", 'umount -l /dev/shm && exec "$@"', "sh"]
+    yield
+
+
+def _limited(which: int, most: int) -> Callable[[Disturbed, float], Iterator[None]]:
+    def fault(on: Disturbed, after_s: float) -> Iterator[None]:
+        on.before = lambda: resource.setrlimit(which, (int(most * after_s), int(most * after_s)))
+        yield
+
+    return fault
+
+
+#: What becomes of a command; called with it and a number of 0 to 3.
+FAULTS: dict[str, Callable[[Disturbed, float], Iterator[None]]] = {
+    "kill": _signalled(signal.SIGKILL),
+    "interrupt": _signalled(signal.SIGINT),
+    "terminate": _signalled(signal.SIGTERM),
+    "hang up": _signalled(signal.SIGHUP),
+    "stop and go on": _stopped,
+    "disk full": _full,
+    "read-only": _read_only,
+    "no permission": _not_permitted,
+    "clock back": _clock_back,
+    "TMPDIR gone": _no_temporary,
+    "no /dev/shm": _no_shared_memory,
+    "few descriptors": _limited(resource.RLIMIT_NOFILE, 24),
+    "little memory": _limited(resource.RLIMIT_AS, 700 << 20),
+    "small files only": _limited(resource.RLIMIT_FSIZE, 20_000),
+}
+MOUNTING = ("disk full", "read-only", "no /dev/shm")
+AS_ROOT = ("no permission", *MOUNTING)
+
+
+@contextmanager
+def _mounted(folder: Path, size: int) -> Iterator[None]:
+    """A file system of its own in the place of a folder, with its content; later a plain folder."""
+    aside = folder.with_name("aside")
+    shutil.copytree(folder, aside, symlinks=True)
+    subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={size}", "tmpfs", folder], check=True)
+    shutil.copytree(aside, folder, dirs_exist_ok=True, symlinks=True)
+    shutil.rmtree(aside)
+    try:
+        yield
+    finally:
+        shutil.copytree(folder, aside, symlinks=True)
+        subprocess.run(["umount", "-l", folder], check=True)
+        shutil.rmtree(folder)
+        aside.rename(folder)
+
+
+def _sleep(process: subprocess.Popen[str], seconds: float) -> None:
+    with suppress(subprocess.TimeoutExpired):
+        process.wait(timeout=seconds)
+
+
+def _cfg(folder: Path) -> Path:
+    cfg = small_cfg(batches=2, samples=2)
+    cfg["terrain"]["spacing_m"] = 0.5
+    cfg["objects"]["rocks"] |= {"count": 60, "prototypes": 2, "subdivisions": 1}
+    cfg["rigs"]["rover"]["lidars"] = {
+        "top": {"beams": 4, "elevation_deg": [-20, 0], "azimuths": 90}
+    }
+    return write_cfg(folder, cfg)
+
+
+@dataclass(frozen=True)
+class Command:
+    """A command, and those that come before it.
+
+    Attributes:
+        words: Of the command; CFG and OUT stand for paths.
+        after: The command that makes what it takes.
+    """
+
+    words: str
+    after: str | None = None
+
+
+COMMANDS = {
+    "compile": Command("compile CFG --seed 1 -o OUT/out"),
+    "render": Command(
+        "render OUT/out --backend annotation --passes label,instance,depth", "compile"
+    ),
+    "draw": Command("render OUT/out --backend pyrender --spp 1", "compile"),
+    "scan": Command("scan OUT/out", "compile"),
+    "export": Command("export OUT/out --format coco", "draw"),
+    "view": Command("view OUT/out", "draw"),
+    "sweep": Command("sweep CFG --seeds 0:3 --compile-only -o OUT/swept"),
+}
+
+
+def _line(command: Command, cfg: Path, out: Path) -> list[str]:
+    words = command.words.split()
+    return [*SCENEC, *(w.replace("CFG", str(cfg)).replace("OUT", str(out)) for w in words)]
+
+
+def digests(out: Path) -> dict[str, str]:
+    """Of each file."""
+    return {
+        str(path.relative_to(out)): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in sorted(out.rglob("*"))
+        if path.is_file()
+    }
+
+
+def prepared(folder: Path, cfg: Path) -> tuple[dict[str, Path], dict[str, set[str]]]:
+    """What each command takes, as folders to copy; and files of its output that time is in."""
+    made: dict[str, Path] = {}
+    timed: dict[str, set[str]] = {}
+    for name, command in COMMANDS.items():
+        runs = []
+        for turn in ("a", "b"):
+            out = folder / f"{name}_{turn}"
+            if command.after:
+                shutil.copytree(made[command.after], out)
+            else:
+                out.mkdir()
+            run_command(_line(command, cfg, out))
+            runs.append(digests(out))
+        made[name] = folder / f"{name}_a"
+        timed[name] = {file for file in runs[0] if runs[0][file] != runs[1].get(file)}
+    return made, timed
+
+
+def disturbed(on: Disturbed, line: list[str], mark: str) -> tuple[int, str, list[str]]:
+    """Exit status, what was said, and what else is wrong."""
+    process = subprocess.Popen(
+        [*on.words, *line],
+        env=os.environ | on.environment | {MARK: mark},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        errors="replace",
+        preexec_fn=on.before,
+    )
+    wrong = []
+    on.moment(process)
+    try:
+        said, _ = process.communicate(timeout=LONGEST_S)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        said, _ = process.communicate()
+        wrong.append(f"hangs: {said[-200:]}")
+    status = process.returncode
+    if "Traceback" in said:
+        wrong.append(f"traceback: {said[-500:]}")
+    if status > 0 and not said.strip():
+        wrong.append("says nothing")
+    # Workers see that their parent has gone.
+    end = time.monotonic() + 10.0
+    while (left := _marked(mark)) and time.monotonic() < end:
+        time.sleep(0.1)
+    if left:
+        wrong.append(f"leaves processes: {left}")
+    return status, said, wrong
+
+
+def _marked(mark: str) -> list[str]:
+    found = []
+    for process in psutil.process_iter():
+        with suppress(psutil.Error):
+            if process.status() != psutil.STATUS_ZOMBIE and process.environ().get(MARK) == mark:
+                found.append(" ".join(process.cmdline())[:100])
+    return found
+
+
+def tried(
+    study: Study, made: dict[str, Path], timed: set[str], cfg: Path, name: str, fault: str, rng: Any
+) -> tuple[str, list[str]]:
+    """One run: what the disturbed command ended with, and all that is wrong."""
+    command = COMMANDS[name]
+    place = study.scratch / "run"
+    place.mkdir()
+    folder = place / "output"
+    if command.after:
+        shutil.copytree(made[command.after], folder)
+    else:
+        folder.mkdir()
+    line = _line(command, cfg, folder)
+    on = Disturbed(folder, environment={"SCENEC_CACHE": ""})
+    mark = str(rng.getrandbits(48))
+    with contextmanager(FAULTS[fault])(on, rng.uniform(0.05, 3.0)):
+        status, said, wrong = disturbed(on, line, mark)
+    ended = f"signal {-status}" if status < 0 else f"exit {status}"
+    for _ in range(3):
+        again, text, more = disturbed(Disturbed(folder), line, mark)
+        wrong += [f"again: {each}" for each in more]
+        if again == 0:
+            break
+    else:
+        wrong.append(f"does not go on: {text[-300:]}")
+    whole, found = digests(made[name]), digests(folder)
+    for file in sorted(whole.keys() | found.keys()):
+        if file not in found:
+            wrong.append(f"{file} is missing")
+        elif file not in whole:
+            wrong.append(f"{file} is left")
+        elif file not in timed and whole[file] != found[file]:
+            wrong.append(f"{file} differs")
+    shutil.rmtree(place)
+    last = said.strip().splitlines()[-1:] or [""]
+    return f"{ended}: {last[0][:120]}", wrong
+
+
+def main(study: Study) -> None:
+    """Prints a row a run, and how often each fault ended how."""
+    rng = random.Random(study.options.seed)
+    cfg = _cfg(study.scratch)
+    made, timed = prepared(study.scratch, cfg)
+    files = ", ".join(sorted({file for some in timed.values() for file in some})) or "none"
+    study.say(f"files that differ between undisturbed runs (times are in them): {files}\n")
+    commands = list(study.options.commands or COMMANDS)
+    faults = list(study.options.only or FAULTS)
+    if os.geteuid() or sys.platform != "linux":
+        faults = [fault for fault in faults if fault not in AS_ROOT]
+    runs = len(faults) if study.fast else study.options.runs
+    bad, ends = 0, Counter[tuple[str, str]]()
+    for number in range(runs):
+        fault, name = faults[number % len(faults)], rng.choice(commands)
+        ended, wrong = tried(study, made, timed[name], cfg, name, fault, rng)
+        ends[fault, ended.partition(":")[0]] += 1
+        bad += bool(wrong)
+        print(json.dumps([number, name, fault, ended, wrong]), flush=True)
+        for each in wrong:
+            study.say(f"- run {number}, {name}, {fault}: {each}")
+    rows = [[fault, ended, times] for (fault, ended), times in sorted(ends.items())]
+    study.table(["fault", "command ended with", "times"], rows)
+    study.say(f"{runs} runs, {bad} with something wrong")
+
+
+if __name__ == "__main__":
+    run(main, runs=100, seed=0, commands=names, only=names)
