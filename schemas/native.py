@@ -73,4 +73,5 @@ def read_note() -> str:
 
 def crashed(path: object, death: str) -> str:
     """A line about a process that ended over a file."""
-    return f"{path}: the library that reads it crashed, {death}: a file of it is damaged, or memory ran out"
+    why = "a file of it is damaged, or memory ran out"
+    return f"{path}: the library that reads it crashed, {death}: {why}"

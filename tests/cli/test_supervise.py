@@ -102,7 +102,7 @@ def test_a_crash_over_a_stage_is_one_line_and_exit_status_2(command, output, tmp
     )
     assert done.returncode == 2
     told = f"scenec: {out}/batch_0000/stage.usda: the library that reads it crashed, the "
-    told += "process died (signal SIGSEGV): a file of it is damaged"
+    told += "process died (signal SIGSEGV): a file of it is damaged, or memory ran out"
     assert done.stderr.splitlines()[-1] == told
     assert "Traceback" not in done.stderr
 
