@@ -40,10 +40,12 @@ def supervised(status: int) -> int | None:
     ended = _wait(child, signals)
     if ended >= 0:
         return ended
-    if -ended in CRASHES and (file := read_note()):
+    if -ended in CRASHES:
         death = f"the process died (signal {signal.Signals(-ended).name})"
-        print(f"scenec: {crashed(file, death)}", file=sys.stderr)
-        return status
+        if file := read_note():
+            print(f"scenec: {crashed(file, death)}", file=sys.stderr)
+            return status
+        print(f"scenec: {death}: a fault of native code, or memory ran out", file=sys.stderr)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, signals)
     if -ended != signal.SIGKILL:
         signal.signal(-ended, signal.SIG_DFL)

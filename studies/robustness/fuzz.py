@@ -6,8 +6,8 @@
 Of each kind of file that scenec reads, a sound one is made, and mutants of it: bits and bytes
 changed, cut, doubled, words and numbers in each other's places. Each is read in a process of its
 own. It is a fault if that ends in a traceback, dies (but of native code, where it is known over
-which file), takes 20 s or 2 GiB, writes anything, raises an error that does not name the file, or
-takes bytes that a digest vouches for and that have changed.
+which file), takes 20 s of the processor or 2 GiB, writes anything, raises an error that does not
+name the file, or takes bytes that a digest vouches for and that have changed.
 """
 
 from __future__ import annotations

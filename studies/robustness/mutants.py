@@ -8,7 +8,6 @@ import resource
 import shutil
 import signal
 import tempfile
-import time
 import traceback
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -19,8 +18,10 @@ import numpy as np
 from scenec.schemas.errors import ScenecError
 from scenec.schemas.native import CRASHES, read_note
 
-#: What reading may take: seconds, and bytes at the most (of memory in use; address space is more).
+#: What reading may take: seconds of the processor, and bytes (in use; address space is more).
 SECONDS, MEMORY = 20.0, 2 << 30
+#: Seconds that pass at the most: other work takes some of them.
+_WAITED = 120.0
 _ADDRESSES = 12 << 30
 #: What stands in the place of a number of four bytes.
 _EXTREMES = (0, 1, 0x7F, 0xFF, 0xFFFF, 0x7FFFFFFF, 0x80000000, 0xFFFFFFFF, 0x7F800000, 0x7FC00000)
@@ -108,7 +109,7 @@ class Outcome:
             died, and it is known over which file), or a fault: ``unnamed`` (an error that names no
             file), ``traceback``, ``died``, ``hang``, ``memory``, ``left behind``.
         text: The error.
-        seconds, peak: Of the process, bytes.
+        seconds, peak: Of the processor; bytes.
     """
 
     kind: str
@@ -134,16 +135,15 @@ def tried(read: Callable[[], object], name: str, jail: Path) -> Outcome:
     for folder in aside.values():
         folder.mkdir(parents=True)
     said = jail / "said"
-    start = time.perf_counter()
     child = os.fork()
     if not child:
         os._exit(_child(read, name, aside, said))
     _, status, used = os.wait4(child, 0)
-    seconds, peak = time.perf_counter() - start, used.ru_maxrss * 1024
+    seconds, peak = used.ru_utime + used.ru_stime, used.ru_maxrss * 1024
     text = said.read_text(encoding="utf-8", errors="replace") if said.exists() else ""
     ended = os.waitstatus_to_exitcode(status)
     left = [path for folder in aside.values() for path in folder.rglob("*")]
-    if ended == -signal.SIGALRM:
+    if ended in (-signal.SIGALRM, -signal.SIGPROF):
         kind = "hang"
     elif ended < 0:
         told = -ended in CRASHES and Path(read_note()).name.startswith(Path(name).stem)
@@ -154,7 +154,7 @@ def tried(read: Callable[[], object], name: str, jail: Path) -> Outcome:
         kind = "unnamed"
     elif peak > MEMORY:
         kind = "memory"
-    elif left and ended != -signal.SIGALRM:
+    elif left:
         kind, text = "left behind", " ".join(map(str, left))[:300]
     else:
         kind = "taken" if ended == _TAKEN else "refused"
@@ -164,8 +164,12 @@ def tried(read: Callable[[], object], name: str, jail: Path) -> Outcome:
 
 def _child(read: Callable[[], object], name: str, aside: dict[str, Path], said: Path) -> int:
     """Exit status of reading."""
-    signal.signal(signal.SIGALRM, signal.SIG_DFL)
-    signal.setitimer(signal.ITIMER_REAL, SECONDS)
+    for timer, limit, number in (
+        (signal.ITIMER_PROF, SECONDS, signal.SIGPROF),
+        (signal.ITIMER_REAL, _WAITED, signal.SIGALRM),
+    ):
+        signal.signal(number, signal.SIG_DFL)
+        signal.setitimer(timer, limit)
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     resource.setrlimit(resource.RLIMIT_AS, (_ADDRESSES, _ADDRESSES))
     # Compiled kernels stay where they are.

@@ -1,6 +1,7 @@
 """Files that promise more than there is: refused at once, by name, in little memory.
 
-Each is read in a process of its own, which may take 20 s and 2 GiB (``robustness.mutants``).
+Each is read in a process of its own, which may take 20 s of the processor and 2 GiB
+(``robustness.mutants``).
 """
 
 from __future__ import annotations
