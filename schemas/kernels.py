@@ -11,7 +11,8 @@ compiled; elsewhere for the CPU there is. No flag lets the compiler change a res
 no contraction. So the bits are those of any other target (``NUMBA_CPU_NAME``, where set, counts).
 
 What kernels call is linked to them first, and optimized and made machine code with them: neither
-is done for each function that is a part of others.
+is done for each function that is a part of others. A function that makes no array counts no
+references (numba cannot leave that out around loops: it was half the time of a ray's walk).
 
 Importing this module costs no import of numba; the first call of a kernel does.
 """
@@ -19,6 +20,7 @@ Importing this module costs no import of numba; the first call of a kernel does.
 from __future__ import annotations
 
 import functools
+import gc
 import hashlib
 import os
 import pickle
@@ -30,8 +32,8 @@ from contextlib import contextmanager, suppress
 from opcode import opmap
 from pathlib import Path
 from threading import RLock, current_thread, get_ident, main_thread
-from types import CodeType, FrameType, FunctionType, ModuleType
-from typing import Any
+from types import BuiltinFunctionType, CodeType, FrameType, FunctionType, ModuleType
+from typing import Any, ClassVar
 
 #: Compiled kernels that came with the package.
 SHIPPED = Path(__file__).resolve().parent / "compiled"
@@ -60,7 +62,8 @@ class Kernel:
         """The dispatcher that Python calls."""
         with _making:
             if self._entry is None:
-                self._entry = _numba().njit(**_OPTIONS)(self.py_func)
+                options = {"pipeline_class": _compilers()[0], **_OPTIONS}
+                self._entry = _numba().njit(**options)(self.py_func)
                 if hasattr(self._entry, "_cache"):
                     self._entry._cache = _Kept(self)
             return self._entry
@@ -69,7 +72,7 @@ class Kernel:
     def _called(self) -> Any:
         """The dispatcher that other kernels call: of their code, so nothing of it is kept."""
         inline = {"forceinline": True} if self._inline else {}
-        options = {"no_cpython_wrapper": True, "pipeline_class": _part_compiler(), **_OPTIONS}
+        options = {"no_cpython_wrapper": True, "pipeline_class": _compilers()[1], **_OPTIONS}
         return _typed(_numba().njit(**options, **inline)(self.py_func))
 
     @property
@@ -138,6 +141,8 @@ def intrinsic(definition: Callable[..., Any]) -> Intrinsic:
 @functools.cache
 def _numba() -> ModuleType:
     """numba, set up."""
+    # Most errors are those of overloads that do not fit, and never seen.
+    os.environ.setdefault("NUMBA_DISABLE_ERROR_MESSAGE_HIGHLIGHTING", "1")
     import numba
     from llvmlite import binding
     from numba.core import config
@@ -164,21 +169,115 @@ def _typed(dispatcher: Any) -> Any:
 
 
 @functools.cache
-def _part_compiler() -> type:
-    """Compiles what is part of kernels alone: LLVM optimizes it, and makes it code, with these."""
+def _compilers() -> tuple[type, type]:
+    """What compiles kernels that Python calls, and what compiles the parts of these.
+
+    As numba does, for less: most of what that takes is work on text of its own in Python.
+    """
     _numba()
+    from llvmlite.binding import Linkage
+    from numba.core import typing
     from numba.core.codegen import JITCodeLibrary
-    from numba.core.compiler import Compiler
+    from numba.core.compiler import Compiler, DefaultPassBuilder
+    from numba.core.compiler_machinery import AnalysisPass, register_pass
+    from numba.core.datamodel import register_default
+    from numba.core.datamodel.models import TupleModel, UniTupleModel
+    from numba.core.registry import cpu_target
+    from numba.core.typed_passes import NopythonRewrites, NopythonTypeInference
+    from numba.core.types.containers import NamedTuple, NamedUniTuple
+    from numba.core.untyped_passes import InlineClosureLikes
 
-    class Part(JITCodeLibrary):
-        """What a function was lowered to, to be linked to its callers; it has no address."""
+    class Whole:
+        """A tuple that functions take as it is, not number by number (145 of ``Geometry``)."""
 
-        def _optimize_final_module(self) -> None:
+        def get_argument_type(self) -> Any:
+            return self.get_value_type()  # type: ignore[attr-defined]
+
+        def as_argument(self, builder: Any, value: Any) -> Any:
+            return value
+
+        def from_argument(self, builder: Any, value: Any) -> Any:
+            return value
+
+    register_default(NamedTuple)(type("WholeTuple", (Whole, TupleModel), {}))
+    register_default(NamedUniTuple)(type("WholeUniTuple", (Whole, UniTupleModel), {}))
+
+    class Typing(typing.Context):
+        """What numba knows of types; what an operator makes of some is looked up once."""
+
+        found: ClassVar[dict[Any, Any]] = {}
+
+        def resolve_function_type(self, func: Any, args: Any, kws: Any) -> Any:
+            if kws or not isinstance(func, BuiltinFunctionType):
+                return super().resolve_function_type(func, args, kws)
+            if (func, args) not in self.found:
+                self.found[func, args] = super().resolve_function_type(func, args, kws)
+            return self.found[func, args]
+
+    known = Typing.__new__(Typing)
+    known.__dict__ = cpu_target.typing_context.__dict__
+
+    @register_pass(mutates_CFG=False, analysis_only=True)
+    class Borrow(AnalysisPass):
+        """Lets functions that own no array count no references."""
+
+        _name = "borrow"
+
+        def __init__(self) -> None:
+            super().__init__()
+
+        def run_pass(self, state: Any) -> bool:
+            if _owns_nothing(state):
+                state.flags.nrt = False
+                state.targetctx = state.targetctx.subtarget(enable_nrt=False)
+            return False
+
+    @register_pass(mutates_CFG=True, analysis_only=False)
+    class Fuse(NopythonRewrites):
+        """Fuses operations on arrays, of which functions that own none have none."""
+
+        def run_pass(self, state: Any) -> bool:
+            return bool(state.flags.nrt and super().run_pass(state))
+
+    class Linked(JITCodeLibrary):
+        """Code that is optimized once, with all its parts."""
+
+        def _optimize_functions(self, module: Any) -> None:
             pass
 
-        def _finalize_final_module(self) -> None:
+        def _link_parts(self, module: Any) -> None:
+            """Adds the code of all that this one reaches to a module."""
+            waiting, found = self._linking_libraries[::-1], {self}
+            while waiting:
+                library = waiting.pop()
+                if library in found:
+                    continue
+                found.add(library)
+                self._reload_init.update(library._reload_init)
+                if isinstance(library, Part):
+                    waiting += library._linking_libraries[::-1]
+                    module.link_in(library._final_module, preserve=True)
+                else:
+                    module.link_in(library._get_module_for_linking(), preserve=True)
+
+    class Part(Linked):
+        """What a function was lowered to, to be linked to its callers; it has no address."""
+
+        _shared_module: Any
+
+        def finalize(self) -> None:
+            for function in self._final_module.functions:
+                if not function.is_declaration and function.linkage == Linkage.external:
+                    function.linkage = Linkage.linkonce_odr
             self._finalize_dynamic_globals()
             self._finalized = True
+
+        def _get_module_for_linking(self) -> Any:
+            """With its parts, for callers that are no kernels."""
+            if self._shared_module is None:
+                self._shared_module = self._final_module.clone()
+                self._link_parts(self._shared_module)
+            return self._shared_module
 
         def get_pointer_to_function(self, name: str) -> int:
             self._ensure_finalized()
@@ -191,12 +290,97 @@ def _part_compiler() -> type:
         def set_env(self, env_name: str, env: object) -> None:
             """Callers do, where it is theirs (``_Kept.save_overload``)."""
 
-    class PartCompiler(Compiler):
-        def __init__(self, typing: Any, target: Any, library: Any, *others: Any) -> None:
-            library = library or Part(target.codegen(), "part")
-            super().__init__(typing, target, library, *others)
+    class Entry(Linked):
+        """What Python calls."""
 
-    return PartCompiler
+        def finalize(self) -> None:
+            self._link_parts(self._final_module)
+            self._linking_libraries.clear()
+            super().finalize()
+
+        def _optimize_final_module(self) -> None:
+            passes, builder = self._codegen._module_pass_manager()
+            passes.run(self._final_module, builder)
+
+    class EntryCompiler(Compiler):
+        def __init__(self, _: Any, target: Any, library: Any, *others: Any) -> None:
+            super().__init__(known, target, library or self.new_library(target), *others)
+
+        def new_library(self, target: Any) -> Any:
+            library = Entry(target.codegen(), "kernel")
+            library.enable_object_caching()
+            return library
+
+        def define_pipelines(self) -> list[Any]:
+            made = DefaultPassBuilder.define_nopython_pipeline(self.state)
+            made.add_pass_after(Borrow, NopythonTypeInference)
+            inner = any(isinstance(c, CodeType) for c in self.state.func_id.code.co_consts)
+            made.passes = [
+                (Fuse if each is NopythonRewrites else each, told)
+                for each, told in made.passes
+                if inner or each is not InlineClosureLikes
+            ]
+            made.finalize()
+            return [made]
+
+        def _compile_bytecode(self) -> Any:
+            codegen = self.state.targetctx.codegen()
+            # Functions of numba's that it calls are parts, too.
+            codegen._library_class, before = Part, codegen._library_class
+            # Nothing of a compilation is garbage before its end: to look for some takes 5 % of it.
+            collects = gc.isenabled()
+            gc.disable()
+            try:
+                return super()._compile_bytecode()
+            finally:
+                codegen._library_class = before
+                if collects:
+                    gc.enable()
+
+    class PartCompiler(EntryCompiler):
+        def new_library(self, target: Any) -> Any:
+            return Part(target.codegen(), "part")
+
+    return EntryCompiler, PartCompiler
+
+
+def _owns_nothing(state: Any) -> bool:
+    """Whether a function, typed, neither makes nor returns what has owners, as arrays have.
+
+    All that it names is then its caller's, or part of that, for as long as it runs.
+    """
+    from numba.core import ir
+    from numba.core.types.containers import BaseTuple
+    from numba.core.types.functions import NamedTupleClass
+    from numba.core.types.misc import SliceType
+    from numba.core.types.scalars import Integer
+
+    def is_owned(kind: Any) -> bool:
+        model = state.targetctx.data_model_manager[kind]
+        return bool(model.contains_nrt_meminfo())
+
+    def is_place(index: Any) -> bool:
+        # An array of indices, or of truths, would make a copy.
+        if isinstance(index, BaseTuple):
+            return all(map(is_place, index))
+        return isinstance(index, Integer | SliceType)
+
+    def is_view(value: Any) -> bool:
+        if isinstance(value, ir.Arg | ir.Var):
+            return True
+        if not isinstance(value, ir.Expr):
+            return False
+        if value.op == "getitem":
+            return is_place(state.typemap[value.index.name])
+        if value.op == "call":
+            return isinstance(state.typemap[value.func.name], NamedTupleClass)
+        return value.op in ("getattr", "static_getitem", "build_tuple", "cast", "phi")
+
+    return not is_owned(state.return_type) and all(
+        is_view(each.value) or not is_owned(state.typemap[each.target.name])
+        for block in state.func_ir.blocks.values()
+        for each in block.find_insts(ir.Assign)
+    )
 
 
 def user_folder() -> Path:

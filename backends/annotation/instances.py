@@ -326,7 +326,7 @@ def _decomposed(matrix: NDArray[np.float64]) -> Poses:
         np.empty((count, 3)),
         np.empty((count, 3, 3)),
     )
-    _decompose(matrix, poses.rotation, poses.scale, poses.linear)
+    _decompose(matrix, poses.rotation, poses.scale, poses.linear, np.empty((4, 3)))
     return poses
 
 
@@ -353,13 +353,12 @@ def _cross(a, b, out):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _set_across(v, out):  # type: ignore[no-untyped-def]
-    """Some unit vector across another, which is not 0."""
+def _set_across(v, axis, out):  # type: ignore[no-untyped-def]
+    """Some unit vector across another, which is not 0; ``axis`` is scratch."""
     least = 0
     for i in range(1, 3):
         if abs(v[i]) < abs(v[least]):
             least = i
-    axis = np.empty(3)
     for i in range(3):
         axis[i] = 1.0 if i == least else 0.0
     _cross(v, axis, out)
@@ -367,8 +366,9 @@ def _set_across(v, out):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _decompose(matrix, rotation, scale, rest):  # type: ignore[no-untyped-def]
-    x, y, z = np.empty(3), np.empty(3), np.empty(3)
+def _decompose(matrix, rotation, scale, rest, vectors):  # type: ignore[no-untyped-def]
+    """As ``_decomposed``; ``vectors`` is scratch, float64 [4, 3]."""
+    x, y, z, axis = vectors[0], vectors[1], vectors[2], vectors[3]
     for k in range(matrix.shape[0]):
         m = matrix[k]
         for i in range(3):
@@ -391,9 +391,9 @@ def _decompose(matrix, rotation, scale, rest):  # type: ignore[no-untyped-def]
                     _cross(y, z, x)
                     flat = not _normalized(x)
                 if flat:
-                    _set_across(y, x)
+                    _set_across(y, axis, x)
             elif _normalized(z):
-                _set_across(z, x)
+                _set_across(z, axis, x)
             else:
                 x[0], x[1], x[2] = 1.0, 0.0, 0.0
         for again in range(2):
@@ -405,7 +405,7 @@ def _decompose(matrix, rotation, scale, rest):  # type: ignore[no-untyped-def]
                 if _normalized(z) and again == 0:
                     _cross(z, x, y)
                 if not _normalized(y):
-                    _set_across(x, y)
+                    _set_across(x, axis, y)
         _cross(x, y, z)
         for i in range(3):
             rotation[k, i, 0], rotation[k, i, 1], rotation[k, i, 2] = x[i], y[i], z[i]

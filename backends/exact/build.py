@@ -20,7 +20,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.schemas.borrowed import borrowed
 from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
 
@@ -66,8 +65,8 @@ class _Bins(NamedTuple):
 
     Attributes:
         counts: Entries in each bin along each axis, int32 [3, _BINS].
-        boxes: Around them, float32 [3, _BINS, 6].
-        costs: Of what is right of each bin, float32 [_BINS].
+        boxes: Around them, float32 [3 * _BINS, 6].
+        costs: Of what is right of each bin, float32 [3, _BINS].
         scale: Lowest doubled middle along each axis, and bins over extent, float32 [2, 3].
         parts: Boxes of the two parts, float32 [2, 6].
     """
@@ -128,7 +127,7 @@ def _fill_bins(forest, start, stop, bins):  # type: ignore[no-untyped-def]
             scale[i] = np.float32(0.0)
         for j in range(_BINS):
             bins.counts[i, j] = 0
-            _clear(bins.boxes[i, j])
+            _clear(bins.boxes[i * _BINS + j])
     for k in range(start, stop):
         box = forest.boxes[forest.order[k]]
         for i in range(3):
@@ -136,7 +135,7 @@ def _fill_bins(forest, start, stop, bins):  # type: ignore[no-untyped-def]
                 c = box[i] + box[i + 3]
                 j = min(int((c - low[i]) * scale[i]), _BINS - 1)
                 bins.counts[i, j] += 1
-                _grow(bins.boxes[i, j], box)
+                _grow(bins.boxes[i * _BINS + j], box)
 
 
 @kernel
@@ -152,16 +151,16 @@ def _cheapest(n, bins):  # type: ignore[no-untyped-def]
         for j in range(_BINS - 1, 0, -1):
             if bins.counts[i, j] > 0:
                 total += bins.counts[i, j]
-                _grow(right_box, bins.boxes[i, j])
-            bins.costs[j] = total * _half_area(right_box) if total > 0 else 0.0
+                _grow(right_box, bins.boxes[i * _BINS + j])
+            bins.costs[i, j] = total * _half_area(right_box) if total > 0 else 0.0
         _clear(left_box)
         left = 0
         for j in range(_BINS - 1):
             if bins.counts[i, j] > 0:
                 left += bins.counts[i, j]
-                _grow(left_box, bins.boxes[i, j])
+                _grow(left_box, bins.boxes[i * _BINS + j])
             if left > 0 and left < n:
-                cost = np.float32(left * _half_area(left_box) + bins.costs[j + 1])
+                cost = np.float32(left * _half_area(left_box) + bins.costs[i, j + 1])
                 if cost < best_cost:
                     best_cost, best_axis, best_bin = cost, i, j
     return best_cost, best_axis, best_bin
@@ -209,12 +208,9 @@ def _split(forest, start, stop, depth, bins):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _build(trees, task, task_size, tasks, scratch):  # type: ignore[no-untyped-def]
+def _build(forest, task, task_size, tasks, bins, stack):  # type: ignore[no-untyped-def]
     """Build a range of entries but for what is left to others; how many ranges those are."""
-    # The caller keeps both.
-    forest, bins = borrowed(trees), borrowed(scratch)
     links = forest.links
-    stack = np.empty((STACK_SIZE, 5), np.int64)
     for i in range(5):
         stack[0, i] = task[i]
     unused = task[5]
@@ -275,12 +271,13 @@ def build_ranges(first, last, forest, ranges, task_size, tasks, rooms):  # type:
         tasks: Receives these, int64 [t, 6].
         rooms: Where in ``tasks`` those of each range begin, and end (received), int64 [k, 2].
     """
-    counts, boxes = np.empty((3, _BINS), np.int32), np.empty((3, _BINS, 6), np.float32)
-    costs, scale = np.empty(_BINS, np.float32), np.empty((2, 3), np.float32)
+    counts, boxes = np.empty((3, _BINS), np.int32), np.empty((3 * _BINS, 6), np.float32)
+    costs, scale = np.empty((3, _BINS), np.float32), np.empty((2, 3), np.float32)
     bins = _Bins(counts, boxes, costs, scale, np.empty((2, 6), np.float32))
+    stack = np.empty((STACK_SIZE, 5), np.int64)
     for i in range(first, last):
         room = rooms[i, 0]
-        rooms[i, 1] = room + _build(forest, ranges[i], task_size, tasks[room:], bins)
+        rooms[i, 1] = room + _build(forest, ranges[i], task_size, tasks[room:], bins, stack)
 
 
 def forest_room(entries: int) -> int:

@@ -18,7 +18,6 @@ from scenec.backends.contract import Rays
 from scenec.backends.exact.build import STACK_SIZE
 from scenec.backends.exact.bvh import Geometry
 from scenec.backends.exact.silhouette import LANES, _meets
-from scenec.schemas.borrowed import borrowed
 from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
 
@@ -175,52 +174,56 @@ def _at_border(view, x, y):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def outline_all(first, last, scene, members, order, masks, rays, bounded):  # type: ignore[no-untyped-def]
+def _outline_lane(g, members, order, masks, view, bounded, stack, axis):  # type: ignore[no-untyped-def]
+    """As ``outline_all``, of one lane's instances; ``stack`` and ``axis`` are scratch."""
+    for k in range(order.shape[0]):
+        n = order[k]
+        window = masks.windows[n]
+        across = window[1] - window[0]
+        mask = masks.marks[masks.starts[n] : masks.starts[n] + across * (window[3] - window[2])]
+        whole = True
+        for r in range(members.firsts[n], members.firsts[n + 1]):
+            row, part = np.int32(members.rows[r]), members.parts[r]
+            if part[0] >= part[1]:
+                continue
+            own = _sphere_cone(view.spheres[row], view.middle, axis)
+            least = math.cos(own) - _SLACK if own < math.pi else -2.0
+            whole = whole and own < 0.5 * math.pi
+            for y in range(part[2], part[3]):
+                for x in range(part[0], part[1]):
+                    pixel = y * view.width + x
+                    d = view.directions[pixel]
+                    length = math.sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2])
+                    if axis[0] * d[0] + axis[1] * d[1] + axis[2] * d[2] < least * length:
+                        continue
+                    if whole and _at_border(view, x, y):
+                        whole = False
+                    mark = (y - window[2]) * across + x - window[0]
+                    new = mask[mark] == 0 and view.known[pixel]
+                    if new and _meets(g, row, view.origins[pixel], d, stack):
+                        mask[mark] = 1
+        inside = 0
+        for mark in range(mask.shape[0]):
+            inside += mask[mark]
+        masks.areas[n, 0] = inside
+        masks.areas[n, 1] = inside
+        bounded[n] = whole
+
+
+@kernel
+def outline_all(first, last, g, members, order, masks, view, bounded):  # type: ignore[no-untyped-def]
     """Mark the silhouettes of instances in their windows, and count their pixels.
 
     Args:
         first, last: Of ``LANES``; lane i has every ``LANES``-th instance from the i-th on.
-        scene: ``bvh.Geometry``.
+        g: ``bvh.Geometry``.
         members: ``Members``; ``bases`` is not looked at.
         order: Instances to outline, int64 [m].
         masks: ``Masks``; ``marks`` and ``areas`` (pixels within the picture, twice) in place.
-        rays: ``View``.
+        view: ``View``.
         bounded: Receives whether the balls around an instance's rows keep off the picture's border
             and from pixels without a ray, bool [n].
     """
-    g, view = borrowed(scene), borrowed(rays)
-    stack = np.empty(2 * STACK_SIZE, np.int32)
-    axis = np.empty(3)
+    stack, axis = np.empty(2 * STACK_SIZE, np.int32), np.empty(3)
     for lane in range(first, last):
-        for at in range(lane, order.shape[0], LANES):
-            n = order[at]
-            window = masks.windows[n]
-            across = window[1] - window[0]
-            mask = masks.marks[masks.starts[n] : masks.starts[n] + across * (window[3] - window[2])]
-            whole = True
-            for r in range(members.firsts[n], members.firsts[n + 1]):
-                row, part = np.int32(members.rows[r]), members.parts[r]
-                if part[0] >= part[1]:
-                    continue
-                own = _sphere_cone(view.spheres[row], view.middle, axis)
-                least = math.cos(own) - _SLACK if own < math.pi else -2.0
-                whole = whole and own < 0.5 * math.pi
-                for y in range(part[2], part[3]):
-                    for x in range(part[0], part[1]):
-                        pixel = y * view.width + x
-                        d = view.directions[pixel]
-                        length = math.sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2])
-                        if axis[0] * d[0] + axis[1] * d[1] + axis[2] * d[2] < least * length:
-                            continue
-                        if whole and _at_border(view, x, y):
-                            whole = False
-                        mark = (y - window[2]) * across + x - window[0]
-                        new = mask[mark] == 0 and view.known[pixel]
-                        if new and _meets(g, row, view.origins[pixel], d, stack):
-                            mask[mark] = 1
-            inside = 0
-            for mark in range(mask.shape[0]):
-                inside += mask[mark]
-            masks.areas[n, 0] = inside
-            masks.areas[n, 1] = inside
-            bounded[n] = whole
+        _outline_lane(g, members, order[lane::LANES], masks, view, bounded, stack, axis)

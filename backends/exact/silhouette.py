@@ -25,9 +25,8 @@ from numpy.typing import NDArray
 from scenec.backends.exact.build import STACK_SIZE
 from scenec.backends.exact.bvh import inverses
 from scenec.backends.exact.intersect import hit_parameter, ray_frame, row_matrix
-from scenec.backends.exact.trace import _enter, in_row, ready
+from scenec.backends.exact.trace import Ray, _enter, in_row, largest
 from scenec.backends.stage.scene import Camera
-from scenec.schemas.borrowed import borrowed
 from scenec.schemas.kernels import inlined, kernel
 
 #: Pictures that the plane of the silhouettes goes on by on each side.
@@ -103,6 +102,24 @@ class Masks(NamedTuple):
     starts: NDArray[np.int64]
     marks: NDArray[np.uint8]
     areas: NDArray[np.int64]
+
+
+class Scratch(NamedTuple):
+    """What outlining an instance works with.
+
+    Attributes:
+        vertices: Of a mesh, relative to the eye, then depth, columns, rows, and what errors make of
+            these, float64 [most vertices of a mesh, 7].
+        edges: Of a triangle: along a line of pixels slope, one over it, and value at column 0; then
+            the normal of the plane through the eye, and slope and value down, float64 [3, 8].
+        direction: Of a ray, float64 [3].
+        stack: Nodes yet to be visited, int32 [2 * STACK_SIZE].
+    """
+
+    vertices: NDArray[np.float64]
+    edges: NDArray[np.float64]
+    direction: NDArray[np.float64]
+    stack: NDArray[np.int32]
 
 
 @kernel
@@ -271,7 +288,7 @@ def mark_shown(first, last, row, slot_of_row, seen_of_slot, width, masks):  # ty
 @kernel
 def _meets(g, row, origin, direction, stack):  # type: ignore[no-untyped-def]
     """Whether a ray meets any triangle of a row; ``stack`` is scratch, int32 [2 * STACK_SIZE]."""
-    ray = ready(origin, direction)
+    ray = Ray(origin, direction, ray_frame(origin, direction), largest(origin))
     s, matrix = in_row(g, row, ray)
     stack[0] = g.row_root[row]
     top = 1
@@ -295,55 +312,51 @@ def _meets(g, row, origin, direction, stack):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _cast_window(g, row, part, view, window, mask):  # type: ignore[no-untyped-def]
+def _cast_window(g, row, part, view, window, mask, scratch):  # type: ignore[no-untyped-def]
     """Mark what rays through the pixels of a window meet of a row."""
-    stack = np.empty(2 * STACK_SIZE, np.int32)
-    direction = np.empty(3)
+    direction = scratch.direction
     for y in range(part[2], part[3]):
         line = (y - window[2]) * (window[1] - window[0]) - window[0]
         for x in range(part[0], part[1]):
             if mask[line + x] == 0:
                 set_direction(view, x, y, direction)
-                if _meets(g, row, view.eye, direction, stack):
+                if _meets(g, row, view.eye, direction, scratch.stack):
                     mask[line + x] = 1
 
 
 @kernel
-def _test_pixels(g, row, face, view, y, start, stop, line):  # type: ignore[no-untyped-def]
-    """Mark those pixels of a line, but for marked ones, whose rays meet a triangle.
+def _is_hit(g, row, face, view, x, y, direction):  # type: ignore[no-untyped-def]
+    """Whether the ray of a pixel meets a triangle.
 
     Args:
         g: ``bvh.Geometry``.
         row: Of the triangle.
         face: Index into ``g.faces``.
         view: ``Pinhole``.
-        y, start, stop: Row, first column and end.
-        line: Marks from the column ``start`` on, in place.
+        x, y: The pixel.
+        direction: Scratch, float64 [3].
     """
-    direction = np.empty(3)
-    for x in range(start, stop):
-        if line[x - start] == 0:
-            set_direction(view, x, y, direction)
-            frame = ray_frame(view.eye, direction)
-            matrix = row_matrix(g.to_world, row, frame[0], frame[1], frame[2])
-            if hit_parameter(g.points, g.faces[face], matrix, frame) < math.inf:
-                line[x - start] = 1
+    set_direction(view, x, y, direction)
+    frame = ray_frame(view.eye, direction)
+    matrix = row_matrix(g.to_world, row, frame[0], frame[1], frame[2])
+    return hit_parameter(g.points, g.faces[face], matrix, frame) < math.inf
 
 
 @kernel
-def _span(a, inverse_a, b, slack, start, stop):  # type: ignore[no-untyped-def]
-    """First column and end, within [start, stop), of where three linear functions reach ``slack``.
+def _span(edges, slack, start, stop):  # type: ignore[no-untyped-def]
+    """First column and end, within [start, stop), of where three edges reach ``slack``.
 
-    ``a`` and ``inverse_a`` are the slopes and one over each, ``b`` the values at column 0.
+    ``edges`` are as of ``Scratch``.
     """
     low, high = float(start), float(stop)
     for i in range(3):
-        if inverse_a[i] > 0.0:
-            low = max(low, (slack - b[i]) * inverse_a[i])
-        elif inverse_a[i] < 0.0:
+        inverse, value = edges[i, 1], edges[i, 2]
+        if inverse > 0.0:
+            low = max(low, (slack - value) * inverse)
+        elif inverse < 0.0:
             # One beyond the last column that reaches it, later rounded up.
-            high = min(high, np.floor((slack - b[i]) * inverse_a[i]) + 1.0)
-        elif not b[i] >= slack:
+            high = min(high, np.floor((slack - value) * inverse) + 1.0)
+        elif not value >= slack:
             return stop, stop
     first = _first(low, start, stop)
     return first, max(first, _first(high, start, stop))
@@ -367,14 +380,13 @@ def _reach(at, n):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _fill_rows(g, row, part, base, view, window, mask):  # type: ignore[no-untyped-def]
+def _fill_rows(g, row, part, base, view, window, mask, scratch):  # type: ignore[no-untyped-def]
     """Mark what the triangles of a row cover, line by line; ``base`` is its mesh's points."""
     k, pose, origin = view.k, view.pose, view.eye
     norm = _norm(view.inverse)
     m = g.to_world[row]
     count = base[1] - base[0]
-    # Relative to the eye, then depth, columns, rows, and what errors make of these.
-    at = np.empty((count, 7))
+    at, edges = scratch.vertices, scratch.edges
     eye = abs(origin[0]) + abs(origin[1]) + abs(origin[2])
     size = eye
     for n in range(count):
@@ -394,10 +406,6 @@ def _fill_rows(g, row, part, base, view, window, mask):  # type: ignore[no-untyp
     for j in range(3):
         longest = max(longest, abs(pose[0, j]) + abs(pose[1, j]) + abs(pose[2, j]))
     longest *= 1.0 + far_x / abs(k[0, 0]) + far_y
-    normal = np.empty((3, 3))
-    slope_y = np.empty(3)
-    constant = np.empty(3)
-    a, inverse_a, b = np.empty(3), np.empty(3), np.empty(3)
     for f in range(g.row_face[row], g.row_face[row] + g.row_faces[row]):
         i0, i1, i2 = g.faces[f, 0] - base[0], g.faces[f, 1] - base[0], g.faces[f, 2] - base[0]
         corners = i0, i1, i2
@@ -417,11 +425,11 @@ def _fill_rows(g, row, part, base, view, window, mask):  # type: ignore[no-untyp
                 continue
         for i in range(3):
             j, n = (i + 1) % 3, (i + 2) % 3
-            normal[0, i] = at[i1, j] * at[i2, n] - at[i1, n] * at[i2, j]
-            normal[1, i] = at[i2, j] * at[i0, n] - at[i2, n] * at[i0, j]
-            normal[2, i] = at[i0, j] * at[i1, n] - at[i0, n] * at[i1, j]
+            edges[0, 3 + i] = at[i1, j] * at[i2, n] - at[i1, n] * at[i2, j]
+            edges[1, 3 + i] = at[i2, j] * at[i0, n] - at[i2, n] * at[i0, j]
+            edges[2, 3 + i] = at[i0, j] * at[i1, n] - at[i0, n] * at[i1, j]
         length = max(_reach(at, i0), max(_reach(at, i1), _reach(at, i2)))
-        volume = at[i0, 0] * normal[0, 0] + at[i0, 1] * normal[0, 1] + at[i0, 2] * normal[0, 2]
+        volume = at[i0, 0] * edges[0, 3] + at[i0, 1] * edges[0, 4] + at[i0, 2] * edges[0, 5]
         certain = abs(volume) > _SURE * size * length * length
         slack = _SURE * size * length * longest
         # Of a triangle that is seen from its edge either sign may be the right one.
@@ -432,35 +440,35 @@ def _fill_rows(g, row, part, base, view, window, mask):  # type: ignore[no-untyp
                 down = 0.0
                 ahead = 0.0
                 for j in range(3):
-                    along += normal[i, j] * pose[j, 0]
-                    down += normal[i, j] * pose[j, 1]
-                    ahead += normal[i, j] * pose[j, 2]
-                a[i] = sign * along / k[0, 0]
-                inverse_a[i] = 1.0 / a[i] if abs(a[i]) > _FLAT else 0.0
-                slope_y[i] = sign * down
-                constant[i] = sign * ahead
+                    along += edges[i, 3 + j] * pose[j, 0]
+                    down += edges[i, 3 + j] * pose[j, 1]
+                    ahead += edges[i, 3 + j] * pose[j, 2]
+                slope = sign * along / k[0, 0]
+                edges[i, 0], edges[i, 1] = slope, 1.0 / slope if abs(slope) > _FLAT else 0.0
+                edges[i, 6], edges[i, 7] = sign * down, sign * ahead
             for y in range(y0, y1):
                 line = (y - window[2]) * (window[1] - window[0]) - window[0]
                 ray_y = (y + 0.5 - k[1, 2]) / k[1, 1]
                 zero = k[0, 2] - 0.5 + k[0, 1] * ray_y
                 for i in range(3):
-                    b[i] = slope_y[i] * ray_y + constant[i] - a[i] * zero
-                start, stop = _span(a, inverse_a, b, -slack, x0, x1)
+                    edges[i, 2] = edges[i, 6] * ray_y + edges[i, 7] - edges[i, 0] * zero
+                start, stop = _span(edges, -slack, x0, x1)
                 if start >= stop:
                     continue
                 sure, end = stop, stop
                 if certain:
-                    sure, end = _span(a, inverse_a, b, slack, start, stop)
+                    sure, end = _span(edges, slack, start, stop)
                     for x in range(sure, end):
                         mask[line + x] = 1
-                if start < sure:
-                    _test_pixels(g, row, f, view, y, start, sure, mask[line + start :])
-                if end < stop:
-                    _test_pixels(g, row, f, view, y, end, stop, mask[line + end :])
+                if sure - start + stop - end == 0:
+                    continue
+                for x in range(start, stop):
+                    if mask[line + x] == 0 and _is_hit(g, row, f, view, x, y, scratch.direction):
+                        mask[line + x] = 1
 
 
 @kernel
-def _outline(g, members, n, view, ray_cost, window, mask):  # type: ignore[no-untyped-def]
+def _outline(g, members, n, view, ray_cost, window, mask, scratch):  # type: ignore[no-untyped-def]
     """Mark the silhouette of instance n in its window."""
     across = window[1] - window[0]
     for r in range(members.firsts[n], members.firsts[n + 1]):
@@ -475,44 +483,52 @@ def _outline(g, members, n, view, ray_cost, window, mask):  # type: ignore[no-un
         # A tree that holds nothing back makes each ray test all triangles.
         walkable = g.pad[row, 0, 0] < _WITHOUT_END
         if walkable and unknown * ray_cost < g.row_faces[row]:
-            _cast_window(g, row, part, view, window, mask)
+            _cast_window(g, row, part, view, window, mask, scratch)
         else:
-            _fill_rows(g, row, part, members.bases[r], view, window, mask)
+            _fill_rows(g, row, part, members.bases[r], view, window, mask, scratch)
 
 
 @kernel
-def outline_all(first, last, scene, members, order, masks, camera, ray_cost):  # type: ignore[no-untyped-def]
+def _outline_lane(g, members, order, masks, view, ray_cost, scratch):  # type: ignore[no-untyped-def]
+    """As ``outline_all``, of one lane's instances."""
+    for k in range(order.shape[0]):
+        n = order[k]
+        window = masks.windows[n]
+        down, across = window[3] - window[2], window[1] - window[0]
+        mask = masks.marks[masks.starts[n] : masks.starts[n] + down * across]
+        _outline(g, members, n, view, ray_cost, window, mask, scratch)
+        every = 0
+        for y in range(down):
+            for x in range(across):
+                every += mask[y * across + x]
+        inside = 0
+        for y in range(max(-window[2], 0), min(down, view.height - window[2])):
+            for x in range(max(-window[0], 0), min(across, view.width - window[0])):
+                inside += mask[y * across + x]
+        masks.areas[n, 0] = inside
+        masks.areas[n, 1] = every
+
+
+@kernel
+def outline_all(first, last, g, members, order, masks, view, ray_cost):  # type: ignore[no-untyped-def]
     """Mark the silhouettes of instances in their windows, and count their pixels.
 
     Args:
         first, last: Of ``LANES``; lane i has every ``LANES``-th instance from the i-th on.
-        scene: ``bvh.Geometry``.
+        g: ``bvh.Geometry``.
         members: ``Members``.
         order: Instances to outline, int64 [m].
         masks: ``Masks``; ``marks`` and ``areas`` in place.
-        camera: ``Pinhole``.
+        view: ``Pinhole``.
         ray_cost: ``RAY_COST``; 0 takes rays wherever they can be walked.
     """
-    g, view = borrowed(scene), borrowed(camera)
-    width, height = view.width, view.height
-    count = order.shape[0]
+    most = 0
+    for r in range(members.bases.shape[0]):
+        most = max(most, members.bases[r, 1] - members.bases[r, 0])
+    vertices, edges = np.empty((most, 7)), np.empty((3, 8))
+    scratch = Scratch(vertices, edges, np.empty(3), np.empty(2 * STACK_SIZE, np.int32))
     for lane in range(first, last):
-        for at in range(lane, count, LANES):
-            n = order[at]
-            window = masks.windows[n]
-            down, across = window[3] - window[2], window[1] - window[0]
-            mask = masks.marks[masks.starts[n] : masks.starts[n] + down * across]
-            _outline(g, members, n, view, ray_cost, window, mask)
-            every = 0
-            for y in range(down):
-                for x in range(across):
-                    every += mask[y * across + x]
-            inside = 0
-            for y in range(max(-window[2], 0), min(down, height - window[2])):
-                for x in range(max(-window[0], 0), min(across, width - window[0])):
-                    inside += mask[y * across + x]
-            masks.areas[n, 0] = inside
-            masks.areas[n, 1] = every
+        _outline_lane(g, members, order[lane::LANES], masks, view, ray_cost, scratch)
 
 
 @kernel

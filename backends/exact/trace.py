@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from scenec.backends.exact.build import STACK_SIZE
 from scenec.backends.exact.bvh import ROUNDING, Geometry
 from scenec.backends.exact.intersect import hit_parameter, ray_frame, row_matrix
-from scenec.schemas.borrowed import borrowed
 from scenec.schemas.kernels import inlined, kernel
 from scenec.schemas.threads import over_threads
 
@@ -53,7 +52,7 @@ class Ray(NamedTuple):
     Attributes:
         origin, direction: float64 [3].
         frame: ``ray_frame`` of these.
-        size: Largest coordinate of the origin.
+        size: ``largest`` of the origin.
     """
 
     origin: NDArray[np.float64]
@@ -132,10 +131,9 @@ def _local_ray(m, origin, direction):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def ready(origin, direction):  # type: ignore[no-untyped-def]
-    """A ``Ray``."""
-    size = max(abs(origin[0]), max(abs(origin[1]), abs(origin[2])))
-    return Ray(origin, direction, ray_frame(origin, direction), size)
+def largest(point):  # type: ignore[no-untyped-def]
+    """The largest coordinate of a point, whatever its sign."""
+    return max(abs(point[0]), max(abs(point[1]), abs(point[2])))
 
 
 @inlined
@@ -232,7 +230,7 @@ def trace(g, origin, direction, hit, stack):  # type: ignore[no-untyped-def]
     t, best_row, best_face = hit
     if g.row_tree < 0 and g.moving_tree < 0:
         return t, best_row, best_face
-    ray = ready(origin, direction)
+    ray = Ray(origin, direction, ray_frame(origin, direction), largest(origin))
     wide = ROUNDING * (ray.size + g.extent)
     s = _slabs(origin, direction, (wide, wide, wide))
     top = 0
@@ -278,9 +276,7 @@ def trace(g, origin, direction, hit, stack):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _trace_some(scene, rays, index, hits, start, stop, scratch):  # type: ignore[no-untyped-def]
-    # The caller keeps all of them.
-    g, beams, found, stack = borrowed(scene), borrowed(rays), borrowed(hits), borrowed(scratch)
+def _trace_some(g, beams, index, found, start, stop, stack):  # type: ignore[no-untyped-def]
     for k in range(start, stop):
         ray = index[k]
         found.t[k], found.row[k], found.face[k] = trace(

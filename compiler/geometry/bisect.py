@@ -87,8 +87,10 @@ class Bisection:
         return self._middles.rows
 
     def halve(self, wanted: NDArray[np.integer]) -> Halved:
-        """Halves some faces, int64 [w], and what must follow."""
-        halved, added = _mark(self.face_edges, wanted, self.middles)
+        """Halves some faces, [w], and what must follow."""
+        # One type of numbers: a kernel is compiled for each.
+        which = wanted.astype(np.int64, copy=False)
+        halved, added = _mark(self.face_edges, which, self.middles)
         middle_of = np.flatnonzero(self.middles == _MARKED)
         for rows in (self._faces, self._face_edges):
             rows.add(added)

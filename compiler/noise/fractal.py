@@ -142,8 +142,9 @@ def fbm2(
     """
     warps = None
     if distortion != 0.0:
-        x_key, y_key = (np.array([subkey(np.uint64(key), _WARP + axis)]) for axis in range(2))
-        warps = x_key, y_key
+        x, y = (subkey(np.uint64(key), _WARP + axis) for axis in range(2))
+        # Python made numbers of them, and an array of these may be of int64.
+        warps = np.array([x], np.uint64), np.array([y], np.uint64)
     return Fractal(
         key, octaves, gain, lacunarity, distortion=distortion, warps=warps, scale_m=scale_m
     )

@@ -261,3 +261,79 @@ print(*{"numba.np.arraymath", "scipy.linalg"} & {*sys.modules})
     )
     assert len(compiled) == 3
     assert loaded == compiled[:1]
+
+
+OWNERS = """
+from typing import NamedTuple
+
+class Pair(NamedTuple):
+    a: object
+    b: object
+
+@kernel
+def inner(pair, n):
+    row = pair.a[n]
+    total = 0.0
+    for i in range(row.size):
+        total += row[i] * pair.b[i]
+    return total
+
+@kernel
+def borrows(pair):
+    total = 0.0
+    for n in range(pair.a.shape[0]):
+        total += inner(Pair(pair.a, pair.b), n)
+    return total
+
+@kernel
+def view(a, n):
+    return a[n, 1:]
+
+@kernel
+def viewed(a):
+    return view(a, 1)
+
+@kernel
+def owns(a, chosen):
+    copy = a[0][chosen]
+    made = np.zeros(copy.size)
+    for i in range(copy.size):
+        made[i] = 2.0 * copy[i]
+    return made
+
+@kernel
+def fused(a):
+    return (2.0 * a + 1.0) * a
+"""
+
+
+def test_arrays_live_as_long_as_any_name_of_them_and_no_longer() -> None:
+    found = made(OWNERS)
+    a, b = np.arange(6.0).reshape(2, 3), np.array([1.0, 10.0, 100.0])
+    chosen = np.array([2, 0])
+    before = [sys.getrefcount(each) for each in (a, b, chosen)]
+    for _ in range(3):
+        assert found["borrows"](found["Pair"](a, b)) == 210.0 + 543.0
+        assert found["owns"](a, chosen).tolist() == [4.0, 0.0]
+        assert found["fused"](b).tolist() == [3.0, 210.0, 20100.0]
+        assert found["viewed"](a).tolist() == [4.0, 5.0]
+    assert [sys.getrefcount(each) for each in (a, b, chosen)] == before
+    kept = found["viewed"](np.arange(6.0).reshape(2, 3))
+    # What it shows is not given to others.
+    others = [np.full((2, 3), -1.0) for _ in range(100)]
+    assert kept.tolist() == [4.0, 5.0]
+    assert len(others) == 100
+
+
+def test_a_kernel_whose_parts_are_called_by_a_function_of_numba_is_whole() -> None:
+    import numba
+
+    found = made(OWNERS)
+    borrows = found["borrows"]
+
+    @numba.njit  # type: ignore[untyped-decorator]
+    def foreign(pair: Any) -> Any:
+        return borrows(pair)
+
+    pair = found["Pair"](np.ones((2, 3)), np.ones(3))
+    assert foreign(pair) == 6.0
