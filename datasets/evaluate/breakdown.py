@@ -61,7 +61,7 @@ _QUARTERS = (0.0, 0.25, 0.5, 0.75)
 
 SUN = Attribute("sun", "deg", "elevation of the sun above the horizon", (0, 5, 10, 20, 30, 45, 60))
 DISTANCE = Attribute(
-    "distance", "m", "depth along the optical axis (of an instance: mean of its pixels)",
+    "distance", "m", "depth along the optical axis",
     (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000), "depth", "depth_mean",
 )  # fmt: skip
 #: In the order of tables.

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from scenec.datasets.evaluate.breakdown import Attribute, Attributes, filled, pixel_bins
 from scenec.datasets.evaluate.predictions import predicted, read_labels
-from scenec.datasets.evaluate.report import Cell, Evaluation, Table
+from scenec.datasets.evaluate.report import Cell, Evaluation, Table, finite
 from scenec.datasets.source import Source
 from scenec.schemas.errors import FrameError, OutputError
 from scenec.schemas.spelling import nearest
@@ -96,15 +96,16 @@ def evaluate_labels(
 
 
 def iou(confusion: Counts) -> NDArray[np.float64]:
-    """Of each class, [n]; NaN where neither truth nor prediction has it.
+    """Of each class, [n]; NaN where the truth has none of it: others pay for what is wrongly it.
 
     Args:
         confusion: Pixels by true class and predicted one, the last column predicting none,
             [n, n + 1].
     """
     both = np.diagonal(confusion)
-    either = confusion.sum(axis=1) + confusion[:, :-1].sum(axis=0) - both
-    return np.where(either > 0, both / np.maximum(either, 1), np.nan)
+    true = confusion.sum(axis=1)
+    either = true + confusion[:, :-1].sum(axis=0) - both
+    return np.where(true > 0, both / np.maximum(either, 1), np.nan)
 
 
 def _measures(confusion: Counts) -> dict[str, float | None]:
@@ -127,15 +128,20 @@ def _by_class(names: Sequence[str], confusion: Counts) -> Table:
         if true or guessed:
             precision = both / guessed if guessed else None
             recall = both / true if true else None
-            rows.append((name, float(of[i]), precision, recall, true, guessed))
+            rows.append((name, finite(of[i]), precision, recall, true, guessed))
     columns = ("class", "iou", "precision", "recall", "pixels", "predicted")
     return Table("class", "by class", columns, rows)
 
 
 def _by_bin(one: Attribute, names: Sequence[str], parts: Counts) -> Table:
-    shown = [i for i in range(len(names)) if parts[:, i].any() or parts[:, :, i].any()]
+    shown = [i for i in range(len(names)) if parts[:, i].any()]
     rows = [
-        (whole["mean_iou"], whole["pixel_accuracy"], whole["pixels"], *iou(part)[shown].tolist())
+        (
+            whole["mean_iou"],
+            whole["pixel_accuracy"],
+            whole["pixels"],
+            *map(finite, iou(part)[shown]),
+        )
         if part.any()
         else None
         for part in parts

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -125,7 +126,7 @@ def _parts(tables: Sequence[Table], measures: Sequence[str]) -> Figure:
             axes.bar(at + i * width, values, width, color=COLORS[i], label=name)
         texts = [str(row[0]) for row in table.rows]
         axes.set_xticks(at + 0.4 - width / 2, texts, rotation=40, ha="right", fontsize=8)
-        axes.set_title(table.title, fontsize=9, wrap=True)
+        axes.set_title(textwrap.fill(table.title, 48), fontsize=9)
         axes.legend(fontsize=7)
         _grid(axes)
     return figure

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -84,6 +85,29 @@ def test_confusion_by_hand(tmp_path):
     assert by_distance["20 to 50 m"]["iou rock"] == pytest.approx(1 / 2)
     # No pixel with a depth is sky.
     assert "iou sky" not in by_distance["20 to 50 m"]
+
+
+def test_the_command_prints_a_dash_for_a_class_that_a_part_lacks(tmp_path, capsys):
+    def passes(_: int) -> dict[str, Any]:
+        made = some_passes(1, 4, 2)
+        made["instance"][:] = 0
+        made["label.class"] = np.array([[2, 2, 2, 2], [3, 3, 3, 3]], np.uint32)
+        made["depth"] = np.array([[3] * 4, [30] * 4], np.float32)
+        return made
+
+    out = make_output(tmp_path / "out", passes, batches=1, cameras=("cam",), samples=1)
+    folder = predict(tmp_path / "p", out, lambda p: p["label.class"].astype(np.uint8))
+    assert main(["evaluate", str(folder), "--against", str(out), "-o", str(tmp_path / "r")]) == 0
+    text = capsys.readouterr().out
+    assert re.search(r"2 to 5 m +1 +1 +4 +1 +-$", text, re.M)
+    assert re.search(r"20 to 50 m +1 +1 +4 +- +1$", text, re.M)
+
+
+def test_a_class_that_only_predictions_have_is_paid_for_by_the_true_one():
+    # Of four pixels of the first class, one is taken for the second.
+    confusion = np.array([[3, 1, 0], [0, 0, 0]])
+    assert iou(confusion)[0] == 3 / 4
+    assert np.isnan(iou(confusion)[1])
 
 
 def test_values_may_be_indices_of_named_classes(output, tmp_path):
