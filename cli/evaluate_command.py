@@ -92,7 +92,7 @@ def _task_of(path: Path, scaled: bool) -> str:
     try:
         with Image.open(first) as picture:
             deep = picture.mode in DEEP
-    except (OSError, SyntaxError, ValueError) as error:
+    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
         raise FrameError(f"{first}: no picture that can be read: {error}") from error
     if deep:
         raise OutputError(

@@ -66,6 +66,7 @@ def read_truth(path: Path, split: str | None = None) -> tuple[Path, Coco]:
         _require(one["image_id"] in images, where, "image_id", one, "the id of an image")
         _require(one["category_id"] in categories, where, "category_id", one, "a category's id")
         _require(is_number(one.get("area", 0)), where, "area", one, "a number")
+        _require(one.get("iscrowd", 0) in (0, 1), where, "iscrowd", one, "0 or 1")
         entry = {"area": one["bbox"][2] * one["bbox"][3], **one}
         if "segmentation" in one:
             image = images[one["image_id"]]

@@ -55,13 +55,17 @@ def evaluate_instances(
     """
     if not any(not one.get("iscrowd") for one in truth["annotations"]):
         raise OutputError(f"{against}: holds no object to be found")
-    kinds = ["segm"] if detections and all("segmentation" in d for d in detections) else []
+    masked = [all("segmentation" in a for a in of) for of in (truth["annotations"], detections)]
+    kinds = ["segm"] if detections and all(masked) else []
     found = Evaluation("instances", path, against)
     found.settings = {
         "kinds": [*kinds, "bbox"], "max_detections": max_detections,
         "images": len(truth["images"]), "objects": len(truth["annotations"]),
         "detections": len(detections),
     }  # fmt: skip
+    if not kinds and any("segmentation" in d for d in detections):
+        lacking = "the truth" if not masked[0] else "a detection"
+        found.notes.append(f"masks are not judged: {lacking} has an object without one")
     fullest = _most_in_a_class(truth["annotations"])
     if fullest > max_detections:
         found.notes.append(
@@ -146,11 +150,11 @@ def _by_bin(
 ) -> Table | None:
     """None where the truth does not state the attribute of every object."""
     light = one.name == SUN.name
-    of_image = {
-        image["id"]: image.get("sun_elevation_deg", np.nan) if light else np.nan
-        for image in truth["images"]
-    }
     try:
+        of_image = {
+            image["id"]: float(image.get("sun_elevation_deg", np.nan)) if light else np.nan
+            for image in truth["images"]
+        }
         values = [
             of_image[a["image_id"]] if light else float(a[one.key]) for a in truth["annotations"]
         ]

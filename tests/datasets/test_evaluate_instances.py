@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from pathlib import Path
 from typing import Any
@@ -184,6 +185,38 @@ def test_parts_count_by_hand(tmp_path):
 def test_no_detections_find_nothing(dataset, tmp_path):
     found = evaluated(saved(tmp_path / "d.json", []), dataset)
     assert (found.measures["bbox_ap"], found.measures["bbox_ar_100"]) == (0.0, 0.0)
+
+
+def test_masks_are_not_judged_where_the_truth_has_none(tmp_path):
+    truth = document([(1, 3.0)], [10.0])
+    mask = [[0, 0, 10, 0, 10, 10, 0, 10]]
+    path = saved(
+        tmp_path / "d.json",
+        [{"image_id": 1, "category_id": 1, "score": 0.5, "segmentation": mask}],
+    )
+    found = evaluated(path, saved(tmp_path / "truth.json", truth))
+    assert found.measures["bbox_ap"] == pytest.approx(1.0)
+    assert "segm_ap" not in found.measures
+    assert found.notes == ["masks are not judged: the truth has an object without one"]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"image_id": 7}, "/annotations/0/image_id: expected the id of an image, not 7"),
+        ({"iscrowd": "no"}, '/annotations/0/iscrowd: expected 0 or 1, not "no"'),
+        ({"bbox": [1, 2, 3]}, "/annotations/0/bbox"),
+        (
+            {"segmentation": {"size": [1, 1], "counts": "1"}},
+            "/annotations/0/segmentation: its size",
+        ),
+    ],
+)
+def test_a_truth_that_is_none_is_named_with_its_place(tmp_path, change, message):
+    truth = document([(1, 3.0)], [10.0])
+    truth["annotations"][0] |= change
+    with pytest.raises(FrameError, match=re.escape(message)):
+        read_truth(saved(tmp_path / "truth.json", truth))
 
 
 def test_more_detections_count_where_that_is_asked_for(tmp_path):
