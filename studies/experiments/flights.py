@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-RATE_HZ = 20.0
+RATE_HZ = 10.0
 #: Frames of a whole flight.
-WHOLE = 120
+WHOLE = 60
 SEED = 1
 #: Distance of the two cameras.
 BASELINE_M = 0.25
@@ -173,14 +173,15 @@ def _iso(speed: float) -> Callable[[dict[str, Any]], None]:
     return _sensors(imaging={"exposure": exposure})
 
 
-#: What is varied -> its values -> what that changes in the cfg; None is the cfg as it is.
+#: What is varied -> its values -> what that changes in the cfg; None is the cfg as it is. The last
+#: value is the hardest.
 VARIED: dict[str, dict[str, Callable[[dict[str, Any]], None] | None]] = {
     "texture": {
         "soil and rocks": None,
         "rocks on plain ground": _plain,
         "bare plain ground": _bare,
     },
-    "sun": {"8 deg": _sun(8), "40 deg": None, "75 deg": _sun(75)},
+    "sun": {"75 deg": _sun(75), "40 deg": None, "8 deg": _sun(8)},
     "sensor": {"no noise": None, **{f"ISO {n}": _iso(n) for n in (6400, 51200)}},
     "blur": {"none": None, "40 ms": _sensors(shutter={"exposure_s": 0.04})},
 }

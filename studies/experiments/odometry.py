@@ -28,17 +28,27 @@ _FARTHEST_M = 30.0
 
 
 def stereo(left: Sequence[LoadedFrame], right: Sequence[LoadedFrame], baseline_m: float) -> Track:
-    """toy-vo: optical flow of features, bundle adjustment over a window of keyframes."""
+    """toy-vo: optical flow of features, bundle adjustment over a window of keyframes.
+
+    Where it finds no pose it panics, and knows no way back: the track is lost from there on.
+    """
     k, none = _intrinsics(left[0]), np.zeros(5)
     size = (left[0].width, left[0].height)
     camera = (k, none, "OpenCVModel5", *size)
     estimator = toy_vo.StereoEstimator(
         *camera, *camera, np.zeros(3), np.array([-baseline_m, 0.0, 0.0])
     )
-    poses = [
-        np.array(estimator.process_frame(gray_pixels(a), gray_pixels(b))["T_w_cam0"])
-        for a, b in zip(left, right, strict=True)
-    ]
+    poses: list[NDArray[np.float64] | None] = [None] * len(left)
+    for at, (a, b) in enumerate(zip(left, right, strict=True)):
+        try:
+            poses[at] = np.array(
+                estimator.process_frame(gray_pixels(a), gray_pixels(b))["T_w_cam0"]
+            )
+        except BaseException as error:
+            # Of Rust's, and no Exception.
+            if type(error).__name__ != "PanicException":
+                raise
+            break
     return _track("toy-vo", left, poses)
 
 
