@@ -12,10 +12,11 @@ EXAMPLES := quick
 BENCHMARKS := adapters agreement annotation blur coco cold compile estimate \
   hdf5 imaging incremental lenses memory mesh million mitsuba_ground prune relief \
   sampling scatter tracks
+EXPERIMENTS := ego_motion
 PAGES := numerics relief placement sky motion extremes converge leaving_out errors
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test thorough lint types unit browser format bench docs site pictures lock gpu wheel clean distclean
+.PHONY: help setup demo test thorough lint types unit browser format bench docs site pictures experiments lock gpu wheel clean distclean
 
 help:  ## List the targets.
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  make \1\t\2/p' Makefile | expand -t 20
@@ -73,6 +74,11 @@ site: setup  ## Build the website of docs/ into build/site (Sphinx; a warning is
 	@echo "== Building the site"
 	@.venv/bin/sphinx-build --quiet --fail-on-warning --keep-going --jobs auto docs build/site
 	@echo "== Open build/site/index.html"
+
+experiments: setup  ## The experiments of docs/experiments.md, in their small form (minutes each).
+	@set -e; for name in $(EXPERIMENTS); do \
+	  echo "== Experiment: $$name"; .venv/bin/python studies/experiments/$$name.py; \
+	done
 
 pictures: setup  ## Render the README's picture, docs/gallery.md, docs/rocks.md, lights.md and assets.md.
 	@set -e; for name in gallery rocks lights assets; do \

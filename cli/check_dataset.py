@@ -7,7 +7,8 @@ from dataclasses import asdict
 from pathlib import Path
 
 from scenec.cli.output import print_json, say
-from scenec.datasets.verify import Comparison, compare, is_dataset, verify
+from scenec.datasets.verify import Comparison, Flaw, compare, is_dataset, opened, verify
+from scenec.schemas.errors import OutputError
 
 _LISTED = 20
 
@@ -16,6 +17,8 @@ def run(options: argparse.Namespace) -> int:
     """Checks; 1 if something is wrong, or not the same."""
     folder = Path(options.out)
     flaws = verify(folder) if is_dataset(folder) else []
+    if is_dataset(folder) and not flaws:
+        flaws = _opened(folder)
     compared = None if options.against is None else compare(folder, Path(options.against), say)
     if options.json:
         print_json(
@@ -34,6 +37,15 @@ def run(options: argparse.Namespace) -> int:
         if compared is not None:
             _tell(compared)
     return 1 if flaws or (compared is not None and not compared.same) else 0
+
+
+def _opened(folder: Path) -> list[Flaw]:
+    """What the format's own reader finds, where it is installed."""
+    try:
+        return opened(folder)
+    except OutputError as error:
+        say(f"not opened by its own reader: {error}")
+        return []
 
 
 def _tell(found: Comparison) -> None:

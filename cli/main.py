@@ -35,6 +35,7 @@ from scenec.cli.arguments import (
 )
 from scenec.cli.completion import complete
 from scenec.cli.converge_arguments import add_converge_options
+from scenec.cli.evaluate_arguments import add_evaluate_options
 from scenec.cli.explain_arguments import add_explain_options
 from scenec.cli.export_arguments import add_export_options
 from scenec.cli.output import clear_bar
@@ -300,6 +301,10 @@ def parser() -> argparse.ArgumentParser:
 
     add_export_options(
         _command(commands, "export", "frames to a dataset: COCO, HDF5, TUM, KITTI, BOP, ...")
+    )
+
+    add_evaluate_options(
+        _command(commands, "evaluate", "how good predictions are: AP, IoU, depth, tracks")
     )
 
     add_converge_options(

@@ -26,6 +26,7 @@ from scenec.schemas.csv_cells import unguarded
 from scenec.schemas.errors import FrameError, OutputError
 from scenec.schemas.files import sha256, tree
 from scenec.schemas.manifest import MANIFEST, STAGE_SUFFIXES
+from scenec.schemas.native import native_reading
 from scenec.schemas.shape import read_shaped
 from scenec.schemas.update import finish_update
 
@@ -130,6 +131,28 @@ def verify(folder: Path) -> list[Flaw]:
     if not any(flaw.where in (EXPORT, INDEX, STATISTICS) for flaw in flaws):
         flaws.extend(_contradictions(folder, summary))
     return flaws
+
+
+def opened(folder: Path) -> list[Flaw]:
+    """What pycocotools finds wrong with a COCO dataset; nothing of one of another format.
+
+    Raises:
+        OutputError: pycocotools is not installed.
+    """
+    if _summary(folder)["format"] != "coco":
+        return []
+    # Imported here: pycocotools is needed for this alone.
+    from scenec.datasets.evaluate.coco_files import ANNOTATIONS, flaws_of
+
+    found: list[Flaw] = []
+    for file in sorted((folder / ANNOTATIONS).glob("instances_*.json")):
+        name = file.relative_to(folder).as_posix()
+        try:
+            with native_reading(file):
+                found.extend(Flaw(name, f"pycocotools: {text}") for text in flaws_of(file))
+        except FrameError as error:
+            found.append(Flaw(name, f"pycocotools would not read it: {error}"))
+    return found
 
 
 def compare(first: Path, second: Path, say: Say | None = None) -> Comparison:

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from scenec.datasets.filters import QUANTITIES, quantity
 from scenec.datasets.formats.coco_parts import (
@@ -42,6 +43,7 @@ _EXTRAS = {
     "occlusion": "occlusion",
     "truncation": "truncation",
     "depth": "depth_mean",
+    "size": "size",
 }
 #: How the JSON of an annotation begins that has no number yet.
 _BEGIN = '{"id":0,'
@@ -108,51 +110,67 @@ class Coco(Format):
     def _annotations(self, frame: LoadedFrame, seen: Seen) -> tuple[list[str], int]:
         """Annotations without ``{"id":N,``, as JSON; how many instances have no category."""
         level = self.info.level
-        instance = frame.passes["instance"]
-        category = instance_categories(frame, level)
-        lines = np.flatnonzero(category)
-        ids = frame.table["id"][lines].astype(np.uint32)
-        areas, boxes = rle.boxes(instance, ids)
-        masks: list[Any] = _run_lengths(rle.compressed(*rle.encode_ids(instance, ids)), frame)
-        if self.option("segmentation") == "polygon":
-            # COCO has run lengths for crowds, whatever the rest has.
-            alone = np.flatnonzero(~frame.ignored[lines])
-            for at, polygons in zip(alone, outlines(instance, ids[alone]), strict=True):
-                masks[at] = polygons
-        columns: dict[str, list[Any]] = {
-            "id": [0] * len(ids),
-            "image_id": [frame.ref.index + 1] * len(ids),
-            "category_id": category[lines].tolist(),
-            "segmentation": masks,
-            "area": areas.tolist(),
-            "bbox": boxes.tolist(),
-            "iscrowd": frame.ignored[lines].astype(int).tolist(),
-            "instance_id": ids.tolist(),
-            "track_id": ((frame.ref.batch << 32) + ids.astype(np.int64)).tolist(),
-        }
-        for key, name in _EXTRAS.items():
-            if all(column in frame.table for column in QUANTITIES[name][1]):
-                values = quantity(frame, name)[lines]
-                if np.isfinite(values).all():
-                    columns[key] = np.round(values, 6).tolist()
-        if (amodal := frame.amodal) is not None:
-            whole = _run_lengths(rle.compressed(amodal.counts, amodal.starts), frame)
-            by_id = dict(zip(amodal.ids.tolist(), whole, strict=True))
-            columns["amodal_segmentation"] = [by_id.get(number) for number in ids.tolist()]
-        names = list(columns)
-        every = [
-            dict(zip(names, values, strict=True)) for values in zip(*columns.values(), strict=True)
-        ]
+        every, lines = instance_annotations(frame, level, self.option("segmentation") == "polygon")
         # Encoding all at once is three times as fast; no text in JSON has a bare quote in it.
         found = [text.rstrip(",") for text in dumps(every)[1:-1].split(_BEGIN)[1:]]
-        shown = category[lines].tolist()
+        shown = [one["category_id"] for one in every]
         seen.things.update(shown)
         for other in other_levels(frame, level):
             texts = frame.table.get(f"label.{other}")
             if texts is not None:
                 for number, name in set(zip(shown, texts[lines].tolist(), strict=True)):
                     seen.name(other, number, name)
-        return found, len(category) - len(lines)
+        return found, len(frame.table["id"]) - len(lines)
+
+
+def instance_annotations(
+    frame: LoadedFrame, level: str, polygons: bool = False
+) -> tuple[list[dict[str, Any]], NDArray[np.int64]]:
+    """A frame's instances as COCO has them.
+
+    Args:
+        frame: With a pass ``instance``.
+        level: Whose labels are categories; "" for none.
+        polygons: Whether masks of what is no crowd are polygons.
+
+    Returns:
+        Annotations, whose ``id`` is 0; their lines of the frame's table (the others have no
+        category).
+    """
+    instance = frame.passes["instance"]
+    category = instance_categories(frame, level)
+    lines = np.flatnonzero(category)
+    ids = frame.table["id"][lines].astype(np.uint32)
+    areas, boxes = rle.boxes(instance, ids)
+    masks: list[Any] = _run_lengths(rle.compressed(*rle.encode_ids(instance, ids)), frame)
+    if polygons:
+        # COCO has run lengths for crowds, whatever the rest has.
+        alone = np.flatnonzero(~frame.ignored[lines])
+        for at, found in zip(alone, outlines(instance, ids[alone]), strict=True):
+            masks[at] = found
+    columns: dict[str, list[Any]] = {
+        "id": [0] * len(ids),
+        "image_id": [frame.ref.index + 1] * len(ids),
+        "category_id": category[lines].tolist(),
+        "segmentation": masks,
+        "area": areas.tolist(),
+        "bbox": boxes.tolist(),
+        "iscrowd": frame.ignored[lines].astype(int).tolist(),
+        "instance_id": ids.tolist(),
+        "track_id": ((frame.ref.batch << 32) + ids.astype(np.int64)).tolist(),
+    }
+    for key, name in _EXTRAS.items():
+        if all(column in frame.table for column in QUANTITIES[name][1]):
+            values = quantity(frame, name)[lines]
+            if np.isfinite(values).all():
+                columns[key] = np.round(values, 6).tolist()
+    if (amodal := frame.amodal) is not None:
+        whole = _run_lengths(rle.compressed(amodal.counts, amodal.starts), frame)
+        by_id = dict(zip(amodal.ids.tolist(), whole, strict=True))
+        columns["amodal_segmentation"] = [by_id.get(number) for number in ids.tolist()]
+    names = list(columns)
+    rows = zip(*columns.values(), strict=True)
+    return [dict(zip(names, values, strict=True)) for values in rows], lines
 
 
 def _picture(split: str, frame: LoadedFrame) -> str:
