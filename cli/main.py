@@ -37,6 +37,7 @@ from scenec.cli.completion import complete
 from scenec.cli.converge_arguments import add_converge_options
 from scenec.cli.explain_arguments import add_explain_options
 from scenec.cli.export_arguments import add_export_options
+from scenec.cli.import_arguments import add_import_options
 from scenec.cli.output import clear_bar
 from scenec.cli.supervise import supervised
 from scenec.cli.sweep_arguments import add_sweep_options
@@ -195,6 +196,8 @@ def parser() -> argparse.ArgumentParser:
         "-o", "--output", metavar="FILE", help="- for standard output (default: TEMPLATE.jsonc)"
     )
     add_json(init)
+
+    add_import_options(_command(commands, "import", "a scene of another program, as a cfg: OAISYS"))
 
     schema = _command(commands, "schema", "the cfg's JSON Schema in one piece, for editors")
     schema.epilog = "Example: scenec schema -o scenec.schema.json (docs/writing.md)"
