@@ -197,7 +197,9 @@ def parser() -> argparse.ArgumentParser:
     )
     add_json(init)
 
-    add_import_options(_command(commands, "import", "a scene of another program, as a cfg: OAISYS"))
+    add_import_options(
+        _command(commands, "import", "a scene of another program, as a cfg: OAISYS, USD")
+    )
 
     schema = _command(commands, "schema", "the cfg's JSON Schema in one piece, for editors")
     schema.epilog = "Example: scenec schema -o scenec.schema.json (docs/writing.md)"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import takewhile
@@ -10,6 +9,7 @@ from typing import Any
 
 from scenec.importers.assets import Assets
 from scenec.importers.output import Imported
+from scenec.importers.scene import identifier, unused
 from scenec.importers.source import Item, Source
 
 
@@ -89,12 +89,6 @@ def _beginning(names: Sequence[str]) -> str:
     return "".join(column[0] for column in takewhile(lambda c: len(set(c)) == 1, columns))
 
 
-def identifier(text: str) -> str:
-    """A name that a cfg may have: letters, digits and underscores."""
-    name = re.sub(r"\W+", "_", text, flags=re.ASCII).strip("_") or "thing"
-    return f"_{name}" if name[0].isdigit() else name
-
-
 @dataclass
 class Context:
     """A translation under way.
@@ -124,11 +118,7 @@ class Context:
 
     def unused(self, where: str, text: str) -> str:
         """An identifier that no entry of a part of the cfg has."""
-        name, taken = identifier(text), self.cfg[where]
-        number, free = 2, name
-        while free in taken:
-            free, number = f"{name}_{number}", number + 1
-        return free
+        return unused(text, self.cfg[where])
 
 
 def label_vector(ctx: Context, item: Item, name: str, to: str) -> dict[str, str]:

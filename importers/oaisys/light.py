@@ -9,8 +9,9 @@ import numpy as np
 from PIL import Image
 
 from scenec.importers.numbers import mean, scaled, uniform
-from scenec.importers.oaisys.context import Context, identifier, label_vector
+from scenec.importers.oaisys.context import Context, label_vector
 from scenec.importers.report import ADDED
+from scenec.importers.scene import identifier
 from scenec.importers.source import Item
 
 #: Solar irradiance above the atmosphere, W/m².

@@ -7,13 +7,14 @@ from pathlib import Path
 
 from scenec.importers.assets import Assets
 from scenec.importers.oaisys import listing, render
-from scenec.importers.oaisys.context import Context, Labels, identifier
+from scenec.importers.oaisys.context import Context, Labels
 from scenec.importers.oaisys.ground import added_ground, terrain_material
 from scenec.importers.oaisys.light import light
 from scenec.importers.oaisys.meshes import scattered
 from scenec.importers.oaisys.relief import landscape, object_stage
 from scenec.importers.oaisys.sensors import sensors
 from scenec.importers.output import Imported
+from scenec.importers.scene import identifier
 from scenec.importers.source import Item, Source, check
 
 _DEAD = "OAISYS reads it nowhere"

@@ -11,9 +11,10 @@ import numpy as np
 from scenec.compiler.assets.tracks import read_stamped
 from scenec.importers.numbers import tidy, uniform
 from scenec.importers.oaisys import boxes
-from scenec.importers.oaisys.context import Context, identifier
+from scenec.importers.oaisys.context import Context
 from scenec.importers.poses import FLIP, rotation_of, track_writer, turns_of
 from scenec.importers.report import ADDED
+from scenec.importers.scene import identifier
 from scenec.importers.source import Item
 from scenec.schemas.errors import SceneError
 
