@@ -13,7 +13,7 @@ FORMATS = {
     "blenderproc": "a folder of a BOP scene, or of BlenderProc's HDF5 files with camera and "
     "object states",
 }
-#: As in ``scenec.importers.usd_scene``, which would cost the import of USD; a test compares them.
+#: As in ``scenec.importers.usd.scene``, which would cost the import of USD; a test compares them.
 KEEP = ("cameras", "light")
 
 

@@ -44,11 +44,11 @@ def run(options: argparse.Namespace) -> int:
 def _imported(options: argparse.Namespace, source: Path, out: Path) -> Imported:
     folders = [Path(folder) for folder in options.assets]
     if options.format == "usd":
-        from scenec.importers.usd_scene import import_usd
+        from scenec.importers.usd.read import import_usd
 
         return import_usd(source, out, ground=options.ground, keep=options.keep)
     if options.format == "blenderproc":
-        from scenec.importers.blenderproc import import_blenderproc
+        from scenec.importers.blenderproc.read import import_blenderproc
 
         return import_blenderproc(source, out, folders=folders, stand_ins=options.stand_ins)
     return import_oaisys(source, out, folders=folders, stand_ins=options.stand_ins)

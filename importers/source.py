@@ -71,12 +71,13 @@ class Source:
         self._asked.setdefault(at, set()).add(key)
 
     def note(self, at: Pointer, fate: str, to: str, note: str, value: Any) -> None:
-        """Says what became of a value; the first word stays."""
+        """Says what became of a value; the first word stays, unless it was that it is dropped."""
         position = self.document.values.get(at)
         if position is not None:
             name, text = self.file.name, shown(value)
             entry = Entry(fate, name, position.line, pointer(at), text, to, note)
-            self._entries.setdefault(at, entry)
+            if at not in self._entries or self._entries[at].fate == DROPPED != fate:
+                self._entries[at] = entry
 
     def leave(self, dead: Mapping[str, str]) -> None:
         """Reports as dropped what nobody said anything of.

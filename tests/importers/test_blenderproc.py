@@ -17,7 +17,7 @@ from scenec.cli.main import main
 from scenec.compiler.assets.tracks import read_track
 from scenec.compiler.cfg.load import load
 from scenec.compiler.compile import compile_cfg
-from scenec.importers.blenderproc import import_blenderproc
+from scenec.importers.blenderproc.read import import_blenderproc
 from scenec.importers.output import Imported, write
 from scenec.importers.poses import FLIP, rotation_of
 from scenec.schemas.errors import CfgError, ScenecError

@@ -21,7 +21,8 @@ from scenec.compiler.compile import compile_cfg
 from scenec.importers.output import Imported, write
 from scenec.importers.report import ADDED, APPROXIMATED, DROPPED
 from scenec.importers.scene import varied_pose
-from scenec.importers.usd_scene import KEEP, import_usd
+from scenec.importers.usd.read import import_usd
+from scenec.importers.usd.scene import KEEP
 from scenec.schemas.errors import ScenecError
 
 
