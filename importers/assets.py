@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from scenec.compiler.cfg.faults import pointer
 from scenec.importers.source import Item
 from scenec.schemas.errors import CfgError, Fault
 from scenec.schemas.spelling import closest, shown
@@ -63,12 +64,13 @@ class Assets:
         ]  # fmt: skip
         guess = closest(Path(name).name, there)
         hint = f"; did you mean {shown(guess)}?" if guess else ""
-        pointer = "".join(f"/{part}" for part in item.path)
         message = (
             f"no {what} {shown(name)} in {where} or above{hint}; --assets DIR says where to look, "
             f"--stand-ins puts {stand_in} in its place"
         )
-        self._missing.append(Fault(place.file, place.line, place.column, pointer, message))
+        self._missing.append(
+            Fault(place.file, place.line, place.column, pointer(item.path), message)
+        )
 
     def check(self) -> None:
         """Raises all that is missing.

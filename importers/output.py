@@ -40,7 +40,8 @@ class Imported:
 
     def refer(self, file: Path) -> str:
         """How the cfg names a file that is there."""
-        return Path(os.path.relpath(file, self.out.parent)).as_posix()
+        # Where links are, ".." leads from what they point to.
+        return Path(os.path.relpath(file.resolve(), self.out.parent.resolve())).as_posix()
 
     def make(self, name: str, write: Callable[[Path], None]) -> str:
         """Has a file made, and says how the cfg names it."""

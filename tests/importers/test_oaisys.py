@@ -266,6 +266,55 @@ def test_every_noise_of_the_landscape_generator_is_valid(noise: str, tmp_path: P
     write(imported(cfg, tmp_path))
 
 
+_GENERAL = ("SENSOR_SETUP", "GENERAL")
+_MESH = ("ASSET_SETUP", "MESHES", 0, "meshParams")
+_HDRI = {
+    "selectionOption": 2,
+    "HDRIList": [{"filePath": "no.exr", "strength": [1], "labelIDVec": [500]}],
+}
+_BLEND = {"stageFilePath": "no.blend", "assetMaterial": "ground", "stageDisplacementActive": True,
+          "stageDisplacementStrength": 2.0, "stageDisplacementMidLevel": 0.0}  # fmt: skip
+OTHERS = [
+    [put("randomEuclidean", *_GENERAL, "sensorMovementType"),
+     put([0.5, 0, -1.0], *_GENERAL, "randomEuclideanEulerMin"),
+     put([1.5, 0, 1.0], *_GENERAL, "randomEuclideanEulerMax")],
+    [put("centeredTarget", *_GENERAL, "sensorMovementType"),
+     put("rock1", *_GENERAL, "targetObject")],
+    [put("deterministic", *_GENERAL, "sensorMovementType"),
+     put("no.csv", *_GENERAL, "sensorMovementPose")],
+    [put(False, *_GENERAL, "hoverBaseModeEnabled")],
+    [put(False, *_GENERAL, "hoverTargetModeEnabled")],
+    [put(False, *_GENERAL, "hoverBaseModeEnabled"),
+     put(False, *_GENERAL, "hoverTargetModeEnabled")],
+    [put("EnvHDRI", *_SKY[:-1], "type"), put(_HDRI, *_SKY)],
+    [put([], *_SKY[:-2])],
+    [put("BLEND", *_MESH, "densityMapSettings", "densityMap", "noiseType")],
+    [put(True, *_MESH, "randomSwitchOnOff")],
+    [put(1.0, *_MESH, "rotationOptionFactor")],
+    [put("GLOB_Z", *_MESH, "rotationOptionMode")],
+    [put("CUSTOM", *_MESH, "meshEmitter")],
+    [put([], "ASSET_SETUP", "MESHES")],
+    *[[put("StageBlenderObject", *_STAGE[:-1], "type"),
+       put({**_BLEND, "stageDisplacementNoiseType": kind}, *_STAGE)]
+      for kind in ("CLOUDS", "VORONOI", "BLEND", "MARBLE")],
+    [put(0, "RENDER_SETUP", "RENDER_PASSES", 1, "passParams", "numIter")],
+    [put("BLENDER_EEVEE", "RENDER_SETUP", "GENERAL", "renderEngine")],
+    [put([], "RENDER_POST_PROCESSING_EFFECTS_SETUP", "POST_EFFECTS")],
+    [put(1000, *_SKY, "stepInterval")],
+    [put([0.5, 2.0], *_SKY, "SunIntensity")],
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("changes", OTHERS)
+def test_other_kinds_of_parts_are_valid_with_stand_ins(
+    changes: list[Callable[[Any], None]], tmp_path: Path
+) -> None:
+    cfg = example("oaisys_current")
+    for change in changes:
+        change(cfg)
+    assert write(imported(cfg, tmp_path)) == []
+
+
 def test_no_parameter_of_the_landscape_generator_is_both_translated_and_dropped() -> None:
     both = set(USUAL) & set(WITHOUT_COUNTERPART)
     assert both == {"edge_falloff", "maximum", "minimum"}
