@@ -29,6 +29,8 @@ _USUAL_SIZE = 100.0
 #: Height samples along a stage whose file says nothing of them.
 _SAMPLES = 200
 _MOST_OCTAVES = 24
+#: Largest parameter of A.N.T. that means something.
+_MOST = 1e4
 _RELIEF = "terrain/relief"
 
 
@@ -83,7 +85,7 @@ class _Landscape:
         item = self._given.get(key)
         if item is None:
             return self._usual[key], self._usual[key]
-        return item.span(low)
+        return item.span(low, _MOST)
 
     def word(self, key: str, *known: str) -> str:
         """A word; of several, the first."""

@@ -24,6 +24,10 @@ _POSE = f"rigs/{_RIG}/pose"
 _FILM_MM = 36.0
 #: Lowest height over ground, m.
 _LEAST_HEIGHT = 0.01
+#: Largest angle that is drawn, degrees.
+_MOST_TURN = 1e5
+#: Largest width or height of a picture.
+_LARGEST_SIDE = 65535
 #: Shortest focal length, pixels.
 _LEAST_FOCAL = 1e-3
 
@@ -142,6 +146,8 @@ def _target(ctx: Context, general: Item) -> dict[str, Any]:
     height = _hover(general)
     roll = general.get("randomTargetRollDeg")
     turn = roll.numbers(2) if roll else [0.0, 0.0]
+    if roll and max(map(abs, turn)) > _MOST_TURN:
+        roll.fault(f"{roll.value}: expected angles of {_MOST_TURN:g} degrees at most")
     if roll:
         roll.translated(f"{_POSE}/roll_deg", "without effect there, and meant so")
     on_ground, above = _hover_target(general)
@@ -301,6 +307,8 @@ def _sensor(ctx: Context, entry: Item, found: dict[str, Any]) -> None:
         called.translated(to)
     size = params.need("imageResolution")
     width, height = (max(int(v), 1) for v in size.numbers(2))
+    if max(width, height) > _LARGEST_SIDE:
+        size.fault(f"{size.value}: expected a width and a height of {_LARGEST_SIDE} at most")
     size.translated(f"{to}/resolution")
     sensor: dict[str, Any] = {"resolution": [width, height]}
     matrix = params.need("KMatrix")
