@@ -208,6 +208,7 @@ def test_all_faults_are_told_at_once(tmp_path: Path) -> None:
     assert len(faults(cfg, tmp_path)) == 3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("value", [None, -1e300, "x", [[]], {"a": [1]}])
 def test_any_value_in_any_place_is_a_fault_or_translated(value: Any, tmp_path: Path) -> None:
     cfg = example("oaisys_current")
