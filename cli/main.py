@@ -38,6 +38,7 @@ from scenec.cli.converge_arguments import add_converge_options
 from scenec.cli.evaluate_arguments import add_evaluate_options
 from scenec.cli.explain_arguments import add_explain_options
 from scenec.cli.export_arguments import add_export_options
+from scenec.cli.import_arguments import add_import_options
 from scenec.cli.output import clear_bar
 from scenec.cli.supervise import supervised
 from scenec.cli.sweep_arguments import add_sweep_options
@@ -196,6 +197,10 @@ def parser() -> argparse.ArgumentParser:
         "-o", "--output", metavar="FILE", help="- for standard output (default: TEMPLATE.jsonc)"
     )
     add_json(init)
+
+    add_import_options(
+        _command(commands, "import", "a scene of another program, as a cfg: OAISYS, USD")
+    )
 
     schema = _command(commands, "schema", "the cfg's JSON Schema in one piece, for editors")
     schema.epilog = "Example: scenec schema -o scenec.schema.json (docs/writing.md)"

@@ -13,8 +13,8 @@ from small import small_cfg, write_cfg
 
 from scenec.cli.main import main
 
-COMMANDS = ("run", "compile", "settle", "render", "scan", "check", "sheet", "view", "export",
-            "converge", "explain", "doctor")  # fmt: skip
+COMMANDS = ("run", "compile", "settle", "import", "render", "scan", "check", "sheet", "view",
+            "export", "converge", "explain", "doctor")  # fmt: skip
 pytestmark = pytest.mark.usefixtures("workers_here")
 NOT_UTF8 = os.fsdecode(b"a\xff")
 #: Locales without UTF-8, as an old container has them.

@@ -182,6 +182,6 @@ def test_the_extra_all_is_all_extras_that_users_want_but_what_is_too_large() -> 
 
 def test_the_source_links_are_relative_and_complete() -> None:
     links = {path.name: path.readlink() for path in (ROOT / "src" / "scenec").iterdir()}
-    expected = ("schemas", "compiler", "backends", "datasets", "studies", "settle", "cli",
-                "assets", "configs")  # fmt: skip
+    expected = ("schemas", "compiler", "backends", "datasets", "studies", "settle", "importers",
+                "cli", "assets", "configs")  # fmt: skip
     assert links == {name: Path("../..") / name for name in expected}

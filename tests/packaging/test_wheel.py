@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-LAYERS = ("schemas", "compiler", "backends", "datasets", "studies", "settle", "cli")
+LAYERS = ("schemas", "compiler", "backends", "datasets", "studies", "settle", "importers", "cli")
 #: Folders that come whole.
 DATA = ("assets", "configs")
 #: Scripts of the checkout, which read its tests and write its pages.

@@ -1,0 +1,1 @@
+"""Scenes of BlenderProc: BOP datasets, and its HDF5 files with states."""

@@ -1,0 +1,170 @@
+"""BOP: a folder of a scene, with ``models`` and ``camera.json`` above it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from scenec.importers.blenderproc.scene import Kind, Object, Scene, model_folders
+from scenec.importers.output import Imported
+from scenec.importers.report import APPROXIMATED, TRANSLATED
+from scenec.importers.source import Item, Source, check
+from scenec.schemas.spelling import shown
+
+#: Meters per unit.
+MM = 1e-3
+#: A camera's axes (x right, y down, z ahead) in a world where it looks level, z up.
+_LEVEL = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
+
+
+def read_bop(folder: Path, imported: Imported) -> Scene:
+    """Reads a folder with ``scene_camera.json`` and ``scene_gt.json``.
+
+    Raises:
+        CfgError: All that is wrong with these files.
+    """
+    cameras, truth = Source(folder / "scene_camera.json"), Source(folder / "scene_gt.json")
+    scene = Scene()
+    frames = sorted(cameras.root().entries(), key=lambda entry: int(entry[0]))
+    objects = dict(truth.root().entries())
+    from_world = [_from_world(item) for _, item in frames]
+    seen = [_entries(objects.get(name)) for name, _ in frames]
+    if not frames:
+        cameras.root().fault("no picture: expected an object with one for each")
+    check([cameras, truth])
+    known = [matrix for matrix in from_world if matrix is not None]
+    if len(known) == len(frames):
+        scene.poses = [np.linalg.inv(matrix) for matrix in known]
+    else:
+        scene.poses = _by_objects(seen, frames, imported)
+    for number, entries in enumerate(seen):
+        count: dict[str, int] = {}
+        for kind, in_camera in entries:
+            nth = count[kind] = count.get(kind, 0) + 1
+            same = [o for o in scene.objects if o.kind == kind]
+            if len(same) < nth:
+                scene.objects.append(Object(kind))
+                same.append(scene.objects[-1])
+            same[nth - 1].poses[number] = scene.poses[number] @ in_camera
+    matrices = [item.need("cam_K").numbers(9) for _, item in frames]
+    for (_, item), matrix in zip(frames, matrices, strict=True):
+        k = item.need("cam_K")
+        if matrix == matrices[0]:
+            k.translated("rigs/camera/sensors/rgb/intrinsics")
+        else:
+            k.approximated("rigs/camera/sensors/rgb/intrinsics", "those of the first picture")
+        for key in ("depth_scale", "view_level", "elev", "mode"):
+            other = item.get(key)
+            if other:
+                other.dropped("says how pictures are stored, not what is in them")
+    check([cameras, truth])
+    scene.matrix = matrices[0]
+    scene.size = _size(folder, matrices[0], imported)
+    _bop_models(folder, scene, imported)
+    for source in (cameras, truth):
+        source.leave({})
+        source.report_to(imported.report)
+    return scene
+
+
+def _from_world(item: Item) -> NDArray[np.float64] | None:
+    turn, place = item.get("cam_R_w2c"), item.get("cam_t_w2c")
+    if turn is None or place is None:
+        return None
+    matrix = _rigid(turn, place)
+    for part in (turn, place):
+        part.translated("rigs/camera/pose")
+    return matrix
+
+
+def _rigid(turn: Item, place: Item) -> NDArray[np.float64]:
+    """A rotation by row and a place in millimeters, as a matrix in meters."""
+    matrix = np.eye(4)
+    rotation = np.array(turn.numbers(9)).reshape(3, 3)
+    if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-3 or np.linalg.det(rotation) < 0:
+        turn.fault(f"{shown(turn.value)}: expected a rotation matrix, by row")
+        return matrix
+    matrix[:3, :3] = rotation
+    matrix[:3, 3] = np.array(place.numbers(3)) * MM
+    return matrix
+
+
+def _entries(item: Item | None) -> list[tuple[str, NDArray[np.float64]]]:
+    """Objects of one picture: name of the model, and its pose in the camera."""
+    found = []
+    for entry in item.children() if item else ():
+        number = entry.need("obj_id").whole(0)
+        turn, place = entry.need("cam_R_m2c"), entry.need("cam_t_m2c")
+        found.append((f"obj_{number:06d}", _rigid(turn, place)))
+        for part in (entry.need("obj_id"), turn, place):
+            part.translated(f"objects/obj_{number:06d}")
+    return found
+
+
+def _by_objects(
+    seen: Sequence[Sequence[tuple[str, NDArray[np.float64]]]],
+    frames: Sequence[tuple[str, Item]],
+    imported: Imported,
+) -> list[NDArray[np.float64]]:
+    """Poses of cameras that do not say theirs: by an object that the first one sees, too."""
+    first = np.eye(4)
+    first[:3, :3] = _LEVEL
+    poses = [first]
+    for entries, (name, item) in zip(seen[1:], frames[1:], strict=True):
+        pair = next(((a, b) for kind, a in seen[0] for other, b in entries if kind == other), None)
+        if pair is None:
+            item.fault(
+                f"picture {name} has no cam_R_w2c, and none of the objects of the first one: "
+                "where its camera is cannot be known"
+            )
+            poses.append(first)
+        else:
+            poses.append(first @ pair[0] @ np.linalg.inv(pair[1]))
+    check([item.source for _, item in frames[:1]])
+    imported.report.add(
+        APPROXIMATED, "scene_camera.json", None, "rigs/camera/pose",
+        "no cam_R_w2c: the first camera looks level, others are placed by objects at rest",
+    )  # fmt: skip
+    return poses
+
+
+def _size(folder: Path, matrix: Sequence[float], imported: Imported) -> tuple[int, int]:
+    to = "rigs/camera/sensors/rgb/resolution"
+    for parent in (folder, *list(folder.resolve().parents)[:2]):
+        if (parent / "camera.json").is_file():
+            camera = Source(parent / "camera.json")
+            size = tuple(camera.root().need(key).whole(1, 65535) for key in ("width", "height"))
+            check([camera])
+            imported.report.add(TRANSLATED, "camera.json", list(size), to)
+            return size[0], size[1]
+    for picture in sorted((*folder.glob("rgb/*"), *folder.glob("gray/*")))[:1]:
+        with Image.open(picture) as opened:
+            imported.report.add(TRANSLATED, f"rgb/{picture.name}", list(opened.size), to)
+            return opened.size
+    size = (max(round(2 * matrix[2] + 1), 1), max(round(2 * matrix[5] + 1), 1))
+    note = "neither camera.json nor a picture is there: about the principal point"
+    imported.report.add(APPROXIMATED, "cam_K", list(size), to, note)
+    return size
+
+
+def _bop_models(folder: Path, scene: Scene, imported: Imported) -> None:
+    """Kinds of models, with their boxes where ``models_info.json`` has them."""
+    named = [place / "models_info.json" for place in model_folders(folder)]
+    info = next((file for file in named if file.is_file()), None)
+    source = Source(info) if info else None
+    for name in dict.fromkeys(thing.kind for thing in scene.objects):
+        number = int(name.removeprefix("obj_"))
+        kind = Kind((name, f"obj_{number:02d}", f"obj_{number}"), MM)
+        entry = source.root().get(str(number)) if source else None
+        if entry is not None:
+            low = np.array([entry.need(f"min_{axis}").number() for axis in "xyz"])
+            size = np.array([entry.need(f"size_{axis}").number(0.0) for axis in "xyz"])
+            kind.low, kind.high = low * MM, (low + size) * MM
+        scene.kinds[name] = kind
+    if source:
+        check([source])
+        imported.report.add(TRANSLATED, "models_info.json", None, "terrain/relief/0/height_m")

@@ -1,0 +1,173 @@
+"""``SIMULATION_SETUP``, ``RENDER_SETUP`` and the effects after rendering."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from scenec.importers.numbers import tidy
+from scenec.importers.oaisys.context import Context
+from scenec.importers.source import Item
+
+#: Keys that OAISYS' program reads and ours has no place for.
+_SIMULATION = {
+    "outputIDOffset": "batches are numbered from 0; export --format oaisys has its own numbers",
+    "outputPath": "-o of scenec run says it",
+    "saveBlenderFiles": "each batch is a USD stage, which Blender opens",
+    "saveMetaData": "each frame has a sidecar, each output a manifest",
+}
+_GENERAL = {
+    "renderFeatureSet": "the mesh is subdivided when it is compiled",
+    "performanceTilesX": "the renderer's own affair",
+    "performanceTilesY": "the renderer's own affair",
+}
+_ENGINES = ("CYCLES", "BLENDER_EEVEE", "BLENDER_EEVEE_NEXT", "BLENDER_WORKBENCH")
+
+
+def simulation(ctx: Context, setup: Item) -> None:
+    """How many batches and samples."""
+    for key, ours in (("numBatches", "batches"), ("numSamplesPerBatch", "samples")):
+        item = setup.need(key)
+        ctx.cfg[ours] = item.whole(1, 1_000_000)
+        item.translated(ours)
+    ctx.samples = ctx.cfg["samples"]
+    for key, why in _SIMULATION.items():
+        dropped = setup.get(key)
+        if dropped:
+            dropped.dropped(why)
+    rendered = setup.get("renderImages")
+    if rendered and not rendered.flag():
+        rendered.translated("scenec compile", "stages alone")
+    elif rendered:
+        rendered.translated("scenec run")
+
+
+def levels(setup: Item) -> int:
+    """Levels of labels that are rendered; faults are those of ``passes``."""
+    for entry in setup.object("RENDER_SETUP").need("RENDER_PASSES").children():
+        kind = entry.get("type")
+        if kind is not None and kind.value == "SemanticPass":
+            number = entry.object("passParams").get("numIter")
+            return number.whole(0, 1000) if number else 1
+    return 0
+
+
+def passes(ctx: Context, setup: Item) -> None:
+    """Outputs, and the options of a renderer."""
+    general = setup.object("GENERAL")
+    engine, device = general.get("renderEngine"), general.get("renderDevice")
+    options = ctx.imported.options
+    if engine:
+        is_cycles = engine.one_of(*_ENGINES) == "CYCLES"
+        backend = "cycles" if is_cycles else "pyrender"
+        options += ["--backend", backend]
+        if is_cycles:
+            engine.translated("scenec run --backend cycles")
+        else:
+            engine.approximated("scenec run --backend pyrender", "the other rasterizer")
+    if device:
+        name = {"GPU": "cuda", "CPU": "cpu"}[device.one_of("GPU", "CPU")]
+        device.approximated(f"scenec run --device {name}", "left out, it is the fastest that works")
+    for key, why in _GENERAL.items():
+        item = general.get(key)
+        if item:
+            item.dropped(why)
+    outputs: list[str] = []
+    for entry in setup.need("RENDER_PASSES").children():
+        _pass(ctx, entry, outputs)
+    order = ("rgb", "label", "instance", "depth")
+    ctx.cfg["outputs"] = [name for name in order if name in outputs] or ["rgb"]
+
+
+def _pass(ctx: Context, entry: Item, outputs: list[str]) -> None:
+    kinds = {"RGBDPass": "rgb", "SemanticPass": "label", "InstancePass": "instance"}
+    kind = entry.need("type")
+    name = kind.one_of(*kinds)
+    kind.translated(f"outputs: {kinds[name]}")
+    params = entry.object("passParams")
+    number = params.get("numIter")
+    count = number.whole(0, 1000) if number else 1
+    if count:
+        outputs.append(kinds[name])
+    if number:
+        number.translated("labels" if name == "SemanticPass" else "outputs")
+    spp, bounces = params.get("renderSamples"), params.get("lightPathesMaxBounces")
+    depth = params.get("renderDepthActive")
+    if depth:
+        depth.dropped("OAISYS reads it nowhere: DepthEnabled of a sensor counts")
+    if name != "RGBDPass":
+        for item in (spp, bounces):
+            if item:
+                item.dropped("annotation is exact: it takes no samples")
+        return
+    if spp:
+        ctx.imported.options += ["--spp", str(spp.whole(1, 2**20))]
+        spp.translated(f"scenec run --spp {spp.value}")
+    if bounces:
+        bounces.dropped("renderers have their own number of bounces, the same in all of them")
+
+
+def effects(ctx: Context, setup: Item) -> None:
+    """``RENDER_POST_PROCESSING_EFFECTS_SETUP``: bloom, after the rig is there."""
+    shown = setup.object("GENERAL").get("renderPasses")
+    if shown:
+        shown.dropped("only the picture has effects")
+    entries = setup.get("POST_EFFECTS")
+    for entry in entries.children() if entries else ():
+        kind = entry.need("type")
+        if kind.one_of("BloomEffect", "CombineEffect") != "BloomEffect":
+            kind.dropped("no effect of this kind")
+            continue
+        params = next(
+            (entry.object(k) for k in ("postEffectsParams", "effectParams") if k in entry), entry
+        )
+        _bloom(ctx, kind, params)
+
+
+#: Electrons that a pixel of this size holds, as the cfg has it where nothing is said.
+_WELL_E, _PIXEL_UM = 10500.0, 3.45
+#: A sensor that adds nothing of its own to a picture.
+_CLEAN: dict[str, Any] = {
+    "shot_noise": False, "read_noise_e": 0, "prnu": 0, "dsnu_e": 0, "mosaic": "none",
+    "dark_current": {"rate_e_s": 0}, "defects": {"hot": 0, "dead": 0}, "headroom_stops": 4,
+}  # fmt: skip
+
+
+def _of_focus(sensor: dict[str, Any]) -> dict[str, Any]:
+    """What a sensor's own optics say of its focus, taken from there."""
+    focus = sensor.get("focus")
+    if focus is None:
+        return {}
+    pixel_um = 1e3 * focus.pop("focal_length_mm") / sensor["intrinsics"]["fx"]
+    # As many electrons on each bit of its area as those of the usual pixel.
+    well = min(_WELL_E * (pixel_um / _PIXEL_UM) ** 2, 1e9)
+    return {
+        "f_number": focus.pop("f_number"),
+        "pixel_um": tidy(pixel_um),
+        "full_well_e": tidy(round(well)),
+    }
+
+
+def _bloom(ctx: Context, kind: Item, params: Item) -> None:
+    size, mix = params.get("size"), params.get("mix")
+    # Blender's glare reaches over 2^size pixels; -1 is the picture alone, 1 the glare alone.
+    radius = 2.0 ** (size.number(1.0, 9.0) if size else 6.0) / 9.0
+    share = 0.04 * (1.0 + (mix.number(-1.0, 1.0) if mix else 0.0))
+    for sensor in ctx.cfg["rigs"]["base"]["sensors"].values():
+        sensor["imaging"] = {
+            **_CLEAN,
+            **_of_focus(sensor),
+            "bloom": {"share": tidy(share), "radius_px": tidy(max(radius, 0.5))},
+        }
+    to = "rigs/base/sensors/*/imaging/bloom"
+    kind.approximated(to, "light that the lens scatters, without a threshold")
+    if size:
+        size.approximated(f"{to}/radius_px", "three Gaussians as wide as the glare")
+    if mix:
+        mix.approximated(f"{to}/share", "a share of the light; its sum stays")
+    for key, why in (
+        ("quality", "it is always as fine as the picture"),
+        ("threshold", "bright and dark light is scattered alike"),
+    ):
+        item = params.get(key)
+        if item:
+            item.dropped(why)

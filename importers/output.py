@@ -1,0 +1,98 @@
+"""Writes what was imported: a cfg, and the files that it needs in a folder beside it."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from scenec.compiler.cfg.load import load
+from scenec.importers.report import Report
+from scenec.schemas.errors import CfgError, Fault, OutputError
+from scenec.schemas.files import as_json, atomic, check_output, temporary_folder
+
+
+@dataclass
+class Imported:
+    """A cfg in the making.
+
+    Attributes:
+        out: The cfg file that it becomes.
+        cfg: Its value.
+        report: What became of what was imported.
+        made: Files that it needs and nobody has: name and what writes it.
+        options: Words for ``scenec run`` that no cfg says.
+    """
+
+    out: Path
+    cfg: dict[str, Any] = field(default_factory=dict)
+    report: Report = field(default_factory=Report)
+    made: dict[str, Callable[[Path], None]] = field(default_factory=dict)
+    options: list[str] = field(default_factory=list)
+
+    @property
+    def folder(self) -> Path:
+        """Where files are that are made for the cfg."""
+        return self.out.with_name(f"{self.out.stem}_files")
+
+    def refer(self, file: Path) -> str:
+        """How the cfg names a file that is there."""
+        # Where links are, ".." leads from what they point to.
+        return Path(os.path.relpath(file.resolve(), self.out.parent.resolve())).as_posix()
+
+    def make(self, name: str, write: Callable[[Path], None]) -> str:
+        """Has a file made, and says how the cfg names it."""
+        self.made[name] = write
+        return f"{self.folder.name}/{name}"
+
+
+def check_free(out: Path) -> None:
+    """Sees that nothing would be overwritten, before anything is read.
+
+    Raises:
+        OutputError: The cfg or its folder is there, or cannot be written.
+    """
+    if out.suffix.lower() not in (".json", ".jsonc"):
+        raise OutputError(f"{out}: an imported cfg is JSON: expected a name that ends with .json")
+    for path in (out, out.with_name(f"{out.stem}_files")):
+        if path.exists():
+            raise OutputError(f"{path}: is there already; choose another name by -o")
+    check_output(out)
+
+
+def write(imported: Imported) -> list[str]:
+    """Writes the cfg and its files, all or nothing, once it is valid.
+
+    Returns:
+        What is improbable in the cfg.
+
+    Raises:
+        CfgError: The cfg is not valid.
+        OutputError: Something cannot be written.
+    """
+    out, folder = imported.out, imported.folder
+    with temporary_folder(out.parent) as making:
+        for name, write_file in imported.made.items():
+            write_file(making / name)
+        if imported.made:
+            making.rename(folder)
+        try:
+            with atomic(out) as temporary:
+                temporary.write_text(as_json(imported.cfg), encoding="utf-8")
+                try:
+                    spec = load(temporary)
+                except CfgError as error:
+                    raise CfgError([_renamed(f, temporary, out) for f in error.faults]) from error
+                return [str(_renamed(fault, temporary, out)) for fault in spec.warnings]
+        except BaseException:
+            if imported.made:
+                shutil.rmtree(folder, ignore_errors=True)
+            raise
+
+
+def _renamed(fault: Fault, temporary: Path, out: Path) -> Fault:
+    file = str(out) if fault.file == str(temporary) else fault.file
+    return Fault(file, fault.line, fault.column, fault.pointer, fault.message)

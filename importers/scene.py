@@ -1,0 +1,161 @@
+"""What importers of scenes share: names, labels, ground, cameras and light that vary."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenec.importers.numbers import tidy, uniform
+from scenec.importers.poses import quaternion_of
+
+#: The level of labels that scenes get.
+LEVEL = "class"
+#: Turns that a varied camera makes at most, degrees, and how far it moves, as a share of the scene.
+_TURN_DEG, _TILT_DEG, _MOVE = 10.0, 5.0, 0.02
+
+
+def identifier(text: str) -> str:
+    """A name that a cfg may have: letters, digits and underscores."""
+    name = re.sub(r"\W+", "_", text, flags=re.ASCII).strip("_") or "thing"
+    return f"_{name}" if name[0].isdigit() else name
+
+
+def unused(text: str, taken: Any) -> str:
+    """An identifier that is not among those taken."""
+    name = free = identifier(text)
+    number = 2
+    while free in taken:
+        free, number = f"{name}_{number}", number + 1
+    return free
+
+
+class Taxonomy:
+    """One level of labels, numbered as they come.
+
+    Attributes:
+        ids: Id by name.
+    """
+
+    def __init__(self) -> None:
+        self.ids: dict[str, int] = {}
+
+    def choice(self, name: str) -> dict[str, str]:
+        """A choice of one label."""
+        free = identifier(name)
+        self.ids.setdefault(free, len(self.ids) + 1)
+        return {LEVEL: free}
+
+
+def soil() -> dict[str, Any]:
+    """A material for ground that nobody described."""
+    maps = {"procedural": {"type": "soil", "resolution": 512}}
+    return {"base_color": [0.2, 0.14, 0.09], "maps": maps}
+
+
+def varied_sun() -> dict[str, Any]:
+    """A sun that stands anywhere by day."""
+    return {"elevation_deg": uniform(15, 75), "azimuth_deg": uniform(0, 360)}
+
+
+def varied_pose(pose: NDArray[np.float64], extent_m: float) -> dict[str, Any]:
+    """Poses about one.
+
+    Args:
+        pose: From the rig's frame (x right, y down, z ahead) to the world, [4, 4].
+        extent_m: Size of the scene, which says how far cameras move.
+    """
+    x, y, z = (float(v) for v in pose[:3, 3])
+    ahead, right, down = pose[:3, 2], pose[:3, 0], pose[:3, 1]
+    pitch = math.degrees(math.asin(max(-1.0, min(1.0, float(ahead[2])))))
+    if abs(pitch) > 89.0:
+        # Straight up or down: what is up in the picture says the bearing.
+        bearing = math.degrees(math.atan2(-float(down[0]), -float(down[1])))
+        roll = 0.0
+    else:
+        bearing = math.degrees(math.atan2(float(ahead[0]), float(ahead[1])))
+        # Without roll, right is level.
+        roll = math.degrees(math.atan2(-float(right[2]), -float(down[2])))
+    move = max(_MOVE * extent_m, 1e-3)
+    low, high = max(pitch - _TILT_DEG, -90.0), min(pitch + _TILT_DEG, 90.0)
+    return {
+        "type": "random",
+        "region_m": [[tidy(x - move), tidy(y - move)], [tidy(x + move), tidy(y + move)]],
+        "height_m": uniform(z - 0.25 * move, z + 0.25 * move),
+        "above": "world",
+        "look": {
+            "type": "direction",
+            "bearing_deg": uniform(bearing - _TURN_DEG, bearing + _TURN_DEG),
+            "pitch_deg": uniform(low, high),
+        },
+        **({"roll_deg": tidy(round(roll, 6))} if abs(roll) > 1e-4 else {}),
+        # The scene's own objects may be around it.
+        "limits": {"clearance_m": -1000},
+    }
+
+
+def orbit(extent_m: float) -> dict[str, Any]:
+    """A way around the middle, where a scene has no camera."""
+    radius, height = tidy(0.3 * extent_m), tidy(0.1 * extent_m)
+    return {
+        "pose": {"type": "orbit", "radius_m": radius, "height_m": height},
+        "sensors": {"camera": {"resolution": [640, 480], "fov_deg": 60}},
+    }
+
+
+def scattered_rocks(area_m2: float, material: str, labels: dict[str, str]) -> dict[str, Any]:
+    """Some small rocks all over the ground."""
+    size = math.sqrt(area_m2)
+    return {
+        "type": "rocks",
+        "material": material,
+        "labels": labels,
+        "count": 200,
+        "size_m": {"type": "log_uniform", "min": tidy(0.003 * size), "max": tidy(0.02 * size)},
+        "density": {"type": "noise", "scale_m": tidy(0.2 * size)},
+        "shortfall": "fewer",
+    }
+
+
+def table_writer(
+    poses: Sequence[NDArray[np.float64]],
+    models: Sequence[int] | None = None,
+    ids: Sequence[int] | None = None,
+    times_s: Sequence[float] | None = None,
+) -> Callable[[Path], None]:
+    """What writes a table of poses for a class of type ``placed``.
+
+    Args:
+        poses: From a model to the world, [4, 4] each; an uneven scale becomes an even one.
+        models: Index of the model of each; None: the first.
+        ids: Local id of each object; None: each row is one.
+        times_s: When each is there; None: always.
+    """
+    names = ["x_m", "y_m", "z_m", "qw", "qx", "qy", "qz", "scale"]
+    extra = [("model", models), ("id", ids), ("time_s", times_s)]
+    rows: list[list[str]] = [[*names, *(name for name, given in extra if given is not None)]]
+    for i, pose in enumerate(poses):
+        rotation, scale = without_scale(pose[:3, :3])
+        numbers = [*pose[:3, 3], *quaternion_of(rotation), scale]
+        cells = [f"{float(number):.12g}" for number in numbers]
+        cells += [f"{given[i]:.12g}" for _, given in extra if given is not None]
+        rows.append(cells)
+    text = "".join(f"{','.join(row)}\n" for row in rows)
+
+    def write(path: Path) -> None:
+        path.write_text(text, encoding="utf-8")
+
+    return write
+
+
+def without_scale(matrix: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
+    """The rotation nearest to a matrix [3, 3], and its scale: the cube root of the volume's."""
+    scale = float(np.cbrt(abs(np.linalg.det(matrix))))
+    u, _, v = np.linalg.svd(matrix)
+    rotation = u @ np.diag((1.0, 1.0, np.sign(np.linalg.det(u @ v)))) @ v
+    return rotation, max(scale, 1e-9)
