@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -135,10 +136,12 @@ class Cycles:
                 # A sample covers its pixel or not; float32 sums of their shares miss 1 by a hair.
                 hits += np.rint(pictures[0][..., 3].astype(np.float64) * each)
         coverage = np.asarray(np.clip(hits / (2 * each * shares), 0.0, 1.0), np.float32)
-        denoised = None
-        if denoise:
-            denoised = keep_rim(0.5 * (clean[0] + clean[1]), halves, coverage)
-        return Radiance(halves, coverage, 2 * each, denoised=denoised)
+        made = Radiance(halves, coverage, 2 * each)
+        if not denoise:
+            return made
+        keep_rim(clean, halves, coverage)
+        mean = clean.mean(axis=0, dtype=np.float32)
+        return replace(made, denoised=mean, denoised_halves=clean)
 
     def _works(self, device: str) -> bool:
         """Whether a device renders an empty picture."""
