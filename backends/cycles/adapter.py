@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -117,15 +118,16 @@ class Cycles:
         wanted = (render.NOISY, render.COMBINED) if denoise else (render.COMBINED,)
         halves = np.zeros((2, camera.height, camera.width, 3), np.float32)
         clean = np.zeros_like(halves)
-        hits = np.zeros((camera.height, camera.width))
+        hits, drawn = np.zeros((camera.height, camera.width)), 0
         shares = 1 if loaded.shares is None else len(loaded.shares)
         for share in range(shares):
-            bounces = self._bounces
+            bounces, samples = self._bounces, each
             if loaded.shares is not None:
                 bounces = loaded.shares.choose(share, bounces)
+                samples = loaded.shares.samples(share, each)
             for half in range(2):
                 noise = mix(seed, half + 2 * share)
-                render.for_radiance(loaded.scene, bounces, each, noise, denoise)
+                render.for_radiance(loaded.scene, bounces, samples, noise, denoise)
                 pictures = [
                     picture[: camera.height, : camera.width]
                     for picture in render.draw(self._bpy, loaded.scene, wanted)
@@ -133,12 +135,15 @@ class Cycles:
                 halves[half] += pictures[0][..., :3]
                 clean[half] += pictures[-1][..., :3]
                 # A sample covers its pixel or not; float32 sums of their shares miss 1 by a hair.
-                hits += np.rint(pictures[0][..., 3].astype(np.float64) * each)
-        coverage = np.asarray(np.clip(hits / (2 * each * shares), 0.0, 1.0), np.float32)
-        denoised = None
-        if denoise:
-            denoised = keep_rim(0.5 * (clean[0] + clean[1]), halves, coverage)
-        return Radiance(halves, coverage, 2 * each, denoised=denoised)
+                hits += np.rint(pictures[0][..., 3].astype(np.float64) * samples)
+                drawn += samples
+        coverage = np.asarray(np.clip(hits / drawn, 0.0, 1.0), np.float32)
+        made = Radiance(halves, coverage, 2 * each)
+        if not denoise:
+            return made
+        keep_rim(clean, halves, coverage)
+        mean = clean.mean(axis=0, dtype=np.float32)
+        return replace(made, denoised=mean, denoised_halves=clean)
 
     def _works(self, device: str) -> bool:
         """Whether a device renders an empty picture."""

@@ -102,7 +102,9 @@ class Built:
             for made, _ in lights:
                 self.scene.collection.objects.link(made)
             if self.shares is not None:
-                self.shares.prepare(lights)
+                around = 0.0 if sky is None else np.pi * float(sky.picture.mean())
+                albedo = max(max(surface.base_color) for surface in self._render_scene.surfaces)
+                self.shares.prepare(lights, np.inf if self._glows else around, albedo)
         self._lit_sample = sample
 
 

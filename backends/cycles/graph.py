@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from scenec.backends.surface.algebra import Algebra, Number, Traced, Vector
+from scenec.backends.surface.algebra import Algebra, Number, Traced, Turn, Vector
 
 #: Operations of the Math nodes, where they are not NumPy's names.
 _NAMES = {
@@ -305,6 +305,19 @@ class Nodes(Algebra):
 
     def unit(self, v: Vector) -> Vector:
         return _of("NORMALIZE", v) or super().unit(v)
+
+    def turned(self, v: Vector, turn: Turn, back: bool = False) -> Vector:
+        """By an angle in radians; of a vector that is a value."""
+        graph = v.graph
+
+        def make() -> Any:
+            node = graph.node("ShaderNodeVectorRotate")
+            node.rotation_type, node.invert = "Z_AXIS", back
+            graph.feed(node.inputs["Vector"], v)
+            graph.feed(node.inputs["Angle"], turn)
+            return node.outputs[0]
+
+        return graph.value(("turned", v, turn, back), make, True)
 
     def numbers(self, values: Any) -> Any:
         found = np.array(values, np.float64)

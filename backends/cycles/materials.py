@@ -97,7 +97,10 @@ def make_materials(
     """
     made = {}
     image = lru_cache(maxsize=None)(partial(make_image, bpy))
-    table = lru_cache(maxsize=None)(lambda seed: picture_image(bpy, cell_table(seed)[::-1]))
+    radians = np.array([1.0, 1.0, 2.0 * np.pi])
+    table = lru_cache(maxsize=None)(
+        lambda seed: picture_image(bpy, (cell_table(seed) * radians)[::-1])
+    )
     for key, reach in _reaches(scene).items():
         layers, depths = key
         material = bpy.data.materials.new("scenec_look")

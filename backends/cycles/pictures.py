@@ -5,9 +5,10 @@ Blender's own box projection mixes otherwise, and its tangents are MikkTSpace's.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from typing import Any
+
+import numpy as np
 
 from scenec.backends.cycles.geometry import ALONG_U, ALONG_V, UV, Frame
 from scenec.backends.cycles.graph import NODES, Graph, Value
@@ -25,7 +26,7 @@ class Pictures:
         graph: The material's.
         frame: Of Blender's coordinates.
         image: Blender's image of a map, by the arguments of ``maps.load_map``.
-        table: Blender's image of a table of cells, by its seed.
+        table: Blender's image of a table of cells, turns in radians, by its seed.
     """
 
     def __init__(
@@ -85,14 +86,11 @@ class Pictures:
                 found[kind] = value if MAP_CHANNELS[kind] == 3 else NODES.parts(value)[0]
             return found
 
-        def entry(i: Any, j: Any) -> Any:
+        def entry(corner: Any) -> Any:
             assert maps.cells is not None
-            u, v = ((n + 0.5) * (1.0 / SIDE) for n in (i, j))
-            image = self._table(maps.cells.seed)
-            found = graph.picture(image, u, v, "REPEAT", filtered=False)
-            shift_u, shift_v, turn = NODES.parts(found)
-            angle = turn * (2.0 * math.pi)
-            return shift_u, shift_v, NODES.call("cos", angle), NODES.call("sin", angle)
+            u, v, _ = NODES.parts(corner * (1.0 / SIDE) + np.full(3, 0.5 / SIDE))
+            found = graph.picture(self._table(maps.cells.seed), u, v, "REPEAT", filtered=False)
+            return found, NODES.parts(found)[2]
 
         found = pictures.look_up(NODES, placement, point, texels, entry)
         if "normal" in found:

@@ -2,12 +2,14 @@
 
 Scenes with laws other than Lambert's are drawn so, because a shader knows one light at a time (see
 ``planetary``). The shares add up to the picture: they differ in which light is on, and at which
-length of a path. A light's own share ends at the first hit, so all lights together cost one more
-camera ray a sample each; the rest has all lights from the second hit on, and sky and glow.
+length of a path. A light's own share ends at the first hit; the rest has all lights from the second
+hit on, and sky and glow. Shares get samples in proportion to the light that they may hold at the
+most: of the Moon's picture all but 0.05 % is the sun's own share, and so are the samples.
 """
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -34,19 +36,31 @@ class Shares:
         self._bpy, self._scene, self._frame = bpy, scene, frame
         self.light = KnownLight(bpy)
         self._lights: list[tuple[Any, Sun | Lamp]] = []
+        self._parts: list[float] = []
         self._bright: Any = None
         self._dark: Any = None
 
     def __len__(self) -> int:
         return len(self._lights) + 1
 
-    def prepare(self, lights: list[tuple[Any, Sun | Lamp]]) -> None:
+    def prepare(self, lights: list[tuple[Any, Sun | Lamp]], around: float, albedo: float) -> None:
         """Take over the light of a sample, as it has just been made.
 
         Args:
             lights: Objects, and what they stand for.
+            around: Irradiance from sky and glow, W/m^2; infinity where it is not known.
+            albedo: The largest of a surface.
         """
         self._lights = lights
+        own = [
+            float(np.max(light.irradiance)) if isinstance(light, Sun) else np.inf
+            for _, light in lights
+        ]
+        # A surface sends no more than half of what it reflects to others that the camera sees.
+        held = [*own, around + 0.5 * albedo * sum(own)]
+        most = max(held)
+        known = 0.0 < most < np.inf
+        self._parts = [part / most for part in held] if known else [1.0] * len(held)
         self._bright = self._scene.world
         self._dark = self._bpy.data.worlds.new("scenec_dark")
         self._dark.node_tree.nodes.clear()
@@ -56,6 +70,10 @@ class Shares:
         graph.feed(graph.node("ShaderNodeOutputWorld").inputs["Surface"], background.outputs[0])
         for made, _ in lights:
             self._mask(made.data)
+
+    def samples(self, number: int, samples: int) -> int:
+        """How many of a picture's samples a pixel a share gets."""
+        return max(1, math.ceil(self._parts[number] * samples))
 
     def choose(self, number: int, bounces: int) -> int:
         """Switch to a share; returns how many bounces it takes.

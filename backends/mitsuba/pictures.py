@@ -72,10 +72,10 @@ class Pictures:
                     first += channels
             return found
 
-        def entry(i: Any, j: Any) -> Any:
-            last = SIDE - 1
-            index = (mi.Int32(j) & last) * SIDE + (mi.Int32(i) & last)
-            return dr.gather(mi.Vector4f, self._table, mi.UInt32(index), active)
+        def entry(corner: Any) -> Any:
+            i, j = (mi.Int32(n) & (SIDE - 1) for n in corner[:2])
+            found = dr.gather(mi.Vector4f, self._table, mi.UInt32(j * SIDE + i), active)
+            return vector(found[0], found[1], 0.0), (found[2], found[3])
 
         found = pictures.look_up(ARRAYS, self._placement, point, texels, entry)
         if "normal" in found:

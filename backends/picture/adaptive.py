@@ -13,7 +13,7 @@ import hashlib
 import math
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -141,26 +141,33 @@ def collect(
         clock: Seconds from anywhere.
         continues: Whether ``draw`` can go on; all rounds then have the seed of the first.
         denoise: Denoises what ``draw`` does not, after each round, until the picture as it is has
-            the lower bound; of two pictures the better one counts, and is returned.
+            the lower bound; of two pictures the better one counts, and is returned. So it does
+            where ``draw`` denoises the halves of each round.
     """
     total = _Sum()
     rounds = Rounds(target, continues)
-    spp = min(FIRST_SPP, target.most)
+    spp, lost = min(FIRST_SPP, target.most), False
     while True:
         name = round_seed(seed, 0 if continues else len(rounds.made))
         start = clock()
         total.add(draw(spp, name, rounds.spp) if continues else draw(spp, name))
         picture = total.radiance()
-        noise = _noise_of(picture)
-        if denoise is not None:
+        clean = None
+        if lost:
+            picture = _undenoised(picture)
+        elif denoise is not None:
             clean = denoise(picture, round_seed(seed, 0))
+        elif picture.denoised_halves is not None:
+            clean, picture = picture, _undenoised(picture)
+        noise = _noise_of(picture)
+        if clean is not None:
             after = _noise_of(clean)
             rounds.denoised = _below(after, noise)
             if rounds.denoised:
                 picture, noise = clean, after
             else:
                 # More samples only add to the lead of the picture as it is.
-                denoise = None
+                lost = True
         rounds.made.append(
             Round(spp, name, clock() - start, noise.relative_rms, noise.relative_rms_bound)
         )
@@ -234,10 +241,19 @@ def _noise_of(picture: Radiance) -> Noise:
     return estimate(through(picture, None), noisy_pixels(picture))
 
 
+def _undenoised(picture: Radiance) -> Radiance:
+    """A picture as it was before denoising."""
+    return replace(picture, denoised=None, denoised_halves=None)
+
+
 def _below(one: Noise, other: Noise) -> bool:
     """Whether an error has the lower bound."""
     a, b = one.relative_rms_bound, other.relative_rms_bound
     return a is not None and b is not None and a < b
+
+
+#: What a picture may have beside its halves.
+_OPTIONAL = ("denoised", "denoised_halves", "background")
 
 
 class _Sum:
@@ -246,41 +262,31 @@ class _Sum:
     def __init__(self) -> None:
         self._spp = 0
         self._dropped = 0
-        self._halves: NDArray[np.float64] = np.zeros(0)
-        self._coverage: NDArray[np.float64] = np.zeros(0)
-        self._denoised: NDArray[np.float64] | None = None
-        self._background: NDArray[np.float64] | None = None
+        self._sums: dict[str, NDArray[np.float64]] = {}
         self._stochastic = True
 
     def add(self, one: Radiance) -> None:
         """Counts a round."""
-        if self._spp == 0:
-            self._halves = np.zeros(one.halves.shape)
-            self._coverage = np.zeros(one.coverage.shape)
-            self._denoised = None if one.denoised is None else np.zeros(one.denoised.shape)
-            self._background = None if one.background is None else np.zeros(one.background.shape)
-        # What overflowed counts as it is: infinity, and an error that is unknown.
-        with np.errstate(invalid="ignore"):
-            self._halves += one.spp * one.halves.astype(np.float64)
-        self._coverage += one.spp * one.coverage.astype(np.float64)
-        if self._denoised is not None and one.denoised is not None:
-            self._denoised += one.spp * one.denoised.astype(np.float64)
-        if self._background is not None and one.background is not None:
-            self._background += one.spp * one.background.astype(np.float64)
+        for name in ("halves", "coverage", *_OPTIONAL):
+            values = getattr(one, name)
+            if values is None:
+                continue
+            if self._spp == 0:
+                self._sums[name] = np.zeros(values.shape)
+            # What overflowed counts as it is: infinity, and an error that is unknown.
+            with np.errstate(invalid="ignore"):
+                self._sums[name] += one.spp * values.astype(np.float64)
         self._spp += one.spp
         self._dropped += one.dropped
         self._stochastic &= one.stochastic
 
     def radiance(self) -> Radiance:
         """The mean of all rounds."""
-        denoised = None if self._denoised is None else self._denoised / self._spp
-        background = None if self._background is None else self._background / self._spp
+        means = {name: total / self._spp for name, total in self._sums.items()}
+        means["coverage"] = np.minimum(means["coverage"], 1.0)
         return Radiance(
-            (self._halves / self._spp).astype(np.float32),
-            np.minimum(self._coverage / self._spp, 1.0).astype(np.float32),
-            self._spp,
-            self._dropped,
-            None if denoised is None else denoised.astype(np.float32),
-            self._stochastic,
-            None if background is None else background.astype(np.float32),
+            spp=self._spp,
+            dropped=self._dropped,
+            stochastic=self._stochastic,
+            **{name: mean.astype(np.float32) for name, mean in means.items()},
         )

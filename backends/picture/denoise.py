@@ -69,8 +69,9 @@ def denoise(
             f"{NAME} does not work here ({error}); render without denoising, or mend it with: "
             "pip install --force-reinstall pyoidn"
         ) from error
-    rimmed = [keep_rim(one, half[None], coverage) for one, half in zip(clear, halves, strict=True)]
-    return np.stack(rimmed)
+    found = np.stack(clear)
+    keep_rim(found, halves, coverage)
+    return found
 
 
 def _wider(picture: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -81,15 +82,14 @@ def _wider(picture: NDArray[np.float32]) -> NDArray[np.float32]:
 
 def keep_rim(
     denoised: NDArray[np.float32], halves: NDArray[np.float32], coverage: NDArray[np.float32]
-) -> NDArray[np.float32]:
-    """The denoised picture, but the plain mean of the halves next to the sky.
+) -> None:
+    """Put halves, [2, h, w, 3], back as they were next to the sky.
 
     A denoiser knows no coverage: it smears a silhouette's light over the sky, and leaves an eighth
     too little along it (measured with Cycles).
     """
     rim = _near_sky(coverage)
-    denoised[rim] = halves.mean(axis=0)[rim]
-    return denoised
+    denoised[:, rim] = halves[:, rim]
 
 
 def _near_sky(coverage: NDArray[np.float32]) -> NDArray[np.bool_]:

@@ -143,7 +143,8 @@ def draw(
         # Another odd number than tiles of a view have between them (``bands``).
         noise = (seed + 0x85EBCA6B * i) & 0xFFFFFFFF
         parts.append(radiance(backend, view, sample, each, noise, denoise))
-    channels = 7 if parts[0].denoised is None else 10
+    clean = [_denoised(part) for part in parts]
+    channels = 7 + 3 * len(clean[0])
     picture = np.zeros((camera.height, camera.width, channels), np.float32)
     index_of_face = np.full(len(FACES), -1, np.int64)
     index_of_face[list(views.faces)] = np.arange(len(views.faces))
@@ -155,8 +156,8 @@ def draw(
         stacked[own, :3] = part.halves[0].reshape(-1, 3)
         stacked[own, 3:6] = part.halves[1].reshape(-1, 3)
         stacked[own, 6] = part.coverage.ravel()
-        if part.denoised is not None:
-            stacked[own, 7:] = part.denoised.reshape(-1, 3)
+        for number, one in enumerate(clean[i]):
+            stacked[own, 7 + 3 * number : 10 + 3 * number] = one.reshape(-1, 3)
         k = view.intrinsics
         numbers[i] = k[0, 0], k[0, 2], k[1, 2], view.width, view.height
     table = views.table
@@ -169,14 +170,23 @@ def draw(
     shown = max(1, int(np.count_nonzero(table.known)))
     samples = sum(part.spp * view.width * view.height
                   for part, view in zip(parts, views.cameras, strict=True))  # fmt: skip
+    smooth = [picture[..., first : first + 3] for first in range(7, channels, 3)]
     return Radiance(
         np.ascontiguousarray(halves),
         np.clip(picture[..., 6], 0.0, 1.0),
         max(1, round(samples / shown)),
         sum(part.dropped for part in parts),
-        None if channels == 7 else np.ascontiguousarray(picture[..., 7:]),
+        np.mean(smooth, axis=0, dtype=np.float32) if smooth else None,
         all(part.stochastic for part in parts),
+        denoised_halves=np.stack(smooth) if len(smooth) == 2 else None,
     )
+
+
+def _denoised(part: Radiance) -> list[NDArray[np.float32]]:
+    """Its denoised halves, or only their mean where it has no more, or nothing."""
+    if part.denoised_halves is not None:
+        return list(part.denoised_halves)
+    return [] if part.denoised is None else [part.denoised]
 
 
 class _Rendered(NamedTuple):

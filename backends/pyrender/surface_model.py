@@ -135,12 +135,13 @@ def _texels(fn: Glsl, third: bool) -> pictures.Texels:
     return texels
 
 
-def _entry(fn: Glsl) -> Callable[[Any, Any], Any]:
-    def entry(i: Value, j: Value) -> Any:
-        row, column = (f"(int({n.name}) & {SIDE - 1})" for n in (j, i))
+def _entry(fn: Glsl) -> Callable[[Any], Any]:
+    def entry(corner: Value) -> Any:
+        column, row = (f"(int({corner.name}.{axis}) & {SIDE - 1})" for axis in "xy")
         place = f"lie.table + {SIDE} * {row} + {column}"
         found = fn.emit("vec4", f"texelFetch(surfaces, {place})").name
-        return tuple(fn.given("float", f"{found}.{axis}") for axis in "xyzw")
+        turn = fn.given("float", f"{found}.z"), fn.given("float", f"{found}.w")
+        return fn.given("vec3", f"vec3({found}.xy, 0.0)"), turn
 
     return entry
 

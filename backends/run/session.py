@@ -327,8 +327,12 @@ class Session:
 
         def draw(count: int, noise: int, first: int = 0) -> Radiance:
             if views is not None:
-                return resample.draw(backend, camera, views, sample, count, noise, denoise)
-            return tiles.radiance(backend, camera, sample, count, noise, draws_clean, first)
+                found = resample.draw(backend, camera, views, sample, count, noise, denoise)
+            else:
+                found = tiles.radiance(backend, camera, sample, count, noise, draws_clean, first)
+            if draws_clean and found.denoised is None:
+                raise BackendError(f"backend {backend.name} was asked to denoise, and did not")
+            return found
 
         blurred = self._blurred(camera, sample, denoise, details)
         # What can denoise a mean of rounds does so, and no round.
@@ -344,8 +348,6 @@ class Session:
                 radiance, rounds = collect(
                     blurred or draw, seed, target, continues=goes_on, denoise=later
                 )
-        if denoise and radiance.denoised is None and later is None:
-            raise BackendError(f"backend {backend.name} was asked to denoise, and did not")
         return radiance, rounds
 
     def _blurred(

@@ -21,6 +21,8 @@ from numpy.typing import NDArray
 #: What an algebra computes with: a number or a float; three of them.
 type Number = Any
 type Vector = Any
+#: An angle: its cosine and sine, or what else the kind's ``Algebra.turned`` takes.
+type Turn = Any
 
 #: Square of the length below which a vector has no direction.
 _NO_LENGTH = 1e-30
@@ -117,6 +119,13 @@ class Algebra(ABC):
         """A vector of length 1, or 0 where it has no direction."""
         return v * (1.0 / self.sqrt(self.maximum(self.dot(v, v), _NO_LENGTH)))
 
+    def turned(self, v: Vector, turn: Turn, back: bool = False) -> Vector:
+        """A vector turned counter-clockwise about z, or back."""
+        (cosine, sine), (x, y, z) = turn, self.parts(v)
+        if back:
+            return self.vector(cosine * x + sine * y, cosine * y - sine * x, z)
+        return self.vector(cosine * x - sine * y, sine * x + cosine * y, z)
+
 
 class Traced(ABC):
     """A value whose arithmetic is written down: each operation is ``_binary`` of its operands."""
@@ -166,7 +175,8 @@ class Float64(Algebra):
         return np.where(np.asarray(x) > 0.0, above, otherwise)
 
     def vector(self, x: Number, y: Number, z: Number) -> Vector:
-        return np.stack(np.broadcast_arrays(np.asarray(x, np.float64), y, z))
+        # Of plain floats one that stands beside points [3, n].
+        return np.stack(np.broadcast_arrays(np.atleast_1d(np.asarray(x, np.float64)), y, z))
 
     def parts(self, v: Vector) -> tuple[Number, Number, Number]:
         x, y, z = v

@@ -28,7 +28,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.backends.surface.algebra import Algebra, Number, Vector
+from scenec.backends.surface.algebra import Algebra, Number, Turn, Vector
 from scenec.schemas.cells import table
 
 #: From x, y to the lattice's own coordinates in which corners are whole numbers; and back.
@@ -56,48 +56,55 @@ class Corner(NamedTuple):
     """One of the three cells at a point.
 
     Attributes:
-        u, v: Where the picture is looked up.
+        place: Where the picture is looked up, a vector of u, v and anything.
         share, gain: Of what is mixed by the shares alone, and so that variance stays.
-        cosine, sine: Of its turn.
+        turn: Its.
     """
 
-    u: Number
-    v: Number
+    place: Vector
     share: Number
     gain: Number
-    cosine: Number
-    sine: Number
+    turn: Turn
 
 
-#: Shift along u and v, cosine and sine of the turn, of a corner in the lattice's coordinates.
-type Entry = Callable[[Number, Number], tuple[Number, Number, Number, Number]]
+#: Shift (a vector of u, v and anything) and turn of a corner in the lattice's coordinates, a vector
+#: whose third component is not looked at.
+type Entry = Callable[[Vector], tuple[Vector, Turn]]
 
 
-def corners(fn: Algebra, lattice: Lattice, x: Number, y: Number, entry: Entry) -> list[Corner]:
+def corners(fn: Algebra, lattice: Lattice, position: Vector, entry: Entry) -> list[Corner]:
     """The three cells at a point of the renderer's coordinates."""
     (_, skew), (_, rise) = TO_LATTICE
     (_, lean), (_, high) = TO_WORLD
+    repeats = lattice.repeats
+    x, y, _ = fn.parts(position)
     s = (x + skew * y) * lattice.step + lattice.start[0]
-    t = rise * y * lattice.step + lattice.start[1]
-    column, row = fn.floor(s), fn.floor(t)
-    x, y = s - column, t - row
+    t = y * (rise * lattice.step) + lattice.start[1]
+    at = fn.vector(s, t, 0.0)
+    first = fn.floor(at)
+    x, y, _ = fn.parts(at - first)
     rest = 1.0 - x - y
     upper = fn.select(rest, 0.0, 1.0)
     both = upper * rest
     near = fn.vector(rest, x + both, y + both)
     squares = near * near
     fourth = squares * squares
-    powers = fn.parts(fourth)
-    total = 1.0 / (powers[0] + powers[1] + powers[2])
-    spread = 1.0 / fn.length(fourth)
+    shares = fn.parts(fourth * (1.0 / fn.dot(fourth, fn.vector(1.0, 1.0, 1.0))))
+    gains = fn.parts(fourth * (1.0 / fn.length(fourth)))
+    # From the triangle's first corner and from the others, in repeats of the picture.
+    away = fn.vector(repeats * x + (lean * repeats) * y, (high * repeats) * y, 0.0)
+    others = [
+        (
+            fn.vector(upper, upper, 0.0),
+            fn.vector((1.0 + lean) * repeats, high * repeats, 0.0) * upper,
+        ),
+        (fn.vector(1.0, 0.0, 0.0), fn.vector(repeats, 0.0, 0.0)),
+        (fn.vector(0.0, 1.0, 0.0), fn.vector(lean * repeats, high * repeats, 0.0)),
+    ]
     found = []
-    for power, i, j in zip(powers, (upper, 1.0, 0.0), (upper, 0.0, 1.0), strict=True):
-        dx, dy = x - i, (y - j) * lattice.repeats
-        dx, dy = dx * lattice.repeats + lean * dy, high * dy
-        shift_u, shift_v, cosine, sine = entry(column + i, row + j)
-        u = cosine * dx - sine * dy + shift_u
-        v = sine * dx + cosine * dy + shift_v
-        found.append(Corner(u, v, power * total, power * spread, cosine, sine))
+    for share, gain, (step, there) in zip(shares, gains, others, strict=True):
+        shift, turn = entry(first + step)
+        found.append(Corner(fn.turned(away - there, turn) + shift, share, gain, turn))
     return found
 
 
@@ -121,13 +128,12 @@ def mixed(
 
 def turned_back(fn: Algebra, cells: Sequence[Corner], normals: Sequence[Vector]) -> Vector:
     """The mixture of mapped normals of the three cells, a unit vector along the world's axes."""
-    x = y = z = 0.0
+    total = None
     for cell, normal in zip(cells, normals, strict=True):
-        u, v, w = fn.parts(normal)
-        x = x + cell.gain * (cell.cosine * u + cell.sine * v)
-        y = y + cell.gain * (cell.cosine * v - cell.sine * u)
-        z = z + cell.share * w
-    return fn.unit(fn.vector(x, y, z))
+        own = fn.turned(normal, cell.turn, back=True)
+        part = own * fn.vector(cell.gain, cell.gain, cell.share)
+        total = part if total is None else total + part
+    return fn.unit(total)
 
 
 @lru_cache(maxsize=8)

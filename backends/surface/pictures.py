@@ -185,9 +185,8 @@ def _from_above(
     if scale.lattice is None or entry is None:
         u, v, _ = fn.parts(point.position * scale.step + scale.start)
         return texels(u, v)
-    x, y, _ = fn.parts(point.position)
-    corners = cells.corners(fn, scale.lattice, x, y, entry)
-    values = [texels(corner.u, corner.v) for corner in corners]
+    corners = cells.corners(fn, scale.lattice, point.position, entry)
+    values = [texels(*fn.parts(corner.place)[:2]) for corner in corners]
     found = {}
     for kind in values[0]:
         own = [value[kind] for value in values]
@@ -239,9 +238,10 @@ def _entry(maps: Maps) -> Callable[..., Any]:
     assert maps.cells is not None
     table = cells.corner_table(maps.cells.seed)
 
-    def entry(i: Number, j: Number) -> Any:
-        row, column = (np.asarray(n).astype(np.int64) % SIDE for n in (j, i))
-        return np.moveaxis(table[row, column], -1, 0)
+    def entry(corner: Vector) -> Any:
+        column, row = corner[:2].astype(np.int64) % SIDE
+        shift_u, shift_v, cosine, sine = np.moveaxis(table[row, column], -1, 0)
+        return np.stack([shift_u, shift_v, 0.0 * shift_u]), (cosine, sine)
 
     return entry
 

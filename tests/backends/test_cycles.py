@@ -139,32 +139,6 @@ def test_samples_of_a_pixel_are_counted():
     assert set(np.unique(np.round(sixths.coverage * 6, 5))) <= set(range(7))
 
 
-@pytest.mark.slow
-def test_denoising_takes_noise_and_leaves_rims():
-    ball, faces = ms.icosphere(3)
-    view = ms.look_at((0, -6, 1.0), (0, 0, 1.2), 96, 72, 50)
-    scene = ms.scene(
-        [ms.mesh(*ms.plane(8.0)), ms.mesh(ball, faces, (1,), normals=ball)],
-        [ms.surface((0.5, 0.4, 0.3)), ms.surface((0.2, 0.3, 0.4), 0.3, 0.4)],
-        rows=[(0, ms.affine()), (1, ms.affine(1.0, (0, 0, 0.8)))],
-        cameras=[view],
-        lights=[ms.sun(40, 20, 500, 3.0), ms.dome(40.0)],
-    )
-    backend = loaded(scene)
-    plain = backend.radiance(view, 0, 8, 1)
-    denoised = backend.radiance(view, 0, 8, 1, denoise=True)
-    clean = denoised.denoised
-    assert clean is not None
-    true = backend.radiance(view, 0, 512, 2).halves.mean(axis=0)
-    noisy = plain.halves.mean(axis=0)
-    inside = plain.coverage == 1.0
-    assert np.mean((clean - true)[inside] ** 2) < 0.7 * np.mean((noisy - true)[inside] ** 2)
-    assert clean[inside].mean() == pytest.approx(true[inside].mean(), rel=0.01)
-    rim = (plain.coverage > 0.0) & ~inside
-    assert rim.sum() > 30
-    np.testing.assert_array_equal(clean[rim], noisy[rim])
-
-
 def test_what_is_not_exact_is_said():
     assert "aureole" in "".join(Cycles().losses(looks.laws_under_sky()))
     assert Cycles().losses(looks.metals_under_sky()) == ()

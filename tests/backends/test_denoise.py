@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.metadata
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -98,9 +99,10 @@ def test_what_was_not_denoised_has_the_error_that_its_halves_tell():
     assert estimate_denoised([]).relative_rms is None
 
 
-def test_mitsuba_states_the_error_of_a_denoised_picture():
+@pytest.mark.parametrize("name", ["mitsuba", "cycles"])
+def test_the_error_of_a_denoised_picture_is_stated(name):
     scene = ball_on_a_plane()
-    view, backend = scene.cameras[0][0], open_backend("mitsuba", "cpu")
+    view, backend = scene.cameras[0][0], open_backend(name, "cpu")
     backend.load(scene)
     best = backend.radiance(view, 0, 1024, 2)
     true, covered = best.halves.mean(axis=0, dtype=float), best.coverage > 0.0
@@ -131,6 +133,25 @@ def test_rounds_are_denoised_together_and_their_error_after_it_counts():
     # Where denoising does harm, the picture as it is counts.
     picture, rounds = collect(draw, 7, Target(0.004, None, 4096), **options)
     assert (rounds.stopped, rounds.denoised, picture.denoised) == ("error", False, None)
+
+
+@pytest.mark.parametrize(("goal", "wins"), [(0.02, True), (0.002, False)])
+def test_of_rounds_that_are_denoised_apart_the_better_mean_counts(goal, wins):
+    true = (2.0 + np.sin(np.arange(64) / 8.0))[:, None, None] * np.ones((64, 64, 3))
+
+    def draw(spp: int, seed: int) -> Radiance:
+        noise = np.random.default_rng(seed).standard_normal((2, 64, 64, 3)) / np.sqrt(spp)
+        halves = true + 0.4 * noise
+        clean = 0.9 * blurred(halves) + 0.1 * halves
+        made = Radiance(halves.astype(np.float32), np.ones((64, 64), np.float32), spp)
+        return replace(made, denoised=clean.mean(axis=0), denoised_halves=clean)
+
+    picture, rounds = collect(draw, 7, Target(goal, None, 1 << 16))
+    assert (rounds.stopped, rounds.denoised) == ("error", wins)
+    assert (picture.denoised is not None) == wins
+    shown = picture.halves.mean(axis=0) if picture.denoised is None else picture.denoised
+    error = np.sqrt(((shown - true) ** 2).mean()) / true.mean()
+    assert error <= rounds.made[-1].relative_rms_bound_95 <= goal
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (3, 70), (48, 64)])

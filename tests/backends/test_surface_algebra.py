@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from scenec.backends.cycles.graph import NODES
 from scenec.backends.stage.scene import Reflectance
 from scenec.backends.surface import cells, lamps, lobes, merges, projections, reflectance
 from scenec.backends.surface.algebra import FLOAT64, Algebra
@@ -51,11 +52,14 @@ def looked(fn: Algebra, *x: Any) -> Sequence[Any]:
 
 
 def in_cells(fn: Algebra, *x: Any) -> Sequence[Any]:
-    def entry(i: Any, j: Any) -> Any:
-        return 0.1 * i, 0.2 * j, 0.6, 0.8
+    def entry(corner: Any) -> Any:
+        i, j, _ = fn.parts(corner)
+        # Shader nodes take the angle.
+        turn = math.atan2(0.8, 0.6) if fn is NODES else (0.6, 0.8)
+        return fn.vector(0.1 * i, 0.2 * j, 0.0), turn
 
     lattice = cells.Lattice(0.7, (3.1, 5.2), 1.3, 0)
-    corners = cells.corners(fn, lattice, 9.0 * x[0], 9.0 * x[1], entry)
+    corners = cells.corners(fn, lattice, fn.vector(9.0 * x[0], 9.0 * x[1], 0.0), entry)
     value = cells.mixed(fn, corners, x[2:5], 0.4, 1.0)
     turned = cells.turned_back(fn, corners, vectors(fn, x[5:14]))
     # Not u and v: at a triangle's edge float32 may take the other one, which has no share of it.
@@ -199,7 +203,7 @@ def glsl(formula: Formula) -> NDArray:
 def nodes(formula: Formula, monkeypatch: pytest.MonkeyPatch) -> NDArray:
     """A stripe a number, a pixel a point, which give it off."""
     from scenec.backends.cycles import Cycles, materials
-    from scenec.backends.cycles.graph import NODES, Graph
+    from scenec.backends.cycles.graph import Graph
 
     count = len(defined(formula))
     inputs = numbers(formula)
