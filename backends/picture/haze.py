@@ -53,7 +53,7 @@ LOSS = (
 SUBRAYS = 4
 _LATTICE = (1, 3, 0, 2)
 #: Such rays for each pixel of a picture, at most.
-_SHARE = 0.25
+_SHARE = 0.125
 #: Second difference of transmittance from which on it changes: an 8-bit step.
 _STEP = 1.0 / 256.0
 #: Rays that are cast at once.
