@@ -108,11 +108,19 @@ ATTR_EMISSION = "scenec:surface:emission"
 ATTR_HEIGHT_BLENDS = "scenec:layers:heightBlends"
 
 #: On the Sky prim. color3f, double, color3f, time-sampled: extinction per stage unit at z = 0, the
-#: height over which it falls to 1/e (not authored: it does not), and what endless haze shows
-#: (not authored: what it scatters of suns and sky).
+#: height over which it falls to 1/e, stage units, and what endless haze shows (not authored: what
+#: it scatters of suns and sky).
 ATTR_HAZE_EXTINCTION = "scenec:haze:extinction"
 ATTR_HAZE_SCALE_HEIGHT = "scenec:haze:scaleHeight"
 ATTR_HAZE_AIRLIGHT = "scenec:haze:airlight"
+#: double, color3f, time-sampled: g of the phase function (Henyey and Greenstein 1941), and the part
+#: of the light it meets that haze scatters; 1 where not authored.
+ATTR_HAZE_ASYMMETRY = "scenec:haze:asymmetry"
+ATTR_HAZE_ALBEDO = "scenec:haze:albedo"
+#: What they are where not authored, and their widest.
+HAZE_SCALE_HEIGHT_M = 1000.0
+HAZE_ASYMMETRY = 0.7
+HAZE_MOST_ASYMMETRY = 0.9
 #: double, stage units: height of the ground that endless haze below the horizon lies over; not
 #: authored: the lowest place of what is in the stage.
 ATTR_HAZE_FLOOR = "scenec:haze:floor"

@@ -13,6 +13,7 @@ rounds to a target.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 
@@ -102,3 +103,13 @@ def by_columns(look: Callable[[Camera], Visibility], camera: Camera, widest: int
         row[:, columns.start : columns.stop] = seen.row.reshape(camera.height, -1)
         face[:, columns.start : columns.stop] = seen.face.reshape(camera.height, -1)
     return Visibility(row.ravel(), face.ravel())
+
+
+def coarse(camera: Camera, pixels: int) -> Camera:
+    """The same view in about so many pixels."""
+    share = min(1.0, math.sqrt(pixels / (camera.width * camera.height)))
+    width, height = max(1, round(share * camera.width)), max(1, round(share * camera.height))
+    scale = np.array([width / camera.width, height / camera.height, 1.0])
+    return replace(
+        camera, width=width, height=height, intrinsics=scale[:, None] * camera.intrinsics
+    )

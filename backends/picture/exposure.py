@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.backends.exact.caster import ExactCaster
+from scenec.backends.picture.haze import Hazy
 from scenec.backends.picture.metering import Seen, look
 from scenec.backends.stage.scene import Camera, RenderScene
 from scenec.schemas import imaging as formulas
@@ -73,6 +74,7 @@ class Meter:
     def __init__(self, scene: RenderScene) -> None:
         self._scene = scene
         self._found: dict[tuple[str, int | None], Exposure] = {}
+        self._hazy: Hazy | None = None
 
     def exposed(
         self, camera: Camera, sample: int, caster: Callable[[], ExactCaster]
@@ -114,7 +116,9 @@ class Meter:
         count = min(SAMPLES, len(views))
         chosen = [views[k * len(views) // count] for k in range(count)]
         rays = max(_LEAST_RAYS, _RAYS // count)
-        seen = [look(self._scene, caster, camera, i, rays) for camera, i in chosen]
+        if self._hazy is None and any(self._scene.haze):
+            self._hazy = Hazy(self._scene, caster)
+        seen = [look(self._scene, caster, camera, i, rays, self._hazy) for camera, i in chosen]
         surfaces, sky = (
             np.concatenate([getattr(one, what) for one in seen]) for what in ("surfaces", "sky")
         )

@@ -14,16 +14,17 @@ of renderers is measured in ``docs/sensors.md``.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scenec.backends.camera.rays import camera_rays
+from scenec.backends.camera.tiles import coarse
 from scenec.backends.contract import BOUNCES, Rays
 from scenec.backends.exact.caster import ExactCaster
-from scenec.backends.picture.airlight import arrive, sources
-from scenec.backends.picture.haze import air_at
+from scenec.backends.picture.airlight import ambient, arrive
+from scenec.backends.picture.haze import Hazy
 from scenec.backends.picture.sky import Sky, combine, lookup, texel_directions
 from scenec.backends.stage.scene import (
     DEFAULT_SURFACE,
@@ -63,7 +64,14 @@ class Seen:
     sky: NDArray[np.float64]
 
 
-def look(scene: RenderScene, caster: ExactCaster, camera: Camera, sample: int, rays: int) -> Seen:
+def look(
+    scene: RenderScene,
+    caster: ExactCaster,
+    camera: Camera,
+    sample: int,
+    rays: int,
+    hazy: Hazy | None = None,
+) -> Seen:
     """Estimate what a camera sees at a sample.
 
     Args:
@@ -72,10 +80,11 @@ def look(scene: RenderScene, caster: ExactCaster, camera: Camera, sample: int, r
         camera: The camera at the sample.
         sample: Time code.
         rays: About how many rays of the camera are cast.
+        hazy: Its haze, if it has any.
     """
     caster.pose(sample)
-    paths = _Paths(scene, caster, sample)
-    table = camera_rays(_coarse(camera, rays))
+    paths = _Paths(scene, caster, sample, hazy)
+    table = camera_rays(coarse(camera, rays))
     known = np.ones(len(table.origins), np.bool_) if table.known is None else table.known
     table = Rays(table.origins[known], table.directions[known], (int(known.sum()), 1))
     surfaces, hit = paths.radiance(table)
@@ -83,16 +92,6 @@ def look(scene: RenderScene, caster: ExactCaster, camera: Camera, sample: int, r
     if paths.sky is not None:
         sky = lookup(paths.sky, table.directions[~hit]).astype(np.float64)
     return Seen((surfaces * LUMINANCE).sum(axis=1), (sky * LUMINANCE).sum(axis=1))
-
-
-def _coarse(camera: Camera, rays: int) -> Camera:
-    """The same view in about so many pixels."""
-    share = min(1.0, float(np.sqrt(rays / (camera.width * camera.height))))
-    width, height = max(1, round(share * camera.width)), max(1, round(share * camera.height))
-    scale = np.array([width / camera.width, height / camera.height, 1.0])
-    return replace(
-        camera, width=width, height=height, intrinsics=scale[:, None] * camera.intrinsics
-    )
 
 
 @dataclass
@@ -129,15 +128,17 @@ class _Points:
 class _Paths:
     """A scene at one sample, as paths meet it."""
 
-    def __init__(self, scene: RenderScene, caster: ExactCaster, sample: int) -> None:
-        lighting = scene.lighting[sample]
+    def __init__(
+        self, scene: RenderScene, caster: ExactCaster, sample: int, hazy: Hazy | None
+    ) -> None:
+        lighting = scene.lighting[sample] if hazy is None else hazy.lighting(sample)
         self.sky = combine(lighting.domes)
         self._scene = scene
         self._caster = caster
         self._suns = lighting.suns
         self._lamps = lighting.lamps
         self._dome = None if self.sky is None else _Dome(self.sky)
-        self._air = air_at(scene, sample, self.sky)
+        self._air = None if hazy is None else hazy.air(sample)
         self._rows = scene.rows_at(sample)
         self._random = np.random.Generator(np.random.Philox(key=_KEY + sample))
 
@@ -163,8 +164,8 @@ class _Paths:
             points = self._points(starts, ways[on], row[on], face[on], far[on])
             light[alive] += weight * (points.emission + self._direct(points, 1))
         if self._air is not None:
-            source = sources(self._air, directions)
-            passed, shown = arrive(self._air, origins, directions[:, None], t[:, None], source)
+            glow = ambient(self._air, directions)
+            passed, shown = arrive(self._air, origins, directions[:, None], t[:, None], glow)
             light = light * passed + shown
         return light, hit
 

@@ -140,7 +140,8 @@ def _load_srgb(path: Path) -> NDArray[np.float32]:
 def _scaled(dome: Dome) -> NDArray[np.float32]:
     if dome.texture is None:
         return np.asarray(dome.scale, np.float32).reshape(1, 1, 3)
-    return (load_picture(dome.texture) * dome.scale).astype(np.float32)
+    picture = load_picture(dome.texture) if isinstance(dome.texture, Path) else dome.texture()
+    return (picture * dome.scale).astype(np.float32)
 
 
 @kernel

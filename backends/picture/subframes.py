@@ -370,7 +370,7 @@ class Drawing:
             # Imported here, and below: few scenes have any.
             from scenec.backends.picture.haze import air_at
 
-            self._air = air_at(scene, sample, self._sky)
+            self._air = air_at(scene, sample)
         self._stochastic = getattr(backend, "stochastic", True)
         self.facts: dict[str, Any] = _facts(blur, 2 if self._stochastic else 1)
 

@@ -36,7 +36,7 @@ from scenec.schemas.memory import GB
 from scenec.schemas.versions import version_of
 
 if TYPE_CHECKING:
-    from scenec.backends.picture.haze import Veil
+    from scenec.backends.picture.haze import Hazy, Veil
 
 
 class Session:
@@ -392,18 +392,16 @@ class Session:
             # Each sub-frame was seen through its own.
             return None
         # Imported here: few scenes have any.
-        from scenec.backends.picture.haze import air_at, veil
-        from scenec.backends.picture.sky import combine
+        from scenec.backends.picture.haze import veil
 
         caster = self.caster(details["seconds"])
         with _timed(details["seconds"], "haze"):
             rays = camera_rays(camera)
+            air = self._hazy.air(sample)
+            assert air is not None
+            caster.pose(sample)
             if hits is None:
-                caster.pose(sample)
                 hits = caster.hits(rays)
-            air = air_at(self.scene, sample, combine(self.scene.lighting[sample].domes))
-            if air is None:
-                return None
             made = veil(air, camera, caster, rays, hits.t, radiance.coverage)
         details["haze"] = {"subsampled_pixels": made.subsampled}
         return made
@@ -444,6 +442,14 @@ class Session:
                 self._caster = ExactCaster(self.scene)
         return self._caster
 
+    @cached_property
+    def _hazy(self) -> Hazy:
+        """The haze of a stage that has any."""
+        # Imported here: few scenes have any.
+        from scenec.backends.picture.haze import Hazy
+
+        return Hazy(self.scene, self.caster())
+
     def _renderer(self, seconds: dict[str, float]) -> Backend:
         """The backend, its own scene built.
 
@@ -458,7 +464,7 @@ class Session:
             if not self._loaded:
                 cost = getattr(self.backend, "load_cost", None)
                 memory.require_room(self.backend.name, cost, self.scene)
-                self.backend.load(self.scene)
+                self.backend.load(self._hazy.lit() if any(self.scene.haze) else self.scene)
                 self._loaded = True
         return self.backend
 

@@ -11,14 +11,19 @@ from pxr import Usd, UsdGeom, UsdLux
 from scenec.backends.stage import values
 from scenec.backends.stage.frame import StageFrame
 from scenec.backends.stage.labels import LabelTable
-from scenec.backends.stage.scene import Dome, Haze, Lamp, Lighting, SkyLabelMap, Sun
+from scenec.backends.stage.scene import (
+    UPRIGHT,
+    Dome,
+    Haze,
+    Lamp,
+    Lighting,
+    SkyLabelMap,
+    Sun,
+)
 from scenec.backends.stage.sources import Sources
 from scenec.backends.stage.unread import LIGHTS
 from scenec.schemas import stage as names
 from scenec.schemas.errors import StageError
-
-#: A frame whose pole is +Y stood up: +Y goes to +Z, as OrientToStageUpAxis does.
-_STANDING = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 
 #: Color times intensity, linear Rec.709, float64 [3].
 type _Strength = Callable[[Usd.TimeCode], NDArray[np.float64]]
@@ -163,7 +168,7 @@ def _dome(prim: Usd.Prim, time: Usd.TimeCode, strength: _Strength, sources: Sour
 
     def placed(_: NDArray[np.float64], pose: NDArray[np.float64]) -> Dome:
         axes = pose[:3, :3]
-        return Dome(texture, radiance, axes @ _STANDING if stands else axes.copy())
+        return Dome(texture, radiance, axes @ UPRIGHT if stands else axes.copy())
 
     return placed
 
@@ -215,7 +220,7 @@ def _label_maps(
         # Clockwise from above is negative about +Z.
         c, s = np.cos(turn), np.sin(turn)
         maps[level] = SkyLabelMap(
-            file, np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) @ _STANDING
+            file, np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) @ UPRIGHT
         )
     return maps
 
@@ -241,10 +246,23 @@ def _haze(prim: Usd.Prim, frame: StageFrame, time: Usd.TimeCode) -> Haze | None:
     if extinction is None or not extinction.any():
         return None
     scale = prim.GetAttribute(names.ATTR_HAZE_SCALE_HEIGHT)
-    height = values.number(scale, np.inf, time, finite=False)
+    usual = names.HAZE_SCALE_HEIGHT_M / frame.meters_per_unit
+    height = values.number(scale, usual, time)
     if not height > 0.0:
         raise StageError(
             f"{prim.GetPath()}: {names.ATTR_HAZE_SCALE_HEIGHT} is {height}, expected above 0"
+        )
+    g = values.number(prim.GetAttribute(names.ATTR_HAZE_ASYMMETRY), names.HAZE_ASYMMETRY, time)
+    most = names.HAZE_MOST_ASYMMETRY
+    if abs(g) > most:
+        raise StageError(
+            f"{prim.GetPath()}: {names.ATTR_HAZE_ASYMMETRY} is {g}, expected -{most} to {most}"
+        )
+    albedo = _color(prim, names.ATTR_HAZE_ALBEDO, time)
+    if albedo is not None and albedo.max() > 1.0:
+        raise StageError(
+            f"{prim.GetPath()}: {names.ATTR_HAZE_ALBEDO} is {tuple(albedo.tolist())}, expected "
+            "three numbers from 0 to 1"
         )
     ground = prim.GetAttribute(names.ATTR_HAZE_FLOOR)
     floor = None
@@ -255,6 +273,8 @@ def _haze(prim: Usd.Prim, frame: StageFrame, time: Usd.TimeCode) -> Haze | None:
         scale_height_m=height * frame.meters_per_unit,
         airlight=_color(prim, names.ATTR_HAZE_AIRLIGHT, time),
         floor_m=floor,
+        asymmetry=g,
+        albedo=np.ones(3) if albedo is None else albedo,
     )
 
 

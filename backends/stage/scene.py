@@ -7,6 +7,7 @@ instance of every mesh), ``face`` indexes the triangles of that row's mesh.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -15,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.schemas import stage as names
 from scenec.schemas.depth_camera import DepthCamera
 from scenec.schemas.imaging import Imaging
 from scenec.schemas.lens import Lens
@@ -393,17 +395,22 @@ class Sun:
     normalized: bool = True
 
 
+#: A dome's frame stood up: its pole, +Y, goes to +Z, as OrientToStageUpAxis does.
+UPRIGHT = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+
+
 @dataclass(frozen=True)
 class Dome:
     """Light from all around, as a lat-long picture.
 
     Attributes:
-        texture: File of the lat-long picture, or None for a constant 1.
+        texture: File of the lat-long picture, or what makes it, float32 [h, w, 3]; None for a
+            constant 1.
         scale: Radiance of a texel of 1, linear Rec.709, float64 [3].
         to_world: Rotation of the dome's frame (USD: pole +Y, center +Z) to world, float64 [3, 3].
     """
 
-    texture: Path | None
+    texture: Path | Callable[[], NDArray[np.float32]] | None
     scale: NDArray[np.float64]
     to_world: NDArray[np.float64]
 
@@ -445,19 +452,21 @@ class Haze:
 
     Attributes:
         extinction: Per meter at the world's z = 0, linear Rec.709, float64 [3].
-        scale_height_m: It is exp(-z / this) of that at z; inf: the same everywhere.
+        scale_height_m: It is exp(-z / this) of that at z.
         airlight: Radiance through endless haze, float64 [3]; None: what it scatters of
             suns and sky.
         floor_m: Height of the ground below the horizon; None: the scene's lowest place.
-        asymmetry: g of its phase function (Henyey and Greenstein 1941), in (-1, 1): mean cosine of
-            the angle by which it turns light.
+        asymmetry: g of its phase function (Henyey and Greenstein 1941), -0.9 to 0.9: mean cosine
+            of the angle by which it turns light.
+        albedo: Part of the light it meets that it scatters, not absorbs, float64 [3].
     """
 
     extinction: NDArray[np.float64]
-    scale_height_m: float
-    airlight: NDArray[np.float64] | None
+    scale_height_m: float = names.HAZE_SCALE_HEIGHT_M
+    airlight: NDArray[np.float64] | None = None
     floor_m: float | None = None
-    asymmetry: float = 0.7
+    asymmetry: float = names.HAZE_ASYMMETRY
+    albedo: NDArray[np.float64] = field(default_factory=lambda: np.ones(3))
 
 
 @dataclass(frozen=True)

@@ -42,7 +42,7 @@ def check_light(cfg: Node) -> Iterator[Finding]:
             "sun",
         )
     if light.at("haze"):
-        yield from _check_haze(light.at("haze"), sky)
+        yield from _check_haze(light.at("haze"))
 
 
 def _check_names(light: Node) -> Iterator[Finding]:
@@ -112,7 +112,7 @@ def _check_label_maps(cfg: Node, sky: Node) -> Iterator[Finding]:
                 )
 
 
-def _check_haze(haze: Node, sky: Node) -> Iterator[Finding]:
+def _check_haze(haze: Node) -> Iterator[Finding]:
     yield from haze.both("visibility_m", "extinction_per_m", "how dense it is")
     if "visibility_m" not in haze:
         if "extinction_per_m" not in haze:
@@ -123,10 +123,3 @@ def _check_haze(haze: Node, sky: Node) -> Iterator[Finding]:
             )
     if is_black(haze):
         yield haze.fault(black("a visibility"), "color")
-    no_sky = sky["type"] == "none" or (sky["type"] == "atmosphere" and sky["planet"] == "moon")
-    if no_sky and haze["airlight"] == "sky":
-        yield haze.fault(
-            "haze shows the light of the sky, and there is none: expected an airlight of its own, "
-            "[red, green, blue] in W/(m² sr), or another sky",
-            *(("airlight",) if "airlight" in haze else ()),
-        )

@@ -118,7 +118,9 @@ def _haze(cfg: dict[str, Any] | None, streams: Streams, samples: int) -> Haze | 
         extinction = color * (KOSCHMIEDER / (visibility * luminance(color)))[:, None]
     return Haze(
         extinction=extinction,
-        scale_height_m=drawn.get("scale_height_m", np.full(samples, np.inf)),
+        scale_height_m=drawn["scale_height_m"],
+        asymmetry=drawn["asymmetry"],
+        albedo=drawn["albedo"],
         airlight=drawn.get("airlight"),
     )
 

@@ -56,9 +56,12 @@ def _write_haze(sky: Usd.Prim, haze: Haze) -> None:
         custom(sky, names.ATTR_HAZE_EXTINCTION, TYPES.Color3f),
         [Gf.Vec3f(*extinction) for extinction in haze.extinction.tolist()],
     )
-    if np.isfinite(haze.scale_height_m).all():
-        attribute = custom(sky, names.ATTR_HAZE_SCALE_HEIGHT, TYPES.Double)
-        author(attribute, haze.scale_height_m.tolist())
+    author(custom(sky, names.ATTR_HAZE_SCALE_HEIGHT, TYPES.Double), haze.scale_height_m.tolist())
+    author(custom(sky, names.ATTR_HAZE_ASYMMETRY, TYPES.Double), haze.asymmetry.tolist())
+    author(
+        custom(sky, names.ATTR_HAZE_ALBEDO, TYPES.Color3f),
+        [Gf.Vec3f(*albedo) for albedo in haze.albedo.tolist()],
+    )
     if haze.airlight is not None:
         author(
             custom(sky, names.ATTR_HAZE_AIRLIGHT, TYPES.Color3f),

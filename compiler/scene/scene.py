@@ -411,13 +411,17 @@ class Haze:
 
     Attributes:
         extinction: Per meter, at the world's z = 0, linear Rec.709, [s, 3].
-        scale_height_m: It thins out as exp(-z / this), [s]; inf: it does not.
+        scale_height_m: It thins out as exp(-z / this), [s].
+        asymmetry: g of its phase function, [s].
+        albedo: Part of the light it meets that it scatters, linear Rec.709, [s, 3].
         airlight: Radiance that a ray through endless haze shows, [s, 3]; None: what it scatters of
             suns and sky.
     """
 
     extinction: NDArray[np.float64]
     scale_height_m: NDArray[np.float64]
+    asymmetry: NDArray[np.float64]
+    albedo: NDArray[np.float64]
     airlight: NDArray[np.float64] | None
 
 

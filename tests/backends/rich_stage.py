@@ -120,6 +120,8 @@ def _sky(stage: Usd.Stage) -> None:
         names.ATTR_HAZE_EXTINCTION: (_T.Color3f, Gf.Vec3f(0.01)),
         names.ATTR_HAZE_SCALE_HEIGHT: (_T.Double, 100.0),
         names.ATTR_HAZE_AIRLIGHT: (_T.Color3f, Gf.Vec3f(0.5)),
+        names.ATTR_HAZE_ASYMMETRY: (_T.Double, 0.8),
+        names.ATTR_HAZE_ALBEDO: (_T.Color3f, Gf.Vec3f(0.5)),
         names.ATTR_HAZE_FLOOR: (_T.Double, 0.0),
     })  # fmt: skip
     lamp = UsdLux.SphereLight.Define(stage, "/World/Lights/Lamp")

@@ -116,7 +116,7 @@ def test_a_suns_disc_out_of_focus_is_a_disk_of_confusion_of_the_same_light() -> 
 def hazy() -> RenderScene:
     near, far = mesh(*plate(1.0, -0.3, 0.05, -0.3, 0.2)), mesh(*plate(8.0, -9.0, 9.0, -9.0, 9.0))
     of = scene([near, replace(far, layers=(1,))], [surface((1.0,) * 3), surface((0.2,) * 3)])
-    veil = Haze(np.full(3, 0.2), float("inf"), np.full(3, 0.6))
+    veil = Haze(np.full(3, 0.2), 1e9, np.full(3, 0.6))
     return replace(of, haze=(veil,))
 
 

@@ -126,6 +126,7 @@ VARYING = {
     ("SphereLight", "inputs:radius"): (1.0, 2.0, lambda s, i: s.lighting[i].lamps[0].radius_m),
     ("DomeLight", "visibility"): ("invisible", "inherited", lambda s, i: len(s.lighting[i].domes)),
     ("Scope", names.ATTR_HAZE_SCALE_HEIGHT): (10.0, 20.0, lambda s, i: s.haze[i].scale_height_m),
+    ("Scope", names.ATTR_HAZE_ASYMMETRY): (0.1, 0.8, lambda s, i: s.haze[i].asymmetry),
     ("Scope", names.ATTR_TIME): (10.0, 20.0, lambda s, i: s.times[i]),
 }
 

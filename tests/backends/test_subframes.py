@@ -263,7 +263,7 @@ def test_rows_outside_of_an_image_circle_are_black_whatever_moves(air: float | N
     camera = panning(Shutter(0.001, 0.02), 1500.0, replace(ahead(48, 48, 40.0), lens=lens))
     lit = scene([mesh(*plate(2.0, -9.0, 9.0, -9.0, 9.0))], [surface((0.5, 0.5, 0.5))])
     if air is not None:
-        haze = Haze(np.full(3, 0.2), np.inf, np.full(3, air))
+        haze = Haze(np.full(3, 0.2), 1e9, np.full(3, air))
         lit = replace(lit, haze=(haze,))
     shown = picture(session(lit), camera, 16)
     assert shown[24, 24] > 0.1

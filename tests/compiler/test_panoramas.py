@@ -273,10 +273,9 @@ def test_two_suns_and_other_slips_are_faults(tmp_path):
     assert "take one away" in faults(haze=both)
     assert "color of its own" in faults(haze={"extinction_per_m": [1, 1, 1], "color": [1, 1, 1]})
     assert "black cannot be scaled" in faults(haze=haze | {"color": [0, 0, 0]})
-    assert "haze shows the light of the sky" in faults(haze=haze, sky={"type": "none"})
-    named = haze | {"airlight": [1, 2, 3]}
     # Every name must be used, and this sky has no labels.
-    assert "airlight" not in faults(haze=named, sky={"type": "none"})
+    assert "/light" not in faults(haze=haze, sky={"type": "none"})
+    assert "at most 0.9" in faults(haze=haze | {"asymmetry": 0.95})
     assert '"fog": expected sky' in faults(haze=haze | {"airlight": "fog"})
 
 
@@ -300,6 +299,8 @@ def test_haze_is_drawn_for_each_sample_and_read_back(tmp_path):
         "color": [1, 1, 2],
         "scale_height_m": 40,
         "airlight": [1, {"type": "uniform", "min": 1, "max": 2}, 3],
+        "asymmetry": {"type": "uniform", "min": 0.6, "max": 0.8},
+        "albedo": [0.9, 1, 1],
     }
     path.write_text(json.dumps(cfg))
     plan = draw(load(path), 1, 0)
@@ -313,6 +314,8 @@ def test_haze_is_drawn_for_each_sample_and_read_back(tmp_path):
         assert haze.extinction[2] == pytest.approx(2 * haze.extinction[0], rel=1e-6)
         assert 3.912 / 90 <= luminance(haze.extinction) <= 3.912 / 50
         assert haze.scale_height_m == 40
+        assert haze.asymmetry == plan.light.haze.asymmetry[i]
+        np.testing.assert_allclose(haze.albedo, [0.9, 1.0, 1.0], rtol=1e-6)
         np.testing.assert_allclose(haze.airlight, plan.light.haze.airlight[i], rtol=1e-6)
     assert scene.haze[0].extinction[0] != scene.haze[1].extinction[0]
 
