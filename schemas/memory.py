@@ -14,7 +14,7 @@ GB = 1e9
 _CGROUPS = Path("/sys/fs/cgroup")
 _OWN = Path("/proc/self/cgroup")
 #: Of glibc's malloc.h: what is free at the heap's end and stays there; what is mapped alone; bytes.
-_M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = (-1, 256 << 20), (-3, 32 << 20)
+_M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = (-1, 128 << 20), (-3, 32 << 20)
 
 
 @cache
