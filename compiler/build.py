@@ -50,6 +50,7 @@ from scenec.compiler.views.prune import Pruned, prune
 from scenec.compiler.views.resolution import Views, pixels_per_meter, views_of
 from scenec.schemas.errors import SceneError
 from scenec.schemas.left_out import Record, entry
+from scenec.schemas.memory import keep_freed
 
 
 @dataclass
@@ -93,6 +94,7 @@ def build(plan: Plan, log: BuildLog, keep: Keep = Keep.SEEN) -> Scene:
     Raises:
         SceneError: The cfg is valid, but what it asks for cannot be built.
     """
+    keep_freed()
     if keep is Keep.ALL:
         plan = seen_everywhere(plan)
     outputs = tuple(dict.fromkeys(name for rig in plan.rigs for name in rig.outputs))

@@ -184,22 +184,26 @@ def _wanted(
     limits: Limits,
 ) -> NDArray[np.bool_]:
     """Which of some faces show too large an error."""
-    faces, face_edges = work.mesh.faces[asked], work.mesh.face_edges[asked]
-    _know(work, surface, face_edges.ravel())
+    faces = work.mesh.faces[asked]
     center, radius, leg = _balls(work.points.rows, faces)
-    error = _errors(
-        work.points.rows, work.sides.rows, work.middles.rows, work.middle_sides.rows,
-        faces, face_edges, leg,
-    )  # fmt: skip
+    # What is coarse enough needs no view.
+    large = leg > limits.finest_m
+    some = np.flatnonzero(large)
+    pixels = np.zeros(len(asked))
+    pixels[some] = _pixels(work, asked[some], center[some], radius[some], views, limits)
     finer = surface.finer_than(2.0 * leg, work.shares.rows, faces)
     finer = np.minimum(_UNRESOLVED * finer, _STEEP * leg)
-    error = np.maximum(error, finer)
-    # What is coarse enough needs no view.
-    error[leg <= limits.finest_m] = 0.0
-    out = np.zeros(len(asked), bool)
-    some = np.flatnonzero(error > 0.0)
-    pixels = _pixels(work, asked[some], center[some], radius[some], views, limits)
-    out[some] = error[some] * pixels > _SLACK * limits.tolerance_px
+    most = _SLACK * limits.tolerance_px
+    out: NDArray[np.bool_] = finer * pixels > most
+    # Where detail is reason enough, what lies above the middles need not be known.
+    rest = np.flatnonzero(~out)
+    faces, face_edges = faces[rest], work.mesh.face_edges[asked[rest]]
+    _know(work, surface, face_edges.ravel())
+    error = _errors(
+        work.points.rows, work.sides.rows, work.middles.rows, work.middle_sides.rows,
+        faces, face_edges, leg[rest],
+    )  # fmt: skip
+    out[rest] = error * pixels[rest] > most
     return out
 
 
