@@ -54,7 +54,7 @@ keyframes or a map, on one picture and its exact depth. evo judges both, as
 position after the best rigid alignment, rms over all frames; the relative error (RPE) is what one
 frame's motion is off, rms.
 
-`python studies/experiments/ego_motion.py` made this page on {{cores}} cores ({{versions}}):
+`python studies/experiments/ego_motion.py{words}` made this page on {{cores}} cores ({{versions}}):
 {size} pixels, {frames} frames at 10 Hz a flight, pyrender with {spp} samples a pixel, seed {seed},
 RANSAC's seed {ransac}.
 """
@@ -220,7 +220,9 @@ def main(page: Page) -> None:
     """Writes the page."""
     start = time.perf_counter()
     experiment = Experiment(page)
+    only = page.options.only
     head = HEAD.format(
+        words="" if only == tuple(VARIED) else f" --only {','.join(only)}",
         baseline=BASELINE_M,
         size="{} × {}".format(*experiment.size),
         frames=experiment.frames,
