@@ -12,7 +12,7 @@ EXAMPLES := quick
 BENCHMARKS := adapters agreement annotation blur coco cold compile estimate \
   hdf5 imaging incremental lenses memory mesh million mitsuba_ground prune relief \
   sampling scatter tracks
-PAGES := numerics relief placement sky motion extremes converge leaving_out errors
+PAGES := numerics relief placement sky motion extremes converge leaving_out errors photographs
 
 .DEFAULT_GOAL := help
 .PHONY: help setup demo test thorough lint types unit browser format bench docs site pictures lock gpu wheel clean distclean
