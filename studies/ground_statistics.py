@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-#: Of the panoramas that the issue's figures were measured on.
+#: Of the photographs that pictures are held against.
 PIXELS_PER_DEGREE = 5.69
 #: Standard deviations of the Gaussians between bands, pixels.
 SIGMAS_PX = (0.85, 1.7, 3.4, 6.8)
