@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from scenec.compiler.materials.grounds import Gravel, MudCracks, Regolith, Sand, Soil
+from scenec.compiler.materials.pavement import Pavement
 from scenec.compiler.materials.rocks import Basalt, Breccia, Granite, Sandstone, Weathered
 from scenec.compiler.materials.surface import Surface
 from scenec.schemas.plugins import Kinds
@@ -20,5 +21,6 @@ SURFACES: Kinds[type[Surface]] = Kinds(
         "mud_cracks": MudCracks,
         "regolith": Regolith,
         "soil": Soil,
+        "pavement": Pavement,
     },
 )
