@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
 from scenec.schemas.intrinsics import horner
-from scenec.schemas.kernels import kernel
+from scenec.schemas.kernels import inlined, kernel
 
 # (1 + 2a) exp(a^2) erfc(a) as a polynomial of t = (a - 3.75) / (a + 3.75), after Shepherd and
 # Laframboise (1981, Math. Comp. 36:249); from a Chebyshev series at 40 digits.
@@ -32,7 +32,7 @@ _NODES = (0.1127016653792583, 0.5, 0.8872983346207417)
 _WEIGHTS = (0.2777777777777778, 0.4444444444444444, 0.2777777777777778)
 
 
-@kernel
+@inlined
 def chapman(x: float, cosine: float) -> float:
     """Column of an exponential atmosphere over that of the same density in one scale height.
 
@@ -52,28 +52,48 @@ def chapman(x: float, cosine: float) -> float:
     return _SQRT_HALF_PI * 1.4142135623730951 * root * scaled * (1.0 + first / x)
 
 
-@kernel
-def _layer_up(start: float, closest: float, sizes: NDArray) -> float:
+@inlined
+def _layer_up(start: float, closest: float, layer: tuple[float, float]) -> float:
     """Column of the absorber from a distance from the center upwards.
 
     Args:
         closest: That of the ray's straight line, at most ``start``.
+        layer: Distance of its middle from the center, and half of its thickness.
     """
-    middle, half = sizes[0] + sizes[4], sizes[5]
-    square = closest * closest
-    total = 0.0
-    for piece in range(2):
-        low = max(middle - half if piece == 0 else middle, start)
-        high = middle if piece == 0 else middle + half
-        if low >= high:
-            continue
-        t_low = np.sqrt(max((low - closest) * (low + closest), 0.0))
-        t_high = np.sqrt(max((high - closest) * (high + closest), 0.0))
-        for k in range(3):
-            t = t_low + _NODES[k] * (t_high - t_low)
-            density = 1.0 - abs(np.sqrt(square + t * t) - middle) / half
-            total += _WEIGHTS[k] * (t_high - t_low) * max(density, 0.0)
-    return total
+    middle, half = layer
+    low = middle - half
+    below = _add_piece(0.0, low if low > start else start, middle, closest, layer)
+    low = middle if middle > start else start
+    return _add_piece(below, low, middle + half, closest, layer)
+
+
+@inlined
+def _add_piece(
+    total: float, low: float, high: float, closest: float, layer: tuple[float, float]
+) -> float:
+    """Adds the column between two distances, where the second is larger, to a total."""
+    t_low = _root((low - closest) * (low + closest))
+    width = _root((high - closest) * (high + closest)) - t_low
+    more = total + _at_node(0, t_low, width, closest, layer)
+    more += _at_node(1, t_low, width, closest, layer)
+    more += _at_node(2, t_low, width, closest, layer)
+    return total if low >= high else more
+
+
+@inlined
+def _at_node(
+    k: int, t_low: float, width: float, closest: float, layer: tuple[float, float]
+) -> float:
+    """A node's part of a column of the absorber between distances along a ray."""
+    t = t_low + _NODES[k] * width
+    density = 1.0 - abs(np.sqrt(closest * closest + t * t) - layer[0]) / layer[1]
+    return _WEIGHTS[k] * width * (density if density > 0.0 else 0.0)
+
+
+@inlined
+def _root(square: float) -> float:
+    """Of what rounding may have brought below 0."""
+    return np.sqrt(square if square > 0.0 else 0.0)
 
 
 @kernel
@@ -87,10 +107,15 @@ def columns_up(
         closest: That of the ray's straight line.
         cosine: Of the ray's angle from the zenith, 0 to 1.
     """
-    height = start - sizes[0]
-    gas = elementary.exp(-height / sizes[2]) * sizes[2] * chapman(start / sizes[2], cosine)
-    aerosol = elementary.exp(-height / sizes[3]) * sizes[3] * chapman(start / sizes[3], cosine)
-    return gas, aerosol, _layer_up(start, closest, sizes)
+    gas = _exponential_up(start, cosine, sizes[0], sizes[2])
+    aerosol = _exponential_up(start, cosine, sizes[0], sizes[3])
+    return gas, aerosol, _layer_up(start, closest, (sizes[0] + sizes[4], sizes[5]))
+
+
+@inlined
+def _exponential_up(start: float, cosine: float, radius: float, scale: float) -> float:
+    """Column of what has a scale height, see ``columns_up``."""
+    return elementary.exp(-(start - radius) / scale) * scale * chapman(start / scale, cosine)
 
 
 @kernel
@@ -113,3 +138,29 @@ def columns(start: float, cosine: float, sizes: NDArray) -> tuple[float, float, 
     up = columns_up(start, closest, -cosine, sizes)
     level = columns_up(closest, closest, 0.0, sizes)
     return 2.0 * level[0] - up[0], 2.0 * level[1] - up[1], 2.0 * level[2] - up[2]
+
+
+@kernel
+def columns_along(
+    start: NDArray, cosine: NDArray, sizes: NDArray, gas: NDArray, aerosol: NDArray, layer: NDArray
+) -> None:
+    """``columns`` from several points, in lanes.
+
+    Args:
+        start, cosine: As of ``columns``, float64 [n].
+        gas, aerosol, layer: Receive them, float64 [n].
+    """
+    radius, gas_scale, aerosol_scale = sizes[0], sizes[2], sizes[3]
+    absorber = sizes[0] + sizes[4], sizes[5]
+    for k in range(start.size):
+        gas[k] = _exponential_up(start[k], abs(cosine[k]), radius, gas_scale)
+    for k in range(start.size):
+        aerosol[k] = _exponential_up(start[k], abs(cosine[k]), radius, aerosol_scale)
+    for k in range(start.size):
+        up = abs(cosine[k])
+        closest = start[k] * _root((1.0 - up) * (1.0 + up))
+        closest = closest if closest < start[k] else start[k]
+        layer[k] = _layer_up(start[k], closest, absorber)
+    for k in range(start.size):
+        if cosine[k] < 0.0:
+            gas[k], aerosol[k], layer[k] = columns(start[k], cosine[k], sizes)

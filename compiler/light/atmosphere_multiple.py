@@ -36,7 +36,7 @@ from scenec.compiler.light.atmosphere_rays import (
     shadow,
 )
 from scenec.compiler.light.atmosphere_spectra import wavelengths
-from scenec.schemas.kernels import kernel
+from scenec.schemas.kernels import inlined, kernel
 from scenec.schemas.threads import over_threads
 
 #: Nodes of the table over height and the sun's elevation.
@@ -288,7 +288,7 @@ def _forward_again(count: int, sight: Sight, air: Air, full: Steps, out: NDArray
         out: Receives it, [wavelengths].
     """
     r0, sine, toward, sun_sine = sight
-    sizes, spectra, g, t, middle = air.sizes, air.spectra, air.g, full.t, full.middle
+    sizes, t, middle = air.sizes, full.t, full.middle
     for w in range(out.size):
         out[w] = 0.0
     enter, leave = shadow(sight, sizes[0])
@@ -301,16 +301,31 @@ def _forward_again(count: int, sight: Sight, air: Air, full: Steps, out: NDArray
             cosine = min(max((r0 * sun_sine + at * toward) / r, -1.0), 1.0)
             gas, aerosol, layer = columns(r, cosine, sizes)
             way = aerosol + behind + 0.5 * here
-            for w in range(out.size):
-                depth = (spectra[0, w] * gas + spectra[2, w] * aerosol) + spectra[3, w] * layer
-                x = min(g[w] * spectra[1, w] * way, _DEEPEST)
-                if depth > _DEEPEST or x <= 0.0:
-                    continue
-                more = 0.5 * x + x * x / 6.0
-                if x > 1e-2:
-                    more = (elementary.exp(x) - 1.0 - x) / x
-                out[w] += elementary.exp(-depth) * full.scattered[1, k, w] * g[w] * more
+            _add_forward(air, (gas, aerosol, layer), way, full.scattered[1, k], out)
         behind += here
+
+
+@inlined
+def _add_forward(
+    air: Air, behind: tuple[float, float, float], way: float, scattered: NDArray, out: NDArray
+) -> None:
+    """A step's part of ``_forward_again``.
+
+    Args:
+        behind: Columns of gas, aerosol and absorber toward the sun.
+        way: Aerosol along all of the way.
+        scattered: By the aerosol of the step, [wavelengths].
+    """
+    g = air.g
+    gas, forward, loss, layer = air.spectra[0], air.spectra[1], air.spectra[2], air.spectra[3]
+    for w in range(out.size):
+        depth = (gas[w] * behind[0] + loss[w] * behind[1]) + layer[w] * behind[2]
+        x = g[w] * forward[w] * way
+        x = _DEEPEST if x > _DEEPEST else x
+        few = 0.5 * x + x * x / 6.0
+        many = (elementary.exp(x) - 1.0 - x) / x
+        more = elementary.exp(-depth) * scattered[w] * g[w] * (many if x > 1e-2 else few)
+        out[w] += 0.0 if (depth > _DEEPEST) | (x <= 0.0) else more
 
 
 @kernel
@@ -318,7 +333,8 @@ def _both(air: Air, steps: int) -> tuple[Steps, Steps]:
     """Room for a ray in the medium and in the reduced one, whose steps have the same places."""
     nodes = air.spectra.shape[1]
     full = room(steps, nodes)
-    less = Steps(full.t, full.middle, np.empty(full.scattered.shape), np.empty(nodes))
+    scattered, arriving = np.empty(full.scattered.shape), np.empty(nodes)
+    less = Steps(full.t, full.middle, scattered, arriving, full.suns, full.light)
     return full, less
 
 

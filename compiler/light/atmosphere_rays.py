@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
-from scenec.compiler.light.atmosphere_columns import columns, columns_up
-from scenec.schemas.kernels import kernel
+from scenec.compiler.light.atmosphere_columns import columns_along, columns_up
+from scenec.schemas.kernels import inlined, kernel
 
 #: Steps go with height - lowest height ~ u^2: even in distance along the horizon, finer below than
 #: above in the vertical.
@@ -46,19 +46,24 @@ class Steps(NamedTuple):
         scattered: What gas and aerosol of each would send to the observer under full sunlight and a
             phase function of 1, float64 [2, 2 * steps, wavelengths].
         arriving: Transmission of the whole ray, float64 [wavelengths].
+        suns: Room for what is noted of each step under a sun, float64 [6, 2 * steps].
+        light: Room for a spectrum, float64 [wavelengths].
     """
 
     t: NDArray[np.float64]
     middle: NDArray[np.float64]
     scattered: NDArray[np.float64]
     arriving: NDArray[np.float64]
+    suns: NDArray[np.float64]
+    light: NDArray[np.float64]
 
 
 @kernel
 def room(steps: int, wavelengths: int) -> Steps:
     """Room for a ray that goes down and up again in so many steps each."""
     scattered, arriving = np.empty((2, 2 * steps, wavelengths)), np.empty(wavelengths)
-    return Steps(np.empty(2 * steps + 1), np.empty(2 * steps), scattered, arriving)
+    suns, light = np.empty((6, 2 * steps)), np.empty(wavelengths)
+    return Steps(np.empty(2 * steps + 1), np.empty(2 * steps), scattered, arriving, suns, light)
 
 
 @kernel
@@ -132,7 +137,7 @@ def prepare(r0, sine, cosine, ground, sizes, spectra, out):  # type: ignore[no-u
     Returns:
         Number of steps, and whether the ray ends on the ground.
     """
-    t, middle, scattered, arriving = out
+    t, middle, scattered, arriving = out.t, out.middle, out.scattered, out.arriving
     steps = len(middle) // 2
     closest = r0 * cosine
     shift = r0 * sine
@@ -222,26 +227,48 @@ def gather(count, sight, sizes, spectra, steps, of_gas, of_aerosol):  # type: ig
         of_gas[w] = 0.0
         of_aerosol[w] = 0.0
     enter, leave = shadow(sight, sizes[0])
+    # Step by step in passes, each a loop that has lanes.
+    r, cosine, lit = steps.suns[0, :count], steps.suns[1, :count], steps.suns[2, :count]
     for k in range(count):
         start, end = t[k], t[k + 1]
         dark = min(end, leave) - max(start, enter)
-        at, lit = middle[k], 1.0
+        at, lit[k] = middle[k], 1.0
         if dark > 0.0:
-            lit = 1.0 - dark / (end - start)
-            if lit <= 0.0:
-                continue
+            lit[k] = 1.0 - dark / (end - start)
             before, after = max(enter - start, 0.0), max(end - leave, 0.0)
             at = start + 0.5 * before if before >= after else end - 0.5 * after
-        r = np.sqrt(r0 * r0 + at * (2.0 * r0 * sine + at))
-        cosine = min(max((r0 * sun_sine + at * toward) / r, -1.0), 1.0)
-        gas, aerosol, layer = columns(r, cosine, sizes)
-        for w in range(spectra.shape[1]):
-            depth = (spectra[0, w] * gas + spectra[2, w] * aerosol) + spectra[3, w] * layer
-            if depth > 80.0:
-                continue
-            sunlight = lit * elementary.exp(-depth)
-            of_gas[w] += sunlight * scattered[0, k, w]
-            of_aerosol[w] += sunlight * scattered[1, k, w]
+        r[k] = np.sqrt(r0 * r0 + at * (2.0 * r0 * sine + at))
+        cosine[k] = min(max((r0 * sun_sine + at * toward) / r[k], -1.0), 1.0)
+    of = steps.suns[3, :count], steps.suns[4, :count], steps.suns[5, :count]
+    columns_along(r, cosine, sizes, of[0], of[1], of[2])
+    for k in range(count):
+        if lit[k] <= 0.0:
+            continue
+        _dim(spectra, (of[0][k], of[1][k], of[2][k]), lit[k], steps.light)
+        _add_product(steps.light, scattered[0, k], of_gas)
+        _add_product(steps.light, scattered[1, k], of_aerosol)
+
+
+@inlined
+def _dim(spectra: NDArray, behind: tuple[float, float, float], lit: float, out: NDArray) -> None:
+    """Sunlight behind columns of gas, aerosol and absorber, [wavelengths].
+
+    Args:
+        spectra: As of ``prepare``.
+        behind: The columns.
+        lit: Factor on it.
+    """
+    gas, loss, layer = spectra[0], spectra[2], spectra[3]
+    for w in range(out.size):
+        depth = (gas[w] * behind[0] + loss[w] * behind[1]) + layer[w] * behind[2]
+        light = lit * elementary.exp(-depth)
+        out[w] = 0.0 if depth > 80.0 else light
+
+
+@inlined
+def _add_product(one: NDArray, other: NDArray, out: NDArray) -> None:
+    for w in range(out.size):
+        out[w] += one[w] * other[w]
 
 
 @kernel

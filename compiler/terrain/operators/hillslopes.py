@@ -104,12 +104,14 @@ class Hillslopes:
         rows, columns = (axis.eigenvalues for axis in self._axes)
         self._eigenvalues = rows[:, None] + columns[None, :]
         self._kept: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
+        self._first: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
 
     def diffused(self, height: NDArray[np.float64], spread_m2: float) -> NDArray[np.float64]:
         """Heights after a step; those along the fixed sides as they were.
 
         Args:
-            height: Meters, float64 [ny, nx].
+            height: Meters, float64 [ny, nx]. The first ones must not change: steps of other sizes
+                begin with them, too, so their modes are kept.
             spread_m2: kappa times the step, square meters.
         """
         rows, columns = self._axes
@@ -117,8 +119,13 @@ class Hillslopes:
         if not self._eigenvalues.size:
             return out
         level, membrane = self._steady(height)
-        modes = self._modes(height[rows.free, columns.free] - level)
-        modes = membrane + self._decay(spread_m2) * (modes - membrane)
+        if self._first is None:
+            self._first = height, self._modes(height[rows.free, columns.free] - level)
+        known = height is self._first[0]
+        modes = self._first[1] if known else self._modes(height[rows.free, columns.free] - level)
+        modes = modes - membrane
+        modes *= self._decay(spread_m2)
+        modes += membrane
         out[rows.free, columns.free] = self._field(modes) + level
         return out
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,8 @@ from scenec.schemas.kernels import inlined, kernel
 _COARSE = 50
 _FINE = 50
 _SMALLEST = 32
+# Samples that are looked at together.
+_CHUNK = 64
 
 
 @dataclass(frozen=True)
@@ -88,6 +91,21 @@ def _degrees(slope: float) -> float:
     return float(elementary.atan(slope) * (180.0 / elementary.PI))
 
 
+class _Step(NamedTuple):
+    """What an iteration goes by.
+
+    Attributes:
+        dx, dy: Spacing, meters.
+        slope: That holds.
+        penalty: Weight of gradients that differ from those aimed at, square meters.
+    """
+
+    dx: float
+    dy: float
+    slope: float
+    penalty: float
+
+
 def _slide(
     height: NDArray[np.float64], spacing: tuple[float, float], slope: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
@@ -95,117 +113,193 @@ def _slide(
     levels = [height]
     while min(levels[-1].shape) >= _SMALLEST:
         levels.append(_half(levels[-1]))
-    state = _start(*levels[-1].shape)
     steps = [(spacing[0] * 2**level, spacing[1] * 2**level) for level in range(len(levels))]
     # How far what must go has to travel: the drop too much over the slope that holds. That the best
     # penalty is this times the spacing was found by trial, from steps of 1 m to 1,000 km.
     travel = max(
         _excess(field, *step, slope) / slope for field, step in zip(levels, steps, strict=True)
     )
+    ny, nx = levels[-1].shape
+    q, held = np.zeros((4, ny, nx)), np.ones((2, ny, nx))
     out, half, change = height, height, 0.0
     for level in range(len(levels) - 1, -1, -1):
-        dx, dy = steps[level]
-        spacing_mean = float(np.sqrt(dx * dy))
-        penalty = max(travel, spacing_mean) * spacing_mean
-        out, half, change = _iterate(
-            levels[level], dx, dy, slope, penalty, state, _COARSE if level else _FINE
-        )
+        spacing_mean = float(np.sqrt(steps[level][0] * steps[level][1]))
+        step = _Step(*steps[level], slope, max(travel, spacing_mean) * spacing_mean)
+        out, half, change = _iterate(levels[level], step, q, held, _COARSE if level else _FINE)
         if level:
-            state = _refine(*state, *levels[level - 1].shape)
+            q, held = _refine(out, q, step, *levels[level - 1].shape)
     return out, half, change
 
 
 def _iterate(
     height: NDArray[np.float64],
-    dx: float,
-    dy: float,
-    slope: float,
-    penalty: float,
-    state: tuple[NDArray, NDArray],
+    step: _Step,
+    q: NDArray[np.float64],
+    held: NDArray[np.float64],
     iterations: int,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
-    """Alternates between the two problems, on a state in place: see ``_slide``."""
+    """Alternates between the two problems: see ``_slide``.
+
+    Args:
+        height: Of this level.
+        step: Of this level.
+        q: Gradients of two triangles at each sample, toward larger indices and toward smaller ones,
+            in x and y, float64 [4, ny, nx]: those wanted plus all that was cut off so far. Becomes
+            what is cut off in the end.
+        held: The factors that shorten them to the slope that holds, float64 [2, ny, nx].
+        iterations: How many.
+    """
     eigenvalues = (
-        laplacian_eigenvalues(height.shape[0], dy)[:, None]
-        + (laplacian_eigenvalues(height.shape[1], dx)[None, :])
+        laplacian_eigenvalues(height.shape[0], step.dy)[:, None]
+        + (laplacian_eigenvalues(height.shape[1], step.dx)[None, :])
     )
-    divisor = 1.0 + 2.0 * penalty * eigenvalues
-    out = before = half = height
+    divisor = 1.0 + 2.0 * step.penalty * eigenvalues
+    # One array all along: to take fresh memory for each step costs a third of the step.
+    out = np.empty(height.shape)
+    before = half = height
+    _push(out, height, q, held, step)
     for number in range(iterations):
-        before = out
-        half = out if number == iterations // 2 else half
-        modes = cosines.dct(_pushed(height, *state, dx, dy, penalty), over=True)
+        modes = cosines.dct(out, over=True)
         modes /= divisor
         out = cosines.idct(modes, over=True)
-        _pull(out, *state, dx, dy, slope)
+        if number == iterations // 2 - 1:
+            half = out.copy()
+        if number == iterations - 2:
+            before = out.copy()
+        if number < iterations - 1:
+            _push(out, height, q, _UNKNOWN, step)
     return out, half, float(np.abs(out - before).max())
 
 
-def _start(ny: int, nx: int) -> tuple[NDArray, NDArray]:
-    """The iteration's state: q, and the factors that shorten it to the slope that holds.
-
-    q [4, ny, nx] are gradients of two triangles at each sample, toward larger indices and toward
-    smaller ones, in x and y: those wanted plus all that was cut off so far. Factors: [2, ny, nx].
-    """
-    return np.zeros((4, ny, nx)), np.ones((2, ny, nx))
+#: In place of factors: they are those of the heights.
+_UNKNOWN = np.empty((2, 0, 0))
 
 
 @kernel
-def _pull(height: NDArray, q: NDArray, held: NDArray, dx: float, dy: float, slope: float) -> None:
-    """Gradients of the heights plus what was cut off q."""
+def _push(out: NDArray, height: NDArray, q: NDArray, held: NDArray, step: _Step) -> None:
+    """Heights become the next right-hand side: ``height`` minus penalty * divergence of the aims.
+
+    Row by row, while rows are in the cache: gradients of the heights plus what was cut off are
+    shortened to the slope that holds; the aim is what is left less what is cut off.
+
+    Args:
+        out: The last heights, or with ``held`` anything.
+        height: Of the level.
+        q: What was cut off, or with ``held`` the gradients; becomes what is cut off.
+        held: Factors, or ``_UNKNOWN``.
+        step: Of the level.
+    """
     ny, nx = height.shape
-    for j in range(ny):
-        for side in range(2):
-            x, y, factor = q[2 * side, j], q[2 * side + 1, j], held[side, j]
-            for i in range(nx):
-                cut = 1.0 - factor[i]
-                x[i] *= cut
-                y[i] *= cut
-            west, east = height[j, : nx - 1], height[j, 1:]
-            if side == 0:
-                _add_rise(west, east, dx, x[: nx - 1])
-            else:
-                _add_rise(west, east, dx, x[1:])
-            if 0 <= j - side < ny - 1:
-                _add_rise(height[j - side], height[j - side + 1], dy, y)
-            for i in range(nx):
-                length = np.sqrt(x[i] * x[i] + y[i] * y[i])
-                factor[i] = slope / length if length > slope else 1.0
+    # Aims over the spacing of this row, the last one and the one before that, and zeros beside.
+    aims = np.zeros((3, 4, nx + 2))
+    rises, factors = np.zeros((3, nx)), np.empty(nx)
+    level = np.zeros(nx)
+    for j in range(ny + 1):
+        own = aims[j % 3]
+        if j < ny:
+            if not held.size:
+                _add_rises(out, j, rises, step, q)
+            for side in range(2):
+                x, y = q[2 * side, j], q[2 * side + 1, j]
+                factor = factors
+                if held.size:
+                    factor = held[side, j]
+                else:
+                    _shorten(x, y, step.slope, factor)
+                _aim(x, factor, step.dx, own[2 * side, 1 : nx + 1])
+                _aim(y, factor, step.dy, own[2 * side + 1, 1 : nx + 1])
+        if j > 0:
+            last = aims[(j - 1) % 3]
+            below = aims[(j - 2) % 3, 1, 1 : nx + 1] if j > 1 else level
+            above = own[3, 1 : nx + 1] if j < ny else level
+            _sum(height[j - 1], last, below, above, step.penalty, out[j - 1])
 
 
 @inlined
-def _add_rise(before: NDArray, after: NDArray, step: float, out: NDArray) -> None:
-    """Adds the slope between samples, [n] each. A loop of its own over rows has lanes."""
-    for i in range(out.size):
-        out[i] += (after[i] - before[i]) / step
+def _add_rises(height: NDArray, j: int, rises: NDArray, step: _Step, q: NDArray) -> None:
+    """Adds the gradients of a row's triangles. Rows come in order, and are read once.
 
-
-@kernel
-def _pushed(
-    height: NDArray, q: NDArray, held: NDArray, dx: float, dy: float, penalty: float
-) -> NDArray:
-    """Right-hand side: heights minus penalty * divergence of the gradients aimed at."""
+    Args:
+        height: Whose, float64 [ny, nx].
+        j: The row.
+        rises: Room for the row's in x, and for two rows' in y, float64 [3, nx].
+        step: Of the level.
+        q: What they are added to, float64 [4, ny, nx].
+    """
     ny, nx = height.shape
-    out = np.empty((ny, nx))
-    for j in range(ny):
-        for i in range(nx):
-            total = 0.0
-            for side in range(2):
-                sign = 1.0 - 2.0 * side
-                # A sample stands at one end of its own two edges and at the other of two more.
-                aim = sign * (2.0 * held[side, j, i] - 1.0)
-                if 0 <= i + 1 - 2 * side < nx:
-                    total -= aim * q[2 * side, j, i] / dx
-                if 0 <= j + 1 - 2 * side < ny:
-                    total -= aim * q[2 * side + 1, j, i] / dy
-                a = i - 1 + 2 * side
-                if 0 <= a < nx:
-                    total += sign * (2.0 * held[side, j, a] - 1.0) * q[2 * side, j, a] / dx
-                b = j - 1 + 2 * side
-                if 0 <= b < ny:
-                    total += sign * (2.0 * held[side, b, i] - 1.0) * q[2 * side + 1, b, i] / dy
-            out[j, i] = height[j, i] + penalty * total
-    return out
+    across, up, up_before = rises[0, : nx - 1], rises[1 + j % 2], rises[2 - j % 2]
+    _rise(height[j, : nx - 1], height[j, 1:], step.dx, across)
+    _add(across, q[0, j, : nx - 1])
+    _add(across, q[2, j, 1:])
+    if j < ny - 1:
+        _rise(height[j], height[j + 1], step.dy, up)
+        _add(up, q[1, j])
+    if j > 0:
+        _add(up_before, q[3, j])
+
+
+@inlined
+def _rise(before: NDArray, after: NDArray, step: float, out: NDArray) -> None:
+    """Slopes between samples, [n] each. A loop of its own over rows has lanes."""
+    for i in range(out.size):
+        out[i] = (after[i] - before[i]) / step
+
+
+@inlined
+def _add(values: NDArray, out: NDArray) -> None:
+    for i in range(out.size):
+        out[i] += values[i]
+
+
+@inlined
+def _shorten(x: NDArray, y: NDArray, slope: float, factor: NDArray) -> None:
+    """Factors that shorten gradients to the slope that holds, [n] each."""
+    # Where all of a chunk are flatter by a hair there is no need for roots.
+    flat = slope * slope * (1.0 - 1e-14)
+    for start in range(0, factor.size, _CHUNK):
+        a, b = x[start : start + _CHUNK], y[start : start + _CHUNK]
+        out = factor[start : start + _CHUNK]
+        steep = 0
+        for i in range(out.size):
+            steep += not a[i] * a[i] + b[i] * b[i] <= flat
+        if steep == 0:
+            out[:] = 1.0
+            continue
+        for i in range(out.size):
+            length = np.sqrt(a[i] * a[i] + b[i] * b[i])
+            out[i] = slope / length if length > slope else 1.0
+
+
+@inlined
+def _aim(q: NDArray, factor: NDArray, step: float, out: NDArray) -> None:
+    """Aims over the spacing, [n]; of gradients stays what is cut off."""
+    for i in range(out.size):
+        out[i] = (2.0 * factor[i] - 1.0) * q[i] / step
+        q[i] *= 1.0 - factor[i]
+
+
+@inlined
+def _sum(
+    height: NDArray, aims: NDArray, below: NDArray, above: NDArray, penalty: float, out: NDArray
+) -> None:
+    """A row of the right-hand side.
+
+    A sample stands at one end of its own two edges and at the other of two more.
+
+    Args:
+        height: float64 [n].
+        aims: Of the row, float64 [4, n + 2]: beside it they are 0, as they are across the sides.
+        below, above: In y, of the first triangles of the row before and of the second ones of the
+            row after, float64 [n].
+        penalty: As of ``_Step``.
+        out: float64 [n].
+    """
+    n = out.size
+    x, y, west = aims[0, 1 : n + 1], aims[1, 1 : n + 1], aims[0, :n]
+    other_x, other_y, east = aims[2, 1 : n + 1], aims[3, 1 : n + 1], aims[2, 2:]
+    for i in range(n):
+        first = 0.0 - x[i] - y[i] + west[i] + below[i]
+        out[i] = height[i] + penalty * (first + other_x[i] + other_y[i] - east[i] - above[i])
 
 
 def _half(height: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -216,18 +310,28 @@ def _half(height: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 @kernel
-def _refine(q: NDArray, held: NDArray, ny: int, nx: int) -> tuple[NDArray, NDArray]:
-    """The state on a grid twice as fine, where the penalty is half of it."""
+def _refine(height: NDArray, q: NDArray, step: _Step, ny: int, nx: int) -> tuple[NDArray, NDArray]:
+    """What ``_iterate`` begins with on a grid twice as fine, where the penalty is half of it.
+
+    Args:
+        height, q: What it ends with.
+        step: Of the level.
+        ny, nx: Samples of the finer one.
+    """
     fine = np.empty((4, ny, nx))
     factors = np.empty((2, ny, nx))
-    for j in range(ny):
-        for i in range(nx):
-            for side in range(2):
-                factor = held[side, j // 2, i // 2]
-                longer = factor + 2.0 * (1.0 - factor)
-                fine[2 * side, j, i] = longer * q[2 * side, j // 2, i // 2]
-                fine[2 * side + 1, j, i] = longer * q[2 * side + 1, j // 2, i // 2]
-                factors[side, j, i] = factor / longer
+    rises, factor = np.zeros((3, height.shape[1])), np.empty(height.shape[1])
+    for row in range(height.shape[0]):
+        _add_rises(height, row, rises, step, q)
+        for side in range(2):
+            x, y = q[2 * side, row], q[2 * side + 1, row]
+            _shorten(x, y, step.slope, factor)
+            for j in range(2 * row, min(2 * row + 2, ny)):
+                for i in range(nx):
+                    longer = factor[i // 2] + 2.0 * (1.0 - factor[i // 2])
+                    fine[2 * side, j, i] = longer * x[i // 2]
+                    fine[2 * side + 1, j, i] = longer * y[i // 2]
+                    factors[side, j, i] = factor[i // 2] / longer
     return fine, factors
 
 
