@@ -38,6 +38,8 @@ from typing import Any, ClassVar
 #: Compiled kernels that came with the package.
 SHIPPED = Path(__file__).resolve().parent / "compiled"
 _FEATURES_OF_V3 = ("avx2", "bmi", "bmi2", "f16c", "fma", "lzcnt", "movbe")
+#: Versions of numba whose inside is known here.
+_KNOWN = ("0.68.",)
 #: Changes with what a file of a kernel holds.
 _FORMAT = 2
 _OPTIONS = {"error_model": "numpy", "nogil": True, "no_cfunc_wrapper": True}
@@ -172,13 +174,17 @@ def _typed(dispatcher: Any) -> Any:
 def _compilers() -> tuple[type, type]:
     """What compiles kernels that Python calls, and what compiles the parts of these.
 
-    As numba does, for less: most of what that takes is work on text of its own in Python.
+    As numba does, for less: most of what that takes is work on text of its own in Python. It leans
+    on what numba offers nobody: where another numba is installed, that compiles as it does.
     """
-    _numba()
+    version = _numba().__version__
+    from numba.core.compiler import Compiler, DefaultPassBuilder
+
+    if not version.startswith(_KNOWN):
+        return Compiler, Compiler
     from llvmlite.binding import Linkage
     from numba.core import typing
     from numba.core.codegen import JITCodeLibrary
-    from numba.core.compiler import Compiler, DefaultPassBuilder
     from numba.core.compiler_machinery import AnalysisPass, register_pass
     from numba.core.datamodel import register_default
     from numba.core.datamodel.models import TupleModel, UniTupleModel

@@ -146,6 +146,31 @@ def test_kernels_are_kept_and_damaged_ones_compiled_again(tmp_path: Path) -> Non
     assert run(tmp_path) == f"{e} [True]"
 
 
+def test_another_numba_compiles_as_it_does(tmp_path: Path) -> None:
+    program = """
+import sys
+from scenec.schemas import kernels
+kernels._KNOWN = tuple(sys.argv[1:])
+import numpy as np
+from scenec.compiler.noise.fractal import fbm2
+print(fbm2(7, 3.0, 4, 0.5, 2.0, 0.0).at(np.arange(9.0), np.arange(9.0)).sum().hex())
+print(kernels._compilers()[0].__name__)
+"""
+    bits = []
+    for folder, versions in (("known", ["0."]), ("other", []), ("other", [])):
+        done = subprocess.run(
+            [sys.executable, "-c", program, *versions],
+            env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / folder)},
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        found, compiler = done.stdout.split()
+        assert compiler == ("EntryCompiler" if versions else "Compiler")
+        bits.append(found)
+    assert len(set(bits)) == 1
+
+
 INTERRUPTED = """
 import signal
 from pathlib import Path
