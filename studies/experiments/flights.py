@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -82,11 +81,9 @@ def write_track(path: Path, flight: Flight, frames: int) -> None:
     angles = np.stack([yaw + swing[:, 0], _DOWN_DEG + swing[:, 1], swing[:, 2]], axis=1)
     turn = Rotation.from_euler("ZYX", angles, degrees=True) * level
     x, y, z, w = turn.as_quat().T
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(("time_s", "x_m", "y_m", "z_m", "qw", "qx", "qy", "qz"))
-        for row in zip(np.arange(frames) / RATE_HZ, *position.T, w, x, y, z, strict=True):
-            writer.writerow(f"{value:.9f}" for value in row)
+    rows = np.column_stack([np.arange(frames) / RATE_HZ, position, w, x, y, z])
+    header = "time_s,x_m,y_m,z_m,qw,qx,qy,qz"
+    np.savetxt(path, rows, "%.9f", delimiter=",", header=header, comments="")
 
 
 def cfg(track: Path, size: tuple[int, int]) -> dict[str, Any]:

@@ -83,7 +83,16 @@ def test_every_module_that_writes_csv_guards_its_cells():
     root = Path(__file__).resolve().parents[2]
     writers = [
         path
-        for room in ("schemas", "compiler", "backends", "datasets", "studies", "settle", "cli")
+        for room in (
+            "schemas",
+            "compiler",
+            "backends",
+            "datasets",
+            "studies",
+            "settle",
+            "cli",
+            "importers",
+        )
         for path in (root / room).rglob("*.py")
         if "csv.writer(" in (source := path.read_text()) or "csv.DictWriter(" in source
     ]

@@ -18,7 +18,7 @@ LAYERS = ("schemas", "compiler", "backends", "datasets", "studies", "settle", "i
 #: Folders that come whole.
 DATA = ("assets", "configs")
 #: Scripts of the checkout, which read its tests and write its pages.
-SCRIPTS = ("studies/benchmarks/", "studies/experiments/", "studies/pages/")
+SCRIPTS = tuple(f"studies/{room}/" for room in ("benchmarks", "experiments", "pages", "robustness"))
 #: What the source distribution and the build need of the checkout.
 SOURCES = (*LAYERS, *DATA, "src", "pyproject.toml", "README.md", "LICENSE")
 PROGRAM = """
