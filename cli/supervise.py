@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import ctypes
 import os
 import signal
 import sys
 
-from scenec.schemas.native import CRASHES, crashed, read_note
+from scenec.schemas.native import CRASHES, crashed, die_with, read_note
 
-_PR_SET_PDEATHSIG = 1
 _PASSED_ON = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
@@ -32,9 +30,7 @@ def supervised(status: int) -> int | None:
     own = os.getpid()
     child = os.fork()
     if child == 0:
-        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
-        if os.getppid() != own:
-            os._exit(1)
+        die_with(own)
         signal.pthread_sigmask(signal.SIG_UNBLOCK, signals)
         return None
     ended = _wait(child, signals)

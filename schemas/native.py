@@ -6,8 +6,11 @@ more: a command (``scenec.cli.supervise``), a worker (``scenec.backends.run.supe
 
 from __future__ import annotations
 
+import ctypes
 import mmap
+import os
 import signal
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -15,6 +18,7 @@ from typing import Any
 
 #: Signals of native code at its end: what follows from its input, and would again.
 CRASHES = frozenset((signal.SIGSEGV, signal.SIGBUS, signal.SIGABRT, signal.SIGFPE, signal.SIGILL))
+_PR_SET_PDEATHSIG = 1
 #: Bytes of a note.
 SIZE = 1 << 13
 
@@ -69,6 +73,18 @@ def commentary(diagnostic: Any) -> str:
 def read_note() -> str:
     """What this process, or one that was forked from it, is reading; empty if nothing is."""
     return _own[0].read()
+
+
+def die_with(parent: int) -> None:
+    """From now on this process is killed when its parent ends, however that ends (on Linux).
+
+    Args:
+        parent: Its process id: it may have ended already.
+    """
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+        if os.getppid() != parent:
+            os._exit(1)
 
 
 def crashed(path: object, death: str) -> str:

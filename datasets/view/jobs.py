@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import multiprocessing
+import os
 import signal
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -15,6 +16,7 @@ from scenec.datasets.source import FrameRef, Source, kind_of
 from scenec.datasets.view.layers import Fineness
 from scenec.datasets.view.record import Record, record
 from scenec.schemas.errors import FrameError, OutputError
+from scenec.schemas.native import die_with
 
 #: Frames in work for each process: results wait for their turn, memory stays bounded.
 _AHEAD = 4
@@ -50,7 +52,9 @@ def _begin(sources: list[Source]) -> None:
     _sources[:] = sources
 
 
-def _begin_process(sources: list[Source]) -> None:
+def _begin_process(parent: int, sources: list[Source]) -> None:
+    # Else it would wait for work without end: it holds the other end of its pipe, too.
+    die_with(parent)
     # Ctrl-C reaches all processes of a terminal: the one that asked for the work answers it.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     _begin(sources)
@@ -84,7 +88,7 @@ class Pool:
                 self._workers,
                 multiprocessing.get_context("spawn"),
                 _begin_process,
-                (self._sources,),
+                (os.getpid(), self._sources),
             )
         else:
             _begin(self._sources)

@@ -22,6 +22,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -64,12 +65,12 @@ class Disturbed:
     words: list[str] = field(default_factory=list)
     environment: dict[str, str] = field(default_factory=dict)
     before: Callable[[], None] | None = None
-    moment: Callable[[subprocess.Popen[str]], None] = lambda process: None
+    moment: Callable[[subprocess.Popen[bytes]], None] = lambda process: None
 
 
 def _signalled(number: signal.Signals) -> Callable[[Disturbed, float], Iterator[None]]:
     def fault(on: Disturbed, after_s: float) -> Iterator[None]:
-        def moment(process: subprocess.Popen[str]) -> None:
+        def moment(process: subprocess.Popen[bytes]) -> None:
             _sleep(process, after_s)
             with suppress(ProcessLookupError):
                 process.send_signal(number)
@@ -81,9 +82,13 @@ def _signalled(number: signal.Signals) -> Callable[[Disturbed, float], Iterator[
 
 
 def _stopped(on: Disturbed, after_s: float) -> Iterator[None]:
-    def moment(process: subprocess.Popen[str]) -> None:
+    def moment(process: subprocess.Popen[bytes]) -> None:
         _sleep(process, after_s)
-        of = [psutil.Process(process.pid), *psutil.Process(process.pid).children(recursive=True)]
+        try:
+            first = psutil.Process(process.pid)
+            of = [first, *first.children(recursive=True)]
+        except psutil.NoSuchProcess:
+            return
         for number in (signal.SIGSTOP, signal.SIGCONT):
             for each in of:
                 with suppress(psutil.Error):
@@ -103,7 +108,7 @@ def _full(on: Disturbed, after_s: float) -> Iterator[None]:
 def _read_only(on: Disturbed, after_s: float) -> Iterator[None]:
     with _mounted(on.folder, 1 << 30):
 
-        def moment(process: subprocess.Popen[str]) -> None:
+        def moment(process: subprocess.Popen[bytes]) -> None:
             _sleep(process, after_s)
             subprocess.run(
                 ["mount", "-o", "remount,ro,force", on.folder], check=False, capture_output=True
@@ -139,7 +144,7 @@ def _no_temporary(on: Disturbed, after_s: float) -> Iterator[None]:
     gone.mkdir()
     on.environment["TMPDIR"] = str(gone)
 
-    def moment(process: subprocess.Popen[str]) -> None:
+    def moment(process: subprocess.Popen[bytes]) -> None:
         _sleep(process, after_s)
         shutil.rmtree(gone, ignore_errors=True)
 
@@ -198,7 +203,7 @@ def _mounted(folder: Path, size: int) -> Iterator[None]:
         aside.rename(folder)
 
 
-def _sleep(process: subprocess.Popen[str], seconds: float) -> None:
+def _sleep(process: subprocess.Popen[bytes], seconds: float) -> None:
     with suppress(subprocess.TimeoutExpired):
         process.wait(timeout=seconds)
 
@@ -274,24 +279,25 @@ def prepared(folder: Path, cfg: Path) -> tuple[dict[str, Path], dict[str, set[st
 
 def disturbed(on: Disturbed, line: list[str], mark: str) -> tuple[int, str, list[str]]:
     """Exit status, what was said, and what else is wrong."""
-    process = subprocess.Popen(
-        [*on.words, *line],
-        env=os.environ | on.environment | {MARK: mark},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-        errors="replace",
-        preexec_fn=on.before,
-    )
     wrong = []
-    on.moment(process)
-    try:
-        said, _ = process.communicate(timeout=LONGEST_S)
-    except subprocess.TimeoutExpired:
-        process.kill()
-        said, _ = process.communicate()
-        wrong.append(f"hangs: {said[-200:]}")
-    status = process.returncode
+    # No pipe: a process that is left behind would hold it open.
+    with tempfile.TemporaryFile() as file:
+        process = subprocess.Popen(
+            [*on.words, *line],
+            env=os.environ | on.environment | {MARK: mark},
+            stdout=file,
+            stderr=file,
+            preexec_fn=on.before,
+        )
+        on.moment(process)
+        try:
+            status = process.wait(timeout=LONGEST_S)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            status = process.wait()
+            wrong.append("hangs")
+        file.seek(0)
+        said = file.read().decode("utf-8", "replace")
     if "Traceback" in said:
         wrong.append(f"traceback: {said[-500:]}")
     if status > 0 and not said.strip():
