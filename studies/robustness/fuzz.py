@@ -1,7 +1,7 @@
 """Reads files with faults of every kind: each ends in what it holds, or in one error naming it.
 
-    python studies/robustness/fuzz.py [--mutants N] [--kinds A,B,...] [--seed S] [--keep FOLDER]
-                                      [--fast] [-o FILE]
+    python studies/robustness/fuzz.py [--mutants N] [--kinds stage,model,...] [--seed S]
+                                      [--keep FOLDER] [--fast] [-o FILE]
 
 Of each kind of file that scenec reads, a sound one is made, and mutants of it: bits and bytes
 changed, cut, doubled, words and numbers in each other's places. Each is read in a process of its
@@ -367,7 +367,7 @@ def main(study: Study) -> None:
     rows, faults, total = [], [], Counter[str]()
     header = ["kind", "mutants", "taken", "refused", "crash told", "faults", "s at most", "MiB"]
     for name, kind in _kinds().items():
-        if wanted is not None and name not in wanted:
+        if wanted is not None and not {name, name.split()[0]} & {*wanted}:
             continue
         file = written(kind, study.scratch / name.replace(" ", "_"))
         gc.collect()
