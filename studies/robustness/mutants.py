@@ -32,6 +32,8 @@ _WORDS = (
     b"../../canary", b"/canary", b"%s%n", b"\xe2\x80\xae", b"[" * 5000, b"{" * 5000,
 )  # fmt: skip
 _WORD = re.compile(rb"[^\s,:;=()\[\]{}\"]+|[\[\]{}(),:;=\"]")
+#: Bytes that a line that is repeated comes to, but for two of any length.
+_GROWN = 1 << 20
 _TAKEN, _REFUSED, _TRACEBACK = 0, 3, 4
 
 
@@ -86,7 +88,9 @@ def _reworded(data: bytes, rng: np.random.Generator) -> bytes:
     if rng.random() < 0.2:
         lines = data.splitlines(keepends=True)
         at = int(rng.integers(len(lines)))
-        lines[at : at + 1] = [lines[at]] * int(rng.choice([0, 2, 1000]))
+        # A file of one line alone would grow beyond all that a disk holds.
+        times = min(int(rng.choice([0, 2, 1000])), 2 + _GROWN // len(lines[at]))
+        lines[at : at + 1] = [lines[at]] * times
         return b"".join(lines)
     words = [found.span() for found in _WORD.finditer(data)]
     if not words:
