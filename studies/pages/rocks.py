@@ -9,6 +9,7 @@ the code.
 from __future__ import annotations
 
 import json
+import math
 from functools import partial
 from typing import Any
 
@@ -44,6 +45,9 @@ FAMILIES = {
 }
 _SIZE = (360, 240)
 _GAP = 6
+#: Stones of a contact sheet, and pixels of the side of each one's square.
+_STONES = 4
+_STONE_PX = 400
 
 
 def cfg(family: str, far: bool, lod_px: float, subdivisions: int = 5) -> dict[str, Any]:
@@ -107,6 +111,62 @@ def cfg(family: str, far: bool, lod_px: float, subdivisions: int = 5) -> dict[st
         },
         "rigs": {"camera": {"pose": pose, "sensors": {"eye": {
             "resolution": list(_SIZE), "fov_deg": 55 if far else 48,
+        }}}},
+    }  # fmt: skip
+
+
+def sheet_cfg(family: str, subdivisions: int = 6) -> dict[str, Any]:
+    """Single stones side by side on gray ground under a grazing sun, and one camera."""
+    step_m, away_m, up_m = 0.62, 4.0, 1.3
+    wide_m = _STONES * step_m
+    rocks = {
+        f"stone_{i}": {
+            "type": "rocks",
+            "family": family,
+            "material": "rock",
+            "count": 1,
+            "prototypes": 1,
+            "subdivisions": subdivisions,
+            "lod_px": 0,
+            "size_m": 0.5,
+            "embed": 0.12,
+            "orientation": "normal",
+            "where": [{
+                "type": "point", "x_m": (i - 0.5 * (_STONES - 1)) * step_m, "y_m": 0,
+                "max_m": 0.04,
+            }],
+        }
+        for i in range(_STONES)
+    }  # fmt: skip
+    pose = {
+        "type": "random_target",
+        "position": {"x_m": 0, "y_m": -away_m, "height_m": up_m},
+        "target": {"distance_m": away_m, "bearing_deg": 0, "height_m": 0.14},
+    }
+    fov = 2.0 * math.degrees(math.atan2(0.5 * wide_m, math.hypot(away_m, up_m)))
+    return {
+        "version": 1,
+        "name": "stones",
+        "samples": 1,
+        "labels": {},
+        "outputs": ["rgb"],
+        "terrain": {
+            "size_m": [8, 8],
+            "spacing_m": 0.02,
+            "relief": [{"type": "plane"}],
+            "ground": [{"material": "gray"}],
+        },
+        "materials": {
+            "gray": {"base_color": [0.2, 0.2, 0.2], "specular": 0},
+            "rock": {"base_color": [0.11, 0.1, 0.09], "variation": 0.45},
+        },
+        "objects": rocks,
+        "light": {
+            "sun": {"elevation_deg": 20, "azimuth_deg": 225, "irradiance": 900},
+            "sky": {"type": "clear", "irradiance": 90},
+        },
+        "rigs": {"camera": {"pose": pose, "sensors": {"eye": {
+            "resolution": [_STONES * _STONE_PX, _STONE_PX], "fov_deg": fov,
         }}}},
     }  # fmt: skip
 
